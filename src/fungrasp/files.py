@@ -1,0 +1,63 @@
+"""Writing files whole or not at all, and the folder where computed things are kept."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+from fungrasp.errors import FungraspError
+
+
+@contextlib.contextmanager
+def atomic_path(path: str | Path) -> Iterator[Path]:
+    """Yield a temporary path beside ``path``; on a clean exit it replaces ``path``, else it is removed.
+
+    The temporary name ends in the same suffix, so that libraries which choose a format by suffix agree.
+
+    Raises:
+        FungraspError: the folder can't be written to, or the disk is full.
+    """
+    path = Path(path)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(prefix=f".{path.stem}.", suffix=path.suffix, dir=path.parent)
+        os.close(handle)
+    except OSError as error:
+        raise FungraspError(f"cannot write {path}: {error.strerror or error}") from error
+    temporary = Path(name)
+    try:
+        yield temporary
+        temporary.chmod(0o666 & ~_umask())
+        temporary.replace(path)
+    except OSError as error:
+        raise FungraspError(f"cannot write {path}: {error.strerror or error}") from error
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def cache_folder(kind: str) -> Path:
+    """Folder for computed things of one ``kind`` ("convex_pieces", ...), made if missing.
+
+    ``$FUNGRASP_CACHE`` if set, else ``$XDG_CACHE_HOME/fungrasp``, else ``~/.cache/fungrasp``.
+
+    Raises:
+        FungraspError: the folder can't be made.
+    """
+    root = os.environ.get("FUNGRASP_CACHE")
+    if root is None:
+        root = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "fungrasp"
+    folder = Path(root) / kind
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise FungraspError(f"cannot make the cache folder {folder}: {error.strerror or error}") from error
+    return folder
+
+
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
