@@ -1,0 +1,112 @@
+"""Batched rigid transforms on any array-API library (NumPy, torch, ...).
+
+A pose is 7 numbers ``[x y z qw qx qy qz]``: metres and a unit quaternion. Arrays have any leading batch
+shape and broadcast. ``pose_a_b`` maps points of frame b to frame a: ``pose_a_c = compose(pose_a_b, pose_b_c)``.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from array_api_compat import array_namespace
+
+Array = Any
+"""An array of NumPy, torch or another array-API library."""
+
+
+def quaternion_multiply(a: Array, b: Array) -> Array:
+    """Hamilton product ``a b``. a, b: wxyz, shape [..., 4]."""
+    xp = array_namespace(a, b)
+    aw, ax, ay, az = (a[..., i] for i in range(4))
+    bw, bx, by, bz = (b[..., i] for i in range(4))
+    return xp.stack(
+        [
+            aw * bw - ax * bx - ay * by - az * bz,
+            aw * bx + ax * bw + ay * bz - az * by,
+            aw * by - ax * bz + ay * bw + az * bx,
+            aw * bz + ax * by - ay * bx + az * bw,
+        ],
+        axis=-1,
+    )
+
+
+def quaternion_conjugate(q: Array) -> Array:
+    """Inverse of a unit quaternion. q: wxyz, shape [..., 4]."""
+    xp = array_namespace(q)
+    return xp.concat([q[..., :1], -q[..., 1:]], axis=-1)
+
+
+def cross(a: Array, b: Array) -> Array:
+    """Cross product with broadcasting (the array API's own does not broadcast). Shape [..., 3]."""
+    xp = array_namespace(a, b)
+    return xp.stack(
+        [
+            a[..., 1] * b[..., 2] - a[..., 2] * b[..., 1],
+            a[..., 2] * b[..., 0] - a[..., 0] * b[..., 2],
+            a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0],
+        ],
+        axis=-1,
+    )
+
+
+def rotate(q: Array, v: Array) -> Array:
+    """Rotate vectors. q: wxyz, shape [..., 4]; v: shape [..., 3]; they broadcast."""
+    t = 2.0 * cross(q[..., 1:], v)
+    return v + q[..., :1] * t + cross(q[..., 1:], t)
+
+
+def quaternion_from_rotation_vector(v: Array) -> Array:
+    """Exponential map. v: axis times angle [rad], shape [..., 3]. Returns wxyz, shape [..., 4]."""
+    xp = array_namespace(v)
+    half = 0.5 * xp.linalg.vector_norm(v, axis=-1, keepdims=True)
+    safe = xp.where(half < 1e-8, xp.ones_like(half), half)
+    scale = xp.where(half < 1e-8, 0.5 - half**2 / 12.0, 0.5 * xp.sin(safe) / safe)
+    return xp.concat([xp.cos(half), scale * v], axis=-1)
+
+
+def rotation_vector(q: Array) -> Array:
+    """Logarithm, the shorter way round. q: wxyz, shape [..., 4]. Returns [rad], shape [..., 3], norm <= pi."""
+    xp = array_namespace(q)
+    sign = xp.where(q[..., :1] < 0, -xp.ones_like(q[..., :1]), xp.ones_like(q[..., :1]))
+    q = q * sign
+    norm = xp.linalg.vector_norm(q[..., 1:], axis=-1, keepdims=True)
+    safe = xp.where(norm < 1e-10, xp.ones_like(norm), norm)
+    angle = 2.0 * xp.atan2(norm, q[..., :1])
+    return q[..., 1:] * xp.where(norm < 1e-10, 2.0 * xp.ones_like(norm), angle / safe)
+
+
+def rotation_matrix(q: Array) -> Array:
+    """q: wxyz, shape [..., 4]. Returns shape [..., 3, 3]."""
+    xp = array_namespace(q)
+    w, x, y, z = (q[..., i] for i in range(4))
+    rows = [
+        xp.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)], axis=-1),
+        xp.stack([2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)], axis=-1),
+        xp.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], axis=-1),
+    ]
+    return xp.stack(rows, axis=-2)
+
+
+def compose(pose_a_b: Array, pose_b_c: Array) -> Array:
+    """``pose_a_c``. Poses: shape [..., 7]; they broadcast."""
+    xp = array_namespace(pose_a_b, pose_b_c)
+    position = pose_a_b[..., :3] + rotate(pose_a_b[..., 3:], pose_b_c[..., :3])
+    rotation = quaternion_multiply(pose_a_b[..., 3:], pose_b_c[..., 3:])
+    return xp.concat([position, rotation], axis=-1)
+
+
+def invert(pose_a_b: Array) -> Array:
+    """``pose_b_a``. Shape [..., 7]."""
+    xp = array_namespace(pose_a_b)
+    inverse = quaternion_conjugate(pose_a_b[..., 3:])
+    return xp.concat([-rotate(inverse, pose_a_b[..., :3]), inverse], axis=-1)
+
+
+def transform_points(pose_a_b: Array, points_b: Array) -> Array:
+    """Points of frame b in frame a. pose: shape [..., 7]; points: [m], shape [..., P, 3]."""
+    return pose_a_b[..., None, :3] + rotate(pose_a_b[..., None, 3:], points_b)
+
+
+def inverse_transform_points(pose_a_b: Array, points_a: Array) -> Array:
+    """Points of frame a in frame b. pose: shape [..., 7]; points: [m], shape [..., P, 3]."""
+    return rotate(quaternion_conjugate(pose_a_b[..., None, 3:]), points_a - pose_a_b[..., None, :3])

@@ -1,0 +1,259 @@
+"""A dexterous hand: its kinematic model and which body plays which part of a human hand."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from fungrasp.errors import FungraspError, UnknownNameError
+
+FINGERS = ("index", "middle", "ring", "pinky", "thumb")
+"""Names of fingers, in the order of the human joints and links (docs/conventions.md)."""
+
+WRIST_COORDINATES = 6
+
+
+@dataclass(frozen=True)
+class Finger:
+    """One finger of a hand."""
+
+    name: str
+    """One of ``FINGERS``: the human finger it imitates."""
+    links: tuple[str, ...]
+    """Bodies from base to tip, at most three; the origin of each is a key point (the joint at its near end).
+    They imitate the human proximal, middle and distal links; a hand with fewer lacks those near the tip."""
+    tip: str
+    """Site at the centre of the fingertip's round end."""
+
+
+@dataclass(frozen=True)
+class Actuator:
+    """Position servo of one independent joint."""
+
+    joint: str
+    kp: float
+    """Stiffness [N m/rad]."""
+    kd: float
+    """Damping [N m s/rad]."""
+    force_limit: float
+    """Largest torque [N m]."""
+
+
+@dataclass(frozen=True)
+class Hand:
+    """A hand folder, read and checked. ``fungrasp.hands.load_hand`` makes it."""
+
+    name: str
+    title: str
+    path: Path
+    """The TOML file."""
+    model_path: Path
+    """The MJCF or URDF file."""
+    palm: str
+    """Body that carries the fingers; its pose in the world is ``wrist_pose``."""
+    palm_fingers: np.ndarray
+    """Unit vector from the wrist to the middle finger's base, palm frame, shape [3]."""
+    palm_normal: np.ndarray
+    """Unit vector out of the palm towards a held object, palm frame, shape [3]."""
+    fingers: Mapping[str, Finger]
+    """By name, in the order of ``FINGERS``."""
+    actuators: Mapping[str, Actuator]
+    """By joint name, in the model's joint order."""
+    source: str = ""
+    sources: Mapping[str, str] = field(default_factory=dict)
+
+    def spec(self) -> mujoco.MjSpec:
+        """A fresh model of the bare hand, palm fixed at the world's origin, one position actuator per independent joint
+        (named as its joint)."""
+        spec = _parse(self.model_path)
+        for actuator in list(spec.actuators):
+            spec.delete(actuator)
+        for servo in self.actuators.values():
+            joint = spec.joint(servo.joint)
+            actuator = spec.add_actuator(name=servo.joint, target=servo.joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+            actuator.set_to_position(kp=servo.kp, kv=servo.kd)
+            actuator.forcelimited = True
+            actuator.forcerange = [-servo.force_limit, servo.force_limit]
+            actuator.ctrllimited = True
+            actuator.ctrlrange = joint.range
+        return spec
+
+    @cached_property
+    def model(self) -> mujoco.MjModel:
+        """The compiled bare hand, for names and limits; do not change it."""
+        return self.spec().compile()
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Every joint of the model, coupled ones included, in model order, length M."""
+        return tuple(self.model.joint(i).name for i in range(self.model.njnt))
+
+    @property
+    def joint_limits(self) -> np.ndarray:
+        """Lower and upper limit [rad], shape [M, 2]; infinite for an unlimited joint."""
+        limited = self.model.jnt_limited[:, None].astype(bool)
+        return np.where(limited, self.model.jnt_range, [[-np.inf, np.inf]])
+
+    @cached_property
+    def coupling(self) -> tuple[np.ndarray, np.ndarray]:
+        """``joint_positions = matrix @ independent + offset`` [rad]; matrix: shape [M, U], offset: shape [M].
+
+        The U independent joints are those not driven by a joint equality, in model order. Only linear couplings count.
+        """
+        m = self.model
+        driven = {}
+        for e in range(m.neq):
+            if m.eq_type[e] == mujoco.mjtEq.mjEQ_JOINT and m.eq_obj2id[e] >= 0:
+                driven[int(m.eq_obj1id[e])] = (int(m.eq_obj2id[e]), m.eq_data[e, 0], m.eq_data[e, 1])
+        free = [j for j in range(m.njnt) if j not in driven]
+        matrix, offset = np.zeros((m.njnt, len(free))), np.zeros(m.njnt)
+        matrix[free, range(len(free))] = 1.0
+        pending = dict(driven)
+        while pending:
+            ready = [j for j, (source, _, _) in pending.items() if source not in pending]
+            if not ready:
+                raise FungraspError(f"hand '{self.name}': the joint couplings in {self.model_path} form a loop")
+            for j in ready:
+                source, constant, slope = pending.pop(j)
+                matrix[j] = slope * matrix[source]
+                offset[j] = constant + slope * offset[source]
+        return matrix, offset
+
+    @property
+    def links(self) -> tuple[tuple[str, ...], ...]:
+        """Contact links: the palm, then each finger's links in order; a contact flag each. Each entry names the bodies
+        that belong to it (a body not named in the TOML belongs to its nearest named ancestor), length L."""
+        named = [self.palm, *(body for finger in self.fingers.values() for body in finger.links)]
+        members: dict[str, list[str]] = {body: [] for body in named}
+        m = self.model
+        for body in range(1, m.nbody):
+            owner = body
+            while owner and m.body(owner).name not in members:
+                owner = int(m.body_parentid[owner])
+            members[m.body(owner).name if owner else self.palm].append(m.body(body).name)
+        return tuple(tuple(members[body]) for body in named)
+
+    @property
+    def link_names(self) -> tuple[str, ...]:
+        """Name of each contact link, "palm", "index_proximal", ..., length L."""
+        parts = ("proximal", "middle", "distal")
+        names = [f"{f.name}_{parts[i]}" for f in self.fingers.values() for i in range(len(f.links))]
+        return ("palm", *names)
+
+    @property
+    def keypoint_names(self) -> tuple[str, ...]:
+        """Names of the key points: the palm body, then each finger's link bodies and tip site, length K."""
+        return (self.palm, *(name for f in self.fingers.values() for name in (*f.links, f.tip)))
+
+
+def read_hand(path: Path) -> Hand:
+    """Read a hand's TOML and check that all it names exists in the model.
+
+    Args:
+        path: the TOML file.
+
+    Raises:
+        FungraspError: the file or its model is missing, unreadable or inconsistent; the message says which and why.
+    """
+    try:
+        data = tomllib.loads(path.read_text())
+    except (OSError, UnicodeDecodeError) as error:
+        raise FungraspError(f"cannot read the hand file {path}: {getattr(error, 'strerror', None) or error}") from error
+    except tomllib.TOMLDecodeError as error:
+        raise FungraspError(f"{path} is not valid TOML: {error}") from error
+    for key in ("name", "model", "palm", "fingers", "actuators"):
+        if key not in data:
+            raise FungraspError(f"{path}: the field '{key}' is missing")
+    model_path = path.parent / data["model"]
+    spec = _parse(model_path)
+    try:
+        model = spec.compile()
+    except ValueError as error:
+        raise FungraspError(f"{model_path} does not compile: {_one_line(error)}") from error
+    bodies = {model.body(i).name for i in range(model.nbody)}
+    sites = {model.site(i).name for i in range(model.nsite)}
+
+    def existing(kind: str, name: str, known: set[str]) -> str:
+        if name not in known:
+            raise FungraspError(f"{path}: {UnknownNameError(f'{kind} of {model_path.name}', name, known)}")
+        return name
+
+    unknown = set(data["fingers"]) - set(FINGERS)
+    if unknown:
+        raise FungraspError(f"{path}: {UnknownNameError('finger', sorted(unknown)[0], FINGERS)}")
+    fingers = {}
+    for name in FINGERS:
+        if name not in data["fingers"]:
+            continue
+        entry = data["fingers"][name]
+        if not 1 <= len(entry.get("links", ())) <= 3 or "tip" not in entry:
+            raise FungraspError(f"{path}: finger '{name}' needs 'links' (one to three bodies, base to tip) and 'tip' (a site)")
+        links = tuple(existing("body", link, bodies) for link in entry["links"])
+        fingers[name] = Finger(name, links, existing("site", entry["tip"], sites))
+    if "thumb" not in fingers:
+        raise FungraspError(f"{path}: a hand with no thumb can't imitate a human grasp; give [fingers.thumb]")
+    if len(fingers) < 2:
+        raise FungraspError(f"{path}: a hand needs a thumb and at least one more finger")
+    frame = data.get("palm_frame", {})
+    return Hand(
+        name=data["name"],
+        title=data.get("title", data["name"]),
+        path=path,
+        model_path=model_path,
+        palm=existing("body", data["palm"], bodies),
+        palm_fingers=_unit(path, "palm_frame.fingers", frame.get("fingers", (0, 0, 1))),
+        palm_normal=_unit(path, "palm_frame.normal", frame.get("normal", (1, 0, 0))),
+        fingers=fingers,
+        actuators=_actuators(path, data["actuators"], model),
+        source=data.get("source", ""),
+        sources={"actuators": data["actuators"].get("source", "")},
+    )
+
+
+def _actuators(path: Path, entry: Mapping[str, Any], model: mujoco.MjModel) -> dict[str, Actuator]:
+    joints = [model.joint(i).name for i in range(model.njnt)]
+    is_joint_coupling = model.eq_type == mujoco.mjtEq.mjEQ_JOINT
+    driven = {model.joint(int(j)).name for j in model.eq_obj1id[is_joint_coupling & (model.eq_obj2id >= 0)]}
+    special = entry.get("joints", {})
+    for joint in special:
+        if joint not in joints:
+            raise FungraspError(f"{path}: {UnknownNameError('joint', joint, joints)}")
+    actuators = {}
+    for joint in joints:
+        if joint in driven:
+            continue
+        values = {}
+        for key in ("kp", "kd", "force_limit"):
+            value = special.get(joint, {}).get(key, entry.get(key))
+            if not isinstance(value, int | float) or not value > 0:
+                raise FungraspError(f"{path}: actuators.{key} for joint '{joint}' must be a positive number, not {value!r}")
+            values[key] = float(value)
+        actuators[joint] = Actuator(joint, **values)
+    return actuators
+
+
+def _unit(path: Path, name: str, value: Any) -> np.ndarray:
+    vector = np.asarray(value, dtype=float)
+    if vector.shape != (3,) or not np.isclose(np.linalg.norm(vector), 1.0, atol=1e-3):
+        raise FungraspError(f"{path}: {name} must be a unit vector of 3 numbers, not {value!r}")
+    return vector / np.linalg.norm(vector)
+
+
+def _parse(path: Path) -> mujoco.MjSpec:
+    if not path.is_file():
+        raise FungraspError(f"the hand's model {path} does not exist")
+    try:
+        return mujoco.MjSpec.from_file(str(path))
+    except ValueError as error:
+        raise FungraspError(f"cannot read the hand's model {path}: {_one_line(error)}") from error
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split())
