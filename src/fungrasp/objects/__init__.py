@@ -1,0 +1,16 @@
+"""A mesh and a mass become a physical object; the built-in everyday objects."""
+
+from fungrasp.objects.convex import ConvexPiece, convex_pieces
+from fungrasp.objects.mesh import load_mesh
+from fungrasp.objects.model import ObjectModel
+from fungrasp.objects.registry import builtin_object, load_object, object_names
+
+__all__ = [
+    "ConvexPiece",
+    "ObjectModel",
+    "builtin_object",
+    "convex_pieces",
+    "load_mesh",
+    "load_object",
+    "object_names",
+]
