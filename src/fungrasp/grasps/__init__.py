@@ -1,0 +1,33 @@
+"""Human and robot grasps: the types, the files they are exchanged in, and importers of data sets."""
+
+from fungrasp.grasps.files import (
+    builtin_grasps,
+    load_grasps,
+    load_human_grasps,
+    load_robot_grasps,
+    save_human_grasps,
+    save_robot_grasps,
+)
+from fungrasp.grasps.grasp_set import GraspSet
+from fungrasp.grasps.human import HumanGrasp, HumanGraspSet
+from fungrasp.grasps.human_hand import BONES, HUMAN_JOINTS, HUMAN_LINKS, bone_lengths, link_directions
+from fungrasp.grasps.robot import RobotGrasp, RobotGraspSet
+
+__all__ = [
+    "BONES",
+    "HUMAN_JOINTS",
+    "HUMAN_LINKS",
+    "GraspSet",
+    "HumanGrasp",
+    "HumanGraspSet",
+    "RobotGrasp",
+    "RobotGraspSet",
+    "bone_lengths",
+    "builtin_grasps",
+    "link_directions",
+    "load_grasps",
+    "load_human_grasps",
+    "load_robot_grasps",
+    "save_human_grasps",
+    "save_robot_grasps",
+]

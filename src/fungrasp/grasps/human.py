@@ -1,0 +1,96 @@
+"""How a person holds an object: one grasp, and a set of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from fungrasp.grasps.fields import Field, check_rows
+from fungrasp.grasps.grasp_set import GraspSet
+from fungrasp.grasps.human_hand import bone_lengths
+
+FARTHEST = 1.0
+"""Largest distance between an object's origin and a joint of the hand that holds it [m]."""
+
+LONGEST_BONE = 0.3
+"""No bone of a human hand is longer [m]; a file in millimetres or centimetres exceeds it."""
+
+SHORTEST_BONE = 1e-3
+"""Joints nearer than this to their neighbour [m] coincide: something went wrong in whatever made them."""
+
+
+@dataclass(frozen=True, eq=False)
+class HumanGrasp:
+    """One human grasp. World frame, z up, table top at z = 0; poses ``[x y z qw qx qy qz]``."""
+
+    object_name: str
+    object_mass: float
+    """[kg]"""
+    object_pose: np.ndarray
+    """Object when grasped, world frame, shape [7]."""
+    object_rest_pose: np.ndarray
+    """Object at rest on the table before the grasp, world frame, shape [7]."""
+    hand_joints: np.ndarray
+    """Joints [m] in the order of ``HUMAN_JOINTS``, world frame, shape [21, 3]."""
+    link_contacts: np.ndarray
+    """Which of ``HUMAN_LINKS`` touch the object, bool, shape [16]."""
+    task: str = ""
+    """What the grasp is for: "drink", "cut", ...; empty if not known."""
+    hand_qpos: np.ndarray | None = None
+    """Wrist position [m], then wrist and 15 joint rotations as intrinsic XYZ Euler angles [rad], shape [51]."""
+
+
+@dataclass(frozen=True, eq=False)
+class HumanGraspSet(GraspSet[HumanGrasp]):
+    """N human grasps of right hands; the fields of ``HumanGrasp`` with a leading axis N. float64, bool and str arrays.
+
+    Raises:
+        FungraspError: a field of wrong shape or type, not finite, a quaternion or mass that can't be, or joints that are
+            no hand in metres near the object; the message names field and row.
+    """
+
+    object_name: np.ndarray
+    object_mass: np.ndarray
+    object_pose: np.ndarray
+    object_rest_pose: np.ndarray
+    hand_joints: np.ndarray
+    link_contacts: np.ndarray
+    task: np.ndarray | None = None
+    """Given as None it becomes N empty strings."""
+    hand_qpos: np.ndarray | None = None
+
+    FIELDS: ClassVar = {
+        "object_name": Field("name", ("N",)),
+        "object_mass": Field("positive", ("N",)),
+        "object_pose": Field("pose", ("N", 7)),
+        "object_rest_pose": Field("pose", ("N", 7)),
+        "hand_joints": Field("number", ("N", 21, 3)),
+        "link_contacts": Field("flag", ("N", 16)),
+        "task": Field("text", ("N",), optional=True),
+        "hand_qpos": Field("number", ("N", 51), optional=True),
+    }
+    GRASP: ClassVar = HumanGrasp
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.task is None:
+            object.__setattr__(self, "task", np.full(len(self), ""))
+        bones = bone_lengths(self.hand_joints)
+        longest, shortest = bones.max(axis=1, initial=0), bones.min(axis=1, initial=np.inf)
+        check_rows(
+            "hand_joints", longest <= LONGEST_BONE, "is no hand in metres; its longest bone [m]", longest
+        )
+        check_rows(
+            "hand_joints",
+            shortest >= SHORTEST_BONE,
+            "has joints that coincide; its shortest bone [m]",
+            shortest,
+        )
+        distance = np.linalg.norm(self.hand_joints - self.object_pose[:, None, :3], axis=-1).max(
+            axis=1, initial=0
+        )
+        check_rows(
+            "hand_joints", distance <= FARTHEST, "is far from the object; the farthest joint [m]", distance
+        )

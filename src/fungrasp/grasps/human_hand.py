@@ -1,0 +1,69 @@
+"""The human hand of the grasp sets: names of its joints and links, bones, directions, mirroring."""
+
+from __future__ import annotations
+
+import numpy as np
+
+FINGERS = ("index", "middle", "ring", "pinky", "thumb")
+"""Order of fingers in joints and links."""
+
+HUMAN_JOINTS = (
+    "wrist",
+    *(f"{finger}_{joint}" for finger in FINGERS[:4] for joint in ("mcp", "pip", "dip", "tip")),
+    *(f"thumb_{joint}" for joint in ("cmc", "mcp", "ip", "tip")),
+)
+"""The 21 joints of ``hand_joints``; "tip" is the end of the finger."""
+
+HUMAN_LINKS = (
+    "palm",
+    *(f"{finger}_{link}" for finger in FINGERS for link in ("proximal", "middle", "distal")),
+)
+"""The 16 links of ``link_contacts``. The thumb's three are its metacarpal, proximal and distal bones."""
+
+BONES = tuple((0 if joint % 4 == 1 else joint - 1, joint) for joint in range(1, 21))
+"""The 20 bones as pairs of joint indices (near, far); four per finger, the first of which starts at the wrist."""
+
+MIRROR = np.array([1.0, -1.0, 1.0])
+"""Reflection in the plane y = 0, by coordinate."""
+
+
+def bone_lengths(hand_joints: np.ndarray) -> np.ndarray:
+    """Length of each of ``BONES`` [m], shape [..., 20]. hand_joints: [m], shape [..., 21, 3], any frame."""
+    near, far = np.transpose(BONES)
+    return np.linalg.norm(hand_joints[..., far, :] - hand_joints[..., near, :], axis=-1)
+
+
+def link_directions(hand_joints: np.ndarray) -> np.ndarray:
+    """Unit vector along each finger link, from its near joint to its far one.
+
+    Args:
+        hand_joints: [m], shape [..., 21, 3], any frame.
+
+    Returns:
+        Shape [..., 5, 3, 3]: finger (index, middle, ring, pinky, thumb), link (proximal, middle, distal), xyz.
+    """
+    fingers = hand_joints[..., 1:, :].reshape(*hand_joints.shape[:-2], 5, 4, 3)
+    bones = fingers[..., 1:, :] - fingers[..., :-1, :]
+    return bones / np.linalg.norm(bones, axis=-1, keepdims=True)
+
+
+def mirror_points(points: np.ndarray) -> np.ndarray:
+    """Points reflected in the plane y = 0 of their frame: the joints of a left hand become those of a right one.
+    points: [m], shape [..., 3]. The whole scene must be reflected together, see ``mirror_pose``."""
+    return points * MIRROR
+
+
+def mirror_pose(pose: np.ndarray) -> np.ndarray:
+    """Pose of an object in the scene reflected in the world's plane y = 0.
+
+    A reflection ``S`` turns the rotation ``R`` into ``S R S``: the object's mesh must be reflected as well, in the plane
+    y = 0 of its own frame (``mirror_points`` of its vertices, and the order of each triangle's corners reversed). For a
+    mesh that is its own mirror image there, nothing more is needed.
+
+    Args:
+        pose: ``[x y z qw qx qy qz]``, shape [..., 7], world frame.
+
+    Returns:
+        Shape [..., 7].
+    """
+    return pose * np.array([1.0, -1.0, 1.0, 1.0, -1.0, 1.0, -1.0])
