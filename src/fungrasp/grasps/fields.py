@@ -1,4 +1,4 @@
-"""The fields of a grasp set: their shapes and kinds, and the checks that every set passes when it is built."""
+"""The fields of a grasp set: their shapes and kinds, and the checks every set passes when it is built."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from fungrasp.errors import FungraspError
 
 QUATERNION_TOLERANCE = 1e-3
-"""How far the norm of a quaternion may be from 1; within it the quaternion is normalised, beyond it is an error."""
+"""How far the norm of a quaternion may be from 1: within, it is normalised; beyond, it is an error."""
 
 ROUNDING = 1e-12
 """A quaternion this close to unit norm is kept as it is, so that reading what was written changes nothing."""
@@ -22,7 +22,7 @@ class Field:
     """What one array of a grasp set must look like."""
 
     kind: Literal["name", "text", "number", "positive", "pose", "flag"]
-    """``name``: text that is not empty and no path; ``pose``: numbers whose last four are a unit quaternion."""
+    """``name``: text, not empty, no path; ``pose``: numbers of which the last four are a unit quaternion."""
     shape: tuple[str | int, ...]
     """Sizes, or letters ("N", "M", ...) for sizes that fields of one set share."""
     optional: bool = False
@@ -38,7 +38,7 @@ def checked_array(name: str, field: Field, value: Any, sizes: dict[str, int]) ->
         sizes: sizes already known by letter; letters met here for the first time are added.
 
     Raises:
-        FungraspError: wrong type or shape, not finite, not positive, not a unit quaternion; it names field and row.
+        FungraspError: wrong type or shape, not finite, not positive, or no unit quaternion; names field, row.
     """
     array = np.asarray(value)
     wanted = {"name": "US", "text": "US", "flag": "b"}.get(field.kind, "fiu")

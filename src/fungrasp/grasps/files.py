@@ -34,7 +34,7 @@ def load_human_grasps(path: str | Path) -> HumanGraspSet:
     """Read human grasps from a file, or the built-in ones for "builtin".
 
     Raises:
-        FungraspError: no such file, not a grasp set, or bad content; the message names file, field, shapes and row.
+        FungraspError: no such file, not a grasp set, or bad content; names file, field, shapes and row.
     """
     if str(path) == BUILTIN:
         return builtin_grasps()
@@ -45,16 +45,16 @@ def load_robot_grasps(path: str | Path) -> RobotGraspSet:
     """Read robot grasps from a file.
 
     Raises:
-        FungraspError: no such file, not a grasp set, or bad content; the message names file, field, shapes and row.
+        FungraspError: no such file, not a grasp set, or bad content; names file, field, shapes and row.
     """
     return _robot(Path(path), _read(path))
 
 
 def load_grasps(path: str | Path) -> HumanGraspSet | RobotGraspSet:
-    """Read a file that holds human or robot grasps, whichever; "builtin" stands for the built-in human grasps.
+    """Read a file of human or of robot grasps; "builtin" stands for the built-in human grasps.
 
     Raises:
-        FungraspError: no such file, not a grasp set, or bad content; the message names file, field, shapes and row.
+        FungraspError: no such file, not a grasp set, or bad content; names file, field, shapes and row.
     """
     if str(path) == BUILTIN:
         return builtin_grasps()
@@ -69,9 +69,7 @@ def builtin_grasps() -> HumanGraspSet:
         FungraspError: this installation lacks them.
     """
     if not BUILTIN_PATH.is_file():
-        raise FungraspError(
-            "the built-in human grasps are not part of this installation; give a file of human grasps"
-        )
+        raise FungraspError("this installation lacks the built-in human grasps; give a file of human grasps")
     return load_human_grasps(BUILTIN_PATH)
 
 

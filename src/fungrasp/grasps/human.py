@@ -39,16 +39,16 @@ class HumanGrasp:
     task: str = ""
     """What the grasp is for: "drink", "cut", ...; empty if not known."""
     hand_qpos: np.ndarray | None = None
-    """Wrist position [m], then wrist and 15 joint rotations as intrinsic XYZ Euler angles [rad], shape [51]."""
+    """Wrist position [m], wrist and 15 joint rotations as intrinsic XYZ Euler angles [rad], shape [51]."""
 
 
 @dataclass(frozen=True, eq=False)
 class HumanGraspSet(GraspSet[HumanGrasp]):
-    """N human grasps of right hands; the fields of ``HumanGrasp`` with a leading axis N. float64, bool and str arrays.
+    """N human grasps of right hands: the fields of ``HumanGrasp`` with a leading axis N (float64, bool, str).
 
     Raises:
-        FungraspError: a field of wrong shape or type, not finite, a quaternion or mass that can't be, or joints that are
-            no hand in metres near the object; the message names field and row.
+        FungraspError: a field of wrong shape or type, not finite, a quaternion or mass that can't be, or
+            joints that are no hand in metres near the object; the message names field and row.
     """
 
     object_name: np.ndarray

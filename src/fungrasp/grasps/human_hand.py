@@ -14,14 +14,14 @@ HUMAN_JOINTS = (
 )
 """The 21 joints of ``hand_joints``; "tip" is the end of the finger."""
 
-HUMAN_LINKS = (
-    "palm",
-    *(f"{finger}_{link}" for finger in FINGERS for link in ("proximal", "middle", "distal")),
-)
+LINKS = ("proximal", "middle", "distal")
+"""Links of a finger, from base to tip."""
+
+HUMAN_LINKS = ("palm", *(f"{finger}_{link}" for finger in FINGERS for link in LINKS))
 """The 16 links of ``link_contacts``. The thumb's three are its metacarpal, proximal and distal bones."""
 
 BONES = tuple((0 if joint % 4 == 1 else joint - 1, joint) for joint in range(1, 21))
-"""The 20 bones as pairs of joint indices (near, far); four per finger, the first of which starts at the wrist."""
+"""The 20 bones as pairs of joint indices (near, far); four per finger, the first from the wrist."""
 
 MIRROR = np.array([1.0, -1.0, 1.0])
 """Reflection in the plane y = 0, by coordinate."""
@@ -40,7 +40,7 @@ def link_directions(hand_joints: np.ndarray) -> np.ndarray:
         hand_joints: [m], shape [..., 21, 3], any frame.
 
     Returns:
-        Shape [..., 5, 3, 3]: finger (index, middle, ring, pinky, thumb), link (proximal, middle, distal), xyz.
+        Shape [..., 5, 3, 3]: finger in the order of ``FINGERS``, link in that of ``LINKS``, xyz.
     """
     fingers = hand_joints[..., 1:, :].reshape(*hand_joints.shape[:-2], 5, 4, 3)
     bones = fingers[..., 1:, :] - fingers[..., :-1, :]
@@ -48,17 +48,19 @@ def link_directions(hand_joints: np.ndarray) -> np.ndarray:
 
 
 def mirror_points(points: np.ndarray) -> np.ndarray:
-    """Points reflected in the plane y = 0 of their frame: the joints of a left hand become those of a right one.
-    points: [m], shape [..., 3]. The whole scene must be reflected together, see ``mirror_pose``."""
+    """Points reflected in the plane y = 0 of their frame: a left hand's joints become a right hand's.
+
+    points: [m], shape [..., 3]. Reflect the whole scene together, see ``mirror_pose``.
+    """
     return points * MIRROR
 
 
 def mirror_pose(pose: np.ndarray) -> np.ndarray:
     """Pose of an object in the scene reflected in the world's plane y = 0.
 
-    A reflection ``S`` turns the rotation ``R`` into ``S R S``: the object's mesh must be reflected as well, in the plane
-    y = 0 of its own frame (``mirror_points`` of its vertices, and the order of each triangle's corners reversed). For a
-    mesh that is its own mirror image there, nothing more is needed.
+    The reflection ``S`` turns the rotation ``R`` into ``S R S``. So the object's mesh must be reflected as well,
+    in the plane y = 0 of its own frame: ``mirror_points`` of its vertices, and the corners of each triangle in
+    reverse order. A mesh that is its own mirror image there stays as it is.
 
     Args:
         pose: ``[x y z qw qx qy qz]``, shape [..., 7], world frame.

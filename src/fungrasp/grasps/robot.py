@@ -45,12 +45,12 @@ class RobotGrasp:
 
 @dataclass(frozen=True, eq=False)
 class RobotGraspSet(GraspSet[RobotGrasp]):
-    """N grasps of one robot hand; the fields of ``RobotGrasp`` with a leading axis N (``hand`` and ``joint_names`` belong
-    to the set). float64, bool and str arrays.
+    """N grasps of one robot hand: the fields of ``RobotGrasp`` with a leading axis N (float64, bool, str);
+    ``hand`` and ``joint_names`` belong to the set.
 
     Raises:
-        FungraspError: a field of wrong shape or type, not finite, a quaternion or mass that can't be, or a wrist far from
-            the object; the message names field and row.
+        FungraspError: a field of wrong shape or type, not finite, a quaternion or mass that can't be, or a
+            wrist far from the object; the message names field and row.
     """
 
     hand: str
