@@ -1,0 +1,132 @@
+"""The ``fungrasp`` program: finds the command asked for, makes it from the arguments, runs it, and turns errors into one line.
+
+Only the module of that command is imported. It holds ``COMMAND``: a dataclass with a method ``run``, or a table of
+them by subcommand name.
+"""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import os
+import sys
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from fungrasp import __version__
+from fungrasp.errors import FungraspError, UnknownNameError
+
+COMMANDS: Mapping[str, tuple[str, str]] = {
+    "demo": ("fungrasp.cli.demo", "grasp a few built-in objects and show it: a film and a page"),
+    "retarget": ("fungrasp.cli.retarget", "turn human grasps into grasps of a robot hand"),
+    "evaluate": ("fungrasp.cli.evaluate", "try grasps in simulation and measure how many lift the object"),
+    "hands": ("fungrasp.cli.hands", "list, show, check and export robot hands"),
+    "objects": ("fungrasp.cli.objects", "list and show objects"),
+    "grasps": ("fungrasp.cli.grasps", "list, show and import human grasps"),
+    "bench": ("fungrasp.cli.bench", "measure the speed of retargeting and simulation"),
+}
+"""Module and summary of every command, in the order of the help."""
+
+USAGE_ERROR = 2
+INTERRUPTED = 130
+BROKEN_PIPE = 141
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line.
+
+    Args:
+        arguments: without the program's name; by default those of this process.
+
+    Returns:
+        Exit status: 0 done; 2 bad input or no room (one line on stderr); 130 interrupted; 141 the reader of the output
+        went away.
+
+    Raises:
+        SystemExit: after help or a usage error was printed, or when a command ends with a status of its own.
+    """
+    arguments = list(sys.argv[1:] if arguments is None else arguments)
+    try:
+        status = _dispatch(arguments)
+        sys.stdout.flush()
+        return status
+    except FungraspError as error:
+        return _fail(str(error))
+    except KeyboardInterrupt:
+        print("fungrasp: interrupted", file=sys.stderr)
+        return INTERRUPTED
+    except BrokenPipeError:
+        # The interpreter flushes stdout once more on its way out.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+        return BROKEN_PIPE
+    except MemoryError as error:
+        return _fail(f"out of memory: {error}" if str(error) else "out of memory")
+    except OSError as error:
+        where = f"{error.filename}: " if error.filename is not None else ""
+        return _fail(f"{where}{error.strerror or error}")
+
+
+def available_commands() -> dict[str, tuple[str, str]]:
+    """The commands whose module is installed, in the order of ``COMMANDS``; nothing is imported."""
+    return {name: entry for name, entry in COMMANDS.items() if importlib.util.find_spec(entry[0]) is not None}
+
+
+def _dispatch(arguments: list[str]) -> int:
+    if not arguments:
+        print(_help(), file=sys.stderr)
+        return USAGE_ERROR
+    first, *rest = arguments
+    if first in ("-h", "--help"):
+        print(_help())
+        return 0
+    if first in ("-V", "--version"):
+        print(f"fungrasp {__version__}")
+        return 0
+    commands = available_commands()
+    if first not in commands:
+        raise UnknownNameError("option" if first.startswith("-") else "command", first, commands)
+    command = _parse(first, importlib.import_module(commands[first][0]).COMMAND, rest)
+    command.run()
+    return 0
+
+
+def _parse(name: str, command: Any, arguments: list[str]) -> Any:
+    import tyro
+
+    program = f"fungrasp {name}"
+    if isinstance(command, Mapping):
+        if arguments and not arguments[0].startswith("-"):
+            subcommand, *arguments = arguments
+            if subcommand not in command:
+                raise UnknownNameError(f"{name} command", subcommand, command)
+            return _parse(f"{name} {subcommand}", command[subcommand], arguments)
+        return tyro.extras.subcommand_cli_from_dict(dict(command), prog=program, args=arguments)
+    return tyro.cli(
+        command,
+        prog=program,
+        args=arguments,
+        config=(tyro.conf.FlagCreatePairsOff, tyro.conf.OmitArgPrefixes, tyro.conf.HelptextFromCommentsOff),
+    )
+
+
+def _help() -> str:
+    lines = [f"  {name:<10} {summary}" for name, (_, summary) in available_commands().items()]
+    return "\n".join(
+        [
+            "usage: fungrasp COMMAND [OPTIONS]",
+            "",
+            "A human grasp in, a robot grasp that lifts the object out.",
+            "",
+            "commands:",
+            *lines,
+            "",
+            "options:",
+            "  -h, --help     show this help, or that of a command: fungrasp COMMAND --help",
+            "  -V, --version  show the version",
+        ]
+    )
+
+
+def _fail(message: str) -> int:
+    print(f"fungrasp: error: {' '.join(message.split())}", file=sys.stderr)
+    return USAGE_ERROR
