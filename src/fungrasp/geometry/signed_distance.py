@@ -1,0 +1,231 @@
+"""Signed distance of a triangle mesh, precomputed on a grid and looked up for many points at once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import trimesh
+from scipy import ndimage
+from scipy.spatial import cKDTree
+
+from fungrasp.files import atomic_path
+
+
+@dataclass(frozen=True)
+class SignedDistanceGrid:
+    """Distance to a surface, negative inside, at the corners of a regular grid."""
+
+    origin: np.ndarray
+    """Position of the first corner [m], shape [3], mesh frame."""
+    spacing: float
+    """Edge of a cell [m]."""
+    values: np.ndarray
+    """Signed distance [m], shape [X, Y, Z], float32."""
+
+    @classmethod
+    def from_mesh(
+        cls,
+        vertices: np.ndarray,
+        faces: np.ndarray,
+        spacing: float = 0.0025,
+        margin: float = 0.03,
+        max_cells: int = 2_000_000,
+    ) -> SignedDistanceGrid:
+        """Distance at each corner: to the exact triangles near the surface, to the surface point nearest to a
+        neighbouring cell farther away.
+
+        The sign is that of the winding number, so that small holes do no harm.
+
+        Args:
+            vertices: [m], shape [V, 3].
+            faces: vertex indices, shape [F, 3].
+            spacing: edge of a cell [m]; widened where the object would need more than ``max_cells``.
+            margin: empty border around the mesh [m].
+        """
+        mesh = trimesh.Trimesh(vertices, faces, process=False)
+        low, high = mesh.bounds
+        low, high = low - margin, high + margin
+        spacing = max(spacing, float(np.cbrt(np.prod(high - low) / max_cells)))
+        shape = np.ceil((high - low) / spacing).astype(int) + 1
+        axes = [low[i] + spacing * np.arange(shape[i]) for i in range(3)]
+        points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+        samples = _SurfaceSamples(mesh)
+        touched = np.zeros(shape, dtype=bool)
+        touched[tuple(np.round((samples.points - low) / spacing).astype(int).T)] = True
+        feet = np.zeros((*shape, 3))
+        feet[touched] = samples.nearest(points[touched])[0]
+        _, nearest_touched = ndimage.distance_transform_edt(~touched, return_indices=True)
+        distance = np.linalg.norm(points - feet[tuple(nearest_touched)], axis=-1)
+        near = distance < 2.5 * spacing
+        distance[near] = np.linalg.norm(points[near] - samples.nearest(points[near])[0], axis=-1)
+        values = distance * _sign(mesh, points, distance, spacing)
+        return cls(low, spacing, values.astype(np.float32))
+
+    def save(self, path: str | Path) -> None:
+        """Write to an ``.npz`` file, whole or not at all."""
+        with atomic_path(path) as temporary:
+            np.savez_compressed(temporary, origin=self.origin, spacing=self.spacing, values=self.values)
+
+    @classmethod
+    def load(cls, path: str | Path) -> SignedDistanceGrid:
+        """Read what ``save`` wrote."""
+        with np.load(path, allow_pickle=False) as data:
+            return cls(data["origin"], float(data["spacing"]), data["values"])
+
+
+class SignedDistanceBank:
+    """The grids of several objects, looked up together: each row of a batch may ask another object."""
+
+    def __init__(self, grids: Sequence[SignedDistanceGrid]):
+        """
+        Args:
+            grids: one per object; queries name them by index.
+        """
+        self._values = np.concatenate([grid.values.ravel() for grid in grids])
+        self._start = np.cumsum([0, *(grid.values.size for grid in grids[:-1])])
+        self._shape = np.array([grid.values.shape for grid in grids])
+        self._origin = np.array([grid.origin for grid in grids])
+        self._spacing = np.array([grid.spacing for grid in grids])
+
+    def query(self, grid: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Trilinear signed distance and its exact gradient.
+
+        Outside a grid, the distance to the grid's border is added, so that the value keeps growing.
+
+        Args:
+            grid: index of the grid of each row, shape [N].
+            points: [m], shape [N, P, 3], that object's frame.
+
+        Returns:
+            distance [m], shape [N, P]; gradient, shape [N, P, 3].
+        """
+        spacing = self._spacing[grid][:, None, None]
+        shape = self._shape[grid][:, None, :]
+        u = (points - self._origin[grid][:, None, :]) / spacing
+        inside = np.clip(u, 0.0, shape - 1.000001)
+        beyond = (u - inside) * spacing
+        cell = inside.astype(np.int64)
+        f = inside - cell
+        stride_x = shape[..., 1] * shape[..., 2]
+        stride_y = shape[..., 2]
+        base = self._start[grid][:, None] + cell[..., 0] * stride_x + cell[..., 1] * stride_y + cell[..., 2]
+        v = self._values
+        c000, c001 = v[base], v[base + 1]
+        c010, c011 = v[base + stride_y], v[base + stride_y + 1]
+        base = base + stride_x
+        c100, c101 = v[base], v[base + 1]
+        c110, c111 = v[base + stride_y], v[base + stride_y + 1]
+        fx, fy, fz = f[..., 0], f[..., 1], f[..., 2]
+        c00, c01 = c000 + fx * (c100 - c000), c001 + fx * (c101 - c001)
+        c10, c11 = c010 + fx * (c110 - c010), c011 + fx * (c111 - c011)
+        c0, c1 = c00 + fy * (c10 - c00), c01 + fy * (c11 - c01)
+        d00, d01 = c100 - c000, c101 - c001
+        d10, d11 = c110 - c010, c111 - c011
+        d0, d1 = d00 + fy * (d10 - d00), d01 + fy * (d11 - d01)
+        gradient = np.stack([d0 + fz * (d1 - d0), (c10 - c00) + fz * ((c11 - c01) - (c10 - c00)), c1 - c0], axis=-1)
+        gradient /= spacing
+        distance = c0 + fz * (c1 - c0)
+        away = np.linalg.norm(beyond, axis=-1)
+        outside = away > 0
+        if outside.any():
+            distance = distance + away
+            gradient[outside] = beyond[outside] / away[outside][:, None]
+        return distance, gradient
+
+
+def mesh_signed_distance(mesh: trimesh.Trimesh, points: np.ndarray) -> np.ndarray:
+    """Exact signed distance, negative inside.
+
+    Args:
+        mesh: faces outward.
+        points: [m], shape [P, 3].
+
+    Returns:
+        [m], shape [P].
+    """
+    nearest, _ = nearest_on_mesh(mesh, points)
+    distance = np.linalg.norm(points - nearest, axis=-1)
+    return np.where(winding_number(mesh, points) > 0.5, -distance, distance)
+
+
+def nearest_on_mesh(mesh: trimesh.Trimesh, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Nearest surface points, through the exact distance to the triangles of the nearest surface samples.
+
+    Args:
+        points: [m], shape [P, 3].
+
+    Returns:
+        nearest points [m], shape [P, 3]; face indices, shape [P].
+    """
+    return _SurfaceSamples(mesh).nearest(points)
+
+
+def winding_number(mesh: trimesh.Trimesh, points: np.ndarray, chunk: int = 2048) -> np.ndarray:
+    """How often the surface winds around each point: 1 inside, 0 outside, in between near holes.
+
+    Sum of the solid angles of all triangles (Van Oosterom and Strackee, 1983) over 4 pi.
+
+    Args:
+        points: [m], shape [P, 3].
+
+    Returns:
+        shape [P].
+    """
+    corners = np.ascontiguousarray(mesh.triangles, dtype=np.float32)
+    result = np.empty(len(points))
+    for start in range(0, len(points), chunk):
+        p = points[start : start + chunk, None, :].astype(np.float32)
+        a, b, c = (corners[None, :, i] - p for i in range(3))
+        la, lb, lc = (np.sqrt(np.einsum("pfi,pfi->pf", v, v)) for v in (a, b, c))
+        volume = np.einsum("pfi,pfi->pf", a, np.cross(b, c))
+        flat = la * lb * lc
+        flat += np.einsum("pfi,pfi->pf", a, b) * lc
+        flat += np.einsum("pfi,pfi->pf", b, c) * la
+        flat += np.einsum("pfi,pfi->pf", c, a) * lb
+        result[start : start + chunk] = np.arctan2(volume, flat).sum(axis=1) / (2 * np.pi)
+    return result
+
+
+class _SurfaceSamples:
+    """A tree of surface samples at most 2 mm apart (or a hundredth of the mesh, if that is more) and the face of each."""
+
+    def __init__(self, mesh: trimesh.Trimesh):
+        gap = max(0.002, float(mesh.extents.max()) / 100)
+        vertices, faces, origin = trimesh.remesh.subdivide_to_size(
+            mesh.vertices, mesh.faces, gap, max_iter=30, return_index=True
+        )
+        self.points = np.concatenate([vertices[faces].mean(axis=1), vertices[faces].reshape(-1, 3)])
+        self._owners = np.concatenate([origin, np.repeat(origin, 3)])
+        self._triangles = mesh.triangles
+        self._tree = cKDTree(self.points)
+
+    def nearest(self, points: np.ndarray, candidates: int = 6) -> tuple[np.ndarray, np.ndarray]:
+        found = self._tree.query(points, k=candidates, workers=-1)[1]
+        faces = self._owners[found]
+        flat = trimesh.triangles.closest_point(
+            self._triangles[faces.ravel()], np.repeat(points, candidates, axis=0)
+        ).reshape(len(points), candidates, 3)
+        best = np.argmin(np.sum((flat - points[:, None]) ** 2, axis=-1), axis=1)
+        rows = np.arange(len(points))
+        return flat[rows, best], faces[rows, best]
+
+
+def _sign(mesh: trimesh.Trimesh, points: np.ndarray, distance: np.ndarray, spacing: float) -> np.ndarray:
+    """Sign of each grid corner, shape [X, Y, Z]. Corners farther than half a cell from the surface have the sign of their
+    connected component, as no grid edge between two of them can cross the surface; only the others are asked one by one."""
+    flat = points.reshape(-1, 3)
+    clear = distance > 0.55 * spacing
+    components, count = ndimage.label(clear)
+    inside = np.zeros(count + 1, dtype=bool)
+    first = np.full(count + 1, -1)
+    labels = components.ravel()
+    order = np.argsort(distance.ravel())
+    first[labels[order]] = order
+    if count:
+        inside[1:] = winding_number(mesh, flat[first[1:]]) > 0.5
+    result = inside[components]
+    result[~clear] = winding_number(mesh, points[~clear]) > 0.5
+    return np.where(result, -1.0, 1.0)

@@ -1,0 +1,163 @@
+"""Forward kinematics and Jacobians of many copies of a hand at once, by MuJoCo."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+from mujoco.batch import Batch
+
+from fungrasp.geometry.poses import cross, quaternion_from_rotation_vector, quaternion_multiply, rotation_matrix
+from fungrasp.hands.hand import Hand
+
+
+class BodyPoints(NamedTuple):
+    """Points that ride on a hand's bodies."""
+
+    bodies: np.ndarray
+    """Body ids, shape [P]."""
+    offsets: np.ndarray
+    """Position in the frame of its body [m], shape [P, 3]."""
+
+    def __getitem__(self, key):  # type: ignore[override]
+        if isinstance(key, slice | np.ndarray | list):
+            return BodyPoints(self.bodies[key], self.offsets[key])
+        return tuple.__getitem__(self, key)
+
+
+class HandKinematics:
+    """N hands, each with a wrist pose and U independent joint positions, in any one reference frame of the caller's.
+
+    Tangent vectors have D = 6 + U numbers: translation of the wrist [m] and its rotation [rad] about the wrist's origin,
+    both along the reference frame's axes, then the independent joints [rad].
+    """
+
+    def __init__(self, hand: Hand, count: int, threads: int = 1):
+        """
+        Args:
+            hand: any hand.
+            count: N.
+            threads: for MuJoCo; 0 means all processors.
+        """
+        spec = hand.spec()
+        spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
+        self.hand = hand
+        self.model = spec.compile()
+        self.matrix, self.offset = hand.coupling
+        limits = hand.joint_limits
+        self.lower, self.upper = _independent_limits(self.matrix, self.offset, limits)
+        self._batch = Batch(self.model, count, nthread=threads)
+        self._qpos = self._batch.bind("qpos")
+        self._xpos, self._xmat = self._batch.bind("xpos"), self._batch.bind("xmat")
+        self._anchor, self._axis = self._batch.bind("xanchor"), self._batch.bind("xaxis")
+        self._moves = _moved_bodies(self.model)
+        self._palm = self.model.body(hand.palm).id
+
+    @property
+    def size(self) -> int:
+        """D, the length of a tangent vector."""
+        return 6 + self.matrix.shape[1]
+
+    def update(self, wrist_pose: np.ndarray, independent: np.ndarray) -> None:
+        """Move the hands.
+
+        Args:
+            wrist_pose: pose of the palm body in the reference frame, shape [N, 7].
+            independent: independent joint positions [rad], shape [N, U].
+        """
+        self._qpos[:] = independent @ self.matrix.T + self.offset
+        self._batch.forward(stage=mujoco.mjtStage.mjSTAGE_POS)
+        self._wrist_position = wrist_pose[:, :3]
+        palm_rotation = self._xmat[:, self._palm].reshape(-1, 3, 3)
+        self._rotation = rotation_matrix(wrist_pose[:, 3:]) @ np.swapaxes(palm_rotation, 1, 2)
+        shift = np.einsum("nij,nj->ni", self._rotation, self._xpos[:, self._palm])
+        self._translation = self._wrist_position - shift
+        self._world_anchor = self._map(self._anchor)
+        self._world_axis = np.einsum("nij,nkj->nki", self._rotation, self._axis)
+
+    def points(self, which: BodyPoints) -> np.ndarray:
+        """Positions in the reference frame [m], shape [N, P, 3]."""
+        matrices = self._xmat[:, which.bodies].reshape(-1, len(which.bodies), 3, 3)
+        local = self._xpos[:, which.bodies] + np.einsum("npij,pj->npi", matrices, which.offsets)
+        return self._map(local)
+
+    def jacobian(self, bodies: np.ndarray, positions: np.ndarray) -> np.ndarray:
+        """Derivative of positions that ride on bodies with respect to the tangent vector.
+
+        Args:
+            bodies: body ids, shape [P] or [N, P].
+            positions: current positions, reference frame [m], shape [N, P, 3].
+
+        Returns:
+            shape [N, P, 3, D].
+        """
+        count, number = positions.shape[:2]
+        result = np.zeros((count, number, 3, self.size))
+        result[..., [0, 1, 2], [0, 1, 2]] = 1.0
+        arm = positions - self._wrist_position[:, None]
+        result[..., 0, 4], result[..., 0, 5] = arm[..., 2], -arm[..., 1]
+        result[..., 1, 3], result[..., 1, 5] = -arm[..., 2], arm[..., 0]
+        result[..., 2, 3], result[..., 2, 4] = arm[..., 1], -arm[..., 0]
+        lever = positions[:, :, None, :] - self._world_anchor[:, None]
+        columns = cross(self._world_axis[:, None], lever) * self._moves[bodies][..., None]
+        result[..., 6:] = np.swapaxes(columns, 2, 3) @ self.matrix
+        return result
+
+    def _map(self, local: np.ndarray) -> np.ndarray:
+        return np.einsum("nij,nkj->nki", self._rotation, local) + self._translation[:, None]
+
+    def step(
+        self, wrist_pose: np.ndarray, independent: np.ndarray, tangent: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Wrist poses and independent joints after a step along ``tangent``, joints clipped to their limits.
+
+        Args:
+            wrist_pose: shape [N, 7].
+            independent: shape [N, U].
+            tangent: shape [N, D].
+        """
+        rotation = quaternion_multiply(quaternion_from_rotation_vector(tangent[:, 3:6]), wrist_pose[:, 3:])
+        rotation /= np.linalg.norm(rotation, axis=1, keepdims=True)
+        pose = np.concatenate([wrist_pose[:, :3] + tangent[:, :3], rotation], axis=1)
+        return pose, np.clip(independent + tangent[:, 6:], self.lower, self.upper)
+
+    def body_points(self, names: tuple[str, ...]) -> BodyPoints:
+        """Points at body origins or sites, by name."""
+        bodies, offsets = [], []
+        for name in names:
+            site = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_SITE, name)
+            body = self.model.site_bodyid[site] if site >= 0 else self.model.body(name).id
+            bodies.append(int(body))
+            offsets.append(self.model.site_pos[site] if site >= 0 else np.zeros(3))
+        return BodyPoints(np.array(bodies), np.array(offsets))
+
+    def keypoints(self, wrist_pose: np.ndarray, joint_positions: np.ndarray) -> np.ndarray:
+        """Key points of full joint vectors (coupled joints included). Shape [N, 7], [N, M]; returns [m], [N, K, 3]."""
+        independent = (joint_positions - self.offset) @ np.linalg.pinv(self.matrix).T
+        self.update(wrist_pose, independent)
+        return self.points(self.body_points(self.hand.keypoint_names))
+
+
+def _moved_bodies(model: mujoco.MjModel) -> np.ndarray:
+    """Whether a joint moves a body, shape [nbody, njnt]."""
+    moves = np.zeros((model.nbody, model.njnt))
+    for body in range(1, model.nbody):
+        moves[body] = moves[model.body_parentid[body]]
+        first = model.body_jntadr[body]
+        if first >= 0:
+            moves[body, first : first + model.body_jntnum[body]] = 1.0
+    return moves
+
+
+def _independent_limits(matrix: np.ndarray, offset: np.ndarray, limits: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Limits of the independent joints such that coupled joints keep theirs as well."""
+    lower = np.full(matrix.shape[1], -np.inf)
+    upper = np.full(matrix.shape[1], np.inf)
+    for row, constant, (low, high) in zip(matrix, offset, limits, strict=True):
+        for u in np.flatnonzero(row):
+            bounds = sorted(((low - constant) / row[u], (high - constant) / row[u]))
+            lower[u], upper[u] = max(lower[u], bounds[0]), min(upper[u], bounds[1])
+    return lower, upper
+
+

@@ -1,0 +1,84 @@
+"""A hand's collision shapes as balls: points with a radius, dense enough for distances to objects and tables."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+
+from fungrasp.hands.hand import Hand
+from fungrasp.hands.kinematics import BodyPoints
+
+
+class HandBalls(NamedTuple):
+    """Balls whose union covers the hand's collision geometry."""
+
+    points: BodyPoints
+    """Centres, P of them."""
+    radius: np.ndarray
+    """[m], shape [P]; zero for points on a flat surface."""
+    link: np.ndarray
+    """Index into ``Hand.links``, shape [P]."""
+    geom: np.ndarray
+    """Geom id in the bare hand's model, shape [P]."""
+
+
+def hand_balls(hand: Hand, spacing: float = 0.012) -> HandBalls:
+    """Cover the collision geoms of a hand with balls.
+
+    Spheres and capsules are covered by balls of their own radius along their axis; boxes, cylinders, ellipsoids and
+    meshes by points on their surface.
+
+    Args:
+        hand: any hand.
+        spacing: largest gap between neighbours [m]; along a capsule half its radius, if that is less.
+    """
+    model = hand.model
+    link_of_body = {name: i for i, members in enumerate(hand.links) for name in members}
+    bodies, offsets, radii, links, geoms = [], [], [], [], []
+    for geom in range(model.ngeom):
+        body = int(model.geom_bodyid[geom])
+        if body == 0 or not (model.geom_contype[geom] or model.geom_conaffinity[geom]):
+            continue
+        local, radius = _cover(model, geom, spacing)
+        rotation = np.empty(9)
+        mujoco.mju_quat2Mat(rotation, model.geom_quat[geom])
+        offsets.append(model.geom_pos[geom] + local @ rotation.reshape(3, 3).T)
+        bodies += [body] * len(local)
+        radii += [radius] * len(local)
+        links += [link_of_body[model.body(body).name]] * len(local)
+        geoms += [geom] * len(local)
+    points = BodyPoints(np.array(bodies), np.concatenate(offsets))
+    return HandBalls(points, np.array(radii), np.array(links), np.array(geoms))
+
+
+def _cover(model: mujoco.MjModel, geom: int, spacing: float) -> tuple[np.ndarray, float]:
+    kind, size = model.geom_type[geom], model.geom_size[geom]
+    types = mujoco.mjtGeom
+    if kind == types.mjGEOM_SPHERE:
+        return np.zeros((1, 3)), float(size[0])
+    if kind == types.mjGEOM_CAPSULE:
+        count = 1 + int(np.ceil(2 * size[1] / min(spacing, 0.5 * size[0])))
+        z = np.linspace(-size[1], size[1], count)
+        return np.stack([np.zeros(count), np.zeros(count), z], axis=1), float(size[0])
+    if kind == types.mjGEOM_BOX:
+        return _box_surface(size, spacing), 0.0
+    if kind == types.mjGEOM_CYLINDER:
+        angles = np.linspace(0, 2 * np.pi, max(8, int(2 * np.pi * size[0] / spacing)), endpoint=False)
+        heights = np.linspace(-size[1], size[1], 1 + int(np.ceil(2 * size[1] / spacing)))
+        ring = np.stack([np.cos(angles), np.sin(angles)], axis=1) * size[0]
+        return np.concatenate([np.column_stack([ring, np.full(len(ring), h)]) for h in heights]), 0.0
+    if kind == types.mjGEOM_ELLIPSOID:
+        return _box_surface(np.ones(3), 0.3) / np.linalg.norm(_box_surface(np.ones(3), 0.3), axis=1)[:, None] * size, 0.0
+    if kind == types.mjGEOM_MESH:
+        mesh = model.geom_dataid[geom]
+        first, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
+        return model.mesh_vert[first : first + count].astype(float), 0.0
+    raise NotImplementedError(f"collision geom type {kind}")
+
+
+def _box_surface(half: np.ndarray, spacing: float) -> np.ndarray:
+    axes = [np.linspace(-h, h, 1 + int(np.ceil(2 * h / spacing))) for h in half]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    return grid[np.any(np.isclose(np.abs(grid), half), axis=1)]

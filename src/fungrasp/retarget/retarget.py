@@ -1,0 +1,92 @@
+"""Human grasps in, robot grasps out."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+
+from fungrasp.errors import UnknownNameError
+from fungrasp.geometry.poses import compose, transform_points
+from fungrasp.grasps import HumanGraspSet, RobotGraspSet
+from fungrasp.hands import Hand
+from fungrasp.hands.kinematics import HandKinematics
+from fungrasp.objects import ObjectModel, load_object
+from fungrasp.retarget.correspondence import correspond
+from fungrasp.retarget.ours import RetargetSettings, solve
+from fungrasp.retarget.problem import HandPoints, Problem
+
+Solver = Callable[[HandPoints, Problem, RetargetSettings], tuple[np.ndarray, np.ndarray]]
+METHODS: dict[str, Solver] = {"ours": solve}
+
+
+def load_objects(grasps: HumanGraspSet | RobotGraspSet, folder: str | Path | None = None) -> dict[str, ObjectModel]:
+    """The objects of a grasp set, by name, each with the mass of its first grasp.
+
+    Raises:
+        FungraspError: an object can't be found or read.
+    """
+    names, rows = np.unique(grasps.object_name, return_index=True)
+    return {str(n): load_object(str(n), float(grasps.object_mass[r]), folder) for n, r in zip(names, rows, strict=True)}
+
+
+def retarget(
+    grasps: HumanGraspSet,
+    objects: Mapping[str, ObjectModel],
+    hand: Hand,
+    method: str = "ours",
+    settings: RetargetSettings | None = None,
+    threads: int = 0,
+    chunk: int = 64,
+    progress: Callable[[int], None] = lambda count: None,
+) -> RobotGraspSet:
+    """Retarget human grasps to a robot hand.
+
+    Args:
+        grasps: N human grasps.
+        objects: each object of the grasps, by name.
+        hand: the robot hand.
+        method: one of ``METHODS``.
+        settings: weights and iterations; the defaults if None.
+        threads: 0 means all processors. The result does not depend on it.
+        chunk: grasps solved together.
+        progress: called with the number of grasps that have just been finished.
+
+    Raises:
+        FungraspError: no such method.
+    """
+    if method not in METHODS:
+        raise UnknownNameError("retargeting method", method, METHODS)
+    settings = settings or RetargetSettings()
+    match = correspond(hand)
+    problem = Problem.from_grasps(grasps, dict(objects), match)
+    starts = range(0, len(grasps), chunk)
+
+    def run(start: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        part = problem.rows(slice(start, start + chunk))
+        kinematics = HandKinematics(hand, len(part))
+        points = HandPoints(kinematics)
+        pose, independent = METHODS[method](points, part, settings)
+        kinematics.update(pose, independent)
+        progress(len(part))
+        joints = independent @ kinematics.matrix.T + kinematics.offset
+        return pose, joints, kinematics.points(points.keypoints), part.contacts
+
+    with ThreadPoolExecutor(threads or os.cpu_count() or 1) as pool:
+        pose, joints, keypoints, contacts = (np.concatenate(x) for x in zip(*pool.map(run, starts), strict=True))
+    return RobotGraspSet(
+        hand=hand.name,
+        object_name=grasps.object_name,
+        object_mass=grasps.object_mass,
+        object_pose=grasps.object_pose,
+        object_rest_pose=grasps.object_rest_pose,
+        wrist_pose=compose(grasps.object_pose, pose),
+        joint_names=hand.joint_names,
+        joint_positions=joints,
+        keypoints=transform_points(grasps.object_pose, keypoints),
+        link_contacts=contacts,
+        task=grasps.task,
+    )
