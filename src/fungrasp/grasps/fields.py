@@ -82,7 +82,7 @@ def check_rows(name: str, good: np.ndarray, complaint: str, values: np.ndarray |
     Raises:
         FungraspError: a row is not good.
     """
-    bad = np.flatnonzero(~good.reshape(len(good), -1).all(axis=1))
+    bad = np.flatnonzero(~good.all(axis=tuple(range(1, good.ndim))))
     if len(bad):
         row = int(bad[0])
         shown = "" if values is None else f": {float(values[row]):.6g}"

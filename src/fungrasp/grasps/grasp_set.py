@@ -106,7 +106,7 @@ class GraspSet(Generic[Grasp]):
 def _joined(parts: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     joined: dict[str, Any] = {}
     for name, value in parts[0].items():
-        values = [part.get(name) for part in parts]
+        values: list[Any] = [part.get(name) for part in parts]
         if isinstance(value, Mapping):
             common = [key for key in value if all(key in part[name] for part in parts)]
             joined[name] = _joined([{key: part[name][key] for key in common} for part in parts])

@@ -58,9 +58,9 @@ def mirror_points(points: np.ndarray) -> np.ndarray:
 def mirror_pose(pose: np.ndarray) -> np.ndarray:
     """Pose of an object in the scene reflected in the world's plane y = 0.
 
-    The reflection ``S`` turns the rotation ``R`` into ``S R S``. The object's mesh must be reflected as well, in
-    the plane y = 0 of its own frame: ``mirror_points`` of its vertices, and each triangle's corners in reverse
-    order. A mesh that is its own mirror image there stays as it is.
+    The reflection ``S`` turns the rotation ``R`` into ``S R S``. The object's mesh must be reflected too, in
+    the plane y = 0 of its own frame: ``mirror_points`` of its vertices, and each triangle's corners in
+    reverse order. A mesh that is its own mirror image there stays as it is.
 
     Args:
         pose: ``[x y z qw qx qy qz]``, shape [..., 7], world frame.

@@ -1,0 +1,103 @@
+"""Human grasps from the label pickles of D-Grasp (Christen et al., CVPR 2022; github.com/christsa/dgrasp).
+
+``dexycb_train_labels.pkl`` maps DexYCB's object number to a dict of arrays, one row per grasp. As its
+simulation reads them: ``final_ee`` are 21 joints in the order of ours (wrist; index, middle, ring, little
+finger, thumb, each base to tip), ``final_contacts`` 16 links in the order of ours, ``final_qpos`` wrist
+position, wrist and joint rotations as intrinsic XYZ Euler angles in the same order of fingers, poses are
+position and wxyz quaternion. World frame: z up, its table top at 0.5 m.
+
+The object poses are those of D-Grasp's own meshes (``rsc/meshes_simplified``), some of which are aligned with
+their box and so differ from the YCB models of the same name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fungrasp.errors import FungraspError
+from fungrasp.grasps.human import HumanGraspSet
+from fungrasp.grasps.importers.safe_pickle import load_arrays_pickle
+from fungrasp.grasps.importers.ycb import YCB_NAMES
+
+TABLE_HEIGHT = 0.5
+"""Height of D-Grasp's table top [m]."""
+
+_SIZES = {"final_ee": 63, "final_contacts": 16, "final_obj_pos": 7, "obj_pose_reset": 7, "final_qpos": 51}
+_NEEDED = ("final_ee", "final_contacts", "final_obj_pos", "obj_pose_reset", "obj_w_stacked")
+
+
+def import_dgrasp(path: str | Path, table_height: float = TABLE_HEIGHT) -> HumanGraspSet:
+    """Read a label pickle. It may hold arrays only; nothing in it is run.
+
+    Args:
+        path: the ``.pkl`` file, by pickle or joblib.
+        table_height: of the labels' table top [m]; it becomes z = 0.
+
+    Raises:
+        FungraspError: the file is no such pickle, or lacks or spoils a field; the message names object and
+        field.
+    """
+    labels = load_arrays_pickle(path)
+    if not isinstance(labels, Mapping) or not all(isinstance(entry, Mapping) for entry in labels.values()):
+        raise FungraspError(
+            f"{path} is no D-Grasp label file: expected a dict of objects, each a dict of arrays"
+        )
+    sets = []
+    for key, entry in labels.items():
+        name = _object_name(path, key)
+        try:
+            sets.append(_one_object(name, entry, table_height))
+        except FungraspError as error:
+            raise FungraspError(f"{path}, object {key} ({name}): {error}") from error
+    sets = [grasps for grasps in sets if len(grasps)]
+    if not sets:
+        raise FungraspError(f"{path} holds no grasps")
+    return HumanGraspSet.concatenate(sets)
+
+
+def _object_name(path: str | Path, key: Any) -> str:
+    if isinstance(key, str) and not key.isdigit():
+        return key
+    if isinstance(key, int | str | np.integer) and int(key) in YCB_NAMES:
+        return YCB_NAMES[int(key)]
+    raise FungraspError(
+        f"{path}: {key!r} is neither a name nor one of DexYCB's object numbers 1 to {len(YCB_NAMES)}"
+    )
+
+
+def _one_object(name: str, entry: Mapping[str, Any], table_height: float) -> HumanGraspSet:
+    for field in _NEEDED:
+        if field not in entry:
+            raise FungraspError(f"field '{field}' is missing; found: {', '.join(sorted(map(str, entry)))}")
+    masses = _numbers("obj_w_stacked", entry).reshape(-1)
+    count = len(masses)
+    arrays = {field: _numbers(field, entry) for field in _SIZES if field in entry}
+    for field, array in arrays.items():
+        if array.shape != (count, _SIZES[field]):
+            raise FungraspError(
+                f"field '{field}' has shape {array.shape}, expected ({count}, {_SIZES[field]})"
+            )
+    down = np.array([0.0, 0.0, table_height])
+    for field in ("final_obj_pos", "obj_pose_reset", "final_qpos"):
+        if field in arrays:
+            arrays[field] = np.concatenate([arrays[field][:, :3] - down, arrays[field][:, 3:]], axis=1)
+    return HumanGraspSet(
+        object_name=np.full(count, name),
+        object_mass=masses,
+        object_pose=arrays["final_obj_pos"],
+        object_rest_pose=arrays["obj_pose_reset"],
+        hand_joints=arrays["final_ee"].reshape(count, 21, 3) - down,
+        link_contacts=arrays["final_contacts"] > 0.5,
+        hand_qpos=arrays.get("final_qpos"),
+    )
+
+
+def _numbers(field: str, entry: Mapping[str, Any]) -> np.ndarray:
+    array = np.asarray(entry[field])
+    if array.dtype.kind not in "biuf":
+        raise FungraspError(f"field '{field}' holds {array.dtype}, expected numbers")
+    return array.astype(np.float64)

@@ -1,0 +1,207 @@
+"""Reading pickles that hold nothing but arrays, numbers, text and containers of them.
+
+A pickle is a program. Here it can call nothing: the names by which NumPy (and joblib, which D-Grasp wrote its
+labels with) rebuild arrays stand for the small classes below, every other name is refused before anything is
+called.
+"""
+
+from __future__ import annotations
+
+import bz2
+import gzip
+import io
+import lzma
+import pickle
+import zlib
+from collections import OrderedDict
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+
+from fungrasp.errors import FungraspError
+
+_COMPRESSED: dict[bytes, Callable[[bytes], bytes]] = {
+    b"x": zlib.decompress,
+    b"\x1f\x8b": gzip.decompress,
+    b"BZ": bz2.decompress,
+    b"\xfd7zXZ": lzma.decompress,
+    b"]\x00": lzma.decompress,
+}
+"""How joblib's compressed files begin."""
+
+
+def load_arrays_pickle(path: str | Path) -> Any:
+    """Read a pickle written by ``pickle.dump`` or ``joblib.dump``.
+
+    Returns:
+        Containers (dict, list, tuple, set), numbers, text, bytes and arrays of numbers, flags or text.
+
+    Raises:
+        FungraspError: the file is missing, cut short, no pickle, or asks for anything else.
+    """
+    path = Path(path)
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise FungraspError(f"cannot read {path}: {error.strerror or error}") from error
+    try:
+        for start, decompress in _COMPRESSED.items():
+            if data.startswith(start):
+                data = decompress(data)
+                break
+        return _finished(_ArraysUnpickler(io.BytesIO(data)).load())
+    except _RefusedError as error:
+        raise FungraspError(f"{path} was not read: {error}") from error
+    except Exception as error:
+        # Bytes that are no pickle make the unpickler fail in any way at all.
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise FungraspError(f"{path} is not a readable pickle of arrays: {reason}") from error
+
+
+class _RefusedError(Exception):
+    pass
+
+
+class _DType:
+    """Stands for ``numpy.dtype``; only what plain numbers, flags and text need."""
+
+    def __init__(self, code: str, *_: Any):
+        self.code = code
+        self.order: Literal["<", ">", "="] = "="
+
+    def __setstate__(self, state: tuple[Any, ...]) -> None:
+        self.order = state[1] if state[1] in ("<", ">") else "="
+
+    def dtype(self) -> np.dtype:
+        dtype = np.dtype(self.code)
+        if dtype.kind not in "biufSU":
+            raise _RefusedError(f"it holds an array of {dtype}, which is no plain data")
+        return dtype.newbyteorder(self.order)
+
+
+class _Array:
+    """Stands for ``numpy.ndarray``."""
+
+    def __init__(self) -> None:
+        self.value = np.zeros(0)
+
+    def __setstate__(self, state: tuple[Any, ...]) -> None:
+        _, shape, dtype, fortran, data = state
+        self.value = _array(data, dtype, shape, "F" if fortran else "C")
+
+
+class _JoblibArray:
+    """Stands for joblib's note that an array's bytes follow in the file."""
+
+    shape: tuple[int, ...]
+    order: str
+    dtype: _DType
+
+    def read(self, stream: io.BytesIO) -> _Array:
+        dtype = self.dtype.dtype()
+        if getattr(self, "numpy_array_alignment_bytes", None) is not None:
+            stream.read(stream.read(1)[0])
+        array = _Array()
+        count = int(np.prod([int(size) for size in self.shape], dtype=object))
+        array.value = _array(stream.read(count * dtype.itemsize), self.dtype, self.shape, self.order)
+        return array
+
+
+def _array(data: bytes | str, dtype: _DType, shape: tuple[int, ...], order: Any) -> np.ndarray:
+    if not isinstance(dtype, _DType):
+        raise _RefusedError("it holds an array without a plain type")
+    plain = dtype.dtype()
+    if not isinstance(data, bytes | bytearray | str):
+        raise _RefusedError(f"it holds an array of {type(data).__name__}, which is no plain data")
+    raw = data.encode("latin1") if isinstance(data, str) else data
+    array = np.frombuffer(raw, dtype=plain).reshape(tuple(shape), order="F" if order == "F" else "C")
+    return array.astype(plain.newbyteorder("="))
+
+
+def _reconstruct(*_: Any) -> _Array:
+    return _Array()
+
+
+def _from_buffer(data: Any, dtype: _DType, shape: tuple[int, ...], order: str) -> _Array:
+    array = _Array()
+    array.value = _array(bytes(data), dtype, shape, order)
+    return array
+
+
+def _scalar(dtype: _DType, data: bytes | str) -> Any:
+    return _array(data, dtype, (), "C")[()]
+
+
+def _encode(text: str, encoding: str) -> bytes:
+    if encoding not in ("latin1", "latin-1"):
+        raise _RefusedError(f"it asks for the encoding '{encoding}'")
+    return text.encode("latin1")
+
+
+_PythonUnpickler: Any = pickle._Unpickler  # pyright: ignore[reportAttributeAccessIssue]
+
+
+class _ArraysUnpickler(_PythonUnpickler):
+    """The unpickler written in Python: the one in C can't stop to let joblib's array bytes be read."""
+
+    ALLOWED: ClassVar[dict[tuple[str, str], Any]] = {
+        ("numpy", "ndarray"): _Array,
+        ("numpy", "dtype"): _DType,
+        ("_codecs", "encode"): _encode,
+        ("joblib.numpy_pickle", "NumpyArrayWrapper"): _JoblibArray,
+        ("collections", "OrderedDict"): OrderedDict,
+        ("builtins", "set"): set,
+        ("builtins", "frozenset"): frozenset,
+        **{
+            (f"numpy.{core}.{module}", name): stand_in
+            for core in ("core", "_core")
+            for module, name, stand_in in (
+                ("multiarray", "_reconstruct", _reconstruct),
+                ("multiarray", "scalar", _scalar),
+                ("numeric", "_frombuffer", _from_buffer),
+            )
+        },
+    }
+
+    dispatch: ClassVar[dict[int, Any]] = dict(_PythonUnpickler.dispatch)
+
+    def __init__(self, stream: io.BytesIO):
+        super().__init__(stream, encoding="latin1")
+        self._stream = stream
+
+    def find_class(self, module: str, name: str) -> Any:
+        if (module, name) not in self.ALLOWED:
+            raise _RefusedError(
+                f"it asks for {module}.{name}; only arrays, numbers, text and containers are read"
+            )
+        return self.ALLOWED[module, name]
+
+    def persistent_load(self, pid: Any) -> Any:
+        raise _RefusedError("it refers to objects outside the file")
+
+    def load_build(self) -> None:
+        super().load_build()
+        stack: list[Any] = self.stack
+        if isinstance(stack[-1], _JoblibArray):
+            stack[-1] = stack[-1].read(self._stream)
+
+    dispatch[pickle.BUILD[0]] = load_build
+
+
+def _finished(value: Any) -> Any:
+    """The same with arrays in place of their stand-ins."""
+    if isinstance(value, _Array):
+        return value.value
+    if isinstance(value, dict):
+        return {key: _finished(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return type(value)(_finished(item) for item in value)
+    if value is None or isinstance(
+        value, bool | int | float | complex | str | bytes | bytearray | set | frozenset
+    ):
+        return value
+    if isinstance(value, np.generic):
+        return value
+    raise _RefusedError(f"it holds a {type(value).__name__.strip('_')}, which is no plain data")
