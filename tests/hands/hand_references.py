@@ -1,7 +1,7 @@
 """Reference models of real hands, from which the tests read frames, limits, masses and couplings.
 
-The files are the makers' URDF or MJCF texts without their meshes; they are not part of this project. A hand's tests against
-its reference are skipped where the files are missing. To cover one more hand, add it to ``REFERENCES``.
+The files are the makers' URDF or MJCF texts without their meshes; they are not part of this project, and
+where they are missing the tests against them are skipped. To cover one more hand, add it to ``REFERENCES``.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class Reference:
     sites: Mapping[str, str] = field(default_factory=dict)
     """Their body (a fingertip frame) of each of our sites that has one."""
     sites_beyond: float = 0.0
-    """Those frames lie this far beyond our sites along z [m]: at the end of a round tip, not at its centre."""
+    """Those frames lie this far beyond our sites along z [m]: at a round tip's end, not its centre."""
     moved_frames: bool = False
     """Our body frames lie elsewhere on the same rigid bodies; then rigid motions are compared, not frames."""
     mass: float | None = None
@@ -50,7 +50,11 @@ _SHADOW_URDF_BODIES = (
     *(f"{f}{p}" for f in ("ff", "mf", "rf", "lf") for p in ("knuckle", "proximal", "middle", "distal")),
     *("lfmetacarpal", "thbase", "thproximal", "thhub", "thmiddle", "thdistal"),
 )
-_SHADOW_URDF_JOINTS = (*(f"{f}J{i}" for f in ("FF", "MF", "RF", "LF", "TH") for i in range(1, 5)), "LFJ5", "THJ5")
+_SHADOW_URDF_JOINTS = (
+    *(f"{f}J{i}" for f in ("FF", "MF", "RF", "LF", "TH") for i in range(1, 5)),
+    "LFJ5",
+    "THJ5",
+)
 _FINGERS = ("index", "middle", "ring", "pinky", "thumb")
 
 REFERENCES: Mapping[str, tuple[Reference, ...]] = {
@@ -60,7 +64,11 @@ REFERENCES: Mapping[str, tuple[Reference, ...]] = {
             "allegro_right.urdf",
             "base_link",
             bodies={"palm": "base_link", **_allegro_urdf_links()},
-            joints={f"{f}j{j}": f"joint_{4 * i + j}.0" for i, f in enumerate(("ff", "mf", "rf", "th")) for j in range(4)},
+            joints={
+                f"{f}j{j}": f"joint_{4 * i + j}.0"
+                for i, f in enumerate(("ff", "mf", "rf", "th"))
+                for j in range(4)
+            },
             sites={f"{f}_tip": f"link_{4 * i + 3}.0_tip" for i, f in enumerate(("ff", "mf", "rf", "th"))},
             sites_beyond=0.012,
         ),
@@ -88,7 +96,9 @@ REFERENCES: Mapping[str, tuple[Reference, ...]] = {
         ),
     ),
     "inspire": (
-        Reference("inspire_right.urdf", "hand_base_link", sites={f"{f}_tip_frame": f"{f}_tip" for f in _FINGERS}),
+        Reference(
+            "inspire_right.urdf", "hand_base_link", sites={f"{f}_tip_frame": f"{f}_tip" for f in _FINGERS}
+        ),
     ),
     "leap": (Reference("leap_right.urdf", "palm_lower"),),
 }
@@ -128,7 +138,7 @@ def reference_masses(reference: Reference) -> dict[str, float]:
 
 
 def reference_couplings(reference: Reference) -> list[tuple[dict[str, float], float]]:
-    """Linear equations between joint angles: each is coefficients by their joint name, and what the sum must be [rad]."""
+    """Linear equations between joint angles: coefficients by their joint name, and the sum [rad]."""
     root = _read(FOLDER / reference.file)
     equations = []
     for joint in root.iter("joint"):
