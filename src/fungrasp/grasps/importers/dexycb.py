@@ -1,0 +1,246 @@
+"""Human grasps from DexYCB (Chao et al., CVPR 2021) as it is downloaded, one grasp per sequence.
+
+The grasp is the first frame in which the object has moved by more than a threshold: the hand then carries it.
+"""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from fungrasp.errors import FungraspError
+from fungrasp.files import atomic_path
+from fungrasp.grasps.human import HumanGraspSet
+from fungrasp.grasps.human_hand import mirror_points, mirror_pose
+from fungrasp.grasps.importers.contacts import TOLERANCE, link_contacts, surface_contacts
+from fungrasp.grasps.importers.dexycb_folder import (
+    Sequence,
+    Track,
+    read_sequence,
+    read_track,
+    sequence_folders,
+)
+from fungrasp.grasps.importers.mano import ManoHand
+from fungrasp.grasps.importers.ycb import YCB_MASSES, YCB_NAMES
+
+MIRRORED = "_mirrored"
+"""Ending of the names of objects in mirrored grasps: their meshes must be mirrored too."""
+
+MISFIT = 0.005
+"""Largest distance between the wrist of the labels and that of the MANO model [m]."""
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class DexYCBOptions:
+    """How grasps are taken from DexYCB."""
+
+    displacement: float = 0.01
+    """How far the object has moved when it counts as grasped [m]."""
+    left_hands: Literal["skip", "mirror"] = "skip"
+    """Leave left hands out, or reflect the whole scene: the object's name then ends in "_mirrored"."""
+    mano: Path | None = None
+    """Folder of your MANO model: adds joint rotations and takes contacts from the hand's surface."""
+    objects: Path | None = None
+    """Folder of meshes <name>.obj; by default DexYCB's own models."""
+    contact_tolerance: float = TOLERANCE
+    """Gap between hand and object that still counts as contact [m]."""
+
+
+@dataclass(frozen=True)
+class _Found:
+    """A grasp in its own, not mirrored, scene."""
+
+    name: str
+    side: str
+    object_matrix: np.ndarray
+    rest_matrix: np.ndarray
+    joints: np.ndarray
+    surface: np.ndarray | None = None
+    """MANO vertices [m], shape [778, 3], world frame."""
+    rotations: np.ndarray | None = None
+    """Wrist in the world frame and 15 joints, shape [16, 3, 3]."""
+
+
+def import_dexycb(root: str | Path, options: DexYCBOptions | None = None) -> HumanGraspSet:
+    """Take one grasp from each sequence. Sequences that can't be used are named in warnings.
+
+    Args:
+        root: folder with the subjects, ``calibration`` and ``models``.
+        options: how.
+
+    Raises:
+        FungraspError: the folder is no DexYCB, or no sequence of it can be used.
+    """
+    root, options = Path(root), options or DexYCBOptions()
+    hands: dict[str, ManoHand] = {}
+    found: list[_Found] = []
+    problem = None
+    for folder in sequence_folders(root):
+        try:
+            sequence = read_sequence(root, folder)
+            if sequence.side == "left" and options.left_hands == "skip":
+                _log.info("%s: a left hand, skipped", folder)
+                continue
+            if options.mano is not None and sequence.side not in hands:
+                hands[sequence.side] = ManoHand(options.mano, sequence.side)
+            found.append(_grasp(sequence, options, hands.get(sequence.side)))
+        except FungraspError as error:
+            _log.warning("skipped %s: %s", folder.relative_to(root), error)
+            problem = problem or error
+    if not found:
+        raise problem or FungraspError(f"{root} holds no right hand; left hands can be mirrored")
+    contacts = _contacts(root, options, found, hands)
+    return _grasp_set(found, contacts)
+
+
+def write_mirrored_meshes(
+    root: str | Path, options: DexYCBOptions, grasps: HumanGraspSet, folder: Path
+) -> list[Path]:
+    """Write ``<name>_mirrored.obj`` for every mirrored object of a grasp set.
+
+    Raises:
+        FungraspError: a mesh can't be read or written.
+    """
+    import trimesh
+
+    paths = []
+    for name in sorted({str(name) for name in grasps.object_name if name.endswith(MIRRORED)}):
+        vertices, faces = _mesh(Path(root), options, name.removesuffix(MIRRORED))
+        paths.append(folder / f"{name}.obj")
+        with atomic_path(paths[-1]) as temporary:
+            trimesh.Trimesh(mirror_points(vertices), faces[:, ::-1], process=False).export(temporary)
+    return paths
+
+
+def _grasp(sequence: Sequence, options: DexYCBOptions, hand: ManoHand | None) -> _Found:
+    if sequence.object_number not in YCB_NAMES:
+        raise FungraspError(f"{sequence.folder / 'meta.yml'}: unknown object number {sequence.object_number}")
+    for serial in sequence.serials:
+        track = read_track(sequence, serial)
+        frame = grasp_frame(track, options.displacement)
+        if frame is None:
+            continue
+        labelled = np.flatnonzero(np.isfinite(track.object_matrix[:, 0, 0]))
+        surface, rotations = _mano_surface(sequence, track, frame, hand)
+        return _Found(
+            name=YCB_NAMES[sequence.object_number],
+            side=sequence.side,
+            object_matrix=track.object_matrix[frame],
+            rest_matrix=track.object_matrix[labelled[0]],
+            joints=track.joints[frame],
+            surface=surface,
+            rotations=rotations,
+        )
+    raise FungraspError(f"the hand never moves the object by {options.displacement} m in any camera's labels")
+
+
+def grasp_frame(track: Track, displacement: float) -> int | None:
+    """First frame with a labelled hand and the object more than ``displacement`` [m] from where it was first
+    seen; None if there is none."""
+    positions = track.object_matrix[:, :3, 3]
+    labelled = np.flatnonzero(np.isfinite(positions[:, 0]))
+    if not len(labelled):
+        return None
+    moved = np.linalg.norm(positions - positions[labelled[0]], axis=1) > displacement
+    frames = np.flatnonzero(moved & np.isfinite(track.joints[:, 0, 0]))
+    return int(frames[0]) if len(frames) else None
+
+
+def _mano_surface(
+    sequence: Sequence, track: Track, frame: int, hand: ManoHand | None
+) -> tuple[np.ndarray | None, np.ndarray | None]:
+    if hand is None:
+        return None, None
+    from scipy.spatial.transform import Rotation
+
+    vertices, wrist, vectors = hand.pose(sequence.betas, track.mano[frame])
+    turn, shift = track.world_camera[:3, :3], track.world_camera[:3, 3]
+    misfit = float(np.linalg.norm(turn @ wrist + shift - track.joints[frame, 0]))
+    if misfit > MISFIT:
+        raise FungraspError(
+            f"the MANO model's wrist is {misfit * 1000:.0f} mm from the label's: is it the right model?"
+        )
+    rotations = Rotation.from_rotvec(vectors).as_matrix()
+    rotations[0] = turn @ rotations[0]
+    return vertices @ turn.T + shift, rotations
+
+
+def _contacts(
+    root: Path, options: DexYCBOptions, found: list[_Found], hands: dict[str, ManoHand]
+) -> np.ndarray:
+    contacts = np.zeros((len(found), 16), dtype=bool)
+    for name, side in sorted({(grasp.name, grasp.side) for grasp in found}):
+        rows = [row for row, grasp in enumerate(found) if (grasp.name, grasp.side) == (name, side)]
+        vertices, faces = _mesh(root, options, name)
+        poses = _poses([found[row].object_matrix for row in rows])
+        surfaces = [found[row].surface for row in rows]
+        if any(surface is None for surface in surfaces):
+            joints = np.stack([found[row].joints for row in rows])
+            contacts[rows] = link_contacts(joints, poses, vertices, faces, options.contact_tolerance)
+        else:
+            points = np.stack([surface for surface in surfaces if surface is not None])
+            links = hands[side].vertex_links
+            contacts[rows] = surface_contacts(
+                points, links, poses, vertices, faces, options.contact_tolerance
+            )
+    return contacts
+
+
+def _grasp_set(found: list[_Found], contacts: np.ndarray) -> HumanGraspSet:
+    left = np.array([grasp.side == "left" for grasp in found])
+    joints = np.stack([grasp.joints for grasp in found])
+    pose = _poses([grasp.object_matrix for grasp in found])
+    rest = _poses([grasp.rest_matrix for grasp in found])
+    qpos = [_qpos(grasp) for grasp in found]
+    return HumanGraspSet(
+        object_name=np.array([grasp.name + MIRRORED * (grasp.side == "left") for grasp in found]),
+        object_mass=np.array([YCB_MASSES[grasp.name] for grasp in found]),
+        object_pose=np.where(left[:, None], mirror_pose(pose), pose),
+        object_rest_pose=np.where(left[:, None], mirror_pose(rest), rest),
+        hand_joints=np.where(left[:, None, None], mirror_points(joints), joints),
+        link_contacts=contacts,
+        hand_qpos=None if any(row is None for row in qpos) else np.array(qpos),
+    )
+
+
+def _qpos(grasp: _Found) -> np.ndarray | None:
+    if grasp.rotations is None:
+        return None
+    from scipy.spatial.transform import Rotation
+
+    rotations, wrist = grasp.rotations, grasp.joints[0]
+    if grasp.side == "left":
+        # MANO's left hand is its right one reflected in x; the scene is reflected in y.
+        across, scene = np.diag([-1.0, 1.0, 1.0]), np.diag([1.0, -1.0, 1.0])
+        rotations = np.concatenate([(scene @ rotations[0] @ across)[None], across @ rotations[1:] @ across])
+        wrist = mirror_points(wrist)
+    return np.concatenate([wrist, Rotation.from_matrix(rotations).as_euler("XYZ").ravel()])
+
+
+def _poses(matrices: list[np.ndarray]) -> np.ndarray:
+    from scipy.spatial.transform import Rotation
+
+    stack = np.stack(matrices)
+    quaternions = Rotation.from_matrix(stack[:, :3, :3]).as_quat(canonical=True, scalar_first=True)
+    return np.concatenate([stack[:, :3, 3], quaternions], axis=1)
+
+
+def _mesh(root: Path, options: DexYCBOptions, name: str) -> tuple[np.ndarray, np.ndarray]:
+    import trimesh
+
+    path = root / "models" / name / "textured_simple.obj"
+    if options.objects is not None:
+        path = options.objects / f"{name}.obj"
+    if not path.is_file():
+        raise FungraspError(f"the mesh {path} does not exist; it is needed to find contacts")
+    try:
+        mesh = trimesh.load(path, force="mesh", process=False)
+        return np.asarray(mesh.vertices), np.asarray(mesh.faces)  # pyright: ignore[reportAttributeAccessIssue]
+    except Exception as error:
+        raise FungraspError(f"cannot read the mesh {path}: {' '.join(str(error).split())}") from error

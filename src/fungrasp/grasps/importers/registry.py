@@ -1,0 +1,25 @@
+"""Importers of other packages: entry point ``fungrasp.grasps``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from importlib.metadata import entry_points
+from pathlib import Path
+
+from fungrasp.errors import UnknownNameError
+from fungrasp.grasps.human import HumanGraspSet
+
+Importer = Callable[[Path], HumanGraspSet]
+"""Takes the data set's file or folder."""
+
+
+def load_importer(name: str) -> Importer:
+    """An importer by the name of its entry point.
+
+    Raises:
+        UnknownNameError: no installed package has it.
+    """
+    found = {entry.name: entry for entry in entry_points(group="fungrasp.grasps")}
+    if name not in found:
+        raise UnknownNameError("importer", name, found)
+    return found[name].load()
