@@ -68,9 +68,17 @@ class Camera:
         """Unit view directions through image points. pixels: (u, v), shape [..., 2]. Returns world frame, shape [..., 3]."""
         x = (pixels[..., 0] - 0.5 * (self.width - 1)) / self.focal
         y = (pixels[..., 1] - 0.5 * (self.height - 1)) / self.focal
-        local = np.stack([x, y, np.ones_like(x)], axis=-1)
-        local /= np.sqrt(np.sum(local * local, axis=-1, keepdims=True))
-        return local @ self.rotation.T.astype(local.dtype)
+        size = 1.0 / np.sqrt(x * x + y * y + 1.0)
+        x, y = x * size, y * size
+        result = np.empty((*x.shape, 3), x.dtype)
+        for i, (right, down, forward) in enumerate(self.rotation.tolist()):
+            result[..., i] = right * x + down * y + forward * size
+        return result
+
+    def all_directions(self) -> np.ndarray:
+        """Unit view directions through all pixels, row by row, world frame, shape [height * width, 3] float32."""
+        v, u = np.mgrid[: self.height, : self.width].reshape(2, -1)
+        return self.directions(np.stack([u, v], axis=-1).astype(np.float32))
 
     def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Where points appear.

@@ -1,9 +1,8 @@
-"""Ray casting of many states of one model on the CPU threads of ``mujoco.batch``: no display, OpenGL or GPU."""
+"""Ray casting of many states of a model on the CPU threads of ``mujoco.batch``: no display, OpenGL or GPU."""
 
 from __future__ import annotations
 
 import copy
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -11,7 +10,6 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
-from fungrasp.errors import FungraspError
 from fungrasp.report.camera import Camera
 
 TILE = 8
@@ -34,103 +32,92 @@ class Hits:
 
 
 class RayCaster:
-    """Holds a batch of ``frames`` states of a model and casts rays at each of them."""
+    """Holds a batch of simulations of one model; each holds a state, or shares the rays of one with others."""
 
-    def __init__(self, model: mujoco.MjModel, frames: int, *, hidden: np.ndarray, threads: int = 0):
+    def __init__(self, model: mujoco.MjModel, simulations: int, *, drawn: np.ndarray, threads: int = 0):
         """
         Args:
             model: it is copied.
-            frames: how many states at once.
-            hidden: geoms that rays ignore, shape [ngeom] bool.
+            simulations: the largest number of states at once.
+            drawn: geoms that rays meet, shape [ngeom] bool.
             threads: 0 means all CPUs.
         """
         model = copy.copy(model)
-        model.geom_matid[hidden] = -1
-        model.geom_rgba[hidden, 3] = 0.0
-        shown = ~hidden
-        model.geom_rgba[shown, 3] = 1.0
-        model.geom_matid[shown] = -1
-        self.model = model
-        self.frames = frames
-        threads = threads or os.cpu_count() or 1
-        self._copies = max(1, 4 * threads // frames)
-        self._batch = Batch(model, frames * self._copies, threads)
+        model.geom_matid[:] = -1
+        model.geom_rgba[:, 3] = drawn
+        self._model = model
+        self._batch = Batch(model, simulations, threads)
+        self._opacity = self._batch.expand("geom_rgba") if model.ngeom else np.empty((simulations, 0, 4))
         self._data = mujoco.MjData(model)
-        self._shown = shown
+        plane = model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE
+        self._radii = np.where(plane, np.inf, model.geom_rbound)
+        self._states = 1
 
     def pose(
-        self, qpos: np.ndarray, mocap: np.ndarray | None = None
+        self, qpos: np.ndarray, mocap: np.ndarray | None, visible: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Set the states.
 
         Args:
-            qpos: shape [F, nq], F at most ``frames``.
+            qpos: shape [F, nq].
             mocap: poses of the mocap bodies, shape [F, nmocap, 7], or None for the model's.
+            visible: geoms that rays meet, shape [F, ngeom] bool.
 
         Returns:
             centres: of the geoms [m], shape [F, ngeom, 3]; rotations: world from geom, shape [F, ngeom, 3, 3];
-            radii: of the geoms' bounding spheres [m], infinite for planes and zero for hidden ones, shape [ngeom].
+            radii: of bounding spheres [m], infinite for planes, 0 for what is not visible, shape [F, ngeom].
         """
-        count, model, data = len(qpos), self.model, self._data
-        centres = np.empty((count, model.ngeom, 3))
-        rotations = np.empty((count, model.ngeom, 3, 3))
-        bound = self._batch.bind("qpos").reshape(self.frames, self._copies, -1)
-        bound[:count] = qpos[:, None]
-        if mocap is not None and model.nmocap:
-            positions = self._batch.bind("mocap_pos").reshape(self.frames, self._copies, -1, 3)
-            quaternions = self._batch.bind("mocap_quat").reshape(self.frames, self._copies, -1, 4)
-            positions[:count] = mocap[:, None, :, :3]
-            quaternions[:count] = mocap[:, None, :, 3:]
+        count, model, data = len(qpos), self._model, self._data
+        self._states, copies = count, self._batch.nsim // count
+        used = count * copies
+        self._batch.bind("qpos")[:used] = qpos.repeat(copies, 0)
+        self._opacity[:used, :, 3] = visible.repeat(copies, 0)
+        has_mocap = model.nmocap > 0 and mocap is not None
+        if has_mocap:
+            self._batch.bind("mocap_pos")[:used] = mocap[..., :3].repeat(copies, 0)
+            self._batch.bind("mocap_quat")[:used] = mocap[..., 3:].repeat(copies, 0)
+        centres, rotations = np.empty((count, model.ngeom, 3)), np.empty((count, model.ngeom, 3, 3))
         for i in range(count):
             data.qpos[:] = qpos[i]
-            if mocap is not None and model.nmocap:
+            if has_mocap:
                 data.mocap_pos[:], data.mocap_quat[:] = mocap[i, :, :3], mocap[i, :, 3:]
             mujoco.mj_kinematics(model, data)
-            centres[i] = data.geom_xpos
-            rotations[i] = data.geom_xmat.reshape(-1, 3, 3)
-        radii = np.where(model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE, np.inf, model.geom_rbound)
-        return centres, rotations, np.where(self._shown, radii, 0.0)
+            centres[i], rotations[i] = data.geom_xpos, data.geom_xmat.reshape(-1, 3, 3)
+        return centres, rotations, np.where(visible, self._radii, 0.0)
 
-    def cast(
-        self, origins: Sequence[np.ndarray], directions: Sequence[np.ndarray], *, normals: bool = True
-    ) -> list[Hits]:
-        """Cast rays at each state; the number of rays may differ from one to the next.
+    def cast(self, rays: Sequence[tuple[np.ndarray, np.ndarray]], *, normals: bool = True) -> list[Hits]:
+        """Cast rays at each state; their number may differ from one to the next.
 
         Args:
-            origins: per state, [m], world frame, shape [R, 3] or [3].
-            directions: per state, unit, world frame, shape [R, 3].
-            normals: whether the normals are wanted; without them they are an empty array.
+            rays: per state, origins [m], shape [R, 3] or [3], and unit directions, shape [R, 3]; world frame.
+            normals: whether the normals are wanted; without, they are an empty array.
         """
-        copies = self._copies
-        counts = [len(d) for d in directions]
-        longest = -(-max(counts, default=0) // copies)
+        copies = self._batch.nsim // self._states
+        counts = [len(directions) for _, directions in rays]
+        longest = -(-max(counts) // copies)
         if longest == 0:
-            empty = Hits(np.empty(0), np.empty(0, np.int32), np.empty((0, 3)))
-            return [empty] * len(counts)
-        n = len(counts)
-        start = np.full((n, longest * copies, 3), 1e6)
-        toward = np.tile(np.array([0.0, 0.0, 1.0]), (n, longest * copies, 1))
-        for i, count in enumerate(counts):
-            start[i, :count] = origins[i]
-            toward[i, :count] = directions[i]
-        shape = (n * copies, longest, 3)
-        ids = np.arange(n * copies)
-        found = self._batch.ray(start.reshape(shape), toward.reshape(shape), ids=ids, normal=normals)
-        distance = found[0].reshape(n, -1)
-        geom = found[1].reshape(n, -1)
-        normal = found[2].reshape(n, -1, 3) if normals else np.empty((n, 0, 3))
+            nothing = Hits(np.empty(0), np.empty(0, np.int32), np.empty((0, 3)))
+            return [nothing] * len(counts)
+        used = len(counts) * copies
+        start, towards = np.empty((2, len(counts), longest * copies, 3))
+        for i, (origins, directions) in enumerate(rays):
+            start[i, : counts[i]], towards[i, : counts[i]] = origins, directions
+            start[i, counts[i] :], towards[i, counts[i] :] = 1e6, (0.0, 0.0, 1.0)
+        shape = (used, longest, 3)
+        found = self._batch.ray(
+            start.reshape(shape), towards.reshape(shape), ids=np.arange(used), normal=normals
+        )
+        distance, geom = (array.reshape(len(counts), -1) for array in found[:2])
+        normal = found[2].reshape(len(counts), -1, 3) if normals else np.empty((len(counts), 0, 3))
         distance = np.where(geom < 0, np.inf, distance)
         return [Hits(distance[i, :c], geom[i, :c], normal[i, :c]) for i, c in enumerate(counts)]
 
 
-def hidden_geoms(model: mujoco.MjModel, colours: np.ndarray, *, ground: bool) -> np.ndarray:
-    """Geoms that are not drawn: those of groups 3 and above, those with no opacity in any frame, and planes if the
-    renderer draws a ``ground`` of its own. colours: shape [..., ngeom, 4]. Returns shape [ngeom] bool."""
-    opacity = colours[..., 3].reshape(-1, model.ngeom).max(0) if model.ngeom else np.empty(0)
-    hidden = ~np.isin(model.geom_group, VISIBLE_GROUPS) | (opacity <= 0.0)
-    if ground:
-        hidden |= model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE
-    return hidden
+def drawn_geoms(model: mujoco.MjModel, *, ground: bool) -> np.ndarray:
+    """Geoms that may be drawn: those of ``VISIBLE_GROUPS``, but no planes if the renderer draws a ``ground`` of its
+    own. Returns shape [ngeom] bool."""
+    drawn = np.isin(model.geom_group, VISIBLE_GROUPS)
+    return drawn & (model.geom_type != mujoco.mjtGeom.mjGEOM_PLANE) if ground else drawn
 
 
 def seen_tiles(camera: Camera, centres: np.ndarray, radii: np.ndarray) -> np.ndarray:
@@ -143,8 +130,14 @@ def seen_tiles(camera: Camera, centres: np.ndarray, radii: np.ndarray) -> np.nda
     )
 
 
-def shadowed_tiles(points: np.ndarray, widths: np.ndarray, light: np.ndarray, spread: float, centres: np.ndarray,
-                   radii: np.ndarray) -> np.ndarray:  # fmt: skip
+def blocked(
+    points: np.ndarray,
+    widths: np.ndarray,
+    light: np.ndarray,
+    spread: float,
+    centres: np.ndarray,
+    radii: np.ndarray,
+) -> np.ndarray:
     """Which points have some sphere between them and the light.
 
     Args:

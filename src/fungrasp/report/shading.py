@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 
 from fungrasp.errors import FungraspError
+from fungrasp.report.surfaces import dot
 
 Colour = tuple[float, float, float]
 """sRGB, each from 0 to 1."""
@@ -49,6 +50,11 @@ class Look:
             raise FungraspError(f"light must be a direction of 3 numbers, not {self.light!r}")
         if not 0 <= self.light_radius < 60:
             raise FungraspError(f"light_radius must lie between 0 and 60 degrees, not {self.light_radius}")
+
+    @property
+    def light_spread(self) -> float:
+        """Tangent of the key light's angular radius."""
+        return float(np.tan(np.radians(self.light_radius)))
 
 
 @dataclass(frozen=True)
@@ -104,23 +110,29 @@ def backdrop(look: Look, directions: np.ndarray) -> np.ndarray:
     )
 
 
-def table_top(look: Look, points: np.ndarray, widths: np.ndarray) -> np.ndarray:
-    """Linear colour of the table, squares filtered over the width of a pixel.
+def table_top(look: Look, points: np.ndarray, directions: np.ndarray, width: np.ndarray) -> np.ndarray:
+    """Linear colour of the table, its squares filtered over the width of a pixel.
 
     Args:
         points: (x, y) [m], world frame, shape [P, 2].
-        widths: size of a pixel on the table in x and y [m], shape [P, 2].
+        directions: unit view directions, shape [P, 3].
+        width: of a pixel across the view [m], shape [P].
 
     Returns:
         shape [P, 3].
     """
     side = np.float32(look.square)
-    x = points.astype(np.float32) / side
-    w = np.maximum(widths.astype(np.float32) / side, 1e-4)
-    wave = (_triangle(x + 0.5 * w) - _triangle(x - 0.5 * w)) / w
-    mix = (0.5 - 0.5 * wave[:, :1] * wave[:, 1:]).astype(np.float32)
+    slant = width / np.maximum(-directions[:, 2], 1e-4)
+    along = np.sqrt(directions[:, 0] ** 2 + directions[:, 1] ** 2 + 1e-12)
+    wave = np.ones(len(points), np.float32)
+    for axis in (0, 1):
+        towards = np.abs(directions[:, axis]) / along
+        aside = np.abs(directions[:, 1 - axis]) / along
+        w = np.maximum((towards * slant + aside * width) / side, 1e-4)
+        x = points[:, axis] / side
+        wave *= (_triangle(x + 0.5 * w) - _triangle(x - 0.5 * w)) / w
     light, dark = linear(np.asarray(look.table)), linear(np.asarray(look.table_dark))
-    return light + mix * (dark - light)
+    return light + (0.5 - 0.5 * wave)[:, None] * (dark - light)
 
 
 def lit(
@@ -155,11 +167,9 @@ def lit(
     bounce_colour = linear(np.asarray(look.table)) * np.float32(look.fill * 0.42)
     ambient = (up[:, None] * _sky_colour(look) + (1 - up[:, None]) * bounce_colour) * openness[:, None]
     half = sun - views
-    half /= np.sqrt(np.sum(half * half, -1, keepdims=True))
-    shine = (
-        np.maximum(np.sum(normals * half, -1), 0.0) ** shininess * specular * diffuse * (shininess + 8) / 60.0
-    )
-    grazing = (1.0 - np.clip(-np.sum(normals * views, -1), 0.0, 1.0)) ** 4
+    half /= np.sqrt(dot(half, half))[:, None]
+    shine = np.maximum(dot(normals, half), 0.0) ** shininess * specular * diffuse * (shininess + 8) / 60.0
+    grazing = (1.0 - np.clip(-dot(normals, views), 0.0, 1.0)) ** 4
     sheen = grazing * openness * (0.12 * up) * np.minimum(specular * 3, 1.0)
     return albedo * (diffuse[:, None] * _key_colour(look) + ambient) + (0.5 * shine + sheen)[:, None]
 
@@ -175,13 +185,14 @@ def lit_table(
 def table_fade(look: Look, points: np.ndarray, middle: np.ndarray) -> np.ndarray:
     """How much of the table is still there, 1 to 0. points: (x, y) [m], shape [P, 2]. Returns shape [P]."""
     near, far = look.fade
-    distance = np.sqrt(np.sum((points - middle) ** 2, -1))
+    distance = np.hypot(points[:, 0] - middle[0], points[:, 1] - middle[1])
     s = np.clip((far - distance) / (far - near), 0.0, 1.0).astype(np.float32)
     return s * s * (3 - 2 * s)
 
 
-def sun_direction(look: Look, right: np.ndarray, forward: np.ndarray) -> np.ndarray:
-    """Unit vector towards the key light for a camera with these axes (world frame, shape [3])."""
+def sun_direction(look: Look, rotation: np.ndarray) -> np.ndarray:
+    """Unit vector towards the key light. rotation: of the camera, its axes as columns, shape [3, 3]."""
+    right, forward = rotation[:, 0], rotation[:, 2]
     if look.light is not None:
         direction = np.asarray(look.light, dtype=float)
     else:

@@ -1,4 +1,4 @@
-"""What the ray caster does not tell about a mesh: smooth normals and texture coordinates where a ray met it."""
+"""What the ray caster does not tell about a mesh: its smooth normals and texture where a ray met it."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 CREASE = float(np.cos(np.radians(38.0)))
 """Faces whose normals differ by more than this angle meet in a visible edge (cosine)."""
@@ -22,7 +22,7 @@ class MeshSurface:
     """Unit, smooth across soft edges, shape [T, 3, 3]."""
     corner_texture: np.ndarray | None
     """Texture coordinates, shape [T, 3, 2], or None."""
-    planes: cKDTree
+    planes: KDTree
     """Finds triangles by the plane they lie in."""
     scale: float
     """Metres that weigh as much as one unit of normal in ``planes``."""
@@ -37,7 +37,7 @@ class MeshSurface:
         Returns:
             unit normals, shape [P, 3]; texture coordinates, shape [P, 2], or None.
         """
-        key = np.concatenate([normals, (np.sum(points * normals, -1) / self.scale)[:, None]], axis=1)
+        key = np.concatenate([normals, (dot(points, normals) / self.scale)[:, None]], axis=1)
         cells = np.round(key * 2000.0).astype(np.int64) + 8192
         packed = ((cells[:, 0] << 14 | cells[:, 1]) << 14 | cells[:, 2]) << 18 | cells[:, 3]
         _, first, inverse = np.unique(packed, return_index=True, return_inverse=True)
@@ -60,11 +60,11 @@ class MeshSurface:
                 break
         weights = np.clip(weights, 0.0, 1.0)
         weights /= weights.sum(-1, keepdims=True)
-        normal = np.sum(weights[..., None] * self.corner_normals[face], axis=1)
-        normal /= np.sqrt(np.sum(normal**2, -1, keepdims=True))
+        normal = np.einsum("pc,pci->pi", weights, self.corner_normals[face])
+        normal /= np.sqrt(dot(normal, normal)[:, None])
         if self.corner_texture is None:
             return normal, None
-        return normal, np.sum(weights[..., None] * self.corner_texture[face], axis=1)
+        return normal, np.einsum("pc,pci->pi", weights, self.corner_texture[face])
 
 
 def mesh_surface(model: mujoco.MjModel, mesh: int) -> MeshSurface:
@@ -75,7 +75,7 @@ def mesh_surface(model: mujoco.MjModel, mesh: int) -> MeshSurface:
     faces = model.mesh_face[face_start : face_start + face_count]
     corners = vertices[faces]
     weighted = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    area = np.sqrt(np.sum(weighted**2, -1, keepdims=True))
+    area = np.sqrt(dot(weighted, weighted)[:, None])
     flat = weighted / np.maximum(area, 1e-300)
     texture = None
     texture_start = int(model.mesh_texcoordadr[mesh])
@@ -83,10 +83,39 @@ def mesh_surface(model: mujoco.MjModel, mesh: int) -> MeshSurface:
         index = model.mesh_facetexcoord[face_start : face_start + face_count]
         texture = model.mesh_texcoord[texture_start:][index].astype(float)
     scale = 0.25 * float(np.ptp(vertices, axis=0).max())
-    key = np.concatenate([flat, (np.sum(corners[:, 0] * flat, -1) / scale)[:, None]], axis=1)
-    return MeshSurface(
-        corners, _smooth_normals(vertices, faces, flat, weighted), texture, cKDTree(key), scale
+    key = np.concatenate([flat, (dot(corners[:, 0], flat) / scale)[:, None]], axis=1)
+    return MeshSurface(corners, _smooth_normals(vertices, faces, flat, weighted), texture, KDTree(key), scale)
+
+
+def texture_image(model: mujoco.MjModel, geom: int) -> np.ndarray | None:
+    """The colour texture of a geom's material, sRGB from 0 to 1, shape [H, W, 3], or None."""
+    material = int(model.geom_matid[geom])
+    texture = int(model.mat_texid[material, mujoco.mjtTextureRole.mjTEXROLE_RGB]) if material >= 0 else -1
+    if texture < 0:
+        return None
+    height, width, channels = (
+        int(a[texture]) for a in (model.tex_height, model.tex_width, model.tex_nchannel)
     )
+    start = int(model.tex_adr[texture])
+    data = model.tex_data[start : start + height * width * channels].reshape(height, width, channels)
+    return data[..., [0, 1, 2] if channels >= 3 else [0, 0, 0]].astype(np.float32) / 255
+
+
+def sample_image(image: np.ndarray, texture: np.ndarray) -> np.ndarray:
+    """Bilinear look-up that repeats the image. image: shape [H, W, C]; texture: (u, v), v up, shape [P, 2]. Returns [P, C]."""
+    height, width = image.shape[:2]
+    x = np.clip(np.mod(texture[:, 0], 1.0 + 1e-9) * width - 0.5, 0, width - 1)
+    y = np.clip((1.0 - np.mod(texture[:, 1], 1.0 + 1e-9)) * height - 0.5, 0, height - 1)
+    x0, y0 = np.floor(x).astype(int), np.floor(y).astype(int)
+    x1, y1 = np.minimum(x0 + 1, width - 1), np.minimum(y0 + 1, height - 1)
+    fx, fy = (x - x0)[:, None].astype(np.float32), (y - y0)[:, None].astype(np.float32)
+    top = image[y0, x0] * (1 - fx) + image[y0, x1] * fx
+    return top * (1 - fy) + (image[y1, x0] * (1 - fx) + image[y1, x1] * fx) * fy
+
+
+def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Scalar products over the last axis; the shapes are equal."""
+    return np.einsum("...i,...i->...", a, b)
 
 
 def _smooth_normals(
@@ -102,17 +131,17 @@ def _smooth_normals(
     for k in range(int(counts.max())):
         has = counts[corner_vertex] > k
         other = corner_face[order[first[corner_vertex[has]] + k]]
-        similar = np.sum(flat[other] * flat[corner_face[has]], -1) > CREASE
+        similar = dot(flat[other], flat[corner_face[has]]) > CREASE
         result[has] += np.where(similar[:, None], weighted[other], 0.0)
-    norm = np.sqrt(np.sum(result**2, -1, keepdims=True))
+    norm = np.sqrt(dot(result, result)[:, None])
     result = np.where(norm > 1e-300, result / np.maximum(norm, 1e-300), flat[corner_face])
     return result.reshape(-1, 3, 3)
 
 
 def _barycentric(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
     a, b, p = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0], points - corners[:, 0]
-    aa, ab, bb = np.sum(a * a, -1), np.sum(a * b, -1), np.sum(b * b, -1)
-    pa, pb = np.sum(p * a, -1), np.sum(p * b, -1)
+    aa, ab, bb = dot(a, a), dot(a, b), dot(b, b)
+    pa, pb = dot(p, a), dot(p, b)
     denominator = np.maximum(aa * bb - ab * ab, 1e-300)
     v, w = (bb * pa - ab * pb) / denominator, (aa * pb - ab * pa) / denominator
     return np.stack([1.0 - v - w, v, w], axis=-1)
