@@ -1,7 +1,7 @@
-"""The ``fungrasp`` program: finds the command asked for, makes it from the arguments, runs it, and turns errors into one line.
+"""The program ``fungrasp``: finds the command asked for, makes it from the arguments and runs it.
 
-Only the module of that command is imported. It holds ``COMMAND``: a dataclass with a method ``run``, or a table of
-them by subcommand name.
+Only the module of that command is imported. It holds ``COMMAND``: a dataclass with a method ``run``, or a
+table of them by subcommand name.
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         arguments: without the program's name; by default those of this process.
 
     Returns:
-        Exit status: 0 done; 2 bad input or no room (one line on stderr); 130 interrupted; 141 the reader of the output
-        went away.
+        Exit status: 0 done; 2 bad input or no room (one line on stderr); 130 interrupted; 141 nobody reads
+        the output any more.
 
     Raises:
         SystemExit: after help or a usage error was printed, or when a command ends with a status of its own.

@@ -9,7 +9,13 @@ import mujoco
 import numpy as np
 
 from fungrasp.errors import UnknownNameError
-from fungrasp.geometry.poses import compose, invert, quaternion_conjugate, quaternion_multiply, rotation_vector
+from fungrasp.geometry.poses import (
+    compose,
+    invert,
+    quaternion_conjugate,
+    quaternion_multiply,
+    rotation_vector,
+)
 from fungrasp.hands.hand import Hand
 from fungrasp.hands.mjcf import self_contained_xml
 
@@ -31,7 +37,7 @@ def arm_files() -> dict[str, Path]:
 
 
 def arm_spec(arm: str) -> mujoco.MjSpec:
-    """A fresh model of a bare arm, base at the world's origin, one position actuator per joint (named as its joint).
+    """A fresh model of a bare arm: base at the world's origin, one position actuator per joint, named as it.
 
     Raises:
         UnknownNameError: no such arm.
@@ -44,8 +50,8 @@ def arm_spec(arm: str) -> mujoco.MjSpec:
 def mounting_pose(hand: Hand) -> np.ndarray:
     """Pose of the palm body on a flange whose z axis points out of it.
 
-    The fingers point along the flange's z axis and the palm faces its x axis; the shapes of the palm are centred on the
-    z axis and begin ``MOUNTING_GAP`` above the flange.
+    The fingers point along the flange's z axis and the palm faces its x axis; the shapes of the palm are
+    centred on the z axis and begin ``MOUNTING_GAP`` above the flange.
 
     Returns:
         ``pose_flange_palm``, shape [7].
@@ -64,8 +70,9 @@ def mounting_pose(hand: Hand) -> np.ndarray:
 def mount(hand: Hand, arm: str = "ur5e") -> mujoco.MjSpec:
     """The hand on the flange of an arm, the arm's base at the world's origin.
 
-    Names of both are kept; meshes are held in the spec itself. The weight of the palm is compensated by the arm (as a payload known to its controller), that
-    of the fingers is not. A site ``PALM_SITE`` marks the palm body's frame.
+    Names of both are kept; meshes are held in the spec itself. The weight of the palm is compensated by the
+    arm (as a payload known to its controller), that of the fingers is not. A site ``PALM_SITE`` marks the
+    frame of the palm body.
 
     Raises:
         UnknownNameError: no such arm.
@@ -84,7 +91,7 @@ def mount(hand: Hand, arm: str = "ur5e") -> mujoco.MjSpec:
     flange = spec.site(FLANGE_SITE)
     frame = flange.parent.add_frame(pos=pose_flange_hand[:3], quat=pose_flange_hand[3:])
     spec.attach(child, prefix=_PREFIX, frame=frame)
-    # Default classes keep the prefix, since both models have a class "main"; everything else gets its own name back.
+    # Default classes keep the prefix, since both models have a class "main"; all else gets its name back.
     return mujoco.MjSpec.from_string(re.sub(f'(?<!class)="{_PREFIX}', '="', self_contained_xml(spec)))
 
 
@@ -97,8 +104,8 @@ def arm_inverse_kinematics(
 ) -> tuple[np.ndarray, float, float]:
     """Angles of the arm that bring the palm to a pose: damped least squares, step
 
-    ``dq = J^T (J J^T + lambda I)^-1 e`` with ``lambda = 1e-3 |e|^2 + 1e-6`` and e the stacked position [m] and rotation
-    [rad] error, within the joint limits.
+    ``dq = J^T (J J^T + lambda I)^-1 e`` with ``lambda = 1e-3 |e|^2 + 1e-6`` and e the stacked position [m]
+    and rotation [rad] error, within the joint limits.
 
     Args:
         model: compiled from ``mount``.
@@ -108,7 +115,7 @@ def arm_inverse_kinematics(
         tolerance: stop when the norm of the error is below.
 
     Returns:
-        Angles of the arm's joints [rad], shape [A]; remaining position error [m]; remaining rotation error [rad].
+        Angles of the arm's joints [rad], shape [A]; remaining position error [m] and rotation error [rad].
     """
     site = model.site(PALM_SITE).id
     joints = arm_joints(model)
@@ -150,12 +157,17 @@ def _pose_error(data: mujoco.MjData, site: int, pose: np.ndarray) -> np.ndarray:
     """Position then rotation-vector error, world frame, shape [6]."""
     quaternion = np.zeros(4)
     mujoco.mju_mat2Quat(quaternion, data.site_xmat[site])
-    rotation = rotation_vector(quaternion_multiply(np.asarray(pose[3:], dtype=float), quaternion_conjugate(quaternion)))
+    rotation = rotation_vector(
+        quaternion_multiply(np.asarray(pose[3:], dtype=float), quaternion_conjugate(quaternion))
+    )
     return np.concatenate([pose[:3] - data.site_xpos[site], rotation])
 
 
 def _palm_bounds(hand: Hand, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Extent of the palm body's shapes along the unit vectors ``rows`` (palm frame, shape [3, 3]): lower, upper, shape [3] [m]."""
+    """Extent of the palm body's shapes [m] along unit vectors of the palm frame.
+
+    rows: the unit vectors, shape [3, 3]. Returns lower and upper end, each of shape [3].
+    """
     model = hand.model
     lower, upper = np.full(3, np.inf), np.full(3, -np.inf)
     for geom in np.flatnonzero(model.geom_bodyid == model.body(hand.palm).id):

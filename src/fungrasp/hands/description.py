@@ -27,9 +27,9 @@ def hand_mass(hand: Hand) -> float:
 def describe(hand: Hand) -> dict[str, Any]:
     """A hand as a JSON-able dictionary.
 
-    Lengths in metres, angles in radians, masses in kilograms. ``contact_points`` names, per link of a finger, the body at
-    the link's far end, for the last link the tip *site*. A coupled joint is ``constant + slope * driver``.
-    ``limits`` is null for an unlimited joint.
+    Lengths in metres, angles in radians, masses in kilograms. ``contact_points`` names, per link of a finger,
+    the body at the link's far end, for the last link the tip *site*. A coupled joint is
+    ``constant + slope * driver``. ``limits`` is null for an unlimited joint.
     """
     model = hand.model
     joints = hand.joint_names
@@ -62,7 +62,8 @@ def describe(hand: Hand) -> dict[str, Any]:
         ],
         "couplings": _couplings(hand),
         "actuators": [
-            {"joint": a.joint, "kp": a.kp, "kd": a.kd, "force_limit": a.force_limit} for a in hand.actuators.values()
+            {"joint": a.joint, "kp": a.kp, "kd": a.kd, "force_limit": a.force_limit}
+            for a in hand.actuators.values()
         ],
     }
 

@@ -25,7 +25,9 @@ def self_contained_xml(spec: mujoco.MjSpec) -> str:
         mujoco.MjModel.from_xml_string(text)
     except (ValueError, mujoco.FatalError) as error:
         reason = " ".join(str(error).split())
-        raise FungraspError(f"the model '{spec.modelname}' cannot be written as one MJCF file: {reason}") from error
+        raise FungraspError(
+            f"the model '{spec.modelname}' cannot be written as one MJCF file: {reason}"
+        ) from error
     return text
 
 

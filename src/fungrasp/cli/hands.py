@@ -1,0 +1,185 @@
+"""``fungrasp hands``: list, show, check and export robot hands."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+
+HandName = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")]
+
+
+@dataclass(frozen=True)
+class List:
+    """List the known hands."""
+
+    json: bool = False
+    """Print JSON instead of a table."""
+
+    def run(self) -> None:
+        from fungrasp.hands import hand_files, load_hand
+        from fungrasp.hands.description import hand_mass
+
+        rows = []
+        for name in hand_files():
+            hand = load_hand(name)
+            rows.append(
+                {
+                    "name": name,
+                    "title": hand.title,
+                    "fingers": list(hand.fingers),
+                    "independent_joints": len(hand.actuators),
+                    "joints": len(hand.joint_names),
+                    "mass": round(hand_mass(hand), 4),
+                }
+            )
+        if self.json:
+            print(json.dumps(rows, indent=2))
+            return
+        header = ("name", "fingers", "driven/all joints", "mass [kg]", "title")
+        print(
+            _table(
+                [
+                    header,
+                    *(
+                        (
+                            row["name"],
+                            str(len(row["fingers"])),
+                            f"{row['independent_joints']}/{row['joints']}",
+                            f"{row['mass']:.2f}",
+                            row["title"],
+                        )
+                        for row in rows
+                    ),
+                ]
+            )
+        )
+
+
+@dataclass(frozen=True)
+class Show:
+    """Show a hand: fingers, joints with limits, couplings, actuators."""
+
+    name: HandName
+    """A known hand, or the path of a hand's TOML file or folder."""
+    json: bool = False
+    """Print JSON and nothing else."""
+
+    def run(self) -> None:
+        from fungrasp.hands import load_hand
+        from fungrasp.hands.description import describe
+
+        description = describe(load_hand(self.name))
+        print(json.dumps(description, indent=2) if self.json else _text(description))
+
+
+@dataclass(frozen=True)
+class Check:
+    """Say in words what is wrong with a hand; ends with status 1 if it can't be used as it is.
+
+    A bare URDF or MJCF also gets a TOML file to start from.
+    """
+
+    path: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="PATH")]
+    """A hand's TOML file or folder, a URDF, an MJCF, or the name of a known hand."""
+    json: bool = False
+    """Print JSON and nothing else."""
+    out: Path | None = None
+    """For a bare URDF or MJCF: write a hand folder to start from, an MJCF with tip sites and a hand.toml."""
+
+    def run(self) -> None:
+        from fungrasp.hands import hand_files
+        from fungrasp.hands.check import check_hand, write_skeleton
+
+        findings = check_hand(hand_files().get(self.path, Path(self.path)))
+        errors = sum(finding.severity == "error" for finding in findings)
+        if self.json:
+            print(json.dumps([{"severity": f.severity, "message": f.message} for f in findings], indent=2))
+        else:
+            for finding in findings:
+                print(f"{finding.severity}: {finding.message}")
+            others = sum(finding.severity == "warning" for finding in findings)
+            print(f"{self.path}: {_count(errors, 'error')}, {_count(others, 'warning')}")
+        if self.out is not None:
+            for path in write_skeleton(self.path, self.out):
+                print(f"wrote {path}", file=sys.stderr)
+        if errors:
+            raise SystemExit(1)
+
+
+@dataclass(frozen=True)
+class Export:
+    """Write a hand as one MJCF file that needs no other file, with position actuators."""
+
+    name: HandName
+    """A known hand, or the path of a hand's TOML file or folder."""
+    out: Path
+    """The file to write, for example allegro.xml."""
+    arm: str | None = None
+    """Mount the hand on this arm: ur5e."""
+
+    def run(self) -> None:
+        from fungrasp.files import atomic_path
+        from fungrasp.hands import load_hand
+        from fungrasp.hands.export import export_hand
+
+        text = export_hand(load_hand(self.name), self.arm)
+        with atomic_path(self.out) as temporary:
+            temporary.write_text(text)
+        print(f"wrote {self.out}")
+
+
+COMMAND = {"list": List, "show": Show, "check": Check, "export": Export}
+
+
+def _text(hand: dict[str, Any]) -> str:
+    lines = [
+        f"{hand['name']}: {hand['title']}",
+        f"  model  {hand['model']}",
+        f"  mass   {hand['mass']:.3f} kg",
+        f"  palm   {hand['palm']}; fingers along {_vector(hand['palm_frame']['fingers'])}, "
+        f"palm faces {_vector(hand['palm_frame']['normal'])}",
+        "",
+        "fingers (links from base to tip; contact points at their far ends)",
+    ]
+    fingers = [
+        (f"  {name}", " > ".join((*finger["links"], finger["tip"])), ", ".join(finger["contact_points"]))
+        for name, finger in hand["fingers"].items()
+    ]
+    servos = {actuator["joint"]: actuator for actuator in hand["actuators"]}
+    couplings = {coupling["joint"]: coupling for coupling in hand["couplings"]}
+    joints = [("  joint", "body", "limits [rad]", "driven by")]
+    for joint in hand["joints"]:
+        name, limits = joint["name"], joint["limits"]
+        if name in servos:
+            servo = servos[name]
+            drive = f"servo kp {servo['kp']:g}, kd {servo['kd']:g}, up to {servo['force_limit']:g} N m"
+        elif name in couplings:
+            coupling = couplings[name]
+            drive = f"{coupling['constant']:g} + {coupling['slope']:g} * {coupling['driver']}"
+        else:
+            drive = ""
+        joints.append(
+            (f"  {name}", joint["body"], f"{limits[0]:.3f} to {limits[1]:.3f}" if limits else "none", drive)
+        )
+    return "\n".join([*lines, _table(fingers), "", "joints", _table(joints)])
+
+
+def _table(rows: Sequence[Sequence[str]]) -> str:
+    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
+    return "\n".join(
+        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows
+    )
+
+
+def _vector(values: Sequence[float]) -> str:
+    return "(" + ", ".join(f"{value:.3g}" for value in values) + ")"
+
+
+def _count(number: int, noun: str) -> str:
+    return f"{number} {noun}{'s' * (number != 1)}"

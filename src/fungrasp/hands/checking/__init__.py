@@ -1,0 +1,1 @@
+"""What can be wrong with a hand's files, by kind of fault. The door is ``fungrasp.hands.check``."""

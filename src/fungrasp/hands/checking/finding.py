@@ -1,0 +1,51 @@
+"""What a check says."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+Severity = Literal["error", "warning", "note"]
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing a check found."""
+
+    severity: Severity
+    """Error: the hand can't be used, or not rightly. Warning: probably a mistake. Note: good to know."""
+    message: str
+    """A sentence that names the thing and says what to do; a suggested file may follow it."""
+
+
+@dataclass(frozen=True)
+class Parts:
+    """Which body or site plays which part, as far as it is known and exists in the model."""
+
+    palm: str | None = None
+    """Body."""
+    fingers: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    """Bodies from base to tip by finger name."""
+    tips: dict[str, str] = field(default_factory=dict)
+    """Tip site by finger name."""
+
+
+def error(message: str) -> Finding:
+    """A finding that stops the hand from being used."""
+    return Finding("error", message)
+
+
+def warning(message: str) -> Finding:
+    """A finding that probably is a mistake."""
+    return Finding("warning", message)
+
+
+def note(message: str) -> Finding:
+    """A finding that is no fault."""
+    return Finding("note", message)
+
+
+def listed(names: list[str], most: int = 6) -> str:
+    """'a', 'b' and 3 more"""
+    shown = ", ".join(f"'{name}'" for name in names[:most])
+    return shown if len(names) <= most else f"{shown} and {len(names) - most} more"

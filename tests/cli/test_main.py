@@ -1,0 +1,179 @@
+"""The program's own behaviour: help without heavy imports, names, exit statuses, one-line errors."""
+
+from __future__ import annotations
+
+import dataclasses
+import errno
+import subprocess
+import sys
+import types
+
+import pytest
+
+from fungrasp import __version__
+from fungrasp.cli import main as cli
+from fungrasp.errors import FungraspError
+
+HEAVY = ("mujoco", "scipy", "trimesh", "av", "coacd", "PIL", "numpy", "tyro")
+
+
+@dataclasses.dataclass(frozen=True)
+class Greet:
+    """Greet someone."""
+
+    name: str = "you"
+    """Who is greeted."""
+    loud: bool = False
+    """Shout."""
+
+    def run(self) -> None:
+        print(f"hello {self.name}" + "!" * self.loud)
+
+
+@pytest.fixture
+def install(monkeypatch: pytest.MonkeyPatch):
+    """Put a command of our own, held by a module that exists, in the table."""
+
+    def put(command: object, name: str = "greet") -> None:
+        module = types.ModuleType("fungrasp_test_command")
+        module.COMMAND = command  # type: ignore[attr-defined]
+        module.__spec__ = types.SimpleNamespace()  # type: ignore[assignment]
+        monkeypatch.setitem(sys.modules, module.__name__, module)
+        monkeypatch.setattr(
+            cli, "COMMANDS", {name: (module.__name__, "say hello"), "gone": ("fungrasp.cli.no_such", "")}
+        )
+
+    return put
+
+
+def raising(error: BaseException) -> type:
+    def run(self: object) -> None:
+        raise error
+
+    return dataclasses.make_dataclass("Raising", [], namespace={"run": run})
+
+
+def test_help_names_the_commands_and_imports_nothing_heavy():
+    program = f"""
+import sys
+from fungrasp.cli.main import main
+status = main(["--help"])
+print([name for name in {HEAVY!r} if name in sys.modules], status)
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    *text, last = done.stdout.splitlines()
+    assert last == "[] 0"
+    assert any(line.split()[:1] == ["hands"] for line in text)
+
+
+def test_help_of_a_command_imports_only_that_command():
+    program = """
+import sys
+from fungrasp.cli.main import main
+try:
+    main(["hands", "--help"])
+finally:
+    print([name for name in sys.modules if name.startswith("fungrasp.")], "mujoco" in sys.modules)
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    last = done.stdout.splitlines()[-1]
+    assert "'fungrasp.cli.hands'" in last
+    assert "fungrasp.cli.demo" not in last and "fungrasp.simulation" not in last
+    assert last.endswith("False")
+
+
+def test_commands_keep_the_order_of_the_table_and_leave_out_what_is_not_installed(install):
+    install(Greet)
+    assert list(cli.available_commands()) == ["greet"]
+
+
+def test_version(capsys):
+    assert cli.main(["--version"]) == 0
+    assert capsys.readouterr().out == f"fungrasp {__version__}\n"
+
+
+def test_no_arguments_prints_the_help_on_stderr(capsys):
+    assert cli.main([]) == 2
+    captured = capsys.readouterr()
+    assert captured.out == "" and "commands:" in captured.err
+
+
+def test_a_command_is_made_from_its_arguments(install, capsys):
+    install(Greet)
+    assert cli.main(["greet", "--name", "Ada", "--loud"]) == 0
+    assert capsys.readouterr().out == "hello Ada!\n"
+
+
+def test_a_table_of_commands(install, capsys):
+    install({"one": Greet, "two": Greet})
+    assert cli.main(["greet", "two", "--name", "Bo"]) == 0
+    assert capsys.readouterr().out == "hello Bo\n"
+
+
+def test_unknown_names_get_a_suggestion(install, capsys):
+    install({"list": Greet, "show": Greet})
+    assert cli.main(["gret"]) == 2
+    assert "unknown command 'gret'. Did you mean 'greet'?" in capsys.readouterr().err
+    assert cli.main(["greet", "lst"]) == 2
+    assert capsys.readouterr().err == (
+        "fungrasp: error: unknown greet command 'lst'. Did you mean 'list'? Known: list, show.\n"
+    )
+
+
+@pytest.mark.parametrize("arguments", [["greet", "--nme", "x"], ["greet", "--name"], ["greet", "extra"]])
+def test_usage_errors_exit_with_2(install, capsys, arguments):
+    install(Greet)
+    with pytest.raises(SystemExit) as stop:
+        cli.main(arguments)
+    assert stop.value.code == 2
+    captured = capsys.readouterr()
+    assert captured.out == "" and captured.err
+
+
+def test_a_missing_subcommand_is_a_usage_error(install, capsys):
+    install({"list": Greet, "show": Greet})
+    with pytest.raises(SystemExit) as stop:
+        cli.main(["greet"])
+    assert stop.value.code == 2
+    assert "list" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("error", "status", "line"),
+    [
+        (FungraspError("no\n  hand"), 2, "fungrasp: error: no hand"),
+        (KeyboardInterrupt(), 130, "fungrasp: interrupted"),
+        (MemoryError(), 2, "fungrasp: error: out of memory"),
+        (OSError(errno.ENOSPC, "No space left on device"), 2, "fungrasp: error: No space left on device"),
+        (OSError(errno.EACCES, "Permission denied", "a/b"), 2, "fungrasp: error: a/b: Permission denied"),
+    ],
+)
+def test_errors_are_one_line_on_stderr(install, capsys, error, status, line):
+    install(raising(error))
+    assert cli.main(["greet"]) == status
+    captured = capsys.readouterr()
+    assert captured.out == "" and captured.err == line + "\n"
+
+
+def test_a_bug_keeps_its_traceback(install):
+    install(raising(ZeroDivisionError()))
+    with pytest.raises(ZeroDivisionError):
+        cli.main(["greet"])
+
+
+def test_a_reader_that_goes_away_is_not_an_error():
+    program = """
+import sys
+from fungrasp.cli import main as cli
+cli._help = lambda: "\\n".join("x" * 80 for _ in range(100_000))
+sys.exit(cli.main(["--help"]))
+"""
+    process = subprocess.Popen(
+        [sys.executable, "-c", program], stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    )
+    assert process.stdout is not None and process.stderr is not None
+    process.stdout.readline()
+    process.stdout.close()
+    assert process.stderr.read() == b""
+    process.stderr.close()
+    assert process.wait(timeout=60) == cli.BROKEN_PIPE
