@@ -10,7 +10,15 @@ import numpy as np
 import trimesh
 
 from fungrasp.errors import FungraspError
+from fungrasp.geometry.signed_distance import SignedDistanceGrid
 from fungrasp.objects.convex import ConvexPiece, convex_pieces, mesh_digest
+from fungrasp.objects.kept import kept
+
+GRID_SPACING = 0.0025
+"""Edge of a cell of the signed-distance grid [m]."""
+
+GRID_FORMAT = 1
+"""Goes up when the same mesh should give another grid."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +56,16 @@ class ObjectModel:
     def pieces(self) -> tuple[ConvexPiece, ...]:
         """Convex pieces for physics: the construction of a built-in object, else CoACD's, computed once and kept."""
         return self.construction or convex_pieces(self.vertices, self.faces)
+
+    @cached_property
+    def signed_distance(self) -> SignedDistanceGrid:
+        """Distance to the surface on a grid, computed once and kept."""
+        return kept(
+            "signed_distance",
+            f"{GRID_FORMAT} {GRID_SPACING} {self.digest}",
+            SignedDistanceGrid.load,
+            lambda path: SignedDistanceGrid.from_mesh(self.vertices, self.faces, GRID_SPACING).save(path),
+        )
 
     @cached_property
     def center_of_mass(self) -> np.ndarray:

@@ -8,7 +8,7 @@ import manifold3d
 import numpy as np
 
 from fungrasp.objects.builtin.shapes import Solid
-from fungrasp.objects.convex import ConvexPiece
+from fungrasp.objects.convex import ConvexPiece, convex_hull
 
 Parts = Mapping[str, Sequence[Solid]]
 """Convex solids by the name of the functional part they make up."""
@@ -33,10 +33,6 @@ def assemble(parts: Parts) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray
     runs = np.diff(np.asarray(mesh.run_index, dtype=int)) // 3
     part_of_face = np.repeat([owner[int(i)] for i in mesh.run_original_id], runs)
     masks = {name: part_of_face == name for name in parts}
-    pieces = tuple(_piece(hull, center) for hull in hulls)
+    pieces = tuple(convex_hull(points - center) for solids in parts.values() for points in solids)
     return vertices - center, np.asarray(mesh.tri_verts, dtype=np.int32), masks, pieces
 
-
-def _piece(hull: manifold3d.Manifold, center: np.ndarray) -> ConvexPiece:
-    mesh = hull.to_mesh64()
-    return ConvexPiece(np.array(mesh.vert_properties[:, :3]) - center, np.asarray(mesh.tri_verts, dtype=np.int32))
