@@ -24,7 +24,7 @@ class Reference:
     palm: str
     """The body whose frame is our palm's."""
     bodies: Mapping[str, str] = field(default_factory=dict)
-    """Their name of each of our bodies that is called differently; "" for a body that the reference lacks."""
+    """Their name of each of our bodies that is called differently."""
     joints: Mapping[str, str] = field(default_factory=dict)
     """Their name of each of our joints that is called differently."""
     sites: Mapping[str, str] = field(default_factory=dict)
@@ -97,10 +97,20 @@ REFERENCES: Mapping[str, tuple[Reference, ...]] = {
     ),
     "inspire": (
         Reference(
-            "inspire_right.urdf", "hand_base_link", sites={f"{f}_tip_frame": f"{f}_tip" for f in _FINGERS}
+            "inspire_right.urdf",
+            "hand_base_link",
+            sites={f"{f}_tip_frame": f"{f}_tip" for f in _FINGERS},
+            moved_frames=True,
         ),
     ),
-    "leap": (Reference("leap_right.urdf", "palm_lower"),),
+    "leap": (
+        Reference(
+            "leap_right.urdf",
+            "palm_lower",
+            sites={f"{f}_tip_head": f"{f}_tip_head" for f in ("index", "middle", "ring", "thumb")},
+            moved_frames=True,
+        ),
+    ),
 }
 """By hand name; the hand is compared with each."""
 

@@ -84,7 +84,6 @@ def test_frames_equal_the_reference(name: str, reference: Reference):
     ours, theirs = Posed(hand.model, hand.palm), Posed(reference_model(reference), reference.palm)
     names = [hand.model.body(i).name for i in range(1, hand.model.nbody)]
     bodies = {body: reference.bodies.get(body, body) for body in names}
-    bodies = {body: their_body for body, their_body in bodies.items() if their_body}
     joints = {joint: reference.joints.get(joint, joint) for joint in hand.joint_names}
     ours.set({})
     theirs.set({})
