@@ -155,7 +155,10 @@ def _read(path: str | Path) -> dict[str, np.ndarray]:
             stream.seek(0)
             with np.load(stream, allow_pickle=False) as archive:
                 for name in archive.files:
-                    arrays[name] = archive[name]
+                    value = archive[name]
+                    if not isinstance(value, np.ndarray):
+                        raise FungraspError(f"{path}: field '{name}' is no array")
+                    arrays[name] = value
     except OSError as error:
         raise FungraspError(f"cannot read {path}: {error.strerror or error}") from error
     except FungraspError:

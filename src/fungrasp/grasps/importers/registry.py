@@ -6,7 +6,7 @@ from collections.abc import Callable
 from importlib.metadata import entry_points
 from pathlib import Path
 
-from fungrasp.errors import UnknownNameError
+from fungrasp.errors import FungraspError, UnknownNameError
 from fungrasp.grasps.human import HumanGraspSet
 
 Importer = Callable[[Path], HumanGraspSet]
@@ -17,9 +17,11 @@ def load_importer(name: str) -> Importer:
     """An importer by the name of its entry point.
 
     Raises:
-        UnknownNameError: no installed package has it.
+        FungraspError: no installed package has it.
     """
     found = {entry.name: entry for entry in entry_points(group="fungrasp.grasps")}
+    if not found:
+        raise FungraspError(f"no importer '{name}': no installed package brings importers of grasps")
     if name not in found:
         raise UnknownNameError("importer", name, found)
     return found[name].load()
