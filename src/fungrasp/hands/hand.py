@@ -27,8 +27,10 @@ class Finger:
     name: str
     """One of ``FINGERS``: the human finger it imitates."""
     links: tuple[str, ...]
-    """Bodies from base to tip, at most three; the origin of each is a key point (the joint at its near end).
-    They imitate the human proximal, middle and distal links; a hand with fewer lacks those near the tip."""
+    """Bodies from base to tip, at most three. They imitate the human proximal, middle and distal links; a hand with fewer
+    lacks those near the tip."""
+    joints: tuple[str, ...]
+    """Site or body at the joint at the near end of each link: the link's own body, unless the model's frames lie elsewhere."""
     tip: str
     """Site at the centre of the fingertip's round end."""
 
@@ -149,8 +151,8 @@ class Hand:
 
     @property
     def keypoint_names(self) -> tuple[str, ...]:
-        """Names of the key points: the palm body, then each finger's link bodies and tip site, length K."""
-        return (self.palm, *(name for f in self.fingers.values() for name in (*f.links, f.tip)))
+        """Names of the key points: the palm body, then each finger's joints and tip, length K: sites or bodies."""
+        return (self.palm, *(name for f in self.fingers.values() for name in (*f.joints, f.tip)))
 
 
 def read_hand(path: Path) -> Hand:
@@ -196,7 +198,10 @@ def read_hand(path: Path) -> Hand:
         if not 1 <= len(entry.get("links", ())) <= 3 or "tip" not in entry:
             raise FungraspError(f"{path}: finger '{name}' needs 'links' (one to three bodies, base to tip) and 'tip' (a site)")
         links = tuple(existing("body", link, bodies) for link in entry["links"])
-        fingers[name] = Finger(name, links, existing("site", entry["tip"], sites))
+        joints = tuple(existing("site or body", joint, sites | bodies) for joint in entry.get("joints", links))
+        if len(joints) != len(links):
+            raise FungraspError(f"{path}: finger '{name}' has {len(links)} links and {len(joints)} joints; give one each")
+        fingers[name] = Finger(name, links, joints, existing("site", entry["tip"], sites))
     if "thumb" not in fingers:
         raise FungraspError(f"{path}: a hand with no thumb can't imitate a human grasp; give [fingers.thumb]")
     if len(fingers) < 2:
