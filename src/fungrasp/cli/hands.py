@@ -90,7 +90,7 @@ class Check:
     json: bool = False
     """Print JSON and nothing else."""
     out: Path | None = None
-    """For a bare URDF or MJCF: write a hand folder to start from, an MJCF with tip sites and a hand.toml."""
+    """For a bare URDF or MJCF: write a hand folder to start from, an MJCF with tip sites and a TOML."""
 
     def run(self) -> None:
         from fungrasp.hands import hand_files

@@ -70,14 +70,14 @@ def write_skeleton(path: str | Path, folder: str | Path) -> tuple[Path, Path]:
     source = read_source(path, findings)
     if source is None:
         raise FungraspError(findings[-1].message)
-    guess = guess_parts(source.model)
+    spec, guess = with_tips(source, guess_parts(source.model))
     model_path, toml_path = folder / f"{path.stem}.xml", folder / "hand.toml"
     if path.resolve() == model_path.resolve():
         raise FungraspError(f"{path} would be overwritten; choose another folder than {folder}")
     if toml_path.exists():
         raise FungraspError(f"{toml_path} exists already; choose another folder")
     with atomic_path(model_path) as temporary:
-        temporary.write_text(self_contained_xml(with_tips(source, guess)))
+        temporary.write_text(self_contained_xml(spec))
     with atomic_path(toml_path) as temporary:
         temporary.write_text(suggested_toml(source, guess, model_path.name))
     return toml_path, model_path

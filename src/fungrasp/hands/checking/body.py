@@ -166,7 +166,7 @@ def _middle(model: mujoco.MjModel) -> np.ndarray:
     return coupled_positions(model, positions)
 
 
-def _stripped(source: Source, weld: int) -> bool:
+def _stripped(source: Source, weld: int | np.integer) -> bool:
     """Has a body lost shapes, of those that move with the body ``weld``?"""
     members = np.flatnonzero(source.model.body_weldid == weld)
     return any(source.model.body(int(body)).name in source.stripped for body in members)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
@@ -147,12 +147,15 @@ def suggested_toml(source: Source, guess: Guess, model_name: str) -> str:
     return "\n".join([*lines, f"force_limit = {_force_limit(source.model):.3g} # N m", ""])
 
 
-def with_tips(source: Source, guess: Guess) -> mujoco.MjSpec:
-    """The model of ``source`` with the tip sites that ``suggested_toml`` names."""
+def with_tips(source: Source, guess: Guess) -> tuple[mujoco.MjSpec, Guess]:
+    """The model with a site at every guessed tip, and the guess that knows them."""
     spec = source.spec.copy()
+    added = {}
     for finger, place in guess.missing_tips.items():
-        spec.body(guess.parts.fingers[finger][-1]).add_site(name=f"{finger}_tip", pos=place)
-    return spec
+        added[finger] = f"{finger}_tip"
+        spec.body(guess.parts.fingers[finger][-1]).add_site(name=added[finger], pos=place)
+    parts = replace(guess.parts, tips={**guess.parts.tips, **added})
+    return spec, replace(guess, parts=parts, missing_tips={})
 
 
 def _palm_frame(model: mujoco.MjModel, parts: Parts) -> list[str]:

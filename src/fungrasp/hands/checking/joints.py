@@ -19,23 +19,11 @@ COUPLING_OVERRUN = 0.02
 
 
 def check_joints(model: mujoco.MjModel, parts: Parts) -> Iterator[Finding]:
-    """Joints that are no hinges, and link frames that are not on their joint."""
-    kinds = mujoco.mjtJoint
-    for joint in range(model.njnt):
-        kind = model.jnt_type[joint]
-        if kind in (kinds.mjJNT_FREE, kinds.mjJNT_BALL):
-            word = "free" if kind == kinds.mjJNT_FREE else "ball"
-            yield error(
-                f"joint '{joint_name(model, joint)}' is a {word} joint; the joints of a hand must be hinges"
-            )
-        elif kind == kinds.mjJNT_SLIDE:
-            yield warning(
-                f"joint '{joint_name(model, joint)}' slides; the joints of a hand are expected to be hinges"
-            )
+    """No joints, or link frames that are not on their joint."""
     if model.njnt == 0:
         yield error("the model has no joints")
     links = {body for chain in parts.fingers.values() for body in chain}
-    for joint in np.flatnonzero(model.jnt_type == kinds.mjJNT_HINGE):
+    for joint in np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE):
         body, axis, centre = int(model.jnt_bodyid[joint]), model.jnt_axis[joint], model.jnt_pos[joint]
         offset = float(np.linalg.norm(centre - (centre @ axis) * axis))
         if offset > FRAME_OFFSET and (not links or body_name(model, body) in links):

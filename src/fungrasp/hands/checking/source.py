@@ -50,6 +50,7 @@ def read_source(path: Path, findings: list[Finding]) -> Source | None:
             return None
         fuses = bool(spec.compiler.fusestatic)
         stripped = _drop_missing_meshes(spec, findings)
+        findings.extend(_joint_kinds(spec))
         findings.extend(_mend_limits(spec))
         findings.extend(_mend_inertias(spec))
         compiler = spec.compiler
@@ -132,6 +133,16 @@ def _drop_missing_meshes(spec: mujoco.MjSpec, findings: list[Finding]) -> frozen
         if (mesh.name or Path(mesh.file).stem) in bad:
             spec.delete(mesh)
     return frozenset(stripped)
+
+
+def _joint_kinds(spec: mujoco.MjSpec) -> Iterator[Finding]:
+    kinds = mujoco.mjtJoint
+    for joint in spec.joints:
+        if joint.type in (kinds.mjJNT_FREE, kinds.mjJNT_BALL):
+            word = "free" if joint.type == kinds.mjJNT_FREE else "ball"
+            yield error(f"joint '{joint.name}' is a {word} joint; the joints of a hand must be hinges")
+        elif joint.type == kinds.mjJNT_SLIDE:
+            yield warning(f"joint '{joint.name}' slides; the joints of a hand are expected to be hinges")
 
 
 def _mend_limits(spec: mujoco.MjSpec) -> Iterator[Finding]:

@@ -6,12 +6,12 @@ import mujoco
 import numpy as np
 
 
-def body_name(model: mujoco.MjModel, body: int) -> str:
+def body_name(model: mujoco.MjModel, body: int | np.integer) -> str:
     """Name of a body; "body 7" if it has none."""
     return model.body(int(body)).name or f"body {body}"
 
 
-def joint_name(model: mujoco.MjModel, joint: int) -> str:
+def joint_name(model: mujoco.MjModel, joint: int | np.integer) -> str:
     """Name of a joint; "joint 7" if it has none."""
     return model.joint(int(joint)).name or f"joint {joint}"
 

@@ -1,0 +1,93 @@
+"""``fungrasp hands`` as a user calls it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import mujoco
+import pytest
+
+from fungrasp.cli.main import main
+from fungrasp.hands import hand_files, load_hand
+
+
+def test_list_names_every_hand(capsys):
+    assert main(["hands", "list"]) == 0
+    header, *rows = capsys.readouterr().out.splitlines()
+    assert header.split()[:2] == ["name", "fingers"]
+    assert [row.split()[0] for row in rows] == list(hand_files())
+    allegro = next(row for row in rows if row.startswith("allegro"))
+    assert allegro.split()[1:4] == ["4", "16/16", "0.97"]
+
+
+def test_list_as_json(capsys):
+    assert main(["hands", "list", "--json"]) == 0
+    rows = json.loads(capsys.readouterr().out)
+    assert [row["name"] for row in rows] == list(hand_files())
+
+
+def test_show(capsys):
+    assert main(["hands", "show", "allegro"]) == 0
+    out = capsys.readouterr().out
+    assert "ff_proximal > ff_medial > ff_distal > ff_tip" in out
+    assert "0.263 to 1.396" in out
+
+
+def test_show_as_json_is_only_json(capsys):
+    assert main(["hands", "show", "allegro", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["palm"] == "palm"
+    assert told["fingers"]["thumb"]["contact_points"] == ["th_medial", "th_distal", "th_tip"]
+
+
+def test_an_unknown_hand(capsys):
+    assert main(["hands", "show", "alegro"]) == 2
+    assert "unknown hand 'alegro'. Did you mean 'allegro'?" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "given", ["allegro", str(hand_files()["allegro"]), str(hand_files()["allegro"].parent)]
+)
+def test_check_of_a_sound_hand(capsys, given):
+    assert main(["hands", "check", given]) == 0
+    assert capsys.readouterr().out.endswith("0 errors, 0 warnings\n")
+
+
+def test_check_of_a_broken_hand_ends_with_1(tmp_path: Path, capsys):
+    (tmp_path / "hand.toml").write_text('name = "x"\nmodel = "none.xml"\n')
+    with pytest.raises(SystemExit) as stop:
+        main(["hands", "check", str(tmp_path), "--json"])
+    assert stop.value.code == 1
+    findings = json.loads(capsys.readouterr().out)
+    assert {finding["severity"] for finding in findings} == {"error"}
+    assert any("none.xml does not exist" in finding["message"] for finding in findings)
+
+
+def test_check_writes_a_hand_to_start_from(tmp_path: Path, capsys):
+    model = tmp_path / "mine.xml"
+    assert main(["hands", "export", "allegro", "--out", str(model)]) == 0
+    assert main(["hands", "check", str(model), "--out", str(tmp_path / "mine")]) == 0
+    assert "a hand.toml to start from" in capsys.readouterr().out
+    assert load_hand(tmp_path / "mine").fingers == load_hand("allegro").fingers
+
+
+@pytest.mark.parametrize(("arm", "actuators"), [([], 16), (["--arm", "ur5e"], 22)])
+def test_export(tmp_path: Path, capsys, arm, actuators):
+    out = tmp_path / "new" / "H.xml"
+    assert main(["hands", "export", "allegro", "--out", str(out), *arm]) == 0
+    assert str(out) in capsys.readouterr().out
+    assert mujoco.MjModel.from_xml_path(str(out)).nu == actuators
+    assert list(out.parent.iterdir()) == [out]
+
+
+def test_export_to_a_place_that_cannot_be_written(tmp_path: Path, capsys):
+    (tmp_path / "file").write_text("")
+    assert main(["hands", "export", "allegro", "--out", str(tmp_path / "file" / "H.xml")]) == 2
+    assert capsys.readouterr().err.startswith("fungrasp: error: cannot write")
+
+
+def test_export_on_an_unknown_arm(tmp_path: Path, capsys):
+    assert main(["hands", "export", "allegro", "--out", str(tmp_path / "H.xml"), "--arm", "ur5"]) == 2
+    assert "Did you mean 'ur5e'" in capsys.readouterr().err
+    assert not (tmp_path / "H.xml").exists()
