@@ -101,7 +101,8 @@ class Frame:
         distance = np.full(count, np.inf)
         geom = np.full(count, NOTHING, np.int32)
         normal = np.zeros((count, 3), np.float32)
-        distance[self._cast], geom[self._cast], normal[self._cast] = hits.distance, hits.geom, hits.normal
+        distance[self._cast], geom[self._cast] = hits.distance, hits.geom
+        normal[self._cast] = _towards_eye(hits.normal, self._directions[self._cast])
         self.points = self._with_table(distance, geom, normal, self._directions)
 
     def depth(self) -> np.ndarray:
@@ -168,7 +169,9 @@ class Frame:
         picture = soft_clip(self._shade(self.points, self.shadow, self.openness))
         if edge is not None and len(self._edge):
             direction = self._edge_directions.reshape(-1, 3).astype(np.float32)
-            points = self._with_table(edge.distance, edge.geom, edge.normal.astype(np.float32), direction)
+            points = self._with_table(
+                edge.distance, edge.geom, _towards_eye(edge.normal, direction), direction
+            )
             shadow, openness = self._borrow(points, np.repeat(self._edge, len(self._inner)))
             fine = soft_clip(self._shade(points, shadow, openness))
             picture[self._edge] = fine.reshape(len(self._edge), len(self._inner), 3).mean(1)
@@ -220,9 +223,10 @@ class Frame:
         shadow, openness = self.shadow[pixel], self.openness[pixel]
         best = np.full(len(pixel), np.inf)
         solid = points.geom >= 0
+        distance = np.where(solid, points.distance, 0.0)
         for dy, dx in ((0, 0), (0, 1), (0, -1), (1, 0), (-1, 0), (1, 1), (1, -1), (-1, 1), (-1, -1)):
             other = np.clip(v + dy, 0, height - 1) * width + np.clip(u + dx, 0, width - 1)
-            apart = np.where(solid, np.abs(self.points.distance[other] - points.distance), 0.0)
+            apart = np.where(solid, np.abs(self.points.distance[other] - distance), 0.0)
             apart += 1e-4 * (dx * dx + dy * dy)
             better = (self.points.geom[other] == points.geom) & (apart < best)
             shadow = np.where(better, self.shadow[other], shadow)
@@ -276,3 +280,8 @@ class Frame:
             if texture is not None and (image := texture_image(self.scene.model, g)) is not None:
                 albedo[rows] *= linear(sample_image(image, texture))
         return normal, albedo
+
+
+def _towards_eye(normals: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    normals = normals.astype(np.float32)
+    return np.where(dot(normals, directions)[:, None] > 0, -normals, normals)

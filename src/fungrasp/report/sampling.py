@@ -15,7 +15,10 @@ TOWARDS = np.array([0, 8, 2, 10, 12, 4, 14, 6, 3, 11, 1, 9, 15, 7, 13, 5])
 AROUND = np.array([5, 13, 7, 15, 9, 1, 11, 3, 6, 14, 4, 12, 10, 2, 8, 0])
 """Which sample of the surroundings a pixel of the pattern takes."""
 
-_KERNEL = tuple(zip(range(-3, 4), (1, 2, 3, 4, 3, 2, 1), strict=True))
+_PASSES = (
+    tuple((offset, 1) for offset in (-2, -1, 0, 1)),
+    tuple(zip((-5, -2, 1, 4, 7), (1, 2, 3, 2, 1), strict=True)),
+)
 
 
 def disc() -> np.ndarray:
@@ -47,7 +50,7 @@ def axes_along(z: np.ndarray) -> np.ndarray:
 def share(
     values: Sequence[np.ndarray], mask: np.ndarray, surface: np.ndarray, distance: np.ndarray
 ) -> list[np.ndarray]:
-    """Average over the neighbours that see the same surface, so that the pattern cancels.
+    """Average over the neighbours that see the same surface: first over the pattern, so that it cancels, then wider.
 
     Args:
         values: each of shape [H, W].
@@ -62,31 +65,36 @@ def share(
     if not len(rows):
         return list(values)
     box = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
-    pad = PATTERN
+    near_surface = surface[box]
+    near_distance = np.where(near_surface >= 0, distance[box], 0).astype(np.float32)
+    result = [value[box] for value in values]
+    for kernel in _PASSES:
+        result = _averaged(result, kernel, near_surface, near_distance)
+    whole = [value.copy() for value in values]
+    for full, part in zip(whole, result, strict=True):
+        full[box] = np.where(mask[box], part, full[box])
+    return whole
 
-    def framed(array: np.ndarray, fill: float) -> np.ndarray:
-        return np.pad(array[box], pad, constant_values=fill)
 
-    near_surface = framed(surface, -9)
-    near_distance = np.where(near_surface >= 0, framed(distance, 0), 0).astype(np.float32)
-    padded = [framed(v, 0) for v in values]
-    inner = np.s_[pad:-pad, pad:-pad]
-    own_surface, own_distance = near_surface[inner], near_distance[inner]
-    height, width = own_surface.shape
-    limit = 0.008 * own_distance + 1e-6
+def _averaged(
+    values: list[np.ndarray], kernel: tuple[tuple[int, int], ...], surface: np.ndarray, distance: np.ndarray
+) -> list[np.ndarray]:
+    pad = max(abs(offset) for offset, _ in kernel)
+    height, width = surface.shape
+    padded = [np.pad(value, pad) for value in values]
+    near_surface, near_distance = np.pad(surface, pad, constant_values=-9), np.pad(distance, pad)
+    limit = 0.008 * distance + 1e-6
     weight = np.zeros((height, width), np.float32)
     sums = [np.zeros_like(weight) for _ in values]
-    for dy, ky in _KERNEL:
-        for dx, kx in _KERNEL:
+    for dy, ky in kernel:
+        for dx, kx in kernel:
             at = np.s_[pad + dy : pad + dy + height, pad + dx : pad + dx + width]
-            w = (near_surface[at] == own_surface) & (np.abs(near_distance[at] - own_distance) <= limit)
-            w = w * np.float32(kx * ky)
-            weight += w
+            same = (near_surface[at] == surface) & (np.abs(near_distance[at] - distance) <= limit)
+            share = same * np.float32(kx * ky)
+            weight += share
             for total, value in zip(sums, padded, strict=True):
-                total += w * value[at]
-    result = []
-    for value, total in zip(values, sums, strict=True):
-        whole = value.copy()
-        whole[box] = np.where(mask[box], total / weight, whole[box])
-        result.append(whole)
-    return result
+                total += share * value[at]
+    return [
+        np.where(weight > 0, total / np.maximum(weight, 1), value)
+        for total, value in zip(sums, values, strict=True)
+    ]

@@ -18,13 +18,13 @@ Colour = tuple[float, float, float]
 class Look:
     """Light, table top and backdrop."""
 
-    backdrop_top: Colour = (0.80, 0.84, 0.88)
+    backdrop_top: Colour = (0.78, 0.83, 0.88)
     """Colour overhead."""
-    backdrop_horizon: Colour = (0.955, 0.955, 0.95)
+    backdrop_horizon: Colour = (0.955, 0.96, 0.965)
     """Colour at the horizon, into which the table top fades."""
-    table: Colour = (0.80, 0.765, 0.72)
+    table: Colour = (0.800, 0.812, 0.824)
     """Colour of the light squares."""
-    table_dark: Colour = (0.765, 0.73, 0.685)
+    table_dark: Colour = (0.752, 0.766, 0.780)
     """Colour of the dark squares."""
     square: float = 0.05
     """Side of a square of the table top [m]."""
@@ -34,9 +34,9 @@ class Look:
     """Direction towards the key light, world frame; None puts it above and to the left of the first camera."""
     light_radius: float = 6.0
     """Angular radius of the key light [degrees]; 0 makes hard shadows."""
-    key: float = 2.3
+    key: float = 2.2
     """Strength of the key light."""
-    fill: float = 0.85
+    fill: float = 0.95
     """Strength of the light from all of the sky."""
     occlusion_radius: float = 0.08
     """Things nearer than this darken each other [m]."""
@@ -199,7 +199,7 @@ def sun_direction(look: Look, rotation: np.ndarray) -> np.ndarray:
         ahead = np.array([forward[0], forward[1], 0.0])
         size = np.linalg.norm(ahead)
         ahead = ahead / size if size > 1e-6 else np.cross([0.0, 0.0, 1.0], right)
-        direction = -0.62 * right - 0.38 * ahead + np.array([0.0, 0.0, 1.25])
+        direction = -0.60 * right - 0.48 * ahead + np.array([0.0, 0.0, 1.05])
     return direction / np.linalg.norm(direction)
 
 
