@@ -1,4 +1,4 @@
-"""From convex solids with part names to one watertight mesh."""
+"""From convex solids with part names to one watertight mesh and its convex pieces."""
 
 from __future__ import annotations
 
@@ -21,18 +21,41 @@ def assemble(parts: Parts) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray
         vertices: [m], shape [V, 3] float64.
         faces: outward, shape [F, 3] int32.
         masks: faces of each part, shape [F] bool each; a face belongs to exactly one part.
-        pieces: the solids.
+        pieces: the solids, those joined that are convex together.
     """
-    names = [name for name, solids in parts.items() for _ in solids]
-    hulls = [manifold3d.Manifold.hull_points(points).as_original() for solids in parts.values() for points in solids]
-    union = manifold3d.Manifold.batch_boolean(hulls, manifold3d.OpType.Add)
-    mesh = union.to_mesh64()
+    solids = [points for part in parts.values() for points in part]
+    names = [name for name, part in parts.items() for _ in part]
+    hulls = [manifold3d.Manifold.hull_points(np.ascontiguousarray(points)).as_original() for points in solids]
+    mesh = manifold3d.Manifold.batch_boolean(hulls, manifold3d.OpType.Add).to_mesh64()
     vertices = np.array(mesh.vert_properties[:, :3])
     center = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
     owner = {hull.original_id(): name for hull, name in zip(hulls, names, strict=True)}
     runs = np.diff(np.asarray(mesh.run_index, dtype=int)) // 3
     part_of_face = np.repeat([owner[int(i)] for i in mesh.run_original_id], runs)
     masks = {name: part_of_face == name for name in parts}
-    pieces = tuple(convex_hull(points - center) for solids in parts.values() for points in solids)
+    pieces = tuple(convex_hull(points - center) for points in _joined(solids))
     return vertices - center, np.asarray(mesh.tri_verts, dtype=np.int32), masks, pieces
 
+
+def _joined(solids: Sequence[Solid], slack: float = 1e-6) -> list[Solid]:
+    """Solids with touching ones joined where their hull is no larger than the two (relative ``slack`` in volume)."""
+    left = [(points, _volume(points)) for points in solids]
+    joined: list[tuple[Solid, float]] = []
+    while left:
+        points, volume = left.pop(0)
+        partner = next((k for k, other in enumerate(left) if _convex_together((points, volume), other, slack)), None)
+        if partner is None:
+            joined.append((points, volume))
+        else:
+            both = np.concatenate([points, left.pop(partner)[0]])
+            left.insert(0, (both, _volume(both)))
+    return [points for points, _ in joined]
+
+
+def _convex_together(a: tuple[Solid, float], b: tuple[Solid, float], slack: float) -> bool:
+    touching = np.all(a[0].min(axis=0) <= b[0].max(axis=0) + 1e-9) and np.all(b[0].min(axis=0) <= a[0].max(axis=0) + 1e-9)
+    return bool(touching) and _volume(np.concatenate([a[0], b[0]])) <= (a[1] + b[1]) * (1 + slack)
+
+
+def _volume(points: Solid) -> float:
+    return manifold3d.Manifold.hull_points(np.ascontiguousarray(points)).volume()

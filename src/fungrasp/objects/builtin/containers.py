@@ -1,4 +1,4 @@
-"""Mug, can, carton."""
+"""Closed containers: can, box, bottle, spray bottle."""
 
 from __future__ import annotations
 
@@ -7,34 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fungrasp.objects.builtin.assembly import Parts
-from fungrasp.objects.builtin.shapes import box, lathe, ring, sweep
-
-
-@dataclass(frozen=True)
-class Mug:
-    """A straight mug with a D-shaped handle towards +x."""
-
-    radius: float = 0.041
-    """Of the outside [m]."""
-    height: float = 0.095
-    """[m]."""
-    wall: float = 0.0045
-    """[m]."""
-
-    def parts(self) -> Parts:
-        r, h, w = self.radius, self.height, self.wall
-        inside = r - w
-        angles = np.linspace(-np.pi / 2, np.pi / 2, 5)
-        sections = []
-        for a in np.concatenate([angles]):
-            c = np.array([r - 0.003 + 0.034 * np.cos(a), 0, h / 2 + 0.032 * np.sin(a)])
-            n = np.array([np.cos(a), 0, np.sin(a)])
-            t = np.linspace(0, 2 * np.pi, 12, endpoint=False)
-            sections.append(c + 0.004 * np.cos(t)[:, None] * n + 0.0065 * np.sin(t)[:, None] * [0, 1, 0])
-        body = [lathe([(r - 0.002, 0), (r, 0.002), (r, 0.006)])]
-        body += ring([(r, 0.006), (r, h - 0.012)], [(inside, 0.006), (inside, h - 0.012)])
-        rim = ring([(r, h - 0.012), (r, h)], [(inside, h - 0.012), (inside, h)])
-        return {"body": body, "rim": rim, "handle": sweep(sections)}
+from fungrasp.objects.builtin.shapes import box, ellipse, lathe, sweep
 
 
 @dataclass(frozen=True)
@@ -48,15 +21,94 @@ class Can:
 
     def parts(self) -> Parts:
         r, h = self.radius, self.height
-        return {"body": [lathe([(r - 0.006, 0), (r, 0.008), (r, h - 0.012), (r - 0.006, h)])]}
+        return {
+            "body": [lathe([(r - 0.008, 0), (r, 0.01), (r, h - 0.014), (r - 0.006, h - 0.003)], segments=48)],
+            "rim": [lathe([(r - 0.0058, h - 0.0032), (r - 0.0055, h - 0.001), (r - 0.0062, h)], segments=48)],
+        }
 
 
 @dataclass(frozen=True)
 class Carton:
-    """A closed carton."""
+    """A closed cardboard box, standing."""
 
     size: tuple[float, float, float] = (0.06, 0.11, 0.17)
     """[m]."""
 
     def parts(self) -> Parts:
-        return {"body": [box(self.size)]}
+        return {"body": [box(self.size, bevel=0.001)]}
+
+
+@dataclass(frozen=True)
+class Bottle:
+    """A drink bottle with a waist and a screw cap."""
+
+    radius: float = 0.0325
+    """[m]."""
+    height: float = 0.205
+    """With the cap [m]."""
+
+    def parts(self) -> Parts:
+        r, h = self.radius, self.height
+        waist = r - 0.0035
+        return {
+            "body": [
+                lathe([(r - 0.005, 0), (r, 0.006), (r, 0.06), (waist, 0.072)], segments=48),
+                lathe([(waist, 0.072), (waist, 0.098)], segments=48),
+                lathe([(waist, 0.098), (r, 0.110), (r, 0.138), (r - 0.006, 0.156), (0.0135, h - 0.026)], segments=48),
+            ],
+            "neck": [
+                lathe([(0.0125, h - 0.028), (0.0125, h - 0.013)], segments=32),
+                lathe([(0.016, h - 0.022), (0.016, h - 0.019)], segments=32),
+            ],
+            "cap": [lathe([(0.0145, h - 0.016), (0.015, h - 0.015), (0.015, h - 0.001), (0.014, h)], segments=32)],
+        }
+
+
+@dataclass(frozen=True)
+class SprayBottle:
+    """A trigger sprayer; the nozzle and the trigger point to +x."""
+
+    width: float = 0.062
+    """Of the body, along y [m]."""
+    length: float = 0.09
+    """Of the body, along x [m]."""
+    body: float = 0.165
+    """Height of the shoulder [m]."""
+    height: float = 0.255
+    """[m]."""
+
+    def parts(self) -> Parts:
+        a, b, s, h = self.length / 2, self.width / 2, self.body, self.height
+        levels = [(0, 0.94), (0.005, 1.0), (s * 0.55, 1.0), (s * 0.8, 0.8), (s, 0.36)]
+        sections = [
+            ellipse((0, 0, z), (a * k, 0, 0), (0, b * (k if k > 0.9 else (k + 0.25) / 1.12), 0), corners=32, squareness=2.8)
+            for z, k in levels
+        ]
+        lower, upper = np.concatenate(sections[:4]), np.concatenate(sections[3:])
+        top = h - 0.036
+        nozzle = 0.062
+        head = [
+            ellipse((-0.034, 0, h - 0.012), (0, 0.009, 0), (0, 0, 0.008), squareness=4),
+            ellipse((-0.016, 0, h - 0.016), (0, 0.0145, 0), (0, 0, 0.015), squareness=4),
+            ellipse((0.02, 0, h - 0.016), (0, 0.0145, 0), (0, 0, 0.015), squareness=4),
+            ellipse((nozzle - 0.012, 0, h - 0.013), (0, 0.0085, 0), (0, 0, 0.0085), squareness=3),
+        ]
+        tip = [
+            ellipse((nozzle - 0.012, 0, h - 0.013), (0, 0.0105, 0), (0, 0, 0.0105), squareness=2.5),
+            ellipse((nozzle, 0, h - 0.013), (0, 0.0095, 0), (0, 0, 0.0095), squareness=2.5),
+        ]
+        trigger = [
+            ellipse((0.030, 0, h - 0.022), (0.006, 0, 0), (0, 0.0085, 0), squareness=3),
+            ellipse((0.034, 0, h - 0.045), (0.0045, 0, 0.001), (0, 0.0085, 0), squareness=3),
+            ellipse((0.0385, 0, h - 0.064), (0.004, 0, 0.002), (0, 0.008, 0), squareness=3),
+            ellipse((0.046, 0, h - 0.080), (0.003, 0, 0.003), (0, 0.0075, 0), squareness=3),
+        ]
+        return {
+            "body": [lower, upper],
+            "neck": [
+                lathe([(0.0135, s - 0.002), (0.0135, top + 0.008)], segments=28),
+                lathe([(0.0185, s + 0.008), (0.0185, s + 0.026), (0.0165, s + 0.029)], segments=28),
+            ],
+            "head": [*sweep(head), *sweep(tip)],
+            "trigger": sweep(trigger),
+        }
