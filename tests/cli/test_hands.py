@@ -6,7 +6,9 @@ import json
 from pathlib import Path
 
 import mujoco
+import numpy as np
 import pytest
+from PIL import Image
 
 from fungrasp.cli.main import main
 from fungrasp.hands import hand_files, load_hand
@@ -39,6 +41,20 @@ def test_show_as_json_is_only_json(capsys):
     told = json.loads(capsys.readouterr().out)
     assert told["palm"] == "palm"
     assert told["fingers"]["thumb"]["contact_points"] == ["th_medial", "th_distal", "th_tip"]
+
+
+def test_show_draws_a_picture(tmp_path: Path, capsys):
+    assert main(["hands", "show", "allegro", "--json", "--picture", str(tmp_path / "a.png")]) == 0
+    json.loads(capsys.readouterr().out)
+    with Image.open(tmp_path / "a.png") as picture:
+        pixels = np.asarray(picture)
+    assert pixels.shape[0] > 300 and pixels.shape[1] > 300
+    assert pixels.std() > 5.0
+
+
+def test_a_picture_of_an_unknown_kind(tmp_path: Path, capsys):
+    assert main(["hands", "show", "allegro", "--picture", str(tmp_path / "a.txt")]) == 2
+    assert "must be a .png or .jpg" in capsys.readouterr().err
 
 
 def test_an_unknown_hand(capsys):

@@ -261,6 +261,13 @@ def test_faults_of_an_mjcf(tmp_path, old, new, severity, pattern):
         ('["index_a", "index_b"]', '["index_a", "thumb_b"]', "error", "'thumb_b' does not hang on 'index_a'"),
         ('["index_a", "index_b"]', "[]", "error", "finger 'index' needs 'links'"),
         ("fingers.index", "fingers.indx", "error", "unknown finger 'indx'. Did you mean 'index'"),
+        (
+            'tip = "index_tip"',
+            'tip = "index_tip"\njoints = ["index_a", "x"]',
+            "error",
+            "site or body of small.xml 'x'",
+        ),
+        ('tip = "index_tip"', 'tip = "index_tip"\njoints = ["index_a"]', "error", "2 links and 1 joints"),
         ("[fingers.thumb]", "[fingers.pinky]", "error", "no thumb"),
         ("force_limit = 0.5", "", "error", "actuators.force_limit for joint"),
         ("normal = [1.0, 0.0, 0.0]", "normal = [-1.0, 0.0, 0.0]", "warning", "out of the back of the hand"),

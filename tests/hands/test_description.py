@@ -25,8 +25,9 @@ WITH_MESH = """<mujoco><asset><mesh file="t.obj" scale="0.001 0.001 0.001"/></as
 
 
 def test_a_link_is_touched_at_its_far_end():
-    assert contact_points(Finger("index", ("a", "b", "c"), "tip")) == ("b", "c", "tip")
-    assert contact_points(Finger("thumb", ("a",), "tip")) == ("tip",)
+    assert contact_points(Finger("index", ("a", "b", "c"), ("a", "b", "c"), "tip")) == ("b", "c", "tip")
+    assert contact_points(Finger("index", ("a", "b"), ("a", "s"), "tip")) == ("s", "tip")
+    assert contact_points(Finger("thumb", ("a",), ("a",), "tip")) == ("tip",)
 
 
 @pytest.mark.parametrize("name", HANDS)
@@ -39,7 +40,10 @@ def test_a_description_is_json_and_names_what_is_in_the_model(name):
     assert told["palm"] in bodies
     for finger in told["fingers"].values():
         assert len(finger["contact_points"]) == len(finger["links"])
-        assert {*finger["links"], *finger["contact_points"][:-1]} <= bodies
+        assert (
+            set(finger["links"]) <= bodies
+            and {*finger["joints"], *finger["contact_points"]} <= bodies | sites
+        )
         assert finger["contact_points"][-1] == finger["tip"] and finger["tip"] in sites
     assert [joint["name"] for joint in told["joints"]] == list(hand.joint_names)
     independent = [joint["name"] for joint in told["joints"] if joint["independent"]]

@@ -7,9 +7,14 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
+
+from fungrasp.errors import FungraspError
+
+if TYPE_CHECKING:
+    from fungrasp.hands import Hand
 
 HandName = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")]
 
@@ -69,12 +74,17 @@ class Show:
     """A known hand, or the path of a hand's TOML file or folder."""
     json: bool = False
     """Print JSON and nothing else."""
+    picture: Path | None = None
+    """Also draw the hand from four sides into this file (.png, .jpg)."""
 
     def run(self) -> None:
         from fungrasp.hands import load_hand
         from fungrasp.hands.description import describe
 
-        description = describe(load_hand(self.name))
+        hand = load_hand(self.name)
+        description = describe(hand)
+        if self.picture is not None:
+            _draw(hand, self.picture)
         print(json.dumps(description, indent=2) if self.json else _text(description))
 
 
@@ -135,6 +145,33 @@ class Export:
 
 
 COMMAND = {"list": List, "show": Show, "check": Check, "export": Export}
+
+
+def _draw(hand: Hand, path: Path) -> None:
+    from PIL import Image
+
+    from fungrasp.files import atomic_path
+    from fungrasp.report.captions import grid
+    from fungrasp.report.pictures import four_views
+
+    if path.suffix.lower() not in (".png", ".jpg", ".jpeg"):
+        raise FungraspError(f"a picture must be a .png or .jpg file, not {path}")
+    spec = hand.spec()
+    for body in spec.worldbody.bodies:
+        body.pos = [*body.pos[:2], body.pos[2] + _reach(hand)]
+    picture = Image.fromarray(grid(four_views(spec.compile()), columns=2))
+    with atomic_path(path) as temporary:
+        picture.save(temporary)
+    print(f"wrote {path}", file=sys.stderr)
+
+
+def _reach(hand: Hand) -> float:
+    """How far the hand's shapes reach below the world's origin [m]."""
+    import mujoco
+
+    data = mujoco.MjData(hand.model)
+    mujoco.mj_kinematics(hand.model, data)
+    return float(max(0.0, (hand.model.geom_rbound - data.geom_xpos[:, 2]).max()))
 
 
 def _text(hand: dict[str, Any]) -> str:

@@ -166,7 +166,7 @@ def _named_parts(
     model_name = Path(str(data["model"])).name
     palm = data.get("palm")
     known_palm = palm if palm is not None and existing("body", palm, bodies) else None
-    fingers, tips = {}, {}
+    fingers, joints, tips = {}, {}, {}
     given = data.get("fingers", {})
     for finger in given if isinstance(given, Mapping) else ():
         entry = given[finger]
@@ -185,11 +185,15 @@ def _named_parts(
         fingers[finger] = tuple(link for link in links if existing("body", link, bodies))
         if existing("site", entry["tip"], sites):
             tips[finger] = entry["tip"]
+        if "joints" in entry:
+            points = tuple(name for name in entry["joints"] if existing("site or body", name, sites | bodies))
+            if len(points) == len(entry["joints"]) == len(fingers[finger]):
+                joints[finger] = points
     if "fingers" in data and "thumb" not in given:
         findings.append(
             error(f"{path}: a hand with no thumb can't imitate a human grasp; give [fingers.thumb]")
         )
-    return Parts(known_palm, {name: links for name, links in fingers.items() if links}, tips)
+    return Parts(known_palm, {name: links for name, links in fingers.items() if links}, joints, tips)
 
 
 def _palm_frame(model: mujoco.MjModel, parts: Parts, data: Mapping[str, Any]) -> Iterator[Finding]:

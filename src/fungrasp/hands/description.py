@@ -14,9 +14,10 @@ def contact_points(finger: Finger) -> tuple[str, ...]:
     """The key point that carries each link's contact flag: the one at the link's far end.
 
     Returns:
-        A name per link of ``finger``: the body of the next link, and for the last link the tip site.
+        A name per link of ``finger``: the next link's joint (its body, or a site where the TOML gives one),
+        for the last link the tip site.
     """
-    return (*finger.links[1:], finger.tip)
+    return (*finger.joints[1:], finger.tip)
 
 
 def hand_mass(hand: Hand) -> float:
@@ -27,9 +28,10 @@ def hand_mass(hand: Hand) -> float:
 def describe(hand: Hand) -> dict[str, Any]:
     """A hand as a JSON-able dictionary.
 
-    Lengths in metres, angles in radians, masses in kilograms. ``contact_points`` names, per link of a finger,
-    the body at the link's far end, for the last link the tip *site*. A coupled joint is
-    ``constant + slope * driver``. ``limits`` is null for an unlimited joint.
+    Lengths in metres, angles in radians, masses in kilograms. A finger's ``joints`` are the points at the
+    near ends of its links, its ``contact_points`` those at the far ends: each the name of a body, or of a
+    site where the model has a site of that name. A coupled joint is ``constant + slope * driver``. ``limits``
+    is null for an unlimited joint.
     """
     model = hand.model
     joints = hand.joint_names
@@ -44,6 +46,7 @@ def describe(hand: Hand) -> dict[str, Any]:
         "fingers": {
             finger.name: {
                 "links": list(finger.links),
+                "joints": list(finger.joints),
                 "tip": finger.tip,
                 "contact_points": list(contact_points(finger)),
             }

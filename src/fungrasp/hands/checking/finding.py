@@ -26,6 +26,9 @@ class Parts:
     """Body."""
     fingers: dict[str, tuple[str, ...]] = field(default_factory=dict)
     """Bodies from base to tip by finger name."""
+    joints: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    """Site or body at the near end of each link, by finger name: only where they are not the links
+    themselves."""
     tips: dict[str, str] = field(default_factory=dict)
     """Tip site by finger name."""
 

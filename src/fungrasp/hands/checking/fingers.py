@@ -39,7 +39,7 @@ def check_fingers(model: mujoco.MjModel, parts: Parts) -> Iterator[Finding]:
                 f"finger '{finger}': a joint moves the tip site '{tip}' against the last link '{links[-1]}'"
             )
         else:
-            yield from _lengths(model, finger, links, tip)
+            yield from _lengths(model, finger, (*parts.joints.get(finger, links), tip))
 
 
 def check_palm_frame(
@@ -96,11 +96,11 @@ def _chain(model: mujoco.MjModel, palm: str | None, finger: str, links: tuple[st
             yield error(f"finger '{finger}' is not one chain: '{far}' does not hang on '{near}'")
 
 
-def _lengths(model: mujoco.MjModel, finger: str, links: tuple[str, ...], tip: str) -> Iterator[Finding]:
+def _lengths(model: mujoco.MjModel, finger: str, names: tuple[str, ...]) -> Iterator[Finding]:
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    names = (*links, tip)
-    points = [data.xpos[model.body(link).id] for link in links] + [data.site_xpos[model.site(tip).id]]
+    sites = {model.site(i).name for i in range(model.nsite)}
+    points = [data.site(name).xpos if name in sites else data.body(name).xpos for name in names]
     for (near, a), (far, b) in pairwise(zip(names, points, strict=True)):
         if np.linalg.norm(b - a) < SHORTEST_LINK:
             yield error(

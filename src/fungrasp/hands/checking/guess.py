@@ -81,7 +81,7 @@ def guess_parts(model: mujoco.MjModel) -> Guess:
             tips[finger] = model.site((named or sites)[0]).name
         else:
             wanted[finger] = tip_position(model, last)
-    return Guess(Parts(body_name(model, palm) if palm else None, fingers, tips), wanted, tuple(unnamed))
+    return Guess(Parts(body_name(model, palm) if palm else None, fingers, tips=tips), wanted, tuple(unnamed))
 
 
 def tip_position(model: mujoco.MjModel, last: int) -> np.ndarray:
