@@ -143,6 +143,11 @@ def _encode(text: str, encoding: str) -> bytes:
 _PythonUnpickler: Any = pickle._Unpickler  # pyright: ignore[reportAttributeAccessIssue]
 
 
+def _no_bytes() -> bytes:
+    """How pickles of protocols before 3 spell empty bytes."""
+    return b""
+
+
 class _ArraysUnpickler(_PythonUnpickler):
     """The unpickler written in Python: the one in C can't stop to let joblib's array bytes be read."""
 
@@ -152,8 +157,11 @@ class _ArraysUnpickler(_PythonUnpickler):
         ("_codecs", "encode"): _encode,
         ("joblib.numpy_pickle", "NumpyArrayWrapper"): _JoblibArray,
         ("collections", "OrderedDict"): OrderedDict,
-        ("builtins", "set"): set,
-        ("builtins", "frozenset"): frozenset,
+        **{
+            (builtins, name): stand_in
+            for builtins in ("builtins", "__builtin__")
+            for name, stand_in in (("set", set), ("frozenset", frozenset), ("bytes", _no_bytes))
+        },
         **{
             (f"numpy.{core}.{module}", name): stand_in
             for core in ("core", "_core")
