@@ -1,0 +1,223 @@
+"""One scene for a hand and several objects: a table, a floating hand, an object with a fixed number of geom slots, sensors.
+
+The table of per-object model fields lets every world of a batch hold another object (``fungrasp.simulation.worlds``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from mujoco.batch import MODEL_FIELDS
+
+from fungrasp.errors import FungraspError
+from fungrasp.hands import Hand
+from fungrasp.objects import ObjectModel
+
+WRIST_JOINTS = ("wrist_x", "wrist_y", "wrist_z", "wrist_roll", "wrist_pitch", "wrist_yaw")
+"""Three slides and three hinges between the wrist's reference frame (a mocap body) and the palm."""
+
+HAND_PREFIX = "hand/"
+"""In front of the names of the hand's bodies, joints and actuators."""
+
+_DATA = mujoco.mjtConDataField
+
+
+@dataclass(frozen=True)
+class SceneSettings:
+    """Physics of the dynamic test (docs/evaluation.md)."""
+
+    timestep: float = 0.005
+    """[s]."""
+    friction: float = 0.9
+    """Sliding friction of hand, object and table."""
+    torsional_friction: float = 0.005
+    """[m]."""
+    impratio: float = 10.0
+    iterations: int = 10
+    """Newton iterations."""
+    wrist_stiffness: tuple[float, float] = (2000.0, 100.0)
+    """Of the wrist servo: [N/m] and [N m/rad]. A robot arm is stiffer; this keeps collisions soft."""
+    wrist_damping: tuple[float, float] = (120.0, 5.0)
+    """[N s/m] and [N m s/rad]."""
+    wrist_force: tuple[float, float] = (100.0, 15.0)
+    """Limits [N] and [N m]; a UR5e carries 5 kg."""
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """A compiled scene. Sensors (per world, in ``sensordata``): for each member body of each contact link the number of its
+    contacts with the object and their net force on the link; for each the force from the table; object on table; hand on hand."""
+
+    hand: Hand
+    model: mujoco.MjModel
+    objects: tuple[str, ...]
+    """Names; a world names its object by index."""
+    fields: Mapping[str, np.ndarray]
+    """Model fields that differ between objects, shape [number of objects, ...]."""
+    settings: SceneSettings
+    lowest: tuple[np.ndarray, ...]
+    """Vertices of each object [m], shape [V, 3]: to stand it on the table."""
+
+    @property
+    def wrist_actuators(self) -> np.ndarray:
+        """Actuator ids of the six wrist joints."""
+        return np.array([self.model.actuator(name).id for name in WRIST_JOINTS])
+
+    @property
+    def finger_actuators(self) -> np.ndarray:
+        """Actuator ids of the hand's independent joints, in ``Hand.actuators`` order."""
+        return np.array([self.model.actuator(HAND_PREFIX + name).id for name in self.hand.actuators])
+
+
+def build_scene(hand: Hand, objects: Mapping[str, ObjectModel], settings: SceneSettings | None = None) -> Scene:
+    """Compile the scene of a hand and the objects it may meet.
+
+    Args:
+        hand: any hand.
+        objects: by name.
+
+    Raises:
+        FungraspError: no object, or the scene does not compile.
+    """
+    if not objects:
+        raise FungraspError("a scene needs at least one object")
+    settings = settings or SceneSettings()
+    slots = max(len(model.pieces) for model in objects.values())
+    names = tuple(objects)
+    whole = _compile(hand, objects, names[0], slots, settings)
+    single = [_compile(hand, {name: objects[name]}, name, slots, settings) for name in names]
+    fields = _differing_fields(whole, single)
+    fields["geom_dataid"] = np.stack(
+        [
+            np.array([_mesh_id(whole, model, mesh) for mesh in model.geom_dataid], dtype=whole.geom_dataid.dtype)
+            for model in single
+        ]
+    )
+    return Scene(hand, whole, names, fields, settings, tuple(objects[name].vertices for name in names))
+
+
+def _compile(
+    hand: Hand, objects: Mapping[str, ObjectModel], shown: str, slots: int, settings: SceneSettings
+) -> mujoco.MjModel:
+    spec = mujoco.MjSpec()
+    spec.modelname = f"{hand.name} scene"
+    _set_options(spec, settings)
+    friction = [settings.friction, settings.torsional_friction, 0.0001]
+    table = spec.worldbody.add_geom(
+        name="table", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0.75, 0.75, 0.05], rgba=[0.72, 0.66, 0.58, 1.0]
+    )
+    table.friction, table.condim = friction, 4
+    _add_object(spec, objects, shown, slots, friction)
+    _add_hand(spec, hand, settings, friction)
+    _add_sensors(spec, hand)
+    try:
+        return spec.compile()
+    except ValueError as error:
+        raise FungraspError(f"the scene of hand '{hand.name}' does not compile: {' '.join(str(error).split())}") from error
+
+
+def _set_options(spec: mujoco.MjSpec, settings: SceneSettings) -> None:
+    option = spec.option
+    option.timestep = settings.timestep
+    option.gravity = [0.0, 0.0, -9.81]
+    option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    option.impratio = settings.impratio
+    option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    option.iterations = settings.iterations
+    option.ls_iterations = 20
+    option.disableflags |= mujoco.mjtDisableBit.mjDSBL_MIDPHASE
+
+
+def _add_object(
+    spec: mujoco.MjSpec, objects: Mapping[str, ObjectModel], shown: str, slots: int, friction: list[float]
+) -> None:
+    for name, model in objects.items():
+        for i, piece in enumerate(model.pieces):
+            mesh = spec.add_mesh(name=f"{name}/{i}")
+            mesh.uservert = piece.vertices.ravel().tolist()
+            mesh.userface = piece.faces.ravel().tolist()
+    model = objects[shown]
+    body = spec.worldbody.add_body(name="object", pos=[0.0, 0.0, 0.5])
+    body.add_freejoint(name="object")
+    body.mass, body.ipos, body.explicitinertial = model.mass, model.center_of_mass, True
+    inertia = model.inertia
+    body.fullinertia = [inertia[0, 0], inertia[1, 1], inertia[2, 2], inertia[0, 1], inertia[0, 2], inertia[1, 2]]
+    for i in range(slots):
+        used = i < len(model.pieces)
+        geom = body.add_geom(
+            name=f"object/{i}",
+            type=mujoco.mjtGeom.mjGEOM_MESH,
+            meshname=f"{shown}/{i if used else 0}",
+            mass=0.0,
+            rgba=[0.45, 0.62, 0.78, 1.0 if used else 0.0],
+        )
+        geom.friction, geom.condim = friction, 4
+        geom.contype = geom.conaffinity = int(used or len(objects) > 1)
+
+
+def _add_hand(spec: mujoco.MjSpec, hand: Hand, settings: SceneSettings, friction: list[float]) -> None:
+    mocap = spec.worldbody.add_body(name="wrist_reference", mocap=True)
+    wrist = mocap.add_body(name="wrist", mass=0.2, inertia=[1e-3, 1e-3, 1e-3])
+    wrist.explicitinertial, wrist.gravcomp = True, 1.0
+    axes = np.eye(3)
+    for i, name in enumerate(WRIST_JOINTS):
+        slide = i < 3
+        joint_type = mujoco.mjtJoint.mjJNT_SLIDE if slide else mujoco.mjtJoint.mjJNT_HINGE
+        wrist.add_joint(name=name, type=joint_type, axis=axes[i % 3], armature=0.0 if slide else 0.001)
+        part = 0 if slide else 1
+        actuator = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        actuator.set_to_position(kp=settings.wrist_stiffness[part], kv=settings.wrist_damping[part])
+        actuator.forcelimited = True
+        actuator.forcerange = [-settings.wrist_force[part], settings.wrist_force[part]]
+    hand_spec = hand.spec()
+    for body in hand_spec.bodies:
+        body.gravcomp = 1.0
+    for geom in hand_spec.geoms:
+        if geom.contype or geom.conaffinity:
+            geom.friction, geom.condim = friction, 4
+    frame = wrist.add_frame()
+    spec.attach(hand_spec, frame=frame, prefix=HAND_PREFIX)
+
+
+def _add_sensors(spec: mujoco.MjSpec, hand: Hand) -> None:
+    body = mujoco.mjtObj.mjOBJ_BODY
+    found_and_force = (1 << int(_DATA.mjCONDATA_FOUND)) | (1 << int(_DATA.mjCONDATA_FORCE))
+    for members in hand.links:
+        for name in members:
+            _contact_sensor(spec, f"{name}/object", (body, HAND_PREFIX + name), (body, "object"), found_and_force)
+    for members in hand.links:
+        for name in members:
+            _contact_sensor(spec, f"{name}/table", (body, HAND_PREFIX + name), (mujoco.mjtObj.mjOBJ_GEOM, "table"), found_and_force)
+    _contact_sensor(spec, "object/table", (body, "object"), (mujoco.mjtObj.mjOBJ_GEOM, "table"), found_and_force)
+    subtree = (mujoco.mjtObj.mjOBJ_XBODY, HAND_PREFIX + hand.palm)
+    _contact_sensor(spec, "hand/hand", subtree, subtree, found_and_force)
+
+
+def _contact_sensor(
+    spec: mujoco.MjSpec, name: str, first: tuple[mujoco.mjtObj, str], second: tuple[mujoco.mjtObj, str], data: int
+) -> None:
+    net_force = 3
+    sensor = spec.add_sensor(name=name, type=mujoco.mjtSensor.mjSENS_CONTACT)
+    sensor.objtype, sensor.objname = first
+    sensor.reftype, sensor.refname = second
+    sensor.intprm = [data, net_force, 1]
+
+
+def _differing_fields(whole: mujoco.MjModel, models: list[mujoco.MjModel]) -> dict[str, np.ndarray]:
+    """Fields of the object's compile that are not the same for all objects and can be given per world."""
+    result = {}
+    for name in sorted(MODEL_FIELDS):
+        if name.startswith(("opt.", "mesh_", "bvh_", "body_bvh", "name_")) or not hasattr(whole, name):
+            continue
+        values = [getattr(model, name) for model in models]
+        shape = np.shape(getattr(whole, name))
+        if all(np.shape(v) == shape for v in values) and any(not np.array_equal(v, values[0]) for v in values):
+            result[name] = np.stack([np.array(v) for v in values])
+    return result
+
+
+def _mesh_id(whole: mujoco.MjModel, model: mujoco.MjModel, mesh: int) -> int:
+    return whole.mesh(model.mesh(int(mesh)).name).id if mesh >= 0 else -1

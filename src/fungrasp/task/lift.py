@@ -1,0 +1,216 @@
+"""The dynamic test: reach, grasp, lift, hold, in many worlds at once, each with its own grasp."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from fungrasp.geometry.poses import compose, invert, rotate
+from fungrasp.grasps import RobotGraspSet
+from fungrasp.simulation import Scene, Worlds
+from fungrasp.task.motion import WristSetPoint
+from fungrasp.task.protocol import Protocol
+
+SUBSTEPS = 4
+"""Physics steps between two set points."""
+
+
+@dataclass(frozen=True)
+class Action:
+    """What a policy asks for during the next control period, W worlds."""
+
+    wrist_pose: np.ndarray
+    """Goal for the palm body, world frame, before any lift is added, shape [W, 7]."""
+    finger_targets: np.ndarray
+    """Goal of the independent joints' servos [rad], shape [W, U]."""
+    lift: np.ndarray
+    """Whether the lift may begin (it can't be taken back), shape [W] bool."""
+
+
+@dataclass(frozen=True)
+class Trials:
+    """Outcome of W trials, a number each, shape [W]."""
+
+    success: np.ndarray
+    lifted_height_m: np.ndarray
+    """Smallest height of the centre of mass above where it settled, during the hold [m]."""
+    contact_ratio: np.ndarray
+    """Share of the target links in contact, mean over the hold."""
+    contact_precision: np.ndarray
+    """Share of the links in contact that are targets, mean over the hold; zero without contact."""
+    contact_f1: np.ndarray
+    sim_distance_world_mm_s: np.ndarray
+    """Displacement of the object per second of the hold, in the world."""
+    sim_distance_hand_mm_s: np.ndarray
+    """The same relative to the palm: slip."""
+    pushed_m: np.ndarray
+    """Displacement of the object in the table's plane before the lift [m]."""
+    reason: np.ndarray
+    """Why the trial failed, "" on success, str."""
+
+
+class LiftTask:
+    """W trials of the dynamic test."""
+
+    def __init__(self, scene: Scene, grasps: RobotGraspSet, worlds: Worlds, protocol: Protocol | None = None):
+        """
+        Args:
+            scene: made for the grasps' hand and objects.
+            grasps: one per world.
+            worlds: W worlds of the scene.
+            protocol: the published one if None.
+        """
+        self.scene, self.grasps, self.worlds = scene, grasps, worlds
+        self.protocol = protocol or Protocol()
+        self.matrix, self.offset = scene.hand.coupling
+        self._independent = np.linalg.pinv(self.matrix)
+        self._substep_time = SUBSTEPS * scene.settings.timestep
+        self._damping_lead = np.repeat(np.array(scene.settings.wrist_damping) / scene.settings.wrist_stiffness, 3)
+        self.wrist_in_object = compose(invert(grasps.object_pose), grasps.wrist_pose)
+        """Pose of the palm in the grasped object's frame, shape [W, 7]."""
+
+    def independent(self, joint_positions: np.ndarray) -> np.ndarray:
+        """Servo targets [W, U] of full joint vectors [W, M]."""
+        return (joint_positions - self.offset) @ self._independent.T
+
+    def reset(self) -> None:
+        """Let the objects settle, then put the hands at their start."""
+        worlds, count = self.worlds, len(self.worlds)
+        worlds.reset()
+        worlds.object_pose = self.grasps.object_rest_pose
+        parked = np.tile([0.0, 0.0, 3.0, 1.0, 0.0, 0.0, 0.0], (count, 1))
+        worlds.wrist_reference = parked
+        start_joints = self.protocol.start_closing * self.grasps.joint_positions
+        limits = self.scene.hand.joint_limits
+        start_targets = self.independent(np.clip(start_joints, limits[:, 0], limits[:, 1]))
+        worlds.joint_positions = start_targets @ self.matrix.T + self.offset
+        worlds.ctrl[:, self.scene.finger_actuators] = start_targets
+        worlds.step(round(self.protocol.settle_time / self.scene.settings.timestep))
+
+        self.settled_pose = worlds.object_pose.copy()
+        self.settled_pose[:, 3:] /= np.linalg.norm(self.settled_pose[:, 3:], axis=1, keepdims=True)
+        self.target_pose = compose(self.settled_pose, self.wrist_in_object)
+        """Where the palm should grasp, world frame, shape [W, 7]."""
+        start = self.target_pose.copy()
+        away = self.target_pose[:, :3] - self.settled_pose[:, :3]
+        away /= np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-9)
+        start[:, :3] = self.settled_pose[:, :3] + self.protocol.start_distance * away
+        worlds.wrist_reference = self.target_pose
+        self.set_point = WristSetPoint(start, self.protocol)
+        self.finger_set_point = start_targets
+        worlds.qvel[:] = 0.0
+        worlds.qpos[:, worlds.wrist_qpos] = self._wrist_coordinates()
+        self._command()
+        worlds.forward()
+
+        self.settled_height = worlds.center_of_mass[:, 2]
+        self.time = 0.0
+        self.lift_time = np.full(count, np.inf)
+        self.hold_time = np.full(count, np.inf)
+        self.done = np.zeros(count, dtype=bool)
+        self._lifted = np.full(count, np.inf)
+        self._touched_table = np.zeros(count, dtype=bool)
+        self._pushed = np.zeros(count)
+        self._samples = np.zeros((7, count))
+        self._previous: tuple[np.ndarray, np.ndarray] | None = None
+
+    def step(self, action: Action, watch: Callable[[], None] | None = None) -> None:
+        """Advance all unfinished worlds by one control period. watch: called after each substep, to record."""
+        p = self.protocol
+        may_lift = action.lift | (self.time >= p.approach_time - 1e-9)
+        begins = may_lift & ~np.isfinite(self.lift_time)
+        self.lift_time[begins] = self.time
+        moved = np.linalg.norm(self.worlds.object_pose[:, :2] - self.settled_pose[:, :2], axis=1)
+        self._pushed[begins] = moved[begins]
+        goal = action.wrist_pose.copy()
+        goal[:, 2] += np.where(np.isfinite(self.lift_time), p.lift_height, 0.0)
+        count = round(p.control_period / self._substep_time)
+        fingers = np.clip(action.finger_targets, *self._servo_range())
+        finger_step = (fingers - self.finger_set_point) / count
+        active = np.flatnonzero(~self.done)
+        for _ in range(count):
+            self.set_point.advance(goal, self._substep_time)
+            self.finger_set_point = self.finger_set_point + finger_step
+            self._command()
+            self.worlds.step(SUBSTEPS, active)
+            self.time += self._substep_time
+            self._observe_hold(goal)
+            if watch is not None:
+                watch()
+        self._sample()
+        self.done = self.time >= self.hold_time + p.hold_time - 1e-9
+
+    def _servo_range(self) -> tuple[np.ndarray, np.ndarray]:
+        span = self.scene.model.actuator_ctrlrange[self.scene.finger_actuators]
+        return span[:, 0], span[:, 1]
+
+    def _wrist_coordinates(self) -> np.ndarray:
+        relative = compose(invert(self.target_pose), self.set_point.pose)
+        angles = Rotation.from_quat(relative[:, 3:], scalar_first=True).as_euler("XYZ")
+        return np.concatenate([relative[:, :3], angles], axis=1)
+
+    def _command(self) -> None:
+        lead = np.zeros((len(self.worlds), 6))
+        inverse = invert(self.target_pose)[:, 3:]
+        lead[:, :3] = self._damping_lead[:3] * rotate(inverse, self.set_point.velocity)
+        self.worlds.ctrl[:, self.scene.wrist_actuators] = self._wrist_coordinates() + lead
+        self.worlds.ctrl[:, self.scene.finger_actuators] = self.finger_set_point
+
+    def _observe_hold(self, goal: np.ndarray) -> None:
+        risen = np.isfinite(self.lift_time) & (np.linalg.norm(goal[:, :3] - self.set_point.pose[:, :3], axis=1) < 2e-3)
+        self.hold_time = np.where(risen & ~np.isfinite(self.hold_time), self.time, self.hold_time)
+        holding = np.isfinite(self.hold_time) & ~self.done
+        height = self.worlds.center_of_mass[:, 2] - self.settled_height
+        height = np.where(np.isfinite(height), height, -1.0)
+        self._lifted = np.where(holding, np.minimum(self._lifted, height), self._lifted)
+        self._touched_table |= holding & self.worlds.object_on_table
+
+    def _sample(self) -> None:
+        """Once a control period: contacts and displacement during the hold."""
+        holding = np.isfinite(self.hold_time) & ~self.done
+        position, palm = self.worlds.object_pose, self.worlds.palm_pose
+        in_palm = compose(invert(palm), position)[:, :3]
+        if self._previous is not None:
+            actual, target = self.worlds.link_contacts, self.grasps.link_contacts
+            both = (actual & target).sum(axis=1)
+            recall = both / np.maximum(target.sum(axis=1), 1)
+            precision = both / np.maximum(actual.sum(axis=1), 1)
+            f1 = 2 * both / np.maximum(target.sum(axis=1) + actual.sum(axis=1), 1)
+            travel = np.linalg.norm(position[:, :3] - self._previous[0], axis=1)
+            slip = np.linalg.norm(in_palm - self._previous[1], axis=1)
+            sample = np.stack([np.ones(len(holding)), recall, precision, f1, travel, slip, actual.any(axis=1)])
+            self._samples += np.where(holding, np.nan_to_num(sample), 0.0)
+        self._previous = (position[:, :3].copy(), in_palm)
+
+    def trials(self) -> Trials:
+        """The outcome, once all worlds are done."""
+        p = self.protocol
+        number, recall, precision, f1, travel, slip, touching = self._samples
+        number = np.maximum(number, 1)
+        high = self._lifted >= p.success_height
+        success = high & ~self._touched_table
+        reason = np.where(
+            success,
+            "",
+            np.where(
+                self._lifted < -0.5,
+                "the simulation diverged",
+                np.where(
+                    high,
+                    "the object touched the table during the hold",
+                    np.where(
+                        touching / number > 0.9,
+                        "held too low",
+                        np.where(touching > 0, "dropped during the hold", "lost before the hold"),
+                    ),
+                ),
+            ),
+        )
+        per_second = 1e3 / (number * p.control_period)
+        return Trials(
+            success, self._lifted, recall / number, precision / number, f1 / number, travel * per_second, slip * per_second,
+            self._pushed, reason,
+        )
