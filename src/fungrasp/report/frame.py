@@ -9,7 +9,8 @@ import mujoco
 import numpy as np
 
 from fungrasp.report.camera import Camera
-from fungrasp.report.casting import Hits, blocked, seen_tiles, spread_tiles, tile_centres
+from fungrasp.report.casting import Hits
+from fungrasp.report.culling import Boxes, blocked, near, seen_tiles, spread_tiles, tile_centres
 from fungrasp.report.sampling import AROUND, PATTERN, TOWARDS, axes_along, disc, hemisphere, share
 from fungrasp.report.shading import (
     Look,
@@ -73,7 +74,7 @@ class Frame:
         colours: np.ndarray,
         centres: np.ndarray,
         rotations: np.ndarray,
-        radii: np.ndarray,
+        boxes: Boxes,
     ):
         """
         Args:
@@ -81,17 +82,17 @@ class Frame:
             colours: linear, shape [ngeom, 3].
             centres: of the geoms [m], shape [ngeom, 3].
             rotations: world from geom, shape [ngeom, 3, 3].
-            radii: of their bounding spheres [m], infinite for planes, 0 for what is hidden, shape [ngeom].
+            boxes: round what is visible.
         """
         self.scene, self.camera, self.colours = scene, camera, colours
-        self.centres, self.rotations, self.radii = centres, rotations, radii
+        self.centres, self.rotations, self.boxes = centres, rotations, boxes
         self.eye = np.asarray(camera.position, dtype=float)
         self.shape = (camera.height, camera.width)
         self._directions = directions
 
     def first_rays(self) -> np.ndarray:
         """Directions of the rays worth casting from the camera, shape [R, 3]."""
-        tiles = seen_tiles(self.camera, self.centres, self.radii)
+        tiles = seen_tiles(self.camera, self.boxes)
         self._cast = np.flatnonzero(spread_tiles(tiles, self.camera))
         return self.camera.directions(self._image(self._cast).astype(float))
 
@@ -115,10 +116,10 @@ class Frame:
         """Rays that tell what light arrives: origins [m] and unit directions, shape [R, 3] each."""
         points, scene = self.points, self.scene
         solid, table = points.geom >= 0, points.geom == TABLE
-        sun, near = (spread_tiles(tiles, self.camera).ravel() for tiles in self._table_tiles())
+        sun, close = (spread_tiles(tiles, self.camera).ravel() for tiles in self._table_tiles())
         towards = points.normal @ scene.sun.astype(np.float32) > 0
         self._shaded = np.flatnonzero(towards & (solid | (table & sun)))
-        self._occluded = np.flatnonzero(solid | (table & near))
+        self._occluded = np.flatnonzero(solid | (table & close))
         lights = scene.sun + scene.look.light_spread * disc() @ axes_along(scene.sun[None])[0, :, :2].T
         lights /= np.linalg.norm(lights, axis=-1, keepdims=True)
         around = axes_along(points.normal[self._occluded].astype(float))
@@ -135,8 +136,8 @@ class Frame:
             return
         split = len(self._shaded)
         self.shadow[self._shaded] = np.isinf(hits.distance[:split])
-        near = np.clip(1.0 - hits.distance[split:] / self.scene.look.occlusion_radius, 0.0, 1.0)
-        self.openness[self._occluded] = 1.0 - (1.0 - _DARKEST) * near
+        occluded = np.clip(1.0 - hits.distance[split:] / self.scene.look.occlusion_radius, 0.0, 1.0)
+        self.openness[self._occluded] = 1.0 - (1.0 - _DARKEST) * occluded
         mask = np.zeros(count, bool)
         mask[self._shaded] = mask[self._occluded] = True
         values = [self.shadow.reshape(self.shape), self.openness.reshape(self.shape)]
@@ -209,12 +210,10 @@ class Frame:
         distance = -self.eye[2] / down
         points = self.eye + distance[:, None] * direction
         widths = 6.0 / self.camera.focal * distance / -down
-        radii = np.where(np.isinf(self.radii), 0.0, self.radii)
         here = np.hypot(*(points[:, :2] - self.scene.middle).T) < look.fade[1] + widths
-        sun = blocked(points, widths, self.scene.sun, look.light_spread, self.centres, radii)
-        apart = np.linalg.norm(points[:, None] - self.centres, axis=-1)
-        near = np.any((radii > 0) & (apart < radii + look.occlusion_radius + widths[:, None]), axis=1)
-        return (sun & here).reshape(image.shape[:2]), (near & here).reshape(image.shape[:2])
+        sun = blocked(points, widths, self.scene.sun, look.light_spread, self.boxes)
+        close = near(points, look.occlusion_radius + widths, self.boxes)
+        return (sun & here).reshape(image.shape[:2]), (close & here).reshape(image.shape[:2])
 
     def _borrow(self, points: Points, pixel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Light at edge points: that of the nearest point of the same surface that a neighbouring pixel saw."""

@@ -190,10 +190,10 @@ class Renderer:
             span = slice(start, start + CHUNK)
             visible = self._drawn & (job.colours[span, :, 3] > 0)
             mocap = None if job.mocap is None else job.mocap[span]
-            centres, rotations, radii = self._caster.pose(job.qpos[span], mocap, visible)
+            centres, rotations, boxes = self._caster.pose(job.qpos[span], mocap, visible)
             if scene is None:
-                small = (radii[0] > 0) & (radii[0] < _LARGEST)
-                middle = centres[0, small, :2].mean(0) if small.any() else np.zeros(2)
+                small = np.linalg.norm(boxes[0].halves, axis=-1) < _LARGEST
+                middle = boxes[0].centres[small, :2].mean(0) if small.any() else np.zeros(2)
                 sun = sun_direction(self._look, job.cameras[0].rotation)
                 scene = Scene(
                     self.model, self._look, self._materials, self._meshes, sun, middle, self._ground
@@ -203,7 +203,7 @@ class Renderer:
                 if directions is None or view != camera:
                     camera, directions = view, view.all_directions()
                 colours = linear(job.colours[start + i, :, :3])
-                frames.append(Frame(scene, view, directions, colours, centres[i], rotations[i], radii[i]))
+                frames.append(Frame(scene, view, directions, colours, centres[i], rotations[i], boxes[i]))
             hits = self._caster.cast(self._each(lambda f: (f.eye, f.first_rays()), frames))
             self._each(lambda pair: pair[0].see(pair[1]), list(zip(frames, hits, strict=True)))
             yield frames
