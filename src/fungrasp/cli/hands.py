@@ -14,6 +14,8 @@ import tyro
 from fungrasp.errors import FungraspError
 
 if TYPE_CHECKING:
+    import mujoco
+
     from fungrasp.hands import Hand
 
 HandName = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")]
@@ -156,22 +158,27 @@ def _draw(hand: Hand, path: Path) -> None:
 
     if path.suffix.lower() not in (".png", ".jpg", ".jpeg"):
         raise FungraspError(f"a picture must be a .png or .jpg file, not {path}")
-    spec = hand.spec()
-    for body in spec.worldbody.bodies:
-        body.pos = [*body.pos[:2], body.pos[2] + _reach(hand)]
-    picture = Image.fromarray(grid(four_views(spec.compile()), columns=2))
+    picture = Image.fromarray(grid(four_views(_upright(hand)), columns=2))
     with atomic_path(path) as temporary:
         picture.save(temporary)
     print(f"wrote {path}", file=sys.stderr)
 
 
-def _reach(hand: Hand) -> float:
-    """How far the hand's shapes reach below the world's origin [m]."""
+def _upright(hand: Hand) -> mujoco.MjModel:
+    """The hand above the table, fingers up."""
     import mujoco
 
-    data = mujoco.MjData(hand.model)
-    mujoco.mj_kinematics(hand.model, data)
-    return float(max(0.0, (hand.model.geom_rbound - data.geom_xpos[:, 2]).max()))
+    from fungrasp.hands.arm import mounting_pose
+
+    pose = mounting_pose(hand)
+    spec = mujoco.MjSpec()
+    frame = spec.worldbody.add_frame(pos=pose[:3], quat=pose[3:])
+    spec.attach(hand.spec(), prefix="hand/", frame=frame)
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    frame.pos[2] += max(0.0, (model.geom_rbound - data.geom_xpos[:, 2]).max())
+    return spec.compile()
 
 
 def _text(hand: dict[str, Any]) -> str:

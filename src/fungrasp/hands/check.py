@@ -119,6 +119,11 @@ def _check_toml(path: Path) -> list[Finding]:
     except tomllib.TOMLDecodeError as problem:
         return [error(f"{path} is not valid TOML: {problem}")]
     findings += [error(f"{path}: the field '{key}' is missing") for key in _REQUIRED if key not in data]
+    for key, kind in (("name", str), ("model", str), ("palm", str), ("actuators", Mapping)):
+        if key in data and not isinstance(data[key], kind):
+            findings.append(
+                error(f"{path}: '{key}' must be a {'text' if kind is str else 'table'}, not {data[key]!r}")
+            )
     if isinstance(data.get("model"), str):
         model_path = path.parent / data["model"]
         if not model_path.is_file():
@@ -158,7 +163,7 @@ def _named_parts(
     sites = {model.site(i).name for i in range(model.nsite)}
 
     def existing(kind: str, name: Any, known: set[str]) -> bool:
-        if name in known:
+        if isinstance(name, str) and name in known:
             return True
         findings.append(error(f"{path}: {UnknownNameError(f'{kind} of {model_name}', str(name), known)}"))
         return False
@@ -168,7 +173,10 @@ def _named_parts(
     known_palm = palm if palm is not None and existing("body", palm, bodies) else None
     fingers, joints, tips = {}, {}, {}
     given = data.get("fingers", {})
-    for finger in given if isinstance(given, Mapping) else ():
+    if not isinstance(given, Mapping):
+        findings.append(error(f"{path}: 'fingers' must be tables, [fingers.index] and so on, not {given!r}"))
+        given = {}
+    for finger in given:
         entry = given[finger]
         if finger not in FINGERS:
             findings.append(error(f"{path}: {UnknownNameError('finger', finger, FINGERS)}"))
@@ -185,7 +193,7 @@ def _named_parts(
         fingers[finger] = tuple(link for link in links if existing("body", link, bodies))
         if existing("site", entry["tip"], sites):
             tips[finger] = entry["tip"]
-        if "joints" in entry:
+        if isinstance(entry.get("joints"), list):
             points = tuple(name for name in entry["joints"] if existing("site or body", name, sites | bodies))
             if len(points) == len(entry["joints"]) == len(fingers[finger]):
                 joints[finger] = points

@@ -30,9 +30,9 @@ def check_joints(model: mujoco.MjModel, parts: Parts) -> Iterator[Finding]:
         offset = float(np.linalg.norm(centre - (centre @ axis) * axis))
         if offset > FRAME_OFFSET and (not links or body_name(model, body) in links - elsewhere):
             yield warning(
-                f"the frame of '{body_name(model, body)}' is {1000 * offset:.1f} mm off the axis of its joint "
-                f"'{joint_name(model, joint)}'; key points are link origins: put the origin there, or name sites "
-                "there as 'joints' of the finger"
+                f"the frame of '{body_name(model, body)}' is {1000 * offset:.1f} mm off the axis of its "
+                f"joint '{joint_name(model, joint)}'; key points are link origins: put the origin there, or "
+                "name sites there as 'joints' of the finger"
             )
 
 
