@@ -6,16 +6,23 @@ from collections.abc import Mapping, Sequence
 
 import manifold3d
 import numpy as np
+import trimesh
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
+from fungrasp.objects.builtin.resting import resting_rotation
 from fungrasp.objects.builtin.shapes import Solid
 from fungrasp.objects.convex import ConvexPiece, convex_hull
 
 Parts = Mapping[str, Sequence[Solid]]
 """Convex solids by the name of the functional part they make up."""
 
+SPECK = 1e-10
+"""Volume below which a closed surface is rounding [m3]."""
+
 
 def assemble(parts: Parts) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray], tuple[ConvexPiece, ...]]:
-    """Unite convex solids; the origin moves to the centre of the bounding box.
+    """Unite convex solids, turn them to where they come to rest, and put the origin at the bounding box's centre.
 
     Returns:
         vertices: [m], shape [V, 3] float64.
@@ -27,14 +34,35 @@ def assemble(parts: Parts) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray
     names = [name for name, part in parts.items() for _ in part]
     hulls = [manifold3d.Manifold.hull_points(np.ascontiguousarray(points)).as_original() for points in solids]
     mesh = manifold3d.Manifold.batch_boolean(hulls, manifold3d.OpType.Add).to_mesh64()
-    vertices = np.array(mesh.vert_properties[:, :3])
-    center = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
     owner = {hull.original_id(): name for hull, name in zip(hulls, names, strict=True)}
     runs = np.diff(np.asarray(mesh.run_index, dtype=int)) // 3
     part_of_face = np.repeat([owner[int(i)] for i in mesh.run_original_id], runs)
+    vertices, faces, kept_faces = _without_specks(mesh.vert_properties[:, :3], np.asarray(mesh.tri_verts, dtype=np.int64))
+    part_of_face = part_of_face[kept_faces]
+    turn = resting_rotation(vertices, trimesh.Trimesh(vertices, faces, process=False).center_mass)
+    vertices = vertices @ turn.T
+    center = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
     masks = {name: part_of_face == name for name in parts}
-    pieces = tuple(convex_hull(points - center) for points in _joined(solids))
-    return vertices - center, np.asarray(mesh.tri_verts, dtype=np.int32), masks, pieces
+    pieces = tuple(convex_hull(points @ turn.T - center) for points in _joined(solids))
+    return vertices - center, faces.astype(np.int32), masks, pieces
+
+
+def _without_specks(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Without closed surfaces of less than ``SPECK``, which rounding leaves where solids meet.
+
+    Returns:
+        vertices, faces, and the rows of ``faces`` that were kept.
+    """
+    ends = faces[:, [0, 1, 2]].ravel(), faces[:, [1, 2, 0]].ravel()
+    links = coo_array((np.ones(len(ends[0])), ends), shape=(len(vertices), len(vertices)))
+    count, label = connected_components(links, directed=False)
+    label_of_face = label[faces[:, 0]]
+    corners = vertices[faces]
+    volumes = np.einsum("fi,fi->f", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6
+    large = np.abs(np.bincount(label_of_face, weights=volumes, minlength=count)) > SPECK
+    kept_faces = np.flatnonzero(large[label_of_face])
+    used, renumbered = np.unique(faces[kept_faces], return_inverse=True)
+    return vertices[used], renumbered.reshape(-1, 3), kept_faces
 
 
 def _joined(solids: Sequence[Solid], slack: float = 1e-6) -> list[Solid]:

@@ -86,7 +86,7 @@ class Ball:
     """[m]."""
 
     def parts(self) -> Parts:
-        angles = np.linspace(-np.pi / 2, np.pi / 2, 19)[1:-1]
+        angles = np.linspace(-np.pi / 2, np.pi / 2, 15)[1:-1]
         poles = np.array([(0, 0, self.radius), (0, 0, -self.radius)])
-        rounds = lathe([(self.radius * np.cos(a), self.radius * np.sin(a)) for a in angles], segments=36)
+        rounds = lathe([(self.radius * np.cos(a), self.radius * np.sin(a)) for a in angles], segments=28)
         return {"ball": [np.concatenate([rounds, poles])]}

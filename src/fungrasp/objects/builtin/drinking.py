@@ -81,31 +81,36 @@ class Pitcher:
 
     def parts(self) -> Parts:
         b, t, h, w = self.bottom, self.top, self.height, self.wall
-        floor = 0.006
-        neck = h - 0.05
-        body = [
-            lathe([(b - 0.002, 0), (b, 0.002), (b, floor)], segments=48),
-            *ring([(b, floor), (t, neck), (t, h)], [(b - w, floor), (t - w, h)]),
-        ]
+        floor, neck = 0.006, h - 0.05
+        inside = b + (t - b) * (neck - floor) / (h - floor) - w
+        gap = 5
+        mouth = ring([(t, neck), (t, h)], [(inside, neck), (t - w, h)])
         return {
-            "body": body,
-            "spout": self._spout(neck),
-            "handle": bow((b + 0.002, 0.035), (t - 0.002, h - 0.022), reach=0.045, half_width=0.011, half_depth=0.006),
+            "body": [
+                lathe([(b - 0.002, 0), (b, 0.002), (b, floor)], segments=48),
+                *ring([(b, floor), (t, neck)], [(b - w, floor), (inside, neck)]),
+                *mouth[:gap],
+                *mouth[gap + 2 :],
+            ],
+            "spout": [self._cheek(side, neck) for side in (-1, 1)],
+            "handle": bow((b, 0.035), (t - 0.002, h - 0.022), reach=0.045, half_width=0.011, half_depth=0.006),
         }
 
-    def _spout(self, neck: float) -> list[Solid]:
-        """Two cheeks that meet at the beak; between them stays the mouth's own wall, lower than they are."""
-        t, h = self.top, self.height
-        beak = np.array([-t - 0.026, 0, h + 0.004])
-        root = np.array([-t + 0.001, 0, neck + 0.005])
-        cheeks = []
-        for side in (-1, 1):
-            shoulder = np.array([-t + 0.008, side * 0.026, h])
-            inner = np.array([-t + 0.011, side * 0.021, h])
-            lower = np.array([-t + 0.002, side * 0.012, neck + 0.02])
-            tip = beak + [0.007, 0, 0]
-            cheeks.append(np.stack([shoulder, inner, lower, root, beak, tip, root + [0.004, 0, 0], lower + [0.006, 0, 0]]))
-        return cheeks
+    def _cheek(self, side: int, neck: float) -> Solid:
+        """Half of the spout: a plate from the edge of the gap in the mouth to the beak and down to the neck."""
+        t, h = self.top - self.wall / 2, self.height
+        edge = np.deg2rad(150)
+        corners = np.array(
+            [
+                (t * np.cos(edge), side * t * np.sin(edge), h),
+                (t * np.cos(edge), side * t * np.sin(edge), neck),
+                (-t, 0, neck),
+                (-t - 0.024, 0, h + 0.006),
+            ]
+        )
+        normal = np.cross(corners[3] - corners[0], corners[2] - corners[0])
+        normal *= self.wall / 2 / np.linalg.norm(normal)
+        return np.concatenate([corners + normal, corners - normal])
 
 
 @dataclass(frozen=True)
@@ -119,7 +124,7 @@ class Teapot:
 
     def parts(self) -> Parts:
         r, h = self.radius, self.height
-        angles = np.linspace(-0.95, 1.05, 9)
+        angles = np.linspace(-0.95, 1.05, 8)
         belly = [(r * np.cos(a), h * 0.46 + r * 0.68 * np.sin(a)) for a in angles]
         top = belly[-1][1]
         spout = [
@@ -129,12 +134,12 @@ class Teapot:
             ellipse((-r * 1.72, 0, h * 0.95), (0.004, 0, -0.0075), (0, 0.007, 0)),
         ]
         return {
-            "body": [lathe([(0.042, belly[0][1] - 0.005), *belly], segments=48)],
+            "body": [lathe([(0.042, belly[0][1] - 0.005), *belly], segments=40)],
             "lid": [
                 lathe([(belly[-1][0] - 0.001, top - 0.001), (belly[-1][0] - 0.003, top + 0.003), (0.012, top + 0.01)]),
                 lathe([(0.006, top + 0.008), (0.006, top + 0.014)], segments=20),
                 lathe([(0.006, top + 0.013), (0.011, top + 0.018), (0.011, top + 0.023), (0.006, top + 0.027)], segments=24),
             ],
             "spout": sweep(spout),
-            "handle": bow((r - 0.008, h * 0.22), (r - 0.012, h * 0.78), reach=0.045, half_width=0.008, half_depth=0.0055),
+            "handle": bow((r * 0.74, h * 0.2), (r * 0.7, h * 0.76), reach=0.055, half_width=0.008, half_depth=0.0055),
         }

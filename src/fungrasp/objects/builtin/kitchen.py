@@ -93,22 +93,18 @@ class Bowl:
         r, h, w = self.radius, self.height, self.wall
         foot, floor, middle, lip = 0.036, 0.008, 0.028, h - 0.01
         outer_middle, outer_lip = r * 0.87, r * 0.985
-        inner_middle, inner_lip = outer_middle - w - 0.002, outer_lip - w
+        inner_middle = outer_middle - w - 0.002
+        inner_lip = inner_middle + (r - w - inner_middle) * (lip - middle) / (h - middle)
         return {
             "body": [
-                lathe([(foot - 0.002, 0), (foot, 0.001), (foot + 0.012, floor)], segments=56),
+                lathe([(foot - 0.002, 0), (foot, 0.001), (foot + 0.012, floor)], segments=48),
                 *ring(
                     [(foot + 0.012, floor), (outer_middle - 0.004, 0.0225), (outer_middle, middle)],
                     [(foot + 0.002, floor), (inner_middle, middle)],
-                    pieces=14,
                 ),
-                *ring([(outer_middle, middle), (outer_lip, lip)], [(inner_middle, middle), (inner_lip, lip)], pieces=14),
+                *ring([(outer_middle, middle), (outer_lip, lip)], [(inner_middle, middle), (inner_lip, lip)]),
             ],
-            "rim": ring(
-                [(outer_lip, lip), (r, h - 0.001), (r - 0.001, h)],
-                [(inner_lip, lip), (r - w, h)],
-                pieces=14,
-            ),
+            "rim": ring([(outer_lip, lip), (r, h - 0.001), (r - 0.001, h)], [(inner_lip, lip), (r - w, h)]),
         }
 
 
