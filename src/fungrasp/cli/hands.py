@@ -153,8 +153,7 @@ def _draw(hand: Hand, path: Path) -> None:
     from PIL import Image
 
     from fungrasp.files import atomic_path
-    from fungrasp.report.captions import grid
-    from fungrasp.report.pictures import four_views
+    from fungrasp.report.pictures import four_views, grid
 
     if path.suffix.lower() not in (".png", ".jpg", ".jpeg"):
         raise FungraspError(f"a picture must be a .png or .jpg file, not {path}")
