@@ -15,6 +15,9 @@ if TYPE_CHECKING:
 GraspFile = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
 Source = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SOURCE")]
 
+WIDTH, HEIGHT = 960, 720
+"""Of pictures [pixels]."""
+
 
 @dataclass(frozen=True)
 class List:
@@ -51,25 +54,22 @@ class Show:
     index: int = 0
     """Which grasp of the file, from 0."""
     picture: Path | None = None
-    """Draw a human grasp to this PNG file."""
+    """Draw the grasp to this PNG file."""
     objects: Path | None = None
     """Folder of meshes <name>.obj for the picture; built-in objects need none."""
 
     def run(self) -> None:
         from fungrasp.errors import FungraspError
-        from fungrasp.grasps import HumanGrasp, load_grasps
+        from fungrasp.grasps import load_grasps
 
         grasps = load_grasps(self.file)
         if not 0 <= self.index < len(grasps):
             raise FungraspError(f"{self.file} holds grasps 0 to {len(grasps) - 1}, not {self.index}")
         grasp = grasps[self.index]
         print(_description(grasp))
-        if self.picture is None:
-            return
-        if not isinstance(grasp, HumanGrasp):
-            raise FungraspError(f"{self.file} holds robot grasps; only human grasps are drawn here")
-        _draw(grasp, self.picture, self.objects)
-        print(f"picture: {self.picture}")
+        if self.picture is not None:
+            _draw(grasp, self.picture, self.objects)
+            print(f"picture: {self.picture}")
 
 
 @dataclass(frozen=True)
@@ -199,11 +199,29 @@ def _description(grasp: HumanGrasp | RobotGrasp) -> str:
     return _table(rows)
 
 
-def _draw(grasp: HumanGrasp, path: Path, objects: Path | None) -> None:
-    from fungrasp.objects import load_object
-    from fungrasp.report.pictures import human_grasp_scene, render
+def _draw(grasp: HumanGrasp | RobotGrasp, path: Path, objects: Path | None) -> None:
+    from PIL import Image
 
-    render(human_grasp_scene(grasp, load_object(grasp.object_name, grasp.object_mass, objects)), path)
+    from fungrasp.files import atomic_path
+    from fungrasp.grasps import HumanGrasp
+    from fungrasp.hands import load_hand
+    from fungrasp.objects import load_object
+    from fungrasp.report.pictures import human_grasp_scene, robot_grasp_scene
+    from fungrasp.report.render import render
+    from fungrasp.report.viewpoints import look_at_grasp
+
+    thing = load_object(grasp.object_name, float(grasp.object_mass), objects)
+    shape = (thing.vertices, thing.faces, grasp.object_pose, grasp.link_contacts)
+    if isinstance(grasp, HumanGrasp):
+        model = human_grasp_scene(grasp.hand_joints, *shape)
+        qpos = model.qpos0
+    else:
+        model, qpos = robot_grasp_scene(
+            load_hand(grasp.hand), grasp.wrist_pose, grasp.joint_positions, *shape
+        )
+    picture = render(model, qpos, look_at_grasp(model, qpos, width=WIDTH, height=HEIGHT))[0]
+    with atomic_path(path) as temporary:
+        Image.fromarray(picture).save(temporary, format="PNG")
 
 
 def _numbers(values: Iterable[float]) -> str:
