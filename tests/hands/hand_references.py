@@ -24,15 +24,14 @@ class Reference:
     palm: str
     """The body whose frame is our palm's."""
     bodies: Mapping[str, str] = field(default_factory=dict)
-    """Their name of each of our bodies that is called differently."""
+    """Their name of each of our bodies that is called differently. A body found neither here nor there under our
+    name is not compared."""
     joints: Mapping[str, str] = field(default_factory=dict)
     """Their name of each of our joints that is called differently."""
     sites: Mapping[str, str] = field(default_factory=dict)
     """Their body (a fingertip frame) of each of our sites that has one."""
     sites_beyond: float = 0.0
     """Those frames lie this far beyond our sites along z [m]: at a round tip's end, not its centre."""
-    moved_frames: bool = False
-    """Our body frames lie elsewhere on the same rigid bodies; then rigid motions are compared, not frames."""
     mass: float | None = None
     """Mass of the hand from the palm on [kg] where the file's masses don't tell it."""
     true_masses: bool = True
@@ -45,10 +44,11 @@ def _allegro_urdf_links() -> dict[str, str]:
     return {f"{f}_{p}": f"link_{4 * i + j}.0" for i, f in enumerate(fingers) for j, p in enumerate(parts)}
 
 
+# Its lfmetacarpal and its thumb up to thmiddle are turned, so not those of the MJCF, whose names and frames we have.
 _SHADOW_URDF_BODIES = (
     "palm",
     *(f"{f}{p}" for f in ("ff", "mf", "rf", "lf") for p in ("knuckle", "proximal", "middle", "distal")),
-    *("lfmetacarpal", "thbase", "thproximal", "thhub", "thmiddle", "thdistal"),
+    "thdistal",
 )
 _SHADOW_URDF_JOINTS = (
     *(f"{f}J{i}" for f in ("FF", "MF", "RF", "LF", "TH") for i in range(1, 5)),
@@ -81,7 +81,6 @@ REFERENCES: Mapping[str, tuple[Reference, ...]] = {
             bodies={f"rh_{name}": name for name in _SHADOW_URDF_BODIES},
             joints={f"rh_{name}": name for name in _SHADOW_URDF_JOINTS},
             sites={f"rh_{f}tip": f"{f}tip" for f in ("ff", "mf", "rf", "lf", "th")},
-            moved_frames=True,
             true_masses=False,
         ),
     ),
@@ -90,7 +89,6 @@ REFERENCES: Mapping[str, tuple[Reference, ...]] = {
             "faive_hand.xml",
             "palm",
             sites={f"{f}_fingertip": f"{f}_fingertip" for f in _FINGERS},
-            moved_frames=True,
             mass=0.106,  # said in faive_metadata.xml
             true_masses=False,
         ),
@@ -99,8 +97,7 @@ REFERENCES: Mapping[str, tuple[Reference, ...]] = {
         Reference(
             "inspire_right.urdf",
             "hand_base_link",
-            sites={f"{f}_tip_frame": f"{f}_tip" for f in _FINGERS},
-            moved_frames=True,
+            sites={f"{f}_tip": f"{f}_tip" for f in _FINGERS},
         ),
     ),
     "leap": (
@@ -108,7 +105,6 @@ REFERENCES: Mapping[str, tuple[Reference, ...]] = {
             "leap_right.urdf",
             "palm_lower",
             sites={f"{f}_tip_head": f"{f}_tip_head" for f in ("index", "middle", "ring", "thumb")},
-            moved_frames=True,
         ),
     ),
 }
