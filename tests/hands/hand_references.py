@@ -24,8 +24,8 @@ class Reference:
     palm: str
     """The body whose frame is our palm's."""
     bodies: Mapping[str, str] = field(default_factory=dict)
-    """Their name of each of our bodies that is called differently. A body found neither here nor there under our
-    name is not compared."""
+    """Their name of each of our bodies that is called differently. A body that is neither here nor, under
+    our name, in the file is not compared."""
     joints: Mapping[str, str] = field(default_factory=dict)
     """Their name of each of our joints that is called differently."""
     sites: Mapping[str, str] = field(default_factory=dict)
@@ -44,7 +44,7 @@ def _allegro_urdf_links() -> dict[str, str]:
     return {f"{f}_{p}": f"link_{4 * i + j}.0" for i, f in enumerate(fingers) for j, p in enumerate(parts)}
 
 
-# Its lfmetacarpal and its thumb up to thmiddle are turned, so not those of the MJCF, whose names and frames we have.
+# Its lfmetacarpal and its thumb up to thmiddle are turned against the MJCF's, whose names and frames we have.
 _SHADOW_URDF_BODIES = (
     "palm",
     *(f"{f}{p}" for f in ("ff", "mf", "rf", "lf") for p in ("knuckle", "proximal", "middle", "distal")),
