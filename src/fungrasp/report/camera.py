@@ -14,7 +14,8 @@ from fungrasp.errors import FungraspError
 class Camera:
     """A pinhole camera with square pixels and the principal point in the middle of the picture.
 
-    Camera frame: OpenCV (x right, y down, z forward). The centre of pixel (column u, row v) has image coordinates (u, v).
+    Camera frame: OpenCV (x right, y down, z forward). The centre of pixel (column u, row v) has image
+        coordinates (u, v).
     """
 
     position: tuple[float, float, float]
@@ -65,7 +66,9 @@ class Camera:
         return np.stack([right, np.cross(forward, right), forward], axis=1)
 
     def directions(self, pixels: np.ndarray) -> np.ndarray:
-        """Unit view directions through image points. pixels: (u, v), shape [..., 2]. Returns world frame, shape [..., 3]."""
+        """Unit view directions through image points. pixels: (u, v), shape [..., 2]. Returns world frame,
+        shape [..., 3].
+        """
         x = (pixels[..., 0] - 0.5 * (self.width - 1)) / self.focal
         y = (pixels[..., 1] - 0.5 * (self.height - 1)) / self.focal
         size = 1.0 / np.sqrt(x * x + y * y + 1.0)
@@ -76,7 +79,9 @@ class Camera:
         return result
 
     def all_directions(self) -> np.ndarray:
-        """Unit view directions through all pixels, row by row, world frame, shape [height * width, 3] float32."""
+        """Unit view directions through all pixels, row by row, world frame, shape [height * width, 3]
+        float32.
+        """
         v, u = np.mgrid[: self.height, : self.width].reshape(2, -1)
         return self.directions(np.stack([u, v], axis=-1).astype(np.float32))
 
@@ -87,7 +92,8 @@ class Camera:
             points: [m], world frame, shape [..., 3].
 
         Returns:
-            pixels: (u, v), shape [..., 2]; depth: along the view [m], shape [...] (negative behind the camera).
+            pixels: (u, v), shape [..., 2]; depth: along the view [m], shape [...] (negative behind the
+                camera).
         """
         local = (np.asarray(points, dtype=float) - self.position) @ self.rotation
         depth = local[..., 2]

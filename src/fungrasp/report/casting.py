@@ -29,7 +29,9 @@ class Hits:
 
 
 class RayCaster:
-    """Holds a batch of simulations of one model; each holds a state, or shares the rays of one with others."""
+    """Holds a batch of simulations of one model; each holds a state, or shares the rays of one with
+    others.
+    """
 
     def __init__(self, model: mujoco.MjModel, simulations: int, *, drawn: np.ndarray, threads: int = 0):
         """
@@ -119,7 +121,7 @@ class RayCaster:
 
 
 def drawn_geoms(model: mujoco.MjModel, *, ground: bool) -> np.ndarray:
-    """Geoms that may be drawn: those of ``VISIBLE_GROUPS``, but no planes if the renderer draws a ``ground`` of its
-    own. Returns shape [ngeom] bool."""
+    """Geoms that may be drawn: those of ``VISIBLE_GROUPS``, but no planes if the renderer draws a ``ground``
+    of its own. Returns shape [ngeom] bool."""
     drawn = np.isin(model.geom_group, VISIBLE_GROUPS)
     return drawn & (model.geom_type != mujoco.mjtGeom.mjGEOM_PLANE) if ground else drawn

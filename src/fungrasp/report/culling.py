@@ -58,7 +58,9 @@ def blocked(
 
 
 def near(points: np.ndarray, reach: np.ndarray, boxes: Boxes) -> np.ndarray:
-    """Which points lie at most ``reach`` [m, shape P] from a box. points: [m], shape [P, 3]. Returns shape [P] bool."""
+    """Which points lie at most ``reach`` [m, shape P] from a box. points: [m], shape [P, 3]. Returns shape
+    [P] bool.
+    """
     local = np.einsum("pbi,bij->pbj", points[:, None] - boxes.centres, boxes.rotations)
     outside = np.maximum(np.abs(local) - boxes.halves, 0.0)
     return np.any(np.einsum("pbi,pbi->pb", outside, outside) < reach[:, None] ** 2, axis=1)

@@ -10,7 +10,7 @@ import numpy as np
 
 from fungrasp.errors import FungraspError, UnknownNameError
 from fungrasp.report.camera import Camera
-from fungrasp.report.captions import captioned
+from fungrasp.report.pictures import captioned
 from fungrasp.report.render import Renderer
 from fungrasp.report.shading import Look
 
@@ -42,11 +42,11 @@ def film(
         mocap: poses of the mocap bodies, shape [T, nmocap, 7]; a frame takes the latest.
         geom_rgba: colours, shape [ngeom, 4] or [T, ngeom, 4]; a frame takes the latest.
         follow: body with which a single camera moves, smoothly, without turning.
-        orbit: angle that a single camera circles its target from start to end, half of it to each side of where
-            it was placed [degrees].
+        orbit: angle that a single camera circles its target from start to end, half of it to each side of
+            where it was placed [degrees].
         speed: seconds of the trajectory in a second of the film.
-        phases: start [s] and name of each phase of the motion; the bar of words shows the current one, and the time.
-            Without phases and title there is no bar.
+        phases: start [s] and name of each phase of the motion; the bar of words shows the current one, and
+            the time. Without phases and title there is no bar.
         title: words before the phase.
 
     Yields:

@@ -216,7 +216,9 @@ class Frame:
         return (sun & here).reshape(image.shape[:2]), (close & here).reshape(image.shape[:2])
 
     def _borrow(self, points: Points, pixel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Light at edge points: that of the nearest point of the same surface that a neighbouring pixel saw."""
+        """Light at edge points: that of the nearest point of the same surface that a neighbouring pixel
+        saw.
+        """
         height, width = self.shape
         v, u = np.divmod(pixel, width)
         shadow, openness = self.shadow[pixel], self.openness[pixel]

@@ -1,9 +1,9 @@
 """Pictures of a MuJoCo model on the CPU: ray cast, softly lit, anti-aliased, the same bytes every time.
 
-Each frame goes through the same steps: rays from the camera (left out where no geom's bounding sphere can be seen), the
-table in closed form, a shadow and an occlusion ray from each pixel that needs them, with directions that change over a
-4 x 4 pattern and are averaged over it, and more rays through the pixels on edges. The rays of a few frames are cast in
-one call on all threads.
+Each frame goes through the same steps: rays from the camera (left out where no geom's bounding sphere can be
+seen), the table in closed form, a shadow and an occlusion ray from each pixel that needs them, with
+directions that change over a 4 x 4 pattern and are averaged over it, and more rays through the pixels on
+edges. The rays of a few frames are cast in one call on all threads.
 """
 
 from __future__ import annotations
@@ -35,7 +35,9 @@ _Result = TypeVar("_Result")
 
 @dataclass(frozen=True)
 class Views:
-    """What cameras see: F pictures of H x W pixels. Depth and segmentation are those of the pixels' centres."""
+    """What cameras see: F pictures of H x W pixels. Depth and segmentation are those of the pixels'
+    centres.
+    """
 
     colour: np.ndarray | None
     """sRGB, shape [F, H, W, 3] uint8, or None if not asked for."""
@@ -58,7 +60,8 @@ def render(
     antialias: int = 2,
     threads: int = 0,
 ) -> np.ndarray:
-    """Colour pictures of a model in given states; see ``Renderer``, which saves its preparations for more calls.
+    """Colour pictures of a model in given states; see ``Renderer``, which saves its preparations for more
+    calls.
 
     Returns:
         sRGB, shape [F, H, W, 3] uint8 (F = 1 for a single state).
@@ -70,7 +73,9 @@ def render(
 
 
 class Renderer:
-    """Draws the geoms of groups 0, 1 and 2 of a model, all as if opaque, except those with an opacity of 0."""
+    """Draws the geoms of groups 0, 1 and 2 of a model, all as if opaque, except those with an opacity of
+    0.
+    """
 
     def __init__(
         self,
@@ -121,10 +126,12 @@ class Renderer:
 
         Args:
             qpos: joint positions, shape [F, nq] or [nq].
-            camera: one for all frames, or one each; all of one size. The first decides where the key light is.
-            mocap: poses of the mocap bodies, world frame, shape [F, nmocap, 7] or [nmocap, 7]; None for the model's.
-            geom_rgba: sRGB and opacity (only whether it is 0 matters), shape [ngeom, 4] or [F, ngeom, 4]; None for the
-                model's colours and materials.
+            camera: one for all frames, or one each; all of one size. The first decides where the key light
+                is.
+            mocap: poses of the mocap bodies, world frame, shape [F, nmocap, 7] or [nmocap, 7]; None for the
+                model's.
+            geom_rgba: sRGB and opacity (only whether it is 0 matters), shape [ngeom, 4] or [F, ngeom, 4];
+                None for the model's colours and materials.
 
         Raises:
             FungraspError: an argument has the wrong shape, or is not finite.

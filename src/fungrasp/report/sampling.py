@@ -36,7 +36,9 @@ def hemisphere() -> np.ndarray:
 
 
 def axes_along(z: np.ndarray) -> np.ndarray:
-    """Rotations whose third axis (column) is ``z`` (Duff et al. 2017). z: unit, shape [P, 3]. Returns [P, 3, 3]."""
+    """Rotations whose third axis (column) is ``z`` (Duff et al. 2017). z: unit, shape [P, 3]. Returns [P, 3,
+    3].
+    """
     sign = np.where(z[:, 2] >= 0, 1.0, -1.0)
     a = -1.0 / (sign + z[:, 2])
     b = z[:, 0] * z[:, 1] * a
@@ -50,7 +52,8 @@ def axes_along(z: np.ndarray) -> np.ndarray:
 def share(
     values: Sequence[np.ndarray], mask: np.ndarray, surface: np.ndarray, distance: np.ndarray
 ) -> list[np.ndarray]:
-    """Average over the neighbours that see the same surface: first over the pattern, so that it cancels, then wider.
+    """Average over the neighbours that see the same surface: first over the pattern, so that it cancels, then
+    wider.
 
     Args:
         values: each of shape [H, W].

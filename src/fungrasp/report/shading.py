@@ -31,7 +31,9 @@ class Look:
     fade: tuple[float, float] = (0.45, 1.7)
     """Distance from the middle of the scene where the table top begins to fade, and is gone [m]."""
     light: tuple[float, float, float] | None = None
-    """Direction towards the key light, world frame; None puts it above and to the left of the first camera."""
+    """Direction towards the key light, world frame; None puts it above and to the left of the first
+    camera.
+    """
     light_radius: float = 6.0
     """Angular radius of the key light [degrees]; 0 makes hard shadows."""
     key: float = 2.2
@@ -70,7 +72,9 @@ class Materials:
 
 
 def model_materials(model: mujoco.MjModel) -> Materials:
-    """What the model says: a geom's own colour, or its material's if it has one and the geom's was left alone."""
+    """What the model says: a geom's own colour, or its material's if it has one and the geom's was left
+    alone.
+    """
     colours = model.geom_rgba.astype(np.float32).copy()
     specular = np.full(model.ngeom, 0.35, np.float32)
     shininess = np.full(model.ngeom, 40.0, np.float32)
@@ -95,7 +99,9 @@ def to_bytes(light: np.ndarray) -> np.ndarray:
 
 
 def soft_clip(light: np.ndarray) -> np.ndarray:
-    """Compress what is brighter than the display so that it keeps its hue; the dark two thirds stay as they are."""
+    """Compress what is brighter than the display so that it keeps its hue; the dark two thirds stay as they
+    are.
+    """
     knee = np.float32(0.65)
     over = np.maximum(light - knee, 0.0)
     return np.minimum(light, knee) + (1 - knee) * over / (over + (1 - knee))
@@ -146,7 +152,8 @@ def lit(
     specular: np.ndarray,
     shininess: np.ndarray,
 ) -> np.ndarray:
-    """Linear light that leaves surfaces towards the eye: key light, sky and bounce from below, highlight, faint rim.
+    """Linear light that leaves surfaces towards the eye: key light, sky and bounce from below, highlight,
+    faint rim.
 
     Args:
         albedo: linear colours, shape [P, 3].

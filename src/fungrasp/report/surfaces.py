@@ -102,7 +102,9 @@ def texture_image(model: mujoco.MjModel, geom: int) -> np.ndarray | None:
 
 
 def sample_image(image: np.ndarray, texture: np.ndarray) -> np.ndarray:
-    """Bilinear look-up that repeats the image. image: shape [H, W, C]; texture: (u, v), v up, shape [P, 2]. Returns [P, C]."""
+    """Bilinear look-up that repeats the image. image: shape [H, W, C]; texture: (u, v), v up, shape [P, 2].
+    Returns [P, C].
+    """
     height, width = image.shape[:2]
     x = np.clip(np.mod(texture[:, 0], 1.0 + 1e-9) * width - 0.5, 0, width - 1)
     y = np.clip((1.0 - np.mod(texture[:, 1], 1.0 + 1e-9)) * height - 0.5, 0, height - 1)

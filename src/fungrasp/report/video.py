@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable, Iterator
+from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -21,16 +23,19 @@ def write_video(path: str | Path, frames: Iterable[np.ndarray], fps: float, *, q
     An odd number of rows or columns is made even by repeating the last one (H.264 needs that).
 
     Args:
-        path: its suffix, one of ``SUFFIXES``, decides the format. Animated pictures hold all frames in memory.
+        path: its suffix, one of ``SUFFIXES``, decides the format. Animated pictures hold all frames in
+            memory.
         frames: sRGB, each of shape [H, W, 3] uint8, all of one size.
         fps: frames per second.
         quality: constant rate factor of H.264, from 0 (lossless) to 51 (worst).
 
     Returns:
-        the file written: ``path``, or the same name with the suffix ``.webp`` if PyAV was built without H.264.
+        the file written: ``path``, or the same name with the suffix ``.webp`` if PyAV was built without
+            H.264.
 
     Raises:
-        FungraspError: no frames, frames of different shapes, an unknown suffix, or a file that can't be written.
+        FungraspError: no frames, frames of different shapes, an unknown suffix, or a file that can't be
+            written.
     """
     path = Path(path)
     if path.suffix.lower() not in SUFFIXES:
@@ -53,13 +58,14 @@ def _write_mp4(
     path: Path, frames: Iterator[np.ndarray], shape: tuple[int, ...], fps: float, quality: float
 ) -> Path:
     import av
-    from av.video.reformatter import Colorspace, ColorRange
+    from av.error import FFmpegError
+    from av.video.reformatter import ColorRange, Colorspace
 
     odd = ((0, shape[0] % 2), (0, shape[1] % 2), (0, 0))
     with atomic_path(path) as temporary:
         try:
             with av.open(str(temporary), "w", options={"movflags": "+faststart"}) as container:
-                stream = container.add_stream("libx264", rate=_rational(fps))
+                stream = container.add_stream("libx264", rate=Fraction(fps).limit_denominator(1001))
                 stream.height, stream.width = shape[0] + odd[0][1], shape[1] + odd[1][1]
                 stream.pix_fmt = "yuv420p"
                 stream.options = {"crf": f"{quality:g}", "preset": "medium"}
@@ -70,7 +76,7 @@ def _write_mp4(
                     )
                     container.mux(stream.encode(frame))
                 container.mux(stream.encode(None))
-        except av.FFmpegError as error:
+        except FFmpegError as error:
             raise FungraspError(f"cannot write {path}: {' '.join(str(error).split())}") from error
     return path
 
@@ -79,14 +85,10 @@ def _write_animation(path: Path, frames: Iterator[np.ndarray], fps: float) -> Pa
     from PIL import Image
 
     images = [Image.fromarray(array) for array in frames]
+    options: dict[str, Any] = {"quality": 80, "method": 4} if path.suffix.lower() == ".webp" else {}
     with atomic_path(path) as temporary:
         images[0].save(
-            temporary,
-            save_all=True,
-            append_images=images[1:],
-            duration=round(1000 / fps),
-            loop=0,
-            **({"quality": 80, "method": 4} if path.suffix.lower() == ".webp" else {}),
+            temporary, save_all=True, append_images=images[1:], duration=round(1000 / fps), loop=0, **options
         )
     return path
 
@@ -108,9 +110,3 @@ def _has_h264() -> bool:
     import av
 
     return "libx264" in av.codecs_available
-
-
-def _rational(fps: float):
-    from fractions import Fraction
-
-    return Fraction(fps).limit_denominator(1001)
