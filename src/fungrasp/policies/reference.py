@@ -1,65 +1,85 @@
-"""The reference controller: opens, approaches, closes, squeezes, lifts; it does not look at the object again."""
+"""The reference controller: opens, approaches, closes, squeezes, lifts; after its start it does not look at the object again."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
-from fungrasp.geometry import SignedDistanceBank
-from fungrasp.geometry.poses import compose, invert
-from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.objects import ObjectModel
-from fungrasp.retarget.correspondence import correspond
-from fungrasp.retarget.problem import nearest_surface
+from fungrasp.policies.approach import ApproachSettings, Path, plan_approach
+from fungrasp.policies.squeeze import squeeze_torques
+from fungrasp.retarget.problem import Surroundings
 from fungrasp.task import Action, LiftTask
 
 
 @dataclass(frozen=True)
 class ReferenceSettings:
-    squeeze_force: float = 4.0
-    squeeze_limit: float = 0.4
-    opening: float = 0.5
-    pre_distance: float = 0.05
+    """How the reference controller moves."""
+
+    force: float = 12.0
+    """Sum of the normal forces to squeeze a light object with [N]."""
+    force_per_kg: float = 20.0
+    """More of it for each kilogram of the object [N/kg]."""
+    squeeze_limit: float = 0.6
+    """Largest offset of a joint's servo target from the grasp [rad]."""
     close_time: float = 0.6
-    squeeze_time: float = 0.5
+    """[s]."""
+    squeeze_time: float = 0.6
+    """[s]."""
+    pause: float = 0.2
+    """Before the lift [s]."""
+    lookahead: float = 0.06
+    """How far ahead on its way the wrist aims [m]."""
+    approach: ApproachSettings = ApproachSettings()
 
 
 class ReferenceController:
-    def __init__(self, task: LiftTask, objects: dict[str, ObjectModel], settings: ReferenceSettings | None = None):
-        self.task, self.settings = task, settings or ReferenceSettings()
-        self.grasp = task.independent(task.grasps.joint_positions)
-        self.squeeze = squeeze_direction(task, objects, self.grasp, self.settings)
-        self.open = self.settings.opening * self.grasp
-        self.arrived = np.full(len(self.grasp), np.inf)
+    """Plays retargeted grasps in W worlds."""
+
+    def __init__(self, task: LiftTask, objects: Mapping[str, ObjectModel], settings: ReferenceSettings | None = None):
+        """
+        Args:
+            task: reset; the grasps come from it.
+            objects: by name.
+            settings: the defaults if None.
+        """
+        self._task, self.settings = task, settings or ReferenceSettings()
+        hand, grasps, s = task.scene.hand, task.grasps, self.settings
+        names = grasps.object_name.tolist()
+        self._grasp = task.independent(grasps.joint_positions)
+        approach = plan_approach(
+            hand, names, task.settled_pose, objects, task.wrist_in_object, self._grasp, s.approach
+        )
+        self._path = Path(task.set_point.pose, task.finger_set_point, approach, task.settled_pose)
+        self._squeeze = self._servo_offsets(hand, names, objects)
+        self._arrived = np.full(len(names), np.inf)
 
     def act(self) -> Action:
-        task, s = self.task, self.settings
-        now = task.time
-        near = np.linalg.norm(task.set_point.pose[:, :3] - task.target_pose[:, :3], axis=1) < 2e-3
-        self.arrived = np.where(near & ~np.isfinite(self.arrived), now, self.arrived)
-        since = np.where(np.isfinite(self.arrived), now - self.arrived, -1.0)[:, None]
-        closing = np.clip((since + 0.1) / s.close_time, 0, 1)
-        squeezing = np.clip((since + 0.1 - s.close_time) / s.squeeze_time, 0, 1)
-        fingers = self.open + closing * (self.grasp - self.open) + squeezing * self.squeeze
-        lift = since[:, 0] >= s.close_time + s.squeeze_time + 0.2
-        return Action(task.target_pose, fingers, lift)
+        """What to do in the next control period."""
+        task, path, s = self._task, self._path, self.settings
+        path.advance(task.set_point.pose[:, :3], s.lookahead)
+        goal, _ = path.at(path.progress + s.lookahead)
+        _, fingers = path.at(path.progress + 0.02)
+        close = path.length - path.progress < 2e-3
+        self._arrived = np.where(close & ~np.isfinite(self._arrived), task.time, self._arrived)
+        since = np.where(np.isfinite(self._arrived), task.time - self._arrived, -1.0)[:, None]
+        closing = np.clip((since + task.protocol.control_period) / s.close_time, 0.0, 1.0)
+        squeezing = np.clip((since + task.protocol.control_period - s.close_time) / s.squeeze_time, 0.0, 1.0)
+        goal = np.where(closing > 0, task.target_pose, goal)
+        fingers = fingers + closing * (self._grasp - fingers) + squeezing * self._squeeze
+        lift = since[:, 0] >= s.close_time + s.squeeze_time + s.pause
+        return Action(goal, fingers, lift)
 
-
-def squeeze_direction(task: LiftTask, objects, grasp: np.ndarray, settings: ReferenceSettings) -> np.ndarray:
-    hand = task.scene.hand
-    kinematics = HandKinematics(hand, len(grasp))
-    match = correspond(hand)
-    kinematics.update(task.wrist_in_object, grasp)
-    which = kinematics.body_points(hand.keypoint_names)
-    points = kinematics.points(which)[:, match.far]
-    names = sorted(objects)
-    bank = SignedDistanceBank([objects[n].signed_distance for n in names])
-    grid = np.array([names.index(n) for n in task.grasps.object_name.tolist()])
-    _, normals = nearest_surface(bank, grid, points)
-    bodies = which.bodies[match.near]
-    jacobian = kinematics.jacobian(bodies, points)[..., 6:]
-    wanted = task.grasps.link_contacts[:, 1:]
-    torque = -settings.squeeze_force * np.einsum("ns,nsi,nsiu->nu", wanted, normals, jacobian)
-    kp = np.array([a.kp for a in hand.actuators.values()])
-    return np.clip(torque / kp, -settings.squeeze_limit, settings.squeeze_limit)
+    def _servo_offsets(self, hand, names: list[str], objects: Mapping[str, ObjectModel]) -> np.ndarray:
+        """Of the joints' servo targets, that make the torques of the squeeze [rad], shape [W, U]."""
+        task, s = self._task, self.settings
+        around = Surroundings.of(names, task.settled_pose, objects)
+        models = [objects[name] for name in names]
+        torques = squeeze_torques(
+            hand, around, models, task.wrist_in_object, self._grasp, task.grasps.link_contacts
+        )
+        force = s.force + s.force_per_kg * task.grasps.object_mass
+        stiffness = np.array([servo.kp for servo in hand.actuators.values()])
+        return np.clip(force[:, None] * torques / stiffness, -s.squeeze_limit, s.squeeze_limit)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Generic, NamedTuple, Self, TypeVar
 
 import numpy as np
 
@@ -18,7 +19,47 @@ from fungrasp.retarget.correspondence import Correspondence, correspond
 
 
 @dataclass(frozen=True)
-class Problem:
+class Surroundings:
+    """What N hands may collide with: an object each, and the table, in the object's frame."""
+
+    bank: SignedDistanceBank
+    grid: np.ndarray
+    """Which grid of the bank, shape [N]."""
+    up: np.ndarray
+    """Table normal, shape [N, 3]."""
+    height: np.ndarray
+    """Height of the object's origin above the table [m], shape [N]: a point p is at up . p + height."""
+
+    @classmethod
+    def of(cls, names: Sequence[str], rest_pose: np.ndarray, objects: Mapping[str, ObjectModel]) -> Surroundings:
+        """The table is where the rest pose says or, if the object would hover there, where the object would stand.
+
+        Args:
+            names: of the object of each hand, length N.
+            rest_pose: of the objects on the table, world frame, shape [N, 7].
+            objects: by name.
+        """
+        known = sorted(set(names))
+        up = rotate(invert(rest_pose)[:, 3:], np.array([0.0, 0.0, 1.0]))
+        lowest = np.array([np.min(objects[name].vertices @ u) for name, u in zip(names, up, strict=True)])
+        return cls(
+            bank=SignedDistanceBank([objects[name].signed_distance for name in known]),
+            grid=np.array([known.index(name) for name in names]),
+            up=up,
+            height=np.minimum(rest_pose[:, 2], -lowest),
+        )
+
+    def rows(self, which: slice | np.ndarray) -> Self:
+        """Some of the hands."""
+        parts = {f.name: getattr(self, f.name)[which] for f in fields(self) if f.name != "bank"}
+        return replace(self, **parts)
+
+    def __len__(self) -> int:
+        return len(self.grid)
+
+
+@dataclass(frozen=True)
+class Problem(Surroundings):
     """N human grasps to imitate, object frame."""
 
     joints: np.ndarray
@@ -29,56 +70,35 @@ class Problem:
     """Surface point nearest to each human joint [m], shape [N, 21, 3]."""
     normals: np.ndarray
     """Outward surface normal there, shape [N, 21, 3]."""
-    bank: SignedDistanceBank
-    grid: np.ndarray
-    """Which grid of the bank, shape [N]."""
-    up: np.ndarray
-    """Table normal, shape [N, 3]."""
-    height: np.ndarray
-    """Height of the object's origin above the table [m], shape [N]: a point p is at up . p + height."""
     center: np.ndarray
     """Object's center of mass [m], shape [N, 3]."""
     extent: np.ndarray
     """Half of the object's diagonal [m], shape [N]."""
 
     @classmethod
-    def from_grasps(cls, grasps: HumanGraspSet, objects: dict[str, ObjectModel], match: Correspondence) -> Problem:
+    def from_grasps(
+        cls, grasps: HumanGraspSet, objects: Mapping[str, ObjectModel], match: Correspondence
+    ) -> Problem:
         """Bring grasps into their objects' frames.
-
-        The table is where the rest pose says or, if the object would hover there, where the object would stand.
 
         Args:
             grasps: N human grasps.
             objects: by name, each object of the grasps.
+            match: which robot link stands for which human one.
         """
-        names = sorted(set(grasps.object_name.tolist()))
-        bank = SignedDistanceBank([objects[name].signed_distance for name in names])
-        grid = np.array([names.index(name) for name in grasps.object_name.tolist()])
+        names = grasps.object_name.tolist()
+        around = Surroundings.of(names, grasps.object_rest_pose, objects)
         joints = transform_points(invert(grasps.object_pose), grasps.hand_joints)
-        surface, normals = nearest_surface(bank, grid, joints)
-        rest = grasps.object_rest_pose
-        up = rotate(invert(rest)[:, 3:], np.array([0.0, 0.0, 1.0]))
-        lowest = np.array([np.min(objects[n].vertices @ u) for n, u in zip(grasps.object_name.tolist(), up, strict=True)])
+        surface, normals = nearest_surface(around.bank, around.grid, joints)
         return cls(
+            **{f.name: getattr(around, f.name) for f in fields(around)},
             joints=joints,
             contacts=match.link_contacts(grasps.link_contacts),
             surface=surface,
             normals=normals,
-            bank=bank,
-            grid=grid,
-            up=up,
-            height=np.minimum(rest[:, 2], -lowest),
-            center=np.array([objects[names[g]].center_of_mass for g in grid]),
-            extent=np.array([0.5 * np.linalg.norm(objects[names[g]].size) for g in grid]),
+            center=np.array([objects[name].center_of_mass for name in names]),
+            extent=np.array([0.5 * np.linalg.norm(objects[name].size) for name in names]),
         )
-
-    def rows(self, which: slice | np.ndarray) -> Problem:
-        """Some of the grasps."""
-        batched = {k: v[which] for k, v in self.__dict__.items() if isinstance(v, np.ndarray)}
-        return Problem(bank=self.bank, **batched)
-
-    def __len__(self) -> int:
-        return len(self.joints)
 
 
 def nearest_surface(
@@ -147,10 +167,13 @@ def _self_pairs(hand: Hand, balls: HandBalls) -> SelfPairs:
     return SelfPairs(round_balls, round_balls, owner[:, None] < owner)
 
 
-class State:
+Around = TypeVar("Around", bound=Surroundings)
+
+
+class State(Generic[Around]):
     """The hands at one iterate: positions, distances, and Jacobians on demand."""
 
-    def __init__(self, points: HandPoints, problem: Problem, wrist_pose: np.ndarray, independent: np.ndarray):
+    def __init__(self, points: HandPoints, problem: Around, wrist_pose: np.ndarray, independent: np.ndarray):
         self.points, self.problem = points, problem
         self.wrist_pose, self.independent = wrist_pose, independent
         points.kinematics.update(wrist_pose, independent)

@@ -62,7 +62,7 @@ def retarget(
         raise UnknownNameError("retargeting method", method, METHODS)
     settings = settings or RetargetSettings()
     match = correspond(hand)
-    problem = Problem.from_grasps(grasps, dict(objects), match)
+    problem = Problem.from_grasps(grasps, objects, match)
     starts = range(0, len(grasps), chunk)
 
     def run(start: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

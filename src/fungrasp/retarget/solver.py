@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 
-from fungrasp.retarget.problem import HandPoints, Problem, State
+from fungrasp.retarget.problem import HandPoints, State, Surroundings
 from fungrasp.retarget.terms import Residual
 
-Term = Callable[[State], Residual]
+Term = Callable[[State[Any]], Residual]
 
 
 def minimise(
     points: HandPoints,
-    problem: Problem,
+    problem: Surroundings,
     terms: Sequence[Term],
     wrist_pose: np.ndarray,
     independent: np.ndarray,

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from fungrasp.geometry.poses import cross
-from fungrasp.retarget.problem import State, nearest_surface
+from fungrasp.geometry.poses import cross, quaternion_conjugate, quaternion_multiply, rotation_vector
+from fungrasp.retarget.problem import Problem, State, Surroundings, nearest_surface
 
 Residual = tuple[np.ndarray, np.ndarray]
 
 
-def fingertip_position(state: State, unit: float = 0.01) -> Residual:
+def fingertip_position(state: State[Problem], unit: float = 0.01) -> Residual:
     """(p_tip - p_human tip) / unit for each finger: the first initialisation of IV.A. unit: [m]."""
     match = state.points.match
     far, human = match.far[match.is_last], match.human_far[match.is_last]
@@ -22,7 +22,7 @@ def fingertip_position(state: State, unit: float = 0.01) -> Residual:
     return _flat(residual, state.keypoint_jacobian(far) / unit)
 
 
-def link_direction(state: State, unit: float = 0.5) -> Residual:
+def link_direction(state: State[Problem], unit: float = 0.5) -> Residual:
     """(d_robot - d_human) / unit for each finger link, d the unit vector from its near to its far key point (IV.A)."""
     match = state.points.match
     robot = state.keypoints[:, match.far] - state.keypoints[:, match.near]
@@ -34,7 +34,7 @@ def link_direction(state: State, unit: float = 0.5) -> Residual:
     return _flat((robot - human) / unit, jacobian / unit)
 
 
-def contact_position(state: State, unit: float = 0.005, inner_weight: float = 0.4) -> Residual:
+def contact_position(state: State[Problem], unit: float = 0.005, inner_weight: float = 0.4) -> Residual:
     """L_pos of IV.A, on the surface: c_j (p_j - (s_j + rho_j n_j)) / unit.
 
     p_j is the far key point of robot link j, s_j the surface point nearest to the corresponding human joint, n_j the normal
@@ -52,7 +52,7 @@ def contact_position(state: State, unit: float = 0.005, inner_weight: float = 0.
     return _flat(residual, weight[..., None, None] * state.keypoint_jacobian(match.far))
 
 
-def contact_gap(state: State, unit: float = 0.003) -> Residual:
+def contact_gap(state: State[Problem], unit: float = 0.003) -> Residual:
     """c_j max(0, gap_j) / unit, gap_j the smallest clearance of link j's surface from the object. unit: [m]."""
     links = [link for link in range(1, len(state.points.link_members)) if len(state.points.link_members[link])]
     nearest = np.stack(
@@ -65,17 +65,23 @@ def contact_gap(state: State, unit: float = 0.003) -> Residual:
     return wanted * clearance / unit, wanted[..., None] * jacobian / unit
 
 
-def object_penetration(state: State, unit: float = 0.001, most: int = 24) -> Residual:
-    """max(0, -clearance) / unit for the ``most`` deepest balls (L_pen of IV.A). unit: [m]."""
+def object_penetration(
+    state: State[Surroundings], unit: float = 0.001, margin: float = 0.0, most: int = 24
+) -> Residual:
+    """max(0, margin - clearance) / unit for the ``most`` deepest balls (L_pen of IV.A).
+
+    Args:
+        unit, margin: [m].
+    """
     deepest = _smallest(state.clearance, most)
-    depth = -np.take_along_axis(state.clearance, deepest, axis=1)
+    depth = margin - np.take_along_axis(state.clearance, deepest, axis=1)
     active = depth > 0
     normal = np.take_along_axis(state.normals, deepest[..., None], axis=1)
     jacobian = -np.einsum("nqi,nqid->nqd", normal, state.ball_jacobian(deepest))
     return active * depth / unit, active[..., None] * jacobian / unit
 
 
-def table_penetration(state: State, unit: float = 0.001, margin: float = 0.001, most: int = 12) -> Residual:
+def table_penetration(state: State[Surroundings], unit: float = 0.001, margin: float = 0.001, most: int = 12) -> Residual:
     """max(0, margin - height) / unit for the ``most`` lowest balls (h_{i-table} in L_col of IV.A).
 
     Args:
@@ -88,7 +94,7 @@ def table_penetration(state: State, unit: float = 0.001, margin: float = 0.001, 
     return active * depth / unit, active[..., None] * jacobian / unit
 
 
-def self_penetration(state: State, unit: float = 0.002, margin: float = 0.001, most: int = 8) -> Residual:
+def self_penetration(state: State[Surroundings], unit: float = 0.002, margin: float = 0.001, most: int = 8) -> Residual:
     """max(0, margin - d_ij) / unit for the ``most`` closest pairs of balls of different fingers, d_ij the distance between
     their surfaces (L_col of IV.A, with the distance of shapes in place of that of joints).
 
@@ -113,7 +119,7 @@ def self_penetration(state: State, unit: float = 0.002, margin: float = 0.001, m
     return active * depth / unit, jacobian
 
 
-def force_closure(state: State, unit: float = 0.5, reach: float = 0.006) -> Residual:
+def force_closure(state: State[Problem], unit: float = 0.5, reach: float = 0.006) -> Residual:
     """(sum n_j, sum (x_j - center) x n_j / extent) / (contacts * unit), over links that should touch (L_fc of IV.A).
 
     x_j is the far key point of link j and n_j the inward normal of the object near it: unit forces along them should
@@ -147,12 +153,25 @@ def force_closure(state: State, unit: float = 0.5, reach: float = 0.006) -> Resi
     return residual * scale[:, None], jacobian * scale[:, None, None]
 
 
-def stay_near(state: State, start: tuple[np.ndarray, np.ndarray], unit: float = 1.0) -> Residual:
-    """(u - u_start) / unit: keeps joints that nothing else decides. unit: [rad]."""
-    count, number = state.independent.shape
-    jacobian = np.zeros((count, number, state.points.kinematics.size))
-    jacobian[:, range(number), range(6, 6 + number)] = 1.0 / unit
-    return (state.independent - start[1]) / unit, jacobian
+def stay_near(
+    state: State[Surroundings],
+    start: tuple[np.ndarray, np.ndarray],
+    unit: float = 1.0,
+    position_unit: float = np.inf,
+    rotation_unit: float = np.inf,
+) -> Residual:
+    """Differences of joints, wrist position and wrist rotation from ``start`` over their units.
+
+    Args:
+        start: wrist poses [N, 7] and independent joints [rad], shape [N, U].
+        unit, position_unit, rotation_unit: [rad], [m], [rad].
+    """
+    pose, independent = start
+    turn = rotation_vector(quaternion_multiply(state.wrist_pose[:, 3:], quaternion_conjugate(pose[:, 3:])))
+    difference = np.concatenate([state.wrist_pose[:, :3] - pose[:, :3], turn, state.independent - independent], axis=1)
+    units = np.repeat([position_unit, rotation_unit, unit], [3, 3, independent.shape[1]])
+    jacobian = np.broadcast_to(np.diag(1.0 / units), (len(pose), len(units), len(units)))
+    return difference / units, jacobian
 
 
 def _flat(residual: np.ndarray, jacobian: np.ndarray) -> Residual:

@@ -1,0 +1,193 @@
+"""A way to the grasp that touches neither object nor table: found backwards, by taking the hand off the object.
+
+From the grasp, the wrist withdraws step by step along a direction, and at each step the fingers open as much as they must
+to keep clear (the retargeter's optimiser with its collision terms only). Several directions are tried; the clearest wins.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from fungrasp.geometry.poses import compose, rotate
+from fungrasp.hands import Hand
+from fungrasp.hands.kinematics import HandKinematics
+from fungrasp.objects import ObjectModel
+from fungrasp.retarget import terms
+from fungrasp.retarget.problem import HandPoints, State, Surroundings
+from fungrasp.retarget.solver import minimise
+
+RETREATS = (0.0, 0.025, 0.05, 0.09, 0.14)
+"""How far the wrist has withdrawn at each way point [m]."""
+
+
+@dataclass(frozen=True)
+class ApproachSettings:
+    """How clear the way should be."""
+
+    object_margin: float = 0.008
+    """Distance to keep from the object [m]."""
+    table_margin: float = 0.006
+    """Distance to keep from the table [m]."""
+    joint_unit: float = 0.25
+    """Change of a joint that counts as one unit [rad]."""
+    position_unit: float = 0.006
+    """Sideways shift of the wrist that counts as one unit [m]."""
+    rotation_unit: float = 0.1
+    """Turn of the wrist that counts as one unit [rad]."""
+    iterations: int = 8
+    """Of the optimiser, per way point."""
+
+
+@dataclass(frozen=True)
+class Approach:
+    """Way points of N hands, nearest to the grasp first, K of them."""
+
+    wrist_pose: np.ndarray
+    """Object frame, shape [N, K, 7]."""
+    fingers: np.ndarray
+    """Independent joints [rad], shape [N, K, U]."""
+    collision: np.ndarray
+    """Deepest intrusion into the margins over the way points [m], shape [N]."""
+
+
+def plan_approach(
+    hand: Hand,
+    object_names: list[str],
+    settled_pose: np.ndarray,
+    objects: Mapping[str, ObjectModel],
+    wrist_in_object: np.ndarray,
+    grasp: np.ndarray,
+    settings: ApproachSettings | None = None,
+    threads: int = 2,
+    chunk: int = 64,
+) -> Approach:
+    """Plan the way of N hands to their grasps.
+
+    Args:
+        hand: the robot hand.
+        object_names: of the object of each grasp, length N.
+        settled_pose: of the objects on the table, world frame, shape [N, 7].
+        objects: by name.
+        wrist_in_object: palm in the grasp, object frame, shape [N, 7].
+        grasp: independent joints in the grasp [rad], shape [N, U].
+        settings: the defaults if None.
+    """
+    settings = settings or ApproachSettings()
+    around = Surroundings.of(object_names, settled_pose, objects)
+    centers = np.array([objects[name].center_of_mass for name in object_names])
+
+    def run(start: int) -> Approach:
+        rows = slice(start, start + chunk)
+        part = around.rows(rows)
+        points = HandPoints(HandKinematics(hand, len(part)))
+        ways = [
+            _withdraw(points, part, wrist_in_object[rows], grasp[rows], direction, settings)
+            for direction in _directions(hand, wrist_in_object[rows], part.up, centers[rows])
+        ]
+        best = np.argmin([way.collision + 1e-4 * i for i, way in enumerate(ways)], axis=0)
+        pick = np.arange(len(part))
+        return Approach(
+            *(np.stack([getattr(way, name) for way in ways])[best, pick] for name in ("wrist_pose", "fingers", "collision"))
+        )
+
+    with ThreadPoolExecutor(threads) as pool:
+        parts = list(pool.map(run, range(0, len(around), chunk)))
+    return Approach(
+        *(np.concatenate([getattr(part, name) for part in parts]) for name in ("wrist_pose", "fingers", "collision"))
+    )
+
+
+def _directions(hand: Hand, wrist: np.ndarray, up: np.ndarray, center: np.ndarray) -> list[np.ndarray]:
+    """Unit vectors along which the wrist may withdraw, object frame, shape [N, 3] each."""
+    outwards = _unit(wrist[:, :3] - center)
+    backwards = -rotate(wrist[:, 3:], hand.palm_normal)
+    along = -rotate(wrist[:, 3:], hand.palm_fingers)
+    return [outwards, _unit(outwards + 0.5 * up), _unit(backwards + along), backwards, _unit(along + 0.3 * up), up]
+
+
+def _withdraw(
+    points: HandPoints,
+    around: Surroundings,
+    wrist: np.ndarray,
+    fingers: np.ndarray,
+    direction: np.ndarray,
+    settings: ApproachSettings,
+) -> Approach:
+    collisions = [
+        partial(terms.object_penetration, unit=0.001, margin=settings.object_margin),
+        partial(terms.table_penetration, unit=0.001, margin=settings.table_margin),
+        partial(terms.self_penetration, unit=0.002),
+    ]
+    poses, joints, intrusions = [], [], []
+    before = 0.0
+    for retreat in RETREATS:
+        wrist = wrist.copy()
+        wrist[:, :3] += (retreat - before) * direction
+        before = retreat
+        stay = partial(
+            terms.stay_near,
+            start=(wrist, fingers),
+            unit=settings.joint_unit,
+            position_unit=settings.position_unit,
+            rotation_unit=settings.rotation_unit,
+        )
+        wrist, fingers, _ = minimise(points, around, [*collisions, stay], wrist, fingers, settings.iterations)
+        state = State(points, around, wrist, fingers)
+        intrusions.append(np.maximum(settings.object_margin - state.clearance.min(axis=1), 0.0))
+        intrusions.append(np.maximum(settings.table_margin - state.heights.min(axis=1), 0.0))
+        poses.append(wrist)
+        joints.append(fingers)
+    return Approach(np.stack(poses, axis=1), np.stack(joints, axis=1), np.max(intrusions, axis=0))
+
+
+def _unit(v: np.ndarray) -> np.ndarray:
+    return v / np.maximum(np.linalg.norm(v, axis=-1, keepdims=True), 1e-9)
+
+
+class Path:
+    """The planned way as a curve that is followed by its arc length, world frame."""
+
+    def __init__(self, start: np.ndarray, start_fingers: np.ndarray, approach: Approach, settled_pose: np.ndarray):
+        """
+        Args:
+            start: palm pose at the start, world frame, shape [N, 7].
+            start_fingers: [rad], shape [N, U].
+            approach: planned way points.
+            settled_pose: of the objects, world frame, shape [N, 7].
+        """
+        way = compose(settled_pose[:, None], approach.wrist_pose[:, ::-1])
+        self.poses = np.concatenate([start[:, None], way], axis=1)
+        self.fingers = np.concatenate([start_fingers[:, None], approach.fingers[:, ::-1]], axis=1)
+        legs = np.linalg.norm(np.diff(self.poses[..., :3], axis=1), axis=-1)
+        self.arc = np.concatenate([np.zeros((len(start), 1)), np.cumsum(np.maximum(legs, 1e-4), axis=1)], axis=1)
+        self.length = self.arc[:, -1]
+        self.progress = np.zeros(len(start))
+
+    def at(self, arc: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Palm pose [N, 7] and fingers [N, U] at arc lengths [m], shape [N]."""
+        arc = np.clip(arc, 0.0, self.length)
+        leg = np.clip((self.arc <= arc[:, None]).sum(axis=1) - 1, 0, self.arc.shape[1] - 2)
+        rows = np.arange(len(arc))
+        share = ((arc - self.arc[rows, leg]) / (self.arc[rows, leg + 1] - self.arc[rows, leg]))[:, None]
+        a, b = self.poses[rows, leg], self.poses[rows, leg + 1]
+        b = np.where(np.sum(a[:, 3:] * b[:, 3:], axis=1, keepdims=True) < 0, b * [1, 1, 1, -1, -1, -1, -1], b)
+        pose = a + share * (b - a)
+        pose[:, 3:] = _unit(pose[:, 3:])
+        fingers = self.fingers[rows, leg] + share * (self.fingers[rows, leg + 1] - self.fingers[rows, leg])
+        return pose, fingers
+
+    def advance(self, position: np.ndarray, lookahead: float) -> None:
+        """Move on to the arc length that lies nearest to where the set point is, at most ``lookahead`` further [m].
+
+        Args:
+            position: of the palm's set point, world frame [m], shape [N, 3].
+        """
+        tries = self.progress + np.linspace(0.0, lookahead, 17)[:, None]
+        distances = [np.linalg.norm(self.at(arc)[0][:, :3] - position, axis=1) for arc in tries]
+        best = np.argmin(distances, axis=0)
+        self.progress = np.minimum(tries[best, np.arange(len(best))], self.length)
