@@ -11,7 +11,7 @@ import numpy as np
 from fungrasp.report.camera import Camera
 from fungrasp.report.casting import Hits
 from fungrasp.report.culling import Boxes, blocked, near, seen_tiles, spread_tiles, tile_centres
-from fungrasp.report.sampling import AROUND, PATTERN, TOWARDS, axes_along, disc, hemisphere, share
+from fungrasp.report.sampling import asking, axes_along, disc, hemisphere, share
 from fungrasp.report.shading import (
     Look,
     Materials,
@@ -118,13 +118,15 @@ class Frame:
         solid, table = points.geom >= 0, points.geom == TABLE
         sun, close = (spread_tiles(tiles, self.camera).ravel() for tiles in self._table_tiles())
         towards = points.normal @ scene.sun.astype(np.float32) > 0
-        self._shaded = np.flatnonzero(towards & (solid | (table & sun)))
-        self._occluded = np.flatnonzero(solid | (table & close))
-        lights = scene.sun + scene.look.light_spread * disc() @ axes_along(scene.sun[None])[0, :, :2].T
-        lights /= np.linalg.norm(lights, axis=-1, keepdims=True)
+        self._asks = asks = asking(self.camera.width, self.camera.height)
+        self._receives = solid | (table & (sun | close))
+        self._shaded = np.flatnonzero(asks & towards & (solid | (table & sun)))
+        self._occluded = np.flatnonzero(asks & (solid | (table & close)))
+        across = axes_along(scene.sun[None])[0, :, :2]
+        lights = scene.sun + scene.look.light_spread * disc(self._image(self._shaded)) @ across.T
+        lights /= np.sqrt(dot(lights, lights))[:, None]
         around = axes_along(points.normal[self._occluded].astype(float))
-        local = hemisphere()[AROUND[self._cell(self._occluded)]]
-        directions = [lights[TOWARDS[self._cell(self._shaded)]], np.einsum("pij,pj->pi", around, local)]
+        directions = [lights, np.einsum("pij,pj->pi", around, hemisphere(self._image(self._occluded)))]
         origins = [self._position(i) + _LIFT * points.normal[i] for i in (self._shaded, self._occluded)]
         return np.concatenate(origins), np.concatenate(directions)
 
@@ -138,11 +140,11 @@ class Frame:
         self.shadow[self._shaded] = np.isinf(hits.distance[:split])
         occluded = np.clip(1.0 - hits.distance[split:] / self.scene.look.occlusion_radius, 0.0, 1.0)
         self.openness[self._occluded] = 1.0 - (1.0 - _DARKEST) * occluded
-        mask = np.zeros(count, bool)
-        mask[self._shaded] = mask[self._occluded] = True
         values = [self.shadow.reshape(self.shape), self.openness.reshape(self.shape)]
         surface, distance = self.points.geom.reshape(self.shape), self.points.distance.reshape(self.shape)
-        shared = share(values, mask.reshape(self.shape), surface, distance)
+        shared = share(
+            values, self._receives.reshape(self.shape), self._asks.reshape(self.shape), surface, distance
+        )
         self.shadow, self.openness = (v.ravel() for v in shared)
 
     def edge_rays(self, samples: int) -> np.ndarray:
@@ -180,10 +182,6 @@ class Frame:
 
     def _image(self, index: np.ndarray) -> np.ndarray:
         return np.stack([index % self.camera.width, index // self.camera.width], axis=-1)
-
-    def _cell(self, index: np.ndarray) -> np.ndarray:
-        width = self.camera.width
-        return index % width % PATTERN + PATTERN * (index // width % PATTERN)
 
     def _position(self, index: np.ndarray) -> np.ndarray:
         return self.eye + self.points.distance[index, None] * self.points.direction[index]

@@ -7,32 +7,50 @@ from collections.abc import Sequence
 import numpy as np
 
 PATTERN = 4
-"""Neighbouring pixels, this many in a row and a column, take different samples and share them."""
+"""Every second pixel of a square of this side takes a sample of its own; they are shared. Neighbouring
+squares take samples that lie between one another."""
 
-TOWARDS = np.array([0, 8, 2, 10, 12, 4, 14, 6, 3, 11, 1, 9, 15, 7, 13, 5])
-"""Which sample of the key light a pixel of the pattern takes."""
+_SAMPLES = PATTERN * PATTERN // 2
+_TOWARDS = np.array([0, 5, 3, 6, 4, 1, 7, 2])
+_AROUND = np.array([2, 7, 4, 1, 6, 3, 0, 5])
 
-AROUND = np.array([5, 13, 7, 15, 9, 1, 11, 3, 6, 14, 4, 12, 10, 2, 8, 0])
-"""Which sample of the surroundings a pixel of the pattern takes."""
-
+_NOWHERE = -9
 _PASSES = (
     tuple((offset, 1) for offset in (-2, -1, 0, 1)),
     tuple(zip((-5, -2, 1, 4, 7), (1, 2, 3, 2, 1), strict=True)),
 )
 
 
-def disc() -> np.ndarray:
-    """Points spread evenly over the unit disc, shape [PATTERN ** 2, 2]."""
-    count = PATTERN * PATTERN
-    k = np.arange(count)
-    radius, angle = np.sqrt((k + 0.5) / count), k * np.pi * (3 - np.sqrt(5))
-    return np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=-1)
+def asking(width: int, height: int) -> np.ndarray:
+    """Which pixels take a sample, row by row, shape [height * width] bool."""
+    return (np.add.outer(np.arange(height), np.arange(width)) % 2 == 0).ravel()
 
 
-def hemisphere() -> np.ndarray:
-    """Unit vectors about z, as dense as their cosine with it, shape [PATTERN ** 2, 3]."""
-    points = disc()
-    return np.concatenate([points, np.sqrt(1 - np.sum(points**2, -1, keepdims=True))], axis=-1)
+def disc(pixels: np.ndarray) -> np.ndarray:
+    """Sample in the unit disc, as for a round light. pixels: (u, v), shape [P, 2]. Returns shape [P, 2]."""
+    return _DISC[_sample(pixels, _TOWARDS)]
+
+
+def hemisphere(pixels: np.ndarray) -> np.ndarray:
+    """Sample of the directions about z, as dense as their cosine with it. pixels: (u, v), shape [P, 2].
+    Returns unit vectors, shape [P, 3]."""
+    points = np.concatenate([_DISC, np.sqrt(1 - np.sum(_DISC**2, -1, keepdims=True))], axis=-1)
+    return points[_sample(pixels, _AROUND)]
+
+
+def _sample(pixels: np.ndarray, order: np.ndarray) -> np.ndarray:
+    u, v = pixels.T
+    return order[v % PATTERN * 2 + u % PATTERN // 2] + _SAMPLES * ((u // PATTERN + v // PATTERN) % 2)
+
+
+def _spirals() -> np.ndarray:
+    k = np.arange(_SAMPLES)
+    radius = np.sqrt((np.concatenate([k + 0.25, k + 0.75])) / _SAMPLES)
+    angle = np.concatenate([k, k + 0.5]) * np.pi * (3 - np.sqrt(5)) + np.repeat([0.0, np.pi / 2], _SAMPLES)
+    return radius[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+
+
+_DISC = _spirals()
 
 
 def axes_along(z: np.ndarray) -> np.ndarray:
@@ -50,7 +68,11 @@ def axes_along(z: np.ndarray) -> np.ndarray:
 
 
 def share(
-    values: Sequence[np.ndarray], mask: np.ndarray, surface: np.ndarray, distance: np.ndarray
+    values: Sequence[np.ndarray],
+    mask: np.ndarray,
+    asked: np.ndarray,
+    surface: np.ndarray,
+    distance: np.ndarray,
 ) -> list[np.ndarray]:
     """Average over the neighbours that see the same surface: first over the pattern, so that it cancels, then
     wider.
@@ -58,6 +80,7 @@ def share(
     Args:
         values: each of shape [H, W].
         mask: where the values are to be averaged, shape [H, W] bool.
+        asked: where they are known, shape [H, W] bool.
         surface: id of what is seen; a negative one is flat, shape [H, W].
         distance: of what is seen [m], shape [H, W].
 
@@ -71,8 +94,8 @@ def share(
     near_surface = surface[box]
     near_distance = np.where(near_surface >= 0, distance[box], 0).astype(np.float32)
     result = [value[box] for value in values]
-    for kernel in _PASSES:
-        result = _averaged(result, kernel, near_surface, near_distance)
+    for known, kernel in zip((asked[box], np.ones_like(asked[box])), _PASSES, strict=True):
+        result = _averaged(result, known, kernel, near_surface, near_distance)
     whole = [value.copy() for value in values]
     for full, part in zip(whole, result, strict=True):
         full[box] = np.where(mask[box], part, full[box])
@@ -80,12 +103,17 @@ def share(
 
 
 def _averaged(
-    values: list[np.ndarray], kernel: tuple[tuple[int, int], ...], surface: np.ndarray, distance: np.ndarray
+    values: list[np.ndarray],
+    known: np.ndarray,
+    kernel: tuple[tuple[int, int], ...],
+    surface: np.ndarray,
+    distance: np.ndarray,
 ) -> list[np.ndarray]:
     pad = max(abs(offset) for offset, _ in kernel)
     height, width = surface.shape
     padded = [np.pad(value, pad) for value in values]
-    near_surface, near_distance = np.pad(surface, pad, constant_values=-9), np.pad(distance, pad)
+    near_surface = np.pad(np.where(known, surface, _NOWHERE), pad, constant_values=_NOWHERE)
+    near_distance = np.pad(distance, pad)
     limit = 0.008 * distance + 1e-6
     weight = np.zeros((height, width), np.float32)
     sums = [np.zeros_like(weight) for _ in values]
@@ -93,11 +121,10 @@ def _averaged(
         for dx, kx in kernel:
             at = np.s_[pad + dy : pad + dy + height, pad + dx : pad + dx + width]
             same = (near_surface[at] == surface) & (np.abs(near_distance[at] - distance) <= limit)
-            share = same * np.float32(kx * ky)
-            weight += share
+            part = same * np.float32(kx * ky)
+            weight += part
             for total, value in zip(sums, padded, strict=True):
-                total += share * value[at]
-    return [
-        np.where(weight > 0, total / np.maximum(weight, 1), value)
-        for total, value in zip(sums, values, strict=True)
-    ]
+                total += part * value[at]
+    found = weight > 0
+    weight[~found] = 1.0
+    return [np.where(found, total / weight, value) for total, value in zip(sums, values, strict=True)]
