@@ -32,7 +32,7 @@ def test_list_as_json(capsys):
 def test_show(capsys):
     assert main(["hands", "show", "allegro"]) == 0
     out = capsys.readouterr().out
-    assert "ff_proximal > ff_medial > ff_distal > ff_tip" in out
+    assert "ff_proximal > ff_medial > ff_distal > ff_tip_centre" in out
     assert "0.263 to 1.396" in out
 
 
