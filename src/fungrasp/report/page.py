@@ -1,0 +1,281 @@
+"""One self-contained HTML page about grasps: pictures, contacts, numbers, the film, and where it all came
+from.
+"""
+
+from __future__ import annotations
+
+import base64
+import io
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from html import escape
+from importlib.resources import files
+from pathlib import Path
+
+import numpy as np
+
+from fungrasp.errors import FungraspError
+from fungrasp.files import atomic_path
+
+MEDIA_TYPES = {".mp4": "video/mp4", ".webp": "image/webp", ".gif": "image/gif", ".png": "image/png"}
+"""Kinds of files that a page can hold, by suffix."""
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A measured number."""
+
+    name: str
+    """"Penetration of the object"."""
+    value: float | str
+    """A number, or words."""
+    unit: str = ""
+    """"mm"."""
+    meaning: str = ""
+    """What it measures, in a sentence."""
+    limit: float | None = None
+    """The number should not exceed it."""
+
+
+@dataclass(frozen=True)
+class Contact:
+    """Whether a link of the robot's hand should touch the object, and does."""
+
+    link: str
+    target: bool
+    reached: bool | None = None
+    """None if it was not tried."""
+
+
+@dataclass(frozen=True)
+class GraspReport:
+    """What the page says about one grasp. What is None or empty is left out."""
+
+    title: str
+    """"Mug, to drink"."""
+    task: str = ""
+    """What the grasp is for."""
+    object_name: str = ""
+    object_mass: float | None = None
+    """[kg]"""
+    success: bool | None = None
+    """Whether the object was lifted and held; None if it was not tried."""
+    outcome: str = ""
+    """What happened, in a sentence."""
+    human_picture: np.ndarray | None = None
+    """sRGB, shape [H, W, 3] uint8."""
+    robot_picture: np.ndarray | None = None
+    """sRGB, shape [H, W, 3] uint8."""
+    film: Path | bytes | None = None
+    """A file of a kind in ``MEDIA_TYPES``, or the bytes of an mp4 file."""
+    contacts: Sequence[Contact] = ()
+    quality: Sequence[Quantity] = ()
+
+
+@dataclass(frozen=True)
+class Page:
+    """All that a page says."""
+
+    title: str
+    grasps: Sequence[GraspReport]
+    hand: str = ""
+    """Title of the robot's hand."""
+    introduction: str = ""
+    """A sentence or two under the title."""
+    provenance: Mapping[str, str] = field(default_factory=dict)
+    """Where it came from: version, seed, command, machine, date ..., in the order given."""
+
+
+def write_page(path: str | Path, page: Page) -> Path:
+    """Write a page that needs no other file and no network.
+
+    Raises:
+        FungraspError: a film can't be read or is of an unknown kind, a picture has the wrong shape, or the
+            page can't be written.
+    """
+    path = Path(path)
+    text = page_html(page)
+    with atomic_path(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+    return path
+
+
+def page_html(page: Page) -> str:
+    """The page's HTML text. Raises FungraspError as ``write_page``."""
+    style = files("fungrasp.report").joinpath("page.css").read_text(encoding="utf-8")
+    several = len(page.grasps) > 1
+    parts = [_header(page), *(_contents(page.grasps) if several else [])]
+    parts += [_grasp(grasp, f"grasp-{i + 1}", first=i == 0) for i, grasp in enumerate(page.grasps)]
+    parts.append(_provenance(page.provenance))
+    return (
+        '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+        '<meta name="color-scheme" content="light dark">\n'
+        f"<title>{escape(page.title)}</title>\n<style>\n{style}</style>\n</head>\n<body>\n"
+        + "\n".join(part for part in parts if part)
+        + "\n</body>\n</html>\n"
+    )
+
+
+def _header(page: Page) -> str:
+    tried = [grasp.success for grasp in page.grasps if grasp.success is not None]
+    facts = [page.hand, f"{len(page.grasps)} grasps" if len(page.grasps) > 1 else ""]
+    facts.append(f"{sum(tried)} of {len(tried)} lifted and held" if len(tried) > 1 else "")
+    line = " · ".join(escape(fact) for fact in facts if fact)
+    return (
+        f'<header class="top"><h1>{escape(page.title)}</h1>'
+        + (f'<p class="facts">{line}</p>' if line else "")
+        + (f"<p>{escape(page.introduction)}</p>" if page.introduction else "")
+        + "</header>"
+    )
+
+
+def _contents(grasps: Sequence[GraspReport]) -> list[str]:
+    links = "".join(
+        f'<li><a href="#grasp-{i + 1}">{escape(grasp.title)}</a>{_badge(grasp.success, small=True)}</li>'
+        for i, grasp in enumerate(grasps)
+    )
+    return [f'<nav aria-label="Grasps"><ol>{links}</ol></nav>']
+
+
+def _grasp(grasp: GraspReport, name: str, *, first: bool) -> str:
+    facts = [grasp.task, grasp.object_name]
+    if grasp.object_mass is not None:
+        facts.append(f"{1000 * grasp.object_mass:.0f} g")
+    line = " · ".join(escape(fact) for fact in facts if fact)
+    pictures = _picture(grasp.human_picture, "The human grasp; links in contact are orange")
+    pictures += _picture(grasp.robot_picture, "The robot's grasp")
+    film = _film(grasp, " autoplay" if first else "")
+    tables = _contacts(grasp.contacts) + _quality(grasp.quality)
+    return (
+        f'<article id="{name}" aria-labelledby="{name}-title"><header>'
+        f'<div><h2 id="{name}-title">{escape(grasp.title)}</h2>'
+        + (f'<p class="facts">{line}</p>' if line else "")
+        + f"</div>{_badge(grasp.success)}</header>"
+        + (f'<p class="outcome">{escape(grasp.outcome)}</p>' if grasp.outcome else "")
+        + (f'<div class="pictures">{pictures}</div>' if pictures else "")
+        + film
+        + (f'<div class="tables">{tables}</div>' if tables else "")
+        + "</article>"
+    )
+
+
+def _badge(success: bool | None, *, small: bool = False) -> str:
+    if success is None:
+        return ""
+    kind, words = ("good", "✓ Lifted and held") if success else ("bad", "✗ Not held")
+    return f'<span class="badge {kind}">{words[0] if small else words}</span>'
+
+
+def _picture(picture: np.ndarray | None, caption: str) -> str:
+    if picture is None:
+        return ""
+    height, width = picture.shape[:2]
+    return (
+        f'<figure><img src="{_png(picture)}" width="{width}" height="{height}" alt="{escape(caption)}">'
+        f"<figcaption>{escape(caption)}</figcaption></figure>"
+    )
+
+
+def _film(grasp: GraspReport, play: str) -> str:
+    if grasp.film is None:
+        return ""
+    kind, data = _media(grasp.film)
+    source = f"data:{kind};base64,{base64.b64encode(data).decode()}"
+    alt = escape(f"Film of the robot's grasp: {grasp.title}")
+    if kind.startswith("image/"):
+        inner = f'<img src="{source}" alt="{alt}">'
+    else:
+        inner = f'<video src="{source}" controls{play} muted loop playsinline aria-label="{alt}"></video>'
+    return f'<figure class="film">{inner}<figcaption>In simulation</figcaption></figure>'
+
+
+def _contacts(contacts: Sequence[Contact]) -> str:
+    if not contacts:
+        return ""
+    rows = "".join(
+        f'<tr><th scope="row">{escape(contact.link.replace("_", " "))}</th><td>{_dot(contact.target)}</td>'
+        f"<td>{_dot(contact.reached)}</td></tr>"
+        for contact in contacts
+    )
+    wanted = [c for c in contacts if c.target and c.reached is not None]
+    summary = (
+        f"{sum(bool(c.reached) for c in wanted)} of {len(wanted)} wanted contacts reached" if wanted else ""
+    )
+    return (
+        '<section class="card"><h3>Contacts</h3>'
+        + (f"<p>{summary}</p>" if summary else "")
+        + '<table class="contacts"><thead><tr><th scope="col">Link</th><th scope="col">Wanted</th>'
+        f'<th scope="col">Reached</th></tr></thead><tbody>{rows}</tbody></table></section>'
+    )
+
+
+def _dot(value: bool | None) -> str:
+    if value is None:
+        return '<span class="none">not tried</span>'
+    return (
+        '<span class="dot on" title="yes">yes</span>' if value else '<span class="dot" title="no">no</span>'
+    )
+
+
+def _quality(quality: Sequence[Quantity]) -> str:
+    if not quality:
+        return ""
+    rows = []
+    for item in quality:
+        over = item.limit is not None and isinstance(item.value, int | float) and item.value > item.limit
+        limit = f" At most {_number(item.limit)}{_unit(item.unit)}." if item.limit is not None else ""
+        meaning = escape(f"{item.meaning}{limit}".strip())
+        rows.append(
+            f'<tr><th scope="row">{escape(item.name)}<small>{meaning}</small></th>'
+            f'<td class="number{" over" if over else ""}">{escape(_number(item.value))}'
+            f"<span>{escape(_unit(item.unit))}</span></td></tr>"
+        )
+    return (
+        '<section class="card"><h3>Quality</h3><table class="quality"><thead class="hidden"><tr>'
+        '<th scope="col">Measure</th><th scope="col">Value</th></tr></thead>'
+        f"<tbody>{''.join(rows)}</tbody></table></section>"
+    )
+
+
+def _provenance(provenance: Mapping[str, str]) -> str:
+    if not provenance:
+        return ""
+    rows = "".join(
+        f"<div><dt>{escape(key)}</dt><dd>{escape(str(value))}</dd></div>" for key, value in provenance.items()
+    )
+    return f"<footer><h2>Where this came from</h2><dl>{rows}</dl></footer>"
+
+
+def _number(value: float | str | None) -> str:
+    if value is None or isinstance(value, str):
+        return value or ""
+    if not np.isfinite(value):
+        return "–"
+    return f"{value:,.0f}" if abs(value) >= 1000 else f"{value:.3g}"
+
+
+def _unit(unit: str) -> str:
+    return unit if unit in ("", "°", "%") else f" {unit}"
+
+
+def _png(picture: np.ndarray) -> str:
+    from PIL import Image
+
+    if picture.ndim != 3 or picture.shape[2] != 3 or picture.dtype != np.uint8:
+        raise FungraspError(f"a picture must have shape [H, W, 3] uint8, not {picture.shape} {picture.dtype}")
+    buffer = io.BytesIO()
+    Image.fromarray(picture).save(buffer, "PNG", optimize=True)
+    return f"data:image/png;base64,{base64.b64encode(buffer.getvalue()).decode()}"
+
+
+def _media(film: Path | bytes) -> tuple[str, bytes]:
+    if isinstance(film, bytes):
+        return MEDIA_TYPES[".mp4"], film
+    kind = MEDIA_TYPES.get(film.suffix.lower())
+    if kind is None:
+        raise FungraspError(f"{film}: a film on a page must be one of {', '.join(MEDIA_TYPES)}")
+    try:
+        return kind, film.read_bytes()
+    except OSError as error:
+        raise FungraspError(f"cannot read {film}: {error.strerror or error}") from error
