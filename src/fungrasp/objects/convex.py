@@ -13,10 +13,12 @@ from pathlib import Path
 
 import manifold3d
 import numpy as np
+import trimesh
 from scipy.spatial import ConvexHull, QhullError
 
 from fungrasp.files import atomic_path
 from fungrasp.objects.kept import kept
+from fungrasp.objects.repair import solid
 
 FORMAT = 1
 """Goes up when the same mesh and settings should give different pieces."""
@@ -48,7 +50,9 @@ class DecompositionSettings:
     max_vertices: int = 64
     """Most vertices of a piece."""
     tolerance: float = 0.0002
-    """A piece's vertex may be left out if the piece shrinks by less than this there [m]."""
+    """A piece may shrink by this where vertices are left out, and a large mesh before it is cut [m]."""
+    most_faces: int = 4000
+    """A mesh with more is first simplified to within ``tolerance``."""
     search_iterations: int = 30
     """Iterations of the tree search for each cut."""
     search_nodes: int = 10
@@ -129,6 +133,8 @@ def _distance_outside(corners: np.ndarray, chosen: list[int]) -> np.ndarray:
 
 
 def _decompose(vertices: np.ndarray, faces: np.ndarray, settings: DecompositionSettings) -> tuple[ConvexPiece, ...]:
+    if len(faces) > settings.most_faces:
+        vertices, faces = _simplified(vertices, faces, settings.tolerance)
     hulls = _coacd(vertices, faces, settings, settings.concavity)
     if len(hulls) <= settings.max_pieces / 3:
         hulls = _coacd(vertices, faces, settings, settings.fine_concavity)
@@ -152,6 +158,14 @@ def _coacd(vertices: np.ndarray, faces: np.ndarray, settings: DecompositionSetti
         seed=settings.seed,
     )
     return [np.asarray(points, dtype=float) for points, _ in hulls]
+
+
+def _simplified(vertices: np.ndarray, faces: np.ndarray, tolerance: float) -> tuple[np.ndarray, np.ndarray]:
+    given = trimesh.Trimesh(vertices, faces, process=False)
+    simple = solid(given).simplify(tolerance).to_mesh64()
+    if len(simple.tri_verts) == 0:
+        return vertices, faces
+    return np.array(simple.vert_properties[:, :3]), np.asarray(simple.tri_verts, dtype=np.int32)
 
 
 def _write(path: Path, pieces: tuple[ConvexPiece, ...]) -> None:

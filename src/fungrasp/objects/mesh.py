@@ -9,18 +9,19 @@ import numpy as np
 import trimesh
 
 from fungrasp.errors import FungraspError
+from fungrasp.objects.repair import SHELL, consistent_winding, fill_holes, rebuild, unite
 
 SUFFIXES = (".obj", ".stl", ".ply", ".glb")
 """File types looked up by an object's name, in this order."""
 
-LARGEST = 1.0
-"""Largest extent [m] that is taken for metres."""
-
 TABLE = 1.5
-"""Side of the table [m]; an object larger than it can't be tried."""
+"""Side of the table [m]; an object longer than it is refused."""
 
 SMALLEST = 1e-3
-"""Smallest extent [m] of an object's longest side."""
+"""Length of the shortest object [m]."""
+
+HOLE = 0.5
+"""Widest hole that is filled, as a part of the object's longest side."""
 
 _log = logging.getLogger(__name__)
 
@@ -42,18 +43,19 @@ def load_mesh(path: str | Path, *, repair: bool = True) -> tuple[np.ndarray, np.
     """
     path = Path(path)
     mesh = _read(path)
-    _check_size(path, mesh.extents)
+    _check_size(path, float(np.max(mesh.extents)))
     repairs: list[str] = []
-    if not _closed(mesh):
+    if not _closed(mesh) or mesh.volume <= 0:
         if not repair:
-            raise FungraspError(f"{path}: the surface is not closed (holes or inconsistent winding)")
+            raise FungraspError(f"{path}: the surface is not closed, or its faces don't all point outwards")
         mesh = _mend(path, mesh, repairs)
-    if mesh.volume < 0:
-        mesh.invert()
-        repairs.append("turned the surface inside out (its faces pointed inwards)")
+    united = unite(mesh) if repair else None
+    if united is not None:
+        mesh = united
+        repairs.append("united bodies that overlap")
     for phrase in repairs:
         _log.warning("%s: %s", path, phrase)
-    return np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces, dtype=np.int32), tuple(repairs)
+    return np.array(mesh.vertices, dtype=np.float64), np.array(mesh.faces, dtype=np.int32), tuple(repairs)
 
 
 def _read(path: Path) -> trimesh.Trimesh:
@@ -61,38 +63,54 @@ def _read(path: Path) -> trimesh.Trimesh:
         raise FungraspError(f"the mesh file {path} does not exist")
     try:
         mesh = trimesh.load(path, force="mesh", process=False)
-        raw = trimesh.Trimesh(np.asarray(mesh.vertices), np.asarray(mesh.faces), process=False)
+        vertices, faces = np.array(mesh.vertices, dtype=float), np.array(mesh.faces)
     except Exception as error:
-        raise FungraspError(f"cannot read the mesh {path}: {' '.join(str(error).split()) or type(error).__name__}") from error
-    if len(raw.faces) == 0:
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise FungraspError(f"cannot read the mesh {path}: {reason}") from error
+    if len(faces) == 0:
         raise FungraspError(f"{path}: the mesh has no faces")
-    if not np.isfinite(raw.vertices).all():
-        row = int(np.flatnonzero(~np.isfinite(raw.vertices).all(axis=1))[0])
-        raise FungraspError(f"{path}: vertex {row} is not finite")
-    return trimesh.Trimesh(raw.vertices, raw.faces, process=True)
+    bad = ~np.isfinite(vertices).all(axis=1)
+    if bad.any():
+        raise FungraspError(f"{path}: vertex {int(np.argmax(bad))} is not finite")
+    merged = trimesh.Trimesh(vertices, faces, process=True)
+    merged.update_faces(merged.nondegenerate_faces())
+    merged.update_faces(merged.unique_faces())
+    merged.remove_unreferenced_vertices()
+    if len(merged.faces) == 0:
+        raise FungraspError(f"{path}: the mesh has no face with an area")
+    return merged
 
 
-def _check_size(path: Path, extents: np.ndarray) -> None:
-    size = float(np.max(extents))
-    if size > LARGEST:
-        if size > TABLE * 2 and size / 1000 >= SMALLEST:
-            raise FungraspError(f"{path}: {size:.4g} m long; this looks like millimetres: scale the mesh by 0.001")
-        raise FungraspError(f"{path}: {size:.4g} m long; an object must be smaller than {LARGEST:g} m")
-    if size < SMALLEST:
-        raise FungraspError(f"{path}: only {size:.3g} m long; meshes are in metres")
+def _check_size(path: Path, length: float) -> None:
+    if length >= 2 * TABLE:
+        raise FungraspError(f"{path}: {length:.4g} m long; this looks like millimetres: scale the mesh by 0.001")
+    if length > TABLE:
+        raise FungraspError(f"{path}: {length:.4g} m long, larger than the table ({TABLE:g} m)")
+    if length < SMALLEST:
+        raise FungraspError(f"{path}: only {length:.3g} m long; a mesh must be in metres")
 
 
 def _closed(mesh: trimesh.Trimesh) -> bool:
-    return bool(mesh.is_watertight and mesh.is_winding_consistent and mesh.volume != 0)
+    return bool(mesh.is_watertight and mesh.is_winding_consistent)
 
 
 def _mend(path: Path, mesh: trimesh.Trimesh, repairs: list[str]) -> trimesh.Trimesh:
-    if not mesh.is_watertight:
-        mesh.fill_holes()
-        repairs.append("filled holes")
     if not mesh.is_winding_consistent:
-        mesh.fix_normals()
-        repairs.append("made the winding of the faces consistent")
+        mesh = consistent_winding(mesh)
+        repairs.append("made neighbouring faces wind the same way")
+    if not mesh.is_watertight:
+        mesh, closed = fill_holes(mesh, HOLE * float(np.max(mesh.extents)))
+        if closed:
+            repairs.append(f"filled {closed} hole{'s' * (closed > 1)}")
     if not _closed(mesh):
-        raise FungraspError(f"{path}: the surface is not closed and can't be mended")
+        rebuilt = rebuild(mesh)
+        if rebuilt is None:
+            raise FungraspError(f"{path}: the surface is not closed and can't be mended")
+        mesh = rebuilt
+        repairs[:] = [f"rebuilt the open surface as a shell {SHELL * 1000:g} mm thick, closed cavities filled"]
+    if mesh.volume < 0:
+        mesh.invert()
+        repairs.append("turned the faces outwards")
+    if mesh.volume == 0:
+        raise FungraspError(f"{path}: the surface encloses no volume")
     return mesh

@@ -7,12 +7,11 @@ from collections.abc import Mapping, Sequence
 import manifold3d
 import numpy as np
 import trimesh
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from fungrasp.objects.builtin.resting import resting_rotation
 from fungrasp.objects.builtin.shapes import Solid
 from fungrasp.objects.convex import ConvexPiece, convex_hull
+from fungrasp.objects.repair import vertex_components
 
 Parts = Mapping[str, Sequence[Solid]]
 """Convex solids by the name of the functional part they make up."""
@@ -53,9 +52,7 @@ def _without_specks(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray
     Returns:
         vertices, faces, and the rows of ``faces`` that were kept.
     """
-    ends = faces[:, [0, 1, 2]].ravel(), faces[:, [1, 2, 0]].ravel()
-    links = coo_array((np.ones(len(ends[0])), ends), shape=(len(vertices), len(vertices)))
-    count, label = connected_components(links, directed=False)
+    count, label = vertex_components(faces, len(vertices))
     label_of_face = label[faces[:, 0]]
     corners = vertices[faces]
     volumes = np.einsum("fi,fi->f", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6

@@ -127,7 +127,7 @@ class Spatula:
         ]  # fmt: skip
         blade = np.array([(x, y, z) for x, y in plate for z in (0.0, 0.0018)])
         grip = [
-            ellipse((x, 0, z), (0, a, 0), (0, 0, b), squareness=2.5)
+            ellipse((x, 0, z), (0, a, 0), (0, 0, b), squareness=3)
             for x, z, a, b in (
                 (-self.handle, 0.022, 0.010, 0.005),
                 (-self.handle + 0.008, 0.022, 0.0145, 0.0085),
@@ -157,7 +157,7 @@ class Brush:
     def parts(self) -> Parts:
         back, length = self.bristles, self.head
         bar = [
-            ellipse((x, 0, z), (0, a, 0), (0, 0, b), squareness=2.3)
+            ellipse((x, 0, z), (0, a, 0), (0, 0, b), squareness=3)
             for x, z, a, b in (
                 (-self.handle, 0.030, 0.008, 0.005),
                 (-self.handle + 0.01, 0.031, 0.0125, 0.0085),
@@ -169,14 +169,14 @@ class Brush:
         middle = length / 2
         plate = np.concatenate(
             [
-                ellipse((middle, 0, z), (middle - cut, 0, 0), (0, 0.026 - cut, 0), corners=28, squareness=2.6)
+                ellipse((middle, 0, z), (middle - cut, 0, 0), (0, 0.026 - cut, 0), corners=28, squareness=3.5)
                 for z, cut in ((back, 0.001), (back + 0.003, 0), (back + 0.008, 0), (back + 0.011, 0.004))
             ]
         )
         tuft = np.concatenate(
             [
-                ellipse((middle, 0, 0), (middle - 0.002, 0, 0), (0, 0.025, 0), corners=28, squareness=2.6),
-                ellipse((middle, 0, back + 0.001), (middle - 0.006, 0, 0), (0, 0.021, 0), corners=28, squareness=2.6),
+                ellipse((middle, 0, 0), (middle - 0.002, 0, 0), (0, 0.025, 0), corners=28, squareness=3.5),
+                ellipse((middle, 0, back + 0.001), (middle - 0.006, 0, 0), (0, 0.021, 0), corners=28, squareness=3.5),
             ]
         )
         return {"handle": sweep(bar), "head": [plate], "bristles": [tuft]}

@@ -66,13 +66,13 @@ def ellipse(
     center: Sequence[float],
     first: Sequence[float],
     second: Sequence[float],
-    corners: int = 14,
+    corners: int = 16,
     squareness: float = 2.0,
 ) -> np.ndarray:
     """A section for ``sweep``: points of the superellipse around ``center`` with half-axes ``first`` and ``second`` [m].
 
     Args:
-        corners: number of points.
+        corners: number of points; a multiple of 4 puts an edge, not a corner, at the end of each axis.
         squareness: exponent; 2 is an ellipse, larger is closer to a rectangle.
 
     Returns:
@@ -133,7 +133,7 @@ def eye(center: Sequence[float], half: Sequence[float], section: Sequence[float]
         normal = np.array([np.cos(angle) / half[0], np.sin(angle) / half[1], 0])
         normal /= np.linalg.norm(normal)
         at = np.asarray(center) + [half[0] * np.cos(angle), half[1] * np.sin(angle), 0]
-        sections.append(ellipse(at, section[0] * normal, (0, 0, section[1]), corners=10))
+        sections.append(ellipse(at, section[0] * normal, (0, 0, section[1]), corners=12))
     return sweep([*sections, sections[0]])
 
 

@@ -1,0 +1,154 @@
+"""Mending a surface that is not closed: winding, small holes, overlapping bodies, and rebuilding as a last resort."""
+
+from __future__ import annotations
+
+import manifold3d
+import numpy as np
+import trimesh
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import breadth_first_order, connected_components
+
+SHELL = 0.002
+"""Thickness of the shell that a surface beyond repair becomes [m]."""
+
+
+def vertex_components(faces: np.ndarray, count: int) -> tuple[int, np.ndarray]:
+    """Connected surfaces of a mesh. faces: shape [F, 3]; count: number of vertices.
+
+    Returns:
+        the number of surfaces, and the surface of each vertex, shape [count].
+    """
+    ends = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
+    links = coo_array((np.ones(len(ends[0])), ends), shape=(count, count))
+    number, label = connected_components(links, directed=False)
+    return number, label
+
+
+def bodies(mesh: trimesh.Trimesh) -> list[trimesh.Trimesh]:
+    """The connected surfaces of a mesh, each a mesh of its own."""
+    _, label = vertex_components(mesh.faces, len(mesh.vertices))
+    of_face = label[mesh.faces[:, 0]]
+    return [_submesh(mesh, of_face == body) for body in np.unique(of_face)]
+
+
+def consistent_winding(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    """The mesh with faces flipped so that neighbours agree, starting from one face of each connected surface."""
+    first, second = mesh.face_adjacency.T
+    edges = mesh.face_adjacency_edges
+    same_way = _runs_along(mesh.faces[first], edges) == _runs_along(mesh.faces[second], edges)
+    count = len(mesh.faces)
+    graph = coo_array((np.ones(len(first)), (first, second)), shape=(count, count)).tocsr()
+    disagree = coo_array((same_way.astype(float), (first, second)), shape=(count, count)).tocsr()
+    disagree = disagree + disagree.T
+    _, label = connected_components(graph, directed=False)
+    flipped = np.zeros(count, dtype=bool)
+    for start in np.unique(label, return_index=True)[1]:
+        order, parent = breadth_first_order(graph, start, directed=False)
+        for face in order[1:]:
+            flipped[face] = flipped[parent[face]] ^ bool(disagree[face, parent[face]])
+    faces = mesh.faces.copy()
+    faces[flipped] = faces[flipped, ::-1]
+    return trimesh.Trimesh(mesh.vertices, faces, process=False)
+
+
+def fill_holes(mesh: trimesh.Trimesh, widest: float) -> tuple[trimesh.Trimesh, int]:
+    """Close holes with a fan of triangles around their centre.
+
+    Args:
+        mesh: with consistent winding.
+        widest: holes wider than this [m] stay open.
+
+    Returns:
+        the mesh, and how many holes were closed.
+    """
+    vertices, faces, closed = [mesh.vertices], [mesh.faces], 0
+    for loop in _holes(mesh.faces):
+        corners = mesh.vertices[loop]
+        if np.linalg.norm(np.ptp(corners, axis=0)) > widest:
+            continue
+        middle = len(mesh.vertices) + closed
+        vertices.append(corners.mean(axis=0, keepdims=True))
+        faces.append(np.column_stack([np.roll(loop, -1), loop, np.full(len(loop), middle)]))
+        closed += 1
+    return trimesh.Trimesh(np.concatenate(vertices), np.concatenate(faces), process=False), closed
+
+
+def unite(mesh: trimesh.Trimesh) -> trimesh.Trimesh | None:
+    """The union of a mesh's closed bodies; None if they don't overlap, or can't be united."""
+    parts = bodies(mesh)
+    if len(parts) < 2 or any(part.volume <= 0 for part in parts):
+        return None
+    solids = [solid(part) for part in parts]
+    if any(each.status() != manifold3d.Error.NoError for each in solids):
+        return None
+    union = manifold3d.Manifold.batch_boolean(solids, manifold3d.OpType.Add)
+    if union.volume() > mesh.volume * (1 - 1e-6):
+        return None
+    return _mesh(union)
+
+
+def rebuild(mesh: trimesh.Trimesh, thickness: float = SHELL) -> trimesh.Trimesh | None:
+    """A closed surface around any triangles: each is thickened to a plate, the plates are united, cavities are filled.
+
+    Args:
+        mesh: any triangles.
+        thickness: of the plates [m].
+
+    Returns:
+        the mesh, or None if there is nothing to build from.
+    """
+    offsets = np.array(mesh.vertex_normals) * thickness / 2
+    sides = np.stack([mesh.vertices - offsets, mesh.vertices + offsets])
+    plates = [manifold3d.Manifold.hull_points(sides[:, face].reshape(-1, 3)) for face in mesh.faces]
+    union = manifold3d.Manifold.batch_boolean(plates, manifold3d.OpType.Add)
+    if union.is_empty():
+        return None
+    outer = [body for body in bodies(_mesh(union)) if body.volume > 0]
+    filled = manifold3d.Manifold.batch_boolean([solid(body) for body in outer], manifold3d.OpType.Add)
+    return None if filled.is_empty() else _mesh(filled.simplify(thickness / 20))
+
+
+def _holes(faces: np.ndarray) -> list[np.ndarray]:
+    """Vertex loops along the open edges, in the direction of the faces there."""
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    present = {(int(a), int(b)) for a, b in edges}
+    following: dict[int, int] = {}
+    for a, b in present:
+        if (b, a) not in present:
+            if a in following:
+                return []
+            following[a] = b
+    loops = []
+    while following:
+        start = next(iter(following))
+        loop, at = [start], following.pop(start)
+        while at != start and at in following:
+            loop.append(at)
+            at = following.pop(at)
+        if at == start:
+            loops.append(np.array(loop))
+    return loops
+
+
+def _runs_along(triangles: np.ndarray, edges: np.ndarray) -> np.ndarray:
+    """Whether each triangle, shape [N, 3], passes its edge, shape [N, 2], from its first to its second vertex."""
+    starts = np.argmax(triangles == edges[:, :1], axis=1)
+    following = np.take_along_axis(triangles, (starts[:, None] + 1) % 3, axis=1)[:, 0]
+    return following == edges[:, 1]
+
+
+def _submesh(mesh: trimesh.Trimesh, rows: np.ndarray) -> trimesh.Trimesh:
+    used, renumbered = np.unique(mesh.faces[rows], return_inverse=True)
+    return trimesh.Trimesh(mesh.vertices[used], renumbered.reshape(-1, 3), process=False)
+
+
+def solid(mesh: trimesh.Trimesh) -> manifold3d.Manifold:
+    """A closed mesh for boolean operations; its ``status()`` says whether it is one."""
+    return manifold3d.Manifold(
+        manifold3d.Mesh64(np.array(mesh.vertices, dtype=float), np.array(mesh.faces, dtype=np.uint64))
+    )
+
+
+def _mesh(solid: manifold3d.Manifold) -> trimesh.Trimesh:
+    mesh = solid.to_mesh64()
+    return trimesh.Trimesh(mesh.vert_properties[:, :3], np.asarray(mesh.tri_verts, dtype=np.int64), process=False)
