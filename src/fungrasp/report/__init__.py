@@ -2,6 +2,7 @@
 
 from fungrasp.report.camera import Camera, fit_camera, orbit_camera
 from fungrasp.report.film import film
+from fungrasp.report.page import Contact, GraspReport, Page, Quantity, write_page
 from fungrasp.report.pictures import (
     captioned,
     four_views,
@@ -10,6 +11,7 @@ from fungrasp.report.pictures import (
     human_grasp_scene,
     look_at_grasp,
     robot_grasp_scene,
+    robot_scene_colours,
     robot_scene_states,
 )
 from fungrasp.report.render import Renderer, Views, render
@@ -18,7 +20,11 @@ from fungrasp.report.video import write_video
 
 __all__ = [
     "Camera",
+    "Contact",
+    "GraspReport",
     "Look",
+    "Page",
+    "Quantity",
     "Renderer",
     "Views",
     "captioned",
@@ -32,6 +38,8 @@ __all__ = [
     "orbit_camera",
     "render",
     "robot_grasp_scene",
+    "robot_scene_colours",
     "robot_scene_states",
+    "write_page",
     "write_video",
 ]

@@ -10,7 +10,12 @@ from PIL import Image, ImageDraw, ImageFont
 
 from fungrasp.errors import FungraspError
 from fungrasp.report.render import Renderer
-from fungrasp.report.scenes import human_grasp_scene, robot_grasp_scene, robot_scene_states
+from fungrasp.report.scenes import (
+    human_grasp_scene,
+    robot_grasp_scene,
+    robot_scene_colours,
+    robot_scene_states,
+)
 from fungrasp.report.shading import Look
 from fungrasp.report.viewpoints import frame_geoms, look_at_grasp
 
@@ -22,6 +27,7 @@ __all__ = [
     "human_grasp_scene",
     "look_at_grasp",
     "robot_grasp_scene",
+    "robot_scene_colours",
     "robot_scene_states",
 ]
 

@@ -13,6 +13,7 @@ from fungrasp.errors import FungraspError
 from fungrasp.geometry.poses import compose, inverse_transform_points, invert
 from fungrasp.hands import Hand
 from fungrasp.report.hand_mesh import human_hand_mesh
+from fungrasp.report.shading import model_materials
 
 SKIN = (0.86, 0.68, 0.57)
 """Colour of a human hand, sRGB."""
@@ -30,7 +31,7 @@ HAND_BODY = "hand"
 """Name of the body that carries the hand in the scenes made here."""
 
 PALM_TINT = 0.75
-"""How much of ``CONTACT`` goes into the colour of a robot's palm in contact, which is large."""
+"""How much of ``CONTACT`` goes into the colour of a robot's palm in contact: it is large."""
 
 _PALETTE = 64
 _PREFIX = "robot/"
@@ -114,16 +115,16 @@ def robot_grasp_scene(
     Raises:
         FungraspError: an argument has the wrong shape or is not finite.
     """
-    contacts = np.zeros(len(hand.links), bool) if link_contacts is None else link_contacts
-    child = hand.spec()
-    _tint_contacts(hand, child, _flags(contacts, len(hand.links)))
     spec = mujoco.MjSpec()
     body = spec.worldbody.add_body(name=HAND_BODY, mass=0.1, inertia=[1e-4, 1e-4, 1e-4])
     body.explicitinertial = True
     body.add_freejoint(name=HAND_BODY)
-    spec.attach(child, prefix=_PREFIX, frame=body.add_frame())
+    spec.attach(hand.spec(), prefix=_PREFIX, frame=body.add_frame())
     _add_object(spec, vertices, faces, object_colour).add_freejoint(name=OBJECT_BODY)
     model = spec.compile()
+    if link_contacts is not None:
+        model.geom_rgba[:] = robot_scene_colours(model, hand, np.asarray(link_contacts)[None])[0]
+        model.geom_matid[:] = -1
     pose, positions = np.asarray(wrist_pose, dtype=float), np.asarray(joint_positions, dtype=float)
     states = robot_scene_states(
         model, hand, pose[None], positions[None], np.asarray(object_pose, float)[None]
@@ -172,16 +173,30 @@ def robot_scene_states(
     return states
 
 
-def _tint_contacts(hand: Hand, spec: mujoco.MjSpec, contacts: np.ndarray) -> None:
-    tints = {}
-    for k, (bodies, flag) in enumerate(zip(hand.links, contacts, strict=True)):
-        tints |= dict.fromkeys(bodies, (PALM_TINT if k == 0 else 1.0) * flag)
-    for geom in spec.geoms:
-        tint = tints.get(geom.parent.name, 0.0)
-        if tint > 0:
-            own = np.asarray(geom.rgba[:3], dtype=float)
-            geom.rgba = [*(own + tint * (np.asarray(CONTACT) - own)), geom.rgba[3]]
-            geom.material = ""
+def robot_scene_colours(model: mujoco.MjModel, hand: Hand, link_contacts: np.ndarray) -> np.ndarray:
+    """Colours of a ``robot_grasp_scene`` whose links light up while they touch, for a film.
+
+    Args:
+        model: made by ``robot_grasp_scene`` for the same hand, without contacts.
+        link_contacts: in the order of ``hand.links``, shape [T, L] bool.
+
+    Returns:
+        sRGB and opacity, shape [T, ngeom, 4].
+
+    Raises:
+        FungraspError: ``link_contacts`` has the wrong shape.
+    """
+    contacts = np.asarray(link_contacts)
+    if contacts.ndim != 2 or contacts.shape[1] != len(hand.links):
+        raise FungraspError(f"link_contacts must have shape [T, {len(hand.links)}], not {contacts.shape}")
+    colours = np.tile(model_materials(model).colours, (len(contacts), 1, 1))
+    owner = {_PREFIX + body: k for k, bodies in enumerate(hand.links) for body in bodies}
+    for geom in range(model.ngeom):
+        link = owner.get(model.body(int(model.geom_bodyid[geom])).name)
+        if link is not None:
+            tint = contacts[:, link, None] * (PALM_TINT if link == 0 else 1.0)
+            colours[:, geom, :3] += tint * (np.asarray(CONTACT) - colours[:, geom, :3])
+    return colours
 
 
 def _add_object(

@@ -15,6 +15,7 @@ from fungrasp.report.scenes import CONTACT, OBJECT_BODY
 from fungrasp.report.shading import model_materials
 
 _LARGEST = 0.6
+_BEST_ELEVATION = 26.0
 _STATES = 24
 
 
@@ -25,13 +26,14 @@ def look_at_grasp(
     mocap: np.ndarray | None = None,
     width: int = 640,
     height: int = 480,
+    margin: float = 1.12,
     elevations: Sequence[float] = (14.0, 30.0, 48.0),
     azimuths: int = 12,
 ) -> Camera:
     """A camera above the table that frames hand and object, and from which most of the contact can be seen.
 
-    Of all views tried, it has the largest sum of visible shares: of the coloured links' pixels, of the
-    object's and of the hand's, each compared with the view that shows most of it.
+    Of all views tried, it has the largest weighted sum of shares: of the coloured links, of the object, and
+    of each geom of the hand, each compared with the view that shows most of it.
 
     Args:
         model: made by ``human_grasp_scene`` or ``robot_grasp_scene``, or any with a body named
@@ -39,6 +41,7 @@ def look_at_grasp(
         qpos: shape [nq], or [T, nq] for a motion: it is all framed, and judged by its last state; None for
             the model's reference.
         mocap: poses of the mocap bodies, shape [nmocap, 7] or [T, nmocap, 7]; None for the model's.
+        margin: how much larger than its contents the picture is; a bar of words needs about 1.3.
         elevations: of the views that are tried [degrees].
         azimuths: number of directions that are tried.
     """
@@ -52,15 +55,15 @@ def look_at_grasp(
     renderer = Renderer(model, antialias=1, shadows=False)
     seen = renderer.views(states[-1:].repeat(len(views), 0), cameras, mocap=last_mocap)
     of_object = [g for g in range(model.ngeom) if model.body(int(model.geom_bodyid[g])).name == OBJECT_BODY]
-    on_object = np.isin(seen.segmentation, of_object)
-    on_hand = (seen.segmentation >= 0) & ~on_object
-    touching = on_hand & _touching(model, seen)
-    score = np.zeros(len(views))
-    for mask, weight in ((touching, 1.0), (on_object, 0.8), (on_hand, 0.5)):
-        pixels = mask.sum((1, 2))
-        score += weight * np.sqrt(pixels / max(pixels.max(), 1))
+    of_hand = np.setdiff1d(np.unique(seen.segmentation[seen.segmentation >= 0]), of_object)
+    score = 0.4 * _shares(np.isin(seen.segmentation, of_object))
+    score += 0.5 * np.mean([_shares(seen.segmentation == g) for g in of_hand] or [0.0 * score], axis=0)
+    score += 0.8 * _shares(_touching(model, seen) & ~np.isin(seen.segmentation, of_object))
+    score -= 0.004 * np.abs(np.array([e for e, _ in views]) - _BEST_ELEVATION)
     elevation, azimuth = views[int(np.argmax(score))]
-    return frame_geoms(model, states, azimuth, elevation, mocap=mocap, width=width, height=height)
+    return frame_geoms(
+        model, states, azimuth, elevation, mocap=mocap, width=width, height=height, margin=margin
+    )
 
 
 def frame_geoms(
@@ -73,6 +76,7 @@ def frame_geoms(
     width: int = 640,
     height: int = 480,
     fov_y: float = 30.0,
+    margin: float = 1.12,
 ) -> Camera:
     """A camera that frames all drawn geoms but planes and huge ones, tightly.
 
@@ -81,6 +85,8 @@ def frame_geoms(
         azimuth: of the camera, from the world's x towards y [degrees].
         elevation: above the horizontal [degrees].
         mocap: poses of the mocap bodies, shape [nmocap, 7] or [T, nmocap, 7]; None for the model's.
+        fov_y: vertical field of view [degrees].
+        margin: how much larger than its contents the picture is.
 
     Raises:
         FungraspError: there is no such geom.
@@ -108,7 +114,15 @@ def frame_geoms(
         points.append(data.geom_xpos[chosen][:, None] + np.einsum("gij,gpj->gpi", rotation, local))
     everything = np.concatenate(points).reshape(-1, 3)
     none = np.zeros(len(everything))
-    return fit_camera(everything, none, azimuth, elevation, fov_y=fov_y, width=width, height=height)
+    return fit_camera(
+        everything, none, azimuth, elevation, fov_y=fov_y, width=width, height=height, margin=margin
+    )
+
+
+def _shares(mask: np.ndarray) -> np.ndarray:
+    """How much of a thing each view shows, compared with the best one; mask: shape [views, H, W] bool."""
+    pixels = mask.sum((1, 2))
+    return np.sqrt(pixels / max(pixels.max(), 1))
 
 
 def _touching(model: mujoco.MjModel, seen: Views) -> np.ndarray:
