@@ -21,8 +21,8 @@ from fungrasp.retarget import terms
 from fungrasp.retarget.problem import HandPoints, State, Surroundings
 from fungrasp.retarget.solver import minimise
 
-RETREATS = (0.0, 0.025, 0.05, 0.09, 0.14)
-"""How far the wrist has withdrawn at each way point [m]."""
+RETREATS = (0.03, 0.07, 0.12)
+"""How far the wrist has withdrawn at each way point after the first, which is at the grasp [m]."""
 
 
 @dataclass(frozen=True)
@@ -39,8 +39,8 @@ class ApproachSettings:
     """Sideways shift of the wrist that counts as one unit [m]."""
     rotation_unit: float = 0.1
     """Turn of the wrist that counts as one unit [rad]."""
-    iterations: int = 8
-    """Of the optimiser, per way point."""
+    iterations: int = 5
+    """Of the optimiser, per way point; twice as many for the first."""
 
 
 @dataclass(frozen=True)
@@ -84,9 +84,10 @@ def plan_approach(
     def run(start: int) -> Approach:
         rows = slice(start, start + chunk)
         part = around.rows(rows)
-        points = HandPoints(HandKinematics(hand, len(part)))
+        clear = _Clearer(HandPoints(HandKinematics(hand, len(part))), part, settings)
+        first = clear(wrist_in_object[rows], grasp[rows], 2 * settings.iterations)
         ways = [
-            _withdraw(points, part, wrist_in_object[rows], grasp[rows], direction, settings)
+            _withdraw(clear, first, direction, settings.iterations)
             for direction in _directions(hand, wrist_in_object[rows], part.up, centers[rows])
         ]
         best = np.argmin([way.collision + 1e-4 * i for i, way in enumerate(ways)], axis=0)
@@ -110,39 +111,45 @@ def _directions(hand: Hand, wrist: np.ndarray, up: np.ndarray, center: np.ndarra
     return [outwards, _unit(outwards + 0.5 * up), _unit(backwards + along), backwards, _unit(along + 0.3 * up), up]
 
 
-def _withdraw(
-    points: HandPoints,
-    around: Surroundings,
-    wrist: np.ndarray,
-    fingers: np.ndarray,
-    direction: np.ndarray,
-    settings: ApproachSettings,
-) -> Approach:
-    collisions = [
-        partial(terms.object_penetration, unit=0.001, margin=settings.object_margin),
-        partial(terms.table_penetration, unit=0.001, margin=settings.table_margin),
-        partial(terms.self_penetration, unit=0.002),
-    ]
-    poses, joints, intrusions = [], [], []
-    before = 0.0
-    for retreat in RETREATS:
-        wrist = wrist.copy()
-        wrist[:, :3] += (retreat - before) * direction
-        before = retreat
+class _Clearer:
+    """Moves hands as little as needed to keep clear of object, table and themselves."""
+
+    def __init__(self, points: HandPoints, around: Surroundings, settings: ApproachSettings):
+        self._points, self._around, self._settings = points, around, settings
+        self._terms = [
+            partial(terms.object_penetration, unit=0.001, margin=settings.object_margin),
+            partial(terms.table_penetration, unit=0.001, margin=settings.table_margin),
+            partial(terms.self_penetration, unit=0.002),
+        ]
+
+    def __call__(self, wrist: np.ndarray, fingers: np.ndarray, iterations: int) -> Approach:
+        """One way point near the given state."""
+        s = self._settings
         stay = partial(
             terms.stay_near,
             start=(wrist, fingers),
-            unit=settings.joint_unit,
-            position_unit=settings.position_unit,
-            rotation_unit=settings.rotation_unit,
+            unit=s.joint_unit,
+            position_unit=s.position_unit,
+            rotation_unit=s.rotation_unit,
         )
-        wrist, fingers, _ = minimise(points, around, [*collisions, stay], wrist, fingers, settings.iterations)
-        state = State(points, around, wrist, fingers)
-        intrusions.append(np.maximum(settings.object_margin - state.clearance.min(axis=1), 0.0))
-        intrusions.append(np.maximum(settings.table_margin - state.heights.min(axis=1), 0.0))
-        poses.append(wrist)
-        joints.append(fingers)
-    return Approach(np.stack(poses, axis=1), np.stack(joints, axis=1), np.max(intrusions, axis=0))
+        wrist, fingers, _ = minimise(self._points, self._around, [*self._terms, stay], wrist, fingers, iterations)
+        state = State(self._points, self._around, wrist, fingers)
+        intrusion = np.maximum(s.object_margin - state.clearance.min(axis=1), s.table_margin - state.heights.min(axis=1))
+        return Approach(wrist[:, None], fingers[:, None], np.maximum(intrusion, 0.0))
+
+
+def _withdraw(clear: _Clearer, first: Approach, direction: np.ndarray, iterations: int) -> Approach:
+    way, before = [first], 0.0
+    for retreat in RETREATS:
+        wrist = way[-1].wrist_pose[:, 0].copy()
+        wrist[:, :3] += (retreat - before) * direction
+        before = retreat
+        way.append(clear(wrist, way[-1].fingers[:, 0], iterations))
+    return Approach(
+        np.concatenate([point.wrist_pose for point in way], axis=1),
+        np.concatenate([point.fingers for point in way], axis=1),
+        np.max([point.collision for point in way], axis=0),
+    )
 
 
 def _unit(v: np.ndarray) -> np.ndarray:

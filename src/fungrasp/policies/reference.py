@@ -52,6 +52,8 @@ class ReferenceController:
         approach = plan_approach(
             hand, names, task.settled_pose, objects, task.wrist_in_object, self._grasp, s.approach
         )
+        self.collision = approach.collision
+        """Deepest intrusion of the planned way into the margins [m], shape [W]."""
         self._path = Path(task.set_point.pose, task.finger_set_point, approach, task.settled_pose)
         self._squeeze = self._servo_offsets(hand, names, objects)
         self._arrived = np.full(len(names), np.inf)
