@@ -3,7 +3,7 @@
 from fungrasp.objects.convex import ConvexPiece, convex_pieces
 from fungrasp.objects.mesh import load_mesh
 from fungrasp.objects.model import ObjectModel
-from fungrasp.objects.registry import builtin_object, load_object, object_names
+from fungrasp.objects.registry import builtin_object, load_object, mesh_files, object_from_file, object_names
 
 __all__ = [
     "ConvexPiece",
@@ -12,5 +12,7 @@ __all__ = [
     "convex_pieces",
     "load_mesh",
     "load_object",
+    "mesh_files",
+    "object_from_file",
     "object_names",
 ]

@@ -40,7 +40,9 @@ def piece_fidelity(model: ObjectModel, samples: int = 4000) -> Fidelity:
     outside = np.maximum(mesh_signed_distance(model.mesh, np.concatenate([on_pieces, corners])), 0.0)
     on_mesh = _surface(model.mesh, samples)
     planes = [ConvexHull(piece.vertices).equations for piece in model.pieces]
-    uncovered = np.maximum(np.min([(on_mesh @ p[:, :3].T + p[:, 3]).max(axis=1) for p in planes], axis=0), 0.0)
+    uncovered = np.maximum(
+        np.min([(on_mesh @ p[:, :3].T + p[:, 3]).max(axis=1) for p in planes], axis=0), 0.0
+    )
     return Fidelity(
         bulge_max=float(outside.max()),
         bulge_mean=float(outside[: len(on_pieces)].mean()),

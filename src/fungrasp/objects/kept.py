@@ -1,4 +1,4 @@
-"""Results that are computed once and kept: every process, also one that runs at the same time, reads the same file."""
+"""Results that are computed once and kept: every process, also one running meanwhile, reads the same file."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ T = TypeVar("T")
 
 
 def kept(kind: str, key: str, read: Callable[[Path], T], write: Callable[[Path], None]) -> T:
-    """What ``read`` finds in the file kept under ``key``; ``write`` makes the file where it is missing or broken.
+    """What ``read`` finds in the file kept under ``key``; ``write`` makes it where it is missing or broken.
 
     Args:
         kind: folder in the cache.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import trimesh
@@ -62,7 +63,7 @@ def _read(path: Path) -> trimesh.Trimesh:
     if not path.is_file():
         raise FungraspError(f"the mesh file {path} does not exist")
     try:
-        mesh = trimesh.load(path, force="mesh", process=False)
+        mesh: Any = trimesh.load(path, force="mesh", process=False)
         vertices, faces = np.array(mesh.vertices, dtype=float), np.array(mesh.faces)
     except Exception as error:
         reason = " ".join(str(error).split()) or type(error).__name__
@@ -83,7 +84,9 @@ def _read(path: Path) -> trimesh.Trimesh:
 
 def _check_size(path: Path, length: float) -> None:
     if length >= 2 * TABLE:
-        raise FungraspError(f"{path}: {length:.4g} m long; this looks like millimetres: scale the mesh by 0.001")
+        raise FungraspError(
+            f"{path}: {length:.4g} m long; this looks like millimetres: scale the mesh by 0.001"
+        )
     if length > TABLE:
         raise FungraspError(f"{path}: {length:.4g} m long, larger than the table ({TABLE:g} m)")
     if length < SMALLEST:
@@ -107,7 +110,9 @@ def _mend(path: Path, mesh: trimesh.Trimesh, repairs: list[str]) -> trimesh.Trim
         if rebuilt is None:
             raise FungraspError(f"{path}: the surface is not closed and can't be mended")
         mesh = rebuilt
-        repairs[:] = [f"rebuilt the open surface as a shell {SHELL * 1000:g} mm thick, closed cavities filled"]
+        repairs[:] = [
+            f"rebuilt the open surface as a shell {SHELL * 1000:g} mm thick, closed cavities filled"
+        ]
     if mesh.volume < 0:
         mesh.invert()
         repairs.append("turned the faces outwards")

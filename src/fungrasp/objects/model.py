@@ -33,7 +33,7 @@ class ObjectModel:
     faces: np.ndarray
     """Triangles, outward, shape [F, 3] int32."""
     parts: Mapping[str, np.ndarray] = field(default_factory=dict)
-    """Functional parts: which faces belong to the part, by its name, shape [F] bool; empty for a user's mesh."""
+    """Functional parts by name: which faces belong to it, shape [F] bool; empty for a user's mesh."""
     construction: tuple[ConvexPiece, ...] = ()
     """The convex solids a built-in object is the union of; empty for a user's mesh."""
     repairs: tuple[str, ...] = ()
@@ -43,7 +43,9 @@ class ObjectModel:
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.mass) and self.mass > 0):
-            raise FungraspError(f"object '{self.name}': the mass must be positive and finite, not {self.mass!r} kg")
+            raise FungraspError(
+                f"object '{self.name}': the mass must be positive and finite, not {self.mass!r} kg"
+            )
 
     @cached_property
     def mesh(self) -> trimesh.Trimesh:
@@ -54,7 +56,7 @@ class ObjectModel:
 
     @cached_property
     def pieces(self) -> tuple[ConvexPiece, ...]:
-        """Convex pieces for physics: the construction of a built-in object, else CoACD's, computed once and kept."""
+        """Convex pieces for physics: the construction of a built-in object, else CoACD's, which are kept."""
         return self.construction or convex_pieces(self.vertices, self.faces)
 
     @cached_property

@@ -1,4 +1,4 @@
-"""Finding objects by name: a mesh in the user's folder, ours, or another package's (entry point ``fungrasp.objects``)."""
+"""Finding objects by name: in a folder of meshes, ours, other packages' (entry point ``fungrasp.objects``)."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def builtin_object(name: str, mass: float | None = None) -> ObjectModel:
 
 
 def load_object(name: str, mass: float | None = None, folder: str | Path | None = None) -> ObjectModel:
-    """An object by name: ``<name>.obj`` (or .stl, .ply, .glb) in ``folder``, else built-in, else from another package.
+    """By name: ``<name>.obj`` (.stl, .ply, .glb) in ``folder``, else built-in, else another package's.
 
     Args:
         name: of the mesh file without suffix, or of a built-in object.
@@ -46,14 +46,24 @@ def load_object(name: str, mass: float | None = None, folder: str | Path | None 
     Raises:
         FungraspError: no such folder or object, a bad mesh, or a missing or bad mass.
     """
-    files = _meshes_in(Path(folder)) if folder is not None else {}
-    known = {**_packaged_meshes(), **dict.fromkeys(BUILTINS), **files}
+    files = mesh_files(folder)
+    known = {**dict.fromkeys(BUILTINS), **files}
     if name not in known:
         raise UnknownNameError("object", name, known)
     path = known[name]
     if path is None:
         return builtin_object(name, mass)
     return object_from_file(path, mass)
+
+
+def mesh_files(folder: str | Path | None = None) -> dict[str, Path]:
+    """Mesh file of every object that is one, by name: other packages' and, before those, the folder's.
+
+    Raises:
+        FungraspError: the folder does not exist.
+    """
+    packaged = {name: path for name, path in _packaged_meshes().items() if name not in BUILTINS}
+    return packaged | (_meshes_in(Path(folder)) if folder is not None else {})
 
 
 def object_from_file(path: str | Path, mass: float | None) -> ObjectModel:

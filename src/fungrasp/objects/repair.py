@@ -1,4 +1,4 @@
-"""Mending a surface that is not closed: winding, small holes, overlapping bodies, and rebuilding as a last resort."""
+"""Mending a surface that is not closed: winding, small holes, overlapping bodies, at last a shell."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def bodies(mesh: trimesh.Trimesh) -> list[trimesh.Trimesh]:
 
 
 def consistent_winding(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
-    """The mesh with faces flipped so that neighbours agree, starting from one face of each connected surface."""
+    """The mesh with faces flipped so that neighbours agree with the first face of each connected surface."""
     first, second = mesh.face_adjacency.T
     edges = mesh.face_adjacency_edges
     same_way = _runs_along(mesh.faces[first], edges) == _runs_along(mesh.faces[second], edges)
@@ -61,7 +61,7 @@ def fill_holes(mesh: trimesh.Trimesh, widest: float) -> tuple[trimesh.Trimesh, i
     Returns:
         the mesh, and how many holes were closed.
     """
-    vertices, faces, closed = [mesh.vertices], [mesh.faces], 0
+    vertices, faces, closed = [np.asarray(mesh.vertices)], [np.asarray(mesh.faces)], 0
     for loop in _holes(mesh.faces):
         corners = mesh.vertices[loop]
         if np.linalg.norm(np.ptp(corners, axis=0)) > widest:
@@ -88,7 +88,7 @@ def unite(mesh: trimesh.Trimesh) -> trimesh.Trimesh | None:
 
 
 def rebuild(mesh: trimesh.Trimesh, thickness: float = SHELL) -> trimesh.Trimesh | None:
-    """A closed surface around any triangles: each is thickened to a plate, the plates are united, cavities are filled.
+    """A closed surface around any triangles: the union of plates in their places, its cavities filled.
 
     Args:
         mesh: any triangles.
@@ -99,7 +99,7 @@ def rebuild(mesh: trimesh.Trimesh, thickness: float = SHELL) -> trimesh.Trimesh 
     """
     offsets = np.array(mesh.vertex_normals) * thickness / 2
     sides = np.stack([mesh.vertices - offsets, mesh.vertices + offsets])
-    plates = [manifold3d.Manifold.hull_points(sides[:, face].reshape(-1, 3)) for face in mesh.faces]
+    plates = [hull_solid(sides[:, face].reshape(-1, 3)) for face in mesh.faces]
     union = manifold3d.Manifold.batch_boolean(plates, manifold3d.OpType.Add)
     if union.is_empty():
         return None
@@ -131,7 +131,7 @@ def _holes(faces: np.ndarray) -> list[np.ndarray]:
 
 
 def _runs_along(triangles: np.ndarray, edges: np.ndarray) -> np.ndarray:
-    """Whether each triangle, shape [N, 3], passes its edge, shape [N, 2], from its first to its second vertex."""
+    """Whether each triangle, shape [N, 3], passes its edge, shape [N, 2], from first end to second."""
     starts = np.argmax(triangles == edges[:, :1], axis=1)
     following = np.take_along_axis(triangles, (starts[:, None] + 1) % 3, axis=1)[:, 0]
     return following == edges[:, 1]
@@ -140,6 +140,11 @@ def _runs_along(triangles: np.ndarray, edges: np.ndarray) -> np.ndarray:
 def _submesh(mesh: trimesh.Trimesh, rows: np.ndarray) -> trimesh.Trimesh:
     used, renumbered = np.unique(mesh.faces[rows], return_inverse=True)
     return trimesh.Trimesh(mesh.vertices[used], renumbered.reshape(-1, 3), process=False)
+
+
+def hull_solid(points: np.ndarray) -> manifold3d.Manifold:
+    """The hull of points, shape [N, 3], for boolean operations; empty if they lie in a plane."""
+    return manifold3d.Manifold.hull_points(np.ascontiguousarray(points, dtype=float))  # pyright: ignore[reportArgumentType]
 
 
 def solid(mesh: trimesh.Trimesh) -> manifold3d.Manifold:
@@ -151,4 +156,6 @@ def solid(mesh: trimesh.Trimesh) -> manifold3d.Manifold:
 
 def _mesh(solid: manifold3d.Manifold) -> trimesh.Trimesh:
     mesh = solid.to_mesh64()
-    return trimesh.Trimesh(mesh.vert_properties[:, :3], np.asarray(mesh.tri_verts, dtype=np.int64), process=False)
+    return trimesh.Trimesh(
+        mesh.vert_properties[:, :3], np.asarray(mesh.tri_verts, dtype=np.int64), process=False
+    )

@@ -11,7 +11,7 @@ import trimesh
 from fungrasp.objects.builtin.resting import resting_rotation
 from fungrasp.objects.builtin.shapes import Solid
 from fungrasp.objects.convex import ConvexPiece, convex_hull
-from fungrasp.objects.repair import vertex_components
+from fungrasp.objects.repair import hull_solid, vertex_components
 
 Parts = Mapping[str, Sequence[Solid]]
 """Convex solids by the name of the functional part they make up."""
@@ -21,7 +21,7 @@ SPECK = 1e-10
 
 
 def assemble(parts: Parts) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray], tuple[ConvexPiece, ...]]:
-    """Unite convex solids, turn them to where they come to rest, and put the origin at the bounding box's centre.
+    """Unite convex solids, turn them to where they come to rest, put the origin at their box's centre.
 
     Returns:
         vertices: [m], shape [V, 3] float64.
@@ -31,12 +31,14 @@ def assemble(parts: Parts) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray
     """
     solids = [points for part in parts.values() for points in part]
     names = [name for name, part in parts.items() for _ in part]
-    hulls = [manifold3d.Manifold.hull_points(np.ascontiguousarray(points)).as_original() for points in solids]
+    hulls = [hull_solid(points).as_original() for points in solids]
     mesh = manifold3d.Manifold.batch_boolean(hulls, manifold3d.OpType.Add).to_mesh64()
     owner = {hull.original_id(): name for hull, name in zip(hulls, names, strict=True)}
     runs = np.diff(np.asarray(mesh.run_index, dtype=int)) // 3
     part_of_face = np.repeat([owner[int(i)] for i in mesh.run_original_id], runs)
-    vertices, faces, kept_faces = _without_specks(mesh.vert_properties[:, :3], np.asarray(mesh.tri_verts, dtype=np.int64))
+    vertices, faces, kept_faces = _without_specks(
+        mesh.vert_properties[:, :3], np.asarray(mesh.tri_verts, dtype=np.int64)
+    )
     part_of_face = part_of_face[kept_faces]
     turn = resting_rotation(vertices, trimesh.Trimesh(vertices, faces, process=False).center_mass)
     vertices = vertices @ turn.T
@@ -63,12 +65,14 @@ def _without_specks(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray
 
 
 def _joined(solids: Sequence[Solid], slack: float = 1e-6) -> list[Solid]:
-    """Solids with touching ones joined where their hull is no larger than the two (relative ``slack`` in volume)."""
+    """The solids, touching ones joined if their hull is no larger (relative ``slack`` in volume)."""
     left = [(points, _volume(points)) for points in solids]
     joined: list[tuple[Solid, float]] = []
     while left:
         points, volume = left.pop(0)
-        partner = next((k for k, other in enumerate(left) if _convex_together((points, volume), other, slack)), None)
+        partner = next(
+            (k for k, other in enumerate(left) if _convex_together((points, volume), other, slack)), None
+        )
         if partner is None:
             joined.append((points, volume))
         else:
@@ -78,9 +82,11 @@ def _joined(solids: Sequence[Solid], slack: float = 1e-6) -> list[Solid]:
 
 
 def _convex_together(a: tuple[Solid, float], b: tuple[Solid, float], slack: float) -> bool:
-    touching = np.all(a[0].min(axis=0) <= b[0].max(axis=0) + 1e-9) and np.all(b[0].min(axis=0) <= a[0].max(axis=0) + 1e-9)
+    touching = np.all(a[0].min(axis=0) <= b[0].max(axis=0) + 1e-9) and np.all(
+        b[0].min(axis=0) <= a[0].max(axis=0) + 1e-9
+    )
     return bool(touching) and _volume(np.concatenate([a[0], b[0]])) <= (a[1] + b[1]) * (1 + slack)
 
 
 def _volume(points: Solid) -> float:
-    return manifold3d.Manifold.hull_points(np.ascontiguousarray(points)).volume()
+    return hull_solid(points).volume()

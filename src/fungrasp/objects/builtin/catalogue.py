@@ -24,18 +24,26 @@ class Builtin:
 
 BUILTINS = {
     "mug": Builtin(drinking.Mug().parts, 0.35, "0.3 l stoneware mug: volume of the mesh at 2300 kg/m3"),
-    "wine_glass": Builtin(drinking.WineGlass().parts, 0.15, "typical 0.2 l glass; its wall is thicker than a real one"),
+    "wine_glass": Builtin(
+        drinking.WineGlass().parts, 0.15, "typical 0.2 l glass; its wall is thicker than a real one"
+    ),
     "pitcher": Builtin(drinking.Pitcher().parts, 0.3, "typical 2 l polypropylene jug, empty"),
     "teapot": Builtin(drinking.Teapot().parts, 0.7, "typical 0.6 l stoneware pot with lid, empty"),
-    "pan": Builtin(kitchen.Pan().parts, 0.89, "24 cm frying pan: volume of the mesh as aluminium, 2700 kg/m3"),
-    "knife": Builtin(kitchen.Knife().parts, 0.18, "19 cm chef's knife: blade and tang of steel, handle of plastic"),
+    "pan": Builtin(
+        kitchen.Pan().parts, 0.89, "24 cm frying pan: volume of the mesh as aluminium, 2700 kg/m3"
+    ),
+    "knife": Builtin(
+        kitchen.Knife().parts, 0.18, "19 cm chef's knife: blade and tang of steel, handle of plastic"
+    ),
     "bowl": Builtin(kitchen.Bowl().parts, 0.48, "15 cm stoneware bowl: volume of the mesh at 2300 kg/m3"),
     "spatula": Builtin(kitchen.Spatula().parts, 0.1, "typical turner, steel with a plastic handle"),
     "brush": Builtin(kitchen.Brush().parts, 0.08, "typical plastic dish brush"),
     "can": Builtin(containers.Can().parts, 0.353, "0.33 l of soft drink (1.03 kg/l) and 13 g of aluminium"),
     "box": Builtin(containers.Carton().parts, 0.525, "500 g of pasta and 25 g of carton"),
     "bottle": Builtin(containers.Bottle().parts, 0.52, "0.5 l of water and 20 g of PET"),
-    "spray_bottle": Builtin(containers.SprayBottle().parts, 0.56, "0.5 l of cleaner and 60 g of bottle and trigger"),
+    "spray_bottle": Builtin(
+        containers.SprayBottle().parts, 0.56, "0.5 l of cleaner and 60 g of bottle and trigger"
+    ),
     "hammer": Builtin(tools.Hammer().parts, 0.66, "16 oz (0.454 kg) claw hammer with handle"),
     "screwdriver": Builtin(tools.Screwdriver().parts, 0.097, "like the Phillips screwdriver of the YCB set"),
     "drill": Builtin(tools.Drill().parts, 1.1, "typical 12 V cordless drill with its battery"),

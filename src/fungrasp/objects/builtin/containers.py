@@ -54,13 +54,18 @@ class Bottle:
             "body": [
                 lathe([(r - 0.005, 0), (r, 0.006), (r, 0.06), (waist, 0.072)], segments=48),
                 lathe([(waist, 0.072), (waist, 0.098)], segments=48),
-                lathe([(waist, 0.098), (r, 0.110), (r, 0.138), (r - 0.006, 0.156), (0.0135, h - 0.026)], segments=48),
+                lathe(
+                    [(waist, 0.098), (r, 0.110), (r, 0.138), (r - 0.006, 0.156), (0.0135, h - 0.026)],
+                    segments=48,
+                ),
             ],
             "neck": [
                 lathe([(0.0125, h - 0.028), (0.0125, h - 0.013)], segments=32),
                 lathe([(0.016, h - 0.022), (0.016, h - 0.019)], segments=32),
             ],
-            "cap": [lathe([(0.0145, h - 0.016), (0.015, h - 0.015), (0.015, h - 0.001), (0.014, h)], segments=32)],
+            "cap": [
+                lathe([(0.0145, h - 0.016), (0.015, h - 0.015), (0.015, h - 0.001), (0.014, h)], segments=32)
+            ],
         }
 
 
@@ -81,7 +86,13 @@ class SprayBottle:
         a, b, s, h = self.length / 2, self.width / 2, self.body, self.height
         levels = [(0, 0.94), (0.005, 1.0), (s * 0.55, 1.0), (s * 0.8, 0.8), (s, 0.36)]
         sections = [
-            ellipse((0, 0, z), (a * k, 0, 0), (0, b * (k if k > 0.9 else (k + 0.25) / 1.12), 0), corners=32, squareness=2.8)
+            ellipse(
+                (0, 0, z),
+                (a * k, 0, 0),
+                (0, b * (k if k > 0.9 else (k + 0.25) / 1.12), 0),
+                corners=32,
+                squareness=2.8,
+            )
             for z, k in levels
         ]
         lower, upper = np.concatenate(sections[:4]), np.concatenate(sections[3:])

@@ -12,7 +12,7 @@ from fungrasp.objects.builtin.shapes import Solid, along_x, box, eye, lathe, mir
 
 @dataclass(frozen=True)
 class Scissors:
-    """Scissors lying flat, a little open; the blades point to +x, the screw is at the origin of the drawing."""
+    """Scissors lying flat, a little open; the blades point to +x, drawn around the screw."""
 
     blade: float = 0.095
     """From the screw to the tip [m]."""
@@ -25,12 +25,22 @@ class Scissors:
 
     def parts(self) -> Parts:
         blade, loop = self._half()
-        return {"loops": [*loop, *(mirrored(s) for s in loop)], "blades": [*blade, *(mirrored(s) for s in blade)]}
+        return {
+            "loops": [*loop, *(mirrored(s) for s in loop)],
+            "blades": [*blade, *(mirrored(s) for s in blade)],
+        }
 
     def _half(self) -> tuple[list[Solid], list[Solid]]:
         """The upper blade, on the +y side, and its loop on the -y side."""
         t = self.thickness
-        tip = [(-0.012, -0.007), (-0.012, 0.006), (0.01, 0.0095), (self.blade * 0.6, 0.0085), (self.blade, 0.0012), (self.blade, -0.0005)]
+        tip = [
+            (-0.012, -0.007),
+            (-0.012, 0.006),
+            (0.01, 0.0095),
+            (self.blade * 0.6, 0.0085),
+            (self.blade, 0.0012),
+            (self.blade, -0.0005),
+        ]
         shank = [(-0.012, 0.006), (-0.012, -0.007), (-0.045, -0.0115), (-0.045, -0.0015)]
         blade = [prism([*tip, (0.0, -0.007)], 0.0, t), prism(shank, -self.bar * 0.6, self.bar * 0.9, 0.001)]
         loop = eye((-0.079, -0.0125, 0), (0.0355, 0.0195), (0.0048, self.bar))
@@ -51,7 +61,10 @@ class Marker:
         joint = n * 0.62
         barrel = [lathe([(r - 0.003, 0), (r - 0.0005, 0.006), (r, 0.02), (r, joint)], segments=28)]
         cap = [
-            lathe([(r + 0.0005, joint), (r + 0.0008, joint + 0.001), (r - 0.0005, n - 0.006), (r - 0.003, n)], segments=28),
+            lathe(
+                [(r + 0.0005, joint), (r + 0.0008, joint + 0.001), (r - 0.0005, n - 0.006), (r - 0.003, n)],
+                segments=28,
+            ),
         ]
         return {"barrel": [along_x(s) for s in barrel], "cap": [along_x(s) for s in cap]}
 

@@ -34,7 +34,9 @@ class Mug:
                 *ring([(r, floor), (r, lip)], [(inside, floor), (inside, lip)]),
             ],
             "rim": ring([(r, lip), (r, h - 0.001), (r - 0.001, h)], [(inside, lip), (inside, h)]),
-            "handle": bow((r - 0.002, 0.017), (r - 0.002, h - 0.017), self.reach, half_width=0.0065, half_depth=0.0042),
+            "handle": bow(
+                (r - 0.002, 0.017), (r - 0.002, h - 0.017), self.reach, half_width=0.0065, half_depth=0.0042
+            ),
         }
 
 
@@ -54,14 +56,22 @@ class WineGlass:
         floor, widest = s + 0.012, s + 0.045
         return {
             "base": [lathe([(0.034, 0), (0.035, 0.0015), (0.033, 0.003), (0.006, 0.009)], segments=48)],
-            "stem": sweep([ellipse((0, 0, z), (a, 0, 0), (0, a, 0)) for z, a in ((0.007, 0.005), (0.03, 0.0037), (s, 0.005))]),
+            "stem": sweep(
+                [
+                    ellipse((0, 0, z), (a, 0, 0), (0, a, 0))
+                    for z, a in ((0.007, 0.005), (0.03, 0.0037), (s, 0.005))
+                ]
+            ),
             "bowl": [
                 lathe([(0.005, s - 0.003), (0.017, s + 0.003), (0.027, floor)], segments=48),
                 *ring(
                     [(0.027, floor), (0.0335, s + 0.024), (r, widest)],
                     [(0.0225, floor), (r - 0.0035, widest)],
                 ),
-                *ring([(r, widest), (r - 0.0005, s + 0.06), (r - 0.006, h)], [(r - 0.0035, widest), (r - 0.0085, h)]),
+                *ring(
+                    [(r, widest), (r - 0.0005, s + 0.06), (r - 0.006, h)],
+                    [(r - 0.0035, widest), (r - 0.0085, h)],
+                ),
             ],
         }
 
@@ -93,11 +103,13 @@ class Pitcher:
                 *mouth[gap + 2 :],
             ],
             "spout": [self._cheek(side, neck) for side in (-1, 1)],
-            "handle": bow((b, 0.035), (t - 0.002, h - 0.022), reach=0.045, half_width=0.011, half_depth=0.006),
+            "handle": bow(
+                (b, 0.035), (t - 0.002, h - 0.022), reach=0.045, half_width=0.011, half_depth=0.006
+            ),
         }
 
     def _cheek(self, side: int, neck: float) -> Solid:
-        """Half of the spout: a plate from the edge of the gap in the mouth to the beak and down to the neck."""
+        """Half of the spout: a plate from the edge of the mouth's gap to the beak and down to the neck."""
         t, h = self.top - self.wall / 2, self.height
         edge = np.deg2rad(150)
         corners = np.array(
@@ -136,10 +148,21 @@ class Teapot:
         return {
             "body": [lathe([(0.042, belly[0][1] - 0.005), *belly], segments=40)],
             "lid": [
-                lathe([(belly[-1][0] - 0.001, top - 0.001), (belly[-1][0] - 0.003, top + 0.003), (0.012, top + 0.01)]),
+                lathe(
+                    [
+                        (belly[-1][0] - 0.001, top - 0.001),
+                        (belly[-1][0] - 0.003, top + 0.003),
+                        (0.012, top + 0.01),
+                    ]
+                ),
                 lathe([(0.006, top + 0.008), (0.006, top + 0.014)], segments=20),
-                lathe([(0.006, top + 0.013), (0.011, top + 0.018), (0.011, top + 0.023), (0.006, top + 0.027)], segments=24),
+                lathe(
+                    [(0.006, top + 0.013), (0.011, top + 0.018), (0.011, top + 0.023), (0.006, top + 0.027)],
+                    segments=24,
+                ),
             ],
             "spout": sweep(spout),
-            "handle": bow((r * 0.74, h * 0.2), (r * 0.7, h * 0.76), reach=0.055, half_width=0.008, half_depth=0.0055),
+            "handle": bow(
+                (r * 0.74, h * 0.2), (r * 0.7, h * 0.76), reach=0.055, half_width=0.008, half_depth=0.0055
+            ),
         }

@@ -64,7 +64,12 @@ class Knife:
         length, w, thick = self.blade, self.width, self.spine
         back = 0.012
         spine = [(0.0, back), (length * 0.6, back - 0.001), (length, back - 0.018)]
-        edge = [(0.012, back - w), (length * 0.45, back - w + 0.002), (length * 0.8, back - w + 0.012), (length, back - 0.019)]
+        edge = [
+            (0.012, back - w),
+            (length * 0.45, back - w + 0.002),
+            (length * 0.8, back - w + 0.012),
+            (length, back - 0.019),
+        ]
         points = [(x, y, s * thick / 2) for x, y in spine for s in (-1, 1)]
         points += [(x, y, s * 0.0002) for x, y in edge for s in (-1, 1)]
         points += [(0.0, back - w + 0.006, s * thick / 2 * 0.6) for s in (-1, 1)]
@@ -176,7 +181,13 @@ class Brush:
         tuft = np.concatenate(
             [
                 ellipse((middle, 0, 0), (middle - 0.002, 0, 0), (0, 0.025, 0), corners=28, squareness=3.5),
-                ellipse((middle, 0, back + 0.001), (middle - 0.006, 0, 0), (0, 0.021, 0), corners=28, squareness=3.5),
+                ellipse(
+                    (middle, 0, back + 0.001),
+                    (middle - 0.006, 0, 0),
+                    (0, 0.021, 0),
+                    corners=28,
+                    squareness=3.5,
+                ),
             ]
         )
         return {"handle": sweep(bar), "head": [plate], "bristles": [tuft]}

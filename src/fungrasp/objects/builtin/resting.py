@@ -11,7 +11,7 @@ FLAT = 1e-3
 
 
 def resting_rotation(vertices: np.ndarray, center_of_mass: np.ndarray) -> np.ndarray:
-    """The smallest turn after which an object stands still: on a face of its hull, with its centre of mass above that.
+    """The smallest turn after which an object stands still: its centre of mass is above a face of its hull.
 
     Args:
         vertices: [m], shape [V, 3].
@@ -35,4 +35,4 @@ def resting_rotation(vertices: np.ndarray, center_of_mass: np.ndarray) -> np.nda
 
 def _inside(triangle: np.ndarray, point: np.ndarray, normal: np.ndarray) -> bool:
     turns = [np.cross(triangle[(k + 1) % 3] - triangle[k], point - triangle[k]) @ normal for k in range(3)]
-    return min(turns) >= -1e-12 or max(turns) <= 1e-12
+    return bool(min(turns) >= -1e-12 or max(turns) <= 1e-12)

@@ -1,16 +1,20 @@
 """Convex solids, as the points they are the hull of: [m], shape [N, 3], object frame.
 
-Neighbouring solids of a row (``ring``, ``sweep``) share their corner points exactly, so that their union has no seams.
+Neighbouring solids of a row (``ring``, ``sweep``) share their corners exactly: their union has no seams.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 
 Solid = np.ndarray
 """Points [m], shape [N, 3]: the solid is their convex hull."""
+
+Vector = Sequence[float] | np.ndarray
+"""Three numbers."""
 
 Profile = Sequence[tuple[float, float]]
 """Radius and height [m] of the points of an outline that is turned about an axis."""
@@ -47,7 +51,7 @@ def ring(outer: Profile, inner: Profile, pieces: int = 12, fineness: int = 4) ->
 
     Args:
         outer: convex profile.
-        inner: profile of the hole; between the edges of a sector it is straight, so the hole has ``pieces`` sides.
+        inner: profile of the hole; straight within a sector, so the hole has ``pieces`` sides.
         pieces: number of sectors.
         fineness: edges of the outer circle per sector.
     """
@@ -63,13 +67,13 @@ def ring(outer: Profile, inner: Profile, pieces: int = 12, fineness: int = 4) ->
 
 
 def ellipse(
-    center: Sequence[float],
-    first: Sequence[float],
-    second: Sequence[float],
+    center: Vector,
+    first: Vector,
+    second: Vector,
     corners: int = 16,
     squareness: float = 2.0,
 ) -> np.ndarray:
-    """A section for ``sweep``: points of the superellipse around ``center`` with half-axes ``first`` and ``second`` [m].
+    """A section for ``sweep``: a superellipse around ``center`` with half-axes ``first`` and ``second`` [m].
 
     Args:
         corners: number of points; a multiple of 4 puts an edge, not a corner, at the end of each axis.
@@ -87,7 +91,7 @@ def ellipse(
 
 def sweep(sections: Sequence[np.ndarray]) -> list[Solid]:
     """A bar through convex ``sections``, each [m], shape [S, 3]: one solid between each two neighbours."""
-    return [np.concatenate(pair) for pair in zip(sections[:-1], sections[1:], strict=True)]
+    return [np.concatenate(pair) for pair in pairwise(sections)]
 
 
 def bow(
@@ -98,7 +102,7 @@ def bow(
     half_depth: float,
     pieces: int = 5,
 ) -> list[Solid]:
-    """A handle in the xz plane: half an ellipse from ``start`` to ``end`` that bulges by ``reach`` towards +x [m].
+    """A handle in the xz plane: half an ellipse from ``start`` to ``end``, bulging by ``reach`` to +x [m].
 
     Args:
         start: x and z of its lower end [m].
@@ -119,7 +123,9 @@ def bow(
     return sweep(sections)
 
 
-def eye(center: Sequence[float], half: Sequence[float], section: Sequence[float], pieces: int = 8) -> list[Solid]:
+def eye(
+    center: Sequence[float], half: Sequence[float], section: Sequence[float], pieces: int = 8
+) -> list[Solid]:
     """A closed elliptic loop in the xy plane.
 
     Args:
@@ -132,7 +138,7 @@ def eye(center: Sequence[float], half: Sequence[float], section: Sequence[float]
     for angle in np.linspace(0, 2 * np.pi, pieces, endpoint=False):
         normal = np.array([np.cos(angle) / half[0], np.sin(angle) / half[1], 0])
         normal /= np.linalg.norm(normal)
-        at = np.asarray(center) + [half[0] * np.cos(angle), half[1] * np.sin(angle), 0]
+        at = np.asarray(center) + np.array([half[0] * np.cos(angle), half[1] * np.sin(angle), 0])
         sections.append(ellipse(at, section[0] * normal, (0, 0, section[1]), corners=12))
     return sweep([*sections, sections[0]])
 
@@ -145,6 +151,11 @@ def along_x(solid: Solid) -> Solid:
 def along_y(solid: Solid) -> Solid:
     """The solid turned so that its z axis points along y."""
     return np.roll(solid, 2, axis=1)
+
+
+def moved(solid: Solid, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Solid:
+    """The solid moved by (x, y, z) [m]."""
+    return solid + np.array([x, y, z])
 
 
 def turned(solid: Solid, angle: float, pivot: Sequence[float] = (0, 0, 0)) -> Solid:

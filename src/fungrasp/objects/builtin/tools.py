@@ -15,6 +15,7 @@ from fungrasp.objects.builtin.shapes import (
     ellipse,
     lathe,
     mirrored,
+    moved,
     prism,
     sweep,
     turned,
@@ -50,15 +51,18 @@ class Hammer:
         ]
         poll = [
             lathe([(0.0105, -0.03), (0.0105, -0.012)], segments=24),
-            lathe([(self.face - 0.001, -0.056), (self.face, -0.054), (self.face, -0.033), (0.0105, -0.028)], segments=32),
+            lathe(
+                [(self.face - 0.001, -0.056), (self.face, -0.054), (self.face, -0.033), (0.0105, -0.028)],
+                segments=32,
+            ),
         ]
         return {
             "grip": sweep(grip),
             "shaft": sweep(shaft),
             "head": [
                 box((0.027, 0.034, 0.025), (head, 0, 0), bevel=0.003),
-                *(along_y(solid) + [head, 0, 0] for solid in poll),
-                *(solid + [head, 0, 0] for side in (-1, 1) for solid in self._claw(side)),
+                *(moved(along_y(solid), x=head) for solid in poll),
+                *(moved(solid, x=head) for side in (-1, 1) for solid in self._claw(side)),
             ],
         }
 
@@ -72,7 +76,13 @@ class Hammer:
             (0.068, -0.024, 0.0014, 0.0045, 0.0125),
         ]
         sections = [
-            np.array([(x + s * t + s * t * 0.5 * (y > 0.04), y - s * t * 0.6 * (y > 0.04), side * z) for s in (-1, 1) for z in zs])
+            np.array(
+                [
+                    (x + s * t + s * t * 0.5 * (y > 0.04), y - s * t * 0.6 * (y > 0.04), side * z)
+                    for s in (-1, 1)
+                    for z in zs
+                ]
+            )
             for y, x, t, *zs in rows
         ]
         return sweep(sections)
@@ -91,7 +101,16 @@ class Screwdriver:
 
     def parts(self) -> Parts:
         r, n = self.radius, self.handle
-        profile = [(0.55, 0), (0.86, 0.004), (1.0, 0.012), (1.0, 0.052), (0.68, 0.078), (0.68, 0.084), (0.86, 0.097), (0.6, n)]
+        profile = [
+            (0.55, 0),
+            (0.86, 0.004),
+            (1.0, 0.012),
+            (1.0, 0.052),
+            (0.68, 0.078),
+            (0.68, 0.084),
+            (0.86, 0.097),
+            (0.6, n),
+        ]
         sections = [self._flats(r * k, z) for k, z in profile]
         shaft = [lathe([(0.0032, n - 0.006), (0.0032, n + self.shaft - 0.012)], segments=16)]
         tip = np.concatenate(
@@ -138,7 +157,10 @@ class Drill:
             ellipse((0.005, 0, under - 0.03), (0.010, 0, 0), (0, 0.0085, 0), squareness=3),
         ]
         housing = [
-            lathe([(r - 0.01, -0.073), (r - 0.002, -0.066), (r, -0.055), (r, 0.03), (r - 0.005, 0.044)], segments=36),
+            lathe(
+                [(r - 0.01, -0.073), (r - 0.002, -0.066), (r, -0.055), (r, 0.03), (r - 0.005, 0.044)],
+                segments=36,
+            ),
             lathe([(r - 0.006, 0.042), (r - 0.007, 0.064)], segments=36),
         ]
         chuck = [
@@ -148,8 +170,8 @@ class Drill:
         return {
             "grip": sweep(grip),
             "trigger": sweep(trigger),
-            "body": [along_x(s) + [0, 0, axis] for s in housing],
-            "chuck": [along_x(s) + [0, 0, axis] for s in chuck],
+            "body": [moved(along_x(s), z=axis) for s in housing],
+            "chuck": [moved(along_x(s), z=axis) for s in chuck],
             "battery": [
                 box((0.112, 0.070, 0.034), (0.0, 0, 0.017), bevel=0.004),
                 box((0.098, 0.058, 0.018), (-0.001, 0, 0.041), bevel=0.004),
@@ -179,15 +201,35 @@ class Clamp:
     def _jaw(self, t: float) -> list[Solid]:
         length = self.jaw
         arm = [
-            prism([(-0.004, 0.006), (-0.004, 0.017), (length * 0.55, 0.026), (length * 0.55, 0.014)], -t * 0.8, t * 0.8, 0.0015),
             prism(
-                [(length * 0.55, 0.014), (length * 0.55, 0.026), (length * 0.8, 0.024), (length, 0.012), (length, 0.006)],
+                [(-0.004, 0.006), (-0.004, 0.017), (length * 0.55, 0.026), (length * 0.55, 0.014)],
+                -t * 0.8,
+                t * 0.8,
+                0.0015,
+            ),
+            prism(
+                [
+                    (length * 0.55, 0.014),
+                    (length * 0.55, 0.026),
+                    (length * 0.8, 0.024),
+                    (length, 0.012),
+                    (length, 0.006),
+                ],
                 -t * 0.8,
                 t * 0.8,
                 0.0015,
             ),
         ]
-        pad = prism([(length - 0.022, 0.0002), (length + 0.002, 0.0002), (length + 0.002, 0.009), (length - 0.022, 0.0125)], -t, t)
+        pad = prism(
+            [
+                (length - 0.022, 0.0002),
+                (length + 0.002, 0.0002),
+                (length + 0.002, 0.009),
+                (length - 0.022, 0.0125),
+            ],
+            -t,
+            t,
+        )
         return [*arm, pad]
 
     def _handle(self, t: float) -> list[Solid]:
@@ -219,7 +261,9 @@ class Flashlight:
             lathe([(r - 0.001, 0.016), (r - 0.001, 0.1)], segments=32),
         ]
         head = [
-            lathe([(r - 0.001, 0.098), (r + 0.006, 0.122), (r + 0.006, n - 0.002), (r + 0.005, n)], segments=36),
+            lathe(
+                [(r - 0.001, 0.098), (r + 0.006, 0.122), (r + 0.006, n - 0.002), (r + 0.005, n)], segments=36
+            ),
         ]
         return {
             "body": [along_x(s) for s in body],

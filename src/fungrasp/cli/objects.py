@@ -1,0 +1,196 @@
+"""``fungrasp objects``: list and show objects."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import tyro
+
+if TYPE_CHECKING:
+    import mujoco
+
+    from fungrasp.objects import ObjectModel
+
+COLOURS = {
+    "blue": (0.36, 0.55, 0.72),
+    "orange": (0.93, 0.55, 0.22),
+    "green": (0.45, 0.66, 0.38),
+    "red": (0.75, 0.35, 0.42),
+    "violet": (0.58, 0.50, 0.70),
+}
+"""Colours of parts in pictures, sRGB, in the order of the parts."""
+
+
+@dataclass(frozen=True)
+class List:
+    """List the objects known by name."""
+
+    objects: Path | None = None
+    """A folder of meshes, listed too."""
+    json: bool = False
+    """Print JSON instead of a table."""
+
+    def run(self) -> None:
+        from fungrasp.objects import builtin_object, mesh_files, object_names
+
+        models = [builtin_object(name) for name in object_names()]
+        meshes = mesh_files(self.objects)
+        if self.json:
+            rows = [
+                {
+                    "name": m.name,
+                    "parts": list(m.parts),
+                    "size": m.size.tolist(),
+                    "mass": m.mass,
+                    "source": m.source,
+                }
+                for m in models
+            ]
+            print(
+                json.dumps(
+                    [*rows, *({"name": name, "path": str(path)} for name, path in meshes.items())], indent=2
+                )
+            )
+            return
+        rows = [("name", "parts", "size [cm]", "mass [g]", "source")]
+        rows += [
+            (m.name, ", ".join(m.parts), _size(m.size), f"{m.mass * 1000:.0f}", m.source) for m in models
+        ]
+        rows += [(name, "", "", "", str(path)) for name, path in meshes.items()]
+        print(_table(rows))
+
+
+@dataclass(frozen=True)
+class Show:
+    """Show an object: size, mass, inertia, parts, what was repaired, and its convex pieces for physics."""
+
+    name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME|PATH")]
+    """A built-in object, a mesh in --objects, or the path of a mesh file."""
+    mass: float | None = None
+    """[kg]; a built-in object has its own."""
+    objects: Path | None = None
+    """A folder of meshes."""
+    picture: Path | None = None
+    """Write a picture from four sides here (.png or .jpg), its parts in colours."""
+    pieces: bool = False
+    """Colour the picture by convex piece instead of by part."""
+    json: bool = False
+    """Print JSON and nothing else."""
+
+    def run(self) -> None:
+        from fungrasp.objects.description import describe
+
+        model, weighed = self._load()
+        description = describe(model)
+        if not weighed:
+            description |= {"mass": None, "inertia": None}
+        print(json.dumps(description, indent=2) if self.json else _text(description))
+        if self.picture is not None:
+            _draw(model, self.picture, self.pieces)
+
+    def _load(self) -> tuple[ObjectModel, bool]:
+        """The object, and whether its mass is known; without one, a mesh is looked at as if it had 1 kg."""
+        from fungrasp.objects import load_object, mesh_files, object_from_file
+
+        if self.objects is None and Path(self.name).suffix and Path(self.name).is_file():
+            return object_from_file(self.name, self.mass or 1.0), self.mass is not None
+        is_mesh = self.name in mesh_files(self.objects)
+        weighed = self.mass is not None or not is_mesh
+        return load_object(self.name, self.mass if weighed else 1.0, self.objects), weighed
+
+
+COMMAND = {"list": List, "show": Show}
+
+
+def _text(d: dict[str, Any]) -> str:
+    mm = {key: value * 1000 for key, value in d["fidelity"].items()}
+    total = sum(part["area"] for part in d["parts"].values())
+    rows = [
+        ("size", f"{_size(d['size'])} cm"),
+        (
+            "mesh",
+            f"{d['vertices']} vertices, {d['faces']} faces, {'' if d['watertight'] else 'not '}watertight",
+        ),
+        *(("repaired", phrase) for phrase in d["repairs"]),
+        ("volume", f"{d['volume'] * 1e6:.1f} cm3"),
+        ("mass", "unknown: give --mass" if d["mass"] is None else f"{d['mass']:.4g} kg"),
+        ("centre", f"({', '.join(f'{x * 100:.2f}' for x in d['center_of_mass'])}) cm"),
+    ]
+    if d["inertia"] is not None:
+        rows += [("inertia", f"[{', '.join(f'{x:.3e}' for x in row)}] kg m2") for row in d["inertia"]]
+    rows += [
+        ("part", f"{name}, {part['area'] / total:.0%} of the surface") for name, part in d["parts"].items()
+    ]
+    rows += [
+        ("pieces", f"{d['pieces']} convex"),
+        (
+            "",
+            f"at most {mm['bulge_max']:.2f} mm outside the mesh (mean {mm['bulge_mean']:.2f})",
+        ),
+        (
+            "",
+            f"mesh at most {mm['shrink_max']:.2f} mm outside them (mean {mm['shrink_mean']:.2f})",
+        ),
+    ]
+    title = f"{d['name']}: {d['source']}" if d["source"] else d["name"]
+    return "\n".join([title, *(f"  {key:<9} {value}" for key, value in rows)])
+
+
+def _draw(model: ObjectModel, path: Path, by_piece: bool) -> None:
+    from PIL import Image
+
+    from fungrasp.errors import FungraspError
+    from fungrasp.files import atomic_path
+    from fungrasp.report.pictures import four_views, grid
+
+    if path.suffix.lower() not in (".png", ".jpg", ".jpeg"):
+        raise FungraspError(f"a picture must be a .png or .jpg file, not {path}")
+    names = list(COLOURS)
+    legend = (
+        "" if by_piece else ", ".join(f"{part} {names[i % len(names)]}" for i, part in enumerate(model.parts))
+    )
+    labels = [f"{model.name}, {_size(model.size)} cm", legend or f"{len(model.pieces)} convex pieces", "", ""]
+    picture = Image.fromarray(grid(four_views(_scene(model, by_piece)), labels, columns=2))
+    with atomic_path(path) as temporary:
+        picture.save(temporary)
+    print(f"wrote {path}", file=sys.stderr)
+
+
+def _scene(model: ObjectModel, by_piece: bool) -> mujoco.MjModel:
+    """The object at rest on the table, each part or piece in a colour of its own."""
+    import mujoco
+    import numpy as np
+
+    if by_piece:
+        shapes = [(piece.vertices, piece.faces) for piece in model.pieces]
+    else:
+        masks = list(model.parts.values()) or [np.ones(len(model.faces), dtype=bool)]
+        shapes = [(model.vertices, model.faces[mask]) for mask in masks]
+    spec = mujoco.MjSpec()
+    pose = model.rest_pose()
+    body = spec.worldbody.add_body(pos=pose[:3], quat=pose[3:])
+    colours = list(COLOURS.values())
+    for i, (vertices, faces) in enumerate(shapes):
+        used, renumbered = np.unique(faces, return_inverse=True)
+        mesh = spec.add_mesh(name=f"shape_{i}", inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL)
+        mesh.uservert = np.ascontiguousarray(vertices[used]).ravel()
+        mesh.userface = renumbered.astype(np.int32).ravel()
+        rgba = [*colours[i % len(colours)], 1.0]
+        body.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=mesh.name, rgba=rgba)
+    return spec.compile()
+
+
+def _size(size: Iterable[float]) -> str:
+    return " x ".join(f"{x * 100:.1f}" for x in size)
+
+
+def _table(rows: Sequence[Sequence[str]]) -> str:
+    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
+    return "\n".join(
+        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows
+    )
