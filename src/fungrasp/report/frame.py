@@ -45,7 +45,7 @@ class Scene:
     sun: np.ndarray
     """Unit vector towards the key light, shape [3]."""
     middle: np.ndarray
-    """Middle of the scene, (x, y) [m]."""
+    """Where the table does not fade, (x, y) [m]."""
     ground: bool
 
 

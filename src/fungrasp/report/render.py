@@ -29,7 +29,6 @@ __all__ = ["NOTHING", "TABLE", "Renderer", "Views", "render"]
 CHUNK = 8
 """Frames that are worked on at once."""
 
-_LARGEST = 0.6
 _Result = TypeVar("_Result")
 
 
@@ -199,8 +198,7 @@ class Renderer:
             mocap = None if job.mocap is None else job.mocap[span]
             centres, rotations, boxes = self._caster.pose(job.qpos[span], mocap, visible)
             if scene is None:
-                small = np.linalg.norm(boxes[0].halves, axis=-1) < _LARGEST
-                middle = boxes[0].centres[small, :2].mean(0) if small.any() else np.zeros(2)
+                middle = np.asarray(job.cameras[0].target[:2])
                 sun = sun_direction(self._look, job.cameras[0].rotation)
                 scene = Scene(
                     self.model, self._look, self._materials, self._meshes, sun, middle, self._ground

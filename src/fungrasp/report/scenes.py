@@ -61,6 +61,7 @@ def human_grasp_scene(
         FungraspError: an argument has the wrong shape or is not finite.
     """
     contacts = _flags(link_contacts, 16)
+    vertices, faces = _checked_mesh(vertices, faces)
     pose = _finite("object_pose", object_pose, (7,))
     hand = human_hand_mesh(joints)
     spec = mujoco.MjSpec()
@@ -84,7 +85,7 @@ def human_grasp_scene(
     _add_mesh_geom(body, HAND_BODY, [1, 1, 1, 1]).material = "skin"
     thing = _add_object(spec, vertices, faces, object_colour)
     thing.pos, thing.quat = pose[:3], pose[3:]
-    return spec.compile()
+    return _compiled(spec)
 
 
 def robot_grasp_scene(
@@ -115,16 +116,18 @@ def robot_grasp_scene(
     Raises:
         FungraspError: an argument has the wrong shape or is not finite.
     """
+    vertices, faces = _checked_mesh(vertices, faces)
     spec = mujoco.MjSpec()
     body = spec.worldbody.add_body(name=HAND_BODY, mass=0.1, inertia=[1e-4, 1e-4, 1e-4])
     body.explicitinertial = True
     body.add_freejoint(name=HAND_BODY)
     spec.attach(hand.spec(), prefix=_PREFIX, frame=body.add_frame())
     _add_object(spec, vertices, faces, object_colour).add_freejoint(name=OBJECT_BODY)
-    model = spec.compile()
+    model = _compiled(spec)
     if link_contacts is not None:
-        model.geom_rgba[:] = robot_scene_colours(model, hand, np.asarray(link_contacts)[None])[0]
-        model.geom_matid[:] = -1
+        colours = robot_scene_colours(model, hand, np.asarray(link_contacts)[None])[0]
+        tinted = np.any(colours != model_materials(model).colours, axis=1)
+        model.geom_rgba[tinted], model.geom_matid[tinted] = colours[tinted], -1
     pose, positions = np.asarray(wrist_pose, dtype=float), np.asarray(joint_positions, dtype=float)
     states = robot_scene_states(
         model, hand, pose[None], positions[None], np.asarray(object_pose, float)[None]
@@ -202,16 +205,28 @@ def robot_scene_colours(model: mujoco.MjModel, hand: Hand, link_contacts: np.nda
 def _add_object(
     spec: mujoco.MjSpec, vertices: np.ndarray, faces: np.ndarray, colour: Sequence[float]
 ) -> mujoco.MjsBody:
-    vertices = np.asarray(vertices, dtype=float)
-    faces = np.asarray(faces)
-    if vertices.ndim != 2 or vertices.shape[1:] != (3,) or faces.ndim != 2 or faces.shape[1:] != (3,):
-        raise FungraspError(
-            f"an object needs vertices [V, 3] and faces [T, 3], not {vertices.shape} and {faces.shape}"
-        )
     _add_mesh(spec, OBJECT_BODY, vertices, faces)
     body = spec.worldbody.add_body(name=OBJECT_BODY)
     _add_mesh_geom(body, OBJECT_BODY, [*colour, 1.0])
     return body
+
+
+def _checked_mesh(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    vertices, faces = np.asarray(vertices, dtype=float), np.asarray(faces)
+    if vertices.ndim != 2 or vertices.shape[1:] != (3,) or faces.ndim != 2 or faces.shape[1:] != (3,):
+        raise FungraspError(
+            f"an object needs vertices [V, 3] and faces [T, 3], not {vertices.shape} and {faces.shape}"
+        )
+    if not np.isfinite(vertices).all() or faces.size == 0 or faces.min() < 0 or faces.max() >= len(vertices):
+        raise FungraspError("an object's vertices must be finite, and its faces must be indices of vertices")
+    return vertices, faces
+
+
+def _compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:
+    try:
+        return spec.compile()
+    except ValueError as error:
+        raise FungraspError(f"the scene can't be drawn: {' '.join(str(error).split())}") from error
 
 
 def _dense(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:

@@ -29,7 +29,7 @@ class Look:
     square: float = 0.05
     """Side of a square of the table top [m]."""
     fade: tuple[float, float] = (0.45, 1.7)
-    """Distance from the middle of the scene where the table top begins to fade, and is gone [m]."""
+    """Distance from the first camera's target where the table top begins to fade, and is gone [m]."""
     light: tuple[float, float, float] | None = None
     """Direction towards the key light, world frame; None puts it above and to the left of the first
     camera.
