@@ -121,7 +121,7 @@ def fewer_points(points: np.ndarray, most: int, tolerance: float) -> np.ndarray:
 
 
 def _distance_outside(corners: np.ndarray, chosen: list[int]) -> np.ndarray:
-    """Distance beyond the chosen corners' hull, to its face planes; over 1 for one that would span a volume."""
+    """Distance beyond the chosen corners' hull, to its face planes; over 1 if they have no volume yet."""
     try:
         planes = ConvexHull(corners[chosen]).equations
     except QhullError:

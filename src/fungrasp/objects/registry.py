@@ -1,4 +1,4 @@
-"""Finding objects by name: in a folder of meshes, ours, other packages' (entry point ``fungrasp.objects``)."""
+"""Finding objects by name: in a folder, ours, another package's (entry point ``fungrasp.objects``)."""
 
 from __future__ import annotations
 

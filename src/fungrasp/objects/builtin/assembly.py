@@ -16,6 +16,9 @@ from fungrasp.objects.repair import hull_solid, vertex_components
 Parts = Mapping[str, Sequence[Solid]]
 """Convex solids by the name of the functional part they make up."""
 
+ROUNDING = 1e-8
+"""Tolerance of lengths [m], and of volumes relative to them."""
+
 SPECK = 1e-10
 """Volume below which a closed surface is rounding [m3]."""
 
@@ -64,29 +67,26 @@ def _without_specks(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray
     return vertices[used], renumbered.reshape(-1, 3), kept_faces
 
 
-def _joined(solids: Sequence[Solid], slack: float = 1e-6) -> list[Solid]:
-    """The solids, touching ones joined if their hull is no larger (relative ``slack`` in volume)."""
-    left = [(points, _volume(points)) for points in solids]
-    joined: list[tuple[Solid, float]] = []
+def _joined(solids: Sequence[Solid]) -> list[Solid]:
+    """The solids, pairs that are convex together joined, again and again."""
+    left = list(solids)
+    joined = []
     while left:
-        points, volume = left.pop(0)
-        partner = next(
-            (k for k, other in enumerate(left) if _convex_together((points, volume), other, slack)), None
-        )
+        points = left.pop(0)
+        partner = next((k for k, other in enumerate(left) if _convex_together(points, other)), None)
         if partner is None:
-            joined.append((points, volume))
+            joined.append(points)
         else:
-            both = np.concatenate([points, left.pop(partner)[0]])
-            left.insert(0, (both, _volume(both)))
-    return [points for points, _ in joined]
+            left.insert(0, np.concatenate([points, left.pop(partner)]))
+    return joined
 
 
-def _convex_together(a: tuple[Solid, float], b: tuple[Solid, float], slack: float) -> bool:
-    touching = np.all(a[0].min(axis=0) <= b[0].max(axis=0) + 1e-9) and np.all(
-        b[0].min(axis=0) <= a[0].max(axis=0) + 1e-9
-    )
-    return bool(touching) and _volume(np.concatenate([a[0], b[0]])) <= (a[1] + b[1]) * (1 + slack)
-
-
-def _volume(points: Solid) -> float:
-    return hull_solid(points).volume()
+def _convex_together(a: Solid, b: Solid) -> bool:
+    """Whether the hull of two solids is no larger than their union."""
+    if np.any(a.min(axis=0) > b.max(axis=0) + ROUNDING) or np.any(b.min(axis=0) > a.max(axis=0) + ROUNDING):
+        return False
+    first, second = hull_solid(a), hull_solid(b)
+    hull = hull_solid(np.concatenate([a, b])).volume()
+    if hull * (1 - ROUNDING) > first.volume() + second.volume():
+        return False
+    return hull * (1 - ROUNDING) <= (first + second).volume()

@@ -1,0 +1,36 @@
+"""How an object can rest on a table."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fungrasp.objects.model import ObjectModel
+
+
+def resting_directions(model: ObjectModel) -> np.ndarray:
+    """Downward unit normals of the faces on which the object is stable: those of its convex hull below the centre of mass.
+
+    Returns:
+        object frame, shape [R, 3].
+    """
+    hull = model.mesh.convex_hull
+    center = model.center_of_mass
+    triangles, normals = hull.triangles, hull.face_normals
+    foot = center - normals * np.sum((center - triangles[:, 0]) * normals, axis=1, keepdims=True)
+    inside = np.ones(len(triangles), dtype=bool)
+    for corner in range(3):
+        edge = triangles[:, (corner + 1) % 3] - triangles[:, corner]
+        inside &= np.sum(np.cross(edge, foot - triangles[:, corner]) * normals, axis=1) >= -1e-9
+    return normals[inside]
+
+
+def settled_up(model: ObjectModel, up: np.ndarray) -> np.ndarray:
+    """The table's normal once the object has settled from a pose in which it was ``up``: that of the nearest stable face.
+
+    Measured poses are a few degrees off; a flat thing would then hover or sink on one side.
+
+    Args:
+        up: unit vector, object frame, shape [..., 3].
+    """
+    downs = resting_directions(model)
+    return -downs[np.argmin(up @ downs.T, axis=-1)]
