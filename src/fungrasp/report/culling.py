@@ -61,7 +61,7 @@ def near(points: np.ndarray, reach: np.ndarray, boxes: Boxes) -> np.ndarray:
     """Which points lie at most ``reach`` [m, shape P] from a box. points: [m], shape [P, 3]. Returns shape
     [P] bool.
     """
-    local = np.einsum("pbi,bij->pbj", points[:, None] - boxes.centres, boxes.rotations)
+    local = _in_boxes(points, boxes, boxes.centres)
     outside = np.maximum(np.abs(local) - boxes.halves, 0.0)
     return np.any(np.einsum("pbi,pbi->pb", outside, outside) < reach[:, None] ** 2, axis=1)
 
@@ -86,10 +86,17 @@ def spread_tiles(tiles: np.ndarray, camera: Camera) -> np.ndarray:
 
 def _lines_meet(origins: np.ndarray, directions: np.ndarray, growth: np.ndarray, boxes: Boxes) -> np.ndarray:
     """Which rays [P] meet some box whose faces are moved out by ``growth`` [m], shape [P, B]."""
-    start = np.einsum("pbi,bij->pbj", origins[:, None] - boxes.centres, boxes.rotations)
-    slope = np.einsum("pi,bij->pbj", directions, boxes.rotations)
+    start = _in_boxes(origins, boxes, boxes.centres)
+    slope = _in_boxes(directions, boxes, np.zeros(3))
     slope = np.where(np.abs(slope) < 1e-9, 1e-9, slope)
     half = boxes.halves + growth[..., None]
     middle, reach = -start / slope, half / np.abs(slope)
     enter, leave = (middle - reach).max(-1), (middle + reach).min(-1)
     return np.any((leave >= np.maximum(enter, 0.0)), axis=1)
+
+
+def _in_boxes(vectors: np.ndarray, boxes: Boxes, origins: np.ndarray) -> np.ndarray:
+    """Vectors [P, 3] minus origins [B, 3] or [3] in the frame of each box, shape [P, B, 3]."""
+    axes = boxes.rotations.transpose(1, 0, 2).reshape(3, -1)
+    shift = np.einsum("bi,bij->bj", np.broadcast_to(origins, boxes.centres.shape), boxes.rotations)
+    return (vectors @ axes).reshape(len(vectors), -1, 3) - shift
