@@ -83,8 +83,11 @@ class Show:
     """Print JSON and nothing else."""
 
     def run(self) -> None:
+        from fungrasp.errors import FungraspError
         from fungrasp.objects.description import describe
 
+        if self.picture is not None and self.picture.suffix.lower() not in (".png", ".jpg", ".jpeg"):
+            raise FungraspError(f"a picture must be a .png or .jpg file, not {self.picture}")
         model, weighed = self._load()
         description = describe(model)
         if not weighed:
@@ -98,7 +101,7 @@ class Show:
         from fungrasp.objects import load_object, mesh_files, object_from_file
 
         if self.objects is None and Path(self.name).suffix and Path(self.name).is_file():
-            return object_from_file(self.name, self.mass or 1.0), self.mass is not None
+            return object_from_file(self.name, 1.0 if self.mass is None else self.mass), self.mass is not None
         is_mesh = self.name in mesh_files(self.objects)
         weighed = self.mass is not None or not is_mesh
         return load_object(self.name, self.mass if weighed else 1.0, self.objects), weighed
@@ -144,12 +147,9 @@ def _text(d: dict[str, Any]) -> str:
 def _draw(model: ObjectModel, path: Path, by_piece: bool) -> None:
     from PIL import Image
 
-    from fungrasp.errors import FungraspError
     from fungrasp.files import atomic_path
     from fungrasp.report.pictures import four_views, grid
 
-    if path.suffix.lower() not in (".png", ".jpg", ".jpeg"):
-        raise FungraspError(f"a picture must be a .png or .jpg file, not {path}")
     names = list(COLOURS)
     legend = (
         "" if by_piece else ", ".join(f"{part} {names[i % len(names)]}" for i, part in enumerate(model.parts))

@@ -64,7 +64,7 @@ def fill_holes(mesh: trimesh.Trimesh, widest: float) -> tuple[trimesh.Trimesh, i
     vertices, faces, closed = [np.asarray(mesh.vertices)], [np.asarray(mesh.faces)], 0
     for loop in _holes(mesh.faces):
         corners = mesh.vertices[loop]
-        if np.linalg.norm(np.ptp(corners, axis=0)) > widest:
+        if np.ptp(corners, axis=0).max() > widest:
             continue
         middle = len(mesh.vertices) + closed
         vertices.append(corners.mean(axis=0, keepdims=True))
@@ -109,24 +109,25 @@ def rebuild(mesh: trimesh.Trimesh, thickness: float = SHELL) -> trimesh.Trimesh 
 
 
 def _holes(faces: np.ndarray) -> list[np.ndarray]:
-    """Vertex loops along the open edges, in the direction of the faces there."""
+    """Vertex loops along the open edges, in the direction of the faces; no vertex is twice in one."""
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     present = {(int(a), int(b)) for a, b in edges}
-    following: dict[int, int] = {}
-    for a, b in present:
+    following: dict[int, list[int]] = {}
+    for a, b in sorted(present):
         if (b, a) not in present:
-            if a in following:
-                return []
-            following[a] = b
+            following.setdefault(a, []).append(b)
     loops = []
     while following:
-        start = next(iter(following))
-        loop, at = [start], following.pop(start)
-        while at != start and at in following:
-            loop.append(at)
-            at = following.pop(at)
-        if at == start:
-            loops.append(np.array(loop))
+        path = [next(iter(following))]
+        while path and path[-1] in following:
+            at = path[-1]
+            path.append(following[at].pop())
+            if not following[at]:
+                del following[at]
+            if path[-1] in path[:-1]:
+                first = path.index(path[-1])
+                loops.append(np.array(path[first:-1]))
+                del path[first + 1 :]
     return loops
 
 

@@ -1,0 +1,170 @@
+"""Reading, checking and mending mesh files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from fungrasp.errors import FungraspError
+from fungrasp.objects import load_mesh
+from fungrasp.objects.repair import consistent_winding, fill_holes
+
+SHARED = Path(__file__).resolve().parents[2] / ".." / "shared"
+
+
+def saved(mesh: trimesh.Trimesh | trimesh.Scene, path: Path) -> Path:
+    mesh.export(path)
+    return path
+
+
+def loaded(path: Path) -> tuple[trimesh.Trimesh, tuple[str, ...]]:
+    vertices, faces, repairs = load_mesh(path)
+    assert vertices.dtype == np.float64
+    assert faces.dtype == np.int32
+    mesh = trimesh.Trimesh(vertices, faces, process=False)
+    assert mesh.is_watertight
+    assert mesh.is_winding_consistent
+    assert mesh.volume > 0
+    return mesh, repairs
+
+
+def ball(subdivisions: int = 3) -> trimesh.Trimesh:
+    return trimesh.creation.icosphere(subdivisions, 0.05)
+
+
+@pytest.mark.parametrize("suffix", ["obj", "stl", "ply", "glb", "off"])
+def test_a_good_mesh_needs_no_repair(tmp_path, suffix):
+    mesh, repairs = loaded(saved(ball(), tmp_path / f"ball.{suffix}"))
+    assert repairs == ()
+    assert mesh.volume == pytest.approx(ball().volume, rel=1e-4)
+
+
+def test_a_scene_keeps_its_transforms_and_overlapping_bodies_become_one(tmp_path):
+    scene = trimesh.Scene()
+    scene.add_geometry(trimesh.creation.box((0.04, 0.04, 0.04)))
+    aside = trimesh.transformations.translation_matrix([0.03, 0, 0])
+    scene.add_geometry(trimesh.creation.box((0.04, 0.04, 0.04)), transform=aside)
+    mesh, repairs = loaded(saved(scene, tmp_path / "two.glb"))
+    assert repairs == ("united bodies that overlap",)
+    assert mesh.volume == pytest.approx(0.07 * 0.04 * 0.04, rel=1e-4)
+
+
+def test_bodies_apart_stay_apart(tmp_path):
+    other = ball()
+    other.apply_translation([0.2, 0, 0])
+    mesh, repairs = loaded(saved(trimesh.util.concatenate([ball(), other]), tmp_path / "two.obj"))
+    assert repairs == ()
+    assert mesh.volume == pytest.approx(2 * ball().volume, rel=1e-4)
+
+
+def test_faces_that_point_inwards_are_turned(tmp_path):
+    mesh = ball()
+    mesh.invert()
+    _, repairs = loaded(saved(mesh, tmp_path / "ball.obj"))
+    assert repairs == ("turned the faces outwards",)
+
+
+def test_small_holes_are_filled_and_said(tmp_path, caplog):
+    mesh = ball()
+    mesh.update_faces(mesh.triangles_center[:, 2] < 0.047)
+    mended, repairs = loaded(saved(mesh, tmp_path / "ball.ply"))
+    assert repairs == ("filled 1 hole",)
+    assert "ball.ply: filled 1 hole" in caplog.text
+    assert mended.volume == pytest.approx(ball().volume, rel=0.02)
+
+
+def test_an_open_surface_becomes_a_shell(tmp_path):
+    mesh = ball()
+    mesh.update_faces(mesh.triangles_center[:, 2] < 0)
+    sheet = mesh.area
+    mended, repairs = loaded(saved(mesh, tmp_path / "bowl.obj"))
+    assert len(repairs) == 1
+    assert "shell 2 mm thick" in repairs[0]
+    assert mended.volume == pytest.approx(sheet * 0.002, rel=0.05)
+
+
+def test_without_repair_an_open_surface_is_an_error(tmp_path):
+    mesh = ball()
+    mesh.update_faces(np.arange(len(mesh.faces)) > 0)
+    with pytest.raises(FungraspError, match=r"ball\.obj: the surface is not closed"):
+        load_mesh(saved(mesh, tmp_path / "ball.obj"), repair=False)
+
+
+@pytest.mark.parametrize(
+    ("scale", "message"),
+    [
+        (1000.0, "100 m long; this looks like millimetres: scale the mesh by 0.001"),
+        (20.0, r"2 m long, larger than the table \(1.5 m\)"),
+        (0.001, "only 0.0001 m long"),
+    ],
+)
+def test_wrong_units(tmp_path, scale, message):
+    mesh = ball()
+    mesh.apply_scale(scale)
+    with pytest.raises(FungraspError, match=rf"ball\.ply: {message}"):
+        load_mesh(saved(mesh, tmp_path / "ball.ply"))
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "message"),
+    [
+        ("empty.obj", "", "no faces"),
+        ("points.obj", "v 0 0 0\nv .1 0 0\nv 0 .1 0\n", "no faces"),
+        ("nan.obj", "v 0 0 0\nv nan 0 0\nv 0 .1 0\nf 1 2 3\n", "vertex 1 is not finite"),
+        ("line.obj", "v 0 0 0\nv .1 0 0\nv .2 0 0\nf 1 2 3\n", "no face with an area"),
+        ("junk.ply", "hello", "cannot read the mesh"),
+        ("junk.xyzzy", "hello", "cannot read the mesh"),
+    ],
+)
+def test_useless_files(tmp_path, name, text, message):
+    (tmp_path / name).write_text(text)
+    with pytest.raises(FungraspError, match=message) as caught:
+        load_mesh(tmp_path / name)
+    assert name in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_missing_file(tmp_path):
+    with pytest.raises(FungraspError, match=r"none\.obj does not exist"):
+        load_mesh(tmp_path / "none.obj")
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_any_flipped_faces_are_flipped_back(seed):
+    mesh = ball(2)
+    flip = np.random.default_rng(seed).random(len(mesh.faces)) < 0.4
+    faces = np.where(flip[:, None], mesh.faces[:, ::-1], mesh.faces)
+    mended = consistent_winding(trimesh.Trimesh(mesh.vertices, faces, process=False))
+    assert mended.is_winding_consistent
+    assert abs(mended.volume) == pytest.approx(mesh.volume)
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 319))
+def test_a_missing_face_is_filled(face):
+    mesh = ball(2)
+    mesh.update_faces(np.arange(len(mesh.faces)) != face)
+    mended, count = fill_holes(mesh, widest=0.05)
+    assert count == 1
+    assert mended.is_watertight
+    assert mended.is_winding_consistent
+
+
+def test_a_wide_hole_stays_open():
+    mesh = ball()
+    mesh.update_faces(mesh.triangles_center[:, 2] < 0)
+    mended, count = fill_holes(mesh, widest=0.05)
+    assert count == 0
+    assert not mended.is_watertight
+
+
+@pytest.mark.skipif(not (SHARED / "data/ycb").is_dir(), reason="needs the YCB meshes beside the repository")
+def test_ycb_meshes_need_no_repair():
+    for path in sorted((SHARED / "data/ycb").glob("*.obj")):
+        assert loaded(path)[1] == (), path.name
