@@ -78,7 +78,7 @@ def plan_approach(
         settings: the defaults if None.
     """
     settings = settings or ApproachSettings()
-    around = Surroundings.of(object_names, settled_pose, objects)
+    around = Surroundings.settled(object_names, settled_pose, objects)
     centers = np.array([objects[name].center_of_mass for name in object_names])
 
     def run(start: int) -> Approach:
@@ -88,7 +88,7 @@ def plan_approach(
         first = clear(wrist_in_object[rows], grasp[rows], 2 * settings.iterations)
         ways = [
             _withdraw(clear, first, direction, settings.iterations)
-            for direction in _directions(hand, wrist_in_object[rows], part.up, centers[rows])
+            for direction in _directions(hand, wrist_in_object[rows], part.up[:, 0], centers[rows])
         ]
         best = np.argmin([way.collision + 1e-4 * i for i, way in enumerate(ways)], axis=0)
         pick = np.arange(len(part))

@@ -77,7 +77,7 @@ class ReferenceController:
     def _servo_offsets(self, hand, names: list[str], objects: Mapping[str, ObjectModel]) -> np.ndarray:
         """Of the joints' servo targets, that make the torques of the squeeze [rad], shape [W, U]."""
         task, s = self._task, self.settings
-        around = Surroundings.of(names, task.settled_pose, objects)
+        around = Surroundings.settled(names, task.settled_pose, objects)
         models = [objects[name] for name in names]
         torques = squeeze_torques(
             hand, around, models, task.wrist_in_object, self._grasp, task.grasps.link_contacts

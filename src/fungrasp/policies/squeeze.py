@@ -4,14 +4,12 @@ from __future__ import annotations
 
 
 import numpy as np
-from scipy.optimize import nnls
 
 from fungrasp.hands import Hand
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.objects import ObjectModel
+from fungrasp.retarget.forces import balanced_forces
 from fungrasp.retarget.problem import HandPoints, State, Surroundings
-
-CONE_EDGES = 6
 
 
 def squeeze_torques(
@@ -52,48 +50,10 @@ def squeeze_torques(
     normal = normal / np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-9)
     place = np.take_along_axis(state.balls, nearest[..., None], axis=1) - points.balls.radius[nearest][..., None] * normal
     jacobian = points.kinematics.jacobian(points.balls.points.bodies[nearest], place)[..., 6:]
-    torques = np.zeros_like(grasp)
-    for row in range(len(around)):
-        used = np.flatnonzero(contacts[row] & (clearance[row] < near))
-        if len(used) < 2:
-            used = np.argsort(clearance[row])[:3]
-        force = balanced_forces(
-            place[row, used] - objects[row].center_of_mass, -normal[row, used], friction, 0.5 * float(np.max(objects[row].size))
-        )
-        torques[row] = np.einsum("ci,ciu->u", force, jacobian[row, used])
-    return torques
-
-
-def balanced_forces(place: np.ndarray, inward: np.ndarray, friction: float, reach: float) -> np.ndarray:
-    """Contact forces in their friction cones that cancel out as well as they can; their normal parts sum to 1.
-
-    Args:
-        place: contact points relative to the centre of mass [m], shape [C, 3].
-        inward: unit normals into the object, shape [C, 3].
-        friction: coefficient.
-        reach: length by which torques are divided [m].
-
-    Returns:
-        shape [C, 3].
-    """
-    edges = _cone(inward, friction).reshape(-1, 3)
-    arms = np.repeat(place, CONE_EDGES, axis=0)
-    wrench = np.concatenate([edges, np.cross(arms, edges) / reach], axis=1).T
-    share = np.ones((1, edges.shape[0]))
-    small = 0.05 * np.eye(edges.shape[0])
-    matrix = np.concatenate([wrench, 3.0 * share, small])
-    goal = np.concatenate([np.zeros(6), [3.0], np.zeros(edges.shape[0])])
-    strength, _ = nnls(matrix, goal)
-    strength /= max(strength.sum(), 1e-6)
-    return (strength[:, None] * edges).reshape(len(place), CONE_EDGES, 3).sum(axis=1)
-
-
-def _cone(inward: np.ndarray, friction: float) -> np.ndarray:
-    """Edges of the friction cones, unit normal part, shape [C, CONE_EDGES, 3]."""
-    helper = np.where(np.abs(inward[:, :1]) < 0.9, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]])
-    first = np.cross(inward, helper)
-    first /= np.linalg.norm(first, axis=1, keepdims=True)
-    second = np.cross(inward, first)
-    angles = 2 * np.pi * np.arange(CONE_EDGES) / CONE_EDGES
-    side = np.cos(angles)[:, None] * first[:, None] + np.sin(angles)[:, None] * second[:, None]
-    return inward[:, None] + friction * side
+    used = contacts & (clearance < near)
+    lonely = used.sum(axis=1) < 2
+    used[lonely] = (clearance <= np.sort(clearance, axis=1)[:, 2:3])[lonely]
+    centers = np.array([model.center_of_mass for model in objects])
+    reach = np.array([0.5 * float(np.max(model.size)) for model in objects])
+    force = balanced_forces((place - centers[:, None]) / reach[:, None, None], -normal, used, friction, iterations=200)
+    return np.einsum("nci,nciu->nu", force, jacobian)

@@ -36,8 +36,10 @@ class RetargetSettings:
     """Distance to keep from the table [m]."""
     self_unit: float = 0.001
     """Penetration of the hand by itself [m]."""
-    closure_unit: float = 0.5
-    """Sum of unit contact forces."""
+    closure_unit: float = 0.1
+    """Unbalanced part of contact forces that sum to one."""
+    closure_friction: float = 0.3
+    """Friction that the balance may count on."""
     posture_unit: float = 1.0
     """Difference of unit vectors, second stage."""
     first_iterations: int = 20
@@ -61,7 +63,7 @@ def solve(points: HandPoints, problem: Problem, settings: RetargetSettings) -> t
         partial(terms.contact_gap, unit=settings.gap_unit),
         partial(terms.object_penetration, unit=settings.object_unit),
         partial(terms.link_direction, unit=settings.posture_unit),
-        partial(terms.force_closure, unit=settings.closure_unit),
+        partial(terms.force_closure, unit=settings.closure_unit, friction=settings.closure_friction),
         partial(terms.stay_near, start=start, unit=3.0),
         table,
         itself,

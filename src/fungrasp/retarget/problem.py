@@ -15,6 +15,7 @@ from fungrasp.hands import Hand
 from fungrasp.hands.kinematics import BodyPoints, HandKinematics
 from fungrasp.hands.shape import HandBalls, hand_balls
 from fungrasp.objects import ObjectModel
+from fungrasp.objects.rest import settled_up
 from fungrasp.retarget.correspondence import Correspondence, correspond
 
 
@@ -26,27 +27,37 @@ class Surroundings:
     grid: np.ndarray
     """Which grid of the bank, shape [N]."""
     up: np.ndarray
-    """Table normal, shape [N, 3]."""
+    """Normals of the planes to stay above, shape [N, T, 3]."""
     height: np.ndarray
-    """Height of the object's origin above the table [m], shape [N]: a point p is at up . p + height."""
+    """Height of the object's origin above each plane [m], shape [N, T]: a point p is at up . p + height."""
 
     @classmethod
-    def of(cls, names: Sequence[str], rest_pose: np.ndarray, objects: Mapping[str, ObjectModel]) -> Surroundings:
-        """The table is where the rest pose says or, if the object would hover there, where the object would stand.
+    def settled(cls, names: Sequence[str], pose: np.ndarray, objects: Mapping[str, ObjectModel]) -> Surroundings:
+        """One plane: the table under objects that have settled.
 
         Args:
             names: of the object of each hand, length N.
-            rest_pose: of the objects on the table, world frame, shape [N, 7].
+            pose: of the objects, world frame, shape [N, 7].
             objects: by name.
         """
         known = sorted(set(names))
-        up = rotate(invert(rest_pose)[:, 3:], np.array([0.0, 0.0, 1.0]))
-        lowest = np.array([np.min(objects[name].vertices @ u) for name, u in zip(names, up, strict=True)])
-        return cls(
-            bank=SignedDistanceBank([objects[name].signed_distance for name in known]),
-            grid=np.array([known.index(name) for name in names]),
-            up=up,
-            height=np.minimum(rest_pose[:, 2], -lowest),
+        up = rotate(invert(pose)[:, 3:], np.array([0.0, 0.0, 1.0]))
+        grid = np.array([known.index(name) for name in names])
+        return cls(SignedDistanceBank([objects[name].signed_distance for name in known]), grid, up[:, None], pose[:, 2:3])
+
+    @classmethod
+    def resting(cls, names: Sequence[str], pose: np.ndarray, objects: Mapping[str, ObjectModel]) -> Surroundings:
+        """Two planes: the table at measured, noisy rest poses, and where it will be once the objects have settled.
+
+        Args: as for ``settled``.
+        """
+        measured = cls.settled(names, pose, objects)
+        up = np.array([settled_up(objects[name], u) for name, u in zip(names, measured.up[:, 0], strict=True)])
+        height = -np.array([np.min(objects[name].vertices @ u) for name, u in zip(names, up, strict=True)])
+        return replace(
+            measured,
+            up=np.stack([measured.up[:, 0], up], axis=1),
+            height=np.stack([measured.height[:, 0], height], axis=1),
         )
 
     def rows(self, which: slice | np.ndarray) -> Self:
@@ -87,7 +98,7 @@ class Problem(Surroundings):
             match: which robot link stands for which human one.
         """
         names = grasps.object_name.tolist()
-        around = Surroundings.of(names, grasps.object_rest_pose, objects)
+        around = Surroundings.resting(names, grasps.object_rest_pose, objects)
         joints = transform_points(invert(grasps.object_pose), grasps.hand_joints)
         surface, normals = nearest_surface(around.bank, around.grid, joints)
         return cls(
@@ -183,8 +194,11 @@ class State(Generic[Around]):
         self.clearance = distance - points.balls.radius
         """From each ball to the object [m], shape [N, P]; negative where it penetrates."""
         self.normals = gradient
-        self.heights = np.einsum("npi,ni->np", self.balls, problem.up) + problem.height[:, None] - points.balls.radius
-        """From each ball to the table [m], shape [N, P]."""
+        heights = np.einsum("npi,nti->npt", self.balls, problem.up) + problem.height[:, None]
+        self.heights = heights.min(axis=2) - points.balls.radius
+        """From each ball to the nearest plane [m], shape [N, P]."""
+        self.plane = heights.argmin(axis=2)
+        """Which plane that is, shape [N, P]."""
 
     def keypoint_jacobian(self, which: np.ndarray) -> np.ndarray:
         """Shape [N, len(which), 3, D]."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from fungrasp.geometry.poses import cross, quaternion_conjugate, quaternion_multiply, rotation_vector
+from fungrasp.retarget.forces import balanced_forces
 from fungrasp.retarget.problem import Problem, State, Surroundings, nearest_surface
 
 Residual = tuple[np.ndarray, np.ndarray]
@@ -90,7 +91,8 @@ def table_penetration(state: State[Surroundings], unit: float = 0.001, margin: f
     lowest = _smallest(state.heights, most)
     depth = margin - np.take_along_axis(state.heights, lowest, axis=1)
     active = depth > 0
-    jacobian = -np.einsum("ni,nqid->nqd", state.problem.up, state.ball_jacobian(lowest))
+    up = np.take_along_axis(state.problem.up, np.take_along_axis(state.plane, lowest, axis=1)[..., None], axis=1)
+    jacobian = -np.einsum("nqi,nqid->nqd", up, state.ball_jacobian(lowest))
     return active * depth / unit, active[..., None] * jacobian / unit
 
 
@@ -119,38 +121,43 @@ def self_penetration(state: State[Surroundings], unit: float = 0.002, margin: fl
     return active * depth / unit, jacobian
 
 
-def force_closure(state: State[Problem], unit: float = 0.5, reach: float = 0.006) -> Residual:
-    """(sum n_j, sum (x_j - center) x n_j / extent) / (contacts * unit), over links that should touch (L_fc of IV.A).
+def force_closure(
+    state: State[Problem], unit: float = 0.05, friction: float = 0.3, reach: float = 0.006
+) -> Residual:
+    """(sum f_j, sum (x_j - center) x f_j / extent) / unit, over links that should touch (L_fc of IV.A).
 
-    x_j is the far key point of link j and n_j the inward normal of the object near it: unit forces along them should
-    cancel out (Liu et al., "Synthesizing diverse and physically stable grasps", 2021, with friction left out).
+    x_j is the surface point nearest to the far key point of link j. The f_j are the contact forces within friction cones,
+    normal parts summing to one, that balance best: with ``friction`` zero this is Liu et al., "Synthesizing diverse and
+    physically stable grasps", 2021. As the forces are optimal, the derivative holds them fixed in the contact frames.
 
     Args:
         unit: dimensionless.
+        friction: coefficient to count on, well below the true one.
         reach: half width of the difference that gives the curvature [m]; it also smooths edges.
     """
     match, problem = state.points.match, state.problem
-    wanted = problem.contacts[:, 1:].astype(float)
+    wanted = problem.contacts[:, 1:]
     x = state.keypoints[:, match.far]
-    _, normal = nearest_surface(problem.bank, problem.grid, x, iterations=2)
-    force = -normal * wanted[..., None]
-    curvature = np.zeros((*x.shape, 3))
+    place, normal = nearest_surface(problem.bank, problem.grid, x, iterations=2)
+    curvature = np.empty((*x.shape, 3))
     for axis in range(3):
         shift = np.zeros(3)
         shift[axis] = reach
         ahead = problem.bank.query(problem.grid, x + shift)[1]
         behind = problem.bank.query(problem.grid, x - shift)[1]
-        curvature[..., axis] = -(ahead - behind) / (2 * reach) * wanted[..., None]
-    lever = (x - problem.center[:, None]) / problem.extent[:, None, None]
+        curvature[..., axis] = (ahead - behind) / (2 * reach)
+    lever = (place - problem.center[:, None]) / problem.extent[:, None, None]
+    force = balanced_forces(lever, -normal, wanted, friction)
+    pressure = -np.sum(force * normal, axis=-1)
     move = state.keypoint_jacobian(match.far)
-    turn = np.einsum("nsij,nsjd->nsid", curvature, move)
-    scale = 1.0 / (np.maximum(wanted.sum(axis=1), 1.0) * unit)
+    force_d = -pressure[..., None, None] * np.einsum("nsij,nsjd->nsid", curvature, move)
     torque = cross(lever, force)
-    lever_d, force_d = np.swapaxes(move, 2, 3) / problem.extent[:, None, None, None], np.swapaxes(turn, 2, 3)
-    torque_d = cross(lever_d, force[:, :, None]) + cross(lever[:, :, None], force_d)
+    torque_d = cross(np.swapaxes(move, 2, 3) / problem.extent[:, None, None, None], force[:, :, None])
+    torque_d = torque_d + cross(lever[:, :, None], np.swapaxes(force_d, 2, 3))
     residual = np.concatenate([force.sum(axis=1), torque.sum(axis=1)], axis=1)
-    jacobian = np.concatenate([turn.sum(axis=1), np.swapaxes(torque_d.sum(axis=1), 1, 2)], axis=1)
-    return residual * scale[:, None], jacobian * scale[:, None, None]
+    jacobian = np.concatenate([force_d.sum(axis=1), np.swapaxes(torque_d.sum(axis=1), 1, 2)], axis=1)
+    enough = (wanted.sum(axis=1) >= 2)[:, None]
+    return enough * residual / unit, enough[..., None] * jacobian / unit
 
 
 def stay_near(
