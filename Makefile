@@ -1,0 +1,70 @@
+# make demo   grasps built-in objects and writes a film and a page
+# make test   all checks and tests
+# Both set up what they need in .venv, once. PYTHON=... chooses the Python (3.11 or newer) it is made with.
+
+PYTHON ?= python3
+JOBS ?= 2
+VENV := .venv
+BIN := $(VENV)/bin
+CHECKS := lint types imports docs unit
+
+export OMP_NUM_THREADS := 1
+export OPENBLAS_NUM_THREADS := 1
+export PIP_DISABLE_PIP_VERSION_CHECK := 1
+export PYRIGHT_PYTHON_IGNORE_WARNINGS := 1
+
+.PHONY: help demo test format clean $(CHECKS)
+.DELETE_ON_ERROR:
+
+help:
+	@sed -n '1,3s/^# //p' Makefile
+
+demo: $(VENV)/.installed
+	$(BIN)/fungrasp demo $(ARGS)
+
+test: $(VENV)/.installed-dev
+	@failed=; for check in $(CHECKS); do $(MAKE) --no-print-directory $$check || failed="$$failed $$check"; done; \
+	if [ -n "$$failed" ]; then echo "failed:$$failed"; exit 1; fi
+
+lint: $(VENV)/.installed-dev
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+
+types: $(VENV)/.installed-dev
+	$(BIN)/pyright --pythonpath $(BIN)/python
+
+imports: $(VENV)/.installed-dev
+	$(BIN)/lint-imports --config pyproject.toml
+
+docs: $(VENV)/.installed-dev
+	$(BIN)/mkdocs build --quiet --strict --site-dir site
+
+unit: $(VENV)/.installed-dev
+	$(BIN)/pytest -n $(JOBS) $(ARGS)
+
+format: $(VENV)/.installed-dev
+	$(BIN)/ruff check --fix
+	$(BIN)/ruff format
+
+clean:
+	rm -rf $(VENV) site
+
+$(VENV)/.installed: pyproject.toml $(VENV)/.made
+	@echo "installing fungrasp into $(VENV), once"
+	@$(BIN)/python -m pip install --quiet -e .
+	@touch $@
+
+$(VENV)/.installed-dev: pyproject.toml $(VENV)/.made
+	@echo "installing fungrasp and its tools into $(VENV), once"
+	@$(BIN)/python -m pip install --quiet -e ".[dev,docs]"
+	@touch $@ $(VENV)/.installed
+
+# Debian splits ensurepip off into python3-venv; without it the system's pip puts a pip into the environment.
+$(VENV)/.made:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || { \
+	echo "fungrasp needs Python 3.11 or newer, and '$(PYTHON)' is $$($(PYTHON) --version 2>&1 || echo missing);" \
+	"choose another one: make PYTHON=/path/to/python3.11"; exit 2; }
+	@if $(PYTHON) -c 'import ensurepip' 2>/dev/null; then $(PYTHON) -m venv $(VENV); else \
+	$(PYTHON) -m venv --without-pip $(VENV) && $(PYTHON) -m pip --python $(BIN)/python install --quiet pip || { \
+	echo "no pip could be put into $(VENV): install one of the packages python3-venv and python3-pip"; exit 2; }; fi
+	@touch $@
