@@ -73,7 +73,9 @@ def static_quality(
         FungraspError: the sets don't belong together.
     """
     if len(robot) != len(human) or np.any(robot.object_name != human.object_name):
-        raise FungraspError("the robot grasps and the human grasps are not of the same objects in the same order")
+        raise FungraspError(
+            "the robot grasps and the human grasps are not of the same objects in the same order"
+        )
     if tuple(robot.joint_names) != hand.joint_names:
         raise FungraspError(f"the robot grasps have other joints than hand '{hand.name}'")
     match = correspond(hand)
@@ -95,7 +97,8 @@ def static_quality(
     balls = hand_balls(hand, spacing)
     clearance, heights = _clearances(kinematics, balls, bank, grid, robot)
     by_link = np.stack(
-        [clearance[:, balls.link == link].min(axis=1, initial=np.inf) for link in range(1, len(hand.links))], axis=1
+        [clearance[:, balls.link == link].min(axis=1, initial=np.inf) for link in range(1, len(hand.links))],
+        axis=1,
     )
     return StaticQuality(
         contact_error_mm=1e3 * contact_error,
@@ -105,7 +108,11 @@ def static_quality(
         table_penetration_mm=1e3 * np.maximum(-heights.min(axis=1), 0.0),
         self_penetration_mm=1e3 * self_penetration(hand, robot.joint_positions),
         limit_violation_rad=np.maximum(
-            np.maximum(hand.joint_limits[:, 0] - robot.joint_positions, robot.joint_positions - hand.joint_limits[:, 1]), 0.0
+            np.maximum(
+                hand.joint_limits[:, 0] - robot.joint_positions,
+                robot.joint_positions - hand.joint_limits[:, 1],
+            ),
+            0.0,
         ).max(axis=1),
     )
 
@@ -132,7 +139,11 @@ def self_penetration(hand: Hand, joint_positions: np.ndarray) -> np.ndarray:
 
 
 def _clearances(
-    kinematics: HandKinematics, balls: HandBalls, bank: SignedDistanceBank, grid: np.ndarray, robot: RobotGraspSet
+    kinematics: HandKinematics,
+    balls: HandBalls,
+    bank: SignedDistanceBank,
+    grid: np.ndarray,
+    robot: RobotGraspSet,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Of each ball from the object and from the table [m], shape [N, P] each."""
     clearance, heights = [], []
@@ -147,7 +158,9 @@ def _clearances(
 def _direction_error(keypoints: np.ndarray, joints: np.ndarray, match) -> np.ndarray:
     robot = keypoints[:, match.far] - keypoints[:, match.near]
     human = joints[:, match.human_far] - joints[:, match.human_near]
-    cosine = np.sum(robot * human, axis=-1) / (np.linalg.norm(robot, axis=-1) * np.linalg.norm(human, axis=-1))
+    cosine = np.sum(robot * human, axis=-1) / (
+        np.linalg.norm(robot, axis=-1) * np.linalg.norm(human, axis=-1)
+    )
     return np.arccos(np.clip(cosine, -1.0, 1.0))
 
 

@@ -1,0 +1,103 @@
+"""``fungrasp retarget``: human grasps become grasps of a robot hand."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from fungrasp.cli.console import progress_bar, table, write_json
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from fungrasp.evaluation import StaticQuality
+    from fungrasp.grasps import HumanGraspSet, RobotGraspSet
+    from fungrasp.hands import Hand
+    from fungrasp.objects import ObjectModel
+
+
+@dataclass(frozen=True)
+class Retarget:
+    """Turn human grasps into grasps of a robot hand, and measure how good they are."""
+
+    out: Path
+    """Grasp file to write (.npz)."""
+    grasps: str = "builtin"
+    """A file of human grasps, or "builtin"."""
+    objects: Path | None = None
+    """Folder of meshes <name>.obj; built-in objects need none."""
+    hand: str = "allegro"
+    """Name of a hand, or the path of a hand's TOML file."""
+    method: str = "ours"
+    """ours, angle-copy or dexgraspnet."""
+    quality: Path | None = None
+    """Write a summary of the quality of the grasps here (.json)."""
+    picture: Path | None = None
+    """Draw some of the grasps, human and robot side by side, to this PNG file."""
+    threads: int = 0
+    """0 means all processors; the result does not depend on it."""
+
+    def run(self) -> None:
+        from fungrasp.evaluation import static_quality
+        from fungrasp.grasps import load_human_grasps, save_robot_grasps
+        from fungrasp.hands import load_hand
+        from fungrasp.retarget import load_objects
+
+        hand = load_hand(self.hand)
+        human = load_human_grasps(self.grasps)
+        objects = load_objects(human, self.objects)
+        robot, rate = retargeted(human, objects, hand, self.method, self.threads)
+        quality = static_quality(robot, human, objects, hand)
+        robot = replace(
+            robot, extra={**robot.extra, **{f.name: getattr(quality, f.name) for f in fields(quality)}}
+        )
+        save_robot_grasps(self.out, robot)
+        if self.quality is not None:
+            write_json(self.quality, quality_json(quality) | {"grasps_per_second": rate})
+        print(quality_table(quality))
+        print(f"{self.out}: {len(robot)} grasps of {len(objects)} objects, {rate:.0f} grasps/s")
+
+
+COMMAND = Retarget
+
+
+def retargeted(
+    human: HumanGraspSet, objects: Mapping[str, ObjectModel], hand: Hand, method: str, threads: int
+) -> tuple[RobotGraspSet, float]:
+    """Robot grasps, and how many a second were solved; with a progress bar."""
+    from threading import Lock
+    from time import perf_counter
+
+    from fungrasp.retarget import retarget
+
+    for model in objects.values():
+        _ = model.signed_distance
+    done, lock = 0, Lock()
+    with progress_bar(f"retargeting to {hand.name} ({method})", len(human)) as show:
+
+        def finished(count: int) -> None:
+            nonlocal done
+            with lock:
+                done += count
+                show(done)
+
+        start = perf_counter()
+        robot = retarget(human, objects, hand, method, threads=threads, progress=finished)
+        return robot, len(human) / (perf_counter() - start)
+
+
+def quality_json(quality: StaticQuality) -> dict[str, Any]:
+    """Mean, 95th percentile and maximum of each number."""
+    from fungrasp.evaluation.results import finite
+
+    return finite(quality.summary())
+
+
+def quality_table(quality: StaticQuality) -> str:
+    """The same in words."""
+    rows = [("quality", "mean", "p95", "max", "unit")]
+    for name, numbers in quality.summary().items():
+        what, _, unit = name.rpartition("_")
+        rows.append((what.replace("_", " "), *(f"{numbers[k]:.2f}" for k in ("mean", "p95", "max")), unit))
+    return table(rows)

@@ -1,0 +1,106 @@
+"""Results of the dynamic test as JSON-ready numbers (docs/evaluation.md)."""
+
+from __future__ import annotations
+
+import math
+import os
+import platform
+from dataclasses import asdict, fields
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from fungrasp import __version__
+from fungrasp.evaluation.dynamic import DynamicResult
+from fungrasp.evaluation.statistics import mean_over_groups, wilson_interval
+
+LEGACY_PERIOD = 0.0289
+"""Control period of earlier published code, per which it counts the displacement [s]."""
+
+MEANS = (
+    "contact_ratio",
+    "contact_precision",
+    "contact_f1",
+    "sim_distance_world_mm_s",
+    "sim_distance_hand_mm_s",
+    "pushed_m",
+)
+"""Fields of ``Trials`` that are averaged."""
+
+
+def summary(result: DynamicResult, which: np.ndarray | None = None) -> dict[str, Any]:
+    """Rates and means over the trials. which: shape [N] bool, all if None."""
+    which = np.ones(len(result.index), dtype=bool) if which is None else which
+    count, successes = int(which.sum()), int(result.trials.success[which].sum())
+    values: dict[str, Any] = {
+        "count": count,
+        "success_rate": successes / count,
+        "success_interval": list(wilson_interval(successes, count)),
+    }
+    values |= {name: float(np.mean(getattr(result.trials, name)[which])) for name in MEANS}
+    displacement = values["sim_distance_world_mm_s"] * LEGACY_PERIOD
+    values["legacy"] = {
+        "success_rate": float(np.mean(result.legacy_success[which])),
+        "sim_distance_mm_per_28.9_ms": displacement,
+    }
+    return values
+
+
+def mean_over_objects(result: DynamicResult) -> dict[str, float]:
+    """Rate of success and means, each object counted once."""
+    columns = {"success_rate": result.trials.success} | {name: getattr(result.trials, name) for name in MEANS}
+    return {name: mean_over_groups(values, result.object_name) for name, values in columns.items()}
+
+
+def result_json(result: DynamicResult) -> dict[str, Any]:
+    """All of a result; nothing in it is NaN or infinite (None stands for what was not measured)."""
+    seeds = np.unique(result.seed).tolist()
+    names = np.unique(result.object_name).tolist()
+    columns = {field.name: getattr(result.trials, field.name) for field in fields(result.trials)}
+    trials = [
+        {
+            "index": int(result.index[i]),
+            "object": str(result.object_name[i]),
+            "task": str(result.task[i]),
+            "seed": int(result.seed[i]),
+            **{name: values[i] for name, values in columns.items()},
+            "legacy_success": result.legacy_success[i],
+        }
+        for i in range(len(result.index))
+    ]
+    return finite(
+        {
+            "version": __version__,
+            "hand": result.hand,
+            "policy": result.policy,
+            "seed": seeds[0] if len(seeds) == 1 else seeds,
+            "protocol": asdict(result.protocol),
+            "disturbance": asdict(result.disturbance),
+            **summary(result),
+            "mean_over_objects": mean_over_objects(result),
+            "by_object": {name: summary(result, result.object_name == name) for name in names},
+            "trials": trials,
+        }
+    )
+
+
+def machine() -> str:
+    """What the numbers were measured on, in words."""
+    return (
+        f"{platform.system()} {platform.machine()}, {os.cpu_count()} processors, "
+        f"Python {platform.python_version()}, MuJoCo {mujoco.__version__}"
+    )
+
+
+def finite(value: Any) -> Any:
+    """The same with NumPy's numbers as Python's, and None for NaN and infinities."""
+    if isinstance(value, dict):
+        return {str(key): finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [finite(item) for item in value]
+    if isinstance(value, np.ndarray | np.generic):
+        return finite(value.tolist())
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

@@ -1,0 +1,143 @@
+"""Recorded trials: what moved how, in a file that can be shown again."""
+
+from __future__ import annotations
+
+import zipfile
+import zlib
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+
+from fungrasp.errors import FungraspError
+from fungrasp.files import atomic_path
+from fungrasp.task import LiftTask
+
+PHASES = ("approach", "lift", "hold")
+"""By number in ``Trajectory.phase``."""
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """One trial, T states. World frame, z up, table top at z = 0."""
+
+    hand: str
+    object_name: str
+    object_mass: float
+    """[kg]."""
+    index: int
+    """Row of the grasp in its set."""
+    success: bool
+    reason: str
+    """Why it failed, "" on success."""
+    times: np.ndarray
+    """[s], shape [T]; 0 is when the hand starts."""
+    qpos: np.ndarray
+    """Of the scene of ``fungrasp.simulation.build_scene``, shape [T, nq]."""
+    wrist_reference: np.ndarray
+    """Pose of the scene's mocap body, shape [7]."""
+    object_pose: np.ndarray
+    """Shape [T, 7]."""
+    palm_pose: np.ndarray
+    """Shape [T, 7]."""
+    joint_positions: np.ndarray
+    """In the order of ``Hand.joint_names`` [rad], shape [T, M]."""
+    link_contacts: np.ndarray
+    """Which links touch the object, in the order of ``Hand.links``, shape [T, L] bool."""
+    phase: np.ndarray
+    """Index into ``PHASES``, shape [T]."""
+
+    def save(self, path: str | Path) -> None:
+        """Write to an ``.npz`` file, whole or not at all; numbers as float32.
+
+        Raises:
+            FungraspError: the file can't be written.
+        """
+        arrays = {field.name: np.asarray(getattr(self, field.name)) for field in fields(self)}
+        short = {
+            k: v.astype(np.float32) if v.dtype == np.float64 and v.ndim else v for k, v in arrays.items()
+        }
+        with atomic_path(path) as temporary, temporary.open("wb") as stream:
+            np.savez_compressed(stream, **short)  # pyright: ignore[reportArgumentType]
+
+    @property
+    def phases(self) -> list[tuple[float, str]]:
+        """Start [s] and name of each phase, as ``fungrasp.report.film`` takes them."""
+        starts = np.flatnonzero(np.diff(self.phase, prepend=-1))
+        return [(float(self.times[i]), PHASES[int(self.phase[i])]) for i in starts]
+
+
+def replay(path: str | Path) -> Trajectory:
+    """Read a recorded trial.
+
+    Raises:
+        FungraspError: no such file, or no recorded trial.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise FungraspError(f"the recorded trial {path} does not exist")
+    try:
+        with np.load(path, allow_pickle=False) as data:
+            arrays = {field.name: data[field.name] for field in fields(Trajectory)}
+    except (OSError, ValueError, EOFError, KeyError, TypeError, zipfile.BadZipFile, zlib.error) as error:
+        raise FungraspError(f"{path} is no recorded trial: {' '.join(str(error).split())}") from error
+    values = {name: value if value.ndim else value.item() for name, value in arrays.items()}
+    return Trajectory(**values)
+
+
+class Recorder:
+    """Watches a task and keeps its states; hand it to ``LiftTask.step``."""
+
+    def __init__(self, task: LiftTask):
+        """task: reset."""
+        self._task = task
+        self._states: list[tuple[np.ndarray, ...]] = []
+        self._times: list[float] = []
+        self()
+
+    def __call__(self) -> None:
+        """Keep the current state."""
+        task, worlds = self._task, self._task.worlds
+        phase = np.isfinite(task.lift_time).astype(np.int8) + np.isfinite(task.hold_time)
+        self._times.append(task.time)
+        self._states.append(
+            (
+                ~task.done,
+                worlds.qpos.astype(np.float32),
+                worlds.object_pose.astype(np.float32),
+                worlds.palm_pose.astype(np.float32),
+                worlds.joint_positions.astype(np.float32),
+                worlds.link_contacts,
+                phase.astype(np.int8),
+            )
+        )
+
+    def trajectories(self, rows: np.ndarray) -> list[Trajectory]:
+        """One per world, each until its trial was done. rows: of the grasps in their set, shape [W]."""
+        task = self._task
+        trials, reference = task.trials(), task.worlds.wrist_reference
+        running, *states = (np.stack(column) for column in zip(*self._states, strict=True))
+        times = np.array(self._times)
+        result = []
+        for world, row in enumerate(rows):
+            kept = running[:, world]
+            qpos, thing, palm, joints, contacts, phase = (state[kept, world] for state in states)
+            result.append(
+                Trajectory(
+                    hand=task.grasps.hand,
+                    object_name=str(task.grasps.object_name[world]),
+                    object_mass=float(task.grasps.object_mass[world]),
+                    index=int(row),
+                    success=bool(trials.success[world]),
+                    reason=str(trials.reason[world]),
+                    times=times[kept],
+                    qpos=qpos,
+                    wrist_reference=reference[world],
+                    object_pose=thing,
+                    palm_pose=palm,
+                    joint_positions=joints,
+                    link_contacts=contacts,
+                    phase=phase,
+                )
+            )
+        return result
