@@ -15,12 +15,13 @@ from fungrasp.grasps import HumanGraspSet, RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.objects import ObjectModel, load_object
+from fungrasp.retarget import angle_copy, dexgraspnet, ours
 from fungrasp.retarget.correspondence import correspond
-from fungrasp.retarget.ours import RetargetSettings, solve
+from fungrasp.retarget.ours import RetargetSettings
 from fungrasp.retarget.problem import HandPoints, Problem
 
 Solver = Callable[[HandPoints, Problem, RetargetSettings], tuple[np.ndarray, np.ndarray]]
-METHODS: dict[str, Solver] = {"ours": solve}
+METHODS: dict[str, Solver] = {"ours": ours.solve, "angle-copy": angle_copy.solve, "dexgraspnet": dexgraspnet.solve}
 
 
 def load_objects(grasps: HumanGraspSet | RobotGraspSet, folder: str | Path | None = None) -> dict[str, ObjectModel]:

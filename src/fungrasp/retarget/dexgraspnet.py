@@ -1,0 +1,121 @@
+"""Baseline "dexgraspnet": the grasp energy of DexGraspNet, started from the human contacts.
+
+Wang et al., "DexGraspNet: a large-scale robotic dexterous grasp dataset for general objects based on simulation", 2023:
+
+    E = E_fc + w_dis E_dis + w_pen E_pen + w_spen E_spen + w_joints E_joints
+
+with its weights. It knows neither the table nor the human posture. What differs from the original: contacts are sought on the
+robot links whose human twins touch, instead of on random ones; the start is the human's wrist pose, instead of a random
+one around the object; as that leaves nothing to explore, the energy is minimised by Levenberg-Marquardt instead of annealed
+random steps; penetrations are those of the balls that cover our hands, and absolute values are rounded off within
+``ROUNDING``; joints are held within their limits, so that E_joints is zero.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fungrasp.geometry.poses import cross
+from fungrasp.retarget import terms
+from fungrasp.retarget.ours import RetargetSettings, initial_pose
+from fungrasp.retarget.problem import HandPoints, Problem, State, Surroundings
+from fungrasp.retarget.solver import Term, minimise
+from fungrasp.retarget.terms import Residual
+
+DISTANCE_WEIGHT = 100.0
+"""w_dis [1/m]."""
+PENETRATION_WEIGHT = 100.0
+"""w_pen [1/m]."""
+SELF_PENETRATION_WEIGHT = 10.0
+"""w_spen [1/m]."""
+ROUNDING = 5e-4
+"""Lengths below which |x| is treated as a parabola [m]."""
+ITERATIONS = 80
+
+
+def solve(points: HandPoints, problem: Problem, settings: RetargetSettings) -> tuple[np.ndarray, np.ndarray]:
+    """Wrist poses in the object's frame [N, 7] and independent joints [N, U]. ``settings`` is not used: the weights are the paper's."""
+    wrist_pose, independent = initial_pose(points, problem)
+    energy: list[Term] = [force_closure, contact_distance, object_penetration, self_penetration]
+    wrist_pose, independent, _ = minimise(points, problem, energy, wrist_pose, independent, ITERATIONS)
+    return wrist_pose, independent
+
+
+def force_closure(state: State[Problem], reach: float = 0.006) -> Residual:
+    """E_fc = |sum_i c_i|^2 + |sum_i x_i x c_i|^2: unit forces along the surface normals, without friction (Liu et al. 2021).
+
+    x_i [m] are the contact points of ``contact_balls``, object frame; c_i the object's inward normals there.
+
+    Args:
+        reach: half width of the difference that gives the normals' derivative [m].
+    """
+    balls, wanted = contact_balls(state)
+    bank, grid = state.problem.bank, state.problem.grid
+    gradient = np.take_along_axis(state.normals, balls[..., None], axis=1)
+    size = np.maximum(np.linalg.norm(gradient, axis=-1, keepdims=True), 1e-9)
+    normal = gradient / size
+    center = np.take_along_axis(state.balls, balls[..., None], axis=1)
+    curvature = np.empty((*center.shape, 3))
+    for axis, shift in enumerate(reach * np.eye(3)):
+        ahead, behind = bank.query(grid, center + shift)[1], bank.query(grid, center - shift)[1]
+        curvature[..., axis] = (ahead - behind) / (2 * reach)
+    along = np.einsum("nqi,nqij->nqj", normal, curvature)
+    curvature = (curvature - normal[..., None] * along[..., None, :]) / size[..., None]
+    radius = state.points.balls.radius[balls][..., None]
+    center_d = state.ball_jacobian(balls)
+    normal_d = np.einsum("nqij,nqjd->nqid", curvature, center_d)
+    place, place_d = center - radius * normal, center_d - radius[..., None] * normal_d
+    torque = cross(place, -normal)
+    torque_d = cross(np.swapaxes(place_d, 2, 3), -normal[:, :, None]) - cross(
+        place[:, :, None], np.swapaxes(normal_d, 2, 3)
+    )
+    wrench = np.sum(wanted[..., None] * np.concatenate([-normal, torque], axis=-1), axis=1)
+    wrench_d = np.sum(
+        wanted[..., None, None] * np.concatenate([-normal_d, np.swapaxes(torque_d, 2, 3)], axis=2), axis=1
+    )
+    return np.sqrt(2.0) * wrench, np.sqrt(2.0) * wrench_d
+
+
+def contact_distance(state: State[Problem]) -> Residual:
+    """w_dis E_dis = w_dis sum_i |d(x_i)|, d the signed distance of the contact points from the object."""
+    balls, wanted = contact_balls(state)
+    distance = np.take_along_axis(state.clearance, balls, axis=1)
+    normal = np.take_along_axis(state.normals, balls[..., None], axis=1)
+    jacobian = np.einsum("nqi,nqid->nqd", normal, state.ball_jacobian(balls))
+    return absolute((wanted * distance, wanted[..., None] * jacobian), DISTANCE_WEIGHT)
+
+
+def object_penetration(state: State[Surroundings]) -> Residual:
+    """w_pen E_pen = w_pen sum max(0, depth) over the balls that cover the hand."""
+    return absolute(terms.object_penetration(state, unit=1.0, margin=0.0, most=48), PENETRATION_WEIGHT)
+
+
+def self_penetration(state: State[Surroundings]) -> Residual:
+    """w_spen E_spen = w_spen sum max(0, depth) over pairs of balls of different fingers."""
+    return absolute(terms.self_penetration(state, unit=1.0, margin=0.0, most=16), SELF_PENETRATION_WEIGHT)
+
+
+def contact_balls(state: State[Problem]) -> tuple[np.ndarray, np.ndarray]:
+    """The ball of each link that is nearest to the object.
+
+    Returns:
+        Ball indices and whether that link should touch, shape [N, Q] each; Q: links that have balls, the palm included.
+    """
+    members = state.points.link_members
+    links = [link for link in range(len(members)) if len(members[link])]
+    nearest = [members[link][np.argmin(state.clearance[:, members[link]], axis=1)] for link in links]
+    return np.stack(nearest, axis=1), state.problem.contacts[:, links]
+
+
+def absolute(lengths: Residual, weight: float) -> Residual:
+    """Residuals whose halved squares are weight (sqrt(r^2 + ROUNDING^2) - ROUNDING): about weight |r|.
+
+    Args:
+        lengths: r [m] and its Jacobian.
+        weight: [1/m].
+    """
+    r, jacobian = lengths
+    hypotenuse = np.sqrt(r**2 + ROUNDING**2)
+    root = np.sqrt(2 * weight / (hypotenuse + ROUNDING))
+    slope = weight / (hypotenuse * root)
+    return root * r, slope[..., None] * jacobian
