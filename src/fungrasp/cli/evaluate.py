@@ -11,10 +11,15 @@ from fungrasp.cli.console import progress_bar, table, write_json
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from fungrasp.evaluation import DynamicResult
+    from fungrasp.evaluation import Disturbance, DynamicResult
+    from fungrasp.evaluation.dynamic import Refinement
+    from fungrasp.evaluation.store import PartialResults
     from fungrasp.grasps import HumanGraspSet, RobotGraspSet
     from fungrasp.hands import Hand
     from fungrasp.objects import ObjectModel
+
+REFINED_CHUNK = 32
+"""Grasps refined and tried together: what an interrupted run may lose."""
 
 
 @dataclass(frozen=True)
@@ -30,15 +35,17 @@ class Evaluate:
     policy: str = "reference"
     """What moves the hand: "reference"."""
     refine: int = 0
-    """Try this many variations of each grasp in simulation first and keep the best."""
+    """First try this many variations of each grasp in simulation, and keep the best."""
     method: tuple[str, ...] = ("ours",)
-    """How human grasps are retargeted: ours, angle-copy, dexgraspnet; several are compared side by side."""
+    """How human grasps are retargeted: ours, angle-copy, dexgraspnet; several are compared."""
     seed: tuple[int, ...] = (0,)
     """Of everything that is random; with several, each grasp is tried with each."""
     json: Path | None = None
-    """Write every number here (.json). An interrupted run goes on where it was when it is given again."""
+    """Write every number here (.json). Given again after an interruption, the command goes on."""
     record: Path | None = None
     """Folder to which each trial is recorded (.npz)."""
+    picture: Path | None = None
+    """Draw some of the grasps, and whether they held, to this PNG file."""
     mass_scale: float = 1.0
     """The object weighs this many times what the policy believes."""
     friction: float | None = None
@@ -51,51 +58,82 @@ class Evaluate:
     """0 means all processors; the result does not depend on it."""
 
     def run(self) -> None:
-        from math import radians
         from time import perf_counter
 
-        from fungrasp.errors import FungraspError
-        from fungrasp.evaluation import Disturbance, evaluate, result_json
-        from fungrasp.evaluation.dynamic import check_hand
+        from fungrasp.cli.retarget import draw_grasps
+        from fungrasp.evaluation import result_json
+        from fungrasp.evaluation.dynamic import check_hand, check_policy
         from fungrasp.evaluation.results import machine
+        from fungrasp.evaluation.store import PartialResults
         from fungrasp.grasps import RobotGraspSet, load_grasps
         from fungrasp.hands import load_hand
         from fungrasp.retarget import load_objects
 
-        disturbance = Disturbance(
-            self.mass_scale, self.friction, self.pose_noise[0], radians(self.pose_noise[1]), self.table_height
-        )
+        disturbance = self._disturbance()
+        check_policy(self.policy)
         hand = load_hand(self.hand)
         grasps = load_grasps(self.grasps)
+        self._check(isinstance(grasps, RobotGraspSet), disturbance)
         if isinstance(grasps, RobotGraspSet):
             check_hand(grasps, hand)
         objects = load_objects(grasps, self.objects)
+        store = (
+            None if self.json is None else PartialResults(self.json.with_name(f"{self.json.name}.partial"))
+        )
         start = perf_counter()
-        results: dict[str, DynamicResult] = {}
-        for method, robot in self._robot_grasps(grasps, objects, hand).items():
-            with progress_bar(f"{hand.name}, {method}", len(robot) * len(self.seed)) as show:
-                results[method] = evaluate(
-                    robot,
-                    objects,
-                    hand,
-                    self.policy,
-                    seeds=self.seed,
-                    threads=self.threads,
-                    disturbance=disturbance,
-                    record=self.record,
-                    progress=show,
-                )
+        sets = self._robot_grasps(grasps, objects, hand)
+        results = {
+            name: self._evaluate(name, robot, objects, hand, disturbance, store)
+            for name, robot in sets.items()
+        }
         seconds = perf_counter() - start
-        if self.json is not None:
-            about = {"seconds": seconds, "machine": machine()}
-            jsons = {method: result_json(result) for method, result in results.items()}
+        if self.json is not None and store is not None:
+            jsons = {name: result_json(result) for name, result in results.items()}
             whole: dict[str, Any] = next(iter(jsons.values())) if len(jsons) == 1 else {"methods": jsons}
-            write_json(self.json, whole | about)
-        for method, result in results.items():
+            write_json(self.json, whole | {"seconds": seconds, "machine": machine()})
+            store.remove()
+        if self.picture is not None:
+            name, robot = next(iter(sets.items()))
+            outcome = results[name].trials.reason[: len(robot)].tolist()
+            draw_grasps(
+                self.picture, robot, objects, hand, captions=[reason or "success" for reason in outcome]
+            )
+        for name, result in results.items():
             if len(results) > 1:
-                print(f"{method}:")
+                print(f"{name}:")
             print(result_table(result))
-        print(f"{sum(len(r.index) for r in results.values())} trials in {seconds:.1f} s")
+        if len(results) > 1:
+            print(comparison(results))
+        print(f"{sum(len(result.index) for result in results.values())} trials in {seconds:.1f} s")
+
+    def _disturbance(self) -> Disturbance:
+        from math import radians
+
+        from fungrasp.evaluation import Disturbance
+
+        distance, angle = self.pose_noise
+        return Disturbance(self.mass_scale, self.friction, distance, radians(angle), self.table_height)
+
+    def _check(self, robot: bool, disturbance: Disturbance) -> None:
+        """Complain about options that do not go together."""
+        from fungrasp.errors import FungraspError, UnknownNameError
+        from fungrasp.retarget import METHODS
+
+        for name in self.method:
+            if name not in METHODS:
+                raise UnknownNameError("retargeting method", name, METHODS)
+        if robot and self.method != ("ours",):
+            raise FungraspError(f"--method {' '.join(self.method)}: {self.grasps} holds robot grasps already")
+        for name, values in (("method", self.method), ("seed", self.seed)):
+            if not values or len(set(values)) < len(values):
+                raise FungraspError(f"--{name} needs at least one value, and each once")
+        if min(self.seed) < 0 or self.refine < 0 or self.threads < 0:
+            raise FungraspError("--seed, --refine and --threads must not be negative")
+        if len(self.seed) > 1 and not (self.refine or disturbance.is_random):
+            raise FungraspError(
+                "nothing is random here, so several seeds would only repeat the same trials: "
+                "give one --seed, or --pose-noise or --refine"
+            )
 
     def _robot_grasps(
         self, grasps: HumanGraspSet | RobotGraspSet, objects: Mapping[str, ObjectModel], hand: Hand
@@ -104,43 +142,84 @@ class Evaluate:
         from fungrasp.grasps import RobotGraspSet
 
         if isinstance(grasps, RobotGraspSet):
-            return {"robot grasps": grasps}
+            return {hand.name: grasps}
         return {method: retargeted(grasps, objects, hand, method, self.threads)[0] for method in self.method}
+
+    def _evaluate(
+        self,
+        name: str,
+        robot: RobotGraspSet,
+        objects: Mapping[str, ObjectModel],
+        hand: Hand,
+        disturbance: Disturbance,
+        store: PartialResults | None,
+    ) -> DynamicResult:
+        from fungrasp.evaluation import evaluate
+        from fungrasp.evaluation.dynamic import CHUNK
+
+        folder = self.record / name if self.record is not None and len(self.method) > 1 else self.record
+        with progress_bar(f"{hand.name}, {name}", len(robot) * len(self.seed)) as show:
+            return evaluate(
+                robot,
+                objects,
+                hand,
+                self.policy,
+                seeds=self.seed,
+                threads=self.threads,
+                disturbance=disturbance,
+                refine=self._refinement(objects, hand),
+                record=folder,
+                store=store,
+                chunk=REFINED_CHUNK if self.refine else CHUNK,
+                progress=show,
+            )
+
+    def _refinement(self, objects: Mapping[str, ObjectModel], hand: Hand) -> Refinement | None:
+        if not self.refine:
+            return None
+        from fungrasp.evaluation.dynamic import Refinement
+        from fungrasp.policies.refine import refine
+
+        def improve(grasps: RobotGraspSet, seed: int) -> RobotGraspSet:
+            return refine(grasps, objects, hand, tries=self.refine, seed=seed, threads=self.threads)
+
+        return Refinement(improve, f"{self.refine} tries")
 
 
 COMMAND = Evaluate
 
 
 def result_table(result: DynamicResult) -> str:
-    """Objects and their rates of success."""
+    """Objects and their rates of success, and why trials failed."""
+    from collections import Counter
+
     from fungrasp.evaluation.results import result_json
 
     numbers = result_json(result)
     rows = [("object", "trials", "success", "95 % interval", "contacts", "slip [mm/s]", "pushed [mm]")]
     rows += [_row(name, part) for name, part in numbers["by_object"].items()]
     rows.append(_row("all", numbers))
-    means = numbers["mean_over_objects"]
-    rows.append(
-        (
-            "mean over objects",
-            "",
-            f"{means['success_rate']:.1%}",
-            "",
-            f"{means['contact_ratio']:.2f}",
-            f"{means['sim_distance_hand_mm_s']:.1f}",
-            f"{1e3 * means['pushed_m']:.0f}",
-        )
-    )
-    return table(rows)
+    rows.append(_row("mean over objects", numbers["mean_over_objects"]))
+    reasons = Counter(reason for reason in result.trials.reason.tolist() if reason)
+    lines = [f"failed: {count:3d} {reason}" for reason, count in reasons.most_common()]
+    return "\n".join([table(rows), *lines])
 
 
-def _row(name: str, part: Mapping[str, Any]) -> tuple[str, ...]:
-    low, high = part["success_interval"]
+def comparison(results: Mapping[str, DynamicResult]) -> str:
+    """Methods side by side."""
+    from fungrasp.evaluation.results import summary
+
+    head = ("method", "trials", "success", "95 % interval", "contacts", "slip [mm/s]", "pushed [mm]")
+    return table([head, *(_row(name, summary(result)) for name, result in results.items())])
+
+
+def _row(name: str, part: Mapping[str, Any]) -> tuple[str, str, str, str, str, str, str]:
+    low, high = part.get("success_interval", (None, None))
     return (
         name,
-        str(part["count"]),
+        str(part.get("count", "")),
         f"{part['success_rate']:.1%}",
-        f"{low:.1%} – {high:.1%}",
+        "" if low is None else f"{low:.1%} – {high:.1%}",
         f"{part['contact_ratio']:.2f}",
         f"{part['sim_distance_hand_mm_s']:.1f}",
         f"{1e3 * part['pushed_m']:.0f}",

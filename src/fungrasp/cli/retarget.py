@@ -9,12 +9,19 @@ from typing import TYPE_CHECKING, Any
 from fungrasp.cli.console import progress_bar, table, write_json
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from fungrasp.evaluation import StaticQuality
     from fungrasp.grasps import HumanGraspSet, RobotGraspSet
     from fungrasp.hands import Hand
     from fungrasp.objects import ObjectModel
+
+
+DRAWN = 12
+"""Grasps in a picture."""
+
+WIDTH, HEIGHT = 400, 320
+"""Of each grasp in a picture [pixels]."""
 
 
 @dataclass(frozen=True)
@@ -55,6 +62,8 @@ class Retarget:
         save_robot_grasps(self.out, robot)
         if self.quality is not None:
             write_json(self.quality, quality_json(quality) | {"grasps_per_second": rate})
+        if self.picture is not None:
+            draw_grasps(self.picture, robot, objects, hand, human)
         print(quality_table(quality))
         print(f"{self.out}: {len(robot)} grasps of {len(objects)} objects, {rate:.0f} grasps/s")
 
@@ -96,8 +105,59 @@ def quality_json(quality: StaticQuality) -> dict[str, Any]:
 
 def quality_table(quality: StaticQuality) -> str:
     """The same in words."""
-    rows = [("quality", "mean", "p95", "max", "unit")]
+    rows: list[tuple[str, ...]] = [("quality", "mean", "p95", "max", "unit")]
     for name, numbers in quality.summary().items():
         what, _, unit = name.rpartition("_")
         rows.append((what.replace("_", " "), *(f"{numbers[k]:.2f}" for k in ("mean", "p95", "max")), unit))
     return table(rows)
+
+
+def draw_grasps(
+    path: Path,
+    robot: RobotGraspSet,
+    objects: Mapping[str, ObjectModel],
+    hand: Hand,
+    human: HumanGraspSet | None = None,
+    captions: Sequence[str] | None = None,
+) -> None:
+    """A sheet of grasps spread over the set, of different objects where there are as many.
+
+    Args:
+        path: of the PNG file.
+        robot: N grasps of ``hand``.
+        objects: by name.
+        hand: the robot hand.
+        human: the N grasps they imitate, drawn to their left.
+        captions: what to say of each grasp besides its object.
+    """
+    import numpy as np
+    from PIL import Image
+
+    from fungrasp.files import atomic_path
+    from fungrasp.report.pictures import grid, human_grasp_scene, robot_grasp_scene
+    from fungrasp.report.render import render
+    from fungrasp.report.viewpoints import look_at_grasp
+
+    _, first = np.unique(robot.object_name, return_index=True)
+    others = np.setdiff1d(np.arange(len(robot)), first)
+    rows = np.concatenate([first, others])[:DRAWN]
+    images, labels = [], []
+    with progress_bar("drawing", len(rows)) as show:
+        for done, row in enumerate(rows.tolist()):
+            thing = objects[str(robot.object_name[row])]
+            shape = (thing.vertices, thing.faces, robot.object_pose[row], robot.link_contacts[row])
+            model, qpos = robot_grasp_scene(hand, robot.wrist_pose[row], robot.joint_positions[row], *shape)
+            camera = look_at_grasp(model, qpos, width=WIDTH, height=HEIGHT)
+            caption = (
+                f"{thing.name}: {captions[row]}" if captions is not None else f"{thing.name}: {hand.name}"
+            )
+            if human is not None:
+                shape = (thing.vertices, thing.faces, human.object_pose[row], human.link_contacts[row])
+                person = human_grasp_scene(human.hand_joints[row], *shape)
+                images += [render(person, person.qpos0, camera)[0]]
+                labels += [f"{thing.name}: human"]
+            images += [render(model, qpos, camera)[0]]
+            labels += [caption]
+            show(done + 1)
+    with atomic_path(path) as temporary:
+        Image.fromarray(grid(images, labels, columns=4)).save(temporary, format="PNG")

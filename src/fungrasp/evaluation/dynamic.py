@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
+from functools import partial
 from pathlib import Path
-from typing import Protocol as Interface
 
 import numpy as np
 
+from fungrasp import __version__
 from fungrasp.errors import FungraspError, UnknownNameError
 from fungrasp.evaluation.robustness import Disturbance
+from fungrasp.evaluation.store import PartialResults, digest
 from fungrasp.evaluation.trajectory import Recorder
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
@@ -26,8 +28,15 @@ POLICIES: Mapping[str, Callable[[LiftTask, Mapping[str, ObjectModel]], Reference
     "reference": ReferenceController
 }
 
-Refine = Callable[[RobotGraspSet, int], RobotGraspSet]
-"""Improves grasps before they are tried; takes them and a seed."""
+
+@dataclass(frozen=True)
+class Refinement:
+    """Improves grasps before they are tried."""
+
+    refine: Callable[[RobotGraspSet, int], RobotGraspSet]
+    """Takes grasps and a seed."""
+    name: str
+    """Tells refinements apart, settings included."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,18 +62,6 @@ class DynamicResult:
     earlier published code; shape [N] bool."""
 
 
-class Store(Interface):
-    """Keeps finished chunks, so that an interrupted test can go on."""
-
-    def load(self, name: str) -> dict[str, np.ndarray] | None:
-        """Arrays of a finished chunk, None if it is not finished."""
-        ...
-
-    def save(self, name: str, arrays: Mapping[str, np.ndarray]) -> None:
-        """Keep the arrays of a chunk."""
-        ...
-
-
 def evaluate(
     grasps: RobotGraspSet,
     objects: Mapping[str, ObjectModel],
@@ -75,9 +72,9 @@ def evaluate(
     threads: int = 0,
     protocol: Protocol | None = None,
     disturbance: Disturbance | None = None,
-    refine: Refine | None = None,
+    refine: Refinement | None = None,
     record: Path | None = None,
-    store: Store | None = None,
+    store: PartialResults | None = None,
     chunk: int = CHUNK,
     progress: Callable[[float], None] = lambda done: None,
 ) -> DynamicResult:
@@ -93,16 +90,16 @@ def evaluate(
         protocol: the published one if None.
         disturbance: what the policy is not told; nothing if None.
         refine: applied to the grasps, chunk by chunk, before they are tried.
-        record: folder for the recorded trials, ``<row>_<object>.npz`` (with several seeds ``<row>_<seed>_...``).
-        store: keeps finished chunks.
+        record: folder for the recorded trials, ``<row>_<object>.npz`` (``<row>_<seed>_<object>.npz`` with
+            several seeds).
+        store: keeps finished chunks, and knows those of an earlier run.
         chunk: trials simulated together.
         progress: called with the number of trials that are done, fractions included.
 
     Raises:
         FungraspError: an unknown policy, grasps of another hand, or a folder that can't be written to.
     """
-    if policy not in POLICIES:
-        raise UnknownNameError("policy", policy, POLICIES)
+    check_policy(policy)
     check_hand(grasps, hand)
     test = _Test(
         build_scene(hand, objects),
@@ -113,22 +110,24 @@ def evaluate(
         threads,
     )
     parts: list[dict[str, np.ndarray]] = []
-    for turn, seed in enumerate(seeds):
+    for seed in seeds:
         for start in range(0, len(grasps), chunk):
             rows = np.arange(start, min(start + chunk, len(grasps)))
-            before = turn * len(grasps) + start
-            name = f"seed {seed} rows {start}"
-            part = store.load(name) if store is not None else None
+            before = sum(len(part["index"]) for part in parts)
+            files = (
+                [record / _file_name(grasps, int(row), seed, len(seeds) > 1) for row in rows]
+                if record
+                else []
+            )
+            chosen = grasps.select(rows)
+            key = test.key(chosen, rows, seed, refine, files) if store is not None else ""
+            part = store.load(key) if store is not None and all(file.is_file() for file in files) else None
             if part is None:
-                chosen = grasps.select(rows)
                 if refine is not None:
-                    chosen = refine(chosen, seed)
-                label = None if record is None else (record, f"_{seed}" if len(seeds) > 1 else "")
-                part = test.run(
-                    chosen, rows, seed, label, lambda share, b=before, n=len(rows): progress(b + share * n)
-                )
+                    chosen = refine.refine(chosen, seed)
+                part = test.run(chosen, rows, seed, files, partial(_report, progress, before, len(rows)))
                 if store is not None:
-                    store.save(name, part)
+                    store.save(key, part)
             parts.append(part | {"index": rows, "seed": np.full(len(rows), seed)})
             progress(before + len(rows))
     merged = {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
@@ -148,6 +147,16 @@ def evaluate(
     )
 
 
+def check_policy(name: str) -> None:
+    """Complain about a policy that does not exist.
+
+    Raises:
+        UnknownNameError: it does not.
+    """
+    if name not in POLICIES:
+        raise UnknownNameError("policy", name, POLICIES)
+
+
 def check_hand(grasps: RobotGraspSet, hand: Hand) -> None:
     """Complain about grasps of another hand.
 
@@ -162,8 +171,19 @@ def check_hand(grasps: RobotGraspSet, hand: Hand) -> None:
         )
 
 
+def _file_name(grasps: RobotGraspSet, row: int, seed: int, several: bool) -> str:
+    label = f"_{seed}" if several else ""
+    return f"{row:04d}{label}_{grasps.object_name[row]}.npz"
+
+
+def _report(progress: Callable[[float], None], before: int, count: int, share: float) -> None:
+    progress(before + share * count)
+
+
 @dataclass(frozen=True, eq=False)
 class _Test:
+    """What the chunks have in common."""
+
     scene: Scene
     objects: Mapping[str, ObjectModel]
     policy: str
@@ -171,15 +191,51 @@ class _Test:
     disturbance: Disturbance
     threads: int
 
+    def key(
+        self,
+        grasps: RobotGraspSet,
+        rows: np.ndarray,
+        seed: int,
+        refine: Refinement | None,
+        files: list[Path],
+    ) -> str:
+        """Digest of all that the outcome depends on."""
+        hand = self.scene.hand
+        names = np.unique(grasps.object_name).tolist()
+        return digest(
+            __version__,
+            hand.path.read_bytes(),
+            hand.model_path.read_bytes(),
+            {name: getattr(grasps, name) for name in grasps.FIELDS},
+            grasps.extra,
+            {name: self.objects[name].digest for name in names},
+            self.policy,
+            self.protocol,
+            self.disturbance,
+            self.scene.settings,
+            rows,
+            seed,
+            refine.name if refine is not None else "",
+            [str(file.absolute()) for file in files],
+        )
+
     def run(
         self,
         grasps: RobotGraspSet,
         rows: np.ndarray,
         seed: int,
-        record: tuple[Path, str] | None,
+        files: list[Path],
         progress: Callable[[float], None],
     ) -> dict[str, np.ndarray]:
-        """Fields of ``Trials`` and ``legacy_success``, each of shape [W]. progress: called with the share that is done."""
+        """Fields of ``Trials`` and ``legacy_success``, each of shape [W].
+
+        Args:
+            grasps: W grasps.
+            rows: of the grasps in their set, shape [W].
+            seed: of what is random.
+            files: to record the trials to, W of them or none.
+            progress: called with the share that is done.
+        """
         d = self.disturbance
         task = LiftTask(
             self.scene, d.placed(grasps), d.worlds(self.scene, grasps, self.threads), self.protocol
@@ -187,7 +243,7 @@ class _Test:
         task.reset()
         centers = np.array([self.objects[name].center_of_mass for name in grasps.object_name.tolist()])
         policy = POLICIES[self.policy](d.seen_by_policy(task, centers, seed, rows), self.objects)
-        recorder = Recorder(task) if record is not None else None
+        recorder = Recorder(task) if files else None
         touched = np.zeros(len(rows), dtype=bool)
 
         def watch() -> None:
@@ -202,10 +258,9 @@ class _Test:
             task.step(policy.act(), watch)
             progress(min(task.time / longest, 1.0))
         trials = task.trials()
-        if record is not None and recorder is not None:
-            folder, label = record
-            for trajectory in recorder.trajectories(rows):
-                trajectory.save(folder / f"{trajectory.index:04d}{label}_{trajectory.object_name}.npz")
+        if recorder is not None:
+            for trajectory, file in zip(recorder.trajectories(rows), files, strict=True):
+                trajectory.save(file)
         return {field.name: getattr(trials, field.name) for field in fields(trials)} | {
             "legacy_success": ~touched & (trials.reason != "the simulation diverged")
         }

@@ -1,4 +1,5 @@
-"""Static quality of retargeted grasps (docs/evaluation.md): no physics, from the hand's model, the mesh and the human grasp."""
+"""Static quality of retargeted grasps (docs/evaluation.md): no physics; from the hand's model, the mesh and
+the human grasp."""
 
 from __future__ import annotations
 
@@ -24,8 +25,8 @@ class StaticQuality:
     """One number per grasp, shape [N] each; NaN where a grasp asks for no contact."""
 
     contact_error_mm: np.ndarray
-    """Mean over human joints in contact of the distance between the surface point nearest to the joint and the one nearest
-    to the robot's corresponding point."""
+    """Mean over human joints in contact of the distance between the surface point nearest to the joint and
+    the one nearest to the robot's corresponding point."""
     contact_gap_mm: np.ndarray
     """Mean over robot links that should touch of the distance of their collision surface from the object."""
     link_direction_error_deg: np.ndarray

@@ -1,4 +1,4 @@
-"""What a trial may differ in from what the policy was told: mass, friction, table height, where the object is."""
+"""What a trial may differ in from what the policy was told: mass, friction, table, where the object is."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ class Disturbance:
         return replace(grasps, object_rest_pose=rest)
 
     def seen_by_policy(self, task: LiftTask, centers: np.ndarray, seed: int, rows: np.ndarray) -> LiftTask:
-        """The task as the policy sees it: the same, but for where the settled object and so the grasp is believed to be.
+        """The task as the policy sees it: object and grasp where the policy believes them to be.
 
         Args:
             task: reset.

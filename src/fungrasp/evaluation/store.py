@@ -1,0 +1,70 @@
+"""Finished parts of a long test, kept in a file until all is done, so that an interrupted run can go on."""
+
+from __future__ import annotations
+
+import hashlib
+import zipfile
+import zlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fungrasp.files import atomic_path
+
+
+class PartialResults:
+    """Arrays of finished parts by key, in one file. A part's key is the digest of all that its numbers depend
+    on, so that what was kept by another command is not taken for this one's."""
+
+    def __init__(self, path: str | Path):
+        """path: of the file; it need not exist, and one that can't be read counts as empty."""
+        self._path = Path(path)
+        self._arrays: dict[str, np.ndarray] = {}
+        if self._path.is_file():
+            try:
+                with np.load(self._path, allow_pickle=False) as data:
+                    self._arrays = dict(data)
+            except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile, zlib.error):
+                self._arrays = {}
+
+    def load(self, key: str) -> dict[str, np.ndarray] | None:
+        """The arrays of a part by name, None if it was not kept."""
+        prefix = f"{key}/"
+        return {k.removeprefix(prefix): v for k, v in self._arrays.items() if k.startswith(prefix)} or None
+
+    def save(self, key: str, arrays: Mapping[str, np.ndarray]) -> None:
+        """Keep the arrays of a part, on disk when this returns.
+
+        Raises:
+            FungraspError: the file can't be written.
+        """
+        self._arrays |= {f"{key}/{name}": np.asarray(value) for name, value in arrays.items()}
+        with atomic_path(self._path) as temporary, temporary.open("wb") as stream:
+            np.savez(stream, **self._arrays)  # pyright: ignore[reportArgumentType]
+
+    def remove(self) -> None:
+        """Delete the file, if there is one."""
+        self._path.unlink(missing_ok=True)
+
+
+def digest(*things: Any) -> str:
+    """SHA-256 of arrays, bytes, mappings and whatever ``repr`` describes."""
+    result = hashlib.sha256()
+
+    def add(thing: Any) -> None:
+        if isinstance(thing, Mapping):
+            for key in sorted(thing):
+                result.update(f"{key}:".encode())
+                add(thing[key])
+        elif isinstance(thing, np.ndarray):
+            result.update(f"{thing.dtype}{thing.shape}".encode())
+            result.update(np.ascontiguousarray(thing).tobytes())
+        else:
+            result.update(thing if isinstance(thing, bytes) else repr(thing).encode())
+        result.update(b";")
+
+    for thing in things:
+        add(thing)
+    return result.hexdigest()
