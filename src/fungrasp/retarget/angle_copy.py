@@ -29,8 +29,8 @@ THUMB_ITERATIONS = 20
 class JointRoles(NamedTuple):
     """Which joints bend which finger link, and which way.
 
-    ``angles = matrix @ joint_positions`` [rad] are the flexions of each finger's links towards the palm, then its
-    deviation towards the side of the index finger.
+    ``angles = matrix @ joint_positions`` [rad] are the flexions of each finger's links towards the palm, then
+    its deviation towards the side of the index finger.
     """
 
     matrix: np.ndarray
@@ -65,10 +65,10 @@ def solve(points: HandPoints, problem: Problem, settings: RetargetSettings) -> t
 
 
 def copied_angles(points: HandPoints, roles: JointRoles, joints: np.ndarray) -> np.ndarray:
-    """Independent joints nearest to the human's angles, within their limits; the thumb's base a quarter closed.
+    """Independent joints nearest to the human's angles, within limits; the thumb's base a quarter closed.
 
-    Human fingers deviate from their fanned metacarpals, robot fingers from where they point when straight; the
-    less a finger is bent, the more that difference counts.
+    Human fingers deviate from their fanned metacarpals, robot fingers from where they point when straight;
+    the less a finger is bent, the more that difference counts.
 
     Args:
         joints: human joints [m], any frame, shape [N, 21, 3].
@@ -87,7 +87,7 @@ def copied_angles(points: HandPoints, roles: JointRoles, joints: np.ndarray) -> 
 
 
 def human_fan(hand: Hand, joints: np.ndarray) -> np.ndarray:
-    """How far each metacarpal points to the side of the index finger, seen in the hand's palm laid along the human's.
+    """How far each metacarpal points to the side of the index finger, as the robot's palm would lie.
 
     Args:
         joints: [m], shape [N, 21, 3].
@@ -102,7 +102,7 @@ def human_fan(hand: Hand, joints: np.ndarray) -> np.ndarray:
 
 
 def straightened(hand: Hand, joints: np.ndarray) -> np.ndarray:
-    """Human joints; those that a robot finger of fewer links lacks lie on the line from the one before to the tip.
+    """Human joints; those that a shorter robot finger lacks lie on the line from the joint before to the tip.
 
     Args:
         joints: [m], shape [N, 21, 3].
@@ -119,10 +119,10 @@ def straightened(hand: Hand, joints: np.ndarray) -> np.ndarray:
 
 
 def joint_roles(hand: Hand) -> JointRoles:
-    """Read off the straight hand: a finger's flexion axis is that of its last joint; joints parallel to it flex the
-    link they move, joints perpendicular to it spread the finger, the others have no role.
+    """Read off the straight hand: a finger's flexion axis is that of its last joint; joints parallel to it
+    flex the link they move, joints perpendicular to it spread the finger, the others have no role.
 
-    The thumb's flexion is positive towards the larger end of the range; only joints beyond its first link count.
+    The thumb's flexion is positive towards the larger end of the range; its first link has no role.
     """
     model = hand.model
     data = mujoco.MjData(model)
@@ -160,7 +160,7 @@ def thumb_direction(state: State[Problem], free: np.ndarray) -> Residual:
     """d_robot - d_human for the thumb's first two links, d the unit vector along a link.
 
     Args:
-        free: which entries of the tangent vector may change, shape [D] bool; the others' derivatives are zero.
+        free: which entries of the tangent vector may change, shape [D] bool; others have derivative zero.
     """
     match = state.points.match
     first = np.flatnonzero(match.is_thumb)[:2]
@@ -175,7 +175,7 @@ def thumb_direction(state: State[Problem], free: np.ndarray) -> Residual:
 
 
 def _moved_links(hand: Hand) -> dict[str, dict[int, int]]:
-    """Joints of each finger and the first link that each moves; joints that move several fingers are left out."""
+    """Joints of each finger and the first link that each moves, without joints that move several fingers."""
     model = hand.model
     chains = {name: [model.body(link).id for link in finger.links] for name, finger in hand.fingers.items()}
     result: dict[str, dict[int, int]] = {name: {} for name in chains}

@@ -1,14 +1,18 @@
 """Baseline "dexgraspnet": the grasp energy of DexGraspNet, started from the human contacts.
 
-Wang et al., "DexGraspNet: a large-scale robotic dexterous grasp dataset for general objects based on simulation", 2023:
+Wang et al., "DexGraspNet: a large-scale robotic dexterous grasp dataset for general objects based on
+simulation", 2023, with their weights:
 
     E = E_fc + w_dis E_dis + w_pen E_pen + w_spen E_spen + w_joints E_joints
 
-with its weights. It knows neither the table nor the human posture. What differs from the original: contacts are sought on the
-robot links whose human twins touch, instead of on random ones; the start is the human's wrist pose, instead of a random
-one around the object; as that leaves nothing to explore, the energy is minimised by Levenberg-Marquardt instead of annealed
-random steps; penetrations are those of the balls that cover our hands, and absolute values are rounded off within
-``ROUNDING``; joints are held within their limits, so that E_joints is zero.
+It knows neither the table nor the human posture. What differs from the original:
+
+- Contacts are sought on the robot links whose human twins touch, instead of at random points of the hand, and
+  E_fc counts as if they were four, the number for which the weights were made.
+- The start is the human's wrist pose instead of a random one around the object. As that leaves nothing to
+  explore, the energy is minimised by Levenberg-Marquardt, which gets as low as annealed random steps do.
+- Penetrations are those of the balls that cover our hands; absolute values are rounded off within ``ROUNDING``.
+- Joints are held within their limits, so that E_joints is zero.
 """
 
 from __future__ import annotations
@@ -30,11 +34,16 @@ SELF_PENETRATION_WEIGHT = 10.0
 """w_spen [1/m]."""
 ROUNDING = 5e-4
 """Lengths below which |x| is treated as a parabola [m]."""
+CONTACTS = 4
+"""Number of contacts of the original."""
 ITERATIONS = 80
 
 
 def solve(points: HandPoints, problem: Problem, settings: RetargetSettings) -> tuple[np.ndarray, np.ndarray]:
-    """Wrist poses in the object's frame [N, 7] and independent joints [N, U]. ``settings`` is not used: the weights are the paper's."""
+    """Wrist poses in the object's frame [N, 7] and independent joints [N, U].
+
+    ``settings`` is not used: the weights are the original's.
+    """
     wrist_pose, independent = initial_pose(points, problem)
     energy: list[Term] = [force_closure, contact_distance, object_penetration, self_penetration]
     wrist_pose, independent, _ = minimise(points, problem, energy, wrist_pose, independent, ITERATIONS)
@@ -42,9 +51,10 @@ def solve(points: HandPoints, problem: Problem, settings: RetargetSettings) -> t
 
 
 def force_closure(state: State[Problem], reach: float = 0.006) -> Residual:
-    """E_fc = |sum_i c_i|^2 + |sum_i x_i x c_i|^2: unit forces along the surface normals, without friction (Liu et al. 2021).
+    """E_fc = |sum_i c_i|^2 + |sum_i x_i x c_i|^2, without friction (Liu et al. 2021).
 
-    x_i [m] are the contact points of ``contact_balls``, object frame; c_i the object's inward normals there.
+    x_i [m] are the contact points of the n links that should touch (``contact_balls``), object frame; c_i the
+    object's inward unit normals there, times ``CONTACTS`` / n.
 
     Args:
         reach: half width of the difference that gives the normals' derivative [m].
@@ -69,9 +79,10 @@ def force_closure(state: State[Problem], reach: float = 0.006) -> Residual:
     torque_d = cross(np.swapaxes(place_d, 2, 3), -normal[:, :, None]) - cross(
         place[:, :, None], np.swapaxes(normal_d, 2, 3)
     )
-    wrench = np.sum(wanted[..., None] * np.concatenate([-normal, torque], axis=-1), axis=1)
+    share = wanted * CONTACTS / np.maximum(wanted.sum(axis=1, keepdims=True), 1)
+    wrench = np.sum(share[..., None] * np.concatenate([-normal, torque], axis=-1), axis=1)
     wrench_d = np.sum(
-        wanted[..., None, None] * np.concatenate([-normal_d, np.swapaxes(torque_d, 2, 3)], axis=2), axis=1
+        share[..., None, None] * np.concatenate([-normal_d, np.swapaxes(torque_d, 2, 3)], axis=2), axis=1
     )
     return np.sqrt(2.0) * wrench, np.sqrt(2.0) * wrench_d
 
@@ -99,7 +110,7 @@ def contact_balls(state: State[Problem]) -> tuple[np.ndarray, np.ndarray]:
     """The ball of each link that is nearest to the object.
 
     Returns:
-        Ball indices and whether that link should touch, shape [N, Q] each; Q: links that have balls, the palm included.
+        Ball indices and whether that link should touch, shape [N, Q] each, for the Q links that have balls.
     """
     members = state.points.link_members
     links = [link for link in range(len(members)) if len(members[link])]
