@@ -62,7 +62,7 @@ $(VENV)/.installed-dev: pyproject.toml $(VENV)/.made
 # Debian splits ensurepip off into python3-venv; without it the system's pip puts a pip into the environment.
 $(VENV)/.made:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || { \
-	echo "fungrasp needs Python 3.11 or newer, and '$(PYTHON)' is $$($(PYTHON) --version 2>&1 || echo missing);" \
+	echo "fungrasp needs Python 3.11 or newer, and '$(PYTHON)' is $$($(PYTHON) --version 2>/dev/null || echo missing);" \
 	"choose another one: make PYTHON=/path/to/python3.11"; exit 2; }
 	@if $(PYTHON) -c 'import ensurepip' 2>/dev/null; then $(PYTHON) -m venv $(VENV); else \
 	$(PYTHON) -m venv --without-pip $(VENV) && $(PYTHON) -m pip --python $(BIN)/python install --quiet pip || { \
