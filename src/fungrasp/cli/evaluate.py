@@ -46,6 +46,8 @@ class Evaluate:
     """Folder to which each trial is recorded (.npz)."""
     picture: Path | None = None
     """Draw some of the grasps, and whether they held, to this PNG file."""
+    static: bool = False
+    """Measure the static quality too (of human grasps that are retargeted), and run the six-direction test."""
     mass_scale: float = 1.0
     """The object weighs this many times what the policy believes."""
     friction: float | None = None
@@ -87,8 +89,13 @@ class Evaluate:
             for name, robot in sets.items()
         }
         seconds = perf_counter() - start
+        static = {
+            name: self._static(robot, None if robot is grasps else grasps, objects, hand)
+            for name, robot in sets.items()
+            if self.static
+        }
         if self.json is not None and store is not None:
-            jsons = {name: result_json(result) for name, result in results.items()}
+            jsons = {name: result_json(result) | static.get(name, {}) for name, result in results.items()}
             whole: dict[str, Any] = next(iter(jsons.values())) if len(jsons) == 1 else {"methods": jsons}
             write_json(self.json, whole | {"seconds": seconds, "machine": machine()})
             store.remove()
@@ -102,6 +109,8 @@ class Evaluate:
             if len(results) > 1:
                 print(f"{name}:")
             print(result_table(result))
+            if name in static:
+                print(static_words(static[name]))
         if len(results) > 1:
             print(comparison(results))
         print(f"{sum(len(result.index) for result in results.values())} trials in {seconds:.1f} s")
@@ -174,6 +183,24 @@ class Evaluate:
                 progress=show,
             )
 
+    def _static(
+        self,
+        robot: RobotGraspSet,
+        human: HumanGraspSet | RobotGraspSet | None,
+        objects: Mapping[str, ObjectModel],
+        hand: Hand,
+    ) -> dict[str, Any]:
+        from fungrasp.evaluation import six_direction_test, static_quality
+        from fungrasp.evaluation.results import finite, static_json
+        from fungrasp.grasps import HumanGraspSet
+
+        with progress_bar("six directions", len(robot)) as show:
+            six = six_direction_test(robot, objects, hand, threads=self.threads, progress=show)
+        numbers: dict[str, Any] = {"six_directions": static_json(six)}
+        if isinstance(human, HumanGraspSet):
+            numbers["quality"] = finite(static_quality(robot, human, objects, hand).summary())
+        return numbers
+
     def _refinement(self, objects: Mapping[str, ObjectModel], hand: Hand) -> Refinement | None:
         if not self.refine:
             return None
@@ -203,6 +230,16 @@ def result_table(result: DynamicResult) -> str:
     reasons = Counter(reason for reason in result.trials.reason.tolist() if reason)
     lines = [f"failed: {count:3d} {reason}" for reason, count in reasons.most_common()]
     return "\n".join([table(rows), *lines])
+
+
+def static_words(static: Mapping[str, Any]) -> str:
+    """Outcome of the six-direction test, and the quality if it was measured."""
+    from fungrasp.cli.retarget import quality_table
+
+    six = static["six_directions"]
+    low, high = six["pass_interval"]
+    line = f"six directions: {six['pass_rate']:.1%} hold (95 % interval {low:.1%} – {high:.1%})"
+    return "\n".join([line, *([quality_table(static["quality"])] if "quality" in static else [])])
 
 
 def comparison(results: Mapping[str, DynamicResult]) -> str:

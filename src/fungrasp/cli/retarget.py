@@ -4,18 +4,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from fungrasp.cli.console import progress_bar, table, write_json
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from fungrasp.evaluation import StaticQuality
     from fungrasp.grasps import HumanGraspSet, RobotGraspSet
     from fungrasp.hands import Hand
     from fungrasp.objects import ObjectModel
 
+
+UNITS = ("mm", "deg", "rad")
+"""In the names of quality numbers."""
 
 DRAWN = 12
 """Grasps in a picture."""
@@ -47,6 +49,7 @@ class Retarget:
 
     def run(self) -> None:
         from fungrasp.evaluation import static_quality
+        from fungrasp.evaluation.results import finite
         from fungrasp.grasps import load_human_grasps, save_robot_grasps
         from fungrasp.hands import load_hand
         from fungrasp.retarget import load_objects
@@ -61,10 +64,10 @@ class Retarget:
         )
         save_robot_grasps(self.out, robot)
         if self.quality is not None:
-            write_json(self.quality, quality_json(quality) | {"grasps_per_second": rate})
+            write_json(self.quality, finite(quality.summary()) | {"grasps_per_second": rate})
         if self.picture is not None:
             draw_grasps(self.picture, robot, objects, hand, human)
-        print(quality_table(quality))
+        print(quality_table(quality.summary()))
         print(f"{self.out}: {len(robot)} grasps of {len(objects)} objects, {rate:.0f} grasps/s")
 
 
@@ -96,18 +99,13 @@ def retargeted(
         return robot, len(human) / (perf_counter() - start)
 
 
-def quality_json(quality: StaticQuality) -> dict[str, Any]:
-    """Mean, 95th percentile and maximum of each number."""
-    from fungrasp.evaluation.results import finite
-
-    return finite(quality.summary())
-
-
-def quality_table(quality: StaticQuality) -> str:
-    """The same in words."""
+def quality_table(summary: Mapping[str, Mapping[str, float]]) -> str:
+    """What ``StaticQuality.summary`` says, for people."""
     rows: list[tuple[str, ...]] = [("quality", "mean", "p95", "max", "unit")]
-    for name, numbers in quality.summary().items():
+    for name, numbers in summary.items():
         what, _, unit = name.rpartition("_")
+        if unit not in UNITS:
+            what, unit = name, ""
         rows.append((what.replace("_", " "), *(f"{numbers[k]:.2f}" for k in ("mean", "p95", "max")), unit))
     return table(rows)
 

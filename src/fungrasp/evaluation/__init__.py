@@ -4,15 +4,18 @@ from fungrasp.evaluation.dynamic import DynamicResult, evaluate
 from fungrasp.evaluation.quality import StaticQuality, static_quality
 from fungrasp.evaluation.results import result_json
 from fungrasp.evaluation.robustness import Disturbance
+from fungrasp.evaluation.static_test import StaticResult, six_direction_test
 from fungrasp.evaluation.trajectory import Trajectory, replay
 
 __all__ = [
     "Disturbance",
     "DynamicResult",
     "StaticQuality",
+    "StaticResult",
     "Trajectory",
     "evaluate",
     "replay",
     "result_json",
+    "six_direction_test",
     "static_quality",
 ]

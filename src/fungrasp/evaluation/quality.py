@@ -9,6 +9,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from fungrasp.errors import FungraspError
+from fungrasp.evaluation.closure import closure_epsilon, closure_residual, primitive_wrenches
 from fungrasp.geometry import SignedDistanceBank
 from fungrasp.geometry.poses import compose, inverse_transform_points, invert, transform_points
 from fungrasp.grasps import HumanGraspSet, RobotGraspSet
@@ -18,6 +19,9 @@ from fungrasp.hands.shape import HandBalls, hand_balls
 from fungrasp.objects import ObjectModel
 from fungrasp.retarget.correspondence import correspond
 from fungrasp.retarget.problem import nearest_surface
+
+TOUCHING = 0.003
+"""A link nearer to the object than this counts as a contact of the force closure [m]."""
 
 
 @dataclass(frozen=True)
@@ -39,6 +43,11 @@ class StaticQuality:
     """Deepest overlap of two of the hand's collision geoms that may collide."""
     limit_violation_rad: np.ndarray
     """Largest excess of a joint over its limits."""
+    force_closure_residual: np.ndarray
+    """Unbalanced part of the best contact forces that sum to one, at the links within ``TOUCHING`` of the
+    object; torques over half the object's largest extent."""
+    force_closure_epsilon: np.ndarray
+    """Weakest wrench that those contacts resist (Ferrari and Canny's Q1); zero if they don't resist all."""
 
     def summary(self) -> dict[str, dict[str, float]]:
         """Mean, 95th percentile and maximum of each number over the grasps."""
@@ -96,14 +105,14 @@ def static_quality(
     contact_error = _mean_where(np.linalg.norm(theirs - ours, axis=-1), wanted)
 
     balls = hand_balls(hand, spacing)
-    clearance, heights = _clearances(kinematics, balls, bank, grid, robot)
-    by_link = np.stack(
-        [clearance[:, balls.link == link].min(axis=1, initial=np.inf) for link in range(1, len(hand.links))],
-        axis=1,
-    )
+    centers, clearance, heights = _clearances(kinematics, balls, bank, grid, robot)
+    nearest = [_nearest(clearance, balls.link == link) for link in range(len(hand.links))]
+    by_link = np.stack([distance for _, distance in nearest], axis=1)
+    contacts = np.stack([centers[np.arange(len(robot)), ball] for ball, _ in nearest], axis=1)
+    residual, epsilon = _force_closure(contacts, by_link, bank, grid, [objects[name] for name in names])
     return StaticQuality(
         contact_error_mm=1e3 * contact_error,
-        contact_gap_mm=1e3 * _mean_where(np.maximum(by_link, 0.0), wanted),
+        contact_gap_mm=1e3 * _mean_where(np.maximum(by_link[:, 1:], 0.0), wanted),
         link_direction_error_deg=np.rad2deg(_direction_error(keypoints, joints, match).mean(axis=1)),
         object_penetration_mm=1e3 * np.maximum(-clearance.min(axis=1), 0.0),
         table_penetration_mm=1e3 * np.maximum(-heights.min(axis=1), 0.0),
@@ -115,6 +124,8 @@ def static_quality(
             ),
             0.0,
         ).max(axis=1),
+        force_closure_residual=residual,
+        force_closure_epsilon=epsilon,
     )
 
 
@@ -145,15 +156,51 @@ def _clearances(
     bank: SignedDistanceBank,
     grid: np.ndarray,
     robot: RobotGraspSet,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Of each ball from the object and from the table [m], shape [N, P] each."""
-    clearance, heights = [], []
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Centre of each ball, object frame [m], shape [N, P, 3]; its distance from the object and from the table
+    [m], shape [N, P] each."""
+    centers, clearance, heights = [], [], []
     for start in range(0, len(balls.radius), 256):
         part = slice(start, start + 256)
-        centers = kinematics.points(BodyPoints(balls.points.bodies[part], balls.points.offsets[part]))
-        clearance.append(bank.query(grid, centers)[0] - balls.radius[part])
-        heights.append(transform_points(robot.object_rest_pose, centers)[..., 2] - balls.radius[part])
-    return np.concatenate(clearance, axis=1), np.concatenate(heights, axis=1)
+        centers.append(kinematics.points(BodyPoints(balls.points.bodies[part], balls.points.offsets[part])))
+        clearance.append(bank.query(grid, centers[-1])[0] - balls.radius[part])
+        heights.append(transform_points(robot.object_rest_pose, centers[-1])[..., 2] - balls.radius[part])
+    return np.concatenate(centers, axis=1), np.concatenate(clearance, axis=1), np.concatenate(heights, axis=1)
+
+
+def _nearest(clearance: np.ndarray, which: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Index and clearance of the nearest of some balls, shape [N] each; infinite where there are none."""
+    masked = np.where(which, clearance, np.inf)
+    ball = masked.argmin(axis=1)
+    return ball, masked[np.arange(len(ball)), ball]
+
+
+def _force_closure(
+    centers: np.ndarray,
+    clearance: np.ndarray,
+    bank: SignedDistanceBank,
+    grid: np.ndarray,
+    objects: list[ObjectModel],
+) -> tuple[np.ndarray, np.ndarray]:
+    """Residual and epsilon, shape [N] each.
+
+    Args:
+        centers: of the ball of each link that is nearest to the object, object frame [m], shape [N, L, 3].
+        clearance: of those balls [m], shape [N, L].
+        bank: of the objects.
+        grid: which object each grasp is of, shape [N].
+        objects: in the order of the bank.
+    """
+    surface, outward = nearest_surface(bank, grid, centers)
+    values = np.zeros((2, len(grid)))
+    for row, number in enumerate(grid):
+        touching = clearance[row] < TOUCHING
+        levers = surface[row, touching] - objects[number].center_of_mass
+        wrenches = primitive_wrenches(
+            levers, -outward[row, touching], 0.5 * float(objects[number].size.max())
+        )
+        values[:, row] = closure_residual(wrenches), closure_epsilon(wrenches)
+    return values[0], values[1]
 
 
 def _direction_error(keypoints: np.ndarray, joints: np.ndarray, match) -> np.ndarray:

@@ -13,6 +13,7 @@ import numpy as np
 
 from fungrasp import __version__
 from fungrasp.evaluation.dynamic import DynamicResult
+from fungrasp.evaluation.static_test import StaticResult
 from fungrasp.evaluation.statistics import mean_over_groups, wilson_interval
 
 LEGACY_PERIOD = 0.0289
@@ -81,6 +82,20 @@ def result_json(result: DynamicResult) -> dict[str, Any]:
             "mean_over_objects": mean_over_objects(result),
             "by_object": {name: summary(result, result.object_name == name) for name in names},
             "trials": trials,
+        }
+    )
+
+
+def static_json(result: StaticResult) -> dict[str, Any]:
+    """Rate of the six-direction test, and each grasp's numbers."""
+    count, passed = len(result.passed), int(result.passed.sum())
+    return finite(
+        {
+            "pass_rate": passed / count,
+            "pass_interval": wilson_interval(passed, count),
+            "passed": result.passed,
+            "displacement_m": result.displacement_m,
+            "angle_rad": result.angle_rad,
         }
     )
 
