@@ -1,0 +1,170 @@
+"""Every command of README and documentation is run, page by page, in a folder of its own.
+
+A file given in a block with a title is written there. ``grasps.npz`` and ``meshes/`` stand for the reader's
+own data. Of the built-in grasps there are only a few, to be quick. Lines below a command must be part of what it
+prints. A block that can't be run carries the reason, ``<!-- not run: ... -->``; one whose command fails its
+status, ``<!-- ends with 2 -->``.
+"""
+
+from __future__ import annotations
+
+import importlib
+import json
+import re
+import runpy
+import shlex
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fungrasp.cli.main import COMMANDS, main
+from fungrasp.grasps import files, save_human_grasps
+from fungrasp.objects import builtin_object
+
+ROOT = Path(__file__).parents[1]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+BLOCK = re.compile(
+    r"^(?P<fence>`{3,})(?P<language>\w*) *(?:title=\"(?P<title>[^\"]+)\")?\n(?P<text>.*?)^(?P=fence)$",
+    re.MULTILINE | re.DOTALL,
+)
+COMMENT = re.compile(r"<!-- (not run: (?P<reason>.+)|ends with (?P<status>\d+)) -->\n$")
+MOST = 4
+"""Built-in grasps that commands see."""
+
+
+@dataclass(frozen=True)
+class Command:
+    """A line of a block, what should be printed, and how it should end."""
+
+    line: str
+    shown: tuple[str, ...]
+    status: int
+
+
+def steps(page: Path) -> Iterator[tuple[str, str] | Command]:
+    """Files to write (name, text) and commands to run, in order."""
+    text = page.read_text()
+    for block in BLOCK.finditer(text):
+        comment = COMMENT.search(text[: block.start()])
+        if block["title"]:
+            yield block["title"], block["text"]
+        elif block["language"] == "console" and not (comment and comment["reason"]):
+            status = int(comment["status"]) if comment else 0
+            for part in re.split(r"^\$ ", block["text"], flags=re.MULTILINE)[1:]:
+                line, *shown = part.splitlines()
+                yield Command(line, tuple(s for s in shown if s.strip()), status)
+
+
+def run(arguments: list[str]) -> int:
+    """Status of ``fungrasp ...`` or ``python ...``, run in this process."""
+    program, *rest = arguments
+    if program == "python":
+        runpy.run_path(rest[0], run_name="__main__")
+        return 0
+    assert program == "fungrasp", f"no test runs '{program}'"
+    try:
+        return main(rest)
+    except SystemExit as end:
+        return int(end.code or 0)
+
+
+@pytest.fixture
+def reader(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder with the reader's data, and few built-in grasps."""
+    builtin = files.builtin_grasps()
+    assert builtin.task is not None
+    first = {
+        f"{name} {task}": row
+        for row, (name, task) in enumerate(zip(builtin.object_name, builtin.task, strict=True))
+    }
+    drinking = [row for key, row in first.items() if key.endswith(" drink")]
+    others = [row for row in first.values() if row not in drinking]
+    save_human_grasps(tmp_path / "few.npz", builtin.select(np.array([*drinking[:1], *others[: MOST - 1]])))
+    monkeypatch.setattr(files, "BUILTIN_PATH", tmp_path / "few.npz")
+    mine = builtin.select(np.flatnonzero(builtin.object_name == "box")[:2])
+    (tmp_path / "meshes").mkdir()
+    builtin_object("box").mesh.export(tmp_path / "meshes" / "carton.obj")
+    save_human_grasps(tmp_path / "grasps.npz", replace(mine, object_name=np.full(len(mine), "carton")))
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_commands_of_the_page_run(page: Path, reader: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for step in steps(page):
+        if isinstance(step, tuple):
+            path = reader / step[0]
+            path.parent.mkdir(exist_ok=True)
+            path.write_text(step[1])
+            continue
+        if step.line.startswith("make "):
+            targets = [word for word in shlex.split(step.line)[1:] if "=" not in word]
+            assert set(targets) <= makefile_targets(), step.line
+            continue
+        capsys.readouterr()
+        status = run(shlex.split(step.line))
+        said = capsys.readouterr()
+        assert status == step.status, f"{page.name}: '{step.line}' ended with {status}: {said.err}"
+        lines = [line.strip() for line in (said.out + said.err).splitlines()]
+        for line in step.shown:
+            assert line.strip() in lines, f"{page.name}: '{step.line}' does not print '{line}'"
+
+
+def makefile_targets() -> set[str]:
+    """Names that can be given to make."""
+    text = (ROOT / "Makefile").read_text()
+    named = re.search(r"^\.PHONY: (.*)$", text, re.MULTILINE)
+    checks = re.search(r"^CHECKS := (.*)$", text, re.MULTILINE)
+    assert named and checks
+    return {*named[1].split(), *checks[1].split()}
+
+
+def test_a_reason_is_given_for_what_is_not_run() -> None:
+    for page in PAGES:
+        for comment in re.finditer(r"<!-- not run(.*?)-->", page.read_text()):
+            assert re.match(r": \w+ \w+", comment[1]), f"{page.name}: {comment[0]}"
+
+
+def test_every_command_is_documented() -> None:
+    text = (ROOT / "docs" / "command-line.md").read_text()
+    for name in COMMANDS:
+        assert re.search(rf"`{name}\b", text), f"docs/command-line.md does not mention '{name}'"
+
+
+def test_the_table_of_hands_tells_the_truth(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["hands", "list", "--json"]) == 0
+    hands = {hand["name"]: hand for hand in json.loads(capsys.readouterr().out)}
+    rows = re.findall(
+        r"^\| `(\w+)` \| .*? \| (\d) \| (\d+) / (\d+) \| ([\d.]+) kg",
+        (ROOT / "README.md").read_text(),
+        re.MULTILINE,
+    )
+    assert {row[0] for row in rows} == set(hands)
+    for name, fingers, driven, joints, mass in rows:
+        hand = hands[name]
+        assert (len(hand["fingers"]), hand["independent_joints"], hand["joints"]) == (
+            int(fingers),
+            int(driven),
+            int(joints),
+        )
+        assert abs(hand["mass"] - float(mass)) <= 0.005
+
+
+def test_names_of_modules_in_the_documentation_exist() -> None:
+    for page in PAGES:
+        for name in set(re.findall(r"`(fungrasp(?:\.\w+)+)[`(]", page.read_text())):
+            if "." in name and name not in ("fungrasp.hands", "fungrasp.objects", "fungrasp.grasps"):
+                module, _, attribute = name.rpartition(".")
+                try:
+                    importlib.import_module(name)
+                except ModuleNotFoundError:
+                    assert hasattr(importlib.import_module(module), attribute), f"{page.name}: {name}"
+
+
+def test_links_between_pages_lead_somewhere() -> None:
+    for page in PAGES:
+        for target in re.findall(r"\]\(([^)#:\s]+)(?:#[\w-]+)?\)", page.read_text()):
+            assert (page.parent / target).exists(), f"{page.name}: {target}"

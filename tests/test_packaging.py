@@ -1,0 +1,98 @@
+"""What gets installed: the wheel holds every data file, and importing the package is light."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+import tomllib
+import zipfile
+from pathlib import Path
+
+import pytest
+
+import fungrasp
+
+ROOT = Path(__file__).parents[1]
+SOURCE = ROOT / "src" / "fungrasp"
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> zipfile.ZipFile:
+    """The wheel that pip builds from the repository."""
+    folder = tmp_path_factory.mktemp("wheel")
+    options = ["--quiet", "--no-deps", "--no-build-isolation", "--wheel-dir", str(folder)]
+    done = subprocess.run(
+        [sys.executable, "-m", "pip", "wheel", *options, str(ROOT)], capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    return zipfile.ZipFile(next(folder.glob("fungrasp-*.whl")))
+
+
+def test_the_wheel_holds_every_file_of_the_package(wheel: zipfile.ZipFile) -> None:
+    shipped = {name.removeprefix("fungrasp/") for name in wheel.namelist() if name.startswith("fungrasp/")}
+    wanted = {
+        str(path.relative_to(SOURCE))
+        for path in SOURCE.rglob("*")
+        if path.is_file() and path.suffix != ".pyc"
+    }
+    assert shipped == wanted
+    for suffix in (".xml", ".toml", ".npz", ".css", ".typed"):
+        assert any(name.endswith(suffix) for name in shipped), suffix
+
+
+def test_the_wheel_holds_licence_and_command(wheel: zipfile.ZipFile) -> None:
+    names = wheel.namelist()
+    assert any(name.endswith("licenses/LICENSE") for name in names)
+    entry_points = next(name for name in names if name.endswith("entry_points.txt"))
+    assert "fungrasp = fungrasp.cli.main:main" in wheel.read(entry_points).decode()
+    metadata = next(name for name in names if name.endswith("METADATA"))
+    needed = re.findall(r"^Requires-Dist: ([\w-]+)(.*)$", wheel.read(metadata).decode(), re.MULTILINE)
+    core = {name for name, condition in needed if "extra ==" not in condition}
+    assert not core & {"torch", "smplx", "mujoco", "ray", "warp-lang", "mediapipe"}
+
+
+def test_the_wheel_is_small(wheel: zipfile.ZipFile) -> None:
+    assert sum(entry.compress_size for entry in wheel.infolist()) < 5e6
+
+
+def test_no_foreign_data_in_the_package() -> None:
+    for path in SOURCE.rglob("*"):
+        assert path.suffix.lower() not in (".obj", ".stl", ".ply", ".glb", ".pkl", ".pt", ".onnx"), path
+
+
+@pytest.mark.parametrize(
+    ("module", "light_without"),
+    [
+        ("fungrasp", ("numpy", "mujoco", "scipy", "trimesh", "tyro", "PIL", "av", "rich")),
+        ("fungrasp.cli.main", ("numpy", "mujoco", "scipy", "trimesh", "PIL", "av", "rich")),
+        ("fungrasp.evaluation", ("torch", "smplx", "av", "yaml")),
+        ("fungrasp.grasps.importers.dexycb", ("torch", "smplx", "yaml")),
+    ],
+)
+def test_importing_pulls_in_nothing_heavy(module: str, light_without: tuple[str, ...]) -> None:
+    code = f"import sys, {module}; print(*sorted({{name.split('.')[0] for name in sys.modules}}))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert not set(done.stdout.split()) & set(light_without)
+
+
+def test_versions_agree() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    assert project["version"] == fungrasp.__version__
+    assert f"version: {fungrasp.__version__}" in (ROOT / "CITATION.cff").read_text()
+
+
+def test_the_imported_packages_are_declared() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    declared = [
+        *project["dependencies"],
+        *(need for extra in ("dexycb", "mano") for need in project["optional-dependencies"][extra]),
+    ]
+    names = {re.split(r"[\[<>= ]", need)[0].lower().replace("-", "_") for need in declared}
+    modules = {"mujoco": "mujoco_core", "PIL": "pillow", "yaml": "pyyaml"}
+    imported = set()
+    for path in SOURCE.rglob("*.py"):
+        imported |= set(re.findall(r"^\s*(?:import|from) (\w+)", path.read_text(), re.MULTILINE))
+    third_party = imported - set(sys.stdlib_module_names) - {"fungrasp", "__future__"}
+    assert {modules.get(name, name).lower() for name in third_party} <= names
+    assert names <= {modules.get(name, name).lower() for name in third_party}
