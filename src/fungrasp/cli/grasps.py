@@ -1,4 +1,4 @@
-"""``fungrasp grasps``: list, show and import human grasps."""
+"""``fungrasp grasps``: list, show, import and make human grasps."""
 
 from __future__ import annotations
 
@@ -154,7 +154,38 @@ class Import:
         self.data.run()
 
 
-COMMAND = {"list": List, "show": Show, "import": Import}
+@dataclass(frozen=True)
+class Make:
+    """Make the human grasps of the built-in objects anew."""
+
+    out: Path
+    """Grasp file to write (.npz)."""
+    objects: tuple[str, ...] = ()
+    """Only grasps of these built-in objects."""
+    seed: int = 0
+    """Of the random starts."""
+
+    def run(self) -> None:
+        from rich.progress import Progress
+
+        from fungrasp.errors import UnknownNameError
+        from fungrasp.retarget.everyday import EVERYDAY
+        from fungrasp.retarget.generate import generate
+
+        known = {wish.object for wish in EVERYDAY}
+        for name in self.objects:
+            if name not in known:
+                raise UnknownNameError("object", name, sorted(known))
+        wishes = [wish for wish in EVERYDAY if not self.objects or wish.object in self.objects]
+        with Progress(transient=True) as progress:
+            bar = progress.add_task("making grasps", total=len(wishes))
+            grasps = generate(wishes, self.seed, progress=lambda count: progress.advance(bar, count))
+        _save(self.out, grasps)
+        if len(grasps) < len(wishes):
+            print(f"left out: {len(wishes) - len(grasps)} of {len(wishes)} wishes, which could not be met")
+
+
+COMMAND = {"list": List, "show": Show, "import": Import, "make": Make}
 
 
 def _save(path: Path, grasps: HumanGraspSet) -> None:
