@@ -24,6 +24,11 @@ from fungrasp.retarget.solver import minimise
 RETREATS = (0.03, 0.07, 0.12)
 """How far the wrist has withdrawn at each way point after the first, which is at the grasp [m]."""
 
+BLOCKED = 0.003
+"""A way that intrudes this far into the margins [m] is tried again with the fingers wide open."""
+WIDE = 0.3
+"""Wide open fingers, as a fraction of their angles in the grasp."""
+
 
 @dataclass(frozen=True)
 class ApproachSettings:
@@ -82,24 +87,45 @@ def plan_approach(
     centers = np.array([objects[name].center_of_mass for name in object_names])
 
     def run(start: int) -> Approach:
-        rows = slice(start, start + chunk)
-        part = around.rows(rows)
-        clear = _Clearer(HandPoints(HandKinematics(hand, len(part))), part, settings)
-        first = clear(wrist_in_object[rows], grasp[rows], 2 * settings.iterations)
-        ways = [
-            _withdraw(clear, first, direction, settings.iterations)
-            for direction in _directions(hand, wrist_in_object[rows], part.up[:, 0], centers[rows])
-        ]
-        best = np.argmin([way.collision + 1e-4 * i for i, way in enumerate(ways)], axis=0)
-        pick = np.arange(len(part))
-        return Approach(
-            *(np.stack([getattr(way, name) for way in ways])[best, pick] for name in ("wrist_pose", "fingers", "collision"))
-        )
+        rows = np.arange(start, min(start + chunk, len(around)))
+        best = _best_way(hand, around.rows(rows), wrist_in_object[rows], grasp[rows], centers[rows], settings)
+        blocked = np.flatnonzero(best.collision > BLOCKED)
+        if len(blocked):
+            hard = rows[blocked]
+            wide = _best_way(
+                hand, around.rows(hard), wrist_in_object[hard], WIDE * grasp[hard], centers[hard], settings
+            )
+            better = wide.collision < best.collision[blocked]
+            for name in ("wrist_pose", "fingers", "collision"):
+                getattr(best, name)[blocked[better]] = getattr(wide, name)[better]
+        return best
 
     with ThreadPoolExecutor(threads) as pool:
         parts = list(pool.map(run, range(0, len(around), chunk)))
     return Approach(
         *(np.concatenate([getattr(part, name) for part in parts]) for name in ("wrist_pose", "fingers", "collision"))
+    )
+
+
+def _best_way(
+    hand: Hand,
+    around: Surroundings,
+    wrist: np.ndarray,
+    fingers: np.ndarray,
+    center: np.ndarray,
+    settings: ApproachSettings,
+) -> Approach:
+    """The clearest of the ways in several directions, taken off the object with the fingers near ``fingers``."""
+    clear = _Clearer(HandPoints(HandKinematics(hand, len(around))), around, settings)
+    first = clear(wrist, fingers, 2 * settings.iterations)
+    ways = [
+        _withdraw(clear, first, direction, settings.iterations)
+        for direction in _directions(hand, wrist, around.up[:, 0], center)
+    ]
+    best = np.argmin([way.collision + 1e-4 * i for i, way in enumerate(ways)], axis=0)
+    pick = np.arange(len(around))
+    return Approach(
+        *(np.stack([getattr(way, name) for way in ways])[best, pick] for name in ("wrist_pose", "fingers", "collision"))
     )
 
 

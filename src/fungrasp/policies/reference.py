@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fungrasp.geometry.poses import rotate
 from fungrasp.objects import ObjectModel
 from fungrasp.policies.approach import ApproachSettings, Path, plan_approach
 from fungrasp.policies.squeeze import squeeze_torques
@@ -18,7 +19,7 @@ from fungrasp.task import Action, LiftTask
 class ReferenceSettings:
     """How the reference controller moves."""
 
-    force: float = 12.0
+    force: float = 16.0
     """Sum of the normal forces to squeeze a light object with [N]."""
     force_per_kg: float = 20.0
     """More of it for each kilogram of the object [N/kg]."""
@@ -30,13 +31,20 @@ class ReferenceSettings:
     """[s]."""
     pause: float = 0.2
     """Before the lift [s]."""
+    press_down: float = 0.006
+    """How far the wrist goes below its target while the fingers close, as the fingers yield upwards [m]."""
+    press_in: float = 0.008
+    """How far it goes beyond its target along the palm's normal [m]."""
     lookahead: float = 0.06
     """How far ahead on its way the wrist aims [m]."""
     approach: ApproachSettings = ApproachSettings()
 
 
 class ReferenceController:
-    """Plays retargeted grasps in W worlds."""
+    """Plays retargeted grasps in W worlds.
+
+    A grasp's ``extra`` may hold its own ``force_scale``, ``press_in`` and ``press_down`` (see ``refine``).
+    """
 
     def __init__(self, task: LiftTask, objects: Mapping[str, ObjectModel], settings: ReferenceSettings | None = None):
         """
@@ -56,6 +64,10 @@ class ReferenceController:
         """Deepest intrusion of the planned way into the margins [m], shape [W]."""
         self._path = Path(task.set_point.pose, task.finger_set_point, approach, task.settled_pose)
         self._squeeze = self._servo_offsets(hand, names, objects)
+        self._closing_pose = task.target_pose.copy()
+        press_in, press_down = self._setting("press_in", s.press_in), self._setting("press_down", s.press_down)
+        self._closing_pose[:, :3] += press_in * rotate(task.target_pose[:, 3:], hand.palm_normal)
+        self._closing_pose[:, 2:3] -= press_down
         self._arrived = np.full(len(names), np.inf)
 
     def act(self) -> Action:
@@ -69,10 +81,15 @@ class ReferenceController:
         since = np.where(np.isfinite(self._arrived), task.time - self._arrived, -1.0)[:, None]
         closing = np.clip((since + task.protocol.control_period) / s.close_time, 0.0, 1.0)
         squeezing = np.clip((since + task.protocol.control_period - s.close_time) / s.squeeze_time, 0.0, 1.0)
-        goal = np.where(closing > 0, task.target_pose, goal)
+        goal = np.where(closing > 0, self._closing_pose, goal)
         fingers = fingers + closing * (self._grasp - fingers) + squeezing * self._squeeze
         lift = since[:, 0] >= s.close_time + s.squeeze_time + s.pause
         return Action(goal, fingers, lift)
+
+    def _setting(self, name: str, default: float) -> np.ndarray:
+        """A number that refinement may have set for each grasp, shape [W, 1]."""
+        grasps = self._task.grasps
+        return np.asarray(grasps.extra.get(name, np.full(len(grasps), default)))[:, None]
 
     def _servo_offsets(self, hand, names: list[str], objects: Mapping[str, ObjectModel]) -> np.ndarray:
         """Of the joints' servo targets, that make the torques of the squeeze [rad], shape [W, U]."""
@@ -82,6 +99,6 @@ class ReferenceController:
         torques = squeeze_torques(
             hand, around, models, task.wrist_in_object, self._grasp, task.grasps.link_contacts
         )
-        force = s.force + s.force_per_kg * task.grasps.object_mass
+        force = self._setting("force_scale", 1.0)[:, 0] * (s.force + s.force_per_kg * task.grasps.object_mass)
         stiffness = np.array([servo.kp for servo in hand.actuators.values()])
         return np.clip(force[:, None] * torques / stiffness, -s.squeeze_limit, s.squeeze_limit)
