@@ -7,7 +7,6 @@ to keep clear (the retargeter's optimiser with its collision terms only). Severa
 from __future__ import annotations
 
 from collections.abc import Mapping
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 
@@ -17,6 +16,7 @@ from fungrasp.geometry.poses import compose, rotate
 from fungrasp.hands import Hand
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.objects import ObjectModel
+from fungrasp.parallel import in_chunks
 from fungrasp.retarget import terms
 from fungrasp.retarget.problem import HandPoints, State, Surroundings
 from fungrasp.retarget.solver import minimise
@@ -68,8 +68,6 @@ def plan_approach(
     wrist_in_object: np.ndarray,
     grasp: np.ndarray,
     settings: ApproachSettings | None = None,
-    threads: int = 2,
-    chunk: int = 64,
 ) -> Approach:
     """Plan the way of N hands to their grasps.
 
@@ -86,8 +84,7 @@ def plan_approach(
     around = Surroundings.settled(object_names, settled_pose, objects)
     centers = np.array([objects[name].center_of_mass for name in object_names])
 
-    def run(start: int) -> Approach:
-        rows = np.arange(start, min(start + chunk, len(around)))
+    def run(rows: np.ndarray) -> Approach:
         best = _best_way(hand, around.rows(rows), wrist_in_object[rows], grasp[rows], centers[rows], settings)
         blocked = np.flatnonzero(best.collision > BLOCKED)
         if len(blocked):
@@ -100,8 +97,7 @@ def plan_approach(
                 getattr(best, name)[blocked[better]] = getattr(wide, name)[better]
         return best
 
-    with ThreadPoolExecutor(threads) as pool:
-        parts = list(pool.map(run, range(0, len(around), chunk)))
+    parts = in_chunks(run, len(around))
     return Approach(
         *(np.concatenate([getattr(part, name) for part in parts]) for name in ("wrist_pose", "fingers", "collision"))
     )

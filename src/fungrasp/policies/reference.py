@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fungrasp.geometry.poses import rotate
+from fungrasp.geometry.poses import compose, rotate
 from fungrasp.objects import ObjectModel
+from fungrasp.policies.adapt import AdaptSettings, adapt
 from fungrasp.policies.approach import ApproachSettings, Path, plan_approach
 from fungrasp.policies.squeeze import squeeze_torques
 from fungrasp.retarget.problem import Surroundings
@@ -37,6 +38,7 @@ class ReferenceSettings:
     """How far it goes beyond its target along the palm's normal [m]."""
     lookahead: float = 0.06
     """How far ahead on its way the wrist aims [m]."""
+    adapt: AdaptSettings = AdaptSettings()
     approach: ApproachSettings = ApproachSettings()
 
 
@@ -56,17 +58,24 @@ class ReferenceController:
         self._task, self.settings = task, settings or ReferenceSettings()
         hand, grasps, s = task.scene.hand, task.grasps, self.settings
         names = grasps.object_name.tolist()
-        self._grasp = task.independent(grasps.joint_positions)
-        approach = plan_approach(
-            hand, names, task.settled_pose, objects, task.wrist_in_object, self._grasp, s.approach
+        self._wrist, self._grasp = adapt(
+            hand,
+            grasps,
+            objects,
+            task.settled_pose,
+            task.wrist_in_object,
+            task.independent(grasps.joint_positions),
+            s.adapt,
         )
+        target = compose(task.settled_pose, self._wrist)
+        approach = plan_approach(hand, names, task.settled_pose, objects, self._wrist, self._grasp, s.approach)
         self.collision = approach.collision
         """Deepest intrusion of the planned way into the margins [m], shape [W]."""
         self._path = Path(task.set_point.pose, task.finger_set_point, approach, task.settled_pose)
         self._squeeze = self._servo_offsets(hand, names, objects)
-        self._closing_pose = task.target_pose.copy()
+        self._closing_pose = target.copy()
         press_in, press_down = self._setting("press_in", s.press_in), self._setting("press_down", s.press_down)
-        self._closing_pose[:, :3] += press_in * rotate(task.target_pose[:, 3:], hand.palm_normal)
+        self._closing_pose[:, :3] += press_in * rotate(target[:, 3:], hand.palm_normal)
         self._closing_pose[:, 2:3] -= press_down
         self._arrived = np.full(len(names), np.inf)
 
@@ -97,7 +106,7 @@ class ReferenceController:
         around = Surroundings.settled(names, task.settled_pose, objects)
         models = [objects[name] for name in names]
         torques = squeeze_torques(
-            hand, around, models, task.wrist_in_object, self._grasp, task.grasps.link_contacts
+            hand, around, models, self._wrist, self._grasp, task.grasps.link_contacts
         )
         force = self._setting("force_scale", 1.0)[:, 0] * (s.force + s.force_per_kg * task.grasps.object_mass)
         stiffness = np.array([servo.kp for servo in hand.actuators.values()])

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Mapping
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +13,7 @@ from fungrasp.grasps import HumanGraspSet, RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.objects import ObjectModel, load_object
+from fungrasp.parallel import in_chunks
 from fungrasp.retarget import angle_copy, dexgraspnet, ours
 from fungrasp.retarget.correspondence import correspond
 from fungrasp.retarget.ours import RetargetSettings
@@ -64,10 +63,9 @@ def retarget(
     settings = settings or RetargetSettings()
     match = correspond(hand)
     problem = Problem.from_grasps(grasps, objects, match)
-    starts = range(0, len(grasps), chunk)
 
-    def run(start: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        part = problem.rows(slice(start, start + chunk))
+    def run(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        part = problem.rows(rows)
         kinematics = HandKinematics(hand, len(part))
         points = HandPoints(kinematics)
         pose, independent = METHODS[method](points, part, settings)
@@ -76,8 +74,8 @@ def retarget(
         joints = independent @ kinematics.matrix.T + kinematics.offset
         return pose, joints, kinematics.points(points.keypoints), part.contacts
 
-    with ThreadPoolExecutor(threads or os.cpu_count() or 1) as pool:
-        pose, joints, keypoints, contacts = (np.concatenate(x) for x in zip(*pool.map(run, starts), strict=True))
+    parts = in_chunks(run, len(grasps), threads, chunk)
+    pose, joints, keypoints, contacts = (np.concatenate(x) for x in zip(*parts, strict=True))
     return RobotGraspSet(
         hand=hand.name,
         object_name=grasps.object_name,
