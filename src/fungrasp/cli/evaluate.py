@@ -47,7 +47,7 @@ class Evaluate:
     picture: Path | None = None
     """Draw some of the grasps, and whether they held, to this PNG file."""
     static: bool = False
-    """Measure the static quality too (of human grasps that are retargeted), and run the six-direction test."""
+    """Measure the static quality too (of retargeted human grasps), and run the six-direction test."""
     mass_scale: float = 1.0
     """The object weighs this many times what the policy believes."""
     friction: float | None = None

@@ -30,7 +30,8 @@ class Worlds:
         """
         self.scene, self.model = scene, scene.model
         self.object_index = np.asarray(object_index)
-        self.batch = Batch(scene.model, len(self.object_index), nthread=threads)
+        # Persistent: the stages that make sensors current after a step are not computed twice.
+        self.batch = Batch(scene.model, len(self.object_index), nthread=threads, persistent=True)
         for name, table in scene.fields.items():
             self.batch.expand(name)[:] = table[self.object_index]
         self._object = scene.model.body("object").id

@@ -68,6 +68,7 @@ class LiftTask:
         self.matrix, self.offset = scene.hand.coupling
         self._independent = np.linalg.pinv(self.matrix)
         self._substep_time = SUBSTEPS * scene.settings.timestep
+        self._wrist_actuators, self._finger_actuators = scene.wrist_actuators, scene.finger_actuators
         self._damping_lead = np.repeat(np.array(scene.settings.wrist_damping) / scene.settings.wrist_stiffness, 3)
         self.wrist_in_object = compose(invert(grasps.object_pose), grasps.wrist_pose)
         """Pose of the palm in the grasped object's frame, shape [W, 7]."""
@@ -87,7 +88,7 @@ class LiftTask:
         limits = self.scene.hand.joint_limits
         start_targets = self.independent(np.clip(start_joints, limits[:, 0], limits[:, 1]))
         worlds.joint_positions = start_targets @ self.matrix.T + self.offset
-        worlds.ctrl[:, self.scene.finger_actuators] = start_targets
+        worlds.ctrl[:, self._finger_actuators] = start_targets
         worlds.step(round(self.protocol.settle_time / self.scene.settings.timestep))
 
         self.settled_pose = worlds.object_pose.copy()
@@ -99,6 +100,7 @@ class LiftTask:
         away /= np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-9)
         start[:, :3] = self.settled_pose[:, :3] + self.protocol.start_distance * away
         worlds.wrist_reference = self.target_pose
+        self._pose_reference_world = invert(self.target_pose)
         self.set_point = WristSetPoint(start, self.protocol)
         self.finger_set_point = start_targets
         worlds.qvel[:] = 0.0
@@ -144,20 +146,20 @@ class LiftTask:
         self.done = self.time >= self.hold_time + p.hold_time - 1e-9
 
     def _servo_range(self) -> tuple[np.ndarray, np.ndarray]:
-        span = self.scene.model.actuator_ctrlrange[self.scene.finger_actuators]
+        span = self.scene.model.actuator_ctrlrange[self._finger_actuators]
         return span[:, 0], span[:, 1]
 
     def _wrist_coordinates(self) -> np.ndarray:
-        relative = compose(invert(self.target_pose), self.set_point.pose)
+        relative = compose(self._pose_reference_world, self.set_point.pose)
         angles = Rotation.from_quat(relative[:, 3:], scalar_first=True).as_euler("XYZ")
         return np.concatenate([relative[:, :3], angles], axis=1)
 
     def _command(self) -> None:
         lead = np.zeros((len(self.worlds), 6))
-        inverse = invert(self.target_pose)[:, 3:]
-        lead[:, :3] = self._damping_lead[:3] * rotate(inverse, self.set_point.velocity)
-        self.worlds.ctrl[:, self.scene.wrist_actuators] = self._wrist_coordinates() + lead
-        self.worlds.ctrl[:, self.scene.finger_actuators] = self.finger_set_point
+        turn = self._pose_reference_world[:, 3:]
+        lead[:, :3] = self._damping_lead[:3] * rotate(turn, self.set_point.velocity)
+        self.worlds.ctrl[:, self._wrist_actuators] = self._wrist_coordinates() + lead
+        self.worlds.ctrl[:, self._finger_actuators] = self.finger_set_point
 
     def _observe_hold(self, goal: np.ndarray) -> None:
         risen = np.isfinite(self.lift_time) & (np.linalg.norm(goal[:, :3] - self.set_point.pose[:, :3], axis=1) < 2e-3)
