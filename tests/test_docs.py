@@ -1,8 +1,8 @@
 """Every command of README and documentation is run, page by page, in a folder of its own.
 
 A file given in a block with a title is written there. ``grasps.npz`` and ``meshes/`` stand for the reader's
-own data. Of the built-in grasps there are only a few, to be quick. Lines below a command must be part of what it
-prints. A block that can't be run carries the reason, ``<!-- not run: ... -->``; one whose command fails its
+own data. Of the built-in grasps there are only a few, to be quick. Lines below a command must be part of
+what it prints. A block that is not run carries the reason, ``<!-- not run: ... -->``; one that fails its
 status, ``<!-- ends with 2 -->``.
 """
 

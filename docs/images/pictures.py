@@ -26,7 +26,7 @@ CHOICE = (("mug", "drink"), ("hammer", "hammer"), ("spray_bottle", "spray"), ("s
 """Object and task of each row."""
 
 HANDS = ("allegro", "shadow", "faive", "inspire", "leap")
-SIZE = {"width": 340, "height": 300}
+SIZE = {"width": 340, "height": 300, "margin": 1.2}
 
 
 def chosen(grasps: HumanGraspSet) -> HumanGraspSet:
