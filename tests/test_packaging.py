@@ -90,7 +90,7 @@ def test_the_imported_packages_are_declared() -> None:
     ]
     names = {re.split(r"[\[<>= ]", need)[0].lower().replace("-", "_") for need in declared}
     modules = {"mujoco": "mujoco_core", "PIL": "pillow", "yaml": "pyyaml"}
-    imported = set()
+    imported: set[str] = set()
     for path in SOURCE.rglob("*.py"):
         imported |= set(re.findall(r"^\s*(?:import|from) (\w+)", path.read_text(), re.MULTILINE))
     third_party = imported - set(sys.stdlib_module_names) - {"fungrasp", "__future__"}
