@@ -1,0 +1,147 @@
+"""``fungrasp bench``: the speed of retargeting and simulation on this machine."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from fungrasp.cli.console import progress_bar, table, write_json
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from fungrasp.grasps import HumanGraspSet
+    from fungrasp.hands import Hand
+    from fungrasp.objects import ObjectModel
+
+
+@dataclass(frozen=True)
+class Retargeting:
+    """Measure how many grasps a second each method retargets, and how good they are."""
+
+    grasps: str = "builtin"
+    """A file of human grasps, or "builtin"."""
+    objects: Path | None = None
+    """Folder of meshes <name>.obj; built-in objects need none."""
+    hand: str = "allegro"
+    """Name of a hand, or the path of a hand's TOML file."""
+    method: tuple[str, ...] = ()
+    """Methods to measure; all by default."""
+    repeat: int = 3
+    """Rounds, of which the fastest counts."""
+    threads: int = 0
+    """0 means all processors."""
+    json: Path | None = None
+    """Write the numbers here (.json)."""
+
+    def run(self) -> None:
+        from fungrasp.errors import UnknownNameError
+        from fungrasp.evaluation.results import finite, machine
+        from fungrasp.grasps import load_human_grasps
+        from fungrasp.hands import load_hand
+        from fungrasp.retarget import METHODS, load_objects
+
+        _check_positive(repeat=self.repeat)
+        for name in self.method:
+            if name not in METHODS:
+                raise UnknownNameError("retargeting method", name, METHODS)
+        hand = load_hand(self.hand)
+        human = load_human_grasps(self.grasps)
+        objects = load_objects(human, self.objects)
+        results = {name: self._measure(name, human, objects, hand) for name in self.method or tuple(METHODS)}
+        about = {"hand": hand.name, "grasps": len(human), "threads": self.threads, "machine": machine()}
+        if self.json is not None:
+            write_json(self.json, finite(about | {"methods": results}))
+        columns = ("contact_error_mm", "contact_gap_mm", "link_direction_error_deg", "object_penetration_mm")
+        head = (
+            "method",
+            "grasps/s",
+            "contact error [mm]",
+            "gap [mm]",
+            "directions [deg]",
+            "penetration [mm]",
+        )
+        rows = [
+            (name, f"{r['grasps_per_second']:.0f}", *(f"{r['quality'][c]['mean']:.2f}" for c in columns))
+            for name, r in results.items()
+        ]
+        print(table([head, *rows]))
+        print(f"{len(human)} grasps of {len(objects)} objects; {machine()}")
+
+    def _measure(
+        self, method: str, human: HumanGraspSet, objects: Mapping[str, ObjectModel], hand: Hand
+    ) -> dict[str, Any]:
+        from fungrasp.cli.retarget import retargeted
+        from fungrasp.evaluation import static_quality
+
+        rounds = [retargeted(human, objects, hand, method, self.threads) for _ in range(self.repeat)]
+        quality = static_quality(rounds[0][0], human, objects, hand)
+        return {"grasps_per_second": max(rate for _, rate in rounds), "quality": quality.summary()}
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """Measure physics steps per second: the environment, bare physics, and a Python loop over mj_step."""
+
+    grasps: str = "builtin"
+    """A file of human grasps, or "builtin"; they are spread over the worlds."""
+    objects: Path | None = None
+    """Folder of meshes <name>.obj; built-in objects need none."""
+    hand: str = "allegro"
+    """Name of a hand, or the path of a hand's TOML file."""
+    worlds: int = 128
+    """Worlds stepped together."""
+    repeat: int = 3
+    """Rounds, of which the fastest counts."""
+    threads: int = 0
+    """0 means all processors."""
+    json: Path | None = None
+    """Write the numbers here (.json)."""
+
+    def run(self) -> None:
+        from dataclasses import asdict
+
+        import numpy as np
+
+        from fungrasp.cli.retarget import retargeted
+        from fungrasp.evaluation.results import machine
+        from fungrasp.evaluation.speed import simulation_speed
+        from fungrasp.grasps import load_human_grasps
+        from fungrasp.hands import load_hand
+        from fungrasp.retarget import load_objects
+
+        _check_positive(worlds=self.worlds, repeat=self.repeat)
+        hand = load_hand(self.hand)
+        human = load_human_grasps(self.grasps)
+        human = human.select(np.arange(self.worlds) * max(1, len(human) // self.worlds) % len(human))
+        objects = load_objects(human, self.objects)
+        robot, _ = retargeted(human, objects, hand, "ours", self.threads)
+        with progress_bar("simulating", 1.0) as show:
+            speed = simulation_speed(robot, objects, hand, self.threads, self.repeat, show)
+        if self.json is not None:
+            about = {"hand": hand.name, "threads": self.threads, "machine": machine()}
+            write_json(self.json, about | asdict(speed) | {"environment_over_bare": speed.share})
+        rows = [
+            ("way", "steps/s", "ratio"),
+            ("environment", f"{speed.environment:,.0f}", "1.00"),
+            ("bare mujoco.batch", f"{speed.bare:,.0f}", f"{speed.bare / speed.environment:.2f}"),
+            ("Python loop over mj_step", f"{speed.loop:,.0f}", f"{speed.loop / speed.environment:.2f}"),
+        ]
+        print(table(rows))
+        print(
+            f"the environment steps at {speed.share:.0%} of bare physics, {speed.environment / speed.loop:.1f} times "
+            f"as fast as the loop; {'the' if speed.identical else 'NOT the'} same motion in all three"
+        )
+        print(f"{speed.worlds} worlds of {hand.name}; {machine()}")
+
+
+COMMAND = {"retarget": Retargeting, "simulation": Simulation}
+
+
+def _check_positive(**values: int) -> None:
+    from fungrasp.errors import FungraspError
+
+    for name, value in values.items():
+        if value < 1:
+            raise FungraspError(f"--{name} must be at least 1, not {value}")
