@@ -35,9 +35,7 @@ def _along(wish: GraspWish, *places: float, axis: int = 0) -> list[GraspWish]:
 
 def _drinking() -> list[GraspWish]:
     mug = GraspWish("mug", "drink", "handle", "handle", at=(0.053, 0, 0.0), palm=BACK, fingers=LEFT)
-    mug_body = GraspWish(
-        "mug", "hand over", "body", "wrap", at=(-0.016, 0, -0.005), palm=AHEAD, fingers=RIGHT
-    )
+    mug_body = GraspWish("mug", "hand over", "body", "wrap", at=(-0.016, 0, 0.008), palm=AHEAD, fingers=RIGHT)
     mug_rim = GraspWish("mug", "place", "rim", "disk", at=(-0.016, 0, 0.04), palm=DOWN, fingers=AHEAD)
     stem = GraspWish("wine_glass", "drink", "stem", "pinch", at=(0, 0, -0.045), palm=LEFT, fingers=AHEAD)
     bowl = GraspWish("wine_glass", "toast", "bowl", "wrap", at=(0, 0, 0.035), palm=LEFT, fingers=AHEAD)
@@ -47,15 +45,17 @@ def _drinking() -> list[GraspWish]:
     tea = GraspWish("teapot", "pour", "handle", "fist", at=(0.109, 0, -0.005), palm=BACK, fingers=LEFT)
     lid = GraspWish("teapot", "open", "lid", "pinch", at=(0.009, 0, 0.049), palm=DOWN, fingers=BACK)
     return [
-        mug,
-        replace(mug, fingers=(0.3, 1, 0)),
         replace(mug, palm=(-1, 0, -0.3)),
-        *_around(mug_body, 0, 40, -40, about=(-0.016, 0)),
+        replace(mug, palm=(-1, -0.2, -0.3)),
+        replace(mug, palm=(-1, 0.2, -0.3)),
+        replace(mug, palm=(-1, 0, -0.5), at=(0.053, 0, 0.004)),
+        *_around(mug_body, 0, 30, -20, about=(-0.016, 0)),
         *_around(mug_rim, 0, 90, about=(-0.016, 0)),
         *_around(stem, 0, 60, 120),
         *_around(bowl, 0, 120),
         *_around(top, 0),
-        *_along(pour, 0.0, 0.02, -0.02, axis=2),
+        *_along(pour, 0.0, 0.02, axis=2),
+        replace(pour, palm=(-1, 0, -0.3), at=(0.094, 0, 0.015)),
         *_around(wall, 0, 180),
         *_along(tea, -0.005, 0.0, axis=2),
         replace(tea, palm=(-1, 0, -0.4)),
@@ -138,7 +138,10 @@ def _tools() -> list[GraspWish]:
         parts={"index": "trigger"},
     )  # fmt: skip
     motor = GraspWish("drill", "hand over", "body", "wrap", at=(-0.03, 0, 0.079), palm=DOWN, fingers=RIGHT)
-    clamp = GraspWish("clamp", "clamp", "handles", "prism", at=(-0.035, 0, 0), palm=DOWN, fingers=RIGHT)
+    clamp = GraspWish(
+        "clamp", "clamp", "handles", "prism", at=(-0.045, 0, 0), palm=DOWN, fingers=RIGHT,
+        places={"thumb_distal": (-0.045, 0.036, 0), "index_distal": (-0.03, -0.031, 0), "middle_distal": (-0.05, -0.037, 0)},
+    )  # fmt: skip
     jaws = GraspWish("clamp", "hand over", "jaws", "prism", at=(0.035, 0, 0), palm=DOWN, fingers=LEFT)
     torch = GraspWish("flashlight", "light", "body", "cover", at=(-0.02, 0, -0.004), palm=DOWN, fingers=RIGHT)
     glass = GraspWish("flashlight", "hand over", "head", "pinch", at=(0.05, 0, 0), palm=DOWN, fingers=LEFT)
@@ -153,7 +156,9 @@ def _tools() -> list[GraspWish]:
         replace(drill, palm=(0.2, 1, 0), fingers=(1, -0.2, 0)),
         replace(drill, palm=(0.6, 1, 0), fingers=(1, -0.6, 0.2)),
         *_around(motor, 0, 180, about=(-0.03, 0)),
-        *_along(clamp, -0.025, -0.04, -0.055),
+        clamp,
+        replace(clamp, fingers=(-0.3, -1, 0)),
+        replace(clamp, fingers=(0.3, -1, 0)),
         *_along(jaws, 0.03, 0.05),
         *_along(torch, -0.035, -0.015),
         *_along(replace(torch, kind="prism"), -0.01),
@@ -171,17 +176,21 @@ def _desk() -> list[GraspWish]:
         "marker", "write", "barrel", "tripod", at=(-0.01, 0, 0), palm=(0, 0.3, -1), fingers=(0.3, -1, -0.3)
     )
     cap = GraspWish("marker", "open", "cap", "pinch", at=(0.03, 0, 0), palm=DOWN, fingers=LEFT)
-    read = GraspWish("book", "read", "cover", "span", at=(0, 0, 0), palm=DOWN, fingers=AHEAD)
+    read = GraspWish(
+        "book", "read", "cover", "prism", at=(0.035, 0, 0), palm=BACK, fingers=(0, 0, 1), up=(1, 0, 0)
+    )
     throw = GraspWish("tennis_ball", "throw", "ball", "disk", at=(0, 0, 0), palm=DOWN, fingers=AHEAD)
     return [
         snip,
+        replace(snip, fingers=(-0.4, -1, 0)),
+        replace(snip, fingers=(0.4, -1, 0)),
         *_along(blades, 0.0, 0.02),
         *_along(write, -0.02, -0.005),
         replace(write, kind="pinch", at=(-0.015, 0, 0)),
         cap,
         *_along(replace(cap, part="barrel", task="hand over"), -0.01),
-        *_along(read, -0.03, 0.0, 0.03, axis=1),
-        *_around(replace(read, task="hand over"), 180),
+        *_along(read, -0.02, 0.02, axis=1),
+        *_along(replace(read, task="hand over", fingers=(0, 0, -1)), -0.02, 0.02, axis=1),
         *_around(throw, 0, 120, 240),
         *_around(replace(throw, kind="prism", task="hand over"), 60),
         *_around(replace(throw, palm=(0.5, 0, -1)), 0),

@@ -21,6 +21,7 @@ from scipy.spatial.transform import Rotation
 from fungrasp.errors import UnknownNameError
 from fungrasp.geometry.poses import quaternion_from_rotation_vector, quaternion_multiply, transform_points
 from fungrasp.grasps import HUMAN_LINKS, HumanGraspSet
+from fungrasp.grasps.anatomy import DEVIATION_LIMIT, FLEXION_RANGE, SLACK, joint_bends
 from fungrasp.hands import load_hand
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.objects import ObjectModel, load_object
@@ -75,6 +76,8 @@ class GenerateSettings:
     second_iterations: int = 40
     most_penetration: float = 0.002
     """Deepest allowed penetration of the object, and of the hand by itself [m]."""
+    most_cost: float = 25.0
+    """Largest objective of a grasp that looks natural."""
     least_difference: float = 0.006
     """Grasps of one object whose joints are nearer than this on average are the same grasp [m]."""
 
@@ -88,7 +91,7 @@ class Candidates:
     joints: np.ndarray
     """Human joints [m], object frame, shape [N, 21, 3]."""
     contacts: np.ndarray
-    """Links that touch the wish's parts, shape [N, 16] bool."""
+    """Links nearer than ``TOUCH`` to the wish's parts, shape [N, 16] bool."""
     cost: np.ndarray
     """Objective, shape [N]."""
     object_penetration: np.ndarray
@@ -97,6 +100,8 @@ class Candidates:
     self_penetration: np.ndarray
     missed: np.ndarray
     """Largest distance of a link from the part that it must touch [m], shape [N]."""
+    anatomical: np.ndarray
+    """Whether a person's joints bend like that, shape [N] bool."""
 
     def good(self, settings: GenerateSettings) -> np.ndarray:
         """Which pass all checks, shape [N] bool."""
@@ -105,6 +110,8 @@ class Candidates:
             & (self.self_penetration <= settings.most_penetration)
             & (self.table_penetration <= 0.0)
             & (self.missed <= TOUCH)
+            & (self.cost <= settings.most_cost)
+            & self.anatomical
         )
 
 
@@ -133,7 +140,7 @@ def generate(
     rows = _best(tries, wishes, settings)
     names = [wishes[i].object for i in tries.wish[rows]]
     things = {name: load_object(name) for name in set(names)}
-    pose = np.array([things[name].rest_pose() for name in names]).reshape(-1, 7)
+    pose = np.array([wishes[i].rest_pose(things[wishes[i].object]) for i in tries.wish[rows]]).reshape(-1, 7)
     return HumanGraspSet(
         object_name=np.array(names),
         object_mass=np.array([things[name].mass for name in names]),
@@ -178,7 +185,7 @@ def _attempt(
     hand = load_hand(HAND)
     points = HumanPoints(HandKinematics(hand, len(each)))
     names = [wish.object for wish in each]
-    rest = np.array([objects[name].rest_pose() for name in names])
+    rest = np.array([wish.rest_pose(objects[wish.object]) for wish in each])
     around = Surroundings.settled(names, rest, objects)
     shaken = _random_starts(wishes, seed, settings)
     pose = _approached(points, around, each, _wished_pose(each, shaken))
@@ -327,11 +334,10 @@ def _judged(
     missed = np.zeros(len(wishes))
     for row, wish in enumerate(wishes):
         thing = objects[wish.object]
-        samples = {part: part_samples(thing, part) for part in thing.parts}
-        gaps = {part: _link_gaps(points, state.balls[row], tree) for part, tree in samples.items()}
-        nearest = np.min(list(gaps.values()), axis=0)
-        mine = np.min([gaps[part] for part in wish.all_parts], axis=0)
-        contacts[row] = (mine <= TOUCH) & (mine <= nearest + 1e-9)
+        gaps = {
+            part: _link_gaps(points, state.balls[row], part_samples(thing, part)) for part in wish.all_parts
+        }
+        contacts[row] = np.min([gaps[part] for part in wish.all_parts], axis=0) <= TOUCH
         missed[row] = max(gaps[part][HUMAN_LINKS.index(link)] for link, part in wish.part_of_link.items())
     return Candidates(
         wish=owner,
@@ -342,7 +348,16 @@ def _judged(
         table_penetration=np.maximum(-state.heights.min(axis=1), 0.0),
         self_penetration=_self_penetration(hand.model, independent),
         missed=missed,
+        anatomical=_anatomical(state.keypoints),
     )
+
+
+def _anatomical(joints: np.ndarray) -> np.ndarray:
+    """Whether all joints bend within people's ranges, shape [N] bool. joints: [m], shape [N, 21, 3]."""
+    flexion, deviation = joint_bends(joints)
+    within = (flexion >= FLEXION_RANGE[..., 0] - SLACK) & (flexion <= FLEXION_RANGE[..., 1] + SLACK)
+    within &= np.abs(deviation) <= DEVIATION_LIMIT + SLACK
+    return within.all(axis=(1, 2))
 
 
 def _link_gaps(points: HumanPoints, balls: np.ndarray, tree) -> np.ndarray:

@@ -8,7 +8,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from fungrasp.errors import FungraspError, UnknownNameError
+from fungrasp.geometry.poses import quaternion_from_rotation_vector
 from fungrasp.grasps import HUMAN_LINKS
+from fungrasp.objects import ObjectModel
 
 Vector = tuple[float, float, float]
 
@@ -65,6 +67,8 @@ class GraspWish:
     """Other parts that some fingers, or some links, must touch instead: ``{"index": "trigger"}``."""
     places: Mapping[str, Vector] = field(default_factory=dict)
     """Points of the surface that some links should touch [m]: ``{"thumb_distal": (0.05, 0.0, 0.03)}``."""
+    up: Vector = (0.0, 0.0, 1.0)
+    """Direction that points up while the object rests on the table."""
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
@@ -95,13 +99,25 @@ class GraspWish:
             link: self.parts.get(link, self.parts.get(link.split("_")[0], self.part)) for link in self.links
         }
 
+    def rest_pose(self, thing: ObjectModel) -> np.ndarray:
+        """The object on the table with ``up`` up and its origin above the world's, world frame, shape [7]."""
+        up = np.array(self.up, float) / np.linalg.norm(self.up)
+        axis = np.array([up[1], -up[0], 0.0])
+        sine = np.linalg.norm(axis)
+        turn = (
+            axis / sine * np.arctan2(sine, up[2])
+            if sine > 1e-9
+            else np.array([np.pi * (up[2] < 0), 0.0, 0.0])
+        )
+        return np.array([0.0, 0.0, -(thing.vertices @ up).min(), *quaternion_from_rotation_vector(turn)])
+
     @property
     def all_parts(self) -> frozenset[str]:
         """Every part that the hand holds."""
         return frozenset((self.part, *self.parts.values()))
 
     def turned(self, angle: float, about: Sequence[float] = (0.0, 0.0)) -> GraspWish:
-        """The same grasp elsewhere around an object that is symmetrical about a vertical line.
+        """The same grasp elsewhere around an object that is symmetrical about a line along its z.
 
         Args:
             angle: [rad], from x towards y.
@@ -170,22 +186,23 @@ KINDS: dict[str, GraspKind] = {
     ),
     "handle": GraspKind(
         open=_joints(
-            [(0.25, 1.35, 0.7), (0.25, 1.35, 0.7), (0.4, 1.3, 0.6), (0.5, 1.2, 0.5)],
+            [(0.25, 1.35, 0.7), (0.25, 1.35, 0.7), (0.6, 1.3, 0.6), (1.0, 1.2, 0.4)],
             (-0.4, -0.1, 0.0, 0.0, 0.0),
         ),
-        closed=_joints([(0.6, 1.6, 1.0)], (-0.5, 0.5, 0.5, 0.0, 0.6)),
+        closed=_joints(
+            [(0.6, 1.6, 1.0)] * 2 + [(0.9, 1.5, 0.9), (1.25, 1.3, 0.6)], (-0.5, 0.5, 0.5, 0.0, 0.6)
+        ),
         center=(0.024, 0.009, 0.106),
         contacts=("index_middle", "middle_middle", "index_distal", "middle_distal", "thumb_distal"),
     ),
     "fist": GraspKind(
-        open=_joints([(0.7, 1.1, 0.5)], (-0.3, 0.0, 0.0, 0.0, 0.0)),
-        closed=_joints([(1.2, 1.6, 0.9)], (-0.2, 0.6, 0.7, 0.0, 0.8)),
-        center=(0.028, 0.0, 0.094),
+        open=_joints([(0.3, 1.2, 0.6)] * 3 + [(0.6, 1.1, 0.4)], (-0.3, -0.2, 0.0, 0.0, 0.0)),
+        closed=_joints([(0.9, 1.6, 0.9)] * 3 + [(1.1, 1.3, 0.6)], (-0.3, 0.6, 0.6, 0.0, 0.7)),
+        center=(0.029, -0.008, 0.104),
         contacts=(
             "index_middle",
             "middle_middle",
             "ring_middle",
-            "middle_proximal",
             "index_distal",
             "middle_distal",
             "thumb_distal",
