@@ -130,8 +130,9 @@ class Simulation:
         ]
         print(table(rows))
         print(
-            f"the environment steps at {speed.share:.0%} of bare physics, {speed.environment / speed.loop:.1f} times "
-            f"as fast as the loop; {'the' if speed.identical else 'NOT the'} same motion in all three"
+            f"the environment steps at {speed.share:.0%} of bare physics, "
+            f"{speed.environment / speed.loop:.1f} times as fast as the loop; "
+            f"{'the' if speed.identical else 'NOT the'} same motion in all three"
         )
         print(f"{speed.worlds} worlds of {hand.name}; {machine()}")
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from fungrasp.hands import Hand
     from fungrasp.objects import ObjectModel
 
-REFINED_CHUNK = 32
+REFINED_CHUNK = 64
 """Grasps refined and tried together: what an interrupted run may lose."""
 
 
@@ -205,7 +205,7 @@ class Evaluate:
         if not self.refine:
             return None
         from fungrasp.evaluation.dynamic import Refinement
-        from fungrasp.policies.refine import refine
+        from fungrasp.policies import refine
 
         def improve(grasps: RobotGraspSet, seed: int) -> RobotGraspSet:
             return refine(grasps, objects, hand, tries=self.refine, seed=seed, threads=self.threads)

@@ -17,16 +17,12 @@ from fungrasp.evaluation.trajectory import Recorder
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
-from fungrasp.policies.reference import ReferenceController
+from fungrasp.policies import POLICIES, make_policy, play
 from fungrasp.simulation import Scene, build_scene
 from fungrasp.task import LiftTask, Protocol, Trials
 
 CHUNK = 128
 """Trials simulated together. It bounds the memory, and a trial does not depend on the others of its chunk."""
-
-POLICIES: Mapping[str, Callable[[LiftTask, Mapping[str, ObjectModel]], ReferenceController]] = {
-    "reference": ReferenceController
-}
 
 
 @dataclass(frozen=True)
@@ -60,6 +56,9 @@ class DynamicResult:
     legacy_success: np.ndarray
     """Whether the object did not touch the table during the hold, at whatever height: the definition of
     earlier published code; shape [N] bool."""
+    refined_tries: np.ndarray
+    """Trials that refining the grasp took, 1 if it was not refined, negative where none succeeded;
+    shape [N]."""
 
 
 def evaluate(
@@ -84,7 +83,7 @@ def evaluate(
         grasps: of ``hand``.
         objects: by name.
         hand: the robot hand.
-        policy: one of ``POLICIES``.
+        policy: one of ``fungrasp.policies.POLICIES``.
         seeds: of everything that is random.
         threads: 0 means all processors. The result does not depend on it.
         protocol: the published one if None.
@@ -144,6 +143,7 @@ def evaluate(
         task=grasps.task[index],
         trials=Trials(**{field.name: merged[field.name] for field in fields(Trials)}),
         legacy_success=merged["legacy_success"],
+        refined_tries=merged["refined_tries"],
     )
 
 
@@ -227,7 +227,7 @@ class _Test:
         files: list[Path],
         progress: Callable[[float], None],
     ) -> dict[str, np.ndarray]:
-        """Fields of ``Trials`` and ``legacy_success``, each of shape [W].
+        """Fields of ``Trials``, ``legacy_success`` and ``refined_tries``, each of shape [W].
 
         Args:
             grasps: W grasps.
@@ -242,25 +242,25 @@ class _Test:
         )
         task.reset()
         centers = np.array([self.objects[name].center_of_mass for name in grasps.object_name.tolist()])
-        policy = POLICIES[self.policy](d.seen_by_policy(task, centers, seed, rows), self.objects)
+        policy = make_policy(self.policy, d.seen_by_policy(task, centers, seed, rows), self.objects)
         recorder = Recorder(task) if files else None
         touched = np.zeros(len(rows), dtype=bool)
+
+        p = self.protocol
+        longest = p.approach_time + p.hold_time + 1.2
 
         def watch() -> None:
             nonlocal touched
             touched = touched | (np.isfinite(task.hold_time) & ~task.done & task.worlds.object_on_table)
+            progress(min(task.time / longest, 1.0))
             if recorder is not None:
                 recorder()
 
-        p = self.protocol
-        longest = p.approach_time + p.hold_time + 1.2
-        while not task.done.all():
-            task.step(policy.act(), watch)
-            progress(min(task.time / longest, 1.0))
-        trials = task.trials()
+        trials = play(task, policy, watch)
         if recorder is not None:
             for trajectory, file in zip(recorder.trajectories(rows), files, strict=True):
                 trajectory.save(file)
         return {field.name: getattr(trials, field.name) for field in fields(trials)} | {
-            "legacy_success": ~touched & (trials.reason != "the simulation diverged")
+            "legacy_success": ~touched & (trials.reason != "the simulation diverged"),
+            "refined_tries": grasps.extra.get("refined_tries", np.ones(len(grasps), dtype=int)),
         }

@@ -66,6 +66,7 @@ def result_json(result: DynamicResult) -> dict[str, Any]:
             "task": str(result.task[i]),
             "seed": int(result.seed[i]),
             **{name: values[i] for name, values in columns.items()},
+            "refined_tries": int(result.refined_tries[i]),
             "legacy_success": result.legacy_success[i],
         }
         for i in range(len(result.index))

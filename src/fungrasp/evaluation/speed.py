@@ -13,11 +13,11 @@ from fungrasp.evaluation.robustness import Disturbance
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
-from fungrasp.policies.reference import ReferenceController
+from fungrasp.policies import ReferenceController
 from fungrasp.simulation import Worlds, build_scene
 from fungrasp.task import Action, LiftTask
 
-LOOPED = 4
+LOOPED = 6
 """Worlds stepped by the Python loop."""
 
 
@@ -88,10 +88,9 @@ def simulation_speed(
         ends.append(worlds.worlds.qpos.copy())
         progress(0.2 + 0.6 * (round_number + 1) / repeat)
     _restore(worlds.worlds, start)
-    looped, loop_steps, loop_seconds = _loop(worlds, min(LOOPED, len(grasps)))
-    same = all(np.array_equal(end, ends[0]) for end in ends) and np.array_equal(
-        looped, ends[0][: len(looped)]
-    )
+    some = np.unique(np.linspace(0, len(grasps) - 1, LOOPED).astype(int))
+    looped, loop_steps, loop_seconds = _loop(worlds, some)
+    same = all(np.array_equal(end, ends[0]) for end in ends) and np.array_equal(looped, ends[0][some])
     return SimulationSpeed(
         worlds=len(grasps),
         steps=steps,
@@ -142,10 +141,10 @@ def _restore(worlds: Worlds, state: list[tuple[np.ndarray, np.ndarray]]) -> None
     worlds.forward()
 
 
-def _loop(worlds: _RecordedWorlds, count: int) -> tuple[np.ndarray, int, float]:
-    """Step some worlds from their current state; positions at the end [count, nq], steps made, seconds."""
+def _loop(worlds: _RecordedWorlds, chosen: np.ndarray) -> tuple[np.ndarray, int, float]:
+    """Step some worlds from their current state; positions at the end [C, nq], steps made, seconds."""
     ends, steps, seconds = [], 0, 0.0
-    for world in range(count):
+    for world in chosen.tolist():
         model, data = worlds.worlds.batch.get_model(world), worlds.worlds.batch.get_data(world)
         controls = [(ctrl[world], n) for ctrl, n, which in worlds.calls if world in which]
         begin = perf_counter()

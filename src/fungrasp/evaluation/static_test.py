@@ -149,7 +149,8 @@ def _servo_offsets(
     models = [objects[name] for name in names]
     torques = squeeze_torques(hand, around, models, wrist, closed, grasps.link_contacts)
     stiffness = np.array([servo.kp for servo in hand.actuators.values()])
-    return np.clip((s.force + s.force_per_kg * mass) * torques / stiffness, -s.squeeze_limit, s.squeeze_limit)
+    force = (s.force + s.force_per_kg * mass) * grasps.extra.get("force_scale", np.ones(len(grasps)))
+    return np.clip(force[:, None] * torques / stiffness, -s.squeeze_limit, s.squeeze_limit)
 
 
 def _center_in_palm(worlds: Worlds) -> np.ndarray:
