@@ -36,8 +36,10 @@ class AdaptSettings:
     """[m]"""
     rotation_unit: float = 0.15
     """[rad]"""
-    closure_unit: float = 0.1
+    closure_unit: float = 0.06
     """Unbalanced part of contact forces that counts as one unit."""
+    closure_friction: float = 0.2
+    """Friction that the balance may count on."""
     iterations: int = 15
     """Of the optimiser."""
     loyalty: float = 3.0
@@ -97,7 +99,7 @@ def adapt(
                 partial(terms.table_penetration, unit=0.0007, margin=s.table_margin),
                 partial(terms.self_penetration, unit=0.001),
             ]
-            grip = [partial(terms.contact_gap, unit=0.002), partial(terms.force_closure, unit=s.closure_unit)]
+            grip = [partial(terms.contact_gap, unit=0.002), partial(terms.force_closure, unit=s.closure_unit, friction=s.closure_friction)]
             solutions.append(minimise(points, part, [*collisions, *grip, stay], wrist, grasp[rows], s.iterations))
         (on_object, joints, cost), (around_object, other_joints, other_cost) = solutions
         leave = (other_cost + s.loyalty < cost)[:, None]

@@ -20,9 +20,9 @@ from fungrasp.task import Action, LiftTask
 class ReferenceSettings:
     """How the reference controller moves."""
 
-    force: float = 16.0
+    force: float = 5.0
     """Sum of the normal forces to squeeze a light object with [N]."""
-    force_per_kg: float = 20.0
+    force_per_kg: float = 80.0
     """More of it for each kilogram of the object [N/kg]."""
     squeeze_limit: float = 0.6
     """Largest offset of a joint's servo target from the grasp [rad]."""

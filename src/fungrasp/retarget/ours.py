@@ -36,7 +36,7 @@ class RetargetSettings:
     """Distance to keep from the table [m]."""
     self_unit: float = 0.001
     """Penetration of the hand by itself [m]."""
-    closure_unit: float = 0.1
+    closure_unit: float = 0.3
     """Unbalanced part of contact forces that sum to one."""
     closure_friction: float = 0.3
     """Friction that the balance may count on."""
