@@ -190,27 +190,7 @@ def winding_number(mesh: trimesh.Trimesh, points: np.ndarray, chunk: int = 2048)
     return result
 
 
-class _SurfaceSamples:
-    """A tree of surface samples at most 1 mm apart (or 1/200 of the mesh, if that is more), and their faces."""
-
-    def __init__(self, mesh: trimesh.Trimesh):
-        gap = max(0.001, float(mesh.extents.max()) / 200)
-        self.points, self._owners = _lattice(np.asarray(mesh.triangles), gap)
-        self._triangles = mesh.triangles
-        self._tree = cKDTree(self.points)
-
-    def nearest(self, points: np.ndarray, candidates: int = 6) -> tuple[np.ndarray, np.ndarray]:
-        found = self._tree.query(points, k=candidates, workers=-1)[1]
-        faces = self._owners[found]
-        flat = trimesh.triangles.closest_point(
-            self._triangles[faces.ravel()], np.repeat(points, candidates, axis=0)
-        ).reshape(len(points), candidates, 3)
-        best = np.argmin(np.sum((flat - points[:, None]) ** 2, axis=-1), axis=1)
-        rows = np.arange(len(points))
-        return flat[rows, best], faces[rows, best]
-
-
-def _lattice(triangles: np.ndarray, gap: float) -> tuple[np.ndarray, np.ndarray]:
+def points_on_triangles(triangles: np.ndarray, gap: float) -> tuple[np.ndarray, np.ndarray]:
     """Points on triangles, in rows along the longest edge: slivers need few.
 
     Args:
@@ -232,6 +212,26 @@ def _lattice(triangles: np.ndarray, gap: float) -> tuple[np.ndarray, np.ndarray]
     along = _counted(columns) * np.repeat((1 - up) / np.maximum(columns - 1, 1), columns)
     owner, up = np.repeat(owner, columns), np.repeat(up, columns)
     return a[owner] + along[:, None] * (b - a)[owner] + up[:, None] * (c - a)[owner], owner
+
+
+class _SurfaceSamples:
+    """A tree of surface samples at most 1 mm apart (or 1/200 of the mesh, if that is more), and their faces."""
+
+    def __init__(self, mesh: trimesh.Trimesh):
+        gap = max(0.001, float(mesh.extents.max()) / 200)
+        self.points, self._owners = points_on_triangles(np.asarray(mesh.triangles), gap)
+        self._triangles = mesh.triangles
+        self._tree = cKDTree(self.points)
+
+    def nearest(self, points: np.ndarray, candidates: int = 6) -> tuple[np.ndarray, np.ndarray]:
+        found = self._tree.query(points, k=candidates, workers=-1)[1]
+        faces = self._owners[found]
+        flat = trimesh.triangles.closest_point(
+            self._triangles[faces.ravel()], np.repeat(points, candidates, axis=0)
+        ).reshape(len(points), candidates, 3)
+        best = np.argmin(np.sum((flat - points[:, None]) ** 2, axis=-1), axis=1)
+        rows = np.arange(len(points))
+        return flat[rows, best], faces[rows, best]
 
 
 def _counted(numbers: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""A hand's collision shapes as balls: points with a radius, dense enough for distances to objects and tables."""
+"""A hand's collision shapes as balls: points with a radius, dense enough for distances to what is around."""
 
 from __future__ import annotations
 
@@ -6,7 +6,9 @@ from typing import NamedTuple
 
 import mujoco
 import numpy as np
+import trimesh
 
+from fungrasp.geometry.signed_distance import points_on_triangles
 from fungrasp.hands.hand import Hand
 from fungrasp.hands.kinematics import BodyPoints
 
@@ -27,8 +29,8 @@ class HandBalls(NamedTuple):
 def hand_balls(hand: Hand, spacing: float = 0.012) -> HandBalls:
     """Cover the collision geoms of a hand with balls.
 
-    Spheres and capsules are covered by balls of their own radius along their axis; boxes, cylinders, ellipsoids and
-    meshes by points on their surface.
+    Spheres and capsules are covered by balls of their own radius along their axis; boxes, cylinders,
+    ellipsoids and the convex hulls of meshes by points on their surface.
 
     Args:
         hand: any hand.
@@ -65,16 +67,14 @@ def _cover(model: mujoco.MjModel, geom: int, spacing: float) -> tuple[np.ndarray
     if kind == types.mjGEOM_BOX:
         return _box_surface(size, spacing), 0.0
     if kind == types.mjGEOM_CYLINDER:
-        angles = np.linspace(0, 2 * np.pi, max(8, int(2 * np.pi * size[0] / spacing)), endpoint=False)
-        heights = np.linspace(-size[1], size[1], 1 + int(np.ceil(2 * size[1] / spacing)))
-        ring = np.stack([np.cos(angles), np.sin(angles)], axis=1) * size[0]
-        return np.concatenate([np.column_stack([ring, np.full(len(ring), h)]) for h in heights]), 0.0
+        return _cylinder_surface(size[0], size[1], spacing), 0.0
     if kind == types.mjGEOM_ELLIPSOID:
-        return _box_surface(np.ones(3), 0.3) / np.linalg.norm(_box_surface(np.ones(3), 0.3), axis=1)[:, None] * size, 0.0
+        cube = _box_surface(np.ones(3), spacing / size.max())
+        return cube / np.linalg.norm(cube, axis=1, keepdims=True) * size, 0.0
     if kind == types.mjGEOM_MESH:
         mesh = model.geom_dataid[geom]
         first, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
-        return model.mesh_vert[first : first + count].astype(float), 0.0
+        return _hull_surface(model.mesh_vert[first : first + count].astype(float), spacing), 0.0
     raise NotImplementedError(f"collision geom type {kind}")
 
 
@@ -82,3 +82,24 @@ def _box_surface(half: np.ndarray, spacing: float) -> np.ndarray:
     axes = [np.linspace(-h, h, 1 + int(np.ceil(2 * h / spacing))) for h in half]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     return grid[np.any(np.isclose(np.abs(grid), half), axis=1)]
+
+
+def _cylinder_surface(radius: float, half: float, spacing: float) -> np.ndarray:
+    rings = [(radius, z) for z in np.linspace(-half, half, 1 + int(np.ceil(2 * half / spacing)))]
+    inner = np.linspace(0, radius, 1 + int(np.ceil(radius / spacing)))[:-1]
+    rings += [(r, z) for z in (-half, half) for r in inner]
+    points = []
+    for r, z in rings:
+        angles = np.linspace(
+            0, 2 * np.pi, max(8, int(np.ceil(2 * np.pi * r / spacing))) if r else 1, endpoint=False
+        )
+        points.append(np.column_stack([r * np.cos(angles), r * np.sin(angles), np.full(len(angles), z)]))
+    return np.concatenate(points)
+
+
+def _hull_surface(vertices: np.ndarray, spacing: float) -> np.ndarray:
+    """Points on the convex hull, with which MuJoCo collides, one per cube of half the spacing."""
+    hull = trimesh.convex.convex_hull(vertices)
+    points, _ = points_on_triangles(np.asarray(hull.triangles), 0.5 * spacing)
+    _, one_each = np.unique(np.round(points / (0.5 * spacing)).astype(int), axis=0, return_index=True)
+    return points[one_each]

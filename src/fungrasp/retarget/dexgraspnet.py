@@ -11,7 +11,7 @@ It knows neither the table nor the human posture. What differs from the original
   E_fc counts as if they were four, the number for which the weights were made.
 - The start is the human's wrist pose instead of a random one around the object. As that leaves nothing to
   explore, the energy is minimised by Levenberg-Marquardt, which gets as low as annealed random steps do.
-- Penetrations are those of the balls that cover our hands; absolute values are rounded off within ``ROUNDING``.
+- Penetrations are those of the balls that cover our hands; absolute values are rounded within ``ROUNDING``.
 - Joints are held within their limits, so that E_joints is zero.
 """
 
