@@ -142,7 +142,7 @@ def _add_object(
     model = objects[shown]
     body = spec.worldbody.add_body(name="object", pos=[0.0, 0.0, 0.5])
     body.add_freejoint(name="object")
-    body.mass, body.ipos, body.explicitinertial = model.mass, model.center_of_mass, True
+    body.mass, body.ipos, body.explicitinertial = model.mass, _off_origin(model.center_of_mass), True
     inertia = model.inertia
     body.fullinertia = [inertia[0, 0], inertia[1, 1], inertia[2, 2], inertia[0, 1], inertia[0, 2], inertia[1, 2]]
     for i in range(slots):
@@ -156,6 +156,15 @@ def _add_object(
         )
         geom.friction, geom.condim = friction, 4
         geom.contype = geom.conaffinity = int(used or len(objects) > 1)
+
+
+def _off_origin(center: np.ndarray) -> np.ndarray:
+    """The centre of mass, but never within a micrometre of the body's origin.
+
+    MuJoCo stores the inertia of a body with its centre of mass at its origin in another, smaller layout, which can't
+    differ between worlds.
+    """
+    return center if np.linalg.norm(center) > 1e-6 else np.array([1e-6, 0.0, 0.0])
 
 
 def _add_hand(spec: mujoco.MjSpec, hand: Hand, settings: SceneSettings, friction: list[float]) -> None:
