@@ -139,6 +139,9 @@ def _add_object(
             mesh = spec.add_mesh(name=f"{name}/{i}")
             mesh.uservert = piece.vertices.ravel().tolist()
             mesh.userface = piece.faces.ravel().tolist()
+            # MuJoCo makes hulls, without which a pair of geoms has one contact point at most, only of meshes that a
+            # geom of this model shows, or that say so.
+            mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
     model = objects[shown]
     body = spec.worldbody.add_body(name="object", pos=[0.0, 0.0, 0.5])
     body.add_freejoint(name="object")
