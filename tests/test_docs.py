@@ -80,9 +80,9 @@ def reader(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         f"{name} {task}": row
         for row, (name, task) in enumerate(zip(builtin.object_name, builtin.task, strict=True))
     }
-    drinking = [row for key, row in first.items() if key.endswith(" drink")]
-    others = [row for row in first.values() if row not in drinking]
-    save_human_grasps(tmp_path / "few.npz", builtin.select(np.array([*drinking[:1], *others[: MOST - 1]])))
+    named = [first["can drink"]]
+    others = [row for row in first.values() if row not in named]
+    save_human_grasps(tmp_path / "few.npz", builtin.select(np.array([*named, *others[: MOST - 1]])))
     monkeypatch.setattr(files, "BUILTIN_PATH", tmp_path / "few.npz")
     mine = builtin.select(np.flatnonzero(builtin.object_name == "box")[:2])
     (tmp_path / "meshes").mkdir()
