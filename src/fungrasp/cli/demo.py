@@ -1,0 +1,230 @@
+"""``fungrasp demo``: a few human grasps, retargeted, tried in simulation and shown."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from fungrasp.cli.console import progress_bar
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from fungrasp.evaluation import DynamicResult, Trajectory
+    from fungrasp.grasps import HumanGraspSet, RobotGraspSet
+    from fungrasp.hands import Hand
+    from fungrasp.objects import ObjectModel
+
+FAVOURITES = ("spray_bottle:spray", "drill:drill", "brush:scrub", "bottle:drink")
+"""What is shown if nothing is picked, as far as the grasps have it."""
+
+FPS, SPEED = 16.0, 1.5
+"""Frames per second of the film, and how much faster than the simulation it runs."""
+
+
+@dataclass(frozen=True)
+class Demo:
+    """Grasp a few objects as people do, and show it: a film and a page."""
+
+    hand: str = "allegro"
+    """Name of a hand, or the path of a hand's TOML file."""
+    grasps: str = "builtin"
+    """A file of human grasps, or "builtin"."""
+    objects: Path | None = None
+    """Folder of meshes <name>.obj; built-in objects need none."""
+    pick: tuple[str, ...] = ()
+    """Grasps to show: objects ("mug"), objects and tasks ("mug:drink") or numbers; by default a varied few."""
+    count: int = 4
+    """How many to show if none are picked."""
+    refine: int = 8
+    """Try this many variations of a grasp in simulation until one holds; 0: only the grasp as it is."""
+    seed: int = 0
+    """Of the variations."""
+    out: Path = Path("demo")
+    """Folder for the film and the page."""
+    threads: int = 0
+    """0 means all processors; the grasps do not depend on it."""
+
+    def run(self) -> None:
+        from tempfile import TemporaryDirectory
+        from time import perf_counter
+
+        from fungrasp.cli.retarget import retargeted
+        from fungrasp.evaluation import static_quality
+        from fungrasp.grasps import load_human_grasps
+        from fungrasp.hands import load_hand
+        from fungrasp.report import Page, write_page
+        from fungrasp.report.demonstration import grasp_report
+        from fungrasp.retarget import load_objects
+
+        self._check()
+        start = perf_counter()
+        hand = load_hand(self.hand)
+        everything = load_human_grasps(self.grasps)
+        rows = chosen_rows(everything, self.pick, self.count)
+        human = everything.select(rows)
+        objects = load_objects(human, self.objects)
+        self.out.mkdir(parents=True, exist_ok=True)
+        with TemporaryDirectory(prefix=".demo.", dir=self.out) as name:
+            folder = Path(name)
+            with progress_bar("measuring the objects", len(objects)) as show:
+                for done, model in enumerate(objects.values()):
+                    _ = model.signed_distance
+                    show(done + 1)
+            robot, _ = retargeted(human, objects, hand, "ours", self.threads)
+            quality = static_quality(robot, human, objects, hand)
+            result, trajectories = self._tried(robot, objects, hand, folder)
+            film, clips = self._film(trajectories, human, objects, hand, folder)
+            with progress_bar("drawing", len(rows)) as show:
+                reports = []
+                for row, trajectory in enumerate(trajectories):
+                    thing = objects[trajectory.object_name]
+                    reports.append(
+                        grasp_report(
+                            human[row], robot[row], hand, thing, trajectory, quality, result, row, clips[row]
+                        )
+                    )
+                    show(row + 1)
+            page = Page(
+                title=f"People's grasps, by the {hand.title}",
+                grasps=reports,
+                hand=hand.title,
+                provenance=self._provenance(rows, perf_counter() - start),
+            )
+            page_path = write_page(self.out / "index.html", page)
+        for report in reports:
+            print(f"{report.title}: {report.outcome}")
+        print(f"film: {film}")
+        print(f"page: {page_path}")
+
+    def _check(self) -> None:
+        from fungrasp.errors import FungraspError
+
+        least = {"count": 1, "refine": 0, "seed": 0, "threads": 0}
+        for name, value in least.items():
+            if getattr(self, name) < value:
+                raise FungraspError(f"--{name} must be at least {value}, not {getattr(self, name)}")
+
+    def _tried(
+        self, robot: RobotGraspSet, objects: Mapping[str, ObjectModel], hand: Hand, folder: Path
+    ) -> tuple[DynamicResult, list[Trajectory]]:
+        """The outcome of each grasp, refined first, and what moved how."""
+        from fungrasp.evaluation import evaluate, replay
+        from fungrasp.policies import refine
+
+        if self.refine:
+            with progress_bar("trying variations", len(robot)) as show:
+                robot = refine(
+                    robot,
+                    objects,
+                    hand,
+                    tries=self.refine,
+                    seed=self.seed,
+                    threads=self.threads,
+                    progress=show,
+                )
+        with progress_bar("lifting", len(robot)) as show:
+            result = evaluate(
+                robot, objects, hand, threads=self.threads, record=folder / "trials", progress=show
+            )
+        trials = [replay(path) for path in (folder / "trials").iterdir()]
+        return result, sorted(trials, key=lambda trial: trial.index)
+
+    def _film(
+        self,
+        trajectories: Sequence[Trajectory],
+        human: HumanGraspSet,
+        objects: Mapping[str, ObjectModel],
+        hand: Hand,
+        folder: Path,
+    ) -> tuple[Path, list[Path]]:
+        """The whole film, and its part for each grasp."""
+        from fungrasp.report import write_video
+        from fungrasp.report.demonstration import grasp_title, trial_film
+
+        clips: list[Path] = []
+        seconds = sum(float(t.times[-1]) / SPEED for t in trajectories)
+
+        def frames() -> Iterator[np.ndarray]:
+            done = 0
+            for row, trajectory in enumerate(trajectories):
+                thing, clip = objects[trajectory.object_name], []
+                for frame in trial_film(
+                    trajectory,
+                    hand,
+                    thing,
+                    fps=FPS,
+                    speed=SPEED,
+                    title=grasp_title(human[row]),
+                    threads=self.threads,
+                ):
+                    clip.append(frame)
+                    yield frame
+                    done += 1
+                    show(done / FPS)
+                clips.append(write_video(folder / f"{row}.mp4", clip, FPS))
+
+        with progress_bar("filming", seconds) as show:
+            return write_video(self.out / "film.mp4", frames(), FPS), clips
+
+    def _provenance(self, rows: Sequence[int], seconds: float) -> dict[str, str]:
+        from datetime import datetime
+
+        from fungrasp import __version__
+        from fungrasp.evaluation.results import machine
+
+        return {
+            "Made by": f"fungrasp {__version__}",
+            "Command": shlex.join(["fungrasp", *sys.argv[1:]]),
+            "Grasps": f"{self.grasps}, rows {', '.join(map(str, rows))}",
+            "Seed": str(self.seed),
+            "Machine": machine(),
+            "Date": f"{datetime.now().astimezone():%Y-%m-%d %H:%M}, made in {seconds:.0f} s",
+        }
+
+
+COMMAND = Demo
+
+
+def chosen_rows(grasps: HumanGraspSet, picks: Sequence[str], count: int) -> list[int]:
+    """Rows of the picked grasps; without picks, of the favourites, then of objects not shown yet.
+
+    Args:
+        grasps: N human grasps.
+        picks: "object", "object:task" (the first of them) or a row number.
+        count: how many if there are no picks.
+
+    Raises:
+        FungraspError: there is no such grasp, or one is picked twice.
+    """
+    from fungrasp.errors import FungraspError, UnknownNameError
+
+    assert grasps.task is not None
+    first: dict[str, int] = {}
+    for row, (name, task) in enumerate(zip(grasps.object_name.tolist(), grasps.task.tolist(), strict=True)):
+        first.setdefault(name, row)
+        first.setdefault(f"{name}:{task}", row)
+    if not picks:
+        others = [row for name, row in first.items() if ":" not in name]
+        rows = [first[name] for name in FAVOURITES if name in first]
+        shown = {grasps.object_name[row] for row in rows}
+        rows += [row for row in others if grasps.object_name[row] not in shown]
+        rows += sorted(set(range(len(grasps))) - set(rows))
+        return rows[:count]
+    rows = []
+    for pick in picks:
+        if pick not in first and pick.isdecimal():
+            if int(pick) >= len(grasps):
+                raise FungraspError(f"--pick {pick}: the grasps are numbered 0 to {len(grasps) - 1}")
+            rows.append(int(pick))
+        elif pick in first:
+            rows.append(first[pick])
+        else:
+            raise UnknownNameError("grasp", pick, first)
+    if len(set(rows)) < len(rows):
+        raise FungraspError(f"--pick {' '.join(picks)}: grasp {max(rows, key=rows.count)} is picked twice")
+    return rows
