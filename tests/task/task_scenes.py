@@ -1,0 +1,67 @@
+"""Grasps and objects made for the tests of the task."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cache
+
+import numpy as np
+import trimesh
+
+from fungrasp.grasps import RobotGraspSet
+from fungrasp.hands import Hand, load_hand
+from fungrasp.objects import ConvexPiece, ObjectModel
+from fungrasp.simulation import Worlds, build_scene
+from fungrasp.task import Action, LiftTask, Protocol
+
+DOWN = np.array([0.0, 1.0, 0.0, 0.0])
+"""A palm upside down: its z axis points at the table."""
+
+
+@cache
+def hand() -> Hand:
+    return load_hand("allegro")
+
+
+@cache
+def plain(name: str, size: tuple[float, float, float], mass: float = 0.2) -> ObjectModel:
+    mesh = trimesh.creation.box(size)
+    vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces, dtype=np.int32)
+    return ObjectModel(name, mass, vertices, faces, construction=(ConvexPiece(vertices, faces),))
+
+
+def above(objects: Sequence[ObjectModel], height: float = 0.3) -> RobotGraspSet:
+    """Hands flat above objects that stand on the table; every finger link should touch."""
+    count = len(objects)
+    rest = np.array([thing.rest_pose() for thing in objects])
+    wrist = np.concatenate([rest[:, :3] + [0.0, 0.0, height], np.tile(DOWN, (count, 1))], axis=1)
+    contacts = np.ones((count, len(hand().links)), dtype=bool)
+    contacts[:, 0] = False
+    return RobotGraspSet(
+        hand=hand().name,
+        object_name=np.array([thing.name for thing in objects]),
+        object_mass=np.array([thing.mass for thing in objects]),
+        object_pose=rest,
+        object_rest_pose=rest,
+        wrist_pose=wrist,
+        joint_names=hand().joint_names,
+        joint_positions=np.zeros((count, len(hand().joint_names))),
+        keypoints=np.zeros((count, len(hand().keypoint_names), 3)),
+        link_contacts=contacts,
+    )
+
+
+def ready(objects: Sequence[ObjectModel], protocol: Protocol | None = None, threads: int = 1) -> LiftTask:
+    """A task that has been reset, a hand 30 cm above each object."""
+    kinds = {thing.name: thing for thing in objects}
+    scene = build_scene(hand(), kinds)
+    index = np.array([list(kinds).index(thing.name) for thing in objects])
+    task = LiftTask(scene, above(objects), Worlds(scene, index, threads=threads), protocol)
+    task.reset()
+    return task
+
+
+def stay(task: LiftTask, lift: bool | np.ndarray = False) -> Action:
+    """Remain at the target, fingers as they are."""
+    lifts = np.broadcast_to(np.asarray(lift), len(task.worlds)).copy()
+    return Action(task.target_pose.copy(), task.finger_set_point.copy(), lifts)
