@@ -17,7 +17,7 @@ from fungrasp.objects.kept import kept
 GRID_SPACING = 0.0025
 """Edge of a cell of the signed-distance grid [m]."""
 
-GRID_FORMAT = 1
+GRID_FORMAT = 2
 """Goes up when the same mesh should give another grid."""
 
 

@@ -34,8 +34,8 @@ def balanced_forces(
     matrix = matrix * allowed[..., None]
     goal = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
     regular = 1e-3
-    step = 1.0 / (np.linalg.norm(matrix @ np.swapaxes(matrix, 1, 2), ord=2, axis=(1, 2)) + regular) if number else 0.0
-    step = np.asarray(step)[:, None]
+    steepest = np.linalg.eigvalsh(np.swapaxes(matrix, 1, 2) @ matrix)[:, -1:]
+    step = 1.0 / (steepest + regular)
     strength = allowed / np.maximum(allowed.sum(axis=1, keepdims=True), 1)
     ahead, momentum = strength, 1.0
     for _ in range(iterations):
