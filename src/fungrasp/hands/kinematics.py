@@ -74,12 +74,12 @@ class HandKinematics:
         shift = np.einsum("nij,nj->ni", self._rotation, self._xpos[:, self._palm])
         self._translation = self._wrist_position - shift
         self._world_anchor = self._map(self._anchor)
-        self._world_axis = np.einsum("nij,nkj->nki", self._rotation, self._axis)
+        self._world_axis = self._axis @ np.swapaxes(self._rotation, 1, 2)
 
     def points(self, which: BodyPoints) -> np.ndarray:
         """Positions in the reference frame [m], shape [N, P, 3]."""
         matrices = self._xmat[:, which.bodies].reshape(-1, len(which.bodies), 3, 3)
-        local = self._xpos[:, which.bodies] + np.einsum("npij,pj->npi", matrices, which.offsets)
+        local = self._xpos[:, which.bodies] + (matrices @ which.offsets[:, :, None])[..., 0]
         return self._map(local)
 
     def jacobian(self, bodies: np.ndarray, positions: np.ndarray) -> np.ndarray:
@@ -105,7 +105,7 @@ class HandKinematics:
         return result
 
     def _map(self, local: np.ndarray) -> np.ndarray:
-        return np.einsum("nij,nkj->nki", self._rotation, local) + self._translation[:, None]
+        return local @ np.swapaxes(self._rotation, 1, 2) + self._translation[:, None]
 
     def step(
         self, wrist_pose: np.ndarray, independent: np.ndarray, tangent: np.ndarray

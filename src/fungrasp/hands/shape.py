@@ -34,7 +34,7 @@ def hand_balls(hand: Hand, spacing: float = 0.012) -> HandBalls:
 
     Args:
         hand: any hand.
-        spacing: largest gap between neighbours [m]; along a capsule half its radius, if that is less.
+        spacing: largest gap between neighbours [m]; along a capsule three quarters of its radius, if that is less.
     """
     model = hand.model
     link_of_body = {name: i for i, members in enumerate(hand.links) for name in members}
@@ -61,7 +61,7 @@ def _cover(model: mujoco.MjModel, geom: int, spacing: float) -> tuple[np.ndarray
     if kind == types.mjGEOM_SPHERE:
         return np.zeros((1, 3)), float(size[0])
     if kind == types.mjGEOM_CAPSULE:
-        count = 1 + int(np.ceil(2 * size[1] / min(spacing, 0.5 * size[0])))
+        count = 1 + int(np.ceil(2 * size[1] / min(spacing, 0.75 * size[0])))
         z = np.linspace(-size[1], size[1], count)
         return np.stack([np.zeros(count), np.zeros(count), z], axis=1), float(size[0])
     if kind == types.mjGEOM_BOX:

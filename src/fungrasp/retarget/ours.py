@@ -22,7 +22,7 @@ class RetargetSettings:
     """[m], first stage."""
     direction_unit: float = 0.5
     """Difference of unit vectors, first stage."""
-    contact_unit: float = 0.004
+    contact_unit: float = 0.0033
     """[m]."""
     inner_contact_weight: float = 0.3
     """Factor for contacts of links that don't end in a fingertip."""
@@ -42,8 +42,8 @@ class RetargetSettings:
     """Friction that the balance may count on."""
     posture_unit: float = 1.0
     """Difference of unit vectors, second stage."""
-    first_iterations: int = 20
-    second_iterations: int = 40
+    first_iterations: int = 15
+    second_iterations: int = 30
 
 
 def solve(points: HandPoints, problem: Problem, settings: RetargetSettings) -> tuple[np.ndarray, np.ndarray]:

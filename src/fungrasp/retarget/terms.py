@@ -62,7 +62,7 @@ def contact_gap(state: State[Problem], unit: float = 0.003) -> Residual:
     clearance = np.take_along_axis(state.clearance, nearest, axis=1)
     wanted = state.problem.contacts[:, links] & (clearance > 0)
     normal = np.take_along_axis(state.normals, nearest[..., None], axis=1)
-    jacobian = np.einsum("nqi,nqid->nqd", normal, state.ball_jacobian(nearest))
+    jacobian = (normal[:, :, None] @ state.ball_jacobian(nearest))[:, :, 0]
     return wanted * clearance / unit, wanted[..., None] * jacobian / unit
 
 
@@ -78,7 +78,7 @@ def object_penetration(
     depth = margin - np.take_along_axis(state.clearance, deepest, axis=1)
     active = depth > 0
     normal = np.take_along_axis(state.normals, deepest[..., None], axis=1)
-    jacobian = -np.einsum("nqi,nqid->nqd", normal, state.ball_jacobian(deepest))
+    jacobian = -(normal[:, :, None] @ state.ball_jacobian(deepest))[:, :, 0]
     return active * depth / unit, active[..., None] * jacobian / unit
 
 
@@ -92,7 +92,7 @@ def table_penetration(state: State[Surroundings], unit: float = 0.001, margin: f
     depth = margin - np.take_along_axis(state.heights, lowest, axis=1)
     active = depth > 0
     up = np.take_along_axis(state.problem.up, np.take_along_axis(state.plane, lowest, axis=1)[..., None], axis=1)
-    jacobian = -np.einsum("nqi,nqid->nqd", up, state.ball_jacobian(lowest))
+    jacobian = -(up[:, :, None] @ state.ball_jacobian(lowest))[:, :, 0]
     return active * depth / unit, active[..., None] * jacobian / unit
 
 
