@@ -1,7 +1,7 @@
 """How people hold the built-in objects: the wishes from which the built-in grasps are made.
 
-Directions in the objects' frames as they stand on the table, z up. Overhand, with the palm down, the thumb is on the
-side of +x when the fingers point to -y. Upright things are held with the palm to the side and the thumb up.
+Directions are in the objects' frames, z up as they stand on the table. Overhand, with the palm down, the
+thumb is on the side of +x when the fingers point to -y. Upright things are held from the side, thumb up.
 """
 
 from __future__ import annotations
@@ -68,7 +68,16 @@ def _kitchen() -> list[GraspWish]:
     pan_rim = GraspWish("pan", "wash", "body", "pinch", at=(-0.09, 0.117, 0.008), palm=DOWN, fingers=LEFT)
     cut = GraspWish("knife", "cut", "handle", "cover", at=(-0.08, 0.008, 0), palm=DOWN, fingers=RIGHT)
     chop = GraspWish("knife", "chop", "handle", "pinch", at=(-0.045, 0.008, 0), palm=DOWN, fingers=RIGHT)
-    eat = GraspWish("bowl", "eat", "rim", "pinch", at=(0.072, 0, 0.024), palm=DOWN, fingers=AHEAD)
+    eat = GraspWish(
+        "bowl",
+        "eat",
+        "rim",
+        "prism",
+        at=(0.071, 0, 0.012),
+        palm=(-1, 0, -1),
+        fingers=(1, 0, -1),
+        parts=dict.fromkeys(("index", "middle", "ring"), "body"),
+    )
     flip = GraspWish("spatula", "flip", "handle", "cover", at=(-0.08, 0, 0.002), palm=DOWN, fingers=RIGHT)
     shaft = GraspWish(
         "spatula", "hand over", "shaft", "pinch", at=(-0.01, 0, 0.004), palm=DOWN, fingers=RIGHT
@@ -76,14 +85,14 @@ def _kitchen() -> list[GraspWish]:
     scrub = GraspWish("brush", "scrub", "handle", "cover", at=(-0.03, 0, 0.008), palm=DOWN, fingers=RIGHT)
     head = GraspWish("brush", "hand over", "head", "prism", at=(0.085, 0, 0.015), palm=DOWN, fingers=LEFT)
     return [
-        *_along(cook, 0.06, 0.08, 0.1),
+        *_along(cook, 0.045, 0.06, 0.075),
         pan_rim,
         replace(pan_rim, at=(-0.09, -0.117, 0.008), fingers=RIGHT),
         *_along(cut, -0.09, -0.07),
         *_along(replace(cut, kind="prism"), -0.075, -0.06),
         chop,
         *_around(eat, 0, 90, 200),
-        *_around(replace(eat, task="hand over"), 140, 270),
+        *_around(replace(eat, task="hand over", palm=(-0.6, 0, -1), fingers=(1, 0, -0.6)), 140, 270),
         *_along(flip, -0.09, -0.07),
         *_along(replace(flip, kind="prism"), -0.06),
         *_along(shaft, -0.01, 0.02),
@@ -96,15 +105,22 @@ def _kitchen() -> list[GraspWish]:
 def _containers() -> list[GraspWish]:
     can = GraspWish("can", "drink", "body", "wrap", at=(0, 0, 0), palm=LEFT, fingers=AHEAD)
     can_top = GraspWish("can", "place", "body", "disk", at=(0, 0, 0.04), palm=DOWN, fingers=AHEAD)
-    box = GraspWish("box", "hand over", "body", "wrap", at=(0, -0.02, 0), palm=LEFT, fingers=AHEAD)
+    box = GraspWish("box", "hand over", "body", "prism", at=(0, -0.015, 0), palm=LEFT, fingers=AHEAD)
     box_top = GraspWish("box", "place", "body", "prism", at=(0, 0, 0.065), palm=DOWN, fingers=AHEAD)
     bottle = GraspWish("bottle", "drink", "body", "wrap", at=(0, 0, -0.01), palm=LEFT, fingers=AHEAD)
     cap = GraspWish("bottle", "open", "cap", "pinch", at=(0, 0, 0.095), palm=DOWN, fingers=AHEAD)
     neck = GraspWish("bottle", "hand over", "body", "disk", at=(0, 0, 0.055), palm=DOWN, fingers=AHEAD)
     spray = GraspWish(
-        "spray_bottle", "spray", "neck", "pistol", at=(-0.008, 0, 0.065), palm=(0.5, 1, 0), fingers=(1, -0.5, 0),
-        parts={"index": "trigger"}, contacts=("index_distal", "middle_middle", "middle_distal", "thumb_distal"),
-    )  # fmt: skip
+        "spray_bottle",
+        "spray",
+        "neck",
+        "pistol",
+        at=(-0.008, 0, 0.065),
+        palm=(0.5, 1, 0),
+        fingers=(1, -0.5, 0),
+        parts={"index": "trigger"},
+        contacts=("index_distal", "middle_middle", "middle_distal", "thumb_distal"),
+    )
     body = GraspWish(
         "spray_bottle", "hand over", "body", "wrap", at=(-0.008, 0, -0.04), palm=AHEAD, fingers=RIGHT
     )
@@ -113,7 +129,7 @@ def _containers() -> list[GraspWish]:
         *_around(can_top, 0, 120),
         *_around(replace(can, task="pour", at=(0, 0, 0.02)), 45),
         *_around(box, 0, 180),
-        *_around(replace(box, task="pour", at=(0, -0.02, 0.03)), 0, 180),
+        *_around(replace(box, task="pour", at=(0, -0.015, 0.03)), 0, 180),
         *_around(box_top, 0, 180),
         *_around(bottle, 0, 90, 180),
         *_around(replace(bottle, task="pour", at=(0, 0, 0.02)), 45, 225),
@@ -134,21 +150,37 @@ def _tools() -> list[GraspWish]:
         "screwdriver", "hand over", "shaft", "pinch", at=(0.015, 0, -0.006), palm=DOWN, fingers=RIGHT
     )
     drill = GraspWish(
-        "drill", "drill", "grip", "pistol", at=(-0.03, 0, 0.005), palm=(0.4, 1, 0), fingers=(1, -0.4, 0),
+        "drill",
+        "drill",
+        "grip",
+        "pistol",
+        at=(-0.03, 0, 0.005),
+        palm=(0.4, 1, 0),
+        fingers=(1, -0.4, 0),
         parts={"index": "trigger"},
-    )  # fmt: skip
+    )
     motor = GraspWish("drill", "hand over", "body", "wrap", at=(-0.03, 0, 0.079), palm=DOWN, fingers=RIGHT)
     clamp = GraspWish(
-        "clamp", "clamp", "handles", "prism", at=(-0.045, 0, 0), palm=DOWN, fingers=RIGHT,
-        places={"thumb_distal": (-0.045, 0.036, 0), "index_distal": (-0.03, -0.031, 0), "middle_distal": (-0.05, -0.037, 0)},
-    )  # fmt: skip
+        "clamp",
+        "clamp",
+        "handles",
+        "prism",
+        at=(-0.045, 0, 0),
+        palm=DOWN,
+        fingers=RIGHT,
+        places={
+            "thumb_distal": (-0.045, 0.036, 0),
+            "index_distal": (-0.03, -0.031, 0),
+            "middle_distal": (-0.05, -0.037, 0),
+        },
+    )
     jaws = GraspWish("clamp", "hand over", "jaws", "prism", at=(0.035, 0, 0), palm=DOWN, fingers=LEFT)
     torch = GraspWish("flashlight", "light", "body", "cover", at=(-0.02, 0, -0.004), palm=DOWN, fingers=RIGHT)
     glass = GraspWish("flashlight", "hand over", "head", "pinch", at=(0.05, 0, 0), palm=DOWN, fingers=LEFT)
     return [
-        *_along(hammer, -0.08, -0.05),
-        *_along(replace(hammer, kind="prism"), -0.06, -0.035),
-        *_along(shaft, 0.01, 0.05),
+        *_along(hammer, -0.06, -0.04),
+        *_along(replace(hammer, kind="prism"), -0.05, -0.035),
+        *_along(shaft, 0.0, 0.025),
         *_along(drive, -0.075, -0.06),
         *_along(replace(drive, kind="prism"), -0.065, -0.045),
         rod,
@@ -168,9 +200,19 @@ def _tools() -> list[GraspWish]:
 
 def _desk() -> list[GraspWish]:
     snip = GraspWish(
-        "scissors", "cut", "loops", "pinch", at=(-0.07, 0, 0), palm=DOWN, fingers=RIGHT,
-        places={"thumb_distal": (-0.07, 0.008, 0), "index_distal": (-0.065, -0.008, 0), "middle_distal": (-0.08, -0.01, 0)},
-    )  # fmt: skip
+        "scissors",
+        "cut",
+        "loops",
+        "pinch",
+        at=(-0.07, 0, 0),
+        palm=DOWN,
+        fingers=RIGHT,
+        places={
+            "thumb_distal": (-0.07, 0.008, 0),
+            "index_distal": (-0.065, -0.008, 0),
+            "middle_distal": (-0.08, -0.01, 0),
+        },
+    )
     blades = GraspWish("scissors", "hand over", "blades", "pinch", at=(0.0, 0, 0), palm=DOWN, fingers=LEFT)
     write = GraspWish(
         "marker", "write", "barrel", "tripod", at=(-0.01, 0, 0), palm=(0, 0.3, -1), fingers=(0.3, -1, -0.3)

@@ -1,4 +1,7 @@
-"""Terms of the objective for a human hand that is to hold named parts of an object (see ``fungrasp.retarget.terms``)."""
+"""Terms of the objective for a human hand that is to hold named parts of an object.
+
+Like those of ``fungrasp.retarget.terms``: residuals, shape [N, R], and their Jacobian, shape [N, R, D].
+"""
 
 from __future__ import annotations
 
@@ -8,17 +11,18 @@ from functools import lru_cache
 
 import numpy as np
 import trimesh
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
+from fungrasp.errors import UnknownNameError
 from fungrasp.grasps import HUMAN_LINKS
 from fungrasp.hands.kinematics import BodyPoints, HandKinematics
 from fungrasp.objects import ObjectModel
 from fungrasp.retarget.problem import HandPoints, SelfPairs, State, Surroundings
 from fungrasp.retarget.terms import Residual
-from fungrasp.retarget.wishes import KINDS, GraspWish
+from fungrasp.retarget.wishes import KINDS, WHOLE, GraspWish
 
 PAD = 0.4
-"""The pad of a finger is a ball inside its capsule that touches the same side: this part of the radius off the axis."""
+"""A finger's pad is a ball that touches its capsule from inside; how far off the axis, over the radius."""
 
 SAMPLE_GAP = 0.003
 """Largest edge of the triangles whose corners and middles stand for a part's surface [m]."""
@@ -51,7 +55,7 @@ def _pairs(points: HumanPoints) -> SelfPairs:
 class Targets:
     """Which link of which hand must touch which part; N hands."""
 
-    trees: tuple[cKDTree, ...]
+    trees: tuple[KDTree, ...]
     """Surface samples of the parts."""
     tree: np.ndarray
     """Which of ``trees`` each link must touch, -1 for none, shape [N, 16]."""
@@ -77,21 +81,27 @@ class Targets:
         return cls(tuple(part_samples(objects[name], part) for name, part in keys), tree, radial, places)
 
     def nearest(self, which: np.ndarray, points: np.ndarray) -> np.ndarray:
-        """Surface samples of parts. which: tree indices, shape [Q]; points: [m], shape [Q, 3]; returns [m], [Q, 3]."""
+        """Nearest samples [m], shape [Q, 3]. which: tree indices, shape [Q]; points: [m], shape [Q, 3]."""
         result = np.empty_like(points)
-        for index in np.unique(which):
+        for index, tree in enumerate(self.trees):
             rows = which == index
-            result[rows] = self.trees[index].data[self.trees[index].query(points[rows])[1]]
+            if rows.any():
+                result[rows] = tree.data[tree.query(points[rows])[1]]
         return result
 
 
 @lru_cache(maxsize=256)
-def part_samples(thing: ObjectModel, part: str) -> cKDTree:
-    """Points about 2 mm apart on the faces of a part."""
-    corners, faces = trimesh.remesh.subdivide_to_size(
-        thing.vertices, thing.faces[thing.parts[part]], SAMPLE_GAP, max_iter=30
-    )
-    return cKDTree(np.concatenate([corners[np.unique(faces)], corners[faces].mean(axis=1)]))
+def part_samples(thing: ObjectModel, part: str) -> KDTree:
+    """Points about 2 mm apart on the faces of a part.
+
+    Raises:
+        UnknownNameError: the object has no such part.
+    """
+    if part != WHOLE and part not in thing.parts:
+        raise UnknownNameError(f"part of object '{thing.name}'", part, (*thing.parts, WHOLE))
+    chosen = thing.faces if part == WHOLE else thing.faces[thing.parts[part]]
+    corners, faces = trimesh.remesh.subdivide_to_size(thing.vertices, chosen, SAMPLE_GAP, max_iter=30)[:2]
+    return KDTree(np.concatenate([corners[np.unique(faces)], corners[faces].mean(axis=1)]))
 
 
 def _touching_points(state: State[Surroundings], targets: Targets) -> np.ndarray:
@@ -103,8 +113,12 @@ def _touching_points(state: State[Surroundings], targets: Targets) -> np.ndarray
 
 
 def part_gap(state: State[Surroundings], targets: Targets, unit: float = 0.002) -> Residual:
-    """max(0, |x - s| - r) / unit for each link that must touch: x and r the pad nearest to its part, s the part's
-    nearest point. unit: [m]."""
+    """max(0, |x - s| - r) / unit for each link that must touch: x and r its pad nearest to the part, s the
+    part's point nearest to it.
+
+    Args:
+        unit: [m].
+    """
     pads = _touching_points(state, targets)
     link, radius = state.points.balls.link, (1 - PAD) * state.points.balls.radius
     rows, links = np.nonzero(targets.tree >= 0)
@@ -132,7 +146,11 @@ def part_gap(state: State[Surroundings], targets: Targets, unit: float = 0.002) 
 
 
 def part_place(state: State[Surroundings], targets: Targets, unit: float = 0.008) -> Residual:
-    """(x - p) / unit for links with a place p, x its pad that is nearest to it. unit: [m]."""
+    """(x - p) / unit for links with a place p, x the link's pad that is nearest to it.
+
+    Args:
+        unit: [m].
+    """
     pads = _touching_points(state, targets)
     rows, links = np.nonzero(np.isfinite(targets.places[..., 0]))
     residual = np.zeros((len(pads), 48))
@@ -159,8 +177,8 @@ def natural_posture(
 ) -> Residual:
     """Joints along each finger's way from open to closed, and neighbouring fingers about equally far.
 
-    For finger f with way d_f: (d_f . (q - open) - half way) / along_unit, the rest of q - open over ``off_unit``, and
-    differences between neighbours' parts along the way over ``neighbour_unit``.
+    For finger f with way d_f: (d_f . (q - open) - half of the way) / along_unit, the rest of q - open over
+    ``off_unit``, and differences between neighbours' parts along the way over ``neighbour_unit``.
 
     Args:
         kinds: of the hands, length N.
@@ -223,7 +241,13 @@ def _scattered(
 def _rows_jacobian(
     state: State[Surroundings], rows: np.ndarray, ball: np.ndarray, position: np.ndarray
 ) -> np.ndarray:
-    """Jacobians of single points of hands, shape [Q, 3, D]; rows: ascending, shape [Q]; ball: shape [Q]; position: [m], shape [Q, 3]."""
+    """Jacobians of Q single points of hands, shape [Q, 3, D].
+
+    Args:
+        rows: which hand, ascending, shape [Q].
+        ball: which ball's body the point rides on, shape [Q].
+        position: [m], shape [Q, 3].
+    """
     slot = np.arange(len(rows)) - np.searchsorted(rows, rows)
     count, most = len(state.wrist_pose), int(slot.max()) + 1
     bodies, positions = np.zeros((count, most), dtype=int), np.zeros((count, most, 3))

@@ -14,18 +14,22 @@ from fungrasp.objects import ObjectModel
 
 Vector = tuple[float, float, float]
 
+WHOLE = "whole"
+"""The part that every object has: all of its surface."""
+
 
 @dataclass(frozen=True)
 class GraspKind:
-    """A way to hold things: how the hand comes and closes. Angles [rad] in the order of the human hand's joints."""
+    """A way to hold things: how the hand comes and closes."""
 
     open: tuple[float, ...]
-    """Joints before closing, length 21: mcp, spread, pip, dip of index, middle, ring, pinky; five of the thumb."""
+    """Joints before closing [rad], length 21: mcp, spread, pip, dip of index, middle, ring and pinky; five of
+    the thumb."""
     closed: tuple[float, ...]
-    """Joints where closing would end without an object; each finger stops on its way when it touches."""
+    """Joints [rad] where closing would end without an object; each finger stops when it touches."""
     center: Vector
-    """Where the held place is between the open fingers [m], palm frame: x out of the palm, y to the thumb's side,
-    z to the fingers."""
+    """Where the held place is between the open fingers [m], palm frame: x out of the palm, y to the thumb's
+    side, z to the fingers."""
     contacts: tuple[str, ...]
     """Human links that must touch the object."""
     palm: bool = False
@@ -44,15 +48,17 @@ class GraspKind:
 
 @dataclass(frozen=True)
 class GraspWish:
-    """One human grasp to be made. Directions and places are in the object's frame; they need not be exact, the hand
-    settles near them."""
+    """One human grasp to be made.
+
+    Directions and places are in the object's frame. They need not be exact: the hand settles near them.
+    """
 
     object: str
-    """Name of a built-in object."""
+    """Name of the object."""
     task: str
     """What for: "drink", "cut", ..."""
     part: str
-    """The named part of the object that is held."""
+    """The named part of the object that is held, or ``WHOLE``."""
     kind: str
     """One of ``KINDS``."""
     at: Vector
@@ -83,8 +89,8 @@ class GraspWish:
         x, z = np.array(self.palm, float), np.array(self.fingers, float)
         if not np.linalg.norm(np.cross(x, z)) > 0.1 * np.linalg.norm(x) * np.linalg.norm(z) > 0:
             raise FungraspError(
-                f"a grasp of '{self.object}' has the palm along {self.palm} and the fingers along {self.fingers}; "
-                "they must not be parallel or zero"
+                f"a grasp of '{self.object}' has the palm along {self.palm} and the fingers along "
+                f"{self.fingers}; they must not be parallel or zero"
             )
 
     @property
@@ -144,9 +150,6 @@ class GraspWish:
         )
 
 
-FINGERTIPS = ("index_distal", "middle_distal", "ring_distal", "pinky_distal", "thumb_distal")
-
-
 def _joints(
     fingers: Sequence[tuple[float, float, float]],
     thumb: Sequence[float],
@@ -159,7 +162,6 @@ def _joints(
 
 
 _FIST = (1.35, 1.65, 0.9)
-_CURLED = (0.9, 1.3, 0.6)
 
 KINDS: dict[str, GraspKind] = {
     "wrap": GraspKind(
@@ -178,8 +180,8 @@ KINDS: dict[str, GraspKind] = {
         palm=True,
     ),
     "cover": GraspKind(
-        open=_joints([(0.3, 0.3, 0.15)], (0.1, -0.2, -0.1, 0.0, 0.0)),
-        closed=_joints([_FIST], (0.1, 0.6, 0.7, 0.0, 0.6)),
+        open=_joints([(0.3, 0.3, 0.15)], (0.5, 0.3, 0.0, 0.0, 0.1)),
+        closed=_joints([_FIST], (-0.1, 0.55, 0.4, 0.0, 0.6)),
         center=(0.035, 0.0, 0.09),
         contacts=("index_distal", "middle_distal", "ring_distal", "thumb_distal"),
         palm=True,
@@ -227,23 +229,17 @@ KINDS: dict[str, GraspKind] = {
         contacts=("index_distal", "middle_distal", "thumb_distal"),
         radial=("middle_distal",),
     ),
-    "span": GraspKind(
-        open=_joints([(0.35, 0.3, 0.15)], (0.2, -0.4, -0.2, 0.0, -0.1)),
-        closed=_joints([(1.0, 0.8, 0.4)], (0.2, 0.3, 0.4, 0.0, 0.5)),
-        center=(0.075, 0.0, 0.10),
-        contacts=("index_distal", "middle_distal", "ring_distal", "thumb_distal"),
-    ),
     "pinch": GraspKind(
         open=_joints(
-            [(0.65, 0.35, 0.15)] * 2 + [(0.85, 0.9, 0.4), (0.9, 1.0, 0.4)], (0.15, 0.1, -0.1, 0.0, 0.0)
+            [(0.65, 0.35, 0.15)] * 2 + [(0.85, 0.9, 0.4), (0.9, 1.0, 0.4)], (0.5, 0.35, 0.0, 0.0, 0.1)
         ),
-        closed=_joints([(1.3, 0.7, 0.4)] * 2 + [(1.0, 1.2, 0.5)] * 2, (0.15, 0.6, 0.5, 0.0, 0.6)),
+        closed=_joints([(1.3, 0.7, 0.4)] * 2 + [(1.0, 1.2, 0.5)] * 2, (-0.1, 0.55, 0.4, 0.0, 0.6)),
         center=(0.085, 0.012, 0.108),
         contacts=("index_distal", "middle_distal", "thumb_distal"),
     ),
     "prism": GraspKind(
-        open=_joints([(0.6, 0.4, 0.2)], (0.25, 0.2, -0.1, 0.0, 0.0)),
-        closed=_joints([(1.35, 0.7, 0.4)], (0.25, 0.6, 0.5, 0.0, 0.6)),
+        open=_joints([(0.6, 0.4, 0.2)], (0.5, 0.35, 0.0, 0.0, 0.1)),
+        closed=_joints([(1.35, 0.7, 0.4)], (-0.1, 0.55, 0.4, 0.0, 0.6)),
         center=(0.085, 0.0, 0.105),
         contacts=("index_distal", "middle_distal", "ring_distal", "thumb_distal"),
     ),
@@ -252,15 +248,6 @@ KINDS: dict[str, GraspKind] = {
         closed=_joints([(1.1, 1.0, 0.6)], (0.2, 0.6, 0.6, 0.0, 0.7), (0.2, 0.05, -0.1, -0.25)),
         center=(0.075, 0.0, 0.10),
         contacts=("index_distal", "middle_distal", "ring_distal", "thumb_distal"),
-    ),
-    "key": GraspKind(
-        open=_joints(
-            [(0.7, 1.0, 0.5), (0.8, 1.1, 0.5), (0.9, 1.2, 0.5), (1.0, 1.2, 0.5)], (-0.3, -0.3, 0.0, 0.0, 0.0)
-        ),
-        closed=_joints([(0.9, 1.2, 0.6)], (-0.5, 0.6, 0.6, 0.0, 0.7)),
-        center=(0.045, 0.04, 0.12),
-        contacts=("index_middle", "thumb_distal"),
-        radial=("index_middle", "index_distal", "index_proximal"),
     ),
 }
 """By name."""
