@@ -19,11 +19,17 @@ if TYPE_CHECKING:
     from fungrasp.hands import Hand
     from fungrasp.objects import ObjectModel
 
-FAVOURITES = ("spray_bottle:spray", "drill:drill", "brush:scrub", "bottle:drink")
+FAVOURITES = ("mug:drink", "spray_bottle:spray", "drill:drill", "screwdriver:drive")
 """What is shown if nothing is picked, as far as the grasps have it."""
 
-FPS, SPEED = 16.0, 1.5
+FPS, SPEED = 15.0, 1.5
 """Frames per second of the film, and how much faster than the simulation it runs."""
+
+INTRODUCTION = (
+    "On the left of each pair, how a person holds the object for the task; on the right, the grasp that "
+    "the robot hand makes of it. The film is its trial in simulation: reach for the object on the table, "
+    f"close, lift by 15 cm and hold for 3 s. It runs {SPEED:g} times as fast."
+)
 
 
 @dataclass(frozen=True)
@@ -37,7 +43,7 @@ class Demo:
     objects: Path | None = None
     """Folder of meshes <name>.obj; built-in objects need none."""
     pick: tuple[str, ...] = ()
-    """Grasps to show: objects ("mug"), objects and tasks ("mug:drink") or numbers; by default a varied few."""
+    """Grasps to show: an object ("mug"), object and task ("mug:drink") or a number; else a varied few."""
     count: int = 4
     """How many to show if none are picked."""
     refine: int = 8
@@ -90,9 +96,10 @@ class Demo:
                     )
                     show(row + 1)
             page = Page(
-                title=f"People's grasps, by the {hand.title}",
+                title="Human grasps, taken over by a robot hand",
                 grasps=reports,
                 hand=hand.title,
+                introduction=INTRODUCTION,
                 provenance=self._provenance(rows, perf_counter() - start),
             )
             page_path = write_page(self.out / "index.html", page)
@@ -144,7 +151,8 @@ class Demo:
     ) -> tuple[Path, list[Path]]:
         """The whole film, and its part for each grasp."""
         from fungrasp.report import write_video
-        from fungrasp.report.demonstration import grasp_title, trial_film
+        from fungrasp.report.demonstration import grasp_title
+        from fungrasp.report.trial_film import trial_film
 
         clips: list[Path] = []
         seconds = sum(float(t.times[-1]) / SPEED for t in trajectories)

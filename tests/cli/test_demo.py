@@ -1,0 +1,130 @@
+"""``fungrasp demo``: what is shown, the film and the page, failures told, bad input refused."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import av
+import numpy as np
+import pytest
+
+from fungrasp.cli import demo
+from fungrasp.cli.main import main
+from fungrasp.grasps import HumanGraspSet, builtin_grasps, save_human_grasps
+
+
+@pytest.fixture(autouse=True)
+def few_frames(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(demo, "FPS", 2.0)
+
+
+def flashlight() -> HumanGraspSet:
+    grasps = builtin_grasps()
+    return grasps.select(np.flatnonzero(grasps.object_name == "flashlight")[:1])
+
+
+def test_a_film_and_a_page_are_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "shown" / "here"
+    assert main(["demo", "--pick", "flashlight", "--refine", "0", "--out", str(out)]) == 0
+    assert sorted(path.name for path in out.iterdir()) == ["film.mp4", "index.html"]
+    said = capsys.readouterr()
+    assert f"film: {out / 'film.mp4'}" in said.out
+    assert f"page: {out / 'index.html'}" in said.out
+    assert said.err == ""
+    with av.open(str(out / "film.mp4")) as film:
+        frames = [frame.to_ndarray(format="rgb24") for frame in film.decode(video=0)]
+    assert len(frames) > 8
+    assert np.abs(frames[0].astype(int) - frames[-1]).mean() > 2.0, "nothing moves"
+    page = (out / "index.html").read_text()
+    assert "Flashlight, to light" in page
+    assert "data:video/mp4;base64," in page
+    assert page.count("data:image/png;base64,") == 2
+    assert not re.search(r"(src|href)=\"(?!data:|#)", page), "the page needs another file"
+    assert ("wanted contacts reached" in page) and ("Contact error" in page) and ("Slip" in page)
+
+
+def test_a_failure_is_shown_as_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    good = flashlight()
+    up = np.array([0.0, 0.0, 0.25])
+    bad = replace(
+        good,
+        hand_joints=good.hand_joints + up,
+        link_contacts=np.zeros_like(good.link_contacts),
+    )
+    save_human_grasps(tmp_path / "air.npz", bad)
+    out = tmp_path / "out"
+    assert main(["demo", "--grasps", str(tmp_path / "air.npz"), "--refine", "2", "--out", str(out)]) == 0
+    assert "None of 2 variations held: lost before the hold." in capsys.readouterr().out
+    page = (out / "index.html").read_text()
+    assert "None of 2 variations held" in page
+    assert "Not held" in page
+    assert "✓ Lifted and held" not in page
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--hand", "alegro"], "Did you mean 'allegro'?"),
+        (["--pick", "mugg"], "unknown grasp 'mugg'. Did you mean 'mug'?"),
+        (["--pick", "9999"], "--pick 9999: the grasps are numbered 0 to"),
+        (["--pick", "mug", "mug"], "is picked twice"),
+        (["--count", "0"], "--count must be at least 1"),
+        (["--refine", "-1"], "--refine must be at least 0"),
+        (["--grasps", "nowhere.npz"], "nowhere.npz"),
+        (["--objects", "nowhere"], "nowhere"),
+    ],
+)
+def test_bad_input_is_one_line_and_leaves_nothing(
+    arguments: list[str], words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    assert main(["demo", "--out", str(out), *arguments]) == 2
+    said = capsys.readouterr().err
+    assert words in said
+    assert said.count("\n") == 1
+    assert not out.exists()
+
+
+def test_a_file_in_the_way_of_the_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "out").write_text("mine")
+    assert main(["demo", "--out", str(tmp_path / "out")]) == 2
+    assert str(tmp_path / "out") in capsys.readouterr().err
+    assert (tmp_path / "out").read_text() == "mine"
+
+
+def test_an_interruption_leaves_no_half_written_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from fungrasp.report import trial_film
+
+    def interrupted(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(trial_film, "captioned", interrupted)
+    assert main(["demo", "--pick", "flashlight", "--refine", "0", "--out", str(tmp_path / "out")]) == 130
+    assert list((tmp_path / "out").iterdir()) == []
+
+
+def test_the_favourites_exist_and_come_first() -> None:
+    grasps = builtin_grasps()
+    assert grasps.task is not None
+    rows = demo.chosen_rows(grasps, (), 4)
+    shown = [f"{grasps.object_name[row]}:{grasps.task[row]}" for row in rows]
+    assert shown == list(demo.FAVOURITES)
+
+
+def test_more_than_the_favourites_are_of_other_objects_first() -> None:
+    grasps = builtin_grasps()
+    objects = len(set(grasps.object_name.tolist()))
+    rows = demo.chosen_rows(grasps, (), objects)
+    assert len({grasps.object_name[row] for row in rows}) == objects
+    assert sorted(demo.chosen_rows(grasps, (), 10_000)) == list(range(len(grasps)))
+
+
+def test_picks_keep_their_order_and_may_be_numbers() -> None:
+    grasps = builtin_grasps()
+    rows = demo.chosen_rows(grasps, ("3", "drill", "mug:hand over"), 1)
+    assert rows[0] == 3
+    assert grasps.object_name[rows[1]] == "drill"
+    assert grasps.task is not None
+    assert grasps.task[rows[2]] == "hand over"
