@@ -12,7 +12,9 @@ import numpy as np
 Result = TypeVar("Result")
 
 
-def in_chunks(work: Callable[[np.ndarray], Result], count: int, threads: int = 0, chunk: int = 64) -> list[Result]:
+def in_chunks(
+    work: Callable[[np.ndarray], Result], count: int, threads: int = 0, chunk: int = 64
+) -> list[Result]:
     """``work`` on the row numbers of each chunk, in order.
 
     Args:

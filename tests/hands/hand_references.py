@@ -69,7 +69,9 @@ REFERENCES: Mapping[str, tuple[Reference, ...]] = {
                 for i, f in enumerate(("ff", "mf", "rf", "th"))
                 for j in range(4)
             },
-            sites={f"{f}_tip_centre": f"link_{4 * i + 3}.0_tip" for i, f in enumerate(("ff", "mf", "rf", "th"))},
+            sites={
+                f"{f}_tip_centre": f"link_{4 * i + 3}.0_tip" for i, f in enumerate(("ff", "mf", "rf", "th"))
+            },
             sites_beyond=0.012,
         ),
     ),

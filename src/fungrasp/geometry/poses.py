@@ -1,7 +1,8 @@
 """Batched rigid transforms on any array-API library (NumPy, torch, ...).
 
 A pose is 7 numbers ``[x y z qw qx qy qz]``: metres and a unit quaternion. Arrays have any leading batch
-shape and broadcast. ``pose_a_b`` maps points of frame b to frame a: ``pose_a_c = compose(pose_a_b, pose_b_c)``.
+shape and broadcast. ``pose_a_b`` maps points of frame b to frame a: ``pose_a_c = compose(pose_a_b,
+pose_b_c)``.
 """
 
 from __future__ import annotations
@@ -65,7 +66,8 @@ def quaternion_from_rotation_vector(v: Array) -> Array:
 
 
 def rotation_vector(q: Array) -> Array:
-    """Logarithm, the shorter way round. q: wxyz, shape [..., 4]. Returns [rad], shape [..., 3], norm <= pi."""
+    """Logarithm, the shorter way round. q: wxyz, shape [..., 4]. Returns [rad], shape [..., 3], norm <=
+    pi."""
     xp = array_namespace(q)
     sign = xp.where(q[..., :1] < 0, -xp.ones_like(q[..., :1]), xp.ones_like(q[..., :1]))
     q = q * sign

@@ -215,7 +215,8 @@ def points_on_triangles(triangles: np.ndarray, gap: float) -> tuple[np.ndarray, 
 
 
 class _SurfaceSamples:
-    """A tree of surface samples at most 1 mm apart (or 1/200 of the mesh, if that is more), and their faces."""
+    """A tree of surface samples at most 1 mm apart (or 1/200 of the mesh, if that is more), and their
+    faces."""
 
     def __init__(self, mesh: trimesh.Trimesh):
         gap = max(0.001, float(mesh.extents.max()) / 200)
@@ -240,8 +241,9 @@ def _counted(numbers: np.ndarray) -> np.ndarray:
 
 
 def _sign(mesh: trimesh.Trimesh, points: np.ndarray, distance: np.ndarray, spacing: float) -> np.ndarray:
-    """Sign of each grid corner, shape [X, Y, Z]. Corners farther than half a cell from the surface have the sign of their
-    connected component, as no grid edge between two of them can cross the surface; only the others are asked one by one."""
+    """Sign of each grid corner, shape [X, Y, Z]. Corners farther than half a cell from the surface have the
+    sign of their connected component, as no grid edge between two of them can cross the surface; only the
+    others are asked one by one."""
     flat = points.reshape(-1, 3)
     clear = distance > 0.55 * spacing
     components, count = ndimage.label(clear)

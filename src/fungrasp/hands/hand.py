@@ -27,10 +27,11 @@ class Finger:
     name: str
     """One of ``FINGERS``: the human finger it imitates."""
     links: tuple[str, ...]
-    """Bodies from base to tip, at most three. They imitate the human proximal, middle and distal links; a hand with fewer
-    lacks those near the tip."""
+    """Bodies from base to tip, at most three. They imitate the human proximal, middle and distal links; a
+    hand with fewer lacks those near the tip."""
     joints: tuple[str, ...]
-    """Site or body at the joint at the near end of each link: the link's own body, unless the model's frames lie elsewhere."""
+    """Site or body at the joint at the near end of each link: the link's own body, unless the model's frames
+    lie elsewhere."""
     tip: str
     """Site at the centre of the fingertip's round end."""
 
@@ -72,14 +73,16 @@ class Hand:
     sources: Mapping[str, str] = field(default_factory=dict)
 
     def spec(self) -> mujoco.MjSpec:
-        """A fresh model of the bare hand, palm fixed at the world's origin, one position actuator per independent joint
-        (named as its joint)."""
+        """A fresh model of the bare hand, palm fixed at the world's origin, one position actuator per
+        independent joint (named as its joint)."""
         spec = _parse(self.model_path)
         for actuator in list(spec.actuators):
             spec.delete(actuator)
         for servo in self.actuators.values():
             joint = spec.joint(servo.joint)
-            actuator = spec.add_actuator(name=servo.joint, target=servo.joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+            actuator = spec.add_actuator(
+                name=servo.joint, target=servo.joint, trntype=mujoco.mjtTrn.mjTRN_JOINT
+            )
             actuator.set_to_position(kp=servo.kp, kv=servo.kd)
             actuator.forcelimited = True
             actuator.forcerange = [-servo.force_limit, servo.force_limit]
@@ -107,7 +110,8 @@ class Hand:
     def coupling(self) -> tuple[np.ndarray, np.ndarray]:
         """``joint_positions = matrix @ independent + offset`` [rad]; matrix: shape [M, U], offset: shape [M].
 
-        The U independent joints are those not driven by a joint equality, in model order. Only linear couplings count.
+        The U independent joints are those not driven by a joint equality, in model order. Only linear
+        couplings count.
         """
         m = self.model
         driven = {}
@@ -121,7 +125,9 @@ class Hand:
         while pending:
             ready = [j for j, (source, _, _) in pending.items() if source not in pending]
             if not ready:
-                raise FungraspError(f"hand '{self.name}': the joint couplings in {self.model_path} form a loop")
+                raise FungraspError(
+                    f"hand '{self.name}': the joint couplings in {self.model_path} form a loop"
+                )
             for j in ready:
                 source, constant, slope = pending.pop(j)
                 matrix[j] = slope * matrix[source]
@@ -130,8 +136,9 @@ class Hand:
 
     @property
     def links(self) -> tuple[tuple[str, ...], ...]:
-        """Contact links: the palm, then each finger's links in order; a contact flag each. Each entry names the bodies
-        that belong to it (a body not named in the TOML belongs to its nearest named ancestor), length L."""
+        """Contact links: the palm, then each finger's links in order; a contact flag each. Each entry names
+        the bodies that belong to it (a body not named in the TOML belongs to its nearest named ancestor),
+        length L."""
         named = [self.palm, *(body for finger in self.fingers.values() for body in finger.links)]
         members: dict[str, list[str]] = {body: [] for body in named}
         m = self.model
@@ -151,7 +158,8 @@ class Hand:
 
     @property
     def keypoint_names(self) -> tuple[str, ...]:
-        """Names of the key points: the palm body, then each finger's joints and tip, length K: sites or bodies."""
+        """Names of the key points: the palm body, then each finger's joints and tip, length K: sites or
+        bodies."""
         return (self.palm, *(name for f in self.fingers.values() for name in (*f.joints, f.tip)))
 
 
@@ -162,12 +170,15 @@ def read_hand(path: Path) -> Hand:
         path: the TOML file.
 
     Raises:
-        FungraspError: the file or its model is missing, unreadable or inconsistent; the message says which and why.
+        FungraspError: the file or its model is missing, unreadable or inconsistent; the message says which
+            and why.
     """
     try:
         data = tomllib.loads(path.read_text())
     except (OSError, UnicodeDecodeError) as error:
-        raise FungraspError(f"cannot read the hand file {path}: {getattr(error, 'strerror', None) or error}") from error
+        raise FungraspError(
+            f"cannot read the hand file {path}: {getattr(error, 'strerror', None) or error}"
+        ) from error
     except tomllib.TOMLDecodeError as error:
         raise FungraspError(f"{path} is not valid TOML: {error}") from error
     for key in ("name", "model", "palm", "fingers", "actuators"):
@@ -196,11 +207,17 @@ def read_hand(path: Path) -> Hand:
             continue
         entry = data["fingers"][name]
         if not 1 <= len(entry.get("links", ())) <= 3 or "tip" not in entry:
-            raise FungraspError(f"{path}: finger '{name}' needs 'links' (one to three bodies, base to tip) and 'tip' (a site)")
+            raise FungraspError(
+                f"{path}: finger '{name}' needs 'links' (one to three bodies, base to tip) and 'tip' (a site)"
+            )
         links = tuple(existing("body", link, bodies) for link in entry["links"])
-        joints = tuple(existing("site or body", joint, sites | bodies) for joint in entry.get("joints", links))
+        joints = tuple(
+            existing("site or body", joint, sites | bodies) for joint in entry.get("joints", links)
+        )
         if len(joints) != len(links):
-            raise FungraspError(f"{path}: finger '{name}' has {len(links)} links and {len(joints)} joints; give one each")
+            raise FungraspError(
+                f"{path}: finger '{name}' has {len(links)} links and {len(joints)} joints; give one each"
+            )
         fingers[name] = Finger(name, links, joints, existing("site", entry["tip"], sites))
     if "thumb" not in fingers:
         raise FungraspError(f"{path}: a hand with no thumb can't imitate a human grasp; give [fingers.thumb]")
@@ -238,7 +255,9 @@ def _actuators(path: Path, entry: Mapping[str, Any], model: mujoco.MjModel) -> d
         for key in ("kp", "kd", "force_limit"):
             value = special.get(joint, {}).get(key, entry.get(key))
             if not isinstance(value, int | float) or not value > 0:
-                raise FungraspError(f"{path}: actuators.{key} for joint '{joint}' must be a positive number, not {value!r}")
+                raise FungraspError(
+                    f"{path}: actuators.{key} for joint '{joint}' must be a positive number, not {value!r}"
+                )
             values[key] = float(value)
         actuators[joint] = Actuator(joint, **values)
     return actuators

@@ -12,7 +12,8 @@ from fungrasp.hands.hand import Hand, read_hand
 
 @cache
 def hand_files() -> dict[str, Path]:
-    """TOML file of every known hand, by name. An entry point's value is a callable that returns a folder or a TOML file."""
+    """TOML file of every known hand, by name. An entry point's value is a callable that returns a folder or a
+    TOML file."""
     files = {path.parent.name: path for path in sorted(Path(__file__).parent.glob("*/hand.toml"))}
     for entry in entry_points(group="fungrasp.hands"):
         files.setdefault(entry.name, _toml_in(Path(entry.load()())))

@@ -8,7 +8,8 @@ from fungrasp.objects.model import ObjectModel
 
 
 def resting_directions(model: ObjectModel) -> np.ndarray:
-    """Downward unit normals of the faces on which the object is stable: those of its convex hull below the centre of mass.
+    """Downward unit normals of the faces on which the object is stable: those of its convex hull below the
+    centre of mass.
 
     Returns:
         object frame, shape [R, 3].
@@ -25,7 +26,8 @@ def resting_directions(model: ObjectModel) -> np.ndarray:
 
 
 def settled_up(model: ObjectModel, up: np.ndarray) -> np.ndarray:
-    """The table's normal once the object has settled from a pose in which it was ``up``: that of the nearest stable face.
+    """The table's normal once the object has settled from a pose in which it was ``up``: that of the nearest
+    stable face.
 
     Measured poses are a few degrees off; a flat thing would then hover or sink on one side.
 

@@ -1,8 +1,9 @@
 """Grasps fitted to where the object has come to rest.
 
-Measured rest poses are noisy: when the object settles it tilts a little, and round things roll, which would take the grasp
-below the table. The grasp is therefore moved as little as needed to be above the table and in touch again. It starts from
-where it is on the object or, if that fits better, from where it was around the object before it rolled.
+Measured rest poses are noisy: when the object settles it tilts a little, and round things roll, which would
+take the grasp below the table. The grasp is therefore moved as little as needed to be above the table and in
+touch again. It starts from where it is on the object or, if that fits better, from where it was around the
+object before it rolled.
 """
 
 from __future__ import annotations
@@ -99,8 +100,13 @@ def adapt(
                 partial(terms.table_penetration, unit=0.0007, margin=s.table_margin),
                 partial(terms.self_penetration, unit=0.001),
             ]
-            grip = [partial(terms.contact_gap, unit=0.002), partial(terms.force_closure, unit=s.closure_unit, friction=s.closure_friction)]
-            solutions.append(minimise(points, part, [*collisions, *grip, stay], wrist, grasp[rows], s.iterations))
+            grip = [
+                partial(terms.contact_gap, unit=0.002),
+                partial(terms.force_closure, unit=s.closure_unit, friction=s.closure_friction),
+            ]
+            solutions.append(
+                minimise(points, part, [*collisions, *grip, stay], wrist, grasp[rows], s.iterations)
+            )
         (on_object, joints, cost), (around_object, other_joints, other_cost) = solutions
         leave = (other_cost + s.loyalty < cost)[:, None]
         return np.where(leave, around_object, on_object), np.where(leave, other_joints, joints)

@@ -1,7 +1,9 @@
-"""A way to the grasp that touches neither object nor table: found backwards, by taking the hand off the object.
+"""A way to the grasp that touches neither object nor table: found backwards, by taking the hand off the
+object.
 
-From the grasp, the wrist withdraws step by step along a direction, and at each step the fingers open as much as they must
-to keep clear (the retargeter's optimiser with its collision terms only). Several directions are tried; the clearest wins.
+From the grasp, the wrist withdraws step by step along a direction, and at each step the fingers open as much
+as they must to keep clear (the retargeter's optimiser with its collision terms only). Several directions are
+tried; the clearest wins.
 """
 
 from __future__ import annotations
@@ -99,7 +101,10 @@ def plan_approach(
 
     parts = in_chunks(run, len(around))
     return Approach(
-        *(np.concatenate([getattr(part, name) for part in parts]) for name in ("wrist_pose", "fingers", "collision"))
+        *(
+            np.concatenate([getattr(part, name) for part in parts])
+            for name in ("wrist_pose", "fingers", "collision")
+        )
     )
 
 
@@ -111,7 +116,8 @@ def _best_way(
     center: np.ndarray,
     settings: ApproachSettings,
 ) -> Approach:
-    """The clearest of the ways in several directions, taken off the object with the fingers near ``fingers``."""
+    """The clearest of the ways in several directions, taken off the object with the fingers near
+    ``fingers``."""
     clear = _Clearer(HandPoints(HandKinematics(hand, len(around))), around, settings)
     first = clear(wrist, fingers, 2 * settings.iterations)
     ways = [
@@ -121,7 +127,10 @@ def _best_way(
     best = np.argmin([way.collision + 1e-4 * i for i, way in enumerate(ways)], axis=0)
     pick = np.arange(len(around))
     return Approach(
-        *(np.stack([getattr(way, name) for way in ways])[best, pick] for name in ("wrist_pose", "fingers", "collision"))
+        *(
+            np.stack([getattr(way, name) for way in ways])[best, pick]
+            for name in ("wrist_pose", "fingers", "collision")
+        )
     )
 
 
@@ -130,7 +139,14 @@ def _directions(hand: Hand, wrist: np.ndarray, up: np.ndarray, center: np.ndarra
     outwards = _unit(wrist[:, :3] - center)
     backwards = -rotate(wrist[:, 3:], hand.palm_normal)
     along = -rotate(wrist[:, 3:], hand.palm_fingers)
-    return [outwards, _unit(outwards + 0.5 * up), _unit(backwards + along), backwards, _unit(along + 0.3 * up), up]
+    return [
+        outwards,
+        _unit(outwards + 0.5 * up),
+        _unit(backwards + along),
+        backwards,
+        _unit(along + 0.3 * up),
+        up,
+    ]
 
 
 class _Clearer:
@@ -154,9 +170,13 @@ class _Clearer:
             position_unit=s.position_unit,
             rotation_unit=s.rotation_unit,
         )
-        wrist, fingers, _ = minimise(self._points, self._around, [*self._terms, stay], wrist, fingers, iterations)
+        wrist, fingers, _ = minimise(
+            self._points, self._around, [*self._terms, stay], wrist, fingers, iterations
+        )
         state = State(self._points, self._around, wrist, fingers)
-        intrusion = np.maximum(s.object_margin - state.clearance.min(axis=1), s.table_margin - state.heights.min(axis=1))
+        intrusion = np.maximum(
+            s.object_margin - state.clearance.min(axis=1), s.table_margin - state.heights.min(axis=1)
+        )
         return Approach(wrist[:, None], fingers[:, None], np.maximum(intrusion, 0.0))
 
 
@@ -181,7 +201,9 @@ def _unit(v: np.ndarray) -> np.ndarray:
 class Path:
     """The planned way as a curve that is followed by its arc length, world frame."""
 
-    def __init__(self, start: np.ndarray, start_fingers: np.ndarray, approach: Approach, settled_pose: np.ndarray):
+    def __init__(
+        self, start: np.ndarray, start_fingers: np.ndarray, approach: Approach, settled_pose: np.ndarray
+    ):
         """
         Args:
             start: palm pose at the start, world frame, shape [N, 7].
@@ -193,7 +215,9 @@ class Path:
         self.poses = np.concatenate([start[:, None], way], axis=1)
         self.fingers = np.concatenate([start_fingers[:, None], approach.fingers[:, ::-1]], axis=1)
         legs = np.linalg.norm(np.diff(self.poses[..., :3], axis=1), axis=-1)
-        self.arc = np.concatenate([np.zeros((len(start), 1)), np.cumsum(np.maximum(legs, 1e-4), axis=1)], axis=1)
+        self.arc = np.concatenate(
+            [np.zeros((len(start), 1)), np.cumsum(np.maximum(legs, 1e-4), axis=1)], axis=1
+        )
         self.length = self.arc[:, -1]
         self.progress = np.zeros(len(start))
 
@@ -211,7 +235,8 @@ class Path:
         return pose, fingers
 
     def advance(self, position: np.ndarray, lookahead: float) -> None:
-        """Move on to the arc length that lies nearest to where the set point is, at most ``lookahead`` further [m].
+        """Move on to the arc length that lies nearest to where the set point is, at most ``lookahead``
+        further [m].
 
         Args:
             position: of the palm's set point, world frame [m], shape [N, 3].

@@ -19,7 +19,9 @@ class Policy(Protocol):
         ...
 
 
-POLICIES: dict[str, Callable[[LiftTask, Mapping[str, ObjectModel]], Policy]] = {"reference": ReferenceController}
+POLICIES: dict[str, Callable[[LiftTask, Mapping[str, ObjectModel]], Policy]] = {
+    "reference": ReferenceController
+}
 """Makers of policies for a task that has been reset."""
 
 

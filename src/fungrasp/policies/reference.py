@@ -1,4 +1,5 @@
-"""The reference controller: opens, approaches, closes, squeezes, lifts; after its start it does not look at the object again."""
+"""The reference controller: opens, approaches, closes, squeezes, lifts; after its start it does not look at
+the object again."""
 
 from __future__ import annotations
 
@@ -48,7 +49,9 @@ class ReferenceController:
     A grasp's ``extra`` may hold its own ``force_scale``, ``press_in`` and ``press_down`` (see ``refine``).
     """
 
-    def __init__(self, task: LiftTask, objects: Mapping[str, ObjectModel], settings: ReferenceSettings | None = None):
+    def __init__(
+        self, task: LiftTask, objects: Mapping[str, ObjectModel], settings: ReferenceSettings | None = None
+    ):
         """
         Args:
             task: reset; the grasps come from it.
@@ -68,13 +71,18 @@ class ReferenceController:
             s.adapt,
         )
         target = compose(task.settled_pose, self._wrist)
-        approach = plan_approach(hand, names, task.settled_pose, objects, self._wrist, self._grasp, s.approach)
+        approach = plan_approach(
+            hand, names, task.settled_pose, objects, self._wrist, self._grasp, s.approach
+        )
         self.collision = approach.collision
         """Deepest intrusion of the planned way into the margins [m], shape [W]."""
         self._path = Path(task.set_point.pose, task.finger_set_point, approach, task.settled_pose)
         self._squeeze = self._servo_offsets(hand, names, objects)
         self._closing_pose = target.copy()
-        press_in, press_down = self._setting("press_in", s.press_in), self._setting("press_down", s.press_down)
+        press_in, press_down = (
+            self._setting("press_in", s.press_in),
+            self._setting("press_down", s.press_down),
+        )
         self._closing_pose[:, :3] += press_in * rotate(target[:, 3:], hand.palm_normal)
         self._closing_pose[:, 2:3] -= press_down
         self._arrived = np.full(len(names), np.inf)
@@ -105,9 +113,7 @@ class ReferenceController:
         task, s = self._task, self.settings
         around = Surroundings.settled(names, task.settled_pose, objects)
         models = [objects[name] for name in names]
-        torques = squeeze_torques(
-            hand, around, models, self._wrist, self._grasp, task.grasps.link_contacts
-        )
+        torques = squeeze_torques(hand, around, models, self._wrist, self._grasp, task.grasps.link_contacts)
         force = self._setting("force_scale", 1.0)[:, 0] * (s.force + s.force_per_kg * task.grasps.object_mass)
         stiffness = np.array([servo.kp for servo in hand.actuators.values()])
         return np.clip(force[:, None] * torques / stiffness, -s.squeeze_limit, s.squeeze_limit)

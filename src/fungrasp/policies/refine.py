@@ -1,4 +1,5 @@
-"""References that physics has agreed to: variations of a grasp are tried in simulation and the best is kept."""
+"""References that physics has agreed to: variations of a grasp are tried in simulation and the best is
+kept."""
 
 from __future__ import annotations
 
@@ -52,8 +53,9 @@ def refine(
 ) -> RobotGraspSet:
     """Try variations of each grasp in the dynamic test until one succeeds; keep the best.
 
-    Variations change wrist, fingers, squeeze and the last press of the wrist. Half of them start from the grasp, half from
-    the best variation so far. The result for a grasp depends on the seed and its index alone.
+    Variations change wrist, fingers, squeeze and the last press of the wrist. Half of them start from the
+    grasp, half from the best variation so far. The result for a grasp depends on the seed and its index
+    alone.
 
     Args:
         grasps: N grasps of ``hand``.
@@ -66,8 +68,8 @@ def refine(
         progress: called with the number of grasps that are finished.
 
     Returns:
-        N grasps; ``extra`` has the controller's settings of each (``ReferenceController``) and ``refined_tries``, the number
-        of trials it took, negative where none succeeded.
+        N grasps; ``extra`` has the controller's settings of each (``ReferenceController``) and
+        ``refined_tries``, the number of trials it took, negative where none succeeded.
     """
     spread = spread or Spread()
     scene = build_scene(hand, objects)
@@ -84,7 +86,14 @@ def refine(
         if done:
             attempt = np.tile(np.arange(number), len(rows))
             start = with_settings(grasps).select(indices)
-            proposals = _vary(_where((attempt + done) % 2 == 0, start, proposals), hand, indices, done + attempt, seed, spread)
+            proposals = _vary(
+                _where((attempt + done) % 2 == 0, start, proposals),
+                hand,
+                indices,
+                done + attempt,
+                seed,
+                spread,
+            )
         trials = _try(scene, proposals, objects, threads)
         value = _score(trials).reshape(len(rows), number)
         winner = np.argmax(value, axis=1) + number * np.arange(len(rows))
@@ -97,7 +106,9 @@ def refine(
         progress(int(solved[rows].sum()))
     progress(int((~solved).sum()))
     return replace(
-        best, keypoints=_keypoints(best, hand), extra={**best.extra, "refined_tries": np.where(solved, used, -used)}
+        best,
+        keypoints=_keypoints(best, hand),
+        extra={**best.extra, "refined_tries": np.where(solved, used, -used)},
     )
 
 
@@ -113,7 +124,9 @@ def with_settings(grasps: RobotGraspSet, settings: ReferenceSettings | None = No
     return replace(grasps, extra={**defaults, **grasps.extra})
 
 
-def _try(scene: Scene, grasps: RobotGraspSet, objects: Mapping[str, ObjectModel], threads: int, chunk: int = 256) -> Trials:
+def _try(
+    scene: Scene, grasps: RobotGraspSet, objects: Mapping[str, ObjectModel], threads: int, chunk: int = 256
+) -> Trials:
     results = []
     for start in range(0, len(grasps), chunk):
         part = grasps.select(np.arange(start, min(start + chunk, len(grasps))))
@@ -121,12 +134,19 @@ def _try(scene: Scene, grasps: RobotGraspSet, objects: Mapping[str, ObjectModel]
         task = LiftTask(scene, part, Worlds(scene, index, part.object_mass, threads=threads))
         task.reset()
         results.append(play(task, ReferenceController(task, objects)))
-    return Trials(*(np.concatenate([getattr(r, name) for r in results]) for name in Trials.__dataclass_fields__))
+    return Trials(
+        *(np.concatenate([getattr(r, name) for r in results]) for name in Trials.__dataclass_fields__)
+    )
 
 
 def _score(trials: Trials) -> np.ndarray:
     lifted = np.clip(np.nan_to_num(trials.lifted_height_m, posinf=0.0), -0.1, 0.1)
-    return 10.0 * trials.success + trials.contact_ratio + 10.0 * lifted - 0.01 * trials.sim_distance_hand_mm_s.clip(0, 50)
+    return (
+        10.0 * trials.success
+        + trials.contact_ratio
+        + 10.0 * lifted
+        - 0.01 * trials.sim_distance_hand_mm_s.clip(0, 50)
+    )
 
 
 def _vary(
@@ -137,10 +157,14 @@ def _vary(
     independent = (grasps.joint_positions - offset) @ np.linalg.pinv(matrix).T
     size = independent.shape[1]
     noise = np.stack(
-        [np.random.default_rng([seed, int(i), int(a)]).normal(size=10 + size) for i, a in zip(indices, attempts, strict=True)]
+        [
+            np.random.default_rng([seed, int(i), int(a)]).normal(size=10 + size)
+            for i, a in zip(indices, attempts, strict=True)
+        ]
     )
     shift = np.concatenate(
-        [spread.position * noise[:, :3], quaternion_from_rotation_vector(spread.rotation * noise[:, 3:6])], axis=1
+        [spread.position * noise[:, :3], quaternion_from_rotation_vector(spread.rotation * noise[:, 3:6])],
+        axis=1,
     )
     fingers = independent * (1 + spread.closing * noise[:, 6:7]) + spread.joints * noise[:, 10:]
     fingers = np.clip(fingers, kinematics.lower, kinematics.upper)

@@ -1,7 +1,7 @@
-"""How hard each finger should press so that the contact forces balance: a small force optimisation per grasp."""
+"""How hard each finger should press so that the contact forces balance: a small force optimisation per
+grasp."""
 
 from __future__ import annotations
-
 
 import numpy as np
 
@@ -42,18 +42,21 @@ def squeeze_torques(
     """
     points = HandPoints(HandKinematics(hand, len(around)))
     state = State(points, around, wrist_in_object, grasp)
-    nearest = np.stack(
-        [m[np.argmin(state.clearance[:, m], axis=1)] for m in points.link_members], axis=1
-    )
+    nearest = np.stack([m[np.argmin(state.clearance[:, m], axis=1)] for m in points.link_members], axis=1)
     clearance = np.take_along_axis(state.clearance, nearest, axis=1)
     normal = np.take_along_axis(state.normals, nearest[..., None], axis=1)
     normal = normal / np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-9)
-    place = np.take_along_axis(state.balls, nearest[..., None], axis=1) - points.balls.radius[nearest][..., None] * normal
+    place = (
+        np.take_along_axis(state.balls, nearest[..., None], axis=1)
+        - points.balls.radius[nearest][..., None] * normal
+    )
     jacobian = points.kinematics.jacobian(points.balls.points.bodies[nearest], place)[..., 6:]
     used = contacts & (clearance < near)
     lonely = used.sum(axis=1) < 2
     used[lonely] = (clearance <= np.sort(clearance, axis=1)[:, 2:3])[lonely]
     centers = np.array([model.center_of_mass for model in objects])
     reach = np.array([0.5 * float(np.max(model.size)) for model in objects])
-    force = balanced_forces((place - centers[:, None]) / reach[:, None, None], -normal, used, friction, iterations=200)
+    force = balanced_forces(
+        (place - centers[:, None]) / reach[:, None, None], -normal, used, friction, iterations=200
+    )
     return np.einsum("nci,nciu->nu", force, jacobian)

@@ -1,7 +1,8 @@
-"""Which robot link and key point stands for which human one, by rule: fingers by name, links from the base outwards.
+"""Which robot link and key point stands for which human one, by rule: fingers by name, links from the base
+outwards.
 
-A robot without a finger drops it; a robot finger with fewer links lacks those near the tip, so that its last link
-stands for the rest of the human finger (paper IV.A).
+A robot without a finger drops it; a robot finger with fewer links lacks those near the tip, so that its last
+link stands for the rest of the human finger (paper IV.A).
 """
 
 from __future__ import annotations
@@ -38,8 +39,12 @@ class Correspondence:
     """Human links that each robot link stands for, length S."""
 
     def link_contacts(self, human_contacts: np.ndarray) -> np.ndarray:
-        """Contacts asked of the robot's links (palm first). human_contacts: shape [N, 16] bool; returns [N, 1 + S]."""
-        columns = [human_contacts[:, 0], *(human_contacts[:, list(links)].any(axis=1) for links in self.human_links)]
+        """Contacts asked of the robot's links (palm first). human_contacts: shape [N, 16] bool; returns [N, 1
+        + S]."""
+        columns = [
+            human_contacts[:, 0],
+            *(human_contacts[:, list(links)].any(axis=1) for links in self.human_links),
+        ]
         return np.stack(columns, axis=1)
 
 
@@ -61,5 +66,6 @@ def correspond(hand: Hand) -> Correspondence:
             human_links.append(links[i:] if last else links[i : i + 1])
         keypoint += count + 1
     return Correspondence(
-        *(np.array(x) for x in (near, far, human_near, human_far, is_last, is_thumb)), human_links=tuple(human_links)
+        *(np.array(x) for x in (near, far, human_near, human_far, is_last, is_thumb)),
+        human_links=tuple(human_links),
     )

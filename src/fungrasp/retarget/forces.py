@@ -10,10 +10,11 @@ CONE_EDGES = 6
 def balanced_forces(
     lever: np.ndarray, inward: np.ndarray, used: np.ndarray, friction: float, iterations: int = 40
 ) -> np.ndarray:
-    """Contact forces within friction cones that cancel out as well as they can; their normal parts sum to one.
+    """Contact forces within friction cones that cancel out as well as they can; their normal parts sum to
+    one.
 
-    Minimises |sum f|^2 + |sum lever x f|^2 + small |f|^2 over the edges of the (linearised) cones, by accelerated projected
-    gradient descent.
+    Minimises |sum f|^2 + |sum lever x f|^2 + small |f|^2 over the edges of the (linearised) cones, by
+    accelerated projected gradient descent.
 
     Args:
         lever: contact points relative to the centre, over a length of the caller's, shape [N, C, 3].
@@ -50,7 +51,8 @@ def balanced_forces(
 
 
 def cone_edges(inward: np.ndarray, friction: float) -> np.ndarray:
-    """Edges of the friction cones with a normal part of one. inward: shape [..., 3]; returns [..., CONE_EDGES, 3]."""
+    """Edges of the friction cones with a normal part of one. inward: shape [..., 3]; returns [...,
+    CONE_EDGES, 3]."""
     helper = np.where(np.abs(inward[..., :1]) < 0.9, np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0]))
     first = np.cross(inward, helper)
     first = first / np.maximum(np.linalg.norm(first, axis=-1, keepdims=True), 1e-9)

@@ -32,7 +32,9 @@ class Surroundings:
     """Height of the object's origin above each plane [m], shape [N, T]: a point p is at up . p + height."""
 
     @classmethod
-    def settled(cls, names: Sequence[str], pose: np.ndarray, objects: Mapping[str, ObjectModel]) -> Surroundings:
+    def settled(
+        cls, names: Sequence[str], pose: np.ndarray, objects: Mapping[str, ObjectModel]
+    ) -> Surroundings:
         """One plane: the table under objects that have settled.
 
         Args:
@@ -43,16 +45,26 @@ class Surroundings:
         known = sorted(set(names))
         up = rotate(invert(pose)[:, 3:], np.array([0.0, 0.0, 1.0]))
         grid = np.array([known.index(name) for name in names])
-        return cls(SignedDistanceBank([objects[name].signed_distance for name in known]), grid, up[:, None], pose[:, 2:3])
+        return cls(
+            SignedDistanceBank([objects[name].signed_distance for name in known]),
+            grid,
+            up[:, None],
+            pose[:, 2:3],
+        )
 
     @classmethod
-    def resting(cls, names: Sequence[str], pose: np.ndarray, objects: Mapping[str, ObjectModel]) -> Surroundings:
-        """Two planes: the table at measured, noisy rest poses, and where it will be once the objects have settled.
+    def resting(
+        cls, names: Sequence[str], pose: np.ndarray, objects: Mapping[str, ObjectModel]
+    ) -> Surroundings:
+        """Two planes: the table at measured, noisy rest poses, and where it will be once the objects have
+        settled.
 
         Args: as for ``settled``.
         """
         measured = cls.settled(names, pose, objects)
-        up = np.array([settled_up(objects[name], u) for name, u in zip(names, measured.up[:, 0], strict=True)])
+        up = np.array(
+            [settled_up(objects[name], u) for name, u in zip(names, measured.up[:, 0], strict=True)]
+        )
         height = -np.array([np.min(objects[name].vertices @ u) for name, u in zip(names, up, strict=True)])
         return replace(
             measured,
@@ -145,7 +157,8 @@ class HandPoints:
         self.self_pairs = _self_pairs(hand, self.balls)
 
     def _thickness(self) -> np.ndarray:
-        """Radius of the hand around the far key point of each finger link [m], shape [S]: of its nearest ball."""
+        """Radius of the hand around the far key point of each finger link [m], shape [S]: of its nearest
+        ball."""
         radii = []
         for link, (near, far) in enumerate(zip(self.match.near, self.match.far, strict=True), start=1):
             members = np.flatnonzero(self.balls.link == link)
@@ -153,7 +166,9 @@ class HandPoints:
             if not len(members):
                 radii.append(0.0)
             elif same:
-                gaps = np.linalg.norm(self.balls.points.offsets[members] - self.keypoints.offsets[far], axis=1)
+                gaps = np.linalg.norm(
+                    self.balls.points.offsets[members] - self.keypoints.offsets[far], axis=1
+                )
                 radii.append(self.balls.radius[members[np.argmin(gaps)]])
             else:
                 radii.append(float(np.median(self.balls.radius[members])))

@@ -20,17 +20,26 @@ from fungrasp.retarget.ours import RetargetSettings
 from fungrasp.retarget.problem import HandPoints, Problem
 
 Solver = Callable[[HandPoints, Problem, RetargetSettings], tuple[np.ndarray, np.ndarray]]
-METHODS: dict[str, Solver] = {"ours": ours.solve, "angle-copy": angle_copy.solve, "dexgraspnet": dexgraspnet.solve}
+METHODS: dict[str, Solver] = {
+    "ours": ours.solve,
+    "angle-copy": angle_copy.solve,
+    "dexgraspnet": dexgraspnet.solve,
+}
 
 
-def load_objects(grasps: HumanGraspSet | RobotGraspSet, folder: str | Path | None = None) -> dict[str, ObjectModel]:
+def load_objects(
+    grasps: HumanGraspSet | RobotGraspSet, folder: str | Path | None = None
+) -> dict[str, ObjectModel]:
     """The objects of a grasp set, by name, each with the mass of its first grasp.
 
     Raises:
         FungraspError: an object can't be found or read.
     """
     names, rows = np.unique(grasps.object_name, return_index=True)
-    return {str(n): load_object(str(n), float(grasps.object_mass[r]), folder) for n, r in zip(names, rows, strict=True)}
+    return {
+        str(n): load_object(str(n), float(grasps.object_mass[r]), folder)
+        for n, r in zip(names, rows, strict=True)
+    }
 
 
 def retarget(

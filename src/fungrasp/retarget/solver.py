@@ -50,7 +50,9 @@ def minimise(
         g[stuck] = 0.0
         h *= ~(stuck[:, :, None] | stuck[:, None, :])
         scale = h[:, diagonal, diagonal]
-        h[:, diagonal, diagonal] += damping[:, None] * (scale + 1e-3 * scale.max(axis=1, keepdims=True)) + stuck + 1e-9
+        h[:, diagonal, diagonal] += (
+            damping[:, None] * (scale + 1e-3 * scale.max(axis=1, keepdims=True)) + stuck + 1e-9
+        )
         step = -np.linalg.solve(h, g[..., None])[..., 0]
         step *= np.minimum(1.0, 0.5 / np.maximum(np.linalg.norm(step, axis=1, keepdims=True), 1e-9))
         new_pose, new_independent = kinematics.step(wrist_pose, independent, step)
@@ -60,7 +62,11 @@ def minimise(
         better = new_cost < cost
         damping = np.clip(np.where(better, damping * 0.4, damping * 4.0), 1e-6, 1e4)
         for old, new in (
-            (wrist_pose, new_pose), (independent, new_independent), (cost, new_cost), (hessian, new_hessian), (gradient, new_gradient)
+            (wrist_pose, new_pose),
+            (independent, new_independent),
+            (cost, new_cost),
+            (hessian, new_hessian),
+            (gradient, new_gradient),
         ):
             old[better] = new[better]
     return wrist_pose, independent, cost

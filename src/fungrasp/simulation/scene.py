@@ -1,6 +1,8 @@
-"""One scene for a hand and several objects: a table, a floating hand, an object with a fixed number of geom slots, sensors.
+"""One scene for a hand and several objects: a table, a floating hand, an object with a fixed number of geom
+slots, sensors.
 
-The table of per-object model fields lets every world of a batch hold another object (``fungrasp.simulation.worlds``).
+The table of per-object model fields lets every world of a batch hold another object
+(``fungrasp.simulation.worlds``).
 """
 
 from __future__ import annotations
@@ -48,8 +50,9 @@ class SceneSettings:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """A compiled scene. Sensors (per world, in ``sensordata``): for each member body of each contact link the number of its
-    contacts with the object and their net force on the link; for each the force from the table; object on table; hand on hand."""
+    """A compiled scene. Sensors (per world, in ``sensordata``): for each member body of each contact link the
+    number of its contacts with the object and their net force on the link; for each the force from the table;
+    object on table; hand on hand."""
 
     hand: Hand
     model: mujoco.MjModel
@@ -72,7 +75,9 @@ class Scene:
         return np.array([self.model.actuator(HAND_PREFIX + name).id for name in self.hand.actuators])
 
 
-def build_scene(hand: Hand, objects: Mapping[str, ObjectModel], settings: SceneSettings | None = None) -> Scene:
+def build_scene(
+    hand: Hand, objects: Mapping[str, ObjectModel], settings: SceneSettings | None = None
+) -> Scene:
     """Compile the scene of a hand and the objects it may meet.
 
     Args:
@@ -92,7 +97,9 @@ def build_scene(hand: Hand, objects: Mapping[str, ObjectModel], settings: SceneS
     fields = _differing_fields(whole, single)
     fields["geom_dataid"] = np.stack(
         [
-            np.array([_mesh_id(whole, model, mesh) for mesh in model.geom_dataid], dtype=whole.geom_dataid.dtype)
+            np.array(
+                [_mesh_id(whole, model, mesh) for mesh in model.geom_dataid], dtype=whole.geom_dataid.dtype
+            )
             for model in single
         ]
     )
@@ -116,7 +123,9 @@ def _compile(
     try:
         return spec.compile()
     except ValueError as error:
-        raise FungraspError(f"the scene of hand '{hand.name}' does not compile: {' '.join(str(error).split())}") from error
+        raise FungraspError(
+            f"the scene of hand '{hand.name}' does not compile: {' '.join(str(error).split())}"
+        ) from error
 
 
 def _set_options(spec: mujoco.MjSpec, settings: SceneSettings) -> None:
@@ -139,7 +148,8 @@ def _add_object(
             mesh = spec.add_mesh(name=f"{name}/{i}")
             mesh.uservert = piece.vertices.ravel().tolist()
             mesh.userface = piece.faces.ravel().tolist()
-            # MuJoCo makes hulls, without which a pair of geoms has one contact point at most, only of meshes that a
+            # MuJoCo makes hulls, without which a pair of geoms has one contact point at most, only of meshes
+            # that a
             # geom of this model shows, or that say so.
             mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
     model = objects[shown]
@@ -147,7 +157,14 @@ def _add_object(
     body.add_freejoint(name="object")
     body.mass, body.ipos, body.explicitinertial = model.mass, _off_origin(model.center_of_mass), True
     inertia = model.inertia
-    body.fullinertia = [inertia[0, 0], inertia[1, 1], inertia[2, 2], inertia[0, 1], inertia[0, 2], inertia[1, 2]]
+    body.fullinertia = [
+        inertia[0, 0],
+        inertia[1, 1],
+        inertia[2, 2],
+        inertia[0, 1],
+        inertia[0, 2],
+        inertia[1, 2],
+    ]
     for i in range(slots):
         used = i < len(model.pieces)
         geom = body.add_geom(
@@ -164,8 +181,8 @@ def _add_object(
 def _off_origin(center: np.ndarray) -> np.ndarray:
     """The centre of mass, but never within a micrometre of the body's origin.
 
-    MuJoCo stores the inertia of a body with its centre of mass at its origin in another, smaller layout, which can't
-    differ between worlds.
+    MuJoCo stores the inertia of a body with its centre of mass at its origin in another, smaller layout,
+    which can't differ between worlds.
     """
     return center if np.linalg.norm(center) > 1e-6 else np.array([1e-6, 0.0, 0.0])
 
@@ -199,17 +216,31 @@ def _add_sensors(spec: mujoco.MjSpec, hand: Hand) -> None:
     found_and_force = (1 << int(_DATA.mjCONDATA_FOUND)) | (1 << int(_DATA.mjCONDATA_FORCE))
     for members in hand.links:
         for name in members:
-            _contact_sensor(spec, f"{name}/object", (body, HAND_PREFIX + name), (body, "object"), found_and_force)
+            _contact_sensor(
+                spec, f"{name}/object", (body, HAND_PREFIX + name), (body, "object"), found_and_force
+            )
     for members in hand.links:
         for name in members:
-            _contact_sensor(spec, f"{name}/table", (body, HAND_PREFIX + name), (mujoco.mjtObj.mjOBJ_GEOM, "table"), found_and_force)
-    _contact_sensor(spec, "object/table", (body, "object"), (mujoco.mjtObj.mjOBJ_GEOM, "table"), found_and_force)
+            _contact_sensor(
+                spec,
+                f"{name}/table",
+                (body, HAND_PREFIX + name),
+                (mujoco.mjtObj.mjOBJ_GEOM, "table"),
+                found_and_force,
+            )
+    _contact_sensor(
+        spec, "object/table", (body, "object"), (mujoco.mjtObj.mjOBJ_GEOM, "table"), found_and_force
+    )
     subtree = (mujoco.mjtObj.mjOBJ_XBODY, HAND_PREFIX + hand.palm)
     _contact_sensor(spec, "hand/hand", subtree, subtree, found_and_force)
 
 
 def _contact_sensor(
-    spec: mujoco.MjSpec, name: str, first: tuple[mujoco.mjtObj, str], second: tuple[mujoco.mjtObj, str], data: int
+    spec: mujoco.MjSpec,
+    name: str,
+    first: tuple[mujoco.mjtObj, str],
+    second: tuple[mujoco.mjtObj, str],
+    data: int,
 ) -> None:
     net_force = 3
     sensor = spec.add_sensor(name=name, type=mujoco.mjtSensor.mjSENS_CONTACT)
@@ -226,7 +257,9 @@ def _differing_fields(whole: mujoco.MjModel, models: list[mujoco.MjModel]) -> di
             continue
         values = [getattr(model, name) for model in models]
         shape = np.shape(getattr(whole, name))
-        if all(np.shape(v) == shape for v in values) and any(not np.array_equal(v, values[0]) for v in values):
+        if all(np.shape(v) == shape for v in values) and any(
+            not np.array_equal(v, values[0]) for v in values
+        ):
             result[name] = np.stack([np.array(v) for v in values])
     return result
 

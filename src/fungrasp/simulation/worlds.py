@@ -25,7 +25,8 @@ class Worlds:
             scene: the scene.
             object_index: which of ``scene.objects`` each world holds, shape [W].
             mass: of the object in each world [kg], shape [W]; the inertia follows. The objects' own if None.
-            friction: sliding friction of hand, object and table in each world, shape [W]; the scene's if None.
+            friction: sliding friction of hand, object and table in each world, shape [W]; the scene's if
+                None.
             threads: 0 means all processors. Results do not depend on it.
         """
         self.scene, self.model = scene, scene.model
@@ -66,7 +67,8 @@ class Worlds:
         self.batch.forward(stage=mujoco.mjtStage.mjSTAGE_VEL)
 
     def step(self, substeps: int, which: np.ndarray | None = None) -> None:
-        """Advance by physics steps; sensors and poses are current afterwards. which: world ids, all if None."""
+        """Advance by physics steps; sensors and poses are current afterwards. which: world ids, all if
+        None."""
         self.batch.step(which, nstep=substeps, stage=mujoco.mjtStage.mjSTAGE_VEL)
 
     @property
@@ -109,7 +111,9 @@ class Worlds:
     @property
     def link_contacts(self) -> np.ndarray:
         """Whether each contact link touches the object, shape [W, L] bool."""
-        return np.stack([(self.sensordata[:, columns] > 0).any(axis=1) for columns in self._link_object], axis=1)
+        return np.stack(
+            [(self.sensordata[:, columns] > 0).any(axis=1) for columns in self._link_object], axis=1
+        )
 
     @property
     def link_forces(self) -> np.ndarray:
@@ -136,8 +140,12 @@ class Worlds:
         )
 
     def _set_mass(self, mass: np.ndarray) -> None:
-        """Scale the object's inertial fields; everything derived from them scales along, as the body floats freely."""
-        fields = {name: self.batch.expand(name) for name in ("body_mass", "body_subtreemass", "body_inertia", "body_invweight0")}
+        """Scale the object's inertial fields; everything derived from them scales along, as the body floats
+        freely."""
+        fields = {
+            name: self.batch.expand(name)
+            for name in ("body_mass", "body_subtreemass", "body_inertia", "body_invweight0")
+        }
         own = fields["body_mass"][:, self._object].copy()
         ratio = mass / own
         fields["body_subtreemass"][:, 0] += mass - own
@@ -154,10 +162,16 @@ def _addresses(model: mujoco.MjModel, joints: tuple[str, ...]) -> np.ndarray:
     """Of the joints' numbers in qpos."""
     widths = {mujoco.mjtJoint.mjJNT_FREE: 7, mujoco.mjtJoint.mjJNT_BALL: 4}
     return np.concatenate(
-        [model.joint(j).qposadr[0] + np.arange(widths.get(mujoco.mjtJoint(int(model.joint(j).type[0])), 1)) for j in joints]
+        [
+            model.joint(j).qposadr[0] + np.arange(widths.get(mujoco.mjtJoint(int(model.joint(j).type[0])), 1))
+            for j in joints
+        ]
     )
 
 
 def _link_columns(scene: Scene, other: str) -> list[np.ndarray]:
     """First column in sensordata of each link's sensors."""
-    return [np.array([scene.model.sensor(f"{name}/{other}").adr[0] for name in members]) for members in scene.hand.links]
+    return [
+        np.array([scene.model.sensor(f"{name}/{other}").adr[0] for name in members])
+        for members in scene.hand.links
+    ]

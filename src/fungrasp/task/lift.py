@@ -69,7 +69,9 @@ class LiftTask:
         self._independent = np.linalg.pinv(self.matrix)
         self._substep_time = SUBSTEPS * scene.settings.timestep
         self._wrist_actuators, self._finger_actuators = scene.wrist_actuators, scene.finger_actuators
-        self._damping_lead = np.repeat(np.array(scene.settings.wrist_damping) / scene.settings.wrist_stiffness, 3)
+        self._damping_lead = np.repeat(
+            np.array(scene.settings.wrist_damping) / scene.settings.wrist_stiffness, 3
+        )
         self.wrist_in_object = compose(invert(grasps.object_pose), grasps.wrist_pose)
         """Pose of the palm in the grasped object's frame, shape [W, 7]."""
 
@@ -120,7 +122,8 @@ class LiftTask:
         self._previous: tuple[np.ndarray, np.ndarray] | None = None
 
     def step(self, action: Action, watch: Callable[[], None] | None = None) -> None:
-        """Advance all unfinished worlds by one control period. watch: called after each substep, to record."""
+        """Advance all unfinished worlds by one control period. watch: called after each substep, to
+        record."""
         p = self.protocol
         may_lift = action.lift | (self.time >= p.approach_time - 1e-9)
         begins = may_lift & ~np.isfinite(self.lift_time)
@@ -162,7 +165,9 @@ class LiftTask:
         self.worlds.ctrl[:, self._finger_actuators] = self.finger_set_point
 
     def _observe_hold(self, goal: np.ndarray) -> None:
-        risen = np.isfinite(self.lift_time) & (np.linalg.norm(goal[:, :3] - self.set_point.pose[:, :3], axis=1) < 2e-3)
+        risen = np.isfinite(self.lift_time) & (
+            np.linalg.norm(goal[:, :3] - self.set_point.pose[:, :3], axis=1) < 2e-3
+        )
         self.hold_time = np.where(risen & ~np.isfinite(self.hold_time), self.time, self.hold_time)
         holding = np.isfinite(self.hold_time) & ~self.done
         height = self.worlds.center_of_mass[:, 2] - self.settled_height
@@ -183,7 +188,9 @@ class LiftTask:
             f1 = 2 * both / np.maximum(target.sum(axis=1) + actual.sum(axis=1), 1)
             travel = np.linalg.norm(position[:, :3] - self._previous[0], axis=1)
             slip = np.linalg.norm(in_palm - self._previous[1], axis=1)
-            sample = np.stack([np.ones(len(holding)), recall, precision, f1, travel, slip, actual.any(axis=1)])
+            sample = np.stack(
+                [np.ones(len(holding)), recall, precision, f1, travel, slip, actual.any(axis=1)]
+            )
             self._samples += np.where(holding, np.nan_to_num(sample), 0.0)
         self._previous = (position[:, :3].copy(), in_palm)
 
@@ -213,6 +220,13 @@ class LiftTask:
         )
         per_second = 1e3 / (number * p.control_period)
         return Trials(
-            success, self._lifted, recall / number, precision / number, f1 / number, travel * per_second, slip * per_second,
-            self._pushed, reason,
+            success,
+            self._lifted,
+            recall / number,
+            precision / number,
+            f1 / number,
+            travel * per_second,
+            slip * per_second,
+            self._pushed,
+            reason,
         )

@@ -23,12 +23,15 @@ class WristSetPoint:
         self._protocol = protocol
 
     def advance(self, goal: np.ndarray, duration: float) -> None:
-        """Move towards the goal poses [W, 7] for some time [s]: straight, braking in time, never faster than allowed."""
+        """Move towards the goal poses [W, 7] for some time [s]: straight, braking in time, never faster than
+        allowed."""
         p = self._protocol
         offset = goal[:, :3] - self.pose[:, :3]
         distance = np.linalg.norm(offset, axis=1, keepdims=True)
         reach = p.wrist_acceleration * duration
-        speed = np.minimum(p.wrist_speed, np.sqrt(reach**2 / 4 + 2 * p.wrist_acceleration * distance) - reach / 2)
+        speed = np.minimum(
+            p.wrist_speed, np.sqrt(reach**2 / 4 + 2 * p.wrist_acceleration * distance) - reach / 2
+        )
         wanted = offset / np.maximum(distance, 1e-9) * np.minimum(speed, distance / duration)
         change = wanted - self.velocity
         size = np.linalg.norm(change, axis=1, keepdims=True)
