@@ -28,7 +28,7 @@ class RetargetSettings:
     """Factor for contacts of links that don't end in a fingertip."""
     gap_unit: float = 0.002
     """[m]."""
-    object_unit: float = 0.0007
+    object_unit: float = 0.0006
     """Penetration of the object [m]."""
     table_unit: float = 0.0007
     """Penetration of the table [m]."""
@@ -40,7 +40,7 @@ class RetargetSettings:
     """Unbalanced part of contact forces that sum to one."""
     closure_friction: float = 0.3
     """Friction that the balance may count on."""
-    posture_unit: float = 1.0
+    posture_unit: float = 0.85
     """Difference of unit vectors, second stage."""
     first_iterations: int = 15
     second_iterations: int = 30
