@@ -14,15 +14,17 @@ import re
 import runpy
 import shlex
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from fungrasp.cli.main import COMMANDS, main
-from fungrasp.grasps import files, save_human_grasps
+from fungrasp.evaluation import StaticQuality, Trajectory
+from fungrasp.grasps import HumanGraspSet, RobotGraspSet, files, save_human_grasps
 from fungrasp.objects import builtin_object
+from fungrasp.task import Trials
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -168,3 +170,19 @@ def test_links_between_pages_lead_somewhere() -> None:
     for page in PAGES:
         for target in re.findall(r"\]\(([^)#:\s]+)(?:#[\w-]+)?\)", page.read_text()):
             assert (page.parent / target).exists(), f"{page.name}: {target}"
+
+
+def test_every_field_of_the_files_is_documented() -> None:
+    text = (ROOT / "docs" / "file-format.md").read_text()
+    for kind in (HumanGraspSet, RobotGraspSet):
+        for name in kind.FIELDS:
+            assert f"`{name}`" in text, name
+    for field in fields(Trajectory):
+        assert f"`{field.name}`" in text, field.name
+
+
+def test_every_measured_number_is_documented() -> None:
+    text = (ROOT / "docs" / "evaluation.md").read_text()
+    for kind in (StaticQuality, Trials):
+        for field in fields(kind):
+            assert field.name == "success" or f"`{field.name}`" in text, field.name
