@@ -28,7 +28,7 @@ VERDICT_TIME = 1.0
 FARTHEST = 0.4
 """An object that has travelled further is out of the film's picture [m]."""
 
-STILL = 8e-4
+STILL = 1e-3
 """What moves less than this is not drawn again [m]."""
 
 STEADY = 0.1
@@ -42,8 +42,8 @@ def trial_film(
     *,
     fps: float = 15.0,
     speed: float = 1.5,
-    width: int = 480,
-    height: int = 360,
+    width: int = 432,
+    height: int = 324,
     title: str = "",
     threads: int = 0,
 ) -> Iterator[np.ndarray]:
