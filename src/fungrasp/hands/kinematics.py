@@ -8,7 +8,12 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
-from fungrasp.geometry.poses import cross, quaternion_from_rotation_vector, quaternion_multiply, rotation_matrix
+from fungrasp.geometry.poses import (
+    cross,
+    quaternion_from_rotation_vector,
+    quaternion_multiply,
+    rotation_matrix,
+)
 from fungrasp.hands.hand import Hand
 
 
@@ -27,10 +32,11 @@ class BodyPoints(NamedTuple):
 
 
 class HandKinematics:
-    """N hands, each with a wrist pose and U independent joint positions, in any one reference frame of the caller's.
+    """N hands, each with a wrist pose and U independent joint positions, in any one reference frame of the
+    caller's.
 
-    Tangent vectors have D = 6 + U numbers: translation of the wrist [m] and its rotation [rad] about the wrist's origin,
-    both along the reference frame's axes, then the independent joints [rad].
+    Tangent vectors have D = 6 + U numbers: translation of the wrist [m] and its rotation [rad] about the
+    wrist's origin, both along the reference frame's axes, then the independent joints [rad].
     """
 
     def __init__(self, hand: Hand, count: int, threads: int = 1):
@@ -41,7 +47,9 @@ class HandKinematics:
             threads: for MuJoCo; 0 means all processors.
         """
         spec = hand.spec()
-        spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
+        spec.option.disableflags |= (
+            mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
+        )
         self.hand = hand
         self.model = spec.compile()
         self.matrix, self.offset = hand.coupling
@@ -133,7 +141,8 @@ class HandKinematics:
         return BodyPoints(np.array(bodies), np.array(offsets))
 
     def keypoints(self, wrist_pose: np.ndarray, joint_positions: np.ndarray) -> np.ndarray:
-        """Key points of full joint vectors (coupled joints included). Shape [N, 7], [N, M]; returns [m], [N, K, 3]."""
+        """Key points of full joint vectors (coupled joints included). Shape [N, 7], [N, M]; returns [m], [N,
+        K, 3]."""
         independent = (joint_positions - self.offset) @ np.linalg.pinv(self.matrix).T
         self.update(wrist_pose, independent)
         return self.points(self.body_points(self.hand.keypoint_names))
@@ -150,7 +159,9 @@ def _moved_bodies(model: mujoco.MjModel) -> np.ndarray:
     return moves
 
 
-def _independent_limits(matrix: np.ndarray, offset: np.ndarray, limits: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _independent_limits(
+    matrix: np.ndarray, offset: np.ndarray, limits: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Limits of the independent joints such that coupled joints keep theirs as well."""
     lower = np.full(matrix.shape[1], -np.inf)
     upper = np.full(matrix.shape[1], np.inf)
@@ -159,5 +170,3 @@ def _independent_limits(matrix: np.ndarray, offset: np.ndarray, limits: np.ndarr
             bounds = sorted(((low - constant) / row[u], (high - constant) / row[u]))
             lower[u], upper[u] = max(lower[u], bounds[0]), min(upper[u], bounds[1])
     return lower, upper
-
-

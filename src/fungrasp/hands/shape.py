@@ -34,7 +34,8 @@ def hand_balls(hand: Hand, spacing: float = 0.012) -> HandBalls:
 
     Args:
         hand: any hand.
-        spacing: largest gap between neighbours [m]; along a capsule three quarters of its radius, if that is less.
+        spacing: largest gap between neighbours [m]; along a capsule three quarters of its radius, if that is
+            less.
     """
     model = hand.model
     link_of_body = {name: i for i, members in enumerate(hand.links) for name in members}

@@ -1,4 +1,5 @@
-"""Our retargeting: initialise by wrist, fingertips and link directions, then optimise contact and collision (paper IV.A)."""
+"""Our retargeting: initialise by wrist, fingertips and link directions, then optimise contact and collision
+(paper IV.A)."""
 
 from __future__ import annotations
 
@@ -56,10 +57,14 @@ def solve(points: HandPoints, problem: Problem, settings: RetargetSettings) -> t
         partial(terms.link_direction, unit=settings.direction_unit),
         partial(table, unit=0.005),
     ]
-    wrist_pose, independent, _ = minimise(points, problem, first, wrist_pose, independent, settings.first_iterations)
+    wrist_pose, independent, _ = minimise(
+        points, problem, first, wrist_pose, independent, settings.first_iterations
+    )
     start = (wrist_pose, independent)
     second: list[Term] = [
-        partial(terms.contact_position, unit=settings.contact_unit, inner_weight=settings.inner_contact_weight),
+        partial(
+            terms.contact_position, unit=settings.contact_unit, inner_weight=settings.inner_contact_weight
+        ),
         partial(terms.contact_gap, unit=settings.gap_unit),
         partial(terms.object_penetration, unit=settings.object_unit),
         partial(terms.link_direction, unit=settings.posture_unit),
@@ -68,7 +73,9 @@ def solve(points: HandPoints, problem: Problem, settings: RetargetSettings) -> t
         table,
         itself,
     ]
-    wrist_pose, independent, _ = minimise(points, problem, second, wrist_pose, independent, settings.second_iterations)
+    wrist_pose, independent, _ = minimise(
+        points, problem, second, wrist_pose, independent, settings.second_iterations
+    )
     return wrist_pose, independent
 
 
@@ -97,5 +104,7 @@ def palm_alignment(hand: Hand, joints: np.ndarray) -> np.ndarray:
     normal -= np.sum(normal * fingers, axis=1, keepdims=True) * fingers
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     human = np.stack([fingers, normal, np.cross(fingers, normal)], axis=-1)
-    robot = np.stack([hand.palm_fingers, hand.palm_normal, np.cross(hand.palm_fingers, hand.palm_normal)], axis=-1)
+    robot = np.stack(
+        [hand.palm_fingers, hand.palm_normal, np.cross(hand.palm_fingers, hand.palm_normal)], axis=-1
+    )
     return Rotation.from_matrix(human @ robot.T).as_quat(scalar_first=True)

@@ -1,7 +1,7 @@
 """The terms of the retargeting objective (paper IV.A), each one pure function.
 
-The objective is half the sum of squares of all residuals. A term returns its residuals, shape [N, R], already divided by
-the length or angle at which it counts as one unit, and their Jacobian, shape [N, R, D].
+The objective is half the sum of squares of all residuals. A term returns its residuals, shape [N, R], already
+divided by the length or angle at which it counts as one unit, and their Jacobian, shape [N, R, D].
 """
 
 from __future__ import annotations
@@ -24,7 +24,8 @@ def fingertip_position(state: State[Problem], unit: float = 0.01) -> Residual:
 
 
 def link_direction(state: State[Problem], unit: float = 0.5) -> Residual:
-    """(d_robot - d_human) / unit for each finger link, d the unit vector from its near to its far key point (IV.A)."""
+    """(d_robot - d_human) / unit for each finger link, d the unit vector from its near to its far key point
+    (IV.A)."""
     match = state.points.match
     robot = state.keypoints[:, match.far] - state.keypoints[:, match.near]
     human = state.problem.joints[:, match.human_far] - state.problem.joints[:, match.human_near]
@@ -38,8 +39,9 @@ def link_direction(state: State[Problem], unit: float = 0.5) -> Residual:
 def contact_position(state: State[Problem], unit: float = 0.005, inner_weight: float = 0.4) -> Residual:
     """L_pos of IV.A, on the surface: c_j (p_j - (s_j + rho_j n_j)) / unit.
 
-    p_j is the far key point of robot link j, s_j the surface point nearest to the corresponding human joint, n_j the normal
-    there and rho_j the robot finger's radius, so that thick robot fingers touch where thin human fingers did.
+    p_j is the far key point of robot link j, s_j the surface point nearest to the corresponding human joint,
+    n_j the normal there and rho_j the robot finger's radius, so that thick robot fingers touch where thin
+    human fingers did.
 
     Args:
         unit: [m].
@@ -54,10 +56,17 @@ def contact_position(state: State[Problem], unit: float = 0.005, inner_weight: f
 
 
 def contact_gap(state: State[Problem], unit: float = 0.003) -> Residual:
-    """c_j max(0, gap_j) / unit, gap_j the smallest clearance of link j's surface from the object. unit: [m]."""
-    links = [link for link in range(1, len(state.points.link_members)) if len(state.points.link_members[link])]
+    """c_j max(0, gap_j) / unit, gap_j the smallest clearance of link j's surface from the object. unit:
+    [m]."""
+    links = [
+        link for link in range(1, len(state.points.link_members)) if len(state.points.link_members[link])
+    ]
     nearest = np.stack(
-        [m[np.argmin(state.clearance[:, m], axis=1)] for m in (state.points.link_members[link] for link in links)], axis=1
+        [
+            m[np.argmin(state.clearance[:, m], axis=1)]
+            for m in (state.points.link_members[link] for link in links)
+        ],
+        axis=1,
     )
     clearance = np.take_along_axis(state.clearance, nearest, axis=1)
     wanted = state.problem.contacts[:, links] & (clearance > 0)
@@ -82,7 +91,9 @@ def object_penetration(
     return active * depth / unit, active[..., None] * jacobian / unit
 
 
-def table_penetration(state: State[Surroundings], unit: float = 0.001, margin: float = 0.001, most: int = 12) -> Residual:
+def table_penetration(
+    state: State[Surroundings], unit: float = 0.001, margin: float = 0.001, most: int = 12
+) -> Residual:
     """max(0, margin - height) / unit for the ``most`` lowest balls (h_{i-table} in L_col of IV.A).
 
     Args:
@@ -91,14 +102,18 @@ def table_penetration(state: State[Surroundings], unit: float = 0.001, margin: f
     lowest = _smallest(state.heights, most)
     depth = margin - np.take_along_axis(state.heights, lowest, axis=1)
     active = depth > 0
-    up = np.take_along_axis(state.problem.up, np.take_along_axis(state.plane, lowest, axis=1)[..., None], axis=1)
+    up = np.take_along_axis(
+        state.problem.up, np.take_along_axis(state.plane, lowest, axis=1)[..., None], axis=1
+    )
     jacobian = -(up[:, :, None] @ state.ball_jacobian(lowest))[:, :, 0]
     return active * depth / unit, active[..., None] * jacobian / unit
 
 
-def self_penetration(state: State[Surroundings], unit: float = 0.002, margin: float = 0.001, most: int = 8) -> Residual:
-    """max(0, margin - d_ij) / unit for the ``most`` closest pairs of balls of different fingers, d_ij the distance between
-    their surfaces (L_col of IV.A, with the distance of shapes in place of that of joints).
+def self_penetration(
+    state: State[Surroundings], unit: float = 0.002, margin: float = 0.001, most: int = 8
+) -> Residual:
+    """max(0, margin - d_ij) / unit for the ``most`` closest pairs of balls of different fingers, d_ij the
+    distance between their surfaces (L_col of IV.A, with the distance of shapes in place of that of joints).
 
     Args:
         unit, margin: [m].
@@ -114,7 +129,9 @@ def self_penetration(state: State[Surroundings], unit: float = 0.002, margin: fl
     depth = margin - np.take_along_axis(gap, closest, axis=1)
     active = depth > 0
     a, b = pairs.first[closest // len(pairs.second)], pairs.second[closest % len(pairs.second)]
-    between = np.take_along_axis(balls, a[..., None], axis=1) - np.take_along_axis(balls, b[..., None], axis=1)
+    between = np.take_along_axis(balls, a[..., None], axis=1) - np.take_along_axis(
+        balls, b[..., None], axis=1
+    )
     direction = between / np.maximum(np.linalg.norm(between, axis=-1, keepdims=True), 1e-9)
     move = state.ball_jacobian(a) - state.ball_jacobian(b)
     jacobian = np.where(active[..., None], -np.einsum("nqi,nqid->nqd", direction, move) / unit, 0.0)
@@ -126,9 +143,10 @@ def force_closure(
 ) -> Residual:
     """(sum f_j, sum (x_j - center) x f_j / extent) / unit, over links that should touch (L_fc of IV.A).
 
-    x_j is the surface point nearest to the far key point of link j. The f_j are the contact forces within friction cones,
-    normal parts summing to one, that balance best: with ``friction`` zero this is Liu et al., "Synthesizing diverse and
-    physically stable grasps", 2021. As the forces are optimal, the derivative holds them fixed in the contact frames.
+    x_j is the surface point nearest to the far key point of link j. The f_j are the contact forces within
+    friction cones, normal parts summing to one, that balance best: with ``friction`` zero this is Liu et al.,
+    "Synthesizing diverse and physically stable grasps", 2021. As the forces are optimal, the derivative holds
+    them fixed in the contact frames.
 
     Args:
         unit: dimensionless.
@@ -175,7 +193,9 @@ def stay_near(
     """
     pose, independent = start
     turn = rotation_vector(quaternion_multiply(state.wrist_pose[:, 3:], quaternion_conjugate(pose[:, 3:])))
-    difference = np.concatenate([state.wrist_pose[:, :3] - pose[:, :3], turn, state.independent - independent], axis=1)
+    difference = np.concatenate(
+        [state.wrist_pose[:, :3] - pose[:, :3], turn, state.independent - independent], axis=1
+    )
     units = np.repeat([position_unit, rotation_unit, unit], [3, 3, independent.shape[1]])
     jacobian = np.broadcast_to(np.diag(1.0 / units), (len(pose), len(units), len(units)))
     return difference / units, jacobian
