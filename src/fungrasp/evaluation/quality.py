@@ -10,6 +10,7 @@ import numpy as np
 
 from fungrasp.errors import FungraspError
 from fungrasp.evaluation.closure import closure_epsilon, closure_residual, primitive_wrenches
+from fungrasp.evaluation.depth import deepest, exact_clearance, nearest_points
 from fungrasp.geometry import SignedDistanceBank
 from fungrasp.geometry.poses import compose, inverse_transform_points, invert, transform_points
 from fungrasp.grasps import HumanGraspSet, RobotGraspSet
@@ -99,22 +100,24 @@ def static_quality(
     names = sorted(set(robot.object_name.tolist()))
     bank = SignedDistanceBank([objects[name].signed_distance for name in names])
     grid = np.array([names.index(name) for name in robot.object_name.tolist()])
+    things = [objects[name] for name in names]
     wanted = match.link_contacts(human.link_contacts)[:, 1:]
-    theirs, _ = nearest_surface(bank, grid, joints[:, match.human_far])
-    ours, _ = nearest_surface(bank, grid, keypoints[:, match.far])
+    theirs = nearest_points(things, grid, joints[:, match.human_far], wanted)
+    ours = nearest_points(things, grid, keypoints[:, match.far], wanted)
     contact_error = _mean_where(np.linalg.norm(theirs - ours, axis=-1), wanted)
 
     balls = hand_balls(hand, spacing)
     centers, clearance, heights = _clearances(kinematics, balls, bank, grid, robot)
+    clearance = exact_clearance(things, grid, centers, clearance, balls.radius)
     nearest = [_nearest(clearance, balls.link == link) for link in range(len(hand.links))]
     by_link = np.stack([distance for _, distance in nearest], axis=1)
     contacts = np.stack([centers[np.arange(len(robot)), ball] for ball, _ in nearest], axis=1)
-    residual, epsilon = _force_closure(contacts, by_link, bank, grid, [objects[name] for name in names])
+    residual, epsilon = _force_closure(contacts, by_link, bank, grid, things)
     return StaticQuality(
         contact_error_mm=1e3 * contact_error,
         contact_gap_mm=1e3 * _mean_where(np.maximum(by_link[:, 1:], 0.0), wanted),
         link_direction_error_deg=np.rad2deg(_direction_error(keypoints, joints, match).mean(axis=1)),
-        object_penetration_mm=1e3 * np.maximum(-clearance.min(axis=1), 0.0),
+        object_penetration_mm=1e3 * deepest(things, bank, grid, centers, clearance, balls.radius),
         table_penetration_mm=1e3 * np.maximum(-heights.min(axis=1), 0.0),
         self_penetration_mm=1e3 * self_penetration(hand, robot.joint_positions),
         limit_violation_rad=np.maximum(
