@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 import trimesh
 
+from fungrasp.cli.main import main
 from fungrasp.errors import FungraspError
 from fungrasp.geometry.poses import rotate, transform_points
-from fungrasp.grasps import HUMAN_LINKS, bone_lengths
+from fungrasp.grasps import HUMAN_LINKS, bone_lengths, load_human_grasps
 from fungrasp.grasps.anatomy import check_anatomy
 from fungrasp.hands import load_hand
 from fungrasp.hands.kinematics import HandKinematics
@@ -207,3 +208,13 @@ def test_everyday_wishes_cover_objects_and_tasks():
     assert len({wish.task for wish in EVERYDAY}) >= 8
     for wish in EVERYDAY:
         assert wish.all_parts <= set(load_object(wish.object).parts), wish
+
+
+def test_the_command_makes_a_file_or_says_what_is_unknown(tmp_path, capsys):
+    out = tmp_path / "made.npz"
+    assert main(["grasps", "make", "--out", str(out), "--objects", "tennis_ball"]) == 0
+    assert set(load_human_grasps(out).object_name.tolist()) == {"tennis_ball"}
+    assert "grasps of 1 objects" in capsys.readouterr().out
+    assert main(["grasps", "make", "--out", str(tmp_path / "no.npz"), "--objects", "tenis_ball"]) == 2
+    assert "tennis_ball" in capsys.readouterr().err
+    assert not (tmp_path / "no.npz").exists()

@@ -52,7 +52,7 @@ def _drinking() -> list[GraspWish]:
         *_around(mug_body, 0, 30, -20, about=(-0.016, 0)),
         *_around(mug_rim, 0, 90, about=(-0.016, 0)),
         *_around(stem, 0, 60, 120),
-        *_around(bowl, 0, 120),
+        *_around(bowl, 0, 50),
         *_around(top, 0),
         *_along(pour, 0.0, 0.02, axis=2),
         replace(pour, palm=(-1, 0, -0.3), at=(0.094, 0, 0.015)),
@@ -85,7 +85,7 @@ def _kitchen() -> list[GraspWish]:
     scrub = GraspWish("brush", "scrub", "handle", "cover", at=(-0.03, 0, 0.008), palm=DOWN, fingers=RIGHT)
     head = GraspWish("brush", "hand over", "head", "prism", at=(0.085, 0, 0.015), palm=DOWN, fingers=LEFT)
     return [
-        *_along(cook, 0.045, 0.06, 0.075),
+        *_along(cook, 0.06, 0.075, 0.09),
         pan_rim,
         replace(pan_rim, at=(-0.09, -0.117, 0.008), fingers=RIGHT),
         *_along(cut, -0.09, -0.07),
