@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import trimesh
 from scipy import ndimage
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from fungrasp.files import atomic_path
 
@@ -57,7 +58,8 @@ class SignedDistanceGrid:
         touched[tuple(np.round((samples.points - low) / spacing).astype(int).T)] = True
         feet = np.zeros((*shape, 3))
         feet[touched] = samples.nearest(points[touched])[0]
-        _, nearest_touched = ndimage.distance_transform_edt(~touched, return_indices=True)
+        transformed: Any = ndimage.distance_transform_edt(~touched, return_indices=True)
+        nearest_touched = transformed[1]
         distance = np.linalg.norm(points - feet[tuple(nearest_touched)], axis=-1)
         near = distance < 2.5 * spacing
         distance[near] = np.linalg.norm(points[near] - samples.nearest(points[near])[0], axis=-1)
@@ -222,7 +224,7 @@ class _SurfaceSamples:
         gap = max(0.001, float(mesh.extents.max()) / 200)
         self.points, self._owners = points_on_triangles(np.asarray(mesh.triangles), gap)
         self._triangles = mesh.triangles
-        self._tree = cKDTree(self.points)
+        self._tree = KDTree(self.points)
 
     def nearest(self, points: np.ndarray, candidates: int = 6) -> tuple[np.ndarray, np.ndarray]:
         found = self._tree.query(points, k=candidates, workers=-1)[1]
@@ -246,7 +248,8 @@ def _sign(mesh: trimesh.Trimesh, points: np.ndarray, distance: np.ndarray, spaci
     others are asked one by one."""
     flat = points.reshape(-1, 3)
     clear = distance > 0.55 * spacing
-    components, count = ndimage.label(clear)
+    labelled: Any = ndimage.label(clear)
+    components, count = labelled
     inside = np.zeros(count + 1, dtype=bool)
     first = np.full(count + 1, -1)
     labels = components.ravel()

@@ -125,13 +125,13 @@ def four_views(
     Returns:
         four pictures, sRGB, shape [height, width, 3] uint8.
     """
-    qpos = model.qpos0 if qpos is None else np.asarray(qpos, dtype=float)
+    state = np.asarray(model.qpos0 if qpos is None else qpos, dtype=float)
     renderer = Renderer(model, look=look)
     cameras = [
-        frame_geoms(model, qpos, azimuth + 90.0 * i, 22.0 + 18.0 * (i % 2), width=width, height=height)
+        frame_geoms(model, state, azimuth + 90.0 * i, 22.0 + 18.0 * (i % 2), width=width, height=height)
         for i in range(4)
     ]
-    return [next(renderer.stream(qpos, camera)) for camera in cameras]
+    return [next(renderer.stream(state, camera)) for camera in cameras]
 
 
 def _shortened(text: str, font: ImageFont.FreeTypeFont | ImageFont.ImageFont, room: float) -> str:
