@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from fungrasp.hands import Hand
     from fungrasp.objects import ObjectModel
 
-FAVOURITES = ("mug:drink", "spray_bottle:spray", "drill:drill", "screwdriver:drive")
+FAVOURITES = ("spray_bottle:spray", "drill:drill", "mug:hand over", "flashlight:light")
 """What is shown if nothing is picked, as far as the grasps have it."""
 
 FPS, SPEED = 15.0, 1.5

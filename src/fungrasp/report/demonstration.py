@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +15,9 @@ from fungrasp.report.render import render
 from fungrasp.report.scenes import human_grasp_scene, robot_grasp_scene
 from fungrasp.report.trial_film import view_angles
 from fungrasp.report.viewpoints import frame_geoms, look_at_grasp
+
+DIGITS = 3
+"""Of a number after the point."""
 
 MEANINGS: dict[str, tuple[str, str, str]] = {
     "contact_error_mm": ("Contact error", "mm", "Between where person and robot touch, on the surface."),
@@ -129,23 +131,16 @@ def contacts(robot: RobotGrasp, trajectory: Trajectory, hand: Hand) -> list[Cont
 
 def quantities(quality: StaticQuality, result: DynamicResult, row: int) -> list[Quantity]:
     """Numbers of one grasp: the retargeted grasp's static quality, then what was measured in simulation."""
-    numbers = {field.name: float(getattr(quality, field.name)[row]) for field in fields(quality)}
     static = [
-        Quantity(name, numbers[key], unit, meaning)
+        Quantity(name, round(float(getattr(quality, key)[row]), DIGITS), unit, meaning)
         for key, (name, unit, meaning) in MEANINGS.items()
-        if np.isfinite(numbers[key])
+        if np.isfinite(getattr(quality, key)[row])
     ]
-    trials = result.trials
+    t = result.trials
+    lifted, slip, pushed = 1e3 * t.lifted_height_m[row], t.sim_distance_hand_mm_s[row], 1e3 * t.pushed_m[row]
     return [
         *static,
-        Quantity("Lifted by", 1e3 * float(trials.lifted_height_m[row]), "mm", "At least, during the hold."),
-        Quantity(
-            "Slip",
-            float(trials.sim_distance_hand_mm_s[row]),
-            "mm/s",
-            "Of the object in the hand, during the hold.",
-        ),
-        Quantity(
-            "Pushed by", 1e3 * float(trials.pushed_m[row]), "mm", "While the hand approached and closed."
-        ),
+        Quantity("Lifted by", round(float(lifted), DIGITS), "mm", "At least, during the hold."),
+        Quantity("Slip", round(float(slip), DIGITS), "mm/s", "Of the object in the hand, during the hold."),
+        Quantity("Pushed by", round(float(pushed), DIGITS), "mm", "While the hand approached and closed."),
     ]

@@ -71,7 +71,9 @@ def trial_film(
     times = trajectory.times.astype(float)
     at = frame_times(times, fps, speed)
     states = interpolate(model, recorded, times, at)
-    cameras = _cameras(model, recorded, trajectory, at, width, height)
+    holding = trajectory.link_contacts[trajectory.phase == trajectory.phase.max()].mean(axis=0) > 0.5
+    judged, _ = robot_grasp_scene(hand, wrist[0], joints[0], thing.vertices, thing.faces, things[0], holding)
+    cameras = _cameras(judged, recorded, trajectory, at, width, height)
     colours = robot_scene_colours(model, hand, _steady(trajectory.link_contacts, times, at))
     drawn = _moving(model, states)
     drawn[1:] |= [a != b for a, b in pairwise(cameras)]
@@ -109,7 +111,7 @@ def _cameras(
     model: mujoco.MjModel, states: np.ndarray, trajectory: Trajectory, at: np.ndarray, width: int, height: int
 ) -> list[Camera]:
     """For each frame, from all of the motion to that from the first touch on; an object that gets away is not
-    followed."""
+    followed. The model's links that touch during the hold are coloured, to be seen well."""
     touch = _first_touch(trajectory)
     travel = np.linalg.norm(trajectory.object_pose[:, :3] - trajectory.object_pose[0, :3], axis=1)
     close = travel < FARTHEST
