@@ -11,6 +11,9 @@ from fungrasp.objects import ObjectModel
 EXACT = 0.02
 """Parts of the hand nearer to the object's surface than this, outside or inside, are measured exactly [m]."""
 
+GRID_ERROR = 0.001
+"""A point whose distance by the grid is more than this is outside the object [m]."""
+
 
 def exact_clearance(
     objects: list[ObjectModel],
@@ -43,29 +46,61 @@ def deepest(
     centers: np.ndarray,
     clearance: np.ndarray,
     radius: np.ndarray,
-    chunk: int = 4096,
+    link: np.ndarray,
 ) -> np.ndarray:
-    """Depth of the deepest point of the balls in the object [m], shape [N]. In a thin wall, or at an edge, it
-    is less than how far the ball reaches beyond the surface.
+    """Depth of the deepest point of the hand in the object [m], shape [N]. In a thin wall, or at an edge, it
+    is less than how far a ball reaches beyond the surface.
 
-    Args: as for ``exact_clearance``.
+    Looks into the two balls of each link that reach farthest.
+
+    Args:
+        bank: of the objects' grids.
+        link: which link each ball belongs to, shape [P].
+        others: as for ``exact_clearance``.
     """
+    rows, balls = _worst_balls(clearance, link)
+    best = np.zeros((len(rows), 1, 3))
+    distance = np.zeros((len(rows), 1))
+    pick = np.arange(len(rows))
+    for around in (_BALL, 0.25 * _BALL, 0.06 * _BALL):
+        samples = best + around
+        samples /= np.maximum(1.0, np.linalg.norm(samples, axis=-1, keepdims=True))
+        places = centers[rows, balls][:, None] + radius[balls][:, None, None] * samples
+        distance = _signed_distance(objects, bank, grid[rows], places)
+        best = samples[pick, distance.argmin(axis=1)][:, None]
     depth = np.zeros(len(grid))
-    rows, balls = np.nonzero(clearance < 0)
-    for start in range(0, len(rows), chunk):
-        row, ball = rows[start : start + chunk], balls[start : start + chunk]
-        best = np.zeros((len(row), 1, 3))
-        for around in (_BALL, 0.2 * _BALL, 0.05 * _BALL):
-            samples = best + around
-            samples /= np.maximum(1.0, np.linalg.norm(samples, axis=-1, keepdims=True))
-            places = centers[row, ball][:, None] + radius[ball][:, None, None] * samples
-            distance, _ = bank.query(grid[row], places)
-            best = np.take_along_axis(samples, distance.argmin(axis=1)[:, None, None], axis=1)
-        lowest = centers[row, ball][:, None] + radius[ball][:, None, None] * best
-        inside = (distance.min(axis=1) < 0)[:, None]
-        surface = nearest_points(objects, grid[row], lowest, inside)
-        np.maximum.at(depth, row, np.linalg.norm(lowest - surface, axis=-1)[:, 0])
+    np.maximum.at(depth, rows, -distance.min(axis=1, initial=0.0))
     return depth
+
+
+def _worst_balls(clearance: np.ndarray, link: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rows and indices of balls that reach into the object: the two farthest of each link."""
+    rows, balls = [], []
+    for number in np.unique(link):
+        members = np.flatnonzero(link == number)
+        order = members[np.argsort(clearance[:, members], axis=1)[:, :2]]
+        row, place = np.nonzero(np.take_along_axis(clearance, order, axis=1) < 0)
+        rows.append(row)
+        balls.append(order[row, place])
+    return np.concatenate(rows), np.concatenate(balls)
+
+
+def _signed_distance(
+    objects: list[ObjectModel], bank: SignedDistanceBank, grid: np.ndarray, points: np.ndarray
+) -> np.ndarray:
+    """Exact distance of points that may be inside, by the side of the nearest triangle they are on; by
+    the grid for the others. points: shape [M, S, 3]; returns shape [M, S]."""
+    rough, _ = bank.query(grid, points)
+    doubtful = rough < GRID_ERROR
+    result = rough.copy()
+    for number, thing in enumerate(objects):
+        chosen = doubtful & (grid == number)[:, None]
+        if chosen.any():
+            nearest, face = nearest_on_mesh(thing.mesh, points[chosen])
+            away = points[chosen] - nearest
+            outside = np.sum(away * thing.mesh.face_normals[face], axis=1) > 0
+            result[chosen] = np.where(outside, 1.0, -1.0) * np.linalg.norm(away, axis=1)
+    return result
 
 
 def nearest_points(
@@ -87,7 +122,7 @@ def nearest_points(
     return result
 
 
-def _unit_ball(outer: int = 120, inner: int = 40) -> np.ndarray:
+def _unit_ball(outer: int = 100, inner: int = 20) -> np.ndarray:
     """Points spread evenly over the unit sphere, over one of half the size, and the centre, shape [P, 3]."""
     shells = [np.zeros((1, 3))]
     for count, size in ((inner, 0.5), (outer, 1.0)):

@@ -117,7 +117,7 @@ def static_quality(
         contact_error_mm=1e3 * contact_error,
         contact_gap_mm=1e3 * _mean_where(np.maximum(by_link[:, 1:], 0.0), wanted),
         link_direction_error_deg=np.rad2deg(_direction_error(keypoints, joints, match).mean(axis=1)),
-        object_penetration_mm=1e3 * deepest(things, bank, grid, centers, clearance, balls.radius),
+        object_penetration_mm=1e3 * deepest(things, bank, grid, centers, clearance, balls.radius, balls.link),
         table_penetration_mm=1e3 * np.maximum(-heights.min(axis=1), 0.0),
         self_penetration_mm=1e3 * self_penetration(hand, robot.joint_positions),
         limit_violation_rad=np.maximum(
