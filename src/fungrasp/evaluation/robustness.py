@@ -66,7 +66,7 @@ class Disturbance:
             threads=threads,
         )
         if self.table_height:
-            worlds.batch.expand("geom_pos")[:, scene.model.geom("table").id, 2] = self.table_height
+            move_table(worlds, self.table_height)
         return worlds
 
     def placed(self, grasps: RobotGraspSet) -> RobotGraspSet:
@@ -100,6 +100,14 @@ class Disturbance:
         turn[:, :3] = centers + self.position_noise * directions[:, 0]
         back = np.concatenate([-centers, np.tile([1.0, 0.0, 0.0, 0.0], (len(rows), 1))], axis=1)
         return compose(turn, back)
+
+
+def move_table(worlds: Worlds, height: float) -> None:
+    """Put the table's top at this height [m] in all worlds."""
+    table = worlds.model.geom("table").id
+    worlds.batch.expand("geom_pos")[:, table, 2] = height
+    # MuJoCo skips the position of a geom that the compiler found at its body's origin.
+    worlds.batch.expand("geom_sameframe")[:, table] = 0
 
 
 class _Believed:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fungrasp.evaluation.dynamic import CHUNK, check_hand
+from fungrasp.evaluation.robustness import move_table
 from fungrasp.geometry.poses import compose, invert, rotation_vector
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
@@ -108,7 +109,7 @@ def _push(
     names = {name: i for i, name in enumerate(scene.objects)}
     index = np.array([names[name] for name in grasps.object_name.tolist()])
     worlds = Worlds(scene, index, mass=np.full(len(grasps), p.mass), threads=threads)
-    worlds.batch.expand("geom_pos")[:, scene.model.geom("table").id, 2] = -10.0
+    move_table(worlds, -100.0)
     matrix, offset = scene.hand.coupling
     closed = (grasps.joint_positions - offset) @ np.linalg.pinv(matrix).T
     squeezed = closed + _servo_offsets(scene.hand, grasps, closed, objects, p.mass)
