@@ -1,0 +1,111 @@
+"""Small grasp files and bad input for the tests of retarget, evaluate and bench."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import trimesh
+
+from fungrasp.cli.main import main
+from fungrasp.grasps import HumanGraspSet, builtin_grasps, save_human_grasps
+
+
+def some_grasps(names: tuple[str, ...] = ("can", "tennis_ball")) -> HumanGraspSet:
+    """The first built-in grasp of each object."""
+    grasps = builtin_grasps()
+    return grasps.select([np.flatnonzero(grasps.object_name == name)[0] for name in names])
+
+
+def run(capsys: Any, *arguments: object) -> tuple[int, str, str]:
+    status = main([str(argument) for argument in arguments])
+    captured = capsys.readouterr()
+    return status, captured.out, captured.err
+
+
+def write_arrays(path: Path, **changes: np.ndarray) -> Path:
+    """A grasp file with some arrays replaced, unchecked."""
+    save_human_grasps(path, some_grasps())
+    with np.load(path) as data:
+        arrays = dict(data)
+    np.savez(path, **(arrays | changes))  # pyright: ignore[reportArgumentType]
+    return path
+
+
+def bad_inputs(folder: Path) -> dict[str, tuple[list[object], str]]:
+    """By name: arguments that retarget, evaluate and bench share, and words of the error."""
+    good = some_grasps()
+    save_human_grasps(folder / "good.npz", good)
+    (folder / "text.npz").write_text("text")
+    (folder / "short.npz").write_bytes((folder / "good.npz").read_bytes()[:300])
+    meshes, millimetres, huge = folder / "meshes", folder / "millimetres", folder / "huge"
+    for place, size in ((meshes, 0.06), (millimetres, 60.0), (huge, 1.8)):
+        place.mkdir()
+        trimesh.creation.box((size, size, size)).export(place / "block.obj")
+    (meshes / "broken.obj").write_text("v 0 0 nonsense\n")
+    for name in ("block", "broken", "cann"):
+        named = dataclasses.replace(good, object_name=np.full(len(good), name))
+        save_human_grasps(folder / f"{name}.npz", named)
+    pose = good.object_pose
+    turned = pose.copy()
+    turned[1, 3:] *= 1.3
+    missing = good.hand_joints.copy()
+    missing[1, 4, 2] = np.nan
+    thumbless = folder / "thumbless"
+    thumbless.mkdir()
+    (thumbless / "hand.xml").write_text(
+        '<mujoco><worldbody><body name="palm"><geom size=".01"/><body name="f"><joint name="j" range="0 1"/>'
+        '<geom size=".01"/><site name="tip"/></body></body></worldbody></mujoco>'
+    )
+    (thumbless / "hand.toml").write_text(
+        'name = "claw"\nmodel = "hand.xml"\npalm = "palm"\n[fingers.index]\nlinks = ["f"]\ntip = "tip"\n'
+        "[actuators]\nkp = 1\nkd = 0.1\nforce_limit = 1\n"
+    )
+    return {
+        "no file": (["--grasps", folder / "none.npz"], "none.npz does not exist"),
+        "a folder": (["--grasps", meshes], "is a folder"),
+        "no grasps": (["--grasps", folder / "text.npz"], "not a grasp set"),
+        "cut short": (["--grasps", folder / "short.npz"], "short.npz"),
+        "shape": (
+            ["--grasps", write_arrays(folder / "shape.npz", hand_joints=good.hand_joints[:, :20])],
+            "field 'hand_joints' has shape (2, 20, 3), expected (N, 21, 3)",
+        ),
+        "nan": (
+            ["--grasps", write_arrays(folder / "nan.npz", hand_joints=missing)],
+            "field 'hand_joints', row 1 is not finite",
+        ),
+        "quaternion": (
+            ["--grasps", write_arrays(folder / "quat.npz", object_pose=turned)],
+            "field 'object_pose', row 1 has a quaternion",
+        ),
+        "unknown object": (["--grasps", folder / "cann.npz"], "Did you mean 'can'?"),
+        "no folder": (["--grasps", folder / "block.npz", "--objects", folder / "no"], "does not exist"),
+        "broken mesh": (["--grasps", folder / "broken.npz", "--objects", meshes], "broken.obj"),
+        "millimetres": (["--grasps", folder / "block.npz", "--objects", millimetres], "metres"),
+        "too large": (["--grasps", folder / "block.npz", "--objects", huge], "block"),
+        "unknown hand": (["--grasps", folder / "good.npz", "--hand", "allegra"], "Did you mean 'allegro'?"),
+        "no thumb": (["--grasps", folder / "good.npz", "--hand", thumbless], "no thumb"),
+        "unknown method": (["--grasps", folder / "good.npz", "--method", "our"], "Did you mean 'ours'?"),
+    }
+
+
+BAD = (
+    "no file",
+    "a folder",
+    "no grasps",
+    "cut short",
+    "shape",
+    "nan",
+    "quaternion",
+    "unknown object",
+    "no folder",
+    "broken mesh",
+    "millimetres",
+    "too large",
+    "unknown hand",
+    "no thumb",
+    "unknown method",
+)
+"""Names in ``bad_inputs``."""

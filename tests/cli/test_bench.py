@@ -1,0 +1,57 @@
+"""The command ``fungrasp bench``."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from grasp_files import run, some_grasps
+
+from fungrasp.grasps import save_human_grasps
+
+
+@pytest.fixture(scope="module")
+def human(tmp_path_factory):
+    path = tmp_path_factory.mktemp("grasps") / "g.npz"
+    save_human_grasps(path, some_grasps())
+    return path
+
+
+def test_retargeting_side_by_side(human, tmp_path, capsys):
+    path = tmp_path / "b.json"
+    status, out, _ = run(capsys, "bench", "retarget", "--grasps", human, "--repeat", 1, "--json", path)
+    assert status == 0
+    methods = json.loads(path.read_text())["methods"]
+    assert {"ours", "angle-copy", "dexgraspnet"} <= set(methods)
+    for name, numbers in methods.items():
+        assert numbers["grasps_per_second"] > 0 and "contact_error_mm" in numbers["quality"]
+        assert name in out
+
+
+def test_simulation_is_the_same_motion_in_all_three_ways(human, tmp_path, capsys):
+    path = tmp_path / "b.json"
+    status, out, _ = run(
+        capsys, "bench", "simulation", "--grasps", human, "--worlds", 4, "--repeat", 1, "--json", path
+    )
+    assert status == 0
+    numbers = json.loads(path.read_text())
+    assert numbers["identical"] and "the same motion" in out and "NOT" not in out
+    assert numbers["worlds"] == 4 and numbers["steps"] > 4 * 1000
+    assert min(numbers[way] for way in ("environment", "bare", "loop")) > 0
+    assert numbers["environment_over_bare"] == pytest.approx(numbers["environment"] / numbers["bare"])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("retarget", "--method", "our"), "Did you mean 'ours'?"),
+        (("retarget", "--repeat", 0), "--repeat must be at least 1"),
+        (("simulation", "--worlds", 0), "--worlds must be at least 1"),
+        (("simulation", "--hand", "alegro"), "Did you mean 'allegro'?"),
+        (("retarget", "--grasps", "none.npz"), "none.npz does not exist"),
+        (("retargeting",), "Did you mean 'retarget'?"),
+    ],
+)
+def test_mistakes_are_one_line(arguments, words, capsys):
+    status, out, err = run(capsys, "bench", *arguments)
+    assert status == 2 and out == "" and err.count("\n") == 1 and words in err
