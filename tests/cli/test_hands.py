@@ -40,7 +40,7 @@ def test_show_as_json_is_only_json(capsys):
     assert main(["hands", "show", "allegro", "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["palm"] == "palm"
-    assert told["fingers"]["thumb"]["contact_points"] == ["th_medial", "th_distal", "th_tip"]
+    assert told["fingers"]["thumb"]["contact_points"] == ["th_medial", "th_distal", "th_tip_centre"]
 
 
 def test_show_draws_a_picture(tmp_path: Path, capsys):
