@@ -4,12 +4,28 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from lifted_grasps import allegro_hand, good_grasps, grasped_objects
 
 from fungrasp.errors import FungraspError
 from fungrasp.evaluation import Disturbance, evaluate
 from fungrasp.geometry.poses import compose, invert, rotation_vector, transform_points
 from fungrasp.simulation import build_scene
 from fungrasp.task import LiftTask
+
+
+@pytest.fixture(scope="module")
+def allegro():
+    return allegro_hand()
+
+
+@pytest.fixture(scope="module")
+def things():
+    return grasped_objects()
+
+
+@pytest.fixture(scope="module")
+def good():
+    return good_grasps()
 
 
 @pytest.fixture(scope="module")

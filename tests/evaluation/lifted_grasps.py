@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cache
 
 import numpy as np
-import pytest
 
 from fungrasp.grasps import HumanGraspSet, RobotGraspSet, builtin_grasps
 from fungrasp.hands import Hand, load_hand
@@ -13,13 +13,13 @@ from fungrasp.objects import ObjectModel
 from fungrasp.retarget import load_objects, retarget
 
 
-@pytest.fixture(scope="session")
-def allegro() -> Hand:
+@cache
+def allegro_hand() -> Hand:
     return load_hand("allegro")
 
 
-@pytest.fixture(scope="session")
-def held_by_people() -> HumanGraspSet:
+@cache
+def human_grasps() -> HumanGraspSet:
     grasps = builtin_grasps()
     rows = [
         np.flatnonzero(grasps.object_name == name)[i] for name in ("can", "tennis_ball") for i in range(2)
@@ -27,11 +27,11 @@ def held_by_people() -> HumanGraspSet:
     return grasps.select(rows)
 
 
-@pytest.fixture(scope="session")
-def things(held_by_people: HumanGraspSet) -> Mapping[str, ObjectModel]:
-    return load_objects(held_by_people)
+@cache
+def grasped_objects() -> Mapping[str, ObjectModel]:
+    return load_objects(human_grasps())
 
 
-@pytest.fixture(scope="session")
-def good(held_by_people: HumanGraspSet, things: Mapping[str, ObjectModel], allegro: Hand) -> RobotGraspSet:
-    return retarget(held_by_people, things, allegro)
+@cache
+def good_grasps() -> RobotGraspSet:
+    return retarget(human_grasps(), grasped_objects(), allegro_hand())
