@@ -1,0 +1,162 @@
+"""What a depth camera saw: one colour image, the depth aligned to it, and the lens.
+
+Camera frame: OpenCV (x right, y down, z forward) [m]. Pixels are ``[u v]``: column and row, and whole numbers
+are pixel centres, so that the top left pixel is ``[0 0]`` and covers -0.5 to 0.5.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from fungrasp.errors import FungraspError
+
+DEPTH_LIMIT = 20.0
+"""Depth beyond this [m] is taken for a mistake of units: no depth camera for hands sees so far."""
+
+Box = tuple[float, float, float, float]
+"""``x0, y0, x1, y1`` [pixels]: left, top, right and bottom edge."""
+
+
+@dataclass(frozen=True)
+class Intrinsics:
+    """A pinhole camera without distortion."""
+
+    width: int
+    """Image width [pixels]."""
+    height: int
+    """Image height [pixels]."""
+    fx: float
+    """Focal length along the columns [pixels]."""
+    fy: float
+    """Focal length along the rows [pixels]."""
+    cx: float
+    """Column of the optical axis [pixels]."""
+    cy: float
+    """Row of the optical axis [pixels]."""
+
+    def __post_init__(self) -> None:
+        if not (self.width > 0 and self.height > 0):
+            raise FungraspError(f"an image must have pixels; the intrinsics say {self.width} x {self.height}")
+        if not all(math.isfinite(value) and value > 0 for value in (self.fx, self.fy)):
+            raise FungraspError(
+                f"the focal lengths fx and fy must be positive [pixels], not {self.fx} and {self.fy}"
+            )
+        if not (0 <= self.cx <= self.width and 0 <= self.cy <= self.height):
+            raise FungraspError(
+                f"the optical axis cx = {self.cx:g}, cy = {self.cy:g} lies outside the image of {self.width} x "
+                f"{self.height}: intrinsics of another resolution?"
+            )
+
+    @property
+    def matrix(self) -> np.ndarray:
+        """``K``: pixels times depth from camera-frame points, shape [3, 3]."""
+        return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+
+    def project(self, points: np.ndarray) -> np.ndarray:
+        """Pixels of camera-frame points. points: [m], shape [..., 3]. Returns shape [..., 2]; NaN for points
+        that are not in front of the camera."""
+        points = np.asarray(points, dtype=float)
+        depth = np.where(points[..., 2:] > 0, points[..., 2:], np.nan)
+        return points[..., :2] / depth * [self.fx, self.fy] + [self.cx, self.cy]
+
+    def deproject(self, pixels: np.ndarray, depth: np.ndarray) -> np.ndarray:
+        """Camera-frame points [m], shape [..., 3], of pixels, shape [..., 2], at depths z [m], shape [...]."""
+        depth = np.asarray(depth, dtype=float)[..., None]
+        slopes = (np.asarray(pixels, dtype=float) - [self.cx, self.cy]) / [self.fx, self.fy]
+        return np.concatenate([slopes, np.ones_like(slopes[..., :1])], axis=-1) * depth
+
+    def rays(self) -> np.ndarray:
+        """Direction of every pixel's centre with z = 1, camera frame, shape [height, width, 3]."""
+        columns, rows = np.meshgrid(np.arange(self.width), np.arange(self.height))
+        return self.deproject(np.stack([columns, rows], axis=-1), np.ones((self.height, self.width)))
+
+    def resized(self, width: int, height: int) -> Intrinsics:
+        """The same camera's intrinsics after its image has been resized to ``width`` x ``height``."""
+        across, down = width / self.width, height / self.height
+        return Intrinsics(
+            width,
+            height,
+            self.fx * across,
+            self.fy * down,
+            (self.cx + 0.5) * across - 0.5,
+            (self.cy + 0.5) * down - 0.5,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Capture:
+    """One colour image with the depth aligned to it, checked."""
+
+    colour: np.ndarray
+    """RGB, uint8, shape [H, W, 3]."""
+    depth: np.ndarray
+    """Distance along the optical axis [m], float32, shape [H, W]; 0: no measurement."""
+    intrinsics: Intrinsics
+    """Of both images."""
+    mask: np.ndarray | None = None
+    """Which pixels show the object, bool, shape [H, W], if somebody said so."""
+    box: Box | None = None
+    """Box around the object in the image [pixels], if somebody said so."""
+
+    def __post_init__(self) -> None:
+        height, width = self.intrinsics.height, self.intrinsics.width
+        _check_array("colour image", self.colour, np.uint8, (height, width, 3))
+        _check_array("depth image", self.depth, np.float32, (height, width))
+        if self.mask is not None:
+            _check_array("object's mask", self.mask, np.bool_, (height, width))
+            if not self.mask.any():
+                raise FungraspError("the object's mask is empty: no pixel is marked")
+        if self.box is not None:
+            _check_box(self.box, width, height)
+        _check_range(self.depth)
+
+    @property
+    def measured(self) -> np.ndarray:
+        """Which pixels have a depth, bool, shape [H, W]."""
+        return self.depth > 0
+
+    def points(self) -> np.ndarray:
+        """What each pixel shows [m], camera frame, shape [H, W, 3]; NaN where there is no depth."""
+        depth = np.where(self.measured, self.depth, np.nan)
+        return self.intrinsics.rays() * depth[..., None]
+
+    def with_object(self, mask: np.ndarray | None = None, box: Box | None = None) -> Capture:
+        """The same capture with the object's mask or box (see the fields), checked."""
+        return dataclasses.replace(self, mask=mask, box=box)
+
+
+def _check_array(name: str, array: np.ndarray, dtype: type, shape: tuple[int, ...]) -> None:
+    if not isinstance(array, np.ndarray) or array.dtype != dtype:
+        found = array.dtype if isinstance(array, np.ndarray) else type(array).__name__
+        raise FungraspError(f"the {name} must be an array of {np.dtype(dtype).name}, not {found}")
+    if array.shape != shape:
+        raise FungraspError(
+            f"the {name} has shape {list(array.shape)}, but the intrinsics are for an image of shape {list(shape)}"
+        )
+
+
+def _check_box(box: Box, width: int, height: int) -> None:
+    x0, y0, x1, y1 = box
+    if not (math.isfinite(x0 + y0 + x1 + y1) and x0 < x1 and y0 < y1):
+        raise FungraspError(f"the object's box must be x0,y0,x1,y1 with x0 < x1 and y0 < y1, not {box}")
+    if x1 <= 0 or y1 <= 0 or x0 >= width or y0 >= height:
+        raise FungraspError(f"the object's box {box} lies outside the image of {width} x {height} pixels")
+
+
+def _check_range(depth: np.ndarray) -> None:
+    if not np.isfinite(depth).all() or (depth < 0).any():
+        raise FungraspError(
+            "the depth image has negative or non-finite values; write 0 where nothing was measured"
+        )
+    measured = depth[depth > 0]
+    if not measured.size:
+        raise FungraspError("the depth image is empty: no pixel has a measurement")
+    middle = float(np.median(measured))
+    if middle > DEPTH_LIMIT:
+        raise FungraspError(
+            f"the depth is {middle:.4g} m in the middle of its range: it must be in metres (millimetres given?)"
+        )
