@@ -1,0 +1,234 @@
+"""What a policy is paid for: one pure function per term, and their weighted sum.
+
+The terms follow section IV.B of the paper (position, contact, safety, posture) and D-Grasp (force); lift,
+stability and action are additions. Every term is bounded, so that one bad world can't drown the others.
+Arrays are NumPy's, torch's or another array-API library's, and lead with W worlds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from functools import reduce
+from operator import add
+
+from array_api_compat import array_namespace
+
+from fungrasp.errors import FungraspError, UnknownNameError
+from fungrasp.geometry.poses import Array
+
+GRAVITY = 9.81
+"""[m/s^2]."""
+
+
+@dataclass(frozen=True)
+class RewardWeights:
+    """How much each term counts; the names are those of the terms given to ``total``."""
+
+    position: float = 0.5
+    """Of ``position_reward``, in [-1, 0]."""
+    contact: float = 1.0
+    """Of ``contact_reward``, in [0, 2], times ``dynamic_contact_weight``."""
+    safety: float = 0.3
+    """Of ``safety_reward``, in [-1, 0]."""
+    posture: float = 0.2
+    """Of ``posture_reward``, in [-2, 0]."""
+    lift: float = 2.0
+    """Of ``lift_reward``, in [0, 1]."""
+    stability: float = 0.5
+    """Of ``stability_reward``, in [-1, 0]."""
+    action: float = 0.02
+    """Of ``action_reward``, in [-5, 0] for actions in [-1, 1]."""
+    success: float = 5.0
+    """Once, where the trial ends in success (term: 1 there, 0 elsewhere)."""
+    drop: float = -2.0
+    """Once, where the trial ends with the object lost (term: 1 there, 0 elsewhere)."""
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if not abs(value) < float("inf"):
+                raise FungraspError(f"the reward weight '{field.name}' must be finite, not {value}")
+
+
+def total(terms: Mapping[str, Array], weights: RewardWeights) -> Array:
+    """``sum_i weights_i terms_i``, shape [W].
+
+    Args:
+        terms: by name of their weight, each of shape [W]. A term left out counts as zero.
+        weights: one for each name.
+
+    Raises:
+        FungraspError: no term, or a name without a weight.
+    """
+    if not terms:
+        raise FungraspError("a reward needs at least one term")
+    known = [field.name for field in fields(weights)]
+    for name in terms:
+        if name not in known:
+            raise UnknownNameError("reward term", name, known)
+    return reduce(add, (getattr(weights, name) * term for name, term in terms.items()))
+
+
+def position_reward(keypoints: Array, targets: Array, weights: Array, scale: float = 0.05) -> Array:
+    """Key points where the reference has them (r_p of section IV.B.2, after D-Grasp).
+
+    ``r_p = -sum_k w_k min(1, |p_k - p'_k|^2 / scale^2) / sum_k w_k``. The squared distance counts in units of
+    ``scale`` squared, and a point that is farther away costs no more than one at that distance: far from the
+    object all points cost the same, and the motion there is left to the other terms.
+
+    Args:
+        keypoints: [m], object frame, shape [W, K, 3].
+        targets: of the reference [m], object frame, shape [W, K, 3].
+        weights: not negative, not all zero, shape [K].
+        scale: [m].
+
+    Returns:
+        In [-1, 0], shape [W].
+    """
+    xp = array_namespace(keypoints, targets, weights)
+    squared = xp.sum((keypoints - targets) ** 2, axis=-1) / scale**2
+    return -xp.sum(weights * xp.clip(squared, 0.0, 1.0), axis=-1) / xp.sum(weights)
+
+
+def dynamic_contact_weight(keypoints: Array, targets: Array, contacts: Array) -> Array:
+    """Weight of the contact reward (omega_c of section IV.B.2).
+
+    ``omega_c = sum_j c'_j |p_j|^2 / sum_j c'_j |p'_j|^2``, in [0, 2], over the links that should touch. The
+    paper does not say in which frame the positions are, and in the world's or the object's the ratio would
+    depend on where the origin happens to lie; here positions count from the palm. Then the weight is about 1
+    where the links that should touch reach as far as in the reference, less in a hand that has closed too
+    far to hold the object there, and more in one that still reaches out. It knows distances but no
+    directions: those are the business of ``position_reward``. The printed ratio has no upper bound and none
+    at all without targets; it is cut at 2, and is 1 in a world without targets.
+
+    Args:
+        keypoints: a point on each link [m], palm frame, shape [W, L, 3].
+        targets: those points in the reference [m], palm frame, shape [W, L, 3].
+        contacts: which links should touch, shape [W, L] bool.
+
+    Returns:
+        In [0, 2], shape [W].
+    """
+    xp = array_namespace(keypoints, targets, contacts)
+    wanted = xp.astype(contacts, keypoints.dtype)
+    current = xp.sum(wanted * xp.sum(keypoints**2, axis=-1), axis=-1)
+    reference = xp.sum(wanted * xp.sum(targets**2, axis=-1), axis=-1)
+    given = reference > 1e-9
+    one = xp.ones_like(current)
+    ratio = xp.where(given, current, one) / xp.where(given, reference, one)
+    return xp.clip(ratio, 0.0, 2.0)
+
+
+def contact_reward(contacts: Array, targets: Array, forces: Array, mass: Array, cap: float = 5.0) -> Array:
+    """The right links touch the object, and press (r_c of section IV.B.2, after D-Grasp).
+
+    ``r_c = |c and c'| / |c'| + min(sum_j c'_j f_j, F) / F`` with ``F = cap m g``. Pressing harder than
+    ``cap`` times the object's weight, summed over the links that should touch, is not paid for. Zero in a
+    world without targets.
+
+    Args:
+        contacts: which links touch the object, shape [W, L] bool.
+        targets: which links should, shape [W, L] bool.
+        forces: net contact force of each link on the object [N], magnitude, shape [W, L].
+        mass: of the object [kg], positive, shape [W].
+        cap: in units of the object's weight.
+
+    Returns:
+        In [0, 2], shape [W].
+    """
+    xp = array_namespace(contacts, targets, forces, mass)
+    wanted = xp.astype(targets, forces.dtype)
+    touching = xp.astype(contacts & targets, forces.dtype)
+    number = xp.clip(xp.sum(wanted, axis=-1), 1.0, None)
+    pressed = xp.sum(wanted * forces, axis=-1) / (cap * GRAVITY * mass)
+    return xp.sum(touching, axis=-1) / number + xp.clip(pressed, 0.0, 1.0)
+
+
+def safety_reward(table_forces: Array, self_force: Array, unit: float = 10.0) -> Array:
+    """The hand presses neither the table nor itself (r_s of section IV.B.2).
+
+    ``r_s = -tanh((sum_l |f_l| + |f_self|) / unit)``: the paper's sum of undesired forces while small, bounded
+    where the hand rams the table.
+
+    Args:
+        table_forces: between each link and the table [N], shape [W, L].
+        self_force: between links of the hand [N], shape [W].
+        unit: [N].
+
+    Returns:
+        In [-1, 0], shape [W].
+    """
+    xp = array_namespace(table_forces, self_force)
+    return -xp.tanh((xp.sum(xp.abs(table_forces), axis=-1) + xp.abs(self_force)) / unit)
+
+
+def posture_reward(directions: Array, targets: Array) -> Array:
+    """Finger links point as in the reference (r_q of section IV.B.2).
+
+    ``r_q = mean_ij (cos(v_ij, v'_ij) - 1)`` over the links of all fingers. A link that has no direction (a
+    zero vector, as pads the fingers that have fewer links) does not count.
+
+    Args:
+        directions: of each link, any length, object frame, shape [W, F, K, 3].
+        targets: of the reference, any length, object frame, shape [W, F, K, 3].
+
+    Returns:
+        In [-2, 0], shape [W].
+    """
+    xp = array_namespace(directions, targets)
+    lengths = xp.linalg.vector_norm(directions, axis=-1) * xp.linalg.vector_norm(targets, axis=-1)
+    counts = lengths > 1e-12
+    one = xp.ones_like(lengths)
+    cosine = xp.where(counts, xp.sum(directions * targets, axis=-1) / xp.where(counts, lengths, one), one)
+    number = xp.sum(xp.astype(counts, lengths.dtype), axis=(-2, -1))
+    return xp.sum(cosine - 1.0, axis=(-2, -1)) / xp.clip(number, 1.0, None)
+
+
+def lift_reward(height: Array, goal: float) -> Array:
+    """The object is up: ``clip(height / goal, 0, 1)``.
+
+    Args:
+        height: of the object's centre of mass above where it settled [m], shape [W].
+        goal: [m].
+
+    Returns:
+        In [0, 1], shape [W].
+    """
+    xp = array_namespace(height)
+    return xp.clip(height / goal, 0.0, 1.0)
+
+
+def stability_reward(
+    slip_velocity: Array, spin: Array, velocity_unit: float = 0.1, spin_unit: float = 2.0
+) -> Array:
+    """The object rests in the hand: ``-(tanh(|v| / velocity_unit) + tanh(|w| / spin_unit)) / 2``.
+
+    While the hand approaches, the object moves relative to the palm as it must: meant for once it is held.
+
+    Args:
+        slip_velocity: of the object relative to the palm [m/s], shape [W, 3].
+        spin: of the object relative to the palm [rad/s], shape [W, 3].
+        velocity_unit: [m/s].
+        spin_unit: [rad/s].
+
+    Returns:
+        In [-1, 0], shape [W].
+    """
+    xp = array_namespace(slip_velocity, spin)
+    slip = xp.tanh(xp.linalg.vector_norm(slip_velocity, axis=-1) / velocity_unit)
+    return -0.5 * (slip + xp.tanh(xp.linalg.vector_norm(spin, axis=-1) / spin_unit))
+
+
+def action_reward(action: Array, previous: Array) -> Array:
+    """Small and steady actions: ``-(mean_i a_i^2 + mean_i (a_i - b_i)^2)``.
+
+    Args:
+        action: residual action ``a``, without unit, shape [W, A].
+        previous: the action before, ``b``, shape [W, A].
+
+    Returns:
+        Not positive, in [-5, 0] for actions in [-1, 1], shape [W].
+    """
+    xp = array_namespace(action, previous)
+    return -(xp.mean(action**2, axis=-1) + xp.mean((action - previous) ** 2, axis=-1))
