@@ -47,8 +47,8 @@ class Intrinsics:
             )
         if not (0 <= self.cx <= self.width and 0 <= self.cy <= self.height):
             raise FungraspError(
-                f"the optical axis cx = {self.cx:g}, cy = {self.cy:g} lies outside the image of {self.width} x "
-                f"{self.height}: intrinsics of another resolution?"
+                f"the optical axis cx = {self.cx:g}, cy = {self.cy:g} lies outside the image of {self.width} "
+                f"x {self.height}: intrinsics of another resolution?"
             )
 
     @property
@@ -64,7 +64,7 @@ class Intrinsics:
         return points[..., :2] / depth * [self.fx, self.fy] + [self.cx, self.cy]
 
     def deproject(self, pixels: np.ndarray, depth: np.ndarray) -> np.ndarray:
-        """Camera-frame points [m], shape [..., 3], of pixels, shape [..., 2], at depths z [m], shape [...]."""
+        """Camera-frame points [m], shape [..., 3], of pixels, shape [..., 2], at depths z, shape [...]."""
         depth = np.asarray(depth, dtype=float)[..., None]
         slopes = (np.asarray(pixels, dtype=float) - [self.cx, self.cy]) / [self.fx, self.fy]
         return np.concatenate([slopes, np.ones_like(slopes[..., :1])], axis=-1) * depth
@@ -135,7 +135,7 @@ def _check_array(name: str, array: np.ndarray, dtype: type, shape: tuple[int, ..
         raise FungraspError(f"the {name} must be an array of {np.dtype(dtype).name}, not {found}")
     if array.shape != shape:
         raise FungraspError(
-            f"the {name} has shape {list(array.shape)}, but the intrinsics are for an image of shape {list(shape)}"
+            f"the {name} has shape {list(array.shape)}, but the intrinsics are for one of {list(shape)}"
         )
 
 
@@ -158,5 +158,5 @@ def _check_range(depth: np.ndarray) -> None:
     middle = float(np.median(measured))
     if middle > DEPTH_LIMIT:
         raise FungraspError(
-            f"the depth is {middle:.4g} m in the middle of its range: it must be in metres (millimetres given?)"
+            f"the depth is {middle:.4g} m in the middle of its range: were millimetres taken for metres?"
         )
