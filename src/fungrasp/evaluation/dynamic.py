@@ -252,7 +252,7 @@ class _Test:
         def watch() -> None:
             nonlocal touched
             touched = touched | (np.isfinite(task.hold_time) & ~task.done & task.worlds.object_on_table)
-            progress(min(task.time / longest, 1.0))
+            progress(min(float(task.time.max()) / longest, 1.0))
             if recorder is not None:
                 recorder()
 

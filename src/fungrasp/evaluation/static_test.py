@@ -13,7 +13,7 @@ from fungrasp.geometry.poses import compose, invert, rotation_vector
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
-from fungrasp.policies.reference import ReferenceSettings
+from fungrasp.policies.motion import ReferenceSettings
 from fungrasp.policies.squeeze import squeeze_torques
 from fungrasp.retarget.problem import Surroundings
 from fungrasp.simulation import Scene, SceneSettings, Worlds, build_scene

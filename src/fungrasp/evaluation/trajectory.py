@@ -92,14 +92,14 @@ class Recorder:
         """task: reset."""
         self._task = task
         self._states: list[tuple[np.ndarray, ...]] = []
-        self._times: list[float] = []
+        self._times: list[np.ndarray] = []
         self()
 
     def __call__(self) -> None:
         """Keep the current state."""
         task, worlds = self._task, self._task.worlds
         phase = np.isfinite(task.lift_time).astype(np.int8) + np.isfinite(task.hold_time)
-        self._times.append(task.time)
+        self._times.append(task.time.copy())
         self._states.append(
             (
                 ~task.done,
@@ -130,7 +130,7 @@ class Recorder:
                     index=int(row),
                     success=bool(trials.success[world]),
                     reason=str(trials.reason[world]),
-                    times=times[kept],
+                    times=times[kept, world],
                     qpos=qpos,
                     wrist_reference=reference[world],
                     object_pose=thing,

@@ -1,7 +1,8 @@
 """Things that act."""
 
+from fungrasp.policies.motion import ReferenceSettings
 from fungrasp.policies.play import POLICIES, Policy, make_policy, play
-from fungrasp.policies.reference import ReferenceController, ReferenceSettings
+from fungrasp.policies.reference import ReferenceController
 from fungrasp.policies.refine import refine
 
 __all__ = ["POLICIES", "Policy", "ReferenceController", "ReferenceSettings", "make_policy", "play", "refine"]

@@ -13,8 +13,9 @@ from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.objects import ObjectModel
+from fungrasp.policies.motion import ReferenceSettings
 from fungrasp.policies.play import play
-from fungrasp.policies.reference import ReferenceController, ReferenceSettings
+from fungrasp.policies.reference import ReferenceController
 from fungrasp.simulation import Scene, Worlds, build_scene
 from fungrasp.task import LiftTask, Trials
 

@@ -8,6 +8,16 @@ from mujoco.batch import Batch
 
 from fungrasp.simulation.scene import HAND_PREFIX, WRIST_JOINTS, Scene
 
+INERTIAL = (
+    "body_mass",
+    "body_subtreemass",
+    "body_inertia",
+    "body_invweight0",
+    "dof_invweight0",
+    "dof_M0",
+)
+"""Model fields that follow from the object's mass."""
+
 
 class Worlds:
     """W worlds. State arrays are live: writing to them changes the worlds."""
@@ -30,16 +40,12 @@ class Worlds:
             threads: 0 means all processors. Results do not depend on it.
         """
         self.scene, self.model = scene, scene.model
-        self.object_index = np.asarray(object_index)
+        count = len(object_index)
+        self.object_index = np.zeros(count, dtype=int)
         # Persistent: the stages that make sensors current after a step are not computed twice.
-        self.batch = Batch(scene.model, len(self.object_index), nthread=threads, persistent=True)
-        for name, table in scene.fields.items():
-            self.batch.expand(name)[:] = table[self.object_index]
+        self.batch = Batch(scene.model, count, nthread=threads, persistent=True)
         self._object = scene.model.body("object").id
-        if mass is not None:
-            self._set_mass(np.asarray(mass, dtype=float))
-        if friction is not None:
-            self.batch.expand("geom_friction")[:, :, 0] = np.asarray(friction, dtype=float)[:, None]
+        self.assign(np.arange(count), object_index, mass, friction)
         self.qpos, self.qvel, self.ctrl = (self.batch.bind(name) for name in ("qpos", "qvel", "ctrl"))
         self.mocap_pos, self.mocap_quat = self.batch.bind("mocap_pos"), self.batch.bind("mocap_quat")
         self.sensordata = self.batch.bind("sensordata")
@@ -49,6 +55,7 @@ class Worlds:
         self._palm = scene.model.body(HAND_PREFIX + hand.palm).id
         self.object_qpos = _addresses(scene.model, ("object",))
         self.wrist_qpos = _addresses(scene.model, WRIST_JOINTS)
+        self.wrist_qvel = np.array([scene.model.joint(name).dofadr[0] for name in WRIST_JOINTS])
         self.finger_qpos = _addresses(scene.model, tuple(HAND_PREFIX + name for name in hand.joint_names))
         self._link_object = _link_columns(scene, "object")
         self._link_table = _link_columns(scene, "table")
@@ -58,13 +65,36 @@ class Worlds:
     def __len__(self) -> int:
         return len(self.object_index)
 
-    def reset(self) -> None:
-        """Every world to the scene's default."""
-        self.batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)
+    def assign(
+        self,
+        ids: np.ndarray,
+        object_index: np.ndarray,
+        mass: np.ndarray | None = None,
+        friction: np.ndarray | None = None,
+    ) -> None:
+        """Give some worlds another object, mass and friction; their state stays as it is.
 
-    def forward(self) -> None:
-        """Make sensors and body poses current after writing to the state."""
-        self.batch.forward(stage=mujoco.mjtStage.mjSTAGE_VEL)
+        Args:
+            ids: worlds, shape [I].
+            object_index: which of ``scene.objects`` each holds, shape [I].
+            mass: of the object [kg], shape [I]; the inertia follows. The objects' own if None.
+            friction: sliding friction of hand, object and table, shape [I]; as it was if None.
+        """
+        self.object_index[ids] = object_index
+        for name, table in self.scene.fields.items():
+            self.batch.expand(name)[ids] = table[object_index]
+        if mass is not None:
+            self._set_mass(ids, np.asarray(mass, dtype=float))
+        if friction is not None:
+            self.batch.expand("geom_friction")[ids, :, 0] = np.asarray(friction, dtype=float)[:, None]
+
+    def reset(self, which: np.ndarray | None = None) -> None:
+        """Worlds to the scene's default. which: world ids, all if None."""
+        self.batch.reset(which, stage=mujoco.mjtStage.mjSTAGE_NONE)
+
+    def forward(self, which: np.ndarray | None = None) -> None:
+        """Make sensors and body poses current after writing to the state. which: world ids, all if None."""
+        self.batch.forward(which, stage=mujoco.mjtStage.mjSTAGE_VEL)
 
     def step(self, substeps: int, which: np.ndarray | None = None) -> None:
         """Advance by physics steps; sensors and poses are current afterwards. which: world ids, all if
@@ -126,6 +156,12 @@ class Worlds:
         return self._forces(self._link_table)
 
     @property
+    def hand_on_hand(self) -> np.ndarray:
+        """Net force of the hand's contacts with itself [N], magnitude, shape [W]."""
+        first = self._hand_hand + 1
+        return np.linalg.norm(self.sensordata[:, first : first + 3], axis=1)
+
+    @property
     def object_on_table(self) -> np.ndarray:
         """Whether the object touches the table, shape [W] bool."""
         return self.sensordata[:, self._object_table] > 0
@@ -139,23 +175,30 @@ class Worlds:
             axis=1,
         )
 
-    def _set_mass(self, mass: np.ndarray) -> None:
+    def _set_mass(self, ids: np.ndarray, mass: np.ndarray) -> None:
         """Scale the object's inertial fields; everything derived from them scales along, as the body floats
         freely."""
-        fields = {
-            name: self.batch.expand(name)
-            for name in ("body_mass", "body_subtreemass", "body_inertia", "body_invweight0")
-        }
-        own = fields["body_mass"][:, self._object].copy()
-        ratio = mass / own
-        fields["body_subtreemass"][:, 0] += mass - own
-        fields["body_mass"][:, self._object] *= ratio
-        fields["body_subtreemass"][:, self._object] *= ratio
-        fields["body_inertia"][:, self._object] *= ratio[:, None]
-        fields["body_invweight0"][:, self._object] /= ratio[:, None]
-        first = self.model.body_dofadr[self._object]
-        self.batch.expand("dof_invweight0")[:, first : first + 6] /= ratio[:, None]
-        self.batch.expand("dof_M0")[:, first : first + 6] *= ratio[:, None]
+        index, body = self.object_index[ids], self._object
+        first = self.model.body_dofadr[body]
+        nominal = {name: self._nominal(name, index) for name in INERTIAL}
+        own = nominal["body_mass"][:, body].copy()
+        ratio = (mass / own)[:, None]
+        nominal["body_subtreemass"][:, 0] += mass - own
+        for name in ("body_mass", "body_subtreemass", "body_inertia"):
+            nominal[name][:, body] *= ratio.reshape(-1, *(1,) * (nominal[name].ndim - 2))
+        nominal["body_invweight0"][:, body] /= ratio
+        nominal["dof_invweight0"][:, first : first + 6] /= ratio
+        nominal["dof_M0"][:, first : first + 6] *= ratio
+        for name, values in nominal.items():
+            self.batch.expand(name)[ids] = values
+
+    def _nominal(self, name: str, object_index: np.ndarray) -> np.ndarray:
+        """A model field with the objects' own masses, one row for each object index given."""
+        table = self.scene.fields.get(name)
+        if table is not None:
+            return table[object_index].copy()
+        value = getattr(self.model, name)
+        return np.broadcast_to(value, (len(object_index), *value.shape)).copy()
 
 
 def _addresses(model: mujoco.MjModel, joints: tuple[str, ...]) -> np.ndarray:

@@ -14,8 +14,8 @@ from fungrasp.simulation import Scene, Worlds
 from fungrasp.task.motion import WristSetPoint
 from fungrasp.task.protocol import Protocol
 
-SUBSTEPS = 4
-"""Physics steps between two set points."""
+SET_POINT_PERIOD = 0.02
+"""Time between two set points of the servos [s]."""
 
 
 @dataclass(frozen=True)
@@ -67,13 +67,37 @@ class LiftTask:
         self.protocol = protocol or Protocol()
         self.matrix, self.offset = scene.hand.coupling
         self._independent = np.linalg.pinv(self.matrix)
-        self._substep_time = SUBSTEPS * scene.settings.timestep
+        self._substeps = round(SET_POINT_PERIOD / scene.settings.timestep)
+        self._substep_time = self._substeps * scene.settings.timestep
         self._wrist_actuators, self._finger_actuators = scene.wrist_actuators, scene.finger_actuators
         self._damping_lead = np.repeat(
             np.array(scene.settings.wrist_damping) / scene.settings.wrist_stiffness, 3
         )
         self.wrist_in_object = compose(invert(grasps.object_pose), grasps.wrist_pose)
         """Pose of the palm in the grasped object's frame, shape [W, 7]."""
+        count, servos, links = len(worlds), self.matrix.shape[1], grasps.link_contacts.shape[1]
+        self.settled_pose = np.zeros((count, 7))
+        """Of the objects at the start, world frame, shape [W, 7]."""
+        self.target_pose = np.tile([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], (count, 1))
+        """Where the palm should grasp, world frame, shape [W, 7]."""
+        self.target_contacts = np.zeros((count, links), dtype=bool)
+        """Links that should touch, shape [W, L]."""
+        self._pose_reference_world = self.target_pose.copy()
+        self.set_point = WristSetPoint(self.target_pose, self.protocol)
+        self.finger_set_point = np.zeros((count, servos))
+        self.settled_height = np.zeros(count)
+        self.time = np.zeros(count)
+        """Of each trial [s], shape [W]."""
+        self.lift_time = np.full(count, np.inf)
+        """When the lift began [s], shape [W]."""
+        self.hold_time = np.full(count, np.inf)
+        """When the hold began [s], shape [W]."""
+        self.done = np.zeros(count, dtype=bool)
+        self._lifted = np.full(count, np.inf)
+        self._touched_table = np.zeros(count, dtype=bool)
+        self._pushed = np.zeros(count)
+        self._samples = np.zeros((7, count))
+        self._previous = np.full((count, 3), np.nan), np.full((count, 3), np.nan)
 
     def independent(self, joint_positions: np.ndarray) -> np.ndarray:
         """Servo targets [W, U] of full joint vectors [W, M]."""
@@ -93,33 +117,64 @@ class LiftTask:
         worlds.ctrl[:, self._finger_actuators] = start_targets
         worlds.step(round(self.protocol.settle_time / self.scene.settings.timestep))
 
-        self.settled_pose = worlds.object_pose.copy()
-        self.settled_pose[:, 3:] /= np.linalg.norm(self.settled_pose[:, 3:], axis=1, keepdims=True)
-        self.target_pose = compose(self.settled_pose, self.wrist_in_object)
-        """Where the palm should grasp, world frame, shape [W, 7]."""
-        start = self.target_pose.copy()
-        away = self.target_pose[:, :3] - self.settled_pose[:, :3]
+        settled = worlds.object_pose.copy()
+        settled[:, 3:] /= np.linalg.norm(settled[:, 3:], axis=1, keepdims=True)
+        target = compose(settled, self.wrist_in_object)
+        start = target.copy()
+        away = target[:, :3] - settled[:, :3]
         away /= np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-9)
-        start[:, :3] = self.settled_pose[:, :3] + self.protocol.start_distance * away
-        worlds.wrist_reference = self.target_pose
-        self._pose_reference_world = invert(self.target_pose)
-        self.set_point = WristSetPoint(start, self.protocol)
-        self.finger_set_point = start_targets
-        worlds.qvel[:] = 0.0
-        worlds.qpos[:, worlds.wrist_qpos] = self._wrist_coordinates()
-        self._command()
-        worlds.forward()
+        start[:, :3] = settled[:, :3] + self.protocol.start_distance * away
+        self.begin(np.arange(count), settled, target, start, start_targets, self.grasps.link_contacts)
 
-        self.settled_height = worlds.center_of_mass[:, 2]
-        self.time = 0.0
-        self.lift_time = np.full(count, np.inf)
-        self.hold_time = np.full(count, np.inf)
-        self.done = np.zeros(count, dtype=bool)
-        self._lifted = np.full(count, np.inf)
-        self._touched_table = np.zeros(count, dtype=bool)
-        self._pushed = np.zeros(count)
-        self._samples = np.zeros((7, count))
-        self._previous: tuple[np.ndarray, np.ndarray] | None = None
+    def begin(
+        self,
+        ids: np.ndarray,
+        settled_pose: np.ndarray,
+        target_pose: np.ndarray,
+        start_pose: np.ndarray,
+        start_fingers: np.ndarray,
+        target_contacts: np.ndarray,
+        start_velocity: np.ndarray | None = None,
+        start_time: np.ndarray | None = None,
+    ) -> None:
+        """Start trials in some worlds, I of them: objects at rest, hands at their start.
+
+        Args:
+            ids: worlds, shape [I].
+            settled_pose: of the objects, world frame, shape [I, 7].
+            target_pose: where the palm should grasp, world frame, shape [I, 7].
+            start_pose: of the palm, world frame, shape [I, 7].
+            start_fingers: servo targets [rad], shape [I, U].
+            target_contacts: links that should touch, shape [I, L] bool.
+            start_velocity: of the wrist [m/s], shape [I, 3]; zero if None.
+            start_time: where on the trial's clock to start [s], shape [I]; zero if None.
+        """
+        worlds = self.worlds
+        self.settled_pose[ids], self.target_pose[ids] = settled_pose, target_pose
+        self.target_contacts[ids] = target_contacts
+        worlds.mocap_pos[ids, 0], worlds.mocap_quat[ids, 0] = target_pose[:, :3], target_pose[:, 3:]
+        self._pose_reference_world[ids] = invert(target_pose)
+        self.set_point.pose[ids] = start_pose
+        self.set_point.velocity[ids] = 0.0 if start_velocity is None else start_velocity
+        self.finger_set_point[ids] = start_fingers
+        worlds.qvel[ids] = 0.0
+        if start_velocity is not None:
+            slides = rotate(self._pose_reference_world[ids, 3:], start_velocity)
+            worlds.qvel[np.ix_(ids, worlds.wrist_qvel[:3])] = slides
+        worlds.qpos[np.ix_(ids, worlds.object_qpos)] = settled_pose
+        worlds.qpos[np.ix_(ids, worlds.finger_qpos)] = start_fingers @ self.matrix.T + self.offset
+        worlds.qpos[np.ix_(ids, worlds.wrist_qpos)] = self._wrist_coordinates()[ids]
+        self._command()
+        worlds.forward(ids)
+        self.settled_height[ids] = worlds.center_of_mass[ids, 2]
+        self.time[ids] = 0.0 if start_time is None else start_time
+        self.lift_time[ids] = self.hold_time[ids] = np.inf
+        self.done[ids] = False
+        self._lifted[ids] = np.inf
+        self._touched_table[ids] = False
+        self._pushed[ids] = 0.0
+        self._samples[:, ids] = 0.0
+        self._previous[0][ids], self._previous[1][ids] = np.nan, np.nan
 
     def step(self, action: Action, watch: Callable[[], None] | None = None) -> None:
         """Advance all unfinished worlds by one control period. watch: called after each substep, to
@@ -127,7 +182,7 @@ class LiftTask:
         p = self.protocol
         may_lift = action.lift | (self.time >= p.approach_time - 1e-9)
         begins = may_lift & ~np.isfinite(self.lift_time)
-        self.lift_time[begins] = self.time
+        self.lift_time[begins] = self.time[begins]
         moved = np.linalg.norm(self.worlds.object_pose[:, :2] - self.settled_pose[:, :2], axis=1)
         self._pushed[begins] = moved[begins]
         goal = action.wrist_pose.copy()
@@ -140,13 +195,13 @@ class LiftTask:
             self.set_point.advance(goal, self._substep_time)
             self.finger_set_point = self.finger_set_point + finger_step
             self._command()
-            self.worlds.step(SUBSTEPS, active)
-            self.time += self._substep_time
+            self.worlds.step(self._substeps, active)
+            self.time += np.where(self.done, 0.0, self._substep_time)
             self._observe_hold(goal)
             if watch is not None:
                 watch()
         self._sample()
-        self.done = self.time >= self.hold_time + p.hold_time - 1e-9
+        self.done |= self.time >= self.hold_time + p.hold_time - 1e-9
 
     def _servo_range(self) -> tuple[np.ndarray, np.ndarray]:
         span = self.scene.model.actuator_ctrlrange[self._finger_actuators]
@@ -180,19 +235,16 @@ class LiftTask:
         holding = np.isfinite(self.hold_time) & ~self.done
         position, palm = self.worlds.object_pose, self.worlds.palm_pose
         in_palm = compose(invert(palm), position)[:, :3]
-        if self._previous is not None:
-            actual, target = self.worlds.link_contacts, self.grasps.link_contacts
-            both = (actual & target).sum(axis=1)
-            recall = both / np.maximum(target.sum(axis=1), 1)
-            precision = both / np.maximum(actual.sum(axis=1), 1)
-            f1 = 2 * both / np.maximum(target.sum(axis=1) + actual.sum(axis=1), 1)
-            travel = np.linalg.norm(position[:, :3] - self._previous[0], axis=1)
-            slip = np.linalg.norm(in_palm - self._previous[1], axis=1)
-            sample = np.stack(
-                [np.ones(len(holding)), recall, precision, f1, travel, slip, actual.any(axis=1)]
-            )
-            self._samples += np.where(holding, np.nan_to_num(sample), 0.0)
-        self._previous = (position[:, :3].copy(), in_palm)
+        actual, target = self.worlds.link_contacts, self.target_contacts
+        both = (actual & target).sum(axis=1)
+        recall = both / np.maximum(target.sum(axis=1), 1)
+        precision = both / np.maximum(actual.sum(axis=1), 1)
+        f1 = 2 * both / np.maximum(target.sum(axis=1) + actual.sum(axis=1), 1)
+        travel = np.linalg.norm(position[:, :3] - self._previous[0], axis=1)
+        slip = np.linalg.norm(in_palm - self._previous[1], axis=1)
+        sample = np.stack([np.ones(len(holding)), recall, precision, f1, travel, slip, actual.any(axis=1)])
+        self._samples += np.where(holding & np.isfinite(travel), np.nan_to_num(sample), 0.0)
+        self._previous = position[:, :3].copy(), in_palm
 
     def trials(self) -> Trials:
         """The outcome, once all worlds are done."""
