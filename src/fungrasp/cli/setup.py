@@ -1,0 +1,25 @@
+"""``fungrasp setup``: fetch once what is needed but not part of the package."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+
+@dataclass(frozen=True)
+class Perception:
+    """Fetch the two hand models that ``perceive`` needs (8 MB, Apache-2.0) from the mediapipe wheel on the
+    package index (36 MB), check them and keep them in the cache. Nothing is installed; later runs need no
+    network."""
+
+    wheel: Path | None = None
+    """A wheel of mediapipe 0.10.21 at hand, for machines without network; by default pip downloads it."""
+
+    def run(self) -> None:
+        from fungrasp.perception.hand_weights import fetch_weights
+
+        for path in fetch_weights(self.wheel):
+            print(path)
+
+
+COMMAND = {"perception": Perception}

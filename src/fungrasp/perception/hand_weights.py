@@ -1,0 +1,147 @@
+"""The weights of the hand models: fetched once from the mediapipe wheel, checked, kept in the user's cache.
+
+The two models (Apache-2.0) are files of the wheel of mediapipe 0.10.21; later wheels don't hold them. This
+package holds no weights.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import subprocess
+import sys
+import tempfile
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from fungrasp.errors import FungraspError
+from fungrasp.files import atomic_path, cache_folder
+
+PACKAGE = "mediapipe==0.10.21"
+"""The release, on the package index, whose wheels hold the models."""
+
+SETUP_COMMAND = "fungrasp setup perception"
+"""What a user runs once."""
+
+CACHE_KIND = "hand_models"
+
+
+@dataclass(frozen=True)
+class WeightFile:
+    """A model file inside the wheel."""
+
+    member: str
+    """Path in the wheel."""
+    sha256: str
+    """Digest of its bytes, hexadecimal."""
+
+    @property
+    def name(self) -> str:
+        """File name in the cache."""
+        return Path(self.member).name
+
+
+WEIGHT_FILES: Mapping[str, WeightFile] = {
+    "palm": WeightFile(
+        "mediapipe/modules/palm_detection/palm_detection_full.tflite",
+        "1b14e9422c6ad006cde6581a46c8b90dd573c07ab7f3934b5589e7cea3f89a54",
+    ),
+    "landmarks": WeightFile(
+        "mediapipe/modules/hand_landmark/hand_landmark_full.tflite",
+        "11c272b891e1a99ab034208e23937a8008388cf11ed2a9d776ed3d01d0ba00e3",
+    ),
+}
+"""The palm detector and the landmark model; the same bytes are in the wheels of all platforms."""
+
+
+def load_weights() -> dict[str, bytes]:
+    """Bytes of each of ``WEIGHT_FILES``, from the cache.
+
+    Raises:
+        FungraspError: they were not fetched yet, or the files have been changed.
+    """
+    folder = cache_folder(CACHE_KIND)
+    weights = {}
+    for role, file in WEIGHT_FILES.items():
+        path = folder / file.name
+        try:
+            weights[role] = path.read_bytes()
+        except FileNotFoundError as error:
+            raise FungraspError(
+                f"the hand models are not set up ({path} is missing): run '{SETUP_COMMAND}' once"
+            ) from error
+        except OSError as error:
+            raise FungraspError(f"cannot read {path}: {error.strerror or error}") from error
+        _check(weights[role], file, path)
+    return weights
+
+
+def have_weights() -> bool:
+    """Whether the files are in the cache (their bytes are checked when they are loaded)."""
+    folder = cache_folder(CACHE_KIND)
+    return all((folder / file.name).is_file() for file in WEIGHT_FILES.values())
+
+
+def fetch_weights(wheel: Path | None = None) -> list[Path]:
+    """Take the weights from a mediapipe wheel into the cache; nothing of the wheel is installed or run.
+
+    Args:
+        wheel: a wheel of ``PACKAGE`` for any platform; by default pip downloads one, as pip is configured.
+
+    Returns:
+        The files in the cache.
+
+    Raises:
+        FungraspError: pip failed, or the wheel does not hold the expected bytes.
+    """
+    if wheel is not None:
+        return _extract(wheel)
+    with tempfile.TemporaryDirectory(prefix="fungrasp-") as folder:
+        return _extract(_download(Path(folder)))
+
+
+def _download(folder: Path) -> Path:
+    """The wheel for one platform, whatever this machine is: the models are the same."""
+    command = [sys.executable, "-m", "pip", "download", PACKAGE, "--no-deps", "--only-binary=:all:"]
+    command += ["--platform", "manylinux_2_28_x86_64", "--platform", "manylinux_2_17_x86_64"]
+    command += ["--python-version", "311", "--implementation", "cp", "--dest", str(folder), "--quiet"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    wheels = list(folder.glob("*.whl"))
+    if done.returncode != 0 or not wheels:
+        said = done.stderr.strip().splitlines()
+        reason = said[-1] if said else f"it ended with status {done.returncode}"
+        raise FungraspError(
+            f"pip could not download {PACKAGE} ({reason}); download the wheel elsewhere and run "
+            f"'{SETUP_COMMAND} --wheel FILE'"
+        )
+    return wheels[0]
+
+
+def _extract(wheel: Path) -> list[Path]:
+    folder = cache_folder(CACHE_KIND)
+    kept = []
+    try:
+        with zipfile.ZipFile(wheel) as archive:
+            contents = {role: archive.read(file.member) for role, file in WEIGHT_FILES.items()}
+    except KeyError as error:
+        raise FungraspError(f"{wheel} is no wheel of {PACKAGE}: {error.args[0]}") from error
+    except zipfile.BadZipFile as error:
+        raise FungraspError(f"{wheel} is no wheel: {error}") from error
+    except OSError as error:
+        raise FungraspError(f"cannot read {wheel}: {error.strerror or error}") from error
+    for role, file in WEIGHT_FILES.items():
+        _check(contents[role], file, wheel)
+        with atomic_path(folder / file.name) as temporary:
+            temporary.write_bytes(contents[role])
+        kept.append(folder / file.name)
+    return kept
+
+
+def _check(content: bytes, file: WeightFile, where: Path) -> None:
+    digest = hashlib.sha256(content).hexdigest()
+    if digest != file.sha256:
+        raise FungraspError(
+            f"{file.name} in {where} is not the expected file (sha256 {digest}, not {file.sha256}); run "
+            f"'{SETUP_COMMAND}' again"
+        )
