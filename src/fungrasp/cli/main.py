@@ -24,6 +24,7 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
     "objects": ("fungrasp.cli.objects", "list and show objects"),
     "grasps": ("fungrasp.cli.grasps", "list, show and import human grasps"),
     "setup": ("fungrasp.cli.setup", "fetch the hand models that perceiving images needs"),
+    "policies": ("fungrasp.cli.policies", "list and describe learned policies"),
     "bench": ("fungrasp.cli.bench", "measure the speed of retargeting and simulation"),
 }
 """Module and summary of every command, in the order of the help."""

@@ -1,0 +1,127 @@
+"""``fungrasp policies``: list and describe learned policies."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Any
+
+import tyro
+
+if TYPE_CHECKING:
+    from fungrasp.policies.card import PolicyCard
+
+
+@dataclass(frozen=True)
+class List:
+    """List the learned policies that come with fungrasp."""
+
+    json: bool = False
+    """Print JSON instead of a table."""
+
+    def run(self) -> None:
+        from fungrasp.cli.console import table
+        from fungrasp.policies.policy_file import list_policies, read_card
+
+        files = list_policies()
+        cards = {name: read_card(path) for name, path in files.items()}
+        sizes = {name: path.stat().st_size for name, path in files.items()}
+        if self.json:
+            rows = [{**card.to_json(), "name": name, "bytes": sizes[name]} for name, card in cards.items()]
+            print(json.dumps(rows, indent=2))
+            return
+        if not cards:
+            print("no policies come with this version of fungrasp")
+            return
+        header = ("name", "kind", "hand", "size", "success", "licence", "data")
+        rows = [
+            (
+                name,
+                card.kind,
+                card.hand,
+                _size(sizes[name]),
+                ", ".join(f"{what} {share:.0%}".strip() for what, share in _successes(card.measured)),
+                card.licence,
+                ", ".join(data.name for data in card.training_data),
+            )
+            for name, card in cards.items()
+        ]
+        print(table([header, *rows]))
+
+
+@dataclass(frozen=True)
+class Info:
+    """Describe a policy: what it sees and does, how it was trained, what was measured, where it fails."""
+
+    name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME|FILE")]
+    """A policy that comes with fungrasp, or the path of a policy file (.onnx)."""
+    json: bool = False
+    """Print JSON and nothing else."""
+
+    def run(self) -> None:
+        from fungrasp.policies.policy_file import read_card
+
+        card = read_card(self.name)
+        print(json.dumps(card.to_json(), indent=2) if self.json else _text(card))
+
+
+COMMAND = {"list": List, "info": Info}
+
+
+def _text(card: PolicyCard) -> str:
+    hours = card.budget.seconds / 3600
+    rows = [
+        ("hand", f"{card.hand} (digest {card.hand_digest[:12]})"),
+        ("acts", f"at {card.rate_hz:g} Hz, smoothing {card.action_smoothing:g}"),
+        ("licence", card.licence),
+        ("created", card.created),
+        ("revision", card.git_revision),
+        ("seed", str(card.seed)),
+        ("budget", f"{card.budget.steps:,} steps, {hours:.1f} h on {card.budget.machine}"),
+        ("inputs", card.normalisation),
+        ("SHA-256", card.sha256),
+    ]
+    lines = [f"{card.name}: {card.kind}", *(f"  {key:<9} {value}" for key, value in rows if value)]
+    parts = {
+        "observation": [(part.name, f"{part.size}") for part in card.observation],
+        "privileged observation": [(part.name, f"{part.size}") for part in card.privileged],
+        "action": [(part.name, f"{part.size}, 1 is {part.scale:g}") for part in card.action],
+        "servos (kp [N m/rad], kd [N m s/rad])": [
+            (joint, f"{kp:g}, {kd:g}") for joint, (kp, kd) in card.gains.items()
+        ],
+        "training data": [(data.name, f"{data.count} grasps; {data.terms}") for data in card.training_data],
+        "measured": [(what, _number(value)) for what, value in _leaves(card.measured)],
+    }
+    for title, pairs in parts.items():
+        if pairs:
+            width = max(len(name) for name, _ in pairs)
+            lines += ["", title, *(f"  {name:<{width}}  {value}" for name, value in pairs)]
+    if card.limits:
+        lines += ["", "limits", *(f"  {sentence}" for sentence in card.limits)]
+    return "\n".join(lines)
+
+
+def _leaves(measured: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, Any]]:
+    """Values of a nested table, each with the names that lead to it."""
+    for name, value in measured.items():
+        path = f"{above} {name}".strip()
+        if isinstance(value, Mapping):
+            yield from _leaves(value, path)
+        else:
+            yield path, value
+
+
+def _successes(measured: Mapping[str, Any]) -> Iterator[tuple[str, float]]:
+    """Every share of successes, with the names above it."""
+    for path, value in _leaves(measured):
+        if path.split()[-1] == "success" and isinstance(value, int | float):
+            yield path.removesuffix("success").strip(), value
+
+
+def _number(value: Any) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def _size(count: int) -> str:
+    return f"{count / 1e6:.1f} MB" if count >= 1e5 else f"{count / 1e3:.1f} kB"
