@@ -1,0 +1,25 @@
+"""From simulation to reality: worlds that differ in what no policy is told."""
+
+from fungrasp.transfer.delay import Delay, delay_steps
+from fungrasp.transfer.noise import noisy_joints, noisy_object, noisy_wrist, offset_pose, shift_on_table
+from fungrasp.transfer.physics import apply, push_objects, pushes
+from fungrasp.transfer.randomisation import NONE, Randomisation, Range, Sample, Spread, sample
+
+__all__ = [
+    "NONE",
+    "Delay",
+    "Randomisation",
+    "Range",
+    "Sample",
+    "Spread",
+    "apply",
+    "delay_steps",
+    "noisy_joints",
+    "noisy_object",
+    "noisy_wrist",
+    "offset_pose",
+    "push_objects",
+    "pushes",
+    "sample",
+    "shift_on_table",
+]
