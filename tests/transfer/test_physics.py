@@ -158,15 +158,23 @@ def test_the_table_carries_the_object_at_its_new_height(allegro):
     assert worlds.object_on_table.all()
 
 
-def test_coupled_joints_are_damped_too():
+def test_coupled_joints_have_damping_of_their_own_and_servos_the_factors_of_their_joints():
     scene = build_scene(load_hand("inspire"), {"can": builtin_object("can")})
+    hand, model = scene.hand, scene.model
+    assert (len(hand.joint_names), len(hand.actuators)) == (12, 6)
     changes = drawn(scene, 1, Randomisation())
     worlds = ready(scene, 1, changes)
-    dofs = [scene.model.joint(f"hand/{name}").dofadr[0] for name in scene.hand.joint_names]
-    expected = scene.model.dof_damping[dofs] * changes.damping[0]
-    np.testing.assert_allclose(worlds.batch.expand("dof_damping")[0, dofs], expected)
-    assert len(dofs) == 12
-    assert len(scene.hand.actuators) == 6
+    for column, name in enumerate(hand.joint_names):
+        dof = model.joint(f"hand/{name}").dofadr[0]
+        factor = worlds.batch.expand("dof_damping")[0, dof] / model.dof_damping[dof]
+        assert factor == pytest.approx(changes.damping[0, column])
+    for name in hand.actuators:
+        column, servo = hand.joint_names.index(name), model.actuator(f"hand/{name}").id
+        gain = worlds.batch.expand("actuator_gainprm")[0, servo, 0] / model.actuator_gainprm[servo, 0]
+        bias = worlds.batch.expand("actuator_biasprm")[0, servo, :3]
+        assert gain == pytest.approx(changes.stiffness[0, column])
+        assert bias[1] / model.actuator_biasprm[servo, 1] == pytest.approx(gain)
+        assert bias[2] / model.actuator_biasprm[servo, 2] == pytest.approx(changes.servo_damping[0, column])
 
 
 def test_samples_that_do_not_fit_are_refused(allegro):

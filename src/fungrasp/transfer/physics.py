@@ -70,7 +70,7 @@ def pushes(sample: Sample, since_lift: np.ndarray) -> np.ndarray:
 
 
 def push_objects(worlds: Worlds, force: np.ndarray, ids: np.ndarray | None = None) -> None:
-    """Pull at the objects' centres of mass until told otherwise.
+    """Pull at the objects' centres of mass, until told otherwise or reset.
 
     Args:
         worlds: any.
