@@ -9,6 +9,7 @@ found, and the second answer counts.
 from __future__ import annotations
 
 import importlib
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -185,10 +186,10 @@ def _search_windows(width: int, height: int, near: Box | None) -> Iterator[tuple
         centre = ((near[0] + near[2]) / 2, (near[1] + near[3]) / 2)
         yield Window(centre, 3.0 * max(near[2] - near[0], near[3] - near[1])), SURE_PALM
     part = 0.6 * min(width, height)
-    columns, rows = (
-        np.linspace(part / 2, n - part / 2, int(np.ceil(2 * n / part)) - 1) for n in (width, height)
+    across, down = (
+        np.linspace(part / 2, edge - part / 2, math.ceil(2 * edge / part) - 1) for edge in (width, height)
     )
-    parts = [Window((float(u), float(v)), part) for v in rows for u in columns]
+    parts = [Window((float(u), float(v)), part) for v in down for u in across]
     yield from ((window, SURE_PALM) for window in parts)
     for angle in (np.pi / 2, -np.pi / 2, np.pi):
         yield Window(whole.centre, whole.size, angle), SURE_PALM

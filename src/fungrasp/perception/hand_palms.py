@@ -77,7 +77,7 @@ def decode_palms(offsets: np.ndarray, logits: np.ndarray, threshold: float) -> l
 
 
 def box_overlap(box: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """Area common to two boxes over that of their union. box: shape [4]; others: [N, 4]. Returns shape [N]."""
+    """Area common to two boxes over that of their union. box: shape [4]; others: [N, 4]; returns [N]."""
     low, high = np.maximum(box[:2], others[:, :2]), np.minimum(box[2:], others[:, 2:])
     common = np.prod(np.maximum(high - low, 0.0), axis=1)
     union = np.prod(box[2:] - box[:2]) + np.prod(others[:, 2:] - others[:, :2], axis=1) - common
