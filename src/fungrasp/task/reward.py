@@ -99,8 +99,8 @@ def dynamic_contact_weight(keypoints: Array, targets: Array, contacts: Array) ->
     depend on where the origin happens to lie; here positions count from the palm. Then the weight is about 1
     where the links that should touch reach as far as in the reference, less in a hand that has closed too
     far to hold the object there, and more in one that still reaches out. It knows distances but no
-    directions: those are the business of ``position_reward``. The printed ratio has no upper bound and none
-    at all without targets; it is cut at 2, and is 1 in a world without targets.
+    directions: those are the business of ``position_reward``. The printed ratio has no upper bound, and no
+    value without targets; here it is cut at 2, and 1 in a world without targets.
 
     Args:
         keypoints: a point on each link [m], palm frame, shape [W, L, 3].
