@@ -99,7 +99,7 @@ def _text(card: PolicyCard) -> str:
             lines += ["", title, *(f"  {name:<{width}}  {value}" for name, value in pairs)]
     if card.limits:
         lines += ["", "limits", *(f"  {sentence}" for sentence in card.limits)]
-    return "\n".join(lines)
+    return "\n".join(_printable(line) for line in lines)
 
 
 def _leaves(measured: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, Any]]:
@@ -125,3 +125,8 @@ def _number(value: Any) -> str:
 
 def _size(count: int) -> str:
     return f"{count / 1e6:.1f} MB" if count >= 1e5 else f"{count / 1e3:.1f} kB"
+
+
+def _printable(text: str) -> str:
+    """Without what could steer a terminal; a file may come from anyone."""
+    return "".join(character if character.isprintable() else "?" for character in text)

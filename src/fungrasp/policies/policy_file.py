@@ -145,7 +145,7 @@ def hand_digest(hand: Hand) -> str:
     for key in ("title", "source"):
         table.pop(key, None)
     table["actuators"].pop("source", None)
-    return hashlib.sha256(f"{json.dumps(table, sort_keys=True)}\n{model}".encode()).hexdigest()
+    return hashlib.sha256(f"{json.dumps(table, sort_keys=True, default=str)}\n{model}".encode()).hexdigest()
 
 
 def check_fits(
@@ -243,7 +243,7 @@ def _card(data: bytes) -> PolicyCard:
             f"its card says {said[:12]}..."
         )
     _, value = metadata_entries(data, KEY)[0]
-    return card_from_text(data[value.start : value.end])
+    return replace(card_from_text(data[value.start : value.end]), sha256=found)
 
 
 def _digest_offset(data: bytes) -> int:
