@@ -1,0 +1,242 @@
+"""The hand and arm of a test capture: skin with knuckles, creases, nails, and a sleeve. For pictures only."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import trimesh
+
+from fungrasp.grasps import HUMAN_JOINTS
+from fungrasp.report.captures_paint import PaintedMesh, mixed
+from fungrasp.report.hand_mesh import LINKS, human_hand_mesh
+from fungrasp.report.shading import Colour
+
+SKIN_TONES: tuple[Colour, ...] = (
+    (0.92, 0.76, 0.67),
+    (0.88, 0.70, 0.58),
+    (0.80, 0.61, 0.48),
+    (0.69, 0.50, 0.38),
+    (0.52, 0.36, 0.26),
+    (0.36, 0.25, 0.19),
+)
+"""Skin on the back of a hand, sRGB, light to dark."""
+
+CELL = 0.0018
+"""Grid on which the skin is found [m]."""
+
+FOREARM = 0.25
+"""Length of the arm behind the wrist [m]."""
+
+CLEARANCE = 0.05
+"""The axis of the arm keeps at least this height above the table [m]."""
+
+_STUMP = (0.012, 0.045)
+"""Where the forearm of ``human_hand_mesh`` begins and ends behind the wrist [m], at its reference size."""
+_REFERENCE_PALM = 0.091
+_WRIST, _INDEX, _MIDDLE, _PINKY, _THUMB_MCP = (
+    HUMAN_JOINTS.index(name) for name in ("wrist", "index_mcp", "middle_mcp", "pinky_mcp", "thumb_mcp")
+)
+_RADII = (0.0108, 0.0090, 0.0078, 0.0066)
+
+
+@dataclass(frozen=True)
+class ArmAxis:
+    """Middle line of the forearm: a quadratic Bezier curve from near the wrist to the elbow."""
+
+    control: np.ndarray
+    """[m], world frame, shape [3, 3]."""
+
+    def at(self, part: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Points [m] and unit tangents towards the elbow, shape [..., 3] each. part: 0 to 1, shape [...]."""
+        a, b, c = self.control
+        t = part[..., None]
+        tangent = 2 * (1 - t) * (b - a) + 2 * t * (c - b)
+        point = (1 - t) ** 2 * a + 2 * t * (1 - t) * b + t**2 * c
+        return point, tangent / np.linalg.norm(tangent, axis=-1, keepdims=True)
+
+
+def painted_hand(joints: np.ndarray, tone: Colour, rng: np.random.Generator) -> tuple[PaintedMesh, ArmAxis]:
+    """The skin of a right hand with its forearm, which bends away from the table.
+
+    Args:
+        joints: [m], world frame, shape [21, 3].
+        tone: of the skin, sRGB.
+        rng: decides the blotches of the skin.
+    """
+    joints = np.asarray(joints, dtype=float)
+    hand = human_hand_mesh(joints, cell=CELL)
+    scale = float(np.linalg.norm(joints[_MIDDLE] - joints[_WRIST])) / _REFERENCE_PALM
+    mesh = trimesh.Trimesh(hand.vertices, hand.faces, process=False)
+    normals = np.array(mesh.vertex_normals)
+    red, pale, swell = _features(joints, hand.vertices, normals, hand.links, scale)
+    red += 0.10 * _blotches(hand.vertices, rng)
+    skin = np.asarray(tone)
+    flushed = skin * [0.93, 0.68, 0.62]
+    light = 1.0 - (1.0 - skin) * [0.62, 0.70, 0.72]
+    colours = mixed(skin, flushed, red)
+    colours = mixed(colours, light, pale)
+    vertices, axis = _with_forearm(joints, hand.vertices + swell[:, None] * normals, scale)
+    return PaintedMesh(vertices, hand.faces, colours), axis
+
+
+def painted_sleeve(axis: ArmAxis, start: float, colour: Colour, rng: np.random.Generator) -> PaintedMesh:
+    """A cuff and sleeve round the forearm.
+
+    Args:
+        axis: of the forearm.
+        start: part of the forearm that is bare, 0 to 1.
+        colour: of the cloth, sRGB.
+        rng: decides the folds.
+    """
+    rings, around = 48, 48
+    part = np.concatenate([[start + 0.02], np.linspace(start, 1.0, rings - 1)])
+    angle = np.linspace(0, 2 * np.pi, around, endpoint=False)
+    point, tangent = axis.at(part)
+    side = np.cross(tangent, [0.0, 0.0, 1.0])
+    side /= np.linalg.norm(side, axis=-1, keepdims=True)
+    over = np.cross(side, tangent)
+    phase, tilt = rng.uniform(0, 2 * np.pi, 3), rng.integers(1, 4, 3)
+    folds = sum(np.sin(tilt[k] * angle + (30 + 25 * k) * part[:, None] + phase[k]) for k in range(3))
+    radius = 0.036 + 0.016 * (part[:, None] - start) + 0.0012 * folds
+    radius[0] -= 0.012
+    rim = np.cos(angle)[:, None] * side[:, None] + np.sin(angle)[:, None] * over[:, None]
+    vertices = (point[:, None] + radius[..., None] * rim).reshape(-1, 3)
+    row, column = np.mgrid[: rings - 1, :around]
+    a, b = row * around + column, row * around + (column + 1) % around
+    quads = np.stack([a, b, b + around, a + around], axis=-1).reshape(-1, 4)
+    faces = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
+    shade = np.broadcast_to(1.0 + 0.04 * folds, radius.shape).reshape(-1, 1)
+    return PaintedMesh(vertices, faces, np.clip(np.asarray(colour) * shade, 0.0, 1.0))
+
+
+def _with_forearm(joints: np.ndarray, vertices: np.ndarray, scale: float) -> tuple[np.ndarray, ArmAxis]:
+    """Stretch the stump behind the wrist into an arm along a curve that stays above the table."""
+    wrist = joints[_WRIST]
+    back = wrist - joints[[_MIDDLE, 9]].mean(0)
+    back /= np.linalg.norm(back)
+    across = joints[_INDEX] - joints[_PINKY]
+    across -= back * (across @ back)
+    across /= np.linalg.norm(across)
+    start, end = (scale * s for s in _STUMP)
+    length = FOREARM * scale
+    first, bend = wrist + start * back, wrist + (start + 0.35 * length) * back
+    bend[2] = max(bend[2], CLEARANCE)
+    onward = back.copy()
+    onward[2] = max(onward[2], (CLEARANCE + 0.02 - bend[2]) / (0.65 * length), -0.2)
+    axis = ArmAxis(np.stack([first, bend, bend + 0.65 * length * onward / np.linalg.norm(onward)]))
+    local = vertices - first
+    behind = local @ back
+    moves = behind > 0
+    local, behind = local[moves], behind[moves]
+    part = np.clip(behind / (end - start), 0.0, 1.0)
+    rest = behind - part * (end - start)
+    slow = (end - start) / length
+    point, tangent = axis.at(slow * part + (1 - slow) * part**2)
+    side = across - tangent * (tangent @ across)[:, None]
+    side /= np.linalg.norm(side, axis=-1, keepdims=True)
+    over = np.cross(tangent, side)
+    thick = 1.0 + 0.55 * part
+    lateral, normal = local @ across * thick, local @ np.cross(back, across) * thick * (1 + 0.35 * part)
+    vertices = vertices.copy()
+    vertices[moves] = point + rest[:, None] * tangent + lateral[:, None] * side + normal[:, None] * over
+    return vertices, axis
+
+
+def _features(
+    joints: np.ndarray, vertices: np.ndarray, normals: np.ndarray, links: np.ndarray, scale: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """How red and how pale the skin is (0 to 1), and how far it stands out [m], shape [V] each."""
+    red, pale, swell = np.zeros((3, len(vertices)))
+    dorsal = _dorsal(joints)
+    for finger in range(5):
+        for k in range(3):
+            link = 1 + 3 * finger + k
+            near, far = (joints[j] for j in LINKS[link])
+            member = np.flatnonzero(links[:, max(link - 1, 0) : link + 2].sum(1) > 0.3)
+            bone = far - near
+            length = float(np.linalg.norm(bone))
+            along = bone / length
+            up = dorsal[finger, k]
+            offset = vertices[member] - near
+            place = offset @ along
+            height = normals[member] @ up
+            joint = np.exp(-(((place) / (0.0052 * scale)) ** 2))
+            red[member] += 0.30 * joint * np.clip(height, 0, 1)
+            if k or finger == 4:
+                fine = np.exp(-((place / (0.0011 * scale)) ** 2))
+                red[member] += 0.5 * fine * np.clip(-height + 0.3, 0, 1)
+                swell[member] -= 0.0005 * scale * fine * np.clip(-height, 0, 1)
+                swell[member] += 0.0007 * scale * joint * np.clip(height, 0, 1)
+            if k == 2:
+                _fingertip(
+                    member,
+                    place / length,
+                    offset @ np.cross(along, up),
+                    height,
+                    finger,
+                    scale,
+                    red,
+                    pale,
+                    swell,
+                )
+    palmar = normals @ -dorsal[1, 0]
+    own = links[:, 0]
+    pale += 0.22 * own * np.clip(palmar, 0, 1)
+    return np.clip(red, 0, 1), np.clip(pale, 0, 1), swell
+
+
+def _fingertip(
+    member: np.ndarray,
+    part: np.ndarray,
+    aside: np.ndarray,
+    height: np.ndarray,
+    finger: int,
+    scale: float,
+    red: np.ndarray,
+    pale: np.ndarray,
+    swell: np.ndarray,
+) -> None:
+    """Nail, redder end and pad of one finger, added in place. part: of the way along the last link."""
+    radius = (0.0082 if finger == 4 else 0.0066) * scale
+    red[member] += 0.28 * np.clip((part - 0.35) / 0.5, 0, 1) * np.clip(0.6 - height, 0, 1)
+    swell[member] += 0.0008 * scale * np.exp(-(((part - 0.55) / 0.25) ** 2)) * np.clip(-height, 0, 1)
+    edge = ((part - 0.70) / 0.27) ** 4 + (aside / (0.80 * radius)) ** 4
+    nail = np.clip(1.6 - 1.2 * edge, 0, 1) * (height > 0.1)
+    rim = np.exp(-(((edge - 1.15) / 0.35) ** 2)) * (height > 0.1)
+    red[member] = red[member] * (1 - nail) + 0.22 * nail + 0.45 * rim
+    pale[member] = np.maximum(pale[member], 0.55 * nail + 0.35 * nail * (part > 0.88))
+    swell[member] += scale * (0.0003 * nail - 0.0004 * rim)
+
+
+def _dorsal(joints: np.ndarray) -> np.ndarray:
+    """Unit vector out of the back of each finger link, shape [5, 3, 3]."""
+    result = np.empty((5, 3, 3))
+    across = joints[_INDEX] - joints[_PINKY]
+    for finger in range(5):
+        chain = joints[1 + 4 * finger : 5 + 4 * finger]
+        for k in range(3):
+            along = _unit(chain[k + 1] - chain[k])
+            if finger < 4:
+                up = np.cross(along, across)
+            else:
+                facing = joints[[3, 7]].mean(0) - joints[_THUMB_MCP]
+                curl = chain[2] - 0.5 * (chain[1] + chain[3])
+                up = 4.0 * curl - _unit(facing - along * (facing @ along)) * 0.02
+            result[finger, k] = _unit(up - along * (up @ along))
+    return result
+
+
+def _blotches(points: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Smooth random pattern, about 0 to 1, shape [V]."""
+    total = np.zeros(len(points))
+    for size in (0.03, 0.015, 0.007):
+        waves = rng.normal(size=(3, 3)) * (2 * np.pi / size) / 1.7
+        total += np.prod(np.sin(points @ waves.T + rng.uniform(0, 2 * np.pi, 3)), axis=1)
+    return 0.5 + 0.5 * total
+
+
+def _unit(vector: np.ndarray | Sequence[float]) -> np.ndarray:
+    vector = np.asarray(vector, dtype=float)
+    return vector / max(float(np.linalg.norm(vector)), 1e-12)

@@ -1,0 +1,129 @@
+"""What a real depth camera does to a perfect picture: noise, holes and quantisation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import ndimage
+
+from fungrasp.perception import Intrinsics
+
+
+@dataclass(frozen=True)
+class DepthNoise:
+    """Errors of an active stereo camera; the defaults are of the kind sold for robots (5 cm baseline)."""
+
+    baseline: float = 0.05
+    """Between the two infrared cameras [m]; the second one's blind spots are holes."""
+    disparity: float = 0.08
+    """Standard deviation of the disparity [pixels]: noise is depth^2 * disparity / (focal * baseline)."""
+    blob: float = 1.2
+    """Neighbouring pixels this near share their noise [pixels]."""
+    edge: float = 0.6
+    """Standard deviation of how far edges are displaced [pixels]."""
+    dropout: float = 0.35
+    """Part of the pixels beside a step in depth that give nothing."""
+    step: float = 0.015
+    """What counts as a step in depth [m]."""
+    grazing: tuple[float, float] = (68.0, 86.0)
+    """Angles between view and normal where pixels begin to give nothing, and where none is left [degrees]."""
+    speckle: float = 0.002
+    """Part of the surface that is lost in small holes."""
+    step_size: float = 0.001
+    """Depth is a multiple of this [m]."""
+    reach: tuple[float, float] = (0.17, 6.0)
+    """Nearest and farthest depth that is measured [m]."""
+
+
+@dataclass(frozen=True)
+class ColourNoise:
+    """Errors of a small colour camera."""
+
+    noise: float = 2.0
+    """Standard deviation of a pixel in mid grey [of 255]."""
+    blur: float = 0.45
+    """Standard deviation of the lens's blur [pixels]."""
+    balance: float = 0.05
+    """Largest error of the white balance and exposure, as a part."""
+
+
+def noisy_depth(
+    depth: np.ndarray, intrinsics: Intrinsics, noise: DepthNoise, rng: np.random.Generator
+) -> np.ndarray:
+    """What a depth camera would measure.
+
+    Args:
+        depth: true depth [m], 0 where there is nothing, shape [H, W].
+        intrinsics: of the image.
+        noise: how bad the camera is.
+        rng: the dice.
+
+    Returns:
+        [m], 0 where nothing was measured, shape [H, W] float32.
+    """
+    shape = depth.shape
+    rows, columns = np.mgrid[: shape[0], : shape[1]]
+    rows = np.clip(np.round(rows + noise.edge * _smooth(shape, 0.7, rng)).astype(int), 0, shape[0] - 1)
+    columns = np.clip(np.round(columns + noise.edge * _smooth(shape, 0.7, rng)).astype(int), 0, shape[1] - 1)
+    focal = 0.5 * (intrinsics.fx + intrinsics.fy)
+    lost = _blind(depth, focal * noise.baseline)
+    lost |= rng.uniform(size=shape) < _grazing(depth, intrinsics, noise.grazing)
+    lost |= _smooth(shape, 2.5, rng) > _normal_quantile(1 - noise.speckle)
+    steps = ndimage.maximum_filter(depth, 3) - ndimage.minimum_filter(depth, 3) > noise.step
+    lost |= steps & (rng.uniform(size=shape) < noise.dropout)
+    measured = depth[rows, columns]
+    lost = lost[rows, columns] | (measured < noise.reach[0]) | (measured > noise.reach[1])
+    sigma = measured**2 * noise.disparity / (focal * noise.baseline)
+    measured = measured + sigma * _smooth(shape, noise.blob, rng)
+    measured = np.round(measured / noise.step_size) * noise.step_size
+    return np.where(lost, 0.0, measured).astype(np.float32)
+
+
+def noisy_colour(light: np.ndarray, noise: ColourNoise, rng: np.random.Generator) -> np.ndarray:
+    """What a colour camera would make of linear light.
+
+    Args:
+        light: shape [H, W, 3].
+        noise: how bad the camera is.
+        rng: the dice.
+
+    Returns:
+        sRGB, shape [H, W, 3] uint8.
+    """
+    light = light * (1 + noise.balance * rng.uniform(-1, 1, 3)) * (1 + 4 * noise.balance * rng.uniform(-1, 1))
+    light = ndimage.gaussian_filter(light, (noise.blur, noise.blur, 0))
+    # Shot noise grows with the root of the light, which the gamma curve evens out.
+    picture = 255 * np.clip(light, 0, 1) ** (1 / 2.2) + noise.noise * rng.normal(size=light.shape)
+    return np.clip(np.round(picture), 0, 255).astype(np.uint8)
+
+
+def _smooth(shape: tuple[int, ...], width: float, rng: np.random.Generator) -> np.ndarray:
+    """Normally distributed, neighbours alike within ``width`` pixels."""
+    field = ndimage.gaussian_filter(rng.normal(size=shape), width, mode="wrap")
+    return field / field.std()
+
+
+def _normal_quantile(part: float) -> float:
+    from scipy.special import ndtri
+
+    return float(ndtri(part))
+
+
+def _blind(depth: np.ndarray, disparity: float) -> np.ndarray:
+    """Pixels that the second camera, to the right of the first, can't see. disparity: of 1 m [pixels]."""
+    place = np.arange(depth.shape[1]) - disparity / np.maximum(depth, 0.1)
+    nearest = np.minimum.accumulate(place[:, ::-1], axis=1)[:, ::-1]
+    ahead = np.concatenate([nearest[:, 1:], np.full((len(depth), 1), np.inf)], axis=1)
+    return ahead < place - 0.5
+
+
+def _grazing(depth: np.ndarray, intrinsics: Intrinsics, limits: tuple[float, float]) -> np.ndarray:
+    """Chance that a pixel gives nothing as the surface is seen from the side, shape [H, W]."""
+    points = intrinsics.rays() * depth[..., None]
+    across, down = np.gradient(points, axis=1), np.gradient(points, axis=0)
+    normal = np.cross(across, down)
+    size = np.linalg.norm(normal, axis=-1) * np.linalg.norm(points, axis=-1)
+    cosine = np.abs(np.einsum("hwi,hwi->hw", normal, points)) / np.maximum(size, 1e-12)
+    angle = np.degrees(np.arccos(np.clip(cosine, 0, 1)))
+    return np.clip((angle - limits[0]) / (limits[1] - limits[0]), 0, 1)

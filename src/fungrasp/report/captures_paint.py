@@ -1,0 +1,86 @@
+"""Meshes with a colour per vertex, and paint for objects that have none."""
+
+from __future__ import annotations
+
+import zlib
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+import trimesh
+
+from fungrasp.geometry.poses import transform_points
+from fungrasp.objects import ObjectModel
+
+EDGE = 0.006
+"""Longest edge of a painted object's triangles [m]: the finest thing its paint can show."""
+
+
+@dataclass(frozen=True)
+class PaintedMesh:
+    """A triangle mesh with colours."""
+
+    vertices: np.ndarray
+    """[m], shape [V, 3]."""
+    faces: np.ndarray
+    """Counter-clockwise from outside, shape [T, 3]."""
+    colours: np.ndarray
+    """sRGB from 0 to 1, shape [V, 3]."""
+
+    def moved(self, pose: np.ndarray) -> PaintedMesh:
+        """The mesh at a pose, shape [7]."""
+        return replace(self, vertices=transform_points(pose, self.vertices))
+
+
+def mixed(a: np.ndarray, b: np.ndarray, part: np.ndarray) -> np.ndarray:
+    """Colours from ``a`` (part 0) to ``b`` (part 1). part: shape [V]. Returns shape [V, 3]."""
+    return a + part[:, None] * (b - a)
+
+
+@lru_cache(maxsize=64)
+def painted_object(model: ObjectModel) -> PaintedMesh:
+    """An object with paint of our own: one colour per part, a band, a label and fine grain.
+
+    The same object always gets the same paint: it is decided by the object's name.
+    """
+    rng = np.random.default_rng(zlib.crc32(model.name.encode()))
+    vertices, faces, face_index = _fine(model)
+    base, second, third = _palette(rng)
+    colours = np.tile(base, (len(vertices), 1))
+    parts = list(model.parts.values())
+    if len(parts) > 1:
+        for i, part in enumerate(parts):
+            colour = (base, second, third, 0.5 * (base + third))[i % 4]
+            colours[np.unique(faces[part[face_index]])] = colour
+    low, size = vertices.min(0), np.ptp(vertices, axis=0)
+    unit = (vertices - low) / size
+    axis = int(np.argmax(size))
+    middle, width = rng.uniform(0.3, 0.7), rng.uniform(0.08, 0.2)
+    colours = mixed(colours, third, _step(width - np.abs(unit[:, axis] - middle), 0.02))
+    label = np.stack([unit[:, axis] - middle, unit[:, (axis + 1) % 3] - rng.uniform(0.3, 0.7)], axis=-1)
+    side = _step(unit[:, (axis + 2) % 3] - 0.5, 0.02)
+    spot = _step(rng.uniform(0.10, 0.18) - np.linalg.norm(label * [1.0, 0.7], axis=1), 0.02) * side
+    colours = mixed(colours, second, spot)
+    waves = rng.normal(size=(3, 3)) * 2 * np.pi / 0.02
+    grain = np.prod(np.sin(vertices @ waves.T + rng.uniform(0, 6, 3)), axis=1)
+    return PaintedMesh(vertices, faces, np.clip(colours * (1 + 0.06 * grain[:, None]), 0.0, 1.0))
+
+
+def _fine(model: ObjectModel) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Vertices, faces with no edge longer than ``EDGE``, and the face each came from."""
+    vertices, faces, index = trimesh.remesh.subdivide_to_size(
+        model.vertices, model.faces, EDGE, max_iter=12, return_index=True
+    )
+    return vertices, np.asarray(faces), np.asarray(index)
+
+
+def _palette(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    hue = rng.uniform(0, 1) + np.array([0.0, rng.uniform(0.25, 0.45), rng.uniform(0.55, 0.75)])
+    saturation, value = rng.uniform(0.25, 0.85, 3), rng.uniform(0.3, 0.95, 3)
+    phase = np.abs((hue[:, None] % 1.0 * 6 + [0, 4, 2]) % 6 - 3) - 1
+    colours = value[:, None] * (1 - saturation[:, None] * (1 - np.clip(phase, 0, 1)))
+    return colours[0], colours[1], colours[2]
+
+
+def _step(x: np.ndarray, width: float) -> np.ndarray:
+    return np.clip(0.5 + x / width, 0.0, 1.0)
