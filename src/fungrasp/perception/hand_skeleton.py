@@ -1,0 +1,202 @@
+"""A right hand's skeleton with bones of adjustable length, and how its joints move with its parameters.
+
+Palm frame: origin at the wrist, x toward the middle finger's knuckle, y toward the index finger's side, z out
+of the back of the hand. A finger is three bones along their own x axes; each of its three joints turns about
+z (deviation, toward the index finger's side), then y (flexion), then x (twist).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from fungrasp.grasps.anatomy import ADULT_BONES, FLEXION_RANGE
+
+FINGERS, JOINTS_OF_FINGER = 5, 3
+
+KNUCKLE_SPACING = 0.0205
+"""Between neighbouring MCP joints [m]: a third of an adult's hand breadth (80 mm at the knuckles) less one
+finger's breadth."""
+
+THUMB_BASE = np.array([0.022, 0.024, -0.012])
+"""The thumb's CMC joint in the palm frame [m]."""
+
+THUMB_DIRECTION = np.array([0.66, 0.53, -0.53])
+"""The thumb's metacarpal at rest, palm frame: 45 degrees between it and the palm's plane and index finger."""
+
+THUMB_FLEXION = np.array([0.0, -0.8, -0.6])
+"""Where the thumb's tip goes when it flexes, palm frame: across the palm."""
+
+RADII = np.array([[10.5, 9.5, 8.5, 7.8]] * 4 + [[17.0, 12.5, 10.5, 9.0]]) * 1e-3
+"""Half the thickness of a finger at its four joints [m], shape [5, 4]; the thumb's first lies in its ball."""
+
+WRIST_RADIUS = 0.022
+"""Half the thickness of the wrist [m]."""
+
+PALM_RADIUS = 0.014
+"""Half the thickness of the palm [m]."""
+
+PARAMETERS = {
+    "position": slice(0, 3),
+    "turn": slice(3, 6),
+    "size": slice(6, 7),
+    "bases": slice(7, 22),
+    "bones": slice(22, 37),
+    "angles": slice(37, 82),
+}
+"""Where each kind of parameter stands in a step: position [m] and turn of the palm (camera frame), logarithm of
+the hand's size, shift of the five finger bases [m, palm frame], logarithm of 15 bone lengths, 45 angles
+[rad]: finger, joint, (deviation, flexion, twist)."""
+
+SIZE = 82
+"""Number of parameters."""
+
+
+def _template() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    lengths = ADULT_BONES.mean(axis=-1) * 1e-3
+    side = KNUCKLE_SPACING * np.array([1.1, 0.1, -0.9, -1.9])
+    # A knuckle's distance from the wrist is known, and how far it lies to the side.
+    forward = np.sqrt(lengths[:4, 0] ** 2 - side**2)
+    bases = np.vstack([np.stack([forward, side, np.zeros(4)], axis=1), THUMB_BASE])
+    frames = np.empty((FINGERS, 3, 3))
+    # Extended fingers spread half as much as the bones of the palm.
+    spread = 0.5 * np.arctan2(side, forward)
+    frames[:4] = Rotation.from_euler("z", spread[:, None]).as_matrix().reshape(4, 3, 3)
+    x = THUMB_DIRECTION / np.linalg.norm(THUMB_DIRECTION)
+    y = np.cross(x, THUMB_FLEXION)
+    y /= np.linalg.norm(y)
+    frames[4] = np.stack([x, y, np.cross(x, y)], axis=1)
+    return bases, frames, lengths[:, 1:]
+
+
+BASES, BASE_FRAMES, LENGTHS = _template()
+"""Of an adult's hand, palm frame: bases of the fingers [m], shape [5, 3]; axes of extended fingers as columns,
+shape [5, 3, 3]; lengths of bones [m], shape [5, 3]."""
+
+
+def _angle_priors() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    low, high = np.full((5, 3, 3), -np.inf), np.full((5, 3, 3), np.inf)
+    low[..., 1], high[..., 1] = FLEXION_RANGE[..., 0], FLEXION_RANGE[..., 1]
+    mean, spread = np.zeros((5, 3, 3)), np.empty((5, 3, 3))
+    spread[:] = np.radians([5.0, 60.0, 6.0])
+    spread[:4, 0] = np.radians([10.0, 60.0, 8.0])
+    spread[4, 0], spread[4, 1] = np.radians([25.0, 25.0, 25.0]), np.radians([8.0, 60.0, 8.0])
+    mean[:4, :, 1] = np.radians([25.0, 30.0, 20.0])
+    mean[4, 1:, 1] = np.radians(15.0)
+    return mean, spread, low, high
+
+
+ANGLE_MEAN, ANGLE_SPREAD, ANGLE_LOW, ANGLE_HIGH = _angle_priors()
+"""Usual angles, how far they vary, and the limits of flexion [rad], shape [5, 3, 3]: finger, joint,
+(deviation, flexion, twist). Fingers hinge: only their first joints deviate by much."""
+
+
+@dataclass(frozen=True, eq=False)
+class Skeleton:
+    """One hand: the parameters."""
+
+    position: np.ndarray
+    """Wrist [m], shape [3], camera frame."""
+    turn: np.ndarray
+    """Rotation of the palm frame, shape [3, 3]."""
+    size: float
+    """Logarithm of the size, 0 for a mean adult's."""
+    bases: np.ndarray
+    """Shift of the fingers' bases [m], palm frame, for a hand of mean size, shape [5, 3]."""
+    bones: np.ndarray
+    """Logarithm of the bones' lengths over the template's, shape [5, 3]."""
+    angles: np.ndarray
+    """[rad], shape [5, 3, 3]: finger, joint, (deviation, flexion, twist)."""
+
+    @classmethod
+    def usual(cls, position: np.ndarray, turn: np.ndarray, size: float = 0.0) -> Skeleton:
+        """A hand of usual proportions and usual angles."""
+        return cls(position, turn, size, np.zeros((5, 3)), np.zeros((5, 3)), ANGLE_MEAN)
+
+    def moved(self, step: np.ndarray) -> Skeleton:
+        """With every parameter changed by a step, shape [``SIZE``]; the turn is about the camera's axes."""
+        part = {name: step[where] for name, where in PARAMETERS.items()}
+        return Skeleton(
+            self.position + part["position"],
+            Rotation.from_rotvec(part["turn"]).as_matrix() @ self.turn,
+            float(np.clip(self.size + part["size"][0], -0.5, 0.5)),
+            self.bases + part["bases"].reshape(5, 3),
+            np.clip(self.bones + part["bones"].reshape(5, 3), -0.5, 0.5),
+            self.angles + part["angles"].reshape(5, 3, 3),
+        )
+
+    def joints(self) -> np.ndarray:
+        """Joints [m], shape [21, 3], camera frame, in the order of ``HUMAN_JOINTS``."""
+        return self._forward()[0]
+
+    def joints_and_derivatives(self) -> tuple[np.ndarray, np.ndarray]:
+        """``joints`` and their derivatives by the parameters, shape [21, 3, ``SIZE``]."""
+        joints, axes, directions = self._forward()
+        scale = np.exp(self.size)
+        jacobian = np.zeros((21, 3, SIZE))
+        jacobian[:, :, PARAMETERS["position"]] = np.eye(3)
+        arm = joints - self.position
+        jacobian[:, :, PARAMETERS["turn"]] = -_cross_matrices(arm)
+        jacobian[:, :, 6] = arm
+        fingers = joints[1:].reshape(5, 4, 3)
+        of_fingers = jacobian[1:].reshape(5, 4, 3, SIZE)
+        lengths = scale * LENGTHS * np.exp(self.bones)
+        for finger in range(FINGERS):
+            base = PARAMETERS["bases"].start + 3 * finger
+            of_fingers[finger, :, :, base : base + 3] = scale * self.turn
+            for joint in range(JOINTS_OF_FINGER):
+                bone = PARAMETERS["bones"].start + 3 * finger + joint
+                stretch = lengths[finger, joint] * directions[finger, joint]
+                of_fingers[finger, joint + 1 :, :, bone] = stretch
+                angle = PARAMETERS["angles"].start + 9 * finger + 3 * joint
+                reach = fingers[finger, joint + 1 :] - fingers[finger, joint]
+                # a x r for each axis a (columns) and each reach r.
+                turned = -_cross_matrices(reach) @ axes[finger, joint]
+                of_fingers[finger, joint + 1 :, :, angle : angle + 3] = turned
+        return joints, jacobian
+
+    def _forward(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Joints; axes of all angles as columns, shape [5, 3, 3, 3]; bones' directions, shape [5, 3, 3]."""
+        scale = np.exp(self.size)
+        lengths = scale * LENGTHS * np.exp(self.bones)
+        joints = np.empty((21, 3))
+        joints[0] = self.position
+        fingers = joints[1:].reshape(5, 4, 3)
+        fingers[:, 0] = self.position + scale * (BASES + self.bases) @ self.turn.T
+        frames = self.turn @ BASE_FRAMES
+        axes, directions = np.empty((5, 3, 3, 3)), np.empty((5, 3, 3))
+        cosine, sine = np.cos(self.angles), np.sin(self.angles)
+        for joint in range(JOINTS_OF_FINGER):
+            c, s = cosine[:, joint], sine[:, joint]
+            axes[:, joint, :, 0] = frames[:, :, 2]
+            frames = frames @ _turn_z(c[:, 0], s[:, 0])
+            axes[:, joint, :, 1] = frames[:, :, 1]
+            frames = frames @ _turn_y(c[:, 1], s[:, 1])
+            axes[:, joint, :, 2] = directions[:, joint] = frames[:, :, 0]
+            frames = frames @ _turn_x(c[:, 2], s[:, 2])
+            fingers[:, joint + 1] = fingers[:, joint] + lengths[:, joint, None] * directions[:, joint]
+        return joints, axes, directions
+
+
+def _turn_x(c: np.ndarray, s: np.ndarray) -> np.ndarray:
+    return _stack(np.ones_like(c), np.zeros_like(c), np.zeros_like(c), 0 * c, c, -s, 0 * c, s, c)
+
+
+def _turn_y(c: np.ndarray, s: np.ndarray) -> np.ndarray:
+    return _stack(c, 0 * c, s, 0 * c, np.ones_like(c), 0 * c, -s, 0 * c, c)
+
+
+def _turn_z(c: np.ndarray, s: np.ndarray) -> np.ndarray:
+    return _stack(c, -s, 0 * c, s, c, 0 * c, 0 * c, 0 * c, np.ones_like(c))
+
+
+def _stack(*entries: np.ndarray) -> np.ndarray:
+    return np.stack(entries, axis=-1).reshape(*entries[0].shape, 3, 3)
+
+
+def _cross_matrices(v: np.ndarray) -> np.ndarray:
+    """``M`` with ``M w = v x w``. v: shape [..., 3]; returns [..., 3, 3]."""
+    zero = np.zeros_like(v[..., 0])
+    return _stack(zero, -v[..., 2], v[..., 1], v[..., 2], zero, -v[..., 0], -v[..., 1], v[..., 0], zero)
