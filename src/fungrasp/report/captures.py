@@ -20,7 +20,7 @@ from fungrasp.perception import Capture, Intrinsics
 from fungrasp.report.camera import orbit_camera
 from fungrasp.report.captures_noise import ColourNoise, DepthNoise, noisy_colour, noisy_depth
 from fungrasp.report.captures_paint import PaintedMesh, painted_object
-from fungrasp.report.captures_scene import Label, capture_scene
+from fungrasp.report.captures_scene import CaptureScene, Label, capture_scene
 from fungrasp.report.captures_trace import Tracer
 
 TRIES = 24
@@ -154,7 +154,7 @@ def render_capture(
     clutter = int(rng.integers(settings.clutter[0], settings.clutter[1] + 1))
     scene = capture_scene(grasp, painted, rng, clutter=clutter, towards=np.radians(azimuth))
     tracer = Tracer(scene.things, scene.look)
-    pose = _camera(grasp, painted, tracer, scene.labels, intrinsics, azimuth, settings, rng)
+    pose = _camera(grasp, painted, tracer, scene, intrinsics, azimuth, settings, rng)
     view = tracer.see(intrinsics, pose)
     labels = np.append(scene.labels, np.uint8(Label.ROOM))[view.thing]
     colour = noisy_colour(view.light, settings.colour_noise or ColourNoise(0.0, 0.0, 0.0), rng)
@@ -168,7 +168,7 @@ def _camera(
     grasp: HumanGrasp,
     painted: PaintedMesh,
     tracer: Tracer,
-    labels: np.ndarray,
+    scene: CaptureScene,
     intrinsics: Intrinsics,
     azimuth: float,
     settings: CaptureSettings,
@@ -190,11 +190,12 @@ def _camera(
         rotation = (Rotation.from_matrix(camera.rotation) * roll).as_quat(scalar_first=True)
         pose = np.concatenate([camera.position, rotation])
         seen = tracer.see(probe, pose, light=False).thing
-        shown = [np.isin(seen, np.flatnonzero(labels == k)).mean() for k in (Label.OBJECT, Label.HAND)]
-        pixels = intrinsics.project(inverse_transform_points(pose, grasp.hand_joints))
-        inside = (pixels > 4) & (pixels < [intrinsics.width - 5, intrinsics.height - 5])
+        shown = [np.isin(seen, np.flatnonzero(scene.labels == k)).mean() for k in (Label.OBJECT, Label.HAND)]
+        points = np.vstack([grasp.hand_joints, scene.arm_end])
+        pixels = intrinsics.project(inverse_transform_points(pose, points))
+        inside = ((pixels > 4) & (pixels < [intrinsics.width - 5, intrinsics.height - 5])).all(axis=1)
         enough = min(shown[0] / settings.object_seen, shown[1] / settings.hand_seen, 1.0)
-        score = enough + inside.all(axis=1).mean()
+        score = enough + inside[:-1].mean() - 0.2 * inside[-1]
         if score > most:
             best, most = pose, score
         if score >= 2.0:

@@ -26,8 +26,8 @@ SKIN_TONES: tuple[Colour, ...] = (
 CELL = 0.0018
 """Grid on which the skin is found [m]."""
 
-FOREARM = 0.25
-"""Length of the arm behind the wrist [m]."""
+FOREARM = 0.45
+"""Length of the arm behind the wrist [m]: so long that its end is seldom in the image."""
 
 CLEARANCE = 0.05
 """The axis of the arm keeps at least this height above the table [m]."""
@@ -35,29 +35,47 @@ CLEARANCE = 0.05
 _STUMP = (0.012, 0.045)
 """Where the forearm of ``human_hand_mesh`` begins and ends behind the wrist [m], at its reference size."""
 _REFERENCE_PALM = 0.091
-_WRIST, _INDEX, _MIDDLE, _PINKY, _THUMB_MCP = (
-    HUMAN_JOINTS.index(name) for name in ("wrist", "index_mcp", "middle_mcp", "pinky_mcp", "thumb_mcp")
+_WRIST_HALF = (0.0295, 0.0185)
+_WRIST, _INDEX, _MIDDLE, _RING, _PINKY, _THUMB_MCP = (
+    HUMAN_JOINTS.index(name)
+    for name in ("wrist", "index_mcp", "middle_mcp", "ring_mcp", "pinky_mcp", "thumb_mcp")
 )
-_RADII = (0.0108, 0.0090, 0.0078, 0.0066)
 
 
 @dataclass(frozen=True)
-class ArmAxis:
-    """Middle line of the forearm: a quadratic Bezier curve from near the wrist to the elbow."""
+class Arm:
+    """The forearm: a tube of elliptic section along a quadratic Bezier curve from the wrist to the elbow."""
 
     control: np.ndarray
-    """[m], world frame, shape [3, 3]."""
+    """Of the curve [m], world frame, shape [3, 3]."""
+    across: np.ndarray
+    """Direction across the wrist, from the little finger's side to the thumb's, shape [3]."""
+    slow: float
+    """Part of the curve that the hand mesh's own stump covered."""
+    scale: float
+    """Size of the hand compared with the reference."""
 
-    def at(self, part: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Points [m] and unit tangents towards the elbow, shape [..., 3] each. part: 0 to 1, shape [...]."""
+    def frame(self, part: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Points of the middle line [m], shape [..., 3], and axes: side, over, along, shape [..., 3, 3].
+
+        part: 0 at the wrist to 1 at the elbow, as the stump is stretched, shape [...].
+        """
         a, b, c = self.control
-        t = part[..., None]
-        tangent = 2 * (1 - t) * (b - a) + 2 * t * (c - b)
+        t = (self.slow * part + (1 - self.slow) * part**2)[..., None]
         point = (1 - t) ** 2 * a + 2 * t * (1 - t) * b + t**2 * c
-        return point, tangent / np.linalg.norm(tangent, axis=-1, keepdims=True)
+        along = 2 * (1 - t) * (b - a) + 2 * t * (c - b)
+        along /= np.linalg.norm(along, axis=-1, keepdims=True)
+        side = self.across - along * (along @ self.across)[..., None]
+        side /= np.linalg.norm(side, axis=-1, keepdims=True)
+        return point, np.stack([side, np.cross(along, side), along], axis=-2)
+
+    def growth(self, part: np.ndarray) -> np.ndarray:
+        """How much wider and thicker the arm is than the wrist, shape [..., 2]."""
+        wide = 1.0 + 0.5 * part
+        return np.stack([wide, wide * (1 + 0.3 * part)], axis=-1)
 
 
-def painted_hand(joints: np.ndarray, tone: Colour, rng: np.random.Generator) -> tuple[PaintedMesh, ArmAxis]:
+def painted_hand(joints: np.ndarray, tone: Colour, rng: np.random.Generator) -> tuple[PaintedMesh, Arm]:
     """The skin of a right hand with its forearm, which bends away from the table.
 
     Args:
@@ -77,78 +95,70 @@ def painted_hand(joints: np.ndarray, tone: Colour, rng: np.random.Generator) -> 
     light = 1.0 - (1.0 - skin) * [0.62, 0.70, 0.72]
     colours = mixed(skin, flushed, red)
     colours = mixed(colours, light, pale)
-    vertices, axis = _with_forearm(joints, hand.vertices + swell[:, None] * normals, scale)
-    return PaintedMesh(vertices, hand.faces, colours), axis
+    vertices, arm = _with_forearm(joints, hand.vertices + swell[:, None] * normals, scale)
+    return PaintedMesh(vertices, hand.faces, colours), arm
 
 
-def painted_sleeve(axis: ArmAxis, start: float, colour: Colour, rng: np.random.Generator) -> PaintedMesh:
-    """A cuff and sleeve round the forearm.
+def painted_sleeve(arm: Arm, start: float, colour: Colour, rng: np.random.Generator) -> PaintedMesh:
+    """A sleeve round the forearm, with a hem.
 
     Args:
-        axis: of the forearm.
-        start: part of the forearm that is bare, 0 to 1.
+        arm: the forearm.
+        start: where the sleeve begins, 0 at the wrist to 1 at the elbow.
         colour: of the cloth, sRGB.
         rng: decides the folds.
     """
-    rings, around = 48, 48
-    part = np.concatenate([[start + 0.02], np.linspace(start, 1.0, rings - 1)])
+    rings, around = 64, 64
+    part = np.concatenate([[start + 0.01], np.linspace(start, 1.0, rings - 1)])
     angle = np.linspace(0, 2 * np.pi, around, endpoint=False)
-    point, tangent = axis.at(part)
-    side = np.cross(tangent, [0.0, 0.0, 1.0])
-    side /= np.linalg.norm(side, axis=-1, keepdims=True)
-    over = np.cross(side, tangent)
-    phase, tilt = rng.uniform(0, 2 * np.pi, 3), rng.integers(1, 4, 3)
-    folds = sum(np.sin(tilt[k] * angle + (30 + 25 * k) * part[:, None] + phase[k]) for k in range(3))
-    radius = 0.036 + 0.016 * (part[:, None] - start) + 0.0012 * folds
-    radius[0] -= 0.012
-    rim = np.cos(angle)[:, None] * side[:, None] + np.sin(angle)[:, None] * over[:, None]
-    vertices = (point[:, None] + radius[..., None] * rim).reshape(-1, 3)
+    point, axes = arm.frame(part)
+    phase, turns = rng.uniform(0, 2 * np.pi, 4), rng.integers(0, 4, 4)
+    waves = [np.sin(turns[k] * angle + (14 + 11 * k) * part[:, None] + phase[k]) for k in range(4)]
+    folds = np.sum(waves, axis=0) / 4
+    half = arm.scale * np.array(_WRIST_HALF) * arm.growth(part) + 0.007 + 0.012 * (part - start)[:, None]
+    half[0] -= 0.005
+    half = half[:, None] + 0.003 * folds[..., None] * (part > start + 0.02)[:, None, None]
+    rim = half * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    vertices = (point[:, None] + np.einsum("raj,rji->rai", rim, axes[:, :2])).reshape(-1, 3)
     row, column = np.mgrid[: rings - 1, :around]
     a, b = row * around + column, row * around + (column + 1) % around
     quads = np.stack([a, b, b + around, a + around], axis=-1).reshape(-1, 4)
     faces = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
-    shade = np.broadcast_to(1.0 + 0.04 * folds, radius.shape).reshape(-1, 1)
+    shade = 1.0 + 0.10 * folds.reshape(-1, 1)
     return PaintedMesh(vertices, faces, np.clip(np.asarray(colour) * shade, 0.0, 1.0))
 
 
-def _with_forearm(joints: np.ndarray, vertices: np.ndarray, scale: float) -> tuple[np.ndarray, ArmAxis]:
+def _with_forearm(joints: np.ndarray, vertices: np.ndarray, scale: float) -> tuple[np.ndarray, Arm]:
     """Stretch the stump behind the wrist into an arm along a curve that stays above the table."""
     wrist = joints[_WRIST]
-    back = wrist - joints[[_MIDDLE, 9]].mean(0)
-    back /= np.linalg.norm(back)
+    back = _unit(wrist - joints[[_MIDDLE, _RING]].mean(0))
     across = joints[_INDEX] - joints[_PINKY]
-    across -= back * (across @ back)
-    across /= np.linalg.norm(across)
+    across = _unit(across - back * (across @ back))
     start, end = (scale * s for s in _STUMP)
     length = FOREARM * scale
-    first, bend = wrist + start * back, wrist + (start + 0.35 * length) * back
+    first, bend = wrist + start * back, wrist + (start + 0.3 * length) * back
     bend[2] = max(bend[2], CLEARANCE)
     onward = back.copy()
-    onward[2] = max(onward[2], (CLEARANCE + 0.02 - bend[2]) / (0.65 * length), -0.2)
-    axis = ArmAxis(np.stack([first, bend, bend + 0.65 * length * onward / np.linalg.norm(onward)]))
+    onward[2] = max(onward[2], (CLEARANCE + 0.02 - bend[2]) / (0.7 * length), -0.2)
+    control = np.stack([first, bend, bend + 0.7 * length * _unit(onward)])
+    arm = Arm(control, across, (end - start) / length, scale)
     local = vertices - first
-    behind = local @ back
-    moves = behind > 0
-    local, behind = local[moves], behind[moves]
+    moves = local @ back > 0
+    local, behind = local[moves], local[moves] @ back
     part = np.clip(behind / (end - start), 0.0, 1.0)
-    rest = behind - part * (end - start)
-    slow = (end - start) / length
-    point, tangent = axis.at(slow * part + (1 - slow) * part**2)
-    side = across - tangent * (tangent @ across)[:, None]
-    side /= np.linalg.norm(side, axis=-1, keepdims=True)
-    over = np.cross(tangent, side)
-    thick = 1.0 + 0.55 * part
-    lateral, normal = local @ across * thick, local @ np.cross(back, across) * thick * (1 + 0.35 * part)
+    point, axes = arm.frame(part)
+    section = np.stack([local @ across, local @ np.cross(back, across)], axis=-1) * arm.growth(part)
+    onward = (behind - part * (end - start))[:, None]
     vertices = vertices.copy()
-    vertices[moves] = point + rest[:, None] * tangent + lateral[:, None] * side + normal[:, None] * over
-    return vertices, axis
+    vertices[moves] = point + np.einsum("vj,vji->vi", np.concatenate([section, onward], axis=-1), axes)
+    return vertices, arm
 
 
 def _features(
     joints: np.ndarray, vertices: np.ndarray, normals: np.ndarray, links: np.ndarray, scale: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """How red and how pale the skin is (0 to 1), and how far it stands out [m], shape [V] each."""
-    red, pale, swell = np.zeros((3, len(vertices)))
+    red, pale, swell = (np.zeros(len(vertices)) for _ in range(3))
     dorsal = _dorsal(joints)
     for finger in range(5):
         for k in range(3):

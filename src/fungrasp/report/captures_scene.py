@@ -82,6 +82,8 @@ class CaptureScene:
     labels: np.ndarray
     """``Label`` of each thing, shape [things] uint8."""
     look: Look
+    arm_end: np.ndarray
+    """Where the arm ends [m], world frame, shape [3]: better not in the image."""
 
 
 def capture_scene(
@@ -110,9 +112,8 @@ def capture_scene(
         parts.append((Label.CLUTTER, Thing(painted_object(model).moved(pose), 0.3, 40.0)))
     parts.append((Label.TABLE, _table(centre, rng)))
     parts += [(Label.ROOM, thing) for thing in _room(centre, rng)]
-    return CaptureScene(
-        tuple(thing for _, thing in parts), np.array([label for label, _ in parts], np.uint8), _light(rng)
-    )
+    things, labels = zip(*((thing, label) for label, thing in parts), strict=True)
+    return CaptureScene(things, np.array(labels, np.uint8), _light(rng), arm.control[2])
 
 
 def _clutter(
