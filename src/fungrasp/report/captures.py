@@ -193,7 +193,8 @@ def _camera(
         shown = [np.isin(seen, np.flatnonzero(scene.labels == k)).mean() for k in (Label.OBJECT, Label.HAND)]
         points = np.vstack([grasp.hand_joints, scene.arm_end])
         pixels = intrinsics.project(inverse_transform_points(pose, points))
-        inside = ((pixels > 4) & (pixels < [intrinsics.width - 5, intrinsics.height - 5])).all(axis=1)
+        size = np.array([intrinsics.width, intrinsics.height])
+        inside = np.all((pixels > 4) & (pixels < size - 5), axis=1)
         enough = min(shown[0] / settings.object_seen, shown[1] / settings.hand_seen, 1.0)
         score = enough + inside[:-1].mean() - 0.2 * inside[-1]
         if score > most:

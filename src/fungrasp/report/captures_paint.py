@@ -5,6 +5,7 @@ from __future__ import annotations
 import zlib
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 import trimesh
@@ -68,10 +69,10 @@ def painted_object(model: ObjectModel) -> PaintedMesh:
 
 def _fine(model: ObjectModel) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Vertices, faces with no edge longer than ``EDGE``, and the face each came from."""
-    vertices, faces, index = trimesh.remesh.subdivide_to_size(
+    fine: Any = trimesh.remesh.subdivide_to_size(
         model.vertices, model.faces, EDGE, max_iter=12, return_index=True
     )
-    return vertices, np.asarray(faces), np.asarray(index)
+    return fine[0], fine[1], fine[2]
 
 
 def _palette(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -134,7 +134,8 @@ class Tracer:
         hits = self._scene.run(origins, directions, query="INTERSECT", output=True)
         thing = hits["geomID"].astype(np.int64)
         distance = np.where(thing >= 0, hits["tfar"], np.inf)
-        normal, albedo = np.zeros(directions.shape, np.float32), np.zeros(directions.shape, np.float32)
+        normal = np.zeros(directions.shape, np.float32)
+        albedo = np.zeros(directions.shape, np.float32)
         if colour:
             weights = np.stack([1 - hits["u"] - hits["v"], hits["u"], hits["v"]], axis=-1)
             for i, surface in enumerate(self._things):
@@ -160,8 +161,9 @@ class Tracer:
         image = np.stack([pixel % shape[1], pixel // shape[1]], axis=-1)
         solid = points.thing >= 0
         asks = asking(shape[1], shape[0]) & solid
-        shadow, openness = np.ones(len(solid), np.float32), np.ones(len(solid), np.float32)
-        shaded = np.flatnonzero(asks & (dot(points.normal, np.float32(self._sun)[None]) > 0))
+        shadow = np.ones(len(solid), np.float32)
+        openness = shadow.copy()
+        shaded = np.flatnonzero(asks & (points.normal @ self._sun > 0))
         across = axes_along(self._sun[None])[0, :, :2]
         lights = self._sun + look.light_spread * disc(image[shaded]) @ across.T
         lights /= np.sqrt(dot(lights, lights))[:, None]
