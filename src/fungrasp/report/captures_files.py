@@ -27,10 +27,10 @@ DEPTH_UNIT = 0.001
 
 
 def write_capture(synthetic: SyntheticCapture, folder: str | Path) -> None:
-    """Write ``rgb.png``, ``depth.png`` (16 bit, 1 mm), ``K.json``, ``<object>.ply`` (with the paint) and the truth.
+    """Write what a camera would give, the painted mesh and the truth.
 
-    The truth is ``truth.json``, ``labels.png`` and ``object_mask.png``, whose name keeps it from being taken for
-    a mask that somebody gave.
+    That is ``rgb.png``, ``depth.png`` (16 bit, 1 mm), ``K.json``, ``<object>.ply``; ``truth.json``,
+    ``labels.png`` and ``object_mask.png``, whose name keeps it from being taken for a mask given.
 
     Raises:
         FungraspError: the folder can't be written to.
