@@ -33,7 +33,8 @@ class Evaluate:
     hand: str = "allegro"
     """Name of a hand, or the path of a hand's TOML file."""
     policy: str = "reference"
-    """What moves the hand: "reference"."""
+    """What moves the hand: "reference", "teacher", "student", one of `fungrasp policies list`, or a policy
+    file (.onnx)."""
     refine: int = 0
     """First try this many variations of each grasp in simulation, and keep the best."""
     method: tuple[str, ...] = ("ours",)
@@ -72,8 +73,8 @@ class Evaluate:
         from fungrasp.retarget import load_objects
 
         disturbance = self._disturbance()
-        check_policy(self.policy)
         hand = load_hand(self.hand)
+        check_policy(self.policy, hand)
         grasps = load_grasps(self.grasps)
         self._check(isinstance(grasps, RobotGraspSet), disturbance)
         if isinstance(grasps, RobotGraspSet):

@@ -10,14 +10,15 @@ from pathlib import Path
 import numpy as np
 
 from fungrasp import __version__
-from fungrasp.errors import FungraspError, UnknownNameError
+from fungrasp.errors import FungraspError
 from fungrasp.evaluation.robustness import Disturbance
 from fungrasp.evaluation.store import PartialResults, digest
 from fungrasp.evaluation.trajectory import Recorder
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
-from fungrasp.policies import POLICIES, make_policy, play
+from fungrasp.policies import make_policy, play, resolve_policy
+from fungrasp.policies.policy_file import read_card
 from fungrasp.simulation import Scene, build_scene
 from fungrasp.task import LiftTask, Protocol, Trials
 
@@ -83,7 +84,7 @@ def evaluate(
         grasps: of ``hand``.
         objects: by name.
         hand: the robot hand.
-        policy: one of ``fungrasp.policies.POLICIES``.
+        policy: name or file, see ``fungrasp.policies.resolve_policy``.
         seeds: of everything that is random.
         threads: 0 means all processors. The result does not depend on it.
         protocol: the published one if None.
@@ -98,12 +99,13 @@ def evaluate(
     Raises:
         FungraspError: an unknown policy, grasps of another hand, or a folder that can't be written to.
     """
-    check_policy(policy)
+    weights = check_policy(policy, hand)
     check_hand(grasps, hand)
     test = _Test(
         build_scene(hand, objects),
         objects,
         policy,
+        weights,
         protocol or Protocol(),
         disturbance or Disturbance(),
         threads,
@@ -147,14 +149,17 @@ def evaluate(
     )
 
 
-def check_policy(name: str) -> None:
-    """Complain about a policy that does not exist.
+def check_policy(name: str, hand: Hand) -> str:
+    """Complain about a policy that does not exist or can't be read.
+
+    Returns:
+        The SHA-256 of its file; "" for a policy without weights.
 
     Raises:
-        UnknownNameError: it does not.
+        FungraspError: it does not.
     """
-    if name not in POLICIES:
-        raise UnknownNameError("policy", name, POLICIES)
+    path = resolve_policy(name, hand.name)
+    return "" if path is None else read_card(path).sha256
 
 
 def check_hand(grasps: RobotGraspSet, hand: Hand) -> None:
@@ -187,6 +192,7 @@ class _Test:
     scene: Scene
     objects: Mapping[str, ObjectModel]
     policy: str
+    weights: str
     protocol: Protocol
     disturbance: Disturbance
     threads: int
@@ -210,6 +216,7 @@ class _Test:
             grasps.extra,
             {name: self.objects[name].digest for name in names},
             self.policy,
+            self.weights,
             self.protocol,
             self.disturbance,
             self.scene.settings,

@@ -88,8 +88,7 @@ class Disturbance:
         """
         if not self.is_random:
             return task
-        believed = compose(task.settled_pose, self._noise(centers, seed, rows))
-        return cast(LiftTask, _Believed(task, believed, compose(believed, task.wrist_in_object)))
+        return cast(LiftTask, _Believed(task, self._noise(centers, seed, rows)))
 
     def _noise(self, centers: np.ndarray, seed: int, rows: np.ndarray) -> np.ndarray:
         """True object frame to believed one, shape [W, 7]: a turn about the centre of mass, and a shift."""
@@ -113,9 +112,16 @@ def move_table(worlds: Worlds, height: float) -> None:
 class _Believed:
     """A task with other beliefs about the object."""
 
-    def __init__(self, task: LiftTask, settled_pose: np.ndarray, target_pose: np.ndarray):
-        self._task = task
-        self.settled_pose, self.target_pose = settled_pose, target_pose
+    def __init__(self, task: LiftTask, error: np.ndarray):
+        """error: true object frame to believed one, shape [W, 7]."""
+        self._task, self._error = task, error
+        self.settled_pose = compose(task.settled_pose, error)
+        self.target_pose = compose(self.settled_pose, task.wrist_in_object)
+
+    @property
+    def tracked_object_pose(self) -> np.ndarray:
+        """Where the policy sees the objects, world frame, shape [W, 7]."""
+        return compose(self._task.tracked_object_pose, self._error)
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._task, name)

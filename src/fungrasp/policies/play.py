@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Protocol
 
-from fungrasp.errors import UnknownNameError
+from fungrasp.errors import FungraspError, UnknownNameError
 from fungrasp.objects import ObjectModel
+from fungrasp.policies.learned import LearnedPolicy
+from fungrasp.policies.policy_file import SUFFIX, list_policies, load_policy
 from fungrasp.policies.reference import ReferenceController
 from fungrasp.task import Action, LiftTask, Trials
 
@@ -22,23 +25,53 @@ class Policy(Protocol):
 POLICIES: dict[str, Callable[[LiftTask, Mapping[str, ObjectModel]], Policy]] = {
     "reference": ReferenceController
 }
-"""Makers of policies for a task that has been reset."""
+"""Makers of policies that need no weights, for a task that has been reset."""
+
+KINDS = ("teacher", "student")
+"""Short for the policies ``<hand>-teacher`` and ``<hand>-student`` that come with the package."""
+
+
+def resolve_policy(name: str, hand: str) -> Path | None:
+    """The file of a policy, None for one of ``POLICIES``.
+
+    Args:
+        name: one of ``POLICIES`` or ``KINDS``, a policy that comes with the package, or a file.
+        hand: name of the hand that it should move.
+
+    Raises:
+        FungraspError: no such policy.
+    """
+    if name in POLICIES:
+        return None
+    if Path(name).suffix == SUFFIX:
+        return Path(name)
+    known = list_policies()
+    full = f"{hand}-{name}" if name in KINDS else name
+    if full in known:
+        return known[full]
+    if name in KINDS:
+        raise FungraspError(
+            f"no {name} for the hand '{hand}' comes with fungrasp: train one (fungrasp train), "
+            "and give its file"
+        )
+    raise UnknownNameError("policy", name, [*POLICIES, *KINDS, *known])
 
 
 def make_policy(name: str, task: LiftTask, objects: Mapping[str, ObjectModel]) -> Policy:
     """A policy by name, ready to act.
 
     Args:
-        name: one of ``POLICIES``.
+        name: as for ``resolve_policy``.
         task: reset.
         objects: by name.
 
     Raises:
-        FungraspError: no such policy.
+        FungraspError: no such policy, or one that does not fit the task's hand.
     """
-    if name not in POLICIES:
-        raise UnknownNameError("policy", name, POLICIES)
-    return POLICIES[name](task, objects)
+    path = resolve_policy(name, task.scene.hand.name)
+    if path is None:
+        return POLICIES[name](task, objects)
+    return LearnedPolicy(task, objects, load_policy(path))
 
 
 def play(task: LiftTask, policy: Policy, watch: Callable[[], None] | None = None) -> Trials:

@@ -19,7 +19,7 @@ from xml.etree import ElementTree
 from fungrasp.errors import FungraspError, UnknownNameError
 from fungrasp.files import atomic_path
 from fungrasp.hands import Hand
-from fungrasp.policies.card import Part, PolicyCard, card_from_text, card_text
+from fungrasp.policies.card import PolicyCard, card_from_text, card_text
 from fungrasp.policies.network import PolicyNetwork
 from fungrasp.policies.onnx_bytes import check_harmless, metadata_entries, with_metadata
 
@@ -31,7 +31,7 @@ DIGITS = 64
 HEAD = b'{"sha256": "'
 """What the card begins with."""
 
-Layout = Sequence[Part] | Mapping[str, int]
+Layout = Sequence[tuple[str, int]] | Mapping[str, int]
 """Names and sizes of the parts of a flat vector, in order."""
 
 

@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
+from fungrasp.geometry.poses import rotate
 from fungrasp.simulation.scene import HAND_PREFIX, WRIST_JOINTS, Scene
 
 INERTIAL = (
@@ -45,6 +46,7 @@ class Worlds:
         # Persistent: the stages that make sensors current after a step are not computed twice.
         self.batch = Batch(scene.model, count, nthread=threads, persistent=True)
         self._object = scene.model.body("object").id
+        self._object_qvel = int(scene.model.body_dofadr[self._object])
         self.assign(np.arange(count), object_index, mass, friction)
         self.qpos, self.qvel, self.ctrl = (self.batch.bind(name) for name in ("qpos", "qvel", "ctrl"))
         self.mocap_pos, self.mocap_quat = self.batch.bind("mocap_pos"), self.batch.bind("mocap_quat")
@@ -109,6 +111,13 @@ class Worlds:
     @object_pose.setter
     def object_pose(self, pose: np.ndarray) -> None:
         self.qpos[:, self.object_qpos] = pose
+
+    @property
+    def object_velocity(self) -> np.ndarray:
+        """Linear [m/s] and angular [rad/s], world frame, shape [W, 6]."""
+        velocity = self.qvel[:, self._object_qvel : self._object_qvel + 6]
+        spin = rotate(self.object_pose[:, 3:], velocity[:, 3:])
+        return np.concatenate([velocity[:, :3], spin], axis=1)
 
     @property
     def center_of_mass(self) -> np.ndarray:

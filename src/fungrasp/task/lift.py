@@ -93,6 +93,10 @@ class LiftTask:
         self.hold_time = np.full(count, np.inf)
         """When the hold began [s], shape [W]."""
         self.done = np.zeros(count, dtype=bool)
+        self.latency = np.zeros(count)
+        """How late an action takes effect [s], shape [W], less than a control period."""
+        self._goal = self.target_pose.copy()
+        self._finger_rate = np.zeros((count, servos))
         self._lifted = np.full(count, np.inf)
         self._touched_table = np.zeros(count, dtype=bool)
         self._pushed = np.zeros(count)
@@ -102,6 +106,13 @@ class LiftTask:
     def independent(self, joint_positions: np.ndarray) -> np.ndarray:
         """Servo targets [W, U] of full joint vectors [W, M]."""
         return (joint_positions - self.offset) @ self._independent.T
+
+    @property
+    def tracked_object_pose(self) -> np.ndarray:
+        """Where a policy sees the objects, world frame, shape [W, 7]."""
+        pose = self.worlds.object_pose
+        pose[:, 3:] /= np.linalg.norm(pose[:, 3:], axis=1, keepdims=True)
+        return pose
 
     def reset(self) -> None:
         """Let the objects settle, then put the hands at their start."""
@@ -157,6 +168,7 @@ class LiftTask:
         self.set_point.pose[ids] = start_pose
         self.set_point.velocity[ids] = 0.0 if start_velocity is None else start_velocity
         self.finger_set_point[ids] = start_fingers
+        self._goal[ids], self._finger_rate[ids] = start_pose, 0.0
         worlds.qvel[ids] = 0.0
         if start_velocity is not None:
             slides = rotate(self._pose_reference_world[ids, 3:], start_velocity)
@@ -189,15 +201,18 @@ class LiftTask:
         goal[:, 2] += np.where(np.isfinite(self.lift_time), p.lift_height, 0.0)
         count = round(p.control_period / self._substep_time)
         fingers = np.clip(action.finger_targets, *self._servo_range())
-        finger_step = (fingers - self.finger_set_point) / count
         active = np.flatnonzero(~self.done)
-        for _ in range(count):
-            self.set_point.advance(goal, self._substep_time)
-            self.finger_set_point = self.finger_set_point + finger_step
+        due = np.rint(self.latency / self._substep_time)
+        for i in range(count):
+            now = (due == i)[:, None]
+            self._goal = np.where(now, goal, self._goal)
+            self._finger_rate = np.where(now, (fingers - self.finger_set_point) / count, self._finger_rate)
+            self.set_point.advance(self._goal, self._substep_time)
+            self.finger_set_point = self.finger_set_point + self._finger_rate
             self._command()
             self.worlds.step(self._substeps, active)
             self.time += np.where(self.done, 0.0, self._substep_time)
-            self._observe_hold(goal)
+            self._observe_hold(self._goal)
             if watch is not None:
                 watch()
         self._sample()

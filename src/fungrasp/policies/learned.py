@@ -1,0 +1,81 @@
+"""A trained policy at work: follows the reference, looks at the worlds, corrects."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from fungrasp.errors import FungraspError
+from fungrasp.objects import ObjectModel
+from fungrasp.policies.card import PolicyCard
+from fungrasp.policies.network import PolicyNetwork
+from fungrasp.policies.policy_file import check_fits
+from fungrasp.policies.reference import planned
+from fungrasp.policies.references import References
+from fungrasp.policies.tracking import Tracker
+from fungrasp.task import Action, LiftTask
+from fungrasp.task.observation import flatten, layout, observe, privileged
+from fungrasp.task.residual import ResidualSettings
+
+ACTION_PARTS = ("position", "rotation", "fingers")
+"""Parts of a residual action, with the scales of ``ResidualSettings``."""
+
+
+class LearnedPolicy:
+    """Acts in W worlds with a network from a policy file."""
+
+    def __init__(self, task: LiftTask, objects: Mapping[str, ObjectModel], network: PolicyNetwork):
+        """
+        Args:
+            task: reset; the grasps come from it.
+            objects: by name.
+            network: made for the task's hand.
+
+        Raises:
+            FungraspError: the network was made for another hand, other observations or another rate.
+        """
+        self._network, hand = network, task.scene.hand
+        motion = planned(task, objects)
+        references = References.of(motion, task.grasps, task.settled_pose, hand)
+        self._tracker = Tracker(task, objects, references, residual_settings(network.card))
+        everyone = np.arange(len(task.worlds))
+        self._tracker.begin(everyone, everyone)
+        parts, contacts = self._parts()
+        check_fits(network.card, hand, layout(parts), layout(contacts), 1 / task.protocol.control_period)
+        self._teacher = network.card.kind == "teacher"
+        self._state = network.initial_state(len(everyone))
+        self._first = True
+
+    def act(self) -> Action:
+        """What to do in the next control period."""
+        if not self._first:
+            self._tracker.advance()
+        self._first = False
+        parts, contacts = self._parts()
+        seen = flatten(parts | contacts if self._teacher and self._network.card.privileged else parts)
+        # A finished or broken world may hold anything; its action is not used.
+        finite = np.nan_to_num(seen, nan=0.0, posinf=0.0, neginf=0.0).astype(np.float32)
+        action, _, self._state = self._network(finite, self._state)
+        return self._tracker.act(action)
+
+    def _parts(self) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+        view, sensed = self._tracker.view(), self._tracker.sensed()
+        return (
+            observe(view.now, view.before, view.wanted, view.action),
+            privileged(sensed.contacts, sensed.forces, view.wanted.contacts),
+        )
+
+
+def residual_settings(card: PolicyCard) -> ResidualSettings:
+    """Those that a policy was trained with.
+
+    Raises:
+        FungraspError: its action has other parts.
+    """
+    scales = {part.name: part.scale for part in card.action}
+    if tuple(scales) != ACTION_PARTS:
+        raise FungraspError(
+            f"policy '{card.name}' has the actions {', '.join(scales)}, not {', '.join(ACTION_PARTS)}"
+        )
+    return ResidualSettings(**scales, smoothing=card.action_smoothing)

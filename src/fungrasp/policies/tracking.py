@@ -1,0 +1,200 @@
+"""Between a residual policy and a task: reads the worlds, follows the reference, applies actions."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import Protocol
+
+import numpy as np
+
+from fungrasp.geometry import SignedDistanceBank
+from fungrasp.geometry.poses import compose, inverse_transform_points, invert
+from fungrasp.hands import Hand
+from fungrasp.hands.kinematics import HandKinematics
+from fungrasp.objects import ObjectModel
+from fungrasp.policies.references import References, object_tables
+from fungrasp.task import Action, LiftTask
+from fungrasp.task.observation import Readings, Sensed, Wanted
+from fungrasp.task.residual import WRIST_ACTIONS, ResidualSettings, apply, smoothed
+
+
+class SensorNoise(Protocol):
+    """What stands between the truth and what is measured; each method gives what is measured."""
+
+    def joints(self, joints: np.ndarray) -> np.ndarray:
+        """Joint positions [rad], shape [W, U]."""
+        ...
+
+    def palm(self, pose: np.ndarray) -> np.ndarray:
+        """Palm pose, shape [W, 7]."""
+        ...
+
+    def object(self, pose: np.ndarray) -> np.ndarray:
+        """Tracked object pose, shape [W, 7]."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """All that observations and rewards are made of, at one control step."""
+
+    now: Readings
+    before: Readings
+    wanted: Wanted
+    action: np.ndarray
+    """The last one, smoothed, shape [W, A]."""
+
+
+class Tracker:
+    """Follows references in W worlds, each from its own beginning.
+
+    Until the fingers close, the reference goes where the object goes; from then on it stays where it was.
+    """
+
+    def __init__(
+        self,
+        task: LiftTask,
+        objects: Mapping[str, ObjectModel],
+        references: References,
+        settings: ResidualSettings | None = None,
+        noise: SensorNoise | None = None,
+    ):
+        """
+        Args:
+            task: its worlds are read and, through actions, moved.
+            objects: by name.
+            references: to choose from.
+            settings: of the actions; the defaults if None.
+            noise: of the sensors; none if None.
+        """
+        self.task, self.references, self.noise = task, references, noise
+        self.settings = settings or ResidualSettings()
+        count = len(task.worlds)
+        self.kinematics = HandKinematics(task.scene.hand, count)
+        self._keypoints = self.kinematics.body_points(task.scene.hand.keypoint_names)
+        self._palm = np.tile([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], (count, 1))
+        known = task.scene.objects
+        self._bank = SignedDistanceBank([objects[name].signed_distance for name in known])
+        self._center, self._size = object_tables(known, objects)
+        self.size = WRIST_ACTIONS + self.kinematics.matrix.shape[1]
+        """Numbers in an action."""
+        self.rows = np.zeros(count, dtype=int)
+        self.action = np.zeros((count, self.size))
+        self._anchor = self._palm.copy()
+        self._before: Readings | None = None
+        self._now: Readings | None = None
+
+    def begin(self, ids: np.ndarray, rows: np.ndarray) -> None:
+        """Follow other references in some worlds. ids: worlds, shape [I]; rows: of the references, [I]."""
+        self.rows[ids] = rows
+        self.action[ids] = 0.0
+        self._anchor[ids] = self.references.settled_pose[rows]
+        fresh = self._read()
+        if self._now is None or self._before is None:
+            self._now = self._before = fresh
+            return
+        for kept in (self._now, self._before):
+            for field in fields(Readings):
+                getattr(kept, field.name)[ids] = getattr(fresh, field.name)[ids]
+
+    def advance(self) -> None:
+        """Read the worlds, once in each control step."""
+        if self._now is None:
+            raise RuntimeError("begin comes before advance")
+        self._before, self._now = self._now, self._read()
+        before_closing = self._step() < self.references.motion.closing[self.rows]
+        self._anchor = np.where(before_closing[:, None], self._now.object_pose, self._anchor)
+
+    def view(self) -> View:
+        """The worlds as they were last read."""
+        task, refs, rows = self.task, self.references, self.rows
+        if self._now is None or self._before is None:
+            raise RuntimeError("begin comes before view")
+        step = self._step()
+        closing = step - refs.motion.closing[rows]
+        goal, fingers = refs.motion.at(step, rows)
+        index = task.worlds.object_index
+        period = task.protocol.control_period
+        since_lift = np.where(np.isfinite(task.lift_time), task.time - task.lift_time, -1.0)
+        lifted = compose(self._anchor, goal)
+        lifted[:, 2] += np.where(since_lift >= 0, task.protocol.lift_height, 0.0)
+        wanted = Wanted(
+            lifted,
+            fingers,
+            refs.motion.wrist[rows],
+            refs.keypoints[rows],
+            refs.contacts[rows],
+            refs.settled_pose[rows],
+            refs.mass[rows],
+            self._center[index],
+            self._size[index],
+            period * closing,
+            since_lift,
+        )
+        return View(self._now, self._before, wanted, self.action)
+
+    def act(self, action: np.ndarray) -> Action:
+        """What the task is asked for. action: of the policy, shape [W, A]."""
+        refs, rows = self.references, self.rows
+        self.action = smoothed(action, self.action, self.settings)
+        step = self._step()
+        goal, fingers = refs.motion.at(step, rows)
+        goal, fingers = apply(compose(self._anchor, goal), fingers, self.action, self.settings)
+        return Action(goal, fingers, step >= refs.motion.lift[rows])
+
+    def sensed(self) -> Sensed:
+        """What only a simulation knows."""
+        worlds = self.task.worlds
+        return Sensed(
+            worlds.link_contacts,
+            worlds.link_forces,
+            worlds.object_velocity,
+            worlds.table_forces,
+            worlds.hand_on_hand,
+            worlds.object_on_table,
+        )
+
+    def _step(self) -> np.ndarray:
+        return np.rint(self.task.time / self.task.protocol.control_period).astype(int)
+
+    def _read(self) -> Readings:
+        task, noise = self.task, self.noise
+        joints = task.independent(task.worlds.joint_positions)
+        palm, thing = task.worlds.palm_pose, task.tracked_object_pose
+        if noise is not None:
+            joints, palm, thing = noise.joints(joints), noise.palm(palm), noise.object(thing)
+        self.kinematics.update(self._palm, joints)
+        keypoints = self.kinematics.points(self._keypoints)
+        in_object = inverse_transform_points(compose(invert(palm), thing), keypoints)
+        distance, normal = self._bank.query(task.worlds.object_index, in_object)
+        return Readings(
+            joints,
+            task.finger_set_point.copy(),
+            palm,
+            task.set_point.pose.copy(),
+            thing,
+            keypoints,
+            distance,
+            normal,
+        )
+
+
+def link_directions(hand: Hand, keypoints: np.ndarray) -> np.ndarray:
+    """Vectors along the links of each finger, from key points; zero where a finger has fewer.
+
+    Args:
+        hand: the key points' hand.
+        keypoints: [m], shape [W, K, 3].
+
+    Returns:
+        [m], shape [W, F, 3, 3].
+    """
+    result = np.zeros((len(keypoints), len(hand.fingers), 3, 3))
+    first = 1
+    for f, finger in enumerate(hand.fingers.values()):
+        number = len(finger.links)
+        chain = keypoints[:, first : first + number + 1]
+        result[:, f, :number] = np.diff(chain, axis=1)
+        first += number + 1
+    return result

@@ -1,0 +1,226 @@
+"""What a policy sees: phi(s) of the paper (section IV.B.1) and what a robot that knows the object's mesh can
+add to it.
+
+Pure functions of what is measured and what is wanted, on any array-API library. All positions and directions
+are in the palm's frame, so that nothing depends on where the table stands. Every part is scaled to be of the
+order of one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from array_api_compat import array_namespace
+
+from fungrasp.geometry.poses import (
+    Array,
+    compose,
+    inverse_transform_points,
+    invert,
+    rotate,
+    rotation_matrix,
+    rotation_vector,
+    transform_points,
+)
+
+POSITION_UNIT = 0.05
+"""[m]."""
+FORCE_UNIT = 5.0
+"""[N]."""
+SERVO_UNIT = 0.2
+"""Difference between servo target and joint [rad]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Readings:
+    """Measured in W worlds."""
+
+    joints: Array
+    """Independent joints [rad], shape [W, U]."""
+    servo_targets: Array
+    """What the joints' servos were last told [rad], shape [W, U]."""
+    palm_pose: Array
+    """World frame, shape [W, 7]."""
+    palm_set_point: Array
+    """Where the wrist was last told to be, world frame, shape [W, 7]."""
+    object_pose: Array
+    """As tracked, world frame, shape [W, 7]."""
+    keypoints: Array
+    """Of the hand (``Hand.keypoint_names``), palm frame [m], shape [W, K, 3]."""
+    surface_distance: Array
+    """Of the key points from the object's surface [m], shape [W, K]."""
+    surface_normal: Array
+    """Direction away from the surface at the key points, object frame, shape [W, K, 3]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sensed:
+    """Known in simulation only: privileged."""
+
+    contacts: Array
+    """Which links touch the object, shape [W, L] bool."""
+    forces: Array
+    """Net contact force of each link on the object [N], shape [W, L]."""
+    object_velocity: Array
+    """Linear, then angular, world frame [m/s, rad/s], shape [W, 6]."""
+    table_forces: Array
+    """Between each link and the table [N], shape [W, L]."""
+    self_force: Array
+    """Of the hand with itself [N], shape [W]."""
+    object_on_table: Array
+    """Shape [W] bool."""
+
+
+@dataclass(frozen=True, eq=False)
+class Wanted:
+    """What the reference asks for in W worlds."""
+
+    palm_goal: Array
+    """For the coming control period, world frame, shape [W, 7]."""
+    servo_targets: Array
+    """For the coming control period [rad], shape [W, U]."""
+    palm_in_object: Array
+    """In the grasp, shape [W, 7]."""
+    keypoints: Array
+    """In the grasp, object frame [m], shape [W, K, 3]."""
+    contacts: Array
+    """Links that should touch, shape [W, L] bool."""
+    settled_pose: Array
+    """Of the object when the trial began, world frame, shape [W, 7]."""
+    mass: Array
+    """Of the object, as far as known [kg], shape [W]."""
+    center: Array
+    """Object's centre of mass, object frame [m], shape [W, 3]."""
+    size: Array
+    """Object's extents, object frame [m], shape [W, 3]."""
+    since_closing: Array
+    """Time since the fingers began to close, negative before [s], shape [W]."""
+    since_lift: Array
+    """Time since the lift began, negative before [s], shape [W]."""
+
+
+def observe(now: Readings, before: Readings, wanted: Wanted, action: Array) -> dict[str, Array]:
+    """What a robot has, by name, each part of shape [W, number].
+
+    Args:
+        now: measured at this control step.
+        before: measured at the one before (the same again at a trial's first).
+        wanted: by the reference.
+        action: the last action, shape [W, A].
+    """
+    xp = array_namespace(now.joints)
+    to_palm = invert(now.palm_pose)
+    object_in_palm = compose(to_palm, now.object_pose)
+    before_in_palm = compose(invert(before.palm_pose), before.object_pose)
+    deviation = compose(wanted.palm_in_object, object_in_palm)
+    up = xp.zeros_like(now.palm_pose[:, :3])
+    up[:, 2] = 1.0
+    up = rotate(to_palm[:, 3:], up)
+    keypoints = inverse_transform_points(object_in_palm, now.keypoints)
+    error = rotate(object_in_palm[:, None, 3:], wanted.keypoints - keypoints)
+    normals = rotate(object_in_palm[:, None, 3:], now.surface_normal)
+    center = transform_points(object_in_palm, wanted.center[:, None])[:, 0]
+    moved = rotate(to_palm[:, 3:], now.object_pose[:, :3] - wanted.settled_pose[:, :3])
+    axes = xp.abs(rotation_matrix(object_in_palm[:, 3:]))
+    extents = xp.sum(axes * wanted.size[:, None, :], axis=-1)
+    count = now.joints.shape[0]
+    return {
+        "joints": now.joints,
+        "joint_errors": (wanted.servo_targets - now.joints) / SERVO_UNIT,
+        "servo_errors": (now.servo_targets - now.joints) / SERVO_UNIT,
+        "joint_changes": (now.joints - before.joints) / SERVO_UNIT,
+        "palm_error": pose_vector(compose(to_palm, now.palm_set_point), 0.01, 0.05),
+        "palm_change": pose_vector(compose(to_palm, before.palm_pose), 0.02, 0.1),
+        "palm_goal": pose_vector(compose(to_palm, wanted.palm_goal), POSITION_UNIT, 0.3),
+        "up": up,
+        "palm_height": now.palm_pose[:, 2:3] / (2 * POSITION_UNIT),
+        "object_center": center / (2 * POSITION_UNIT),
+        "object_extents": extents / (2 * POSITION_UNIT),
+        "object_deviation": pose_vector(deviation, POSITION_UNIT, 0.3),
+        "object_moved": moved / POSITION_UNIT,
+        "object_change": pose_vector(compose(invert(before_in_palm), object_in_palm), 0.01, 0.1),
+        "keypoint_errors": xp.reshape(error / POSITION_UNIT, (count, -1)),
+        "surface_distances": xp.clip(now.surface_distance / 0.02, -1.0, 5.0),
+        "surface_normals": xp.reshape(normals, (count, -1)),
+        "target_contacts": xp.astype(wanted.contacts, now.joints.dtype),
+        "mass": xp.log(wanted.mass[:, None] / 0.3),
+        "phase": _phase(wanted.since_closing, wanted.since_lift),
+        "last_action": action,
+    }
+
+
+def privileged(contacts: Array, forces: Array, targets: Array) -> dict[str, Array]:
+    """The contacts that a teacher sees and a student has to infer: f and g_c of the paper, by name.
+
+    Args:
+        contacts: which links touch, in [0, 1], shape [W, L].
+        forces: [N], shape [W, L].
+        targets: which links should touch, shape [W, L] bool.
+    """
+    xp = array_namespace(forces)
+    wanted = xp.astype(targets, forces.dtype)
+    touching = xp.astype(contacts, forces.dtype)
+    return {
+        "contacts": touching,
+        "contact_errors": wanted - touching,
+        "contact_forces": scaled_forces(forces),
+    }
+
+
+def scaled_forces(forces: Array) -> Array:
+    """Forces [N] as policies see them: ``tanh(f / 5 N)``."""
+    return array_namespace(forces).tanh(forces / FORCE_UNIT)
+
+
+def critic(sensed: Sensed, readings: Readings, friction: Array, mass: Array) -> dict[str, Array]:
+    """What only the critic sees, by name.
+
+    Args:
+        sensed: in simulation.
+        readings: measured.
+        friction: sliding friction, shape [W].
+        mass: true mass of the object [kg], shape [W].
+    """
+    xp = array_namespace(friction)
+    back = invert(readings.palm_pose)[:, 3:]
+    return {
+        "object_velocity": rotate(back, sensed.object_velocity[:, :3]) / 0.2,
+        "object_spin": rotate(back, sensed.object_velocity[:, 3:]) / 2.0,
+        "table_forces": scaled_forces(sensed.table_forces),
+        "self_force": scaled_forces(sensed.self_force)[:, None],
+        "object_on_table": xp.astype(sensed.object_on_table, friction.dtype)[:, None],
+        "friction": friction[:, None],
+        "true_mass": xp.log(mass[:, None] / 0.3),
+    }
+
+
+def flatten(parts: Mapping[str, Array]) -> Array:
+    """Parts side by side, shape [W, sum of numbers]."""
+    values = list(parts.values())
+    return array_namespace(values[0]).concat(values, axis=-1)
+
+
+def layout(parts: Mapping[str, Array]) -> tuple[tuple[str, int], ...]:
+    """Name and size of each part, in order."""
+    return tuple((name, int(value.shape[-1])) for name, value in parts.items())
+
+
+def pose_vector(pose: Array, position_unit: float, rotation_unit: float) -> Array:
+    """Position and rotation vector, each in its unit. pose: shape [W, 7]; returns shape [W, 6]."""
+    xp = array_namespace(pose)
+    return xp.concat([pose[:, :3] / position_unit, rotation_vector(pose[:, 3:]) / rotation_unit], axis=-1)
+
+
+def _phase(since_closing: Array, since_lift: Array) -> Array:
+    """Where in the trial, shape [W, 4]."""
+    xp = array_namespace(since_closing)
+    return xp.stack(
+        [
+            xp.clip(since_closing, -1.0, 0.0),
+            xp.clip(since_closing, 0.0, 2.0),
+            xp.astype(since_lift >= 0, since_closing.dtype),
+            xp.clip(since_lift, 0.0, 2.0),
+        ],
+        axis=-1,
+    )

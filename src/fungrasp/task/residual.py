@@ -1,0 +1,48 @@
+"""Actions: changes of what the reference asks for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from array_api_compat import array_namespace
+
+from fungrasp.geometry.poses import Array, compose, quaternion_from_rotation_vector
+
+WRIST_ACTIONS = 6
+"""Three along the palm's axes, three about them; then one for each finger servo."""
+
+
+@dataclass(frozen=True)
+class ResidualSettings:
+    """How far an action may depart from the reference."""
+
+    position: float = 0.03
+    """Of the wrist at an action of 1, along each axis [m]."""
+    rotation: float = 0.15
+    """Of the wrist about each axis [rad]."""
+    fingers: float = 0.3
+    """Of each servo target [rad]."""
+    smoothing: float = 0.5
+    """Share of the last action that stays in the next."""
+
+
+def smoothed(action: Array, previous: Array, settings: ResidualSettings) -> Array:
+    """Actions cut to [-1, 1] and smoothed. action: a policy's, shape [W, A]; previous: smoothed."""
+    xp = array_namespace(action)
+    return settings.smoothing * previous + (1.0 - settings.smoothing) * xp.clip(action, -1.0, 1.0)
+
+
+def apply(
+    palm_goal: Array, servo_targets: Array, action: Array, settings: ResidualSettings
+) -> tuple[Array, Array]:
+    """Palm goals [W, 7] and servo targets [W, U] with a residual.
+
+    Args:
+        palm_goal: of the reference, shape [W, 7].
+        servo_targets: of the reference [rad], shape [W, U].
+        action: smoothed, shape [W, 6 + U].
+    """
+    xp = array_namespace(action)
+    turn = quaternion_from_rotation_vector(settings.rotation * action[:, 3:WRIST_ACTIONS])
+    shift = xp.concat([settings.position * action[:, :3], turn], axis=-1)
+    return compose(palm_goal, shift), servo_targets + settings.fingers * action[:, WRIST_ACTIONS:]

@@ -1,0 +1,1 @@
+"""Training: PPO for the teacher, distillation for the student."""

@@ -1,0 +1,165 @@
+"""The student learns from its teacher on trials that it plays itself."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from time import perf_counter
+
+import numpy as np
+import torch
+from rsl_rl.models import MLPModel
+from tensordict import TensorDict
+
+from fungrasp.files import atomic_path
+from fungrasp.training.environment import LiftEnvironment
+from fungrasp.training.ppo import HIDDEN, tensors
+from fungrasp.training.student import StudentModel
+
+
+@dataclass(frozen=True)
+class DistillSettings:
+    """Of distillation."""
+
+    steps: int = 24
+    """Control steps of each world between two rounds of learning."""
+    teacher_rounds: int = 3
+    """Rounds at the beginning in which the teacher acts."""
+    kept_rounds: int = 40
+    """Rounds whose trials are learned from."""
+    minibatch: int = 1024
+    updates: int = 60
+    """Minibatches in each round."""
+    learning_rate: float = 1e-3
+    """At the beginning; it falls to a tenth."""
+    reconstruction: float = 1.0
+    """Weight of L_re against L_act."""
+    noise: float = 0.05
+    """Standard deviation of the noise on the actions that are played."""
+
+
+@dataclass(frozen=True)
+class DistillProgress:
+    """Where a distillation stands."""
+
+    steps: int
+    """Control steps so far."""
+    seconds: float
+    success: float
+    """Share of the last trials that succeeded."""
+    imitation: float
+    """L_act."""
+    reconstruction: float
+    """L_re."""
+
+
+def make_student(environment: LiftEnvironment, hidden: tuple[int, ...] = HIDDEN) -> StudentModel:
+    """An untrained student for an environment that keeps a history."""
+    observations = tensors(environment.observations)
+    return StudentModel(
+        observations,
+        {},
+        "actor",
+        environment.actions,
+        layout=environment.layout,
+        hidden_dims=list(hidden),
+        activation="elu",
+        obs_normalization=True,
+    )
+
+
+def distill(
+    teacher: MLPModel,
+    environment: LiftEnvironment,
+    steps: int,
+    settings: DistillSettings | None = None,
+    seed: int = 0,
+    progress: Callable[[DistillProgress], None] = lambda p: None,
+    checkpoint: Path | None = None,
+    student: StudentModel | None = None,
+) -> StudentModel:
+    """Train a student.
+
+    Args:
+        teacher: whose actions are imitated.
+        environment: that keeps a history.
+        steps: control steps of all worlds together.
+        settings: the defaults if None.
+        seed: of networks and noise.
+        progress: called after each round.
+        checkpoint: where the student is kept, written atomically.
+        student: to go on with; a new one that takes over the teacher's network if None.
+    """
+    s = settings or DistillSettings()
+    torch.manual_seed(seed)
+    if student is None:
+        student = make_student(environment, tuple(layer.out_features for layer in _linear(teacher)[:-1]))
+        student.take_over(teacher)
+    teacher.eval()
+    student.eval()
+    optimizer = torch.optim.Adam(student.parameters(), lr=s.learning_rate)
+    rounds = max(1, round(steps / (s.steps * environment.settings.worlds)))
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, rounds, 0.1 * s.learning_rate)
+    kept: deque[TensorDict] = deque(maxlen=s.kept_rounds)
+    recent: deque[bool] = deque(maxlen=1000)
+    start = perf_counter()
+    for index in range(rounds):
+        kept.append(
+            _collect(teacher if index < s.teacher_rounds else student, teacher, environment, s, recent)
+        )
+        imitation, reconstruction = _learn(student, optimizer, list(kept), s)
+        schedule.step()
+        progress(
+            DistillProgress(
+                (index + 1) * s.steps * environment.settings.worlds,
+                perf_counter() - start,
+                float(np.mean(recent)) if recent else 0.0,
+                imitation,
+                reconstruction,
+            )
+        )
+        if checkpoint is not None and (index % 10 == 9 or index == rounds - 1):
+            with atomic_path(checkpoint) as part:
+                torch.save({"student": student.state_dict(), "steps": (index + 1) * s.steps}, part)
+    return student
+
+
+def _collect(
+    actor: MLPModel, teacher: MLPModel, environment: LiftEnvironment, s: DistillSettings, recent: deque[bool]
+) -> TensorDict:
+    """Let one act, and ask the teacher what it would have done."""
+    batches = []
+    with torch.inference_mode():
+        for _ in range(s.steps):
+            observations = tensors(environment.observations)
+            wanted = teacher(observations)
+            action = wanted if actor is teacher else actor(observations)
+            batches.append(observations.clone().update({"action": wanted}))
+            step = environment.step((action + s.noise * torch.randn_like(action)).numpy())
+            recent.extend(step.success[step.done].tolist())
+    return torch.cat(batches)  # type: ignore[return-value]
+
+
+def _learn(
+    student: StudentModel, optimizer: torch.optim.Optimizer, kept: list[TensorDict], s: DistillSettings
+) -> tuple[float, float]:
+    """Mean losses."""
+    losses = np.zeros(2)
+    for _ in range(s.updates):
+        part = kept[int(torch.randint(len(kept), ()))]
+        batch = part[torch.randint(len(part), (s.minibatch,))].clone()
+        imitation = ((student(batch) - batch["action"]) ** 2).mean()
+        reconstruction = student.reconstruction_loss(batch)
+        optimizer.zero_grad()
+        (imitation + s.reconstruction * reconstruction).backward()
+        torch.nn.utils.clip_grad_norm_(student.parameters(), 1.0)
+        optimizer.step()
+        losses += [float(imitation.detach()), float(reconstruction.detach())]
+    imitation_loss, reconstruction_loss = losses / s.updates
+    return float(imitation_loss), float(reconstruction_loss)
+
+
+def _linear(model: MLPModel) -> list[torch.nn.Linear]:
+    return [m for m in model.mlp.modules() if isinstance(m, torch.nn.Linear)]

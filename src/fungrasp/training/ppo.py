@@ -1,0 +1,355 @@
+"""The teacher: PPO, through rsl-rl-lib."""
+
+from __future__ import annotations
+
+import json
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from time import perf_counter
+from typing import Any, Literal
+
+import numpy as np
+import torch
+from rsl_rl.algorithms import PPO
+from rsl_rl.models import MLPModel
+from rsl_rl.modules.distribution import GaussianDistribution
+from rsl_rl.storage import RolloutStorage
+from tensordict import TensorDict
+
+from fungrasp.errors import FungraspError
+from fungrasp.files import atomic_path
+from fungrasp.training.environment import LiftEnvironment, Observations
+from fungrasp.training.student import StudentModel
+
+CHECKPOINT_FORMAT = 1
+"""Goes up when checkpoints change."""
+
+
+HIDDEN = (256, 128)
+"""Units of the hidden layers of a policy."""
+
+
+@dataclass(frozen=True)
+class PpoSettings:
+    """Of PPO."""
+
+    hidden: tuple[int, ...] = HIDDEN
+    """Units of the hidden layers, of actor and critic."""
+    sees: Literal["contacts", "nothing", "history"] = "contacts"
+    """What the actor knows of the contacts: the truth (a teacher), nothing, or what an encoder infers from
+    the last steps, learned along the way (a student from scratch)."""
+    steps: int = 24
+    """Control steps of each world between two updates."""
+    epochs: int = 4
+    """Over each batch."""
+    minibatches: int = 4
+    """Of each epoch."""
+    gamma: float = 0.99
+    """Discount per control step."""
+    lam: float = 0.95
+    """Of the generalised advantage estimate."""
+    clip: float = 0.2
+    """Of the ratio of probabilities."""
+    entropy: float = 0.001
+    """Weight of the entropy."""
+    kl: float = 0.02
+    """Change of the policy per update that the actor's learning rate adapts to."""
+    learning_rate: float = 1e-4
+    """Of the actor, to begin with."""
+    critic_learning_rate: float = 1e-3
+    """It stays the same."""
+    reward_scale: float = 0.1
+    """Makes returns of the order of one."""
+    noise: float = 0.15
+    """Standard deviation of the actions, to begin with."""
+    noise_correlation: float = 0.95
+    """Of the noise from one control step to the next. White noise shakes the object out of the hand; noise
+    that changes slowly tries out other grasps."""
+    warm_up: int = 48
+    """Control steps before learning, in which only the normalisation is learned."""
+
+
+@dataclass(frozen=True)
+class Progress:
+    """Where a training stands."""
+
+    steps: int
+    """Control steps so far."""
+    seconds: float
+    """Of this run."""
+    success: float
+    """Share of the last trials that succeeded, exploration noise included."""
+    reward: float
+    """Mean per control step."""
+    noise: float
+    """Mean standard deviation of the actions."""
+    learning_rate: float
+    losses: dict[str, float]
+    terms: dict[str, float]
+
+
+class ColouredGaussian(GaussianDistribution):
+    """Normal actions whose noise is correlated in time while the worlds are played, as in Eberhard et al.,
+    "Colored Noise in PPO" (AAAI 2024); its probabilities are those of independent noise."""
+
+    def __init__(self, output_dim: int, worlds: int, correlation: float, **settings: Any):
+        super().__init__(output_dim, **settings)
+        self._correlation, self._fresh = correlation, (1.0 - correlation**2) ** 0.5
+        self._noise = torch.randn(worlds, output_dim)
+
+    def sample(self) -> torch.Tensor:
+        """Shape [W, A]; independent where the batch is not that of the worlds."""
+        if len(self.mean) != len(self._noise):
+            return super().sample()
+        self._noise = self._correlation * self._noise + self._fresh * torch.randn_like(self._noise)
+        return self.mean + self.std * self._noise
+
+
+class Trainer:
+    """PPO on a ``LiftEnvironment``: collects, learns, keeps checkpoints."""
+
+    def __init__(self, environment: LiftEnvironment, settings: PpoSettings | None = None, seed: int = 0):
+        """
+        Args:
+            environment: to learn in.
+            settings: the defaults if None.
+            seed: of the networks and of exploration.
+        """
+        torch.manual_seed(seed)
+        self.environment = environment
+        s = self.settings = settings or PpoSettings()
+        observations = tensors(environment.observations)
+        groups = {
+            "actor": ["robot", "privileged"] if s.sees == "contacts" else ["robot"],
+            "critic": ["robot", "privileged", "critic"],
+        }
+        model: dict[str, Any] = {
+            "hidden_dims": list(s.hidden),
+            "activation": "elu",
+            "obs_normalization": True,
+        }
+        student = s.sees == "history"
+        kind: type[MLPModel] = StudentModel if student else MLPModel
+        own: dict[str, Any] = {"layout": environment.layout} if student else {}
+        actor = kind(
+            observations,
+            groups,
+            "actor",
+            environment.actions,
+            **model,
+            **own,
+            distribution_cfg={
+                "class_name": ColouredGaussian,
+                "worlds": environment.settings.worlds,
+                "correlation": s.noise_correlation,
+                "init_std": s.noise,
+                "std_type": "log",
+                "std_range": (0.03, 0.5),
+            },
+        )
+        critic = MLPModel(observations, groups, "critic", 1, **model)
+        with torch.no_grad():
+            last = [m for m in actor.mlp.modules() if isinstance(m, torch.nn.Linear)][-1]
+            for parameter in last.parameters():
+                parameter.mul_(0.01)
+        worlds = environment.settings.worlds
+        storage = RolloutStorage("rl", worlds, s.steps, observations, [environment.actions], "cpu")
+        self.algorithm = PPO(
+            actor,
+            critic,
+            storage,
+            num_learning_epochs=s.epochs,
+            num_mini_batches=s.minibatches,
+            clip_param=s.clip,
+            gamma=s.gamma,
+            lam=s.lam,
+            entropy_coef=s.entropy,
+            use_clipped_value_loss=False,
+            learning_rate=s.learning_rate,
+            schedule="fixed",
+            max_grad_norm=0.5,
+        )
+        # The actor's steps are small against those the critic needs.
+        self.algorithm.optimizer = torch.optim.Adam(
+            [
+                {"params": list(actor.parameters()), "lr": s.learning_rate},
+                {"params": list(critic.parameters()), "lr": s.critic_learning_rate},
+            ]
+        )
+        if isinstance(actor, StudentModel):
+            encoder = [*actor.encoder.parameters(), *actor.head.parameters()]
+            self._encoder_optimizer = torch.optim.Adam(encoder, lr=s.critic_learning_rate)
+        self.steps = 0
+        self._recent: deque[bool] = deque(maxlen=1000)
+
+    @property
+    def actor(self) -> MLPModel:
+        """The policy's network."""
+        return self.algorithm.get_policy()
+
+    def learn(
+        self,
+        steps: int,
+        progress: Callable[[Progress], None] = lambda p: None,
+        checkpoint: Path | None = None,
+        every: int = 20,
+    ) -> None:
+        """Go on until this many control steps have been made in all.
+
+        Args:
+            steps: since the beginning, earlier runs included.
+            progress: called after each update.
+            checkpoint: where to keep the state, written atomically.
+            every: updates between two checkpoints.
+        """
+        start, update = perf_counter(), 0
+        self.algorithm.train_mode()
+        if self.steps == 0:
+            self._warm_up()
+        while self.steps < steps:
+            report = self._update()
+            update += 1
+            progress(
+                Progress(
+                    self.steps,
+                    perf_counter() - start,
+                    float(np.mean(self._recent)) if self._recent else 0.0,
+                    report["reward"],
+                    float(self.actor.output_std.detach().mean()),
+                    self.algorithm.optimizer.param_groups[0]["lr"],
+                    report["losses"],
+                    report["terms"],
+                )
+            )
+            if checkpoint is not None and (update % every == 0 or self.steps >= steps):
+                self.save(checkpoint)
+
+    def _warm_up(self) -> None:
+        """Play the reference, to know what observations are like."""
+        still = np.zeros((self.environment.settings.worlds, self.environment.actions))
+        for _ in range(self.settings.warm_up):
+            observations = tensors(self.environment.step(still).observations)
+            self.actor.update_normalization(observations)
+            self.algorithm.critic.update_normalization(observations)
+
+    def _update(self) -> dict[str, Any]:
+        algorithm, environment = self.algorithm, self.environment
+        rewards: list[float] = []
+        terms: list[dict[str, float]] = []
+        observations = tensors(environment.observations)
+        with torch.inference_mode():
+            for _ in range(self.settings.steps):
+                action = algorithm.act(observations)
+                step = environment.step(action.numpy())
+                observations = tensors(step.observations)
+                reward = torch.from_numpy(self.settings.reward_scale * step.reward.astype(np.float32))
+                algorithm.process_env_step(observations, reward, torch.from_numpy(step.done), {})
+                self._recent.extend(step.success[step.done].tolist())
+                rewards.append(float(step.reward.mean()))
+                terms.append(step.terms)
+            algorithm.compute_returns(observations)
+            self.actor(observations, stochastic_output=True)
+            before = tuple(p.clone() for p in self.actor.output_distribution_params)
+        losses = algorithm.update()
+        losses["kl"] = self._adapt(observations, before)
+        if isinstance(self.actor, StudentModel):
+            losses["reconstruction"] = self._reconstruct(self.actor)
+        self.steps += self.settings.steps * environment.settings.worlds
+        return {
+            "reward": float(np.mean(rewards)),
+            "losses": losses,
+            "terms": {name: float(np.mean([t[name] for t in terms])) for name in terms[0]},
+        }
+
+    def _reconstruct(self, student: StudentModel) -> float:
+        """Teach a student's encoder the contacts of the last batch; gives its last loss."""
+        kept = self.algorithm.storage.observations.flatten(0, 1)
+        loss = torch.zeros(())
+        for rows in torch.randperm(len(kept)).split(1024):
+            loss = student.reconstruction_loss(kept[rows])
+            self._encoder_optimizer.zero_grad()
+            loss.backward()
+            self._encoder_optimizer.step()
+        return float(loss.detach())
+
+    def _adapt(self, observations: TensorDict, before: tuple[torch.Tensor, ...]) -> float:
+        """Change the actor's learning rate so that an update changes the policy as much as wanted.
+
+        Returns:
+            How much the last one did.
+        """
+        with torch.inference_mode():
+            self.actor(observations, stochastic_output=True)
+            change = float(self.actor.get_kl_divergence(before, self.actor.output_distribution_params).mean())
+        group, wanted = self.algorithm.optimizer.param_groups[0], self.settings.kl
+        if change > 1.5 * wanted:
+            group["lr"] = max(1e-6, group["lr"] / 1.3)
+        elif change < wanted / 1.5:
+            group["lr"] = min(3e-3, group["lr"] * 1.3)
+        return change
+
+    def save(self, path: Path) -> None:
+        """Keep everything needed to go on."""
+        environment = self.environment
+        state = self.algorithm.save() | {
+            "format": CHECKPOINT_FORMAT,
+            "steps": self.steps,
+            "success_of_group": torch.from_numpy(environment.success_of_group),
+            "random": json.dumps(environment.rng.bit_generator.state),
+            "torch_random": torch.get_rng_state(),
+            "layout": json.dumps(
+                [environment.layout, environment.privileged_layout, environment.critic_layout]
+            ),
+            "hand": environment.hand.name,
+        }
+        with atomic_path(path) as part:
+            torch.save(state, part)
+
+    def _layout(self) -> str:
+        e = self.environment
+        return json.dumps([e.layout, e.privileged_layout, e.critic_layout])
+
+    def load(self, path: Path) -> None:
+        """Go on from a checkpoint.
+
+        Raises:
+            FungraspError: it can't be read, or belongs to another hand or other observations.
+        """
+        environment = self.environment
+        try:
+            state = torch.load(path, weights_only=True)
+        except Exception as error:
+            raise FungraspError(
+                f"cannot read the checkpoint {path}: {' '.join(str(error).split())}"
+            ) from error
+        if not isinstance(state, dict) or state.get("format") != CHECKPOINT_FORMAT:
+            raise FungraspError(f"{path} is no checkpoint of this version of fungrasp")
+        if state["hand"] != environment.hand.name:
+            raise FungraspError(
+                f"the checkpoint {path} is of the hand '{state['hand']}', not of '{environment.hand.name}'"
+            )
+        here = self._layout()
+        if state["layout"] != here:
+            raise FungraspError(f"the checkpoint {path} was trained on other observations")
+        try:
+            self.algorithm.load(state, None, True)
+        except (RuntimeError, ValueError, KeyError) as error:
+            raise FungraspError(f"the checkpoint {path} does not fit these settings: {error}") from error
+        self.steps = int(state["steps"])
+        rates = state["success_of_group"].numpy()
+        if rates.shape == environment.success_of_group.shape:
+            environment.success_of_group[:] = rates
+        environment.rng.bit_generator.state = json.loads(state["random"])
+        torch.set_rng_state(state["torch_random"])
+
+
+def tensors(observations: Observations) -> TensorDict:
+    """Observations as rsl-rl wants them: a group each."""
+    groups = {
+        name: torch.from_numpy(getattr(observations, name)) for name in ("robot", "privileged", "critic")
+    }
+    if observations.history is not None:
+        groups["history"] = torch.from_numpy(observations.history).flatten(1)
+    return TensorDict(groups, batch_size=[len(observations.robot)])

@@ -1,0 +1,128 @@
+"""The student: an LSTM infers the contacts from how the joints move; the teacher's network acts on them
+(section IV.C.1 of the paper)."""
+
+from __future__ import annotations
+
+import copy
+from typing import Any, cast
+
+import numpy as np
+import torch
+from rsl_rl.models import MLPModel
+from rsl_rl.modules import EmpiricalNormalization
+from tensordict import TensorDict
+
+HISTORY = 10
+"""Control steps that the encoder looks back on, the present one included."""
+
+HISTORY_PARTS = (
+    "joints",
+    "servo_errors",
+    "joint_changes",
+    "palm_error",
+    "target_contacts",
+    "last_action",
+    "surface_distances",
+)
+"""Parts of the robot's observation that the encoder sees."""
+
+Layout = tuple[tuple[str, int], ...]
+
+
+def columns(layout: Layout, names: tuple[str, ...]) -> np.ndarray:
+    """Where some parts lie in a flat observation."""
+    starts = dict(
+        zip([name for name, _ in layout], np.cumsum([0, *(n for _, n in layout)])[:-1], strict=True)
+    )
+    sizes = dict(layout)
+    return np.concatenate([starts[name] + np.arange(sizes[name]) for name in names])
+
+
+class History:
+    """The last observations of W worlds, zeros before a trial's first."""
+
+    def __init__(self, worlds: int, layout: Layout):
+        self._columns = columns(layout, HISTORY_PARTS)
+        self.window = np.zeros((worlds, HISTORY, len(self._columns)), dtype=np.float32)
+
+    def push(self, observation: np.ndarray, begun: np.ndarray) -> np.ndarray:
+        """The windows with one more observation, shape [W, HISTORY, H]. begun: worlds whose trial is new."""
+        self.window[begun] = 0.0
+        self.window = np.concatenate([self.window[:, 1:], observation[:, None, self._columns]], axis=1)
+        return self.window
+
+
+class StudentModel(MLPModel):
+    """An actor for rsl-rl that sees the groups ``robot`` and ``history``; ``privileged`` is what its encoder
+    learns to infer."""
+
+    def __init__(
+        self,
+        obs: TensorDict,
+        obs_groups: dict[str, list[str]],
+        obs_set: str,
+        output_dim: int,
+        layout: Layout,
+        units: int = 64,
+        layers: int = 2,
+        **settings: Any,
+    ):
+        super().__init__(obs, {obs_set: ["robot", "privileged"]}, obs_set, output_dim, **settings)
+        self.links = dict(layout)["target_contacts"]
+        history = columns(layout, HISTORY_PARTS)
+        self.history_columns: torch.Tensor
+        self.register_buffer("history_columns", torch.from_numpy(history))
+        self.target_columns: torch.Tensor
+        self.register_buffer("target_columns", torch.from_numpy(columns(layout, ("target_contacts",))))
+        self.encoder = torch.nn.LSTM(len(history), units, layers, batch_first=True)
+        self.head = torch.nn.Linear(units, 2 * self.links)
+
+    def infer(self, window: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Contacts as probabilities and scaled forces, [W, L] each. window: shape [W, HISTORY, H]."""
+        normaliser = cast(EmpiricalNormalization, self.obs_normalizer)
+        mean, std = normaliser.mean[self.history_columns], normaliser.std[self.history_columns]
+        hidden, _ = self.encoder((window - mean) / (std + normaliser.eps))
+        contacts, forces = torch.sigmoid(self.head(hidden[:, -1])).split(self.links, dim=-1)
+        return contacts, forces
+
+    def act(self, robot: torch.Tensor, contacts: torch.Tensor, forces: torch.Tensor) -> torch.Tensor:
+        """The network's input, normalised, with inferred contacts."""
+        targets = robot[:, self.target_columns]
+        return self.obs_normalizer(torch.cat([robot, contacts, targets - contacts, forces], dim=-1))
+
+    def get_latent(
+        self, obs: TensorDict, masks: torch.Tensor | None = None, hidden_state: Any = None
+    ) -> torch.Tensor:
+        """Input of the network."""
+        window = obs["history"].unflatten(-1, (HISTORY, -1))
+        return self.act(obs["robot"], *self.infer(window))
+
+    def reconstruction_loss(self, obs: TensorDict) -> torch.Tensor:
+        """L_re of the paper: squared errors of contacts and of scaled forces."""
+        contacts, forces = self.infer(obs["history"].unflatten(-1, (HISTORY, -1)))
+        true = obs["privileged"]
+        return ((contacts - true[:, : self.links]) ** 2).mean() + (
+            (forces - true[:, -self.links :]) ** 2
+        ).mean()
+
+    def take_over(self, teacher: MLPModel) -> None:
+        """Begin with a teacher's network and normalisation."""
+        self.mlp.load_state_dict(teacher.mlp.state_dict())
+        self.obs_normalizer.load_state_dict(teacher.obs_normalizer.state_dict())
+
+
+class StudentGraph(torch.nn.Module):
+    """A student for inference: one step, its window explicit."""
+
+    def __init__(self, student: StudentModel):
+        super().__init__()
+        self.student = copy.deepcopy(student)
+
+    def forward(
+        self, observation: torch.Tensor, state_history: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Action, contacts, scaled forces and the next window."""
+        present = observation[:, self.student.history_columns]
+        window = torch.cat([state_history[:, 1:], present[:, None]], dim=1)
+        contacts, forces = self.student.infer(window)
+        return self.student.mlp(self.student.act(observation, contacts, forces)), contacts, forces, window
