@@ -66,15 +66,15 @@ def test_a_hand_has_an_arm_above_the_table_and_features():
     assert arm.control[1:, 2].min() >= CLEARANCE - 1e-9
     for tip in (4, 8, 12, 16, 20):
         assert np.linalg.norm(mesh.vertices - low[tip], axis=1).min() < 0.005
-    # Nails: the back of a fingertip is paler than the back of the finger behind it.
-    nail, behind = (low[8] * part + low[7] * (1 - part) for part in (0.7, 0.05))
-    pale, plain = (mesh.colours[_dorsal_nearest(mesh.vertices, point)].mean(0)[2] for point in (nail, behind))
+    # Nails: the back of a fingertip (this hand's palm is up) is paler than the back of the finger behind it.
+    nail, behind = (part * low[8] + (1 - part) * low[7] for part in (0.7, 0.3))
+    pale, plain = (mesh.colours[_below(mesh.vertices, point)].mean(0)[2] for point in (nail, behind))
     assert pale > plain + 0.02
 
 
-def _dorsal_nearest(vertices: np.ndarray, point: np.ndarray) -> np.ndarray:
-    above = np.flatnonzero(vertices[:, 2] > point[2] + 0.002)
-    return above[np.argsort(np.linalg.norm(vertices[above] - point, axis=1))[:6]]
+def _below(vertices: np.ndarray, point: np.ndarray) -> np.ndarray:
+    lower = np.flatnonzero(vertices[:, 2] < point[2] - 0.004)
+    return lower[np.argsort(np.linalg.norm(vertices[lower] - point, axis=1))[:6]]
 
 
 def test_a_sleeve_covers_the_arm():

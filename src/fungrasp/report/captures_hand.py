@@ -71,8 +71,8 @@ class Arm:
 
     def growth(self, part: np.ndarray) -> np.ndarray:
         """How much wider and thicker the arm is than the wrist, shape [..., 2]."""
-        wide = 1.0 + 0.5 * part
-        return np.stack([wide, wide * (1 + 0.3 * part)], axis=-1)
+        wide = 1.0 + 0.5 * part**2
+        return np.stack([wide, wide * (1 + 0.3 * part**2)], axis=-1)
 
 
 def painted_hand(joints: np.ndarray, tone: Colour, rng: np.random.Generator) -> tuple[PaintedMesh, Arm]:
@@ -88,14 +88,14 @@ def painted_hand(joints: np.ndarray, tone: Colour, rng: np.random.Generator) -> 
     scale = float(np.linalg.norm(joints[_MIDDLE] - joints[_WRIST])) / _REFERENCE_PALM
     mesh = trimesh.Trimesh(hand.vertices, hand.faces, process=False)
     normals = np.array(mesh.vertex_normals)
-    red, pale, swell = _features(joints, hand.vertices, normals, hand.links, scale)
-    red += 0.10 * _blotches(hand.vertices, rng)
+    marks = _marks(joints, hand.vertices, normals, hand.links, scale)
+    red = np.clip(marks.red + 0.10 * _blotches(hand.vertices, rng), 0, 1)
     skin = np.asarray(tone)
     flushed = skin * [0.93, 0.68, 0.62]
     light = 1.0 - (1.0 - skin) * [0.62, 0.70, 0.72]
     colours = mixed(skin, flushed, red)
-    colours = mixed(colours, light, pale)
-    vertices, arm = _with_forearm(joints, hand.vertices + swell[:, None] * normals, scale)
+    colours = mixed(colours, light, np.clip(marks.pale, 0, 1))
+    vertices, arm = _with_forearm(joints, hand.vertices + marks.swell[:, None] * normals, scale)
     return PaintedMesh(vertices, hand.faces, colours), arm
 
 
@@ -136,11 +136,11 @@ def _with_forearm(joints: np.ndarray, vertices: np.ndarray, scale: float) -> tup
     across = _unit(across - back * (across @ back))
     start, end = (scale * s for s in _STUMP)
     length = FOREARM * scale
-    first, bend = wrist + start * back, wrist + (start + 0.3 * length) * back
+    first, bend = wrist + start * back, wrist + (start + 0.5 * length) * back
     bend[2] = max(bend[2], CLEARANCE)
     onward = back.copy()
-    onward[2] = max(onward[2], (CLEARANCE + 0.02 - bend[2]) / (0.7 * length), -0.2)
-    control = np.stack([first, bend, bend + 0.7 * length * _unit(onward)])
+    onward[2] = max(onward[2], (CLEARANCE + 0.02 - bend[2]) / (0.5 * length), -0.2)
+    control = np.stack([first, bend, bend + 0.5 * length * _unit(onward)])
     arm = Arm(control, across, (end - start) / length, scale)
     local = vertices - first
     moves = local @ back > 0
@@ -154,70 +154,73 @@ def _with_forearm(joints: np.ndarray, vertices: np.ndarray, scale: float) -> tup
     return vertices, arm
 
 
-def _features(
+@dataclass(frozen=True)
+class _Marks:
+    """What the skin shows, per vertex, filled in place."""
+
+    red: np.ndarray
+    """How flushed, 0 to 1."""
+    pale: np.ndarray
+    """How pale, 0 to 1."""
+    swell: np.ndarray
+    """How far it stands out [m]."""
+
+
+def _marks(
     joints: np.ndarray, vertices: np.ndarray, normals: np.ndarray, links: np.ndarray, scale: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """How red and how pale the skin is (0 to 1), and how far it stands out [m], shape [V] each."""
-    red, pale, swell = (np.zeros(len(vertices)) for _ in range(3))
+) -> _Marks:
+    marks = _Marks(*(np.zeros(len(vertices)) for _ in range(3)))
     dorsal = _dorsal(joints)
     for finger in range(5):
         for k in range(3):
             link = 1 + 3 * finger + k
             near, far = (joints[j] for j in LINKS[link])
-            member = np.flatnonzero(links[:, max(link - 1, 0) : link + 2].sum(1) > 0.3)
-            bone = far - near
-            length = float(np.linalg.norm(bone))
-            along = bone / length
-            up = dorsal[finger, k]
-            offset = vertices[member] - near
-            place = offset @ along
-            height = normals[member] @ up
-            joint = np.exp(-(((place) / (0.0052 * scale)) ** 2))
-            red[member] += 0.30 * joint * np.clip(height, 0, 1)
-            if k or finger == 4:
-                fine = np.exp(-((place / (0.0011 * scale)) ** 2))
-                red[member] += 0.5 * fine * np.clip(-height + 0.3, 0, 1)
-                swell[member] -= 0.0005 * scale * fine * np.clip(-height, 0, 1)
-                swell[member] += 0.0007 * scale * joint * np.clip(height, 0, 1)
-            if k == 2:
-                _fingertip(
-                    member,
-                    place / length,
-                    offset @ np.cross(along, up),
-                    height,
-                    finger,
-                    scale,
-                    red,
-                    pale,
-                    swell,
+            length = float(np.linalg.norm(far - near))
+            along, up = (far - near) / length, dorsal[finger, k]
+            family = [link - 1 if k else 0, link, *([link + 1] if k < 2 else [])]
+            rows = np.flatnonzero(links[:, family].sum(1) > 0.3)
+            offset = vertices[rows] - near
+            place, aside = offset @ along, offset @ np.cross(along, up)
+            height = normals[rows] @ up
+            if k or finger < 4:
+                knuckle = np.exp(-((place**2 + 0.4 * aside**2) / (0.0055 * scale) ** 2)) * np.clip(
+                    height, 0, 1
                 )
-    palmar = normals @ -dorsal[1, 0]
-    own = links[:, 0]
-    pale += 0.22 * own * np.clip(palmar, 0, 1)
-    return np.clip(red, 0, 1), np.clip(pale, 0, 1), swell
+                marks.red[rows] += 0.30 * knuckle
+                marks.swell[rows] += 0.0007 * scale * knuckle
+            if k:
+                crease = np.exp(-((place / (0.0011 * scale)) ** 2))
+                marks.red[rows] += 0.5 * crease * np.clip(0.3 - height, 0, 1)
+                marks.swell[rows] -= 0.0005 * scale * crease * np.clip(-height, 0, 1)
+            if k == 2:
+                radius = (0.0082 if finger == 4 else 0.0066) * scale
+                _mark_fingertip(marks, rows, place / length, aside / radius, height, scale)
+    marks.pale[:] += 0.22 * links[:, 0] * np.clip(normals @ -dorsal[1, 0], 0, 1)
+    return marks
 
 
-def _fingertip(
-    member: np.ndarray,
-    part: np.ndarray,
-    aside: np.ndarray,
-    height: np.ndarray,
-    finger: int,
-    scale: float,
-    red: np.ndarray,
-    pale: np.ndarray,
-    swell: np.ndarray,
+def _mark_fingertip(
+    marks: _Marks, rows: np.ndarray, part: np.ndarray, aside: np.ndarray, height: np.ndarray, scale: float
 ) -> None:
-    """Nail, redder end and pad of one finger, added in place. part: of the way along the last link."""
-    radius = (0.0082 if finger == 4 else 0.0066) * scale
-    red[member] += 0.28 * np.clip((part - 0.35) / 0.5, 0, 1) * np.clip(0.6 - height, 0, 1)
-    swell[member] += 0.0008 * scale * np.exp(-(((part - 0.55) / 0.25) ** 2)) * np.clip(-height, 0, 1)
-    edge = ((part - 0.70) / 0.27) ** 4 + (aside / (0.80 * radius)) ** 4
+    """Nail, redder end and pad of one finger.
+
+    Args:
+        marks: to be added to.
+        rows: vertices of the finger's end, length R.
+        part: of the way along the last link, shape [R].
+        aside: place across the finger, as a part of its radius, shape [R].
+        height: cosine of the angle between the skin's normal and the back of the finger, shape [R].
+        scale: size of the hand compared with the reference.
+    """
+    red, pale, swell = marks.red, marks.pale, marks.swell
+    red[rows] += 0.28 * np.clip((part - 0.35) / 0.5, 0, 1) * np.clip(0.6 - height, 0, 1)
+    swell[rows] += 0.0008 * scale * np.exp(-(((part - 0.55) / 0.25) ** 2)) * np.clip(-height, 0, 1)
+    edge = ((part - 0.70) / 0.27) ** 4 + (aside / 0.80) ** 4
     nail = np.clip(1.6 - 1.2 * edge, 0, 1) * (height > 0.1)
     rim = np.exp(-(((edge - 1.15) / 0.35) ** 2)) * (height > 0.1)
-    red[member] = red[member] * (1 - nail) + 0.22 * nail + 0.45 * rim
-    pale[member] = np.maximum(pale[member], 0.55 * nail + 0.35 * nail * (part > 0.88))
-    swell[member] += scale * (0.0003 * nail - 0.0004 * rim)
+    red[rows] = red[rows] * (1 - nail) + 0.20 * nail + 0.45 * rim
+    pale[rows] = np.maximum(pale[rows], 0.75 * nail + 0.2 * nail * (part > 0.88))
+    swell[rows] += scale * (0.0003 * nail - 0.0004 * rim)
 
 
 def _dorsal(joints: np.ndarray) -> np.ndarray:
