@@ -1,12 +1,17 @@
-"""Writing files whole or not at all, and the folder where computed things are kept."""
+"""Writing files whole or not at all, the folder where computed things are kept, and digests that name
+them."""
 
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import os
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from fungrasp.errors import FungraspError
 
@@ -55,6 +60,27 @@ def cache_folder(kind: str) -> Path:
     except OSError as error:
         raise FungraspError(f"cannot make the cache folder {folder}: {error.strerror or error}") from error
     return folder
+
+
+def digest(*things: Any) -> str:
+    """SHA-256 of arrays, bytes, mappings and whatever ``repr`` describes."""
+    result = hashlib.sha256()
+
+    def add(thing: Any) -> None:
+        if isinstance(thing, Mapping):
+            for key in sorted(thing):
+                result.update(f"{key}:".encode())
+                add(thing[key])
+        elif isinstance(thing, np.ndarray):
+            result.update(f"{thing.dtype}{thing.shape}".encode())
+            result.update(np.ascontiguousarray(thing).tobytes())
+        else:
+            result.update(thing if isinstance(thing, bytes) else repr(thing).encode())
+        result.update(b";")
+
+    for thing in things:
+        add(thing)
+    return result.hexdigest()
 
 
 def _umask() -> int:

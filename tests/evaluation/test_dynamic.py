@@ -12,7 +12,8 @@ from lifted_grasps import allegro_hand, good_grasps, grasped_objects
 from fungrasp.errors import FungraspError, UnknownNameError
 from fungrasp.evaluation import DynamicResult, evaluate, replay, result_json
 from fungrasp.evaluation.dynamic import Refinement
-from fungrasp.evaluation.store import PartialResults, digest
+from fungrasp.evaluation.store import PartialResults
+from fungrasp.files import digest
 from fungrasp.hands import load_hand
 
 

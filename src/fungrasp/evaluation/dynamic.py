@@ -12,8 +12,9 @@ import numpy as np
 from fungrasp import __version__
 from fungrasp.errors import FungraspError
 from fungrasp.evaluation.robustness import Disturbance
-from fungrasp.evaluation.store import PartialResults, digest
+from fungrasp.evaluation.store import PartialResults
 from fungrasp.evaluation.trajectory import Recorder
+from fungrasp.files import digest
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import hashlib
 import zipfile
 import zlib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -47,24 +45,3 @@ class PartialResults:
     def remove(self) -> None:
         """Delete the file, if there is one."""
         self._path.unlink(missing_ok=True)
-
-
-def digest(*things: Any) -> str:
-    """SHA-256 of arrays, bytes, mappings and whatever ``repr`` describes."""
-    result = hashlib.sha256()
-
-    def add(thing: Any) -> None:
-        if isinstance(thing, Mapping):
-            for key in sorted(thing):
-                result.update(f"{key}:".encode())
-                add(thing[key])
-        elif isinstance(thing, np.ndarray):
-            result.update(f"{thing.dtype}{thing.shape}".encode())
-            result.update(np.ascontiguousarray(thing).tobytes())
-        else:
-            result.update(thing if isinstance(thing, bytes) else repr(thing).encode())
-        result.update(b";")
-
-    for thing in things:
-        add(thing)
-    return result.hexdigest()
