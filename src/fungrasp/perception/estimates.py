@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 
 from fungrasp.errors import FungraspError
-from fungrasp.grasps.anatomy import HUMAN_JOINTS
+from fungrasp.grasps import HUMAN_JOINTS
 
 JOINTS = len(HUMAN_JOINTS)
 

@@ -18,10 +18,12 @@ from fungrasp.grasps import HumanGrasp, HumanGraspSet
 from fungrasp.objects import ObjectModel
 from fungrasp.perception import Capture, Intrinsics
 from fungrasp.report.camera import orbit_camera
+from fungrasp.report.captures_hand import SKIN_TONES
 from fungrasp.report.captures_noise import ColourNoise, DepthNoise, noisy_colour, noisy_depth
 from fungrasp.report.captures_paint import PaintedMesh, painted_object
 from fungrasp.report.captures_scene import CaptureScene, Label, capture_scene
 from fungrasp.report.captures_trace import Tracer
+from fungrasp.report.shading import Colour
 
 TRIES = 24
 """Cameras that are tried before the best so far is taken."""
@@ -46,6 +48,8 @@ class CaptureSettings:
     """Of the camera above the table, seen from the grasp [degrees]."""
     clutter: tuple[int, int] = (0, 5)
     """Fewest and most other things on the table."""
+    skin: tuple[Colour, ...] = SKIN_TONES
+    """Tones of skin, sRGB; another colour makes a glove."""
     object_seen: float = 0.012
     """Part of the image that must show the object, where a camera can be found that does."""
     hand_seen: float = 0.015
@@ -152,7 +156,8 @@ def render_capture(
     intrinsics = _intrinsics(settings, rng)
     azimuth = float(rng.uniform(0, 360))
     clutter = int(rng.integers(settings.clutter[0], settings.clutter[1] + 1))
-    scene = capture_scene(grasp, painted, rng, clutter=clutter, towards=np.radians(azimuth))
+    towards = float(np.radians(azimuth))
+    scene = capture_scene(grasp, painted, rng, tones=settings.skin, clutter=clutter, towards=towards)
     tracer = Tracer(scene.things, scene.look)
     pose = _camera(grasp, painted, tracer, scene, intrinsics, azimuth, settings, rng)
     view = tracer.see(intrinsics, pose)

@@ -12,7 +12,7 @@ import trimesh
 from fungrasp.geometry.poses import transform_points
 from fungrasp.grasps import HumanGrasp
 from fungrasp.objects import ObjectModel, builtin_object
-from fungrasp.report.captures_hand import SKIN_TONES, painted_hand, painted_sleeve
+from fungrasp.report.captures_hand import painted_hand, painted_sleeve
 from fungrasp.report.captures_paint import PaintedMesh, painted_object
 from fungrasp.report.captures_trace import Thing
 from fungrasp.report.shading import Colour, Look
@@ -87,7 +87,13 @@ class CaptureScene:
 
 
 def capture_scene(
-    grasp: HumanGrasp, painted: PaintedMesh, rng: np.random.Generator, *, clutter: int, towards: float
+    grasp: HumanGrasp,
+    painted: PaintedMesh,
+    rng: np.random.Generator,
+    *,
+    tones: Sequence[Colour],
+    clutter: int,
+    towards: float,
 ) -> CaptureScene:
     """Put a grasp into a room.
 
@@ -95,10 +101,11 @@ def capture_scene(
         grasp: of a right hand, world frame.
         painted: the grasped object, object frame.
         rng: decides skin, sleeve, table, clutter and light.
+        tones: of skin, sRGB; one is taken.
         clutter: how many other things to put on the table; fewer if they don't find a place.
         towards: direction from the grasp to the camera along the table [rad]; the clutter keeps out of it.
     """
-    skin, arm = painted_hand(grasp.hand_joints, SKIN_TONES[rng.integers(len(SKIN_TONES))], rng)
+    skin, arm = painted_hand(grasp.hand_joints, tones[rng.integers(len(tones))], rng)
     held = painted.moved(grasp.object_pose)
     gloss = Thing(held, float(rng.uniform(0.05, 0.5)), float(rng.uniform(12, 80)))
     parts = [(Label.HAND, Thing(skin, 0.18, 15.0)), (Label.OBJECT, gloss)]
