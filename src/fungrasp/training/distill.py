@@ -15,7 +15,8 @@ from tensordict import TensorDict
 
 from fungrasp.files import atomic_path
 from fungrasp.training.environment import LiftEnvironment
-from fungrasp.training.ppo import HIDDEN, tensors
+from fungrasp.training.networks import tensors
+from fungrasp.training.ppo import HIDDEN
 from fungrasp.training.student import StudentModel
 
 

@@ -2,30 +2,31 @@
 
 from __future__ import annotations
 
-import json
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import torch
 from rsl_rl.algorithms import PPO
 from rsl_rl.models import MLPModel
-from rsl_rl.modules.distribution import GaussianDistribution
 from rsl_rl.storage import RolloutStorage
 from tensordict import TensorDict
 
 from fungrasp.errors import FungraspError
-from fungrasp.files import atomic_path
-from fungrasp.training.environment import LiftEnvironment, Observations
+from fungrasp.training.checkpoint import (
+    check_environment,
+    environment_state,
+    read_checkpoint,
+    restore_environment,
+    write_checkpoint,
+)
+from fungrasp.training.environment import LiftEnvironment
+from fungrasp.training.networks import Sees, make_networks, tensors
 from fungrasp.training.student import StudentModel
-
-CHECKPOINT_FORMAT = 1
-"""Goes up when checkpoints change."""
-
 
 HIDDEN = (256, 128)
 """Units of the hidden layers of a policy."""
@@ -37,7 +38,7 @@ class PpoSettings:
 
     hidden: tuple[int, ...] = HIDDEN
     """Units of the hidden layers, of actor and critic."""
-    sees: Literal["contacts", "nothing", "history"] = "contacts"
+    sees: Sees = "contacts"
     """What the actor knows of the contacts: the truth (a teacher), nothing, or what an encoder infers from
     the last steps, learned along the way (a student from scratch)."""
     steps: int = 24
@@ -78,7 +79,7 @@ class Progress:
     steps: int
     """Control steps so far."""
     seconds: float
-    """Of this run."""
+    """What they took."""
     success: float
     """Share of the last trials that succeeded, exploration noise included."""
     reward: float
@@ -88,23 +89,6 @@ class Progress:
     learning_rate: float
     losses: dict[str, float]
     terms: dict[str, float]
-
-
-class ColouredGaussian(GaussianDistribution):
-    """Normal actions whose noise is correlated in time while the worlds are played, as in Eberhard et al.,
-    "Colored Noise in PPO" (AAAI 2024); its probabilities are those of independent noise."""
-
-    def __init__(self, output_dim: int, worlds: int, correlation: float, **settings: Any):
-        super().__init__(output_dim, **settings)
-        self._correlation, self._fresh = correlation, (1.0 - correlation**2) ** 0.5
-        self._noise = torch.randn(worlds, output_dim)
-
-    def sample(self) -> torch.Tensor:
-        """Shape [W, A]; independent where the batch is not that of the worlds."""
-        if len(self.mean) != len(self._noise):
-            return super().sample()
-        self._noise = self._correlation * self._noise + self._fresh * torch.randn_like(self._noise)
-        return self.mean + self.std * self._noise
 
 
 class Trainer:
@@ -120,40 +104,8 @@ class Trainer:
         torch.manual_seed(seed)
         self.environment = environment
         s = self.settings = settings or PpoSettings()
+        actor, critic = make_networks(environment, s.sees, s.hidden, s.noise, s.noise_correlation)
         observations = tensors(environment.observations)
-        groups = {
-            "actor": ["robot", "privileged"] if s.sees == "contacts" else ["robot"],
-            "critic": ["robot", "privileged", "critic"],
-        }
-        model: dict[str, Any] = {
-            "hidden_dims": list(s.hidden),
-            "activation": "elu",
-            "obs_normalization": True,
-        }
-        student = s.sees == "history"
-        kind: type[MLPModel] = StudentModel if student else MLPModel
-        own: dict[str, Any] = {"layout": environment.layout} if student else {}
-        actor = kind(
-            observations,
-            groups,
-            "actor",
-            environment.actions,
-            **model,
-            **own,
-            distribution_cfg={
-                "class_name": ColouredGaussian,
-                "worlds": environment.settings.worlds,
-                "correlation": s.noise_correlation,
-                "init_std": s.noise,
-                "std_type": "log",
-                "std_range": (0.03, 0.5),
-            },
-        )
-        critic = MLPModel(observations, groups, "critic", 1, **model)
-        with torch.no_grad():
-            last = [m for m in actor.mlp.modules() if isinstance(m, torch.nn.Linear)][-1]
-            for parameter in last.parameters():
-                parameter.mul_(0.01)
         worlds = environment.settings.worlds
         storage = RolloutStorage("rl", worlds, s.steps, observations, [environment.actions], "cpu")
         self.algorithm = PPO(
@@ -181,7 +133,8 @@ class Trainer:
         if isinstance(actor, StudentModel):
             encoder = [*actor.encoder.parameters(), *actor.head.parameters()]
             self._encoder_optimizer = torch.optim.Adam(encoder, lr=s.critic_learning_rate)
-        self.steps = 0
+        self.steps, self.seconds = 0, 0.0
+        """Control steps, and what they took [s], earlier runs included."""
         self._recent: deque[bool] = deque(maxlen=1000)
 
     @property
@@ -204,17 +157,18 @@ class Trainer:
             checkpoint: where to keep the state, written atomically.
             every: updates between two checkpoints.
         """
-        start, update = perf_counter(), 0
+        start, update, before = perf_counter(), 0, self.seconds
         self.algorithm.train_mode()
         if self.steps == 0:
             self._warm_up()
         while self.steps < steps:
             report = self._update()
             update += 1
+            self.seconds = before + perf_counter() - start
             progress(
                 Progress(
                     self.steps,
-                    perf_counter() - start,
+                    self.seconds,
                     float(np.mean(self._recent)) if self._recent else 0.0,
                     report["reward"],
                     float(self.actor.output_std.detach().mean()),
@@ -291,65 +245,33 @@ class Trainer:
         return change
 
     def save(self, path: Path) -> None:
-        """Keep everything needed to go on."""
-        environment = self.environment
-        state = self.algorithm.save() | {
-            "format": CHECKPOINT_FORMAT,
-            "steps": self.steps,
-            "success_of_group": torch.from_numpy(environment.success_of_group),
-            "random": json.dumps(environment.rng.bit_generator.state),
-            "torch_random": torch.get_rng_state(),
-            "layout": json.dumps(
-                [environment.layout, environment.privileged_layout, environment.critic_layout]
-            ),
-            "hand": environment.hand.name,
-        }
-        with atomic_path(path) as part:
-            torch.save(state, part)
+        """Keep everything needed to go on.
 
-    def _layout(self) -> str:
-        e = self.environment
-        return json.dumps([e.layout, e.privileged_layout, e.critic_layout])
+        Raises:
+            FungraspError: the file can't be written; an older one is left as it was.
+        """
+        state = self.algorithm.save() | environment_state(self.environment)
+        if isinstance(self.actor, StudentModel):
+            state["encoder_optimizer_state_dict"] = self._encoder_optimizer.state_dict()
+        state |= {"steps": self.steps, "seconds": self.seconds, "recent": torch.tensor(list(self._recent))}
+        write_checkpoint(path, state)
 
     def load(self, path: Path) -> None:
         """Go on from a checkpoint.
 
         Raises:
-            FungraspError: it can't be read, or belongs to another hand or other observations.
+            FungraspError: it can't be read, is damaged, or belongs to another hand, other observations or
+                other networks.
         """
-        environment = self.environment
-        try:
-            state = torch.load(path, weights_only=True)
-        except Exception as error:
-            raise FungraspError(
-                f"cannot read the checkpoint {path}: {' '.join(str(error).split())}"
-            ) from error
-        if not isinstance(state, dict) or state.get("format") != CHECKPOINT_FORMAT:
-            raise FungraspError(f"{path} is no checkpoint of this version of fungrasp")
-        if state["hand"] != environment.hand.name:
-            raise FungraspError(
-                f"the checkpoint {path} is of the hand '{state['hand']}', not of '{environment.hand.name}'"
-            )
-        here = self._layout()
-        if state["layout"] != here:
-            raise FungraspError(f"the checkpoint {path} was trained on other observations")
+        state = read_checkpoint(path)
+        check_environment(path, state, self.environment)
         try:
             self.algorithm.load(state, None, True)
+            if isinstance(self.actor, StudentModel):
+                self._encoder_optimizer.load_state_dict(state["encoder_optimizer_state_dict"])
+            restore_environment(state, self.environment)
+            self.steps, self.seconds = int(state["steps"]), float(state["seconds"])
+            self._recent.extend(state["recent"].bool().tolist())
         except (RuntimeError, ValueError, KeyError) as error:
-            raise FungraspError(f"the checkpoint {path} does not fit these settings: {error}") from error
-        self.steps = int(state["steps"])
-        rates = state["success_of_group"].numpy()
-        if rates.shape == environment.success_of_group.shape:
-            environment.success_of_group[:] = rates
-        environment.rng.bit_generator.state = json.loads(state["random"])
-        torch.set_rng_state(state["torch_random"])
-
-
-def tensors(observations: Observations) -> TensorDict:
-    """Observations as rsl-rl wants them: a group each."""
-    groups = {
-        name: torch.from_numpy(getattr(observations, name)) for name in ("robot", "privileged", "critic")
-    }
-    if observations.history is not None:
-        groups["history"] = torch.from_numpy(observations.history).flatten(1)
-    return TensorDict(groups, batch_size=[len(observations.robot)])
+            words = " ".join(str(error).split())
+            raise FungraspError(f"the checkpoint {path} does not fit these settings: {words}") from error

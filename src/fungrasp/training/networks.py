@@ -1,0 +1,88 @@
+"""Actor and critic of a teacher, and the noise with which it explores."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import torch
+from rsl_rl.models import MLPModel
+from rsl_rl.modules.distribution import GaussianDistribution
+from tensordict import TensorDict
+
+from fungrasp.training.environment import LiftEnvironment, Observations
+from fungrasp.training.student import StudentModel
+
+Sees = Literal["contacts", "nothing", "history"]
+"""What an actor knows of the contacts."""
+
+
+class ColouredGaussian(GaussianDistribution):
+    """Normal actions whose noise is correlated in time while the worlds are played, as in Eberhard et al.,
+    "Colored Noise in PPO" (AAAI 2024); its probabilities are those of independent noise."""
+
+    def __init__(self, output_dim: int, worlds: int, correlation: float, **settings: Any):
+        super().__init__(output_dim, **settings)
+        self._correlation, self._fresh = correlation, (1.0 - correlation**2) ** 0.5
+        self._noise = torch.randn(worlds, output_dim)
+
+    def sample(self) -> torch.Tensor:
+        """Shape [W, A]; independent where the batch is not that of the worlds."""
+        if len(self.mean) != len(self._noise):
+            return super().sample()
+        self._noise = self._correlation * self._noise + self._fresh * torch.randn_like(self._noise)
+        return self.mean + self.std * self._noise
+
+
+def make_networks(
+    environment: LiftEnvironment, sees: Sees, hidden: tuple[int, ...], noise: float, correlation: float
+) -> tuple[MLPModel, MLPModel]:
+    """Actor, which hardly changes the reference at first, and critic.
+
+    Args:
+        environment: that they are for.
+        sees: what the actor knows of the contacts.
+        hidden: units of the hidden layers, of both.
+        noise: standard deviation of the actions.
+        correlation: of the noise from one control step to the next.
+    """
+    observations = tensors(environment.observations)
+    groups = {
+        "actor": ["robot", "privileged"] if sees == "contacts" else ["robot"],
+        "critic": ["robot", "privileged", "critic"],
+    }
+    model: dict[str, Any] = {"hidden_dims": list(hidden), "activation": "elu", "obs_normalization": True}
+    student = sees == "history"
+    kind: type[MLPModel] = StudentModel if student else MLPModel
+    own: dict[str, Any] = {"layout": environment.layout} if student else {}
+    actor = kind(
+        observations,
+        groups,
+        "actor",
+        environment.actions,
+        **model,
+        **own,
+        distribution_cfg={
+            "class_name": ColouredGaussian,
+            "worlds": environment.settings.worlds,
+            "correlation": correlation,
+            "init_std": noise,
+            "std_type": "log",
+            "std_range": (0.03, 0.5),
+        },
+    )
+    critic = MLPModel(observations, groups, "critic", 1, **model)
+    with torch.no_grad():
+        last = [m for m in actor.mlp.modules() if isinstance(m, torch.nn.Linear)][-1]
+        for parameter in last.parameters():
+            parameter.mul_(0.01)
+    return actor, critic
+
+
+def tensors(observations: Observations) -> TensorDict:
+    """Observations as rsl-rl wants them: a group each."""
+    groups = {
+        name: torch.from_numpy(getattr(observations, name)) for name in ("robot", "privileged", "critic")
+    }
+    if observations.history is not None:
+        groups["history"] = torch.from_numpy(observations.history).flatten(1)
+    return TensorDict(groups, batch_size=[len(observations.robot)])
