@@ -1,8 +1,4 @@
-"""What the image and anatomy say about a hand's skeleton: one function per kind of evidence.
-
-Every function returns residuals in units of their standard deviation, their derivatives by the parameters of
-``Skeleton``, and the residual beyond which an answer is likelier an outlier.
-"""
+"""What the image and anatomy say about a hand's skeleton: one function per kind of evidence."""
 
 from __future__ import annotations
 
@@ -12,16 +8,15 @@ import numpy as np
 
 from fungrasp.grasps.human_hand import BONES
 from fungrasp.perception.capture import Intrinsics
+from fungrasp.perception.hand_probes import in_front
+from fungrasp.perception.hand_silhouette import Silhouettes
 from fungrasp.perception.hand_skeleton import (
     ANGLE_HIGH,
     ANGLE_LOW,
     ANGLE_MEAN,
     ANGLE_SPREAD,
-    PALM_RADIUS,
     PARAMETERS,
-    RADII,
     SIZE,
-    WRIST_RADIUS,
     Skeleton,
 )
 
@@ -38,8 +33,7 @@ BASE_SPREAD = 0.005
 LIMIT_SOFTNESS = np.radians(5.0)
 """A joint bent beyond its limit by this much [rad] is one standard deviation out."""
 
-FAR_BONES = np.array([far for _, far in BONES])
-NEAR_BONES = np.array([near for near, _ in BONES])
+NEAR_BONES, FAR_BONES = np.transpose(BONES)
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,60 +43,20 @@ class Evidence:
     residual: np.ndarray
     """In standard deviations, shape [R]."""
     jacobian: np.ndarray
-    """Derivatives by the parameters, shape [R, n]."""
+    """Derivatives by the parameters, shape [R, n]; n may be less than the number of parameters."""
     outlier: float | np.ndarray = np.inf
-    """Residuals (or groups of ``group`` of them, by their norm) beyond this hardly count; one for all, or each
-    its own, shape [R]."""
+    """Residuals beyond this hardly count: one limit for all, or one per group, shape [R / group]."""
     group: int = 1
-
-
-@dataclass(frozen=True, eq=False)
-class Probes:
-    """Points of the flesh, on the lines between joints."""
-
-    near: np.ndarray
-    """Joint at one end, shape [P]."""
-    far: np.ndarray
-    """Joint at the other end, shape [P]."""
-    part: np.ndarray
-    """Where between them, 0 to 1, shape [P]."""
-    radius: np.ndarray
-    """Flesh around the line there, for a hand of mean size [m], shape [P]."""
-
-    def place(self, joints: np.ndarray, jacobian: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Points [m], shape [P, 3], and their derivatives, [P, 3, n]."""
-        a = self.part[:, None]
-        points = (1 - a) * joints[self.near] + a * joints[self.far]
-        a = a[..., None]
-        return points, (1 - a) * jacobian[self.near] + a * jacobian[self.far]
-
-
-def _probes() -> Probes:
-    rows = [(0, 0, 0.0, WRIST_RADIUS)]
-    for finger in range(5):
-        base = 1 + 4 * finger
-        if finger < 4:
-            rows += [(0, base, part, PALM_RADIUS) for part in (0.35, 0.65, 0.9)]
-        for link in range(3):
-            first, last = RADII[finger, link], RADII[finger, link + 1]
-            parts = (0.05, 0.35, 0.65, 0.8) if link == 2 else (0.05, 0.35, 0.65, 0.95)
-            rows += [(base + link, base + link + 1, x, first + x * (last - first)) for x in parts]
-    near, far, part, radius = zip(*rows, strict=True)
-    return Probes(np.array(near), np.array(far), np.array(part), np.array(radius))
-
-
-PROBES = _probes()
-"""Where depth is compared: along the palm's bones and the fingers."""
+    """So many residuals in a row are one measurement and are judged by their norm."""
 
 
 def pixel_evidence(
     joints: np.ndarray, jacobian: np.ndarray, intrinsics: Intrinsics, pixels: np.ndarray, spread: float
 ) -> Evidence:
     """The joints project to the landmarks. spread: standard deviation of a landmark [pixels]."""
-    residual, slopes = project(joints, jacobian, intrinsics)
-    return Evidence(
-        ((residual - pixels) / spread).ravel(), slopes.reshape(42, -1) / spread, outlier=4.0, group=2
-    )
+    projected, slopes = project(joints, jacobian, intrinsics)
+    residual = (projected - pixels) / spread
+    return Evidence(residual.ravel(), slopes.reshape(42, -1) / spread, outlier=4.0, group=2)
 
 
 def project(
@@ -135,22 +89,35 @@ def depth_evidence(
         outlier: how far in front of the skin something else is seen, and how far behind [m].
     """
     seen = (measured > 0) & in_front(points, radius)
-    residual = (points[:, 2] - radius - measured) / spread
+    residual = (points[:, 2] - radius - measured)[seen] / spread
     limit = np.where(residual > 0, outlier[0], outlier[1]) / spread
-    return Evidence(residual[seen], jacobian[seen, 2] / spread, limit[seen])
+    return Evidence(residual, jacobian[seen, 2] / spread, limit)
 
 
-def in_front(points: np.ndarray, radius: np.ndarray) -> np.ndarray:
-    """Which points of the flesh are not hidden behind others, bool, shape [P].
+def silhouette_evidence(
+    silhouettes: Silhouettes,
+    pixels: np.ndarray,
+    slopes: np.ndarray,
+    depth: np.ndarray,
+    thickness: np.ndarray,
+    spread: float,
+    outlier: float,
+) -> Evidence:
+    """Nothing of the hand is where the background is seen.
 
     Args:
-        points: [m], shape [P, 3], camera frame.
-        radius: of the flesh around them [m], shape [P].
+        silhouettes: where that is.
+        pixels, slopes: of the probes and their derivatives, shapes [P, 2] and [P, 2, n].
+        depth: of the probes [m], shape [P].
+        thickness: least distance of each from the background [pixels], shape [P].
+        spread: standard deviation of that distance [pixels].
+        outlier: a probe deeper in the background [pixels] is likelier hidden by a hole in the depth.
     """
-    slopes = points[:, :2] / points[:, 2:]
-    aside = np.linalg.norm(slopes[:, None] - slopes, axis=-1) * points[:, 2]
-    skin = points[:, 2] - radius
-    return ~((aside < 0.9 * radius) & (skin < skin[:, None] - 0.5 * radius[:, None])).any(axis=1)
+    distance, gradient = silhouettes.distance(pixels, depth)
+    residual = distance + thickness
+    out = (residual > 0) & gradient.any(axis=1)
+    by_step = np.einsum("pi,pin->pn", gradient[out], slopes[out])
+    return Evidence(residual[out] / spread, by_step / spread, outlier / spread)
 
 
 def shape_evidence(
@@ -158,40 +125,34 @@ def shape_evidence(
 ) -> Evidence:
     """The bones point where a model of shape says, up to a turn of the whole hand.
 
-    That turn is three parameters more, appended to the others.
+    That turn about the camera's axes is three more parameters, appended to the skeleton's.
 
     Args:
-        directions: unit vectors of ``BONES`` in the camera frame, shape [20, 3].
+        joints, jacobian: of the skeleton.
+        directions: unit vectors of ``BONES``, turned as believed so far, camera frame, shape [20, 3].
         spread: standard deviation of a direction [rad].
     """
     bones = joints[FAR_BONES] - joints[NEAR_BONES]
     lengths = np.linalg.norm(bones, axis=1)[:, None]
     units = bones / lengths
     slopes = jacobian[FAR_BONES] - jacobian[NEAR_BONES]
-    slopes = (slopes - units[..., None] * np.einsum("bi,bin->bn", units, slopes)[:, None]) / lengths[
-        ..., None
-    ]
-    residual = (units - directions) / spread
-    return Evidence(residual.ravel(), (slopes / spread).reshape(60, -1), outlier=4.0, group=3)
-
-
-def turn_derivatives(directions: np.ndarray, spread: float) -> np.ndarray:
-    """Derivatives of ``shape_evidence`` by a turn of the given directions, shape [60, 3]."""
-    axes = np.eye(3)
-    return -np.cross(axes[None], directions[:, None]).transpose(0, 2, 1).reshape(60, 3) / spread
+    along = np.einsum("bi,bin->bn", units, slopes)
+    slopes = (slopes - units[..., None] * along[:, None]) / lengths[..., None]
+    by_turn = -np.cross(np.eye(3), directions[:, None]).transpose(0, 2, 1)
+    columns = np.concatenate([slopes, by_turn], axis=-1).reshape(60, -1)
+    return Evidence(((units - directions) / spread).ravel(), columns / spread, outlier=4.0, group=3)
 
 
 def anatomy_evidence(hand: Skeleton) -> list[Evidence]:
     """Sizes, proportions and angles are those of people."""
-    limits_low = np.minimum(hand.angles - ANGLE_LOW, 0.0)
-    limits_high = np.maximum(hand.angles - ANGLE_HIGH, 0.0)
-    beyond = (limits_low + limits_high).ravel()
+    beyond = np.minimum(hand.angles - ANGLE_LOW, 0.0) + np.maximum(hand.angles - ANGLE_HIGH, 0.0)
+    unusual = (hand.angles - ANGLE_MEAN) / ANGLE_SPREAD
     return [
         _prior("size", np.array([hand.size]) / SIZE_SPREAD, 1 / SIZE_SPREAD),
         _prior("bases", hand.bases.ravel() / BASE_SPREAD, 1 / BASE_SPREAD),
         _prior("bones", hand.bones.ravel() / BONE_SPREAD, 1 / BONE_SPREAD),
-        _prior("angles", ((hand.angles - ANGLE_MEAN) / ANGLE_SPREAD).ravel(), (1 / ANGLE_SPREAD).ravel()),
-        _prior("angles", beyond / LIMIT_SOFTNESS, (beyond != 0) / LIMIT_SOFTNESS),
+        _prior("angles", unusual.ravel(), (1 / ANGLE_SPREAD).ravel()),
+        _prior("angles", beyond.ravel() / LIMIT_SOFTNESS, (beyond != 0).ravel() / LIMIT_SOFTNESS),
     ]
 
 

@@ -46,8 +46,8 @@ PARAMETERS = {
     "bones": slice(22, 37),
     "angles": slice(37, 82),
 }
-"""Where each kind of parameter stands in a step: position [m] and turn of the palm (camera frame), logarithm of
-the hand's size, shift of the five finger bases [m, palm frame], logarithm of 15 bone lengths, 45 angles
+"""Where each kind of parameter stands in a step: position [m] and turn of the palm (camera frame), logarithm
+of the hand's size, shift of the five finger bases [m, palm frame], logarithm of 15 bone lengths, 45 angles
 [rad]: finger, joint, (deviation, flexion, twist)."""
 
 SIZE = 82
@@ -72,8 +72,8 @@ def _template() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 BASES, BASE_FRAMES, LENGTHS = _template()
-"""Of an adult's hand, palm frame: bases of the fingers [m], shape [5, 3]; axes of extended fingers as columns,
-shape [5, 3, 3]; lengths of bones [m], shape [5, 3]."""
+"""Of an adult's hand, palm frame: bases of the fingers [m], shape [5, 3]; axes of extended fingers as
+columns, shape [5, 3, 3]; lengths of bones [m], shape [5, 3]."""
 
 
 def _angle_priors() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
