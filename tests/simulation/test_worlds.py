@@ -9,6 +9,7 @@ from fungrasp.errors import FungraspError
 from fungrasp.hands import load_hand
 from fungrasp.objects import builtin_object
 from fungrasp.simulation import Scene, SceneSettings, Worlds, build_scene
+from fungrasp.simulation.worlds import INERTIAL
 
 OBJECTS = ("mug", "box", "tennis_ball", "can", "scissors", "drill")
 """Many pieces and one, centre of mass at the origin and away from it."""
@@ -111,6 +112,30 @@ def test_a_mass_is_that_of_an_object_of_this_mass(hand):
     height = standing({"mug": light}, ["mug"])
     one, other = collide(scaled, height, np.zeros(1, int)), collide(own, height, np.zeros(1, int))
     np.testing.assert_allclose(one[20], other[20], rtol=0, atol=1e-7)
+
+
+def test_a_world_that_was_given_another_object_moves_as_a_fresh_one(objects, scene):
+    before, index = np.array([0, 1, 2]), np.array([3, 1, 5])
+    mass, friction = np.array([0.3, 0.2, 1.1]), np.array([0.5, 0.9, 0.7])
+    used = Worlds(scene, before, np.array([0.9, 0.2, 0.4]), np.array([1.2, 0.9, 0.3]), threads=1)
+    collide(used, standing(objects, [OBJECTS[i] for i in before]), np.arange(3), 20)
+    used.assign(np.array([2, 0]), index[[2, 0]], mass[[2, 0]], friction[[2, 0]])
+    fresh = Worlds(scene, index, mass, friction, threads=1)
+    heights = standing(objects, [OBJECTS[i] for i in index])
+    for ours, theirs in zip(*(collide(w, heights, np.arange(3), 60) for w in (used, fresh)), strict=True):
+        np.testing.assert_array_equal(ours, theirs)
+
+
+def test_objects_have_their_own_mass_again_when_none_is_given(hand, scene):
+    alone = build_scene(hand, {"can": builtin_object("can")})
+    for some, names in ((scene, OBJECTS), (alone, ("can",))):
+        worlds = Worlds(some, np.zeros(2, int), mass=np.array([1.7, 1.7]))
+        worlds.assign(np.array([1]), np.array([len(names) - 1]))
+        own = Worlds(some, np.array([0, len(names) - 1]))
+        for name in INERTIAL:
+            ours, theirs = worlds.batch.expand(name), own.batch.expand(name)
+            np.testing.assert_array_equal(ours[1], theirs[1], err_msg=name)
+        assert np.abs(worlds.batch.expand("body_mass")[0] - own.batch.expand("body_mass")[0]).max() > 1.0
 
 
 def test_settled_objects_weigh_what_they_weigh(objects, scene):

@@ -67,7 +67,7 @@ def test_the_lift_begins_at_6_s_at_the_latest_and_the_hold_lasts_3_s():
     p = task.protocol
     assert task.lift_time[0] == pytest.approx(6.0)
     assert 1.2 < task.hold_time[0] - task.lift_time[0] < 1.7
-    assert -1e-9 <= task.time - (task.hold_time[0] + p.hold_time) < CONTROL
+    assert -1e-9 <= task.time[0] - (task.hold_time[0] + p.hold_time) < CONTROL
     lifted = task.set_point.pose[0, 2] - task.target_pose[0, 2]
     assert lifted == pytest.approx(p.lift_height, abs=2e-3)
 
@@ -157,6 +157,87 @@ def test_servo_targets_are_clipped_to_their_ranges():
         task.step(Action(task.target_pose, wild, np.zeros(1, bool)))
     limits = hand().joint_limits
     assert (task.worlds.joint_positions[0] < limits[:, 1] + 0.1).all()
+
+
+def test_actions_take_effect_after_the_latency():
+    task = ready([CUBE] * 5)
+    task.latency[:] = [0.0, 0.02, 0.04, 0.05, 0.1]
+    start, before = task.set_point.pose[0, 2], task.finger_set_point.copy()
+    goal, fingers = task.target_pose.copy(), before + 0.2
+    goal[:, 2] += 0.05
+    heights, angles = [], []
+
+    def watch() -> None:
+        heights.append(task.set_point.pose[:, 2] - start)
+        angles.append((task.finger_set_point - before)[:, 5])
+
+    for _ in range(3):
+        task.step(Action(goal, fingers, np.zeros(5, bool)), watch)
+    late = np.array([0, 1, 2, 3, 5])
+    np.testing.assert_array_equal(np.argmax(np.array(heights) > 1e-9, axis=0), late)
+    np.testing.assert_array_equal(np.argmax(np.array(angles) > 1e-9, axis=0), late)
+    for world, steps in enumerate(late):
+        np.testing.assert_allclose(
+            np.array(heights)[steps:, world], np.array(heights)[: 15 - steps, 0], atol=1e-12
+        )
+        np.testing.assert_allclose(
+            np.array(angles)[steps:, world], np.array(angles)[: 15 - steps, 0], atol=1e-12
+        )
+    np.testing.assert_allclose(angles[4][0], 0.2, atol=1e-12)
+    np.testing.assert_allclose(angles[-1], 0.2, atol=1e-12)
+
+
+def test_a_latency_delays_the_hold_and_no_more():
+    task = ready([CUBE, CUBE])
+    task.latency[:] = [0.0, 0.1]
+    run(task, lift_from=0.2)
+    np.testing.assert_allclose(task.lift_time, 0.2)
+    assert task.hold_time[0] > 1.4
+    assert task.hold_time[1] - task.hold_time[0] == pytest.approx(0.1)
+
+
+def test_trials_that_begin_anew_leave_the_others_alone():
+    alone, disturbed = ready([CUBE] * 3), ready([CUBE] * 3)
+    for task in (alone, disturbed):
+        for _ in range(4):
+            task.step(stay(task, np.array([True, True, False])))
+    world = np.array([1])
+    pose = disturbed.settled_pose[world] + [0.1, 0, 0, 0, 0, 0, 0]
+    wrist = disturbed.target_pose[world] + [0.1, 0, 0, 0, 0, 0, 0]
+    links = np.zeros((1, len(hand().links)), dtype=bool)
+    closed = np.full((1, disturbed.finger_set_point.shape[1]), 0.3)
+    disturbed.begin(world, pose, wrist, wrist, closed, links)
+    for _ in range(4):
+        for task in (alone, disturbed):
+            task.step(stay(task))
+    others = [0, 2]
+    np.testing.assert_array_equal(disturbed.worlds.qpos[others], alone.worlds.qpos[others])
+    for name in ("time", "lift_time", "settled_pose", "target_contacts", "finger_set_point"):
+        np.testing.assert_array_equal(getattr(disturbed, name)[others], getattr(alone, name)[others])
+    np.testing.assert_array_equal(disturbed.set_point.pose[others], alone.set_point.pose[others])
+    np.testing.assert_allclose(disturbed.time, [0.8, 0.4, 0.8])
+    assert disturbed.lift_time.tolist() == [0.0, np.inf, np.inf]
+    np.testing.assert_allclose(disturbed.worlds.object_pose[1, :3], pose[0, :3], atol=1e-4)
+    np.testing.assert_allclose(disturbed.worlds.palm_pose[1, :3], wrist[0, :3], atol=2e-3)
+    np.testing.assert_allclose(disturbed.worlds.joint_positions[1], 0.3, atol=0.02)
+
+
+def test_a_trial_may_begin_on_its_way():
+    """With the wrist under way and the clock running."""
+    task = ready([CUBE])
+    velocity = np.array([[0.1, 0.0, 0.05]])
+    start = task.target_pose - [0.2, 0, 0.1, 0, 0, 0, 0]
+    arguments = task.settled_pose.copy(), task.target_pose.copy(), start, task.finger_set_point.copy()
+    task.begin(np.zeros(1, int), *arguments, task.target_contacts.copy(), velocity, np.array([4.5]))
+    assert task.time[0] == 4.5
+    before = task.worlds.palm_pose
+    task.step(
+        Action(start + 10 * np.pad(velocity, ((0, 0), (0, 4))), task.finger_set_point, np.zeros(1, bool))
+    )
+    moved = (task.worlds.palm_pose - before)[0, :3]
+    np.testing.assert_allclose(moved, 0.1 * velocity[0], atol=3e-3)
+    run(task)
+    assert task.lift_time[0] == pytest.approx(6.0)
 
 
 @pytest.fixture(scope="module")

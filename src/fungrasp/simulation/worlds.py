@@ -85,8 +85,9 @@ class Worlds:
         self.object_index[ids] = object_index
         for name, table in self.scene.fields.items():
             self.batch.expand(name)[ids] = table[object_index]
-        if mass is not None:
-            self._set_mass(ids, np.asarray(mass, dtype=float))
+        if mass is None:
+            mass = self._nominal("body_mass", self.object_index[ids])[:, self._object]
+        self._set_mass(ids, np.asarray(mass, dtype=float))
         if friction is not None:
             self.batch.expand("geom_friction")[ids, :, 0] = np.asarray(friction, dtype=float)[:, None]
 

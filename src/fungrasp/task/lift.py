@@ -94,7 +94,8 @@ class LiftTask:
         """When the hold began [s], shape [W]."""
         self.done = np.zeros(count, dtype=bool)
         self.latency = np.zeros(count)
-        """How late an action takes effect [s], shape [W], less than a control period."""
+        """How late an action takes effect [s], at most a control period, rounded up to whole periods of the
+        set points; shape [W]."""
         self._goal = self.target_pose.copy()
         self._finger_rate = np.zeros((count, servos))
         self._lifted = np.full(count, np.inf)
@@ -202,21 +203,26 @@ class LiftTask:
         count = round(p.control_period / self._substep_time)
         fingers = np.clip(action.finger_targets, *self._servo_range())
         active = np.flatnonzero(~self.done)
-        due = np.rint(self.latency / self._substep_time)
+        due = np.ceil(self.latency / self._substep_time - 1e-9)
         for i in range(count):
-            now = (due == i)[:, None]
-            self._goal = np.where(now, goal, self._goal)
-            self._finger_rate = np.where(now, (fingers - self.finger_set_point) / count, self._finger_rate)
+            self._heed(due == i, goal, fingers, count)
             self.set_point.advance(self._goal, self._substep_time)
             self.finger_set_point = self.finger_set_point + self._finger_rate
             self._command()
             self.worlds.step(self._substeps, active)
             self.time += np.where(self.done, 0.0, self._substep_time)
-            self._observe_hold(self._goal)
+            self._observe_hold(goal)
             if watch is not None:
                 watch()
+        self._heed(due >= count, goal, fingers, count)
         self._sample()
         self.done |= self.time >= self.hold_time + p.hold_time - 1e-9
+
+    def _heed(self, which: np.ndarray, goal: np.ndarray, fingers: np.ndarray, substeps: int) -> None:
+        """Go for an action from now on, fingers to be there after some substeps. which: shape [W] bool."""
+        rate = (fingers - self.finger_set_point) / substeps
+        self._goal = np.where(which[:, None], goal, self._goal)
+        self._finger_rate = np.where(which[:, None], rate, self._finger_rate)
 
     def _servo_range(self) -> tuple[np.ndarray, np.ndarray]:
         span = self.scene.model.actuator_ctrlrange[self._finger_actuators]

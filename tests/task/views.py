@@ -1,0 +1,77 @@
+"""Random measurements for the tests of observations."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from fungrasp.geometry.poses import compose
+from fungrasp.hands import Hand
+from fungrasp.task.observation import Readings, Sensed, Wanted
+
+
+def poses(rng: np.random.Generator, count: int) -> np.ndarray:
+    turns = Rotation.random(count, rng=rng).as_quat(scalar_first=True)
+    return np.concatenate([rng.normal(size=(count, 3)), turns], axis=1)
+
+
+def readings(rng: np.random.Generator, hand: Hand, count: int) -> Readings:
+    servos, points = len(hand.actuators), len(hand.keypoint_names)
+    return Readings(
+        rng.normal(size=(count, servos)),
+        rng.normal(size=(count, servos)),
+        poses(rng, count),
+        poses(rng, count),
+        poses(rng, count),
+        rng.normal(size=(count, points, 3)),
+        0.05 * rng.normal(size=(count, points)),
+        rng.normal(size=(count, points, 3)),
+    )
+
+
+def wanted(rng: np.random.Generator, hand: Hand, count: int) -> Wanted:
+    return Wanted(
+        poses(rng, count),
+        rng.normal(size=(count, len(hand.actuators))),
+        poses(rng, count),
+        rng.normal(size=(count, len(hand.keypoint_names), 3)),
+        rng.random((count, len(hand.links))) < 0.5,
+        poses(rng, count),
+        rng.uniform(0.05, 1.0, count),
+        rng.normal(size=(count, 3)),
+        rng.uniform(0.01, 0.3, (count, 3)),
+        rng.normal(size=count),
+        rng.normal(size=count),
+    )
+
+
+def sensed(rng: np.random.Generator, hand: Hand, count: int) -> Sensed:
+    links = len(hand.links)
+    return Sensed(
+        rng.random((count, links)) < 0.5,
+        rng.exponential(size=(count, links)),
+        rng.normal(size=(count, 6)),
+        rng.exponential(size=(count, links)),
+        rng.exponential(size=count),
+        rng.random(count) < 0.5,
+    )
+
+
+def action(rng: np.random.Generator, hand: Hand, count: int) -> np.ndarray:
+    return rng.uniform(-1, 1, (count, 6 + len(hand.actuators)))
+
+
+def moved(values: Readings | Wanted, motion: np.ndarray) -> Any:
+    """The same with all world poses carried along. motion: pose, shape [7]."""
+    carried = ("palm_pose", "palm_set_point", "object_pose", "palm_goal", "settled_pose")
+    names = [field.name for field in fields(values) if field.name in carried]
+    return replace(values, **{name: compose(motion, getattr(values, name)) for name in names})
+
+
+def as_torch(values: Any) -> Any:
+    import torch
+
+    return replace(values, **{f.name: torch.as_tensor(getattr(values, f.name)) for f in fields(values)})
