@@ -20,12 +20,15 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
     "demo": ("fungrasp.cli.demo", "grasp a few built-in objects and show it: a film and a page"),
     "retarget": ("fungrasp.cli.retarget", "turn human grasps into grasps of a robot hand"),
     "evaluate": ("fungrasp.cli.evaluate", "try grasps in simulation and measure how many lift the object"),
+    "train": ("fungrasp.cli.train", "train a policy on grasps: a teacher that knows the contacts"),
+    "distill": ("fungrasp.cli.distill", "train a student, that sees what a robot has, from a teacher"),
+    "reproduce": ("fungrasp.cli.reproduce", "train and test what the paper's tables compare"),
     "hands": ("fungrasp.cli.hands", "list, show, check and export robot hands"),
     "objects": ("fungrasp.cli.objects", "list and show objects"),
     "grasps": ("fungrasp.cli.grasps", "list, show and import human grasps"),
     "setup": ("fungrasp.cli.setup", "fetch the hand models that perceiving images needs"),
     "policies": ("fungrasp.cli.policies", "list and describe learned policies"),
-    "bench": ("fungrasp.cli.bench", "measure the speed of retargeting and simulation"),
+    "bench": ("fungrasp.cli.bench", "measure the speed of retargeting, simulation and training"),
 }
 """Module and summary of every command, in the order of the help."""
 
@@ -107,7 +110,7 @@ def _parse(name: str, command: Any, arguments: list[str]) -> Any:
         command,
         prog=program,
         args=arguments,
-        config=(tyro.conf.FlagCreatePairsOff, tyro.conf.OmitArgPrefixes, tyro.conf.HelptextFromCommentsOff),
+        config=(tyro.conf.FlagCreatePairsOff, tyro.conf.HelptextFromCommentsOff),
     )
 
 

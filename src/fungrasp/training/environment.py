@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
@@ -20,6 +21,8 @@ from fungrasp.task.reward import RewardWeights, total
 from fungrasp.training.library import Library
 from fungrasp.training.rewards import LiftReward
 from fungrasp.training.student import History
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -158,7 +161,7 @@ class LiftEnvironment:
             terms | {"success": success.astype(float), "drop": (done & ~success).astype(float)}, s.reward
         )
         reward = np.where(broken, s.reward.drop, np.nan_to_num(reward))
-        self.diverged += int(broken.sum())
+        self._report(np.flatnonzero(broken))
         ids = np.flatnonzero(done)
         if len(ids):
             group = self.library.group[tracker.rows[ids]]
@@ -173,6 +176,14 @@ class LiftEnvironment:
             success,
             {name: float(np.nanmean(v)) for name, v in terms.items()},
         )
+
+    def _report(self, broken: np.ndarray) -> None:
+        """Count and name worlds whose physics broke down."""
+        self.diverged += len(broken)
+        rows = self.tracker.rows[broken]
+        for row, name in zip(rows.tolist(), self.library.references.object_name[rows].tolist(), strict=True):
+            grasp = self.library.group[row]
+            _log.warning("physics broke down: object '%s', grasp %d, reference %d", name, grasp, row)
 
     def _begin(self, ids: np.ndarray) -> None:
         """New trials in some worlds."""

@@ -17,6 +17,7 @@ from fungrasp.policies.card import ActionPart, Budget, Part, PolicyCard
 from fungrasp.policies.learned import ACTION_PARTS
 from fungrasp.policies.policy_file import hand_digest, save_policy, servo_gains
 from fungrasp.task.residual import WRIST_ACTIONS, ResidualSettings
+from fungrasp.training.student import HISTORY, StudentGraph, StudentModel
 
 OPSET = 18
 
@@ -108,3 +109,12 @@ def export_teacher(actor: MLPModel, path: Path, card: PolicyCard) -> None:
     """Write a teacher's policy file."""
     example = torch.zeros(2, card.input_size)
     save_policy(path, graph(Normalised(actor), {"observation": example}, ("action",)), card)
+
+
+def export_student(student: StudentModel, path: Path, card: PolicyCard) -> None:
+    """Write a student's policy file; its state is the window of what its encoder looks back on."""
+    observation = torch.zeros(2, card.input_size)
+    history = torch.zeros(2, HISTORY, student.encoder.input_size)
+    inputs = {"observation": observation, "state_history": history}
+    outputs = ("action", "contacts", "forces", "next_state_history")
+    save_policy(path, graph(StudentGraph(student), inputs, outputs), card)

@@ -142,6 +142,11 @@ class Trainer:
         """The policy's network."""
         return self.algorithm.get_policy()
 
+    @property
+    def success(self) -> float:
+        """Share of the last trials that succeeded; 0 before any has ended."""
+        return float(np.mean(self._recent)) if self._recent else 0.0
+
     def learn(
         self,
         steps: int,
@@ -169,7 +174,7 @@ class Trainer:
                 Progress(
                     self.steps,
                     self.seconds,
-                    float(np.mean(self._recent)) if self._recent else 0.0,
+                    self.success,
                     report["reward"],
                     float(self.actor.output_std.detach().mean()),
                     self.algorithm.optimizer.param_groups[0]["lr"],

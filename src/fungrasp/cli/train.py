@@ -1,0 +1,223 @@
+"""``fungrasp train``: a policy learns from grasps in simulation."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from fungrasp.errors import FungraspError
+
+try:
+    from fungrasp.training.environment import EnvironmentSettings
+    from fungrasp.training.library import Variety
+    from fungrasp.training.ppo import PpoSettings
+except ImportError as error:
+    raise FungraspError(
+        f'training needs packages that are not installed ({error}): pip install "fungrasp[learning]"'
+    ) from error
+
+if TYPE_CHECKING:
+    from fungrasp.hands import Hand
+    from fungrasp.training.run import Log, TrainingSet
+
+LINE_PERIOD = 10.0
+"""Time between two lines of progress [s]."""
+
+BUILTIN_TERMS = "Apache-2.0, part of fungrasp"
+
+
+@dataclass(frozen=True)
+class Train:
+    """Train a policy: PPO on many perturbed copies of grasps, in many simulated worlds at once.
+
+    Given again with the same settings, the command goes on where it was interrupted, or trains for more
+    steps.
+    """
+
+    out: Path
+    """Folder of the training; policy.onnx will be in it."""
+    grasps: tuple[str, ...] = ("builtin",)
+    """Files of human grasps (they are retargeted first) or of robot grasps of --hand, or "builtin"; several
+    are trained on together."""
+    objects: Path | None = None
+    """Folder of meshes <name>.obj; built-in objects need none."""
+    hand: str = "allegro"
+    """Name of a hand, or the path of a hand's TOML file."""
+    method: str = "ours"
+    """How human grasps are retargeted: ours, angle-copy or dexgraspnet."""
+    steps: float = 3e6
+    """Control steps of all worlds together, earlier runs of this training included."""
+    sees: Literal["contacts", "nothing", "history"] | None = None
+    """Short for --ppo.sees."""
+    seed: int = 0
+    """Of everything that is random."""
+    threads: int = 0
+    """Of the simulation; 0 means all processors. The result does not depend on it."""
+    terms: tuple[str, ...] = ()
+    """Under what terms each of --grasps may be used, for the policy's card."""
+    licence: str = ""
+    """Of the policy, for its card."""
+    wandb: str | None = None
+    """Log to this project of Weights & Biases too."""
+    environment: EnvironmentSettings = field(default_factory=EnvironmentSettings)
+    ppo: PpoSettings = field(default_factory=PpoSettings)
+    variety: Variety = field(default_factory=Variety)
+
+    def run(self) -> None:
+        import torch
+
+        from fungrasp.cli.console import progress_bar
+        from fungrasp.hands import load_hand
+        from fungrasp.training.folder import RunFolder
+        from fungrasp.training.run import POLICY, RunSettings, train
+
+        check_numbers(self.steps, self.seed, self.threads)
+        hand = load_hand(self.hand)
+        ppo = self.ppo if self.sees is None else replace(self.ppo, sees=self.sees)
+        log = None if self.wandb is None else wandb_log(self.wandb, RunFolder(self.out).path)
+        sets = training_sets(self.grasps, self.objects, hand, self.method, self.terms, self.threads)
+        # More threads make the small networks slower.
+        torch.set_num_threads(1)
+        copies = sum(len(s.grasps) for s in sets) * self.variety.copies
+        with progress_bar("planning references", copies) as show:
+            card = train(
+                self.out,
+                sets,
+                hand,
+                RunSettings(self.seed, self.variety, self.environment, ppo),
+                int(self.steps),
+                licence=self.licence,
+                threads=self.threads,
+                planning=show,
+                progress=progress_lines(int(self.steps)),
+                log=log,
+            )
+        seconds = card.budget.seconds
+        print(
+            f"{self.out / POLICY}: {card.kind} of {card.hand}, {card.budget.steps:,} steps in "
+            f"{seconds / 60:.1f} min"
+        )
+
+
+COMMAND = Train
+
+
+def check_numbers(steps: float, seed: int, threads: int) -> None:
+    """Complain about impossible ones.
+
+    Raises:
+        FungraspError: one is.
+    """
+    if not 1 <= steps < 1e15:
+        raise FungraspError(f"--steps must be at least 1, not {steps:g}")
+    if seed < 0 or threads < 0:
+        raise FungraspError("--seed and --threads must not be negative")
+
+
+def training_sets(
+    names: tuple[str, ...],
+    folder: Path | None,
+    hand: Hand,
+    method: str = "ours",
+    terms: tuple[str, ...] = (),
+    threads: int = 0,
+) -> list[TrainingSet]:
+    """Grasps of a hand from files, retargeted where they are human.
+
+    Args:
+        names: of files, or "builtin".
+        folder: of meshes.
+        hand: the robot hand.
+        method: of retargeting.
+        terms: one for each name, or none.
+        threads: 0 means all processors.
+
+    Raises:
+        FungraspError: a file or an object can't be read, grasps of another hand, or an unknown method.
+    """
+    from fungrasp.cli.retarget import retargeted
+    from fungrasp.errors import UnknownNameError
+    from fungrasp.evaluation.dynamic import check_hand
+    from fungrasp.grasps import RobotGraspSet, load_grasps
+    from fungrasp.grasps.files import BUILTIN
+    from fungrasp.retarget import METHODS, load_objects
+    from fungrasp.training.run import TrainingSet
+
+    if method not in METHODS:
+        raise UnknownNameError("retargeting method", method, METHODS)
+    if not names or len(set(names)) < len(names):
+        raise FungraspError("--grasps needs at least one set, and each once")
+    if terms and len(terms) != len(names):
+        raise FungraspError(f"--terms needs one text for each of the {len(names)} --grasps, not {len(terms)}")
+    sets = []
+    for number, name in enumerate(names):
+        grasps = load_grasps(name)
+        place = None if name == BUILTIN else folder
+        objects = load_objects(grasps, place)
+        if isinstance(grasps, RobotGraspSet):
+            check_hand(grasps, hand)
+            robot, label = grasps, ""
+        else:
+            robot, _ = retargeted(grasps, objects, hand, method, threads)
+            label = f", retargeted with {method}"
+        said = terms[number] if terms else BUILTIN_TERMS if name == BUILTIN else "not stated"
+        title = "built-in grasps" if name == BUILTIN else Path(name).name
+        sets.append(TrainingSet(title + label, robot, objects, said, place))
+    return sets
+
+
+def progress_lines(steps: int) -> Callable[[Any], None]:
+    """Prints steps, success and time left every now and then.
+
+    Args:
+        steps: at which training ends.
+
+    Returns:
+        To be called with what has ``steps``, ``seconds`` and ``success``.
+    """
+    last: tuple[float, Any] | None = None
+    first: Any = None
+
+    def show(p: Any) -> None:
+        nonlocal last, first
+        now = time.perf_counter()
+        if first is None:
+            first = p
+        if p.steps < steps and last is not None and now - last[0] < LINE_PERIOD:
+            return
+        last = (now, p)
+        done, seconds = p.steps - first.steps, p.seconds - first.seconds
+        left = ""
+        if done > 0 and seconds > 0 and p.steps < steps:
+            rate = done / seconds
+            left = f", {rate:,.0f} steps/s, {_duration((steps - p.steps) / rate)} left"
+        print(f"{p.steps:,} of {steps:,} steps, success {p.success:.1%}{left}", flush=True)
+
+    return show
+
+
+def wandb_log(project: str, folder: Path) -> Log:
+    """Sends numbers to Weights & Biases, to one run for each folder.
+
+    Raises:
+        FungraspError: the package is not installed.
+    """
+    import hashlib
+
+    try:
+        import wandb  # pyright: ignore[reportMissingImports]
+    except ImportError as error:
+        raise FungraspError("--wandb needs a package that is not installed: pip install wandb") from error
+    name = folder.absolute()
+    key = hashlib.sha256(str(name).encode()).hexdigest()[:16]
+    run = wandb.init(project=project, name=name.name, id=key, resume="allow")
+    return lambda numbers, steps: run.log(dict(numbers), step=steps)
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"

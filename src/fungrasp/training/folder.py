@@ -1,0 +1,183 @@
+"""A training as a folder: what was asked for, planned references, checkpoint, progress."""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import platform
+import subprocess
+import zipfile
+import zlib
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fungrasp import __version__
+from fungrasp.errors import FungraspError
+from fungrasp.files import atomic_path
+from fungrasp.policies.references import References
+from fungrasp.training.library import Library
+
+_log = logging.getLogger(__name__)
+
+NAMED = 5
+"""Most differences to name in an error."""
+
+
+class RunFolder:
+    """The files of one training.
+
+    ``config.json`` holds ``settings``, which stay as they are for as long as the folder lives, and beside
+    them what may change from one call to the next.
+    """
+
+    def __init__(self, path: Path):
+        """path: of the folder; it need not exist."""
+        self.path = path
+        self.config = path / "config.json"
+        self.checkpoint = path / "checkpoint.pt"
+        self.progress = path / "progress.jsonl"
+
+    def claim(self, settings: Mapping[str, Any], **more: Any) -> None:
+        """Write ``config.json``, or go on with the training that is here.
+
+        Args:
+            settings: of the training; as JSON can hold them.
+            more: besides them.
+
+        Raises:
+            FungraspError: the folder holds a training with other settings, something else, or can't be
+                written to.
+        """
+        wanted = json.loads(json.dumps(settings, allow_nan=False))
+        if self.config.is_file():
+            found = list(_differences(self.read_config()["settings"], wanted))
+            if found:
+                rest = f" and {len(found) - NAMED} more" if len(found) > NAMED else ""
+                raise FungraspError(
+                    f"{self.path} holds a training with other settings: {'; '.join(found[:NAMED])}{rest}. "
+                    "Give the same settings to go on, or another folder"
+                )
+        elif self.checkpoint.exists():
+            raise FungraspError(f"{self.path} holds a checkpoint and no config.json: give another folder")
+        made_by = {"version": __version__, "git_revision": git_revision(), "machine": machine()}
+        with atomic_path(self.config) as part:
+            part.write_text(json.dumps(more | {"made_by": made_by, "settings": wanted}, indent=1) + "\n")
+
+    def read_config(self) -> dict[str, Any]:
+        """What ``claim`` wrote.
+
+        Raises:
+            FungraspError: there is none, or it is damaged.
+        """
+        try:
+            config = json.loads(self.config.read_text())
+            if isinstance(config["settings"], dict):
+                return config
+        except OSError as error:
+            raise FungraspError(
+                f"{self.path} is not the folder of a training: cannot read {self.config.name}"
+            ) from error
+        except (ValueError, KeyError, TypeError):
+            pass
+        raise FungraspError(f"{self.config} is damaged, or not of a training")
+
+    def forget_progress_after(self, steps: int) -> None:
+        """Drop lines of progress that an interrupted training made after its last checkpoint.
+
+        Raises:
+            FungraspError: the file can't be written.
+        """
+        if not self.progress.is_file():
+            return
+        kept = []
+        for line in self.progress.read_text().splitlines(keepends=True):
+            try:
+                if json.loads(line)["steps"] <= steps:
+                    kept.append(line)
+            except (ValueError, KeyError, TypeError):
+                continue
+        with atomic_path(self.progress) as part:
+            part.write_text("".join(kept))
+
+    def add_progress(self, numbers: Mapping[str, Any]) -> None:
+        """One more line of progress.
+
+        Raises:
+            FungraspError: the file can't be written.
+        """
+        try:
+            with self.progress.open("a") as stream:
+                stream.write(json.dumps(numbers) + "\n")
+        except OSError as error:
+            raise FungraspError(f"cannot write {self.progress}: {error.strerror or error}") from error
+
+
+def kept_library(path: Path, key: str, plan: Callable[[], Library]) -> Library:
+    """A planned library from its file; if it isn't there, can't be read or is another one, it is planned and
+    kept.
+
+    Args:
+        path: of the file (.npz).
+        key: digest of all that the library depends on.
+        plan: makes it.
+
+    Raises:
+        FungraspError: planning fails, or the file can't be written.
+    """
+    if path.is_file():
+        try:
+            with np.load(path, allow_pickle=False) as data:
+                arrays = dict(data)
+            if str(arrays.pop("key")) == key:
+                group = arrays.pop("group")
+                return Library(References.from_arrays(arrays), group)
+            _log.warning("%s belongs to other grasps or settings: planning again", path)
+        except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile, zlib.error) as error:
+            _log.warning("%s is unreadable (%s): planning again", path, error)
+    library = plan()
+    with atomic_path(path) as part, part.open("wb") as stream:
+        arrays = {"key": np.array(key), "group": library.group} | library.references.arrays()
+        np.savez(stream, **arrays)  # pyright: ignore[reportArgumentType]
+    return library
+
+
+def git_revision() -> str:
+    """Of the checkout that fungrasp runs from, "+changes" if it was edited since; "" outside a checkout."""
+    here = Path(__file__).parent
+
+    def git(*arguments: str) -> str:
+        return subprocess.run(
+            ["git", "-C", str(here), *arguments], capture_output=True, text=True, check=True, timeout=10
+        ).stdout.strip()
+
+    try:
+        git("ls-files", "--error-unmatch", "__init__.py")
+        return git("rev-parse", "HEAD") + ("+changes" if git("status", "--porcelain", "--", "..") else "")
+    except (OSError, subprocess.SubprocessError):
+        return ""
+
+
+def machine() -> str:
+    """What trains, in words."""
+    return (
+        f"{platform.system()} {platform.machine()}, {os.cpu_count()} processors, "
+        f"Python {platform.python_version()}"
+    )
+
+
+def _differences(there: Any, here: Any, name: str = "") -> Iterator[str]:
+    """In words, one for each value that is not the same."""
+    if isinstance(there, dict) and isinstance(here, dict):
+        for key in dict.fromkeys([*there, *here]):
+            yield from _differences(there.get(key), here.get(key), f"{name}.{key}".strip("."))
+    elif there != here:
+        yield f"{name} is {_short(there)} there, {_short(here)} here"
+
+
+def _short(value: Any) -> str:
+    text = json.dumps(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."

@@ -1,0 +1,262 @@
+"""Training a policy in a folder, from grasps to policy file, with any number of interruptions."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from torch.utils.tensorboard import SummaryWriter
+
+from fungrasp import __version__
+from fungrasp.errors import FungraspError
+from fungrasp.files import digest
+from fungrasp.grasps import RobotGraspSet
+from fungrasp.hands import Hand, hand_files
+from fungrasp.objects import ObjectModel
+from fungrasp.policies.card import Budget, PolicyCard, TrainingData
+from fungrasp.policies.policy_file import hand_digest
+from fungrasp.policies.references import References
+from fungrasp.training.environment import EnvironmentSettings, LiftEnvironment
+from fungrasp.training.export import export_student, export_teacher, make_card
+from fungrasp.training.folder import RunFolder, git_revision, kept_library, machine
+from fungrasp.training.library import Library, Variety, build_library
+from fungrasp.training.ppo import PpoSettings, Progress, Trainer
+from fungrasp.training.student import StudentModel
+
+REFERENCES = "references.npz"
+POLICY = "policy.onnx"
+
+Log = Callable[[Mapping[str, float], int], None]
+"""Takes numbers by name, and the control steps so far."""
+
+
+@dataclass(frozen=True, eq=False)
+class TrainingSet:
+    """Grasps to train on."""
+
+    name: str
+    """For the policy's card."""
+    grasps: RobotGraspSet
+    objects: Mapping[str, ObjectModel]
+    """By name."""
+    terms: str = "not stated"
+    """Under what terms the grasps may be used."""
+    folder: Path | None = None
+    """Of the objects' meshes."""
+
+    def about(self) -> dict[str, Any]:
+        """What tells it from others."""
+        names = np.unique(self.grasps.object_name).tolist()
+        return {
+            "name": self.name,
+            "terms": self.terms,
+            "count": len(self.grasps),
+            "sha256": digest(
+                {name: getattr(self.grasps, name) for name in self.grasps.FIELDS}, self.grasps.extra
+            ),
+            "objects": {name: self.objects[name].digest for name in names},
+        }
+
+
+@dataclass(frozen=True)
+class RunSettings:
+    """Of a teacher's training."""
+
+    seed: int = 0
+    """Of everything random."""
+    variety: Variety = field(default_factory=Variety)
+    environment: EnvironmentSettings = field(default_factory=EnvironmentSettings)
+    ppo: PpoSettings = field(default_factory=PpoSettings)
+
+
+def train(
+    folder: Path,
+    sets: Sequence[TrainingSet],
+    hand: Hand,
+    settings: RunSettings,
+    steps: int,
+    *,
+    licence: str = "",
+    threads: int = 0,
+    references: Path | None = None,
+    planning: Callable[[int], None] = lambda done: None,
+    progress: Callable[[Progress], None] = lambda p: None,
+    log: Log | None = None,
+) -> PolicyCard:
+    """Train a policy, or go on training it, until ``steps`` have been made in all; its file is
+    ``policy.onnx``.
+
+    Args:
+        folder: of the training.
+        sets: of grasps of ``hand``, at least one.
+        hand: the robot hand.
+        settings: those that the folder was begun with, if it was.
+        steps: control steps of all worlds together, earlier calls included.
+        licence: of the policy, for its card.
+        threads: 0 means all processors. The result does not depend on it.
+        references: file of the planned references; one in the folder if None.
+        planning: called with the number of references that are planned.
+        progress: called after each update.
+        log: gets the numbers of each update, besides TensorBoard.
+
+    Returns:
+        The policy's card.
+
+    Raises:
+        FungraspError: no usable grasp, a folder of another training, a damaged checkpoint, or a file that
+            can't be written.
+    """
+    run = RunFolder(folder)
+    settings = consistent(settings)
+    objects = joined_objects(sets)
+    about = [s.about() for s in sets]
+    planned_from = {
+        "hand": hand.name,
+        "hand_sha256": hand_digest(hand),
+        "sets": about,
+        "variety": asdict(settings.variety),
+        "seed": settings.seed,
+    }
+    run.claim(
+        planned_from | {"environment": asdict(settings.environment), "ppo": asdict(settings.ppo)},
+        kind="teacher",
+        steps=steps,
+        hand=hand.name if hand.name in hand_files() else str(hand.path.absolute()),
+        object_folders=[None if s.folder is None else str(s.folder.absolute()) for s in sets],
+    )
+    library = kept_library(
+        references or folder / REFERENCES,
+        digest(__version__, json.dumps(planned_from)),
+        lambda: plan_library(sets, hand, settings, threads, planning),
+    )
+    environment = LiftEnvironment(library, objects, hand, settings.environment, settings.seed, threads)
+    trainer = Trainer(environment, settings.ppo, settings.seed)
+    if run.checkpoint.exists():
+        trainer.load(run.checkpoint)
+    run.forget_progress_after(trainer.steps)
+    with SummaryWriter(str(folder), purge_step=trainer.steps) as events:
+
+        def report(p: Progress) -> None:
+            numbers = flat(p) | {
+                "success_of_groups": float(environment.success_of_group.mean()),
+                "diverged": environment.diverged,
+            }
+            run.add_progress(numbers)
+            for name, value in numbers.items():
+                events.add_scalar(name, value, p.steps)
+            if log is not None:
+                log(numbers, p.steps)
+            progress(p)
+
+        trainer.learn(steps, report, run.checkpoint)
+    card = training_card(folder, trainer, sets, settings.seed, licence)
+    export(trainer, folder / POLICY, card)
+    return card
+
+
+def consistent(settings: RunSettings) -> RunSettings:
+    """An actor that sees the history needs an environment that keeps it."""
+    history = settings.ppo.sees == "history"
+    return replace(settings, environment=replace(settings.environment, history=history))
+
+
+def plan_library(
+    sets: Sequence[TrainingSet],
+    hand: Hand,
+    settings: RunSettings,
+    threads: int = 0,
+    progress: Callable[[int], None] = lambda done: None,
+) -> Library:
+    """The references of several sets, each grasp a group of its own.
+
+    Raises:
+        FungraspError: a set without any usable grasp; the message names it.
+    """
+    parts: list[Library] = []
+    groups = done = 0
+    for number, one in enumerate(sets):
+        try:
+            part = build_library(
+                one.grasps,
+                one.objects,
+                hand,
+                settings.variety,
+                settings.seed + number,
+                threads,
+                lambda count, before=done: progress(before + count),
+            )
+        except FungraspError as error:
+            raise FungraspError(f"{one.name}: {error}") from error
+        parts.append(Library(part.references, part.group + groups))
+        groups += len(one.grasps)
+        done += len(one.grasps) * settings.variety.copies
+    return Library(
+        References.join([part.references for part in parts]), np.concatenate([part.group for part in parts])
+    )
+
+
+def joined_objects(sets: Sequence[TrainingSet]) -> dict[str, ObjectModel]:
+    """The objects of several sets, by name.
+
+    Raises:
+        FungraspError: no set, or two different objects of the same name.
+    """
+    if not sets:
+        raise FungraspError("training needs at least one set of grasps")
+    objects: dict[str, ObjectModel] = {}
+    for one in sets:
+        for name, thing in one.objects.items():
+            if objects.setdefault(name, thing).digest != thing.digest:
+                raise FungraspError(f"{one.name}: its object '{name}' is not that of another set")
+    return objects
+
+
+def training_card(
+    folder: Path, trainer: Trainer, sets: Sequence[TrainingSet], seed: int, licence: str = ""
+) -> PolicyCard:
+    """What a trained policy's file should say about it."""
+    environment = trainer.environment
+    teacher = trainer.settings.sees == "contacts"
+    return make_card(
+        folder.absolute().name,
+        "teacher" if teacher else "student",
+        environment.hand,
+        environment.layout,
+        environment.privileged_layout if teacher else (),
+        environment.settings.residual,
+        1 / environment.protocol.control_period,
+        Budget(trainer.steps, trainer.seconds, machine()),
+        training_data=tuple(TrainingData(s.name, s.terms, len(s.grasps)) for s in sets),
+        git_revision=git_revision(),
+        seed=seed,
+        measured={"in training, exploring": {"success": trainer.success}},
+        licence=licence,
+    )
+
+
+def export(trainer: Trainer, path: Path, card: PolicyCard) -> None:
+    """Write the file of a trained policy.
+
+    Raises:
+        FungraspError: it can't be written.
+    """
+    actor = trainer.actor
+    if isinstance(actor, StudentModel):
+        export_student(actor, path, card)
+    else:
+        export_teacher(actor, path, card)
+
+
+def flat(progress: Progress) -> dict[str, float]:
+    """Its numbers by name, those of a table as ``table/name``."""
+    numbers: dict[str, float] = {}
+    for name, value in asdict(progress).items():
+        if isinstance(value, dict):
+            numbers |= {f"{name}/{key}": number for key, number in value.items()}
+        else:
+            numbers[name] = value
+    return numbers
