@@ -13,6 +13,7 @@ import numpy as np
 
 from fungrasp.geometry.poses import (
     cross,
+    inverse_transform_points,
     quaternion_from_rotation_vector,
     quaternion_multiply,
     rotation_matrix,
@@ -28,8 +29,13 @@ class Surface:
     distance: SignedDistanceBank
     """Of one grid."""
     samples: np.ndarray
-    """Evenly spread points of the surface in random order [m], shape [M, 3]: any leading part is even
-    too."""
+    """Points of the surface, each far from those before it [m], shape [M, 3]: any leading part is evenly
+    spread too."""
+
+    def median_distance(self, points: np.ndarray, pose: np.ndarray) -> float:
+        """Median distance of points [m], camera frame, shape [P, 3], from the surface at a pose [7]."""
+        local = inverse_transform_points(pose, points)
+        return float(np.median(np.abs(self.distance.query(np.zeros(1, dtype=int), local[None])[0])))
 
 
 @dataclass(frozen=True, eq=False)

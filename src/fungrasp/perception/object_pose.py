@@ -1,0 +1,191 @@
+"""The pose of a known mesh from one depth image."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import trimesh
+
+from fungrasp.objects import ObjectModel
+from fungrasp.perception.capture import Capture
+from fungrasp.perception.estimates import HandEstimate, ObjectEstimate
+from fungrasp.perception.icp import Evidence
+from fungrasp.perception.known_object import KnownObject, known_object
+from fungrasp.perception.pose_colour import colour_agreement
+from fungrasp.perception.pose_confidence import ACCEPT, confidence, doubts, rivals
+from fungrasp.perception.pose_judge import Judge, Verdict, make_judge
+from fungrasp.perception.pose_search import (
+    Found,
+    SearchSettings,
+    best_of,
+    explained_mask,
+    gather,
+    refine,
+    search,
+    symmetric,
+)
+from fungrasp.perception.segmentation import TIPS, find_table, segment
+
+SIZES = (0.01, 1.5)
+"""Shortest and longest diagonal of an object that a hand holds [m]."""
+
+LEAST_PIXELS = 80
+"""Fewer measured pixels of the object don't tell its pose."""
+
+TOO_LARGE = 1.25
+"""What a mask shows is not the mesh if it is larger by this factor."""
+
+GOOD = (0.85, 0.6)
+"""Quality of an answer that needs no second search, with and without a mask."""
+
+COLOUR_WEIGHT = 0.15
+"""Quality that full agreement of colours is worth, as a part of the best pose's."""
+
+ANSWERS = 5
+"""Most alternatives that are kept."""
+
+
+@dataclass(frozen=True, eq=False)
+class _View:
+    """One image made ready for the search."""
+
+    known: KnownObject
+    capture: Capture
+    table: np.ndarray | None
+    joints: np.ndarray | None
+    support: np.ndarray
+    masks: tuple[np.ndarray, ...]
+    evidence: tuple[Evidence, ...]
+
+    def judge(self, rays: int) -> Judge:
+        known, capture = self.known, self.capture
+        return make_judge(known, capture, self.support, self.masks, self.table, self.joints, rays)
+
+
+def estimate_object_pose(
+    capture: Capture,
+    mesh: ObjectModel | trimesh.Trimesh,
+    hand: HandEstimate | None = None,
+    table: np.ndarray | None = None,
+    *,
+    seed: int = 0,
+    settings: SearchSettings | None = None,
+) -> ObjectEstimate:
+    """Find a known object in a depth image.
+
+    The object's pixels are those of the capture's mask; without one, several masks are proposed from table,
+    hand and box, and the fit decides. An answer that the image does not support is still given, with
+    ``accepted`` False and a note.
+
+    Args:
+        capture: colour and depth.
+        mesh: the object [m]; a trimesh with colours settles which way round a nearly symmetric object is.
+        hand: what holds it, if known.
+        table: plane ``[nx ny nz d]`` with ``n . x + d`` the height of a point above it [m], camera frame,
+            shape [4]; looked for in the image if None.
+        seed: the same seed gives the same answer.
+        settings: how much is tried.
+
+    Raises:
+        FungraspError: the mesh has no faces.
+    """
+    size = float(np.linalg.norm(np.ptp(np.asarray(mesh.vertices), axis=0))) if len(mesh.vertices) else 0.0
+    joints = None if hand is None else hand.joints_camera
+    if not SIZES[0] < size < SIZES[1]:
+        unit = "; is it in millimetres?" if size >= SIZES[1] else ""
+        return _unsure(capture, joints, f"the mesh is {size:.4g} m large{unit}")
+    known, rng = known_object(mesh), np.random.default_rng(seed)
+    if table is None:
+        table = find_table(capture, rng)
+    view, problem = _view(known, capture, joints, table, rng)
+    if problem or view is None:
+        return _unsure(capture, joints, problem)
+    found, verdict, colour = _answers(view, rng, settings or SearchSettings())
+    order = np.argsort(-(verdict.quality + COLOUR_WEIGHT * verdict.quality.max() * colour))
+    found = Found(found.poses[order], found.owner[order])
+    verdict = verdict.chosen(order)
+    rival = rivals(known, found.poses, verdict.quality)
+    scores = confidence(verdict, rival, capture.mask is not None)
+    best = found.poses[0]
+    points = view.evidence[found.owner[0]].points
+    residual = known.surface.median_distance(points, best)
+    score = float(scores[0])
+    note = "" if score >= ACCEPT else f"not sure: {doubts(verdict, rival, capture.mask is not None)}"
+    others = tuple(
+        (pose, float(min(value, score))) for pose, value in zip(found.poses[1:], scores[1:], strict=True)
+    )
+    return ObjectEstimate(best, score, score >= ACCEPT, others[:ANSWERS], residual, note)
+
+
+def _view(
+    known: KnownObject,
+    capture: Capture,
+    joints: np.ndarray | None,
+    table: np.ndarray | None,
+    rng: np.random.Generator,
+) -> tuple[_View | None, str]:
+    """The image made ready; or why that can't be."""
+    if capture.mask is not None:
+        masks: tuple[np.ndarray, ...] = (capture.mask,)
+        support = capture.mask.astype(float)
+    else:
+        segmentation = segment(capture, joints, table, known.size)
+        masks, support = segmentation.masks, segmentation.support
+    counts = [int((mask & capture.measured).sum()) for mask in masks]
+    masks = tuple(mask for mask, count in zip(masks, counts, strict=True) if count >= LEAST_PIXELS)
+    if not masks:
+        where = "the mask" if capture.mask is not None else "what may be the object"
+        return None, f"{where} has only {max(counts, default=0)} pixels with depth"
+    evidence = tuple(gather(capture, mask, table, rng) for mask in masks)
+    if capture.mask is not None:
+        low, high = np.percentile(evidence[0].points, [3, 97], axis=0)
+        extent = float(np.linalg.norm(high - low))
+        if extent > TOO_LARGE * known.size:
+            return None, (
+                f"the mask shows something {extent:.3f} m large, but the mesh is {known.size:.3f} m: "
+                "wrong mesh, mask or unit?"
+            )
+    return _View(known, capture, table, joints, support, masks, evidence), ""
+
+
+def _answers(
+    view: _View, rng: np.random.Generator, settings: SearchSettings
+) -> tuple[Found, Verdict, np.ndarray]:
+    """Different poses, what speaks for each, and the agreement of their colours."""
+    few, many = view.judge(250), view.judge(1000)
+    known, evidence = view.known, view.evidence
+    found = search(known, evidence, (few, many), rng, settings)
+    masked = view.capture.mask is not None
+    if float(many(found.poses, found.owner).quality.max()) < GOOD[0 if masked else 1]:
+        harder = replace(settings, rotations=2 * settings.rotations)
+        again = search(known, evidence, (few, many), rng, harder)
+        found = Found(np.concatenate([found.poses, again.poses]), np.concatenate([found.owner, again.owner]))
+    if not masked:
+        found = best_of(found, known, many, 6)
+        allowed = view.support > 0.25
+        masks = [explained_mask(known, view.capture, pose, allowed) for pose in found.poses[:3]]
+        sharper = [gather(view.capture, mask, view.table, rng) for mask in masks if mask.sum() > LEAST_PIXELS]
+        for seen in sharper:
+            poses = refine(known, [seen], Found(found.poses[:3], np.zeros(3, int)), settings.rounds[-1]).poses
+            found = Found(
+                np.concatenate([found.poses, poses]), np.concatenate([found.owner, found.owner[:3]])
+            )
+    if known.colours is not None and len(known.symmetries):
+        found = refine(known, evidence, symmetric(best_of(found, known, many, 2), known), settings.rounds[3])
+        found = refine(known, evidence, best_of(found, known, many, 24), settings.rounds[4])
+    found = best_of(found, known, many, 24)
+    colour = colour_agreement(known, view.capture, found.poses, view.support > 0.25)
+    return found, many(found.poses, found.owner), colour
+
+
+def _unsure(capture: Capture, joints: np.ndarray | None, why: str) -> ObjectEstimate:
+    """No answer: a pose in the middle of what is known, and the reason."""
+    if joints is not None:
+        middle = joints[list(TIPS)].mean(axis=0)
+    else:
+        shown = capture.measured if capture.mask is None else capture.mask & capture.measured
+        points = capture.points()[shown if shown.any() else capture.measured]
+        middle = np.median(points, axis=0)
+    pose = np.concatenate([middle, [1.0, 0.0, 0.0, 0.0]])
+    return ObjectEstimate(pose, 0.0, False, note=f"not sure: {why}")

@@ -1,0 +1,72 @@
+"""How sure a pose is, from what speaks for it and against it; and what makes it doubtful, in words."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fungrasp.perception.known_object import KnownObject
+from fungrasp.perception.pose_error import add_s
+from fungrasp.perception.pose_judge import Verdict
+
+ACCEPT = 0.7
+"""Answers with a score below are "not sure"."""
+
+RIVAL_DISTANCE = 0.01
+"""A pose so far from another (ADD-S [m]) is a different answer."""
+
+
+def rivals(known: KnownObject, poses: np.ndarray, quality: np.ndarray) -> np.ndarray:
+    """Quality of the best different answer to each pose, 0 where there is none, shape [H].
+
+    Args:
+        known: the object.
+        poses: shape [H, 7].
+        quality: shape [H].
+    """
+    points = known.surface.samples[:300]
+    result = np.zeros(len(poses))
+    for i, pose in enumerate(poses):
+        different = add_s(points, poses, pose) > RIVAL_DISTANCE
+        result[i] = quality[different].max(initial=0.0)
+    return result
+
+
+def features(verdict: Verdict, rival: np.ndarray) -> np.ndarray:
+    """What the score is made of, shape [H, 6]."""
+    return np.stack(
+        [
+            verdict.explained,
+            np.minimum(verdict.contradicted, 0.5),
+            verdict.visible,
+            np.minimum(verdict.contact, 0.05) / 0.05,
+            np.log10(np.maximum(verdict.pixels, 1.0)) - 3.0,
+            rival / np.maximum(verdict.quality, 1e-6),
+        ],
+        axis=-1,
+    )
+
+
+WEIGHTS = {True: np.zeros(7), False: np.zeros(7)}
+
+
+def confidence(verdict: Verdict, rival: np.ndarray, masked: bool) -> np.ndarray:
+    """Probability that ADD-S is below 10 mm, shape [H]."""
+    weights = WEIGHTS[masked]
+    return 1.0 / (1.0 + np.exp(-(features(verdict, rival) @ weights[1:] + weights[0])))
+
+
+def doubts(verdict: Verdict, rival: np.ndarray, masked: bool) -> str:
+    """What makes the first pose doubtful."""
+    reasons = []
+    if verdict.explained[0] < 0.7:
+        whose = "the mask" if masked else "what may be the object"
+        reasons.append(f"the mesh explains {100 * verdict.explained[0]:.0f} % of {whose}; wrong mesh?")
+    if verdict.contradicted[0] > 0.1:
+        reasons.append("the mesh would hide things that were seen behind it")
+    if verdict.contact[0] > 0.02:
+        reasons.append(f"the fingertips are {1000 * verdict.contact[0]:.0f} mm from the object's surface")
+    if rival[0] > 0.9 * verdict.quality[0]:
+        reasons.append("another pose fits as well")
+    if verdict.pixels[0] < 500:
+        reasons.append(f"only {verdict.pixels[0]:.0f} pixels show the object")
+    return "; ".join(reasons) or "too little of the object is seen for a clear answer"
