@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 from grasp_files import BAD, bad_inputs, run, some_grasps
 from PIL import Image
 
+from fungrasp import evaluation
 from fungrasp.evaluation import dynamic, replay
 from fungrasp.grasps import save_human_grasps
 
@@ -108,17 +110,86 @@ def test_refined_grasps_are_no_worse(human, tmp_path, capsys):
 def test_disturbances_and_seeds(human, tmp_path, capsys):
     path = tmp_path / "e.json"
     options = ("--mass-scale", 2, "--friction", 0.6, "--pose-noise", 0.01, 10, "--table-height", 0.02)
+    options += ("--latency", 0.04, "--push", 0.5, 0.1, "--object-shift", 0.01)
     status, out, _ = run(capsys, "evaluate", "--grasps", human, "--seed", 0, 1, *options, "--json", path)
     assert status == 0 and "4 trials" in out
     numbers = json.loads(path.read_text())
     assert numbers["seed"] == [0, 1]
-    assert numbers["disturbance"]["rotation_noise"] == pytest.approx(np.deg2rad(10))
+    disturbance = numbers["disturbance"]
+    assert disturbance.pop("rotation_noise") == pytest.approx(np.deg2rad(10))
+    assert disturbance == {
+        "mass_scale": 2.0,
+        "friction": 0.6,
+        "position_noise": 0.01,
+        "table_height": 0.02,
+        "latency": 0.04,
+        "push": 0.5,
+        "push_duration": 0.1,
+        "object_shift": 0.01,
+    }
     assert [(trial["index"], trial["seed"]) for trial in numbers["trials"]] == [
         (0, 0),
         (1, 0),
         (0, 1),
         (1, 1),
     ]
+
+
+SOME = {
+    "nominal": evaluation.Disturbance(),
+    "light, moved": evaluation.Disturbance(mass_scale=0.7, object_shift=0.01),
+    "latency 60 ms": evaluation.Disturbance(latency=0.06),
+}
+
+
+def test_robustness_tries_every_condition(human, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(evaluation, "CONDITIONS", SOME)
+    path, plain, record = tmp_path / "r.json", tmp_path / "e.json", tmp_path / "trials"
+    options = ("--grasps", human, "--seed", 0, 1, "--robustness", "--json", path, "--record", record)
+    status, out, _ = run(capsys, "evaluate", *options)
+    assert status == 0
+    lines = out.splitlines()
+    assert lines[0].split()[:3] == ["condition", "trials", "success"]
+    assert [line.split("  ")[0] for line in lines[1:4]] == list(SOME)
+    # What is not random is tried once.
+    assert [line.replace(name, "").split()[0] for line, name in zip(lines[1:4], SOME, strict=True)] == list(
+        "242"
+    )
+    numbers = json.loads(path.read_text())
+    conditions = numbers["robustness"]
+    assert list(conditions) == list(SOME)
+    rates = [condition["success_rate"] for condition in conditions.values()]
+    assert lines[4] == f"mean over the 2 disturbed conditions: {(rates[1] + rates[2]) / 2:.1%}"
+    assert "8 trials in" in lines[5]
+    assert conditions["light, moved"]["disturbance"]["object_shift"] == 0.01
+    moved = conditions["light, moved"]["trials"]
+    assert [(trial["index"], trial["seed"]) for trial in moved] == [(0, 0), (1, 0), (0, 1), (1, 1)]
+    assert np.mean([trial["success"] for trial in moved]) == rates[1]
+    assert sorted(folder.name for folder in record.iterdir()) == ["latency-60-ms", "light-moved", "nominal"]
+    assert len(list((record / "light-moved").iterdir())) == 4
+    assert run(capsys, "evaluate", "--grasps", human, "--json", plain)[0] == 0
+    assert trials(plain) == numbers["trials"]
+    assert conditions["nominal"]["success_rate"] == numbers["success_rate"]
+
+
+def test_grasps_are_refined_once_for_all_conditions(human, tmp_path, capsys, monkeypatch):
+    from fungrasp import policies
+
+    refined = []
+
+    def refine(grasps, *others, seed, **more):
+        refined.append(seed)
+        return dataclasses.replace(grasps, extra={"refined_tries": np.full(len(grasps), 7)})
+
+    monkeypatch.setattr(policies, "refine", refine)
+    monkeypatch.setattr(evaluation, "CONDITIONS", dict(list(SOME.items())[:2]))
+    path = tmp_path / "r.json"
+    options = ("--refine", 7, "--seed", 0, 1, "--robustness", "--json", path)
+    assert run(capsys, "evaluate", "--grasps", human, *options)[0] == 0
+    assert refined == [0, 1]
+    numbers = json.loads(path.read_text())
+    assert [trial["refined_tries"] for trial in numbers["trials"]] == [7] * 4
+    assert [condition["count"] for condition in numbers["robustness"].values()] == [4, 4]
 
 
 def test_an_interrupted_run_goes_on_when_given_again(human, tmp_path, capsys, monkeypatch):
@@ -173,6 +244,11 @@ def test_bad_input_is_one_line_and_leaves_no_file(name, bad, tmp_path, capsys):
         (("--mass-scale", 0), "mass scale must be positive"),
         (("--pose-noise", "nan", 0), "position noise must be finite"),
         (("--friction", -0.5), "friction must be positive"),
+        (("--latency", 0.2), "latency must be 0 to 0.1 s"),
+        (("--push", -1, 0.2), "push must be finite"),
+        (("--push", 1, 0), "push duration must be positive"),
+        (("--object-shift", "inf"), "object shift must be finite"),
+        (("--robustness", "--mass-scale", 2), "--robustness has disturbances of its own"),
     ],
 )
 def test_options_that_cannot_be(arguments, words, robot, tmp_path, capsys):

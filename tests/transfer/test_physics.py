@@ -186,16 +186,13 @@ def test_samples_that_do_not_fit_are_refused(allegro):
         apply(wrong, worlds, np.arange(2))
 
 
-def test_a_push_lasts_its_time_after_the_lift_began(allegro):
-    changes = replace(
-        drawn(allegro, 5),
-        push=np.arange(15.0).reshape(5, 3) + 1,
-        push_start=np.full(5, 1.0),
-        push_duration=np.full(5, 0.2),
-    )
-    force = pushes(changes, np.array([-np.inf, 0.99, 1.0, 1.19, 1.21]))
-    np.testing.assert_array_equal(force[[2, 3]], changes.push[[2, 3]])
-    np.testing.assert_array_equal(force[[0, 1, 4]], 0.0)
+def test_a_push_lasts_its_time_from_its_start():
+    force = np.arange(18.0).reshape(6, 3) + 1
+    now = np.array([-np.inf, 0.99, 1.0, 1.19, 1.2, np.nan])
+    np.testing.assert_array_equal(pushes(force, 1.0, 0.2, now)[[2, 3]], force[[2, 3]])
+    np.testing.assert_array_equal(pushes(force, 1.0, 0.2, now)[[0, 1, 4, 5]], 0.0)
+    own = pushes(force, np.array([0.0, 0.0, 0.9, 1.0, 1.0, 1.0]), np.array([1, 1, 0.05, 0.1, 0.3, 1]), now)
+    assert (own != 0).all(axis=1).tolist() == [False, True, False, False, True, False]
 
 
 def test_a_push_moves_the_object_without_turning_it_until_it_is_taken_back(allegro):

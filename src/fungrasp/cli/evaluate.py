@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fungrasp.cli.console import progress_bar, table, write_json
+from fungrasp.cli.console import progress_bar, write_json
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -57,6 +57,15 @@ class Evaluate:
     """The object is this far [m] and turned by this angle [degrees] from where the policy believes it is."""
     table_height: float = 0.0
     """The table is this much higher than the policy believes [m]."""
+    latency: float = 0.0
+    """Actions take effect this late [s], up to 0.1."""
+    push: tuple[float, float] = (0.0, 0.2)
+    """During the hold, three pushes in random directions: force [times the object's weight], duration [s]."""
+    object_shift: float = 0.0
+    """The object is moved this far on the table [m] after the policy has planned."""
+    robustness: bool = False
+    """Try the grasps under each condition of the robustness protocol: other masses, friction, table heights,
+    wrong poses, latency, pushes, moved objects."""
     threads: int = 0
     """0 means all processors; the result does not depend on it."""
 
@@ -64,9 +73,10 @@ class Evaluate:
         from time import perf_counter
 
         from fungrasp.cli.retarget import draw_grasps
-        from fungrasp.evaluation import result_json
+        from fungrasp.cli.trial_tables import comparison, result_table, robustness_table, static_words
+        from fungrasp.evaluation import CONDITIONS, result_json
         from fungrasp.evaluation.dynamic import check_hand, check_policy
-        from fungrasp.evaluation.results import machine
+        from fungrasp.evaluation.results import machine, robustness_json
         from fungrasp.evaluation.store import PartialResults
         from fungrasp.grasps import RobotGraspSet, load_grasps
         from fungrasp.hands import load_hand
@@ -85,10 +95,16 @@ class Evaluate:
         )
         start = perf_counter()
         sets = self._robot_grasps(grasps, objects, hand)
-        results = {
-            name: self._evaluate(name, robot, objects, hand, disturbance, store)
+        conditions = CONDITIONS if self.robustness else {"": disturbance}
+        refinement = self._refinement(objects, hand)
+        tried = {
+            name: {
+                condition: self._evaluate((name, condition), robot, objects, hand, other, refinement, store)
+                for condition, other in conditions.items()
+            }
             for name, robot in sets.items()
         }
+        results = {name: next(iter(those.values())) for name, those in tried.items()}
         seconds = perf_counter() - start
         static = {
             name: self._static(robot, None if robot is grasps else grasps, objects, hand)
@@ -97,6 +113,9 @@ class Evaluate:
         }
         if self.json is not None and store is not None:
             jsons = {name: result_json(result) | static.get(name, {}) for name, result in results.items()}
+            if self.robustness:
+                for name, those in tried.items():
+                    jsons[name]["robustness"] = robustness_json(those)
             whole: dict[str, Any] = next(iter(jsons.values())) if len(jsons) == 1 else {"methods": jsons}
             write_json(self.json, whole | {"seconds": seconds, "machine": machine()})
             store.remove()
@@ -109,12 +128,13 @@ class Evaluate:
         for name, result in results.items():
             if len(results) > 1:
                 print(f"{name}:")
-            print(result_table(result))
+            print(robustness_table(tried[name]) if self.robustness else result_table(result))
             if name in static:
                 print(static_words(static[name]))
         if len(results) > 1:
             print(comparison(results))
-        print(f"{sum(len(result.index) for result in results.values())} trials in {seconds:.1f} s")
+        count = sum(len(result.index) for those in tried.values() for result in those.values())
+        print(f"{count} trials in {seconds:.1f} s")
 
     def _disturbance(self) -> Disturbance:
         from math import radians
@@ -122,11 +142,23 @@ class Evaluate:
         from fungrasp.evaluation import Disturbance
 
         distance, angle = self.pose_noise
-        return Disturbance(self.mass_scale, self.friction, distance, radians(angle), self.table_height)
+        force, duration = self.push
+        return Disturbance(
+            mass_scale=self.mass_scale,
+            friction=self.friction,
+            position_noise=distance,
+            rotation_noise=radians(angle),
+            table_height=self.table_height,
+            latency=self.latency,
+            push=force,
+            push_duration=duration,
+            object_shift=self.object_shift,
+        )
 
     def _check(self, robot: bool, disturbance: Disturbance) -> None:
         """Complain about options that do not go together."""
         from fungrasp.errors import FungraspError, UnknownNameError
+        from fungrasp.evaluation import Disturbance
         from fungrasp.retarget import METHODS
 
         for name in self.method:
@@ -139,10 +171,12 @@ class Evaluate:
                 raise FungraspError(f"--{name} needs at least one value, and each once")
         if min(self.seed) < 0 or self.refine < 0 or self.threads < 0:
             raise FungraspError("--seed, --refine and --threads must not be negative")
-        if len(self.seed) > 1 and not (self.refine or disturbance.is_random):
+        if self.robustness and disturbance != Disturbance():
+            raise FungraspError("--robustness has disturbances of its own: give it or single ones")
+        if len(self.seed) > 1 and not (self.refine or self.robustness or disturbance.is_random):
             raise FungraspError(
-                "nothing is random here, so several seeds would only repeat the same trials: "
-                "give one --seed, or --pose-noise or --refine"
+                "nothing is random here, so several seeds would only repeat the same trials: give one "
+                "--seed, or something random (--pose-noise, --push, --object-shift, --robustness, --refine)"
             )
 
     def _robot_grasps(
@@ -157,27 +191,36 @@ class Evaluate:
 
     def _evaluate(
         self,
-        name: str,
+        names: tuple[str, str],
         robot: RobotGraspSet,
         objects: Mapping[str, ObjectModel],
         hand: Hand,
         disturbance: Disturbance,
+        refinement: Refinement | None,
         store: PartialResults | None,
     ) -> DynamicResult:
+        """names: of the method and the condition, "" for one that needs no name."""
         from fungrasp.evaluation import evaluate
         from fungrasp.evaluation.dynamic import CHUNK
 
-        folder = self.record / name if self.record is not None and len(self.method) > 1 else self.record
-        with progress_bar(f"{hand.name}, {name}", len(robot) * len(self.seed)) as show:
+        method, condition = names
+        folder = self.record
+        if folder is not None and len(self.method) > 1:
+            folder = folder / method
+        if folder is not None and condition:
+            folder = folder / condition.replace(",", "").replace(" ", "-")
+        seeds = self.seed if self.refine or disturbance.is_random else self.seed[:1]
+        words = ", ".join(word for word in (hand.name, method, condition) if word)
+        with progress_bar(words, len(robot) * len(seeds)) as show:
             return evaluate(
                 robot,
                 objects,
                 hand,
                 self.policy,
-                seeds=self.seed,
+                seeds=seeds,
                 threads=self.threads,
                 disturbance=disturbance,
-                refine=self._refinement(objects, hand),
+                refine=refinement,
                 record=folder,
                 store=store,
                 chunk=REFINED_CHUNK if self.refine else CHUNK,
@@ -206,59 +249,19 @@ class Evaluate:
         if not self.refine:
             return None
         from fungrasp.evaluation.dynamic import Refinement
+        from fungrasp.files import digest
         from fungrasp.policies import refine
 
+        done: dict[str, RobotGraspSet] = {}
+
         def improve(grasps: RobotGraspSet, seed: int) -> RobotGraspSet:
-            return refine(grasps, objects, hand, tries=self.refine, seed=seed, threads=self.threads)
+            """Once for all conditions."""
+            key = digest({name: getattr(grasps, name) for name in grasps.FIELDS}, grasps.extra, seed)
+            if key not in done:
+                done[key] = refine(grasps, objects, hand, tries=self.refine, seed=seed, threads=self.threads)
+            return done[key]
 
         return Refinement(improve, f"{self.refine} tries")
 
 
 COMMAND = Evaluate
-
-
-def result_table(result: DynamicResult) -> str:
-    """Objects and their rates of success, and why trials failed."""
-    from collections import Counter
-
-    from fungrasp.evaluation.results import result_json
-
-    numbers = result_json(result)
-    rows = [("object", "trials", "success", "95 % interval", "contacts", "slip [mm/s]", "pushed [mm]")]
-    rows += [_row(name, part) for name, part in numbers["by_object"].items()]
-    rows.append(_row("all", numbers))
-    rows.append(_row("mean over objects", numbers["mean_over_objects"]))
-    reasons = Counter(reason for reason in result.trials.reason.tolist() if reason)
-    lines = [f"failed: {count:3d} {reason}" for reason, count in reasons.most_common()]
-    return "\n".join([table(rows), *lines])
-
-
-def static_words(static: Mapping[str, Any]) -> str:
-    """Outcome of the six-direction test, and the quality if it was measured."""
-    from fungrasp.cli.retarget import quality_table
-
-    six = static["six_directions"]
-    low, high = six["pass_interval"]
-    line = f"six directions: {six['pass_rate']:.1%} hold (95 % interval {low:.1%} – {high:.1%})"
-    return "\n".join([line, *([quality_table(static["quality"])] if "quality" in static else [])])
-
-
-def comparison(results: Mapping[str, DynamicResult]) -> str:
-    """Methods side by side."""
-    from fungrasp.evaluation.results import summary
-
-    head = ("method", "trials", "success", "95 % interval", "contacts", "slip [mm/s]", "pushed [mm]")
-    return table([head, *(_row(name, summary(result)) for name, result in results.items())])
-
-
-def _row(name: str, part: Mapping[str, Any]) -> tuple[str, str, str, str, str, str, str]:
-    low, high = part.get("success_interval", (None, None))
-    return (
-        name,
-        str(part.get("count", "")),
-        f"{part['success_rate']:.1%}",
-        "" if low is None else f"{low:.1%} – {high:.1%}",
-        f"{part['contact_ratio']:.2f}",
-        f"{part['sim_distance_hand_mm_s']:.1f}",
-        f"{1e3 * part['pushed_m']:.0f}",
-    )

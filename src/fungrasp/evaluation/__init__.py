@@ -3,11 +3,12 @@
 from fungrasp.evaluation.dynamic import DynamicResult, evaluate
 from fungrasp.evaluation.quality import StaticQuality, static_quality
 from fungrasp.evaluation.results import result_json
-from fungrasp.evaluation.robustness import Disturbance
+from fungrasp.evaluation.robustness import CONDITIONS, Disturbance
 from fungrasp.evaluation.static_test import StaticResult, six_direction_test
 from fungrasp.evaluation.trajectory import Trajectory, replay
 
 __all__ = [
+    "CONDITIONS",
     "Disturbance",
     "DynamicResult",
     "StaticQuality",

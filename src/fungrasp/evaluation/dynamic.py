@@ -250,7 +250,8 @@ class _Test:
         )
         task.reset()
         centers = np.array([self.objects[name].center_of_mass for name in grasps.object_name.tolist()])
-        policy = make_policy(self.policy, d.seen_by_policy(task, centers, seed, rows), self.objects)
+        policy = make_policy(self.policy, d.disturb(task, centers, seed, rows), self.objects)
+        push = d.pusher(task, seed, rows)
         recorder = Recorder(task) if files else None
         touched = np.zeros(len(rows), dtype=bool)
 
@@ -260,6 +261,7 @@ class _Test:
         def watch() -> None:
             nonlocal touched
             touched = touched | (np.isfinite(task.hold_time) & ~task.done & task.worlds.object_on_table)
+            push()
             progress(min(float(task.time.max()) / longest, 1.0))
             if recorder is not None:
                 recorder()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 import platform
+from collections.abc import Mapping
 from dataclasses import asdict, fields
 from typing import Any
 
@@ -85,6 +86,34 @@ def result_json(result: DynamicResult) -> dict[str, Any]:
             "trials": trials,
         }
     )
+
+
+def robustness_json(results: Mapping[str, DynamicResult]) -> dict[str, Any]:
+    """Rates and means of a policy under each condition, and whether each trial succeeded.
+
+    Args:
+        results: by condition, of the same policy and grasps.
+    """
+    return {
+        name: finite(
+            {
+                "disturbance": asdict(result.disturbance),
+                **summary(result),
+                "mean_over_objects": mean_over_objects(result),
+                "trials": [
+                    {"index": index, "seed": seed, "success": success, "reason": reason}
+                    for index, seed, success, reason in zip(
+                        result.index.tolist(),
+                        result.seed.tolist(),
+                        result.trials.success.tolist(),
+                        result.trials.reason.tolist(),
+                        strict=True,
+                    )
+                ],
+            }
+        )
+        for name, result in results.items()
+    }
 
 
 def static_json(result: StaticResult) -> dict[str, Any]:

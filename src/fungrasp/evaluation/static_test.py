@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from fungrasp.evaluation.dynamic import CHUNK, check_hand
-from fungrasp.evaluation.robustness import move_table
 from fungrasp.geometry.poses import compose, invert, rotation_vector
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
@@ -17,6 +16,7 @@ from fungrasp.policies.motion import ReferenceSettings
 from fungrasp.policies.squeeze import squeeze_torques
 from fungrasp.retarget.problem import Surroundings
 from fungrasp.simulation import Scene, SceneSettings, Worlds, build_scene
+from fungrasp.transfer import move_table
 
 DIRECTIONS = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], dtype=float)
 """Of the pushes, world frame, in the order of the results."""

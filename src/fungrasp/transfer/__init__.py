@@ -2,7 +2,7 @@
 
 from fungrasp.transfer.delay import Delay, delay_steps
 from fungrasp.transfer.noise import noisy_joints, noisy_object, noisy_wrist, offset_pose, shift_on_table
-from fungrasp.transfer.physics import apply, push_objects, pushes
+from fungrasp.transfer.physics import apply, move_table, push_objects, pushes
 from fungrasp.transfer.randomisation import NONE, Randomisation, Range, Sample, Spread, sample
 
 __all__ = [
@@ -14,6 +14,7 @@ __all__ = [
     "Spread",
     "apply",
     "delay_steps",
+    "move_table",
     "noisy_joints",
     "noisy_object",
     "noisy_wrist",

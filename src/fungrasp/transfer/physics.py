@@ -51,22 +51,38 @@ def apply(sample: Sample, worlds: Worlds, ids: np.ndarray) -> None:
     _write(worlds, "actuator_biasprm", ids, (actuators, 1), stiffness)
     _write(worlds, "actuator_biasprm", ids, (actuators, 2), damping)
 
-    table = model.geom("table").id
-    worlds.batch.expand("geom_pos")[ids, table, 2] = model.geom_pos[table, 2] + sample.table_height
-    # MuJoCo skips the position of a geom that the compiler found at its body's origin.
-    worlds.batch.expand("geom_sameframe")[ids, table] = _SAMEFRAME_NONE
+    move_table(worlds, sample.table_height, ids)
 
 
-def pushes(sample: Sample, since_lift: np.ndarray) -> np.ndarray:
-    """Forces on the objects at a moment [N], world frame, shape [W, 3].
+def move_table(worlds: Worlds, height: float | np.ndarray, ids: np.ndarray | None = None) -> None:
+    """Put the table's top at another height; what stands on it stays where it is.
 
     Args:
-        sample: of W trials.
-        since_lift: time since the lift began [s], negative or not finite before, shape [W].
+        worlds: any.
+        height: [m], one for all or shape [I].
+        ids: world ids, shape [I]; all if None.
     """
-    since_push = since_lift - sample.push_start
-    active = np.isfinite(since_lift) & (since_push >= 0.0) & (since_push < sample.push_duration)
-    return np.where(active[:, None], sample.push, 0.0)
+    model, which = worlds.model, slice(None) if ids is None else ids
+    table = model.geom("table").id
+    worlds.batch.expand("geom_pos")[which, table, 2] = model.geom_pos[table, 2] + height
+    # MuJoCo skips the position of a geom that the compiler found at its body's origin.
+    worlds.batch.expand("geom_sameframe")[which, table] = _SAMEFRAME_NONE
+
+
+def pushes(
+    force: np.ndarray, start: float | np.ndarray, duration: float | np.ndarray, now: np.ndarray
+) -> np.ndarray:
+    """Forces on the objects at a moment [N], world frame, shape [W, 3]: zero but while a push lasts.
+
+    Args:
+        force: of the push [N], world frame, shape [W, 3].
+        start: of the push [s], one for all or shape [W].
+        duration: of the push [s], one for all or shape [W].
+        now: [s], on the clock of ``start``; not finite where that clock has not started, shape [W].
+    """
+    since = now - start
+    active = np.isfinite(now) & (since >= -1e-9) & (since < duration - 1e-9)
+    return np.where(active[:, None], force, 0.0)
 
 
 def push_objects(worlds: Worlds, force: np.ndarray, ids: np.ndarray | None = None) -> None:

@@ -1,0 +1,71 @@
+"""Tables of what ``fungrasp evaluate`` has measured."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from fungrasp.cli.console import table
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from fungrasp.evaluation import DynamicResult
+
+HEAD = ("trials", "success", "95 % interval", "contacts", "slip [mm/s]", "pushed [mm]")
+
+
+def result_table(result: DynamicResult) -> str:
+    """Objects and their rates of success, and why trials failed."""
+    from collections import Counter
+
+    from fungrasp.evaluation.results import result_json
+
+    numbers = result_json(result)
+    rows = [("object", *HEAD)]
+    rows += [_row(name, part) for name, part in numbers["by_object"].items()]
+    rows.append(_row("all", numbers))
+    rows.append(_row("mean over objects", numbers["mean_over_objects"]))
+    reasons = Counter(reason for reason in result.trials.reason.tolist() if reason)
+    lines = [f"failed: {count:3d} {reason}" for reason, count in reasons.most_common()]
+    return "\n".join([table(rows), *lines])
+
+
+def static_words(static: Mapping[str, Any]) -> str:
+    """Outcome of the six-direction test, and the quality if it was measured."""
+    from fungrasp.cli.retarget import quality_table
+
+    six = static["six_directions"]
+    low, high = six["pass_interval"]
+    line = f"six directions: {six['pass_rate']:.1%} hold (95 % interval {low:.1%} – {high:.1%})"
+    return "\n".join([line, *([quality_table(static["quality"])] if "quality" in static else [])])
+
+
+def comparison(results: Mapping[str, DynamicResult]) -> str:
+    """Methods side by side."""
+    return _side_by_side("method", results)
+
+
+def robustness_table(results: Mapping[str, DynamicResult]) -> str:
+    """Conditions side by side, and the mean of their rates of success; the first is undisturbed."""
+    rates = [float(result.trials.success.mean()) for result in results.values()]
+    mean = f"mean over the {len(rates) - 1} disturbed conditions: {sum(rates[1:]) / (len(rates) - 1):.1%}"
+    return "\n".join([_side_by_side("condition", results), mean])
+
+
+def _side_by_side(first: str, results: Mapping[str, DynamicResult]) -> str:
+    from fungrasp.evaluation.results import summary
+
+    return table([(first, *HEAD), *(_row(name, summary(result)) for name, result in results.items())])
+
+
+def _row(name: str, part: Mapping[str, Any]) -> tuple[str, str, str, str, str, str, str]:
+    low, high = part.get("success_interval", (None, None))
+    return (
+        name,
+        str(part.get("count", "")),
+        f"{part['success_rate']:.1%}",
+        "" if low is None else f"{low:.1%} – {high:.1%}",
+        f"{part['contact_ratio']:.2f}",
+        f"{part['sim_distance_hand_mm_s']:.1f}",
+        f"{1e3 * part['pushed_m']:.0f}",
+    )
