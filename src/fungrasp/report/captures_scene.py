@@ -105,7 +105,7 @@ def capture_scene(
         clutter: how many other things to put on the table; fewer if they don't find a place.
         towards: direction from the grasp to the camera along the table [rad]; the clutter keeps out of it.
     """
-    skin, arm = painted_hand(grasp.hand_joints, tones[rng.integers(len(tones))], rng)
+    skin, arm = painted_hand(grasp.hand_joints, tones[int(rng.integers(len(tones)))], rng)
     held = painted.moved(grasp.object_pose)
     gloss = Thing(held, float(rng.uniform(0.05, 0.5)), float(rng.uniform(12, 80)))
     parts = [(Label.HAND, Thing(skin, 0.18, 15.0)), (Label.OBJECT, gloss)]
