@@ -71,13 +71,12 @@ class Train:
 
         from fungrasp.cli.console import progress_bar
         from fungrasp.hands import load_hand
-        from fungrasp.training.folder import RunFolder
         from fungrasp.training.run import POLICY, RunSettings, train
 
         check_numbers(self.steps, self.seed, self.threads)
         hand = load_hand(self.hand)
         ppo = self.ppo if self.sees is None else replace(self.ppo, sees=self.sees)
-        log = None if self.wandb is None else wandb_log(self.wandb, RunFolder(self.out).path)
+        log = None if self.wandb is None else wandb_log(self.wandb, self.out)
         sets = training_sets(self.grasps, self.objects, hand, self.method, self.terms, self.threads)
         # More threads make the small networks slower.
         torch.set_num_threads(1)

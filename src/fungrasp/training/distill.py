@@ -13,7 +13,14 @@ import torch
 from rsl_rl.models import MLPModel
 from tensordict import TensorDict
 
-from fungrasp.files import atomic_path
+from fungrasp.errors import FungraspError
+from fungrasp.training.checkpoint import (
+    check_environment,
+    environment_state,
+    read_checkpoint,
+    restore_environment,
+    write_checkpoint,
+)
 from fungrasp.training.environment import LiftEnvironment
 from fungrasp.training.networks import tensors
 from fungrasp.training.ppo import HIDDEN
@@ -48,6 +55,7 @@ class DistillProgress:
     steps: int
     """Control steps so far."""
     seconds: float
+    """What they took."""
     success: float
     """Share of the last trials that succeeded."""
     imitation: float
@@ -80,7 +88,7 @@ def distill(
     progress: Callable[[DistillProgress], None] = lambda p: None,
     checkpoint: Path | None = None,
     student: StudentModel | None = None,
-) -> StudentModel:
+) -> Distillation:
     """Train a student.
 
     Args:
@@ -90,8 +98,11 @@ def distill(
         settings: the defaults if None.
         seed: of networks and noise.
         progress: called after each round.
-        checkpoint: where the student is kept, written atomically.
+        checkpoint: where the state is kept, written atomically; if it is there, the training goes on.
         student: to go on with; a new one that takes over the teacher's network if None.
+
+    Raises:
+        FungraspError: the checkpoint is damaged or of another training, or can't be written.
     """
     s = settings or DistillSettings()
     torch.manual_seed(seed)
@@ -105,26 +116,77 @@ def distill(
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, rounds, 0.1 * s.learning_rate)
     kept: deque[TensorDict] = deque(maxlen=s.kept_rounds)
     recent: deque[bool] = deque(maxlen=1000)
-    start = perf_counter()
-    for index in range(rounds):
+    state = Distillation(student, optimizer, schedule, environment, recent)
+    if checkpoint is not None and checkpoint.exists():
+        state.load(checkpoint)
+    start = perf_counter() - state.seconds
+    for index in range(state.rounds, rounds):
         kept.append(
             _collect(teacher if index < s.teacher_rounds else student, teacher, environment, s, recent)
         )
         imitation, reconstruction = _learn(student, optimizer, list(kept), s)
         schedule.step()
+        state.rounds, state.seconds = index + 1, perf_counter() - start
         progress(
             DistillProgress(
                 (index + 1) * s.steps * environment.settings.worlds,
-                perf_counter() - start,
-                float(np.mean(recent)) if recent else 0.0,
+                state.seconds,
+                state.success,
                 imitation,
                 reconstruction,
             )
         )
         if checkpoint is not None and (index % 10 == 9 or index == rounds - 1):
-            with atomic_path(checkpoint) as part:
-                torch.save({"student": student.state_dict(), "steps": (index + 1) * s.steps}, part)
-    return student
+            state.save(checkpoint)
+    return state
+
+
+@dataclass
+class Distillation:
+    """Where a distillation stands, with all it needs to go on."""
+
+    student: StudentModel
+    optimizer: torch.optim.Optimizer
+    schedule: torch.optim.lr_scheduler.LRScheduler
+    environment: LiftEnvironment
+    recent: deque[bool]
+    """Whether the last trials succeeded."""
+    rounds: int = 0
+    seconds: float = 0.0
+    """What they took."""
+
+    @property
+    def success(self) -> float:
+        """Share of the last trials that succeeded; 0 before any has ended."""
+        return float(np.mean(self.recent)) if self.recent else 0.0
+
+    def save(self, path: Path) -> None:
+        """Keep everything but the trials that are learned from.
+
+        Raises:
+            FungraspError: the file can't be written.
+        """
+        parts = {name: getattr(self, name).state_dict() for name in ("student", "optimizer", "schedule")}
+        counts = {"rounds": self.rounds, "seconds": self.seconds, "recent": torch.tensor(list(self.recent))}
+        write_checkpoint(path, parts | counts | environment_state(self.environment))
+
+    def load(self, path: Path) -> None:
+        """Go on from what was kept.
+
+        Raises:
+            FungraspError: it can't be read, is damaged, or belongs to another distillation.
+        """
+        state = read_checkpoint(path)
+        check_environment(path, state, self.environment)
+        try:
+            for name in ("student", "optimizer", "schedule"):
+                getattr(self, name).load_state_dict(state[name])
+            restore_environment(state, self.environment)
+            self.rounds, self.seconds = int(state["rounds"]), float(state["seconds"])
+            self.recent.extend(state["recent"].bool().tolist())
+        except (RuntimeError, ValueError, KeyError) as error:
+            words = " ".join(str(error).split())
+            raise FungraspError(f"the checkpoint {path} is not of this distillation: {words}") from error
 
 
 def _collect(

@@ -126,6 +126,8 @@ def train(
         kind="teacher",
         steps=steps,
         hand=hand.name if hand.name in hand_files() else str(hand.path.absolute()),
+        licence=licence,
+        references=str((references or folder / REFERENCES).absolute()),
         object_folders=[None if s.folder is None else str(s.folder.absolute()) for s in sets],
     )
     library = kept_library(

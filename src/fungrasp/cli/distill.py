@@ -1,0 +1,62 @@
+"""``fungrasp distill``: a student learns from a teacher what a robot can know."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from fungrasp.cli.train import check_numbers, progress_lines, wandb_log
+from fungrasp.training.distill import DistillSettings
+
+
+@dataclass(frozen=True)
+class Distill:
+    """Train a student from a teacher: it sees what a robot has, and infers the contacts from how the joints
+    move.
+
+    Given again with the same settings, the command goes on where it was interrupted.
+    """
+
+    teacher: Path
+    """Folder of a teacher's training (fungrasp train)."""
+    out: Path
+    """Folder of the student's training; student.onnx will be in it."""
+    steps: float = 5e5
+    """Control steps of all worlds together."""
+    objects: Path | None = None
+    """Folder of meshes <name>.obj; where they were when the teacher was trained by default."""
+    seed: int = 0
+    """Of everything that is random."""
+    threads: int = 0
+    """Of the simulation; 0 means all processors."""
+    wandb: str | None = None
+    """Log to this project of Weights & Biases too."""
+    settings: DistillSettings = field(default_factory=DistillSettings)
+
+    def run(self) -> None:
+        import torch
+
+        from fungrasp.training.student_run import STUDENT, train_student
+
+        check_numbers(self.steps, self.seed, self.threads)
+        log = None if self.wandb is None else wandb_log(self.wandb, self.out)
+        # More threads make the small networks slower.
+        torch.set_num_threads(1)
+        card = train_student(
+            self.teacher,
+            self.out,
+            int(self.steps),
+            self.settings,
+            self.seed,
+            objects=self.objects,
+            threads=self.threads,
+            progress=progress_lines(int(self.steps)),
+            log=log,
+        )
+        print(
+            f"{self.out / STUDENT}: {card.kind} of {card.hand}, {card.budget.steps:,} steps in "
+            f"{card.budget.seconds / 60:.1f} min, its teacher's included"
+        )
+
+
+COMMAND = Distill

@@ -1,0 +1,225 @@
+"""How fast training and a trained policy are on this machine."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from time import perf_counter
+
+import numpy as np
+
+from fungrasp.grasps import RobotGraspSet
+from fungrasp.hands import Hand
+from fungrasp.objects import ObjectModel
+from fungrasp.policies.card import Budget
+from fungrasp.policies.learned import LearnedPolicy
+from fungrasp.policies.network import PolicyNetwork
+from fungrasp.policies.policy_file import load_policy
+from fungrasp.simulation import Worlds, build_scene
+from fungrasp.task import LiftTask
+from fungrasp.training.distill import make_student
+from fungrasp.training.environment import EnvironmentSettings, LiftEnvironment
+from fungrasp.training.export import export_student, make_card
+from fungrasp.training.library import Library
+from fungrasp.training.ppo import PpoSettings, Trainer
+
+Call = tuple[np.ndarray, int, np.ndarray | None]
+"""Controls, physics steps and worlds of one call of the engine."""
+
+
+@dataclass(frozen=True)
+class EnvironmentSpeed:
+    """Steps per second of wall time, all worlds together."""
+
+    worlds: int
+    physics_steps: int
+    """Of one world in one control step."""
+    environment: float
+    """Control steps: actions, set points, physics, observation, reward, new trials."""
+    bare: float
+    """The same physics steps of the same worlds from the same states, by the engine alone."""
+    identical: bool
+    """Whether both environments ended in the same state, to the last bit."""
+
+    @property
+    def share(self) -> float:
+        """Speed of the environment over bare physics."""
+        return self.environment / self.bare
+
+
+@dataclass(frozen=True)
+class UpdateSpeed:
+    """Of PPO."""
+
+    steps: float
+    """Control steps per second, learning included."""
+    environment: float
+    """Share of the time in the environment."""
+    learning: float
+    """Share of the time in the networks' updates; the rest is acting and keeping."""
+
+
+@dataclass(frozen=True)
+class ActingSpeed:
+    """Time of one control step of one robot, medians [ms]."""
+
+    policy: float
+    """Reading, observation and network."""
+    control: float
+    """Set points of one control step and their bookkeeping, without physics."""
+
+    @property
+    def total(self) -> float:
+        """[ms]."""
+        return self.policy + self.control
+
+
+def environment_speed(
+    library: Library,
+    objects: Mapping[str, ObjectModel],
+    hand: Hand,
+    settings: EnvironmentSettings,
+    steps: int = 40,
+    seed: int = 0,
+    threads: int = 0,
+    progress: Callable[[int], None] = lambda done: None,
+) -> EnvironmentSpeed:
+    """Random actions in two equal environments: the one tells what the engine is asked for in a step; in the
+    other the engine gets just that, and from the same state the whole step is made.
+
+    Args:
+        library: of references.
+        objects: by name.
+        hand: the robot hand.
+        settings: of the environment.
+        steps: control steps.
+        seed: of trials and actions.
+        threads: 0 means all processors.
+        progress: called with the control steps that are done.
+    """
+    told, timed = (LiftEnvironment(library, objects, hand, settings, seed, threads) for _ in range(2))
+    rng = np.random.default_rng(seed)
+    calls: list[Call] = []
+    engine = told.task.worlds.step
+
+    def recorded(substeps: int, which: np.ndarray | None = None) -> None:
+        calls.append((told.task.worlds.ctrl.copy(), substeps, which))
+        engine(substeps, which)
+
+    told.task.worlds.step = recorded
+    seconds = {"environment": 0.0, "bare": 0.0}
+    physics = 0
+    for step in range(steps):
+        action = rng.normal(scale=0.15, size=(settings.worlds, told.actions))
+        calls.clear()
+        told.step(action)
+        worlds = timed.task.worlds
+        before = _state(worlds)
+        start = perf_counter()
+        for ctrl, substeps, which in calls:
+            worlds.ctrl[:] = ctrl
+            worlds.batch.step(which, nstep=substeps)
+        seconds["bare"] += perf_counter() - start
+        for array, value in before:
+            array[:] = value
+        worlds.forward()
+        start = perf_counter()
+        timed.step(action)
+        seconds["environment"] += perf_counter() - start
+        physics = sum(substeps for _, substeps, _ in calls)
+        progress(step + 1)
+    count = steps * settings.worlds
+    same = np.array_equal(told.task.worlds.qpos, timed.task.worlds.qpos)
+    return EnvironmentSpeed(settings.worlds, physics, count / seconds["environment"], count / seconds["bare"])
+
+
+def update_speed(environment: LiftEnvironment, settings: PpoSettings, updates: int = 2) -> UpdateSpeed:
+    """Collect and learn for a few updates, after a first one that does not count."""
+    trainer = Trainer(environment, settings)
+    trainer.learn(1)
+    seconds = {"environment": 0.0, "learning": 0.0}
+    step, update = environment.step, trainer.algorithm.update
+
+    def timed(name: str, work: Callable) -> Callable:
+        def run(*arguments: object) -> object:
+            start = perf_counter()
+            result = work(*arguments)
+            seconds[name] += perf_counter() - start
+            return result
+
+        return run
+
+    environment.step, trainer.algorithm.update = timed("environment", step), timed("learning", update)
+    first, start = trainer.steps, perf_counter()
+    trainer.learn(first + updates * settings.steps * environment.settings.worlds)
+    whole = perf_counter() - start
+    environment.step, trainer.algorithm.update = step, update
+    return UpdateSpeed(
+        (trainer.steps - first) / whole, seconds["environment"] / whole, seconds["learning"] / whole
+    )
+
+
+def acting_speed(
+    network: PolicyNetwork, grasp: RobotGraspSet, objects: Mapping[str, ObjectModel], hand: Hand
+) -> ActingSpeed:
+    """One trial of one robot.
+
+    Args:
+        network: of a policy of the hand.
+        grasp: a set of one.
+        objects: by name.
+        hand: the robot hand.
+    """
+    scene = build_scene(hand, {name: objects[name] for name in grasp.object_name.tolist()})
+    worlds = Worlds(scene, np.zeros(1, dtype=int), grasp.object_mass, threads=1)
+    task = LiftTask(scene, grasp, worlds)
+    task.reset()
+    policy = LearnedPolicy(task, objects, network)
+    engine, physics = worlds.step, 0.0
+
+    def timed(substeps: int, which: np.ndarray | None = None) -> None:
+        nonlocal physics
+        start = perf_counter()
+        engine(substeps, which)
+        physics += perf_counter() - start
+
+    worlds.step = timed
+    acting, control = [], []
+    while not task.done.all():
+        start = perf_counter()
+        action = policy.act()
+        middle = perf_counter()
+        physics = 0.0
+        task.step(action)
+        acting.append(middle - start)
+        control.append(perf_counter() - middle - physics)
+    return ActingSpeed(1e3 * float(np.median(acting)), 1e3 * float(np.median(control)))
+
+
+def untrained_student(library: Library, objects: Mapping[str, ObjectModel], hand: Hand) -> PolicyNetwork:
+    """A student as it is before it has learned anything, as loaded from its file."""
+    settings = EnvironmentSettings(worlds=1, history=True)
+    environment = LiftEnvironment(library, objects, hand, settings, threads=1)
+    card = make_card(
+        "untrained",
+        "student",
+        hand,
+        environment.layout,
+        (),
+        settings.residual,
+        1 / environment.protocol.control_period,
+        Budget(0, 0.0, ""),
+    )
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "untrained.onnx"
+        export_student(make_student(environment), path, card)
+        return load_policy(path)
+
+
+def _state(worlds: Worlds) -> list[tuple[np.ndarray, np.ndarray]]:
+    """State arrays and their current values."""
+    warmstart = worlds.batch.bind("qacc_warmstart")
+    arrays = [worlds.qpos, worlds.qvel, worlds.ctrl, worlds.mocap_pos, worlds.mocap_quat, warmstart]
+    return [(array, array.copy()) for array in arrays]

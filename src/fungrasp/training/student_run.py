@@ -1,0 +1,210 @@
+"""Distilling a student in a folder, from the folder of its teacher, with any number of interruptions."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, fields, is_dataclass, replace
+from pathlib import Path
+from typing import Any, get_type_hints
+
+import numpy as np
+from torch.utils.tensorboard import SummaryWriter
+
+from fungrasp import __version__
+from fungrasp.errors import FungraspError
+from fungrasp.files import digest
+from fungrasp.hands import Hand, load_hand
+from fungrasp.objects import ObjectModel, load_object
+from fungrasp.policies.card import Budget, PolicyCard, TrainingData
+from fungrasp.policies.policy_file import hand_digest
+from fungrasp.training.distill import DistillProgress, DistillSettings, distill
+from fungrasp.training.environment import LiftEnvironment
+from fungrasp.training.export import export_student, make_card
+from fungrasp.training.folder import RunFolder, git_revision, kept_library, machine
+from fungrasp.training.library import Library
+from fungrasp.training.ppo import Trainer
+from fungrasp.training.run import REFERENCES, Log, RunSettings
+
+STUDENT = "student.onnx"
+
+
+@dataclass(frozen=True, eq=False)
+class TeacherRun:
+    """A teacher's training, as found in its folder."""
+
+    folder: RunFolder
+    hand: Hand
+    settings: RunSettings
+    objects: Mapping[str, ObjectModel]
+    """By name."""
+    library: Library
+    data: tuple[TrainingData, ...]
+    """What it was trained on."""
+    licence: str
+
+    def environment(self, seed: int, history: bool, threads: int = 0) -> LiftEnvironment:
+        """Worlds like those that it was trained in. history: whether observations hold a student's."""
+        settings = replace(self.settings.environment, history=history)
+        return LiftEnvironment(self.library, self.objects, self.hand, settings, seed, threads)
+
+
+def read_teacher(folder: Path, objects: Path | None = None) -> TeacherRun:
+    """The training in a folder.
+
+    Args:
+        folder: that ``train`` made.
+        objects: folder of meshes; where they were when it was trained if None.
+
+    Raises:
+        FungraspError: no training is there, its references are lost, or its hand or objects have changed.
+    """
+    run = RunFolder(folder)
+    config = run.read_config()
+    wanted = config["settings"]
+    try:
+        if config["kind"] != "teacher":
+            raise FungraspError(f"{folder} holds a {config['kind']}, not a teacher")
+        settings = RunSettings(
+            seed=wanted["seed"],
+            **{name: _settings(kind, wanted[name]) for name, kind in _kinds(RunSettings).items()},
+        )
+        hand = load_hand(config["hand"])
+        if hand_digest(hand) != wanted["hand_sha256"]:
+            raise FungraspError(f"the hand '{hand.name}' has changed since {folder} was trained")
+        things: dict[str, ObjectModel] = {}
+        for one, place in zip(wanted["sets"], config["object_folders"], strict=True):
+            things |= _objects(one["objects"], None if place is None else objects or Path(place), folder)
+        data = tuple(TrainingData(one["name"], one["terms"], one["count"]) for one in wanted["sets"])
+        planned_from = {name: wanted[name] for name in ("hand", "hand_sha256", "sets", "variety", "seed")}
+        references = Path(config["references"])
+        licence = config["licence"]
+    except (KeyError, TypeError, ValueError) as error:
+        if isinstance(error, FungraspError):
+            raise
+        raise FungraspError(f"{run.config} is damaged, or of another version of fungrasp") from error
+    here = folder / REFERENCES
+    key = digest(__version__, json.dumps(planned_from))
+    library = kept_library(here if here.is_file() else references, key, lambda: _lost(folder))
+    return TeacherRun(run, hand, settings, things, library, data, licence)
+
+
+def train_student(
+    teacher_folder: Path,
+    folder: Path,
+    steps: int,
+    settings: DistillSettings | None = None,
+    seed: int = 0,
+    *,
+    objects: Path | None = None,
+    threads: int = 0,
+    progress: Callable[[DistillProgress], None] = lambda p: None,
+    log: Log | None = None,
+) -> PolicyCard:
+    """Distil a student, or go on distilling it; its file is ``student.onnx``.
+
+    Args:
+        teacher_folder: of a teacher that sees contacts.
+        folder: of the student.
+        steps: control steps of all worlds together.
+        settings: the defaults if None.
+        seed: of everything random.
+        objects: folder of meshes; where they were when the teacher was trained if None.
+        threads: 0 means all processors.
+        progress: called after each round.
+        log: gets the numbers of each round, besides TensorBoard.
+
+    Returns:
+        The student's card.
+
+    Raises:
+        FungraspError: no such teacher, a folder of another training, a damaged checkpoint, or a file that
+            can't be written.
+    """
+    s = settings or DistillSettings()
+    teacher = read_teacher(teacher_folder, objects)
+    if teacher.settings.ppo.sees != "contacts":
+        raise FungraspError(
+            f"{teacher_folder} holds a policy that sees {teacher.settings.ppo.sees}; "
+            "a student needs a teacher that sees contacts"
+        )
+    if not teacher.folder.checkpoint.is_file():
+        raise FungraspError(f"{teacher_folder} has no checkpoint yet: train the teacher first")
+    weights = hashlib.sha256(teacher.folder.checkpoint.read_bytes()).hexdigest()
+    run = RunFolder(folder)
+    run.claim(
+        {"teacher_sha256": weights, "hand": teacher.hand.name, "seed": seed, "steps": steps}
+        | {"distill": asdict(s)},
+        kind="student",
+        teacher=str(teacher_folder.absolute()),
+    )
+    environment = teacher.environment(seed, history=True, threads=threads)
+    trainer = Trainer(environment, teacher.settings.ppo, seed)
+    trainer.load(teacher.folder.checkpoint)
+    # The teacher's checkpoint holds its random numbers, too.
+    environment.rng = np.random.default_rng(seed)
+    with SummaryWriter(str(folder)) as events:
+
+        def report(p: DistillProgress) -> None:
+            numbers = asdict(p)
+            run.forget_progress_after(p.steps - 1)
+            run.add_progress(numbers)
+            for name, value in numbers.items():
+                events.add_scalar(name, value, p.steps)
+            if log is not None:
+                log(numbers, p.steps)
+            progress(p)
+
+        done = distill(trainer.actor, environment, steps, s, seed, report, run.checkpoint)
+    played = done.rounds * s.steps * environment.settings.worlds
+    card = make_card(
+        folder.absolute().name,
+        "student",
+        teacher.hand,
+        environment.layout,
+        (),
+        environment.settings.residual,
+        1 / environment.protocol.control_period,
+        Budget(trainer.steps + played, trainer.seconds + done.seconds, machine()),
+        training_data=teacher.data,
+        git_revision=git_revision(),
+        seed=seed,
+        measured={"in training, exploring": {"success": done.success}},
+        licence=teacher.licence,
+    )
+    export_student(done.student, folder / STUDENT, card)
+    return card
+
+
+def _lost(folder: Path) -> Library:
+    raise FungraspError(f"the references of {folder} are lost or damaged: run fungrasp train on it again")
+
+
+def _objects(digests: Mapping[str, str], place: Path | None, folder: Path) -> dict[str, ObjectModel]:
+    """Objects by name, if they still are what they were."""
+    # The mass is set in each trial.
+    things = {name: load_object(name, 1.0, place) for name in digests}
+    for name, thing in things.items():
+        if thing.digest != digests[name]:
+            raise FungraspError(f"the object '{name}' is not the one that {folder} was trained on")
+    return things
+
+
+def _kinds(kind: Any) -> dict[str, Any]:
+    """The fields of a dataclass that are dataclasses."""
+    return {name: hint for name, hint in get_type_hints(kind).items() if is_dataclass(hint)}
+
+
+def _settings(kind: Any, table: Mapping[str, Any]) -> Any:
+    """A dataclass from what ``asdict`` and JSON have made of it."""
+    names, nested = {f.name for f in fields(kind)}, _kinds(kind)
+    if set(table) != names:
+        raise KeyError(*(set(table) ^ names))
+
+    def value(name: str) -> Any:
+        if name in nested:
+            return _settings(nested[name], table[name])
+        return tuple(table[name]) if isinstance(table[name], list) else table[name]
+
+    return kind(**{name: value(name) for name in names})
