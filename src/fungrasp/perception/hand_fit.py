@@ -48,8 +48,12 @@ class HandFitSettings:
     outlier_depths: tuple[tuple[float, float], ...] = ((0.06, 0.06), (0.02, 0.04), (0.008, 0.03))
     """How far in front of the skin something else is seen, and how far behind [m], one stage after the
     other."""
+    held_outlier_depths: tuple[tuple[float, float], ...] = ((0.02, 0.03),)
+    """The same in the stages after those, if the object is known: what it hides is left out."""
     iterations: int = 5
     """Of every stage."""
+    object_depth: float = 0.004
+    """What is seen so near to the known object's surface [m] is the object."""
     background: float = 0.02
     """What is seen farther behind a part of the hand [m] is background to it."""
     background_levels: int = 3
@@ -94,7 +98,7 @@ def fit_hand(
         around = around.mirrored()
     stages = [(outlier, None) for outlier in problem.settings.outlier_depths]
     if around is not None:
-        stages += [(problem.settings.outlier_depths[-1], around)] * 2
+        stages += [(outlier, around) for outlier in problem.settings.held_outlier_depths]
     for outlier, touched in stages:
         problem.look(hand)
         for _ in range(problem.settings.iterations):
@@ -137,13 +141,15 @@ class _Problem:
         pixels, pixel_slopes = project(points, slopes, intrinsics)
         radius = PROBES.radius * np.exp(hand.size)
         thickness = settings.silhouette_inset * radius * intrinsics.fx / points[:, 2]
+        measured = self.seen.measured(pixels)
+        if around is not None:
+            seen = intrinsics.deproject(pixels, measured)
+            measured = np.where(around.object_distance(seen)[0] < settings.object_depth, 0.0, measured)
         directions = Rotation.from_rotvec(turn).apply(self.seen.directions)
         turn_prior = np.hstack([np.zeros((3, SIZE)), np.eye(3)]) / settings.shape_turn_spread
         found = [
             pixel_evidence(joints, jacobian, intrinsics, self.seen.pixels, self.landmark_spread),
-            depth_evidence(
-                points, slopes, radius, self.seen.measured(pixels), settings.depth_spread, outlier
-            ),
+            depth_evidence(points, slopes, radius, measured, settings.depth_spread, outlier),
             silhouette_evidence(
                 self._silhouettes,
                 pixels,

@@ -1,0 +1,145 @@
+"""Finding hands: decoding of the detector's answers, windows, choice among hands, the models themselves."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from PIL import Image
+
+from fungrasp.errors import FungraspError
+from fungrasp.grasps import load_human_grasps
+from fungrasp.grasps.anatomy import joint_bends
+from fungrasp.grasps.human_hand import HUMAN_JOINTS
+from fungrasp.objects import builtin_object
+from fungrasp.perception.hand_crops import Window, window_of_landmarks, window_of_palm
+from fungrasp.perception.hand_landmarks import FROM_MODEL, DetectedHand, HandDetector, choose_hand
+from fungrasp.perception.hand_palms import anchor_centres, box_overlap, decode_palms
+from fungrasp.perception.hand_weights import have_weights
+
+needs_weights = pytest.mark.skipif(
+    not have_weights(), reason="the hand models are not in the cache; run 'fungrasp setup perception'"
+)
+
+
+def test_anchors_cover_the_image_in_two_grids():
+    centres = anchor_centres()
+    assert centres.shape == (2016, 2)
+    np.testing.assert_allclose(centres[:3], np.array([[4, 4], [4, 4], [12, 4]]) / 192)
+    np.testing.assert_allclose(centres[24 * 24 * 2], np.array([8, 8]) / 192)
+    np.testing.assert_allclose(centres.mean(axis=0), 0.5)
+
+
+def test_overlapping_answers_are_one_palm_weighted_by_score():
+    offsets, logits = np.zeros((2016, 18)), np.full(2016, -50.0)
+    offsets[:, 2:4] = 48
+    logits[0], logits[2], logits[-1] = 3.0, 1.0, 2.0
+    first, second = decode_palms(offsets, logits, 0.5)
+    weights = 1 / (1 + np.exp([-3.0, -1.0]))
+    middle = weights @ np.array([4, 12]) / weights.sum() / 192
+    np.testing.assert_allclose(first.box, [middle - 1 / 8, 4 / 192 - 1 / 8, middle + 1 / 8, 4 / 192 + 1 / 8])
+    np.testing.assert_allclose(first.points, np.tile([middle, 4 / 192], (7, 1)))
+    assert first.score > second.score and second.points[0, 0] > 0.9
+    assert decode_palms(offsets, logits - 50, 0.5) == []
+
+
+def test_overlap_of_boxes():
+    boxes = np.array([[0, 0, 1, 1], [0.5, 0, 1.5, 1], [2, 2, 3, 3]])
+    np.testing.assert_allclose(box_overlap(boxes[0], boxes), [1, 1 / 3, 0])
+
+
+@given(
+    u=st.floats(60, 240),
+    v=st.floats(60, 180),
+    size=st.floats(80, 700),
+    angle=st.floats(-3, 3),
+    at=st.floats(0.3, 0.7),
+)
+def test_windows_show_what_they_say(u, v, size, angle, at):
+    """A blurred dot in the image is where the window's coordinates say it is, at any scale and turn."""
+    window = Window((u, v), size, angle)
+    dot = window.to_image(np.array([at, 1 - at]))
+    rows, columns = np.mgrid[:240, :320]
+    sigma = max(2.0, size / 40)
+    light = np.exp(-((columns - dot[0]) ** 2 + (rows - dot[1]) ** 2) / (2 * sigma**2))
+    image = Image.fromarray(np.repeat((255 * light).astype(np.uint8)[..., None], 3, axis=2))
+    cut = window.cut(image, 64)[..., 0]
+    if not (sigma * 3 < dot[0] < 320 - sigma * 3 and sigma * 3 < dot[1] < 240 - sigma * 3):
+        return
+    places = (np.arange(64) + 0.5) / 64
+    found = np.array([cut.sum(axis=0) @ places, cut.sum(axis=1) @ places]) / cut.sum()
+    np.testing.assert_allclose(found, [at, 1 - at], atol=0.012)
+
+
+@given(angle=st.floats(-3.1, 3.1))
+def test_windows_show_hands_upright(angle):
+    up = np.array([np.sin(angle), -np.cos(angle)])
+    wrist = np.array([200.0, 150.0])
+    window = window_of_palm(np.array([150, 100, 250, 200.0]), wrist, wrist + 60 * up)
+    above = window.to_image(np.array([0.5, 0.0])) - window.to_image(np.array([0.5, 1.0]))
+    np.testing.assert_allclose(above / np.linalg.norm(above), up, atol=1e-9)
+    assert window.size == 260
+    pixels = wrist + np.random.default_rng(0).normal(size=(21, 2)) * 20
+    pixels[0], pixels[[5, 9, 13]] = wrist, wrist + 50 * up
+    again = window_of_landmarks(pixels)
+    np.testing.assert_allclose(np.cos(again.angle - angle), 1, atol=1e-9)
+
+
+def hand_at(u, v, size=100.0, side="right", score=0.9):
+    pixels = np.random.default_rng(1).uniform(-size / 2, size / 2, (21, 2))
+    pixels += np.array([u, v]) - pixels.mean(axis=0)
+    return DetectedHand(pixels, np.zeros((21, 3)), side, 0.9, score)
+
+
+def test_the_hand_that_is_meant():
+    left, small, far = hand_at(100, 100, side="left"), hand_at(300, 100, 60), hand_at(500, 300, 90)
+    assert choose_hand([small]) == (small, "")
+    best, note = choose_hand([left, small, far])
+    assert best is left and "3 hands" in note and "largest one was taken, at pixel 100, 100" in note
+    best, note = choose_hand([left, small, far], near=(480, 280, 600, 400))
+    assert best is far and "nearest to the box" in note
+    best, note = choose_hand([left, small, far], side="right")
+    assert best is far and "right hand that is the largest" in note
+    best, note = choose_hand([small], side="left")
+    assert best is small and "looks like a right one, not a left one" in note
+    with pytest.raises(FungraspError, match="no hand was found"):
+        choose_hand([])
+
+
+def test_order_of_joints():
+    names = ["wrist", *(f"thumb_{j}" for j in ("cmc", "mcp", "ip", "tip"))]
+    names += [f"{f}_{j}" for f in ("index", "middle", "ring", "pinky") for j in ("mcp", "pip", "dip", "tip")]
+    assert tuple(names[i] for i in FROM_MODEL) == HUMAN_JOINTS
+
+
+@pytest.fixture(scope="module")
+def picture():
+    from fungrasp.report.captures import CaptureSettings, render_capture
+
+    grasps = load_human_grasps("builtin")
+    row = int(np.flatnonzero(grasps.object_name == "mug")[0])
+    settings = CaptureSettings(clutter=(0, 0), distance=(0.45, 0.5), elevation=(35, 50))
+    return render_capture(grasps[row], builtin_object("mug"), np.random.default_rng(5), settings)
+
+
+@needs_weights
+def test_a_rendered_hand_is_found_and_told_from_a_left_one(picture):
+    pytest.importorskip("ai_edge_litert", reason="ai-edge-litert is not installed")
+    detector, colour = HandDetector(), picture.capture.colour
+    truth = picture.capture.intrinsics.project(picture.joints_camera)
+    (hand,) = detector.detect(colour)
+    assert hand.side == "right" and np.median(np.linalg.norm(hand.pixels - truth, axis=1)) < 15
+    assert joint_bends(hand.shape_camera)[0][:4].mean() > 0
+    (mirrored,) = detector.detect(np.ascontiguousarray(colour[:, ::-1]))
+    assert mirrored.side == "left"
+    assert joint_bends(mirrored.shape_camera)[0][:4].mean() < 0
+    turned = detector.detect(np.ascontiguousarray(np.rot90(colour)))
+    assert len(turned) == 1 and turned[0].side == "right"
+
+
+@needs_weights
+def test_no_hand_in_noise():
+    pytest.importorskip("ai_edge_litert", reason="ai-edge-litert is not installed")
+    noise = np.random.default_rng(0).integers(0, 255, (240, 320, 3), dtype=np.uint8)
+    assert HandDetector().detect(noise) == []
