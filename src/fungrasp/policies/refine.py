@@ -4,41 +4,23 @@ kept."""
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from fungrasp.geometry.poses import compose, invert, quaternion_from_rotation_vector, transform_points
+from fungrasp.geometry.poses import compose, invert, transform_points
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.objects import ObjectModel
-from fungrasp.policies.motion import ReferenceSettings
 from fungrasp.policies.play import play
 from fungrasp.policies.reference import ReferenceController
+from fungrasp.policies.variations import Spread, vary, with_settings
 from fungrasp.simulation import Scene, Worlds, build_scene
 from fungrasp.task import LiftTask, Trials
 
 ROUND = 3
 """Variations tried at once for a grasp that has not succeeded yet."""
-
-
-@dataclass(frozen=True)
-class Spread:
-    """How much variations differ, one standard deviation unless said."""
-
-    position: float = 0.008
-    """Of the wrist along each axis [m]."""
-    rotation: float = 0.08
-    """Of the wrist about each axis [rad]."""
-    joints: float = 0.05
-    """Of each joint by itself [rad]."""
-    closing: float = 0.08
-    """Of all joints in proportion to their angle [fraction]."""
-    force: float = 0.4
-    """Of the logarithm of the squeeze."""
-    press: float = 0.012
-    """Range of how far the wrist goes beyond its target [m]."""
 
 
 def refine(
@@ -87,7 +69,7 @@ def refine(
         if done:
             attempt = np.tile(np.arange(number), len(rows))
             start = with_settings(grasps).select(indices)
-            proposals = _vary(
+            proposals = vary(
                 _where((attempt + done) % 2 == 0, start, proposals),
                 hand,
                 indices,
@@ -113,18 +95,6 @@ def refine(
     )
 
 
-def with_settings(grasps: RobotGraspSet, settings: ReferenceSettings | None = None) -> RobotGraspSet:
-    """The grasps with the controller's settings written out in ``extra`` where they have none."""
-    s = settings or ReferenceSettings()
-    count = len(grasps)
-    defaults = {
-        "force_scale": np.ones(count),
-        "press_down": np.full(count, s.press_down),
-        "press_in": np.full(count, s.press_in),
-    }
-    return replace(grasps, extra={**defaults, **grasps.extra})
-
-
 def _try(
     scene: Scene, grasps: RobotGraspSet, objects: Mapping[str, ObjectModel], threads: int, chunk: int = 256
 ) -> Trials:
@@ -147,37 +117,6 @@ def _score(trials: Trials) -> np.ndarray:
         + trials.contact_ratio
         + 10.0 * lifted
         - 0.01 * trials.sim_distance_hand_mm_s.clip(0, 50)
-    )
-
-
-def _vary(
-    grasps: RobotGraspSet, hand: Hand, indices: np.ndarray, attempts: np.ndarray, seed: int, spread: Spread
-) -> RobotGraspSet:
-    matrix, offset = hand.coupling
-    kinematics = HandKinematics(hand, 1)
-    independent = (grasps.joint_positions - offset) @ np.linalg.pinv(matrix).T
-    size = independent.shape[1]
-    noise = np.stack(
-        [
-            np.random.default_rng([seed, int(i), int(a)]).normal(size=10 + size)
-            for i, a in zip(indices, attempts, strict=True)
-        ]
-    )
-    shift = np.concatenate(
-        [spread.position * noise[:, :3], quaternion_from_rotation_vector(spread.rotation * noise[:, 3:6])],
-        axis=1,
-    )
-    fingers = independent * (1 + spread.closing * noise[:, 6:7]) + spread.joints * noise[:, 10:]
-    fingers = np.clip(fingers, kinematics.lower, kinematics.upper)
-    extra = dict(grasps.extra)
-    extra["force_scale"] = np.clip(extra["force_scale"] * np.exp(spread.force * noise[:, 7]), 0.3, 3.0)
-    for name, column in (("press_down", 8), ("press_in", 9)):
-        extra[name] = np.clip(extra[name] + 0.5 * spread.press * noise[:, column], 0.0, 1.5 * spread.press)
-    return replace(
-        grasps,
-        wrist_pose=compose(grasps.wrist_pose, shift),
-        joint_positions=fingers @ matrix.T + offset,
-        extra=extra,
     )
 
 

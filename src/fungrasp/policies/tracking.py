@@ -77,6 +77,8 @@ class Tracker:
         known = task.scene.objects
         self._bank = SignedDistanceBank([objects[name].signed_distance for name in known])
         self._center, self._size = object_tables(known, objects)
+        index = np.array([known.index(name) for name in references.object_name.tolist()])
+        self._target_surface = self._bank.query(index, references.keypoints)
         self.size = WRIST_ACTIONS + self.kinematics.matrix.shape[1]
         """Numbers in an action."""
         self.rows = np.zeros(count, dtype=int)
@@ -124,6 +126,8 @@ class Tracker:
             fingers,
             refs.motion.wrist[rows],
             refs.keypoints[rows],
+            self._target_surface[0][rows],
+            self._target_surface[1][rows],
             refs.contacts[rows],
             refs.settled_pose[rows],
             refs.mass[rows],

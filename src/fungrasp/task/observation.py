@@ -84,6 +84,10 @@ class Wanted:
     """In the grasp, shape [W, 7]."""
     keypoints: Array
     """In the grasp, object frame [m], shape [W, K, 3]."""
+    surface_distance: Array
+    """Of those key points from the object's surface [m], shape [W, K]."""
+    surface_normal: Array
+    """Direction away from the surface there, object frame, shape [W, K, 3]."""
     contacts: Array
     """Links that should touch, shape [W, L] bool."""
     settled_pose: Array
@@ -120,6 +124,7 @@ def observe(now: Readings, before: Readings, wanted: Wanted, action: Array) -> d
     keypoints = inverse_transform_points(object_in_palm, now.keypoints)
     error = rotate(object_in_palm[:, None, 3:], wanted.keypoints - keypoints)
     normals = rotate(object_in_palm[:, None, 3:], now.surface_normal)
+    wanted_normals = rotate(object_in_palm[:, None, 3:], wanted.surface_normal)
     center = transform_points(object_in_palm, wanted.center[:, None])[:, 0]
     moved = rotate(to_palm[:, 3:], now.object_pose[:, :3] - wanted.settled_pose[:, :3])
     axes = xp.abs(rotation_matrix(object_in_palm[:, 3:]))
@@ -143,6 +148,8 @@ def observe(now: Readings, before: Readings, wanted: Wanted, action: Array) -> d
         "keypoint_errors": xp.reshape(error / POSITION_UNIT, (count, -1)),
         "surface_distances": xp.clip(now.surface_distance / 0.02, -1.0, 5.0),
         "surface_normals": xp.reshape(normals, (count, -1)),
+        "target_distances": xp.clip(wanted.surface_distance / 0.02, -1.0, 5.0),
+        "target_normals": xp.reshape(wanted_normals, (count, -1)),
         "target_contacts": xp.astype(wanted.contacts, now.joints.dtype),
         "mass": xp.log(wanted.mass[:, None] / 0.3),
         "phase": _phase(wanted.since_closing, wanted.since_lift),
