@@ -67,6 +67,8 @@ def example() -> tuple[Readings, Readings, Wanted, np.ndarray]:
         servo_targets=0.5 * one,
         palm_in_object=invert(pose(0.1, 0, -0.15, turn=[HALF, 0, 0, -HALF])),
         keypoints=np.array([[[0.05, 0, 0], [0.0, 0, 0.05]]]),
+        surface_distance=np.array([[0.005, 1.0]]),
+        surface_normal=np.array([[[0, 1.0, 0], [1.0, 0, 0]]]),
         contacts=np.array([[True, False]]),
         settled_pose=pose(0, 0.05, 0.1, turn=straight),
         mass=np.array([0.3 * np.e]),
@@ -96,6 +98,8 @@ EXPECTED: dict[str, list[float]] = {
     "keypoint_errors": [0, -1, 0, 0, -0.4, 1],
     "surface_distances": [0.5, -1],
     "surface_normals": [0, -1, 0, 0, 0, 1],
+    "target_distances": [0.25, 5],
+    "target_normals": [1, 0, 0, 0, -1, 0],
     "target_contacts": [1, 0],
     "mass": [1],
     "phase": [0, 0.5, 0, 0],
@@ -215,10 +219,11 @@ def test_layouts_follow_the_hand(name):
     assert list(sizes) == list(EXPECTED)
     assert [sizes[key] for key in ("joints", "last_action")] == [servos, servos + 6]
     assert [sizes[key] for key in ("keypoint_errors", "surface_distances")] == [3 * points, points]
+    assert [sizes[key] for key in ("target_normals", "target_distances")] == [3 * points, points]
     assert sizes["target_contacts"] == links
     assert flatten(parts).shape == (2, sum(sizes.values()))
     if name == "allegro":
-        assert sum(sizes.values()) == 266
+        assert sum(sizes.values()) == 334
     truth = sensed(rng, hand, 2)
     contacts = privileged(truth.contacts, truth.forces, truth.contacts)
     assert layout(contacts) == (("contacts", links), ("contact_errors", links), ("contact_forces", links))

@@ -38,6 +38,8 @@ def wanted(rng: np.random.Generator, hand: Hand, count: int) -> Wanted:
         rng.normal(size=(count, len(hand.actuators))),
         poses(rng, count),
         rng.normal(size=(count, len(hand.keypoint_names), 3)),
+        0.01 * rng.normal(size=(count, len(hand.keypoint_names))),
+        rng.normal(size=(count, len(hand.keypoint_names), 3)),
         rng.random((count, len(hand.links))) < 0.5,
         poses(rng, count),
         rng.uniform(0.05, 1.0, count),

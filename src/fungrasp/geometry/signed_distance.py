@@ -95,7 +95,8 @@ class SignedDistanceBank:
     def query(self, grid: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Trilinear signed distance and its exact gradient.
 
-        Outside a grid, the distance to the grid's border is added, so that the value keeps growing.
+        Outside a grid, the distance to the grid's border is added, so that the value keeps growing. NaN gives
+        NaN.
 
         Args:
             grid: index of the grid of each row, shape [N].
@@ -107,7 +108,7 @@ class SignedDistanceBank:
         spacing = self._spacing[grid][:, None, None]
         shape = self._shape[grid][:, None, :]
         u = (points - self._origin[grid][:, None, :]) / spacing
-        inside = np.clip(u, 0.0, shape - 1.000001)
+        inside = np.fmin(np.fmax(u, 0.0), shape - 1.000001)
         beyond = (u - inside) * spacing
         cell = inside.astype(np.int64)
         f = inside - cell
