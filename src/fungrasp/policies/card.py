@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, get_args, get_origin, get_type_hints
 from fungrasp.errors import FungraspError
 
 FORMAT_VERSION = 1
-KINDS = ("teacher", "student")
+KINDS = ("teacher", "student", "critic")
 
 
 class Part(NamedTuple):
@@ -61,7 +61,8 @@ class PolicyCard:
 
     name: str
     kind: str
-    """One of ``KINDS``: a teacher sees what only a simulation knows, a student what a robot has."""
+    """One of ``KINDS``: a teacher sees what only a simulation knows, a student what a robot has; a critic
+    judges plans."""
     hand: str
     hand_digest: str
     """``hand_digest`` of the hand that it was trained for."""
@@ -76,6 +77,8 @@ class PolicyCard:
     budget: Budget
     privileged: tuple[Part, ...] = ()
     """None for a student."""
+    plans: str = ""
+    """Name of the critic that chooses the plans it follows, a policy file beside it; none if empty."""
     action_smoothing: float = 0.0
     """Weight of the previous smoothed action in the next one, in [0, 1); the new action has the rest."""
     normalisation: str = "mean and standard deviation are inside the graph"
@@ -101,8 +104,8 @@ class PolicyCard:
         """
         if self.kind not in KINDS:
             raise FungraspError(f"a policy is a {' or a '.join(KINDS)}, not '{self.kind}'")
-        if self.kind == "student" and self.privileged:
-            raise FungraspError("a student can't have privileged observations")
+        if self.kind != "teacher" and self.privileged:
+            raise FungraspError(f"a {self.kind} can't have privileged observations")
         if not 0 < self.rate_hz < math.inf:
             raise FungraspError(f"rate_hz must be positive, not {self.rate_hz}")
         if not 0 <= self.action_smoothing < 1:

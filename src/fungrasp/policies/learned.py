@@ -25,19 +25,26 @@ ACTION_PARTS = ("position", "rotation", "fingers")
 class LearnedPolicy:
     """Acts in W worlds with a network from a policy file."""
 
-    def __init__(self, task: LiftTask, objects: Mapping[str, ObjectModel], network: PolicyNetwork):
+    def __init__(
+        self,
+        task: LiftTask,
+        objects: Mapping[str, ObjectModel],
+        network: PolicyNetwork,
+        references: References | None = None,
+    ):
         """
         Args:
             task: reset; the grasps come from it.
             objects: by name.
             network: made for the task's hand.
+            references: to follow, one for each world; those of the task's grasps if None.
 
         Raises:
             FungraspError: the network was made for another hand, other observations or another rate.
         """
         self._network, hand = network, task.scene.hand
-        motion = planned(task, objects)
-        references = References.of(motion, task.grasps, task.settled_pose, hand)
+        if references is None:
+            references = References.of(planned(task, objects), task.grasps, task.settled_pose, hand)
         self._tracker = Tracker(task, objects, references, residual_settings(network.card))
         everyone = np.arange(len(task.worlds))
         self._tracker.begin(everyone, everyone)

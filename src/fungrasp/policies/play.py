@@ -8,6 +8,7 @@ from typing import Protocol
 
 from fungrasp.errors import FungraspError, UnknownNameError
 from fungrasp.objects import ObjectModel
+from fungrasp.policies.choose import choose_references
 from fungrasp.policies.learned import LearnedPolicy
 from fungrasp.policies.policy_file import SUFFIX, list_policies, load_policy
 from fungrasp.policies.reference import ReferenceController
@@ -27,8 +28,9 @@ POLICIES: dict[str, Callable[[LiftTask, Mapping[str, ObjectModel]], Policy]] = {
 }
 """Makers of policies that need no weights, for a task that has been reset."""
 
-KINDS = ("teacher", "student")
-"""Short for the policies ``<hand>-teacher`` and ``<hand>-student`` that come with the package."""
+KINDS = ("teacher", "student", "critic")
+"""Short for the policies ``<hand>-teacher``, ``<hand>-student`` and ``<hand>-critic`` that come with the
+package."""
 
 
 def resolve_policy(name: str, hand: str) -> Path | None:
@@ -71,7 +73,13 @@ def make_policy(name: str, task: LiftTask, objects: Mapping[str, ObjectModel]) -
     path = resolve_policy(name, task.scene.hand.name)
     if path is None:
         return POLICIES[name](task, objects)
-    return LearnedPolicy(task, objects, load_policy(path))
+    network = load_policy(path)
+    if network.card.kind == "critic":
+        return ReferenceController(task, objects, motion=choose_references(task, objects, network)[0].motion)
+    if not network.card.plans:
+        return LearnedPolicy(task, objects, network)
+    critic = load_policy(path.with_name(network.card.plans + SUFFIX))
+    return LearnedPolicy(task, objects, network, choose_references(task, objects, critic)[0])
 
 
 def play(task: LiftTask, policy: Policy, watch: Callable[[], None] | None = None) -> Trials:

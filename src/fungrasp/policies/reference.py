@@ -20,16 +20,21 @@ class ReferenceController:
     """
 
     def __init__(
-        self, task: LiftTask, objects: Mapping[str, ObjectModel], settings: ReferenceSettings | None = None
+        self,
+        task: LiftTask,
+        objects: Mapping[str, ObjectModel],
+        settings: ReferenceSettings | None = None,
+        motion: Motion | None = None,
     ):
         """
         Args:
             task: reset; the grasps come from it.
             objects: by name.
             settings: the defaults if None.
+            motion: planned before, one for each world; planned here if None.
         """
         self._task = task
-        self.motion = planned(task, objects, settings)
+        self.motion = motion or planned(task, objects, settings)
 
     def act(self) -> Action:
         """What to do in the next control period."""

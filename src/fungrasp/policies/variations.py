@@ -53,7 +53,7 @@ def vary(
         grasps: N grasps that have settings (``with_settings``).
         hand: the robot hand.
         indices: a number for each grasp, shape [N].
-        attempts: a number for each variation of a grasp, shape [N].
+        attempts: a number for each variation of a grasp, 0 for the grasp as it is, shape [N].
         seed: of the random numbers.
         spread: of the variations.
     """
@@ -67,6 +67,7 @@ def vary(
             for i, a in zip(indices, attempts, strict=True)
         ]
     )
+    noise *= (attempts > 0)[:, None]
     shift = np.concatenate(
         [spread.position * noise[:, :3], quaternion_from_rotation_vector(spread.rotation * noise[:, 3:6])],
         axis=1,
