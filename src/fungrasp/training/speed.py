@@ -132,7 +132,8 @@ def environment_speed(
         progress(step + 1)
     count = steps * settings.worlds
     same = np.array_equal(told.task.worlds.qpos, timed.task.worlds.qpos)
-    return EnvironmentSpeed(settings.worlds, physics, count / seconds["environment"], count / seconds["bare"])
+    speeds = count / seconds["environment"], count / seconds["bare"]
+    return EnvironmentSpeed(settings.worlds, physics, *speeds, identical=same)
 
 
 def update_speed(environment: LiftEnvironment, settings: PpoSettings, updates: int = 2) -> UpdateSpeed:
