@@ -31,7 +31,13 @@ from fungrasp.perception.hand_probes import PROBES
 from fungrasp.perception.hand_silhouette import Silhouettes
 from fungrasp.perception.hand_skeleton import SIZE, Skeleton
 from fungrasp.perception.hand_solver import damped_step, normal_equations, robust_weights
-from fungrasp.perception.hand_start import HandMeasurements, joint_confidence, mirror_estimate, start
+from fungrasp.perception.hand_start import (
+    HandMeasurements,
+    joint_confidence,
+    joint_covariance,
+    mirror_estimate,
+    start,
+)
 
 
 @dataclass(frozen=True)
@@ -84,7 +90,7 @@ def fit_hand(
         detected: landmarks in the colour image.
         capture: the same image with depth.
         around: object and table, if their poses are known: fingers near them touch, nothing is inside.
-        settings: by default those that the figures in the documentation were measured with.
+        settings: what the measurements are worth.
 
     Returns:
         Joints in the camera frame; a left hand is not mirrored.
@@ -171,8 +177,7 @@ class _Problem:
         joints, jacobian = hand.joints_and_derivatives()
         evidence = self.evidence(hand, turn, self.settings.outlier_depths[-1], around)
         matrix, _ = normal_equations(evidence, SIZE + 3)
-        inverse = np.linalg.inv(matrix)[:SIZE, :SIZE]
-        covariance = jacobian @ inverse @ jacobian.transpose(0, 2, 1)
+        covariance = joint_covariance(matrix, jacobian)
         landmarks, depth = evidence[:2]
         through = depth.residual < -depth.outlier
         agreement = float(robust_weights(landmarks).mean()) * (1.0 - float(through.mean()))

@@ -16,7 +16,12 @@ from fungrasp.perception.hand_contact import ContactSettings, Surroundings, cont
 from fungrasp.perception.hand_evidence import Evidence, anatomy_evidence
 from fungrasp.perception.hand_skeleton import SIZE, Skeleton
 from fungrasp.perception.hand_solver import damped_step, normal_equations
-from fungrasp.perception.hand_start import joint_confidence, mirror_estimate, skeleton_through
+from fungrasp.perception.hand_start import (
+    joint_confidence,
+    joint_covariance,
+    mirror_estimate,
+    skeleton_through,
+)
 
 ITERATIONS = 10
 
@@ -67,7 +72,7 @@ def _refine(hand: HandEstimate, around: Surroundings, settings: ContactSettings)
         skeleton = skeleton.moved(damped_step(*normal_equations(evidence(skeleton), SIZE)))
     joints, jacobian = skeleton.joints_and_derivatives()
     matrix, _ = normal_equations(evidence(skeleton), SIZE)
-    covariance = jacobian @ np.linalg.inv(matrix) @ jacobian.transpose(0, 2, 1)
+    covariance = joint_covariance(matrix, jacobian)
     return dataclasses.replace(
         hand, joints_camera=joints, covariance=covariance, confidence=joint_confidence(covariance)
     )
