@@ -14,7 +14,8 @@ from fungrasp.geometry.signed_distance import SignedDistanceBank, SignedDistance
 from fungrasp.grasps import load_human_grasps
 from fungrasp.perception import Capture, HandEstimate
 from fungrasp.perception.hand_contact import Surroundings
-from fungrasp.perception.hand_fit import fit_hand
+from fungrasp.perception.hand_evidence import Evidence
+from fungrasp.perception.hand_fit import agreement, fit_hand
 from fungrasp.perception.hand_refine import refine_hand
 
 ROWS = range(0, 24, 4)
@@ -69,6 +70,15 @@ def test_a_left_hand_is_the_mirror_image_of_a_right_one(scenes):
     assert left.side == "left"
     np.testing.assert_allclose(left.joints_camera, right.joints_camera * mirror, atol=1e-6)
     np.testing.assert_allclose(left.covariance[:, 0, 1], -right.covariance[:, 0, 1], atol=1e-9)
+
+
+def test_agreement_counts_landmarks_and_flesh_that_is_seen_through():
+    none = np.zeros((4, 1))
+    landmarks = Evidence(np.zeros(4), none, outlier=4.0, group=2)
+    half = Evidence(np.array([0.0, 1.0, -9.0, -9.0]), none, outlier=np.full(4, 3.0))
+    assert agreement(landmarks, half) == 0.5
+    assert agreement(landmarks, Evidence(np.zeros(0), np.zeros((0, 1)), outlier=np.zeros(0))) == 0.0
+    assert agreement(Evidence(np.full(4, 99.0), none, outlier=4.0, group=2), half) < 1e-3
 
 
 def test_no_depth_at_the_hand_is_an_error(scenes):

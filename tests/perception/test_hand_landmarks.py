@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
@@ -49,6 +49,7 @@ def test_overlap_of_boxes():
     np.testing.assert_allclose(box_overlap(boxes[0], boxes), [1, 1 / 3, 0])
 
 
+@settings(deadline=None, max_examples=40)
 @given(
     u=st.floats(60, 240),
     v=st.floats(60, 180),
@@ -72,6 +73,7 @@ def test_windows_show_what_they_say(u, v, size, angle, at):
     np.testing.assert_allclose(found, [at, 1 - at], atol=0.012)
 
 
+@settings(deadline=None)
 @given(angle=st.floats(-3.1, 3.1))
 def test_windows_show_hands_upright(angle):
     up = np.array([np.sin(angle), -np.cos(angle)])
@@ -119,8 +121,8 @@ def picture():
 
     grasps = load_human_grasps("builtin")
     row = int(np.flatnonzero(grasps.object_name == "mug")[0])
-    settings = CaptureSettings(clutter=(0, 0), distance=(0.45, 0.5), elevation=(35, 50))
-    return render_capture(grasps[row], builtin_object("mug"), np.random.default_rng(5), settings)
+    near = CaptureSettings(clutter=(0, 0), distance=(0.45, 0.5), elevation=(35, 50))
+    return render_capture(grasps[row], builtin_object("mug"), np.random.default_rng(5), near)
 
 
 @needs_weights

@@ -115,6 +115,18 @@ def fit_hand(
     return right if detected.side == "right" else mirror_estimate(right, detected.pixels)
 
 
+def agreement(landmarks: Evidence, depth: Evidence) -> float:
+    """How well the image agrees with a fitted hand, 0 to 1.
+
+    The mean weight of the landmarks, times the part of the hand's visible flesh that is not seen through; 0
+    where no depth is measured at any of it.
+    """
+    if not len(depth.residual):
+        return 0.0
+    through = np.mean(depth.residual < -np.asarray(depth.outlier))
+    return float(robust_weights(landmarks).mean() * (1.0 - through))
+
+
 class _Problem:
     """The measurements of one right hand, and what they say about a skeleton."""
 
@@ -178,14 +190,11 @@ class _Problem:
         evidence = self.evidence(hand, turn, self.settings.outlier_depths[-1], around)
         matrix, _ = normal_equations(evidence, SIZE + 3)
         covariance = joint_covariance(matrix, jacobian)
-        landmarks, depth = evidence[:2]
-        through = depth.residual < -depth.outlier
-        agreement = float(robust_weights(landmarks).mean()) * (1.0 - float(through.mean()))
         return HandEstimate(
             joints,
             self.seen.pixels,
             joint_confidence(covariance),
             covariance,
             "right",
-            float(np.clip(self.seen.score * agreement, 0.0, 1.0)),
+            self.seen.score * agreement(*evidence[:2]),
         )
