@@ -1,0 +1,54 @@
+"""The commands ``fungrasp train``, ``distill`` and ``reproduce``: mistakes are one line."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from grasp_files import run, some_grasps
+
+from fungrasp.grasps import save_human_grasps
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("train", "--steps", 0), "--steps must be at least 1"),
+        (("train", "--seed", -1), "must not be negative"),
+        (("train", "--hand", "alegro"), "Did you mean 'allegro'?"),
+        (("train", "--method", "our"), "Did you mean 'ours'?"),
+        (("train", "--grasps", "none.npz"), "none.npz does not exist"),
+        (("train", "--grasps", "builtin", "builtin"), "each once"),
+        (("train", "--terms", "a", "b"), "one text for each of the 1 --grasps, not 2"),
+        (("train", "--variety.copies", 0), "at least one copy"),
+        (("distill", "--teacher", "nowhere"), "nowhere is not the folder of a training"),
+    ],
+)
+def test_mistakes_are_one_line(arguments, words, tmp_path, capsys):
+    status, out, err = run(capsys, *arguments, "--out", tmp_path / "out")
+    assert status == 2 and out == "" and err.count("\n") == 1 and words in err
+    assert not (tmp_path / "out" / "checkpoint.pt").exists()
+
+
+def test_wandb_is_asked_for_in_words(tmp_path, capsys):
+    pytest.importorskip("torch")
+    try:
+        import wandb  # noqa: F401  # pyright: ignore[reportMissingImports]
+    except ImportError:
+        pass
+    else:
+        pytest.skip("wandb is installed")
+    status, _, err = run(capsys, "train", "--out", tmp_path, "--wandb", "project")
+    assert status == 2 and "pip install wandb" in err
+
+
+def test_finished_variants_are_not_trained_again_unless_settings_differ(tmp_path, capsys):
+    grasps = tmp_path / "g.npz"
+    save_human_grasps(grasps, some_grasps())
+    (tmp_path / "dexgraspnet.json").write_text(json.dumps({"budget": {}, "result": {}}))
+    common = ("--grasps", grasps, "--test", grasps, "--out", tmp_path)
+    status, _, err = run(capsys, "reproduce", "retargeting", *common)
+    assert status == 2 and "was made with other settings" in err
+    (tmp_path / "dexgraspnet.json").write_text("{")
+    status, _, err = run(capsys, "reproduce", "retargeting", *common)
+    assert status == 2 and "is damaged" in err

@@ -1,0 +1,177 @@
+"""Environment, PPO, student and runs, in a training of two grasps."""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from small_training import BATCH, PPO, environment, hand, library, run_settings, training_set, unusable
+
+from fungrasp.errors import FungraspError
+from fungrasp.hands import load_hand
+from fungrasp.policies.card import Budget
+from fungrasp.policies.policy_file import load_policy
+from fungrasp.policies.references import References
+from fungrasp.training.checkpoint import check_environment, environment_state, read_checkpoint
+from fungrasp.training.distill import make_student
+from fungrasp.training.export import export_student, make_card
+from fungrasp.training.folder import kept_library
+from fungrasp.training.networks import ColouredGaussian
+from fungrasp.training.ppo import Trainer
+from fungrasp.training.run import TrainingSet, train
+from fungrasp.training.student import HISTORY, StudentGraph
+
+
+def test_references_survive_a_file(tmp_path):
+    path = tmp_path / "references.npz"
+    kept_library(path, "key", library)
+    found = kept_library(path, "key", lambda: pytest.fail("planned again"))
+    assert np.array_equal(found.group, library().group)
+    for name, value in References.from_arrays(found.references.arrays()).arrays().items():
+        assert np.array_equal(value, library().references.arrays()[name]), name
+    again = []
+    kept_library(path, "another key", lambda: again.append(1) or library())
+    path.write_bytes(path.read_bytes()[:1000])
+    kept_library(path, "another key", lambda: again.append(2) or library())
+    assert again == [1, 2]
+
+
+def test_a_world_that_breaks_down_is_named_and_begins_anew(caplog):
+    worlds = environment()
+    row = int(worlds.tracker.rows[3])
+    engine = worlds.task.worlds.step
+
+    def broken(substeps, which=None):
+        engine(substeps, which)
+        worlds.task.worlds.qpos[3] = np.nan
+
+    worlds.task.worlds.step = broken
+    with caplog.at_level(logging.WARNING):
+        step = worlds.step(np.zeros((8, worlds.actions)))
+    assert worlds.diverged == 1 and step.done[3] and not step.success[3]
+    assert str(library().references.object_name[row]) in caplog.text and f"reference {row}" in caplog.text
+    assert np.isfinite(step.reward).all()
+    for name in ("robot", "privileged", "critic"):
+        assert np.isfinite(getattr(step.observations, name)).all(), name
+
+
+def test_references_are_chosen_by_how_uncertain_their_success_is():
+    worlds = environment()
+    worlds.success_of_group[:] = [0.5, 1.0]
+    chosen = []
+    for _ in range(60):
+        worlds._begin(np.arange(8))
+        chosen += library().group[worlds.tracker.rows].tolist()
+    # p (1 - p) + 0.05: 0.30 against 0.05.
+    assert np.mean(np.array(chosen) == 0) == pytest.approx(0.3 / 0.35, abs=0.07)
+
+
+def test_noise_has_the_stated_correlation_and_spread():
+    torch.manual_seed(0)
+    noise = ColouredGaussian(3, worlds=400, correlation=0.9, init_std=0.2, std_type="log")
+    noise.update(torch.zeros(400, 3))
+    samples = torch.stack([noise.sample() for _ in range(30)])
+    assert samples.std().item() == pytest.approx(0.2, rel=0.05)
+    for lag in (1, 5):
+        correlation = (samples[lag:] * samples[:-lag]).mean() / samples.var()
+        assert correlation.item() == pytest.approx(0.9**lag, abs=0.05)
+
+
+def test_checkpoints_of_other_hands_are_refused(tmp_path):
+    worlds = environment()
+    state = environment_state(worlds)
+    check_environment(tmp_path, state, worlds)
+    with pytest.raises(FungraspError, match="of the hand 'leap', not of 'allegro'"):
+        check_environment(tmp_path, state | {"hand": load_hand("leap").name}, worlds)
+    with pytest.raises(FungraspError, match="other observations"):
+        check_environment(tmp_path, state | {"layout": "[]"}, worlds)
+
+
+def test_the_student_file_does_what_torch_does(tmp_path):
+    worlds = environment(history=True)
+    torch.manual_seed(1)
+    student = make_student(worlds, (32, 16))
+    student.eval()
+    path = tmp_path / "student.onnx"
+    card = make_card(
+        "s", "student", hand(), worlds.layout, (), worlds.settings.residual, 10.0, Budget(0, 0, "")
+    )
+    export_student(student, path, card)
+    network, graph = load_policy(path), StudentGraph(student)
+    state = network.initial_state(5)
+    window = torch.zeros(5, HISTORY, student.encoder.input_size)
+    rng = np.random.default_rng(0)
+    for _ in range(2 * HISTORY):
+        seen = rng.normal(size=(5, card.input_size)).astype(np.float32)
+        action, more, state = network(seen, state)
+        with torch.inference_mode():
+            wanted, contacts, forces, window = graph(torch.from_numpy(seen), window)
+        for ours, theirs in ((action, wanted), (more["contacts"], contacts), (more["forces"], forces)):
+            assert np.abs(ours - theirs.numpy()).max() < 1e-4
+    assert np.abs(state["history"] - window.numpy()).max() < 1e-6 and np.abs(window).max() > 0
+
+
+def test_ppo_moves_towards_what_is_paid_for():
+    worlds = environment()
+    step = worlds.step
+
+    def paid(action):
+        result = step(action)
+        object.__setattr__(result, "reward", 10.0 * np.clip(action[:, 0], -1, 1))
+        return result
+
+    worlds.step = paid
+    trainer = Trainer(worlds, PPO)
+    rewards = []
+    trainer.learn(25 * BATCH, lambda p: rewards.append(p.reward))
+    assert np.mean(rewards[-5:]) > np.mean(rewards[:5]) + 0.3
+
+
+def test_a_run_goes_on_and_refuses_other_settings(tmp_path):
+    sets = [training_set()]
+    train(tmp_path, sets, hand(), run_settings(), BATCH, threads=1)
+    card = train(tmp_path, sets, hand(), run_settings(), 3 * BATCH, threads=1)
+    assert card.budget.steps == 3 * BATCH and card.training_data[0].terms == "free"
+    lines = [json.loads(line)["steps"] for line in (tmp_path / "progress.jsonl").read_text().splitlines()]
+    assert lines == [BATCH, 2 * BATCH, 3 * BATCH]
+    with pytest.raises(FungraspError, match=r"ppo.gamma is 0.99 there, 0.9 here"):
+        train(tmp_path, sets, hand(), run_settings(gamma=0.9), 4 * BATCH, threads=1)
+    (tmp_path / "checkpoint.pt").write_bytes((tmp_path / "checkpoint.pt").read_bytes()[:-9])
+    with pytest.raises(FungraspError, match="damaged"):
+        train(tmp_path, sets, hand(), run_settings(), 4 * BATCH, threads=1)
+
+
+def test_grasps_without_use_are_named(tmp_path):
+    one = training_set()
+    bad = TrainingSet("bad grasps", unusable(one.grasps), one.objects)
+    with pytest.raises(FungraspError, match="bad grasps: none of the grasps can be trained on"):
+        train(tmp_path, [bad], hand(), run_settings(), BATCH, threads=1)
+
+
+def test_a_killed_run_goes_on_where_its_checkpoint_is(tmp_path):
+    code = (
+        "import sys; sys.path.insert(0, sys.argv[1]); from pathlib import Path; import small_training as t;"
+        "from fungrasp.training.run import train;"
+        "train(Path(sys.argv[2]), [t.training_set()], t.hand(), t.run_settings(), 10**9, threads=1)"
+    )
+    process = subprocess.Popen([sys.executable, "-c", code, str(Path(__file__).parent), str(tmp_path)])
+    checkpoint = tmp_path / "checkpoint.pt"
+    deadline = time.time() + 600
+    while not checkpoint.exists() and time.time() < deadline and process.poll() is None:
+        time.sleep(0.2)
+    os.kill(process.pid, signal.SIGKILL)
+    process.wait()
+    steps = read_checkpoint(checkpoint)["steps"]
+    card = train(tmp_path, [training_set()], hand(), run_settings(), steps + BATCH, threads=1)
+    assert card.budget.steps == steps + BATCH
+    lines = [json.loads(line)["steps"] for line in (tmp_path / "progress.jsonl").read_text().splitlines()]
+    assert lines == list(range(BATCH, steps + BATCH + 1, BATCH))
