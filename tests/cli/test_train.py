@@ -20,7 +20,6 @@ from fungrasp.grasps import save_human_grasps
         (("train", "--grasps", "none.npz"), "none.npz does not exist"),
         (("train", "--grasps", "builtin", "builtin"), "each once"),
         (("train", "--terms", "a", "b"), "one text for each of the 1 --grasps, not 2"),
-        (("train", "--variety.copies", 0), "at least one copy"),
         (("distill", "--teacher", "nowhere"), "nowhere is not the folder of a training"),
     ],
 )
