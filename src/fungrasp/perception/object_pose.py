@@ -8,7 +8,7 @@ import numpy as np
 import trimesh
 
 from fungrasp.objects import ObjectModel
-from fungrasp.perception.capture import Capture
+from fungrasp.perception.capture import Capture, Intrinsics
 from fungrasp.perception.estimates import HandEstimate, ObjectEstimate
 from fungrasp.perception.icp import Evidence
 from fungrasp.perception.known_object import KnownObject, known_object
@@ -41,6 +41,9 @@ GOOD = (0.85, 0.6)
 
 COLOUR_WEIGHT = 0.15
 """Quality that full agreement of colours is worth, as a part of the best pose's."""
+
+WIDEST = 960
+"""Longer images [pixels] are thinned out: more pixels cost time and do not help."""
 
 ANSWERS = 5
 """Most alternatives that are kept."""
@@ -90,6 +93,7 @@ def estimate_object_pose(
     Raises:
         FungraspError: the mesh has no faces.
     """
+    capture = _thinned(capture)
     size = float(np.linalg.norm(np.ptp(np.asarray(mesh.vertices), axis=0))) if len(mesh.vertices) else 0.0
     joints = None if hand is None else hand.joints_camera
     if not SIZES[0] < size < SIZES[1]:
@@ -106,7 +110,7 @@ def estimate_object_pose(
     found = Found(found.poses[order], found.owner[order])
     verdict = verdict.chosen(order)
     rival = rivals(known, found.poses, verdict.quality)
-    scores = confidence(verdict, rival, capture.mask is not None)
+    scores = confidence(verdict)
     best = found.poses[0]
     points = view.evidence[found.owner[0]].points
     residual = known.surface.median_distance(points, best)
@@ -116,6 +120,22 @@ def estimate_object_pose(
         (pose, float(min(value, score))) for pose, value in zip(found.poses[1:], scores[1:], strict=True)
     )
     return ObjectEstimate(best, score, score >= ACCEPT, others[:ANSWERS], residual, note)
+
+
+def _thinned(capture: Capture) -> Capture:
+    """Every so many rows and columns, so that the longer side is at most ``WIDEST``."""
+    k = capture.intrinsics
+    step = -(-max(k.width, k.height) // WIDEST)
+    if step == 1:
+        return capture
+    colour, depth = capture.colour[::step, ::step], capture.depth[::step, ::step]
+    lens = Intrinsics(depth.shape[1], depth.shape[0], k.fx / step, k.fy / step, k.cx / step, k.cy / step)
+    mask = None if capture.mask is None else capture.mask[::step, ::step]
+    if mask is not None and not mask.any():
+        return capture
+    x0, y0, x1, y1 = np.array(capture.box or (0.0, 0.0, 1.0, 1.0)) / step
+    box = None if capture.box is None else (float(x0), float(y0), float(x1), float(y1))
+    return Capture(colour, depth, lens, mask, box)
 
 
 def _view(
