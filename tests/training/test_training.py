@@ -117,7 +117,7 @@ def test_the_student_file_does_what_torch_does(tmp_path):
             wanted, contacts, forces, window = graph(torch.from_numpy(seen), window)
         for ours, theirs in ((action, wanted), (more["contacts"], contacts), (more["forces"], forces)):
             assert np.abs(ours - theirs.numpy()).max() < 1e-4
-    assert np.abs(state["history"] - window.numpy()).max() < 1e-6 and np.abs(window).max() > 0
+    assert np.abs(state["history"] - window.numpy()).max() < 1e-6 and window.abs().max() > 0
 
 
 def test_ppo_moves_towards_what_is_paid_for():
