@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import io
 import warnings
+from dataclasses import replace
 from datetime import date
 from pathlib import Path
 from typing import Any, cast
@@ -17,6 +18,7 @@ from fungrasp.policies.card import ActionPart, Budget, Part, PolicyCard
 from fungrasp.policies.learned import ACTION_PARTS
 from fungrasp.policies.policy_file import hand_digest, save_policy, servo_gains
 from fungrasp.task.residual import WRIST_ACTIONS, ResidualSettings
+from fungrasp.training.plans import PlanCritic
 from fungrasp.training.student import HISTORY, StudentGraph, StudentModel
 
 OPSET = 18
@@ -75,10 +77,10 @@ def make_card(
 
     Args:
         name: of the policy.
-        kind: "teacher" or "student".
+        kind: "teacher", "student" or "critic".
         hand: that it moves.
         layout: of the observation.
-        privileged: layout of the privileged observation; empty for a student.
+        privileged: layout of the privileged observation; empty but for a teacher.
         residual: of its actions.
         rate: of control [Hz].
         budget: of the training.
@@ -118,3 +120,10 @@ def export_student(student: StudentModel, path: Path, card: PolicyCard) -> None:
     inputs = {"observation": observation, "state_history": history}
     outputs = ("action", "contacts", "forces", "next_state_history")
     save_policy(path, graph(StudentGraph(student), inputs, outputs), card)
+
+
+def export_critic(critic: PlanCritic, path: Path, card: PolicyCard) -> None:
+    """Write a plan critic's file: its observation is ``plan_features``, its action the expected success."""
+    card = replace(card, action=(ActionPart("success", 1, 1.0),))
+    example = torch.zeros(2, card.input_size)
+    save_policy(path, graph(critic, {"observation": example}, ("action",)), card)

@@ -1,0 +1,241 @@
+"""The plan critic: learns from many tried plans which of a grasp's variations will hold."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+import torch
+
+from fungrasp.errors import FungraspError
+from fungrasp.geometry.poses import compose
+from fungrasp.grasps import RobotGraspSet
+from fungrasp.hands import Hand
+from fungrasp.objects import ObjectModel
+from fungrasp.policies.plan_features import plan_features
+from fungrasp.policies.reference import planned
+from fungrasp.policies.references import References
+from fungrasp.policies.variations import Spread, vary, with_settings
+from fungrasp.simulation import Scene, SceneSettings, Worlds, build_scene
+from fungrasp.task import Action, LiftTask, Protocol
+from fungrasp.task.observation import flatten, layout
+
+
+@dataclass(frozen=True)
+class PlanSettings:
+    """Of the trials that a critic learns from, and of its learning."""
+
+    attempts: int = 24
+    """Variations of each grasp, the unchanged one included."""
+    timestep: float = 0.01
+    """Of physics [s]."""
+    hold_time: float = 2.0
+    """[s]; the dynamic test has 3."""
+    early: int = 5
+    """Trials begin this many control steps before the fingers close."""
+    chunk: int = 512
+    """Trials at once."""
+    networks: int = 4
+    """Whose mean is the critic."""
+    hidden: tuple[int, int] = (256, 128)
+    """Units of a network's hidden layers."""
+    dropout: float = 0.3
+    weight_decay: float = 0.02
+    learning_rate: float = 1e-3
+    """At the beginning; it falls to zero."""
+    epochs: int = 10
+    minibatch: int = 256
+
+
+@dataclass(frozen=True, eq=False)
+class Outcomes:
+    """N tried plans."""
+
+    features: np.ndarray
+    """``plan_features`` side by side, shape [N, D] float32."""
+    grasp: np.ndarray
+    """Which grasp each is a variation of, shape [N] int."""
+    attempt: np.ndarray
+    """Which variation, 0 for the grasp as it is, shape [N] int."""
+    success: np.ndarray
+    """Shape [N] bool."""
+    contact_ratio: np.ndarray
+    """During the hold, shape [N]."""
+
+    @classmethod
+    def join(cls, *parts: Outcomes) -> Outcomes:
+        """One after the other; the grasps of each part count on from those of the part before."""
+        offsets = np.cumsum([0, *(int(part.grasp.max()) + 1 for part in parts)])
+        moved = [replace(p, grasp=p.grasp + o) for p, o in zip(parts, offsets[:-1], strict=True)]
+        return cls(*(np.concatenate([getattr(part, f.name) for part in moved]) for f in fields(cls)))
+
+    def select(self, rows: np.ndarray) -> Outcomes:
+        """Some of them."""
+        return Outcomes(*(getattr(self, f.name)[rows] for f in fields(self)))
+
+
+def try_plans(
+    grasps: RobotGraspSet,
+    objects: Mapping[str, ObjectModel],
+    hand: Hand,
+    settings: PlanSettings | None = None,
+    seed: int = 0,
+    threads: int = 0,
+    progress: Callable[[int], None] = lambda done: None,
+) -> tuple[Outcomes, tuple[tuple[str, int], ...]]:
+    """Plan variations of grasps and try each once, blindly, in physics.
+
+    Args:
+        grasps: of ``hand``.
+        objects: by name.
+        hand: the robot hand.
+        settings: the defaults if None.
+        seed: of the variations.
+        threads: 0 means all processors.
+        progress: called with the number of trials done.
+
+    Returns:
+        The outcomes, and the layout of their features.
+    """
+    s = settings or PlanSettings()
+    scene = build_scene(hand, objects, SceneSettings(timestep=s.timestep))
+    grasp = np.tile(np.arange(len(grasps)), s.attempts)
+    attempt = np.repeat(np.arange(s.attempts), len(grasps))
+    start = with_settings(grasps)
+    parts, names = [], ()
+    for first in range(0, len(grasp), s.chunk):
+        rows = slice(first, first + s.chunk)
+        varied = vary(start.select(grasp[rows]), hand, grasp[rows], attempt[rows], seed, Spread())
+        references, success, ratio = _try(varied, objects, scene, s, threads)
+        features = plan_features(references, objects)
+        names = layout(features)
+        flat = np.nan_to_num(flatten(features)).astype(np.float32)
+        parts.append(Outcomes(flat, grasp[rows], attempt[rows], success, ratio))
+        progress(first + len(success))
+    whole = Outcomes(*(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(Outcomes)))
+    return whole, names
+
+
+def _try(
+    grasps: RobotGraspSet, objects: Mapping[str, ObjectModel], scene: Scene, s: PlanSettings, threads: int
+) -> tuple[References, np.ndarray, np.ndarray]:
+    """The plans, whether they held, and their contact ratio."""
+    index = np.array([scene.objects.index(name) for name in grasps.object_name.tolist()])
+    protocol = replace(Protocol(), hold_time=s.hold_time)
+    task = LiftTask(scene, grasps, Worlds(scene, index, grasps.object_mass, threads=threads), protocol)
+    task.reset()
+    settled, motion = task.settled_pose.copy(), planned(task, objects)
+    references = References.of(motion, grasps, settled, scene.hand)
+    ids = np.arange(len(grasps))
+    first = np.maximum(motion.closing - s.early, 0)
+    task.worlds.reset(ids)
+    task.begin(
+        ids,
+        settled,
+        compose(settled, motion.wrist),
+        compose(settled, motion.set_point[ids, first]),
+        motion.finger_targets[ids, np.maximum(first - 1, 0)],
+        grasps.link_contacts,
+        motion.velocity[ids, first],
+        first * protocol.control_period,
+    )
+    lost = np.zeros(len(grasps), dtype=bool)
+    while not task.done.all():
+        step = np.rint(task.time / protocol.control_period).astype(int)
+        goal, fingers = motion.at(step)
+        task.step(Action(compose(settled, goal), fingers, step >= motion.lift))
+        height = task.worlds.center_of_mass[:, 2] - task.settled_height
+        gone = ((task.time - task.lift_time > 1.0) & (height < 0.03)) | ~np.isfinite(height)
+        lost |= gone & ~task.done
+        task.done |= gone
+    trials = task.trials()
+    return references, trials.success & ~lost, np.where(lost, 0.0, np.nan_to_num(trials.contact_ratio))
+
+
+class PlanCritic(torch.nn.Module):
+    """Mean of several networks' expected success."""
+
+    def __init__(self, features: np.ndarray, s: PlanSettings):
+        """features: of the plans it will learn from, shape [N, D]."""
+        super().__init__()
+        self.mean: torch.Tensor
+        self.register_buffer("mean", torch.from_numpy(features.mean(axis=0)))
+        self.spread: torch.Tensor
+        self.register_buffer("spread", torch.from_numpy(features.std(axis=0) + 0.05))
+        a, b = s.hidden
+        self.networks = torch.nn.ModuleList(
+            torch.nn.Sequential(
+                torch.nn.Linear(features.shape[1], a),
+                torch.nn.ELU(),
+                torch.nn.Dropout(s.dropout),
+                torch.nn.Linear(a, b),
+                torch.nn.ELU(),
+                torch.nn.Dropout(s.dropout),
+                torch.nn.Linear(b, 1),
+            )
+            for _ in range(s.networks)
+        )
+
+    def logits(self, features: torch.Tensor) -> torch.Tensor:
+        """Of each network, shape [networks, N, 1]. features: shape [N, D]."""
+        normal = (features - self.mean) / self.spread
+        return torch.stack([network(normal) for network in self.networks])
+
+    def forward(self, features: torch.Tensor) -> torch.Tensor:
+        """Expected success in [0, 1], shape [N, 1]."""
+        return torch.sigmoid(self.logits(features)).mean(dim=0)
+
+
+def fit_critic(outcomes: Outcomes, settings: PlanSettings | None = None, seed: int = 0) -> PlanCritic:
+    """Learn from tried plans.
+
+    Raises:
+        FungraspError: all of them held, or none.
+    """
+    s = settings or PlanSettings()
+    if outcomes.success.all() or not outcomes.success.any():
+        word = "all" if outcomes.success.any() else "none"
+        raise FungraspError(f"a critic can't learn from plans of which {word} held")
+    torch.manual_seed(seed)
+    critic = PlanCritic(outcomes.features, s)
+    features, truth = torch.from_numpy(outcomes.features), torch.from_numpy(outcomes.success).float()
+    optimizer = torch.optim.AdamW(critic.parameters(), lr=s.learning_rate, weight_decay=s.weight_decay)
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, s.epochs)
+    critic.train()
+    for _ in range(s.epochs):
+        for rows in torch.randperm(len(truth)).split(s.minibatch):
+            logits = critic.logits(features[rows])[..., 0]
+            loss = torch.nn.functional.binary_cross_entropy_with_logits(logits, truth[rows].expand_as(logits))
+            optimizer.zero_grad()
+            loss.backward()
+            optimizer.step()
+        schedule.step()
+    return critic.eval()
+
+
+def cross_validate(
+    outcomes: Outcomes, settings: PlanSettings | None = None, folds: int = 5, seed: int = 0
+) -> dict[str, float]:
+    """What choosing would give on grasps that the critic has not seen.
+
+    Returns:
+        Share that held of the grasps as they are ("first"), of all variations ("mean"), of those chosen
+        ("chosen"), and of grasps with any variation that held ("any"); contact ratio of the chosen.
+    """
+    fold = np.random.default_rng(seed).integers(folds, size=int(outcomes.grasp.max()) + 1)[outcomes.grasp]
+    expected = np.zeros(len(fold))
+    for k in np.unique(fold):
+        critic = fit_critic(outcomes.select(np.flatnonzero(fold != k)), settings, seed)
+        rows = np.flatnonzero(fold == k)
+        with torch.inference_mode():
+            expected[rows] = critic(torch.from_numpy(outcomes.features[rows]))[:, 0].numpy()
+    groups = [np.flatnonzero(outcomes.grasp == g) for g in np.unique(outcomes.grasp)]
+    chosen = np.array([rows[np.argmax(expected[rows])] for rows in groups])
+    return {
+        "first": float(outcomes.success[outcomes.attempt == 0].mean()),
+        "mean": float(outcomes.success.mean()),
+        "chosen": float(outcomes.success[chosen].mean()),
+        "any": float(np.mean([outcomes.success[rows].any() for rows in groups])),
+        "contact_ratio": float(outcomes.contact_ratio[chosen].mean()),
+    }
