@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import ClassVar
 
 from fungrasp.cli.train import check_numbers, progress_lines, wandb_log
 from fungrasp.training.distill import DistillSettings
@@ -16,6 +17,8 @@ class Distill:
 
     Given again with the same settings, the command goes on where it was interrupted.
     """
+
+    option_prefixes: ClassVar[bool] = True
 
     teacher: Path
     """Folder of a teacher's training (fungrasp train)."""

@@ -107,12 +107,10 @@ def _parse(name: str, command: Any, arguments: list[str]) -> Any:
                 raise UnknownNameError(f"{name} command", subcommand, command)
             return _parse(f"{name} {subcommand}", command[subcommand], arguments)
         return tyro.extras.subcommand_cli_from_dict(dict(command), prog=program, args=arguments)
-    return tyro.cli(
-        command,
-        prog=program,
-        args=arguments,
-        config=(tyro.conf.FlagCreatePairsOff, tyro.conf.HelptextFromCommentsOff),
-    )
+    config = [tyro.conf.FlagCreatePairsOff, tyro.conf.HelptextFromCommentsOff]
+    if not getattr(command, "option_prefixes", False):
+        config.append(tyro.conf.OmitArgPrefixes)
+    return tyro.cli(command, prog=program, args=arguments, config=tuple(config))
 
 
 def _help() -> str:

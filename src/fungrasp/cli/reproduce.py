@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from fungrasp.cli.console import progress_bar, table, write_json
 from fungrasp.cli.train import check_numbers, progress_lines, training_sets
@@ -30,6 +30,8 @@ class Table:
 
     Given again, the command goes on where it was interrupted; both tables may share a folder.
     """
+
+    option_prefixes: ClassVar[bool] = True
 
     grasps: tuple[str, ...]
     """Files of grasps to train on, or "builtin"; human ones where retargeting is compared."""

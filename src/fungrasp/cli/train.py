@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from fungrasp.errors import FungraspError
 
@@ -36,6 +36,8 @@ class Train:
     Given again with the same settings, the command goes on where it was interrupted, or trains for more
     steps.
     """
+
+    option_prefixes: ClassVar[bool] = True
 
     out: Path
     """Folder of the training; policy.onnx will be in it."""
