@@ -7,7 +7,6 @@ import json
 
 import numpy as np
 import pytest
-from lifted_grasps import allegro_hand, good_grasps, grasped_objects
 
 from fungrasp.errors import FungraspError, UnknownNameError
 from fungrasp.evaluation import DynamicResult, evaluate, replay, result_json
@@ -15,21 +14,6 @@ from fungrasp.evaluation.dynamic import Refinement
 from fungrasp.evaluation.store import PartialResults
 from fungrasp.files import digest
 from fungrasp.hands import load_hand
-
-
-@pytest.fixture(scope="module")
-def allegro():
-    return allegro_hand()
-
-
-@pytest.fixture(scope="module")
-def things():
-    return grasped_objects()
-
-
-@pytest.fixture(scope="module")
-def good():
-    return good_grasps()
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,6 @@ from dataclasses import asdict, fields
 
 import numpy as np
 import pytest
-from lifted_grasps import allegro_hand, good_grasps, grasped_objects
 
 from fungrasp.errors import FungraspError
 from fungrasp.evaluation import CONDITIONS, Disturbance, evaluate
@@ -14,21 +13,6 @@ from fungrasp.evaluation.robustness import PUSHES
 from fungrasp.geometry.poses import compose, invert, rotation_vector, transform_points
 from fungrasp.simulation import build_scene
 from fungrasp.task import LiftTask
-
-
-@pytest.fixture(scope="module")
-def allegro():
-    return allegro_hand()
-
-
-@pytest.fixture(scope="module")
-def things():
-    return grasped_objects()
-
-
-@pytest.fixture(scope="module")
-def good():
-    return good_grasps()
 
 
 @pytest.fixture(scope="module")

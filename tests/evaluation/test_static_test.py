@@ -5,27 +5,10 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-import pytest
-from lifted_grasps import allegro_hand, good_grasps, grasped_objects
 
 from fungrasp.evaluation import six_direction_test
 from fungrasp.evaluation.results import static_json
 from fungrasp.evaluation.static_test import StaticProtocol
-
-
-@pytest.fixture(scope="module")
-def allegro():
-    return allegro_hand()
-
-
-@pytest.fixture(scope="module")
-def things():
-    return grasped_objects()
-
-
-@pytest.fixture(scope="module")
-def good():
-    return good_grasps()
 
 
 def test_closed_hands_keep_what_open_ones_lose(good, things, allegro):

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from fungrasp.errors import FungraspError
+from fungrasp.grasps.importers.yaml_file import read_yaml
 from fungrasp.perception.capture import Capture
 from fungrasp.perception.files import read_capture, read_colour
 from fungrasp.perception.lens_files import MILLIMETRE, lens_from
@@ -105,12 +104,12 @@ def read_dexycb(camera: str | Path, frame: int, *, with_mask: bool = False) -> C
     colour = camera / f"color_{frame:06d}.jpg"
     height, width = read_colour(colour).shape[:2]
     calibration = camera.parents[2] / "calibration" / "intrinsics" / f"{camera.name}_{width}x{height}.yml"
-    lens = lens_from(_yaml(calibration), (width, height), where=str(calibration))
+    lens = lens_from(read_yaml(calibration), (width, height), where=str(calibration))
     depth = camera / f"aligned_depth_to_color_{frame:06d}.png"
     capture = read_capture(colour, depth, lens.intrinsics, depth_unit=MILLIMETRE)
     if not with_mask:
         return capture
-    meta = _yaml(camera.parent / "meta.yml")
+    meta = read_yaml(camera.parent / "meta.yml")
     try:
         number = int(meta["ycb_ids"][int(meta["ycb_grasp_ind"])])
     except (KeyError, TypeError, ValueError, IndexError) as error:
@@ -143,19 +142,3 @@ def _numbers(scene: Path, kind: str) -> list[int]:
     if not numbers:
         raise FungraspError(f"the BOP scene {scene} has no images in its folder '{kind}'")
     return numbers
-
-
-def _yaml(path: Path) -> Mapping[str, Any]:
-    try:
-        import yaml
-    except ImportError as error:
-        raise FungraspError("reading DexYCB needs PyYAML: pip install 'fungrasp[dexycb]'") from error
-    try:
-        content = yaml.safe_load(path.read_text())
-    except OSError as error:
-        raise FungraspError(f"cannot read {path}: {error.strerror or error}") from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise FungraspError(f"{path} is not valid YAML: {' '.join(str(error).split())}") from error
-    if not isinstance(content, Mapping):
-        raise FungraspError(f"{path} holds no fields")
-    return content

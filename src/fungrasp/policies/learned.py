@@ -48,9 +48,14 @@ class LearnedPolicy:
         self._tracker = Tracker(task, objects, references, residual_settings(network.card))
         everyone = np.arange(len(task.worlds))
         self._tracker.begin(everyone, everyone)
-        parts, contacts = self._parts()
-        check_fits(network.card, hand, layout(parts), layout(contacts), 1 / task.protocol.control_period)
-        self._teacher = network.card.kind == "teacher"
+        self._sees_contacts = bool(network.card.privileged)
+        check_fits(
+            network.card,
+            hand,
+            layout(self._seen()),
+            layout(self._contacts()),
+            1 / task.protocol.control_period,
+        )
         self._state = network.initial_state(len(everyone))
         self._first = True
 
@@ -59,19 +64,21 @@ class LearnedPolicy:
         if not self._first:
             self._tracker.advance()
         self._first = False
-        parts, contacts = self._parts()
-        seen = flatten(parts | contacts if self._teacher and self._network.card.privileged else parts)
+        seen = flatten(self._seen() | (self._contacts() if self._sees_contacts else {}))
         # A finished or broken world may hold anything; its action is not used.
         finite = np.nan_to_num(seen, nan=0.0, posinf=0.0, neginf=0.0).astype(np.float32)
         action, _, self._state = self._network(finite, self._state)
         return self._tracker.act(action)
 
-    def _parts(self) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
-        view, sensed = self._tracker.view(), self._tracker.sensed()
-        return (
-            observe(view.now, view.before, view.wanted, view.action),
-            privileged(sensed.contacts, sensed.forces, view.wanted.contacts),
-        )
+    def _seen(self) -> dict[str, np.ndarray]:
+        """What a robot has."""
+        view = self._tracker.view()
+        return observe(view.now, view.before, view.wanted, view.action)
+
+    def _contacts(self) -> dict[str, np.ndarray]:
+        """What only a teacher sees."""
+        sensed = self._tracker.sensed()
+        return privileged(sensed.contacts, sensed.forces, self._tracker.view().wanted.contacts)
 
 
 def residual_settings(card: PolicyCard) -> ResidualSettings:

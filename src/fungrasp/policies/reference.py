@@ -5,8 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-import numpy as np
-
 from fungrasp.geometry.poses import compose
 from fungrasp.objects import ObjectModel
 from fungrasp.policies.motion import Motion, ReferenceSettings, plan_motion
@@ -39,7 +37,7 @@ class ReferenceController:
     def act(self) -> Action:
         """What to do in the next control period."""
         task = self._task
-        step = np.rint(task.time / task.protocol.control_period).astype(int)
+        step = task.control_step
         goal, fingers = self.motion.at(step)
         return Action(compose(task.settled_pose, goal), fingers, step >= self.motion.lift)
 

@@ -7,11 +7,13 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
+from fungrasp.geometry.poses import compose
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.objects import ObjectModel
 from fungrasp.policies.motion import Motion
+from fungrasp.task import LiftTask
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,6 +77,31 @@ class References:
         """What ``arrays`` gave."""
         motion = Motion(*(arrays[f"motion_{f.name}"] for f in fields(Motion)))
         return cls(motion, *(arrays[f.name] for f in fields(cls) if f.name != "motion"))
+
+
+def begin_on_way(
+    task: LiftTask, ids: np.ndarray, references: References, rows: np.ndarray, step: np.ndarray
+) -> None:
+    """Start trials of some worlds in the midst of their references' motions, objects at rest.
+
+    Args:
+        task: whose worlds hold the references' objects.
+        ids: worlds, shape [I].
+        references: to follow.
+        rows: the reference of each of these worlds, shape [I].
+        step: control step of the motion to start at, shape [I] int.
+    """
+    motion, settled = references.motion, references.settled_pose[rows]
+    task.begin(
+        ids,
+        settled,
+        compose(settled, motion.wrist[rows]),
+        compose(settled, motion.set_point[rows, step]),
+        motion.finger_targets[rows, np.maximum(step - 1, 0)],
+        references.contacts[rows],
+        motion.velocity[rows, step],
+        step * task.protocol.control_period,
+    )
 
 
 def object_tables(names: Sequence[str], objects: Mapping[str, ObjectModel]) -> tuple[np.ndarray, np.ndarray]:

@@ -101,7 +101,7 @@ def _try(
     results = []
     for start in range(0, len(grasps), chunk):
         part = grasps.select(np.arange(start, min(start + chunk, len(grasps))))
-        index = np.array([scene.objects.index(name) for name in part.object_name.tolist()])
+        index = scene.indices(part.object_name.tolist())
         task = LiftTask(scene, part, Worlds(scene, index, part.object_mass, threads=threads))
         task.reset()
         results.append(play(task, ReferenceController(task, objects)))

@@ -77,7 +77,7 @@ class Tracker:
         known = task.scene.objects
         self._bank = SignedDistanceBank([objects[name].signed_distance for name in known])
         self._center, self._size = object_tables(known, objects)
-        index = np.array([known.index(name) for name in references.object_name.tolist()])
+        index = task.scene.indices(references.object_name.tolist())
         self._target_surface = self._bank.query(index, references.keypoints)
         self.size = WRIST_ACTIONS + self.kinematics.matrix.shape[1]
         """Numbers in an action."""
@@ -105,7 +105,7 @@ class Tracker:
         if self._now is None:
             raise RuntimeError("begin comes before advance")
         self._before, self._now = self._now, self._read()
-        before_closing = self._step() < self.references.motion.closing[self.rows]
+        before_closing = self.task.control_step < self.references.motion.closing[self.rows]
         self._anchor = np.where(before_closing[:, None], self._now.object_pose, self._anchor)
 
     def view(self) -> View:
@@ -113,7 +113,7 @@ class Tracker:
         task, refs, rows = self.task, self.references, self.rows
         if self._now is None or self._before is None:
             raise RuntimeError("begin comes before view")
-        step = self._step()
+        step = self.task.control_step
         closing = step - refs.motion.closing[rows]
         goal, fingers = refs.motion.at(step, rows)
         index = task.worlds.object_index
@@ -142,7 +142,7 @@ class Tracker:
         """What the task is asked for. action: of the policy, shape [W, A]."""
         refs, rows = self.references, self.rows
         self.action = smoothed(action, self.action, self.settings)
-        step = self._step()
+        step = self.task.control_step
         goal, fingers = refs.motion.at(step, rows)
         goal, fingers = apply(compose(self._anchor, goal), fingers, self.action, self.settings)
         return Action(goal, fingers, step >= refs.motion.lift[rows])
@@ -158,9 +158,6 @@ class Tracker:
             worlds.hand_on_hand,
             worlds.object_on_table,
         )
-
-    def _step(self) -> np.ndarray:
-        return np.rint(self.task.time / self.task.protocol.control_period).astype(int)
 
     def _read(self) -> Readings:
         task, noise = self.task, self.noise

@@ -7,7 +7,7 @@ The table of per-object model fields lets every world of a batch hold another ob
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import mujoco
@@ -63,6 +63,11 @@ class Scene:
     settings: SceneSettings
     lowest: tuple[np.ndarray, ...]
     """Vertices of each object [m], shape [V, 3]: to stand it on the table."""
+
+    def indices(self, names: Iterable[str]) -> np.ndarray:
+        """Index of each object named, shape [N] int: what ``Worlds`` calls ``object_index``."""
+        known = {name: i for i, name in enumerate(self.objects)}
+        return np.array([known[name] for name in names])
 
     @property
     def wrist_actuators(self) -> np.ndarray:

@@ -109,6 +109,11 @@ class LiftTask:
         return (joint_positions - self.offset) @ self._independent.T
 
     @property
+    def control_step(self) -> np.ndarray:
+        """Control steps that each trial has behind it, shape [W] int."""
+        return np.rint(self.time / self.protocol.control_period).astype(int)
+
+    @property
     def tracked_object_pose(self) -> np.ndarray:
         """Where a policy sees the objects, world frame, shape [W, 7]."""
         pose = self.worlds.object_pose

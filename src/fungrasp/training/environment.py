@@ -12,6 +12,7 @@ from fungrasp.geometry.poses import compose
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
+from fungrasp.policies.references import References, begin_on_way
 from fungrasp.policies.tracking import Tracker
 from fungrasp.simulation import SceneSettings, Worlds, build_scene
 from fungrasp.task import LiftTask, Protocol
@@ -115,7 +116,7 @@ class LiftEnvironment:
         refs = library.references
         names = sorted(set(refs.object_name.tolist()))
         scene = build_scene(hand, {name: objects[name] for name in names}, SceneSettings(timestep=s.timestep))
-        self._object_index = np.array([names.index(name) for name in refs.object_name.tolist()])
+        self._object_index = scene.indices(refs.object_name.tolist())
         rows = np.arange(s.worlds) % len(refs)
         self.protocol = replace(Protocol(), hold_time=s.hold_time)
         worlds = Worlds(scene, self._object_index[rows], refs.mass[rows], threads=threads)
@@ -191,25 +192,14 @@ class LiftEnvironment:
         rate = self.success_of_group[self.library.group]
         chance = rate * (1 - rate) + 0.05
         rows = rng.choice(len(refs), size=len(ids), p=chance / chance.sum())
-        motion = refs.motion
         early = rng.integers(s.early[0], s.early[1] + 1, size=len(ids))
-        first = np.maximum(motion.closing[rows] - early, 0)
+        first = np.maximum(refs.motion.closing[rows] - early, 0)
         first[rng.random(len(ids)) < s.whole] = 0
         self._mass[ids] = refs.mass[rows] * np.exp(rng.uniform(*np.log(s.mass), size=len(ids)))
         self._friction[ids] = rng.uniform(*s.friction, size=len(ids))
         self.task.worlds.reset(ids)
         self.task.worlds.assign(ids, self._object_index[rows], self._mass[ids], self._friction[ids])
-        settled = refs.settled_pose[rows]
-        self.task.begin(
-            ids,
-            settled,
-            compose(settled, motion.wrist[rows]),
-            compose(settled, motion.set_point[rows, first]),
-            motion.finger_targets[rows, np.maximum(first - 1, 0)],
-            refs.contacts[rows],
-            motion.velocity[rows, first],
-            first * self.protocol.control_period,
-        )
+        begin_on_way(self.task, ids, refs, rows, first)
         self.tracker.begin(ids, rows)
 
     def _parts(self) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray], dict[str, np.ndarray]]:
@@ -227,7 +217,7 @@ class LiftEnvironment:
         return replace(seen, history=self._history.push(seen.robot, begun))
 
 
-def _grasps(refs, rows: np.ndarray, hand: Hand) -> RobotGraspSet:
+def _grasps(refs: References, rows: np.ndarray, hand: Hand) -> RobotGraspSet:
     """The references as grasps, for a task whose worlds are given others before they are used."""
     matrix, offset = hand.coupling
     settled, wrist = refs.settled_pose[rows], refs.motion.wrist[rows]

@@ -79,7 +79,7 @@ def build_library(
     parts = []
     for start in range(0, len(copies), CHUNK):
         part = copies.select(np.arange(start, min(start + CHUNK, len(copies))))
-        index = np.array([scene.objects.index(name) for name in part.object_name.tolist()])
+        index = scene.indices(part.object_name.tolist())
         task = LiftTask(scene, part, Worlds(scene, index, part.object_mass, threads=threads))
         task.reset()
         parts.append(References.of(planned(task, objects), part, task.settled_pose, hand))

@@ -9,16 +9,15 @@ import numpy as np
 import torch
 
 from fungrasp.errors import FungraspError
-from fungrasp.geometry.poses import compose
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
 from fungrasp.policies.plan_features import plan_features
-from fungrasp.policies.reference import planned
-from fungrasp.policies.references import References
+from fungrasp.policies.reference import ReferenceController
+from fungrasp.policies.references import References, begin_on_way
 from fungrasp.policies.variations import Spread, vary, with_settings
 from fungrasp.simulation import Scene, SceneSettings, Worlds, build_scene
-from fungrasp.task import Action, LiftTask, Protocol
+from fungrasp.task import LiftTask, Protocol
 from fungrasp.task.observation import flatten, layout
 
 
@@ -121,30 +120,18 @@ def _try(
     grasps: RobotGraspSet, objects: Mapping[str, ObjectModel], scene: Scene, s: PlanSettings, threads: int
 ) -> tuple[References, np.ndarray, np.ndarray]:
     """The plans, whether they held, and their contact ratio."""
-    index = np.array([scene.objects.index(name) for name in grasps.object_name.tolist()])
+    index = scene.indices(grasps.object_name.tolist())
     protocol = replace(Protocol(), hold_time=s.hold_time)
     task = LiftTask(scene, grasps, Worlds(scene, index, grasps.object_mass, threads=threads), protocol)
     task.reset()
-    settled, motion = task.settled_pose.copy(), planned(task, objects)
-    references = References.of(motion, grasps, settled, scene.hand)
+    controller = ReferenceController(task, objects)
+    references = References.of(controller.motion, grasps, task.settled_pose.copy(), scene.hand)
     ids = np.arange(len(grasps))
-    first = np.maximum(motion.closing - s.early, 0)
     task.worlds.reset(ids)
-    task.begin(
-        ids,
-        settled,
-        compose(settled, motion.wrist),
-        compose(settled, motion.set_point[ids, first]),
-        motion.finger_targets[ids, np.maximum(first - 1, 0)],
-        grasps.link_contacts,
-        motion.velocity[ids, first],
-        first * protocol.control_period,
-    )
+    begin_on_way(task, ids, references, ids, np.maximum(references.motion.closing - s.early, 0))
     lost = np.zeros(len(grasps), dtype=bool)
     while not task.done.all():
-        step = np.rint(task.time / protocol.control_period).astype(int)
-        goal, fingers = motion.at(step)
-        task.step(Action(compose(settled, goal), fingers, step >= motion.lift))
+        task.step(controller.act())
         height = task.worlds.center_of_mass[:, 2] - task.settled_height
         gone = ((task.time - task.lift_time > 1.0) & (height < 0.03)) | ~np.isfinite(height)
         lost |= gone & ~task.done

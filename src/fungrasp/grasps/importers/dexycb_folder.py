@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 
 from fungrasp.errors import FungraspError
+from fungrasp.grasps.importers.yaml_file import read_yaml
 
 TAG = "apriltag"
 
@@ -83,7 +84,7 @@ def read_sequence(root: Path, folder: Path) -> Sequence:
         FungraspError: a file is missing or lacks a field.
     """
     path = folder / "meta.yml"
-    meta = _yaml(path)
+    meta = read_yaml(path)
     fields = ("serials", "num_frames", "ycb_ids", "ycb_grasp_ind", "mano_sides", "mano_calib", "extrinsics")
     serials, frames, ids, grasped, sides, shapes, extrinsics = (_field(path, meta, name) for name in fields)
     if not 0 <= int(grasped) < len(ids):
@@ -101,7 +102,7 @@ def read_sequence(root: Path, folder: Path) -> Sequence:
         grasped=int(grasped),
         side=str(sides[0]),
         world_camera=_camera_poses(calibration / f"extrinsics_{extrinsics}" / "extrinsics.yml", present),
-        betas=np.array(_field(mano_path, _yaml(mano_path), "betas"), dtype=np.float64),
+        betas=np.array(_field(mano_path, read_yaml(mano_path), "betas"), dtype=np.float64),
     )
 
 
@@ -150,7 +151,7 @@ def _label(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def _camera_poses(path: Path, serials: tuple[str, ...]) -> dict[str, np.ndarray]:
-    poses = _field(path, _yaml(path), "extrinsics")
+    poses = _field(path, read_yaml(path), "extrinsics")
     matrices = {}
     for name in (TAG, *serials):
         try:
@@ -160,22 +161,6 @@ def _camera_poses(path: Path, serials: tuple[str, ...]) -> dict[str, np.ndarray]
         matrices[name] = np.vstack([matrix, [0, 0, 0, 1]])
     world_master = np.linalg.inv(matrices[TAG])
     return {serial: world_master @ matrices[serial] for serial in serials}
-
-
-def _yaml(path: Path) -> Mapping[str, Any]:
-    try:
-        import yaml
-    except ImportError as error:
-        raise FungraspError("reading DexYCB needs PyYAML: pip install 'fungrasp[dexycb]'") from error
-    try:
-        content = yaml.safe_load(path.read_text())
-    except OSError as error:
-        raise FungraspError(f"cannot read {path}: {error.strerror or error}") from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise FungraspError(f"{path} is not valid YAML: {' '.join(str(error).split())}") from error
-    if not isinstance(content, Mapping):
-        raise FungraspError(f"{path} holds no fields")
-    return content
 
 
 def _field(path: Path, content: Mapping[str, Any], name: str) -> Any:
