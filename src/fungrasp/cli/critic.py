@@ -77,6 +77,7 @@ class Critic:
             training_data=tuple(TrainingData(s.name, s.terms, len(s.grasps)) for s in sets),
             seed=self.seed,
             licence=self.licence,
+            limits=("Its budget counts trials where a policy of motions counts control steps.",),
             measured={"cross-validated, no residual": measured},
         )
         export_critic(critic, self.out, card)
