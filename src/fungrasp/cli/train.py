@@ -52,6 +52,9 @@ class Train:
     """How human grasps are retargeted: ours, angle-copy or dexgraspnet."""
     steps: float = 3e6
     """Control steps of all worlds together, earlier runs of this training included."""
+    plans: str | None = None
+    """A critic that chooses the plans to follow, in training and at work: a policy that comes with the
+    package ("critic" is short for the hand's), or a file. The grasps' own plans by default."""
     sees: Literal["contacts", "nothing", "history"] | None = None
     """Short for --ppo.sees."""
     seed: int = 0
@@ -82,7 +85,8 @@ class Train:
         sets = training_sets(self.grasps, self.objects, hand, self.method, self.terms, self.threads)
         # More threads make the small networks slower.
         torch.set_num_threads(1)
-        copies = sum(len(s.grasps) for s in sets) * self.variety.copies
+        plans = None if self.plans is None else critic_file(self.plans, hand)
+        copies = sum(len(s.grasps) for s in sets) * self.variety.planned(plans is not None)
         with progress_bar("planning references", copies) as show:
             card = train(
                 self.out,
@@ -92,6 +96,7 @@ class Train:
                 int(self.steps),
                 licence=self.licence,
                 threads=self.threads,
+                plans=plans,
                 planning=show,
                 progress=progress_lines(int(self.steps)),
                 log=log,
@@ -104,6 +109,21 @@ class Train:
 
 
 COMMAND = Train
+
+
+def critic_file(name: str, hand: Hand) -> Path:
+    """The file of a critic of plans.
+
+    Raises:
+        FungraspError: there is none of this name, or it is another kind of policy.
+    """
+    from fungrasp.policies import resolve_policy
+    from fungrasp.policies.policy_file import read_card
+
+    path = resolve_policy(name, hand.name)
+    if path is None or (kind := read_card(path).kind) != "critic":
+        raise FungraspError(f"--plans takes a critic; '{name}' is a {'controller' if path is None else kind}")
+    return path
 
 
 def check_numbers(steps: float, seed: int, threads: int) -> None:

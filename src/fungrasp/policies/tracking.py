@@ -91,8 +91,8 @@ class Tracker:
         """Follow other references in some worlds. ids: worlds, shape [I]; rows: of the references, [I]."""
         self.rows[ids] = rows
         self.action[ids] = 0.0
-        self._anchor[ids] = self.references.settled_pose[rows]
         fresh = self._read()
+        self._anchor[ids] = fresh.object_pose[ids]
         if self._now is None or self._before is None:
             self._now = self._before = fresh
             return

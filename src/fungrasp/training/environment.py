@@ -22,8 +22,30 @@ from fungrasp.task.reward import RewardWeights, total
 from fungrasp.training.library import Library
 from fungrasp.training.rewards import LiftReward
 from fungrasp.training.student import History
+from fungrasp.transfer import Differences, Randomisation, Spread
 
 _log = logging.getLogger(__name__)
+
+MILD = Randomisation(
+    damping=(0.7, 1.4),
+    stiffness=(0.85, 1.18),
+    servo_damping=(0.85, 1.18),
+    wrist_stiffness=(0.85, 1.18),
+    mass=(0.7, 1.4),
+    friction=(0.7, 1.0),
+    table_height=(-0.005, 0.005),
+    joint_noise=Spread(0.01, 0.003),
+    wrist_position_noise=Spread(0.001, 0.0005),
+    wrist_rotation_noise=Spread(0.005, 0.002),
+    object_position_noise=Spread(0.002, 0.001),
+    object_rotation_noise=Spread(0.02, 0.01),
+    observation_delay=(0.0, 0.02),
+    action_delay=(0.0, 0.02),
+    push_force=(0.0, 1.0),
+    object_shift=0.005,
+    object_turn=0.05,
+)
+"""What a good policy can overcome without learning to expect the worst."""
 
 
 @dataclass(frozen=True)
@@ -46,10 +68,8 @@ class EnvironmentSettings:
     """[s]."""
     lift_goal: float = 0.14
     """Height of the object that is paid in full [m]; above the test's 0.1, as what swings hangs lower."""
-    mass: tuple[float, float] = (0.7, 1.4)
-    """Range of the factor on the object's mass, log-uniform."""
-    friction: tuple[float, float] = (0.7, 1.0)
-    """Range of the sliding friction."""
+    randomisation: Randomisation = MILD
+    """What differs from what the policy is told, anew in each trial."""
     history: bool = False
     """Whether observations hold a student's history."""
     residual: ResidualSettings = field(default_factory=ResidualSettings)
@@ -122,12 +142,11 @@ class LiftEnvironment:
         worlds = Worlds(scene, self._object_index[rows], refs.mass[rows], threads=threads)
         placeholder = _grasps(refs, rows, hand)
         self.task = LiftTask(scene, placeholder, worlds, self.protocol)
-        self.tracker = Tracker(self.task, objects, refs, s.residual)
+        self.differences = Differences(s.randomisation, worlds, self.rng)
+        self.tracker = Tracker(self.task, objects, refs, s.residual, self.differences)
         self.reward = LiftReward(hand, self.protocol.control_period, s.lift_goal)
         self.success_of_group = np.full(int(library.group.max()) + 1, 0.5)
         """Running success rate of each grasp, shape [G]."""
-        self._friction = np.full(s.worlds, 0.9)
-        self._mass = np.ones(s.worlds)
         self.diverged = 0
         """Trials whose physics broke down so far."""
         worlds.reset()
@@ -147,6 +166,7 @@ class LiftEnvironment:
         """One control period in all worlds. action: shape [W, A]."""
         task, tracker, s = self.task, self.tracker, self.settings
         before = tracker.action
+        self.differences.push(task.time - task.lift_time)
         task.step(tracker.act(action))
         tracker.advance()
         view, sensed = tracker.view(), tracker.sensed()
@@ -195,19 +215,22 @@ class LiftEnvironment:
         early = rng.integers(s.early[0], s.early[1] + 1, size=len(ids))
         first = np.maximum(refs.motion.closing[rows] - early, 0)
         first[rng.random(len(ids)) < s.whole] = 0
-        self._mass[ids] = refs.mass[rows] * np.exp(rng.uniform(*np.log(s.mass), size=len(ids)))
-        self._friction[ids] = rng.uniform(*s.friction, size=len(ids))
-        self.task.worlds.reset(ids)
-        self.task.worlds.assign(ids, self._object_index[rows], self._mass[ids], self._friction[ids])
-        begin_on_way(self.task, ids, refs, rows, first)
+        task, told = self.task, refs.select(rows)
+        task.worlds.reset(ids)
+        task.worlds.assign(ids, self._object_index[rows])
+        self.differences.begin(ids, told.mass)
+        task.latency[ids] = self.differences.latency(ids, task.protocol.control_period)
+        placed = replace(told, settled_pose=self.differences.placed(ids, told.settled_pose))
+        begin_on_way(task, ids, placed, np.arange(len(ids)), first)
         self.tracker.begin(ids, rows)
 
     def _parts(self) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray], dict[str, np.ndarray]]:
-        view, sensed = self.tracker.view(), self.tracker.sensed()
+        view, sensed, drawn = self.tracker.view(), self.tracker.sensed(), self.differences.drawn
+        friction = np.full(len(drawn), 0.9) if drawn.friction is None else drawn.friction
         return (
             observe(view.now, view.before, view.wanted, view.action),
             privileged(sensed.contacts, sensed.forces, view.wanted.contacts),
-            critic(sensed, view.now, self._friction, self._mass),
+            critic(sensed, view.now, friction, drawn.mass * view.wanted.mass),
         )
 
     def _observe(self, begun: np.ndarray) -> Observations:

@@ -1,19 +1,21 @@
-"""The references to train on: planned once, with many perturbed copies of each grasp against memorising."""
+"""The references to train on: planned once, with many variations of each grasp against memorising."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from fungrasp.errors import FungraspError
-from fungrasp.geometry.poses import compose, quaternion_from_rotation_vector
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
+from fungrasp.policies.choose import expect
+from fungrasp.policies.network import PolicyNetwork
 from fungrasp.policies.reference import planned
 from fungrasp.policies.references import References
+from fungrasp.policies.variations import Spread, vary, with_settings
 from fungrasp.simulation import Worlds, build_scene
 from fungrasp.task import LiftTask
 
@@ -23,20 +25,24 @@ CHUNK = 256
 
 @dataclass(frozen=True)
 class Variety:
-    """How perturbed copies of a grasp differ from it, one standard deviation."""
+    """How many variations of a grasp there are, and how they differ."""
 
     copies: int = 8
-    """Of each grasp, the unchanged one included."""
-    position: float = 0.006
-    """Of the wrist along each axis [m]."""
-    rotation: float = 0.07
-    """Of the wrist about each axis [rad]."""
-    joints: float = 0.05
-    """Of each joint [rad]."""
+    """Of each grasp."""
+    tries: int = 24
+    """Variations that a critic chooses these copies from, if there is one; else the grasp as it is, and
+    ``copies`` - 1 variations, are taken as they come."""
+    spread: Spread = field(default_factory=Spread)
 
     def __post_init__(self) -> None:
         if self.copies < 1:
             raise FungraspError(f"training needs at least one copy of each grasp, not {self.copies}")
+        if self.tries < self.copies:
+            raise FungraspError(f"{self.copies} copies can't be chosen from {self.tries} variations")
+
+    def planned(self, with_critic: bool) -> int:
+        """References that are planned for each grasp."""
+        return self.tries if with_critic else self.copies
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,39 +62,48 @@ def build_library(
     seed: int = 0,
     threads: int = 0,
     progress: Callable[[int], None] = lambda done: None,
+    critic: PolicyNetwork | None = None,
 ) -> Library:
-    """Plan the motions of perturbed copies of grasps.
+    """Plan the motions of variations of grasps.
 
     Args:
         grasps: of ``hand``.
         objects: by name.
         hand: the robot hand.
         variety: of the copies.
-        seed: of the perturbations.
+        seed: of the variations.
         threads: 0 means all processors.
         progress: called with the number of references that are planned.
+        critic: of plans: the most promising variations become the copies.
 
     Raises:
-        FungraspError: no grasp of the set has a finite plan.
+        FungraspError: no grasp of the set has a finite plan, or the critic was made for another hand.
     """
-    group = np.repeat(np.arange(len(grasps)), variety.copies)
-    copies = _varied(
-        grasps.select(group), hand, variety, seed, np.tile(np.arange(variety.copies), len(grasps))
-    )
-    scene = build_scene(hand, objects)
-    parts = []
-    for start in range(0, len(copies), CHUNK):
-        part = copies.select(np.arange(start, min(start + CHUNK, len(copies))))
+    tries = variety.planned(critic is not None)
+    group, attempt = np.repeat(np.arange(len(grasps)), tries), np.tile(np.arange(tries), len(grasps))
+    start, scene = with_settings(grasps), build_scene(hand, objects)
+    parts, expected = [], []
+    for first in range(0, len(group), CHUNK):
+        rows = slice(first, first + CHUNK)
+        part = vary(start.select(group[rows]), hand, group[rows], attempt[rows], seed, variety.spread)
         index = scene.indices(part.object_name.tolist())
         task = LiftTask(scene, part, Worlds(scene, index, part.object_mass, threads=threads))
         task.reset()
         parts.append(References.of(planned(task, objects), part, task.settled_pose, hand))
-        progress(start + len(part))
+        if critic is not None:
+            expected.append(expect(critic, hand, parts[-1], objects, 1 / task.protocol.control_period))
+        progress(first + len(part))
     references = References.join(parts)
-    usable = _usable(references)
-    if not usable.any():
+    chosen = _usable(references)
+    if critic is not None:
+        score = np.where(chosen, np.concatenate(expected), -1.0).reshape(len(grasps), tries)
+        best = np.argsort(-score, axis=1, kind="stable")[:, : variety.copies]
+        among = np.zeros(score.shape, dtype=bool)
+        np.put_along_axis(among, best, True, axis=1)
+        chosen &= among.ravel()
+    if not chosen.any():
         raise FungraspError("none of the grasps can be trained on: no object settles, or no plan is finite")
-    rows = np.flatnonzero(usable)
+    rows = np.flatnonzero(chosen)
     return Library(references.select(rows), group[rows])
 
 
@@ -100,22 +115,3 @@ def _usable(references: References) -> np.ndarray:
     )
     settled = references.settled_pose
     return finite & np.isfinite(settled).all(axis=1) & (np.abs(settled[:, 2]) < 0.5)
-
-
-def _varied(
-    grasps: RobotGraspSet, hand: Hand, variety: Variety, seed: int, copy: np.ndarray
-) -> RobotGraspSet:
-    """Grasps with wrist and joints perturbed, but for the first copy of each."""
-    matrix, offset = hand.coupling
-    rng = np.random.default_rng(seed)
-    independent = (grasps.joint_positions - offset) @ np.linalg.pinv(matrix).T
-    noise = rng.normal(size=(len(grasps), 6 + independent.shape[1])) * (copy > 0)[:, None]
-    turn = quaternion_from_rotation_vector(variety.rotation * noise[:, 3:6])
-    shift = np.concatenate([variety.position * noise[:, :3], turn], axis=1)
-    joints = (independent + variety.joints * noise[:, 6:]) @ matrix.T + offset
-    limits = hand.joint_limits
-    return replace(
-        grasps,
-        wrist_pose=compose(grasps.wrist_pose, shift),
-        joint_positions=np.clip(joints, limits[:, 0], limits[:, 1]),
-    )

@@ -13,12 +13,13 @@ from torch.utils.tensorboard import SummaryWriter
 
 from fungrasp import __version__
 from fungrasp.errors import FungraspError
-from fungrasp.files import digest
+from fungrasp.files import atomic_path, digest
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand, hand_files
 from fungrasp.objects import ObjectModel
 from fungrasp.policies.card import Budget, PolicyCard, TrainingData
-from fungrasp.policies.policy_file import hand_digest
+from fungrasp.policies.network import PolicyNetwork
+from fungrasp.policies.policy_file import SUFFIX, hand_digest, load_policy
 from fungrasp.policies.references import References
 from fungrasp.training.environment import EnvironmentSettings, LiftEnvironment
 from fungrasp.training.export import export_student, export_teacher, make_card
@@ -29,6 +30,9 @@ from fungrasp.training.student import StudentModel
 
 REFERENCES = "references.npz"
 POLICY = "policy.onnx"
+
+PLANNED_FROM = ("hand", "hand_sha256", "sets", "variety", "seed", "plans_sha256")
+"""Settings that the planned references depend on."""
 
 Log = Callable[[Mapping[str, float], int], None]
 """Takes numbers by name, and the control steps so far."""
@@ -82,6 +86,7 @@ def train(
     *,
     licence: str = "",
     threads: int = 0,
+    plans: Path | None = None,
     references: Path | None = None,
     planning: Callable[[int], None] = lambda done: None,
     progress: Callable[[Progress], None] = lambda p: None,
@@ -98,6 +103,8 @@ def train(
         steps: control steps of all worlds together, earlier calls included.
         licence: of the policy, for its card.
         threads: 0 means all processors. The result does not depend on it.
+        plans: file of a critic that chooses the plans to follow, in training and at work; a copy of it is
+            kept beside the policy. The grasps' own plans if None.
         references: file of the planned references; one in the folder if None.
         planning: called with the number of references that are planned.
         progress: called after each update.
@@ -114,16 +121,19 @@ def train(
     settings = consistent(settings)
     objects = joined_objects(sets)
     about = [s.about() for s in sets]
+    critic = None if plans is None else load_policy(plans)
     planned_from = {
         "hand": hand.name,
         "hand_sha256": hand_digest(hand),
         "sets": about,
         "variety": asdict(settings.variety),
         "seed": settings.seed,
+        "plans_sha256": "" if critic is None else critic.card.sha256,
     }
     run.claim(
         planned_from | {"environment": asdict(settings.environment), "ppo": asdict(settings.ppo)},
         kind="teacher",
+        plans="" if plans is None else plans.stem,
         steps=steps,
         hand=hand.name if hand.name in hand_files() else str(hand.path.absolute()),
         licence=licence,
@@ -133,8 +143,10 @@ def train(
     library = kept_library(
         references or folder / REFERENCES,
         digest(__version__, json.dumps(planned_from)),
-        lambda: plan_library(sets, hand, settings, threads, planning),
+        lambda: plan_library(sets, hand, settings, threads, planning, critic),
     )
+    if plans is not None:
+        keep_beside(folder, plans)
     environment = LiftEnvironment(library, objects, hand, settings.environment, settings.seed, threads)
     trainer = Trainer(environment, settings.ppo, settings.seed)
     if run.checkpoint.exists():
@@ -155,7 +167,10 @@ def train(
             progress(p)
 
         trainer.learn(steps, report, run.checkpoint)
-    card = training_card(folder, trainer, sets, settings.seed, licence)
+    card = replace(
+        training_card(folder, trainer, sets, settings.seed, licence),
+        plans="" if plans is None else plans.stem,
+    )
     export(trainer, folder / POLICY, card)
     return card
 
@@ -166,12 +181,25 @@ def consistent(settings: RunSettings) -> RunSettings:
     return replace(settings, environment=replace(settings.environment, history=history))
 
 
+def keep_beside(folder: Path, critic: Path) -> None:
+    """Copy a critic's file into the folder of a policy that follows its plans.
+
+    Raises:
+        FungraspError: it can't be written.
+    """
+    copy = folder / (critic.stem + SUFFIX)
+    if copy.resolve() != critic.resolve():
+        with atomic_path(copy) as part:
+            part.write_bytes(critic.read_bytes())
+
+
 def plan_library(
     sets: Sequence[TrainingSet],
     hand: Hand,
     settings: RunSettings,
     threads: int = 0,
     progress: Callable[[int], None] = lambda done: None,
+    critic: PolicyNetwork | None = None,
 ) -> Library:
     """The references of several sets, each grasp a group of its own.
 
@@ -190,12 +218,13 @@ def plan_library(
                 settings.seed + number,
                 threads,
                 lambda count, before=done: progress(before + count),
+                critic,
             )
         except FungraspError as error:
             raise FungraspError(f"{one.name}: {error}") from error
         parts.append(Library(part.references, part.group + groups))
         groups += len(one.grasps)
-        done += len(one.grasps) * settings.variety.copies
+        done += len(one.grasps) * settings.variety.planned(critic is not None)
     return Library(
         References.join([part.references for part in parts]), np.concatenate([part.group for part in parts])
     )

@@ -18,14 +18,14 @@ from fungrasp.files import digest
 from fungrasp.hands import Hand, load_hand
 from fungrasp.objects import ObjectModel, load_object
 from fungrasp.policies.card import Budget, PolicyCard, TrainingData
-from fungrasp.policies.policy_file import hand_digest
+from fungrasp.policies.policy_file import SUFFIX, hand_digest
 from fungrasp.training.distill import DistillProgress, DistillSettings, distill
 from fungrasp.training.environment import LiftEnvironment
 from fungrasp.training.export import export_student, make_card
 from fungrasp.training.folder import RunFolder, git_revision, kept_library, machine
 from fungrasp.training.library import Library
 from fungrasp.training.ppo import Trainer
-from fungrasp.training.run import REFERENCES, Log, RunSettings
+from fungrasp.training.run import PLANNED_FROM, REFERENCES, Log, RunSettings, keep_beside
 
 STUDENT = "student.onnx"
 
@@ -43,6 +43,8 @@ class TeacherRun:
     data: tuple[TrainingData, ...]
     """What it was trained on."""
     licence: str
+    plans: str
+    """Name of the critic whose plans it follows, a file beside it; none if empty."""
 
     def environment(self, seed: int, history: bool, threads: int = 0) -> LiftEnvironment:
         """Worlds like those that it was trained in. history: whether observations hold a student's."""
@@ -77,9 +79,9 @@ def read_teacher(folder: Path, objects: Path | None = None) -> TeacherRun:
         for one, place in zip(wanted["sets"], config["object_folders"], strict=True):
             things |= _objects(one["objects"], None if place is None else objects or Path(place), folder)
         data = tuple(TrainingData(one["name"], one["terms"], one["count"]) for one in wanted["sets"])
-        planned_from = {name: wanted[name] for name in ("hand", "hand_sha256", "sets", "variety", "seed")}
+        planned_from = {name: wanted[name] for name in PLANNED_FROM}
         references = Path(config["references"])
-        licence = config["licence"]
+        licence, plans = config["licence"], config["plans"]
     except (KeyError, TypeError, ValueError) as error:
         if isinstance(error, FungraspError):
             raise
@@ -87,7 +89,7 @@ def read_teacher(folder: Path, objects: Path | None = None) -> TeacherRun:
     here = folder / REFERENCES
     key = digest(__version__, json.dumps(planned_from))
     library = kept_library(here if here.is_file() else references, key, lambda: _lost(folder))
-    return TeacherRun(run, hand, settings, things, library, data, licence)
+    return TeacherRun(run, hand, settings, things, library, data, licence, plans)
 
 
 def train_student(
@@ -172,7 +174,10 @@ def train_student(
         seed=seed,
         measured={"in training, exploring": {"success": done.success}},
         licence=teacher.licence,
+        plans=teacher.plans,
     )
+    if teacher.plans:
+        keep_beside(folder, teacher_folder / (teacher.plans + SUFFIX))
     export_student(done.student, folder / STUDENT, card)
     return card
 

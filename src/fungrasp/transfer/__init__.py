@@ -1,6 +1,7 @@
 """From simulation to reality: worlds that differ in what no policy is told."""
 
 from fungrasp.transfer.delay import Delay, delay_steps
+from fungrasp.transfer.differences import Differences
 from fungrasp.transfer.noise import noisy_joints, noisy_object, noisy_wrist, offset_pose, shift_on_table
 from fungrasp.transfer.physics import apply, move_table, push_objects, pushes
 from fungrasp.transfer.randomisation import NONE, Randomisation, Range, Sample, Spread, sample
@@ -8,6 +9,7 @@ from fungrasp.transfer.randomisation import NONE, Randomisation, Range, Sample, 
 __all__ = [
     "NONE",
     "Delay",
+    "Differences",
     "Randomisation",
     "Range",
     "Sample",
