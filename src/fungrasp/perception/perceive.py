@@ -1,0 +1,198 @@
+"""From one image with depth and the object's mesh to a human grasp.
+
+hand in the image -> hand in metres -> table -> object's pose -> the hand again, which now touches what it
+holds -> contacts -> world. Each step's doubts are collected in words; a result that they make doubtful is
+still given, marked as not sure.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+import trimesh
+
+from fungrasp.geometry.poses import transform_points
+from fungrasp.grasps import HumanGrasp
+from fungrasp.grasps.human_hand import mirror_points, mirror_pose
+from fungrasp.grasps.importers.dexycb import MIRRORED
+from fungrasp.objects import ObjectModel
+from fungrasp.perception.capture import Box, Capture
+from fungrasp.perception.contacts import TOLERANCE, link_gaps
+from fungrasp.perception.estimates import HandEstimate, ObjectEstimate, Side
+from fungrasp.perception.hand_contact import Surroundings
+from fungrasp.perception.hand_fit import fit_hand
+from fungrasp.perception.hand_landmarks import DetectedHand, HandDetector, choose_hand
+from fungrasp.perception.hand_refine import refine_hand
+from fungrasp.perception.object_pose import estimate_object_pose
+from fungrasp.perception.quality import Quality, measure_quality
+from fungrasp.perception.segmentation import find_table
+from fungrasp.perception.world_frame import guessed_table, in_world, put_down, world_from_table
+
+__all__ = ["Detector", "Perceived", "Quality", "perceive"]
+
+SURE_HAND = 0.5
+"""Hands of a lower score are "not sure"."""
+
+
+class Detector(Protocol):
+    """What finds hands in a colour image; ``HandDetector`` is one."""
+
+    def detect(self, colour: np.ndarray, near: Box | None = None) -> list[DetectedHand]:
+        """All hands found in an RGB image, shape [H, W, 3]; near: a box beside or around the hand."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Perceived:
+    """What was made of an image."""
+
+    grasp: HumanGrasp
+    """World frame, a right hand. If the image shows a left one, the scene reflected in the plane y = 0: the
+    object's name then ends in "_mirrored", and its mesh must be reflected as well (see ``mirror_pose``)."""
+    pose_world_camera: np.ndarray
+    """Camera in the world, shape [7], before any reflection; see ``world_frame`` for where the world is."""
+    hand: HandEstimate
+    """As refined, camera frame, as it is seen."""
+    object: ObjectEstimate
+    """Camera frame, as it is seen."""
+    table: np.ndarray
+    """Plane ``[nx ny nz d]``: ``n . x + d`` is the height of a point above it [m], camera frame, shape
+    [4]."""
+    table_found: bool
+    """Whether the table was given or seen; else it is a guess."""
+    quality: Quality
+    """In figures."""
+    doubts: tuple[str, ...]
+    """What was uncertain, in words; empty when nothing was."""
+    sure: bool
+    """Whether hand and object are both believed. A table that is only guessed is a doubt, but the hand on the
+    object does not depend on it."""
+
+
+def perceive(
+    capture: Capture,
+    model: ObjectModel,
+    *,
+    coloured: trimesh.Trimesh | None = None,
+    side: Side | None = None,
+    task: str = "",
+    table: np.ndarray | None = None,
+    hand: HandEstimate | None = None,
+    object_estimate: ObjectEstimate | None = None,
+    detector: Detector | None = None,
+    seed: int = 0,
+) -> Perceived:
+    """The grasp in an image.
+
+    Args:
+        capture: colour and depth; its mask or box says where the object is.
+        model: the object.
+        coloured: the same mesh with its colours, which tell apart the sides of a nearly symmetric object.
+        side: which hand it is, if known.
+        task: what the grasp is for, see ``HumanGrasp``.
+        table: plane ``[nx ny nz d]``, camera frame, shape [4], unit normal upwards; looked for if None.
+        hand: from another estimator; found in the image if None.
+        object_estimate: from another estimator; found in the image if None.
+        detector: finds hands; by default MediaPipe's models, which ``fungrasp setup perception`` fetches.
+        seed: the same seed gives the same answer.
+
+    Raises:
+        FungraspError: there is no hand in the image, no depth at it, or the hand models are not set up.
+    """
+    doubts: list[str] = []
+    detected = None
+    if hand is None:
+        detected, note = _found(capture, side, detector)
+        doubts += [note] * bool(note)
+        hand = fit_hand(detected, capture)
+    plane = find_table(capture, np.random.default_rng(seed)) if table is None else np.asarray(table, float)
+    thing = object_estimate
+    if thing is None:
+        thing = estimate_object_pose(capture, model if coloured is None else coloured, hand, plane, seed=seed)
+    if not thing.accepted:
+        doubts.append(f"the object's pose: {thing.note or 'not sure'}")
+    hand = _refined(hand, detected, capture, model, thing, plane)
+    if hand.score < SURE_HAND:
+        doubts.append(f"the hand: its score is only {hand.score:.2f}")
+    table_found = plane is not None
+    if plane is None:
+        surface = transform_points(thing.pose_camera_object, model.vertices)
+        plane = guessed_table(np.concatenate([surface, hand.joints_camera]))
+        doubts.append(
+            "no table was seen: the camera was taken to be level and the table to be right below the grasp"
+        )
+    centre = transform_points(thing.pose_camera_object, model.center_of_mass[None])[0]
+    pose_world_camera = world_from_table(plane, centre)
+    return Perceived(
+        grasp=_grasp(model, hand, thing, pose_world_camera, task),
+        pose_world_camera=pose_world_camera,
+        hand=hand,
+        object=thing,
+        table=plane,
+        table_found=table_found,
+        quality=measure_quality(capture, hand, thing, model.signed_distance),
+        doubts=tuple(doubts),
+        sure=thing.accepted and hand.score >= SURE_HAND,
+    )
+
+
+def _found(capture: Capture, side: Side | None, detector: Detector | None) -> tuple[DetectedHand, str]:
+    """The hand that is meant, and what was left aside."""
+    near = _object_box(capture)
+    hands = (detector or HandDetector()).detect(capture.colour, near)
+    return choose_hand(hands, near, side)
+
+
+def _object_box(capture: Capture) -> Box | None:
+    """The box given, or that of the mask [pixels]."""
+    if capture.box is not None or capture.mask is None:
+        return capture.box
+    rows, columns = np.nonzero(capture.mask)
+    return float(columns.min()), float(rows.min()), float(columns.max()), float(rows.max())
+
+
+def _refined(
+    hand: HandEstimate,
+    detected: DetectedHand | None,
+    capture: Capture,
+    model: ObjectModel,
+    thing: ObjectEstimate,
+    table: np.ndarray | None,
+) -> HandEstimate:
+    """The hand that touches the object; unchanged where the object's pose is not believed."""
+    if not thing.accepted:
+        return hand
+    if detected is None:
+        return refine_hand(hand, model.signed_distance, thing.pose_camera_object, table)
+    return fit_hand(detected, capture, Surroundings(model.signed_distance, thing.pose_camera_object, table))
+
+
+def _grasp(
+    model: ObjectModel,
+    hand: HandEstimate,
+    thing: ObjectEstimate,
+    pose_world_camera: np.ndarray,
+    task: str,
+) -> HumanGrasp:
+    pose = in_world(pose_world_camera, thing.pose_camera_object)
+    grasp = HumanGrasp(
+        object_name=model.name,
+        object_mass=model.mass,
+        object_pose=pose,
+        object_rest_pose=put_down(model, pose),
+        hand_joints=transform_points(pose_world_camera, hand.joints_camera),
+        link_contacts=link_gaps(hand.joints_camera, model.signed_distance, thing.pose_camera_object)
+        < TOLERANCE,
+        task=task,
+    )
+    if hand.side == "right":
+        return grasp
+    return replace(
+        grasp,
+        object_name=model.name + MIRRORED,
+        object_pose=mirror_pose(grasp.object_pose),
+        object_rest_pose=mirror_pose(grasp.object_rest_pose),
+        hand_joints=mirror_points(grasp.hand_joints),
+    )

@@ -1,0 +1,77 @@
+"""How well a perceived grasp agrees with its image, in numbers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fungrasp.geometry.signed_distance import SignedDistanceGrid
+from fungrasp.perception.capture import Capture
+from fungrasp.perception.contacts import link_gaps
+from fungrasp.perception.estimates import HandEstimate, ObjectEstimate
+from fungrasp.perception.hand_contact import Surroundings
+from fungrasp.perception.hand_probes import PROBES, in_front
+
+NEAR = 0.03
+"""What is seen farther than this from where the skin should be [m] is something else."""
+
+OBJECT = 0.004
+"""What is seen so near to the object's surface [m] is the object."""
+
+
+@dataclass(frozen=True)
+class Quality:
+    """Figures of one perceived grasp."""
+
+    reprojection_px: float
+    """Median distance between the landmarks seen and the hand's joints projected into the image [pixels]."""
+    depth_residual_m: float
+    """Median distance of the object's measured points from its mesh [m]; NaN if not known."""
+    hand_residual_m: float
+    """Median distance between the depth measured at the hand and its skin [m]; NaN where none is seen."""
+    penetration_m: float
+    """How deep the hand's flesh is in the object at the deepest [m]; soft pads that press give a few mm."""
+    hand_score: float
+    """How sure it is that the hand is right, 0 to 1."""
+    object_score: float
+    """How sure it is that the object's pose is right, 0 to 1."""
+
+
+def measure_quality(
+    capture: Capture, hand: HandEstimate, thing: ObjectEstimate, surface: SignedDistanceGrid
+) -> Quality:
+    """The figures.
+
+    Args:
+        capture: the image.
+        hand: as it was refined.
+        thing: the object.
+        surface: of the object, object's frame.
+    """
+    pose = thing.pose_camera_object
+    off = np.linalg.norm(capture.intrinsics.project(hand.joints_camera) - hand.pixels, axis=1)
+    around = Surroundings(surface, pose)
+    return Quality(
+        reprojection_px=float(np.nanmedian(off)),
+        depth_residual_m=thing.residual_m,
+        hand_residual_m=_hand_residual(capture, hand.joints_camera, around),
+        penetration_m=max(0.0, -float(link_gaps(hand.joints_camera, surface, pose).min())),
+        hand_score=hand.score,
+        object_score=thing.score,
+    )
+
+
+def _hand_residual(capture: Capture, joints: np.ndarray, around: Surroundings) -> float:
+    """Median distance of the skin from what is seen at its pixels [m]; NaN if there is nothing."""
+    points, _ = PROBES.place(joints, np.zeros((21, 3, 1)))
+    pixels = np.rint(np.nan_to_num(capture.intrinsics.project(points), nan=-1.0)).astype(int)
+    k = capture.intrinsics
+    inside = np.all((pixels >= 0) & (pixels < [k.width, k.height]), axis=1)
+    measured = np.zeros(len(points))
+    measured[inside] = capture.depth[pixels[inside, 1], pixels[inside, 0]]
+    seen = (measured > 0) & in_front(points, PROBES.radius)
+    off = np.abs(points[:, 2] - PROBES.radius - measured)
+    distance = around.object_distance(k.deproject(pixels, measured))[0]
+    seen &= (off < NEAR) & (distance > OBJECT)
+    return float(np.median(off[seen])) if seen.any() else float("nan")
