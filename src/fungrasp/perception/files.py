@@ -70,7 +70,7 @@ def read_capture(
             f"the depth image {depth} has {distance.shape[1]} x {distance.shape[0]} pixels and the colour "
             f"image {size[0]} x {size[1]}: align the depth to the colour first"
         )
-    marked = None if mask is None else _read_mask(mask, picture.shape[:2])
+    marked = None if mask is None else read_mask(mask, picture.shape[:2])
     capture = _not_too_large(Capture(picture, distance, lens, marked, box))
     shift = check_alignment(capture)
     if shift is not None:
@@ -133,6 +133,29 @@ def read_depth(path: str | Path, unit: float | None) -> np.ndarray:
     return depth.astype(np.float32)
 
 
+def read_mask(path: str | Path, shape: tuple[int, ...]) -> np.ndarray:
+    """Read an image that is not 0 where the object is.
+
+    Args:
+        path: the image.
+        shape: rows and columns it must have.
+
+    Returns:
+        bool, shape [H, W].
+
+    Raises:
+        FungraspError: it can't be read or has another shape.
+    """
+    mask = np.array(_open(path, "mask")) != 0
+    mask = mask[..., :3].any(axis=-1) if mask.ndim == 3 else mask
+    if mask.shape != shape:
+        raise FungraspError(
+            f"the mask {path} has {mask.shape[1]} x {mask.shape[0]} pixels and the colour image {shape[1]} x "
+            f"{shape[0]}"
+        )
+    return mask
+
+
 def parse_box(text: str) -> Box:
     """The box written as ``x0,y0,x1,y1`` [pixels].
 
@@ -183,17 +206,6 @@ def _load_array(path: Path) -> np.ndarray:
         raise FungraspError(
             f"the depth image {path} can't be read: {' '.join(str(error).split())}"
         ) from error
-
-
-def _read_mask(path: str | Path, shape: tuple[int, ...]) -> np.ndarray:
-    mask = np.array(_open(path, "mask")) != 0
-    mask = mask[..., :3].any(axis=-1) if mask.ndim == 3 else mask
-    if mask.shape != shape:
-        raise FungraspError(
-            f"the mask {path} has {mask.shape[1]} x {mask.shape[0]} pixels and the colour image {shape[1]} x "
-            f"{shape[0]}"
-        )
-    return mask
 
 
 def _not_too_large(capture: Capture) -> Capture:

@@ -36,14 +36,10 @@ def read_folder(folder: str | Path, image: int | None = None) -> Capture:
     folder = Path(folder)
     if not folder.is_dir():
         raise FungraspError(f"the folder {folder} does not exist")
-    if (folder / LENS_FILE).is_file():
-        mask = folder / MASK_FILE
-        return read_capture(
-            folder / COLOUR_FILE,
-            folder / DEPTH_FILE,
-            folder / LENS_FILE,
-            mask=mask if mask.is_file() else None,
-        )
+    own = own_files(folder)
+    if own is not None:
+        colour, depth, lens, mask = own
+        return read_capture(colour, depth, lens, mask=mask)
     if (folder / "scene_camera.json").is_file():
         return read_bop(folder, _numbers(folder, "depth")[0] if image is None else image)
     frames = sorted(folder.glob("aligned_depth_to_color_*.png"))
@@ -52,6 +48,23 @@ def read_folder(folder: str | Path, image: int | None = None) -> Capture:
     raise FungraspError(
         f"{folder} is no capture: it has neither {LENS_FILE} (ours), nor scene_camera.json (a BOP scene), "
         "nor aligned_depth_to_color_*.png (one camera of a DexYCB sequence)"
+    )
+
+
+def own_files(folder: str | Path) -> tuple[Path, Path, Path, Path | None] | None:
+    """Colour, depth, intrinsics and, if there is one, mask of a capture's own folder; None for other folders.
+
+    The files need not exist; reading them says so.
+    """
+    folder = Path(folder)
+    if not (folder / LENS_FILE).is_file():
+        return None
+    mask = folder / MASK_FILE
+    return (
+        folder / COLOUR_FILE,
+        folder / DEPTH_FILE,
+        folder / LENS_FILE,
+        mask if mask.is_file() else None,
     )
 
 

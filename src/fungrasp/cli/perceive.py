@@ -1,0 +1,245 @@
+"""``fungrasp perceive``: one image with depth of a person holding an object becomes a human grasp."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import asdict, dataclass
+from math import isfinite
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from fungrasp.cli.console import table, write_json
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from fungrasp.grasps import HumanGrasp, HumanGraspSet
+    from fungrasp.objects import ObjectModel
+    from fungrasp.perception import Capture
+    from fungrasp.perception.perceive import Perceived
+
+UNSURE = 3
+"""Exit status when the result was written but is not to be trusted unseen."""
+
+DENSITY = 500.0
+"""Of everyday objects, by the volume of their convex hulls [kg/m^3]: the median of YCB's and the built-in
+ones is 540; eight of ten lie between 190 and 940."""
+
+
+@dataclass(frozen=True)
+class Perceive:
+    """Turn an image with depth of a person holding a known object into a human grasp.
+
+    Exit status 3: the grasp was written, but is not sure.
+    """
+
+    mesh: str
+    """The object [m]: a mesh file, or the name of a built-in object."""
+    out: Path
+    """Grasp file to write (.npz)."""
+    rgb: Path | None = None
+    """Colour image, PNG or JPEG."""
+    depth: Path | None = None
+    """Depth aligned to it: 16-bit PNG or TIFF, or .npy."""
+    intrinsics: Path | None = None
+    """The camera's, JSON: our layout, RealSense's or BOP's."""
+    folder: Path | None = None
+    """Instead of the three files a folder: rgb.png, depth.png, K.json (and mask.png); a BOP scene; one camera
+    of a DexYCB sequence."""
+    image: int | None = None
+    """Number of the image in a BOP scene or a DexYCB sequence; by default the first or the last."""
+    depth_unit: float | None = None
+    """Metres per unit of the depth image, if the intrinsics don't say: 0.001 is usual."""
+    mask: Path | None = None
+    """Image that is not 0 where the object is."""
+    box: str | None = None
+    """Box around the object, x0,y0,x1,y1 [pixels]."""
+    hand: Literal["right", "left"] | None = None
+    """Which hand it is; by default it is recognised."""
+    mass: float | None = None
+    """The object's [kg]; by default a built-in object's own, or guessed from the mesh."""
+    task: str = ""
+    """What the grasp is for: "drink", "hand over" ..."""
+    table: str | None = None
+    """The table top's plane nx,ny,nz,d, camera frame, normal upwards [m]; by default it is looked for."""
+    seed: int = 0
+    """The same seed gives the same result."""
+    report: Path | None = None
+    """Write a page with pictures to this HTML file."""
+    json: Path | None = None
+    """Write everything that was found to this JSON file."""
+
+    def run(self) -> None:
+        from fungrasp.perception.coloured import coloured_mesh
+        from fungrasp.perception.perceive import perceive
+
+        plane = parse_plane(self.table)
+        capture = self._capture()
+        model, guessed = self._object()
+        perceived = perceive(
+            capture,
+            model,
+            coloured=coloured_mesh(self.mesh, model) if Path(self.mesh).is_file() else None,
+            side=self.hand,
+            task=self.task,
+            table=plane,
+            seed=self.seed,
+        )
+        self._write(perceived)
+        print(quality_table(perceived))
+        touching = int(perceived.grasp.link_contacts.sum())
+        print(f"{self.out}: a {perceived.hand.side} hand on '{model.name}', {touching} links in contact")
+        if guessed:
+            print(f"the mass was guessed, {model.mass:.2f} kg: give --mass if you know it")
+        for doubt in perceived.doubts:
+            print(f"fungrasp: doubt: {doubt}", file=sys.stderr)
+        if not perceived.sure:
+            print("fungrasp: not sure: look at the grasp before you use it", file=sys.stderr)
+            raise SystemExit(UNSURE)
+
+    def _capture(self) -> Capture:
+        from fungrasp.errors import FungraspError
+        from fungrasp.perception.files import parse_box, read_capture, read_mask
+        from fungrasp.perception.scene_folders import own_files, read_folder
+
+        given = {"--rgb": self.rgb, "--depth": self.depth, "--intrinsics": self.intrinsics}
+        missing = [name for name, path in given.items() if path is None]
+        box = None if self.box is None else parse_box(self.box)
+        files = self.rgb, self.depth, self.intrinsics
+        mask = self.mask
+        if self.folder is not None:
+            if len(missing) < 3:
+                raise FungraspError("give either --folder, or --rgb, --depth and --intrinsics")
+            own = own_files(self.folder)
+            if own is None:
+                capture = read_folder(self.folder, self.image)
+                marked = None if mask is None else read_mask(mask, capture.depth.shape)
+                if marked is None and box is None:
+                    return capture
+                return capture.with_object(marked, box)
+            *files, found = own
+            mask = mask or found
+        elif missing:
+            raise FungraspError(f"{' and '.join(missing)} must be given, or --folder instead of the images")
+        colour, depth, lens = files
+        assert colour is not None and depth is not None and lens is not None
+        return read_capture(
+            colour, depth, lens, depth_unit=self.depth_unit, mask=mask, box=box, image=self.image
+        )
+
+    def _object(self) -> tuple[ObjectModel, bool]:
+        """The object, and whether its mass is a guess."""
+        from fungrasp.objects import builtin_object, object_from_file, object_names
+
+        if self.mesh in object_names() and not Path(self.mesh).is_file():
+            return builtin_object(self.mesh, self.mass), False
+        if self.mass is not None:
+            return object_from_file(self.mesh, self.mass), False
+        light = object_from_file(self.mesh, 1.0)
+        return object_from_file(self.mesh, DENSITY * float(light.mesh.convex_hull.volume)), True
+
+    def _write(self, perceived: Perceived) -> None:
+        from fungrasp.grasps import save_human_grasps
+
+        grasps = one_grasp(perceived.grasp)
+        if self.json is not None:
+            write_json(self.json, as_json(perceived))
+        save_human_grasps(self.out, grasps)
+
+
+COMMAND = Perceive
+
+
+def parse_plane(text: str | None) -> np.ndarray | None:
+    """A plane written as ``nx,ny,nz,d``: unit normal and offset [m], shape [4].
+
+    Raises:
+        FungraspError: it is something else.
+    """
+    import numpy as np
+
+    from fungrasp.errors import FungraspError
+
+    if text is None:
+        return None
+    try:
+        plane = np.array([float(part) for part in text.split(",")])
+    except ValueError:
+        plane = np.zeros(0)
+    length = float(np.linalg.norm(plane[:3]))
+    if plane.shape != (4,) or not np.isfinite(plane).all() or not 0.99 < length < 1.01:
+        raise FungraspError(f"a table is nx,ny,nz,d with a normal of length 1, not '{text}'")
+    return plane / length
+
+
+def one_grasp(grasp: HumanGrasp) -> HumanGraspSet:
+    """A set of this grasp alone."""
+    import numpy as np
+
+    from fungrasp.grasps import HumanGraspSet
+
+    values = {name: getattr(grasp, name) for name in HumanGraspSet.FIELDS}
+    rows: dict[str, Any] = {name: np.array([value]) for name, value in values.items() if value is not None}
+    return HumanGraspSet(**rows)
+
+
+def quality_table(perceived: Perceived) -> str:
+    """The quality figures, for people."""
+    quality = perceived.quality
+
+    def millimetres(metres: float) -> str:
+        return f"{1000 * metres:.1f} mm" if isfinite(metres) else "not known"
+
+    return table(
+        [
+            ("hand's score", f"{quality.hand_score:.2f}"),
+            ("object's score", f"{quality.object_score:.2f}"),
+            ("landmarks from the joints", f"{quality.reprojection_px:.1f} px"),
+            ("depth from the hand's skin", millimetres(quality.hand_residual_m)),
+            ("depth from the object's surface", millimetres(quality.depth_residual_m)),
+            ("hand in the object", millimetres(quality.penetration_m)),
+        ]
+    )
+
+
+def as_json(perceived: Perceived) -> dict[str, Any]:
+    """All that was found. Metres; poses ``[x y z qw qx qy qz]``; what could not be measured is null."""
+    from fungrasp.grasps import HUMAN_LINKS
+
+    grasp, hand, thing = perceived.grasp, perceived.hand, perceived.object
+    links = zip(HUMAN_LINKS, grasp.link_contacts, strict=True)
+    quality = {name: v if isfinite(v) else None for name, v in asdict(perceived.quality).items()}
+    return {
+        "version": 1,
+        "sure": perceived.sure,
+        "doubts": list(perceived.doubts),
+        "quality": quality,
+        "grasp": {
+            "object_name": grasp.object_name,
+            "object_mass": grasp.object_mass,
+            "object_pose": grasp.object_pose.tolist(),
+            "object_rest_pose": grasp.object_rest_pose.tolist(),
+            "hand_joints": grasp.hand_joints.tolist(),
+            "links_in_contact": [name for name, touches in links if touches],
+            "task": grasp.task,
+        },
+        "pose_world_camera": perceived.pose_world_camera.tolist(),
+        "table_camera": perceived.table.tolist(),
+        "table_found": perceived.table_found,
+        "hand": {
+            "side": hand.side,
+            "score": hand.score,
+            "joints_camera": hand.joints_camera.tolist(),
+            "pixels": hand.pixels.tolist(),
+            "confidence": hand.confidence.tolist(),
+        },
+        "object": {
+            "pose_camera": thing.pose_camera_object.tolist(),
+            "score": thing.score,
+            "accepted": thing.accepted,
+            "note": thing.note,
+            "alternatives": [
+                {"pose_camera": pose.tolist(), "score": score} for pose, score in thing.alternatives
+            ],
+        },
+    }
