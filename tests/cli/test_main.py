@@ -66,6 +66,18 @@ print([name for name in {HEAVY!r} if name in sys.modules], status)
     assert any(line.split()[:1] == ["hands"] for line in text)
 
 
+def test_the_help_of_training_does_not_wait_for_torch():
+    modules = ("train", "distill", "critic", "reproduce")
+    program = f"""
+import importlib, sys
+for name in {modules!r}:
+    importlib.import_module("fungrasp.cli." + name)
+print("torch" in sys.modules, "rsl_rl" in sys.modules)
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout == "False False\n"
+
+
 def test_help_of_a_command_imports_only_that_command():
     program = """
 import sys

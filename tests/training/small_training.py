@@ -13,8 +13,8 @@ from fungrasp.hands import Hand, load_hand
 from fungrasp.retarget import load_objects, retarget
 from fungrasp.training.environment import EnvironmentSettings, LiftEnvironment
 from fungrasp.training.library import Library, Variety, build_library
-from fungrasp.training.ppo import PpoSettings
 from fungrasp.training.run import RunSettings, TrainingSet
+from fungrasp.training.settings import PpoSettings
 
 WORLDS = 8
 PPO = PpoSettings(hidden=(32, 16), steps=6, epochs=2, minibatches=2, warm_up=2)

@@ -9,6 +9,7 @@ import pytest
 import torch
 from small_training import hand, training_set
 
+import fungrasp.training.plans as plans
 from fungrasp.errors import FungraspError
 from fungrasp.policies import make_policy, play
 from fungrasp.policies.card import Budget
@@ -18,7 +19,8 @@ from fungrasp.simulation import Worlds, build_scene
 from fungrasp.task import LiftTask
 from fungrasp.task.residual import ResidualSettings
 from fungrasp.training.export import export_critic, make_card
-from fungrasp.training.plans import Outcomes, PlanSettings, cross_validate, fit_critic, try_plans
+from fungrasp.training.plans import Outcomes, cross_validate, fit_critic, try_plans
+from fungrasp.training.settings import PlanSettings
 
 SMALL = PlanSettings(attempts=3, networks=2, hidden=(16, 8), chunk=4, hold_time=0.5)
 
@@ -54,6 +56,28 @@ def test_every_variation_is_tried_once_whatever_the_chunk():
     assert outcomes.success[outcomes.attempt == 0].all(), "the reference holds a can and a ball"
     first = outcomes.features[outcomes.attempt == 0]
     assert not np.allclose(first, outcomes.features[outcomes.attempt == 1])
+
+
+def test_interrupted_trials_go_on(tmp_path, monkeypatch):
+    one, whole = training_set(), tried()[0]
+    arguments = (one.grasps, one.objects, hand(), SMALL)
+
+    def stop(done: int) -> None:
+        if done >= SMALL.chunk:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        try_plans(*arguments, threads=1, progress=stop, keep=tmp_path)
+    (tmp_path / "trials-000004.npz").write_bytes(b"half a file")
+    attempt, again = plans._try, []
+    monkeypatch.setattr(plans, "_try", lambda *a: again.append(len(a[0])) or attempt(*a))
+    outcomes, names = try_plans(*arguments, threads=1, keep=tmp_path)
+    assert again == [2], "only what was missing is tried"
+    np.testing.assert_array_equal(outcomes.features, whole.features)
+    np.testing.assert_array_equal(outcomes.success, whole.success)
+    assert names == tried()[1]
+    try_plans(*arguments, seed=1, threads=1, keep=tmp_path)
+    assert again == [2, 4, 2], "outcomes of other trials don't count"
 
 
 def test_a_critic_learns_what_makes_plans_hold():

@@ -25,10 +25,11 @@ from fungrasp.training.checkpoint import check_environment, environment_state, r
 from fungrasp.training.distill import make_student
 from fungrasp.training.export import export_student, make_card
 from fungrasp.training.folder import kept_library
+from fungrasp.training.history import HISTORY
 from fungrasp.training.networks import ColouredGaussian
 from fungrasp.training.ppo import Trainer
 from fungrasp.training.run import TrainingSet, train
-from fungrasp.training.student import HISTORY, StudentGraph
+from fungrasp.training.student import StudentGraph
 
 
 def test_references_survive_a_file(tmp_path):

@@ -161,19 +161,22 @@ class Training:
     """Write the numbers here (.json)."""
 
     def run(self) -> None:
+        from fungrasp.cli.train import check_packages
+
+        check_packages()
         from dataclasses import asdict
 
         import numpy as np
 
         from fungrasp.cli.retarget import retargeted
-        from fungrasp.cli.train import EnvironmentSettings, PpoSettings, Variety
         from fungrasp.evaluation.results import machine
         from fungrasp.grasps import load_human_grasps
         from fungrasp.hands import load_hand
         from fungrasp.policies.policy_file import load_policy
         from fungrasp.retarget import load_objects
-        from fungrasp.training.environment import LiftEnvironment
-        from fungrasp.training.library import build_library
+        from fungrasp.training.environment import EnvironmentSettings, LiftEnvironment
+        from fungrasp.training.library import Variety, build_library
+        from fungrasp.training.settings import PpoSettings
         from fungrasp.training.speed import (
             acting_speed,
             environment_speed,

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from fungrasp.cli.train import check_numbers, training_sets
-from fungrasp.training.plans import PlanSettings
+from fungrasp.cli.train import check_numbers, check_packages, training_sets
+from fungrasp.training.settings import PlanSettings
 
 
 @dataclass(frozen=True)
@@ -27,6 +27,9 @@ class Critic:
     """Name of a hand, or the path of a hand's TOML file."""
     method: str = "ours"
     """How human grasps are retargeted: ours, angle-copy or dexgraspnet."""
+    trials: Path | None = None
+    """Folder in which the trials' outcomes are kept, so that an interrupted command goes on where it was, and
+    more --attempts add to them; beside --out by default."""
     seed: int = 0
     """Of everything that is random."""
     threads: int = 0
@@ -38,6 +41,7 @@ class Critic:
     settings: PlanSettings = field(default_factory=PlanSettings)
 
     def run(self) -> None:
+        check_packages()
         from time import perf_counter
 
         import torch
@@ -55,11 +59,19 @@ class Critic:
         start, hand = perf_counter(), load_hand(self.hand)
         sets = training_sets(self.grasps, self.objects, hand, self.method, self.terms, self.threads)
         torch.set_num_threads(1)
+        folder = self.out.with_suffix(".trials") if self.trials is None else self.trials
         parts, names = [], ()
-        for one in sets:
+        for number, one in enumerate(sets):
             with progress_bar(one.name, len(one.grasps) * self.settings.attempts) as show:
                 outcomes, names = try_plans(
-                    one.grasps, one.objects, hand, self.settings, self.seed, self.threads, show
+                    one.grasps,
+                    one.objects,
+                    hand,
+                    self.settings,
+                    self.seed,
+                    self.threads,
+                    show,
+                    folder / str(number),
                 )
             parts.append(outcomes)
         outcomes = Outcomes.join(*parts)

@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import ClassVar
 
-from fungrasp.cli.train import check_numbers, progress_lines, wandb_log
-from fungrasp.training.distill import DistillSettings
+from fungrasp.cli.train import check_numbers, check_packages, progress_lines, wandb_log
+from fungrasp.training.settings import DistillSettings
 
 
 @dataclass(frozen=True)
@@ -37,6 +37,7 @@ class Distill:
     settings: DistillSettings = field(default_factory=DistillSettings)
 
     def run(self) -> None:
+        check_packages()
         import torch
 
         from fungrasp.training.student_run import STUDENT, train_student

@@ -8,12 +8,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from fungrasp.cli.console import progress_bar, table, write_json
-from fungrasp.cli.train import check_numbers, progress_lines, training_sets
+from fungrasp.cli.train import check_numbers, check_packages, progress_lines, training_sets
 from fungrasp.errors import FungraspError
-from fungrasp.training.distill import DistillSettings
 from fungrasp.training.environment import EnvironmentSettings
 from fungrasp.training.library import Variety
-from fungrasp.training.ppo import PpoSettings
+from fungrasp.training.settings import DistillSettings, PpoSettings
 
 if TYPE_CHECKING:
     from fungrasp.evaluation.tables import Variant
@@ -58,6 +57,7 @@ class Table:
 
     def reproduce(self, name: str) -> None:
         """Make the table of this name."""
+        check_packages()
         import torch
 
         from fungrasp.evaluation.tables import TABLES, comparison_rows

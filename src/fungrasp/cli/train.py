@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -9,15 +10,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from fungrasp.errors import FungraspError
-
-try:
-    from fungrasp.training.environment import EnvironmentSettings
-    from fungrasp.training.library import Variety
-    from fungrasp.training.ppo import PpoSettings
-except ImportError as error:
-    raise FungraspError(
-        f'training needs packages that are not installed ({error}): pip install "fungrasp[learning]"'
-    ) from error
+from fungrasp.training.environment import EnvironmentSettings
+from fungrasp.training.library import Variety
+from fungrasp.training.settings import PpoSettings
 
 if TYPE_CHECKING:
     from fungrasp.hands import Hand
@@ -72,6 +67,7 @@ class Train:
     variety: Variety = field(default_factory=Variety)
 
     def run(self) -> None:
+        check_packages()
         import torch
 
         from fungrasp.cli.console import progress_bar
@@ -124,6 +120,21 @@ def critic_file(name: str, hand: Hand) -> Path:
     if path is None or (kind := read_card(path).kind) != "critic":
         raise FungraspError(f"--plans takes a critic; '{name}' is a {'controller' if path is None else kind}")
     return path
+
+
+def check_packages() -> None:
+    """Complain about missing ones.
+
+    Raises:
+        FungraspError: one that training needs is not installed.
+    """
+    try:
+        for name in ("torch", "rsl_rl", "tensorboard"):
+            importlib.import_module(name)
+    except ImportError as error:
+        raise FungraspError(
+            f'training needs packages that are not installed ({error}): pip install "fungrasp[learning]"'
+        ) from error
 
 
 def check_numbers(steps: float, seed: int, threads: int) -> None:

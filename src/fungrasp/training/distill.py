@@ -23,29 +23,8 @@ from fungrasp.training.checkpoint import (
 )
 from fungrasp.training.environment import LiftEnvironment
 from fungrasp.training.networks import tensors
-from fungrasp.training.ppo import HIDDEN
+from fungrasp.training.settings import HIDDEN, DistillSettings
 from fungrasp.training.student import StudentModel
-
-
-@dataclass(frozen=True)
-class DistillSettings:
-    """Of distillation."""
-
-    steps: int = 24
-    """Control steps of each world between two rounds of learning."""
-    teacher_rounds: int = 3
-    """Rounds at the beginning in which the teacher acts."""
-    kept_rounds: int = 40
-    """Rounds whose trials are learned from."""
-    minibatch: int = 1024
-    updates: int = 60
-    """Minibatches in each round."""
-    learning_rate: float = 1e-3
-    """At the beginning; it falls to a tenth."""
-    reconstruction: float = 1.0
-    """Weight of L_re against L_act."""
-    noise: float = 0.05
-    """Standard deviation of the noise on the actions that are played."""
 
 
 @dataclass(frozen=True)

@@ -19,9 +19,9 @@ from fungrasp.task import LiftTask, Protocol
 from fungrasp.task.observation import critic, flatten, layout, observe, privileged
 from fungrasp.task.residual import ResidualSettings
 from fungrasp.task.reward import RewardWeights, total
+from fungrasp.training.history import History
 from fungrasp.training.library import Library
 from fungrasp.training.rewards import LiftReward
-from fungrasp.training.student import History
 from fungrasp.transfer import Differences, Randomisation, Spread
 
 _log = logging.getLogger(__name__)

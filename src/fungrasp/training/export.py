@@ -18,8 +18,9 @@ from fungrasp.policies.card import ActionPart, Budget, Part, PolicyCard
 from fungrasp.policies.learned import ACTION_PARTS
 from fungrasp.policies.policy_file import hand_digest, save_policy, servo_gains
 from fungrasp.task.residual import WRIST_ACTIONS, ResidualSettings
+from fungrasp.training.history import HISTORY
 from fungrasp.training.plans import PlanCritic
-from fungrasp.training.student import HISTORY, StudentGraph, StudentModel
+from fungrasp.training.student import StudentGraph, StudentModel
 
 OPSET = 18
 

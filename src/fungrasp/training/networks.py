@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Any
 
 import torch
 from rsl_rl.models import MLPModel
@@ -10,10 +10,8 @@ from rsl_rl.modules.distribution import GaussianDistribution
 from tensordict import TensorDict
 
 from fungrasp.training.environment import LiftEnvironment, Observations
+from fungrasp.training.settings import Sees
 from fungrasp.training.student import StudentModel
-
-Sees = Literal["contacts", "nothing", "history"]
-"""What an actor knows of the contacts."""
 
 
 class ColouredGaussian(GaussianDistribution):

@@ -2,49 +2,34 @@
 
 from __future__ import annotations
 
+import json
+import zipfile
+import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
+from pathlib import Path
 
 import numpy as np
 import torch
 
+from fungrasp import __version__
 from fungrasp.errors import FungraspError
+from fungrasp.files import atomic_path, digest
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
 from fungrasp.policies.plan_features import plan_features
+from fungrasp.policies.policy_file import hand_digest
 from fungrasp.policies.reference import ReferenceController
 from fungrasp.policies.references import References, begin_on_way
 from fungrasp.policies.variations import Spread, vary, with_settings
 from fungrasp.simulation import Scene, SceneSettings, Worlds, build_scene
 from fungrasp.task import LiftTask, Protocol
 from fungrasp.task.observation import flatten, layout
+from fungrasp.training.settings import PlanSettings
 
-
-@dataclass(frozen=True)
-class PlanSettings:
-    """Of the trials that a critic learns from, and of its learning."""
-
-    attempts: int = 24
-    """Variations of each grasp, the unchanged one included."""
-    timestep: float = 0.01
-    """Of physics [s]."""
-    hold_time: float = 2.0
-    """[s]; the dynamic test has 3."""
-    early: int = 5
-    """Trials begin this many control steps before the fingers close."""
-    chunk: int = 512
-    """Trials at once."""
-    networks: int = 4
-    """Whose mean is the critic."""
-    hidden: tuple[int, int] = (256, 128)
-    """Units of a network's hidden layers."""
-    dropout: float = 0.3
-    weight_decay: float = 0.02
-    learning_rate: float = 1e-3
-    """At the beginning; it falls to zero."""
-    epochs: int = 10
-    minibatch: int = 256
+Layout = tuple[tuple[str, int], ...]
+"""Names and sizes of the parts of a flat vector."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +67,8 @@ def try_plans(
     seed: int = 0,
     threads: int = 0,
     progress: Callable[[int], None] = lambda done: None,
-) -> tuple[Outcomes, tuple[tuple[str, int], ...]]:
+    keep: Path | None = None,
+) -> tuple[Outcomes, Layout]:
     """Plan variations of grasps and try each once, blindly, in physics.
 
     Args:
@@ -93,27 +79,72 @@ def try_plans(
         seed: of the variations.
         threads: 0 means all processors.
         progress: called with the number of trials done.
+        keep: folder in which outcomes are kept as they come; those that an interrupted call has left there
+            are not tried again.
 
     Returns:
         The outcomes, and the layout of their features.
+
+    Raises:
+        FungraspError: the folder can't be written to.
     """
     s = settings or PlanSettings()
     scene = build_scene(hand, objects, SceneSettings(timestep=s.timestep))
     grasp = np.tile(np.arange(len(grasps)), s.attempts)
     attempt = np.repeat(np.arange(s.attempts), len(grasps))
     start = with_settings(grasps)
+    key = _key(start, objects, hand, s, seed)
     parts, names = [], ()
     for first in range(0, len(grasp), s.chunk):
         rows = slice(first, first + s.chunk)
-        varied = vary(start.select(grasp[rows]), hand, grasp[rows], attempt[rows], seed, Spread())
-        references, success, ratio = _try(varied, objects, scene, s, threads)
-        features = plan_features(references, objects)
-        names = layout(features)
-        flat = np.nan_to_num(flatten(features)).astype(np.float32)
-        parts.append(Outcomes(flat, grasp[rows], attempt[rows], success, ratio))
-        progress(first + len(success))
+        path = None if keep is None else keep / f"trials-{first:06d}.npz"
+        kept = None if path is None else _kept(path, key)
+        if kept is None:
+            varied = vary(start.select(grasp[rows]), hand, grasp[rows], attempt[rows], seed, Spread())
+            references, success, ratio = _try(varied, objects, scene, s, threads)
+            features = plan_features(references, objects)
+            flat = np.nan_to_num(flatten(features)).astype(np.float32)
+            kept = Outcomes(flat, grasp[rows], attempt[rows], success, ratio), layout(features)
+            if path is not None:
+                _keep(path, key, *kept)
+        outcomes, names = kept
+        parts.append(outcomes)
+        progress(first + len(outcomes.success))
     whole = Outcomes(*(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(Outcomes)))
     return whole, names
+
+
+def _key(
+    grasps: RobotGraspSet, objects: Mapping[str, ObjectModel], hand: Hand, s: PlanSettings, seed: int
+) -> str:
+    """Digest of all that decides the outcomes of trials, their number aside."""
+    names = np.unique(grasps.object_name).tolist()
+    return digest(
+        __version__,
+        {name: getattr(grasps, name) for name in grasps.FIELDS},
+        grasps.extra,
+        {name: objects[name].digest for name in names},
+        hand_digest(hand),
+        (s.timestep, s.hold_time, s.early, s.chunk, seed),
+    )
+
+
+def _kept(path: Path, key: str) -> tuple[Outcomes, Layout] | None:
+    """Outcomes from a file; None if there is none, it is damaged, or of other trials."""
+    try:
+        with np.load(path, allow_pickle=False) as data:
+            if str(data["key"]) != key:
+                return None
+            names = tuple((str(n), int(size)) for n, size in json.loads(str(data["layout"])))
+            return Outcomes(*(data[f.name] for f in fields(Outcomes))), names
+    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile, zlib.error):
+        return None
+
+
+def _keep(path: Path, key: str, outcomes: Outcomes, names: Layout) -> None:
+    arrays = {f.name: getattr(outcomes, f.name) for f in fields(Outcomes)}
+    with atomic_path(path) as part, part.open("wb") as stream:
+        np.savez(stream, key=np.array(key), layout=np.array(json.dumps(names)), **arrays)
 
 
 def _try(

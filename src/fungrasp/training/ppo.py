@@ -25,51 +25,9 @@ from fungrasp.training.checkpoint import (
     write_checkpoint,
 )
 from fungrasp.training.environment import LiftEnvironment
-from fungrasp.training.networks import Sees, make_networks, tensors
+from fungrasp.training.networks import make_networks, tensors
+from fungrasp.training.settings import PpoSettings
 from fungrasp.training.student import StudentModel
-
-HIDDEN = (256, 128)
-"""Units of the hidden layers of a policy."""
-
-
-@dataclass(frozen=True)
-class PpoSettings:
-    """Of PPO."""
-
-    hidden: tuple[int, ...] = HIDDEN
-    """Units of the hidden layers, of actor and critic."""
-    sees: Sees = "contacts"
-    """What the actor knows of the contacts: the truth (a teacher), nothing, or what an encoder infers from
-    the last steps, learned along the way (a student from scratch)."""
-    steps: int = 24
-    """Control steps of each world between two updates."""
-    epochs: int = 4
-    """Over each batch."""
-    minibatches: int = 4
-    """Of each epoch."""
-    gamma: float = 0.99
-    """Discount per control step."""
-    lam: float = 0.95
-    """Of the generalised advantage estimate."""
-    clip: float = 0.2
-    """Of the ratio of probabilities."""
-    entropy: float = 0.001
-    """Weight of the entropy."""
-    kl: float = 0.02
-    """Change of the policy per update that the actor's learning rate adapts to."""
-    learning_rate: float = 1e-4
-    """Of the actor, to begin with."""
-    critic_learning_rate: float = 1e-3
-    """It stays the same."""
-    reward_scale: float = 0.1
-    """Makes returns of the order of one."""
-    noise: float = 0.15
-    """Standard deviation of the actions, to begin with."""
-    noise_correlation: float = 0.95
-    """Of the noise from one control step to the next. White noise shakes the object out of the hand; noise
-    that changes slowly tries out other grasps."""
-    warm_up: int = 48
-    """Control steps before learning, in which only the normalisation is learned."""
 
 
 @dataclass(frozen=True)

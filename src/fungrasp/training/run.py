@@ -25,7 +25,8 @@ from fungrasp.training.environment import EnvironmentSettings, LiftEnvironment
 from fungrasp.training.export import export_student, export_teacher, make_card
 from fungrasp.training.folder import RunFolder, git_revision, kept_library, machine
 from fungrasp.training.library import Library, Variety, build_library
-from fungrasp.training.ppo import PpoSettings, Progress, Trainer
+from fungrasp.training.ppo import Progress, Trainer
+from fungrasp.training.settings import PpoSettings
 from fungrasp.training.student import StudentModel
 
 REFERENCES = "references.npz"

@@ -23,7 +23,8 @@ from fungrasp.training.distill import make_student
 from fungrasp.training.environment import EnvironmentSettings, LiftEnvironment
 from fungrasp.training.export import export_student, make_card
 from fungrasp.training.library import Library
-from fungrasp.training.ppo import PpoSettings, Trainer
+from fungrasp.training.ppo import Trainer
+from fungrasp.training.settings import PpoSettings
 
 Call = tuple[np.ndarray, int, np.ndarray | None]
 """Controls, physics steps and worlds of one call of the engine."""
