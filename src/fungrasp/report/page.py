@@ -5,36 +5,21 @@ from.
 from __future__ import annotations
 
 import base64
-import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from html import escape
-from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
 
 from fungrasp.errors import FungraspError
 from fungrasp.files import atomic_path
+from fungrasp.report.page_parts import Quantity, badge, document, figure, provenance_footer, quality_card
+
+__all__ = ["MEDIA_TYPES", "Contact", "GraspReport", "Page", "Quantity", "page_html", "write_page"]
 
 MEDIA_TYPES = {".mp4": "video/mp4", ".webp": "image/webp", ".gif": "image/gif", ".png": "image/png"}
 """Kinds of files that a page can hold, by suffix."""
-
-
-@dataclass(frozen=True)
-class Quantity:
-    """A measured number."""
-
-    name: str
-    """"Penetration of the object"."""
-    value: float | str
-    """A number, or words."""
-    unit: str = ""
-    """"mm"."""
-    meaning: str = ""
-    """What it measures, in a sentence."""
-    limit: float | None = None
-    """The number should not exceed it."""
 
 
 @dataclass(frozen=True)
@@ -86,35 +71,31 @@ class Page:
     """Where it came from: version, seed, command, machine, date ..., in the order given."""
 
 
-def write_page(path: str | Path, page: Page) -> Path:
+def write_page(path: str | Path, page: Page, opening: Sequence[str] = ()) -> Path:
     """Write a page that needs no other file and no network.
+
+    Args:
+        path: of the HTML file.
+        page: what it says.
+        opening: HTML of what comes before the grasps.
 
     Raises:
         FungraspError: a film can't be read or is of an unknown kind, a picture has the wrong shape, or the
             page can't be written.
     """
     path = Path(path)
-    text = page_html(page)
+    text = page_html(page, opening)
     with atomic_path(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
     return path
 
 
-def page_html(page: Page) -> str:
+def page_html(page: Page, opening: Sequence[str] = ()) -> str:
     """The page's HTML text. Raises FungraspError as ``write_page``."""
-    style = files("fungrasp.report").joinpath("page.css").read_text(encoding="utf-8")
     several = len(page.grasps) > 1
-    parts = [_header(page), *(_contents(page.grasps) if several else [])]
+    parts = [_header(page), *opening, *(_contents(page.grasps) if several else [])]
     parts += [_grasp(grasp, f"grasp-{i + 1}", first=i == 0) for i, grasp in enumerate(page.grasps)]
-    parts.append(_provenance(page.provenance))
-    return (
-        '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        '<meta name="color-scheme" content="light dark">\n'
-        f"<title>{escape(page.title)}</title>\n<style>\n{style}</style>\n</head>\n<body>\n"
-        + "\n".join(part for part in parts if part)
-        + "\n</body>\n</html>\n"
-    )
+    return document(page.title, [*parts, provenance_footer(page.provenance)])
 
 
 def _header(page: Page) -> str:
@@ -143,10 +124,10 @@ def _grasp(grasp: GraspReport, name: str, *, first: bool) -> str:
     if grasp.object_mass is not None:
         facts.append(f"{1000 * grasp.object_mass:.0f} g")
     line = " · ".join(escape(fact) for fact in facts if fact)
-    pictures = _picture(grasp.human_picture, "The human grasp; links in contact are orange")
-    pictures += _picture(grasp.robot_picture, "The robot's grasp")
+    pictures = figure(grasp.human_picture, "The human grasp; links in contact are orange")
+    pictures += figure(grasp.robot_picture, "The robot's grasp")
     film = _film(grasp, " autoplay" if first else "")
-    tables = _contacts(grasp.contacts) + _quality(grasp.quality)
+    tables = _contacts(grasp.contacts) + quality_card(grasp.quality)
     return (
         f'<article id="{name}" aria-labelledby="{name}-title"><header>'
         f'<div><h2 id="{name}-title">{escape(grasp.title)}</h2>'
@@ -164,17 +145,7 @@ def _badge(success: bool | None, *, small: bool = False) -> str:
     if success is None:
         return ""
     kind, words = ("good", "✓ Lifted and held") if success else ("bad", "✗ Not held")
-    return f'<span class="badge {kind}">{words[0] if small else words}</span>'
-
-
-def _picture(picture: np.ndarray | None, caption: str) -> str:
-    if picture is None:
-        return ""
-    height, width = picture.shape[:2]
-    return (
-        f'<figure><img src="{_png(picture)}" width="{width}" height="{height}" alt="{escape(caption)}">'
-        f"<figcaption>{escape(caption)}</figcaption></figure>"
-    )
+    return badge(kind, words[0] if small else words)
 
 
 def _film(grasp: GraspReport, play: str) -> str:
@@ -216,57 +187,6 @@ def _dot(value: bool | None) -> str:
     return (
         '<span class="dot on" title="yes">yes</span>' if value else '<span class="dot" title="no">no</span>'
     )
-
-
-def _quality(quality: Sequence[Quantity]) -> str:
-    if not quality:
-        return ""
-    rows = []
-    for item in quality:
-        over = item.limit is not None and isinstance(item.value, int | float) and item.value > item.limit
-        limit = f" At most {_number(item.limit)}{_unit(item.unit)}." if item.limit is not None else ""
-        meaning = escape(f"{item.meaning}{limit}".strip())
-        rows.append(
-            f'<tr><th scope="row">{escape(item.name)}<small>{meaning}</small></th>'
-            f'<td class="number{" over" if over else ""}">{escape(_number(item.value))}'
-            f"<span>{escape(_unit(item.unit))}</span></td></tr>"
-        )
-    return (
-        '<section class="card"><h3>Quality</h3><table class="quality"><thead class="hidden"><tr>'
-        '<th scope="col">Measure</th><th scope="col">Value</th></tr></thead>'
-        f"<tbody>{''.join(rows)}</tbody></table></section>"
-    )
-
-
-def _provenance(provenance: Mapping[str, str]) -> str:
-    if not provenance:
-        return ""
-    rows = "".join(
-        f"<div><dt>{escape(key)}</dt><dd>{escape(str(value))}</dd></div>" for key, value in provenance.items()
-    )
-    return f"<footer><h2>Where this came from</h2><dl>{rows}</dl></footer>"
-
-
-def _number(value: float | str | None) -> str:
-    if value is None or isinstance(value, str):
-        return value or ""
-    if not np.isfinite(value):
-        return "–"
-    return f"{value:,.0f}" if abs(value) >= 1000 else f"{value:.3g}"
-
-
-def _unit(unit: str) -> str:
-    return unit if unit in ("", "°", "%") else f" {unit}"
-
-
-def _png(picture: np.ndarray) -> str:
-    from PIL import Image
-
-    if picture.ndim != 3 or picture.shape[2] != 3 or picture.dtype != np.uint8:
-        raise FungraspError(f"a picture must have shape [H, W, 3] uint8, not {picture.shape} {picture.dtype}")
-    buffer = io.BytesIO()
-    Image.fromarray(picture).save(buffer, "PNG", optimize=True)
-    return f"data:image/png;base64,{base64.b64encode(buffer.getvalue()).decode()}"
 
 
 def _media(film: Path | bytes) -> tuple[str, bytes]:

@@ -1,0 +1,286 @@
+"""One self-contained HTML page about a grasp perceived in an image: what was seen, how good it is, what is
+uncertain.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from html import escape
+from pathlib import Path
+
+import numpy as np
+import trimesh
+
+from fungrasp.grasps import HUMAN_LINKS
+from fungrasp.grasps.human_hand import FINGERS
+from fungrasp.grasps.importers.dexycb import MIRRORED
+from fungrasp.objects import ObjectModel
+from fungrasp.perception import Capture
+from fungrasp.perception.perceive import SURE_HAND, Perceived
+from fungrasp.perception.pose_confidence import ACCEPT, RIVAL_DISTANCE
+from fungrasp.perception.pose_error import add_s, rotation_error
+from fungrasp.report.page import Page, write_page
+from fungrasp.report.page_parts import Quantity, figure, number, quality_card
+from fungrasp.report.perception_pictures import (
+    FINGER_COLOURS,
+    close_up,
+    drawn_over,
+    false_colours,
+    grasp_from_four_sides,
+    pose_over,
+    whole_image,
+)
+
+SIDES = ("From the camera's side", "From the right of that", "From behind", "From the left")
+"""Of the four pictures of the grasp."""
+
+REPROJECTION = 8.0
+"""Landmarks farther than this from the fitted hand are poor, in an image of 640 columns [pixels]."""
+
+HAND_RESIDUAL, OBJECT_RESIDUAL, PENETRATION = 0.010, 0.003, 0.008
+"""Residuals and penetration beyond these are poor [m]."""
+
+TURNED = 30.0
+"""A pose turned by more than this [degrees] is another one, however well it fits."""
+
+CLOSE = 0.1
+"""Poses whose score is lower by less than this fit almost as well as the answer."""
+
+SAME = 0.002
+"""Poses whose surfaces are nearer than this on average (ADD-S [m]) look the same."""
+
+PICTURED = 2
+"""Alternatives that get a picture."""
+
+
+def write_perception_page(
+    path: str | Path,
+    capture: Capture,
+    model: ObjectModel,
+    perceived: Perceived,
+    provenance: Mapping[str, str],
+) -> Path:
+    """Write a page that needs no other file and no network.
+
+    Args:
+        path: of the HTML file.
+        capture: the image.
+        model: the object.
+        perceived: what was made of them.
+        provenance: where it came from: version, command, machine, ..., in the order given.
+
+    Raises:
+        FungraspError: the page can't be written.
+    """
+    facts = f"{side_words(perceived)} · {1000 * model.mass:.0f} g"
+    page = Page(perception_title(perceived), (), facts, provenance=provenance)
+    return write_page(path, page, perception_parts(capture, model, perceived))
+
+
+def perception_title(perceived: Perceived) -> str:
+    """ "Spray bottle, to spray: seen in one image"."""
+    name = perceived.grasp.object_name.removesuffix(MIRRORED).replace("_", " ")
+    task = f", to {perceived.grasp.task}" if perceived.grasp.task else ""
+    return f"{name[:1].upper()}{name[1:]}{task}: seen in one image"
+
+
+def side_words(perceived: Perceived) -> str:
+    """ "Right hand"."""
+    return f"{perceived.hand.side} hand".capitalize()
+
+
+def perception_parts(capture: Capture, model: ObjectModel, perceived: Perceived) -> list[str]:
+    """HTML: the verdict, what was seen, the grasp in 3D, the figures, what is uncertain."""
+    return [
+        _verdict(perceived),
+        _seen(capture, model, perceived),
+        _in_space(model, perceived),
+        _figures(capture, perceived),
+        _uncertain(capture, model, perceived),
+    ]
+
+
+def quantities(capture: Capture, perceived: Perceived) -> list[Quantity]:
+    """The quality figures, what each means and what would be good."""
+    quality, lens = perceived.quality, capture.intrinsics
+    widest = round(REPROJECTION * max(1.0, max(lens.width, lens.height) / 640), 1)
+    return [
+        Quantity(
+            "Score of the hand",
+            quality.hand_score,
+            meaning="How sure it is that this is a hand, held like this; 1 is certain.",
+            least=SURE_HAND,
+        ),
+        Quantity(
+            "Score of the object's pose",
+            quality.object_score,
+            meaning="How sure it is that the mesh is there, turned like this; 1 is certain.",
+            least=ACCEPT,
+        ),
+        Quantity(
+            "Hand in the image",
+            quality.reprojection_px,
+            "pixels",
+            "Between where joints were seen and where the fitted hand has them, median.",
+            limit=widest,
+        ),
+        Quantity(
+            "Hand in depth",
+            1e3 * quality.hand_residual_m,
+            "mm",
+            "Between the depth measured at the hand and its skin, median.",
+            limit=1e3 * HAND_RESIDUAL,
+        ),
+        Quantity(
+            "Object in depth",
+            1e3 * quality.depth_residual_m,
+            "mm",
+            "Between the object's measured points and its mesh, median.",
+            limit=1e3 * OBJECT_RESIDUAL,
+        ),
+        Quantity(
+            "Hand in the object",
+            1e3 * quality.penetration_m,
+            "mm",
+            "Deepest point of the hand inside the object; soft fingertips that press give a few millimetres.",
+            limit=1e3 * PENETRATION,
+        ),
+    ]
+
+
+def contact_words(link_contacts: np.ndarray) -> str:
+    """ "palm; index: distal; thumb: middle, distal". link_contacts: shape [16] bool."""
+    touching = [name for name, touches in zip(HUMAN_LINKS, link_contacts, strict=True) if touches]
+    words = ["palm"] * ("palm" in touching)
+    for finger in FINGERS:
+        links = [name.removeprefix(f"{finger}_") for name in touching if name.startswith(f"{finger}_")]
+        words += [f"{finger}: {', '.join(links)}"] * bool(links)
+    return "; ".join(words) or "nothing"
+
+
+def _verdict(perceived: Perceived) -> str:
+    if perceived.sure:
+        kind, word = "good", "✓ Sure"
+        reason = "Hand and object are both believed."
+    else:
+        kind, word = "bad", "? Not sure"
+        reason = "Look at the pictures before you use this grasp."
+    doubts = "".join(f"<li>{escape(_sentence(doubt))}</li>" for doubt in perceived.doubts)
+    return (
+        f'<section class="verdict {kind}" aria-label="Verdict"><p><strong>{word}.</strong> {reason}</p>'
+        + (f"<ul>{doubts}</ul>" if doubts else "")
+        + "</section>"
+    )
+
+
+def _seen(capture: Capture, model: ObjectModel, perceived: Perceived) -> str:
+    hand, pose = perceived.hand, perceived.object.pose_camera_object
+    over = drawn_over(capture, hand, model, pose, perceived.object.accepted)
+    view = close_up(capture, hand, model, pose)
+    legend = "".join(
+        f'<li><i style="background:rgb{FINGER_COLOURS[finger]}"></i>{finger}</li>' for finger in FINGERS
+    )
+    words = (
+        "The hand's skeleton, a colour for each finger, and the outline of the object's mesh, hidden parts "
+        "included. The pale disc round a joint says how far off it may be; a joint with a dark middle is not "
+        "trusted."
+    )
+    small = figure(
+        whole_image(capture, view), "The whole image; the frame is what is enlarged.", photograph=True
+    )
+    small += figure(
+        false_colours(capture, hand, model, pose),
+        "The depth: near is yellow, far is violet, black was not measured. The same outline.",
+    )
+    return (
+        '<article id="seen" aria-labelledby="seen-title"><h2 id="seen-title">In the image</h2>'
+        f'<div class="wide">{figure(over, words, photograph=True)}</div>'
+        f'<ul class="legend">{legend}</ul><div class="pictures">{small}</div></article>'
+    )
+
+
+def _in_space(model: ObjectModel, perceived: Perceived) -> str:
+    mirrored = perceived.hand.side == "left"
+    views = grasp_from_four_sides(perceived.grasp, model, perceived.pose_world_camera, mirrored)
+    pictures = "".join(figure(view, side) for view, side in zip(views, SIDES, strict=False))
+    lines = [f"Touching the object, orange: {contact_words(perceived.grasp.link_contacts)}."]
+    if mirrored:
+        lines.append("The image shows a left hand: what is drawn, and kept, is its reflection.")
+    if not perceived.table_found:
+        lines.append("No table was seen: the one drawn is a guess.")
+    if not views:
+        lines.append("The joints are no hand that can be drawn.")
+    words = "".join(f'<p class="outcome">{escape(line)}</p>' for line in lines)
+    return (
+        '<article id="grasp" aria-labelledby="grasp-title"><h2 id="grasp-title">From four sides</h2>'
+        f'{words}<div class="pictures">{pictures}</div></article>'
+    )
+
+
+def _figures(capture: Capture, perceived: Perceived) -> str:
+    card = quality_card(quantities(capture, perceived), "How well it fits")
+    return f'<article id="figures" aria-label="Figures"><div class="tables">{card}</div></article>'
+
+
+def _uncertain(capture: Capture, model: ObjectModel, perceived: Perceived) -> str:
+    """Joints that are not trusted, and the object's other poses."""
+    unsure = int((perceived.hand.confidence < 0.5).sum())
+    joints = (
+        f"{unsure} of the hand's 21 joints may well be more than 15 mm off."
+        if unsure
+        else "All of the hand's 21 joints are probably within 15 mm."
+    )
+    return (
+        '<article id="uncertain" aria-labelledby="uncertain-title">'
+        '<h2 id="uncertain-title">What is uncertain</h2>'
+        f'<p class="outcome">{joints}</p>{_alternatives(capture, model, perceived)}</article>'
+    )
+
+
+def _alternatives(capture: Capture, model: ObjectModel, perceived: Perceived) -> str:
+    thing = perceived.object
+    if not thing.alternatives:
+        return '<p class="outcome">No other pose of the object was worth considering.</p>'
+    best, poses = thing.pose_camera_object, np.stack([pose for pose, _ in thing.alternatives])
+    scores = np.array([score for _, score in thing.alternatives])
+    points = np.asarray(trimesh.sample.sample_surface(model.mesh, 1500, seed=0)[0])
+    apart = np.array([float(add_s(points, pose, best)) for pose in poses])
+    turned = np.degrees(rotation_error(poses, best))
+    rows = [f'<tr><th scope="row">The answer</th><td class="number">{number(thing.score)}</td></tr>']
+    pictures = []
+    for i, score in enumerate(scores):
+        away = f"{1e3 * apart[i]:.0f} mm and {turned[i]:.0f}° from the answer"
+        rows.append(
+            f'<tr><th scope="row">Pose {i + 2}<small>{away}</small></th>'
+            f'<td class="number">{number(float(score))}</td></tr>'
+        )
+        if apart[i] > SAME and len(pictures) < PICTURED:
+            picture = pose_over(capture, perceived.hand, model, best, poses[i])
+            caption = f"Pose {i + 2}, score {number(float(score))}: {away}"
+            pictures.append(figure(picture, caption, photograph=True))
+    return (
+        f'<p class="outcome">{escape(_rival(thing.score, scores, apart, turned))}</p>'
+        '<div class="tables"><section class="card"><h3>Scores of the object\'s poses</h3>'
+        "<p>How far they are from the answer is the mean between the surfaces, and the turn.</p>"
+        f'<table class="quality"><tbody>{"".join(rows)}</tbody></table></section></div>'
+        + (f'<div class="pictures">{"".join(pictures)}</div>' if pictures else "")
+    )
+
+
+def _rival(score: float, scores: np.ndarray, apart: np.ndarray, turned: np.ndarray) -> str:
+    """A word on the best pose that is another one: turned, or elsewhere."""
+    other = np.flatnonzero(((turned > TURNED) & (apart > SAME)) | (apart > RIVAL_DISTANCE))
+    if not len(other):
+        return "Every other pose that fits looks the same as the answer, or nearly so."
+    first = other[np.argmax(scores[other])]
+    if scores[first] < score - CLOSE:
+        return "Poses that look different fit worse."
+    what = f"turned by {turned[first]:.0f}°" if turned[first] > TURNED else "elsewhere"
+    return (
+        f"Pose {first + 2}, {what}, fits almost as well (score {number(float(scores[first]))} against "
+        f"{number(score)}): look at the pictures which of the two it is."
+    )
+
+
+def _sentence(words: str) -> str:
+    return f"{words[:1].upper()}{words[1:].rstrip('.')}."
