@@ -50,6 +50,8 @@ class Train:
     plans: str | None = None
     """A critic that chooses the plans to follow, in training and at work: a policy that comes with the
     package ("critic" is short for the hand's), or a file. The grasps' own plans by default."""
+    initial: Path | None = None
+    """Folder of another training, whose networks this one begins with."""
     sees: Literal["contacts", "nothing", "history"] | None = None
     """Short for --ppo.sees."""
     seed: int = 0
@@ -93,6 +95,7 @@ class Train:
                 licence=self.licence,
                 threads=self.threads,
                 plans=plans,
+                initial=self.initial,
                 planning=show,
                 progress=progress_lines(int(self.steps)),
                 log=log,

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
@@ -93,6 +94,8 @@ class Trainer:
             self._encoder_optimizer = torch.optim.Adam(encoder, lr=s.critic_learning_rate)
         self.steps, self.seconds = 0, 0.0
         """Control steps, and what they took [s], earlier runs included."""
+        self._begun = False
+        """Whether its networks come from another training."""
         self._recent: deque[bool] = deque(maxlen=1000)
 
     @property
@@ -122,7 +125,7 @@ class Trainer:
         """
         start, update, before = perf_counter(), 0, self.seconds
         self.algorithm.train_mode()
-        if self.steps == 0:
+        if self.steps == 0 and not self._begun:
             self._warm_up()
         while self.steps < steps:
             report = self._update()
@@ -219,6 +222,19 @@ class Trainer:
         state |= {"steps": self.steps, "seconds": self.seconds, "recent": torch.tensor(list(self._recent))}
         write_checkpoint(path, state)
 
+    def begin_from(self, path: Path) -> None:
+        """Take the networks of another training's checkpoint, and nothing else.
+
+        Raises:
+            FungraspError: it can't be read, is damaged, or belongs to another hand, other observations or
+                other networks.
+        """
+        state = read_checkpoint(path)
+        check_environment(path, state, self.environment)
+        self._begun = True
+        with _fitting(path):
+            self.algorithm.load(state, {"actor": True, "critic": True}, True)
+
     def load(self, path: Path) -> None:
         """Go on from a checkpoint.
 
@@ -228,13 +244,20 @@ class Trainer:
         """
         state = read_checkpoint(path)
         check_environment(path, state, self.environment)
-        try:
+        with _fitting(path):
             self.algorithm.load(state, None, True)
             if isinstance(self.actor, StudentModel):
                 self._encoder_optimizer.load_state_dict(state["encoder_optimizer_state_dict"])
             restore_environment(state, self.environment)
             self.steps, self.seconds = int(state["steps"]), float(state["seconds"])
             self._recent.extend(state["recent"].bool().tolist())
-        except (RuntimeError, ValueError, KeyError) as error:
-            words = " ".join(str(error).split())
-            raise FungraspError(f"the checkpoint {path} does not fit these settings: {words}") from error
+
+
+@contextmanager
+def _fitting(path: Path) -> Iterator[None]:
+    """Say in words that a checkpoint is of other networks."""
+    try:
+        yield
+    except (RuntimeError, ValueError, KeyError) as error:
+        words = " ".join(str(error).split())
+        raise FungraspError(f"the checkpoint {path} does not fit these settings: {words}") from error

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
@@ -88,6 +89,7 @@ def train(
     licence: str = "",
     threads: int = 0,
     plans: Path | None = None,
+    initial: Path | None = None,
     references: Path | None = None,
     planning: Callable[[int], None] = lambda done: None,
     progress: Callable[[Progress], None] = lambda p: None,
@@ -106,6 +108,7 @@ def train(
         threads: 0 means all processors. The result does not depend on it.
         plans: file of a critic that chooses the plans to follow, in training and at work; a copy of it is
             kept beside the policy. The grasps' own plans if None.
+        initial: folder of a training whose networks this one begins with; fresh ones if None.
         references: file of the planned references; one in the folder if None.
         planning: called with the number of references that are planned.
         progress: called after each update.
@@ -132,7 +135,9 @@ def train(
         "plans_sha256": "" if critic is None else critic.card.sha256,
     }
     run.claim(
-        planned_from | {"environment": asdict(settings.environment), "ppo": asdict(settings.ppo)},
+        planned_from
+        | {"initial_sha256": "" if initial is None else checkpoint_digest(initial)}
+        | {"environment": asdict(settings.environment), "ppo": asdict(settings.ppo)},
         kind="teacher",
         plans="" if plans is None else plans.stem,
         steps=steps,
@@ -152,6 +157,8 @@ def train(
     trainer = Trainer(environment, settings.ppo, settings.seed)
     if run.checkpoint.exists():
         trainer.load(run.checkpoint)
+    elif initial is not None:
+        trainer.begin_from(RunFolder(initial).checkpoint)
     run.forget_progress_after(trainer.steps)
     with SummaryWriter(str(folder), purge_step=trainer.steps) as events:
 
@@ -174,6 +181,18 @@ def train(
     )
     export(trainer, folder / POLICY, card)
     return card
+
+
+def checkpoint_digest(folder: Path) -> str:
+    """SHA-256 of the checkpoint of a training.
+
+    Raises:
+        FungraspError: there is none.
+    """
+    try:
+        return hashlib.sha256(RunFolder(folder).checkpoint.read_bytes()).hexdigest()
+    except OSError as error:
+        raise FungraspError(f"{folder} has no checkpoint yet: train it first") from error
 
 
 def consistent(settings: RunSettings) -> RunSettings:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, fields, is_dataclass, replace
@@ -25,7 +24,7 @@ from fungrasp.training.export import export_student, make_card
 from fungrasp.training.folder import RunFolder, git_revision, kept_library, machine
 from fungrasp.training.library import Library
 from fungrasp.training.ppo import Trainer
-from fungrasp.training.run import PLANNED_FROM, REFERENCES, Log, RunSettings, keep_beside
+from fungrasp.training.run import PLANNED_FROM, REFERENCES, Log, RunSettings, checkpoint_digest, keep_beside
 from fungrasp.training.settings import DistillSettings
 
 STUDENT = "student.onnx"
@@ -132,9 +131,7 @@ def train_student(
             f"{teacher_folder} holds a policy that sees {teacher.settings.ppo.sees}; "
             "a student needs a teacher that sees contacts"
         )
-    if not teacher.folder.checkpoint.is_file():
-        raise FungraspError(f"{teacher_folder} has no checkpoint yet: train the teacher first")
-    weights = hashlib.sha256(teacher.folder.checkpoint.read_bytes()).hexdigest()
+    weights = checkpoint_digest(teacher_folder)
     run = RunFolder(folder)
     run.claim(
         {"teacher_sha256": weights, "hand": teacher.hand.name, "seed": seed, "steps": steps}
