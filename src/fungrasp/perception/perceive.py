@@ -13,6 +13,7 @@ from typing import Protocol
 import numpy as np
 import trimesh
 
+from fungrasp.errors import FungraspError
 from fungrasp.geometry.poses import transform_points
 from fungrasp.grasps import HumanGrasp
 from fungrasp.grasps.human_hand import mirror_points, mirror_pose
@@ -25,9 +26,9 @@ from fungrasp.perception.hand_contact import Surroundings
 from fungrasp.perception.hand_fit import fit_hand
 from fungrasp.perception.hand_landmarks import DetectedHand, HandDetector, choose_hand
 from fungrasp.perception.hand_refine import refine_hand
-from fungrasp.perception.object_pose import estimate_object_pose
+from fungrasp.perception.object_pose import SIZES, estimate_object_pose
 from fungrasp.perception.quality import Quality, measure_quality
-from fungrasp.perception.segmentation import find_table
+from fungrasp.perception.table import NO_TABLE, table_under
 from fungrasp.perception.world_frame import guessed_table, in_world, put_down, world_from_table
 
 __all__ = ["Detector", "Perceived", "Quality", "perceive"]
@@ -99,18 +100,22 @@ def perceive(
         seed: the same seed gives the same answer.
 
     Raises:
-        FungraspError: there is no hand in the image, no depth at it, or the hand models are not set up.
+        FungraspError: there is no hand in the image, no depth at it, the mesh is not of a size that a hand
+            holds, or the hand models are not set up.
     """
+    _check_size(model)
     doubts: list[str] = []
     detected = None
     if hand is None:
         detected, note = _found(capture, side, detector)
         doubts += [note] * bool(note)
         hand = fit_hand(detected, capture)
-    plane = find_table(capture, np.random.default_rng(seed)) if table is None else np.asarray(table, float)
+    rng = np.random.default_rng(seed)
+    plane = table_under(capture, hand.joints_camera, rng) if table is None else np.asarray(table, float)
     thing = object_estimate
     if thing is None:
-        thing = estimate_object_pose(capture, model if coloured is None else coloured, hand, plane, seed=seed)
+        mesh, under = (model if coloured is None else coloured), (NO_TABLE if plane is None else plane)
+        thing = estimate_object_pose(capture, mesh, hand, under, seed=seed)
     if not thing.accepted:
         doubts.append(f"the object's pose: {thing.note or 'not sure'}")
     hand = _refined(hand, detected, capture, model, thing, plane)
@@ -136,6 +141,13 @@ def perceive(
         doubts=tuple(doubts),
         sure=thing.accepted and hand.score >= SURE_HAND,
     )
+
+
+def _check_size(model: ObjectModel) -> None:
+    size = float(np.linalg.norm(model.size))
+    if not SIZES[0] < size < SIZES[1]:
+        unit = "; is the mesh in millimetres?" if size >= SIZES[1] else ""
+        raise FungraspError(f"'{model.name}' is {size:.4g} m large, which no hand holds{unit}")
 
 
 def _found(capture: Capture, side: Side | None, detector: Detector | None) -> tuple[DetectedHand, str]:
