@@ -1,4 +1,4 @@
-"""``fungrasp bench``: the speed of retargeting, simulation and training on this machine."""
+"""``fungrasp bench``: the speed of retargeting, simulation, training and perception on this machine."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from fungrasp.cli.bench_perception import Perception
 from fungrasp.cli.console import progress_bar, table, write_json
 
 if TYPE_CHECKING:
@@ -229,7 +230,12 @@ class Training:
         print(f"{stepping.worlds} worlds of {hand.name}; {machine()}")
 
 
-COMMAND = {"retarget": Retargeting, "simulation": Simulation, "training": Training}
+COMMAND = {
+    "retarget": Retargeting,
+    "simulation": Simulation,
+    "training": Training,
+    "perception": Perception,
+}
 
 
 def _check_positive(**values: int) -> None:

@@ -13,7 +13,7 @@ from fungrasp.perception.estimates import HandEstimate, ObjectEstimate
 from fungrasp.perception.icp import Evidence
 from fungrasp.perception.known_object import KnownObject, known_object
 from fungrasp.perception.pose_colour import colour_agreement
-from fungrasp.perception.pose_confidence import ACCEPT, confidence, doubts, rivals
+from fungrasp.perception.pose_confidence import ACCEPT, confidence, doubts, features, rivals
 from fungrasp.perception.pose_judge import Judge, Verdict, make_judge
 from fungrasp.perception.pose_search import (
     Found,
@@ -66,6 +66,24 @@ class _View:
         return make_judge(known, capture, self.support, self.masks, self.table, self.joints, rays)
 
 
+@dataclass(frozen=True, eq=False)
+class PoseAnswers:
+    """Different poses of the object, best first, and what speaks for each."""
+
+    poses: np.ndarray
+    """Object in the camera frame, shape [H, 7]."""
+    verdict: Verdict
+    """On the H poses."""
+    rival: np.ndarray
+    """Quality of the best different answer to each, shape [H]."""
+    masked: bool
+    """Whether the object's mask was given."""
+    residual_m: float
+    """Median distance of the object's measured points from the mesh in the first pose [m]."""
+    problem: str = ""
+    """Why nothing was found; the pose is then a guess of the place only."""
+
+
 def estimate_object_pose(
     capture: Capture,
     mesh: ObjectModel | trimesh.Trimesh,
@@ -93,33 +111,56 @@ def estimate_object_pose(
     Raises:
         FungraspError: the mesh has no faces.
     """
+    return best_estimate(search_object_pose(capture, mesh, hand, table, seed=seed, settings=settings))
+
+
+def search_object_pose(
+    capture: Capture,
+    mesh: ObjectModel | trimesh.Trimesh,
+    hand: HandEstimate | None = None,
+    table: np.ndarray | None = None,
+    *,
+    seed: int = 0,
+    settings: SearchSettings | None = None,
+) -> PoseAnswers:
+    """All that ``estimate_object_pose`` finds, with what speaks for and against each pose."""
     capture = _thinned(capture)
     size = float(np.linalg.norm(np.ptp(np.asarray(mesh.vertices), axis=0))) if len(mesh.vertices) else 0.0
     joints = None if hand is None else hand.joints_camera
     if not SIZES[0] < size < SIZES[1]:
         unit = "; is it in millimetres?" if size >= SIZES[1] else ""
-        return _unsure(capture, joints, f"the mesh is {size:.4g} m large{unit}")
+        return _nothing(capture, joints, f"the mesh is {size:.4g} m large{unit}")
     known, rng = known_object(mesh), np.random.default_rng(seed)
     if table is None:
         table = find_table(capture, rng)
     view, problem = _view(known, capture, joints, table, rng)
     if problem or view is None:
-        return _unsure(capture, joints, problem)
+        return _nothing(capture, joints, problem)
     found, verdict, colour = _answers(view, rng, settings or SearchSettings())
     order = np.argsort(-(verdict.quality + COLOUR_WEIGHT * verdict.quality.max() * colour))
-    found = Found(found.poses[order], found.owner[order])
-    verdict = verdict.chosen(order)
-    rival = rivals(known, found.poses, verdict.quality)
-    scores = confidence(verdict)
-    best = found.poses[0]
-    points = view.evidence[found.owner[0]].points
-    residual = known.surface.median_distance(points, best)
-    score = float(scores[0])
-    note = "" if score >= ACCEPT else f"not sure: {doubts(verdict, rival, capture.mask is not None)}"
-    others = tuple(
-        (pose, float(min(value, score))) for pose, value in zip(found.poses[1:], scores[1:], strict=True)
+    poses, verdict = found.poses[order], verdict.chosen(order)
+    points = view.evidence[found.owner[order[0]]].points
+    return PoseAnswers(
+        poses,
+        verdict,
+        rivals(known, poses, verdict.quality),
+        capture.mask is not None,
+        known.surface.median_distance(points, poses[0]),
     )
-    return ObjectEstimate(best, score, score >= ACCEPT, others[:ANSWERS], residual, note)
+
+
+def best_estimate(answers: PoseAnswers) -> ObjectEstimate:
+    """The best answer, how sure it is, and the others."""
+    poses = answers.poses
+    if answers.problem:
+        return ObjectEstimate(poses[0], 0.0, False, note=f"not sure: {answers.problem}")
+    scores = confidence(features(answers.verdict, answers.rival))
+    score = float(scores[0])
+    note = "" if score >= ACCEPT else f"not sure: {doubts(answers.verdict, answers.rival, answers.masked)}"
+    others = tuple(
+        (pose, float(min(value, score))) for pose, value in zip(poses[1:], scores[1:], strict=True)
+    )
+    return ObjectEstimate(poses[0], score, score >= ACCEPT, others[:ANSWERS], answers.residual_m, note)
 
 
 def _thinned(capture: Capture) -> Capture:
@@ -199,7 +240,7 @@ def _answers(
     return found, many(found.poses, found.owner), colour
 
 
-def _unsure(capture: Capture, joints: np.ndarray | None, why: str) -> ObjectEstimate:
+def _nothing(capture: Capture, joints: np.ndarray | None, why: str) -> PoseAnswers:
     """No answer: a pose in the middle of what is known, and the reason."""
     if joints is not None:
         middle = joints[list(TIPS)].mean(axis=0)
@@ -208,4 +249,5 @@ def _unsure(capture: Capture, joints: np.ndarray | None, why: str) -> ObjectEsti
         points = capture.points()[shown if shown.any() else capture.measured]
         middle = np.median(points, axis=0)
     pose = np.concatenate([middle, [1.0, 0.0, 0.0, 0.0]])
-    return ObjectEstimate(pose, 0.0, False, note=f"not sure: {why}")
+    none = Verdict(*np.zeros((6, 1)))
+    return PoseAnswers(pose[None], none, np.zeros(1), capture.mask is not None, float("nan"), why)

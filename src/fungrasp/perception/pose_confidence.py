@@ -11,7 +11,7 @@ from fungrasp.perception.pose_judge import Verdict
 ACCEPT = 0.75
 """Answers with a score below are "not sure"."""
 
-WEIGHTS = np.array([-15.57, 17.04, -13.4, 2.61, 1.51])
+WEIGHTS = np.array([-15.57, 17.04, -13.4, 2.61, 1.51, 0.0, 0.0])
 """Logistic regression on ``features`` (the first is the constant), fitted to the best answers on 159 rendered
 captures of 16 YCB objects, of which 18 were searched with the mesh of another object."""
 
@@ -35,23 +35,30 @@ def rivals(known: KnownObject, poses: np.ndarray, quality: np.ndarray) -> np.nda
     return result
 
 
-def features(verdict: Verdict) -> np.ndarray:
-    """What the score is made of: explained and contradicted part, visible part, logarithm of the pixels;
-    shape [H, 4]."""
+FEATURES = ("explained", "contradicted", "visible", "pixels", "rival", "contact")
+"""Names of what the score is made of: explained, contradicted and visible part, logarithm of the pixels,
+quality of the best different answer in that of the pose, distance of the fingertips [cm]."""
+
+
+def features(verdict: Verdict, rival: np.ndarray) -> np.ndarray:
+    """What the score is made of, see ``FEATURES``; shape [H, 6]. rival: see ``rivals``."""
     return np.stack(
         [
             verdict.explained,
             np.minimum(verdict.contradicted, 0.5),
             verdict.visible,
             np.log10(np.maximum(verdict.pixels, 1.0)) - 3.0,
+            np.minimum(rival / np.maximum(verdict.quality, 1e-6), 1.0),
+            np.minimum(100 * verdict.contact, 5.0),
         ],
         axis=-1,
     )
 
 
-def confidence(verdict: Verdict) -> np.ndarray:
-    """Probability that ADD-S is below 10 mm and the mesh is the right one, shape [H]."""
-    return 1.0 / (1.0 + np.exp(-(features(verdict) @ WEIGHTS[1:] + WEIGHTS[0])))
+def confidence(evidence: np.ndarray) -> np.ndarray:
+    """Probability that ADD-S is below 10 mm and the mesh is the right one, shape [H]. evidence: see
+    ``features``."""
+    return 1.0 / (1.0 + np.exp(-(evidence @ WEIGHTS[1:] + WEIGHTS[0])))
 
 
 def doubts(verdict: Verdict, rival: np.ndarray, masked: bool) -> str:

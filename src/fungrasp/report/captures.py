@@ -129,12 +129,23 @@ def render_captures(
         if name not in objects:
             raise UnknownNameError("object", str(name), objects)
     for i in range(count):
-        turn, place = divmod(i, len(grasps))
-        row = int(np.random.default_rng([seed, turn]).permutation(len(grasps))[place])
-        grasp = grasps[row]
-        yield render_capture(
-            grasp, objects[grasp.object_name], np.random.default_rng([seed, turn, row]), settings
-        )
+        yield capture_at(i, grasps, objects, seed, settings)
+
+
+def capture_at(
+    index: int,
+    grasps: HumanGraspSet,
+    objects: Mapping[str, ObjectModel],
+    seed: int,
+    settings: CaptureSettings | None = None,
+) -> SyntheticCapture:
+    """One of the captures that ``render_captures`` gives, without the others. index: from 0 on."""
+    turn, place = divmod(index, len(grasps))
+    row = int(np.random.default_rng([seed, turn]).permutation(len(grasps))[place])
+    grasp = grasps[row]
+    return render_capture(
+        grasp, objects[grasp.object_name], np.random.default_rng([seed, turn, row]), settings
+    )
 
 
 def render_capture(

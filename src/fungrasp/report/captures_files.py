@@ -43,7 +43,7 @@ def write_capture(synthetic: SyntheticCapture, folder: str | Path) -> None:
     _save_image(folder / OBJECT_MASK_FILE, np.where(synthetic.object_mask, 255, 0).astype(np.uint8))
     fields = {name: getattr(lens, name) for name in ("width", "height", "fx", "fy", "cx", "cy")}
     _save_json(folder / LENS_FILE, {**fields, "depth_unit": DEPTH_UNIT})
-    grasp, mesh = synthetic.grasp, synthetic.painted
+    grasp = synthetic.grasp
     truth = {
         "object_name": str(grasp.object_name),
         "object_mass": float(grasp.object_mass),
@@ -57,11 +57,16 @@ def write_capture(synthetic: SyntheticCapture, folder: str | Path) -> None:
         "link_contacts": grasp.link_contacts.tolist(),
         "labels": {label.name.lower(): int(label) for label in Label},
     }
-    _save_json(folder / TRUTH_FILE, truth)
-    colours = np.round(255 * mesh.colours).astype(np.uint8)
-    painted = trimesh.Trimesh(mesh.vertices, mesh.faces, vertex_colors=colours, process=False)
     with atomic_path(folder / f"{grasp.object_name}.ply") as path:
-        painted.export(path)
+        painted_mesh(synthetic.painted).export(path)
+    # Last, so that a folder with it is whole.
+    _save_json(folder / TRUTH_FILE, truth)
+
+
+def painted_mesh(painted: PaintedMesh) -> trimesh.Trimesh:
+    """The same as a mesh with a colour per vertex."""
+    colours = np.round(255 * painted.colours).astype(np.uint8)
+    return trimesh.Trimesh(painted.vertices, painted.faces, vertex_colors=colours, process=False)
 
 
 def read_synthetic_capture(folder: str | Path) -> SyntheticCapture:

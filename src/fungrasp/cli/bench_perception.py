@@ -1,0 +1,164 @@
+"""``fungrasp bench perception``: how good and how fast perception is, on captures rendered for it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from fungrasp.cli.console import progress_bar, table, write_json
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+    from fungrasp.evaluation.perception import CaptureResult
+    from fungrasp.grasps import HumanGraspSet
+    from fungrasp.objects import ObjectModel
+    from fungrasp.report.captures import SyntheticCapture
+
+
+@dataclass(frozen=True)
+class Perception:
+    """Measure perception on rendered captures of human grasps: hand, object with and without its mask, all
+    together, and against the targets.
+
+    Rendered hands and objects say little about photographs.
+    """
+
+    grasps: str = "builtin"
+    """A file of human grasps, or "builtin"."""
+    objects: Path | None = None
+    """Folder of meshes <name>.obj; built-in objects need none."""
+    only: tuple[str, ...] = ()
+    """Names of the objects whose grasps are taken; all by default."""
+    captures: int = 20
+    """How many to render."""
+    seed: int = 1000
+    """Decides the captures; the project's settings were chosen on others."""
+    keep: Path | None = None
+    """Folder for the rendered captures; those that are there already are not rendered again."""
+    coloured: bool = False
+    """Give perception the colours of the mesh."""
+    wrong: bool = False
+    """Try another object's mesh on each capture, too: it must not be accepted."""
+    chain: bool = False
+    """Retarget true and perceived grasps, and try both in simulation."""
+    hand: str = "allegro"
+    """Robot hand of --chain."""
+    policy: str = "reference"
+    """What moves it, see `fungrasp evaluate`."""
+    threads: int = 0
+    """Of --chain; 0 means all processors."""
+    json: Path | None = None
+    """Write the numbers here (.json)."""
+
+    def run(self) -> None:
+        from resource import RUSAGE_SELF, getrusage
+
+        from fungrasp.evaluation.perception_results import capture_rows, perception_figures, target_rows
+        from fungrasp.evaluation.results import machine
+        from fungrasp.retarget import load_objects
+
+        human = self._grasps()
+        objects = load_objects(human, self.objects)
+        results = list(self._measured(human, objects))
+        figures = perception_figures(results)
+        # Kilobytes on Linux.
+        figures["peak_memory_gb"] = getrusage(RUSAGE_SELF).ru_maxrss / 1e6
+        if self.chain:
+            figures["chain"] = self._chain(results, objects)
+        about = {
+            "grasps": Path(self.grasps).name,
+            "objects": sorted(objects),
+            "seed": self.seed,
+            "coloured": self.coloured,
+            "machine": machine(),
+        }
+        if self.json is not None:
+            write_json(self.json, about | figures | {"each": capture_rows(results)})
+        print(table([("", "measured", "target", "met"), *target_rows(figures)]))
+        rows = [("stage", "median [s]", "longest [s]", "median CPU [s]")]
+        for stage, seconds in figures["seconds"].items():
+            median, longest, cpu = (f"{seconds[name]:.2f}" for name in ("median", "max", "median_cpu"))
+            rows.append((stage.replace("_", " "), median, longest, cpu))
+        print(table(rows))
+        for words, part in (("with mask", "object_masked"), ("without mask", "object_unmasked")):
+            pose = figures[part]
+            print(
+                f"object {words}: rotation {pose['rotation_deg']['median']:.1f} deg in the median, "
+                f"{pose['rotation_deg']['p90']:.1f} in 90 % of captures; "
+                f"{pose['accepted']['rate']:.0%} accepted"
+            )
+        if self.wrong:
+            print(f"wrong meshes accepted: {figures['wrong_mesh']['accepted']['rate']:.1%}")
+        print(f"{len(results)} captures of {len(objects)} objects, seed {self.seed}; {machine()}")
+
+    def _grasps(self) -> HumanGraspSet:
+        import numpy as np
+
+        from fungrasp.errors import FungraspError, UnknownNameError
+        from fungrasp.grasps import load_human_grasps
+
+        if self.captures < 1 or self.seed < 0:
+            raise FungraspError(
+                f"--captures must be at least 1 and --seed not negative, not {self.captures} and {self.seed}"
+            )
+        human = load_human_grasps(self.grasps)
+        names = np.unique(human.object_name).tolist()
+        for name in self.only:
+            if name not in names:
+                raise UnknownNameError("object", name, names)
+        return human.select(np.isin(human.object_name, self.only)) if self.only else human
+
+    def _measured(self, human: HumanGraspSet, objects: Mapping[str, ObjectModel]) -> Iterator[CaptureResult]:
+        from fungrasp.evaluation.perception import measure_perception
+        from fungrasp.perception.hand_landmarks import HandDetector
+        from fungrasp.report.captures_files import painted_mesh
+
+        detector, names = HandDetector(), sorted(objects)
+        with progress_bar("perceiving", self.captures) as show:
+            for i, known in enumerate(self._rendered(human, objects)):
+                model = objects[known.grasp.object_name]
+                others = [name for name in names if name != model.name]
+                other = objects[others[i % len(others)]] if self.wrong and others else None
+                mesh = painted_mesh(known.painted) if self.coloured else None
+                yield measure_perception(known, model, detector, other, mesh)
+                show(i + 1)
+
+    def _rendered(
+        self, human: HumanGraspSet, objects: Mapping[str, ObjectModel]
+    ) -> Iterator[SyntheticCapture]:
+        from fungrasp.report.captures import capture_at
+        from fungrasp.report.captures_files import TRUTH_FILE, read_synthetic_capture, write_capture
+
+        for i in range(self.captures):
+            folder = None if self.keep is None else self.keep / f"{self.seed}_{i:04d}"
+            if folder is not None and (folder / TRUTH_FILE).is_file():
+                yield read_synthetic_capture(folder)
+                continue
+            known = capture_at(i, human, objects, self.seed)
+            if folder is not None:
+                write_capture(known, folder)
+            yield known
+
+    def _chain(self, results: list[CaptureResult], objects: Mapping[str, ObjectModel]) -> dict[str, Any]:
+        import numpy as np
+
+        from fungrasp.cli.retarget import retargeted
+        from fungrasp.evaluation import evaluate
+        from fungrasp.evaluation.perception_results import chain_figures, chain_sets
+        from fungrasp.hands import load_hand
+
+        hand = load_hand(self.hand)
+        true, perceived, rows = chain_sets(results, objects)
+        success = []
+        for words, human in (("true grasps", true), ("perceived grasps", perceived)):
+            if human is None:
+                success.append(np.zeros(0, dtype=bool))
+                continue
+            robot, _ = retargeted(human, objects, hand, "ours", self.threads)
+            with progress_bar(words, len(robot)) as show:
+                tried = evaluate(robot, objects, hand, self.policy, threads=self.threads, progress=show)
+            success.append(tried.trials.success)
+        sure = np.array([result.perceived is not None and result.perceived.sure for result in results])
+        return {"hand": hand.name, "policy": self.policy} | chain_figures(success[0], success[1], rows, sure)

@@ -1,0 +1,254 @@
+"""How well perception does on captures whose truth is known, stage by stage, and how long it takes.
+
+Errors are in millimetres, degrees and pixels, as results are published in them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from time import perf_counter, process_time
+from types import TracebackType
+from typing import Protocol
+
+import numpy as np
+import trimesh
+
+from fungrasp.grasps import HumanGrasp
+from fungrasp.objects import ObjectModel
+from fungrasp.perception import Capture, HandEstimate
+from fungrasp.perception.capture import Box
+from fungrasp.perception.hand_fit import fit_hand
+from fungrasp.perception.hand_landmarks import DetectedHand, choose_hand
+from fungrasp.perception.known_object import known_object
+from fungrasp.perception.object_pose import PoseAnswers, best_estimate, search_object_pose
+from fungrasp.perception.perceive import Detector, Perceived, perceive
+from fungrasp.perception.pose_confidence import FEATURES, features
+from fungrasp.perception.pose_error import add_s, rotation_error
+from fungrasp.perception.segmentation import TIPS, find_table
+
+RIGHT_MM = 10.0
+"""An object's pose is right if its ADD-S is below this."""
+
+TIP_LINKS = (15, 3, 6, 9, 12)
+"""Index in ``link_contacts`` of the distal link that each of ``TIPS`` ends."""
+
+
+class KnownCapture(Protocol):
+    """A capture and the truth about it, as ``report.captures.SyntheticCapture``."""
+
+    @property
+    def capture(self) -> Capture:
+        """Without mask and box."""
+        ...
+
+    @property
+    def grasp(self) -> HumanGrasp:
+        """World frame."""
+        ...
+
+    @property
+    def pose_camera_object(self) -> np.ndarray:
+        """Shape [7]."""
+        ...
+
+    @property
+    def joints_camera(self) -> np.ndarray:
+        """[m], camera frame, shape [21, 3]."""
+        ...
+
+    @property
+    def object_mask(self) -> np.ndarray:
+        """Pixels that show the object, shape [H, W] bool."""
+        ...
+
+
+@dataclass(frozen=True)
+class HandResult:
+    """One hand against the truth. What was not found has NaN."""
+
+    found: bool
+    """Whether a hand was found whose landmarks are nearer to the true hand than its size."""
+    score: float = 0.0
+    """How sure the estimate is."""
+    right_side: bool = False
+    """Whether it was taken for a right hand, which it is."""
+    pixel_error: float = float("nan")
+    """Median distance of the landmarks from the projected joints [pixels of an image 640 wide]."""
+    joint_error_mm: float = float("nan")
+    """Mean over the joints, before the object is known."""
+    refined_joint_error_mm: float = float("nan")
+    """Mean over the joints, after refinement against the object."""
+    tip_error_mm: float = float("nan")
+    """Mean over the fingertips that truly touch the object, after refinement."""
+
+
+@dataclass(frozen=True)
+class PoseResult:
+    """One answer to where the object is, against the truth."""
+
+    add_s_mm: float
+    """Average distance of the true surface from the nearest point of the found one."""
+    rotation_deg: float
+    """Angle between the two rotations; a symmetric object has several that are as good."""
+    score: float
+    accepted: bool
+    evidence: dict[str, float]
+    """What the score is made of."""
+
+    @property
+    def right(self) -> bool:
+        """Whether ADD-S is below ``RIGHT_MM``."""
+        return self.add_s_mm < RIGHT_MM
+
+
+@dataclass(frozen=True)
+class Seconds:
+    """How long something took."""
+
+    wall: float
+    cpu: float
+    """Of all threads together: less than ``wall`` where other programs had the processors."""
+
+
+@dataclass(frozen=True, eq=False)
+class CaptureResult:
+    """What perception made of one capture."""
+
+    object_name: str
+    hand: HandResult
+    masked: PoseResult
+    """The object's pose with the true mask, no hand known."""
+    unmasked: PoseResult
+    """The object's pose from the image alone."""
+    wrong_mesh: PoseResult | None
+    """An answer that can't be right: with the true mask and the mesh of another object."""
+    seconds: dict[str, Seconds]
+    """By stage: "mesh" (made ready, once for all images of it), "hand" (detection and metric fit),
+    "object_masked", "object_unmasked", "perceive" (all of ``perceive`` without a mask)."""
+    perceived: Perceived | None
+    """None where no hand was found."""
+    grasp: HumanGrasp
+    """The truth."""
+
+
+class Stopwatch:
+    """Measures what happens inside ``with``."""
+
+    seconds = Seconds(float("nan"), float("nan"))
+
+    def __enter__(self) -> Stopwatch:
+        self._start = (perf_counter(), process_time())
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.seconds = Seconds(perf_counter() - self._start[0], process_time() - self._start[1])
+
+
+class _Seen:
+    """A detector that has its answer already."""
+
+    def __init__(self, hands: list[DetectedHand]):
+        self._hands = hands
+
+    def detect(self, colour: np.ndarray, near: Box | None = None) -> list[DetectedHand]:
+        return self._hands
+
+
+def measure_perception(
+    known: KnownCapture,
+    model: ObjectModel,
+    detector: Detector,
+    other: ObjectModel | None = None,
+    coloured: trimesh.Trimesh | None = None,
+) -> CaptureResult:
+    """Run perception on one capture, stage by stage.
+
+    Args:
+        known: the capture and its truth.
+        model: the object.
+        detector: finds hands.
+        other: another object, whose mesh must not be accepted; not tried if None.
+        coloured: the object's mesh with colours, if perception is to know them.
+    """
+    capture, mesh = known.capture, model if coloured is None else coloured
+    masked = capture.with_object(mask=known.object_mask) if known.object_mask.any() else capture
+    points = np.asarray(trimesh.sample.sample_surface(model.mesh, 3000, seed=0)[0])
+    hand = None
+    with Stopwatch() as mesh_watch:
+        known_object(mesh)
+    with Stopwatch() as hand_watch:
+        hands = detector.detect(capture.colour)
+        if hands:
+            hand = fit_hand(choose_hand(hands)[0], capture)
+    with Stopwatch() as table_watch:
+        table = find_table(capture, np.random.default_rng(0))
+    with Stopwatch() as masked_watch:
+        with_mask = search_object_pose(masked, mesh, None, table)
+    with Stopwatch() as unmasked_watch:
+        without = search_object_pose(capture, mesh, hand, table)
+    perceived = None
+    with Stopwatch() as rest_watch:
+        if hand is not None:
+            perceived = perceive(
+                capture, model, table=table, object_estimate=best_estimate(without), detector=_Seen(hands)
+            )
+    parts = (hand_watch, table_watch, unmasked_watch, rest_watch)
+    wrong = None if other is None else search_object_pose(masked, other, None, table)
+    truth = known.pose_camera_object
+    return CaptureResult(
+        object_name=str(known.grasp.object_name),
+        hand=_hand_result(known, hand, perceived),
+        masked=_pose_result(with_mask, points, truth),
+        unmasked=_pose_result(without, points, truth),
+        wrong_mesh=None if wrong is None else _pose_result(wrong, points, None),
+        seconds={
+            "mesh": mesh_watch.seconds,
+            "hand": hand_watch.seconds,
+            "object_masked": masked_watch.seconds,
+            "object_unmasked": unmasked_watch.seconds,
+            "perceive": Seconds(
+                sum(part.seconds.wall for part in parts), sum(part.seconds.cpu for part in parts)
+            ),
+        },
+        perceived=perceived,
+        grasp=known.grasp,
+    )
+
+
+def _hand_result(known: KnownCapture, hand: HandEstimate | None, perceived: Perceived | None) -> HandResult:
+    if hand is None:
+        return HandResult(False)
+    truth = known.joints_camera
+    k = known.capture.intrinsics
+    pixels = k.project(truth)
+    off = np.linalg.norm(hand.pixels - pixels, axis=1)
+    refined = hand if perceived is None else perceived.hand
+    errors = 1000 * np.linalg.norm(hand.joints_camera - truth, axis=1)
+    refined_errors = 1000 * np.linalg.norm(refined.joints_camera - truth, axis=1)
+    touching = known.grasp.link_contacts[list(TIP_LINKS)]
+    tips = refined_errors[list(TIPS)][touching]
+    return HandResult(
+        found=bool(np.median(off) < 0.5 * np.linalg.norm(np.ptp(pixels, axis=0))),
+        score=hand.score,
+        right_side=hand.side == "right",
+        pixel_error=float(np.median(off)) * 640 / k.width,
+        joint_error_mm=float(errors.mean()),
+        refined_joint_error_mm=float(refined_errors.mean()),
+        tip_error_mm=float(tips.mean()) if touching.any() else float("nan"),
+    )
+
+
+def _pose_result(answers: PoseAnswers, points: np.ndarray, truth: np.ndarray | None) -> PoseResult:
+    """truth: pose, shape [7]; None if no pose is right."""
+    best = best_estimate(answers)
+    pose = best.pose_camera_object
+    values = features(answers.verdict, answers.rival)[0].tolist()
+    return PoseResult(
+        add_s_mm=float("inf") if truth is None else 1000 * float(add_s(points, pose, truth)),
+        rotation_deg=float("nan") if truth is None else float(np.degrees(rotation_error(pose, truth))),
+        score=best.score,
+        accepted=best.accepted,
+        evidence={} if answers.problem else dict(zip(FEATURES, values, strict=True)),
+    )

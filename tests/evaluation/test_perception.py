@@ -1,0 +1,154 @@
+"""Measuring perception on captures whose truth is known."""
+
+from __future__ import annotations
+
+import dataclasses
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from fungrasp.evaluation.perception import (
+    CaptureResult,
+    HandResult,
+    PoseResult,
+    Seconds,
+    measure_perception,
+)
+from fungrasp.evaluation.perception_results import (
+    capture_rows,
+    chain_figures,
+    chain_sets,
+    perception_figures,
+    target_rows,
+)
+from fungrasp.geometry.poses import compose, invert, transform_points
+from fungrasp.grasps import builtin_grasps
+from fungrasp.objects import builtin_object
+from fungrasp.perception import Capture, Intrinsics
+from fungrasp.perception.hand_landmarks import DetectedHand
+from fungrasp.perception.rays import MeshRays
+
+GRASP = builtin_grasps()[0]
+MODEL = builtin_object(GRASP.object_name)
+RIGHT = PoseResult(1.0, 2.0, 0.9, True, {})
+WRONG = PoseResult(30.0, 90.0, 0.3, False, {})
+
+
+class StandIn:
+    def __init__(self, *hands):
+        self.hands = list(hands)
+
+    def detect(self, colour, near=None):
+        return self.hands
+
+
+def result(**changes) -> CaptureResult:
+    hand = HandResult(True, 0.9, True, 4.0, 10.0, 8.0, 6.0)
+    seconds = {"hand": Seconds(0.1, 0.05), "object_masked": Seconds(1.0, 0.5)}
+    whole = CaptureResult("mug", hand, RIGHT, RIGHT, None, seconds, None, GRASP)
+    return dataclasses.replace(whole, **changes)
+
+
+def known_capture():
+    """The first built-in grasp in depth, without noise and clutter: object, table, no skin."""
+    camera = Intrinsics(160, 120, 150.0, 150.0, 80.0, 60.0)
+    middle = GRASP.object_pose[:3]
+    # Half a metre in front of the object, 45 degrees above it.
+    turn = np.array([np.cos(1.178), -np.sin(1.178), 0.0, 0.0])
+    world_camera = np.concatenate([middle + 0.35 * np.array([0.0, -1.0, 1.0]), turn])
+    camera_world = invert(world_camera)
+    pose = compose(camera_world, GRASP.object_pose)
+    rays = camera.rays().reshape(-1, 3)
+    thing = MeshRays(MODEL.vertices, MODEL.faces).cast(pose[None], rays)[0]
+    up = transform_points(camera_world, np.array([[0.0, 0.0, 1.0]]))[0] - camera_world[:3]
+    with np.errstate(divide="ignore"):
+        table = -(world_camera[2] / (rays @ up))
+    depth = np.minimum(thing, np.where(table > 0, table, 3.0)).reshape(120, 160)
+    return SimpleNamespace(
+        capture=Capture(np.full((120, 160, 3), 90, np.uint8), depth.astype(np.float32), camera),
+        grasp=GRASP,
+        pose_camera_object=pose,
+        joints_camera=transform_points(camera_world, GRASP.hand_joints),
+        object_mask=(thing == depth.ravel()).reshape(120, 160),
+    )
+
+
+def test_a_capture_is_measured_against_its_truth():
+    known = known_capture()
+    assert known.object_mask.sum() > 300
+    pixels = known.capture.intrinsics.project(known.joints_camera)
+    shape = known.joints_camera - known.joints_camera.mean(axis=0)
+    seen = DetectedHand(pixels + np.array([3.0, 0.0]), shape, "right", 1.0, 0.9)
+    found = measure_perception(known, MODEL, StandIn(seen), builtin_object("hammer"))
+    assert found.masked.right and found.masked.add_s_mm < 4
+    assert found.wrong_mesh is not None
+    assert not found.wrong_mesh.right and not found.wrong_mesh.accepted
+    assert found.hand.found and found.hand.right_side
+    assert found.hand.pixel_error == pytest.approx(3.0 * 4), "as of an image 640 wide"
+    assert found.hand.joint_error_mm > 0 and found.perceived is not None
+    assert set(found.seconds) == {"mesh", "hand", "object_masked", "object_unmasked", "perceive"}
+    parts = [found.seconds[name].wall for name in ("hand", "object_unmasked")]
+    assert found.seconds["perceive"].wall > sum(parts)
+
+
+def test_without_a_hand_there_is_no_grasp_but_a_pose():
+    found = measure_perception(known_capture(), MODEL, StandIn())
+    assert found.perceived is None and not found.hand.found and found.wrong_mesh is None
+    assert found.masked.right
+    figures = perception_figures([found])
+    assert figures["hand"]["found"]["rate"] == 0 and figures["hand"]["joint_error_mm"] is None
+    assert capture_rows([found])[0]["hand"]["joint_error_mm"] is None
+
+
+def test_figures():
+    results = [
+        result(),
+        result(unmasked=WRONG, hand=HandResult(False)),
+        result(wrong_mesh=dataclasses.replace(WRONG, add_s_mm=np.inf, accepted=True)),
+        result(unmasked=dataclasses.replace(RIGHT, add_s_mm=3.0)),
+    ]
+    figures = perception_figures(results)
+    assert figures["hand"]["found"]["rate"] == 0.75
+    assert figures["object_masked"]["right"]["rate"] == 1
+    assert figures["object_unmasked"]["right"]["rate"] == 0.75
+    assert figures["object_unmasked"]["accepted_and_right"]["rate"] == 1
+    assert figures["object_unmasked"]["add_s_mm"]["median"] == 2.0
+    assert figures["wrong_mesh"]["accepted"]["count"] == 1
+    # Four with a mask, three without, and the wrong mesh's, which is none.
+    assert figures["accepted"]["right"]["rate"] == pytest.approx(7 / 8)
+    assert figures["seconds"]["object_masked"]["median_cpu"] == 0.5
+
+
+def test_targets_are_met_or_not():
+    rows = {words: met for words, _, _, met in target_rows(perception_figures([result(), result()]))}
+    assert rows["object right, no mask"] == "yes" and rows["hand, median"] == "yes"
+    poor = [result(unmasked=WRONG), result(seconds={"hand": Seconds(0.5, 0.1)})]
+    rows = {
+        words: (value, met)
+        for words, value, _, met in target_rows(perception_figures(poor[:1]) | {"peak_memory_gb": 2.5})
+    }
+    assert rows["object right, no mask"] == ("0.0 %", "no")
+    assert rows["peak memory"] == ("2.50 GB", "no")
+    assert "success of the chain, in that of the true grasps" not in rows
+
+
+def test_what_perception_did_not_find_counts_as_failed_in_the_chain():
+    perceived = SimpleNamespace(grasp=GRASP, sure=True)
+    mirrored = SimpleNamespace(grasp=dataclasses.replace(GRASP, object_name="mug_mirrored"), sure=True)
+    results = [result(perceived=perceived), result(), result(perceived=mirrored)]
+    true, found, rows = chain_sets(results, {GRASP.object_name: MODEL})
+    assert len(true) == 3 and found is not None and len(found) == 1 and rows.tolist() == [0]
+    np.testing.assert_array_equal(found.hand_joints[0], GRASP.hand_joints)
+    sure = np.array([True, False, True])
+    figures = chain_figures(np.array([True, True, False]), np.array([True]), rows, sure)
+    assert figures["perceived"]["rate"] == pytest.approx(1 / 3)
+    assert figures["share"] == pytest.approx(0.5)
+    assert figures["perceived_where_sure"]["rate"] == 0.5
+
+
+def test_the_chain_of_nothing():
+    true, found, rows = chain_sets([result()], {})
+    assert len(true) == 1 and found is None and rows.shape == (0,)
+    figures = chain_figures(np.array([False]), np.zeros(0, bool), rows, np.array([False]))
+    assert figures["share"] is None and figures["perceived_where_sure"] is None
