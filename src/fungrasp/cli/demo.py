@@ -1,4 +1,4 @@
-"""``fungrasp demo``: a few human grasps, retargeted, tried in simulation and shown."""
+"""``fungrasp demo``: a few human grasps, or the one in an image, retargeted, tried and shown."""
 
 from __future__ import annotations
 
@@ -10,10 +10,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fungrasp.cli.console import progress_bar
+from fungrasp.cli.demo_from_image import Folder
 
 if TYPE_CHECKING:
     import numpy as np
 
+    from fungrasp.cli.demo_from_image import SeenGrasp
     from fungrasp.evaluation import DynamicResult, Trajectory
     from fungrasp.grasps import HumanGraspSet, RobotGraspSet
     from fungrasp.hands import Hand
@@ -21,6 +23,8 @@ if TYPE_CHECKING:
 
 FAVOURITES = ("spray_bottle:spray", "drill:drill", "mug:hand over", "flashlight:light")
 """What is shown if nothing is picked, as far as the grasps have it."""
+
+TITLE = "Human grasps, taken over by a robot hand"
 
 FPS, SPEED = 15.0, 1.5
 """Frames per second of the film, and how much faster than the simulation it runs."""
@@ -46,6 +50,15 @@ class Demo:
     """Grasps to show: an object ("mug"), object and task ("mug:drink") or a number; else a varied few."""
     count: int = 4
     """How many to show if none are picked."""
+    from_image: Folder = None
+    """Start from an image with depth of a person holding an object: the built-in one, or that of a folder
+    with rgb.png, depth.png and K.json. It takes the place of --grasps, --objects, --pick and --count."""
+    mesh: str | None = None
+    """The object in the folder's image: a mesh file [m], or the name of a built-in object."""
+    mass: float | None = None
+    """Of that object [kg]; a built-in one has its own."""
+    task: str = ""
+    """What the grasp in the folder's image is for: "drink", "hand over" ..."""
     refine: int = 8
     """Try this many variations of a grasp in simulation until one holds; 0: only the grasp as it is."""
     seed: int = 0
@@ -56,24 +69,55 @@ class Demo:
     """0 means all processors; the grasps do not depend on it."""
 
     def run(self) -> None:
+        from fungrasp.grasps import load_human_grasps
+        from fungrasp.hands import load_hand
+        from fungrasp.retarget import load_objects
+
+        self._check()
+        hand = load_hand(self.hand)
+        if self.from_image is not None:
+            self._run_from_image(hand)
+            return
+        everything = load_human_grasps(self.grasps)
+        rows = chosen_rows(everything, self.pick, self.count)
+        human = everything.select(rows)
+        objects = load_objects(human, self.objects)
+        source = f"{self.grasps}, rows {', '.join(map(str, rows))}"
+        self._show(human, objects, hand, TITLE, INTRODUCTION, {"Grasps": source})
+
+    def _run_from_image(self, hand: Hand) -> None:
+        from fungrasp.cli.demo_from_image import image_title, image_words, seen_grasp, write_doubts
+
+        assert self.from_image is not None
+        with progress_bar("looking at the image", 1) as show:
+            seen = seen_grasp(self.from_image, self.mesh, self.mass, self.task, self.seed)
+            show(1)
+        source = {"Image": seen.source}
+        if not seen.perceived.sure:
+            write_doubts(self.out / "index.html", seen, self._provenance(source))
+        objects = {seen.thing.name: seen.thing}
+        self._show(seen.human, objects, hand, image_title(seen), image_words(seen), source, seen)
+
+    def _show(
+        self,
+        human: HumanGraspSet,
+        objects: Mapping[str, ObjectModel],
+        hand: Hand,
+        title: str,
+        introduction: str,
+        source: Mapping[str, str],
+        seen: SeenGrasp | None = None,
+    ) -> None:
+        """Retarget and try grasps; write film and page."""
         from tempfile import TemporaryDirectory
         from time import perf_counter
 
         from fungrasp.cli.retarget import retargeted
         from fungrasp.evaluation import static_quality
-        from fungrasp.grasps import load_human_grasps
-        from fungrasp.hands import load_hand
         from fungrasp.report import Page, write_page
         from fungrasp.report.demonstration import grasp_report
-        from fungrasp.retarget import load_objects
 
-        self._check()
         start = perf_counter()
-        hand = load_hand(self.hand)
-        everything = load_human_grasps(self.grasps)
-        rows = chosen_rows(everything, self.pick, self.count)
-        human = everything.select(rows)
-        objects = load_objects(human, self.objects)
         self.out.mkdir(parents=True, exist_ok=True)
         with TemporaryDirectory(prefix=".demo.", dir=self.out) as name:
             folder = Path(name)
@@ -85,7 +129,8 @@ class Demo:
             quality = static_quality(robot, human, objects, hand)
             result, trajectories = self._tried(robot, objects, hand, folder)
             film, clips = self._film(trajectories, human, objects, hand, folder)
-            with progress_bar("drawing", len(rows)) as show:
+            with progress_bar("drawing", len(human)) as show:
+                opening = [] if seen is None else seen.opening()
                 reports = []
                 for row, trajectory in enumerate(trajectories):
                     thing = objects[trajectory.object_name]
@@ -95,14 +140,9 @@ class Demo:
                         )
                     )
                     show(row + 1)
-            page = Page(
-                title="Human grasps, taken over by a robot hand",
-                grasps=reports,
-                hand=hand.title,
-                introduction=INTRODUCTION,
-                provenance=self._provenance(rows, perf_counter() - start),
-            )
-            page_path = write_page(self.out / "index.html", page)
+            provenance = self._provenance(source, perf_counter() - start)
+            page = Page(title, reports, hand.title, introduction, provenance)
+            page_path = write_page(self.out / "index.html", page, opening)
         for report in reports:
             print(f"{report.title}: {report.outcome}")
         print(f"film: {film}")
@@ -115,6 +155,16 @@ class Demo:
         for name, value in least.items():
             if getattr(self, name) < value:
                 raise FungraspError(f"--{name} must be at least {value}, not {getattr(self, name)}")
+        if self.from_image is None:
+            idle = {"--mesh": self.mesh, "--mass": self.mass, "--task": self.task}
+            needs = "--from-image FOLDER"
+        else:
+            other = self.grasps if self.grasps != "builtin" else None
+            idle = {"--grasps": other, "--objects": self.objects, "--pick": self.pick}
+            needs = "grasps, not an image"
+        for name, value in idle.items():
+            if value:
+                raise FungraspError(f"{name} needs {needs}")
 
     def _tried(
         self, robot: RobotGraspSet, objects: Mapping[str, ObjectModel], hand: Hand, folder: Path
@@ -179,7 +229,7 @@ class Demo:
         with progress_bar("filming", seconds) as show:
             return write_video(self.out / "film.mp4", frames(), FPS), clips
 
-    def _provenance(self, rows: Sequence[int], seconds: float) -> dict[str, str]:
+    def _provenance(self, source: Mapping[str, str], seconds: float | None = None) -> dict[str, str]:
         from datetime import datetime
 
         from fungrasp import __version__
@@ -188,10 +238,11 @@ class Demo:
         return {
             "Made by": f"fungrasp {__version__}",
             "Command": shlex.join(["fungrasp", *sys.argv[1:]]),
-            "Grasps": f"{self.grasps}, rows {', '.join(map(str, rows))}",
+            **source,
             "Seed": str(self.seed),
             "Machine": machine(),
-            "Date": f"{datetime.now().astimezone():%Y-%m-%d %H:%M}, made in {seconds:.0f} s",
+            "Date": f"{datetime.now().astimezone():%Y-%m-%d %H:%M}"
+            + ("" if seconds is None else f", made in {seconds:.0f} s"),
         }
 
 

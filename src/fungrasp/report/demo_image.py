@@ -9,14 +9,18 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
+import trimesh
 
 from fungrasp.files import atomic_path
 from fungrasp.grasps import builtin_grasps
-from fungrasp.objects import builtin_object
+from fungrasp.objects import ObjectModel, builtin_object
+from fungrasp.perception.perceive import Perceived
+from fungrasp.perception.pose_error import add, rotation_error
 from fungrasp.perception.scene_folders import COLOUR_FILE, DEPTH_FILE, LENS_FILE
 from fungrasp.report.captures import CaptureSettings, render_capture
 from fungrasp.report.captures_files import TRUTH_FILE, write_capture
 from fungrasp.report.captures_noise import ColourNoise
+from fungrasp.report.page_parts import Quantity
 
 FOLDER = Path(__file__).parent / "demo_capture"
 """The image, its depth and its lens, as ``read_folder`` reads them; and the truth."""
@@ -53,6 +57,21 @@ def demo_truth() -> Truth:
         np.array(truth["pose_camera_object"]),
         np.array(truth["joints_camera"]),
     )
+
+
+def true_errors(truth: Truth, perceived: Perceived, model: ObjectModel) -> list[Quantity]:
+    """How far what was perceived is from the truth."""
+    joints = 1e3 * np.linalg.norm(perceived.hand.joints_camera - truth.joints_camera, axis=1)
+    pose = perceived.object.pose_camera_object
+    points = np.asarray(trimesh.sample.sample_surface(model.mesh, 2000, seed=0)[0])
+    apart = 1e3 * float(add(points, pose, truth.pose_camera_object))
+    turned = float(np.degrees(rotation_error(pose, truth.pose_camera_object)))
+    return [
+        Quantity("Error of the joints", float(joints.mean()), "mm", "Mean of the 21 joints.", 12.0),
+        Quantity("Error of the worst joint", float(joints.max()), "mm", "Usually one that is hidden."),
+        Quantity("Error of the object", apart, "mm", "Mean distance of its points from the true ones.", 10.0),
+        Quantity("Turn of the object", turned, "°", "Between its pose and the true one.", 10.0),
+    ]
 
 
 def make_demo_image(folder: str | Path = FOLDER) -> None:

@@ -4,7 +4,7 @@ uncertain.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from html import escape
 from pathlib import Path
 
@@ -49,6 +49,9 @@ CLOSE = 0.1
 SAME = 0.002
 """Poses whose surfaces are nearer than this on average (ADD-S [m]) look the same."""
 
+POINTS = 1500
+"""Of the object's surface, by which poses are compared."""
+
 PICTURED = 2
 """Alternatives that get a picture."""
 
@@ -89,13 +92,18 @@ def side_words(perceived: Perceived) -> str:
     return f"{perceived.hand.side} hand".capitalize()
 
 
-def perception_parts(capture: Capture, model: ObjectModel, perceived: Perceived) -> list[str]:
-    """HTML: the verdict, what was seen, the grasp in 3D, the figures, what is uncertain."""
+def perception_parts(
+    capture: Capture, model: ObjectModel, perceived: Perceived, truth: Sequence[Quantity] = ()
+) -> list[str]:
+    """HTML: the verdict, what was seen, the grasp in 3D, the figures, what is uncertain.
+
+    truth: errors, where the truth about the image is known.
+    """
     return [
         _verdict(perceived),
         _seen(capture, model, perceived),
         _in_space(model, perceived),
-        _figures(capture, perceived),
+        _figures(quantities(capture, perceived), truth),
         _uncertain(capture, model, perceived),
     ]
 
@@ -217,9 +225,9 @@ def _in_space(model: ObjectModel, perceived: Perceived) -> str:
     )
 
 
-def _figures(capture: Capture, perceived: Perceived) -> str:
-    card = quality_card(quantities(capture, perceived), "How well it fits")
-    return f'<article id="figures" aria-label="Figures"><div class="tables">{card}</div></article>'
+def _figures(fit: Sequence[Quantity], truth: Sequence[Quantity]) -> str:
+    cards = quality_card(fit, "How well it fits") + quality_card(truth, "How far it is from the truth")
+    return f'<article id="figures" aria-label="Figures"><div class="tables">{cards}</div></article>'
 
 
 def _uncertain(capture: Capture, model: ObjectModel, perceived: Perceived) -> str:
@@ -238,28 +246,29 @@ def _uncertain(capture: Capture, model: ObjectModel, perceived: Perceived) -> st
 
 
 def _alternatives(capture: Capture, model: ObjectModel, perceived: Perceived) -> str:
+    """The scores of the object's poses, and pictures of those that are other ones."""
     thing = perceived.object
     if not thing.alternatives:
         return '<p class="outcome">No other pose of the object was worth considering.</p>'
-    best, poses = thing.pose_camera_object, np.stack([pose for pose, _ in thing.alternatives])
-    scores = np.array([score for _, score in thing.alternatives])
-    points = np.asarray(trimesh.sample.sample_surface(model.mesh, 1500, seed=0)[0])
-    apart = np.array([float(add_s(points, pose, best)) for pose in poses])
-    turned = np.degrees(rotation_error(poses, best))
+    poses = np.stack([thing.pose_camera_object, *(pose for pose, _ in thing.alternatives)])
+    scores = [thing.score, *(score for _, score in thing.alternatives)]
+    points = np.asarray(trimesh.sample.sample_surface(model.mesh, POINTS, seed=0)[0])
+    apart, turned = _differences(points, poses, poses[0])
     rows = [f'<tr><th scope="row">The answer</th><td class="number">{number(thing.score)}</td></tr>']
-    pictures = []
-    for i, score in enumerate(scores):
+    pictures, shown = [], poses[:1]
+    for i in range(1, len(poses)):
         away = f"{1e3 * apart[i]:.0f} mm and {turned[i]:.0f}° from the answer"
         rows.append(
-            f'<tr><th scope="row">Pose {i + 2}<small>{away}</small></th>'
-            f'<td class="number">{number(float(score))}</td></tr>'
+            f'<tr><th scope="row">Pose {i + 1}<small>{away}</small></th>'
+            f'<td class="number">{number(scores[i])}</td></tr>'
         )
-        if apart[i] > SAME and len(pictures) < PICTURED:
-            picture = pose_over(capture, perceived.hand, model, best, poses[i])
-            caption = f"Pose {i + 2}, score {number(float(score))}: {away}"
+        if len(pictures) < PICTURED and _another(*_differences(points, shown, poses[i])).all():
+            picture = pose_over(capture, perceived.hand, model, poses[0], poses[i])
+            caption = f"Pose {i + 1}, score {number(scores[i])}: {away}"
             pictures.append(figure(picture, caption, photograph=True))
+            shown = np.concatenate([shown, poses[i : i + 1]])
     return (
-        f'<p class="outcome">{escape(_rival(thing.score, scores, apart, turned))}</p>'
+        f'<p class="outcome">{_rival(np.array(scores), apart, turned)}</p>'
         '<div class="tables"><section class="card"><h3>Scores of the object\'s poses</h3>'
         "<p>How far they are from the answer is the mean between the surfaces, and the turn.</p>"
         f'<table class="quality"><tbody>{"".join(rows)}</tbody></table></section></div>'
@@ -267,18 +276,29 @@ def _alternatives(capture: Capture, model: ObjectModel, perceived: Perceived) ->
     )
 
 
-def _rival(score: float, scores: np.ndarray, apart: np.ndarray, turned: np.ndarray) -> str:
-    """A word on the best pose that is another one: turned, or elsewhere."""
-    other = np.flatnonzero(((turned > TURNED) & (apart > SAME)) | (apart > RIVAL_DISTANCE))
-    if not len(other):
+def _differences(points: np.ndarray, poses: np.ndarray, other: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """How far the surfaces are apart (ADD-S [m]), and the turn [degrees], shape [P] each."""
+    apart = np.array([float(add_s(points, pose, other)) for pose in poses])
+    return apart, np.degrees(rotation_error(poses, other))
+
+
+def _another(apart: np.ndarray, turned: np.ndarray) -> np.ndarray:
+    """Whether poses so different are not the same answer: turned, so that one can see it, or elsewhere."""
+    return ((turned > TURNED) & (apart > SAME)) | (apart > RIVAL_DISTANCE)
+
+
+def _rival(scores: np.ndarray, apart: np.ndarray, turned: np.ndarray) -> str:
+    """A word on the best pose that is another one than the first."""
+    others = np.flatnonzero(_another(apart, turned))
+    if not len(others):
         return "Every other pose that fits looks the same as the answer, or nearly so."
-    first = other[np.argmax(scores[other])]
-    if scores[first] < score - CLOSE:
+    best = others[np.argmax(scores[others])]
+    if scores[best] < scores[0] - CLOSE:
         return "Poses that look different fit worse."
-    what = f"turned by {turned[first]:.0f}°" if turned[first] > TURNED else "elsewhere"
+    what = f"turned by {turned[best]:.0f}°" if turned[best] > TURNED else "elsewhere"
     return (
-        f"Pose {first + 2}, {what}, fits almost as well (score {number(float(scores[first]))} against "
-        f"{number(score)}): look at the pictures which of the two it is."
+        f"Pose {best + 1}, {what}, fits almost as well (score {number(float(scores[best]))} against "
+        f"{number(float(scores[0]))}): look at the pictures which of the two it is."
     )
 
 

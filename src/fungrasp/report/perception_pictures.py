@@ -210,13 +210,16 @@ def _outlined(
     low, high = (np.clip(corners.min(axis=0) - 2, 0, SHAPE), np.clip(corners.max(axis=0) + 3, 0, SHAPE))
     columns, rows = (slice(int(a), int(b)) for a, b in zip(low, high, strict=True))
     rays = view.directions(lens, columns, rows)
+    if not rays.size:
+        return picture
     hit = np.zeros(picture.shape[:2])
     depth = MeshRays(model.vertices, model.faces).cast(pose[None], rays.reshape(-1, 3))
     hit[rows, columns] = np.isfinite(depth).reshape(rays.shape[:2])
-    inside = ndimage.gaussian_filter(hit, 1.5, mode="nearest") > 0.5
+    inside = np.asarray(ndimage.gaussian_filter(hit, 1.5, mode="nearest")) > 0.5
     if not inside.any() or inside.all():
         return picture
-    away = ndimage.distance_transform_edt(inside) + ndimage.distance_transform_edt(~inside) - 0.5
+    away = np.asarray(ndimage.distance_transform_edt(inside)) - 0.5
+    away += np.asarray(ndimage.distance_transform_edt(~inside))
     drawn = picture.astype(float)
     for shade, half in ((_DARK, 3.2), (colour, 1.6)):
         part = np.clip(half + 0.5 - away, 0, 1)[..., None]
@@ -231,22 +234,23 @@ def _with_skeleton(picture: np.ndarray, view: CloseUp, lens: Intrinsics, hand: H
     spread = np.sqrt(np.trace(hand.covariance, axis1=1, axis2=2) / 3)
     radius = _FINE * view.scale * lens.fx * spread / np.maximum(joints[:, 2], 1e-3)
     colours = [SURE_LINE, *(FINGER_COLOURS[FINGERS[joint // 4]] for joint in range(20))]
-    sheet = Image.fromarray(picture).resize(tuple(_FINE * side for side in SHAPE), Image.Resampling.BICUBIC)
+    size = (_FINE * SHAPE[0], _FINE * SHAPE[1])
+    sheet = Image.fromarray(picture).resize(size, Image.Resampling.BICUBIC)
     draw = ImageDraw.Draw(sheet, "RGBA")
-    shown = np.isfinite(places).all(axis=1)
+    shown = np.all(np.isfinite(places), axis=1)
 
     def disc(joint: int, size: float, colour: tuple[int, ...]) -> None:
         x, y = places[joint]
         draw.ellipse([x - size, y - size, x + size, y + size], fill=colour)
 
-    for joint in np.flatnonzero(shown):
+    for joint in np.flatnonzero(shown).tolist():
         disc(joint, min(float(radius[joint]), sheet.height), (*colours[joint], 56))
     for near, far in sorted(BONES, key=lambda bone: -joints[list(bone), 2].mean()):
         if shown[near] and shown[far]:
             line = [tuple(places[near]), tuple(places[far])]
             for colour, width in ((_DARK, 13), (colours[far], 8)):
                 draw.line(line, fill=colour, width=width)
-    for joint in np.argsort(-joints[:, 2]):
+    for joint in np.argsort(-joints[:, 2]).tolist():
         if shown[joint]:
             disc(joint, 13, _DARK)
             disc(joint, 10, colours[joint])

@@ -1,0 +1,149 @@
+"""The part of ``fungrasp demo --from-image`` that ends with a human grasp."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, NoReturn
+
+import tyro
+
+if TYPE_CHECKING:
+    from fungrasp.grasps import HumanGraspSet
+    from fungrasp.objects import ObjectModel
+    from fungrasp.perception import Capture
+    from fungrasp.perception.perceive import Perceived
+    from fungrasp.report import Quantity
+
+BUILTIN = "builtin"
+"""Stands for the image that comes with the package."""
+
+INTRODUCTION = (
+    "One colour image with depth, and a mesh of the object, become a human grasp; the robot hand takes it "
+    "over and tries it in simulation."
+)
+
+RENDERED = " The image is no photograph: it was rendered, which is why the truth is known."
+
+
+def _one_folder(words: list[str]) -> str:
+    if len(words) > 1:
+        raise ValueError("give one folder")
+    return words[0] if words else BUILTIN
+
+
+Folder = Annotated[
+    str | None,
+    tyro.constructors.PrimitiveConstructorSpec(
+        nargs="*",
+        metavar="[FOLDER]",
+        instance_from_str=_one_folder,
+        is_instance=lambda value: value is None or isinstance(value, str),
+        str_from_instance=lambda value: [str(value)],
+    ),
+]
+"""An option with or without a value."""
+
+
+@dataclass(frozen=True, eq=False)
+class SeenGrasp:
+    """What was seen in an image."""
+
+    capture: Capture
+    model: ObjectModel
+    """As it was seen."""
+    perceived: Perceived
+    source: str
+    """Where the image came from, for people."""
+    truth: Sequence[Quantity]
+    """Errors, where the truth is known."""
+
+    @property
+    def human(self) -> HumanGraspSet:
+        """The grasp, alone in a set."""
+        from fungrasp.cli.perceive import one_grasp
+
+        return one_grasp(self.perceived.grasp)
+
+    @property
+    def thing(self) -> ObjectModel:
+        """The object of the grasp: reflected if the hand was a left one."""
+        from fungrasp.grasps.human_hand import mirror_points
+        from fungrasp.objects import ObjectModel
+
+        model, name = self.model, self.perceived.grasp.object_name
+        if name == model.name:
+            return model
+        return ObjectModel(name, model.mass, mirror_points(model.vertices), model.faces[:, ::-1])
+
+    def opening(self) -> list[str]:
+        """What the page says before the robot's grasp."""
+        from fungrasp.report.perception_page import perception_parts
+
+        return perception_parts(self.capture, self.model, self.perceived, self.truth)
+
+
+def seen_grasp(folder: str, mesh: str | None, mass: float | None, task: str, seed: int) -> SeenGrasp:
+    """The grasp in an image.
+
+    Args:
+        folder: of the capture, see ``read_folder``, or ``BUILTIN``.
+        mesh: a mesh file, or the name of a built-in object.
+        mass: of the object [kg]; a built-in object has its own.
+        task: what the grasp is for.
+        seed: the same seed gives the same grasp.
+
+    Raises:
+        FungraspError: the folder or the mesh is bad, no hand is seen, or the hand models are not set up.
+    """
+    from fungrasp.errors import FungraspError
+    from fungrasp.objects import builtin_object, object_from_file
+    from fungrasp.perception.perceive import perceive
+    from fungrasp.perception.scene_folders import read_folder
+    from fungrasp.report.demo_image import FOLDER, demo_truth, true_errors
+
+    if folder == BUILTIN:
+        if mesh is not None or mass is not None:
+            raise FungraspError("the built-in image has its own object: --mesh and --mass need a folder")
+        truth = demo_truth()
+        capture, model = read_folder(FOLDER), builtin_object(truth.object_name)
+        perceived = perceive(capture, model, task=task or truth.task, seed=seed)
+        return SeenGrasp(capture, model, perceived, "the built-in one", true_errors(truth, perceived, model))
+    if mesh is None:
+        raise FungraspError(
+            f"--from-image {folder}: --mesh must say what is held: a mesh file, or a built-in object's name"
+        )
+    capture = read_folder(folder)
+    model = object_from_file(mesh, mass) if Path(mesh).is_file() else builtin_object(mesh, mass)
+    return SeenGrasp(capture, model, perceive(capture, model, task=task, seed=seed), folder, ())
+
+
+def image_title(seen: SeenGrasp) -> str:
+    """Of the page."""
+    from fungrasp.report.perception_page import perception_title
+
+    return f"{perception_title(seen.perceived)}, taken over by a robot hand"
+
+
+def image_words(seen: SeenGrasp) -> str:
+    """Under the page's title."""
+    return INTRODUCTION + (RENDERED if seen.truth else "")
+
+
+def write_doubts(path: Path, seen: SeenGrasp, provenance: Mapping[str, str]) -> NoReturn:
+    """Write the page on what was seen, and end: the robot does not try what is not sure.
+
+    Raises:
+        SystemExit: always.
+    """
+    from fungrasp.cli.perceive import UNSURE
+    from fungrasp.report.perception_page import write_perception_page
+
+    write_perception_page(path, seen.capture, seen.model, seen.perceived, provenance)
+    for doubt in seen.perceived.doubts:
+        print(f"fungrasp: doubt: {doubt}", file=sys.stderr)
+    print("fungrasp: not sure what is held, and how: the robot does not try it", file=sys.stderr)
+    print(f"page: {path}")
+    raise SystemExit(UNSURE)
