@@ -24,7 +24,8 @@ from fungrasp.perception.object_pose import PoseAnswers, best_estimate, search_o
 from fungrasp.perception.perceive import Detector, Perceived, perceive
 from fungrasp.perception.pose_confidence import FEATURES, features
 from fungrasp.perception.pose_error import add_s, rotation_error
-from fungrasp.perception.segmentation import TIPS, find_table
+from fungrasp.perception.segmentation import TIPS
+from fungrasp.perception.table import NO_TABLE, table_under
 
 RIGHT_MM = 10.0
 """An object's pose is right if its ADD-S is below this."""
@@ -117,7 +118,7 @@ class CaptureResult:
     object_name: str
     hand: HandResult
     masked: PoseResult
-    """The object's pose with the true mask, no hand known."""
+    """The object's pose with the true mask."""
     unmasked: PoseResult
     """The object's pose from the image alone."""
     wrong_mesh: PoseResult | None
@@ -183,11 +184,14 @@ def measure_perception(
         if hands:
             hand = fit_hand(choose_hand(hands)[0], capture)
     with Stopwatch() as table_watch:
-        table = find_table(capture, np.random.default_rng(0))
+        table, under = None, None
+        if hand is not None:
+            table = table_under(capture, hand.joints_camera, np.random.default_rng(0))
+            under = NO_TABLE if table is None else table
     with Stopwatch() as masked_watch:
-        with_mask = search_object_pose(masked, mesh, None, table)
+        with_mask = search_object_pose(masked, mesh, hand, under)
     with Stopwatch() as unmasked_watch:
-        without = search_object_pose(capture, mesh, hand, table)
+        without = search_object_pose(capture, mesh, hand, under)
     perceived = None
     with Stopwatch() as rest_watch:
         if hand is not None:
@@ -195,7 +199,7 @@ def measure_perception(
                 capture, model, table=table, object_estimate=best_estimate(without), detector=_Seen(hands)
             )
     parts = (hand_watch, table_watch, unmasked_watch, rest_watch)
-    wrong = None if other is None else search_object_pose(masked, other, None, table)
+    wrong = None if other is None else search_object_pose(masked, other, hand, under)
     truth = known.pose_camera_object
     return CaptureResult(
         object_name=str(known.grasp.object_name),
