@@ -94,7 +94,10 @@ def _module() -> Any:
 def _why_not_started(recording: Path | None, error: RuntimeError) -> str:
     reason = _line(error)
     if recording is not None:
-        return f"the recording {recording} can't be played: is it damaged, or without colour or depth? ({reason})"
+        return (
+            f"the recording {recording} can't be played: is it damaged, or is colour or depth missing? "
+            f"({reason})"
+        )
     if "No device" in reason:
         return "no RealSense camera is connected, or this user may not use it (librealsense's udev rules)"
     return (

@@ -1,0 +1,245 @@
+"""Hands that another program found in the image: HaMeR, WiLoR, METRO, MANO's parameters, or just 21 joints.
+
+These programs guess the hand's size and distance, mostly for a camera of another focal length. What they know
+is the hand's shape and where it is in the image: this is what is kept here. ``place_hand`` then finds size
+and distance in the depth image.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from fungrasp.errors import FungraspError
+from fungrasp.grasps.anatomy import ADULT_BONES, joint_bends
+from fungrasp.grasps.human_hand import bone_lengths
+from fungrasp.perception.adapters.hand_fields import HandFields, read_fields
+from fungrasp.perception.adapters.joint_orders import joint_order
+from fungrasp.perception.adapters.mano_model import ManoJoints
+from fungrasp.perception.capture import Intrinsics
+from fungrasp.perception.estimates import Side
+from fungrasp.perception.hand_landmarks import DetectedHand
+from fungrasp.perception.hand_start import MIRROR_X
+
+SIZES = (0.4, 2.0)
+"""Smallest and largest hand as a part of an adult's; beyond, the unit is wrong."""
+
+BENT_BACK = np.radians(20.0)
+"""Fingers bent back by more than this in the mean [rad] belong to a hand of the other side."""
+
+ASPECT = 0.02
+"""Part by which the shapes of two images that are the same one may differ."""
+
+
+def read_hands(
+    path: str | Path, intrinsics: Intrinsics, mano: str | Path | None = None
+) -> list[DetectedHand]:
+    """All hands of a file. Its fields are in docs/adapters.md.
+
+    Args:
+        path: ``.json`` or ``.npz``.
+        intrinsics: of the image.
+        mano: the user's MANO model (folder or file), needed where the file has no joints.
+
+    Returns:
+        Landmarks in the image; shapes as if the hand were in the middle of it, as of our own detector; scores
+        are the file's, 1 where it has none.
+
+    Raises:
+        FungraspError: the file can't be read, lacks a field, or it can't be of this image.
+    """
+    return hands_of(read_fields(path), intrinsics, mano)
+
+
+def hands_of(
+    fields: HandFields, intrinsics: Intrinsics, mano: str | Path | None = None
+) -> list[DetectedHand]:
+    """As ``read_hands``, of fields that have been read."""
+    joints = _joints(fields, mano)
+    count = len(joints)
+    sides = _sides(fields, count)
+    if fields.flag("mirrored", False):
+        joints = np.where((sides == "left")[:, None, None], joints * MIRROR_X, joints)
+    for row, (hand, side) in enumerate(zip(joints, sides, strict=True)):
+        _check_shape(hand, side, f"{fields.where}, hand {row}")
+    scores = _each(fields, "score", (), count) if fields.has("score") else np.ones(count)
+    if ((scores < 0) | (scores > 1)).any():
+        raise FungraspError(f"{fields.where}: a score must be from 0 to 1, not {scores.min():g}")
+    pixels, directions = _seen(fields, joints, intrinsics)
+    hands = []
+    for row in range(count):
+        _check_pixels(pixels[row], intrinsics, f"{fields.where}, hand {row}")
+        shape = turn_to(directions[row]).inv().apply(joints[row] - joints[row].mean(axis=0))
+        side: Side = "right" if sides[row] == "right" else "left"
+        hands.append(DetectedHand(pixels[row], shape, side, 1.0, float(scores[row])))
+    return hands
+
+
+def _joints(fields: HandFields, mano: str | Path | None) -> np.ndarray:
+    """Of each hand [m], axes of the camera, the file's translation not added, shape [hands, 21, 3]."""
+    if fields.has("joints"):
+        order = joint_order(fields.text("order", "openpose"))
+        return fields.numbers("joints", (21, 3))[:, order]
+    if mano is None:
+        raise FungraspError(
+            f"{fields.where} has no joints (field 'joints' or 'pred_keypoints_3d'); to make them from MANO's "
+            "parameters or surface, say where your MANO model is"
+        )
+    if fields.has("vertices"):
+        surfaces = fields.numbers("vertices", (778, 3))
+        # The regressor is linear: a left hand's may be that of the right hand's model.
+        model = ManoJoints(mano)
+        return np.stack([model.of_surface(surface) for surface in surfaces])
+    betas = fields.numbers("betas", (10,))
+    count = len(betas)
+    orientation, fingers = (_raw(fields, name, count) for name in ("orientation", "fingers"))
+    sides = _sides(fields, count)
+    flat = fields.flag("flat_hand_mean", True)
+    models = {side: ManoJoints(mano, side) for side in set(sides)}
+    return np.stack(
+        [
+            models[sides[row]].of_pose(betas[row], orientation[row], fingers[row], np.zeros(3), flat=flat)
+            for row in range(count)
+        ]
+    )
+
+
+def _raw(fields: HandFields, name: str, count: int) -> np.ndarray:
+    """Numbers of a rotation, in whichever form, one row per hand."""
+    for shape in ((3,), (3, 3), (45,), (15, 3), (15, 3, 3)):
+        try:
+            found = fields.numbers(name, shape)
+        except FungraspError:
+            continue
+        if len(found) == count:
+            return found
+    # Says what is wrong.
+    return fields.numbers(name, (3,) if name == "orientation" else (15, 3))
+
+
+def _sides(fields: HandFields, count: int) -> np.ndarray:
+    if "side" in fields.values:
+        sides = np.atleast_1d(np.asarray(fields.values["side"], dtype=str))
+        sides = np.char.lower(np.broadcast_to(sides, count) if len(sides) == 1 else sides)
+        if len(sides) != count or not np.isin(sides, ("right", "left")).all():
+            raise FungraspError(f"{fields.where}: 'side' must be 'right' or 'left' for each of {count} hands")
+        return sides
+    if not fields.has("right"):
+        raise FungraspError(
+            f"{fields.where} does not say which hand it is: give 'side' (right, left) or 'is_right' (1, 0)"
+        )
+    return np.where(_each(fields, "right", (), count) > 0.5, "right", "left")
+
+
+def _each(fields: HandFields, name: str, shape: tuple[int, ...], count: int) -> np.ndarray:
+    """One row per hand; one for all is repeated."""
+    values = fields.numbers(name, shape)
+    if len(values) not in (1, count):
+        raise FungraspError(f"{fields.where}: '{name}' is for {len(values)} hands, the joints for {count}")
+    return np.broadcast_to(values, (count, *shape))
+
+
+def _seen(fields: HandFields, joints: np.ndarray, intrinsics: Intrinsics) -> tuple[np.ndarray, np.ndarray]:
+    """Landmarks [pixels], shape [hands, 21, 2], and the direction in which the program saw each hand, camera
+    axes, shape [hands, 3]."""
+    count = len(joints)
+    ahead = np.tile([0.0, 0.0, 1.0], (count, 1))
+    scale, size = _image(fields, intrinsics)
+    if fields.source == "metro" and not fields.has("pixels"):
+        camera, box = _each(fields, "camera", (3,), count), _each(fields, "box", (4,), count)
+        if (camera[:, 0] <= 0).any() or (box[:, 2:] <= box[:, :2]).any():
+            raise FungraspError(
+                f"{fields.where}: METRO's camera needs a positive scale, and its box x0 < x1, y0 < y1"
+            )
+        # From -1 to 1 across the square that the network saw.
+        unit = camera[:, :1, None] * (joints[..., :2] + camera[:, None, 1:])
+        return (box[:, None, :2] + (unit + 1) / 2 * (box[:, 2:] - box[:, :2])[:, None]) * scale, ahead
+    order = joint_order(fields.text("order", "openpose"))
+    pixels = fields.numbers("pixels", (21, 2))[:, order] * scale if fields.has("pixels") else None
+    if fields.has("translation") or fields.source in ("hamer", "wilor", "metro"):
+        if not fields.has("translation") and pixels is not None:
+            return pixels, ahead
+        placed = joints + _each(fields, "translation", (3,), count)[:, None]
+    else:
+        placed = joints
+    if (placed[..., 2] <= 0).any():
+        raise FungraspError(
+            f"{fields.where}: a joint is behind the camera; the translation must be in the camera frame "
+            "with z forward"
+        )
+    directions = placed.mean(axis=1)
+    if pixels is None:
+        focal, centre = _lens(fields, intrinsics, size, count, scale)
+        pixels = placed[..., :2] / placed[..., 2:] * focal[:, None] + centre
+    return pixels, directions
+
+
+def _lens(
+    fields: HandFields, intrinsics: Intrinsics, size: np.ndarray, count: int, scale: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Focal length, shape [hands, 2], and optical axis, shape [2], of the camera that the program took the
+    image for [pixels of the capture]."""
+    if fields.has("focal_length"):
+        return _each(fields, "focal_length", (), count)[:, None] * scale, size / 2
+    if fields.source in ("hamer", "wilor"):
+        # Their cameras are made up; without the focal length nothing fits.
+        fields.numbers("focal_length", ())
+    own = np.array([[intrinsics.fx, intrinsics.fy]])
+    return np.repeat(own, count, axis=0), np.array([intrinsics.cx, intrinsics.cy])
+
+
+def _image(fields: HandFields, intrinsics: Intrinsics) -> tuple[np.ndarray, np.ndarray]:
+    """Pixels of the capture per pixel of the file's image, shape [2], and the capture's size, shape [2]."""
+    own = np.array([intrinsics.width, intrinsics.height], dtype=float)
+    if not fields.has("image_size"):
+        return np.ones(2), own
+    given = fields.numbers("image_size", (2,))[0]
+    if (given <= 0).any() or abs(given[0] * own[1] / (given[1] * own[0]) - 1) > ASPECT:
+        raise FungraspError(
+            f"{fields.where} is for an image of {given[0]:g} x {given[1]:g} pixels, the capture has "
+            f"{own[0]:g} x {own[1]:g}: another image"
+        )
+    return own / given, own
+
+
+def turn_to(direction: np.ndarray) -> Rotation:
+    """The shortest turn from the optical axis to a direction, shape [3]."""
+    axis = np.cross([0.0, 0.0, 1.0], direction)
+    length = float(np.linalg.norm(axis))
+    if length < 1e-12:
+        return Rotation.identity()
+    return Rotation.from_rotvec(axis / length * np.arctan2(length, direction[2]))
+
+
+def hand_size(joints: np.ndarray) -> float:
+    """Size as a part of an adult's hand: median over the bones. joints: [m], shape [21, 3]."""
+    return float(np.median(bone_lengths(joints) / (ADULT_BONES.mean(axis=-1).ravel() * 1e-3)))
+
+
+def _check_shape(joints: np.ndarray, side: str, where: str) -> None:
+    size = hand_size(joints)
+    if not SIZES[0] < size < SIZES[1]:
+        unit = "; are the joints in millimetres?" if 400 < size < 2000 else "; joints must be in metres"
+        raise FungraspError(f"{where} is {size:.3g} times as large as an adult's{unit}")
+    flexion, _ = joint_bends(joints if side == "right" else joints * MIRROR_X)
+    bend = float(flexion[:4].mean())
+    if bend < -BENT_BACK:
+        raise FungraspError(
+            f"{where}: as a {side} hand its fingers are bent back by {np.degrees(-bend):.0f} degrees; "
+            "either it "
+            "is the other hand, or its x was not turned round: networks see left hands mirrored (say "
+            "'mirrored': true if the file has them so)"
+        )
+
+
+def _check_pixels(pixels: np.ndarray, intrinsics: Intrinsics, where: str) -> None:
+    inside = ((pixels >= 0) & (pixels < [intrinsics.width, intrinsics.height])).all(axis=1)
+    if inside.mean() < 0.5:
+        u, v = pixels.mean(axis=0)
+        raise FungraspError(
+            f"{where} lies outside the image of {intrinsics.width} x {intrinsics.height} pixels (about "
+            f"{u:.0f}, {v:.0f}): was it found in an image of another size (field 'image_size'), or by "
+            "another focal length?"
+        )

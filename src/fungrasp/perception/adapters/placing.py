@@ -1,0 +1,158 @@
+"""Size and distance of a hand whose shape and place in the image are known, from the depth image.
+
+Seen by one camera a hand may be small and near or large and far: every point may move along its ray, all by
+the same factor. Depth at the skin tells that factor wherever the hand is seen. Where it is hidden, or the
+landmarks are beside it, depth is of something else: the factor that most of the hand agrees on counts. A hand
+may well be behind what is seen, but nothing is seen through it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fungrasp.errors import FungraspError
+from fungrasp.perception.adapters.hand_file import hand_size, turn_to
+from fungrasp.perception.capture import Capture
+from fungrasp.perception.estimates import HandEstimate
+from fungrasp.perception.hand_landmarks import DetectedHand
+from fungrasp.perception.hand_probes import PROBES, in_front
+from fungrasp.perception.hand_start import HandMeasurements, joint_confidence
+
+AGREEMENT = 0.012
+"""Depths so near to each other [m] agree: thickness of the flesh, errors of shape and camera."""
+
+SIZE_SPREAD = 0.15
+"""Standard deviation of the logarithm of hand sizes, errors of the shape included."""
+
+SEEN_THROUGH = 0.03
+"""What is measured so far behind the skin [m] shows that no hand is there."""
+
+PROBE_WEIGHT = 0.5
+"""What one point of the flesh is worth as evidence [logarithm of likelihood]; neighbours err alike."""
+
+LEAST_AGREEING = 0.3
+"""Part of the visible hand that must agree on a depth for full trust."""
+
+LANDMARK_SPREAD = 0.02
+"""Standard deviation of a landmark across the ray, as a part of the hand's extent."""
+
+SHAPE_SPREAD = 0.007
+"""Standard deviation of a joint along the ray against the rest of the hand [m]."""
+
+HIDDEN = 1.6
+"""By so much are these larger for a joint where nothing agrees."""
+
+
+def place_hand(detected: DetectedHand, capture: Capture, *, keep_size: bool = False) -> HandEstimate:
+    """The hand in metres.
+
+    Args:
+        detected: landmarks and shape, as ``read_hands`` gives them.
+        capture: the same image with depth; its mask, if there is one, says what is not the hand.
+        keep_size: the shape's size is known to be right: depth is used only to judge it.
+
+    Returns:
+        Joints in the camera frame; a left hand is not mirrored. The score is the file's, times the part of
+        the visible hand that is not seen through, lowered where hardly anything agrees on a depth and where
+        the hand's size is not one of people.
+
+    Raises:
+        FungraspError: there is no depth where the hand is, or its landmarks don't fit its shape.
+    """
+    points = _of_given_size(detected, capture)
+    probes, _ = PROBES.place(points, np.zeros((21, 3, 0)))
+    size = hand_size(points)
+    radius = PROBES.radius * size
+    visible = in_front(probes, radius)
+    measured = _measured(detected, capture, probes)
+    known = visible & (measured > 0)
+    if not known.any():
+        raise FungraspError(
+            "there is no depth where the hand is in the image: is it too near or too far for the camera, "
+            "or is the depth not aligned to the colour?"
+        )
+    factors = measured[known] / (probes - radius[:, None] * [0, 0, 1])[known, 2]
+    factor = 1.0 if keep_size else _common_factor(factors, float(points[:, 2].mean()), size)
+    joints = points * factor
+    off = measured - factor * (probes[:, 2] - radius)
+    agreeing = known & (np.abs(off) < AGREEMENT)
+    covariance = _covariance(joints, _seen_joints(agreeing))
+    score = detected.score * _trust(off[known], agreeing.sum() / known.sum(), size * factor)
+    return HandEstimate(
+        joints, detected.pixels, joint_confidence(covariance), covariance, detected.side, float(score)
+    )
+
+
+def _of_given_size(detected: DetectedHand, capture: Capture) -> np.ndarray:
+    """Joints [m], shape [21, 3], camera frame, of the size that the shape has: where it best meets the rays
+    of its landmarks."""
+    slopes = capture.intrinsics.deproject(detected.pixels, np.ones(21))
+    shape = turn_to(slopes.mean(axis=0)).apply(detected.shape_camera)
+    # (x + tx) = u (z + tz), likewise for y: linear in the translation.
+    u, v = slopes[:, 0], slopes[:, 1]
+    one, zero = np.ones(21), np.zeros(21)
+    rows = np.concatenate([np.stack([one, zero, -u], axis=1), np.stack([zero, one, -v], axis=1)])
+    values = np.concatenate([u * shape[:, 2] - shape[:, 0], v * shape[:, 2] - shape[:, 1]])
+    translation = np.linalg.lstsq(rows, values, rcond=None)[0]
+    points = shape + translation
+    if not (np.isfinite(points).all() and points[:, 2].min() > 0.02):
+        raise FungraspError(
+            "the hand's landmarks in the image don't fit its shape: no place before the camera does"
+        )
+    return points
+
+
+def _measured(detected: DetectedHand, capture: Capture, probes: np.ndarray) -> np.ndarray:
+    """Depth at the probes' pixels [m], 0 where there is none or the object is, shape [P]."""
+    pixels = capture.intrinsics.project(probes)
+    depth = np.where(capture.depth > 0, capture.depth, np.nan)
+    if capture.mask is not None:
+        depth = np.where(capture.mask, np.nan, depth)
+    seen = HandMeasurements(
+        detected.pixels, detected.shape_camera, np.zeros((20, 3)), depth, capture.intrinsics, detected.score
+    )
+    return seen.measured(pixels)
+
+
+def _common_factor(factors: np.ndarray, distance: float, size: float) -> float:
+    """What most of the factors agree on, given that hands have a size."""
+    logs = np.log(factors)
+    # By row the factor that is tried, by column how much farther the others see something.
+    beyond = logs - logs[:, None]
+    unit = distance * float(np.median(factors))
+    near = np.abs(beyond) < AGREEMENT / unit
+    through = beyond > SEEN_THROUGH / unit
+    evidence = PROBE_WEIGHT * (near.sum(axis=1) - through.sum(axis=1))
+    best = int(np.argmax(evidence - 0.5 * ((logs + np.log(size)) / SIZE_SPREAD) ** 2))
+    return float(np.exp(logs[near[best]].mean()))
+
+
+def _seen_joints(agreeing: np.ndarray) -> np.ndarray:
+    """Joints beside which depth agrees with the hand, bool, shape [21]. agreeing: by probe, shape [P]."""
+    seen = np.zeros(21, dtype=bool)
+    seen[PROBES.near[agreeing]] = True
+    seen[PROBES.far[agreeing]] = True
+    return seen
+
+
+def _covariance(joints: np.ndarray, seen: np.ndarray) -> np.ndarray:
+    """[m^2], shape [21, 3, 3]: of the landmarks across the rays, of the shape along them."""
+    extent = float(np.linalg.norm(np.ptp(joints, axis=0)))
+    rays = joints / np.linalg.norm(joints, axis=1, keepdims=True)
+    along = rays[:, :, None] * rays[:, None]
+    across = (LANDMARK_SPREAD * extent) ** 2
+    covariance = across * np.eye(3) + (SHAPE_SPREAD**2 + AGREEMENT**2 / 4 - across) * along
+    return covariance * np.where(seen, 1.0, HIDDEN**2)[:, None, None]
+
+
+def _trust(off: np.ndarray, agreeing: float, size: float) -> float:
+    """How well depth and anatomy bear a hand out, 0 to 1.
+
+    Args:
+        off: how far behind the skin depth is [m], shape [K].
+        agreeing: part of it that agrees.
+        size: of the hand, as a part of an adult's.
+    """
+    through = float(np.mean(off > SEEN_THROUGH))
+    unusual = max(abs(np.log(size)) - 2 * SIZE_SPREAD, 0.0) / SIZE_SPREAD
+    return (1 - through) * min(1.0, agreeing / LEAST_AGREEING) * float(np.exp(-0.5 * unusual**2))

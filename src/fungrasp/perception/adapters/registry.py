@@ -1,0 +1,49 @@
+"""Estimators of other packages, by entry point."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from importlib.metadata import entry_points
+from typing import Any
+
+import trimesh
+
+from fungrasp.errors import FungraspError, UnknownNameError
+from fungrasp.objects import ObjectModel
+from fungrasp.perception.capture import Capture
+from fungrasp.perception.estimates import HandEstimate, ObjectEstimate
+
+HAND_GROUP = "fungrasp.hand_estimators"
+OBJECT_POSE_GROUP = "fungrasp.object_pose_estimators"
+
+HandEstimator = Callable[[Capture], HandEstimate]
+"""Takes the capture; finds one hand in it. Raises ``FungraspError`` if there is none."""
+
+ObjectPoseEstimator = Callable[[Capture, ObjectModel | trimesh.Trimesh], ObjectEstimate]
+"""Takes the capture and the object's mesh [m]."""
+
+
+def load_hand_estimator(name: str) -> HandEstimator:
+    """A hand estimator by the name of its entry point.
+
+    Raises:
+        FungraspError: no installed package has it, or it can't be loaded.
+    """
+    return _load(HAND_GROUP, "hand estimator", name)
+
+
+def load_object_pose_estimator(name: str) -> ObjectPoseEstimator:
+    """An estimator of object poses by the name of its entry point. Raises as ``load_hand_estimator``."""
+    return _load(OBJECT_POSE_GROUP, "object pose estimator", name)
+
+
+def _load(group: str, kind: str, name: str) -> Any:
+    found = {entry.name: entry for entry in entry_points(group=group)}
+    if not found:
+        raise FungraspError(f"no {kind} '{name}': no installed package brings any (entry point {group})")
+    if name not in found:
+        raise UnknownNameError(kind, name, found)
+    try:
+        return found[name].load()
+    except ImportError as error:
+        raise FungraspError(f"the {kind} '{name}' can't be loaded: {' '.join(str(error).split())}") from error

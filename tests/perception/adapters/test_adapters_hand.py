@@ -1,0 +1,205 @@
+import dataclasses
+
+import numpy as np
+import pytest
+from recorded import (
+    CAMERA,
+    TO_MANO,
+    TO_OPENPOSE,
+    hamer_fields,
+    made_capture,
+    made_up_camera,
+    true_hand,
+    write_json,
+    write_npz,
+)
+
+from fungrasp.errors import FungraspError
+from fungrasp.grasps import HUMAN_JOINTS
+from fungrasp.perception.adapters import read_hand, read_hands
+from fungrasp.perception.adapters.joint_orders import MANO, OPENPOSE
+
+JOINTS = true_hand()
+
+
+@pytest.fixture(scope="module")
+def capture():
+    return made_capture(JOINTS)
+
+
+def worst(hand, joints=JOINTS):
+    return np.linalg.norm(hand.joints_camera - joints, axis=1).max()
+
+
+def test_orders_are_those_of_the_programs():
+    openpose = ["wrist", "thumb_cmc", "thumb_mcp", "thumb_ip", "thumb_tip", "index_mcp"]
+    assert [HUMAN_JOINTS[i] for i in np.argsort(OPENPOSE)[:6]] == openpose
+    named = [HUMAN_JOINTS[i] for i in np.argsort(MANO)]
+    assert named[:4] == ["wrist", "index_mcp", "index_pip", "index_dip"]
+    assert [name.split("_")[0] for name in named[7:16:3]] == ["pinky", "ring", "thumb"]
+    assert named[16:] == [f"{finger}_tip" for finger in ("thumb", "index", "middle", "ring", "pinky")]
+
+
+@pytest.mark.parametrize("write", [write_npz, write_json])
+@pytest.mark.parametrize("size", [0.85, 1.0, 1.2])
+def test_hamer_is_put_where_depth_is_whatever_size_it_guessed(tmp_path, capture, write, size):
+    path = write(
+        tmp_path / f"hand.{'npz' if write is write_npz else 'json'}", hamer_fields(JOINTS, size=size)
+    )
+    hand = read_hand(path, capture)
+    assert worst(hand) < 0.008
+    assert hand.side == "right" and hand.score > 0.9
+    np.testing.assert_allclose(hand.pixels, CAMERA.project(JOINTS), atol=1.5)
+    assert (np.linalg.eigvalsh(hand.covariance) > 0).all()
+
+
+def test_a_hand_at_the_edge_is_seen_from_the_side(tmp_path):
+    joints = true_hand(aside=0.22)
+    hand = read_hand(write_npz(tmp_path / "h.npz", hamer_fields(joints, size=0.9)), made_capture(joints))
+    assert worst(hand, joints) < 0.012
+
+
+def test_an_object_in_front_of_half_the_hand_does_not_pull_it(tmp_path, capture):
+    depth = capture.depth.copy()
+    hidden = np.zeros(depth.shape, dtype=bool)
+    u, v = CAMERA.project(JOINTS)[[9, 13, 17]].mean(axis=0)
+    hidden[int(v) - 25 : int(v) + 25, int(u) - 25 : int(u) + 25] = True
+    depth[hidden] = 0.5
+    held = dataclasses.replace(capture, depth=depth)
+    path = write_npz(tmp_path / "h.npz", hamer_fields(JOINTS, size=1.15))
+    assert worst(read_hand(path, held)) < 0.012
+    assert worst(read_hand(path, dataclasses.replace(held, mask=hidden))) < 0.012
+
+
+def test_a_hand_where_none_is_scores_low(tmp_path):
+    wall = made_capture(true_hand(aside=-0.3))
+    depth = np.full_like(wall.depth, 1.6)
+    hand = read_hand(
+        write_npz(tmp_path / "h.npz", hamer_fields(JOINTS)), dataclasses.replace(wall, depth=depth)
+    )
+    assert hand.score < 0.1, "at 1.6 m this hand would be three times as large as people's"
+    nothing = np.zeros_like(depth)
+    nothing[:4, :4] = 0.6
+    with pytest.raises(FungraspError, match="no depth where the hand is"):
+        read_hand(tmp_path / "h.npz", dataclasses.replace(wall, depth=nothing))
+
+
+def test_wilor_mini_with_two_hands(tmp_path, capture):
+    right, left = hamer_fields(JOINTS), hamer_fields(true_hand(0.7, "left", -0.1), "left")
+    both = {
+        name: np.stack([np.asarray(right[name])[None], np.asarray(left[name])[None]])
+        for name in ("pred_keypoints_3d", "pred_cam_t_full")
+    }
+    fields = {
+        "source": "wilor",
+        "version": 1,
+        "is_right": [1.0, 0.0],
+        "scaled_focal_length": right["scaled_focal_length"],
+        "score": [0.8, 0.9],
+        **both,
+    }
+    path = write_npz(tmp_path / "h.npz", fields)
+    hands = read_hands(path, CAMERA)
+    assert [(hand.side, hand.score) for hand in hands] == [("right", 0.8), ("left", 0.9)]
+    assert worst(read_hand(path, capture, side="right")) < 0.008
+    assert read_hand(path, capture, hand=1).side == "left"
+    with pytest.raises(FungraspError, match="has 2 hands, counted from 0; there is no hand 2"):
+        read_hand(path, capture, hand=2)
+
+
+def test_a_left_hand_as_seen_and_as_the_network_mirrors_it(tmp_path):
+    joints = true_hand(side="left")
+    capture = made_capture(joints)
+    fields = hamer_fields(joints, "left")
+    hand = read_hand(write_npz(tmp_path / "seen.npz", fields), capture)
+    assert hand.side == "left" and worst(hand, joints) < 0.008
+    fields["pred_keypoints_3d"] = fields["pred_keypoints_3d"] * [-1.0, 1.0, 1.0]
+    with pytest.raises(FungraspError, match=r"bent back by \d+ degrees.*'mirrored'"):
+        read_hand(write_npz(tmp_path / "raw.npz", fields), capture)
+    hand = read_hand(write_npz(tmp_path / "raw.npz", {**fields, "mirrored": True}), capture)
+    assert worst(hand, joints) < 0.008
+
+
+def test_metro_by_its_crop(tmp_path, capture):
+    shape, *_ = made_up_camera(JOINTS)
+    pixels = CAMERA.project(JOINTS)
+    # The square that METRO sees, and its camera: scale and translation from -1 to 1 across it.
+    x0, y0, side = pixels[:, 0].min() - 40, pixels[:, 1].min() - 40, float(np.ptp(pixels, axis=0).max() + 80)
+    unit = (pixels - [x0, y0]) / side * 2 - 1
+    rows = np.concatenate(
+        [np.stack([shape[:, k], *(np.full(21, float(k == j)) for j in (0, 1))], axis=1) for k in (0, 1)]
+    )
+    scale, a, b = np.linalg.lstsq(rows, np.concatenate([unit[:, 0], unit[:, 1]]), rcond=None)[0]
+    fields = {
+        "source": "metro",
+        "side": "right",
+        "joints": shape[TO_OPENPOSE],
+        "camera": [scale, a / scale, b / scale],
+        "box": [x0, y0, x0 + side, y0 + side],
+    }
+    hand = read_hand(write_json(tmp_path / "h.json", fields), capture)
+    assert worst(hand) < 0.015
+    del fields["camera"]
+    with pytest.raises(FungraspError, match="'camera' or 'pred_camera' is missing"):
+        read_hand(write_json(tmp_path / "h.json", fields), capture)
+
+
+def test_joints_of_a_tracker_keep_their_size_if_they_are_metric(tmp_path, capture):
+    fields = {"source": "joints", "side": "right", "joints": JOINTS[TO_MANO] * 1.1, "order": "mano"}
+    scaled = read_hand(write_json(tmp_path / "h.json", fields), capture)
+    assert worst(scaled) < 0.008
+    kept = read_hand(write_json(tmp_path / "h.json", {**fields, "metric": True}), capture)
+    np.testing.assert_allclose(kept.joints_camera, JOINTS * 1.1, atol=1e-4)
+    assert kept.score < scaled.score
+
+
+def test_an_image_that_was_made_smaller(tmp_path, capture):
+    fields = hamer_fields(JOINTS)
+    fields["image_size"] = [1280, 960]
+    fields["scaled_focal_length"] *= 2
+    assert worst(read_hand(write_npz(tmp_path / "h.npz", fields), capture)) < 0.008
+    fields["image_size"] = [1280, 720]
+    with pytest.raises(FungraspError, match="for an image of 1280 x 720 pixels"):
+        read_hand(write_npz(tmp_path / "h.npz", fields), capture)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"source": None}, "'source' is missing"),
+        ({"source": "hammer"}, "unknown source of hands 'hammer'. Did you mean 'hamer'"),
+        ({"version": 2}, "is of version 2"),
+        ({"is_right": None}, "does not say which hand"),
+        ({"side": "both"}, "'side' must be 'right' or 'left'"),
+        ({"scaled_focal_length": None}, "'focal_length' or 'scaled_focal_length' is missing"),
+        ({"pred_cam_t_full": None}, "'translation' or 'pred_cam_t_full' or 'transl' is missing"),
+        ({"pred_cam_t_full": [0.0, 0.0, -9.0]}, "a joint is behind the camera"),
+        ({"pred_keypoints_3d": None}, "has no joints"),
+        ({"pred_keypoints_3d": JOINTS[:20]}, r"shape \[21, 3\] per hand, not \[20, 3\]"),
+        ({"pred_keypoints_3d": JOINTS * np.nan}, "non-finite"),
+        ({"pred_keypoints_3d": (JOINTS - JOINTS[0])[TO_OPENPOSE] * 1000}, "in millimetres"),
+        ({"scaled_focal_length": 200000.0}, "lies outside the image"),
+        ({"order": "openpos"}, "unknown order of joints"),
+        ({"score": 7.0}, "score must be from 0 to 1, not 7"),
+    ],
+)
+def test_what_is_wrong_with_a_file_is_named(tmp_path, capture, change, words):
+    fields = {**hamer_fields(true_hand(aside=0.1)), **change}
+    path = write_npz(tmp_path / "h.npz", {name: value for name, value in fields.items() if value is not None})
+    with pytest.raises(FungraspError, match=words):
+        read_hand(path, capture)
+
+
+def test_files_that_are_none(tmp_path, capture):
+    with pytest.raises(FungraspError, match="does not exist"):
+        read_hand(tmp_path / "missing.npz", capture)
+    for name, content, words in (
+        ("cut.npz", b"PK\x03\x04cut short", "can't be read"),
+        ("cut.json", b'{"version": 1, ', "can't be read"),
+        ("list.json", b"[[0, 0, 0]]", "has named fields"),
+        ("hand.pkl", b"", "a pickle can run anything"),
+        ("h_3dkeypoints.npy", b"", "does not tell which hand"),
+    ):
+        (tmp_path / name).write_bytes(content)
+        with pytest.raises(FungraspError, match=words):
+            read_hand(tmp_path / name, capture)
