@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
 from dataclasses import asdict, dataclass
 from math import isfinite
@@ -62,6 +63,14 @@ class Perceive:
     """What the grasp is for: "drink", "hand over" ..."""
     table: str | None = None
     """The table top's plane nx,ny,nz,d, camera frame, normal upwards [m]; by default it is looked for."""
+    hand_file: Path | None = None
+    """A hand that another program found in the image (HaMeR, WiLoR, METRO ...), .json or .npz."""
+    mano: Path | None = None
+    """Your MANO model, for hand files without joints."""
+    object_pose_file: Path | None = None
+    """A pose that another program found: a matrix, FoundationPose's folder or BOP results."""
+    object_id: int | None = None
+    """The object's number in BOP results of several objects."""
     seed: int = 0
     """The same seed gives the same result."""
     report: Path | None = None
@@ -70,12 +79,21 @@ class Perceive:
     """Write everything that was found to this JSON file."""
 
     def run(self) -> None:
+        from time import perf_counter
+
+        from fungrasp.perception.adapters import read_hand, read_object_pose
         from fungrasp.perception.coloured import coloured_mesh
         from fungrasp.perception.perceive import perceive
 
+        start = perf_counter()
         plane = parse_plane(self.table)
         capture = self._capture()
         model, guessed = self._object()
+        hand = pose = None
+        if self.hand_file is not None:
+            hand = read_hand(self.hand_file, capture, side=self.hand, mano=self.mano)
+        if self.object_pose_file is not None:
+            pose = read_object_pose(self.object_pose_file, image=self.image, object_id=self.object_id)
         perceived = perceive(
             capture,
             model,
@@ -83,14 +101,17 @@ class Perceive:
             side=self.hand,
             task=self.task,
             table=plane,
+            hand=hand,
+            object_estimate=pose,
             seed=self.seed,
         )
-        self._write(perceived)
-        print(quality_table(perceived))
+        notes = [f"the mass was guessed, {model.mass:.2f} kg: give --mass if you know it"] * guessed
+        notes += self._write(perceived, capture, model, perf_counter() - start)
         touching = int(perceived.grasp.link_contacts.sum())
+        print(quality_table(perceived))
         print(f"{self.out}: a {perceived.hand.side} hand on '{model.name}', {touching} links in contact")
-        if guessed:
-            print(f"the mass was guessed, {model.mass:.2f} kg: give --mass if you know it")
+        for note in notes:
+            print(note)
         for doubt in perceived.doubts:
             print(f"fungrasp: doubt: {doubt}", file=sys.stderr)
         if not perceived.sure:
@@ -138,13 +159,38 @@ class Perceive:
         light = object_from_file(self.mesh, 1.0)
         return object_from_file(self.mesh, DENSITY * float(light.mesh.convex_hull.volume)), True
 
-    def _write(self, perceived: Perceived) -> None:
+    def _write(self, perceived: Perceived, capture: Capture, model: ObjectModel, seconds: float) -> list[str]:
+        """Write the files, the grasp last; what to say about them."""
         from fungrasp.grasps import save_human_grasps
+        from fungrasp.report.perception_page import write_perception_page
 
-        grasps = one_grasp(perceived.grasp)
+        grasps, notes = one_grasp(perceived.grasp), []
+        if self.report is not None:
+            write_perception_page(self.report, capture, model, perceived, self._provenance(seconds))
+            notes.append(f"page: {self.report}")
         if self.json is not None:
             write_json(self.json, as_json(perceived))
+        if perceived.hand.side == "left":
+            path = self.out.parent / f"{perceived.grasp.object_name}.obj"
+            write_mirrored(path, model)
+            notes.append(f"the scene was mirrored, as hands are right ones here; the object's mesh: {path}")
         save_human_grasps(self.out, grasps)
+        return notes
+
+    def _provenance(self, seconds: float) -> dict[str, str]:
+        from datetime import datetime
+
+        from fungrasp import __version__
+        from fungrasp.evaluation.results import machine
+
+        return {
+            "Made by": f"fungrasp {__version__}",
+            "Command": shlex.join(["fungrasp", *sys.argv[1:]]),
+            "Image": str(self.folder or self.rgb),
+            "Seed": str(self.seed),
+            "Machine": machine(),
+            "Date": f"{datetime.now().astimezone():%Y-%m-%d %H:%M}, made in {seconds:.0f} s",
+        }
 
 
 COMMAND = Perceive
@@ -170,6 +216,21 @@ def parse_plane(text: str | None) -> np.ndarray | None:
     if plane.shape != (4,) or not np.isfinite(plane).all() or not 0.99 < length < 1.01:
         raise FungraspError(f"a table is nx,ny,nz,d with a normal of length 1, not '{text}'")
     return plane / length
+
+
+def write_mirrored(path: Path, model: ObjectModel) -> None:
+    """Write the object's mesh, reflected in the plane y = 0 of its frame.
+
+    Raises:
+        FungraspError: it can't be written.
+    """
+    import trimesh
+
+    from fungrasp.files import atomic_path
+    from fungrasp.grasps.human_hand import mirror_points
+
+    with atomic_path(path) as temporary:
+        trimesh.Trimesh(mirror_points(model.vertices), model.faces[:, ::-1], process=False).export(temporary)
 
 
 def one_grasp(grasp: HumanGrasp) -> HumanGraspSet:

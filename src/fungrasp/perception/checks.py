@@ -70,14 +70,14 @@ def check_alignment(capture: Capture) -> tuple[int, int] | None:
     nearest, farthest = ndimage.minimum_filter(depth, 3), ndimage.maximum_filter(depth, 3)
     with np.errstate(invalid="ignore"):
         steps = farthest - nearest > 0.05
-    reach = int(SHIFTS[-1] * scale)
+    shifts = np.round(SHIFTS * scale).astype(int)
+    reach = int(shifts[-1])
     steps[:reach], steps[-reach:], steps[:, :reach], steps[:, -reach:] = False, False, False, False
     rows, columns = np.nonzero(steps)
     if len(rows) < 200 * scale:
         return None
     grey = ndimage.gaussian_filter(capture.colour.mean(axis=-1), 1.5 * scale)
     edges = np.hypot(ndimage.sobel(grey, 0), ndimage.sobel(grey, 1))
-    shifts = np.round(SHIFTS * scale).astype(int)
     fit = np.array([[edges[rows + dy, columns + dx].mean() for dx in shifts] for dy in shifts])
     here = np.argmin(np.abs(shifts))
     near = fit[here - 1 : here + 2, here - 1 : here + 2].max()

@@ -1,0 +1,288 @@
+"""The command ``fungrasp perceive``, on the demo's image. A stand-in says where the landmarks are."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+from grasp_files import run
+from PIL import Image
+from scipy.spatial.transform import Rotation
+
+from fungrasp.cli.perceive import DENSITY, UNSURE, parse_plane
+from fungrasp.grasps import load_human_grasps, load_robot_grasps
+from fungrasp.objects import builtin_object
+from fungrasp.perception import perceive as room
+from fungrasp.perception.hand_landmarks import DetectedHand
+from fungrasp.perception.scene_folders import read_folder
+from fungrasp.report.demo_image import FOLDER, demo_truth
+
+TRUTH = demo_truth()
+NAME = TRUTH.object_name
+LENS = json.loads((FOLDER / "K.json").read_text())
+
+
+def landmarks() -> DetectedHand:
+    """Noise of 4 pixels per axis, 6 mm and 8 degrees in shape."""
+    rng = np.random.default_rng(0)
+    joints, lens = TRUTH.joints_camera, read_folder(FOLDER).intrinsics
+    turn = Rotation.from_rotvec(rng.normal(size=3) * np.radians(8))
+    shape = turn.apply(joints - joints.mean(axis=0) + rng.normal(size=(21, 3)) * 0.006)
+    return DetectedHand(lens.project(joints) + rng.normal(size=(21, 2)) * 4, shape, "right", 0.95, 0.95)
+
+
+def object_mask() -> np.ndarray:
+    """Pixels that show the object and what hides it, roughly: the depth of its silhouette."""
+    from fungrasp.perception.rays import MeshRays
+
+    model, capture = builtin_object(NAME), read_folder(FOLDER)
+    rays = capture.intrinsics.rays().reshape(-1, 3)
+    depth = MeshRays(model.vertices, model.faces).cast(TRUTH.pose_camera_object[None], rays)[0]
+    return np.abs(depth.reshape(capture.depth.shape) - capture.depth) < 0.004
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    """The image's files, a mask, a mesh and the object's true pose."""
+    folder = tmp_path_factory.mktemp("capture")
+    for name in ("rgb.png", "depth.png", "K.json"):
+        shutil.copyfile(FOLDER / name, folder / name)
+    Image.fromarray(np.where(object_mask(), 255, 0).astype(np.uint8)).save(folder / "mask.png")
+    model = builtin_object(NAME)
+    trimesh.Trimesh(model.vertices, model.faces, process=False).export(folder / "thing.obj")
+    trimesh.Trimesh(1000 * model.vertices, model.faces, process=False).export(folder / "millimetres.obj")
+    (folder / "pose.txt").write_text(" ".join(map(str, TRUTH.pose_camera_object)))
+    return folder
+
+
+@pytest.fixture
+def found(monkeypatch) -> list[DetectedHand]:
+    """What the detector finds; to be changed."""
+    hands = [landmarks()]
+
+    class StandIn:
+        def detect(self, colour, near=None):
+            scale = colour.shape[1] / LENS["width"]
+            return [dataclasses.replace(hand, pixels=hand.pixels * scale) for hand in hands]
+
+    monkeypatch.setattr(room, "HandDetector", StandIn)
+    return hands
+
+
+def files(folder: Path, **others: Path) -> list[object]:
+    paths = {"rgb": "rgb.png", "depth": "depth.png", "intrinsics": "K.json"}
+    given = {name: folder / file for name, file in paths.items()} | others
+    return [word for name, path in given.items() for word in (f"--{name}", path)]
+
+
+def test_three_files_become_a_grasp_that_can_be_retargeted(folder, found, tmp_path, capsys):
+    out, result, page = tmp_path / "g.npz", tmp_path / "r.json", tmp_path / "p.html"
+    status, words, err = run(
+        capsys,
+        "perceive",
+        *files(folder),
+        *("--mesh", folder / "thing.obj", "--mask", folder / "mask.png", "--task", "spray"),
+        *("--out", out, "--json", result, "--report", page),
+    )
+    assert (status, err) == (0, "")
+    grasps = load_human_grasps(out)
+    assert len(grasps) == 1 and grasps[0].object_name == "thing" and grasps[0].task == "spray"
+    volume = builtin_object(NAME).mesh.convex_hull.volume
+    assert grasps[0].object_mass == pytest.approx(DENSITY * volume, rel=1e-3)
+    assert "the mass was guessed" in words and "a right hand on 'thing'" in words and str(page) in words
+    told = json.loads(result.read_text())
+    assert told["sure"] and told["doubts"] == [] and told["table_found"]
+    np.testing.assert_allclose(told["grasp"]["hand_joints"], grasps[0].hand_joints)
+    assert len(told["grasp"]["links_in_contact"]) == grasps[0].link_contacts.sum()
+    np.testing.assert_allclose(told["object"]["pose_camera"][:3], TRUTH.pose_camera_object[:3], atol=0.005)
+    assert told["quality"]["object_score"] == told["object"]["score"]
+    text = page.read_text()
+    assert "<html" in text and "Made by" in text
+    robot = tmp_path / "robot.npz"
+    status, _, err = run(capsys, "retarget", "--grasps", out, "--objects", folder, "--out", robot)
+    assert status == 0 and load_robot_grasps(robot).object_name.tolist() == ["thing"]
+
+
+def test_a_folder_a_builtin_object_and_a_pose_from_elsewhere(folder, found, tmp_path, capsys):
+    out = tmp_path / "g.npz"
+    pose = ("--object-pose-file", folder / "pose.txt", "--mass", 0.3)
+    status, _, err = run(capsys, "perceive", "--folder", folder, "--mesh", NAME, *pose, "--out", out)
+    assert status == 0, err
+    grasp = load_human_grasps(out)[0]
+    assert (grasp.object_name, grasp.object_mass) == (NAME, pytest.approx(0.3))
+
+
+def test_a_left_hand_brings_its_mirrored_mesh(folder, found, tmp_path, capsys):
+    """The mirror image of the capture; the mirrored object is put there by its pose."""
+    for name in ("rgb.png", "depth.png"):
+        Image.fromarray(np.array(Image.open(folder / name))[:, ::-1]).save(tmp_path / name)
+    last = LENS["width"] - 1
+    (tmp_path / "K.json").write_text(json.dumps({**LENS, "cx": last - LENS["cx"]}))
+    flip = np.array([-1.0, 1.0, 1.0])
+    found[0] = dataclasses.replace(
+        found[0],
+        pixels=found[0].pixels * [-1, 1] + [last, 0],
+        shape_camera=found[0].shape_camera * flip,
+        side="left",
+    )
+    (tmp_path / "pose.txt").write_text(
+        " ".join(map(str, TRUTH.pose_camera_object * [-1, 1, 1, 1, 1, -1, -1]))
+    )
+    model = builtin_object(NAME)
+    trimesh.Trimesh(model.vertices * flip, model.faces[:, ::-1], process=False).export(tmp_path / "thing.obj")
+    out = tmp_path / "out" / "g.npz"
+    status, words, err = run(
+        capsys,
+        *("perceive", "--folder", tmp_path, "--mesh", tmp_path / "thing.obj", "--mass", 0.5),
+        *("--object-pose-file", tmp_path / "pose.txt", "--out", out),
+    )
+    assert status == 0, err
+    assert load_human_grasps(out)[0].object_name == "thing_mirrored"
+    written = out.parent / "thing_mirrored.obj"
+    assert str(written) in words
+    mesh: Any = trimesh.load(written, force="mesh", process=False)
+    np.testing.assert_allclose(mesh.vertices, model.vertices * [-1, -1, 1], atol=1e-6)
+    assert mesh.volume > 0
+
+
+def test_an_unsure_result_is_written_and_says_so(folder, found, tmp_path, capsys):
+    found[0] = dataclasses.replace(found[0], score=0.2)
+    arguments = ["--folder", folder, "--mesh", NAME, "--object-pose-file", folder / "pose.txt"]
+    out, result = tmp_path / "g.npz", tmp_path / "r.json"
+    with pytest.raises(SystemExit) as end:
+        run(capsys, "perceive", *arguments, "--out", out, "--json", result)
+    assert end.value.code == UNSURE == 3
+    err = capsys.readouterr().err
+    assert "doubt: the hand: its score is only" in err and "not sure" in err
+    told = json.loads(result.read_text())
+    assert not told["sure"] and told["doubts"] and len(load_human_grasps(out)) == 1
+
+
+def test_a_box_instead_of_a_mask_chooses_between_two_hands(folder, found, tmp_path, capsys):
+    found.insert(0, dataclasses.replace(found[0], pixels=found[0].pixels * 0.4, score=0.99))
+    rows, columns = np.nonzero(object_mask())
+    box = f"{columns.min()},{rows.min()},{columns.max()},{rows.max()}"
+    status, _, err = run(
+        capsys,
+        *("perceive", *files(folder), "--mesh", NAME, "--box", box),
+        *("--object-pose-file", folder / "pose.txt", "--out", tmp_path / "g.npz"),
+    )
+    assert status == 0 and "2 hands are in the image; the one nearest to the box was taken" in err
+
+
+def test_twenty_megapixels(folder, found, tmp_path, capsys):
+    times = 8
+    size = (LENS["width"] * times, LENS["height"] * times)
+    assert size[0] * size[1] > 19e6
+    colour, depth = Image.open(folder / "rgb.png"), Image.open(folder / "depth.png")
+    colour.resize(size, Image.Resampling.NEAREST).save(tmp_path / "rgb.jpg", quality=85)
+    metres = np.array(depth, np.float32) * LENS["depth_unit"]
+    np.save(tmp_path / "depth.npy", metres.repeat(times, axis=0).repeat(times, axis=1))
+    scaled = {name: times * LENS[name] for name in ("width", "height", "fx", "fy")}
+    centre = {name: times * (LENS[name] + 0.5) - 0.5 for name in ("cx", "cy")}
+    (tmp_path / "K.json").write_text(json.dumps(scaled | centre))
+    large = files(tmp_path, rgb=tmp_path / "rgb.jpg", depth=tmp_path / "depth.npy")
+    pose = ("--object-pose-file", folder / "pose.txt")
+    result = tmp_path / "r.json"
+    status, _, err = run(
+        capsys,
+        *("perceive", *large, "--mesh", NAME, *pose, "--out", tmp_path / "g.npz", "--json", result),
+    )
+    assert status == 0, err
+    joints = np.array(json.loads(result.read_text())["hand"]["joints_camera"])
+    assert np.linalg.norm(joints - TRUTH.joints_camera, axis=1).mean() < 0.015
+
+
+def truncated(folder: Path, tmp: Path) -> list[object]:
+    path = tmp / "cut.png"
+    path.write_bytes((folder / "rgb.png").read_bytes()[:5000])
+    return files(folder, rgb=path)
+
+
+def rescaled_lens(folder: Path, tmp: Path) -> list[object]:
+    path = tmp / "K.json"
+    path.write_text(json.dumps({**LENS, "width": 1280, "height": 960}))
+    return files(folder, intrinsics=path)
+
+
+def small_mask(folder: Path, tmp: Path) -> list[object]:
+    Image.new("L", (320, 240), 255).save(tmp / "mask.png")
+    return [*files(folder), "--mask", tmp / "mask.png"]
+
+
+def glove(folder: Path, tmp: Path) -> list[object]:
+    return files(folder)
+
+
+BAD = {
+    "a truncated PNG": (truncated, "damaged or cut short"),
+    "no colour image": (lambda f, t: files(f, rgb=t / "none.png"), "does not exist"),
+    "the depth as colour": (lambda f, t: files(f, rgb=f / "depth.png"), "is it the depth?"),
+    "the colour as depth": (lambda f, t: files(f, depth=f / "rgb.png"), "16-bit"),
+    "metres for millimetres": (lambda f, t: [*files(f), "--depth-unit", 1], "with units of 0.001 m"),
+    "intrinsics of another resolution": (rescaled_lens, "1280 x 960"),
+    "a mask of another size": (small_mask, "320 x 240"),
+    "a box outside the image": (lambda f, t: [*files(f), "--box", "900,900,950,950"], "outside the image"),
+    "no box": (lambda f, t: [*files(f), "--box", "1,2,3"], "a box is x0,y0,x1,y1"),
+    "no table": (lambda f, t: [*files(f), "--table", "0,0,3,1"], "normal of length 1"),
+    "only two files": (lambda f, t: files(f)[:4], "--intrinsics must be given"),
+    "nothing": (lambda f, t: [], "--rgb and --depth and --intrinsics must be given"),
+    "files and a folder": (lambda f, t: [*files(f), "--folder", f], "give either --folder"),
+    "a folder of something else": (lambda f, t: ["--folder", t], "is no capture"),
+    "a hand file that is none": (lambda f, t: [*files(f), "--hand-file", f / "mask.png"], "hand file"),
+    "a pose that is none": (lambda f, t: [*files(f), "--object-pose-file", f / "K.json"], "K.json"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_bad_images_end_with_a_word_and_write_nothing(name, folder, found, tmp_path, capsys):
+    arguments, word = BAD[name]
+    out = tmp_path / "out"
+    given = arguments(folder, tmp_path)
+    status, _, err = run(
+        capsys, "perceive", *given, "--mesh", NAME, "--out", out / "g.npz", "--json", out / "r.json"
+    )
+    assert status == 2 and word in err and err.count("\n") == 1, err
+    assert not out.exists()
+
+
+@pytest.mark.parametrize(
+    ("mesh", "mass", "word"),
+    [
+        ("millimetres.obj", 0.3, "looks like millimetres"),
+        ("no_such.obj", 0.3, "does not exist"),
+        ("rgb.png", 0.3, "cannot read the mesh"),
+        ("thing.obj", -1, "the mass must be positive"),
+    ],
+)
+def test_bad_meshes_end_with_a_word_and_write_nothing(mesh, mass, word, folder, found, tmp_path, capsys):
+    arguments = [*files(folder), "--mesh", folder / mesh, "--mass", mass]
+    status, _, err = run(capsys, "perceive", *arguments, "--out", tmp_path / "g.npz")
+    assert status == 2 and word in err, err
+    assert not (tmp_path / "g.npz").exists()
+
+
+def test_no_hand_or_one_in_a_glove_ends_with_a_word(folder, found, tmp_path, capsys):
+    found.clear()
+    status, _, err = run(capsys, "perceive", *files(folder), "--mesh", NAME, "--out", tmp_path / "g.npz")
+    assert status == 2 and "no hand was found" in err and "bare" in err
+    assert not (tmp_path / "g.npz").exists()
+
+
+def test_models_that_are_not_set_up_are_named(folder, tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("FUNGRASP_CACHE", str(tmp_path / "cache"))
+    status, _, err = run(capsys, "perceive", *files(folder), "--mesh", NAME, "--out", tmp_path / "g.npz")
+    assert status == 2 and "fungrasp setup perception" in err
+
+
+def test_a_plane_is_four_numbers():
+    plane = parse_plane("0,-1,0,0.4")
+    assert plane is not None
+    np.testing.assert_allclose(plane, [0, -1, 0, 0.4])
+    assert parse_plane(None) is None
