@@ -36,7 +36,7 @@ LEAST_AGREEING = 0.3
 LANDMARK_SPREAD = 0.02
 """Standard deviation of a landmark across the ray, as a part of the hand's extent."""
 
-SHAPE_SPREAD = 0.007
+SHAPE_SPREAD = 0.009
 """Standard deviation of a joint along the ray against the rest of the hand [m]."""
 
 HIDDEN = 1.6
