@@ -80,9 +80,11 @@ def test_answers_of_a_benchs_rows():
     good = {"add_s_mm": 1.0, "score": 0.9, "evidence": evidence}
     bad = {"add_s_mm": None, "score": 0.2, "evidence": evidence}
     nothing = {"add_s_mm": 50.0, "score": 0.0, "evidence": {}}
-    rows = [{"object": "mug", "masked": good, "unmasked": nothing, "wrong_mesh": bad}]
+    rows = [
+        {"object": "mug", "masked": good, "unmasked": nothing, "wrong_mesh": bad, "absent": {"pose": bad}}
+    ]
     answers = answers_of(rows)
-    assert answers.right.tolist() == [True, False] and answers.score.tolist() == [0.9, 0.2]
-    assert answers.evidence.shape == (2, len(FEATURES)) and set(answers.group) == {"mug"}
+    assert answers.right.tolist() == [True, False, False] and answers.score.tolist() == [0.9, 0.2, 0.2]
+    assert answers.evidence.shape == (3, len(FEATURES)) and set(answers.group) == {"mug"}
     with pytest.raises(FungraspError, match="no pose answers"):
-        answers_of([{"object": "mug", "masked": nothing, "unmasked": nothing, "wrong_mesh": None}])
+        answers_of([{**rows[0], "masked": nothing, "wrong_mesh": None, "absent": None}])

@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 
 from fungrasp.evaluation.perception import (
+    AbsentResult,
     CaptureResult,
     HandResult,
     PoseResult,
     Seconds,
+    measure_absent,
     measure_perception,
 )
 from fungrasp.evaluation.perception_results import (
@@ -46,7 +48,7 @@ class StandIn:
 def result(**changes) -> CaptureResult:
     hand = HandResult(True, 0.9, True, 4.0, 10.0, 8.0, 6.0)
     seconds = {"hand": Seconds(0.1, 0.05), "object_masked": Seconds(1.0, 0.5)}
-    whole = CaptureResult("mug", hand, RIGHT, RIGHT, None, seconds, None, GRASP)
+    whole = CaptureResult("mug", hand, RIGHT, RIGHT, None, None, seconds, None, GRASP)
     return dataclasses.replace(whole, **changes)
 
 
@@ -118,6 +120,27 @@ def test_figures():
     # Four with a mask, three without, and the wrong mesh's, which is none.
     assert figures["accepted"]["right"]["rate"] == pytest.approx(7 / 8)
     assert figures["seconds"]["object_masked"]["median_cpu"] == 0.5
+
+
+def test_what_is_not_there_counts_as_wrong_where_it_is_accepted():
+    nowhere = dataclasses.replace(WRONG, add_s_mm=np.inf)
+    believed = dataclasses.replace(nowhere, accepted=True)
+    results = [
+        result(absent=AbsentResult(0.9, believed)),
+        result(absent=AbsentResult(0.0, nowhere)),
+        result(),
+    ]
+    figures = perception_figures(results)
+    assert figures["no_hand"]["sure"]["count"] == 2 and figures["no_hand"]["sure"]["rate"] == 0.5
+    assert figures["no_object"]["accepted"]["rate"] == 0.5
+    assert figures["accepted"]["right"]["rate"] == pytest.approx(6 / 7)
+
+
+def test_an_absent_object_is_looked_for_in_the_empty_hand():
+    known = known_capture()
+    empty = Capture(known.capture.colour, np.full_like(known.capture.depth, 2.0), known.capture.intrinsics)
+    found = measure_absent(empty, empty, MODEL, StandIn())
+    assert found.hand_score == 0 and not found.pose.accepted and found.pose.add_s_mm == np.inf
 
 
 def test_targets_are_met_or_not():

@@ -11,7 +11,7 @@ from fungrasp.geometry.poses import inverse_transform_points, transform_points
 from fungrasp.grasps import builtin_grasps, load_human_grasps
 from fungrasp.objects import builtin_object, load_object
 from fungrasp.perception import Intrinsics
-from fungrasp.report.captures import CaptureSettings, render_capture, render_captures
+from fungrasp.report.captures import CaptureSettings, capture_at, render_capture, render_captures
 from fungrasp.report.captures_files import read_synthetic_capture, write_capture
 from fungrasp.report.captures_scene import Label
 
@@ -95,6 +95,18 @@ def test_the_same_seed_gives_the_same_bytes_whatever_the_count(noisy):
     np.testing.assert_array_equal(again.capture.depth, noisy[0].capture.depth)
     np.testing.assert_array_equal(again.labels, noisy[0].labels)
     assert not np.array_equal(other.capture.colour, noisy[0].capture.colour)
+
+
+def test_a_part_can_be_missing_from_the_same_scene(noisy):
+    grasps = builtin_grasps()
+    objects = {name: builtin_object(name) for name in np.unique(grasps.object_name).tolist()}
+    whole = noisy[0]
+    for part, gone in ((Label.HAND, {Label.HAND, Label.SLEEVE}), (Label.OBJECT, {Label.OBJECT})):
+        lacking = capture_at(0, grasps, objects, 4, dataclasses.replace(SMALL, missing=(part,)))
+        np.testing.assert_array_equal(lacking.pose_world_camera, whole.pose_world_camera)
+        assert not np.isin(lacking.labels, list(gone)).any()
+        other = ~np.isin(whole.labels, list(gone))
+        np.testing.assert_array_equal(lacking.labels[other], whole.labels[other])
 
 
 def test_every_grasp_has_its_turn():

@@ -14,7 +14,9 @@ if TYPE_CHECKING:
     from fungrasp.evaluation.perception import CaptureResult
     from fungrasp.grasps import HumanGraspSet
     from fungrasp.objects import ObjectModel
+    from fungrasp.perception import Capture
     from fungrasp.report.captures import SyntheticCapture
+    from fungrasp.report.captures_scene import Label
 
 
 @dataclass(frozen=True)
@@ -41,6 +43,8 @@ class Perception:
     """Give perception the colours of the mesh."""
     wrong: bool = False
     """Try another object's mesh on each capture, too: it must not be accepted."""
+    absent: bool = False
+    """Render each capture twice more, without the hand and without the object: neither must be found."""
     chain: bool = False
     """Retarget true and perceived grasps, and try both in simulation."""
     hand: str = "allegro"
@@ -89,8 +93,13 @@ class Perception:
                 f"{pose['rotation_deg']['p90']:.1f} in 90 % of captures; "
                 f"{pose['accepted']['rate']:.0%} accepted"
             )
-        if self.wrong:
-            print(f"wrong meshes accepted: {figures['wrong_mesh']['accepted']['rate']:.1%}")
+        for words, part, what in (
+            ("wrong meshes accepted", "wrong_mesh", "accepted"),
+            ("hands seen where there is none", "no_hand", "sure"),
+            ("objects seen where there is none", "no_object", "accepted"),
+        ):
+            if figures[part][what] is not None:
+                print(f"{words}: {figures[part][what]['rate']:.1%}")
         print(f"{len(results)} captures of {len(objects)} objects, seed {self.seed}; {machine()}")
 
     def _grasps(self) -> HumanGraspSet:
@@ -111,9 +120,12 @@ class Perception:
         return human.select(np.isin(human.object_name, self.only)) if self.only else human
 
     def _measured(self, human: HumanGraspSet, objects: Mapping[str, ObjectModel]) -> Iterator[CaptureResult]:
-        from fungrasp.evaluation.perception import measure_perception
+        from dataclasses import replace
+
+        from fungrasp.evaluation.perception import measure_absent, measure_perception
         from fungrasp.perception.hand_landmarks import HandDetector
         from fungrasp.report.captures_files import painted_mesh
+        from fungrasp.report.captures_scene import Label
 
         detector, names = HandDetector(), sorted(objects)
         with progress_bar("perceiving", self.captures) as show:
@@ -122,8 +134,20 @@ class Perception:
                 others = [name for name in names if name != model.name]
                 other = objects[others[i % len(others)]] if self.wrong and others else None
                 mesh = painted_mesh(known.painted) if self.coloured else None
-                yield measure_perception(known, model, detector, other, mesh)
+                result = measure_perception(known, model, detector, other, mesh)
+                if self.absent:
+                    lacking = [self._lacking(i, part, human, objects) for part in (Label.HAND, Label.OBJECT)]
+                    result = replace(result, absent=measure_absent(*lacking, model, detector))
+                yield result
                 show(i + 1)
+
+    def _lacking(
+        self, index: int, part: Label, human: HumanGraspSet, objects: Mapping[str, ObjectModel]
+    ) -> Capture:
+        """The same capture without the hand or the object."""
+        from fungrasp.report.captures import CaptureSettings, capture_at
+
+        return capture_at(index, human, objects, self.seed, CaptureSettings(missing=(part,))).capture
 
     def _rendered(
         self, human: HumanGraspSet, objects: Mapping[str, ObjectModel]

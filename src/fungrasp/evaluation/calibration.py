@@ -35,20 +35,21 @@ class Answers:
 
 
 def answers_of(rows: Sequence[Mapping[str, Any]]) -> Answers:
-    """The pose answers in the "each" of ``fungrasp bench perception --json``: with mask, without, and of
-    wrong meshes. Those that found nothing at all (no evidence) are left out: their score is 0 by rule.
+    """The pose answers in the "each" of ``fungrasp bench perception --json``: with mask, without, of wrong
+    meshes and absent objects. Those that found nothing at all (no evidence) are left out: their score is 0
+    by rule.
 
     Raises:
         FungraspError: there is none.
     """
     found = []
     for row in rows:
-        for kind in ("masked", "unmasked", "wrong_mesh"):
-            answer = row[kind]
+        absent = None if row["absent"] is None else row["absent"]["pose"]
+        for answer in (row["masked"], row["unmasked"], row["wrong_mesh"], absent):
             if answer is None or not answer["evidence"]:
                 continue
-            error = answer["add_s_mm"]
-            right = kind != "wrong_mesh" and error is not None and error < RIGHT_MM
+            # None stands for infinite: no pose is right.
+            right = answer["add_s_mm"] is not None and answer["add_s_mm"] < RIGHT_MM
             found.append(
                 ([answer["evidence"][name] for name in FEATURES], right, answer["score"], row["object"])
             )

@@ -103,6 +103,16 @@ class PoseResult:
 
 
 @dataclass(frozen=True)
+class AbsentResult:
+    """What was made of images that lack the hand, or the object."""
+
+    hand_score: float
+    """Highest score of a hand found where there is none; 0 where none was found."""
+    pose: PoseResult
+    """The object's pose in a hand that holds nothing: never right."""
+
+
+@dataclass(frozen=True)
 class Seconds:
     """How long something took."""
 
@@ -123,6 +133,8 @@ class CaptureResult:
     """The object's pose from the image alone."""
     wrong_mesh: PoseResult | None
     """An answer that can't be right: with the true mask and the mesh of another object."""
+    absent: AbsentResult | None
+    """None where it was not tried."""
     seconds: dict[str, Seconds]
     """By stage: "mesh" (made ready, once for all images of it), "hand" (detection and metric fit),
     "object_masked", "object_unmasked", "perceive" (all of ``perceive`` without a mask)."""
@@ -216,9 +228,22 @@ def measure_perception(
                 sum(part.seconds.wall for part in parts), sum(part.seconds.cpu for part in parts)
             ),
         },
+        absent=None,
         perceived=perceived,
         grasp=known.grasp,
     )
+
+
+def measure_absent(
+    no_hand: Capture, no_object: Capture, model: ObjectModel, detector: Detector
+) -> AbsentResult:
+    """What perception makes of images of the same scene without the hand, and without the object."""
+    hands = [fit_hand(hand, no_hand) for hand in detector.detect(no_hand.colour)]
+    seen = detector.detect(no_object.colour)
+    hand = fit_hand(choose_hand(seen)[0], no_object) if seen else None
+    pose = search_object_pose(no_object, model, hand)
+    points = np.asarray(model.vertices)
+    return AbsentResult(max((hand.score for hand in hands), default=0.0), _pose_result(pose, points, None))
 
 
 def _hand_result(known: KnownCapture, hand: HandEstimate | None, perceived: Perceived | None) -> HandResult:

@@ -13,6 +13,7 @@ from fungrasp.evaluation.perception import CaptureResult, PoseResult
 from fungrasp.evaluation.results import finite
 from fungrasp.evaluation.statistics import wilson_interval
 from fungrasp.grasps import HumanGrasp, HumanGraspSet
+from fungrasp.perception.perceive import SURE_HAND
 
 
 @dataclass(frozen=True)
@@ -62,13 +63,15 @@ def perception_figures(results: Sequence[CaptureResult]) -> dict[str, Any]:
 
     A hand that was not found counts in ``hand.found`` only; the object's pose without a mask is looked for
     all the same. ``accepted`` takes every answer that was accepted: with mask, without, and those of wrong
-    meshes, which are never right.
+    meshes and absent objects, which are never right.
     """
     hands = [result.hand for result in results if result.hand.found]
     masked = [result.masked for result in results]
     unmasked = [result.unmasked for result in results]
     wrong = [result.wrong_mesh for result in results if result.wrong_mesh is not None]
-    accepted = [answer.right for answer in (*masked, *unmasked, *wrong) if answer.accepted]
+    absent = [result.absent for result in results if result.absent is not None]
+    nowhere = [part.pose for part in absent]
+    accepted = [answer.right for answer in (*masked, *unmasked, *wrong, *nowhere) if answer.accepted]
     names = ("pixel_error", "joint_error_mm", "refined_joint_error_mm", "tip_error_mm")
     return finite(
         {
@@ -81,6 +84,8 @@ def perception_figures(results: Sequence[CaptureResult]) -> dict[str, Any]:
             "object_masked": _pose_figures(masked),
             "object_unmasked": _pose_figures(unmasked),
             "wrong_mesh": {"accepted": _rate([answer.accepted for answer in wrong])},
+            "no_hand": {"sure": _rate([part.hand_score >= SURE_HAND for part in absent])},
+            "no_object": {"accepted": _rate([answer.accepted for answer in nowhere])},
             "accepted": {"right": _rate(accepted)},
             "seconds": {
                 stage: {
@@ -138,6 +143,7 @@ def capture_rows(results: Sequence[CaptureResult]) -> list[dict[str, Any]]:
                 "masked": asdict(result.masked),
                 "unmasked": asdict(result.unmasked),
                 "wrong_mesh": None if result.wrong_mesh is None else asdict(result.wrong_mesh),
+                "absent": None if result.absent is None else asdict(result.absent),
                 "sure": None if result.perceived is None else result.perceived.sure,
                 "seconds": {stage: asdict(seconds) for stage, seconds in result.seconds.items()},
             }

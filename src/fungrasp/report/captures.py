@@ -54,6 +54,9 @@ class CaptureSettings:
     """Part of the image that must show the object, where a camera can be found that does."""
     hand_seen: float = 0.015
     """Part of the image that must show the hand, likewise."""
+    missing: tuple[Label, ...] = ()
+    """What is taken out of the scene, once the camera has found its place: ``HAND`` (with its sleeve) or
+    ``OBJECT``, to see what perception makes of that."""
     depth_noise: DepthNoise | None = field(default_factory=DepthNoise)
     """None for perfect depth."""
     colour_noise: ColourNoise | None = field(default_factory=ColourNoise)
@@ -171,6 +174,9 @@ def render_capture(
     scene = capture_scene(grasp, painted, rng, tones=settings.skin, clutter=clutter, towards=towards)
     tracer = Tracer(scene.things, scene.look)
     pose = _camera(grasp, painted, tracer, scene, intrinsics, azimuth, settings, rng)
+    if settings.missing:
+        scene = scene.without(settings.missing)
+        tracer = Tracer(scene.things, scene.look)
     view = tracer.see(intrinsics, pose)
     labels = np.append(scene.labels, np.uint8(Label.ROOM))[view.thing]
     colour = noisy_colour(view.light, settings.colour_noise or ColourNoise(0.0, 0.0, 0.0), rng)

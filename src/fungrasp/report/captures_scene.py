@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
 from enum import IntEnum
 
 import numpy as np
@@ -84,6 +84,12 @@ class CaptureScene:
     look: Look
     arm_end: np.ndarray
     """Where the arm ends [m], world frame, shape [3]: better not in the image."""
+
+    def without(self, missing: Collection[Label]) -> CaptureScene:
+        """The scene without some of its things; a sleeve goes with its hand."""
+        gone = {*missing, *([Label.SLEEVE] if Label.HAND in missing else [])}
+        kept = [i for i, label in enumerate(self.labels.tolist()) if label not in gone]
+        return replace(self, things=tuple(self.things[i] for i in kept), labels=self.labels[kept])
 
 
 def capture_scene(
