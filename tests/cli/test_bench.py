@@ -8,6 +8,10 @@ import pytest
 from grasp_files import run, some_grasps
 
 from fungrasp.grasps import save_human_grasps
+from fungrasp.perception import Intrinsics
+from fungrasp.report.captures import CaptureSettings, capture_at
+from fungrasp.report.captures_files import write_capture
+from fungrasp.retarget import load_objects
 
 
 @pytest.fixture(scope="module")
@@ -41,9 +45,38 @@ def test_simulation_is_the_same_motion_in_all_three_ways(human, tmp_path, capsys
     assert numbers["environment_over_bare"] == pytest.approx(numbers["environment"] / numbers["bare"])
 
 
+class NoHands:
+    """A detector without weights that finds nothing."""
+
+    def detect(self, colour, near=None):
+        return []
+
+
+def test_perception_on_kept_captures(human, tmp_path, capsys, monkeypatch):
+    small = CaptureSettings(Intrinsics(320, 240, 300, 300, 160, 120), intrinsics_spread=0, clutter=(0, 0))
+    grasps = some_grasps()
+    objects = load_objects(grasps)
+    for i in range(2):
+        write_capture(capture_at(i, grasps, objects, 7, small), tmp_path / "kept" / f"7_{i:04d}")
+    monkeypatch.setattr("fungrasp.perception.hand_landmarks.HandDetector", NoHands)
+    path = tmp_path / "b.json"
+    arguments = ("--grasps", human, "--captures", 2, "--seed", 7, "--keep", tmp_path / "kept", "--wrong")
+    status, out, _ = run(capsys, "bench", "perception", *arguments, "--json", path)
+    assert status == 0
+    numbers = json.loads(path.read_text())
+    assert numbers["captures"] == 2 and sorted(numbers["objects"]) == ["can", "tennis_ball"]
+    assert numbers["hand"]["found"]["rate"] == 0
+    assert numbers["object_masked"]["right"]["rate"] == 1
+    assert {each["object"] for each in numbers["each"]} == {"can", "tennis_ball"}
+    assert numbers["peak_memory_gb"] > 0.05
+    assert "object right, with mask" in out and "wrong meshes accepted: " in out
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
+        (("perception", "--captures", 0), "--captures must be at least 1"),
+        (("perception", "--only", "mugg"), "Did you mean 'mug'?"),
         (("retarget", "--method", "our"), "Did you mean 'ours'?"),
         (("retarget", "--repeat", 0), "--repeat must be at least 1"),
         (("simulation", "--worlds", 0), "--worlds must be at least 1"),
