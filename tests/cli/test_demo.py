@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,6 +14,11 @@ import pytest
 from fungrasp.cli import demo
 from fungrasp.cli.main import main
 from fungrasp.grasps import HumanGraspSet, builtin_grasps, save_human_grasps
+from fungrasp.objects import builtin_object
+from fungrasp.perception import HandEstimate, ObjectEstimate
+from fungrasp.perception import perceive as perceiving
+from fungrasp.perception.perceive import Perceived
+from fungrasp.report.demo_image import FOLDER, demo_truth
 
 
 @pytest.fixture(autouse=True)
@@ -74,6 +80,11 @@ def test_a_failure_is_shown_as_one(tmp_path: Path, capsys: pytest.CaptureFixture
         (["--refine", "-1"], "--refine must be at least 0"),
         (["--grasps", "nowhere.npz"], "nowhere.npz"),
         (["--objects", "nowhere"], "nowhere"),
+        (["--mesh", "mug"], "--mesh needs --from-image FOLDER"),
+        (["--from-image", "--pick", "mug"], "--pick needs grasps, not an image"),
+        (["--from-image", "--mesh", "mug"], "the built-in image has its own object"),
+        (["--from-image", "nowhere"], "--mesh must say what is held"),
+        (["--from-image", "nowhere", "--mesh", "mug"], "the folder nowhere does not exist"),
     ],
 )
 def test_bad_input_is_one_line_and_leaves_nothing(
@@ -128,3 +139,77 @@ def test_picks_keep_their_order_and_may_be_numbers() -> None:
     assert grasps.object_name[rows[1]] == "drill"
     assert grasps.task is not None
     assert grasps.task[rows[2]] == "hand over"
+
+
+@pytest.fixture
+def see(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
+    """Lets the next image be seen as it truly is, without the hand models."""
+    truth = demo_truth()
+
+    def set_up(side: str = "right", score: float = 0.9) -> None:
+        real = perceiving.perceive
+
+        def seen(capture, model, **options) -> Perceived:
+            pixels = capture.intrinsics.project(truth.joints_camera)
+            covariance = np.tile(np.eye(3) * 0.004**2, (21, 1, 1))
+            hand = HandEstimate(truth.joints_camera, pixels, np.full(21, 0.9), covariance, side, score)
+            thing = ObjectEstimate(truth.pose_camera_object, 0.95, True)
+            return real(capture, model, hand=hand, object_estimate=thing, **options)
+
+        monkeypatch.setattr(perceiving, "perceive", seen)
+
+    return set_up
+
+
+def test_from_the_built_in_image_to_the_lift(
+    see: Callable[..., None], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    see()
+    assert main(["demo", "--refine", "0", "--out", str(tmp_path), "--from-image"]) == 0
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["film.mp4", "index.html"]
+    assert "Spray bottle, to spray: " in capsys.readouterr().out
+    page = (tmp_path / "index.html").read_text()
+    parts = ("✓ Sure", "In the image", "How far it is from the truth", "data:video/mp4", "Contact error")
+    places = [page.index(part) for part in parts]
+    assert places == sorted(places)
+    assert not re.search(r"(src|href)=\"(?!data:|#)", page), "the page needs another file"
+
+
+def test_what_is_not_sure_is_not_tried(
+    see: Callable[..., None], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    see(score=0.2)
+    arguments = ["--from-image", str(FOLDER), "--mesh", "spray_bottle", "--out", str(tmp_path)]
+    with pytest.raises(SystemExit) as end:
+        main(["demo", *arguments])
+    assert end.value.code == 3
+    assert [path.name for path in tmp_path.iterdir()] == ["index.html"]
+    said = capsys.readouterr()
+    assert "doubt: the hand: its score is only 0.20" in said.err
+    assert "the robot does not try it" in said.err
+    page = (tmp_path / "index.html").read_text()
+    assert "? Not sure" in page
+    assert "from the truth" not in page
+
+
+def test_a_left_hand_holds_a_reflected_object(see: Callable[..., None]) -> None:
+    from fungrasp.cli.demo_from_image import seen_grasp
+
+    see(side="left")
+    seen = seen_grasp(str(FOLDER), "spray_bottle", None, "spray", 0)
+    model = builtin_object("spray_bottle")
+    assert seen.thing.name == seen.human.object_name[0] == "spray_bottle_mirrored"
+    np.testing.assert_array_equal(seen.thing.vertices, model.vertices * [1, -1, 1])
+    assert seen.thing.mesh.volume == pytest.approx(model.mesh.volume)
+    assert seen.thing.mass == model.mass
+
+
+def test_without_the_hand_models_the_demo_says_what_to_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("FUNGRASP_CACHE", str(tmp_path / "cache"))
+    assert main(["demo", "--from-image", "--out", str(tmp_path / "out")]) == 2
+    said = capsys.readouterr().err
+    assert "run 'fungrasp setup perception' once" in said
+    assert said.count("\n") == 1
+    assert not (tmp_path / "out").exists()
