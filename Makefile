@@ -1,4 +1,4 @@
-# make demo   grasps built-in objects and writes a film and a page
+# make demo   grasps built-in objects, then the one in a picture; writes films and pages
 # make test   all checks and tests
 # Both set up what they need in .venv, once. PYTHON=... chooses the Python (3.11 or newer) it is made with.
 
@@ -6,6 +6,9 @@ PYTHON ?= python3
 JOBS ?= 2
 VENV := .venv
 BIN := $(VENV)/bin
+# Whether hands in images can be found; the models are fetched, as the repository does not hold them.
+SEES = $(BIN)/python -c 'import sys, ai_edge_litert; from fungrasp.perception.hand_weights import have_weights; \
+	sys.exit(not have_weights())' 2>/dev/null
 CHECKS := lint types imports docs unit
 
 export OMP_NUM_THREADS := 1
@@ -22,6 +25,10 @@ help:
 
 demo: $(VENV)/.installed
 	$(BIN)/fungrasp demo $(ARGS)
+	@$(SEES) || { echo "fetching the hand models, once"; $(BIN)/fungrasp setup perception; } || true
+	@if $(SEES); then $(BIN)/fungrasp demo --from-image --out demo/from-image; else \
+	echo "the demo from an image is left out: it needs ai-edge-litert and the hand models, which" \
+	"'$(BIN)/fungrasp setup perception' fetches"; fi
 
 test: $(VENV)/.installed-dev
 	@failed=; for check in $(CHECKS); do $(MAKE) --no-print-directory $$check || failed="$$failed $$check"; done; \
@@ -52,7 +59,7 @@ clean:
 
 $(VENV)/.installed: pyproject.toml $(VENV)/.made
 	@echo "installing fungrasp into $(VENV), once"
-	@$(BIN)/python -m pip install --quiet -e .
+	@$(BIN)/python -m pip install --quiet -e ".[perception]" || $(BIN)/python -m pip install --quiet -e .
 	@touch $@
 
 $(VENV)/.installed-dev: pyproject.toml $(VENV)/.made
