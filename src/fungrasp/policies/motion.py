@@ -17,8 +17,8 @@ from fungrasp.policies.approach import Approach, ApproachSettings, Path, plan_ap
 from fungrasp.policies.squeeze import squeeze_torques
 from fungrasp.retarget.problem import Surroundings
 from fungrasp.task import Protocol
-from fungrasp.task.lift import SET_POINT_PERIOD
 from fungrasp.task.motion import WristSetPoint
+from fungrasp.task.servos import SET_POINT_PERIOD
 
 
 @dataclass(frozen=True)

@@ -6,16 +6,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from fungrasp.geometry.poses import compose, invert, rotate
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.simulation import Scene, Worlds
 from fungrasp.task.motion import WristSetPoint
 from fungrasp.task.protocol import Protocol
-
-SET_POINT_PERIOD = 0.02
-"""Time between two set points of the servos [s]."""
+from fungrasp.task.servos import Servos, SetPoints
 
 
 @dataclass(frozen=True)
@@ -67,24 +64,16 @@ class LiftTask:
         self.protocol = protocol or Protocol()
         self.matrix, self.offset = scene.hand.coupling
         self._independent = np.linalg.pinv(self.matrix)
-        self._substeps = round(SET_POINT_PERIOD / scene.settings.timestep)
-        self._substep_time = self._substeps * scene.settings.timestep
-        self._wrist_actuators, self._finger_actuators = scene.wrist_actuators, scene.finger_actuators
-        self._damping_lead = np.repeat(
-            np.array(scene.settings.wrist_damping) / scene.settings.wrist_stiffness, 3
-        )
         self.wrist_in_object = compose(invert(grasps.object_pose), grasps.wrist_pose)
         """Pose of the palm in the grasped object's frame, shape [W, 7]."""
-        count, servos, links = len(worlds), self.matrix.shape[1], grasps.link_contacts.shape[1]
+        count, links = len(worlds), grasps.link_contacts.shape[1]
         self.settled_pose = np.zeros((count, 7))
         """Of the objects at the start, world frame, shape [W, 7]."""
         self.target_pose = np.tile([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], (count, 1))
         """Where the palm should grasp, world frame, shape [W, 7]."""
         self.target_contacts = np.zeros((count, links), dtype=bool)
         """Links that should touch, shape [W, L]."""
-        self._pose_reference_world = self.target_pose.copy()
-        self.set_point = WristSetPoint(self.target_pose, self.protocol)
-        self.finger_set_point = np.zeros((count, servos))
+        self.servos = Servos(scene, count, self.protocol)
         self.settled_height = np.zeros(count)
         self.time = np.zeros(count)
         """Of each trial [s], shape [W]."""
@@ -93,11 +82,6 @@ class LiftTask:
         self.hold_time = np.full(count, np.inf)
         """When the hold began [s], shape [W]."""
         self.done = np.zeros(count, dtype=bool)
-        self.latency = np.zeros(count)
-        """How late an action takes effect [s], at most a control period, rounded up to whole periods of the
-        set points; shape [W]."""
-        self._goal = self.target_pose.copy()
-        self._finger_rate = np.zeros((count, servos))
         self._lifted = np.full(count, np.inf)
         self._touched_table = np.zeros(count, dtype=bool)
         self._pushed = np.zeros(count)
@@ -107,6 +91,21 @@ class LiftTask:
     def independent(self, joint_positions: np.ndarray) -> np.ndarray:
         """Servo targets [W, U] of full joint vectors [W, M]."""
         return (joint_positions - self.offset) @ self._independent.T
+
+    @property
+    def set_point(self) -> WristSetPoint:
+        """Where the wrists were last told to be."""
+        return self.servos.wrist
+
+    @property
+    def finger_set_point(self) -> np.ndarray:
+        """Where the independent joints were last told to be [rad], shape [W, U]."""
+        return self.servos.fingers
+
+    @property
+    def latency(self) -> np.ndarray:
+        """How late actions take effect (see ``Servos``) [s], shape [W]."""
+        return self.servos.latency
 
     @property
     def control_step(self) -> np.ndarray:
@@ -131,7 +130,7 @@ class LiftTask:
         limits = self.scene.hand.joint_limits
         start_targets = self.independent(np.clip(start_joints, limits[:, 0], limits[:, 1]))
         worlds.joint_positions = start_targets @ self.matrix.T + self.offset
-        worlds.ctrl[:, self._finger_actuators] = start_targets
+        worlds.ctrl[:, self.scene.finger_actuators] = start_targets
         worlds.step(round(self.protocol.settle_time / self.scene.settings.timestep))
 
         settled = worlds.object_pose.copy()
@@ -170,19 +169,17 @@ class LiftTask:
         self.settled_pose[ids], self.target_pose[ids] = settled_pose, target_pose
         self.target_contacts[ids] = target_contacts
         worlds.mocap_pos[ids, 0], worlds.mocap_quat[ids, 0] = target_pose[:, :3], target_pose[:, 3:]
-        self._pose_reference_world[ids] = invert(target_pose)
-        self.set_point.pose[ids] = start_pose
-        self.set_point.velocity[ids] = 0.0 if start_velocity is None else start_velocity
-        self.finger_set_point[ids] = start_fingers
-        self._goal[ids], self._finger_rate[ids] = start_pose, 0.0
+        velocity = np.zeros((len(ids), 3)) if start_velocity is None else start_velocity
+        self.servos.begin(ids, target_pose, start_pose, velocity, start_fingers)
         worlds.qvel[ids] = 0.0
         if start_velocity is not None:
-            slides = rotate(self._pose_reference_world[ids, 3:], start_velocity)
+            slides = rotate(invert(target_pose)[:, 3:], start_velocity)
             worlds.qvel[np.ix_(ids, worlds.wrist_qvel[:3])] = slides
         worlds.qpos[np.ix_(ids, worlds.object_qpos)] = settled_pose
         worlds.qpos[np.ix_(ids, worlds.finger_qpos)] = start_fingers @ self.matrix.T + self.offset
-        worlds.qpos[np.ix_(ids, worlds.wrist_qpos)] = self._wrist_coordinates()[ids]
-        self._command()
+        wrist = self.servos.wrist_coordinates(self.set_point.pose)
+        worlds.qpos[np.ix_(ids, worlds.wrist_qpos)] = wrist[ids]
+        worlds.ctrl[:, self.servos.actuators] = self.servos.commands()
         worlds.forward(ids)
         self.settled_height[ids] = worlds.center_of_mass[ids, 2]
         self.time[ids] = 0.0 if start_time is None else start_time
@@ -197,53 +194,32 @@ class LiftTask:
     def step(self, action: Action, watch: Callable[[], None] | None = None) -> None:
         """Advance all unfinished worlds by one control period. watch: called after each substep, to
         record."""
-        p = self.protocol
-        may_lift = action.lift | (self.time >= p.approach_time - 1e-9)
-        begins = may_lift & ~np.isfinite(self.lift_time)
-        self.lift_time[begins] = self.time[begins]
-        moved = np.linalg.norm(self.worlds.object_pose[:, :2] - self.settled_pose[:, :2], axis=1)
-        self._pushed[begins] = moved[begins]
-        goal = action.wrist_pose.copy()
-        goal[:, 2] += np.where(np.isfinite(self.lift_time), p.lift_height, 0.0)
-        count = round(p.control_period / self._substep_time)
-        fingers = np.clip(action.finger_targets, *self._servo_range())
+        p, servos = self.protocol, self.servos
+        points = self.set_points(action)
         active = np.flatnonzero(~self.done)
-        due = np.ceil(self.latency / self._substep_time - 1e-9)
-        for i in range(count):
-            self._heed(due == i, goal, fingers, count)
-            self.set_point.advance(self._goal, self._substep_time)
-            self.finger_set_point = self.finger_set_point + self._finger_rate
-            self._command()
-            self.worlds.step(self._substeps, active)
-            self.time += np.where(self.done, 0.0, self._substep_time)
-            self._observe_hold(goal)
+        for i in range(servos.number):
+            servos.wrist.pose, servos.fingers = points.palm[i], points.fingers[i]
+            self.worlds.ctrl[:, servos.actuators] = points.commands[i]
+            self.worlds.step(servos.substeps, active)
+            self.time += np.where(self.done, 0.0, servos.period)
+            self._observe_hold(points.goal)
             if watch is not None:
                 watch()
-        self._heed(due >= count, goal, fingers, count)
         self._sample()
         self.done |= self.time >= self.hold_time + p.hold_time - 1e-9
 
-    def _heed(self, which: np.ndarray, goal: np.ndarray, fingers: np.ndarray, substeps: int) -> None:
-        """Go for an action from now on, fingers to be there after some substeps. which: shape [W] bool."""
-        rate = (fingers - self.finger_set_point) / substeps
-        self._goal = np.where(which[:, None], goal, self._goal)
-        self._finger_rate = np.where(which[:, None], rate, self._finger_rate)
-
-    def _servo_range(self) -> tuple[np.ndarray, np.ndarray]:
-        span = self.scene.model.actuator_ctrlrange[self._finger_actuators]
-        return span[:, 0], span[:, 1]
-
-    def _wrist_coordinates(self) -> np.ndarray:
-        relative = compose(self._pose_reference_world, self.set_point.pose)
-        angles = Rotation.from_quat(relative[:, 3:], scalar_first=True).as_euler("XYZ")
-        return np.concatenate([relative[:, :3], angles], axis=1)
-
-    def _command(self) -> None:
-        lead = np.zeros((len(self.worlds), 6))
-        turn = self._pose_reference_world[:, 3:]
-        lead[:, :3] = self._damping_lead[:3] * rotate(turn, self.set_point.velocity)
-        self.worlds.ctrl[:, self._wrist_actuators] = self._wrist_coordinates() + lead
-        self.worlds.ctrl[:, self._finger_actuators] = self.finger_set_point
+    def set_points(self, action: Action) -> SetPoints:
+        """What the servos are told during the next control period; a lift begins where it may."""
+        p = self.protocol
+        may_lift = action.lift | (self.time >= p.approach_time - 1e-9)
+        begins = may_lift & ~np.isfinite(self.lift_time)
+        if begins.any():
+            self.lift_time[begins] = self.time[begins]
+            moved = np.linalg.norm(self.worlds.object_pose[:, :2] - self.settled_pose[:, :2], axis=1)
+            self._pushed[begins] = moved[begins]
+        goal = action.wrist_pose.copy()
+        goal[:, 2] += np.where(np.isfinite(self.lift_time), p.lift_height, 0.0)
+        return self.servos.plan(goal, action.finger_targets)
 
     def _observe_hold(self, goal: np.ndarray) -> None:
         risen = np.isfinite(self.lift_time) & (

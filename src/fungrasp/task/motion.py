@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from fungrasp.geometry.poses import (
+    norm,
     quaternion_conjugate,
     quaternion_from_rotation_vector,
     quaternion_multiply,
@@ -26,19 +27,17 @@ class WristSetPoint:
         """Move towards the goal poses [W, 7] for some time [s]: straight, braking in time, never faster than
         allowed."""
         p = self._protocol
-        offset = goal[:, :3] - self.pose[:, :3]
-        distance = np.linalg.norm(offset, axis=1, keepdims=True)
+        position, quaternion = self.pose[:, :3], self.pose[:, 3:]
+        offset = goal[:, :3] - position
+        distance = norm(offset)
         reach = p.wrist_acceleration * duration
         speed = np.minimum(
             p.wrist_speed, np.sqrt(reach**2 / 4 + 2 * p.wrist_acceleration * distance) - reach / 2
         )
         wanted = offset / np.maximum(distance, 1e-9) * np.minimum(speed, distance / duration)
         change = wanted - self.velocity
-        size = np.linalg.norm(change, axis=1, keepdims=True)
-        self.velocity = self.velocity + change * np.minimum(1.0, reach / np.maximum(size, 1e-12))
-        self.pose[:, :3] += duration * self.velocity
-        turn = rotation_vector(quaternion_multiply(goal[:, 3:], quaternion_conjugate(self.pose[:, 3:])))
-        angle = np.linalg.norm(turn, axis=1, keepdims=True)
-        turn = turn * np.minimum(1.0, p.wrist_rotation_speed * duration / np.maximum(angle, 1e-12))
-        rotation = quaternion_multiply(quaternion_from_rotation_vector(turn), self.pose[:, 3:])
-        self.pose[:, 3:] = rotation / np.linalg.norm(rotation, axis=1, keepdims=True)
+        self.velocity = self.velocity + change * np.minimum(1.0, reach / np.maximum(norm(change), 1e-12))
+        turn = rotation_vector(quaternion_multiply(goal[:, 3:], quaternion_conjugate(quaternion)))
+        turn = turn * np.minimum(1.0, p.wrist_rotation_speed * duration / np.maximum(norm(turn), 1e-12))
+        rotation = quaternion_multiply(quaternion_from_rotation_vector(turn), quaternion)
+        self.pose = np.concatenate([position + duration * self.velocity, rotation / norm(rotation)], axis=1)

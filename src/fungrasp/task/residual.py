@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from array_api_compat import array_namespace
-
-from fungrasp.geometry.poses import Array, compose, quaternion_from_rotation_vector
+from fungrasp.geometry.poses import Array, array_namespace, compose, quaternion_from_rotation_vector
 
 WRIST_ACTIONS = 6
 """Three along the palm's axes, three about them; then one for each finger servo."""

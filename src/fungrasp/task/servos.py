@@ -1,0 +1,135 @@
+"""Set points of the servos, as a robot's computer makes them from an action in every control period."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from fungrasp.geometry.poses import compose, invert, rotate
+from fungrasp.simulation import Scene
+from fungrasp.task.motion import WristSetPoint
+from fungrasp.task.protocol import Protocol
+
+SET_POINT_PERIOD = 0.02
+"""Time between two set points of the servos [s]."""
+
+
+@dataclass(frozen=True, eq=False)
+class SetPoints:
+    """Of one control period, S of them, in W worlds."""
+
+    goal: np.ndarray
+    """Where the palm is to go in the end, world frame, shape [W, 7]."""
+    commands: np.ndarray
+    """Of all servos, in the order of ``Servos.actuators``, shape [S, W, 6 + U]."""
+    palm: np.ndarray
+    """Where the palm is told to be, world frame, shape [S, W, 7]."""
+    fingers: np.ndarray
+    """Where the independent joints are told to be [rad], shape [S, W, U]."""
+
+
+class Servos:
+    """The servos of W worlds: they move on from where they are, late where there is a latency."""
+
+    def __init__(self, scene: Scene, count: int, protocol: Protocol):
+        """
+        Args:
+            scene: of the worlds.
+            count: W.
+            protocol: with the limits of the wrist.
+        """
+        self.substeps = round(SET_POINT_PERIOD / scene.settings.timestep)
+        """Physics steps between two set points."""
+        self.period = self.substeps * scene.settings.timestep
+        """What they take [s]."""
+        self.number = round(protocol.control_period / self.period)
+        """S, set points in a control period."""
+        self.actuators = np.concatenate([scene.wrist_actuators, scene.finger_actuators])
+        """Their numbers in the scene."""
+        resting = np.tile([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], (count, 1))
+        self.wrist = WristSetPoint(resting, protocol)
+        self.fingers = np.zeros((count, len(scene.finger_actuators)))
+        """Where the independent joints were last told to be [rad], shape [W, U]."""
+        self.latency = np.zeros(count)
+        """How late an action takes effect [s], at most a control period, rounded up to whole periods of the
+        set points; shape [W]."""
+        low, high = scene.model.actuator_ctrlrange[scene.finger_actuators].T
+        self._lowest, self._highest = low, high
+        self._lead = scene.settings.wrist_damping[0] / scene.settings.wrist_stiffness[0]
+        self._to_reference = resting.copy()
+        self._goal = resting.copy()
+        self._finger_rate = np.zeros_like(self.fingers)
+
+    def begin(
+        self,
+        ids: np.ndarray,
+        reference: np.ndarray,
+        pose: np.ndarray,
+        velocity: np.ndarray,
+        fingers: np.ndarray,
+    ) -> None:
+        """Start somewhere in some worlds, I of them.
+
+        Args:
+            ids: worlds, shape [I].
+            reference: frame in which the wrist's joints count, world frame, shape [I, 7].
+            pose: of the palm, world frame, shape [I, 7].
+            velocity: of the wrist, world frame [m/s], shape [I, 3].
+            fingers: independent joints [rad], shape [I, U].
+        """
+        self._to_reference[ids] = invert(reference)
+        self.wrist.pose[ids], self.wrist.velocity[ids] = pose, velocity
+        self.fingers[ids] = fingers
+        self._goal[ids], self._finger_rate[ids] = pose, 0.0
+
+    def plan(self, goal: np.ndarray, fingers: np.ndarray) -> SetPoints:
+        """The set points of the next control period; the servos then are where it ends.
+
+        Args:
+            goal: of the palm, world frame, shape [W, 7].
+            fingers: of the independent joints, to be there when the period ends [rad], shape [W, U].
+        """
+        fingers = np.minimum(np.maximum(fingers, self._lowest), self._highest)
+        due = np.ceil(self.latency / self.period - 1e-9)
+        heeded = due == np.arange(self.number + 1)[:, None]
+        heeded[-1] |= due > self.number
+        any_heeded = heeded.any(axis=1).tolist()
+        palms, velocities, joints = [], [], []
+        for i in range(self.number):
+            if any_heeded[i]:
+                self._heed(heeded[i], goal, fingers)
+            self.wrist.advance(self._goal, self.period)
+            self.fingers = self.fingers + self._finger_rate
+            palms.append(self.wrist.pose)
+            velocities.append(self.wrist.velocity)
+            joints.append(self.fingers)
+        if any_heeded[-1]:
+            self._heed(heeded[-1], goal, fingers)
+        palm, velocity, fingers = np.stack(palms), np.stack(velocities), np.stack(joints)
+        return SetPoints(goal, self._commands(palm, velocity, fingers), palm, fingers)
+
+    def commands(self) -> np.ndarray:
+        """Those of all servos now, shape [W, 6 + U]."""
+        return self._commands(self.wrist.pose, self.wrist.velocity, self.fingers)
+
+    def wrist_coordinates(self, pose: np.ndarray) -> np.ndarray:
+        """Of the wrist's joints [m, rad], shape [..., W, 6]. pose: of the palm, world frame, shape [..., W,
+        7]."""
+        relative = compose(self._to_reference, pose)
+        turns = Rotation.from_quat(relative[..., 3:].reshape(-1, 4), scalar_first=True)
+        angles = turns.as_euler("XYZ").reshape(*relative.shape[:-1], 3)
+        return np.concatenate([relative[..., :3], angles], axis=-1)
+
+    def _commands(self, palm: np.ndarray, velocity: np.ndarray, fingers: np.ndarray) -> np.ndarray:
+        wrist = self.wrist_coordinates(palm)
+        # A damped servo trails behind a set point that moves; it is told to be ahead by as much.
+        wrist[..., :3] += self._lead * rotate(self._to_reference[:, 3:], velocity)
+        return np.concatenate([wrist, fingers], axis=-1)
+
+    def _heed(self, which: np.ndarray, goal: np.ndarray, fingers: np.ndarray) -> None:
+        """Go for an action from now on. which: shape [W] bool."""
+        rate = (fingers - self.fingers) / self.number
+        self._goal = np.where(which[:, None], goal, self._goal)
+        self._finger_rate = np.where(which[:, None], rate, self._finger_rate)
