@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -52,7 +53,7 @@ def result(**changes) -> CaptureResult:
     return dataclasses.replace(whole, **changes)
 
 
-def known_capture():
+def known_capture() -> Any:
     """The first built-in grasp in depth, without noise and clutter: object, table, no skin."""
     camera = Intrinsics(160, 120, 150.0, 150.0, 80.0, 60.0)
     middle = GRASP.object_pose[:3]

@@ -136,8 +136,9 @@ class Perception:
                 mesh = painted_mesh(known.painted) if self.coloured else None
                 result = measure_perception(known, model, detector, other, mesh)
                 if self.absent:
-                    lacking = [self._lacking(i, part, human, objects) for part in (Label.HAND, Label.OBJECT)]
-                    result = replace(result, absent=measure_absent(*lacking, model, detector))
+                    no_hand = self._lacking(i, Label.HAND, human, objects)
+                    no_object = self._lacking(i, Label.OBJECT, human, objects)
+                    result = replace(result, absent=measure_absent(no_hand, no_object, model, detector))
                 yield result
                 show(i + 1)
 
