@@ -32,7 +32,7 @@ DISTORTION = 1e-6
 _log = logging.getLogger(__name__)
 
 
-def capture_from_camera(recording: Path | None = None, warm_up: int = 30) -> Capture:
+def capture_from_camera(recording: str | Path | None = None, warm_up: int = 30) -> Capture:
     """Take one capture: colour, and depth aligned to it.
 
     Args:
@@ -91,7 +91,7 @@ def _module() -> Any:
         raise FungraspError(f"pyrealsense2 is installed but can't be loaded: {_line(error)}{hint}") from error
 
 
-def _why_not_started(recording: Path | None, error: RuntimeError) -> str:
+def _why_not_started(recording: str | Path | None, error: RuntimeError) -> str:
     reason = _line(error)
     if recording is not None:
         return (

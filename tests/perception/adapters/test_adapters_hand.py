@@ -71,6 +71,19 @@ def test_an_object_in_front_of_half_the_hand_does_not_pull_it(tmp_path, capture)
     assert worst(read_hand(path, dataclasses.replace(held, mask=hidden))) < 0.012
 
 
+def test_a_hand_that_might_be_at_two_depths_scores_lower(tmp_path, capture):
+    path = write_npz(tmp_path / "h.npz", hamer_fields(JOINTS))
+    clear = read_hand(path, capture)
+    depth = capture.depth.copy()
+    left = np.arange(CAMERA.width) < np.median(CAMERA.project(JOINTS)[:, 0])
+    depth[:, left] *= 0.9
+    doubtful = read_hand(path, dataclasses.replace(capture, depth=depth))
+    assert clear.score > 0.95 and doubtful.score < 0.8
+    # Where nothing agrees joints are less sure.
+    z = np.abs(doubtful.joints_camera[:, 2] - depth[tuple(doubtful.pixels.astype(int).T[::-1])])
+    assert doubtful.confidence[z > 0.04].max() < doubtful.confidence[z < 0.02].max()
+
+
 def test_a_hand_where_none_is_scores_low(tmp_path):
     wall = made_capture(true_hand(aside=-0.3))
     depth = np.full_like(wall.depth, 1.6)

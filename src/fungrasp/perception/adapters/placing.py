@@ -21,25 +21,28 @@ from fungrasp.perception.hand_start import HandMeasurements, joint_confidence
 AGREEMENT = 0.012
 """Depths so near to each other [m] agree: thickness of the flesh, errors of shape and camera."""
 
-SIZE_SPREAD = 0.15
-"""Standard deviation of the logarithm of hand sizes, errors of the shape included."""
+SIZE_SPREAD = 0.11
+"""Standard deviation of the logarithm of adults' hand sizes, errors of the shape included."""
 
 SEEN_THROUGH = 0.03
 """What is measured so far behind the skin [m] shows that no hand is there."""
 
 PROBE_WEIGHT = 0.5
-"""What one point of the flesh is worth as evidence [logarithm of likelihood]; neighbours err alike."""
+"""What one point of the flesh is worth that agrees [logarithm of likelihood]; neighbours err alike."""
+
+THROUGH_WEIGHT = 1.0
+"""What one point is worth that is seen through, against."""
 
 LEAST_AGREEING = 0.3
 """Part of the visible hand that must agree on a depth for full trust."""
 
-LANDMARK_SPREAD = 0.02
+LANDMARK_SPREAD = 0.03
 """Standard deviation of a landmark across the ray, as a part of the hand's extent."""
 
-SHAPE_SPREAD = 0.009
+SHAPE_SPREAD = 0.007
 """Standard deviation of a joint along the ray against the rest of the hand [m]."""
 
-HIDDEN = 1.6
+HIDDEN = 1.4
 """By so much are these larger for a joint where nothing agrees."""
 
 
@@ -53,8 +56,8 @@ def place_hand(detected: DetectedHand, capture: Capture, *, keep_size: bool = Fa
 
     Returns:
         Joints in the camera frame; a left hand is not mirrored. The score is the file's, times the part of
-        the visible hand that is not seen through, lowered where hardly anything agrees on a depth and where
-        the hand's size is not one of people.
+        the visible hand that is not seen through, lowered where hardly anything agrees on a depth, where
+        another depth is about as likely, and where the hand's size is not one of people.
 
     Raises:
         FungraspError: there is no depth where the hand is, or its landmarks don't fit its shape.
@@ -72,14 +75,17 @@ def place_hand(detected: DetectedHand, capture: Capture, *, keep_size: bool = Fa
             "or is the depth not aligned to the colour?"
         )
     factors = measured[known] / (probes - radius[:, None] * [0, 0, 1])[known, 2]
-    factor = 1.0 if keep_size else _common_factor(factors, float(points[:, 2].mean()), size)
+    factor, certainty = _common_factor(factors, float(points[:, 2].mean()), size)
+    if keep_size:
+        factor, certainty = 1.0, 1.0
     joints = points * factor
     off = measured - factor * (probes[:, 2] - radius)
     agreeing = known & (np.abs(off) < AGREEMENT)
     covariance = _covariance(joints, _seen_joints(agreeing))
-    score = detected.score * _trust(off[known], agreeing.sum() / known.sum(), size * factor)
+    trust = _trust(off[known], agreeing.sum() / known.sum(), size * factor)
+    score = detected.score * certainty * trust
     return HandEstimate(
-        joints, detected.pixels, joint_confidence(covariance), covariance, detected.side, float(score)
+        joints, detected.pixels, joint_confidence(covariance), covariance, detected.side, score
     )
 
 
@@ -114,17 +120,21 @@ def _measured(detected: DetectedHand, capture: Capture, probes: np.ndarray) -> n
     return seen.measured(pixels)
 
 
-def _common_factor(factors: np.ndarray, distance: float, size: float) -> float:
-    """What most of the factors agree on, given that hands have a size."""
+def _common_factor(factors: np.ndarray, distance: float, size: float) -> tuple[float, float]:
+    """What most of the factors agree on, given that hands have a size; and how much more likely that is than
+    the next best, 0.5 to 1."""
     logs = np.log(factors)
     # By row the factor that is tried, by column how much farther the others see something.
     beyond = logs - logs[:, None]
     unit = distance * float(np.median(factors))
     near = np.abs(beyond) < AGREEMENT / unit
     through = beyond > SEEN_THROUGH / unit
-    evidence = PROBE_WEIGHT * (near.sum(axis=1) - through.sum(axis=1))
-    best = int(np.argmax(evidence - 0.5 * ((logs + np.log(size)) / SIZE_SPREAD) ** 2))
-    return float(np.exp(logs[near[best]].mean()))
+    evidence = PROBE_WEIGHT * near.sum(axis=1) - THROUGH_WEIGHT * through.sum(axis=1)
+    evidence -= 0.5 * ((logs + np.log(size)) / SIZE_SPREAD) ** 2
+    best = int(np.argmax(evidence))
+    others = np.abs(beyond[best]) > SEEN_THROUGH / unit
+    lead = evidence[best] - evidence[others].max(initial=-np.inf)
+    return float(np.exp(logs[near[best]].mean())), float(1 / (1 + np.exp(-lead)))
 
 
 def _seen_joints(agreeing: np.ndarray) -> np.ndarray:
