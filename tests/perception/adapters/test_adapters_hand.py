@@ -18,6 +18,7 @@ from fungrasp.errors import FungraspError
 from fungrasp.grasps import HUMAN_JOINTS
 from fungrasp.perception.adapters import read_hand, read_hands
 from fungrasp.perception.adapters.joint_orders import MANO, OPENPOSE
+from fungrasp.perception.adapters.placing import _common_factor
 
 JOINTS = true_hand()
 
@@ -71,17 +72,15 @@ def test_an_object_in_front_of_half_the_hand_does_not_pull_it(tmp_path, capture)
     assert worst(read_hand(path, dataclasses.replace(held, mask=hidden))) < 0.012
 
 
-def test_a_hand_that_might_be_at_two_depths_scores_lower(tmp_path, capture):
-    path = write_npz(tmp_path / "h.npz", hamer_fields(JOINTS))
-    clear = read_hand(path, capture)
-    depth = capture.depth.copy()
-    left = np.arange(CAMERA.width) < np.median(CAMERA.project(JOINTS)[:, 0])
-    depth[:, left] *= 0.9
-    doubtful = read_hand(path, dataclasses.replace(capture, depth=depth))
-    assert clear.score > 0.95 and doubtful.score < 0.8
-    # Where nothing agrees joints are less sure.
-    z = np.abs(doubtful.joints_camera[:, 2] - depth[tuple(doubtful.pixels.astype(int).T[::-1])])
-    assert doubtful.confidence[z > 0.04].max() < doubtful.confidence[z < 0.02].max()
+def test_two_depths_that_are_as_likely_are_told_apart_by_chance():
+    size = 0.88**-0.5
+    # 30 points agree on a nearer hand, of which 10 others would be seen through; both sizes are as usual.
+    factor, certainty = _common_factor(np.repeat([0.88, 1.0], [30, 10]), 0.6, size)
+    assert certainty == pytest.approx(0.5) and factor == pytest.approx(0.88)
+    factor, certainty = _common_factor(np.repeat([0.88, 1.0], [30, 12]), 0.6, size)
+    # 12 * 0.5 against 30 * 0.5 - 12 * 1.
+    assert factor == pytest.approx(1.0) and certainty == pytest.approx(1 / (1 + np.exp(-3)))
+    assert _common_factor(np.full(40, 0.9), 0.6, 1.0) == (pytest.approx(0.9), 1.0)
 
 
 def test_a_hand_where_none_is_scores_low(tmp_path):
