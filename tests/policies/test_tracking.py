@@ -61,6 +61,7 @@ def test_what_is_wanted_tells_the_time_to_closing_and_the_lift():
     np.testing.assert_array_equal(wanted.since_lift, -1.0)
     task.time[:] = PERIOD * (plan.lift + 3)
     task.lift_time[0] = PERIOD * plan.lift[0]
+    at_work.advance()
     wanted = at_work.view().wanted
     np.testing.assert_allclose(wanted.since_closing, PERIOD * (plan.lift + 3 - plan.closing))
     np.testing.assert_allclose(wanted.since_lift, [0.3, -1.0])

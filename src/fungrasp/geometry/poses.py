@@ -19,9 +19,10 @@ Array = Any
 def array_namespace(*arrays: Array) -> Any:
     """The library that computes with these arrays, by the names of the array API."""
     # NumPy has them itself, and to ask what a library is takes longer than a product of two quaternions.
-    if all(type(array) is np.ndarray for array in arrays):
-        return np
-    return array_api_compat.array_namespace(*arrays)
+    for array in arrays:
+        if type(array) is not np.ndarray:
+            return array_api_compat.array_namespace(*arrays)
+    return np
 
 
 def quaternion_multiply(a: Array, b: Array) -> Array:

@@ -66,7 +66,7 @@ class LearnedPolicy:
         self._first = False
         seen = flatten(self._seen() | (self._contacts() if self._sees_contacts else {}))
         # A finished or broken world may hold anything; its action is not used.
-        finite = np.nan_to_num(seen, nan=0.0, posinf=0.0, neginf=0.0).astype(np.float32)
+        finite = np.where(np.isfinite(seen), seen, 0.0).astype(np.float32)
         action, _, self._state = self._network(finite, self._state)
         return self._tracker.act(action)
 

@@ -46,6 +46,7 @@ class PolicyNetwork:
             FungraspError: ONNX Runtime is missing or refuses the graph, or the graph is not as the card says.
         """
         self.card = card
+        self._size = card.input_size
         self._session = _session(model, threads)
         inputs = {put.name: put for put in self._session.get_inputs()}
         self._outputs = [put.name for put in self._session.get_outputs()]
@@ -119,7 +120,7 @@ class PolicyNetwork:
     def _checked(self, observation: np.ndarray) -> np.ndarray:
         """As single precision, of the right shape, finite."""
         given = np.asarray(observation)
-        if given.ndim != 2 or given.shape[1] != self.card.input_size:
+        if given.ndim != 2 or given.shape[1] != self._size:
             layout = ", ".join(f"{part.name} {part.size}" for part in self.card.inputs)
             raise FungraspError(
                 f"{self._name} takes observations of shape [W, {self.card.input_size}] ({layout}), "

@@ -86,11 +86,16 @@ class Tracker:
         self._anchor = self._palm.copy()
         self._before: Readings | None = None
         self._now: Readings | None = None
+        # Made when first asked for after each reading.
+        self._goal: tuple[np.ndarray, np.ndarray] | None = None
+        self._view: View | None = None
+        self._sensed: Sensed | None = None
 
     def begin(self, ids: np.ndarray, rows: np.ndarray) -> None:
         """Follow other references in some worlds. ids: worlds, shape [I]; rows: of the references, [I]."""
         self.rows[ids] = rows
         self.action[ids] = 0.0
+        self._goal = self._view = self._sensed = None
         fresh = self._read()
         self._anchor[ids] = fresh.object_pose[ids]
         if self._now is None or self._before is None:
@@ -104,22 +109,25 @@ class Tracker:
         """Read the worlds, once in each control step."""
         if self._now is None:
             raise RuntimeError("begin comes before advance")
+        self._goal = self._view = self._sensed = None
         self._before, self._now = self._now, self._read()
         before_closing = self.task.control_step < self.references.motion.closing[self.rows]
         self._anchor = np.where(before_closing[:, None], self._now.object_pose, self._anchor)
 
     def view(self) -> View:
-        """The worlds as they were last read."""
+        """The worlds as they were last read, by ``begin`` or ``advance``."""
+        if self._view is not None:
+            return self._view
         task, refs, rows = self.task, self.references, self.rows
         if self._now is None or self._before is None:
             raise RuntimeError("begin comes before view")
         step = self.task.control_step
         closing = step - refs.motion.closing[rows]
-        goal, fingers = refs.motion.at(step, rows)
+        goal, fingers = self._asked()
         index = task.worlds.object_index
         period = task.protocol.control_period
         since_lift = np.where(np.isfinite(task.lift_time), task.time - task.lift_time, -1.0)
-        lifted = compose(self._anchor, goal)
+        lifted = goal.copy()
         lifted[:, 2] += np.where(since_lift >= 0, task.protocol.lift_height, 0.0)
         wanted = Wanted(
             lifted,
@@ -136,28 +144,36 @@ class Tracker:
             period * closing,
             since_lift,
         )
-        return View(self._now, self._before, wanted, self.action)
+        self._view = View(self._now, self._before, wanted, self.action)
+        return self._view
 
     def act(self, action: np.ndarray) -> Action:
         """What the task is asked for. action: of the policy, shape [W, A]."""
-        refs, rows = self.references, self.rows
         self.action = smoothed(action, self.action, self.settings)
-        step = self.task.control_step
-        goal, fingers = refs.motion.at(step, rows)
-        goal, fingers = apply(compose(self._anchor, goal), fingers, self.action, self.settings)
-        return Action(goal, fingers, step >= refs.motion.lift[rows])
+        self._view = None
+        goal, fingers = apply(*self._asked(), self.action, self.settings)
+        return Action(goal, fingers, self.task.control_step >= self.references.motion.lift[self.rows])
 
     def sensed(self) -> Sensed:
-        """What only a simulation knows."""
-        worlds = self.task.worlds
-        return Sensed(
-            worlds.link_contacts,
-            worlds.link_forces,
-            worlds.object_velocity,
-            worlds.table_forces,
-            worlds.hand_on_hand,
-            worlds.object_on_table,
-        )
+        """What only a simulation knows, when the worlds were last read."""
+        if self._sensed is None:
+            worlds = self.task.worlds
+            self._sensed = Sensed(
+                worlds.link_contacts,
+                worlds.link_forces,
+                worlds.object_velocity,
+                worlds.table_forces,
+                worlds.hand_on_hand,
+                worlds.object_on_table,
+            )
+        return self._sensed
+
+    def _asked(self) -> tuple[np.ndarray, np.ndarray]:
+        """Of the reference for this control step: palm, world frame, shape [W, 7]; servo targets, [W, U]."""
+        if self._goal is None:
+            goal, fingers = self.references.motion.at(self.task.control_step, self.rows)
+            self._goal = compose(self._anchor, goal), fingers
+        return self._goal
 
     def _read(self) -> Readings:
         task, noise = self.task, self.noise

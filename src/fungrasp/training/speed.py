@@ -18,7 +18,8 @@ from fungrasp.policies.learned import LearnedPolicy
 from fungrasp.policies.network import PolicyNetwork
 from fungrasp.policies.policy_file import load_policy
 from fungrasp.simulation import Worlds, build_scene
-from fungrasp.task import LiftTask
+from fungrasp.task import Action, LiftTask
+from fungrasp.task.servos import SetPoints
 from fungrasp.training.distill import make_student
 from fungrasp.training.environment import EnvironmentSettings, LiftEnvironment
 from fungrasp.training.export import export_student, make_card
@@ -67,9 +68,9 @@ class ActingSpeed:
     """Time of one control step of one robot, medians [ms]."""
 
     policy: float
-    """Reading, observation and network."""
+    """From what the sensors say to an action: observation, network, reference."""
     control: float
-    """Set points of one control step and their bookkeeping, without physics."""
+    """From an action to all set points of the servos during the control step."""
 
     @property
     def total(self) -> float:
@@ -166,7 +167,8 @@ def update_speed(environment: LiftEnvironment, settings: PpoSettings, updates: i
 def acting_speed(
     network: PolicyNetwork, grasp: RobotGraspSet, objects: Mapping[str, ObjectModel], hand: Hand
 ) -> ActingSpeed:
-    """One trial of one robot.
+    """One trial of one robot: what its computer would do in each control step. Physics does not count, nor
+    what only the test does, such as to see whether the object is held.
 
     Args:
         network: of a policy of the hand.
@@ -179,24 +181,21 @@ def acting_speed(
     task = LiftTask(scene, grasp, worlds)
     task.reset()
     policy = LearnedPolicy(task, objects, network)
-    engine, physics = worlds.step, 0.0
-
-    def timed(substeps: int, which: np.ndarray | None = None) -> None:
-        nonlocal physics
-        start = perf_counter()
-        engine(substeps, which)
-        physics += perf_counter() - start
-
-    worlds.step = timed
+    set_points = task.set_points
     acting, control = [], []
+
+    def timed(action: Action) -> SetPoints:
+        start = perf_counter()
+        points = set_points(action)
+        control.append(perf_counter() - start)
+        return points
+
+    task.set_points = timed
     while not task.done.all():
         start = perf_counter()
         action = policy.act()
-        middle = perf_counter()
-        physics = 0.0
+        acting.append(perf_counter() - start)
         task.step(action)
-        acting.append(middle - start)
-        control.append(perf_counter() - middle - physics)
     return ActingSpeed(1e3 * float(np.median(acting)), 1e3 * float(np.median(control)))
 
 
