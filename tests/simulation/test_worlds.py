@@ -240,3 +240,31 @@ def test_every_hand_fits_in_a_scene_and_stays_still(name):
     palm = worlds.palm_pose[0]
     np.testing.assert_allclose(palm[:3], [0.0, 0.0, 0.5], atol=2e-3)
     assert np.abs(worlds.qvel[0, 6:]).max() < 0.2
+
+
+def test_a_world_that_explodes_is_known_as_broken_until_it_is_reset(scene, objects, monkeypatch, tmp_path):
+    # MuJoCo writes a log where it is.
+    monkeypatch.chdir(tmp_path)
+    worlds = Worlds(scene, np.zeros(3, dtype=int), threads=1)
+    put(worlds, standing(objects, OBJECTS[:1] * 3))
+    worlds.step(5)
+    assert not worlds.broken.any()
+    worlds.qvel[1] = 1e9
+    worlds.step(5)
+    assert np.isfinite(worlds.qpos).all()
+    np.testing.assert_array_equal(worlds.broken, [False, True, False])
+    worlds.step(5)
+    worlds.reset(np.array([0]))
+    np.testing.assert_array_equal(worlds.broken, [False, True, False])
+    worlds.reset(np.array([1]))
+    worlds.step(5)
+    assert not worlds.broken.any()
+
+
+def test_a_command_that_is_not_a_number_breaks_a_world(scene, objects, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    worlds = Worlds(scene, np.zeros(2, dtype=int), threads=1)
+    put(worlds, standing(objects, OBJECTS[:1] * 2))
+    worlds.ctrl[0, 0] = np.nan
+    worlds.step(1)
+    np.testing.assert_array_equal(worlds.broken, [True, False])

@@ -123,6 +123,20 @@ def test_an_object_that_touches_the_table_has_not_been_lifted():
     assert not trials.success[0] and trials.reason[0] == "the object touched the table during the hold"
 
 
+def test_a_world_that_explodes_has_lifted_nothing(monkeypatch, tmp_path):
+    # MuJoCo writes a log where it is.
+    monkeypatch.chdir(tmp_path)
+    task = ready([CUBE, CUBE])
+    task.step(stay(task))
+    task.worlds.qvel[0] = 1e9
+    raised = task.settled_pose.copy()
+    raised[:, :3] += [0.3, 0.0, 0.15]
+    run(task, lift_from=0.0, watch=held_at(task, raised))
+    trials = task.trials()
+    np.testing.assert_array_equal(trials.success, [False, True])
+    np.testing.assert_array_equal(trials.reason, ["the simulation diverged", ""])
+
+
 def test_displacement_per_second_of_the_hold():
     task = ready([CUBE, CUBE])
     pose = task.settled_pose.copy()

@@ -19,6 +19,14 @@ INERTIAL = (
 )
 """Model fields that follow from the object's mass."""
 
+BREAKDOWNS = [
+    int(mujoco.mjtWarning.mjWARN_BADQPOS),
+    int(mujoco.mjtWarning.mjWARN_BADQVEL),
+    int(mujoco.mjtWarning.mjWARN_BADQACC),
+    int(mujoco.mjtWarning.mjWARN_BADCTRL),
+]
+"""Warnings after which a world's motion means nothing."""
+
 
 class Worlds:
     """W worlds. State arrays are live: writing to them changes the worlds."""
@@ -103,6 +111,14 @@ class Worlds:
         """Advance by physics steps; sensors and poses are current afterwards. which: world ids, all if
         None."""
         self.batch.step(which, nstep=substeps, stage=mujoco.mjtStage.mjSTAGE_VEL)
+
+    @property
+    def broken(self) -> np.ndarray:
+        """Worlds whose physics has broken down since they were last reset, shape [W] bool.
+
+        Their numbers don't show it: MuJoCo puts such a world back to the scene's default and goes on.
+        """
+        return (self.batch.warning[:, BREAKDOWNS, 1] > 0).any(axis=1)
 
     @property
     def object_pose(self) -> np.ndarray:

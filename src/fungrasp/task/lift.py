@@ -228,7 +228,7 @@ class LiftTask:
         self.hold_time = np.where(risen & ~np.isfinite(self.hold_time), self.time, self.hold_time)
         holding = np.isfinite(self.hold_time) & ~self.done
         height = self.worlds.center_of_mass[:, 2] - self.settled_height
-        height = np.where(np.isfinite(height), height, -1.0)
+        height = np.where(np.isfinite(height) & ~self.worlds.broken, height, -1.0)
         self._lifted = np.where(holding, np.minimum(self._lifted, height), self._lifted)
         self._touched_table |= holding & self.worlds.object_on_table
 
