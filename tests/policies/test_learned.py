@@ -170,6 +170,13 @@ def test_policies_made_for_something_else_are_refused(change, words, tmp_path):
         make_policy(str(path), start(), grasps_and_objects()[1])
 
 
+def test_nothing_is_planned_for_a_policy_of_another_hand(tmp_path, monkeypatch):
+    monkeypatch.setattr(learned, "planned", lambda task, objects: pytest.fail("planned"))
+    path = policy_file(tmp_path, hand="leap")
+    with pytest.raises(FungraspError, match="made for the hand 'leap'"):
+        make_policy(str(path), start(), grasps_and_objects()[1])
+
+
 def test_other_observations_are_refused(tmp_path):
     seen = tuple(Part(*part) for part in layouts()[0])
     contacts = tuple(Part(*part) for part in layouts()[1])

@@ -42,6 +42,7 @@ class LearnedPolicy:
         Raises:
             FungraspError: the network was made for another hand, other observations or another rate.
         """
+        check_card(network.card, task)
         self._network, hand = network, task.scene.hand
         if references is None:
             references = References.of(planned(task, objects), task.grasps, task.settled_pose, hand)
@@ -79,6 +80,18 @@ class LearnedPolicy:
         """What only a teacher sees."""
         sensed = self._tracker.sensed()
         return privileged(sensed.contacts, sensed.forces, self._tracker.view().wanted.contacts)
+
+
+def check_card(card: PolicyCard, task: LiftTask) -> None:
+    """What can be checked before anything is planned for a policy.
+
+    Raises:
+        FungraspError: it was made for another hand, another rate or other actions.
+    """
+    own = tuple((part.name, part.size) for part in card.observation)
+    contacts = tuple((part.name, part.size) for part in card.privileged)
+    check_fits(card, task.scene.hand, own, contacts, 1 / task.protocol.control_period)
+    residual_settings(card)
 
 
 def residual_settings(card: PolicyCard) -> ResidualSettings:
