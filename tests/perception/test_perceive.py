@@ -16,6 +16,7 @@ from fungrasp.grasps.human_hand import mirror_points
 from fungrasp.objects import ObjectModel, builtin_object
 from fungrasp.perception import Capture, ObjectEstimate
 from fungrasp.perception.hand_landmarks import DetectedHand, HandDetector
+from fungrasp.perception.hand_side import settle_side
 from fungrasp.perception.hand_weights import have_weights
 from fungrasp.perception.perceive import Perceived, perceive
 from fungrasp.perception.pose_error import add_s
@@ -196,12 +197,27 @@ def test_of_two_hands_the_one_at_the_object_is_taken():
     assert perceived.sure and "2 hands are in the image" in perceived.doubts[0]
 
 
-def test_a_side_that_was_said_wrong_is_a_doubt():
+def test_a_side_that_was_said_counts():
     scene, detected = mug()
+    unlikely = dataclasses.replace(detected, side="left", side_score=0.6)
     perceived = perceive(
-        scene.capture, scene.model, detector=StandIn(detected), object_estimate=known(scene), side="left"
+        scene.capture, scene.model, detector=StandIn(unlikely), object_estimate=known(scene), side="right"
     )
-    assert any("right one, not a left one" in doubt for doubt in perceived.doubts)
+    assert perceived.hand.side == "right" and perceived.grasp.object_name == "mug"
+    assert any("left one, not a right one as was said" in doubt for doubt in perceived.doubts)
+
+
+def test_fingers_tell_which_hand_it_is_where_the_model_is_in_doubt():
+    _, detected = mug()
+    assert settle_side(detected)[0] is detected
+    doubtful = dataclasses.replace(detected, side="left", side_score=0.6)
+    settled, note = settle_side(doubtful)
+    assert settled.side == "right" and "fingers bend like those of a right one" in note
+    np.testing.assert_array_equal(settled.pixels, detected.pixels)
+    # The model is sure, the landmarks can't be.
+    wrong, note = settle_side(dataclasses.replace(doubtful, side_score=0.99))
+    assert (wrong.side, wrong.score) == ("left", detected.score / 2) and "bent backwards" in note
+    assert settle_side(doubtful, "left")[0].side == "left"
 
 
 def test_no_hand_or_one_in_a_glove():

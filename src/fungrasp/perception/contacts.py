@@ -8,8 +8,22 @@ from fungrasp.geometry.poses import inverse_transform_points
 from fungrasp.geometry.signed_distance import SignedDistanceBank, SignedDistanceGrid
 from fungrasp.grasps.importers.contacts import LINK_RADII, link_points
 
-TOLERANCE = 0.005
-"""Gap between skin and surface that still counts as contact [m]."""
+FINGERTIP_TOLERANCE, OTHER_TOLERANCE = 0.010, -0.005
+"""Gaps between skin and surface below which a link touches [m]: the last links of the fingers, all others.
+
+Fingertips are on the object in nearly all grasps, only their estimate is off; other links pass by near it and
+touch when they are pressed in. Against D-Grasp's labels, on 30 rendered captures of 16 YCB objects, contacts
+have with these an F1 of 0.83 with the hands that were found, 0.87 with those fitted to the true landmarks and
+noise; with 5 mm for all links 0.71 and 0.75.
+"""
+
+TOLERANCES = np.array([OTHER_TOLERANCE] + [OTHER_TOLERANCE, OTHER_TOLERANCE, FINGERTIP_TOLERANCE] * 5)
+"""In the order of ``HUMAN_LINKS``."""
+
+
+def touching_links(joints: np.ndarray, surface: SignedDistanceGrid, pose: np.ndarray) -> np.ndarray:
+    """Which of ``HUMAN_LINKS`` touch the object, bool, shape [16]. Arguments as of ``link_gaps``."""
+    return link_gaps(joints, surface, pose) < TOLERANCES
 
 
 def link_gaps(joints: np.ndarray, surface: SignedDistanceGrid, pose: np.ndarray) -> np.ndarray:

@@ -20,12 +20,13 @@ from fungrasp.grasps.human_hand import mirror_points, mirror_pose
 from fungrasp.grasps.importers.dexycb import MIRRORED
 from fungrasp.objects import ObjectModel
 from fungrasp.perception.capture import Box, Capture
-from fungrasp.perception.contacts import TOLERANCE, link_gaps
+from fungrasp.perception.contacts import touching_links
 from fungrasp.perception.estimates import HandEstimate, ObjectEstimate, Side
 from fungrasp.perception.hand_contact import Surroundings
 from fungrasp.perception.hand_fit import fit_hand
 from fungrasp.perception.hand_landmarks import DetectedHand, HandDetector, choose_hand
 from fungrasp.perception.hand_refine import refine_hand
+from fungrasp.perception.hand_side import settle_side
 from fungrasp.perception.object_pose import SIZES, estimate_object_pose
 from fungrasp.perception.quality import Quality, measure_quality
 from fungrasp.perception.table import NO_TABLE, table_under
@@ -33,8 +34,9 @@ from fungrasp.perception.world_frame import guessed_table, in_world, put_down, w
 
 __all__ = ["Detector", "Perceived", "Quality", "perceive"]
 
-SURE_HAND = 0.5
-"""Hands of a lower score are "not sure"."""
+SURE_HAND = 0.6
+"""Hands of a lower score are "not sure". Of 30 found in rendered captures, three of the four whose joints
+were wrong by more than 25 mm had less, and none of those right to 14 mm."""
 
 
 class Detector(Protocol):
@@ -154,7 +156,9 @@ def _found(capture: Capture, side: Side | None, detector: Detector | None) -> tu
     """The hand that is meant, and what was left aside."""
     near = _object_box(capture)
     hands = (detector or HandDetector()).detect(capture.colour, near)
-    return choose_hand(hands, near, side)
+    chosen, note = choose_hand(hands, near, side)
+    chosen, which = settle_side(chosen, side)
+    return chosen, "; ".join(part for part in (note, which) if part)
 
 
 def _object_box(capture: Capture) -> Box | None:
@@ -195,8 +199,7 @@ def _grasp(
         object_pose=pose,
         object_rest_pose=put_down(model, pose),
         hand_joints=transform_points(pose_world_camera, hand.joints_camera),
-        link_contacts=link_gaps(hand.joints_camera, model.signed_distance, thing.pose_camera_object)
-        < TOLERANCE,
+        link_contacts=touching_links(hand.joints_camera, model.signed_distance, thing.pose_camera_object),
         task=task,
     )
     if hand.side == "right":
