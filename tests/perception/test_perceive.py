@@ -15,6 +15,7 @@ from fungrasp.geometry.poses import compose, inverse_transform_points, invert, t
 from fungrasp.grasps.human_hand import mirror_points
 from fungrasp.objects import ObjectModel, builtin_object
 from fungrasp.perception import Capture, ObjectEstimate
+from fungrasp.perception import perceive as room
 from fungrasp.perception.hand_landmarks import DetectedHand, HandDetector
 from fungrasp.perception.hand_side import settle_side
 from fungrasp.perception.hand_weights import have_weights
@@ -190,11 +191,26 @@ def test_of_two_hands_the_one_at_the_object_is_taken():
     other = dataclasses.replace(detected, pixels=detected.pixels * 0.5 + [10.0, 10.0], score=0.99)
     u, v = CAMERA.project(scene.pose_camera_object[:3])
     capture = scene.capture.with_object(box=(u - 40, v - 40, u + 40, v + 40))
-    perceived = perceive(
-        capture, scene.model, detector=StandIn(other, detected), object_estimate=known(scene)
-    )
+    found = StandIn(other, detected)
+    for image in (capture, scene.capture):
+        perceived = perceive(image, scene.model, detector=found, object_estimate=known(scene))
+        np.testing.assert_array_equal(perceived.hand.pixels, detected.pixels)
+        assert perceived.sure and "2 hands are in the image; the one nearest" in perceived.doubts[0]
+
+
+def test_of_two_hands_the_one_that_holds_the_object_is_taken(monkeypatch):
+    scene, detected = mug()
+    middle = detected.pixels.mean(axis=0)
+    larger = dataclasses.replace(detected, pixels=(detected.pixels - middle) * 1.3 + middle + [60.0, 0.0])
+
+    def estimate(capture, mesh, hand, table, seed):
+        near = np.linalg.norm(hand.pixels.mean(axis=0) - middle) < 5
+        return known(scene, 0.95 if near else 0.4)
+
+    monkeypatch.setattr(room, "estimate_object_pose", estimate)
+    perceived = perceive(scene.capture, scene.model, detector=StandIn(larger, detected))
     np.testing.assert_array_equal(perceived.hand.pixels, detected.pixels)
-    assert perceived.sure and "2 hands are in the image" in perceived.doubts[0]
+    assert "2 hands are in the image; the one that holds" in perceived.doubts[0]
 
 
 def test_a_side_that_was_said_counts():

@@ -107,20 +107,27 @@ def perceive(
     """
     _check_size(model)
     doubts: list[str] = []
-    detected = None
-    if hand is None:
-        detected, note = _found(capture, side, detector)
-        doubts += [note] * bool(note)
-        hand = fit_hand(detected, capture)
-    rng = np.random.default_rng(seed)
-    plane = table_under(capture, hand.joints_camera, rng) if table is None else np.asarray(table, float)
-    thing = object_estimate
-    if thing is None:
-        mesh, under = (model if coloured is None else coloured), (NO_TABLE if plane is None else plane)
-        thing = estimate_object_pose(capture, mesh, hand, under, seed=seed)
+    mesh = model if coloured is None else coloured
+    if hand is not None:
+        seen = _see(capture, mesh, hand, None, table, object_estimate, seed)
+    else:
+        near = _object_box(capture, model, object_estimate)
+        hands = (detector or HandDetector()).detect(capture.colour, near)
+        candidates, doubts = _candidates(hands, near, side)
+        seen = max(
+            (_see(capture, mesh, fit_hand(d, capture), d, table, object_estimate, seed) for d in candidates),
+            key=lambda found: found.thing.score * found.hand.score,
+        )
+        if len(candidates) > 1:
+            u, v = seen.hand.pixels.mean(axis=0)
+            doubts.append(
+                f"{len(hands)} hands are in the image; the one that holds the object more likely was taken, "
+                f"at pixel {u:.0f}, {v:.0f}; a mask or box of the object settles it"
+            )
+    thing, plane = seen.thing, seen.table
     if not thing.accepted:
         doubts.append(f"the object's pose: {thing.note or 'not sure'}")
-    hand = _refined(hand, detected, capture, model, thing, plane)
+    hand = _refined(seen, capture, model)
     if hand.score < SURE_HAND:
         doubts.append(f"the hand: its score is only {hand.score:.2f}")
     table_found = plane is not None
@@ -152,37 +159,76 @@ def _check_size(model: ObjectModel) -> None:
         raise FungraspError(f"'{model.name}' is {size:.4g} m large, which no hand holds{unit}")
 
 
-def _found(capture: Capture, side: Side | None, detector: Detector | None) -> tuple[DetectedHand, str]:
-    """The hand that is meant, and what was left aside."""
-    near = _object_box(capture)
-    hands = (detector or HandDetector()).detect(capture.colour, near)
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """A hand, and the table and the object that go with it."""
+
+    detected: DetectedHand | None
+    hand: HandEstimate
+    table: np.ndarray | None
+    thing: ObjectEstimate
+
+
+def _candidates(
+    hands: list[DetectedHand], near: Box | None, side: Side | None
+) -> tuple[list[DetectedHand], list[str]]:
+    """The hands that may be meant, and what was doubtful about choosing them.
+
+    One, where the object's place says which, or only one is there; else the two largest of the side.
+    """
     chosen, note = choose_hand(hands, near, side)
-    chosen, which = settle_side(chosen, side)
-    return chosen, "; ".join(part for part in (note, which) if part)
+    fitting = [hand for hand in hands if side in (None, hand.side)]
+    if near is None and len(fitting) > 1:
+        fitting.sort(key=lambda hand: -float(np.prod(hand.box[2:] - hand.box[:2])))
+        meant, note = fitting[:2], ""
+    else:
+        meant = [chosen]
+    settled = [settle_side(hand, side) for hand in meant]
+    notes = [note, *(word for _, word in settled)]
+    return [hand for hand, _ in settled], [word for word in notes if word]
 
 
-def _object_box(capture: Capture) -> Box | None:
-    """The box given, or that of the mask [pixels]."""
-    if capture.box is not None or capture.mask is None:
+def _object_box(capture: Capture, model: ObjectModel, thing: ObjectEstimate | None) -> Box | None:
+    """The box given, or that of the mask, or of the object where it is said to be [pixels]."""
+    if capture.box is not None:
         return capture.box
-    rows, columns = np.nonzero(capture.mask)
-    return float(columns.min()), float(rows.min()), float(columns.max()), float(rows.max())
+    if capture.mask is not None:
+        rows, columns = np.nonzero(capture.mask)
+        return float(columns.min()), float(rows.min()), float(columns.max()), float(rows.max())
+    if thing is None:
+        return None
+    pixels = capture.intrinsics.project(transform_points(thing.pose_camera_object, model.vertices))
+    if not np.isfinite(pixels).all():
+        return None
+    (x0, y0), (x1, y1) = pixels.min(axis=0), pixels.max(axis=0)
+    return float(x0), float(y0), float(x1), float(y1)
 
 
-def _refined(
+def _see(
+    capture: Capture,
+    mesh: ObjectModel | trimesh.Trimesh,
     hand: HandEstimate,
     detected: DetectedHand | None,
-    capture: Capture,
-    model: ObjectModel,
-    thing: ObjectEstimate,
     table: np.ndarray | None,
-) -> HandEstimate:
+    thing: ObjectEstimate | None,
+    seed: int,
+) -> _Seen:
+    """The table under a hand and the object in it, unless they are known."""
+    if table is None:
+        table = table_under(capture, hand.joints_camera, np.random.default_rng(seed))
+    if thing is None:
+        thing = estimate_object_pose(capture, mesh, hand, NO_TABLE if table is None else table, seed=seed)
+    return _Seen(detected, hand, table, thing)
+
+
+def _refined(seen: _Seen, capture: Capture, model: ObjectModel) -> HandEstimate:
     """The hand that touches the object; unchanged where the object's pose is not believed."""
-    if not thing.accepted:
-        return hand
-    if detected is None:
-        return refine_hand(hand, model.signed_distance, thing.pose_camera_object, table)
-    return fit_hand(detected, capture, Surroundings(model.signed_distance, thing.pose_camera_object, table))
+    if not seen.thing.accepted:
+        return seen.hand
+    surface, pose = model.signed_distance, seen.thing.pose_camera_object
+    if seen.detected is None:
+        return refine_hand(seen.hand, surface, pose, seen.table)
+    return fit_hand(seen.detected, capture, Surroundings(surface, pose, seen.table))
 
 
 def _grasp(
