@@ -109,7 +109,8 @@ def test_the_verdict_comes_first(tmp_path, no_pictures):
     assert said.index("✓ Sure") < said.index("In the image")
     assert "Not sure" not in said
     doubts = ("the hand: its score is only 0.31", "the object's pose: <wrong> mesh?")
-    html = page(tmp_path, perceived(sure=False, doubts=doubts))
+    thing = replace(perceived().object, score=0.3, accepted=False)
+    html = page(tmp_path, perceived(object=thing, sure=False, doubts=doubts))
     said = words(html)
     assert "✓ Sure" not in said
     assert (
@@ -117,6 +118,7 @@ def test_the_verdict_comes_first(tmp_path, no_pictures):
         < said.index("The hand: its score is only 0.31.")
         < said.index("In the image")
     )
+    assert "neither is what touches it" in said
     assert "<wrong>" not in html
     assert "<mine>" not in html
 
@@ -258,7 +260,7 @@ def test_an_object_out_of_the_image_is_not_drawn():
 
 def test_depth_has_colours_and_holes_are_black():
     seen = perceived()
-    picture = false_colours(CAPTURE, seen.hand, MODEL, TRUTH.pose_camera_object)
+    picture = false_colours(CAPTURE, seen.hand, MODEL, TRUTH.pose_camera_object, True)
     view = close_up(CAPTURE, seen.hand, MODEL, TRUTH.pose_camera_object)
     depth = view.cut(Image.fromarray(CAPTURE.depth))
     part = np.s_[:300]

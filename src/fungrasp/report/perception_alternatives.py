@@ -10,7 +10,7 @@ from fungrasp.perception import Capture
 from fungrasp.perception.perceive import Perceived
 from fungrasp.perception.pose_confidence import RIVAL_DISTANCE
 from fungrasp.perception.pose_error import add_s, rotation_error
-from fungrasp.report.page_parts import figure, number
+from fungrasp.report.page_parts import figure
 from fungrasp.report.perception_pictures import pose_over
 
 TURNED = 30.0
@@ -38,17 +38,17 @@ def alternatives(capture: Capture, model: ObjectModel, perceived: Perceived) -> 
     scores = [thing.score, *(score for _, score in thing.alternatives)]
     points = np.asarray(trimesh.sample.sample_surface(model.mesh, POINTS, seed=0)[0])
     apart, turned = _differences(points, poses, poses[0])
-    rows = [f'<tr><th scope="row">The answer</th><td class="number">{number(thing.score)}</td></tr>']
+    rows = [f'<tr><th scope="row">The answer</th><td class="number">{thing.score:.2f}</td></tr>']
     pictures, shown = [], poses[:1]
     for i in range(1, len(poses)):
         away = f"{1e3 * apart[i]:.0f} mm and {turned[i]:.0f}° from the answer"
         rows.append(
             f'<tr><th scope="row">Pose {i + 1}<small>{away}</small></th>'
-            f'<td class="number">{number(scores[i])}</td></tr>'
+            f'<td class="number">{scores[i]:.2f}</td></tr>'
         )
         if len(pictures) < PICTURED and _another(*_differences(points, shown, poses[i])).all():
             picture = pose_over(capture, perceived.hand, model, poses[0], poses[i])
-            caption = f"Pose {i + 1}, score {number(scores[i])}: {away}"
+            caption = f"Pose {i + 1}, score {scores[i]:.2f}: {away}"
             pictures.append(figure(picture, caption, photograph=True))
             shown = np.concatenate([shown, poses[i : i + 1]])
     return (
@@ -81,6 +81,6 @@ def _rival(scores: np.ndarray, apart: np.ndarray, turned: np.ndarray) -> str:
         return "Poses that look different fit worse."
     what = f"turned by {turned[best]:.0f}°" if turned[best] > TURNED else "elsewhere"
     return (
-        f"Pose {best + 1}, {what}, fits almost as well (score {number(float(scores[best]))} against "
-        f"{number(float(scores[0]))}): look at the pictures which of the two it is."
+        f"Pose {best + 1}, {what}, fits almost as well (score {scores[best]:.2f} against "
+        f"{scores[0]:.2f}): look at the pictures which of the two it is."
     )

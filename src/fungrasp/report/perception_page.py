@@ -98,13 +98,13 @@ def quantities(capture: Capture, perceived: Perceived) -> list[Quantity]:
     return [
         Quantity(
             "Score of the hand",
-            quality.hand_score,
+            round(quality.hand_score, 2),
             meaning="How sure it is that this is a hand, held like this; 1 is certain.",
             least=SURE_HAND,
         ),
         Quantity(
             "Score of the object's pose",
-            quality.object_score,
+            round(quality.object_score, 2),
             meaning="How sure it is that the mesh is there, turned like this; 1 is certain.",
             least=ACCEPT,
         ),
@@ -180,7 +180,7 @@ def _seen(capture: Capture, model: ObjectModel, perceived: Perceived) -> str:
         whole_image(capture, view), "The whole image; the frame is what is enlarged.", photograph=True
     )
     small += figure(
-        false_colours(capture, hand, model, pose),
+        false_colours(capture, hand, model, pose, perceived.object.accepted),
         "The depth: near is yellow, far is violet, black was not measured. The same outline.",
     )
     return (
@@ -195,6 +195,8 @@ def _in_space(model: ObjectModel, perceived: Perceived) -> str:
     views = grasp_from_four_sides(perceived.grasp, model, perceived.pose_world_camera, mirrored)
     pictures = "".join(figure(view, side) for view, side in zip(views, SIDES, strict=False))
     lines = [f"Touching the object, orange: {contact_words(perceived.grasp.link_contacts)}."]
+    if not perceived.object.accepted:
+        lines.append("As the object's pose is not believed, neither is what touches it.")
     if mirrored:
         lines.append("The image shows a left hand: what is drawn, and kept, is its reflection.")
     if not perceived.table_found:
@@ -204,13 +206,16 @@ def _in_space(model: ObjectModel, perceived: Perceived) -> str:
     words = "".join(f'<p class="outcome">{escape(line)}</p>' for line in lines)
     return (
         '<article id="grasp" aria-labelledby="grasp-title"><h2 id="grasp-title">From four sides</h2>'
-        f'{words}<div class="pictures">{pictures}</div></article>'
+        f'{words}<div class="pictures four">{pictures}</div></article>'
     )
 
 
 def _figures(fit: Sequence[Quantity], truth: Sequence[Quantity]) -> str:
     cards = quality_card(fit, "How well it fits") + quality_card(truth, "How far it is from the truth")
-    return f'<article id="figures" aria-label="Figures"><div class="tables">{cards}</div></article>'
+    return (
+        '<article id="figures" aria-labelledby="figures-title"><h2 id="figures-title">In figures</h2>'
+        f'<div class="tables">{cards}</div></article>'
+    )
 
 
 def _uncertain(capture: Capture, model: ObjectModel, perceived: Perceived) -> str:

@@ -136,10 +136,12 @@ def pose_over(
     )
 
 
-def false_colours(capture: Capture, hand: HandEstimate, model: ObjectModel, pose: np.ndarray) -> np.ndarray:
+def false_colours(
+    capture: Capture, hand: HandEstimate, model: ObjectModel, pose: np.ndarray, sure: bool
+) -> np.ndarray:
     """The depth of the part that ``drawn_over`` shows: near is yellow, far violet, not measured black.
 
-    pose: of the object in the camera frame, shape [7]. Returns sRGB, shape [720, 960, 3] uint8.
+    Arguments and result as those of ``drawn_over``.
     """
     view = close_up(capture, hand, model, pose)
     depth = view.cut(Image.fromarray(capture.depth))
@@ -149,7 +151,7 @@ def false_colours(capture: Capture, hand: HandEstimate, model: ObjectModel, pose
     steps = np.arange(len(DEPTH_COLOURS))
     picture = np.stack([np.interp(level, steps, channel) for channel in DEPTH_COLOURS.T], axis=-1)
     picture = np.where(depth[..., None] > 0, picture, NO_DEPTH).round().astype(np.uint8)
-    picture = _outlined(picture, view, capture.intrinsics, model, pose, SURE_LINE)
+    picture = _outlined(picture, view, capture.intrinsics, model, pose, SURE_LINE if sure else UNSURE_LINE)
     return _with_scale(picture, near, far)
 
 
