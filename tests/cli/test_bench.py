@@ -7,6 +7,7 @@ import json
 import pytest
 from grasp_files import run, some_grasps
 
+from fungrasp.cli.bench_perception import Perception
 from fungrasp.grasps import save_human_grasps
 from fungrasp.perception import Intrinsics
 from fungrasp.report.captures import CaptureSettings, capture_at
@@ -52,6 +53,19 @@ class NoHands:
         return []
 
 
+def interrupted(method, after):
+    """The method, that is interrupted after so many calls."""
+    calls = []
+
+    def interrupting(*arguments):
+        calls.append(arguments)
+        if len(calls) > after:
+            raise KeyboardInterrupt
+        return method(*arguments)
+
+    return interrupting
+
+
 def test_perception_on_kept_captures(human, tmp_path, capsys, monkeypatch):
     small = CaptureSettings(Intrinsics(320, 240, 300, 300, 160, 120), intrinsics_spread=0, clutter=(0, 0))
     grasps = some_grasps()
@@ -61,13 +75,21 @@ def test_perception_on_kept_captures(human, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("fungrasp.perception.hand_landmarks.HandDetector", NoHands)
     path = tmp_path / "b.json"
     arguments = ("--grasps", human, "--captures", 2, "--seed", 7, "--keep", tmp_path / "kept", "--wrong")
-    status, out, _ = run(capsys, "bench", "perception", *arguments, "--json", path)
-    assert status == 0
+    with monkeypatch.context() as patch:
+        patch.setattr(Perception, "_one", interrupted(Perception._one, after=1))
+        with pytest.raises(KeyboardInterrupt):
+            Perception(human, captures=2, seed=7, keep=tmp_path / "kept", wrong=True, json=path).run()
+    assert not path.exists()
+    with monkeypatch.context() as patch:
+        patch.setattr(Perception, "_one", interrupted(Perception._one, after=1))
+        status, out, _ = run(capsys, "bench", "perception", *arguments, "--json", path)
+    assert status == 0, "the first capture is not measured again"
+    assert [file.name for file in tmp_path.iterdir() if file.is_file()] == ["b.json"]
     numbers = json.loads(path.read_text())
     assert numbers["captures"] == 2 and sorted(numbers["objects"]) == ["can", "tennis_ball"]
     assert numbers["hand"]["found"]["rate"] == 0
     assert numbers["object_masked"]["right"]["rate"] == 1
-    assert {each["object"] for each in numbers["each"]} == {"can", "tennis_ball"}
+    assert {each["object_name"] for each in numbers["each"]} == {"can", "tennis_ball"}
     assert numbers["peak_memory_gb"] > 0.05
     assert "object right, with mask" in out and "wrong meshes accepted: " in out
 

@@ -25,6 +25,7 @@ from fungrasp.evaluation.perception_results import (
     perception_figures,
     target_rows,
 )
+from fungrasp.evaluation.perception_store import KeptCaptures
 from fungrasp.geometry.poses import compose, invert, transform_points
 from fungrasp.grasps import builtin_grasps
 from fungrasp.objects import builtin_object
@@ -49,7 +50,7 @@ class StandIn:
 def result(**changes) -> CaptureResult:
     hand = HandResult(True, 0.9, True, 4.0, 10.0, 8.0, 6.0)
     seconds = {"hand": Seconds(0.1, 0.05), "object_masked": Seconds(1.0, 0.5)}
-    whole = CaptureResult("mug", hand, RIGHT, RIGHT, None, None, seconds, None, GRASP)
+    whole = CaptureResult("mug", hand, RIGHT, RIGHT, None, None, seconds, GRASP, None, False)
     return dataclasses.replace(whole, **changes)
 
 
@@ -158,9 +159,8 @@ def test_targets_are_met_or_not():
 
 
 def test_what_perception_did_not_find_counts_as_failed_in_the_chain():
-    perceived = SimpleNamespace(grasp=GRASP, sure=True)
-    mirrored = SimpleNamespace(grasp=dataclasses.replace(GRASP, object_name="mug_mirrored"), sure=True)
-    results = [result(perceived=perceived), result(), result(perceived=mirrored)]
+    mirrored = dataclasses.replace(GRASP, object_name="mug_mirrored")
+    results = [result(perceived=GRASP), result(), result(perceived=mirrored)]
     true, found, rows = chain_sets(results, {GRASP.object_name: MODEL})
     assert len(true) == 3 and found is not None and len(found) == 1 and rows.tolist() == [0]
     np.testing.assert_array_equal(found.hand_joints[0], GRASP.hand_joints)
@@ -176,3 +176,24 @@ def test_the_chain_of_nothing():
     assert len(true) == 1 and found is None and rows.shape == (0,)
     figures = chain_figures(np.array([False]), np.zeros(0, bool), rows, np.array([False]))
     assert figures["share"] is None and figures["perceived_where_sure"] is None
+
+
+def test_kept_captures_are_the_same_when_read_again(tmp_path):
+    path = tmp_path / "kept.json"
+    absent = AbsentResult(0.2, dataclasses.replace(WRONG, add_s_mm=np.inf, rotation_deg=np.nan))
+    whole = result(perceived=GRASP, sure=True, wrong_mesh=WRONG, absent=absent)
+    KeptCaptures(path, "a").save(3, whole)
+    store = KeptCaptures(path, "a")
+    store.save(4, result(hand=HandResult(False)))
+    read = KeptCaptures(path, "a").load(3)
+    assert read is not None and read.perceived is not None
+    assert capture_rows([read]) == capture_rows([whole])
+    assert read.absent is not None and read.absent.pose.add_s_mm == np.inf
+    for field in dataclasses.fields(GRASP):
+        np.testing.assert_array_equal(getattr(read.perceived, field.name), getattr(GRASP, field.name))
+    assert KeptCaptures(path, "a").load(5) is None
+    assert KeptCaptures(path, "b").load(3) is None, "measured with other settings"
+    path.write_text("{")
+    assert KeptCaptures(path, "a").load(3) is None
+    store.remove()
+    assert not path.exists()

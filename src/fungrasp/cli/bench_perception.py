@@ -12,9 +12,11 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
     from fungrasp.evaluation.perception import CaptureResult
+    from fungrasp.evaluation.perception_store import KeptCaptures
     from fungrasp.grasps import HumanGraspSet
     from fungrasp.objects import ObjectModel
     from fungrasp.perception import Capture
+    from fungrasp.perception.perceive import Detector
     from fungrasp.report.captures import SyntheticCapture
     from fungrasp.report.captures_scene import Label
 
@@ -54,18 +56,26 @@ class Perception:
     threads: int = 0
     """Of --chain; 0 means all processors."""
     json: Path | None = None
-    """Write the numbers here (.json)."""
+    """Write the numbers here (.json). Given again after an interruption, the command goes on."""
 
     def run(self) -> None:
         from resource import RUSAGE_SELF, getrusage
 
+        from fungrasp import __version__
         from fungrasp.evaluation.perception_results import capture_rows, perception_figures, target_rows
+        from fungrasp.evaluation.perception_store import KeptCaptures
         from fungrasp.evaluation.results import machine
+        from fungrasp.files import digest
         from fungrasp.retarget import load_objects
 
         human = self._grasps()
         objects = load_objects(human, self.objects)
-        results = list(self._measured(human, objects))
+        store = None
+        if self.json is not None:
+            what = (__version__, self.seed, self.coloured, self.wrong, self.absent)
+            key = digest({name: getattr(human, name) for name in human.FIELDS}, *what)
+            store = KeptCaptures(self.json.with_name(f"{self.json.name}.partial"), key)
+        results = list(self._measured(human, objects, store))
         figures = perception_figures(results)
         # Kilobytes on Linux.
         figures["peak_memory_gb"] = getrusage(RUSAGE_SELF).ru_maxrss / 1e6
@@ -80,6 +90,8 @@ class Perception:
         }
         if self.json is not None:
             write_json(self.json, about | figures | {"each": capture_rows(results)})
+            if store is not None:
+                store.remove()
         print(table([("", "measured", "target", "met"), *target_rows(figures)]))
         rows = [("stage", "median [s]", "longest [s]", "median CPU [s]")]
         for stage, seconds in figures["seconds"].items():
@@ -119,28 +131,42 @@ class Perception:
                 raise UnknownNameError("object", name, names)
         return human.select(np.isin(human.object_name, self.only)) if self.only else human
 
-    def _measured(self, human: HumanGraspSet, objects: Mapping[str, ObjectModel]) -> Iterator[CaptureResult]:
+    def _measured(
+        self, human: HumanGraspSet, objects: Mapping[str, ObjectModel], store: KeptCaptures | None
+    ) -> Iterator[CaptureResult]:
+        from fungrasp.perception.hand_landmarks import HandDetector
+
+        detector = HandDetector()
+        with progress_bar("perceiving", self.captures) as show:
+            for i in range(self.captures):
+                result = None if store is None else store.load(i)
+                if result is None:
+                    result = self._one(i, human, objects, detector)
+                    if store is not None:
+                        store.save(i, result)
+                yield result
+                show(i + 1)
+
+    def _one(
+        self, index: int, human: HumanGraspSet, objects: Mapping[str, ObjectModel], detector: Detector
+    ) -> CaptureResult:
         from dataclasses import replace
 
         from fungrasp.evaluation.perception import measure_absent, measure_perception
-        from fungrasp.perception.hand_landmarks import HandDetector
         from fungrasp.report.captures_files import painted_mesh
         from fungrasp.report.captures_scene import Label
 
-        detector, names = HandDetector(), sorted(objects)
-        with progress_bar("perceiving", self.captures) as show:
-            for i, known in enumerate(self._rendered(human, objects)):
-                model = objects[known.grasp.object_name]
-                others = [name for name in names if name != model.name]
-                other = objects[others[i % len(others)]] if self.wrong and others else None
-                mesh = painted_mesh(known.painted) if self.coloured else None
-                result = measure_perception(known, model, detector, other, mesh)
-                if self.absent:
-                    no_hand = self._lacking(i, Label.HAND, human, objects)
-                    no_object = self._lacking(i, Label.OBJECT, human, objects)
-                    result = replace(result, absent=measure_absent(no_hand, no_object, model, detector))
-                yield result
-                show(i + 1)
+        known = self._capture(index, human, objects)
+        model = objects[known.grasp.object_name]
+        others = [name for name in sorted(objects) if name != model.name]
+        other = objects[others[index % len(others)]] if self.wrong and others else None
+        mesh = painted_mesh(known.painted) if self.coloured else None
+        result = measure_perception(known, model, detector, other, mesh)
+        if not self.absent:
+            return result
+        no_hand = self._lacking(index, Label.HAND, human, objects)
+        no_object = self._lacking(index, Label.OBJECT, human, objects)
+        return replace(result, absent=measure_absent(no_hand, no_object, model, detector))
 
     def _lacking(
         self, index: int, part: Label, human: HumanGraspSet, objects: Mapping[str, ObjectModel]
@@ -150,21 +176,20 @@ class Perception:
 
         return capture_at(index, human, objects, self.seed, CaptureSettings(missing=(part,))).capture
 
-    def _rendered(
-        self, human: HumanGraspSet, objects: Mapping[str, ObjectModel]
-    ) -> Iterator[SyntheticCapture]:
+    def _capture(
+        self, index: int, human: HumanGraspSet, objects: Mapping[str, ObjectModel]
+    ) -> SyntheticCapture:
+        """Read if it was kept, else rendered."""
         from fungrasp.report.captures import capture_at
         from fungrasp.report.captures_files import TRUTH_FILE, read_synthetic_capture, write_capture
 
-        for i in range(self.captures):
-            folder = None if self.keep is None else self.keep / f"{self.seed}_{i:04d}"
-            if folder is not None and (folder / TRUTH_FILE).is_file():
-                yield read_synthetic_capture(folder)
-                continue
-            known = capture_at(i, human, objects, self.seed)
-            if folder is not None:
-                write_capture(known, folder)
-            yield known
+        folder = None if self.keep is None else self.keep / f"{self.seed}_{index:04d}"
+        if folder is not None and (folder / TRUTH_FILE).is_file():
+            return read_synthetic_capture(folder)
+        known = capture_at(index, human, objects, self.seed)
+        if folder is not None:
+            write_capture(known, folder)
+        return known
 
     def _chain(self, results: list[CaptureResult], objects: Mapping[str, ObjectModel]) -> dict[str, Any]:
         import numpy as np
@@ -185,5 +210,5 @@ class Perception:
             with progress_bar(words, len(robot)) as show:
                 tried = evaluate(robot, objects, hand, self.policy, threads=self.threads, progress=show)
             success.append(tried.trials.success)
-        sure = np.array([result.perceived is not None and result.perceived.sure for result in results])
+        sure = np.array([result.sure for result in results])
         return {"hand": hand.name, "policy": self.policy} | chain_figures(success[0], success[1], rows, sure)

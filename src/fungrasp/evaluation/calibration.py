@@ -51,7 +51,7 @@ def answers_of(rows: Sequence[Mapping[str, Any]]) -> Answers:
             # None stands for infinite: no pose is right.
             right = answer["add_s_mm"] is not None and answer["add_s_mm"] < RIGHT_MM
             found.append(
-                ([answer["evidence"][name] for name in FEATURES], right, answer["score"], row["object"])
+                ([answer["evidence"][name] for name in FEATURES], right, answer["score"], row["object_name"])
             )
     if not found:
         raise FungraspError("there are no pose answers to calibrate on")

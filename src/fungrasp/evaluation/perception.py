@@ -138,10 +138,13 @@ class CaptureResult:
     seconds: dict[str, Seconds]
     """By stage: "mesh" (made ready, once for all images of it), "hand" (detection and metric fit),
     "object_masked", "object_unmasked", "perceive" (all of ``perceive`` without a mask)."""
-    perceived: Perceived | None
-    """None where no hand was found."""
     grasp: HumanGrasp
-    """The truth."""
+    """The truth, world frame."""
+    perceived: HumanGrasp | None
+    """What ``perceive`` made of the image without a mask, in a world of its own; None where no hand was
+    found."""
+    sure: bool
+    """Whether perception was sure of that."""
 
 
 class Stopwatch:
@@ -229,8 +232,9 @@ def measure_perception(
             ),
         },
         absent=None,
-        perceived=perceived,
         grasp=known.grasp,
+        perceived=None if perceived is None else perceived.grasp,
+        sure=perceived is not None and perceived.sure,
     )
 
 

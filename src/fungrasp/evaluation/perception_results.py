@@ -134,22 +134,9 @@ def _spread(values: Sequence[float]) -> dict[str, float] | None:
 
 
 def capture_rows(results: Sequence[CaptureResult]) -> list[dict[str, Any]]:
-    """Each capture's numbers, ready for JSON."""
-    return finite(
-        [
-            {
-                "object": result.object_name,
-                "hand": asdict(result.hand),
-                "masked": asdict(result.masked),
-                "unmasked": asdict(result.unmasked),
-                "wrong_mesh": None if result.wrong_mesh is None else asdict(result.wrong_mesh),
-                "absent": None if result.absent is None else asdict(result.absent),
-                "sure": None if result.perceived is None else result.perceived.sure,
-                "seconds": {stage: asdict(seconds) for stage, seconds in result.seconds.items()},
-            }
-            for result in results
-        ]
-    )
+    """Each capture's numbers without the grasps, ready for JSON."""
+    rows = [asdict(result) for result in results]
+    return finite([{k: v for k, v in row.items() if k not in ("grasp", "perceived")} for row in rows])
 
 
 def chain_sets(
@@ -168,10 +155,10 @@ def chain_sets(
     true = [_one(result.grasp) for result in results]
     sets, rows = [], []
     for row, result in enumerate(results):
-        if result.perceived is None or result.perceived.grasp.object_name not in objects:
+        if result.perceived is None or result.perceived.object_name not in objects:
             continue
         try:
-            sets.append(_one(result.perceived.grasp))
+            sets.append(_one(result.perceived))
         except FungraspError:
             continue
         rows.append(row)
