@@ -81,7 +81,13 @@ def test_answers_of_a_benchs_rows():
     bad = {"add_s_mm": None, "score": 0.2, "evidence": evidence}
     nothing = {"add_s_mm": 50.0, "score": 0.0, "evidence": {}}
     rows = [
-        {"object": "mug", "masked": good, "unmasked": nothing, "wrong_mesh": bad, "absent": {"pose": bad}}
+        {
+            "object_name": "mug",
+            "masked": good,
+            "unmasked": nothing,
+            "wrong_mesh": bad,
+            "absent": {"pose": bad},
+        }
     ]
     answers = answers_of(rows)
     assert answers.right.tolist() == [True, False, False] and answers.score.tolist() == [0.9, 0.2, 0.2]
