@@ -9,7 +9,7 @@ from typing import Protocol
 from fungrasp.errors import FungraspError, UnknownNameError
 from fungrasp.objects import ObjectModel
 from fungrasp.policies.choose import choose_references
-from fungrasp.policies.learned import LearnedPolicy
+from fungrasp.policies.learned import LearnedPolicy, check_card
 from fungrasp.policies.policy_file import SUFFIX, list_policies, load_policy
 from fungrasp.policies.reference import ReferenceController
 from fungrasp.task import Action, LiftTask, Trials
@@ -78,6 +78,7 @@ def make_policy(name: str, task: LiftTask, objects: Mapping[str, ObjectModel]) -
         return ReferenceController(task, objects, motion=choose_references(task, objects, network)[0].motion)
     if not network.card.plans:
         return LearnedPolicy(task, objects, network)
+    check_card(network.card, task)
     critic = load_policy(path.with_name(network.card.plans + SUFFIX))
     return LearnedPolicy(task, objects, network, choose_references(task, objects, critic)[0])
 

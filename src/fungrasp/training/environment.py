@@ -171,7 +171,7 @@ class LiftEnvironment:
         tracker.advance()
         view, sensed = tracker.view(), tracker.sensed()
         height = task.worlds.center_of_mass[:, 2] - task.settled_height
-        broken = ~np.isfinite(task.worlds.qpos).all(axis=1) | ~np.isfinite(height)
+        broken = task.worlds.broken | ~np.isfinite(height)
         terms = self.reward.terms(view, sensed, np.nan_to_num(height, nan=-1.0), before)
         since_lift = task.time - task.lift_time
         dropped = (since_lift > s.dropped_after) & (height < s.dropped_height)
