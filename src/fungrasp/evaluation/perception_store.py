@@ -71,8 +71,8 @@ def _read(row: dict[str, Any]) -> CaptureResult:
 
 
 def _grasp(row: dict[str, Any]) -> HumanGrasp:
-    arrays = {
+    values: dict[str, Any] = {
         field.name: np.array(row[field.name]) if isinstance(row[field.name], list) else row[field.name]
         for field in fields(HumanGrasp)
     }
-    return HumanGrasp(**arrays)
+    return HumanGrasp(**values)
