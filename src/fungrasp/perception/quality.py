@@ -16,6 +16,15 @@ from fungrasp.perception.hand_probes import PROBES, in_front
 NEAR = 0.03
 """What is seen farther than this from where the skin should be [m] is something else."""
 
+STEP = 2
+"""Every so many rows and columns are looked at for the object."""
+
+FARTHEST = 0.5
+"""The object has no point farther from its origin [m]."""
+
+OBJECT_NEAR = 0.015
+"""What is seen farther than this from where the object's surface should be [m] is something else."""
+
 OBJECT = 0.004
 """What is seen so near to the object's surface [m] is the object."""
 
@@ -52,14 +61,29 @@ def measure_quality(
     pose = thing.pose_camera_object
     off = np.linalg.norm(capture.intrinsics.project(hand.joints_camera) - hand.pixels, axis=1)
     around = Surroundings(surface, pose)
+    residual = thing.residual_m
+    if not np.isfinite(residual):
+        residual = _object_residual(capture, pose, around)
     return Quality(
         reprojection_px=float(np.nanmedian(off)),
-        depth_residual_m=thing.residual_m,
+        depth_residual_m=residual,
         hand_residual_m=_hand_residual(capture, hand.joints_camera, around),
         penetration_m=max(0.0, -float(link_gaps(hand.joints_camera, surface, pose).min())),
         hand_score=hand.score,
         object_score=thing.score,
     )
+
+
+def _object_residual(capture: Capture, pose: np.ndarray, around: Surroundings) -> float:
+    """Median distance from the surface of what is seen near to it [m]; NaN if there is nothing."""
+    points = capture.points()[::STEP, ::STEP].reshape(-1, 3)
+    points = points[np.isfinite(points[:, 2])]
+    points = points[np.linalg.norm(points - pose[:3], axis=1) < FARTHEST]
+    if not len(points):
+        return float("nan")
+    distance = np.abs(around.object_distance(points)[0])
+    near = distance < OBJECT_NEAR
+    return float(np.median(distance[near])) if near.any() else float("nan")
 
 
 def _hand_residual(capture: Capture, joints: np.ndarray, around: Surroundings) -> float:
