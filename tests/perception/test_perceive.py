@@ -21,6 +21,7 @@ from fungrasp.perception.hand_side import settle_side
 from fungrasp.perception.hand_weights import have_weights
 from fungrasp.perception.perceive import Perceived, perceive
 from fungrasp.perception.pose_error import add_s
+from fungrasp.perception.rays import MeshRays
 from fungrasp.perception.table import table_under
 
 MUG_ROW, BOWL_ROW = 0, 36
@@ -53,6 +54,15 @@ def mug() -> tuple[HandScene, DetectedHand]:
 def seen() -> Perceived:
     scene, detected = mug()
     return perceive(scene.capture, scene.model, detector=StandIn(detected), task="drink")
+
+
+@cache
+def object_pixels() -> np.ndarray:
+    """A mask of the mug."""
+    scene, _ = mug()
+    rays = CAMERA.rays().reshape(-1, 3)
+    depth = MeshRays(scene.model.vertices, scene.model.faces).cast(scene.pose_camera_object[None], rays)[0]
+    return np.abs(depth.reshape(CAMERA.height, CAMERA.width) - scene.capture.depth) < 0.005
 
 
 def known(scene: HandScene, score: float = 0.9) -> ObjectEstimate:
@@ -264,7 +274,7 @@ def test_holes_in_depth_do_little_harm():
         depth[v : v + 16, u : u + 16] = 0
     assert (depth == 0).mean() > 0.1
     perceived = perceive(
-        Capture(scene.capture.colour, depth, CAMERA), scene.model, detector=StandIn(detected)
+        Capture(scene.capture.colour, depth, CAMERA, object_pixels()), scene.model, detector=StandIn(detected)
     )
     error = add_s(scene.model.vertices, perceived.object.pose_camera_object, scene.pose_camera_object)
     assert error < 0.01 or not perceived.sure
@@ -272,7 +282,9 @@ def test_holes_in_depth_do_little_harm():
 
 def test_the_wrong_mesh_is_not_believed():
     scene, detected = mug()
-    perceived = perceive(scene.capture, builtin_object("hammer"), detector=StandIn(detected))
+    perceived = perceive(
+        scene.capture.with_object(object_pixels()), builtin_object("hammer"), detector=StandIn(detected)
+    )
     assert not perceived.sure and any("the object's pose: not sure" in doubt for doubt in perceived.doubts)
     assert perceived.grasp.object_name == "hammer"
 
@@ -353,7 +365,12 @@ def test_the_mesh_may_have_colours():
     scene, detected = mug()
     paint = np.random.default_rng(0).integers(0, 255, (len(scene.model.vertices), 3))
     coloured = trimesh.Trimesh(scene.model.vertices, scene.model.faces, vertex_colors=paint, process=False)
-    perceived = perceive(scene.capture, scene.model, coloured=coloured, detector=StandIn(detected))
+    perceived = perceive(
+        scene.capture.with_object(object_pixels()),
+        scene.model,
+        coloured=coloured,
+        detector=StandIn(detected),
+    )
     assert add_s(scene.model.vertices, perceived.object.pose_camera_object, scene.pose_camera_object) < 0.006
 
 
