@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from views import poses
 
+from fungrasp.errors import FungraspError
 from fungrasp.geometry.poses import compose, invert, rotation_vector
 from fungrasp.task.residual import ResidualSettings, apply, smoothed
 
@@ -64,3 +65,11 @@ def test_no_action_changes_nothing_and_no_action_goes_too_far(seed):
     shift = compose(invert(goal), pose)
     assert (np.abs(shift[:, :3]) <= SETTINGS.position + 1e-9).all()
     assert (np.abs(rotation_vector(shift[:, 3:])) <= SETTINGS.rotation + 1e-9).all()
+
+
+def test_shrunk_actions_mean_less():
+    half = SETTINGS.shrunk(0.5)
+    assert (half.position, half.rotation, half.fingers, half.smoothing) == (0.015, 0.1, 0.15, 0.75)
+    for factor in (0.0, 1.1, float("nan")):
+        with pytest.raises(FungraspError, match="above 0 and at most 1"):
+            SETTINGS.shrunk(factor)

@@ -52,6 +52,8 @@ class Train:
     package ("critic" is short for the hand's), or a file. The grasps' own plans by default."""
     initial: Path | None = None
     """Folder of another training, whose networks this one begins with."""
+    shrink: float = 1.0
+    """Factor on the finished policy's corrections, and on those of its students."""
     sees: Literal["contacts", "nothing", "history"] | None = None
     """Short for --ppo.sees."""
     seed: int = 0
@@ -96,6 +98,7 @@ class Train:
                 threads=self.threads,
                 plans=plans,
                 initial=self.initial,
+                shrink=self.shrink,
                 planning=show,
                 progress=progress_lines(int(self.steps)),
                 log=log,

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+from fungrasp.errors import FungraspError
 from fungrasp.geometry.poses import Array, array_namespace, compose, quaternion_from_rotation_vector
 
 WRIST_ACTIONS = 6
@@ -22,6 +23,17 @@ class ResidualSettings:
     """Of each servo target [rad]."""
     smoothing: float = 0.5
     """Share of the last action that stays in the next."""
+
+    def shrunk(self, factor: float) -> ResidualSettings:
+        """The same actions, meaning smaller departures. factor: above 0, at most 1.
+
+        Raises:
+            FungraspError: the factor is another.
+        """
+        if not 0 < factor <= 1:
+            raise FungraspError(f"departures can be shrunk by a factor above 0 and at most 1, not {factor}")
+        scales = {name: factor * getattr(self, name) for name in ("position", "rotation", "fingers")}
+        return replace(self, **scales)
 
 
 def smoothed(action: Array, previous: Array, settings: ResidualSettings) -> Array:

@@ -22,6 +22,7 @@ from fungrasp.policies.card import Budget, PolicyCard, TrainingData
 from fungrasp.policies.network import PolicyNetwork
 from fungrasp.policies.policy_file import SUFFIX, hand_digest, load_policy
 from fungrasp.policies.references import References
+from fungrasp.task.residual import ResidualSettings
 from fungrasp.training.environment import EnvironmentSettings, LiftEnvironment
 from fungrasp.training.export import export_student, export_teacher, make_card
 from fungrasp.training.folder import RunFolder, git_revision, kept_library, machine
@@ -90,6 +91,7 @@ def train(
     threads: int = 0,
     plans: Path | None = None,
     initial: Path | None = None,
+    shrink: float = 1.0,
     references: Path | None = None,
     planning: Callable[[int], None] = lambda done: None,
     progress: Callable[[Progress], None] = lambda p: None,
@@ -109,6 +111,8 @@ def train(
         plans: file of a critic that chooses the plans to follow, in training and at work; a copy of it is
             kept beside the policy. The grasps' own plans if None.
         initial: folder of a training whose networks this one begins with; fresh ones if None.
+        shrink: factor on the finished policy's corrections, and on those of its students. A policy that has
+            seen little is right about their direction more often than about their size.
         references: file of the planned references; one in the folder if None.
         planning: called with the number of references that are planned.
         progress: called after each update.
@@ -123,6 +127,7 @@ def train(
     """
     run = RunFolder(folder)
     settings = consistent(settings)
+    residual = settings.environment.residual.shrunk(shrink)
     objects = joined_objects(sets)
     about = [s.about() for s in sets]
     critic = None if plans is None else load_policy(plans)
@@ -140,6 +145,7 @@ def train(
         | {"environment": asdict(settings.environment), "ppo": asdict(settings.ppo)},
         kind="teacher",
         plans="" if plans is None else plans.stem,
+        shrink=shrink,
         steps=steps,
         hand=hand.name if hand.name in hand_files() else str(hand.path.absolute()),
         licence=licence,
@@ -175,10 +181,8 @@ def train(
             progress(p)
 
         trainer.learn(steps, report, run.checkpoint)
-    card = replace(
-        training_card(folder, trainer, sets, settings.seed, licence),
-        plans="" if plans is None else plans.stem,
-    )
+    card = training_card(folder, trainer, sets, residual, settings.seed, licence)
+    card = replace(card, plans="" if plans is None else plans.stem)
     export(trainer, folder / POLICY, card)
     return card
 
@@ -267,7 +271,12 @@ def joined_objects(sets: Sequence[TrainingSet]) -> dict[str, ObjectModel]:
 
 
 def training_card(
-    folder: Path, trainer: Trainer, sets: Sequence[TrainingSet], seed: int, licence: str = ""
+    folder: Path,
+    trainer: Trainer,
+    sets: Sequence[TrainingSet],
+    residual: ResidualSettings,
+    seed: int,
+    licence: str = "",
 ) -> PolicyCard:
     """What a trained policy's file should say about it."""
     environment = trainer.environment
@@ -278,7 +287,7 @@ def training_card(
         environment.hand,
         environment.layout,
         environment.privileged_layout if teacher else (),
-        environment.settings.residual,
+        residual,
         1 / environment.protocol.control_period,
         Budget(trainer.steps, trainer.seconds, machine()),
         training_data=tuple(TrainingData(s.name, s.terms, len(s.grasps)) for s in sets),

@@ -45,10 +45,13 @@ class TeacherRun:
     licence: str
     plans: str
     """Name of the critic whose plans it follows, a file beside it; none if empty."""
+    shrink: float
+    """Factor on its corrections, and on those of its students."""
 
     def environment(self, seed: int, history: bool, threads: int = 0) -> LiftEnvironment:
         """Worlds like those that it was trained in. history: whether observations hold a student's."""
-        settings = replace(self.settings.environment, history=history)
+        given = self.settings.environment
+        settings = replace(given, history=history, residual=given.residual.shrunk(self.shrink))
         return LiftEnvironment(self.library, self.objects, self.hand, settings, seed, threads)
 
 
@@ -81,7 +84,7 @@ def read_teacher(folder: Path, objects: Path | None = None) -> TeacherRun:
         data = tuple(TrainingData(one["name"], one["terms"], one["count"]) for one in wanted["sets"])
         planned_from = {name: wanted[name] for name in PLANNED_FROM}
         references = Path(config["references"])
-        licence, plans = config["licence"], config["plans"]
+        licence, plans, shrink = config["licence"], config["plans"], float(config["shrink"])
     except (KeyError, TypeError, ValueError) as error:
         if isinstance(error, FungraspError):
             raise
@@ -89,7 +92,7 @@ def read_teacher(folder: Path, objects: Path | None = None) -> TeacherRun:
     here = folder / REFERENCES
     key = digest(__version__, json.dumps(planned_from))
     library = kept_library(here if here.is_file() else references, key, lambda: _lost(folder))
-    return TeacherRun(run, hand, settings, things, library, data, licence, plans)
+    return TeacherRun(run, hand, settings, things, library, data, licence, plans, shrink)
 
 
 def train_student(
