@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from fungrasp.evaluation.perception import (
+    TIP_LINKS,
     AbsentResult,
     CaptureResult,
     HandResult,
@@ -27,11 +28,12 @@ from fungrasp.evaluation.perception_results import (
 )
 from fungrasp.evaluation.perception_store import KeptCaptures
 from fungrasp.geometry.poses import compose, invert, transform_points
-from fungrasp.grasps import builtin_grasps
+from fungrasp.grasps import HUMAN_JOINTS, HUMAN_LINKS, builtin_grasps
 from fungrasp.objects import builtin_object
 from fungrasp.perception import Capture, Intrinsics
 from fungrasp.perception.hand_landmarks import DetectedHand
 from fungrasp.perception.rays import MeshRays
+from fungrasp.perception.segmentation import TIPS
 
 GRASP = builtin_grasps()[0]
 MODEL = builtin_object(GRASP.object_name)
@@ -103,6 +105,11 @@ def test_without_a_hand_there_is_no_grasp_but_a_pose():
     figures = perception_figures([found])
     assert figures["hand"]["found"]["rate"] == 0 and figures["hand"]["joint_error_mm"] is None
     assert capture_rows([found])[0]["hand"]["joint_error_mm"] is None
+
+
+def test_each_tip_ends_its_own_fingers_last_link():
+    for tip, link in zip(TIPS, TIP_LINKS, strict=True):
+        assert HUMAN_JOINTS[tip].removesuffix("_tip") == HUMAN_LINKS[link].removesuffix("_distal")
 
 
 def test_figures():

@@ -30,7 +30,7 @@ from fungrasp.perception.table import NO_TABLE, table_under
 RIGHT_MM = 10.0
 """An object's pose is right if its ADD-S is below this."""
 
-TIP_LINKS = (15, 3, 6, 9, 12)
+TIP_LINKS = (3, 6, 9, 12, 15)
 """Index in ``link_contacts`` of the distal link that each of ``TIPS`` ends."""
 
 
