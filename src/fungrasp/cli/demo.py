@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 FAVOURITES = ("spray_bottle:spray", "drill:drill", "mug:hand over", "flashlight:light")
 """What is shown if nothing is picked, as far as the grasps have it."""
 
+REFERENCE = "reference"
+
 TITLE = "Human grasps, taken over by a robot hand"
 
 FPS, SPEED = 15.0, 1.5
@@ -59,8 +61,12 @@ class Demo:
     """Of that object [kg]; a built-in one has its own."""
     task: str = ""
     """What the grasp in the folder's image is for: "drink", "hand over" ..."""
+    policy: str | None = None
+    """What moves the hand: reference, or a policy (fungrasp policies list). By default the freely licensed
+    student of the hand, or the reference if there is none."""
     refine: int = 8
-    """Try this many variations of a grasp in simulation until one holds; 0: only the grasp as it is."""
+    """Under the reference, try this many variations of a grasp in simulation until one holds; 0: only the
+    grasp as it is. A learned policy chooses by itself, without simulation."""
     seed: int = 0
     """Of the variations."""
     out: Path = Path("demo")
@@ -75,24 +81,25 @@ class Demo:
 
         self._check()
         hand = load_hand(self.hand)
+        source = {"Policy": self._policy(hand)}
         if self.from_image is not None:
-            self._run_from_image(hand)
+            self._run_from_image(hand, source)
             return
         everything = load_human_grasps(self.grasps)
         rows = chosen_rows(everything, self.pick, self.count)
         human = everything.select(rows)
         objects = load_objects(human, self.objects)
-        source = f"{self.grasps}, rows {', '.join(map(str, rows))}"
-        self._show(human, objects, hand, TITLE, INTRODUCTION, {"Grasps": source})
+        source["Grasps"] = f"{self.grasps}, rows {', '.join(map(str, rows))}"
+        self._show(human, objects, hand, TITLE, INTRODUCTION, source)
 
-    def _run_from_image(self, hand: Hand) -> None:
+    def _run_from_image(self, hand: Hand, source: dict[str, str]) -> None:
         from fungrasp.cli.demo_from_image import image_title, image_words, seen_grasp, write_doubts
 
         assert self.from_image is not None
         with progress_bar("looking at the image", 1) as show:
             seen = seen_grasp(self.from_image, self.mesh, self.mass, self.task, self.seed)
             show(1)
-        source = {"Image": seen.source}
+        source["Image"] = seen.source
         if not seen.perceived.sure:
             write_doubts(self.out / "index.html", seen, self._provenance(source))
         objects = {seen.thing.name: seen.thing}
@@ -173,7 +180,8 @@ class Demo:
         from fungrasp.evaluation import evaluate, replay
         from fungrasp.policies import refine
 
-        if self.refine:
+        policy = self._policy(hand)
+        if self.refine and policy == REFERENCE:
             with progress_bar("trying variations", len(robot)) as show:
                 robot = refine(
                     robot,
@@ -186,10 +194,25 @@ class Demo:
                 )
         with progress_bar("lifting", len(robot)) as show:
             result = evaluate(
-                robot, objects, hand, threads=self.threads, record=folder / "trials", progress=show
+                robot, objects, hand, policy, threads=self.threads, record=folder / "trials", progress=show
             )
         trials = [replay(path) for path in (folder / "trials").iterdir()]
         return result, sorted(trials, key=lambda trial: trial.index)
+
+    def _policy(self, hand: Hand) -> str:
+        """The name of what moves the hand.
+
+        Raises:
+            FungraspError: there is no such policy.
+        """
+        from fungrasp.policies import resolve_policy
+        from fungrasp.policies.policy_file import list_policies
+
+        if self.policy is not None:
+            resolve_policy(self.policy, hand.name)
+            return self.policy
+        free = f"{hand.name}-student-free"
+        return free if free in list_policies() else REFERENCE
 
     def _film(
         self,

@@ -83,6 +83,15 @@ def have_weights() -> bool:
     return all((folder / file.name).is_file() for file in WEIGHT_FILES.values())
 
 
+def kept_weights() -> list[Path]:
+    """The files in the cache, if they are there and hold the right bytes; else none."""
+    try:
+        load_weights()
+    except FungraspError:
+        return []
+    return [cache_folder(CACHE_KIND) / file.name for file in WEIGHT_FILES.values()]
+
+
 def fetch_weights(wheel: Path | None = None) -> list[Path]:
     """Take the weights from a mediapipe wheel into the cache; nothing of the wheel is installed or run.
 

@@ -73,7 +73,10 @@ def find_table(capture: Capture, rng: np.random.Generator, tries: int = 300) -> 
         return None
     corners = points[rng.integers(0, len(points), (tries, 3))]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normal = normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
+    area = np.linalg.norm(normal, axis=1)
+    normal, corners = normal[area > 1e-9] / area[area > 1e-9, None], corners[area > 1e-9]
+    if not len(normal):
+        return None
     offset = -np.einsum("ti,ti->t", normal, corners[:, 0])
     tolerance = _table_tolerance(points[:, 2])
     votes = (np.abs(points @ normal.T + offset) < tolerance[:, None]).sum(axis=0)

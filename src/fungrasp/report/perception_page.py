@@ -35,8 +35,9 @@ SIDES = ("From the camera's side", "From the right of that", "From behind", "Fro
 REPROJECTION = 8.0
 """Landmarks farther than this from the fitted hand are poor, in an image of 640 columns [pixels]."""
 
-HAND_RESIDUAL, OBJECT_RESIDUAL, PENETRATION = 0.010, 0.003, 0.008
-"""Residuals and penetration beyond these are poor [m]."""
+HAND_RESIDUAL, OBJECT_RESIDUAL, PENETRATION = 0.010, 0.003, 0.015
+"""Residuals and penetration beyond these are poor [m]. Fingers are soft: of DexYCB's own grasps half have a
+joint whose flesh reaches 9 mm into the object."""
 
 
 def write_perception_page(
