@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from fungrasp.hands import Hand
     from fungrasp.objects import ObjectModel
 
-FAVOURITES = ("spray_bottle:spray", "drill:drill", "mug:hand over", "flashlight:light")
+FAVOURITES = ("drill:drill", "mug:hand over", "flashlight:light", "bottle:pour")
 """What is shown if nothing is picked, as far as the grasps have it."""
 
 REFERENCE = "reference"
