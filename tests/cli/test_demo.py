@@ -33,7 +33,7 @@ def flashlight() -> HumanGraspSet:
 
 def test_a_film_and_a_page_are_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "shown" / "here"
-    assert main(["demo", "--pick", "flashlight", "--refine", "0", "--out", str(out)]) == 0
+    assert main(["demo", "--pick", "flashlight", "--out", str(out)]) == 0
     assert sorted(path.name for path in out.iterdir()) == ["film.mp4", "index.html"]
     said = capsys.readouterr()
     assert f"film: {out / 'film.mp4'}" in said.out
@@ -45,6 +45,7 @@ def test_a_film_and_a_page_are_written(tmp_path: Path, capsys: pytest.CaptureFix
     assert np.abs(frames[0].astype(int) - frames[-1]).mean() > 2.0, "nothing moves"
     page = (out / "index.html").read_text()
     assert "Flashlight, to light" in page
+    assert "allegro-student-free" in page, "the freely licensed student moves the hand"
     assert "data:video/mp4;base64," in page
     assert page.count("data:image/png;base64,") == 2
     assert not re.search(r"(src|href)=\"(?!data:|#)", page), "the page needs another file"
@@ -61,7 +62,8 @@ def test_a_failure_is_shown_as_one(tmp_path: Path, capsys: pytest.CaptureFixture
     )
     save_human_grasps(tmp_path / "air.npz", bad)
     out = tmp_path / "out"
-    assert main(["demo", "--grasps", str(tmp_path / "air.npz"), "--refine", "2", "--out", str(out)]) == 0
+    arguments = ["--grasps", str(tmp_path / "air.npz"), "--policy", "reference", "--refine", "2"]
+    assert main(["demo", *arguments, "--out", str(out)]) == 0
     assert "None of 2 variations held: lost before the hold." in capsys.readouterr().out
     page = (out / "index.html").read_text()
     assert "None of 2 variations held" in page
@@ -78,6 +80,7 @@ def test_a_failure_is_shown_as_one(tmp_path: Path, capsys: pytest.CaptureFixture
         (["--pick", "mug", "mug"], "is picked twice"),
         (["--count", "0"], "--count must be at least 1"),
         (["--refine", "-1"], "--refine must be at least 0"),
+        (["--policy", "allegro-studnt"], "Did you mean 'allegro-student'"),
         (["--grasps", "nowhere.npz"], "nowhere.npz"),
         (["--objects", "nowhere"], "nowhere"),
         (["--mesh", "mug"], "--mesh needs --from-image FOLDER"),
