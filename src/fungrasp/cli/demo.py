@@ -63,7 +63,8 @@ class Demo:
     """What the grasp in the folder's image is for: "drink", "hand over" ..."""
     policy: str | None = None
     """What moves the hand: reference, or a policy (fungrasp policies list). By default the freely licensed
-    student of the hand, or the reference if there is none."""
+    student of the hand; the reference if there is none, or for a grasp from an image, which is uncertain and
+    gains more from --refine."""
     refine: int = 8
     """Under the reference, try this many variations of a grasp in simulation until one holds; 0: only the
     grasp as it is. A learned policy chooses by itself, without simulation."""
@@ -212,7 +213,7 @@ class Demo:
             resolve_policy(self.policy, hand.name)
             return self.policy
         free = f"{hand.name}-student-free"
-        return free if free in list_policies() else REFERENCE
+        return free if self.from_image is None and free in list_policies() else REFERENCE
 
     def _film(
         self,
