@@ -15,7 +15,7 @@ SETTLED = np.tile([0.0, 0.0, 0.1, 1.0, 0.0, 0.0, 0.0], (2, 1))
 
 
 def differences(randomisation: Randomisation, count: int = 4, hand: str = "allegro") -> Differences:
-    scene = build_scene(load_hand(hand), {"can": builtin_object("can")})
+    scene = build_scene(load_hand(hand), {name: builtin_object(name) for name in ("can", "mug")})
     worlds = Worlds(scene, np.zeros(count, dtype=int), threads=1)
     worlds.reset()
     return Differences(randomisation, worlds, np.random.default_rng(0))
@@ -24,7 +24,7 @@ def differences(randomisation: Randomisation, count: int = 4, hand: str = "alleg
 def test_without_differences_everything_is_as_told():
     same = differences(NONE, hand="inspire")
     ids = np.array([1, 3])
-    same.begin(ids, np.array([0.2, 0.3]))
+    same.begin(ids, np.zeros(2, dtype=int), np.array([0.2, 0.3]))
     np.testing.assert_allclose(same.placed(ids, SETTLED), SETTLED)
     assert not same.latency(ids, 0.1).any()
     joints = np.linspace(0, 1, 4 * same.worlds.scene.hand.coupling[0].shape[1]).reshape(4, -1)
@@ -40,7 +40,7 @@ def test_a_trial_that_begins_leaves_the_others():
     random = differences(Randomisation())
     ids = np.array([0, 2])
     before = random.drawn
-    random.begin(ids, np.array([0.2, 0.2]))
+    random.begin(ids, np.array([0, 1]), np.array([0.2, 0.2]))
     for name in ("mass", "stiffness", "table_height", "object_bias", "push"):
         was, now = getattr(before, name), getattr(random.drawn, name)
         np.testing.assert_array_equal(now[[1, 3]], was[[1, 3]], err_msg=name)
@@ -53,9 +53,13 @@ def test_a_trial_that_begins_leaves_the_others():
 def test_objects_stand_on_the_table_that_was_drawn():
     random = differences(replace(NONE, table_height=(-0.01, 0.01), object_shift=0.02))
     ids = np.array([0, 2])
-    random.begin(ids, np.array([0.2, 0.2]))
+    random.begin(ids, np.array([0, 1]), np.array([0.2, 0.2]))
     placed = random.placed(ids, SETTLED)
     np.testing.assert_allclose(placed[:, 2] - SETTLED[:, 2], random.drawn.table_height[ids])
+    table = random.worlds.model.geom("table").id
+    height = random.worlds.batch.expand("geom_pos")[ids, table, 2] - random.worlds.model.geom_pos[table, 2]
+    np.testing.assert_allclose(height, random.drawn.table_height[ids])
+    assert (height != 0).all()
     moved = np.linalg.norm(placed[:, :2] - SETTLED[:, :2], axis=1)
     assert ((moved > 0) & (moved <= 0.02)).all()
 

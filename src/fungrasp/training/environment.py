@@ -217,8 +217,7 @@ class LiftEnvironment:
         first[rng.random(len(ids)) < s.whole] = 0
         task, told = self.task, refs.select(rows)
         task.worlds.reset(ids)
-        task.worlds.assign(ids, self._object_index[rows])
-        self.differences.begin(ids, told.mass)
+        self.differences.begin(ids, self._object_index[rows], told.mass)
         task.latency[ids] = self.differences.latency(ids, task.protocol.control_period)
         placed = replace(told, settled_pose=self.differences.placed(ids, told.settled_pose))
         begin_on_way(task, ids, placed, np.arange(len(ids)), first)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fungrasp.geometry.poses import rotate
+from fungrasp.geometry.poses import inverse_transform_points
 from fungrasp.simulation import Worlds
 from fungrasp.transfer.noise import noisy_object, noisy_wrist, shift_on_table
 from fungrasp.transfer.physics import apply, push_objects, pushes
@@ -27,18 +27,20 @@ class Differences:
         self.drawn = sample(randomisation, len(worlds), self._joints, rng)
         """For the trial in each world."""
 
-    def begin(self, ids: np.ndarray, mass: np.ndarray) -> None:
-        """Draw anew for trials that begin, and change joints, servos, table and mass of their worlds.
+    def begin(self, ids: np.ndarray, object_index: np.ndarray, mass: np.ndarray) -> None:
+        """Draw anew for trials that begin; give their worlds the objects, and other joints, servos, tables
+        and masses.
 
         Args:
             ids: worlds, shape [I].
+            object_index: which of the scene's objects each holds, shape [I].
             mass: that the policy is told [kg], shape [I].
         """
         fresh = sample(self.randomisation, len(ids), self._joints, self._rng)
         self.drawn = self.drawn.replaced(ids, fresh)
+        # The fields of an object hold the table's place, too: what was drawn comes after.
+        self.worlds.assign(ids, object_index, mass * fresh.mass, fresh.friction)
         apply(fresh, self.worlds, ids)
-        index = self.worlds.object_index[ids]
-        self.worlds.assign(ids, index, mass * fresh.mass, fresh.friction)
 
     def placed(self, ids: np.ndarray, settled_pose: np.ndarray) -> np.ndarray:
         """Where objects really are on the real table, world frame, shape [I, 7].
@@ -73,5 +75,5 @@ class Differences:
 
     def object(self, pose: np.ndarray) -> np.ndarray:
         """Tracked object pose, shape [W, 7]."""
-        center = rotate(pose[:, 3:] * [1, -1, -1, -1], self.worlds.center_of_mass - pose[:, :3])
+        center = inverse_transform_points(pose, self.worlds.center_of_mass[:, None])[:, 0]
         return noisy_object(pose, self.drawn, self.randomisation, self._rng, center)
