@@ -228,7 +228,8 @@ def _answers(
         masks = [explained_mask(known, view.capture, pose, allowed) for pose in found.poses[:3]]
         sharper = [gather(view.capture, mask, view.table, rng) for mask in masks if mask.sum() > LEAST_PIXELS]
         for seen in sharper:
-            poses = refine(known, [seen], Found(found.poses[:3], np.zeros(3, int)), settings.rounds[-1]).poses
+            best = found.poses[:3]
+            poses = refine(known, [seen], Found(best, np.zeros(len(best), int)), settings.rounds[-1]).poses
             found = Found(
                 np.concatenate([found.poses, poses]), np.concatenate([found.owner, found.owner[:3]])
             )
