@@ -23,6 +23,7 @@ from fungrasp.perception.estimates import Side
 from fungrasp.perception.hand_crops import Window, window_of_landmarks, window_of_palm
 from fungrasp.perception.hand_palms import DETECTOR_PIXELS, box_overlap, decode_palms
 from fungrasp.perception.hand_weights import load_weights
+from fungrasp.perception.quiet import without_small_talk
 
 FROM_MODEL = np.array([0, *range(5, 21), *range(1, 5)])
 """Indices of the models' landmarks (thumb first) in the order of ``HUMAN_JOINTS``."""
@@ -215,8 +216,9 @@ class _Model:
             raise FungraspError(
                 "finding hands in images needs the package ai-edge-litert: pip install ai-edge-litert"
             ) from error
-        self._interpreter = runtime.Interpreter(model_content=content, num_threads=threads)
-        self._interpreter.allocate_tensors()
+        with without_small_talk():
+            self._interpreter = runtime.Interpreter(model_content=content, num_threads=threads)
+            self._interpreter.allocate_tensors()
         self._input = self._interpreter.get_input_details()[0]["index"]
         # The runtime lists outputs in any order; their names tell it.
         outputs = sorted(self._interpreter.get_output_details(), key=lambda output: output["name"])
