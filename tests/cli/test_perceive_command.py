@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import shutil
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,9 @@ from grasp_files import run
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
-from fungrasp.cli.perceive import DENSITY, UNSURE, parse_plane
+from fungrasp.cli.held_object import DENSITY, held_object
+from fungrasp.cli.perceive import UNSURE, parse_plane
+from fungrasp.errors import FungraspError, UnknownNameError
 from fungrasp.grasps import load_human_grasps, load_robot_grasps
 from fungrasp.objects import builtin_object
 from fungrasp.perception import perceive as room
@@ -116,6 +119,58 @@ def test_a_folder_a_builtin_object_and_a_pose_from_elsewhere(folder, found, tmp_
     assert status == 0, err
     grasp = load_human_grasps(out)[0]
     assert (grasp.object_name, grasp.object_mass) == (NAME, pytest.approx(0.3))
+
+
+@pytest.fixture
+def camera(monkeypatch) -> list[tuple[object, object]]:
+    """A camera that sees the demo's image; what it was asked for."""
+    asked = []
+
+    def capture(recording=None, *, image=None):
+        asked.append((recording, image))
+        return read_folder(FOLDER)
+
+    monkeypatch.setattr("fungrasp.perception.realsense.capture_from_camera", capture)
+    return asked
+
+
+def test_a_cameras_image_is_kept(folder, found, camera, tmp_path, capsys):
+    kept = tmp_path / "kept"
+    given = ("--camera", "--keep", kept, "--mesh", NAME, "--object-pose-file", folder / "pose.txt")
+    status, words, err = run(capsys, "perceive", *given, "--out", tmp_path / "g.npz")
+    assert status == 0, err
+    assert f"the image: {kept}" in words and camera == [(None, None)]
+    again, seen = read_folder(kept), read_folder(FOLDER)
+    np.testing.assert_array_equal(again.colour, seen.colour)
+    np.testing.assert_array_equal(again.depth, seen.depth)
+    assert again.intrinsics == seen.intrinsics
+
+
+def test_an_image_of_a_recording(folder, found, camera, tmp_path, capsys):
+    recorded = ("--recording", folder / "x.bag", "--image", 4)
+    pose = ("--object-pose-file", folder / "pose.txt")
+    status, _, err = run(capsys, "perceive", *recorded, "--mesh", NAME, *pose, "--out", tmp_path / "g.npz")
+    assert status == 0, err
+    assert camera == [(folder / "x.bag", 4)]
+
+
+def test_a_camera_without_its_package_is_told(folder, tmp_path, capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pyrealsense2", None)
+    status, _, err = run(capsys, "perceive", "--camera", "--mesh", NAME, "--out", tmp_path / "g.npz")
+    assert status == 2 and "pip install 'fungrasp[realsense]'" in err and err.count("\n") == 1
+
+
+def test_an_object_by_file_or_name(folder):
+    held = held_object(NAME, None)
+    assert held.model.mass == builtin_object(NAME).mass and held.coloured is None and held.notes == ()
+    held = held_object(str(folder / "thing.obj"), None)
+    volume = held.model.mesh.convex_hull.volume
+    assert held.model.mass == pytest.approx(DENSITY * volume) and "was guessed" in held.notes[0]
+    assert held_object(str(folder / "thing.obj"), 0.2).notes == ()
+    with pytest.raises(UnknownNameError, match="Did you mean 'mug'"):
+        held_object("mugg", 0.2)
+    with pytest.raises(FungraspError, match="does not exist"):
+        held_object("mugg.obj", 0.2)
 
 
 def test_a_left_hand_brings_its_mirrored_mesh(folder, found, tmp_path, capsys):
@@ -234,6 +289,11 @@ BAD = {
     "only two files": (lambda f, t: files(f)[:4], "--intrinsics must be given"),
     "nothing": (lambda f, t: [], "--rgb and --depth and --intrinsics must be given"),
     "files and a folder": (lambda f, t: [*files(f), "--folder", f], "give either --folder"),
+    "files and a camera": (lambda f, t: [*files(f), "--camera"], "give either --camera, or --rgb"),
+    "two cameras": (lambda f, t: ["--camera", "--recording", f / "x.bag"], "give either --camera, or --rec"),
+    "no recording": (lambda f, t: ["--recording", t / "x.bag"], "x.bag does not exist"),
+    "a camera's unit": (lambda f, t: ["--camera", "--depth-unit", 0.001], "--depth-unit is for files"),
+    "files to be kept": (lambda f, t: [*files(f), "--keep", t / "out"], "--keep needs --camera"),
     "a folder of something else": (lambda f, t: ["--folder", t], "is no capture"),
     "a hand file that is none": (lambda f, t: [*files(f), "--hand-file", f / "mask.png"], "hand file"),
     "a pose that is none": (lambda f, t: [*files(f), "--object-pose-file", f / "K.json"], "K.json"),

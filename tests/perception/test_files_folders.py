@@ -6,14 +6,16 @@ from capture_files import HEIGHT, OURS, WIDTH, scene, write_scene
 from PIL import Image
 
 from fungrasp.errors import FungraspError
-from fungrasp.perception.scene_folders import read_bop, read_dexycb, read_folder
+from fungrasp.perception.capture import Capture, Intrinsics
+from fungrasp.perception.scene_folders import read_bop, read_dexycb, read_folder, write_folder
 
 
 def test_our_own_folder(tmp_path):
     write_scene(tmp_path)
     assert read_folder(tmp_path).mask is None
     Image.fromarray(np.eye(HEIGHT, WIDTH, dtype=np.uint8)).save(tmp_path / "mask.png")
-    assert read_folder(tmp_path).mask.sum() == HEIGHT
+    mask = read_folder(tmp_path).mask
+    assert mask is not None and mask.sum() == HEIGHT
 
 
 def a_bop_scene(folder):
@@ -28,6 +30,27 @@ def a_bop_scene(folder):
     cameras = {"7": {"cam_K": matrix, "depth_scale": 0.1}, "8": {"cam_K": matrix, "depth_scale": 0.1}}
     (folder / "scene_camera.json").write_text(json.dumps(cameras))
     return folder
+
+
+def test_what_is_written_is_read_again(tmp_path):
+    (colour, depth), mask = scene(), np.zeros((HEIGHT, WIDTH), bool)
+    mask[80:180, 100:220] = True
+    lens = Intrinsics(WIDTH, HEIGHT, 301.5, 300.25, 160.5, 119.0)
+    capture = Capture(colour, depth + np.float32(0.00337), lens, mask)
+    write_folder(capture, tmp_path / "near")
+    again = read_folder(tmp_path / "near")
+    np.testing.assert_array_equal(again.colour, capture.colour)
+    np.testing.assert_array_equal(again.mask, mask)
+    np.testing.assert_allclose(again.depth, capture.depth, atol=0.51e-4)
+    assert again.intrinsics == lens
+    with pytest.raises(FungraspError, match="mask of another image"):
+        write_folder(Capture(colour, capture.depth, lens), tmp_path / "near")
+    far = capture.depth.copy()
+    far[0, :2] = 20.0, 100.0
+    write_folder(Capture(colour, far, lens), tmp_path / "far")
+    again = read_folder(tmp_path / "far")
+    assert again.mask is None and again.depth[0, :2].tolist() == pytest.approx([20.0, 0.0])
+    np.testing.assert_allclose(again.depth[1:], far[1:], atol=0.51e-3)
 
 
 def test_a_bop_scene(tmp_path):

@@ -139,6 +139,18 @@ def test_what_fails_is_named_and_the_camera_is_let_go(realsense, options, words)
     assert fake.stopped == (0 if "start_error" in options else 1)
 
 
+def test_an_image_of_a_recording_by_its_number(realsense, tmp_path):
+    file = tmp_path / "recording.bag"
+    file.touch()
+    realsense(images=4)
+    assert capture_from_camera(file, image=2).colour[0, 0].tolist() == [200, 2, 0]
+    realsense(images=4)
+    with pytest.raises(FungraspError, match="has no image 4: its images are 0 to 3"):
+        capture_from_camera(file, image=4)
+    with pytest.raises(FungraspError, match="no image -1"):
+        capture_from_camera(file, image=-1)
+
+
 def test_bad_recordings(realsense, tmp_path):
     realsense(start_error="Failed to resolve request.\n Reason: Error reading version line")
     with pytest.raises(FungraspError, match="does not exist"):

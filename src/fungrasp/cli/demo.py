@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
-import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from fungrasp.cli.console import progress_bar
 from fungrasp.cli.demo_from_image import Folder
+from fungrasp.cli.provenance import provenance
 
 if TYPE_CHECKING:
     import numpy as np
@@ -101,8 +100,10 @@ class Demo:
             seen = seen_grasp(self.from_image, self.mesh, self.mass, self.task, self.seed)
             show(1)
         source["Image"] = seen.source
+        for note in seen.notes:
+            print(note)
         if not seen.perceived.sure:
-            write_doubts(self.out / "index.html", seen, self._provenance(source))
+            write_doubts(self.out / "index.html", seen, provenance(source, self.seed))
         objects = {seen.thing.name: seen.thing}
         self._show(seen.human, objects, hand, image_title(seen), image_words(seen), source, seen)
 
@@ -148,8 +149,8 @@ class Demo:
                         )
                     )
                     show(row + 1)
-            provenance = self._provenance(source, perf_counter() - start)
-            page = Page(title, reports, hand.title, introduction, provenance)
+            made = provenance(source, self.seed, perf_counter() - start)
+            page = Page(title, reports, hand.title, introduction, made)
             page_path = write_page(self.out / "index.html", page, opening)
         for report in reports:
             print(f"{report.title}: {report.outcome}")
@@ -252,22 +253,6 @@ class Demo:
 
         with progress_bar("filming", seconds) as show:
             return write_video(self.out / "film.mp4", frames(), FPS), clips
-
-    def _provenance(self, source: Mapping[str, str], seconds: float | None = None) -> dict[str, str]:
-        from datetime import datetime
-
-        from fungrasp import __version__
-        from fungrasp.evaluation.results import machine
-
-        return {
-            "Made by": f"fungrasp {__version__}",
-            "Command": shlex.join(["fungrasp", *sys.argv[1:]]),
-            **source,
-            "Seed": str(self.seed),
-            "Machine": machine(),
-            "Date": f"{datetime.now().astimezone():%Y-%m-%d %H:%M}"
-            + ("" if seconds is None else f", made in {seconds:.0f} s"),
-        }
 
 
 COMMAND = Demo

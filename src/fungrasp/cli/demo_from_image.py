@@ -59,6 +59,8 @@ class SeenGrasp:
     """Where the image came from, for people."""
     truth: Sequence[Quantity]
     """Errors, where the truth is known."""
+    notes: tuple[str, ...] = ()
+    """What was assumed, for people."""
 
     @property
     def human(self) -> HumanGraspSet:
@@ -70,13 +72,10 @@ class SeenGrasp:
     @property
     def thing(self) -> ObjectModel:
         """The object of the grasp: reflected if the hand was a left one."""
-        from fungrasp.grasps.human_hand import mirror_points
-        from fungrasp.objects import ObjectModel
+        from fungrasp.cli.held_object import mirrored_object
 
-        model, name = self.model, self.perceived.grasp.object_name
-        if name == model.name:
-            return model
-        return ObjectModel(name, model.mass, mirror_points(model.vertices), model.faces[:, ::-1])
+        name = self.perceived.grasp.object_name
+        return self.model if name == self.model.name else mirrored_object(self.model, name)
 
     def opening(self) -> list[str]:
         """What the page says before the robot's grasp."""
@@ -91,15 +90,16 @@ def seen_grasp(folder: str, mesh: str | None, mass: float | None, task: str, see
     Args:
         folder: of the capture, see ``read_folder``, or ``BUILTIN``.
         mesh: a mesh file, or the name of a built-in object.
-        mass: of the object [kg]; a built-in object has its own.
+        mass: of the object [kg]; None takes a built-in object's own, or guesses it from the mesh.
         task: what the grasp is for.
         seed: the same seed gives the same grasp.
 
     Raises:
         FungraspError: the folder or the mesh is bad, no hand is seen, or the hand models are not set up.
     """
+    from fungrasp.cli.held_object import held_object
     from fungrasp.errors import FungraspError
-    from fungrasp.objects import builtin_object, object_from_file
+    from fungrasp.objects import builtin_object
     from fungrasp.perception.perceive import perceive
     from fungrasp.perception.scene_folders import read_folder
     from fungrasp.report.demo_image import FOLDER, demo_truth, true_errors
@@ -115,9 +115,10 @@ def seen_grasp(folder: str, mesh: str | None, mass: float | None, task: str, see
         raise FungraspError(
             f"--from-image {folder}: --mesh must say what is held: a mesh file, or a built-in object's name"
         )
+    held = held_object(mesh, mass)
     capture = read_folder(folder)
-    model = object_from_file(mesh, mass) if Path(mesh).is_file() else builtin_object(mesh, mass)
-    return SeenGrasp(capture, model, perceive(capture, model, task=task, seed=seed), folder, ())
+    perceived = perceive(capture, held.model, coloured=held.coloured, task=task, seed=seed)
+    return SeenGrasp(capture, held.model, perceived, folder, (), held.notes)
 
 
 def image_title(seen: SeenGrasp) -> str:

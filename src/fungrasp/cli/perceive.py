@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import shlex
 import sys
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from fungrasp.cli.console import table, write_json
+from fungrasp.cli.image_source import ImageSource
 
 if TYPE_CHECKING:
     import numpy as np
@@ -21,10 +21,6 @@ if TYPE_CHECKING:
 
 UNSURE = 3
 """Exit status when the result was written but is not to be trusted unseen."""
-
-DENSITY = 500.0
-"""Of everyday objects, by the volume of their convex hulls [kg/m^3]: the median of YCB's and the built-in
-ones is 540; eight of ten lie between 190 and 940."""
 
 
 @dataclass(frozen=True)
@@ -38,23 +34,7 @@ class Perceive:
     """The object [m]: a mesh file, or the name of a built-in object."""
     out: Path
     """Grasp file to write (.npz)."""
-    rgb: Path | None = None
-    """Colour image, PNG or JPEG."""
-    depth: Path | None = None
-    """Depth aligned to it: 16-bit PNG or TIFF, or .npy."""
-    intrinsics: Path | None = None
-    """The camera's, JSON: our layout, RealSense's or BOP's."""
-    folder: Path | None = None
-    """Instead of the three files a folder: rgb.png, depth.png, K.json (and mask.png); a BOP scene; one camera
-    of a DexYCB sequence."""
-    image: int | None = None
-    """Number of the image in a BOP scene or a DexYCB sequence; by default the first or the last."""
-    depth_unit: float | None = None
-    """Metres per unit of the depth image, if the intrinsics don't say: 0.001 is usual."""
-    mask: Path | None = None
-    """Image that is not 0 where the object is."""
-    box: str | None = None
-    """Box around the object, x0,y0,x1,y1 [pixels]."""
+    source: ImageSource = field(default_factory=ImageSource)
     hand: Literal["right", "left"] | None = None
     """Which hand it is; by default it is recognised."""
     mass: float | None = None
@@ -81,23 +61,24 @@ class Perceive:
     def run(self) -> None:
         from time import perf_counter
 
+        from fungrasp.cli.held_object import held_object
         from fungrasp.perception.adapters import read_hand, read_object_pose
-        from fungrasp.perception.coloured import coloured_mesh
         from fungrasp.perception.perceive import perceive
 
         start = perf_counter()
         plane = parse_plane(self.table)
-        capture = self._capture()
-        model, guessed = self._object()
+        held = held_object(self.mesh, self.mass)
+        capture = self.source.read()
+        model = held.model
         hand = pose = None
         if self.hand_file is not None:
             hand = read_hand(self.hand_file, capture, side=self.hand, mano=self.mano)
         if self.object_pose_file is not None:
-            pose = read_object_pose(self.object_pose_file, image=self.image, object_id=self.object_id)
+            pose = read_object_pose(self.object_pose_file, image=self.source.image, object_id=self.object_id)
         perceived = perceive(
             capture,
             model,
-            coloured=coloured_mesh(self.mesh, model) if Path(self.mesh).is_file() else None,
+            coloured=held.coloured,
             side=self.hand,
             task=self.task,
             table=plane,
@@ -105,12 +86,12 @@ class Perceive:
             object_estimate=pose,
             seed=self.seed,
         )
-        notes = [f"the mass was guessed, {model.mass:.2f} kg: give --mass if you know it"] * guessed
-        notes += self._write(perceived, capture, model, perf_counter() - start)
+        kept = [] if self.source.keep is None else [f"the image: {self.source.keep}"]
+        written = self._write(perceived, capture, model, perf_counter() - start)
         touching = int(perceived.grasp.link_contacts.sum())
         print(quality_table(perceived))
         print(f"{self.out}: a {perceived.hand.side} hand on '{model.name}', {touching} links in contact")
-        for note in notes:
+        for note in (*held.notes, *kept, *written):
             print(note)
         for doubt in perceived.doubts:
             print(f"fungrasp: doubt: {doubt}", file=sys.stderr)
@@ -118,79 +99,27 @@ class Perceive:
             print("fungrasp: not sure: look at the grasp before you use it", file=sys.stderr)
             raise SystemExit(UNSURE)
 
-    def _capture(self) -> Capture:
-        from fungrasp.errors import FungraspError
-        from fungrasp.perception.files import parse_box, read_capture, read_mask
-        from fungrasp.perception.scene_folders import own_files, read_folder
-
-        given = {"--rgb": self.rgb, "--depth": self.depth, "--intrinsics": self.intrinsics}
-        missing = [name for name, path in given.items() if path is None]
-        box = None if self.box is None else parse_box(self.box)
-        files = self.rgb, self.depth, self.intrinsics
-        mask = self.mask
-        if self.folder is not None:
-            if len(missing) < 3:
-                raise FungraspError("give either --folder, or --rgb, --depth and --intrinsics")
-            own = own_files(self.folder)
-            if own is None:
-                capture = read_folder(self.folder, self.image)
-                marked = None if mask is None else read_mask(mask, capture.depth.shape)
-                if marked is None and box is None:
-                    return capture
-                return capture.with_object(marked, box)
-            *files, found = own
-            mask = mask or found
-        elif missing:
-            raise FungraspError(f"{' and '.join(missing)} must be given, or --folder instead of the images")
-        colour, depth, lens = files
-        assert colour is not None and depth is not None and lens is not None
-        return read_capture(
-            colour, depth, lens, depth_unit=self.depth_unit, mask=mask, box=box, image=self.image
-        )
-
-    def _object(self) -> tuple[ObjectModel, bool]:
-        """The object, and whether its mass is a guess."""
-        from fungrasp.objects import builtin_object, object_from_file, object_names
-
-        if self.mesh in object_names() and not Path(self.mesh).is_file():
-            return builtin_object(self.mesh, self.mass), False
-        if self.mass is not None:
-            return object_from_file(self.mesh, self.mass), False
-        light = object_from_file(self.mesh, 1.0)
-        return object_from_file(self.mesh, DENSITY * float(light.mesh.convex_hull.volume)), True
-
     def _write(self, perceived: Perceived, capture: Capture, model: ObjectModel, seconds: float) -> list[str]:
         """Write the files, the grasp last; what to say about them."""
+        from fungrasp.cli.held_object import mirrored_object, write_mesh
+        from fungrasp.cli.provenance import provenance
         from fungrasp.grasps import save_human_grasps
         from fungrasp.report.perception_page import write_perception_page
 
-        grasps, notes = one_grasp(perceived.grasp), []
+        notes: list[str] = []
         if self.report is not None:
-            write_perception_page(self.report, capture, model, perceived, self._provenance(seconds))
+            made = provenance({"Image": self.source.name}, self.seed, seconds)
+            write_perception_page(self.report, capture, model, perceived, made)
             notes.append(f"page: {self.report}")
         if self.json is not None:
             write_json(self.json, as_json(perceived))
         if perceived.hand.side == "left":
-            path = self.out.parent / f"{perceived.grasp.object_name}.obj"
-            write_mirrored(path, model)
+            name = perceived.grasp.object_name
+            path = self.out.parent / f"{name}.obj"
+            write_mesh(path, mirrored_object(model, name))
             notes.append(f"the scene was mirrored, as hands are right ones here; the object's mesh: {path}")
-        save_human_grasps(self.out, grasps)
+        save_human_grasps(self.out, one_grasp(perceived.grasp))
         return notes
-
-    def _provenance(self, seconds: float) -> dict[str, str]:
-        from datetime import datetime
-
-        from fungrasp import __version__
-        from fungrasp.evaluation.results import machine
-
-        return {
-            "Made by": f"fungrasp {__version__}",
-            "Command": shlex.join(["fungrasp", *sys.argv[1:]]),
-            "Image": str(self.folder or self.rgb),
-            "Seed": str(self.seed),
-            "Machine": machine(),
-            "Date": f"{datetime.now().astimezone():%Y-%m-%d %H:%M}, made in {seconds:.0f} s",
-        }
 
 
 COMMAND = Perceive
@@ -216,21 +145,6 @@ def parse_plane(text: str | None) -> np.ndarray | None:
     if plane.shape != (4,) or not np.isfinite(plane).all() or not 0.99 < length < 1.01:
         raise FungraspError(f"a table is nx,ny,nz,d with a normal of length 1, not '{text}'")
     return plane / length
-
-
-def write_mirrored(path: Path, model: ObjectModel) -> None:
-    """Write the object's mesh, reflected in the plane y = 0 of its frame.
-
-    Raises:
-        FungraspError: it can't be written.
-    """
-    import trimesh
-
-    from fungrasp.files import atomic_path
-    from fungrasp.grasps.human_hand import mirror_points
-
-    with atomic_path(path) as temporary:
-        trimesh.Trimesh(mirror_points(model.vertices), model.faces[:, ::-1], process=False).export(temporary)
 
 
 def one_grasp(grasp: HumanGrasp) -> HumanGraspSet:

@@ -32,7 +32,9 @@ DISTORTION = 1e-6
 _log = logging.getLogger(__name__)
 
 
-def capture_from_camera(recording: str | Path | None = None, warm_up: int = 30) -> Capture:
+def capture_from_camera(
+    recording: str | Path | None = None, warm_up: int = 30, *, image: int | None = None
+) -> Capture:
     """Take one capture: colour, and depth aligned to it.
 
     Args:
@@ -40,13 +42,17 @@ def capture_from_camera(recording: str | Path | None = None, warm_up: int = 30) 
             connected.
         warm_up: images left out before, in which exposure and white balance settle. Of a shorter recording
             the last image is taken.
+        image: number of the image that is taken, the first is 0; None takes the one after the warm-up.
 
     Raises:
         FungraspError: pyrealsense2 is not installed or can't be loaded, no camera is there or it gives no
-            images, the recording is missing, damaged or without colour or depth, or its depth can't be right.
+            images, the recording is missing, damaged, too short or without colour or depth, or its depth
+            can't be right.
     """
     if warm_up < 0:
         raise FungraspError(f"the number of images left out before must not be negative, not {warm_up}")
+    if image is not None and image < 0:
+        raise FungraspError(f"images are numbered from 0; there is no image {image}")
     if recording is not None and not Path(recording).is_file():
         raise FungraspError(f"the recording {recording} does not exist")
     rs = _module()
@@ -69,7 +75,7 @@ def capture_from_camera(recording: str | Path | None = None, warm_up: int = 30) 
         if recording is not None:
             device.as_playback().set_real_time(False)
         unit = float(device.first_depth_sensor().get_depth_scale())
-        frames = _wait(pipeline, warm_up, where)
+        frames = _wait(pipeline, warm_up, image, where)
         return _capture(rs, rs.align(rs.stream.color).process(frames), unit, where)
     except RuntimeError as error:
         raise FungraspError(f"{where} failed: {_line(error)}") from error
@@ -106,12 +112,14 @@ def _why_not_started(recording: str | Path | None, error: RuntimeError) -> str:
     )
 
 
-def _wait(pipeline: Any, warm_up: int, where: str) -> Any:
-    """The frames after the warm-up, or the last there are."""
+def _wait(pipeline: Any, warm_up: int, image: int | None, where: str) -> Any:
+    """The frames of an image; those after the warm-up, or the last there are, if none is asked for."""
     frames = None
-    for count in range(warm_up + 1):
+    for count in range(1 + (warm_up if image is None else image)):
         there, latest = pipeline.try_wait_for_frames(FIRST_WAIT if count == 0 else WAIT)
         if not there:
+            if image is not None and count:
+                raise FungraspError(f"{where} has no image {image}: its images are 0 to {count - 1}")
             break
         frames = latest
     if frames is None:

@@ -1,12 +1,16 @@
-"""Captures out of folders: our own, BOP scenes, DexYCB recordings."""
+"""Captures out of folders: our own, which can be written too, BOP scenes, DexYCB recordings."""
 
 from __future__ import annotations
 
+import json
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
+from PIL import Image
 
 from fungrasp.errors import FungraspError
+from fungrasp.files import atomic_path
 from fungrasp.grasps.importers.yaml_file import read_yaml
 from fungrasp.perception.capture import Capture
 from fungrasp.perception.files import read_capture, read_colour
@@ -14,6 +18,9 @@ from fungrasp.perception.lens_files import MILLIMETRE, lens_from
 
 COLOUR_FILE, DEPTH_FILE, LENS_FILE, MASK_FILE = "rgb.png", "depth.png", "K.json", "mask.png"
 """Names of the files in a capture's own folder."""
+
+FINE, COARSE = 0.0001, 0.001
+"""Units [m] in which depth is written: the coarse one where the fine one does not reach."""
 
 _PICTURES = (".png", ".jpg", ".jpeg", ".tif")
 
@@ -66,6 +73,32 @@ def own_files(folder: str | Path) -> tuple[Path, Path, Path, Path | None] | None
         folder / LENS_FILE,
         mask if mask.is_file() else None,
     )
+
+
+def write_folder(capture: Capture, folder: str | Path) -> None:
+    """Write a capture as a folder of our own, which ``read_folder`` reads.
+
+    Depth is rounded to ``FINE``, or to ``COARSE`` where the image reaches far; a box is not written.
+
+    Raises:
+        FungraspError: the folder can't be written to, or has a mask that is not this capture's.
+    """
+    folder = Path(folder)
+    if capture.mask is None and (folder / MASK_FILE).exists():
+        raise FungraspError(f"{folder} has the mask of another image, {MASK_FILE}: remove it first")
+    largest = float(capture.depth.max())
+    unit = FINE if largest < FINE * 65535 else COARSE
+    depth = np.round(capture.depth / unit)
+    depth = np.where(depth > 65535, 0, depth).astype(np.uint16)
+    images = {COLOUR_FILE: capture.colour, DEPTH_FILE: depth}
+    if capture.mask is not None:
+        images[MASK_FILE] = np.where(capture.mask, 255, 0).astype(np.uint8)
+    for name, pixels in images.items():
+        with atomic_path(folder / name) as temporary:
+            Image.fromarray(pixels).save(temporary)
+    # Last, so that a folder with it is whole.
+    with atomic_path(folder / LENS_FILE) as temporary:
+        temporary.write_text(json.dumps({**asdict(capture.intrinsics), "depth_unit": unit}, indent=1) + "\n")
 
 
 def read_bop(scene: str | Path, image: int, instance: int | None = None) -> Capture:

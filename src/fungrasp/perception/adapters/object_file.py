@@ -130,9 +130,9 @@ def _of_image(numbers: np.ndarray, image: int | str | None, where: str) -> np.nd
     many = (numbers.ndim == 3) or (numbers.ndim == 2 and numbers.shape[1] in (7, 16))
     if not many:
         return numbers
+    if len(numbers) == 1:
+        return numbers[0]
     if image is None:
-        if len(numbers) == 1:
-            return numbers[0]
         raise FungraspError(f"{where} has {len(numbers)} poses: say which image is meant")
     row = _number(image)
     if row is None or not 0 <= row < len(numbers):

@@ -1,0 +1,74 @@
+"""The object that somebody holds in an image: a mesh file or a built-in object; and its mirror image."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    import trimesh
+
+    from fungrasp.objects import ObjectModel
+
+DENSITY = 500.0
+"""Of everyday objects, by the volume of their convex hulls [kg/m^3]: the median of YCB's and the built-in
+ones is 540; eight of ten lie between 190 and 940."""
+
+
+@dataclass(frozen=True, eq=False)
+class HeldObject:
+    """An object, as a command was told of it."""
+
+    model: ObjectModel
+    coloured: trimesh.Trimesh | None = None
+    """The same with the colours of its mesh file, if it has any."""
+    notes: tuple[str, ...] = ()
+    """What was assumed, for people."""
+
+
+def held_object(mesh: str, mass: float | None) -> HeldObject:
+    """The object by its mesh file or its name.
+
+    Args:
+        mesh: a mesh file [m], or the name of a built-in object. A file of that name comes first.
+        mass: [kg]; None takes a built-in object's own, or guesses it from the size of the mesh.
+
+    Raises:
+        FungraspError: there is no such file or object, the mesh is bad, or the mass.
+    """
+    from fungrasp.objects import builtin_object, object_from_file, object_names
+    from fungrasp.perception.coloured import coloured_mesh
+
+    is_file = Path(mesh).is_file()
+    if not is_file and (mesh in object_names() or Path(mesh).name == mesh == Path(mesh).stem):
+        return HeldObject(builtin_object(mesh, mass))
+    notes: tuple[str, ...] = ()
+    if mass is None:
+        mass = DENSITY * float(object_from_file(mesh, 1.0).mesh.convex_hull.volume)
+        notes = (f"the mass was guessed, {mass:.2f} kg: give --mass if you know it",)
+    model = object_from_file(mesh, mass)
+    return HeldObject(model, coloured_mesh(mesh, model) if is_file else None, notes)
+
+
+def mirrored_object(model: ObjectModel, name: str) -> ObjectModel:
+    """The object reflected in the plane y = 0 of its frame, under another name: right hands then hold it as
+    left ones held the other (see ``mirror_pose``)."""
+    from fungrasp.grasps.human_hand import mirror_points
+    from fungrasp.objects import ObjectModel
+
+    return ObjectModel(name, model.mass, mirror_points(model.vertices), model.faces[:, ::-1])
+
+
+def write_mesh(path: Path, model: ObjectModel) -> None:
+    """Write the object's surface, in the format that the path's ending names.
+
+    Raises:
+        FungraspError: it can't be written.
+    """
+    import trimesh
+
+    from fungrasp.files import atomic_path
+
+    with atomic_path(path) as temporary:
+        trimesh.Trimesh(model.vertices, model.faces, process=False).export(temporary)

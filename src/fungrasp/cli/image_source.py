@@ -1,0 +1,119 @@
+"""Where a command's image comes from: files, a folder, a camera or a recording of one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from fungrasp.perception import Capture
+    from fungrasp.perception.capture import Box
+
+
+@dataclass(frozen=True)
+class ImageSource:
+    """The image: three files, or a folder, or a RealSense camera, or a recording of one."""
+
+    rgb: Path | None = None
+    """Colour image, PNG or JPEG."""
+    depth: Path | None = None
+    """Depth aligned to it: 16-bit PNG or TIFF, or .npy."""
+    intrinsics: Path | None = None
+    """The camera's, JSON: our layout, RealSense's or BOP's."""
+    folder: Path | None = None
+    """Instead of the three files a folder: rgb.png, depth.png, K.json (and mask.png); a BOP scene; one camera
+    of a DexYCB sequence."""
+    camera: bool = False
+    """Instead of files: take an image now, with the RealSense camera that is connected."""
+    recording: Path | None = None
+    """Instead of files: an image out of a RealSense camera's recording, .bag or .db3."""
+    keep: Path | None = None
+    """Folder in which the image of the camera or recording is kept; --folder reads it again."""
+    image: int | None = None
+    """Number of the image in a BOP scene (by default the first), a DexYCB sequence (the last) or a recording
+    (number 30, or the last)."""
+    depth_unit: float | None = None
+    """Metres per unit of the depth image, if the intrinsics don't say: 0.001 is usual."""
+    mask: Path | None = None
+    """Image that is not 0 where the object is."""
+    box: str | None = None
+    """Box around the object, x0,y0,x1,y1 [pixels]."""
+
+    @property
+    def name(self) -> str:
+        """For people."""
+        return "the camera's" if self.camera else str(self.folder or self.recording or self.rgb)
+
+    def read(self) -> Capture:
+        """The capture, with mask or box if one is given.
+
+        Raises:
+            FungraspError: it is not said, or said twice, where the image comes from; or it can't be read.
+        """
+        from fungrasp.perception.files import parse_box
+
+        self._check()
+        box = None if self.box is None else parse_box(self.box)
+        if self.folder is not None:
+            return self._of_folder(self.folder, box)
+        if self.camera or self.recording is not None:
+            return self._of_camera(box)
+        return self._of_files(self.rgb, self.depth, self.intrinsics, self.mask, box)
+
+    def _check(self) -> None:
+        from fungrasp.errors import FungraspError
+
+        files = {"--rgb": self.rgb, "--depth": self.depth, "--intrinsics": self.intrinsics}
+        missing = [name for name, path in files.items() if path is None]
+        others = {"--folder": self.folder, "--camera": self.camera or None, "--recording": self.recording}
+        given = [name for name, value in others.items() if value is not None]
+        if len(missing) < 3:
+            given.append("--rgb, --depth and --intrinsics")
+        if len(given) > 1:
+            raise FungraspError(f"give either {given[0]}, or {given[1]}")
+        if missing and not any(name in others for name in given):
+            raise FungraspError(
+                f"{' and '.join(missing)} must be given, or --folder, --camera or --recording instead"
+            )
+        live = self.camera or self.recording is not None
+        if live and self.depth_unit is not None:
+            raise FungraspError("--depth-unit is for files: a camera says itself what its depth means")
+        if not live and self.keep is not None:
+            raise FungraspError("--keep needs --camera or --recording")
+
+    def _of_folder(self, folder: Path, box: Box | None) -> Capture:
+        from fungrasp.perception.scene_folders import own_files, read_folder
+
+        own = own_files(folder)
+        if own is None:
+            return self._marked(read_folder(folder, self.image), box)
+        rgb, depth, intrinsics, mask = own
+        return self._of_files(rgb, depth, intrinsics, self.mask or mask, box)
+
+    def _of_camera(self, box: Box | None) -> Capture:
+        from fungrasp.perception.realsense import capture_from_camera
+        from fungrasp.perception.scene_folders import read_folder, write_folder
+
+        capture = capture_from_camera(self.recording, image=None if self.camera else self.image)
+        if self.keep is not None:
+            write_folder(capture, self.keep)
+            # As it will be read again, so that the same comes out then.
+            capture = read_folder(self.keep)
+        return self._marked(capture, box)
+
+    def _of_files(
+        self, rgb: Path | None, depth: Path | None, lens: Path | None, mask: Path | None, box: Box | None
+    ) -> Capture:
+        from fungrasp.perception.files import read_capture
+
+        assert rgb is not None and depth is not None and lens is not None
+        return read_capture(
+            rgb, depth, lens, depth_unit=self.depth_unit, mask=mask, box=box, image=self.image
+        )
+
+    def _marked(self, capture: Capture, box: Box | None) -> Capture:
+        from fungrasp.perception.files import read_mask
+
+        mask = None if self.mask is None else read_mask(self.mask, capture.depth.shape)
+        return capture if mask is None and box is None else capture.with_object(mask, box)
