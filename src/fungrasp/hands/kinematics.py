@@ -61,6 +61,8 @@ class HandKinematics:
         self._anchor, self._axis = self._batch.bind("xanchor"), self._batch.bind("xaxis")
         self._moves = _moved_bodies(self.model)
         self._palm = self.model.body(hand.palm).id
+        # Made when first asked for after each update.
+        self._joint_frames: tuple[np.ndarray, np.ndarray] | None = None
 
     @property
     def size(self) -> int:
@@ -78,11 +80,10 @@ class HandKinematics:
         self._batch.forward(stage=mujoco.mjtStage.mjSTAGE_POS)
         self._wrist_position = wrist_pose[:, :3]
         palm_rotation = self._xmat[:, self._palm].reshape(-1, 3, 3)
-        self._rotation = rotation_matrix(wrist_pose[:, 3:]) @ np.swapaxes(palm_rotation, 1, 2)
+        self._rotation = rotation_matrix(wrist_pose[:, 3:]) @ palm_rotation.mT
         shift = np.einsum("nij,nj->ni", self._rotation, self._xpos[:, self._palm])
         self._translation = self._wrist_position - shift
-        self._world_anchor = self._map(self._anchor)
-        self._world_axis = self._axis @ np.swapaxes(self._rotation, 1, 2)
+        self._joint_frames = None
 
     def points(self, which: BodyPoints) -> np.ndarray:
         """Positions in the reference frame [m], shape [N, P, 3]."""
@@ -107,13 +108,16 @@ class HandKinematics:
         result[..., 0, 4], result[..., 0, 5] = arm[..., 2], -arm[..., 1]
         result[..., 1, 3], result[..., 1, 5] = -arm[..., 2], arm[..., 0]
         result[..., 2, 3], result[..., 2, 4] = arm[..., 1], -arm[..., 0]
-        lever = positions[:, :, None, :] - self._world_anchor[:, None]
-        columns = cross(self._world_axis[:, None], lever) * self._moves[bodies][..., None]
+        if self._joint_frames is None:
+            self._joint_frames = self._map(self._anchor), self._axis @ self._rotation.mT
+        anchor, axis = self._joint_frames
+        lever = positions[:, :, None, :] - anchor[:, None]
+        columns = cross(axis[:, None], lever) * self._moves[bodies][..., None]
         result[..., 6:] = np.swapaxes(columns, 2, 3) @ self.matrix
         return result
 
     def _map(self, local: np.ndarray) -> np.ndarray:
-        return local @ np.swapaxes(self._rotation, 1, 2) + self._translation[:, None]
+        return local @ self._rotation.mT + self._translation[:, None]
 
     def step(
         self, wrist_pose: np.ndarray, independent: np.ndarray, tangent: np.ndarray

@@ -107,7 +107,7 @@ class PolicyNetwork:
                     f"not {np.shape(state[name])}"
                 )
             feed[STATE + name] = np.ascontiguousarray(state[name], dtype=kind)
-        outputs = dict(zip(self._outputs, self._session.run(None, feed), strict=True))
+        outputs = dict(zip(self._outputs, self._session.run(self._outputs, feed), strict=True))
         action = outputs.pop(ACTION)
         self._refuse_infinite("gave an action with", action, self.card.action)
         after = {name: outputs.pop(NEXT_STATE + name) for name in self._states}
@@ -126,8 +126,10 @@ class PolicyNetwork:
                 f"{self._name} takes observations of shape [W, {self.card.input_size}] ({layout}), "
                 f"not {list(given.shape)}"
             )
-        with np.errstate(over="ignore"):
-            single = np.ascontiguousarray(given, dtype=np.float32)
+        single = given
+        if given.dtype != np.float32 or not given.flags.c_contiguous:
+            with np.errstate(over="ignore"):
+                single = np.ascontiguousarray(given, dtype=np.float32)
         self._refuse_infinite("was given", single, self.card.inputs)
         return single
 

@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 
 from fungrasp.geometry import SignedDistanceBank
-from fungrasp.geometry.poses import compose, inverse_transform_points, invert
+from fungrasp.geometry.poses import compose, rotation_matrix, stack
 from fungrasp.hands import Hand
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.objects import ObjectModel
@@ -83,7 +83,9 @@ class Tracker:
         """Numbers in an action."""
         self.rows = np.zeros(count, dtype=int)
         self.action = np.zeros((count, self.size))
+        self._aims = self._chosen()
         self._anchor = self._palm.copy()
+        self._step = task.control_step
         self._before: Readings | None = None
         self._now: Readings | None = None
         # Made when first asked for after each reading.
@@ -95,6 +97,7 @@ class Tracker:
         """Follow other references in some worlds. ids: worlds, shape [I]; rows: of the references, [I]."""
         self.rows[ids] = rows
         self.action[ids] = 0.0
+        self._aims = self._chosen()
         self._goal = self._view = self._sensed = None
         fresh = self._read()
         self._anchor[ids] = fresh.object_pose[ids]
@@ -111,38 +114,28 @@ class Tracker:
             raise RuntimeError("begin comes before advance")
         self._goal = self._view = self._sensed = None
         self._before, self._now = self._now, self._read()
-        before_closing = self.task.control_step < self.references.motion.closing[self.rows]
+        before_closing = self._step < self.references.motion.closing[self.rows]
         self._anchor = np.where(before_closing[:, None], self._now.object_pose, self._anchor)
 
     def view(self) -> View:
         """The worlds as they were last read, by ``begin`` or ``advance``."""
         if self._view is not None:
             return self._view
-        task, refs, rows = self.task, self.references, self.rows
+        task = self.task
         if self._now is None or self._before is None:
             raise RuntimeError("begin comes before view")
-        step = self.task.control_step
-        closing = step - refs.motion.closing[rows]
+        closing = self._step - self.references.motion.closing[self.rows]
         goal, fingers = self._asked()
-        index = task.worlds.object_index
         period = task.protocol.control_period
         since_lift = np.where(np.isfinite(task.lift_time), task.time - task.lift_time, -1.0)
         lifted = goal.copy()
         lifted[:, 2] += np.where(since_lift >= 0, task.protocol.lift_height, 0.0)
         wanted = Wanted(
-            lifted,
-            fingers,
-            refs.motion.wrist[rows],
-            refs.keypoints[rows],
-            self._target_surface[0][rows],
-            self._target_surface[1][rows],
-            refs.contacts[rows],
-            refs.settled_pose[rows],
-            refs.mass[rows],
-            self._center[index],
-            self._size[index],
-            period * closing,
-            since_lift,
+            palm_goal=lifted,
+            servo_targets=fingers,
+            since_closing=period * closing,
+            since_lift=since_lift,
+            **self._aims,
         )
         self._view = View(self._now, self._before, wanted, self.action)
         return self._view
@@ -152,7 +145,7 @@ class Tracker:
         self.action = smoothed(action, self.action, self.settings)
         self._view = None
         goal, fingers = apply(*self._asked(), self.action, self.settings)
-        return Action(goal, fingers, self.task.control_step >= self.references.motion.lift[self.rows])
+        return Action(goal, fingers, self._step >= self.references.motion.lift[self.rows])
 
     def sensed(self) -> Sensed:
         """What only a simulation knows, when the worlds were last read."""
@@ -171,19 +164,38 @@ class Tracker:
     def _asked(self) -> tuple[np.ndarray, np.ndarray]:
         """Of the reference for this control step: palm, world frame, shape [W, 7]; servo targets, [W, U]."""
         if self._goal is None:
-            goal, fingers = self.references.motion.at(self.task.control_step, self.rows)
+            goal, fingers = self.references.motion.at(self._step, self.rows)
             self._goal = compose(self._anchor, goal), fingers
         return self._goal
 
+    def _chosen(self) -> dict[str, np.ndarray]:
+        """Those fields of ``Wanted`` that stay the same during a trial."""
+        refs, rows, index = self.references, self.rows, self.task.worlds.object_index
+        distance, normal = self._target_surface
+        return {
+            "palm_in_object": refs.motion.wrist[rows],
+            "keypoints": refs.keypoints[rows],
+            "surface_distance": distance[rows],
+            "surface_normal": normal[rows],
+            "contacts": refs.contacts[rows],
+            "settled_pose": refs.settled_pose[rows],
+            "mass": refs.mass[rows],
+            "center": self._center[index],
+            "size": self._size[index],
+        }
+
     def _read(self) -> Readings:
         task, noise = self.task, self.noise
+        self._step = task.control_step
         joints = task.independent(task.worlds.joint_positions)
         palm, thing = task.worlds.palm_pose, task.tracked_object_pose
         if noise is not None:
             joints, palm, thing = noise.joints(joints), noise.palm(palm), noise.object(thing)
         self.kinematics.update(self._palm, joints)
         keypoints = self.kinematics.points(self._keypoints)
-        in_object = inverse_transform_points(compose(invert(palm), thing), keypoints)
+        palm_turn, object_turn = rotation_matrix(stack(palm[:, 3:], thing[:, 3:]))
+        in_world = keypoints @ palm_turn.mT + palm[:, None, :3]
+        in_object = (in_world - thing[:, None, :3]) @ object_turn
         distance, normal = self._bank.query(task.worlds.object_index, in_object)
         return Readings(
             joints,

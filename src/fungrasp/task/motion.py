@@ -23,21 +23,45 @@ class WristSetPoint:
         self.velocity = np.zeros((len(pose), 3))
         self._protocol = protocol
 
-    def advance(self, goal: np.ndarray, duration: float) -> None:
-        """Move towards the goal poses [W, 7] for some time [s]: straight, braking in time, never faster than
-        allowed."""
+    def advance(self, goal: np.ndarray, duration: float, steps: int = 1) -> tuple[np.ndarray, np.ndarray]:
+        """Move towards goals: straight, braking in time, never faster than allowed.
+
+        Args:
+            goal: poses, shape [W, 7].
+            duration: of a step [s].
+            steps: S, how many to make.
+
+        Returns:
+            pose, shape [S, W, 7], and velocity [m/s], shape [S, W, 3], at the end of each step.
+        """
+        poses = np.empty((steps, *self.pose.shape))
+        velocities = np.empty((steps, *self.velocity.shape))
+        poses[..., 3:] = self._turned(goal[:, 3:], duration, steps)
+        position, velocity = self.pose[:, :3], self.velocity
+        for i in range(steps):
+            velocity = self._velocity(goal[:, :3] - position, velocity, duration)
+            position = position + duration * velocity
+            poses[i, :, :3], velocities[i] = position, velocity
+        self.pose, self.velocity = poses[-1], velocities[-1]
+        return poses, velocities
+
+    def _velocity(self, offset: np.ndarray, velocity: np.ndarray, duration: float) -> np.ndarray:
+        """During the next step, where the goal is at an offset, all of shape [W, 3]."""
         p = self._protocol
-        position, quaternion = self.pose[:, :3], self.pose[:, 3:]
-        offset = goal[:, :3] - position
         distance = norm(offset)
         reach = p.wrist_acceleration * duration
         speed = np.minimum(
             p.wrist_speed, np.sqrt(reach**2 / 4 + 2 * p.wrist_acceleration * distance) - reach / 2
         )
         wanted = offset / np.maximum(distance, 1e-9) * np.minimum(speed, distance / duration)
-        change = wanted - self.velocity
-        self.velocity = self.velocity + change * np.minimum(1.0, reach / np.maximum(norm(change), 1e-12))
-        turn = rotation_vector(quaternion_multiply(goal[:, 3:], quaternion_conjugate(quaternion)))
-        turn = turn * np.minimum(1.0, p.wrist_rotation_speed * duration / np.maximum(norm(turn), 1e-12))
+        change = wanted - velocity
+        return velocity + change * np.minimum(1.0, reach / np.maximum(norm(change), 1e-12))
+
+    def _turned(self, goal: np.ndarray, duration: float, steps: int) -> np.ndarray:
+        """Orientations after each step, shape [S, W, 4]: all on one way, as the turn has no inertia."""
+        quaternion = self.pose[:, 3:]
+        turn = rotation_vector(quaternion_multiply(goal, quaternion_conjugate(quaternion)))
+        reach = self._protocol.wrist_rotation_speed * duration * np.arange(1, steps + 1)[:, None, None]
+        turn = turn * np.minimum(1.0, reach / np.maximum(norm(turn), 1e-12))
         rotation = quaternion_multiply(quaternion_from_rotation_vector(turn), quaternion)
-        self.pose = np.concatenate([position + duration * self.velocity, rotation / norm(rotation)], axis=1)
+        return rotation / norm(rotation)

@@ -11,14 +11,19 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+import numpy as np
+
 from fungrasp.geometry.poses import (
     Array,
     array_namespace,
     compose,
     invert,
+    like,
+    relative,
     rotate,
     rotation_matrix,
     rotation_vector,
+    stack,
 )
 
 POSITION_UNIT = 0.05
@@ -27,6 +32,11 @@ FORCE_UNIT = 5.0
 """[N]."""
 SERVO_UNIT = 0.2
 """Difference between servo target and joint [rad]."""
+_MOTION_UNITS = np.repeat(
+    [[[0.01, 0.05]], [[0.02, 0.1]], [[POSITION_UNIT, 0.3]], [[POSITION_UNIT, 0.3]], [[0.01, 0.1]]], 3, axis=-1
+)
+"""Of the palm from its set point, since the step before and to its goal, of the object from its place in the
+grasp and since the step before: shift [m] and turn [rad], shape [5, 1, 6]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,50 +122,46 @@ def observe(now: Readings, before: Readings, wanted: Wanted, action: Array) -> d
     """
     xp = array_namespace(now.joints)
     # What is treated alike is treated together: for one robot the number of calls is what takes time.
-    to_palm, to_palm_before = invert(xp.stack([now.palm_pose, before.palm_pose]))
-    set_point, palm_before, goal, object_in_palm, object_before = compose(
-        xp.stack([to_palm, to_palm, to_palm, to_palm, to_palm_before]),
-        xp.stack(
-            [now.palm_set_point, before.palm_pose, wanted.palm_goal, now.object_pose, before.object_pose]
-        ),
+    set_point, palm_before, goal, object_in_palm, from_object_before = relative(
+        stack(now.palm_pose, now.palm_pose, now.palm_pose, now.palm_pose, before.object_pose),
+        stack(now.palm_set_point, before.palm_pose, wanted.palm_goal, now.object_pose, before.palm_pose),
     )
-    deviation, change = compose(xp.stack([wanted.palm_in_object, invert(object_before)]), object_in_palm)
-    poses = xp.stack([set_point, palm_before, goal, deviation, change])
-    shifts, turns = poses[..., :3], rotation_vector(poses[..., 3:])
-    from_world, from_object = rotation_matrix(xp.stack([to_palm[:, 3:], object_in_palm[:, 3:]]))
-    moved = xp.matmul(from_world, (now.object_pose - wanted.settled_pose)[:, :3, None])[..., 0]
+    deviation, change = compose(stack(wanted.palm_in_object, from_object_before), object_in_palm)
+    poses = stack(set_point, palm_before, goal, deviation, change)
+    motions = xp.concat([poses[..., :3], rotation_vector(poses[..., 3:])], axis=-1)
+    set_point, palm_before, goal, deviation, change = motions / like(motions, _MOTION_UNITS)
+    to_world, from_object = rotation_matrix(stack(now.palm_pose[:, 3:], object_in_palm[:, 3:]))
+    moved = xp.matmul((now.object_pose - wanted.settled_pose)[:, None, :3], to_world)[:, 0]
     extents = xp.matmul(xp.abs(from_object), wanted.size[..., None])[..., 0]
     count, number = now.surface_distance.shape
     vectors = [wanted.keypoints, now.surface_normal, wanted.surface_normal, wanted.center[:, None]]
-    vectors = xp.matmul(xp.concat(vectors, axis=1), xp.matrix_transpose(from_object))
+    vectors = xp.matmul(xp.concat(vectors, axis=1), from_object.mT)
     position = object_in_palm[:, None, :3]
     errors = vectors[:, :number] + position - now.keypoints
-    normals, wanted_normals = vectors[:, number : 2 * number], vectors[:, 2 * number : 3 * number]
+    normals = xp.reshape(vectors[:, number : 3 * number], (count, -1))
+    distances = xp.concat([now.surface_distance, wanted.surface_distance], axis=-1)
+    distances = xp.clip(distances / 0.02, -1.0, 5.0)
     center = (vectors[:, 3 * number :] + position)[:, 0]
-
-    def pose_vector(which: int, position_unit: float, rotation_unit: float) -> Array:
-        return xp.concat([shifts[which] / position_unit, turns[which] / rotation_unit], axis=-1)
-
     return {
         "joints": now.joints,
         "joint_errors": (wanted.servo_targets - now.joints) / SERVO_UNIT,
         "servo_errors": (now.servo_targets - now.joints) / SERVO_UNIT,
         "joint_changes": (now.joints - before.joints) / SERVO_UNIT,
-        "palm_error": pose_vector(0, 0.01, 0.05),
-        "palm_change": pose_vector(1, 0.02, 0.1),
-        "palm_goal": pose_vector(2, POSITION_UNIT, 0.3),
-        "up": from_world[..., 2],
+        "palm_error": set_point,
+        "palm_change": palm_before,
+        "palm_goal": goal,
+        "up": to_world[:, 2],
         "palm_height": now.palm_pose[:, 2:3] / (2 * POSITION_UNIT),
         "object_center": center / (2 * POSITION_UNIT),
         "object_extents": extents / (2 * POSITION_UNIT),
-        "object_deviation": pose_vector(3, POSITION_UNIT, 0.3),
+        "object_deviation": deviation,
         "object_moved": moved / POSITION_UNIT,
-        "object_change": pose_vector(4, 0.01, 0.1),
+        "object_change": change,
         "keypoint_errors": xp.reshape(errors / POSITION_UNIT, (count, -1)),
-        "surface_distances": xp.clip(now.surface_distance / 0.02, -1.0, 5.0),
-        "surface_normals": xp.reshape(normals, (count, -1)),
-        "target_distances": xp.clip(wanted.surface_distance / 0.02, -1.0, 5.0),
-        "target_normals": xp.reshape(wanted_normals, (count, -1)),
+        "surface_distances": distances[:, :number],
+        "surface_normals": normals[:, : 3 * number],
+        "target_distances": distances[:, number:],
+        "target_normals": normals[:, 3 * number :],
         "target_contacts": xp.astype(wanted.contacts, now.joints.dtype),
         "mass": xp.log(wanted.mass[:, None] / 0.3),
         "phase": _phase(wanted.since_closing, wanted.since_lift),
@@ -222,12 +228,13 @@ def layout(parts: Mapping[str, Array]) -> tuple[tuple[str, int], ...]:
 def _phase(since_closing: Array, since_lift: Array) -> Array:
     """Where in the trial, shape [W, 4]."""
     xp = array_namespace(since_closing)
-    return xp.stack(
+    closing, lift = since_closing[:, None], since_lift[:, None]
+    return xp.concat(
         [
-            xp.clip(since_closing, -1.0, 0.0),
-            xp.clip(since_closing, 0.0, 2.0),
-            xp.astype(since_lift >= 0, since_closing.dtype),
-            xp.clip(since_lift, 0.0, 2.0),
+            xp.clip(closing, -1.0, 0.0),
+            xp.clip(closing, 0.0, 2.0),
+            xp.astype(lift >= 0, closing.dtype),
+            xp.clip(lift, 0.0, 2.0),
         ],
         axis=-1,
     )

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-from fungrasp.geometry.poses import compose, invert, rotate
+from fungrasp.geometry.poses import euler_angles, relative
 from fungrasp.simulation import Scene
 from fungrasp.task.motion import WristSetPoint
 from fungrasp.task.protocol import Protocol
@@ -58,7 +58,7 @@ class Servos:
         low, high = scene.model.actuator_ctrlrange[scene.finger_actuators].T
         self._lowest, self._highest = low, high
         self._lead = scene.settings.wrist_damping[0] / scene.settings.wrist_stiffness[0]
-        self._to_reference = resting.copy()
+        self._reference = resting.copy()
         self._goal = resting.copy()
         self._finger_rate = np.zeros_like(self.fingers)
 
@@ -79,7 +79,7 @@ class Servos:
             velocity: of the wrist, world frame [m/s], shape [I, 3].
             fingers: independent joints [rad], shape [I, U].
         """
-        self._to_reference[ids] = invert(reference)
+        self._reference[ids] = reference
         self.wrist.pose[ids], self.wrist.velocity[ids] = pose, velocity
         self.fingers[ids] = fingers
         self._goal[ids], self._finger_rate[ids] = pose, 0.0
@@ -95,20 +95,18 @@ class Servos:
         due = np.ceil(self.latency / self.period - 1e-9)
         heeded = due == np.arange(self.number + 1)[:, None]
         heeded[-1] |= due > self.number
-        any_heeded = heeded.any(axis=1).tolist()
-        palms, velocities, joints = [], [], []
-        for i in range(self.number):
-            if any_heeded[i]:
-                self._heed(heeded[i], goal, fingers)
-            self.wrist.advance(self._goal, self.period)
-            self.fingers = self.fingers + self._finger_rate
-            palms.append(self.wrist.pose)
-            velocities.append(self.wrist.velocity)
-            joints.append(self.fingers)
-        if any_heeded[-1]:
+        changes = np.flatnonzero(heeded.any(axis=1)).tolist()
+        parts: list[tuple[np.ndarray, ...]] = []
+        for begin, end in pairwise(sorted({0, *changes, self.number})):
+            if begin in changes:
+                self._heed(heeded[begin], goal, fingers)
+            joints = self.fingers + np.arange(1, end - begin + 1)[:, None, None] * self._finger_rate
+            parts.append((*self.wrist.advance(self._goal, self.period, end - begin), joints))
+            self.fingers = joints[-1]
+        if self.number in changes:
             self._heed(heeded[-1], goal, fingers)
-        palm, velocity, fingers = np.stack(palms), np.stack(velocities), np.stack(joints)
-        return SetPoints(goal, self._commands(palm, velocity, fingers), palm, fingers)
+        palm, velocity, joints = (np.concatenate(part) for part in zip(*parts, strict=True))
+        return SetPoints(goal, self._commands(palm, velocity, joints), palm, joints)
 
     def commands(self) -> np.ndarray:
         """Those of all servos now, shape [W, 6 + U]."""
@@ -117,16 +115,14 @@ class Servos:
     def wrist_coordinates(self, pose: np.ndarray) -> np.ndarray:
         """Of the wrist's joints [m, rad], shape [..., W, 6]. pose: of the palm, world frame, shape [..., W,
         7]."""
-        relative = compose(self._to_reference, pose)
-        turns = Rotation.from_quat(relative[..., 3:].reshape(-1, 4), scalar_first=True)
-        angles = turns.as_euler("XYZ").reshape(*relative.shape[:-1], 3)
-        return np.concatenate([relative[..., :3], angles], axis=-1)
+        seen = relative(self._reference, pose)
+        return np.concatenate([seen[..., :3], euler_angles(seen[..., 3:])], axis=-1)
 
     def _commands(self, palm: np.ndarray, velocity: np.ndarray, fingers: np.ndarray) -> np.ndarray:
-        wrist = self.wrist_coordinates(palm)
         # A damped servo trails behind a set point that moves; it is told to be ahead by as much.
-        wrist[..., :3] += self._lead * rotate(self._to_reference[:, 3:], velocity)
-        return np.concatenate([wrist, fingers], axis=-1)
+        ahead = palm.copy()
+        ahead[..., :3] += self._lead * velocity
+        return np.concatenate([self.wrist_coordinates(ahead), fingers], axis=-1)
 
     def _heed(self, which: np.ndarray, goal: np.ndarray, fingers: np.ndarray) -> None:
         """Go for an action from now on. which: shape [W] bool."""
