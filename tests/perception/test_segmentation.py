@@ -4,7 +4,8 @@ from object_pose_scenes import HERE, hand_joints, scene
 
 from fungrasp.objects import load_object
 from fungrasp.perception import Capture
-from fungrasp.perception.segmentation import distance_from_hand, find_table, segment
+from fungrasp.perception.segmentation import distance_from_hand, segment
+from fungrasp.perception.table import largest_plane
 
 MUG = load_object("mug")
 STANDING = MUG.rest_pose(0.3)
@@ -16,7 +17,7 @@ def overlap(a: np.ndarray, b: np.ndarray) -> float:
 
 
 def test_the_table_is_found() -> None:
-    table = find_table(SCENE.capture, np.random.default_rng(0))
+    table = largest_plane(SCENE.capture, np.random.default_rng(0))
     assert table is not None
     assert np.degrees(np.arccos(table[:3] @ SCENE.table[:3])) < 0.5
     assert table[3] == pytest.approx(SCENE.table[3], abs=0.002)
@@ -26,7 +27,7 @@ def test_no_table_among_scattered_points() -> None:
     rng = np.random.default_rng(1)
     depth = rng.uniform(0.3, 2.0, SCENE.capture.depth.shape).astype(np.float32)
     scattered = Capture(SCENE.capture.colour, depth, SCENE.capture.intrinsics)
-    assert find_table(scattered, np.random.default_rng(0)) is None
+    assert largest_plane(scattered, np.random.default_rng(0)) is None
 
 
 def test_one_mask_is_the_object() -> None:

@@ -8,13 +8,12 @@ import numpy as np
 import trimesh
 
 from fungrasp.objects import ObjectModel
-from fungrasp.perception.capture import Capture, Intrinsics
+from fungrasp.perception.capture import Capture
 from fungrasp.perception.estimates import HandEstimate, ObjectEstimate
-from fungrasp.perception.icp import Evidence
-from fungrasp.perception.known_object import KnownObject, known_object
+from fungrasp.perception.known_object import known_object
 from fungrasp.perception.pose_colour import colour_agreement
 from fungrasp.perception.pose_confidence import ACCEPT, confidence, doubts, features, rivals
-from fungrasp.perception.pose_judge import Judge, Verdict, make_judge
+from fungrasp.perception.pose_judge import Verdict
 from fungrasp.perception.pose_search import (
     Found,
     SearchSettings,
@@ -25,16 +24,12 @@ from fungrasp.perception.pose_search import (
     search,
     symmetric,
 )
-from fungrasp.perception.segmentation import TIPS, find_table, segment
+from fungrasp.perception.pose_view import LEAST_PIXELS, View, make_view, thinned
+from fungrasp.perception.segmentation import TIPS
+from fungrasp.perception.table import largest_plane
 
 SIZES = (0.01, 1.5)
 """Shortest and longest diagonal of an object that a hand holds [m]."""
-
-LEAST_PIXELS = 80
-"""Fewer measured pixels of the object don't tell its pose."""
-
-TOO_LARGE = 1.25
-"""What a mask shows is not the mesh if it is larger by this factor."""
 
 GOOD = (0.85, 0.6)
 """Quality of an answer that needs no second search, with and without a mask."""
@@ -42,28 +37,8 @@ GOOD = (0.85, 0.6)
 COLOUR_WEIGHT = 0.15
 """Quality that full agreement of colours is worth, as a part of the best pose's."""
 
-WIDEST = 960
-"""Longer images [pixels] are thinned out: more pixels cost time and do not help."""
-
 ANSWERS = 5
 """Most alternatives that are kept."""
-
-
-@dataclass(frozen=True, eq=False)
-class _View:
-    """One image made ready for the search."""
-
-    known: KnownObject
-    capture: Capture
-    table: np.ndarray | None
-    joints: np.ndarray | None
-    support: np.ndarray
-    masks: tuple[np.ndarray, ...]
-    evidence: tuple[Evidence, ...]
-
-    def judge(self, rays: int) -> Judge:
-        known, capture = self.known, self.capture
-        return make_judge(known, capture, self.support, self.masks, self.table, self.joints, rays)
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,7 +99,7 @@ def search_object_pose(
     settings: SearchSettings | None = None,
 ) -> PoseAnswers:
     """All that ``estimate_object_pose`` finds, with what speaks for and against each pose."""
-    capture = _thinned(capture)
+    capture = thinned(capture)
     size = float(np.linalg.norm(np.ptp(np.asarray(mesh.vertices), axis=0))) if len(mesh.vertices) else 0.0
     joints = None if hand is None else hand.joints_camera
     if not SIZES[0] < size < SIZES[1]:
@@ -132,8 +107,8 @@ def search_object_pose(
         return _nothing(capture, joints, f"the mesh is {size:.4g} m large{unit}")
     known, rng = known_object(mesh), np.random.default_rng(seed)
     if table is None:
-        table = find_table(capture, rng)
-    view, problem = _view(known, capture, joints, table, rng)
+        table = largest_plane(capture, rng)
+    view, problem = make_view(known, capture, joints, table, rng)
     if problem or view is None:
         return _nothing(capture, joints, problem)
     found, verdict, colour = _answers(view, rng, settings or SearchSettings())
@@ -163,55 +138,8 @@ def best_estimate(answers: PoseAnswers) -> ObjectEstimate:
     return ObjectEstimate(poses[0], score, score >= ACCEPT, others[:ANSWERS], answers.residual_m, note)
 
 
-def _thinned(capture: Capture) -> Capture:
-    """Every so many rows and columns, so that the longer side is at most ``WIDEST``."""
-    k = capture.intrinsics
-    step = -(-max(k.width, k.height) // WIDEST)
-    if step == 1:
-        return capture
-    colour, depth = capture.colour[::step, ::step], capture.depth[::step, ::step]
-    lens = Intrinsics(depth.shape[1], depth.shape[0], k.fx / step, k.fy / step, k.cx / step, k.cy / step)
-    mask = None if capture.mask is None else capture.mask[::step, ::step]
-    if mask is not None and not mask.any():
-        return capture
-    x0, y0, x1, y1 = np.array(capture.box or (0.0, 0.0, 1.0, 1.0)) / step
-    box = None if capture.box is None else (float(x0), float(y0), float(x1), float(y1))
-    return Capture(colour, depth, lens, mask, box)
-
-
-def _view(
-    known: KnownObject,
-    capture: Capture,
-    joints: np.ndarray | None,
-    table: np.ndarray | None,
-    rng: np.random.Generator,
-) -> tuple[_View | None, str]:
-    """The image made ready; or why that can't be."""
-    if capture.mask is not None:
-        masks: tuple[np.ndarray, ...] = (capture.mask,)
-        support = capture.mask.astype(float)
-    else:
-        segmentation = segment(capture, joints, table, known.size)
-        masks, support = segmentation.masks, segmentation.support
-    counts = [int((mask & capture.measured).sum()) for mask in masks]
-    masks = tuple(mask for mask, count in zip(masks, counts, strict=True) if count >= LEAST_PIXELS)
-    if not masks:
-        where = "the mask" if capture.mask is not None else "what may be the object"
-        return None, f"{where} has only {max(counts, default=0)} pixels with depth"
-    evidence = tuple(gather(capture, mask, table, rng) for mask in masks)
-    if capture.mask is not None:
-        low, high = np.percentile(evidence[0].points, [3, 97], axis=0)
-        extent = float(np.linalg.norm(high - low))
-        if extent > TOO_LARGE * known.size:
-            return None, (
-                f"the mask shows something {extent:.3f} m large, but the mesh is {known.size:.3f} m: "
-                "wrong mesh, mask or unit?"
-            )
-    return _View(known, capture, table, joints, support, masks, evidence), ""
-
-
 def _answers(
-    view: _View, rng: np.random.Generator, settings: SearchSettings
+    view: View, rng: np.random.Generator, settings: SearchSettings
 ) -> tuple[Found, Verdict, np.ndarray]:
     """Different poses, what speaks for each, and the agreement of their colours."""
     few, many = view.judge(250), view.judge(1000)

@@ -14,6 +14,7 @@ from scipy import ndimage
 
 from fungrasp.grasps.human_hand import BONES
 from fungrasp.perception.capture import Capture
+from fungrasp.perception.planes import tolerance
 
 BONE_RADII = np.array([[15.0, 10.0, 9.0, 8.0]] * 4 + [[17.0, 13.0, 11.0, 10.0]]).ravel() / 1000
 """Of the flesh round each of ``BONES`` [m]."""
@@ -29,9 +30,6 @@ FOREARM = (0.35, 0.045)
 
 TIPS = (4, 8, 12, 16, 20)
 """The fingertips among the 21 joints."""
-
-TABLE_HEIGHT = (0.004, 0.003)
-"""Points lower above the table than this [m], plus this times the squared depth [1/m], belong to it."""
 
 MARGINS = (0.012, 0.004, 0.02)
 """Pixels nearer to the skin [m] are left out of the masks; several are tried."""
@@ -53,42 +51,6 @@ class Segmentation:
     support: np.ndarray
     """How sure it is that a pixel shows the object or another thing, not skin, table or room: 0 to 1,
     shape [H, W]."""
-
-
-def find_table(capture: Capture, rng: np.random.Generator, tries: int = 300) -> np.ndarray | None:
-    """The largest plane in the image (RANSAC), its normal towards the camera.
-
-    Args:
-        capture: the image.
-        rng: chooses the planes that are tried.
-        tries: how many.
-
-    Returns:
-        ``[nx ny nz d]``: ``n . x + d`` is the height above it [m], shape [4]; None if no plane makes up a
-        tenth of the image.
-    """
-    points = capture.points()[::6, ::6].reshape(-1, 3)
-    points = points[np.isfinite(points[:, 2]) & (points[:, 2] < 2.5)]
-    if len(points) < 100:
-        return None
-    corners = points[rng.integers(0, len(points), (tries, 3))]
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    area = np.linalg.norm(normal, axis=1)
-    normal, corners = normal[area > 1e-9] / area[area > 1e-9, None], corners[area > 1e-9]
-    if not len(normal):
-        return None
-    offset = -np.einsum("ti,ti->t", normal, corners[:, 0])
-    tolerance = _table_tolerance(points[:, 2])
-    votes = (np.abs(points @ normal.T + offset) < tolerance[:, None]).sum(axis=0)
-    plane = np.append(normal[votes.argmax()], offset[votes.argmax()])
-    if votes.max() < 0.1 * len(points):
-        return None
-    for width in (1.5, 1.0, 1.0):
-        near = points[np.abs(points @ plane[:3] + plane[3]) < width * tolerance]
-        middle = near.mean(axis=0)
-        direction = np.linalg.svd((near - middle) / len(near) ** 0.5, full_matrices=False)[2][2]
-        plane = np.append(direction, -direction @ middle)
-    return plane * np.sign(plane[3])
 
 
 def distance_from_hand(points: np.ndarray, joints: np.ndarray) -> np.ndarray:
@@ -135,7 +97,7 @@ def segment(
     Args:
         capture: its box, if it has one, bounds the object; its mask is not looked at.
         joints: of the hand [m], camera frame, shape [21, 3], if known.
-        table: see ``find_table``.
+        table: plane ``[nx ny nz d]``, ``n . x + d`` the height above it [m], shape [4], if there is one.
         size: longest distance between two points of the object [m].
     """
     points = capture.points()
@@ -144,7 +106,7 @@ def segment(
         candidate &= _inside(capture.box, candidate.shape)
     if table is not None:
         height = points @ table[:3] + table[3]
-        candidate &= height > _table_tolerance(capture.depth)
+        candidate &= height > tolerance(capture.depth)
     reach = np.zeros(candidate.shape)
     if joints is not None:
         rows, columns = np.nonzero(candidate)
@@ -203,11 +165,6 @@ def _different(masks: list[np.ndarray]) -> tuple[np.ndarray, ...]:
         if all(overlap < 0.92 for overlap in overlaps):
             kept.append(mask)
     return tuple(kept[:6])
-
-
-def _table_tolerance(depth: np.ndarray) -> np.ndarray:
-    """[m], shape of ``depth``."""
-    return TABLE_HEIGHT[0] + TABLE_HEIGHT[1] * depth**2
 
 
 def _inside(box: tuple[float, float, float, float], shape: tuple[int, ...]) -> np.ndarray:

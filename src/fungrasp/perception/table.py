@@ -1,19 +1,23 @@
-"""Which plane in the image is the table below hand and object: no wall, no side of the object.
-
-Unlike ``segmentation.find_table``, which takes the largest plane, this one knows where the hand is.
-"""
+"""Which plane in the image is the table."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from fungrasp.perception.capture import Capture
+from fungrasp.perception.planes import fitted, members, planes_through, votes
 
 NO_TABLE = np.array([0.0, -1.0, 0.0, 50.0])
 """A plane so far below everything that it is none, for those who would else look for one."""
 
 TRIES = 600
 """Planes that are tried."""
+
+FARTHEST = 3.0
+"""No point farther away is on the table [m]."""
+
+LEAST_POINTS = 100
+"""Fewer don't tell a plane."""
 
 LEAST_PART = 0.05
 """Part of the image's points that a table makes up at least."""
@@ -32,7 +36,7 @@ STEP = 6
 
 
 def table_under(capture: Capture, joints: np.ndarray, rng: np.random.Generator) -> np.ndarray | None:
-    """The largest plane that can be the table under a hand (RANSAC).
+    """The largest plane that can be the table under a hand (RANSAC): no wall, no side of the object.
 
     Args:
         capture: the image.
@@ -42,46 +46,46 @@ def table_under(capture: Capture, joints: np.ndarray, rng: np.random.Generator) 
     Returns:
         ``[nx ny nz d]``: ``n . x + d`` is the height above it [m], shape [4]; None if there is none.
     """
-    step = max(1, STEP * capture.intrinsics.width // 640)
-    points = capture.points()[::step, ::step].reshape(-1, 3)
-    points = points[np.isfinite(points[:, 2]) & (points[:, 2] < 3.0)]
-    if len(points) < 100:
+    points = _points(capture, FARTHEST)
+    if len(points) < LEAST_POINTS:
         return None
-    tolerance = 0.004 + 0.003 * points[:, 2] ** 2
-    planes = _through(points[rng.integers(0, len(points), (TRIES, 3))])
+    planes = planes_through(points[rng.integers(0, len(points), (TRIES, 3))])
     lowest = (joints @ planes[:, :3].T + planes[:, 3]).min(axis=0)
     planes = planes[(lowest > -BELOW) & (lowest < REACH)]
     if not len(planes):
         return None
-    votes = (np.abs(points @ planes[:, :3].T + planes[:, 3]) < tolerance[:, None]).sum(axis=0)
-    for best in np.argsort(-votes)[:20]:
-        near = np.abs(points @ planes[best, :3] + planes[best, 3]) < tolerance
+    for best in np.argsort(-votes(planes, points))[:20]:
+        near = members(planes[best], points)
         if near.sum() < max(30.0, LEAST_PART * len(points)):
             return None
         if np.ptp(np.percentile(points[near], [5, 95], axis=0), axis=0).max() > SMALLEST:
-            return _settled(planes[best], points, tolerance)
+            return fitted(planes[best], points)
     return None
 
 
-def _through(corners: np.ndarray) -> np.ndarray:
-    """Planes through three points each, the camera above them; points in a line give none.
+def largest_plane(capture: Capture, rng: np.random.Generator, tries: int = 300) -> np.ndarray | None:
+    """The largest plane in the image (RANSAC): the table, if nothing is known of the hand.
 
-    corners: [m], shape [T, 3, 3]. Returns shape [P, 4].
+    Args:
+        capture: the image.
+        rng: chooses the planes that are tried.
+        tries: how many.
+
+    Returns:
+        As ``table_under``; None if no plane makes up a tenth of the image.
     """
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    length = np.linalg.norm(normal, axis=1, keepdims=True)
-    offset = -np.einsum("ti,ti->t", normal, corners[:, 0])[:, None]
-    kept = length[:, 0] > 1e-6
-    planes = np.concatenate([normal, offset], axis=1)[kept] / length[kept]
-    return planes * np.where(planes[:, 3:] < 0, -1.0, 1.0)
+    points = _points(capture, 2.5)
+    if len(points) < LEAST_POINTS:
+        return None
+    planes = planes_through(points[rng.integers(0, len(points), (tries, 3))])
+    count = votes(planes, points)
+    if count.max(initial=0) < 0.1 * len(points):
+        return None
+    return fitted(planes[count.argmax()], points)
 
 
-def _settled(plane: np.ndarray, points: np.ndarray, tolerance: np.ndarray) -> np.ndarray:
-    """The plane fitted by least squares to the points near it, a few times."""
-    for width in (1.5, 1.0, 1.0):
-        near = points[np.abs(points @ plane[:3] + plane[3]) < width * tolerance]
-        middle = near.mean(axis=0)
-        direction = np.linalg.eigh((near - middle).T @ (near - middle))[1][:, 0]
-        plane = np.append(direction, -direction @ middle)
-        plane = plane if plane[3] > 0 else -plane
-    return plane
+def _points(capture: Capture, farthest: float) -> np.ndarray:
+    """Some of the measured points, evenly spread in the image [m], shape [N, 3]."""
+    step = max(1, STEP * capture.intrinsics.width // 640)
+    points = capture.points()[::step, ::step].reshape(-1, 3)
+    return points[np.isfinite(points[:, 2]) & (points[:, 2] < farthest)]
