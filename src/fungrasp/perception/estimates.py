@@ -62,6 +62,8 @@ class ObjectEstimate:
     """Median distance of the object's measured points from the mesh's surface [m]."""
     note: str = ""
     """What was uncertain, in words; empty when nothing was."""
+    judged: bool = True
+    """Whether the score comes from the image's depth; ``perceive`` judges those that are not."""
 
     def __post_init__(self) -> None:
         for pose, score in ((self.pose_camera_object, self.score), *self.alternatives):

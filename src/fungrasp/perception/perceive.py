@@ -28,6 +28,7 @@ from fungrasp.perception.hand_landmarks import DetectedHand, HandDetector, choos
 from fungrasp.perception.hand_refine import refine_hand
 from fungrasp.perception.hand_side import settle_side
 from fungrasp.perception.object_pose import SIZES, estimate_object_pose
+from fungrasp.perception.pose_check import judge_estimate
 from fungrasp.perception.quality import Quality, measure_quality
 from fungrasp.perception.table import NO_TABLE, table_under
 from fungrasp.perception.world_frame import guessed_table, in_world, put_down, world_from_table
@@ -97,7 +98,8 @@ def perceive(
         task: what the grasp is for, see ``HumanGrasp``.
         table: plane ``[nx ny nz d]``, camera frame, shape [4], unit normal upwards; looked for if None.
         hand: from another estimator; found in the image if None.
-        object_estimate: from another estimator; found in the image if None.
+        object_estimate: from another estimator; found in the image if None. One that is not ``judged``
+            gets the score that the depth gives it, see ``judge_estimate``.
         detector: finds hands; by default MediaPipe's models, which ``fungrasp setup perception`` fetches.
         seed: the same seed gives the same answer.
 
@@ -216,8 +218,11 @@ def _see(
     """The table under a hand and the object in it, unless they are known."""
     if table is None:
         table = table_under(capture, hand.joints_camera, np.random.default_rng(seed))
+    under = NO_TABLE if table is None else table
     if thing is None:
-        thing = estimate_object_pose(capture, mesh, hand, NO_TABLE if table is None else table, seed=seed)
+        thing = estimate_object_pose(capture, mesh, hand, under, seed=seed)
+    elif not thing.judged:
+        thing = judge_estimate(thing, capture, mesh, hand, under, seed=seed)
     return _Seen(detected, hand, table, thing)
 
 

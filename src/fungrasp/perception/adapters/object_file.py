@@ -42,8 +42,9 @@ def read_object_pose(
     - ``.csv``: BOP results, ``scene_id,im_id,obj_id,score,R,t,time``, ``t`` in millimetres; the best score
       counts, the others are alternatives.
 
-    Without a score the pose is accepted, with the lowest score that is, and a note. A score of another range
-    than 0 to 1 is no probability and treated likewise.
+    What is returned is not ``judged``: ``perceive`` compares it with the depth and gives it a score of its own.
+    Until then the file is taken at its word: without a score the pose is accepted, with the lowest score that
+    is, and a note. A score of another range than 0 to 1 is no probability and treated likewise.
 
     Args:
         path: the file or folder.
@@ -78,7 +79,7 @@ def read_object_pose(
         raise FungraspError(f"{path}: a pose is numbers, all rows of the same length") from error
     pose = pose_from_numbers(_of_image(numbers, image, str(path)), str(path))
     if score is None:
-        return ObjectEstimate(pose, ACCEPT, True, note=NO_SCORE)
+        return ObjectEstimate(pose, ACCEPT, True, note=NO_SCORE, judged=False)
     if isinstance(score, bool) or not isinstance(score, int | float):
         raise FungraspError(f"{path}: the score must be a number, not {score!r}")
     return _estimate([pose], [float(score)])
@@ -96,11 +97,11 @@ def _estimate(poses: list[np.ndarray], scores: list[float]) -> ObjectEstimate:
     """Best first."""
     if not all(0 <= score <= 1 for score in scores):
         others = tuple((pose, 0.0) for pose in poses[1:])
-        return ObjectEstimate(poses[0], ACCEPT, True, others, note=FOREIGN_SCORE)
+        return ObjectEstimate(poses[0], ACCEPT, True, others, note=FOREIGN_SCORE, judged=False)
     accepted = scores[0] >= ACCEPT
     note = "" if accepted else f"not sure: the estimator's own score is {scores[0]:.2g}"
     others = tuple(zip(poses[1:], scores[1:], strict=True))
-    return ObjectEstimate(poses[0], scores[0], accepted, others, note=note)
+    return ObjectEstimate(poses[0], scores[0], accepted, others, note=note, judged=False)
 
 
 def _of_folder(folder: Path, image: int | str | None) -> Path:
