@@ -89,6 +89,69 @@ def test_composition_maps_points_one_after_the_other(a: np.ndarray, b: np.ndarra
     )
 
 
+@given(transforms, transforms)
+def test_a_pose_seen_from_another_leads_back_to_it(a: np.ndarray, b: np.ndarray):
+    seen = poses.relative(a, b)
+    np.testing.assert_allclose(seen, poses.compose(poses.invert(a), b), atol=1e-12)
+    np.testing.assert_allclose(poses.compose(a, seen), b, atol=1e-12)
+
+
+@pytest.mark.filterwarnings("ignore:Gimbal lock")
+@given(quaternions)
+def test_euler_angles_agree_with_scipy(q: np.ndarray):
+    angles = poses.euler_angles(q)
+    assert np.all(np.abs(angles) <= np.array([np.pi, np.pi / 2, np.pi]) + 1e-12)
+    again = Rotation.from_euler("XYZ", angles).as_quat(scalar_first=True)
+    assert_same_rotation(again, q)
+    clear = np.abs(angles[:, 1]) < np.pi / 2 - 1e-3
+    expected = scipy_rotation(q).as_euler("XYZ")
+    difference = (angles - expected)[clear]
+    np.testing.assert_allclose(np.sin(difference / 2), 0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("tilt", [-np.pi / 2, np.pi / 2, -np.pi / 2 + 1e-9, np.pi / 2 - 1e-5])
+def test_euler_angles_at_a_right_angle_make_the_same_rotation(tilt: float):
+    q = Rotation.from_euler("XYZ", [[0.3, tilt, -2.0], [3.0, tilt, 1.0]]).as_quat(scalar_first=True)
+    again = Rotation.from_euler("XYZ", poses.euler_angles(q)).as_quat(scalar_first=True)
+    assert_same_rotation(again, q)
+
+
+@given(transforms, transforms)
+def test_one_pose_is_treated_as_many_to_the_last_bit(a: np.ndarray, b: np.ndarray):
+    for work in (poses.compose, poses.relative):
+        alone = np.concatenate([work(a[i : i + 1], b[i : i + 1]) for i in range(len(a))])
+        np.testing.assert_array_equal(work(a, b), alone)
+    for work in (poses.invert, lambda pose: poses.rotation_matrix(pose[:, 3:])):
+        np.testing.assert_array_equal(work(a), np.concatenate([work(row[None]) for row in a]))
+
+
+def test_torch_computes_the_same():
+    torch = pytest.importorskip("torch")
+    random = np.random.default_rng(0)
+    a, b = random.normal(size=(2, 6, 7))
+    a[:, 3:] /= np.linalg.norm(a[:, 3:], axis=1, keepdims=True)
+    b[:, 3:] /= np.linalg.norm(b[:, 3:], axis=1, keepdims=True)
+    for work in (
+        poses.compose,
+        poses.relative,
+        lambda a, b: poses.invert(a),
+        lambda a, b: poses.rotation_vector(a[:, 3:]),
+        lambda a, b: poses.euler_angles(a[:, 3:]),
+        lambda a, b: poses.rotation_matrix(a[:, 3:]),
+        lambda a, b: poses.quaternion_from_rotation_vector(a[:, :3]),
+    ):
+        for kind, atol in ((torch.float64, 1e-12), (torch.float32, 1e-5)):
+            result = work(torch.as_tensor(a, dtype=kind), torch.as_tensor(b, dtype=kind))
+            assert result.dtype == kind
+            np.testing.assert_allclose(result.numpy(), work(a, b), atol=atol)
+
+
+def test_single_precision_stays_single():
+    a = np.tile(IDENTITY, (3, 1)).astype(np.float32)
+    assert poses.compose(a, a).dtype == poses.rotation_matrix(a[:, 3:]).dtype == np.float32
+    assert poses.rotation_vector(a[:, 3:]).dtype == poses.euler_angles(a[:, 3:]).dtype == np.float32
+
+
 def test_shapes_broadcast():
     one, many = IDENTITY.copy(), np.tile(IDENTITY, (4, 2, 1))
     assert poses.compose(one, many).shape == (4, 2, 7)

@@ -44,6 +44,17 @@ def palm_to_model(kinematics: HandKinematics, data: mujoco.MjData) -> np.ndarray
     return np.concatenate([palm.xpos, palm.xquat])
 
 
+def test_without_a_pose_the_palm_is_the_frame(kinematics: HandKinematics):
+    pose, joints = random_state(kinematics)
+    pose[:] = [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]
+    points = kinematics.body_points(kinematics.hand.keypoint_names)
+    kinematics.update(pose, joints)
+    expected = kinematics.points(points), kinematics.jacobian(points.bodies, kinematics.points(points))
+    kinematics.update(None, joints)
+    np.testing.assert_array_equal(kinematics.points(points), expected[0])
+    np.testing.assert_array_equal(kinematics.jacobian(points.bodies, expected[0]), expected[1])
+
+
 def test_points_are_where_mujoco_has_them(kinematics: HandKinematics):
     pose, joints = random_state(kinematics)
     points = hand_balls(kinematics.hand, 0.02).points

@@ -63,6 +63,21 @@ def test_a_goal_is_reached_without_going_past_it(seed, reach):
     assert turned(point.pose[:, 3:], goal[:, 3:]).max() < 1e-3
 
 
+@settings(max_examples=25, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), reach=st.floats(0.0, 1.0), period=st.integers(1, 30))
+def test_several_steps_at_once_are_as_one_after_the_other(seed, reach, period):
+    goals = poses(seed, 6, 4, reach)
+    goals[3] = goals[2]
+    at_once, one_by_one = WristSetPoint(goals[0], Protocol()), WristSetPoint(goals[0], Protocol())
+    for goal in goals[1:]:
+        pose, velocity = at_once.advance(goal, DT, period)
+        for step in range(period):
+            one_by_one.advance(goal, DT)
+            np.testing.assert_allclose(pose[step], one_by_one.pose, atol=1e-9)
+            np.testing.assert_allclose(velocity[step], one_by_one.velocity, atol=1e-9)
+        np.testing.assert_array_equal(at_once.pose, pose[-1])
+
+
 def test_the_lift_takes_as_long_as_the_acceleration_allows():
     """0.15 m from rest to rest at 0.3 m/s2: half of it up to 0.21 m/s, 2 sqrt(0.15 / 0.3) = 1.41 s."""
     start = np.array([[0.0, 0.0, 0.1, 1.0, 0.0, 0.0, 0.0]])

@@ -142,7 +142,7 @@ def euler_angles(q: Array) -> Array:
     both, apart = xp.atan2(parts[..., 1], parts[..., 0])
     most, least = norm(parts)[..., 0]
     angles = _side_by_side(xp, both + apart, 2.0 * xp.atan2(most, least) - 0.5 * xp.pi, both - apart)
-    return angles - 2.0 * xp.pi * xp.round(angles / (2.0 * xp.pi))
+    return angles - 2.0 * xp.pi * xp.floor(angles / (2.0 * xp.pi) + 0.5)
 
 
 def compose(pose_a_b: Array, pose_b_c: Array) -> Array:

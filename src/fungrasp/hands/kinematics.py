@@ -69,18 +69,21 @@ class HandKinematics:
         """D, the length of a tangent vector."""
         return 6 + self.matrix.shape[1]
 
-    def update(self, wrist_pose: np.ndarray, independent: np.ndarray) -> None:
+    def update(self, wrist_pose: np.ndarray | None, independent: np.ndarray) -> None:
         """Move the hands.
 
         Args:
-            wrist_pose: pose of the palm body in the reference frame, shape [N, 7].
+            wrist_pose: pose of the palm body in the reference frame, shape [N, 7]; None where the palm itself
+                is that frame.
             independent: independent joint positions [rad], shape [N, U].
         """
         self._qpos[:] = independent @ self.matrix.T + self.offset
         self._batch.forward(stage=mujoco.mjtStage.mjSTAGE_POS)
-        self._wrist_position = wrist_pose[:, :3]
-        palm_rotation = self._xmat[:, self._palm].reshape(-1, 3, 3)
-        self._rotation = rotation_matrix(wrist_pose[:, 3:]) @ palm_rotation.mT
+        self._rotation = self._xmat[:, self._palm].reshape(-1, 3, 3).mT
+        self._wrist_position = np.zeros((len(self._rotation), 3))
+        if wrist_pose is not None:
+            self._wrist_position = wrist_pose[:, :3]
+            self._rotation = rotation_matrix(wrist_pose[:, 3:]) @ self._rotation
         shift = np.einsum("nij,nj->ni", self._rotation, self._xpos[:, self._palm])
         self._translation = self._wrist_position - shift
         self._joint_frames = None

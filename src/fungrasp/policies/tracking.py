@@ -73,7 +73,6 @@ class Tracker:
         count = len(task.worlds)
         self.kinematics = HandKinematics(task.scene.hand, count)
         self._keypoints = self.kinematics.body_points(task.scene.hand.keypoint_names)
-        self._palm = np.tile([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], (count, 1))
         known = task.scene.objects
         self._bank = SignedDistanceBank([objects[name].signed_distance for name in known])
         self._center, self._size = object_tables(known, objects)
@@ -84,7 +83,7 @@ class Tracker:
         self.rows = np.zeros(count, dtype=int)
         self.action = np.zeros((count, self.size))
         self._aims = self._chosen()
-        self._anchor = self._palm.copy()
+        self._anchor = np.tile([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], (count, 1))
         self._step = task.control_step
         self._before: Readings | None = None
         self._now: Readings | None = None
@@ -191,7 +190,7 @@ class Tracker:
         palm, thing = task.worlds.palm_pose, task.tracked_object_pose
         if noise is not None:
             joints, palm, thing = noise.joints(joints), noise.palm(palm), noise.object(thing)
-        self.kinematics.update(self._palm, joints)
+        self.kinematics.update(None, joints)
         keypoints = self.kinematics.points(self._keypoints)
         palm_turn, object_turn = rotation_matrix(stack(palm[:, 3:], thing[:, 3:]))
         in_world = keypoints @ palm_turn.mT + palm[:, None, :3]

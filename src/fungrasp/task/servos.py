@@ -92,20 +92,15 @@ class Servos:
             fingers: of the independent joints, to be there when the period ends [rad], shape [W, U].
         """
         fingers = np.minimum(np.maximum(fingers, self._lowest), self._highest)
-        due = np.ceil(self.latency / self.period - 1e-9)
-        heeded = due == np.arange(self.number + 1)[:, None]
-        heeded[-1] |= due > self.number
-        changes = np.flatnonzero(heeded.any(axis=1)).tolist()
+        due = np.minimum(np.ceil(self.latency / self.period - 1e-9), self.number)
         parts: list[tuple[np.ndarray, ...]] = []
-        for begin, end in pairwise(sorted({0, *changes, self.number})):
-            if begin in changes:
-                self._heed(heeded[begin], goal, fingers)
-            joints = self.fingers + np.arange(1, end - begin + 1)[:, None, None] * self._finger_rate
-            parts.append((*self.wrist.advance(self._goal, self.period, end - begin), joints))
-            self.fingers = joints[-1]
-        if self.number in changes:
-            self._heed(heeded[-1], goal, fingers)
-        palm, velocity, joints = (np.concatenate(part) for part in zip(*parts, strict=True))
+        for begin, end in pairwise(sorted({0, *due.tolist(), self.number})):
+            self._heed(due == begin, goal, fingers)
+            parts.append(self._advance(int(end - begin)))
+        self._heed(due == self.number, goal, fingers)
+        palm, velocity, joints = parts[0]
+        if len(parts) > 1:
+            palm, velocity, joints = (np.concatenate(part) for part in zip(*parts, strict=True))
         return SetPoints(goal, self._commands(palm, velocity, joints), palm, joints)
 
     def commands(self) -> np.ndarray:
@@ -124,8 +119,17 @@ class Servos:
         ahead[..., :3] += self._lead * velocity
         return np.concatenate([self.wrist_coordinates(ahead), fingers], axis=-1)
 
+    def _advance(self, steps: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Make S more set points: palm, shape [S, W, 7], its velocity, [S, W, 3], fingers, [S, W, U]."""
+        palm, velocity = self.wrist.advance(self._goal, self.period, steps)
+        fingers = self.fingers + np.arange(1, steps + 1)[:, None, None] * self._finger_rate
+        self.fingers = fingers[-1]
+        return palm, velocity, fingers
+
     def _heed(self, which: np.ndarray, goal: np.ndarray, fingers: np.ndarray) -> None:
         """Go for an action from now on. which: shape [W] bool."""
+        if not which.any():
+            return
         rate = (fingers - self.fingers) / self.number
         self._goal = np.where(which[:, None], goal, self._goal)
         self._finger_rate = np.where(which[:, None], rate, self._finger_rate)
