@@ -51,12 +51,18 @@ class Evidence:
 
 
 def pixel_evidence(
-    joints: np.ndarray, jacobian: np.ndarray, intrinsics: Intrinsics, pixels: np.ndarray, spread: float
+    joints: np.ndarray,
+    jacobian: np.ndarray,
+    intrinsics: Intrinsics,
+    pixels: np.ndarray,
+    spread: float | np.ndarray,
 ) -> Evidence:
-    """The joints project to the landmarks. spread: standard deviation of a landmark [pixels]."""
+    """The joints project to the landmarks. spread: standard deviation of a landmark [pixels], shape [21] or
+    one for all."""
     projected, slopes = project(joints, jacobian, intrinsics)
-    residual = (projected - pixels) / spread
-    return Evidence(residual.ravel(), slopes.reshape(42, -1) / spread, outlier=4.0, group=2)
+    width = np.broadcast_to(spread, 21)[:, None]
+    residual = ((projected - pixels) / width).ravel()
+    return Evidence(residual, (slopes / width[..., None]).reshape(42, -1), outlier=4.0, group=2)
 
 
 def project(
@@ -92,6 +98,28 @@ def depth_evidence(
     residual = (points[:, 2] - radius - measured)[seen] / spread
     limit = np.where(residual > 0, outlier[0], outlier[1]) / spread
     return Evidence(residual, jacobian[seen, 2] / spread, limit)
+
+
+def front_evidence(
+    points: np.ndarray,
+    jacobian: np.ndarray,
+    radius: np.ndarray,
+    measured: np.ndarray,
+    spread: float,
+    outlier: float,
+) -> Evidence:
+    """No skin is in front of what is seen.
+
+    Args:
+        points, jacobian: of the probes.
+        radius: flesh around each of them, and slack [m], shape [P].
+        measured: depth of what is seen at their pixels [m], shape [P]; 0: none.
+        spread: standard deviation of how far skin is in front [m].
+        outlier: skin farther in front is likelier a fault of the depth [m].
+    """
+    ahead = measured - points[:, 2] + radius
+    wrong = (measured > 0) & (ahead > 0)
+    return Evidence(ahead[wrong] / spread, -jacobian[wrong, 2] / spread, outlier / spread)
 
 
 def silhouette_evidence(

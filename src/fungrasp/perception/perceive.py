@@ -24,6 +24,7 @@ from fungrasp.perception.contacts import touching_links
 from fungrasp.perception.estimates import HandEstimate, ObjectEstimate, Side
 from fungrasp.perception.hand_contact import Surroundings
 from fungrasp.perception.hand_fit import fit_hand
+from fungrasp.perception.hand_held import fit_held
 from fungrasp.perception.hand_landmarks import DetectedHand, HandDetector, choose_hand
 from fungrasp.perception.hand_refine import refine_hand
 from fungrasp.perception.hand_side import settle_side
@@ -129,7 +130,9 @@ def perceive(
     thing, plane = seen.thing, seen.table
     if not thing.accepted:
         doubts.append(f"the object's pose: {thing.note or 'not sure'}")
-    hand = _refined(seen, capture, model)
+    hand = _refined(seen, capture, model, side)
+    if hand.side != seen.hand.side:
+        doubts.append(f"which hand it is: a {hand.side} one fits the depth better; --hand says which it is")
     if hand.score < SURE_HAND:
         doubts.append(f"the hand: its score is only {hand.score:.2f}")
     table_found = plane is not None
@@ -226,14 +229,15 @@ def _see(
     return _Seen(detected, hand, table, thing)
 
 
-def _refined(seen: _Seen, capture: Capture, model: ObjectModel) -> HandEstimate:
+def _refined(seen: _Seen, capture: Capture, model: ObjectModel, side: Side | None) -> HandEstimate:
     """The hand that touches the object; unchanged where the object's pose is not believed."""
     if not seen.thing.accepted:
         return seen.hand
     surface, pose = model.signed_distance, seen.thing.pose_camera_object
     if seen.detected is None:
         return refine_hand(seen.hand, surface, pose, seen.table)
-    return fit_hand(seen.detected, capture, Surroundings(surface, pose, seen.table))
+    around = Surroundings(surface, pose, seen.table)
+    return fit_held(seen.detected, capture, around, seen.hand.joints_camera, side=side)
 
 
 def _grasp(
