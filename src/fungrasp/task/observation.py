@@ -37,6 +37,8 @@ _MOTION_UNITS = np.repeat(
 )
 """Of the palm from its set point, since the step before and to its goal, of the object from its place in the
 grasp and since the step before: shift [m] and turn [rad], shape [5, 1, 6]."""
+_PHASE_BEGINS, _PHASE_ENDS = np.array([-1.0, 0.0, 0.0]), np.array([0.0, 2.0, 2.0])
+"""Where time counts: before the fingers close, after, and since the lift began [s]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,12 +231,6 @@ def _phase(since_closing: Array, since_lift: Array) -> Array:
     """Where in the trial, shape [W, 4]."""
     xp = array_namespace(since_closing)
     closing, lift = since_closing[:, None], since_lift[:, None]
-    return xp.concat(
-        [
-            xp.clip(closing, -1.0, 0.0),
-            xp.clip(closing, 0.0, 2.0),
-            xp.astype(lift >= 0, closing.dtype),
-            xp.clip(lift, 0.0, 2.0),
-        ],
-        axis=-1,
-    )
+    times = xp.concat([closing, closing, lift], axis=-1)
+    times = xp.clip(times, like(times, _PHASE_BEGINS), like(times, _PHASE_ENDS))
+    return xp.concat([times[:, :2], xp.astype(lift >= 0, times.dtype), times[:, 2:]], axis=-1)
