@@ -151,6 +151,18 @@ def test_a_shift_between_depth_and_colour_is_seen():
     assert check_alignment(Capture(colour, np.roll(depth, (-12, 0), (0, 1)), lens)) == (0, -12)
 
 
+def test_a_busy_background_is_not_taken_for_a_shift():
+    """Stripes at the image's top, and noise that makes steps in far depth below them."""
+    colour, depth = scene()
+    rng = np.random.default_rng(0)
+    colour[:20] = np.where(np.arange(WIDTH)[None, :, None] // 6 % 2, 255, 0)
+    colour[40:70] = 20, 30, 25
+    depth[40:70] = 3.0 + 0.1 * rng.normal(size=(30, WIDTH)).astype(np.float32)
+    lens = Intrinsics(WIDTH, HEIGHT, 300, 301, 160, 119)
+    assert check_alignment(Capture(colour, depth, lens)) is None
+    assert check_alignment(Capture(colour, np.roll(depth, (0, 16), (0, 1)), lens)) == (16, 0)
+
+
 def test_swapped_colours_are_guessed_from_skin(tmp_path, caplog):
     colour, _ = scene()
     assert not looks_bgr(colour)

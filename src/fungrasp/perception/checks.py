@@ -17,11 +17,20 @@ USUAL_DEPTH = (0.25, 3.0)
 UNITS = (0.001, 0.0001, 0.00025, 0.01, 1.0)
 """Units of depth that cameras and data sets use [m]."""
 
-SHIFTS = np.arange(-24, 25, 4)
+SHIFTS = np.arange(-28, 29, 4)
 """Shifts between colour and depth that are tried [pixels at 640 x 480]."""
 
-SHIFT_GAIN = 1.6
+SHIFT_GAIN = 1.4
 """How much better than where it is the depth must fit elsewhere to be called shifted."""
+
+STEP = 0.05
+"""Neighbouring pixels whose depth differs by this [m] are the edge of a thing."""
+
+EDGES_WITHIN = 1.5
+"""Only things nearer than this [m] count: farther away, noise makes steps where nothing ends."""
+
+LEAST_EDGE = 200
+"""With fewer pixels of edges [at 640 x 480] nothing can be told."""
 
 SKIN_PART = (0.003, 0.02)
 """Parts of the image: less skin than the first, and more than the second once red and blue are swapped, look
@@ -58,8 +67,9 @@ def check_depth_range(depth: np.ndarray, unit: float, where: str) -> None:
 def check_alignment(capture: Capture) -> tuple[int, int] | None:
     """Is the depth shifted against the colour?
 
-    Steps in depth are mostly edges of the colour image, too. The strength of colour edges at the steps is
-    compared with that at the same steps shifted.
+    Where a thing ends in depth, it mostly ends in the colour image, too. The strength of colour edges at the
+    steps in depth is compared with that at the same steps shifted. Only a peak among the shifts counts: where
+    the strongest is at the end of the range, a busy background draws it there.
 
     Returns:
         Columns and rows by which the depth lies away from where it belongs [pixels], or None if all looks
@@ -69,22 +79,23 @@ def check_alignment(capture: Capture) -> tuple[int, int] | None:
     scale = max(1.0, capture.intrinsics.width / 640)
     nearest, farthest = ndimage.minimum_filter(depth, 3), ndimage.maximum_filter(depth, 3)
     with np.errstate(invalid="ignore"):
-        steps = farthest - nearest > 0.05
+        steps = (farthest - nearest > STEP) & (nearest < EDGES_WITHIN)
     shifts = np.round(SHIFTS * scale).astype(int)
     reach = int(shifts[-1])
     steps[:reach], steps[-reach:], steps[:, :reach], steps[:, -reach:] = False, False, False, False
     rows, columns = np.nonzero(steps)
-    if len(rows) < 200 * scale:
+    if len(rows) < LEAST_EDGE * scale:
         return None
     grey = ndimage.gaussian_filter(capture.colour.mean(axis=-1), 1.5 * scale)
     edges = np.hypot(ndimage.sobel(grey, 0), ndimage.sobel(grey, 1))
     fit = np.array([[edges[rows + dy, columns + dx].mean() for dx in shifts] for dy in shifts])
     here = np.argmin(np.abs(shifts))
     near = fit[here - 1 : here + 2, here - 1 : here + 2].max()
-    best = np.unravel_index(np.argmax(fit), fit.shape)
-    if fit[best] < SHIFT_GAIN * near:
+    down, across = np.unravel_index(np.argmax(fit), fit.shape)
+    last = len(shifts) - 1
+    if fit[down, across] < SHIFT_GAIN * near or down in (0, last) or across in (0, last):
         return None
-    return -int(shifts[best[1]]), -int(shifts[best[0]])
+    return -int(shifts[across]), -int(shifts[down])
 
 
 def looks_bgr(colour: np.ndarray) -> bool:
