@@ -120,7 +120,7 @@ def _first_fit(guess: DetectedHand, capture: Capture, view: HandView, settings: 
     fit = Fit(start(seen), np.zeros(3))
     for outlier, far in _STAGES:
         problem.look(fit.hand)
-        fit = problem.solve(fit, outlier, far, 4, contact=False)
+        fit = problem.solve(fit, outlier, far, 5, contact=False)
     return _Candidate(guess, problem, fit, problem.cost(fit))
 
 
