@@ -115,10 +115,12 @@ def test_three_files_become_a_grasp_that_can_be_retargeted(folder, found, tmp_pa
 def test_a_folder_a_builtin_object_and_a_pose_from_elsewhere(folder, found, tmp_path, capsys):
     out = tmp_path / "g.npz"
     pose = ("--object-pose-file", folder / "pose.txt", "--mass", 0.3)
-    status, _, err = run(capsys, "perceive", "--folder", folder, "--mesh", NAME, *pose, "--out", out)
-    assert status == 0, err
-    grasp = load_human_grasps(out)[0]
-    assert (grasp.object_name, grasp.object_mass) == (NAME, pytest.approx(0.3))
+    for place in (folder, "builtin"):
+        out.unlink(missing_ok=True)
+        status, _, err = run(capsys, "perceive", "--folder", place, "--mesh", NAME, *pose, "--out", out)
+        assert status == 0, err
+        grasp = load_human_grasps(out)[0]
+        assert (grasp.object_name, grasp.object_mass) == (NAME, pytest.approx(0.3))
 
 
 @pytest.fixture

@@ -10,15 +10,14 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import tyro
 
+from fungrasp.cli.image_source import BUILTIN
+
 if TYPE_CHECKING:
     from fungrasp.grasps import HumanGraspSet
     from fungrasp.objects import ObjectModel
     from fungrasp.perception import Capture
     from fungrasp.perception.perceive import Perceived
     from fungrasp.report import Quantity
-
-BUILTIN = "builtin"
-"""Stands for the image that comes with the package."""
 
 INTRODUCTION = (
     "One colour image with depth, and a mesh of the object, become a human grasp; the robot hand takes it "

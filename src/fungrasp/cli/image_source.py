@@ -10,6 +10,9 @@ if TYPE_CHECKING:
     from fungrasp.perception import Capture
     from fungrasp.perception.capture import Box
 
+BUILTIN = "builtin"
+"""Stands for the image that comes with the package."""
+
 
 @dataclass(frozen=True)
 class ImageSource:
@@ -23,7 +26,7 @@ class ImageSource:
     """The camera's, JSON: our layout, RealSense's or BOP's."""
     folder: Path | None = None
     """Instead of the three files a folder: rgb.png, depth.png, K.json (and mask.png); a BOP scene; one camera
-    of a DexYCB sequence."""
+    of a DexYCB sequence; or "builtin", an image of a spray_bottle to try things with."""
     camera: bool = False
     """Instead of files: take an image now, with the RealSense camera that is connected."""
     recording: Path | None = None
@@ -43,6 +46,8 @@ class ImageSource:
     @property
     def name(self) -> str:
         """For people."""
+        if _is_builtin(self.folder):
+            return "the built-in one"
         return "the camera's" if self.camera else str(self.folder or self.recording or self.rgb)
 
     def read(self) -> Capture:
@@ -84,8 +89,9 @@ class ImageSource:
 
     def _of_folder(self, folder: Path, box: Box | None) -> Capture:
         from fungrasp.perception.scene_folders import own_files, read_folder
+        from fungrasp.report.demo_image import FOLDER
 
-        own = own_files(folder)
+        own = own_files(FOLDER if _is_builtin(folder) else folder)
         if own is None:
             return self._marked(read_folder(folder, self.image), box)
         rgb, depth, intrinsics, mask = own
@@ -117,3 +123,8 @@ class ImageSource:
 
         mask = None if self.mask is None else read_mask(self.mask, capture.depth.shape)
         return capture if mask is None and box is None else capture.with_object(mask, box)
+
+
+def _is_builtin(folder: Path | None) -> bool:
+    """Whether the package's own image is meant: no folder has its name."""
+    return folder is not None and str(folder) == BUILTIN and not folder.is_dir()
