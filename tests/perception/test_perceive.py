@@ -240,7 +240,7 @@ def test_a_side_that_was_said_counts():
 def test_fingers_tell_which_hand_it_is_where_the_model_is_in_doubt():
     _, detected = mug()
     assert settle_side(detected)[0] is detected
-    doubtful = dataclasses.replace(detected, side="left", side_score=0.6)
+    doubtful = dataclasses.replace(detected, side="left", side_score=0.55)
     settled, note = settle_side(doubtful)
     assert settled.side == "right" and "fingers bend like those of a right one" in note
     np.testing.assert_array_equal(settled.pixels, detected.pixels)
