@@ -148,6 +148,22 @@ def test_a_cameras_image_is_kept(folder, found, camera, tmp_path, capsys):
     assert again.intrinsics == seen.intrinsics
 
 
+def test_a_pose_from_elsewhere_is_judged_by_the_depth(folder, found, tmp_path, capsys):
+    near, far = (TRUTH.pose_camera_object + np.array([x, 0, 0, 0, 0, 0, 0]) for x in (0.004, 0.05))
+    (tmp_path / "near.json").write_text(json.dumps({"pose": near.tolist(), "score": 0.1}))
+    (tmp_path / "far.json").write_text(json.dumps({"pose": far.tolist(), "score": 1.0}))
+    result = tmp_path / "r.json"
+    common = ("--folder", folder, "--mesh", NAME, "--out", tmp_path / "g.npz", "--json", result)
+    pose = ("--object-pose-file", tmp_path / "near.json", "--improve-pose")
+    status, _, err = run(capsys, "perceive", *common, *pose)
+    assert status == 0, err
+    position = json.loads(result.read_text())["object"]["pose_camera"][:3]
+    np.testing.assert_allclose(position, TRUTH.pose_camera_object[:3], atol=0.002)
+    with pytest.raises(SystemExit) as end:
+        run(capsys, "perceive", *common, "--object-pose-file", tmp_path / "far.json")
+    assert end.value.code == UNSURE and "the object's pose: not sure" in capsys.readouterr().err
+
+
 def test_an_image_of_a_recording(folder, found, camera, tmp_path, capsys):
     recorded = ("--recording", folder / "x.bag", "--image", 4)
     pose = ("--object-pose-file", folder / "pose.txt")
@@ -295,6 +311,7 @@ BAD = {
     "two cameras": (lambda f, t: ["--camera", "--recording", f / "x.bag"], "give either --camera, or --rec"),
     "no recording": (lambda f, t: ["--recording", t / "x.bag"], "x.bag does not exist"),
     "a camera's unit": (lambda f, t: ["--camera", "--depth-unit", 0.001], "--depth-unit is for files"),
+    "no pose to improve": (lambda f, t: [*files(f), "--improve-pose"], "needs --object-pose-file"),
     "files to be kept": (lambda f, t: [*files(f), "--keep", t / "out"], "--keep needs --camera"),
     "a folder of something else": (lambda f, t: ["--folder", t], "is no capture"),
     "a hand file that is none": (lambda f, t: [*files(f), "--hand-file", f / "mask.png"], "hand file"),

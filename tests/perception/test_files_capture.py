@@ -126,6 +126,7 @@ def test_large_images_are_made_smaller_with_a_word(tmp_path, caplog):
     with caplog.at_level(logging.WARNING):
         capture = read_capture(colour, depth, lens, box=(1600, 1280, 3520, 2880))
     assert "5120 x 3840 pixels are made smaller: 1706 x 1280" in caplog.text
+    assert capture.box is not None
     pixel = np.array([capture.box[0], capture.box[1]])
     assert pixel == pytest.approx([1600 / 3, 1280 / 3])
     # The corner of the box is seen in the same direction as before.

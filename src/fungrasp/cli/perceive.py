@@ -49,6 +49,8 @@ class Perceive:
     """Your MANO model, for hand files without joints."""
     object_pose_file: Path | None = None
     """A pose that another program found: a matrix, FoundationPose's folder or BOP results."""
+    improve_pose: bool = False
+    """Fit that pose to the depth; by default it stays as it is."""
     object_id: int | None = None
     """The object's number in BOP results of several objects."""
     seed: int = 0
@@ -62,10 +64,13 @@ class Perceive:
         from time import perf_counter
 
         from fungrasp.cli.held_object import held_object
+        from fungrasp.errors import FungraspError
         from fungrasp.perception.adapters import read_hand, read_object_pose
         from fungrasp.perception.perceive import perceive
 
         start = perf_counter()
+        if self.improve_pose and self.object_pose_file is None:
+            raise FungraspError("--improve-pose needs --object-pose-file")
         plane = parse_plane(self.table)
         held = held_object(self.mesh, self.mass)
         capture = self.source.read()
@@ -85,6 +90,7 @@ class Perceive:
             hand=hand,
             object_estimate=pose,
             seed=self.seed,
+            improve_pose=self.improve_pose,
         )
         kept = [] if self.source.keep is None else [f"the image: {self.source.keep}"]
         written = self._write(perceived, capture, model, perf_counter() - start)

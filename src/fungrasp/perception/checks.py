@@ -29,7 +29,7 @@ STEP = 0.05
 EDGES_WITHIN = 1.5
 """Only things nearer than this [m] count: farther away, noise makes steps where nothing ends."""
 
-LEAST_EDGE = 200
+LEAST_EDGE = 100
 """With fewer pixels of edges [at 640 x 480] nothing can be told."""
 
 SKIN_PART = (0.003, 0.02)

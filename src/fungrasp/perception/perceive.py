@@ -88,6 +88,7 @@ def perceive(
     object_estimate: ObjectEstimate | None = None,
     detector: Detector | None = None,
     seed: int = 0,
+    improve_pose: bool = False,
 ) -> Perceived:
     """The grasp in an image.
 
@@ -103,6 +104,7 @@ def perceive(
             gets the score that the depth gives it, see ``judge_estimate``.
         detector: finds hands; by default MediaPipe's models, which ``fungrasp setup perception`` fetches.
         seed: the same seed gives the same answer.
+        improve_pose: whether an ``object_estimate`` that is not ``judged`` is fitted to the depth nearby.
 
     Raises:
         FungraspError: there is no hand in the image, no depth at it, the mesh is not of a size that a hand
@@ -112,13 +114,16 @@ def perceive(
     doubts: list[str] = []
     mesh = model if coloured is None else coloured
     if hand is not None:
-        seen = _see(capture, mesh, hand, None, table, object_estimate, seed)
+        seen = _see(capture, mesh, hand, None, table, object_estimate, seed, improve_pose)
     else:
         near = _object_box(capture, model, object_estimate)
         hands = (detector or HandDetector()).detect(capture.colour, near)
         candidates, doubts = _candidates(hands, near, side)
         seen = max(
-            (_see(capture, mesh, fit_hand(d, capture), d, table, object_estimate, seed) for d in candidates),
+            (
+                _see(capture, mesh, fit_hand(d, capture), d, table, object_estimate, seed, improve_pose)
+                for d in candidates
+            ),
             key=lambda found: found.thing.score * found.hand.score,
         )
         if len(candidates) > 1:
@@ -217,6 +222,7 @@ def _see(
     table: np.ndarray | None,
     thing: ObjectEstimate | None,
     seed: int,
+    improve: bool,
 ) -> _Seen:
     """The table under a hand and the object in it, unless they are known."""
     if table is None:
@@ -225,7 +231,7 @@ def _see(
     if thing is None:
         thing = estimate_object_pose(capture, mesh, hand, under, seed=seed)
     elif not thing.judged:
-        thing = judge_estimate(thing, capture, mesh, hand, under, seed=seed)
+        thing = judge_estimate(thing, capture, mesh, hand, under, seed=seed, improve=improve)
     return _Seen(detected, hand, table, thing)
 
 
