@@ -27,6 +27,9 @@ EDGE = 0.015
 POINTS = 400
 """Points of the hand that are looked at."""
 
+FEW = 12
+"""So many times as many are sorted: most show something else."""
+
 SKIN = 0.006
 """Points so near to a guessed hand's skin [m] show what colour it has."""
 
@@ -84,13 +87,12 @@ def look(capture: Capture, around: Surroundings, guesses: list[np.ndarray]) -> H
     low = np.clip(np.nanmin(pixels, axis=0) - margin, 0, edge - 2).astype(int)
     high = np.clip(np.nanmax(pixels, axis=0) + margin, low + 2, edge).astype(int)
     window = np.s_[low[1] : high[1], low[0] : high[0]]
-    step = max(1, int(np.sqrt(np.prod(high - low) / (12 * POINTS))))
     crop = depth[window]
-    steady = ~_edges(crop)
-    points = capture.points()[window][steady][:: max(1, step)]
-    colour = capture.colour[window][steady][:: max(1, step)]
-    kept = np.isfinite(points[:, 2])
-    points, colour = points[kept], colour[kept]
+    rows, columns = np.nonzero(~_edges(crop) & np.isfinite(crop))
+    step = max(1, len(rows) // (FEW * POINTS))
+    rows, columns = rows[::step] + low[1], columns[::step] + low[0]
+    points = lens.deproject(np.stack([columns, rows], axis=1), depth[rows, columns])
+    colour = capture.colour[rows, columns]
     near = np.zeros(len(points), dtype=bool)
     for guess in guesses:
         near |= np.linalg.norm(points[:, None] - guess[::2], axis=-1).min(axis=1) < REACH
