@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from fungrasp.grasps import HumanGraspSet, RobotGraspSet
     from fungrasp.hands import Hand
     from fungrasp.objects import ObjectModel
+    from fungrasp.policies.choose import Planner
 
 REFINED_CHUNK = 64
 """Grasps refined and tried together: what an interrupted run may lose."""
@@ -63,6 +64,9 @@ class Evaluate:
     """During the hold, three pushes in random directions: force [times the object's weight], duration [s]."""
     object_shift: float = 0.0
     """The object is moved this far on the table [m] after the policy has planned."""
+    rehearse: bool = True
+    """Policies that choose among plans try the most promising in a simulation of their own first, with other
+    masses, friction and poses than they are told."""
     robustness: bool = False
     """Try the grasps under each condition of the robustness protocol: other masses, friction, table heights,
     wrong poses, latency, pushes, moved objects."""
@@ -80,6 +84,7 @@ class Evaluate:
         from fungrasp.evaluation.store import PartialResults
         from fungrasp.grasps import RobotGraspSet, load_grasps
         from fungrasp.hands import load_hand
+        from fungrasp.policies.choose import ChoiceSettings, Planner
         from fungrasp.retarget import load_objects
 
         disturbance = self._disturbance()
@@ -97,9 +102,12 @@ class Evaluate:
         sets = self._robot_grasps(grasps, objects, hand)
         conditions = CONDITIONS if self.robustness else {"": disturbance}
         refinement = self._refinement(objects, hand)
+        planner = Planner(ChoiceSettings() if self.rehearse else ChoiceSettings(rehearsal=None), self.threads)
         tried = {
             name: {
-                condition: self._evaluate((name, condition), robot, objects, hand, other, refinement, store)
+                condition: self._evaluate(
+                    (name, condition), robot, objects, hand, other, refinement, planner, store
+                )
                 for condition, other in conditions.items()
             }
             for name, robot in sets.items()
@@ -173,11 +181,18 @@ class Evaluate:
             raise FungraspError("--seed, --refine and --threads must not be negative")
         if self.robustness and disturbance != Disturbance():
             raise FungraspError("--robustness has disturbances of its own: give it or single ones")
-        if len(self.seed) > 1 and not (self.refine or self.robustness or disturbance.is_random):
+        if len(self.seed) > 1 and not (self.robustness or self._is_random(disturbance)):
             raise FungraspError(
                 "nothing is random here, so several seeds would only repeat the same trials: give one "
                 "--seed, or something random (--pose-noise, --push, --object-shift, --robustness, --refine)"
             )
+
+    def _is_random(self, disturbance: Disturbance) -> bool:
+        """Whether trials depend on the seed."""
+        from fungrasp.hands import load_hand
+        from fungrasp.policies import chooses
+
+        return bool(self.refine or disturbance.is_random or chooses(self.policy, load_hand(self.hand).name))
 
     def _robot_grasps(
         self, grasps: HumanGraspSet | RobotGraspSet, objects: Mapping[str, ObjectModel], hand: Hand
@@ -197,6 +212,7 @@ class Evaluate:
         hand: Hand,
         disturbance: Disturbance,
         refinement: Refinement | None,
+        planner: Planner,
         store: PartialResults | None,
     ) -> DynamicResult:
         """names: of the method and the condition, "" for one that needs no name."""
@@ -209,7 +225,7 @@ class Evaluate:
             folder = folder / method
         if folder is not None and condition:
             folder = folder / condition.replace(",", "").replace(" ", "-")
-        seeds = self.seed if self.refine or disturbance.is_random else self.seed[:1]
+        seeds = self.seed if self._is_random(disturbance) else self.seed[:1]
         words = ", ".join(word for word in (hand.name, method, condition) if word)
         with progress_bar(words, len(robot) * len(seeds)) as show:
             return evaluate(
@@ -221,6 +237,7 @@ class Evaluate:
                 threads=self.threads,
                 disturbance=disturbance,
                 refine=refinement,
+                planner=planner,
                 record=folder,
                 store=store,
                 chunk=REFINED_CHUNK if self.refine else CHUNK,

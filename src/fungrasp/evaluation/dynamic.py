@@ -19,6 +19,7 @@ from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
 from fungrasp.policies import make_policy, play, resolve_policy
+from fungrasp.policies.choose import Planner
 from fungrasp.policies.policy_file import read_card
 from fungrasp.simulation import Scene, build_scene
 from fungrasp.task import LiftTask, Protocol, Trials
@@ -74,6 +75,7 @@ def evaluate(
     protocol: Protocol | None = None,
     disturbance: Disturbance | None = None,
     refine: Refinement | None = None,
+    planner: Planner | None = None,
     record: Path | None = None,
     store: PartialResults | None = None,
     chunk: int = CHUNK,
@@ -91,6 +93,7 @@ def evaluate(
         protocol: the published one if None.
         disturbance: what the policy is not told; nothing if None.
         refine: applied to the grasps, chunk by chunk, before they are tried.
+        planner: of policies that choose what to follow; one with the default settings if None.
         record: folder for the recorded trials, ``<row>_<object>.npz`` (``<row>_<seed>_<object>.npz`` with
             several seeds).
         store: keeps finished chunks, and knows those of an earlier run.
@@ -109,6 +112,7 @@ def evaluate(
         weights,
         protocol or Protocol(),
         disturbance or Disturbance(),
+        planner or Planner(threads=threads),
         threads,
     )
     parts: list[dict[str, np.ndarray]] = []
@@ -196,6 +200,7 @@ class _Test:
     weights: str
     protocol: Protocol
     disturbance: Disturbance
+    planner: Planner
     threads: int
 
     def key(
@@ -220,6 +225,7 @@ class _Test:
             self.weights,
             self.protocol,
             self.disturbance,
+            self.planner.settings,
             self.scene.settings,
             rows,
             seed,
@@ -250,7 +256,9 @@ class _Test:
         )
         task.reset()
         centers = np.array([self.objects[name].center_of_mass for name in grasps.object_name.tolist()])
-        policy = make_policy(self.policy, d.disturb(task, centers, seed, rows), self.objects)
+        policy = make_policy(
+            self.policy, d.disturb(task, centers, seed, rows), self.objects, self.planner, seed
+        )
         push = d.pusher(task, seed, rows)
         recorder = Recorder(task) if files else None
         touched = np.zeros(len(rows), dtype=bool)

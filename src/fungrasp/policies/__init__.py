@@ -1,7 +1,7 @@
 """Things that act."""
 
 from fungrasp.policies.motion import ReferenceSettings
-from fungrasp.policies.play import POLICIES, Policy, make_policy, play, resolve_policy
+from fungrasp.policies.play import POLICIES, Policy, chooses, make_policy, play, resolve_policy
 from fungrasp.policies.reference import ReferenceController
 from fungrasp.policies.refine import refine
 
@@ -10,6 +10,7 @@ __all__ = [
     "Policy",
     "ReferenceController",
     "ReferenceSettings",
+    "chooses",
     "make_policy",
     "play",
     "refine",

@@ -8,9 +8,9 @@ from typing import Protocol
 
 from fungrasp.errors import FungraspError, UnknownNameError
 from fungrasp.objects import ObjectModel
-from fungrasp.policies.choose import choose_references
+from fungrasp.policies.choose import Planner
 from fungrasp.policies.learned import LearnedPolicy, check_card
-from fungrasp.policies.policy_file import SUFFIX, list_policies, load_policy
+from fungrasp.policies.policy_file import SUFFIX, list_policies, load_policy, read_card
 from fungrasp.policies.reference import ReferenceController
 from fungrasp.task import Action, LiftTask, Trials
 
@@ -59,13 +59,31 @@ def resolve_policy(name: str, hand: str) -> Path | None:
     raise UnknownNameError("policy", name, [*POLICIES, *KINDS, *known])
 
 
-def make_policy(name: str, task: LiftTask, objects: Mapping[str, ObjectModel]) -> Policy:
+def chooses(name: str, hand: str) -> bool:
+    """Whether a policy chooses what to follow among variations of a grasp, which depends on a seed.
+
+    Args: as for ``resolve_policy``.
+    """
+    path = resolve_policy(name, hand)
+    card = None if path is None else read_card(path)
+    return card is not None and (card.kind == "critic" or bool(card.plans))
+
+
+def make_policy(
+    name: str,
+    task: LiftTask,
+    objects: Mapping[str, ObjectModel],
+    planner: Planner | None = None,
+    seed: int = 0,
+) -> Policy:
     """A policy by name, ready to act.
 
     Args:
         name: as for ``resolve_policy``.
         task: reset.
         objects: by name.
+        planner: of policies that choose what to follow; one with the default settings if None.
+        seed: of that choice.
 
     Raises:
         FungraspError: no such policy, or one that does not fit the task's hand.
@@ -73,14 +91,14 @@ def make_policy(name: str, task: LiftTask, objects: Mapping[str, ObjectModel]) -
     path = resolve_policy(name, task.scene.hand.name)
     if path is None:
         return POLICIES[name](task, objects)
-    network = load_policy(path)
+    network, planner = load_policy(path), planner or Planner()
     if network.card.kind == "critic":
-        return ReferenceController(task, objects, motion=choose_references(task, objects, network)[0].motion)
+        return ReferenceController(task, objects, motion=planner(task, objects, network, seed)[0].motion)
     if not network.card.plans:
         return LearnedPolicy(task, objects, network)
     check_card(network.card, task)
     critic = load_policy(path.with_name(network.card.plans + SUFFIX))
-    return LearnedPolicy(task, objects, network, choose_references(task, objects, critic)[0])
+    return LearnedPolicy(task, objects, network, planner(task, objects, critic, seed)[0])
 
 
 def play(task: LiftTask, policy: Policy, watch: Callable[[], None] | None = None) -> Trials:

@@ -42,6 +42,23 @@ class References:
             self.motion.select(rows), **{name: v[rows] for name, v in values.items() if name != "motion"}
         )
 
+    def grasps(self, hand: Hand) -> RobotGraspSet:
+        """As grasps on settled objects, for a task. hand: of the references."""
+        matrix, offset = hand.coupling
+        return RobotGraspSet(
+            hand=hand.name,
+            object_name=self.object_name,
+            object_mass=self.mass,
+            object_pose=self.settled_pose,
+            object_rest_pose=self.settled_pose,
+            wrist_pose=compose(self.settled_pose, self.motion.wrist),
+            joint_names=hand.joint_names,
+            joint_positions=self.motion.grasp @ matrix.T + offset,
+            keypoints=self.keypoints,
+            link_contacts=self.contacts,
+            task=np.full(len(self), ""),
+        )
+
     @classmethod
     def of(cls, motion: Motion, grasps: RobotGraspSet, settled_pose: np.ndarray, hand: Hand) -> References:
         """The references of grasps whose motions are planned.
@@ -80,7 +97,12 @@ class References:
 
 
 def begin_on_way(
-    task: LiftTask, ids: np.ndarray, references: References, rows: np.ndarray, step: np.ndarray
+    task: LiftTask,
+    ids: np.ndarray,
+    references: References,
+    rows: np.ndarray,
+    step: np.ndarray,
+    placed: np.ndarray | None = None,
 ) -> None:
     """Start trials of some worlds in the midst of their references' motions, objects at rest.
 
@@ -90,11 +112,13 @@ def begin_on_way(
         references: to follow.
         rows: the reference of each of these worlds, shape [I].
         step: control step of the motion to start at, shape [I] int.
+        placed: where the objects really are, world frame, shape [I, 7]; where the references have them if
+            None.
     """
     motion, settled = references.motion, references.settled_pose[rows]
     task.begin(
         ids,
-        settled,
+        settled if placed is None else placed,
         compose(settled, motion.wrist[rows]),
         compose(settled, motion.set_point[rows, step]),
         motion.finger_targets[rows, np.maximum(step - 1, 0)],

@@ -8,11 +8,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from fungrasp.geometry.poses import compose
-from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
-from fungrasp.policies.references import References, begin_on_way
+from fungrasp.policies.references import begin_on_way
 from fungrasp.policies.tracking import Tracker
 from fungrasp.simulation import SceneSettings, Worlds, build_scene
 from fungrasp.task import LiftTask, Protocol
@@ -22,30 +20,9 @@ from fungrasp.task.reward import RewardWeights, total
 from fungrasp.training.history import History
 from fungrasp.training.library import Library
 from fungrasp.training.rewards import LiftReward
-from fungrasp.transfer import Differences, Randomisation, Spread
+from fungrasp.transfer import MILD, Differences, Randomisation
 
 _log = logging.getLogger(__name__)
-
-MILD = Randomisation(
-    damping=(0.7, 1.4),
-    stiffness=(0.85, 1.18),
-    servo_damping=(0.85, 1.18),
-    wrist_stiffness=(0.85, 1.18),
-    mass=(0.7, 1.4),
-    friction=(0.7, 1.0),
-    table_height=(-0.005, 0.005),
-    joint_noise=Spread(0.01, 0.003),
-    wrist_position_noise=Spread(0.001, 0.0005),
-    wrist_rotation_noise=Spread(0.005, 0.002),
-    object_position_noise=Spread(0.002, 0.001),
-    object_rotation_noise=Spread(0.02, 0.01),
-    observation_delay=(0.0, 0.02),
-    action_delay=(0.0, 0.02),
-    push_force=(0.0, 1.0),
-    object_shift=0.005,
-    object_turn=0.05,
-)
-"""What a good policy can overcome without learning to expect the worst."""
 
 
 @dataclass(frozen=True)
@@ -140,7 +117,7 @@ class LiftEnvironment:
         rows = np.arange(s.worlds) % len(refs)
         self.protocol = replace(Protocol(), hold_time=s.hold_time)
         worlds = Worlds(scene, self._object_index[rows], refs.mass[rows], threads=threads)
-        placeholder = _grasps(refs, rows, hand)
+        placeholder = refs.select(rows).grasps(hand)
         self.task = LiftTask(scene, placeholder, worlds, self.protocol)
         self.differences = Differences(s.randomisation, worlds, self.rng)
         self.tracker = Tracker(self.task, objects, refs, s.residual, self.differences)
@@ -237,23 +214,3 @@ class LiftEnvironment:
         if self._history is None:
             return seen
         return replace(seen, history=self._history.push(seen.robot, begun))
-
-
-def _grasps(refs: References, rows: np.ndarray, hand: Hand) -> RobotGraspSet:
-    """The references as grasps, for a task whose worlds are given others before they are used."""
-    matrix, offset = hand.coupling
-    settled, wrist = refs.settled_pose[rows], refs.motion.wrist[rows]
-    count = len(rows)
-    return RobotGraspSet(
-        hand=hand.name,
-        object_name=refs.object_name[rows],
-        object_mass=refs.mass[rows],
-        object_pose=settled,
-        object_rest_pose=settled,
-        wrist_pose=compose(settled, wrist),
-        joint_names=hand.joint_names,
-        joint_positions=refs.motion.grasp[rows] @ matrix.T + offset,
-        keypoints=refs.keypoints[rows],
-        link_contacts=refs.contacts[rows],
-        task=np.full(count, ""),
-    )

@@ -22,6 +22,7 @@ from fungrasp.policies.plan_features import plan_features
 from fungrasp.policies.policy_file import hand_digest
 from fungrasp.policies.reference import ReferenceController
 from fungrasp.policies.references import References, begin_on_way
+from fungrasp.policies.rehearse import try_out
 from fungrasp.policies.variations import Spread, vary, with_settings
 from fungrasp.simulation import Scene, SceneSettings, Worlds, build_scene
 from fungrasp.task import LiftTask, Protocol
@@ -160,15 +161,7 @@ def _try(
     ids = np.arange(len(grasps))
     task.worlds.reset(ids)
     begin_on_way(task, ids, references, ids, np.maximum(references.motion.closing - s.early, 0))
-    lost = np.zeros(len(grasps), dtype=bool)
-    while not task.done.all():
-        task.step(controller.act())
-        height = task.worlds.center_of_mass[:, 2] - task.settled_height
-        gone = ((task.time - task.lift_time > 1.0) & (height < 0.03)) | ~np.isfinite(height)
-        lost |= gone & ~task.done
-        task.done |= gone
-    trials = task.trials()
-    return references, trials.success & ~lost, np.where(lost, 0.0, np.nan_to_num(trials.contact_ratio))
+    return references, *try_out(task, controller.act)
 
 
 class PlanCritic(torch.nn.Module):

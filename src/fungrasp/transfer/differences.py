@@ -8,7 +8,7 @@ from fungrasp.geometry.poses import inverse_transform_points
 from fungrasp.simulation import Worlds
 from fungrasp.transfer.noise import noisy_object, noisy_wrist, shift_on_table
 from fungrasp.transfer.physics import apply, push_objects, pushes
-from fungrasp.transfer.randomisation import Randomisation, sample
+from fungrasp.transfer.randomisation import Randomisation, Sample, sample
 
 
 class Differences:
@@ -27,7 +27,9 @@ class Differences:
         self.drawn = sample(randomisation, len(worlds), self._joints, rng)
         """For the trial in each world."""
 
-    def begin(self, ids: np.ndarray, object_index: np.ndarray, mass: np.ndarray) -> None:
+    def begin(
+        self, ids: np.ndarray, object_index: np.ndarray, mass: np.ndarray, fresh: Sample | None = None
+    ) -> None:
         """Draw anew for trials that begin; give their worlds the objects, and other joints, servos, tables
         and masses.
 
@@ -35,8 +37,10 @@ class Differences:
             ids: worlds, shape [I].
             object_index: which of the scene's objects each holds, shape [I].
             mass: that the policy is told [kg], shape [I].
+            fresh: what was drawn, I trials; drawn here if None.
         """
-        fresh = sample(self.randomisation, len(ids), self._joints, self._rng)
+        if fresh is None:
+            fresh = sample(self.randomisation, len(ids), self._joints, self._rng)
         self.drawn = self.drawn.replaced(ids, fresh)
         # The fields of an object hold the table's place, too: what was drawn comes after.
         self.worlds.assign(ids, object_index, mass * fresh.mass, fresh.friction)

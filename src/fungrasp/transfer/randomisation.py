@@ -116,6 +116,27 @@ NONE = Randomisation(
 )
 """Every world as the scene says."""
 
+MILD = Randomisation(
+    damping=(0.7, 1.4),
+    stiffness=(0.85, 1.18),
+    servo_damping=(0.85, 1.18),
+    wrist_stiffness=(0.85, 1.18),
+    mass=(0.7, 1.4),
+    friction=(0.7, 1.0),
+    table_height=(-0.005, 0.005),
+    joint_noise=Spread(0.01, 0.003),
+    wrist_position_noise=Spread(0.001, 0.0005),
+    wrist_rotation_noise=Spread(0.005, 0.002),
+    object_position_noise=Spread(0.002, 0.001),
+    object_rotation_noise=Spread(0.02, 0.01),
+    observation_delay=(0.0, 0.02),
+    action_delay=(0.0, 0.02),
+    push_force=(0.0, 1.0),
+    object_shift=0.005,
+    object_turn=0.05,
+)
+"""What a good policy can overcome without learning to expect the worst."""
+
 
 @dataclass(frozen=True, eq=False)
 class Sample:
