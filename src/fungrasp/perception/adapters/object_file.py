@@ -42,7 +42,7 @@ def read_object_pose(
     - ``.csv``: BOP results, ``scene_id,im_id,obj_id,score,R,t,time``, ``t`` in millimetres; the best score
       counts, the others are alternatives.
 
-    What is returned is not ``judged``: ``perceive`` compares it with the depth and gives it a score of its own.
+    What is returned is not ``judged``: ``perceive`` compares it with the depth and gives it another score.
     Until then the file is taken at its word: without a score the pose is accepted, with the lowest score that
     is, and a note. A score of another range than 0 to 1 is no probability and treated likewise.
 
