@@ -40,7 +40,7 @@ FAINT_PALM = 0.25
 SURE_HAND = 0.5
 """Windows with a lower probability of a hand show none, if another does."""
 
-FAINT_HAND = 0.15
+FAINT_HAND = 0.3
 """Where no window shows a hand for sure, the best one of at least this probability counts: palms are found in
 many views of hands behind objects, of which the landmark model knows little."""
 
@@ -126,13 +126,16 @@ class HandDetector:
             if threshold >= SURE_PALM:
                 faint += answers
         best = max(faint, key=lambda hand: hand.score, default=None)
-        return [] if best is None or best.score < FAINT_HAND else [self._again(image, best)]
+        if best is None or best.score < FAINT_HAND:
+            return []
+        best = self._again(image, best)
+        return [best] if best.score >= FAINT_HAND else []
 
     def _again(self, image: Image.Image, hand: DetectedHand) -> DetectedHand:
         """The hand with the answers from other windows around it.
 
-        Its score is then the mean of all windows', 0 for those that show no hand, and its side the one that
-        most of them say.
+        Its score is then the mean of all windows', 0 for those that show no hand, and the score of its side
+        what part of them agrees.
         """
         window = window_of_landmarks(hand.pixels[_TO_MODEL])
         others = []
@@ -145,7 +148,8 @@ class HandDetector:
         right = [h.side_score if h.side == "right" else 1 - h.side_score for h in every]
         vote = float(np.average(right, weights=[h.score for h in every]))
         score = sum(h.score for h in every) / (1 + len(OTHER_WINDOWS))
-        return replace(hand, **_side(vote), score=score, others=tuple(others))
+        agreed = max(0.5, vote if hand.side == "right" else 1 - vote)
+        return replace(hand, side_score=agreed, score=score, others=tuple(others))
 
     def _palms(self, image: Image.Image, window: Window, threshold: float) -> Iterator[Window]:
         offsets, logits = self._palm(window.cut(image, DETECTOR_PIXELS))

@@ -12,8 +12,7 @@ from fungrasp.perception.hand_landmarks import DetectedHand
 from fungrasp.perception.hand_start import MIRROR_X
 
 UNDECIDED = 0.6
-"""Below this probability the landmark model is overruled by how the fingers bend. Its windows' votes for right
-were 0.55 to 0.98 for 16 of 19 rendered right hands, 0.25 to 0.35 for the other three."""
+"""Below this part of its windows' votes the landmark model is overruled by how the fingers bend."""
 
 BENT_BACK = np.radians(8.0)
 """Fingers bent back by more, on average over their joints, are those of the other hand [rad]."""
