@@ -119,11 +119,11 @@ def test_a_critic_chooses_and_plays(tmp_path):
     np.testing.assert_allclose(
         expected, critic(torch.from_numpy(outcomes.features))[:, 0].detach(), atol=1e-5
     )
-    whole, score = choose_references(task, objects, network, ChoiceSettings(tries=6))
-    parted, again = choose_references(task, objects, network, ChoiceSettings(tries=6, chunk=4))
+    whole, score = choose_references(task, objects, network, ChoiceSettings(6, rehearsal=None))
+    parted, again = choose_references(task, objects, network, ChoiceSettings(6, rehearsal=None, chunk=4))
     np.testing.assert_allclose(score, again, atol=1e-5)
     np.testing.assert_allclose(whole.motion.wrist, parted.motion.wrist, atol=1e-6)
-    alone, one = choose_references(task, objects, network, ChoiceSettings(tries=1))
+    alone, one = choose_references(task, objects, network, ChoiceSettings(1, rehearsal=None))
     assert (score >= one - 1e-6).all() and len(alone) == 2
     trials = play(task, make_policy(str(path), task, objects))
     assert np.isfinite(trials.contact_ratio).all()
