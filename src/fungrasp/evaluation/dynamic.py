@@ -18,7 +18,7 @@ from fungrasp.files import digest
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
-from fungrasp.policies import make_policy, play, resolve_policy
+from fungrasp.policies import chooses, make_policy, play, resolve_policy
 from fungrasp.policies.choose import Planner
 from fungrasp.policies.policy_file import read_card
 from fungrasp.simulation import Scene, build_scene
@@ -62,6 +62,8 @@ class DynamicResult:
     refined_tries: np.ndarray
     """Trials that refining the grasp took, 1 if it was not refined, negative where none succeeded;
     shape [N]."""
+    rehearsed: bool = False
+    """Whether the policy chose among plans and tried them in a simulation of its own first."""
 
 
 def evaluate(
@@ -151,6 +153,7 @@ def evaluate(
         trials=Trials(**{field.name: merged[field.name] for field in fields(Trials)}),
         legacy_success=merged["legacy_success"],
         refined_tries=merged["refined_tries"],
+        rehearsed=test.planner.settings.rehearsal is not None and chooses(policy, hand.name),
     )
 
 

@@ -77,6 +77,7 @@ def result_json(result: DynamicResult) -> dict[str, Any]:
             "version": __version__,
             "hand": result.hand,
             "policy": result.policy,
+            "rehearsed": result.rehearsed,
             "seed": seeds[0] if len(seeds) == 1 else seeds,
             "protocol": asdict(result.protocol),
             "disturbance": asdict(result.disturbance),
