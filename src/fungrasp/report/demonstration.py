@@ -74,7 +74,7 @@ def grasp_report(
         title=grasp_title(human),
         object_mass=human.object_mass,
         success=trajectory.success,
-        outcome=outcome(trajectory, int(result.refined_tries[row])),
+        outcome=outcome(trajectory, int(result.refined_tries[row]), result.rehearsed),
         human_picture=pictures[0],
         robot_picture=pictures[1],
         film=clip,
@@ -83,13 +83,19 @@ def grasp_report(
     )
 
 
-def outcome(trajectory: Trajectory, tries: int) -> str:
-    """How a trial ended, in a sentence. tries: trials that refining took, negative if none succeeded."""
+def outcome(trajectory: Trajectory, tries: int, rehearsed: bool = False) -> str:
+    """How a trial ended, in a sentence.
+
+    Args:
+        tries: trials that refining took, negative if none succeeded.
+        rehearsed: whether the policy had tried plans in a simulation of its own.
+    """
     if not trajectory.success:
         tried = f"None of {-tries} variations held" if tries < -1 else "It did not hold"
         return f"{tried}: {trajectory.reason}."
     if tries <= 1:
-        return "Lifted and held for 3 s, at the first try."
+        how = "with a plan that was chosen in rehearsals" if rehearsed else "at the first try"
+        return f"Lifted and held for 3 s, {how}."
     return f"Lifted and held for 3 s, by one of {tries} variations tried in simulation."
 
 
