@@ -66,7 +66,7 @@ class Demo:
     gains more from --refine."""
     refine: int = 8
     """Under the reference, try this many variations of a grasp in simulation until one holds; 0: only the
-    grasp as it is. A learned policy chooses by itself, without simulation."""
+    grasp as it is. A learned policy chooses by itself, in rehearsals."""
     seed: int = 0
     """Of the variations."""
     out: Path = Path("demo")

@@ -91,7 +91,7 @@ class Evaluate:
         hand = load_hand(self.hand)
         check_policy(self.policy, hand)
         grasps = load_grasps(self.grasps)
-        self._check(isinstance(grasps, RobotGraspSet), disturbance)
+        self._check(isinstance(grasps, RobotGraspSet), disturbance, hand)
         if isinstance(grasps, RobotGraspSet):
             check_hand(grasps, hand)
         objects = load_objects(grasps, self.objects)
@@ -163,7 +163,7 @@ class Evaluate:
             object_shift=self.object_shift,
         )
 
-    def _check(self, robot: bool, disturbance: Disturbance) -> None:
+    def _check(self, robot: bool, disturbance: Disturbance, hand: Hand) -> None:
         """Complain about options that do not go together."""
         from fungrasp.errors import FungraspError, UnknownNameError
         from fungrasp.evaluation import Disturbance
@@ -181,18 +181,17 @@ class Evaluate:
             raise FungraspError("--seed, --refine and --threads must not be negative")
         if self.robustness and disturbance != Disturbance():
             raise FungraspError("--robustness has disturbances of its own: give it or single ones")
-        if len(self.seed) > 1 and not (self.robustness or self._is_random(disturbance)):
+        if len(self.seed) > 1 and not (self.robustness or self._is_random(disturbance, hand)):
             raise FungraspError(
                 "nothing is random here, so several seeds would only repeat the same trials: give one "
                 "--seed, or something random (--pose-noise, --push, --object-shift, --robustness, --refine)"
             )
 
-    def _is_random(self, disturbance: Disturbance) -> bool:
+    def _is_random(self, disturbance: Disturbance, hand: Hand) -> bool:
         """Whether trials depend on the seed."""
-        from fungrasp.hands import load_hand
         from fungrasp.policies import chooses
 
-        return bool(self.refine or disturbance.is_random or chooses(self.policy, load_hand(self.hand).name))
+        return bool(self.refine or disturbance.is_random or chooses(self.policy, hand.name))
 
     def _robot_grasps(
         self, grasps: HumanGraspSet | RobotGraspSet, objects: Mapping[str, ObjectModel], hand: Hand
@@ -225,7 +224,7 @@ class Evaluate:
             folder = folder / method
         if folder is not None and condition:
             folder = folder / condition.replace(",", "").replace(" ", "-")
-        seeds = self.seed if self._is_random(disturbance) else self.seed[:1]
+        seeds = self.seed if self._is_random(disturbance, hand) else self.seed[:1]
         words = ", ".join(word for word in (hand.name, method, condition) if word)
         with progress_bar(words, len(robot) * len(seeds)) as show:
             return evaluate(
