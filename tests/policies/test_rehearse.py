@@ -10,12 +10,14 @@ from planned_grasps import grasps_and_objects, hand, references, start
 
 import fungrasp.policies.choose as choose
 from fungrasp.errors import FungraspError
-from fungrasp.policies.choose import Planner
+from fungrasp.policies.choose import ChoiceSettings, Planner, SearchSettings, choose_references
 from fungrasp.policies.references import References
-from fungrasp.policies.rehearse import RehearsalSettings, rehearse
+from fungrasp.policies.rehearse import Outcome, RehearsalSettings, Tally, blind, rehearse
+from fungrasp.policies.variations import with_settings
 from fungrasp.transfer import MILD
 
-SHORT = RehearsalSettings(rounds=((3, 1), (2, 2)), hold_time=0.3)
+SHORT = RehearsalSettings(hold_time=0.3)
+ROUNDS, PRIOR = ((3, 1), (2, 2)), 4.0
 PROMISED = np.array([[0.9, 0.9], [0.5, 0.5], [0.4, 0.4]])
 """Of an open hand, the reference, and a weak copy of it."""
 
@@ -30,28 +32,32 @@ def proposals() -> References:
     return References.join([opened, good, weak])
 
 
-def chosen(plans: References, expected: np.ndarray = PROMISED, settings=SHORT, **options):
-    return rehearse(plans, expected, grasps_and_objects()[1], hand(), settings, threads=1, **options)
+def chosen(plans: References, expected: np.ndarray = PROMISED, rounds=ROUNDS, settings=SHORT, **options):
+    """The best of the plans of each grasp, and the success expected of it."""
+    tally = Tally.untried(expected, PRIOR)
+    rehearse(plans, tally, rounds, grasps_and_objects()[1], hand(), settings, threads=1, **options)
+    best = tally.order[0]
+    return best, tally.success[best, np.arange(len(best))]
 
 
 def test_what_holds_wins_over_what_was_promised():
     best, value = chosen(proposals())
     assert best.tolist() == [1, 1]
-    held_in_all = (3 + SHORT.prior * 0.5) / (3 + SHORT.prior)
+    held_in_all = (3 + PRIOR * 0.5) / (3 + PRIOR)
     np.testing.assert_allclose(value, held_in_all)
 
 
 def test_without_enough_places_the_promise_decides():
-    best, value = chosen(proposals(), settings=replace(SHORT, rounds=((1, 1),)))
+    best, value = chosen(proposals(), rounds=((1, 1),))
     assert best.tolist() == [0, 0], "the others were not tried"
-    np.testing.assert_allclose(value, SHORT.prior * 0.9 / (1 + SHORT.prior))
+    np.testing.assert_allclose(value, PRIOR * 0.9 / (1 + PRIOR))
 
 
 def test_a_choice_depends_on_its_own_grasp_alone():
-    plans, (best, value) = proposals(), chosen(proposals(), seed=3)
-    one, alone = chosen(plans.select(np.array([1, 3, 5])), PROMISED[:, 1:], seed=3)
+    plans, (best, value) = proposals(), chosen(proposals(), seed=(3, 0))
+    one, alone = chosen(plans.select(np.array([1, 3, 5])), PROMISED[:, 1:], seed=(3, 0))
     assert one[0] == best[1] and alone[0] == value[1]
-    parted = chosen(plans, settings=replace(SHORT, chunk=2), seed=3)
+    parted = chosen(plans, settings=replace(SHORT, chunk=2), seed=(3, 0))
     np.testing.assert_array_equal(parted[0], best)
     np.testing.assert_array_equal(parted[1], value)
 
@@ -59,21 +65,90 @@ def test_a_choice_depends_on_its_own_grasp_alone():
 def test_rehearsals_meet_other_worlds_than_they_are_told():
     heavy = replace(SHORT, randomisation=replace(MILD, mass=(40.0, 50.0)))
     _, value = chosen(proposals(), settings=heavy)
-    nothing_held = SHORT.prior * PROMISED[0] / (3 + SHORT.prior)
+    nothing_held = PRIOR * PROMISED[0] / (3 + PRIOR)
     np.testing.assert_allclose(value, nothing_held, err_msg="no hand holds an object that is so heavy")
 
 
 @pytest.mark.parametrize("rounds", [(), ((0, 1),), ((2, 0),)])
 def test_empty_rehearsals_are_refused(rounds):
     with pytest.raises(FungraspError, match="rounds"):
-        RehearsalSettings(rounds=rounds)
+        ChoiceSettings(rounds=rounds)
+
+
+def test_who_follows_the_plans_rehearses_them():
+    """An actor that never closes its fingers loses every trial."""
+
+    def idle(task, plans, sensors):
+        act = blind(task, plans, sensors)
+
+        def opened():
+            asked = act()
+            return replace(asked, finger_targets=0.0 * asked.finger_targets)
+
+        return opened
+
+    best, value = chosen(proposals(), actor=idle)
+    assert best.tolist() == [0, 0]
+    np.testing.assert_allclose(value, PRIOR * 0.9 / (3 + PRIOR))
+
+
+def test_slip_counts_against_a_plan():
+    good = references()
+    plans = References.join([good, good])
+    tally = Tally.untried(np.full((2, 2), 0.5), PRIOR)
+    rehearse(plans, tally, ((2, 1),), grasps_and_objects()[1], hand(), replace(SHORT, contact=0.0, slip=0.01))
+    assert (tally.held == 1).all()
+    assert (tally.bonus < 0).all() and (tally.bonus >= -0.1).all()
+
+
+def test_tallies_choose_by_trials_and_grow():
+    tally = Tally.untried(np.array([[0.9], [0.2]]), PRIOR)
+    assert tally.order[:, 0].tolist() == [0, 1]
+    outcome = Outcome(np.array([False, False, True, True]), np.zeros(4), np.zeros(4))
+    tally.add(np.array([[0], [1]]), outcome, np.zeros(4))
+    assert tally.order[:, 0].tolist() == [0, 1], "3.6 of 6 against 2.8 of 6"
+    tally.add(np.array([[0], [1]]), outcome, np.zeros(4))
+    assert tally.order[:, 0].tolist() == [1, 0], "3.6 of 8 against 4.8 of 8"
+    more = tally.select(np.array([[1]]), np.array([0])).join(Tally.untried(np.array([[0.7]]), PRIOR))
+    assert more.tried[:, 0].tolist() == [4, 0]
+    np.testing.assert_allclose(more.success[:, 0], [0.6, 0.7])
+
+
+def test_where_nothing_holds_the_best_plans_are_varied_again(monkeypatch):
+    """The second search finds what holds, for the one grasp that needs it."""
+    spreads: list[tuple[int, int]] = []
+    good = references()
+    opened = replace(good, motion=replace(good.motion, finger_targets=0.0 * good.motion.finger_targets))
+    grasps = with_settings(grasps_and_objects()[0])
+
+    def propose(task, objects, critic, s, seed, chosen, worlds, attempts, search, spread):
+        spreads.append((search, len(worlds)))
+        rows = np.resize(worlds, len(chosen))
+        if search == 0:
+            plans = References.join([opened, good]).select(rows + 2 * (rows == 1))
+        else:
+            plans = (good if search == 2 else opened).select(rows)
+        expected = np.full((len(rows) // len(worlds), len(worlds)), 0.5)
+        return choose._Pool(grasps.select(rows), plans, Tally.untried(expected, s.prior))
+
+    monkeypatch.setattr(choose, "_propose", propose)
+    settings = ChoiceSettings(
+        2,
+        SHORT,
+        rounds=((2, 1),),
+        search=SearchSettings(rounds=((4, 1),), parents=2, enough=0.55),
+    )
+    plans, value = choose_references(start(), grasps_and_objects()[1], _Critic(), settings, threads=1)  # type: ignore[arg-type]
+    assert spreads == [(0, 2), (1, 1), (2, 1)]
+    assert (value > 0.55).all()
+    np.testing.assert_array_equal(plans.motion.finger_targets, good.motion.finger_targets)
 
 
 def test_a_planner_remembers_a_task_and_a_seed(monkeypatch):
-    asked: list[int] = []
+    asked: list[int | str] = []
 
-    def plan(task, objects, critic, settings, seed, threads):
-        asked.append(seed)
+    def plan(task, objects, critic, settings, seed, threads, policy):
+        asked.append(seed if policy is None else "followed")
         return references(), np.zeros(2)
 
     monkeypatch.setattr(choose, "choose_references", plan)
@@ -86,6 +161,8 @@ def test_a_planner_remembers_a_task_and_a_seed(monkeypatch):
     moved.settled_pose[:, 0] += 0.01
     planner(moved, objects, critic)  # type: ignore[arg-type]
     assert asked == [0, 1, 0], "another place, another plan"
+    planner(task, objects, critic, 0, critic)  # type: ignore[arg-type]
+    assert asked[3:] == ["followed"], "who rehearses matters"
 
 
 class _Card:

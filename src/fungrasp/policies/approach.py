@@ -28,6 +28,8 @@ RETREATS = (0.03, 0.07, 0.12)
 
 BLOCKED = 0.003
 """A way that intrudes this far into the margins [m] is tried again with the fingers wide open."""
+LATER = 1e-4
+"""Each direction is preferred to the next unless it intrudes deeper by this [m]."""
 WIDE = 0.3
 """Wide open fingers, as a fraction of their angles in the grasp."""
 
@@ -117,21 +119,29 @@ def _best_way(
     settings: ApproachSettings,
 ) -> Approach:
     """The clearest of the ways in several directions, taken off the object with the fingers near
-    ``fingers``."""
-    clear = _Clearer(HandPoints(HandKinematics(hand, len(around))), around, settings)
+    ``fingers``.
+
+    No way is clearer than its first point, which all have in common: once one is as clear, the others are
+    not looked at.
+    """
+    clear = _clearer(hand, around, settings)
     first = clear(wrist, fingers, 2 * settings.iterations)
-    ways = [
-        _withdraw(clear, first, direction, settings.iterations)
-        for direction in _directions(hand, wrist, around.up[:, 0], center)
-    ]
-    best = np.argmin([way.collision + 1e-4 * i for i, way in enumerate(ways)], axis=0)
-    pick = np.arange(len(around))
-    return Approach(
-        *(
-            np.stack([getattr(way, name) for way in ways])[best, pick]
-            for name in ("wrist_pose", "fingers", "collision")
+    directions = _directions(hand, wrist, around.up[:, 0], center)
+    best = _withdraw(clear, first, directions[0], settings.iterations)
+    cost = best.collision.copy()
+    for i, direction in enumerate(directions[1:], start=1):
+        rows = np.flatnonzero(cost > first.collision + LATER * i)
+        if not len(rows):
+            break
+        start = Approach(first.wrist_pose[rows], first.fingers[rows], first.collision[rows])
+        way = _withdraw(
+            _clearer(hand, around.rows(rows), settings), start, direction[rows], settings.iterations
         )
-    )
+        better = way.collision + LATER * i < cost[rows]
+        for name in ("wrist_pose", "fingers", "collision"):
+            getattr(best, name)[rows[better]] = getattr(way, name)[better]
+        cost[rows[better]] = way.collision[better] + LATER * i
+    return best
 
 
 def _directions(hand: Hand, wrist: np.ndarray, up: np.ndarray, center: np.ndarray) -> list[np.ndarray]:
@@ -178,6 +188,10 @@ class _Clearer:
             s.object_margin - state.clearance.min(axis=1), s.table_margin - state.heights.min(axis=1)
         )
         return Approach(wrist[:, None], fingers[:, None], np.maximum(intrusion, 0.0))
+
+
+def _clearer(hand: Hand, around: Surroundings, settings: ApproachSettings) -> _Clearer:
+    return _Clearer(HandPoints(HandKinematics(hand, len(around))), around, settings)
 
 
 def _withdraw(clear: _Clearer, first: Approach, direction: np.ndarray, iterations: int) -> Approach:

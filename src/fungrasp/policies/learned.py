@@ -13,7 +13,7 @@ from fungrasp.policies.network import PolicyNetwork
 from fungrasp.policies.policy_file import check_fits
 from fungrasp.policies.reference import planned
 from fungrasp.policies.references import References
-from fungrasp.policies.tracking import Tracker
+from fungrasp.policies.tracking import SensorNoise, Tracker
 from fungrasp.task import Action, LiftTask
 from fungrasp.task.observation import flatten, layout, observe, privileged
 from fungrasp.task.residual import ResidualSettings
@@ -31,6 +31,7 @@ class LearnedPolicy:
         objects: Mapping[str, ObjectModel],
         network: PolicyNetwork,
         references: References | None = None,
+        noise: SensorNoise | None = None,
     ):
         """
         Args:
@@ -38,6 +39,7 @@ class LearnedPolicy:
             objects: by name.
             network: made for the task's hand.
             references: to follow, one for each world; those of the task's grasps if None.
+            noise: of the sensors; none if None.
 
         Raises:
             FungraspError: the network was made for another hand, other observations or another rate.
@@ -46,7 +48,7 @@ class LearnedPolicy:
         self._network, hand = network, task.scene.hand
         if references is None:
             references = References.of(planned(task, objects), task.grasps, task.settled_pose, hand)
-        self._tracker = Tracker(task, objects, references, residual_settings(network.card))
+        self._tracker = Tracker(task, objects, references, residual_settings(network.card), noise)
         everyone = np.arange(len(task.worlds))
         self._tracker.begin(everyone, everyone)
         self._sees_contacts = bool(network.card.privileged)

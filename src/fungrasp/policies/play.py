@@ -98,7 +98,7 @@ def make_policy(
         return LearnedPolicy(task, objects, network)
     check_card(network.card, task)
     critic = load_policy(path.with_name(network.card.plans + SUFFIX))
-    return LearnedPolicy(task, objects, network, planner(task, objects, critic, seed)[0])
+    return LearnedPolicy(task, objects, network, planner(task, objects, critic, seed, network)[0])
 
 
 def play(task: LiftTask, policy: Policy, watch: Callable[[], None] | None = None) -> Trials:

@@ -161,7 +161,8 @@ def _try(
     ids = np.arange(len(grasps))
     task.worlds.reset(ids)
     begin_on_way(task, ids, references, ids, np.maximum(references.motion.closing - s.early, 0))
-    return references, *try_out(task, controller.act)
+    outcome = try_out(task, controller.act)
+    return references, outcome.success, outcome.contact_ratio
 
 
 class PlanCritic(torch.nn.Module):
