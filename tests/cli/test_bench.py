@@ -99,6 +99,8 @@ def test_perception_on_kept_captures(human, tmp_path, capsys, monkeypatch):
     [
         (("perception", "--captures", 0), "--captures must be at least 1"),
         (("perception", "--only", "mugg"), "Did you mean 'mug'?"),
+        (("perception", "--landmarks-noise", -1), "--landmarks-noise must not be negative"),
+        (("perception", "--chain", "--policy", "referense"), "Did you mean 'reference'?"),
         (("retarget", "--method", "our"), "Did you mean 'ours'?"),
         (("retarget", "--repeat", 0), "--repeat must be at least 1"),
         (("simulation", "--worlds", 0), "--worlds must be at least 1"),

@@ -19,6 +19,7 @@ from fungrasp.evaluation.perception import (
     measure_absent,
     measure_perception,
 )
+from fungrasp.evaluation.perception_noise import TrueLandmarks
 from fungrasp.evaluation.perception_results import (
     capture_rows,
     chain_figures,
@@ -107,6 +108,26 @@ def test_without_a_hand_there_is_no_grasp_but_a_pose():
     assert capture_rows([found])[0]["hand"]["joint_error_mm"] is None
 
 
+def test_landmarks_that_are_true_but_for_noise():
+    known = known_capture()
+    lens = known.capture.intrinsics
+    pixels = lens.project(known.joints_camera)
+    rng = np.random.default_rng(0)
+    off = np.concatenate(
+        [
+            TrueLandmarks(known.joints_camera, lens, 6.0, rng).detect(known.capture.colour)[0].pixels - pixels
+            for _ in range(40)
+        ]
+    )
+    # The image is 160 wide.
+    assert off.std() == pytest.approx(6.0 / 4, rel=0.1) and abs(off.mean()) < 0.1
+    (hand,) = TrueLandmarks(known.joints_camera, lens, 0.0, rng).detect(known.capture.colour)
+    np.testing.assert_allclose(hand.pixels, pixels)
+    assert hand.side == "right" and measure_perception(
+        known, MODEL, StandIn(hand)
+    ).hand.pixel_error == pytest.approx(0.0, abs=1e-9)
+
+
 def test_each_tip_ends_its_own_fingers_last_link():
     for tip, link in zip(TIPS, TIP_LINKS, strict=True):
         assert HUMAN_JOINTS[tip].removesuffix("_tip") == HUMAN_LINKS[link].removesuffix("_distal")
@@ -119,7 +140,10 @@ def test_figures():
         result(wrong_mesh=dataclasses.replace(WRONG, add_s_mm=np.inf, accepted=True)),
         result(unmasked=dataclasses.replace(RIGHT, add_s_mm=3.0)),
     ]
+    results[0] = dataclasses.replace(results[0], sure=True)
     figures = perception_figures(results)
+    assert figures["hand"]["sure"]["count"] == 1
+    assert figures["hand"]["sure"]["refined_joint_error_mm"]["mean"] == 8.0
     assert figures["hand"]["found"]["rate"] == 0.75
     assert figures["object_masked"]["right"]["rate"] == 1
     assert figures["object_unmasked"]["right"]["rate"] == 0.75

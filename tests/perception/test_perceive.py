@@ -306,6 +306,15 @@ def test_an_object_out_of_view_is_not_believed():
     assert not perceived.sure and any("pixels with depth" in doubt for doubt in perceived.doubts)
 
 
+def test_a_hand_too_faint_to_lead_to_the_table_is_kept_above_it():
+    scene, detected = mug()
+    faint = dataclasses.replace(detected, score=0.35)
+    perceived = perceive(scene.capture, scene.model, detector=StandIn(faint), object_estimate=known(scene))
+    assert perceived.table_found and not perceived.sure
+    np.testing.assert_allclose(perceived.table, scene.table, atol=0.01)
+    assert np.linalg.norm(perceived.hand.joints_camera - scene.joints, axis=1).mean() < 0.012
+
+
 def test_without_a_table_the_world_is_a_guess():
     scene, detected = mug()
     heights = scene.capture.points() @ scene.table[:3] + scene.table[3]

@@ -47,12 +47,16 @@ class Perception:
     """Try another object's mesh on each capture, too: it must not be accepted."""
     absent: bool = False
     """Render each capture twice more, without the hand and without the object: neither must be found."""
+    landmarks_noise: float | None = None
+    """Leave the hand detector out: give the true joints' pixels, each shifted at random with this standard
+    deviation [pixels of an image 640 wide]."""
     chain: bool = False
     """Retarget true and perceived grasps, and try both in simulation."""
     hand: str = "allegro"
     """Robot hand of --chain."""
-    policy: str = "reference"
-    """What moves it, see `fungrasp evaluate`."""
+    policy: tuple[str, ...] = ()
+    """What moves it, see `fungrasp evaluate`; with several, each is tried. By default the freely licensed
+    student of the hand, if there is one, else the reference controller."""
     threads: int = 0
     """Of --chain; 0 means all processors."""
     json: Path | None = None
@@ -69,10 +73,11 @@ class Perception:
         from fungrasp.retarget import load_objects
 
         human = self._grasps()
+        policies = self._policies() if self.chain else ()
         objects = load_objects(human, self.objects)
         store = None
         if self.json is not None:
-            what = (__version__, self.seed, self.coloured, self.wrong, self.absent)
+            what = (__version__, self.seed, self.coloured, self.wrong, self.absent, self.landmarks_noise)
             key = digest({name: getattr(human, name) for name in human.FIELDS}, *what)
             store = KeptCaptures(self.json.with_name(f"{self.json.name}.partial"), key)
         results = list(self._measured(human, objects, store))
@@ -80,12 +85,13 @@ class Perception:
         # Kilobytes on Linux.
         figures["peak_memory_gb"] = getrusage(RUSAGE_SELF).ru_maxrss / 1e6
         if self.chain:
-            figures["chain"] = self._chain(results, objects)
+            figures["chain"] = self._chain(results, objects, policies)
         about = {
             "grasps": Path(self.grasps).name,
             "objects": sorted(objects),
             "seed": self.seed,
             "coloured": self.coloured,
+            "landmarks_noise": self.landmarks_noise,
             "machine": machine(),
         }
         if self.json is not None:
@@ -124,6 +130,8 @@ class Perception:
             raise FungraspError(
                 f"--captures must be at least 1 and --seed not negative, not {self.captures} and {self.seed}"
             )
+        if self.landmarks_noise is not None and (self.absent or not self.landmarks_noise >= 0):
+            raise FungraspError("--landmarks-noise must not be negative, and does not go with --absent")
         human = load_human_grasps(self.grasps)
         names = np.unique(human.object_name).tolist()
         for name in self.only:
@@ -136,7 +144,7 @@ class Perception:
     ) -> Iterator[CaptureResult]:
         from fungrasp.perception.hand_landmarks import HandDetector
 
-        detector = HandDetector()
+        detector = HandDetector() if self.landmarks_noise is None else None
         with progress_bar("perceiving", self.captures) as show:
             for i in range(self.captures):
                 result = None if store is None else store.load(i)
@@ -148,15 +156,23 @@ class Perception:
                 show(i + 1)
 
     def _one(
-        self, index: int, human: HumanGraspSet, objects: Mapping[str, ObjectModel], detector: Detector
+        self, index: int, human: HumanGraspSet, objects: Mapping[str, ObjectModel], detector: Detector | None
     ) -> CaptureResult:
+        """detector: None for one that knows the truth but for ``landmarks_noise``."""
         from dataclasses import replace
 
+        import numpy as np
+
         from fungrasp.evaluation.perception import measure_absent, measure_perception
+        from fungrasp.evaluation.perception_noise import TrueLandmarks
         from fungrasp.report.captures_files import painted_mesh
         from fungrasp.report.captures_scene import Label
 
         known = self._capture(index, human, objects)
+        if detector is None:
+            rng = np.random.default_rng([self.seed, index])
+            lens = known.capture.intrinsics
+            detector = TrueLandmarks(known.joints_camera, lens, self.landmarks_noise or 0.0, rng)
         model = objects[known.grasp.object_name]
         others = [name for name in sorted(objects) if name != model.name]
         other = objects[others[index % len(others)]] if self.wrong and others else None
@@ -191,7 +207,23 @@ class Perception:
             write_capture(known, folder)
         return known
 
-    def _chain(self, results: list[CaptureResult], objects: Mapping[str, ObjectModel]) -> dict[str, Any]:
+    def _policies(self) -> tuple[str, ...]:
+        """What moves the hand of the chain."""
+        from fungrasp.evaluation.dynamic import check_policy
+        from fungrasp.hands import load_hand
+        from fungrasp.policies.policy_file import list_policies
+
+        hand = load_hand(self.hand)
+        free = f"{hand.name}-student-free"
+        policies = self.policy or (free if free in list_policies() else "reference",)
+        for policy in policies:
+            check_policy(policy, hand)
+        return policies
+
+    def _chain(
+        self, results: list[CaptureResult], objects: Mapping[str, ObjectModel], policies: tuple[str, ...]
+    ) -> dict[str, Any]:
+        """Figures of the first policy, and of all of them by name where there are several."""
         import numpy as np
 
         from fungrasp.cli.retarget import retargeted
@@ -201,14 +233,21 @@ class Perception:
 
         hand = load_hand(self.hand)
         true, perceived, rows = chain_sets(results, objects)
-        success = []
-        for words, human in (("true grasps", true), ("perceived grasps", perceived)):
-            if human is None:
-                success.append(np.zeros(0, dtype=bool))
-                continue
-            robot, _ = retargeted(human, objects, hand, "ours", self.threads)
-            with progress_bar(words, len(robot)) as show:
-                tried = evaluate(robot, objects, hand, self.policy, threads=self.threads, progress=show)
-            success.append(tried.trials.success)
+        sets = [
+            None if human is None else retargeted(human, objects, hand, "ours", self.threads)[0]
+            for human in (true, perceived)
+        ]
         sure = np.array([result.sure for result in results])
-        return {"hand": hand.name, "policy": self.policy} | chain_figures(success[0], success[1], rows, sure)
+        each = {}
+        for policy in policies:
+            success = []
+            for words, robot in zip(("true grasps", "perceived grasps"), sets, strict=True):
+                if robot is None:
+                    success.append(np.zeros(0, dtype=bool))
+                    continue
+                with progress_bar(f"{policy}, {words}", len(robot)) as show:
+                    tried = evaluate(robot, objects, hand, policy, threads=self.threads, progress=show)
+                success.append(tried.trials.success)
+            each[policy] = chain_figures(success[0], success[1], rows, sure)
+        figures = {"hand": hand.name, "policy": policies[0]} | each[policies[0]]
+        return figures if len(policies) == 1 else figures | {"policies": each}

@@ -62,10 +62,12 @@ def perception_figures(results: Sequence[CaptureResult]) -> dict[str, Any]:
     """Rates and errors over the captures.
 
     A hand that was not found counts in ``hand.found`` only; the object's pose without a mask is looked for
-    all the same. ``accepted`` takes every answer that was accepted: with mask, without, and those of wrong
-    meshes and absent objects, which are never right.
+    all the same. ``hand.sure`` has the errors of those that perception was sure of. ``accepted`` takes every
+    answer that was accepted: with mask, without, and those of wrong meshes and absent objects, which are
+    never right.
     """
     hands = [result.hand for result in results if result.hand.found]
+    sure = [result.hand for result in results if result.hand.found and result.sure]
     masked = [result.masked for result in results]
     unmasked = [result.unmasked for result in results]
     wrong = [result.wrong_mesh for result in results if result.wrong_mesh is not None]
@@ -80,6 +82,10 @@ def perception_figures(results: Sequence[CaptureResult]) -> dict[str, Any]:
                 "found": _rate([result.hand.found for result in results]),
                 "right_side": _rate([hand.right_side for hand in hands]),
                 **{name: _spread([getattr(hand, name) for hand in hands]) for name in names},
+                "sure": {
+                    "count": len(sure),
+                    **{name: _spread([getattr(hand, name) for hand in sure]) for name in names},
+                },
             },
             "object_masked": _pose_figures(masked),
             "object_unmasked": _pose_figures(unmasked),

@@ -237,6 +237,10 @@ def _see(
         thing = estimate_object_pose(capture, mesh, lead, under, seed=seed)
     elif not thing.judged:
         thing = judge_estimate(thing, capture, mesh, lead, under, seed=seed, improve=improve)
+    if table is None and lead is None and thing.accepted:
+        # The object tells as well what is below it.
+        surface = transform_points(thing.pose_camera_object, np.asarray(mesh.vertices))
+        table = table_under(capture, surface, np.random.default_rng(seed))
     return _Seen(detected, hand, table, thing)
 
 
