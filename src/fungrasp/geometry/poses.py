@@ -32,9 +32,9 @@ _HAMILTON = np.array(
 """Products of the units 1, i, j, k with one another: that of the first by row, the second by column."""
 _RIGHT_FACTOR = np.reshape(np.moveaxis(_HAMILTON, 0, -1), (4, 16))
 """Makes of a quaternion ``b`` the matrix M, row by row, with ``a b = M a``."""
-_SKEW = np.reshape(np.swapaxes(np.cross(np.eye(3)[:, None], np.eye(3)), 1, 2), (3, 9))
-"""Makes of a vector ``a`` the matrix M, row by row, with ``a x b = M b``."""
 _CONJUGATE = np.array([1.0, -1.0, -1.0, -1.0])
+_PLACE = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0])
+"""Which numbers of a pose are its position."""
 
 
 def _turn_factors() -> np.ndarray:
@@ -49,6 +49,21 @@ def _turn_factors() -> np.ndarray:
 
 _TURN_FACTORS = _turn_factors()
 _IDENTITY = np.eye(3)
+
+
+def _carry_factors() -> np.ndarray:
+    """Makes of the same products and of w, x, y, z the matrix, row by row, that turns what of a pose is its
+    position, less the identity, and what is its rotation."""
+    result = np.zeros((16, 7, 7))
+    result[:12, :3, :3] = np.reshape(_TURN_FACTORS, (12, 3, 3))
+    result[12:, 3:, 3:] = np.swapaxes(_HAMILTON, 1, 2)
+    return np.reshape(result, (16, 49))
+
+
+_CARRY_FACTORS = _carry_factors()
+_FULL_TURN = 2.0 * np.pi
+_EULER_HALVES = np.array([[1.0, 0, 1.0, 0], [0, 1.0, 0, 1.0], [1.0, 0, -1.0, 0], [0, 1.0, 0, -1.0]])
+"""Makes of a quaternion ``w + y, x + z, w - y, x - z``."""
 
 
 def array_namespace(*arrays: Array) -> Any:
@@ -72,10 +87,27 @@ def stack(*arrays: Array) -> Array:
     return array_namespace(*arrays).concat([array[None] for array in arrays])
 
 
+def side_by_side(*parts: Array) -> Array:
+    """Arrays of one shape as the numbers along a new last axis; ``stack`` takes twice the time."""
+    first = parts[0]
+    shape = (*first.shape, len(parts))
+    result = array_namespace(*parts).empty(shape, dtype=first.dtype, device=first.device)
+    for number, part in enumerate(parts):
+        result[..., number] = part
+    return result
+
+
+def clip(array: Array, low: Any, high: Any) -> Array:
+    """Numbers cut to limits, which are numbers or arrays; NumPy's own takes three times as long."""
+    if type(array) is np.ndarray:
+        return np.minimum(np.maximum(array, low), high)
+    return array_namespace(array).clip(array, low, high)
+
+
 def quaternion_multiply(a: Array, b: Array) -> Array:
     """Hamilton product ``a b``. a, b: wxyz, shape [..., 4]."""
     xp = array_namespace(a, b)
-    factor = xp.reshape(xp.matmul(b, like(b, _RIGHT_FACTOR)), (*b.shape, 4))
+    factor = xp.matmul(b, like(b, _RIGHT_FACTOR)).reshape((*b.shape, 4))
     return xp.vecdot(factor, a[..., None, :])
 
 
@@ -88,7 +120,7 @@ def cross(a: Array, b: Array) -> Array:
     """Cross product with broadcasting (the array API's own does not broadcast). Shape [..., 3]."""
     ax, ay, az = a[..., 0], a[..., 1], a[..., 2]
     bx, by, bz = b[..., 0], b[..., 1], b[..., 2]
-    return _side_by_side(array_namespace(a, b), ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx)
+    return side_by_side(ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx)
 
 
 def norm(v: Array) -> Array:
@@ -107,8 +139,9 @@ def rotate(q: Array, v: Array) -> Array:
 def quaternion_from_rotation_vector(v: Array) -> Array:
     """Exponential map. v: axis times angle [rad], shape [..., 3]. Returns wxyz, shape [..., 4]."""
     xp = array_namespace(v)
-    half = 0.5 * norm(v) + TINY
-    return xp.concat([xp.cos(half), 0.5 * xp.sin(half) / half * v], axis=-1)
+    angle = norm(v) + TINY
+    half = 0.5 * angle
+    return xp.concat([xp.cos(half), xp.sin(half) / angle * v], axis=-1)
 
 
 def rotation_vector(q: Array) -> Array:
@@ -121,12 +154,28 @@ def rotation_vector(q: Array) -> Array:
     return axis * xp.copysign(2.0 * half / (sine + TINY), cosine)
 
 
+def turned_towards(q: Array, goal: Array, angle: Array) -> Array:
+    """Orientations on the shorter way from one to another.
+
+    Args:
+        q: where it begins, wxyz, shape [..., 4].
+        goal: where it ends, likewise.
+        angle: how far on the way, at most to its end [rad], shape [..., 1]; they broadcast.
+    """
+    xp = array_namespace(q, goal)
+    way = quaternion_multiply(goal, quaternion_conjugate(q))
+    cosine, axis = way[..., :1], way[..., 1:]
+    sine = norm(axis)
+    half = xp.minimum(0.5 * angle, xp.atan2(sine, xp.abs(cosine)))
+    unit = axis * xp.copysign(1.0 / (sine + TINY), cosine)
+    result = quaternion_multiply(xp.concat([xp.cos(half), xp.sin(half) * unit], axis=-1), q)
+    return result / norm(result)
+
+
 def rotation_matrix(q: Array) -> Array:
     """q: wxyz, shape [..., 4]. Returns shape [..., 3, 3]."""
-    xp = array_namespace(q)
-    products = xp.reshape(q[..., None] * q[..., None, 1:], (*q.shape[:-1], 12))
-    change = xp.reshape(xp.matmul(products, like(q, _TURN_FACTORS)), (*q.shape[:-1], 3, 3))
-    return change + like(q, _IDENTITY)
+    change = array_namespace(q).matmul(_products(q), like(q, _TURN_FACTORS))
+    return change.reshape((*q.shape[:-1], 3, 3)) + like(q, _IDENTITY)
 
 
 def euler_angles(q: Array) -> Array:
@@ -137,35 +186,34 @@ def euler_angles(q: Array) -> Array:
     for all ``+`` likewise. q: wxyz, shape [..., 4]; returns shape [..., 3].
     """
     xp = array_namespace(q)
-    wx, yz = q[..., :2], q[..., 2:]
-    parts = stack(wx + yz, wx - yz)
-    both, apart = xp.atan2(parts[..., 1], parts[..., 0])
-    most, least = norm(parts)[..., 0]
-    angles = _side_by_side(xp, both + apart, 2.0 * xp.atan2(most, least) - 0.5 * xp.pi, both - apart)
-    return angles - 2.0 * xp.pi * xp.floor(angles / (2.0 * xp.pi) + 0.5)
+    halves = xp.matmul(q, like(q, _EULER_HALVES)).reshape((*q.shape[:-1], 2, 2))
+    cosines, sines = halves[..., 0], halves[..., 1]
+    turns, lengths = xp.atan2(sines, cosines), xp.hypot(sines, cosines)
+    both, apart = turns[..., 0], turns[..., 1]
+    tilt = 2.0 * xp.atan2(lengths[..., 0], lengths[..., 1]) - 0.5 * xp.pi
+    angles = side_by_side(both + apart, tilt, both - apart)
+    return angles - _FULL_TURN * xp.floor(angles / _FULL_TURN + 0.5)
 
 
 def compose(pose_a_b: Array, pose_b_c: Array) -> Array:
     """``pose_a_c``. Poses: shape [..., 7]; they broadcast."""
-    xp = array_namespace(pose_a_b, pose_b_c)
-    position = pose_a_b[..., :3] + _rotate_one(pose_a_b[..., 3:], pose_b_c[..., :3])
-    rotation = quaternion_multiply(pose_a_b[..., 3:], pose_b_c[..., 3:])
-    return xp.concat([position, rotation], axis=-1)
+    result = _carried(pose_a_b[..., 3:], pose_b_c)
+    result[..., :3] += pose_a_b[..., :3]
+    return result
 
 
 def invert(pose_a_b: Array) -> Array:
     """``pose_b_a``. Shape [..., 7]."""
     xp = array_namespace(pose_a_b)
-    inverse = quaternion_conjugate(pose_a_b[..., 3:])
-    return xp.concat([-_rotate_one(inverse, pose_a_b[..., :3]), inverse], axis=-1)
+    rotation = pose_a_b[..., 3:]
+    position = xp.matmul(pose_a_b[..., None, :3], rotation_matrix(rotation))[..., 0, :]
+    return xp.concat([-position, quaternion_conjugate(rotation)], axis=-1)
 
 
 def relative(pose_a_b: Array, pose_a_c: Array) -> Array:
     """``pose_b_c``: where c is, seen from b. Poses: shape [..., 7]; they broadcast."""
-    xp = array_namespace(pose_a_b, pose_a_c)
-    inverse = quaternion_conjugate(pose_a_b[..., 3:])
-    position = _rotate_one(inverse, pose_a_c[..., :3] - pose_a_b[..., :3])
-    return xp.concat([position, quaternion_multiply(inverse, pose_a_c[..., 3:])], axis=-1)
+    apart = pose_a_c - pose_a_b * like(pose_a_b, _PLACE)
+    return _carried(quaternion_conjugate(pose_a_b[..., 3:]), apart)
 
 
 def transform_points(pose_a_b: Array, points_b: Array) -> Array:
@@ -178,18 +226,16 @@ def inverse_transform_points(pose_a_b: Array, points_a: Array) -> Array:
     return rotate(quaternion_conjugate(pose_a_b[..., None, 3:]), points_a - pose_a_b[..., None, :3])
 
 
-def _rotate_one(q: Array, v: Array) -> Array:
-    """As ``rotate``, with half the calls, for one vector with each quaternion."""
-    xp = array_namespace(q, v)
-    skew = xp.reshape(xp.matmul(q[..., 1:], like(q, _SKEW)), (*q.shape[:-1], 3, 3))
-    t = 2.0 * xp.vecdot(skew, v[..., None, :])
-    return v + q[..., :1] * t + xp.vecdot(skew, t[..., None, :])
+def _products(q: Array) -> Array:
+    """wx, wy, wz, xx, ... zz. q: wxyz, shape [..., 4]; returns shape [..., 12]."""
+    return (q[..., None] * q[..., None, 1:]).reshape((*q.shape[:-1], 12))
 
 
-def _side_by_side(xp: Any, *parts: Array) -> Array:
-    """Arrays of one shape as the numbers along a new last axis; ``stack`` takes twice the time."""
-    first = parts[0]
-    result = xp.empty((*first.shape, len(parts)), dtype=first.dtype, device=first.device)
-    for number, part in enumerate(parts):
-        result[..., number] = part
+def _carried(q: Array, pose: Array) -> Array:
+    """A pose in a frame with the same origin, that sees the pose's own frame turned by q. They broadcast."""
+    xp = array_namespace(q, pose)
+    terms = xp.concat([_products(q), q], axis=-1)
+    factor = xp.matmul(terms, like(q, _CARRY_FACTORS)).reshape((*q.shape[:-1], 7, 7))
+    result = xp.matmul(factor, pose[..., None])[..., 0]
+    result[..., :3] += pose[..., :3]
     return result

@@ -87,10 +87,15 @@ class SignedDistanceBank:
             grids: one per object; queries name them by index.
         """
         self._values = np.concatenate([grid.values.ravel() for grid in grids])
-        self._start = np.cumsum([0, *(grid.values.size for grid in grids[:-1])])
-        self._shape = np.array([grid.values.shape for grid in grids])
-        self._origin = np.array([grid.origin for grid in grids])
-        self._spacing = np.array([grid.spacing for grid in grids])
+        shape = np.array([grid.values.shape for grid in grids])
+        stride = np.stack([shape[:, 1] * shape[:, 2], shape[:, 2], np.ones(len(grids), dtype=int)], axis=1)
+        # What follows has an axis for the points of a query, and the axes of coordinates or corners.
+        self._start = np.cumsum([0, *(grid.values.size for grid in grids[:-1])])[:, None]
+        self._stride = stride[:, None]
+        self._corners = (np.indices((2, 2, 2)).reshape(3, 8).T @ stride.T)[..., None]
+        self._last = (shape - 1.000001)[:, None]
+        self._origin = np.array([grid.origin for grid in grids])[:, None]
+        self._spacing = np.array([grid.spacing for grid in grids])[:, None, None]
 
     def query(self, grid: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Trilinear signed distance and its exact gradient.
@@ -105,36 +110,32 @@ class SignedDistanceBank:
         Returns:
             distance [m], shape [N, P]; gradient, shape [N, P, 3].
         """
-        spacing = self._spacing[grid][:, None, None]
-        shape = self._shape[grid][:, None, :]
-        u = (points - self._origin[grid][:, None, :]) / spacing
-        inside = np.fmin(np.fmax(u, 0.0), shape - 1.000001)
-        beyond = (u - inside) * spacing
+        spacing = self._spacing.take(grid, axis=0)
+        u = (points - self._origin.take(grid, axis=0)) / spacing
+        inside = np.fmin(np.fmax(u, 0.0), self._last.take(grid, axis=0))
         cell = inside.astype(np.int64)
-        f = inside - cell
-        stride_x = shape[..., 1] * shape[..., 2]
-        stride_y = shape[..., 2]
-        base = self._start[grid][:, None] + cell[..., 0] * stride_x + cell[..., 1] * stride_y + cell[..., 2]
-        v = self._values
-        c000, c001 = v[base], v[base + 1]
-        c010, c011 = v[base + stride_y], v[base + stride_y + 1]
-        base = base + stride_x
-        c100, c101 = v[base], v[base + 1]
-        c110, c111 = v[base + stride_y], v[base + stride_y + 1]
-        fx, fy, fz = f[..., 0], f[..., 1], f[..., 2]
-        c00, c01 = c000 + fx * (c100 - c000), c001 + fx * (c101 - c001)
-        c10, c11 = c010 + fx * (c110 - c010), c011 + fx * (c111 - c011)
-        c0, c1 = c00 + fy * (c10 - c00), c01 + fy * (c11 - c01)
-        d00, d01 = c100 - c000, c101 - c001
-        d10, d11 = c110 - c010, c111 - c011
-        d0, d1 = d00 + fy * (d10 - d00), d01 + fy * (d11 - d01)
-        gradient = np.stack(
-            [d0 + fz * (d1 - d0), (c10 - c00) + fz * ((c11 - c01) - (c10 - c00)), c1 - c0], axis=-1
-        )
+        part = inside - cell
+        fx, fy, fz = part[..., 0], part[..., 1], part[..., 2]
+        first = self._start.take(grid, axis=0) + np.vecdot(cell, self._stride.take(grid, axis=0))
+        # Halves of the first axis of these differ in x, quarters in y, eighths in z.
+        corners = self._values.take(first + self._corners.take(grid, axis=1))
+        along_x = corners[4:] - corners[:4]
+        faces = corners[:4] + fx * along_x
+        along_y = faces[2:] - faces[:2]
+        # Distance, slope along x, slope along y, at the two ends of a line along z.
+        ends = np.empty((3, *along_y.shape))
+        ends[0] = faces[:2] + fy * along_y
+        ends[1] = along_x[:2] + fy * (along_x[2:] - along_x[:2])
+        ends[2] = along_y
+        along_z = ends[:, 1] - ends[:, 0]
+        mixed = ends[:, 0] + fz * along_z
+        distance = mixed[0]
+        gradient = np.empty(points.shape)
+        gradient[..., 0], gradient[..., 1], gradient[..., 2] = mixed[1], mixed[2], along_z[0]
         gradient /= spacing
-        distance = c0 + fz * (c1 - c0)
-        away = np.linalg.norm(beyond, axis=-1)
-        if np.any(away > 0):
+        beyond = (u - inside) * spacing
+        if beyond.any():
+            away = np.sqrt(np.add.reduce(beyond * beyond, axis=-1))
             distance = distance + away
             gradient = np.where(beyond != 0, beyond / np.maximum(away, 1e-12)[..., None], gradient)
         return distance, gradient

@@ -60,7 +60,13 @@ class HandKinematics:
         self._xpos, self._xmat = self._batch.bind("xpos"), self._batch.bind("xmat")
         self._anchor, self._axis = self._batch.bind("xanchor"), self._batch.bind("xaxis")
         self._moves = _moved_bodies(self.model)
-        self._palm = self.model.body(hand.palm).id
+        # The palm stands still in the model.
+        data = mujoco.MjData(self.model)
+        mujoco.mj_kinematics(self.model, data)
+        palm = self.model.body(hand.palm).id
+        self._palm_place = data.xpos[palm].copy()
+        self._to_palm = data.xmat[palm].reshape(1, 3, 3).mT.copy()
+        self._nowhere = np.zeros((count, 3))
         # Made when first asked for after each update.
         self._joint_frames: tuple[np.ndarray, np.ndarray] | None = None
 
@@ -79,19 +85,17 @@ class HandKinematics:
         """
         self._qpos[:] = independent @ self.matrix.T + self.offset
         self._batch.forward(stage=mujoco.mjtStage.mjSTAGE_POS)
-        self._rotation = self._xmat[:, self._palm].reshape(-1, 3, 3).mT
-        self._wrist_position = np.zeros((len(self._rotation), 3))
+        self._wrist_position, self._rotation = self._nowhere, self._to_palm
         if wrist_pose is not None:
             self._wrist_position = wrist_pose[:, :3]
-            self._rotation = rotation_matrix(wrist_pose[:, 3:]) @ self._rotation
-        shift = np.einsum("nij,nj->ni", self._rotation, self._xpos[:, self._palm])
-        self._translation = self._wrist_position - shift
+            self._rotation = rotation_matrix(wrist_pose[:, 3:]) @ self._to_palm
+        self._translation = self._wrist_position - self._rotation @ self._palm_place
         self._joint_frames = None
 
     def points(self, which: BodyPoints) -> np.ndarray:
         """Positions in the reference frame [m], shape [N, P, 3]."""
-        matrices = self._xmat[:, which.bodies].reshape(-1, len(which.bodies), 3, 3)
-        local = self._xpos[:, which.bodies] + (matrices @ which.offsets[:, :, None])[..., 0]
+        matrices = self._xmat.take(which.bodies, axis=1).reshape(-1, len(which.bodies), 3, 3)
+        local = self._xpos.take(which.bodies, axis=1) + (matrices @ which.offsets[:, :, None])[..., 0]
         return self._map(local)
 
     def jacobian(self, bodies: np.ndarray, positions: np.ndarray) -> np.ndarray:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from fungrasp.geometry.poses import compose, invert, rotate
+from fungrasp.geometry.poses import clip, compose, invert, rotate
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
@@ -77,7 +77,7 @@ class Motion:
 
     def at(self, step: np.ndarray, rows: np.ndarray | slice = slice(None)) -> tuple[np.ndarray, np.ndarray]:
         """Wrist goals [I, 7] and finger targets [I, U] of some rows at their steps, shape [I] int."""
-        step = np.clip(step, 0, self.wrist_goal.shape[1] - 1)
+        step = clip(step, 0, self.wrist_goal.shape[1] - 1)
         index = np.arange(len(self))[rows]
         return self.wrist_goal[index, step], self.finger_targets[index, step]
 

@@ -128,7 +128,7 @@ class Tracker:
         period = task.protocol.control_period
         since_lift = np.where(np.isfinite(task.lift_time), task.time - task.lift_time, -1.0)
         lifted = goal.copy()
-        lifted[:, 2] += np.where(since_lift >= 0, task.protocol.lift_height, 0.0)
+        lifted[:, 2] += task.protocol.lift_height * (since_lift >= 0)
         wanted = Wanted(
             palm_goal=lifted,
             servo_targets=fingers,

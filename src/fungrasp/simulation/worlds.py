@@ -123,7 +123,7 @@ class Worlds:
     @property
     def object_pose(self) -> np.ndarray:
         """World frame, shape [W, 7]."""
-        return self.qpos[:, self.object_qpos]
+        return self.qpos.take(self.object_qpos, axis=1)
 
     @object_pose.setter
     def object_pose(self, pose: np.ndarray) -> None:
@@ -158,7 +158,7 @@ class Worlds:
     @property
     def joint_positions(self) -> np.ndarray:
         """Of the hand [rad], in ``Hand.joint_names`` order, shape [W, M]."""
-        return self.qpos[:, self.finger_qpos]
+        return self.qpos.take(self.finger_qpos, axis=1)
 
     @joint_positions.setter
     def joint_positions(self, value: np.ndarray) -> None:

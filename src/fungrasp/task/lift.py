@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fungrasp.geometry.poses import compose, invert, rotate
+from fungrasp.geometry.poses import compose, invert, norm, rotate
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.simulation import Scene, Worlds
 from fungrasp.task.motion import WristSetPoint
@@ -116,7 +116,7 @@ class LiftTask:
     def tracked_object_pose(self) -> np.ndarray:
         """Where a policy sees the objects, world frame, shape [W, 7]."""
         pose = self.worlds.object_pose
-        pose[:, 3:] /= np.linalg.norm(pose[:, 3:], axis=1, keepdims=True)
+        pose[:, 3:] /= norm(pose[:, 3:])
         return pose
 
     def reset(self) -> None:
@@ -218,7 +218,7 @@ class LiftTask:
             moved = np.linalg.norm(self.worlds.object_pose[:, :2] - self.settled_pose[:, :2], axis=1)
             self._pushed[begins] = moved[begins]
         goal = action.wrist_pose.copy()
-        goal[:, 2] += np.where(np.isfinite(self.lift_time), p.lift_height, 0.0)
+        goal[:, 2] += p.lift_height * np.isfinite(self.lift_time)
         return self.servos.plan(goal, action.finger_targets)
 
     def _observe_hold(self, goal: np.ndarray) -> None:

@@ -4,13 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fungrasp.geometry.poses import (
-    norm,
-    quaternion_conjugate,
-    quaternion_from_rotation_vector,
-    quaternion_multiply,
-    rotation_vector,
-)
+from fungrasp.geometry.poses import norm, turned_towards
 from fungrasp.task.protocol import Protocol
 
 
@@ -34,9 +28,12 @@ class WristSetPoint:
         Returns:
             pose, shape [S, W, 7], and velocity [m/s], shape [S, W, 3], at the end of each step.
         """
+        p = self._protocol
         poses = np.empty((steps, *self.pose.shape))
         velocities = np.empty((steps, *self.velocity.shape))
-        poses[..., 3:] = self._turned(goal[:, 3:], duration, steps)
+        # A turn has no inertia.
+        turns = p.wrist_rotation_speed * duration * np.arange(1, steps + 1)[:, None, None]
+        poses[..., 3:] = turned_towards(self.pose[:, 3:], goal[:, 3:], turns)
         position, velocity = self.pose[:, :3], self.velocity
         for i in range(steps):
             velocity = self._velocity(goal[:, :3] - position, velocity, duration)
@@ -46,22 +43,13 @@ class WristSetPoint:
         return poses, velocities
 
     def _velocity(self, offset: np.ndarray, velocity: np.ndarray, duration: float) -> np.ndarray:
-        """During the next step, where the goal is at an offset, all of shape [W, 3]."""
-        p = self._protocol
-        distance = norm(offset)
-        reach = p.wrist_acceleration * duration
-        speed = np.minimum(
-            p.wrist_speed, np.sqrt(reach**2 / 4 + 2 * p.wrist_acceleration * distance) - reach / 2
-        )
-        wanted = offset / np.maximum(distance, 1e-9) * np.minimum(speed, distance / duration)
-        change = wanted - velocity
-        return velocity + change * np.minimum(1.0, reach / np.maximum(norm(change), 1e-12))
+        """During the next step, where the goal is at an offset, all of shape [W, 3].
 
-    def _turned(self, goal: np.ndarray, duration: float, steps: int) -> np.ndarray:
-        """Orientations after each step, shape [S, W, 4]: all on one way, as the turn has no inertia."""
-        quaternion = self.pose[:, 3:]
-        turn = rotation_vector(quaternion_multiply(goal, quaternion_conjugate(quaternion)))
-        reach = self._protocol.wrist_rotation_speed * duration * np.arange(1, steps + 1)[:, None, None]
-        turn = turn * np.minimum(1.0, reach / np.maximum(norm(turn), 1e-12))
-        rotation = quaternion_multiply(quaternion_from_rotation_vector(turn), quaternion)
-        return rotation / norm(rotation)
+        The speed v from which the wrist can stop in time obeys ``distance = v^2 / (2 a) + v duration / 2``.
+        """
+        p = self._protocol
+        distance, quarter = norm(offset), duration / 4
+        braking = quarter + np.sqrt(quarter**2 + distance / (2 * p.wrist_acceleration))
+        time = np.maximum(np.maximum(braking, duration), distance / p.wrist_speed)
+        change = offset / time - velocity
+        return velocity + change / np.maximum(1.0, norm(change) / (p.wrist_acceleration * duration))

@@ -16,6 +16,7 @@ import numpy as np
 from fungrasp.geometry.poses import (
     Array,
     array_namespace,
+    clip,
     compose,
     invert,
     like,
@@ -23,6 +24,7 @@ from fungrasp.geometry.poses import (
     rotate,
     rotation_matrix,
     rotation_vector,
+    side_by_side,
     stack,
 )
 
@@ -37,8 +39,8 @@ _MOTION_UNITS = np.repeat(
 )
 """Of the palm from its set point, since the step before and to its goal, of the object from its place in the
 grasp and since the step before: shift [m] and turn [rad], shape [5, 1, 6]."""
-_PHASE_BEGINS, _PHASE_ENDS = np.array([-1.0, 0.0, 0.0]), np.array([0.0, 2.0, 2.0])
-"""Where time counts: before the fingers close, after, and since the lift began [s]."""
+_PHASE_BEGINS, _PHASE_ENDS = np.array([-1.0, 0.0, 0.0, 0.0]), np.array([0.0, 2.0, 2.0, 2.0])
+"""Where time counts: before the fingers close, after, and twice since the lift began [s]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,14 +138,13 @@ def observe(now: Readings, before: Readings, wanted: Wanted, action: Array) -> d
     moved = xp.matmul((now.object_pose - wanted.settled_pose)[:, None, :3], to_world)[:, 0]
     extents = xp.matmul(xp.abs(from_object), wanted.size[..., None])[..., 0]
     count, number = now.surface_distance.shape
-    vectors = [wanted.keypoints, now.surface_normal, wanted.surface_normal, wanted.center[:, None]]
+    vectors = [wanted.keypoints, wanted.center[:, None], now.surface_normal, wanted.surface_normal]
     vectors = xp.matmul(xp.concat(vectors, axis=1), from_object.mT)
-    position = object_in_palm[:, None, :3]
-    errors = vectors[:, :number] + position - now.keypoints
-    normals = xp.reshape(vectors[:, number : 3 * number], (count, -1))
+    points = vectors[:, : number + 1] + object_in_palm[:, None, :3]
+    errors = (points[:, :number] - now.keypoints) / POSITION_UNIT
+    normals = vectors[:, number + 1 :].reshape((count, 6 * number))
     distances = xp.concat([now.surface_distance, wanted.surface_distance], axis=-1)
-    distances = xp.clip(distances / 0.02, -1.0, 5.0)
-    center = (vectors[:, 3 * number :] + position)[:, 0]
+    distances = clip(distances / 0.02, -1.0, 5.0)
     return {
         "joints": now.joints,
         "joint_errors": (wanted.servo_targets - now.joints) / SERVO_UNIT,
@@ -154,12 +155,12 @@ def observe(now: Readings, before: Readings, wanted: Wanted, action: Array) -> d
         "palm_goal": goal,
         "up": to_world[:, 2],
         "palm_height": now.palm_pose[:, 2:3] / (2 * POSITION_UNIT),
-        "object_center": center / (2 * POSITION_UNIT),
+        "object_center": points[:, number] / (2 * POSITION_UNIT),
         "object_extents": extents / (2 * POSITION_UNIT),
         "object_deviation": deviation,
         "object_moved": moved / POSITION_UNIT,
         "object_change": change,
-        "keypoint_errors": xp.reshape(errors / POSITION_UNIT, (count, -1)),
+        "keypoint_errors": errors.reshape((count, 3 * number)),
         "surface_distances": distances[:, :number],
         "surface_normals": normals[:, : 3 * number],
         "target_distances": distances[:, number:],
@@ -229,8 +230,7 @@ def layout(parts: Mapping[str, Array]) -> tuple[tuple[str, int], ...]:
 
 def _phase(since_closing: Array, since_lift: Array) -> Array:
     """Where in the trial, shape [W, 4]."""
-    xp = array_namespace(since_closing)
-    closing, lift = since_closing[:, None], since_lift[:, None]
-    times = xp.concat([closing, closing, lift], axis=-1)
-    times = xp.clip(times, like(times, _PHASE_BEGINS), like(times, _PHASE_ENDS))
-    return xp.concat([times[:, :2], xp.astype(lift >= 0, times.dtype), times[:, 2:]], axis=-1)
+    times = side_by_side(since_closing, since_closing, since_lift, since_lift)
+    phase = clip(times, like(times, _PHASE_BEGINS), like(times, _PHASE_ENDS))
+    phase[:, 2] = since_lift >= 0
+    return phase

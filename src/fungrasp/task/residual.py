@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from fungrasp.errors import FungraspError
-from fungrasp.geometry.poses import Array, array_namespace, compose, quaternion_from_rotation_vector
+from fungrasp.geometry.poses import Array, array_namespace, clip, compose, quaternion_from_rotation_vector
 
 WRIST_ACTIONS = 6
 """Three along the palm's axes, three about them; then one for each finger servo."""
@@ -38,8 +38,7 @@ class ResidualSettings:
 
 def smoothed(action: Array, previous: Array, settings: ResidualSettings) -> Array:
     """Actions cut to [-1, 1] and smoothed. action: a policy's, shape [W, A]; previous: smoothed."""
-    xp = array_namespace(action)
-    return settings.smoothing * previous + (1.0 - settings.smoothing) * xp.clip(action, -1.0, 1.0)
+    return settings.smoothing * previous + (1.0 - settings.smoothing) * clip(action, -1.0, 1.0)
 
 
 def apply(
