@@ -6,14 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from planned_grasps import grasps_and_objects, hand, references, start
+from planned_grasps import grasps_and_objects, hand, references
+from planned_grasps import start as begun
 
 import fungrasp.policies.choose as choose
 from fungrasp.errors import FungraspError
 from fungrasp.policies.choose import ChoiceSettings, Planner, SearchSettings, choose_references
+from fungrasp.policies.proposals import STEP, Pool, Start
 from fungrasp.policies.references import References
 from fungrasp.policies.rehearse import Outcome, RehearsalSettings, Tally, blind, rehearse
-from fungrasp.policies.variations import with_settings
 from fungrasp.transfer import MILD
 
 SHORT = RehearsalSettings(hold_time=0.3)
@@ -116,53 +117,54 @@ def test_tallies_choose_by_trials_and_grow():
 
 def test_where_nothing_holds_the_best_plans_are_varied_again(monkeypatch):
     """The second search finds what holds, for the one grasp that needs it."""
-    spreads: list[tuple[int, int]] = []
+    asked: list[tuple[int, int]] = []
     good = references()
     opened = replace(good, motion=replace(good.motion, finger_targets=0.0 * good.motion.finger_targets))
-    grasps = with_settings(grasps_and_objects()[0])
 
-    def propose(task, objects, critic, s, seed, chosen, worlds, attempts, search, spread):
-        spreads.append((search, len(worlds)))
-        rows = np.resize(worlds, len(chosen))
+    def propose(start, grasps, attempts, search, spread, **options):
+        asked.append((search, len(start)))
+        known = good.object_name.tolist()
+        rows = np.array([known.index(name) for name in grasps.object_name.tolist()])
         if search == 0:
             plans = References.join([opened, good]).select(rows + 2 * (rows == 1))
         else:
             plans = (good if search == 2 else opened).select(rows)
-        expected = np.full((len(rows) // len(worlds), len(worlds)), 0.5)
-        return choose._Pool(grasps.select(rows), plans, Tally.untried(expected, s.prior))
+        tally = Tally.untried(np.full((len(rows) // len(start), len(start)), 0.5), options["prior"])
+        return Pool(grasps, plans, tally)
 
-    monkeypatch.setattr(choose, "_propose", propose)
-    settings = ChoiceSettings(
-        2,
-        SHORT,
-        rounds=((2, 1),),
-        search=SearchSettings(rounds=((4, 1),), parents=2, enough=0.55),
-    )
-    plans, value = choose_references(start(), grasps_and_objects()[1], _Critic(), settings, threads=1)  # type: ignore[arg-type]
-    assert spreads == [(0, 2), (1, 1), (2, 1)]
+    monkeypatch.setattr(choose, "propose", propose)
+    search = SearchSettings(rounds=((4, 1),), parents=2, enough=0.55)
+    settings = ChoiceSettings(2, SHORT, rounds=((2, 1),), search=search)
+    start, objects = Start.of(begun()), grasps_and_objects()[1]
+    plans, value = choose_references(start, hand(), objects, _Critic(), settings, threads=1)  # type: ignore[arg-type]
+    assert asked == [(0, 2), (1, 1), (2, 1)]
     assert (value > 0.55).all()
     np.testing.assert_array_equal(plans.motion.finger_targets, good.motion.finger_targets)
 
 
-def test_a_planner_remembers_a_task_and_a_seed(monkeypatch):
-    asked: list[int | str] = []
+def test_a_planner_remembers_each_grasp_and_seed(monkeypatch):
+    asked: list[tuple[int, str, int]] = []
 
-    def plan(task, objects, critic, settings, seed, threads, policy):
-        asked.append(seed if policy is None else "followed")
-        return references(), np.zeros(2)
+    def plan(start, hand, objects, critic, settings, seed, threads, policy, protocol):
+        asked.append((seed, "alone" if policy is None else "followed", len(start)))
+        rows = [references().object_name.tolist().index(name) for name in start.grasps.object_name.tolist()]
+        return references().select(np.array(rows)), np.array(rows, dtype=float)
 
     monkeypatch.setattr(choose, "choose_references", plan)
     objects, critic = grasps_and_objects()[1], _Critic()
-    planner, task = Planner(), start()
+    planner, task = Planner(), begun()
     for seed in (0, 0, 1, 0):
         planner(task, objects, critic, seed)  # type: ignore[arg-type]
-    assert asked == [0, 1]
-    moved = start()
-    moved.settled_pose[:, 0] += 0.01
-    planner(moved, objects, critic)  # type: ignore[arg-type]
-    assert asked == [0, 1, 0], "another place, another plan"
+    assert asked == [(0, "alone", 2), (1, "alone", 2)]
+    nearly, moved = begun(), begun()
+    nearly.settled_pose[:] = STEP * np.round(nearly.settled_pose / STEP) + 0.2 * STEP
+    moved.settled_pose[1, 0] += 0.01
+    planner(nearly, objects, critic)  # type: ignore[arg-type]
+    plans, value = planner(moved, objects, critic)  # type: ignore[arg-type]
+    assert asked[2:] == [(0, "alone", 1)], "only what lies elsewhere is planned anew"
+    assert plans.object_name.tolist() == references().object_name.tolist() and value.tolist() == [0, 1]
     planner(task, objects, critic, 0, critic)  # type: ignore[arg-type]
-    assert asked[3:] == ["followed"], "who rehearses matters"
+    assert asked[3:] == [(0, "followed", 2)], "who rehearses matters"
 
 
 class _Card:

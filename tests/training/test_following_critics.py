@@ -13,8 +13,8 @@ from small_training import BATCH, PPO, WORLDS, hand, run_settings, training_set
 from fungrasp.errors import FungraspError
 from fungrasp.policies import make_policy, play
 from fungrasp.policies.card import Budget
-from fungrasp.policies.choose import expect
 from fungrasp.policies.policy_file import load_policy, read_card
+from fungrasp.policies.proposals import expect
 from fungrasp.simulation import Worlds, build_scene
 from fungrasp.task import LiftTask
 from fungrasp.task.residual import ResidualSettings

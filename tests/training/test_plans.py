@@ -15,6 +15,7 @@ from fungrasp.policies import make_policy, play
 from fungrasp.policies.card import Budget
 from fungrasp.policies.choose import ChoiceSettings, choose_references
 from fungrasp.policies.policy_file import load_policy
+from fungrasp.policies.proposals import Start
 from fungrasp.simulation import Worlds, build_scene
 from fungrasp.task import LiftTask
 from fungrasp.task.residual import ResidualSettings
@@ -119,11 +120,14 @@ def test_a_critic_chooses_and_plays(tmp_path):
     np.testing.assert_allclose(
         expected, critic(torch.from_numpy(outcomes.features))[:, 0].detach(), atol=1e-5
     )
-    whole, score = choose_references(task, objects, network, ChoiceSettings(6, rehearsal=None))
-    parted, again = choose_references(task, objects, network, ChoiceSettings(6, rehearsal=None, chunk=4))
+    start = Start.of(task)
+    whole, score = choose_references(start, hand(), objects, network, ChoiceSettings(6, rehearsal=None))
+    parted, again = choose_references(
+        start, hand(), objects, network, ChoiceSettings(6, rehearsal=None, chunk=4)
+    )
     np.testing.assert_allclose(score, again, atol=1e-5)
     np.testing.assert_allclose(whole.motion.wrist, parted.motion.wrist, atol=1e-6)
-    alone, one = choose_references(task, objects, network, ChoiceSettings(1, rehearsal=None))
+    alone, one = choose_references(start, hand(), objects, network, ChoiceSettings(1, rehearsal=None))
     assert (score >= one - 1e-6).all() and len(alone) == 2
     trials = play(task, make_policy(str(path), task, objects))
     assert np.isfinite(trials.contact_ratio).all()

@@ -44,7 +44,7 @@ class RehearsalSettings:
     """Trials begin this many control steps before the fingers close."""
     contact: float = 0.1
     """Weight of the contact ratio against success."""
-    slip: float = 0.0
+    slip: float = 0.01
     """Weight of the slip against success [s/mm]; ten millimetres a second count at most."""
     chunk: int = 512
     """Trials at once."""

@@ -82,7 +82,7 @@ class Tracker:
         """Numbers in an action."""
         self.rows = np.zeros(count, dtype=int)
         self.action = np.zeros((count, self.size))
-        self._aims = self._chosen()
+        self._aims, self._closing, self._lift = self._chosen()
         self._anchor = np.tile([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], (count, 1))
         self._step = task.control_step
         self._before: Readings | None = None
@@ -96,7 +96,7 @@ class Tracker:
         """Follow other references in some worlds. ids: worlds, shape [I]; rows: of the references, [I]."""
         self.rows[ids] = rows
         self.action[ids] = 0.0
-        self._aims = self._chosen()
+        self._aims, self._closing, self._lift = self._chosen()
         self._goal = self._view = self._sensed = None
         fresh = self._read()
         self._anchor[ids] = fresh.object_pose[ids]
@@ -113,8 +113,8 @@ class Tracker:
             raise RuntimeError("begin comes before advance")
         self._goal = self._view = self._sensed = None
         self._before, self._now = self._now, self._read()
-        before_closing = self._step < self.references.motion.closing[self.rows]
-        self._anchor = np.where(before_closing[:, None], self._now.object_pose, self._anchor)
+        before_closing = (self._step < self._closing)[:, None]
+        self._anchor = np.where(before_closing, self._now.object_pose, self._anchor)
 
     def view(self) -> View:
         """The worlds as they were last read, by ``begin`` or ``advance``."""
@@ -123,16 +123,14 @@ class Tracker:
         task = self.task
         if self._now is None or self._before is None:
             raise RuntimeError("begin comes before view")
-        closing = self._step - self.references.motion.closing[self.rows]
         goal, fingers = self._asked()
-        period = task.protocol.control_period
         since_lift = np.where(np.isfinite(task.lift_time), task.time - task.lift_time, -1.0)
         lifted = goal.copy()
         lifted[:, 2] += task.protocol.lift_height * (since_lift >= 0)
         wanted = Wanted(
             palm_goal=lifted,
             servo_targets=fingers,
-            since_closing=period * closing,
+            since_closing=task.protocol.control_period * (self._step - self._closing),
             since_lift=since_lift,
             **self._aims,
         )
@@ -144,7 +142,7 @@ class Tracker:
         self.action = smoothed(action, self.action, self.settings)
         self._view = None
         goal, fingers = apply(*self._asked(), self.action, self.settings)
-        return Action(goal, fingers, self._step >= self.references.motion.lift[self.rows])
+        return Action(goal, fingers, self._step >= self._lift)
 
     def sensed(self) -> Sensed:
         """What only a simulation knows, when the worlds were last read."""
@@ -167,11 +165,12 @@ class Tracker:
             self._goal = compose(self._anchor, goal), fingers
         return self._goal
 
-    def _chosen(self) -> dict[str, np.ndarray]:
-        """Those fields of ``Wanted`` that stay the same during a trial."""
+    def _chosen(self) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray]:
+        """What stays the same during a trial: fields of ``Wanted``; first steps of the closing and of the lift,
+        shape [W] int each."""
         refs, rows, index = self.references, self.rows, self.task.worlds.object_index
         distance, normal = self._target_surface
-        return {
+        aims = {
             "palm_in_object": refs.motion.wrist[rows],
             "keypoints": refs.keypoints[rows],
             "surface_distance": distance[rows],
@@ -182,6 +181,7 @@ class Tracker:
             "center": self._center[index],
             "size": self._size[index],
         }
+        return aims, refs.motion.closing[rows], refs.motion.lift[rows]
 
     def _read(self) -> Readings:
         task, noise = self.task, self.noise

@@ -11,8 +11,8 @@ from fungrasp.errors import FungraspError
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
-from fungrasp.policies.choose import expect
 from fungrasp.policies.network import PolicyNetwork
+from fungrasp.policies.proposals import expect
 from fungrasp.policies.reference import planned
 from fungrasp.policies.references import References
 from fungrasp.policies.variations import Spread, vary, with_settings
