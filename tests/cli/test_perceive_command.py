@@ -7,6 +7,7 @@ import json
 import shutil
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -21,8 +22,11 @@ from fungrasp.cli.perceive import UNSURE, parse_plane
 from fungrasp.errors import FungraspError, UnknownNameError
 from fungrasp.grasps import load_human_grasps, load_robot_grasps
 from fungrasp.objects import builtin_object
+from fungrasp.perception import HandEstimate, ObjectEstimate
 from fungrasp.perception import perceive as room
+from fungrasp.perception.adapters import registry
 from fungrasp.perception.hand_landmarks import DetectedHand
+from fungrasp.perception.hand_start import joint_confidence
 from fungrasp.perception.scene_folders import read_folder
 from fungrasp.report.demo_image import FOLDER, demo_truth
 
@@ -162,6 +166,37 @@ def test_a_pose_from_elsewhere_is_judged_by_the_depth(folder, found, tmp_path, c
     with pytest.raises(SystemExit) as end:
         run(capsys, "perceive", *common, "--object-pose-file", tmp_path / "far.json")
     assert end.value.code == UNSURE and "the object's pose: not sure" in capsys.readouterr().err
+
+
+def test_estimators_of_other_packages_are_asked(folder, tmp_path, capsys, monkeypatch):
+    asked = []
+
+    def find_hand(capture):
+        joints, covariance = TRUTH.joints_camera, np.tile(1e-4 * np.eye(3), (21, 1, 1))
+        pixels = capture.intrinsics.project(joints)
+        return HandEstimate(joints, pixels, joint_confidence(covariance), covariance, "right", 0.9)
+
+    def find_object(capture, mesh):
+        asked.append(mesh)
+        return ObjectEstimate(TRUTH.pose_camera_object, 0.9, True, judged=False)
+
+    brought = {"hand_estimators": find_hand, "object_pose_estimators": find_object}
+    monkeypatch.setattr(
+        registry,
+        "entry_points",
+        lambda group: [SimpleNamespace(name="mine", load=lambda: brought[group.removeprefix("fungrasp.")])],
+    )
+    common = ("perceive", "--folder", folder, "--mesh", NAME, "--out", tmp_path / "g.npz")
+    status, _, err = run(capsys, *common, "--hand-from", "mine", "--object-pose-from", "mine")
+    assert status == 0, err
+    assert len(asked) == 1 and len(asked[0].vertices) == len(builtin_object(NAME).vertices)
+    joints = load_human_grasps(tmp_path / "g.npz").hand_joints[0]
+    true = np.linalg.norm(TRUTH.joints_camera - TRUTH.joints_camera[0], axis=1)
+    np.testing.assert_allclose(np.linalg.norm(joints - joints[0], axis=1), true, atol=0.015)
+    status, _, err = run(capsys, *common, "--hand-from", "mime")
+    assert status == 2 and "Did you mean 'mine'?" in err
+    status, _, err = run(capsys, *common, "--hand-from", "mine", "--hand-file", "hand.json")
+    assert status == 2 and "not both" in err
 
 
 def test_an_image_of_a_recording(folder, found, camera, tmp_path, capsys):

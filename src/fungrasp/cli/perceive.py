@@ -13,10 +13,11 @@ from fungrasp.cli.image_source import ImageSource
 
 if TYPE_CHECKING:
     import numpy as np
+    from trimesh import Trimesh
 
     from fungrasp.grasps import HumanGrasp, HumanGraspSet
     from fungrasp.objects import ObjectModel
-    from fungrasp.perception import Capture
+    from fungrasp.perception import Capture, HandEstimate, ObjectEstimate
     from fungrasp.perception.perceive import Perceived
 
 UNSURE = 3
@@ -51,6 +52,10 @@ class Perceive:
     """A pose that another program found: a matrix, FoundationPose's folder or BOP results."""
     improve_pose: bool = False
     """Fit that pose to the depth; by default it stays as it is."""
+    hand_from: str | None = None
+    """Let an estimator of another package find the hand: the name of its entry point."""
+    object_pose_from: str | None = None
+    """The same for the object's pose."""
     object_id: int | None = None
     """The object's number in BOP results of several objects."""
     seed: int = 0
@@ -64,22 +69,16 @@ class Perceive:
         from time import perf_counter
 
         from fungrasp.cli.held_object import held_object
-        from fungrasp.errors import FungraspError
-        from fungrasp.perception.adapters import read_hand, read_object_pose
         from fungrasp.perception.perceive import perceive
 
         start = perf_counter()
-        if self.improve_pose and self.object_pose_file is None:
-            raise FungraspError("--improve-pose needs --object-pose-file")
+        self._check()
         plane = parse_plane(self.table)
         held = held_object(self.mesh, self.mass)
         capture = self.source.read()
         model = held.model
-        hand = pose = None
-        if self.hand_file is not None:
-            hand = read_hand(self.hand_file, capture, side=self.hand, mano=self.mano)
-        if self.object_pose_file is not None:
-            pose = read_object_pose(self.object_pose_file, image=self.source.image, object_id=self.object_id)
+        hand = self._hand(capture)
+        pose = self._object_pose(capture, model if held.coloured is None else held.coloured)
         perceived = perceive(
             capture,
             model,
@@ -104,6 +103,37 @@ class Perceive:
         if not perceived.sure:
             print("fungrasp: not sure: look at the grasp before you use it", file=sys.stderr)
             raise SystemExit(UNSURE)
+
+    def _check(self) -> None:
+        """Complain about options that do not go together."""
+        from fungrasp.errors import FungraspError
+
+        if None not in (self.hand_file, self.hand_from):
+            raise FungraspError("give --hand-file or --hand-from, not both")
+        if None not in (self.object_pose_file, self.object_pose_from):
+            raise FungraspError("give --object-pose-file or --object-pose-from, not both")
+        if self.improve_pose and self.object_pose_file is None and self.object_pose_from is None:
+            raise FungraspError("--improve-pose needs --object-pose-file or --object-pose-from")
+
+    def _hand(self, capture: Capture) -> HandEstimate | None:
+        """What another program or package says; None if none is asked."""
+        from fungrasp.perception.adapters import load_hand_estimator, read_hand
+
+        if self.hand_from is not None:
+            return load_hand_estimator(self.hand_from)(capture)
+        if self.hand_file is not None:
+            return read_hand(self.hand_file, capture, side=self.hand, mano=self.mano)
+        return None
+
+    def _object_pose(self, capture: Capture, mesh: ObjectModel | Trimesh) -> ObjectEstimate | None:
+        """The same of the object."""
+        from fungrasp.perception.adapters import load_object_pose_estimator, read_object_pose
+
+        if self.object_pose_from is not None:
+            return load_object_pose_estimator(self.object_pose_from)(capture, mesh)
+        if self.object_pose_file is not None:
+            return read_object_pose(self.object_pose_file, image=self.source.image, object_id=self.object_id)
+        return None
 
     def _write(self, perceived: Perceived, capture: Capture, model: ObjectModel, seconds: float) -> list[str]:
         """Write the files, the grasp last; what to say about them."""
