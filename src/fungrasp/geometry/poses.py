@@ -61,18 +61,18 @@ def _carry_factors() -> np.ndarray:
 
 
 _CARRY_FACTORS = _carry_factors()
+_STAY = np.diag(_PLACE)
 _FULL_TURN = 2.0 * np.pi
 _EULER_HALVES = np.array([[1.0, 0, 1.0, 0], [0, 1.0, 0, 1.0], [1.0, 0, -1.0, 0], [0, 1.0, 0, -1.0]])
 """Makes of a quaternion ``w + y, x + z, w - y, x - z``."""
 
 
-def array_namespace(*arrays: Array) -> Any:
-    """The library that computes with these arrays, by the names of the array API."""
+def array_namespace(array: Array, *others: Array) -> Any:
+    """The library that computes with these arrays, all of one library, by the names of the array API."""
     # NumPy has them itself, and to ask what a library is takes longer than a product of two quaternions.
-    for array in arrays:
-        if type(array) is not np.ndarray:
-            return array_api_compat.array_namespace(*arrays)
-    return np
+    if type(array) is np.ndarray:
+        return np
+    return array_api_compat.array_namespace(array, *others)
 
 
 def like(array: Array, values: np.ndarray) -> Array:
@@ -197,9 +197,7 @@ def euler_angles(q: Array) -> Array:
 
 def compose(pose_a_b: Array, pose_b_c: Array) -> Array:
     """``pose_a_c``. Poses: shape [..., 7]; they broadcast."""
-    result = _carried(pose_a_b[..., 3:], pose_b_c)
-    result[..., :3] += pose_a_b[..., :3]
-    return result
+    return _carried(pose_a_b[..., 3:], pose_b_c) + pose_a_b * like(pose_a_b, _PLACE)
 
 
 def invert(pose_a_b: Array) -> Array:
@@ -235,7 +233,5 @@ def _carried(q: Array, pose: Array) -> Array:
     """A pose in a frame with the same origin, that sees the pose's own frame turned by q. They broadcast."""
     xp = array_namespace(q, pose)
     terms = xp.concat([_products(q), q], axis=-1)
-    factor = xp.matmul(terms, like(q, _CARRY_FACTORS)).reshape((*q.shape[:-1], 7, 7))
-    result = xp.matmul(factor, pose[..., None])[..., 0]
-    result[..., :3] += pose[..., :3]
-    return result
+    change = xp.matmul(terms, like(q, _CARRY_FACTORS)).reshape((*q.shape[:-1], 7, 7))
+    return xp.matmul(change + like(q, _STAY), pose[..., None])[..., 0]

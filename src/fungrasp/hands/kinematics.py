@@ -66,7 +66,7 @@ class HandKinematics:
         palm = self.model.body(hand.palm).id
         self._palm_place = data.xpos[palm].copy()
         self._to_palm = data.xmat[palm].reshape(1, 3, 3).mT.copy()
-        self._nowhere = np.zeros((count, 3))
+        self._in_palm = np.zeros((count, 3)), self._to_palm, -self._to_palm @ self._palm_place
         # Made when first asked for after each update.
         self._joint_frames: tuple[np.ndarray, np.ndarray] | None = None
 
@@ -85,11 +85,11 @@ class HandKinematics:
         """
         self._qpos[:] = independent @ self.matrix.T + self.offset
         self._batch.forward(stage=mujoco.mjtStage.mjSTAGE_POS)
-        self._wrist_position, self._rotation = self._nowhere, self._to_palm
+        self._wrist_position, self._rotation, self._translation = self._in_palm
         if wrist_pose is not None:
             self._wrist_position = wrist_pose[:, :3]
             self._rotation = rotation_matrix(wrist_pose[:, 3:]) @ self._to_palm
-        self._translation = self._wrist_position - self._rotation @ self._palm_place
+            self._translation = self._wrist_position - self._rotation @ self._palm_place
         self._joint_frames = None
 
     def points(self, which: BodyPoints) -> np.ndarray:

@@ -166,8 +166,8 @@ class Tracker:
         return self._goal
 
     def _chosen(self) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray]:
-        """What stays the same during a trial: fields of ``Wanted``; first steps of the closing and of the lift,
-        shape [W] int each."""
+        """What stays the same during a trial: fields of ``Wanted``; first steps of closing and of lift, shape
+        [W] int each."""
         refs, rows, index = self.references, self.rows, self.task.worlds.object_index
         distance, normal = self._target_surface
         aims = {

@@ -30,26 +30,28 @@ class WristSetPoint:
         """
         p = self._protocol
         poses = np.empty((steps, *self.pose.shape))
-        velocities = np.empty((steps, *self.velocity.shape))
         # A turn has no inertia.
         turns = p.wrist_rotation_speed * duration * np.arange(1, steps + 1)[:, None, None]
         poses[..., 3:] = turned_towards(self.pose[:, 3:], goal[:, 3:], turns)
-        position, velocity = self.pose[:, :3], self.velocity
+        # In units of a step and of what the velocity may change in it.
+        reach = p.wrist_acceleration * duration
+        offset = (goal[:, :3] - self.pose[:, :3]) / (reach * duration)
+        velocity = self.velocity / reach
+        velocities = np.empty((steps, *velocity.shape))
         for i in range(steps):
-            velocity = self._velocity(goal[:, :3] - position, velocity, duration)
-            position = position + duration * velocity
-            poses[i, :, :3], velocities[i] = position, velocity
+            change = _wanted(offset, p.wrist_speed / reach) - velocity
+            velocity = velocity + change / np.maximum(1.0, norm(change))
+            offset = offset - velocity
+            velocities[i] = velocity
+        velocities *= reach
+        poses[..., :3] = self.pose[:, :3] + duration * np.cumsum(velocities, axis=0)
         self.pose, self.velocity = poses[-1], velocities[-1]
         return poses, velocities
 
-    def _velocity(self, offset: np.ndarray, velocity: np.ndarray, duration: float) -> np.ndarray:
-        """During the next step, where the goal is at an offset, all of shape [W, 3].
 
-        The speed v from which the wrist can stop in time obeys ``distance = v^2 / (2 a) + v duration / 2``.
-        """
-        p = self._protocol
-        distance, quarter = norm(offset), duration / 4
-        braking = quarter + np.sqrt(quarter**2 + distance / (2 * p.wrist_acceleration))
-        time = np.maximum(np.maximum(braking, duration), distance / p.wrist_speed)
-        change = offset / time - velocity
-        return velocity + change / np.maximum(1.0, norm(change) / (p.wrist_acceleration * duration))
+def _wanted(offset: np.ndarray, speed: float) -> np.ndarray:
+    """Velocity towards goals at an offset, shape [W, 3], where steps and the acceleration are 1: at most the
+    speed, and such that the wrist can stop in time, ``distance = v^2 / 2 + v / 2``, or arrives in a step."""
+    distance = norm(offset)
+    time = np.maximum(0.25 + np.sqrt(0.0625 + 0.5 * distance), distance / speed)
+    return offset / np.maximum(1.0, time)

@@ -126,12 +126,13 @@ def observe(now: Readings, before: Readings, wanted: Wanted, action: Array) -> d
     """
     xp = array_namespace(now.joints)
     # What is treated alike is treated together: for one robot the number of calls is what takes time.
-    set_point, palm_before, goal, object_in_palm, from_object_before = relative(
+    seen = relative(
         stack(now.palm_pose, now.palm_pose, now.palm_pose, now.palm_pose, before.object_pose),
         stack(now.palm_set_point, before.palm_pose, wanted.palm_goal, now.object_pose, before.palm_pose),
     )
-    deviation, change = compose(stack(wanted.palm_in_object, from_object_before), object_in_palm)
-    poses = stack(set_point, palm_before, goal, deviation, change)
+    object_in_palm, from_object_before = seen[3], seen[4]
+    change = compose(stack(wanted.palm_in_object, from_object_before), object_in_palm)
+    poses = xp.concat([seen[:3], change])
     motions = xp.concat([poses[..., :3], rotation_vector(poses[..., 3:])], axis=-1)
     set_point, palm_before, goal, deviation, change = motions / like(motions, _MOTION_UNITS)
     to_world, from_object = rotation_matrix(stack(now.palm_pose[:, 3:], object_in_palm[:, 3:]))

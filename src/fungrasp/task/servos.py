@@ -93,11 +93,14 @@ class Servos:
         """
         fingers = np.minimum(np.maximum(fingers, self._lowest), self._highest)
         due = np.minimum(np.ceil(self.latency / self.period - 1e-9), self.number)
+        times = set(due.tolist())
         parts: list[tuple[np.ndarray, ...]] = []
-        for begin, end in pairwise(sorted({0, *due.tolist(), self.number})):
-            self._heed(due == begin, goal, fingers)
+        for begin, end in pairwise(sorted({0, *times, self.number})):
+            if begin in times:
+                self._heed(due == begin, goal, fingers)
             parts.append(self._advance(int(end - begin)))
-        self._heed(due == self.number, goal, fingers)
+        if self.number in times:
+            self._heed(due == self.number, goal, fingers)
         palm, velocity, joints = parts[0]
         if len(parts) > 1:
             palm, velocity, joints = (np.concatenate(part) for part in zip(*parts, strict=True))
@@ -128,8 +131,6 @@ class Servos:
 
     def _heed(self, which: np.ndarray, goal: np.ndarray, fingers: np.ndarray) -> None:
         """Go for an action from now on. which: shape [W] bool."""
-        if not which.any():
-            return
         rate = (fingers - self.fingers) / self.number
         self._goal = np.where(which[:, None], goal, self._goal)
         self._finger_rate = np.where(which[:, None], rate, self._finger_rate)
