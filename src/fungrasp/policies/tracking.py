@@ -124,7 +124,7 @@ class Tracker:
         if self._now is None or self._before is None:
             raise RuntimeError("begin comes before view")
         goal, fingers = self._asked()
-        since_lift = np.where(np.isfinite(task.lift_time), task.time - task.lift_time, -1.0)
+        since_lift = np.maximum(task.time - task.lift_time, -1.0)
         lifted = goal.copy()
         lifted[:, 2] += task.protocol.lift_height * (since_lift >= 0)
         wanted = Wanted(

@@ -212,7 +212,7 @@ class LiftTask:
         """What the servos are told during the next control period; a lift begins where it may."""
         p = self.protocol
         may_lift = action.lift | (self.time >= p.approach_time - 1e-9)
-        begins = may_lift & ~np.isfinite(self.lift_time)
+        begins = may_lift & np.isinf(self.lift_time)
         if begins.any():
             self.lift_time[begins] = self.time[begins]
             moved = np.linalg.norm(self.worlds.object_pose[:, :2] - self.settled_pose[:, :2], axis=1)
