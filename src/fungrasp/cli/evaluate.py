@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from fungrasp.objects import ObjectModel
     from fungrasp.policies.choose import Planner
 
-REFINED_CHUNK = 64
-"""Grasps refined and tried together: what an interrupted run may lose."""
+SEARCHED_CHUNK = 32
+"""Grasps refined, or planned by a policy, and tried together: what an interrupted run may lose."""
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ class Evaluate:
     """The object is moved this far on the table [m] after the policy has planned."""
     rehearse: bool = True
     """Policies that choose among plans try the most promising in a simulation of their own first, with other
-    masses, friction and poses than they are told."""
+    masses, friction and poses than they are told, and search further where none holds."""
     robustness: bool = False
     """Try the grasps under each condition of the robustness protocol: other masses, friction, table heights,
     wrong poses, latency, pushes, moved objects."""
@@ -184,7 +184,8 @@ class Evaluate:
         if len(self.seed) > 1 and not (self.robustness or self._is_random(disturbance, hand)):
             raise FungraspError(
                 "nothing is random here, so several seeds would only repeat the same trials: give one "
-                "--seed, or something random (--pose-noise, --push, --object-shift, --robustness, --refine)"
+                "--seed, or something random (--pose-noise, --push, --object-shift, --robustness, --refine, "
+                "a learned policy that chooses plans)"
             )
 
     def _is_random(self, disturbance: Disturbance, hand: Hand) -> bool:
@@ -217,6 +218,7 @@ class Evaluate:
         """names: of the method and the condition, "" for one that needs no name."""
         from fungrasp.evaluation import evaluate
         from fungrasp.evaluation.dynamic import CHUNK
+        from fungrasp.policies import chooses
 
         method, condition = names
         folder = self.record
@@ -239,7 +241,7 @@ class Evaluate:
                 planner=planner,
                 record=folder,
                 store=store,
-                chunk=REFINED_CHUNK if self.refine else CHUNK,
+                chunk=SEARCHED_CHUNK if self.refine or chooses(self.policy, hand.name) else CHUNK,
                 progress=show,
             )
 
