@@ -38,7 +38,7 @@ class RehearsalSettings:
     """What differs from what the policy was told. It sees none of it."""
     timestep: float = 0.01
     """Of physics [s]."""
-    hold_time: float = 1.0
+    hold_time: float = 2.0
     """[s]."""
     early: int = 4
     """Trials begin this many control steps before the fingers close."""
