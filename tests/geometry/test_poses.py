@@ -65,6 +65,17 @@ def test_maps_are_inverse_at_small_and_large_angles(angle: float):
     np.testing.assert_allclose(back, v, atol=1e-14 + 1e-9 * angle)
 
 
+@given(quaternions, quaternions, st.floats(0.0, 1.0))
+def test_turning_towards_goes_the_shorter_way_and_no_farther(q: np.ndarray, goal: np.ndarray, share: float):
+    way = (scipy_rotation(goal) * scipy_rotation(q).inv()).as_rotvec()
+    angle = np.linalg.norm(way, axis=1, keepdims=True)
+    clear = angle[:, 0] < np.pi - 1e-3
+    expected = (Rotation.from_rotvec(share * way) * scipy_rotation(q)).as_quat(scalar_first=True)
+    found = poses.turned_towards(q, goal, np.stack([share * angle, angle + 1.0]))
+    assert_same_rotation(found[0][clear], expected[clear])
+    assert_same_rotation(found[1], goal)
+
+
 @given(transforms, transforms, transforms)
 def test_composition_is_associative(a: np.ndarray, b: np.ndarray, c: np.ndarray):
     left, right = poses.compose(poses.compose(a, b), c), poses.compose(a, poses.compose(b, c))
@@ -135,6 +146,7 @@ def test_torch_computes_the_same():
         poses.compose,
         poses.relative,
         lambda a, b: poses.invert(a),
+        lambda a, b: poses.turned_towards(a[:, 3:], b[:, 3:], 0.1 + 0.0 * a[:, :1]),
         lambda a, b: poses.rotation_vector(a[:, 3:]),
         lambda a, b: poses.euler_angles(a[:, 3:]),
         lambda a, b: poses.rotation_matrix(a[:, 3:]),
