@@ -10,7 +10,7 @@ from planned_grasps import grasps_and_objects, hand, motion, start
 
 from fungrasp.geometry.poses import compose
 from fungrasp.policies import ReferenceController, ReferenceSettings
-from fungrasp.policies.motion import Motion, plan_motion
+from fungrasp.policies.motion import Motion, plan_motion, raised, table_height
 from fungrasp.task import Protocol
 
 P, S = Protocol(), ReferenceSettings()
@@ -115,3 +115,22 @@ def test_rows_can_be_picked_in_any_order(planned):
     assert len(some) == 3
     for field in fields(Motion):
         np.testing.assert_array_equal(getattr(some, field.name), getattr(planned, field.name)[rows])
+
+
+@pytest.mark.parametrize("height", [-0.02, 0.02])
+def test_the_table_is_where_objects_rest(height):
+    """Plans are the same wherever the table is; small errors of a pose don't move it."""
+    grasps, objects = grasps_and_objects()
+    task = start()
+    names = grasps.object_name.tolist()
+    moved = raised(task.settled_pose, np.array([height, height]))
+    found = table_height(names, moved, objects)
+    np.testing.assert_allclose(found, height, atol=0.001)
+    near = raised(task.settled_pose, np.array([0.2 * height, 0.1 * height]))
+    assert table_height(names, near, objects).tolist() == [0.0, 0.0]
+    palm = raised(task.set_point.pose, found)
+    there = plan_motion(
+        hand(), grasps, objects, raised(task.settled_pose, found), palm, task.finger_set_point
+    )
+    np.testing.assert_allclose(there.grasp, motion().grasp, atol=0.05)
+    np.testing.assert_allclose(there.wrist, motion().wrist, atol=0.002)

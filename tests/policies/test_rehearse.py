@@ -135,7 +135,7 @@ def test_where_nothing_holds_the_best_plans_are_varied_again(monkeypatch):
     monkeypatch.setattr(choose, "propose", propose)
     search = SearchSettings(rounds=((4, 1),), parents=2, enough=0.55)
     settings = ChoiceSettings(2, SHORT, rounds=((2, 1),), search=search)
-    start, objects = Start.of(begun()), grasps_and_objects()[1]
+    start, objects = Start.of(begun(), np.zeros(2)), grasps_and_objects()[1]
     plans, value = choose_references(start, hand(), objects, _Critic(), settings, threads=1)  # type: ignore[arg-type]
     assert asked == [(0, 2), (1, 1), (2, 1)]
     assert (value > 0.55).all()

@@ -120,7 +120,7 @@ def test_a_critic_chooses_and_plays(tmp_path):
     np.testing.assert_allclose(
         expected, critic(torch.from_numpy(outcomes.features))[:, 0].detach(), atol=1e-5
     )
-    start = Start.of(task)
+    start = Start.of(task, np.zeros(2))
     whole, score = choose_references(start, hand(), objects, network, ChoiceSettings(6, rehearsal=None))
     parted, again = choose_references(
         start, hand(), objects, network, ChoiceSettings(6, rehearsal=None, chunk=4)

@@ -14,6 +14,7 @@ from fungrasp.files import digest
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
 from fungrasp.policies.learned import LearnedPolicy
+from fungrasp.policies.motion import table_height
 from fungrasp.policies.network import PolicyNetwork
 from fungrasp.policies.proposals import Start, propose
 from fungrasp.policies.references import References
@@ -84,8 +85,9 @@ class Planner:
         seed: int = 0,
         policy: PolicyNetwork | None = None,
     ) -> tuple[References, np.ndarray]:
-        """As ``choose_references``."""
-        start = Start.of(task)
+        """As ``choose_references``, for each world of a task that has been reset."""
+        table = table_height(task.grasps.object_name.tolist(), task.settled_pose, objects)
+        start = Start.of(task, table)
         keys = [
             self._key(start.select(np.array([i])), task, objects, critic, seed, policy)
             for i in range(len(start))
@@ -106,7 +108,7 @@ class Planner:
             for i, row in enumerate(fresh):
                 self._known[keys[row]] = plans.select(np.array([i])), expected[i]
         found, value = zip(*(self._known[key] for key in keys), strict=True)
-        return References.join(found), np.array(value)
+        return References.join(found).raised(table), np.array(value)
 
     @staticmethod
     def _key(

@@ -3,7 +3,7 @@ control step. It depends on where the object has settled, and on nothing that ha
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -19,6 +19,9 @@ from fungrasp.retarget.problem import Surroundings
 from fungrasp.task import Protocol
 from fungrasp.task.motion import WristSetPoint
 from fungrasp.task.servos import SET_POINT_PERIOD
+
+TABLE_DOUBT = 0.005
+"""An object at rest that is farther from the table [m] says that the table is elsewhere."""
 
 
 @dataclass(frozen=True)
@@ -86,6 +89,31 @@ class Motion:
         return Motion(*(getattr(self, f.name)[rows] for f in fields(self)))
 
 
+def table_height(
+    names: Sequence[str], settled_pose: np.ndarray, objects: Mapping[str, ObjectModel]
+) -> np.ndarray:
+    """How high the table must be on which objects rest, world frame [m], shape [N].
+
+    Zero, as agreed, unless their lowest points say otherwise by more than ``TABLE_DOUBT``.
+
+    Args:
+        names: of the objects, length N.
+        settled_pose: of the objects, world frame, shape [N, 7].
+        objects: by name.
+    """
+    up = rotate(invert(settled_pose)[:, 3:], np.array([0.0, 0.0, 1.0]))
+    lowest = np.array([np.min(objects[name].vertices @ u) for name, u in zip(names, up, strict=True)])
+    height = settled_pose[:, 2] + lowest
+    return np.where(np.abs(height) > TABLE_DOUBT, height, 0.0)
+
+
+def raised(pose: np.ndarray, height: np.ndarray) -> np.ndarray:
+    """Poses [N, 7], higher by [N] metres."""
+    result = pose.copy()
+    result[:, 2] += height
+    return result
+
+
 def plan_motion(
     hand: Hand,
     grasps: RobotGraspSet,
@@ -113,6 +141,9 @@ def plan_motion(
     matrix, offset = hand.coupling
     given = (grasps.joint_positions - offset) @ np.linalg.pinv(matrix).T
     in_object = compose(invert(grasps.object_pose), grasps.wrist_pose)
+    # All below has the table at zero; what is planned is in the object's frame.
+    table = table_height(names, settled_pose, objects)
+    settled_pose, start_pose = raised(settled_pose, -table), raised(start_pose, -table)
     wrist, grasp = adapt(hand, grasps, objects, settled_pose, in_object, given, s.adapt)
     approach = plan_approach(hand, names, settled_pose, objects, wrist, grasp, s.approach)
     squeeze = _servo_offsets(hand, grasps, objects, settled_pose, wrist, grasp, s)

@@ -10,7 +10,7 @@ import numpy as np
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
-from fungrasp.policies.motion import plan_motion
+from fungrasp.policies.motion import plan_motion, raised
 from fungrasp.policies.network import PolicyNetwork
 from fungrasp.policies.plan_features import plan_features
 from fungrasp.policies.policy_file import check_fits
@@ -26,7 +26,7 @@ STEP = 1e-4
 
 @dataclass(frozen=True, eq=False)
 class Start:
-    """What N grasps are planned from."""
+    """What N grasps are planned from; tables are at zero here."""
 
     grasps: RobotGraspSet
     settled_pose: np.ndarray
@@ -37,12 +37,12 @@ class Start:
     """Independent joints [rad], shape [N, U]."""
 
     @classmethod
-    def of(cls, task: LiftTask) -> Start:
-        """That of a task that has been reset."""
+    def of(cls, task: LiftTask, table: np.ndarray) -> Start:
+        """That of a task that has been reset. table: its height under each object [m], shape [N]."""
         return cls(
             task.grasps,
-            _in_steps(task.settled_pose),
-            _in_steps(task.set_point.pose),
+            _in_steps(raised(task.settled_pose, -table)),
+            _in_steps(raised(task.set_point.pose, -table)),
             _rounded(task.finger_set_point),
         )
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.objects import ObjectModel
-from fungrasp.policies.motion import Motion
+from fungrasp.policies.motion import Motion, raised
 from fungrasp.task import LiftTask
 
 
@@ -41,6 +41,10 @@ class References:
         return References(
             self.motion.select(rows), **{name: v[rows] for name, v in values.items() if name != "motion"}
         )
+
+    def raised(self, height: np.ndarray) -> References:
+        """With their objects higher by [N] metres."""
+        return replace(self, settled_pose=raised(self.settled_pose, height))
 
     def grasps(self, hand: Hand) -> RobotGraspSet:
         """As grasps on settled objects, for a task. hand: of the references."""
