@@ -34,7 +34,7 @@ class SearchSettings:
     """Expected success from which a plan is good enough."""
     parents: int = 3
     """Best plans of a grasp that are varied, and kept beside the new ones."""
-    spread: Spread = field(default_factory=lambda: Spread(0.015, 0.2, 0.1, 0.15, 0.5, 0.02))
+    spread: Spread = Spread(position=0.015, rotation=0.2, joints=0.1, closing=0.15, force=0.5, press=0.02)
     """Of the variations."""
     rounds: Rounds = ((27, 1), (8, 2), (3, 3))
     """Of the rehearsal of old and new plans."""
