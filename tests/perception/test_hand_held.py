@@ -153,4 +153,4 @@ def test_a_left_hand_is_the_mirror_image_of_a_right_one(held):
     left = fit_held(other, seen, around.mirrored(), scene.joints * mirror)
     assert left.side == "left"
     # Which of the measured points are looked at depends on the order of the pixels.
-    assert error(left.joints_camera * mirror, right.joints_camera) < 0.004
+    assert error(left.joints_camera * mirror, right.joints_camera) < 0.006

@@ -12,16 +12,29 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from fungrasp.grasps.anatomy import ADULT_BONES, FLEXION_RANGE
+from fungrasp.grasps.anatomy import FLEXION_RANGE
 
 FINGERS, JOINTS_OF_FINGER = 5, 3
 
-KNUCKLE_SPACING = 0.0205
-"""Between neighbouring MCP joints [m]: a third of an adult's hand breadth (80 mm at the knuckles) less one
-finger's breadth."""
+BASES = np.array(
+    [
+        [87.5, 23.5, -5.5],
+        [94.5, 0.0, 0.0],
+        [82.5, -24.0, -1.0],
+        [70.5, -41.5, -5.5],
+        [23.5, 25.5, -17.0],
+    ]
+)
+BASES *= 1e-3
+"""Bases of the fingers of an adult's hand, palm frame [m], shape [5, 3]: those of the built-in grasps' hand,
+whose joints lie as in most data sets of tracked hands. Radiographs put the knuckles some 8 mm nearer to the
+wrist, but mean another wrist."""
 
-THUMB_BASE = np.array([0.022, 0.024, -0.012])
-"""The thumb's CMC joint in the palm frame [m]."""
+LENGTHS = np.array(
+    [[33.0, 22.0, 23.5], [31.5, 23.5, 31.5], [29.0, 25.0, 30.5], [21.0, 19.0, 23.0], [31.0, 27.0, 38.0]]
+)
+LENGTHS *= 1e-3
+"""Lengths of the fingers' bones of the same hand [m], shape [5, 3]; the last end at the skin."""
 
 THUMB_DIRECTION = np.array([0.66, 0.53, -0.53])
 """The thumb's metacarpal at rest, palm frame: 45 degrees between it and the palm's plane and index finger."""
@@ -54,26 +67,20 @@ SIZE = 82
 """Number of parameters."""
 
 
-def _template() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    lengths = ADULT_BONES.mean(axis=-1) * 1e-3
-    side = KNUCKLE_SPACING * np.array([1.1, 0.1, -0.9, -1.9])
-    # A knuckle's distance from the wrist is known, and how far it lies to the side.
-    forward = np.sqrt(lengths[:4, 0] ** 2 - side**2)
-    bases = np.vstack([np.stack([forward, side, np.zeros(4)], axis=1), THUMB_BASE])
+def _base_frames() -> np.ndarray:
     frames = np.empty((FINGERS, 3, 3))
     # Extended fingers spread half as much as the bones of the palm.
-    spread = 0.5 * np.arctan2(side, forward)
+    spread = 0.5 * np.arctan2(BASES[:4, 1], BASES[:4, 0])
     frames[:4] = Rotation.from_euler("z", spread[:, None]).as_matrix().reshape(4, 3, 3)
     x = THUMB_DIRECTION / np.linalg.norm(THUMB_DIRECTION)
     y = np.cross(x, THUMB_FLEXION)
     y /= np.linalg.norm(y)
     frames[4] = np.stack([x, y, np.cross(x, y)], axis=1)
-    return bases, frames, lengths[:, 1:]
+    return frames
 
 
-BASES, BASE_FRAMES, LENGTHS = _template()
-"""Of an adult's hand, palm frame: bases of the fingers [m], shape [5, 3]; axes of extended fingers as
-columns, shape [5, 3, 3]; lengths of bones [m], shape [5, 3]."""
+BASE_FRAMES = _base_frames()
+"""Axes of extended fingers as columns, palm frame, shape [5, 3, 3]."""
 
 
 def _angle_priors() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

@@ -29,6 +29,7 @@ from fungrasp.perception.hand_landmarks import DetectedHand, HandDetector, choos
 from fungrasp.perception.hand_refine import refine_hand
 from fungrasp.perception.hand_side import settle_side
 from fungrasp.perception.object_pose import SIZES, estimate_object_pose
+from fungrasp.perception.other_pose import other_pose
 from fungrasp.perception.pose_check import judge_estimate
 from fungrasp.perception.quality import Quality, measure_quality
 from fungrasp.perception.table import NO_TABLE, table_under
@@ -76,8 +77,9 @@ class Perceived:
     doubts: tuple[str, ...]
     """What was uncertain, in words; empty when nothing was."""
     sure: bool
-    """Whether hand and object are both believed. A table that is only guessed is a doubt, but the hand on the
-    object does not depend on it."""
+    """Whether hand and object are both believed, the latter's surface to 10 mm on average. A table that is
+    only guessed is a doubt, but the hand on the object does not depend on it; so is which way round a nearly
+    symmetric object is."""
 
 
 def perceive(
@@ -139,6 +141,8 @@ def perceive(
     thing, plane = seen.thing, seen.table
     if not thing.accepted:
         doubts.append(f"the object's pose: {thing.note or 'not sure'}")
+    elif other := other_pose(mesh, thing):
+        doubts.append(other)
     hand = _refined(seen, capture, model, side)
     if hand.side != seen.hand.side:
         doubts.append(f"which hand it is: a {hand.side} one fits the depth better; --hand says which it is")
