@@ -165,6 +165,13 @@ def test_a_planner_remembers_each_grasp_and_seed(monkeypatch):
     assert plans.object_name.tolist() == references().object_name.tolist() and value.tolist() == [0, 1]
     planner(task, objects, critic, 0, critic)  # type: ignore[arg-type]
     assert asked[3:] == [(0, "followed", 2)], "who rehearses matters"
+    low = begun()
+    low.settled_pose[:, 2] -= 0.02
+    plans, _ = planner(low, objects, critic)  # type: ignore[arg-type]
+    sunk = plans.settled_pose[:, 2] - references().settled_pose[:, 2]
+    np.testing.assert_allclose(
+        sunk, -0.02, atol=0.001, err_msg="planned on a table at zero, played where it is"
+    )
 
 
 class _Card:
