@@ -97,14 +97,15 @@ def test_three_files_become_a_grasp_that_can_be_retargeted(folder, found, tmp_pa
         *("--mesh", folder / "thing.obj", "--mask", folder / "mask.png", "--task", "spray"),
         *("--out", out, "--json", result, "--report", page),
     )
-    assert (status, err) == (0, "")
+    assert status == 0 and err.count("\n") == 1
+    assert "which way round the object is: turned by 180 degrees" in err, "front and back are much alike"
     grasps = load_human_grasps(out)
     assert len(grasps) == 1 and grasps[0].object_name == "thing" and grasps[0].task == "spray"
     volume = builtin_object(NAME).mesh.convex_hull.volume
     assert grasps[0].object_mass == pytest.approx(DENSITY * volume, rel=1e-3)
     assert "the mass was guessed" in words and "a right hand on 'thing'" in words and str(page) in words
     told = json.loads(result.read_text())
-    assert told["sure"] and told["doubts"] == [] and told["table_found"]
+    assert told["sure"] and len(told["doubts"]) == 1 and told["table_found"]
     np.testing.assert_allclose(told["grasp"]["hand_joints"], grasps[0].hand_joints)
     assert len(told["grasp"]["links_in_contact"]) == grasps[0].link_contacts.sum()
     np.testing.assert_allclose(told["object"]["pose_camera"][:3], TRUTH.pose_camera_object[:3], atol=0.005)

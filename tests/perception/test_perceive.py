@@ -78,10 +78,15 @@ def in_object(perceived: Perceived) -> np.ndarray:
 def test_an_image_becomes_a_grasp():
     scene, _ = mug()
     perceived = seen()
-    assert perceived.sure and perceived.doubts == () and perceived.table_found
+    assert perceived.sure and perceived.table_found
+    # The handle is hidden.
+    (doubt,) = perceived.doubts
+    assert "which way round the object is" in doubt
     error = np.linalg.norm(perceived.hand.joints_camera - scene.joints, axis=1)
     assert error.mean() < 0.012
-    assert add_s(scene.model.vertices, perceived.object.pose_camera_object, scene.pose_camera_object) < 0.004
+    thing = perceived.object
+    poses = [thing.pose_camera_object, *(p for p, score in thing.alternatives if score > thing.score - 0.01)]
+    assert min(add_s(scene.model.vertices, pose, scene.pose_camera_object) for pose in poses) < 0.004
     np.testing.assert_allclose(perceived.table, scene.table, atol=0.01)
     grasp = perceived.grasp
     assert (grasp.object_name, grasp.object_mass, grasp.task) == ("mug", scene.model.mass, "drink")
@@ -362,11 +367,11 @@ def test_a_wall_is_no_table():
 
 def test_moving_the_camera_does_not_move_the_hand_on_the_object():
     """Two views of one grasp: joints in the object's frame agree as well as they agree with the truth."""
-    first = seen()
     rng = np.random.default_rng(5)
     scene = hand_scene(MUG_ROW, rng)
-    second = perceive(
-        scene.capture, scene.model, detector=StandIn(scene.detected(rng)), object_estimate=known(scene)
+    first, second = (
+        perceive(view.capture, view.model, detector=StandIn(detected), object_estimate=known(view))
+        for view, detected in (mug(), (scene, scene.detected(rng)))
     )
     apart = np.linalg.norm(in_object(first) - in_object(second), axis=1)
     assert apart.mean() < 0.02

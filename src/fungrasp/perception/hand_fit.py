@@ -8,7 +8,6 @@ joint behind the object is seen too near, one beside its landmark too far.
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from fungrasp.perception.capture import Capture
 from fungrasp.perception.estimates import HandEstimate
-from fungrasp.perception.hand_contact import ContactSettings, Surroundings, contact_evidence
+from fungrasp.perception.hand_contact import Surroundings, contact_evidence
 from fungrasp.perception.hand_evidence import (
     Evidence,
     anatomy_evidence,
@@ -28,6 +27,7 @@ from fungrasp.perception.hand_evidence import (
 )
 from fungrasp.perception.hand_landmarks import DetectedHand
 from fungrasp.perception.hand_probes import PROBES
+from fungrasp.perception.hand_settings import SeenSettings
 from fungrasp.perception.hand_silhouette import Silhouettes
 from fungrasp.perception.hand_skeleton import SIZE, Skeleton
 from fungrasp.perception.hand_solver import damped_step, normal_equations, robust_weights
@@ -41,16 +41,9 @@ from fungrasp.perception.hand_start import (
 
 
 @dataclass(frozen=True)
-class HandFitSettings:
-    """What the measurements are worth."""
+class HandFitSettings(SeenSettings):
+    """What the measurements are worth, stage by stage."""
 
-    landmark_spread: float = 0.03
-    """Standard deviation of a landmark, as a part of the hand's extent in the image."""
-    least_landmark_spread: float = 2.0
-    """[pixels]"""
-    depth_spread: float = 0.012
-    """Standard deviation of depth at a point of the flesh [m]: camera, thickness, and that neighbours err
-    alike."""
     outlier_depths: tuple[tuple[float, float], ...] = ((0.06, 0.06), (0.02, 0.04), (0.008, 0.03))
     """How far in front of the skin something else is seen, and how far behind [m], one stage after the
     other."""
@@ -58,24 +51,6 @@ class HandFitSettings:
     """The same in the stages after those, if the object is known: what it hides is left out."""
     iterations: int = 5
     """Of every stage."""
-    object_depth: float = 0.004
-    """What is seen so near to the known object's surface [m] is the object."""
-    background: float = 0.02
-    """What is seen farther behind a part of the hand [m] is background to it."""
-    background_levels: int = 3
-    """How many depths of the hand's parts are told apart for that."""
-    silhouette_spread: float = 3.0
-    """Standard deviation of the silhouette [pixels]."""
-    silhouette_outlier: float = 20.0
-    """A part farther in the background [pixels] is likelier hidden by a hole in the depth."""
-    silhouette_inset: float = 0.7
-    """Part of the flesh's thickness that is surely inside the silhouette."""
-    shape_spread: float = 0.35
-    """Standard deviation of the landmark model's bone directions [rad]."""
-    shape_turn_spread: float = 0.25
-    """Standard deviation of their turn as a whole [rad]."""
-    contact: ContactSettings = dataclasses.field(default_factory=ContactSettings)
-    """What the object and the table are worth, where they are known."""
 
 
 def fit_hand(

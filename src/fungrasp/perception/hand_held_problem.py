@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from fungrasp.perception.estimates import HandEstimate
-from fungrasp.perception.hand_contact import ContactSettings, contact_evidence
+from fungrasp.perception.hand_contact import contact_evidence
 from fungrasp.perception.hand_evidence import (
     Evidence,
     anatomy_evidence,
@@ -21,6 +21,7 @@ from fungrasp.perception.hand_evidence import (
 )
 from fungrasp.perception.hand_flesh import explained_part, flesh_evidence
 from fungrasp.perception.hand_probes import PROBES
+from fungrasp.perception.hand_settings import SeenSettings
 from fungrasp.perception.hand_silhouette import Silhouettes
 from fungrasp.perception.hand_skeleton import SIZE, Skeleton
 from fungrasp.perception.hand_solver import damped_step, normal_equations, robust_weights
@@ -29,37 +30,17 @@ from fungrasp.perception.hand_view import HandView
 
 
 @dataclass(frozen=True)
-class HeldSettings:
-    """What the measurements are worth."""
+class HeldSettings(SeenSettings):
+    """What the measurements are worth once the object is known."""
 
-    landmark_spread: float = 0.03
-    """Standard deviation of a landmark, as a part of the hand's extent in the image."""
-    least_landmark_spread: float = 2.0
-    """[pixels]"""
     late_landmarks: float = 0.5
     """What a landmark's residual still counts when the fingers have been searched, and in the judgement."""
     hidden: float = 0.03
     """A joint so far behind what is seen there [m] is hidden."""
     hidden_landmarks: float = 0.5
     """What the residual of a hidden joint's landmark still counts when the fingers have been searched."""
-    depth_spread: float = 0.012
-    """Standard deviation of depth at a point of the flesh [m]."""
-    object_depth: float = 0.004
-    """What is seen so near to the object's surface [m] is the object."""
-    background: float = 0.02
-    """What is seen farther behind a part of the hand [m] is background to it."""
     background_levels: int = 2
     """How many depths of the hand's parts are told apart for that."""
-    silhouette_spread: float = 3.0
-    """Standard deviation of the silhouette [pixels]."""
-    silhouette_outlier: float = 20.0
-    """A part farther in the background [pixels] is likelier hidden by a hole in the depth."""
-    silhouette_inset: float = 0.7
-    """Part of the flesh's thickness that is surely inside the silhouette."""
-    shape_spread: float = 0.35
-    """Standard deviation of the landmark model's bone directions [rad]."""
-    shape_turn_spread: float = 0.25
-    """Standard deviation of their turn as a whole [rad]."""
     point_spread: tuple[float, float, float] = (0.004, 0.008, 0.025)
     """Standard deviation of a measured point's distance from the skin [m]: of fingers, palm and arm."""
     points_worth: float = 120.0
@@ -73,8 +54,6 @@ class HeldSettings:
     judged: tuple[tuple[float, float], float] = ((0.02, 0.03), 0.02)
     """How far in front of and behind the skin something else is seen, and how far from it is no point of the
     hand [m], when guesses are compared."""
-    contact: ContactSettings = field(default_factory=ContactSettings)
-    """What the object and the table are worth."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,10 +5,12 @@ from __future__ import annotations
 import numpy as np
 import trimesh
 
+from fungrasp.geometry.poses import transform_points
 from fungrasp.objects import ObjectModel
 from fungrasp.perception.estimates import ObjectEstimate
+from fungrasp.perception.hand_contact import Surroundings
 from fungrasp.perception.pose_confidence import RIVAL_DISTANCE
-from fungrasp.perception.pose_error import add_s, rotation_error
+from fungrasp.perception.pose_error import rotation_error
 
 TURNED = 30.0
 """A pose turned by more than this [degrees] is another one, however well it fits."""
@@ -16,14 +18,14 @@ TURNED = 30.0
 CLOSE = 0.1
 """Poses whose score is lower by less than this fit almost as well."""
 
-SAME = 0.002
-"""Poses whose surfaces are nearer than this on average (ADD-S [m]) look the same: a symmetry."""
+SAME = 0.001
+"""Poses whose surfaces are nearer than this on average [m] look the same: a symmetry."""
 
-POINTS = 600
+POINTS = 300
 """Of the object's surface, by which poses are compared."""
 
 
-def other_pose(mesh: ObjectModel | trimesh.Trimesh, thing: ObjectEstimate) -> str:
+def other_pose(model: ObjectModel, thing: ObjectEstimate) -> str:
     """What speaks for another pose than the answer, in words; empty if nothing does.
 
     The score is that of the surface's place. Of a nearly symmetric object it may be certain although it is
@@ -32,9 +34,11 @@ def other_pose(mesh: ObjectModel | trimesh.Trimesh, thing: ObjectEstimate) -> st
     near = [pose for pose, score in thing.alternatives if score > thing.score - CLOSE]
     if not near:
         return ""
-    surface = mesh.mesh if isinstance(mesh, ObjectModel) else mesh
-    points = np.asarray(trimesh.sample.sample_surface(surface, POINTS, seed=0)[0])
-    apart = np.array([float(add_s(points, pose, thing.pose_camera_object)) for pose in near])
+    points = np.asarray(trimesh.sample.sample_surface(model.mesh, POINTS, seed=0)[0])
+    answer = Surroundings(model.signed_distance, thing.pose_camera_object)
+    apart = np.array(
+        [np.abs(answer.object_distance(transform_points(pose, points))[0]).mean() for pose in near]
+    )
     turned = np.degrees(rotation_error(np.stack(near), thing.pose_camera_object))
     others = np.flatnonzero(((turned > TURNED) & (apart > SAME)) | (apart > RIVAL_DISTANCE))
     if not len(others):

@@ -141,7 +141,7 @@ def perceive(
     thing, plane = seen.thing, seen.table
     if not thing.accepted:
         doubts.append(f"the object's pose: {thing.note or 'not sure'}")
-    elif other := other_pose(mesh, thing):
+    elif other := other_pose(model, thing):
         doubts.append(other)
     hand = _refined(seen, capture, model, side)
     if hand.side != seen.hand.side:
