@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+from types import SimpleNamespace
+from typing import Any
 
+import numpy as np
 import pytest
 from grasp_files import run, some_grasps
 
@@ -92,6 +95,25 @@ def test_perception_on_kept_captures(human, tmp_path, capsys, monkeypatch):
     assert {each["object_name"] for each in numbers["each"]} == {"can", "tennis_ball"}
     assert numbers["peak_memory_gb"] > 0.05
     assert "object right, with mask" in out and "wrong meshes accepted: " in out
+
+
+def test_several_policies_try_the_same_chain(monkeypatch):
+    grasp = some_grasps()[0]
+    results: list[Any] = [
+        SimpleNamespace(grasp=grasp, perceived=grasp, sure=True),
+        SimpleNamespace(grasp=grasp, perceived=None, sure=False),
+    ]
+
+    def tried(robot, objects, hand, policy, **others):
+        return SimpleNamespace(trials=SimpleNamespace(success=np.full(len(robot), policy == "good")))
+
+    monkeypatch.setattr("fungrasp.cli.retarget.retargeted", lambda human, *others: (human, None))
+    monkeypatch.setattr("fungrasp.evaluation.evaluate", tried)
+    figures = Perception(policy=("poor", "good"))._chain(results, load_objects(some_grasps()))
+    assert figures["policy"] == "poor" and figures["true"]["rate"] == 0 and figures["share"] is None
+    assert figures["policies"]["good"]["share"] == 0.5
+    alone = Perception(policy=("good",))._chain(results, load_objects(some_grasps()))
+    assert alone["perceived_where_sure"]["rate"] == 1 and "policies" not in alone
 
 
 @pytest.mark.parametrize(

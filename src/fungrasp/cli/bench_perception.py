@@ -54,9 +54,8 @@ class Perception:
     """Retarget true and perceived grasps, and try both in simulation."""
     hand: str = "allegro"
     """Robot hand of --chain."""
-    policy: tuple[str, ...] = ()
-    """What moves it, see `fungrasp evaluate`; with several, each is tried. By default the freely licensed
-    student of the hand, if there is one, else the reference controller."""
+    policy: tuple[str, ...] = ("reference",)
+    """What moves it, see `fungrasp evaluate`; with several, each is tried."""
     threads: int = 0
     """Of --chain; 0 means all processors."""
     json: Path | None = None
@@ -73,7 +72,8 @@ class Perception:
         from fungrasp.retarget import load_objects
 
         human = self._grasps()
-        policies = self._policies() if self.chain else ()
+        if self.chain:
+            self._check_policies()
         objects = load_objects(human, self.objects)
         store = None
         if self.json is not None:
@@ -85,7 +85,7 @@ class Perception:
         # Kilobytes on Linux.
         figures["peak_memory_gb"] = getrusage(RUSAGE_SELF).ru_maxrss / 1e6
         if self.chain:
-            figures["chain"] = self._chain(results, objects, policies)
+            figures["chain"] = self._chain(results, objects)
         about = {
             "grasps": Path(self.grasps).name,
             "objects": sorted(objects),
@@ -207,22 +207,18 @@ class Perception:
             write_capture(known, folder)
         return known
 
-    def _policies(self) -> tuple[str, ...]:
-        """What moves the hand of the chain."""
+    def _check_policies(self) -> None:
+        from fungrasp.errors import FungraspError
         from fungrasp.evaluation.dynamic import check_policy
         from fungrasp.hands import load_hand
-        from fungrasp.policies.policy_file import list_policies
 
+        if not self.policy:
+            raise FungraspError("--policy needs at least one name")
         hand = load_hand(self.hand)
-        free = f"{hand.name}-student-free"
-        policies = self.policy or (free if free in list_policies() else "reference",)
-        for policy in policies:
+        for policy in self.policy:
             check_policy(policy, hand)
-        return policies
 
-    def _chain(
-        self, results: list[CaptureResult], objects: Mapping[str, ObjectModel], policies: tuple[str, ...]
-    ) -> dict[str, Any]:
+    def _chain(self, results: list[CaptureResult], objects: Mapping[str, ObjectModel]) -> dict[str, Any]:
         """Figures of the first policy, and of all of them by name where there are several."""
         import numpy as np
 
@@ -239,7 +235,7 @@ class Perception:
         ]
         sure = np.array([result.sure for result in results])
         each = {}
-        for policy in policies:
+        for policy in self.policy:
             success = []
             for words, robot in zip(("true grasps", "perceived grasps"), sets, strict=True):
                 if robot is None:
@@ -249,5 +245,5 @@ class Perception:
                     tried = evaluate(robot, objects, hand, policy, threads=self.threads, progress=show)
                 success.append(tried.trials.success)
             each[policy] = chain_figures(success[0], success[1], rows, sure)
-        figures = {"hand": hand.name, "policy": policies[0]} | each[policies[0]]
-        return figures if len(policies) == 1 else figures | {"policies": each}
+        figures = {"hand": hand.name, "policy": self.policy[0]} | each[self.policy[0]]
+        return figures if len(self.policy) == 1 else figures | {"policies": each}
