@@ -23,6 +23,8 @@ from fungrasp.policies.variations import Spread, with_settings
 from fungrasp.task import Action, LiftTask, Protocol
 from fungrasp.transfer import Differences
 
+WIDE = Spread(position=0.015, rotation=0.2, joints=0.1, closing=0.15, force=0.5, press=0.02)
+
 
 @dataclass(frozen=True)
 class SearchSettings:
@@ -34,7 +36,7 @@ class SearchSettings:
     """Expected success from which a plan is good enough."""
     parents: int = 3
     """Best plans of a grasp that are varied, and kept beside the new ones."""
-    spread: Spread = Spread(position=0.015, rotation=0.2, joints=0.1, closing=0.15, force=0.5, press=0.02)
+    spread: Spread = WIDE
     """Of the variations."""
     rounds: Rounds = ((27, 1), (8, 2), (3, 3))
     """Of the rehearsal of old and new plans."""
