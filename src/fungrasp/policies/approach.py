@@ -124,7 +124,7 @@ def _best_way(
     No way is clearer than its first point, which all have in common: once one is as clear, the others are
     not looked at.
     """
-    clear = _clearer(hand, around, settings)
+    clear = _Clearer(hand, around, settings)
     first = clear(wrist, fingers, 2 * settings.iterations)
     directions = _directions(hand, wrist, around.up[:, 0], center)
     best = _withdraw(clear, first, directions[0], settings.iterations)
@@ -135,7 +135,7 @@ def _best_way(
             break
         start = Approach(first.wrist_pose[rows], first.fingers[rows], first.collision[rows])
         way = _withdraw(
-            _clearer(hand, around.rows(rows), settings), start, direction[rows], settings.iterations
+            _Clearer(hand, around.rows(rows), settings), start, direction[rows], settings.iterations
         )
         better = way.collision + LATER * i < cost[rows]
         for name in ("wrist_pose", "fingers", "collision"):
@@ -162,8 +162,9 @@ def _directions(hand: Hand, wrist: np.ndarray, up: np.ndarray, center: np.ndarra
 class _Clearer:
     """Moves hands as little as needed to keep clear of object, table and themselves."""
 
-    def __init__(self, points: HandPoints, around: Surroundings, settings: ApproachSettings):
-        self._points, self._around, self._settings = points, around, settings
+    def __init__(self, hand: Hand, around: Surroundings, settings: ApproachSettings):
+        self._points = HandPoints(HandKinematics(hand, len(around)))
+        self._around, self._settings = around, settings
         self._terms = [
             partial(terms.object_penetration, unit=0.001, margin=settings.object_margin),
             partial(terms.table_penetration, unit=0.001, margin=settings.table_margin),
@@ -188,10 +189,6 @@ class _Clearer:
             s.object_margin - state.clearance.min(axis=1), s.table_margin - state.heights.min(axis=1)
         )
         return Approach(wrist[:, None], fingers[:, None], np.maximum(intrusion, 0.0))
-
-
-def _clearer(hand: Hand, around: Surroundings, settings: ApproachSettings) -> _Clearer:
-    return _Clearer(HandPoints(HandKinematics(hand, len(around))), around, settings)
 
 
 def _withdraw(clear: _Clearer, first: Approach, direction: np.ndarray, iterations: int) -> Approach:

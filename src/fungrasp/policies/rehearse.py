@@ -74,7 +74,7 @@ def blind(task: LiftTask, plans: References, sensors: Differences) -> Callable[[
 
 @dataclass(frozen=True, eq=False)
 class Tally:
-    """What is known of K plans of each of W grasps; all fields have the shape [K, W]."""
+    """What is known of K plans of each of W grasps; all arrays have the shape [K, W]."""
 
     expected: np.ndarray
     """Success that a critic expects."""
@@ -112,19 +112,15 @@ class Tally:
 
     def select(self, plans: np.ndarray, grasps: np.ndarray) -> Tally:
         """Of plans [P, G] of some grasps [G]."""
-        names = ("tried", "held", "bonus")
-        return Tally(
-            self.expected[plans, grasps], self.prior, *(getattr(self, name)[plans, grasps] for name in names)
-        )
+        return self._each(lambda name: getattr(self, name)[plans, grasps])
 
     def join(self, other: Tally) -> Tally:
         """With more plans of the same grasps."""
-        names = ("tried", "held", "bonus")
-        return Tally(
-            np.concatenate([self.expected, other.expected]),
-            self.prior,
-            *(np.concatenate([getattr(self, name), getattr(other, name)]) for name in names),
-        )
+        return self._each(lambda name: np.concatenate([getattr(self, name), getattr(other, name)]))
+
+    def _each(self, values: Callable[[str], np.ndarray]) -> Tally:
+        """With another array in the place of each."""
+        return replace(self, **{name: values(name) for name in ("expected", "tried", "held", "bonus")})
 
 
 def rehearse(
