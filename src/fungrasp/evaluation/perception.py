@@ -168,7 +168,9 @@ class _Seen:
     def __init__(self, hands: list[DetectedHand]):
         self._hands = hands
 
-    def detect(self, colour: np.ndarray, near: Box | None = None) -> list[DetectedHand]:
+    def detect(
+        self, colour: np.ndarray, near: Box | None = None, lengths: np.ndarray | None = None
+    ) -> list[DetectedHand]:
         return self._hands
 
 

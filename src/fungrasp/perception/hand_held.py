@@ -9,6 +9,7 @@ least unexplained wins.
 from __future__ import annotations
 
 import dataclasses
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,7 +21,8 @@ from fungrasp.perception.hand_contact import Surroundings
 from fungrasp.perception.hand_fingers import FingerSettings, search_fingers
 from fungrasp.perception.hand_held_problem import Fit, HeldProblem, HeldSettings
 from fungrasp.perception.hand_landmarks import DetectedHand
-from fungrasp.perception.hand_start import HandMeasurements, mirror_estimate, start
+from fungrasp.perception.hand_skeleton import Skeleton
+from fungrasp.perception.hand_start import MIRROR_X, HandMeasurements, mirror_estimate, start
 from fungrasp.perception.hand_view import HandView, look
 
 SAME_GUESS = 0.035
@@ -74,20 +76,20 @@ def fit_held(
         FungraspError: there is no depth where the hand is.
     """
     settings = settings or HeldSettings()
-    view = look(capture, around, [joints])
-    views: dict[Side, HandView] = {detected.side: view}
-    if detected.side == "left":
-        views = {"left": view.mirrored()}
-    candidates: list[_Candidate] = []
+    begun: list[tuple[DetectedHand, HandMeasurements, Skeleton]] = []
     for guess in _guesses(detected, side):
-        if guess.side not in views:
-            views[guess.side] = view if guess.side == "right" else view.mirrored()
-        try:
-            candidates.append(_first_fit(guess, capture, views[guess.side], settings))
-        except FungraspError:
-            continue
-    if not candidates:
+        seen = HandMeasurements.of(guess, capture)
+        with suppress(FungraspError):
+            begun.append((guess, seen, start(seen)))
+    if not begun:
         raise FungraspError("there is no depth where the hand is in the image")
+    flips = [MIRROR_X if guess.side == "left" else np.ones(3) for guess, _, _ in begun]
+    everywhere = [hand.joints() * flip for (_, _, hand), flip in zip(begun, flips, strict=True)]
+    view = look(capture, around, [joints, *everywhere])
+    views: dict[Side, HandView] = {"right": view, "left": view.mirrored()}
+    candidates = [
+        _first_fit(guess, HeldProblem(seen, views[guess.side], settings), hand) for guess, seen, hand in begun
+    ]
     candidates.sort(key=lambda candidate: candidate.cost)
     best = min((_searched(candidate) for candidate in candidates[:SEARCHED]), key=lambda c: c.cost)
     right = best.problem.estimate(best.fit)
@@ -114,14 +116,12 @@ def _guesses(detected: DetectedHand, side: Side | None) -> list[DetectedHand]:
     return guesses[:MOST_GUESSES]
 
 
-def _first_fit(guess: DetectedHand, capture: Capture, view: HandView, settings: HeldSettings) -> _Candidate:
-    seen = HandMeasurements.of(guess, capture)
-    problem = HeldProblem(seen, view, settings)
-    fit = Fit(start(seen), np.zeros(3))
+def _first_fit(guess: DetectedHand, problem: HeldProblem, hand: Skeleton) -> _Candidate:
+    fit = Fit(hand, np.zeros(3))
     for outlier, far in _STAGES:
         problem.look(fit.hand)
         fit = problem.solve(fit, outlier, far, 5, contact=False)
-    return _Candidate(guess, problem, fit, problem.cost(fit))
+    return _Candidate(guess, problem, fit, problem.cost(fit, contact=False))
 
 
 def _searched(candidate: _Candidate) -> _Candidate:

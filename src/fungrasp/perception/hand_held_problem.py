@@ -103,9 +103,9 @@ class HeldProblem:
             fit = Fit(fit.hand.moved(step[:SIZE]), fit.turn + step[SIZE:])
         return fit
 
-    def cost(self, fit: Fit) -> float:
+    def cost(self, fit: Fit, *, contact: bool = True) -> float:
         """What speaks against a fit: all residuals, limited by their outliers' bounds, squared."""
-        evidence = self.evidence(fit, *self.settings.judged, contact=True, late=True)
+        evidence = self.evidence(fit, *self.settings.judged, contact=contact, late=True)
         return float(sum(_loss(block) for block in evidence))
 
     def evidence(

@@ -35,27 +35,43 @@ LANDMARK_PIXELS = 224
 SURE_PALM = 0.5
 """Palms of lower score are looked at only if no better one is there."""
 
-FAINT_PALM = 0.25
+FAINT_PALM = 0.1
+"""Palms of lower score are none."""
+
+FAINT_PALMS = 5
+"""Where no hand is found for sure, so many palms are looked at in many windows: palms are seen in many views
+of hands behind objects, of which the landmark model knows little."""
 
 SURE_HAND = 0.5
 """Windows with a lower probability of a hand show none, if another does."""
 
-FAINT_HAND = 0.3
-"""Where no window shows a hand for sure, the best one of at least this probability counts: palms are found in
-many views of hands behind objects, of which the landmark model knows little."""
+FAINT_HAND = 0.15
+"""Least score of a hand that many windows were cut for. In 40 rendered captures without a hand none had more
+than 0.11."""
 
-OTHER_WINDOWS = (
-    *((angle, 1.3, mirrored) for angle in (0, 35, -35) for mirrored in (False, True)),
-    (0, 1.0, True),
-    (180, 1.2, False),
-    (180, 1.2, True),
-)
-"""Windows in which a hand is looked at again: by how many degrees each is turned, how much larger it is, and
-whether it is mirrored. Of 34 rendered captures seven first answers were wrong by more than 14 pixels, 24 in
-the median; the best answers from such windows were wrong by 10."""
+HAND_LENGTH = 0.19
+"""From wrist to fingertips of an adult [m]."""
+
+WINDOW_LENGTHS = 1.16
+"""Edge of a window that a hand of known length is looked at in, in hand lengths. Hands fill it less than the
+models were trained on, but one that was first seen at a wrong place is still inside."""
+
+WINDOW_TURNS = np.radians(np.arange(0, 360, 45))
+"""By how much such windows are turned [rad]."""
+
+EXTENTS = (0.4, 1.2)
+"""Least and largest extent of a hand's landmarks in the image, in hand lengths. Of 140 rendered hands, most
+of them bent about an object, all were between 0.46 and 1.03."""
+
+CUT_AGAIN = 4
+"""Around so many of the answers from such windows, the most probable ones, a window is cut, and mirrored."""
+
+SAME_ANSWER = 0.12
+"""Answers whose landmarks are apart by more than this on average, in hand lengths, don't confirm each
+other."""
 
 LOOKED_AT_AGAIN = 2
-"""So many hands of an image are."""
+"""So many hands of an image are looked at in more windows."""
 
 SAME_HAND = 0.5
 """Two answers whose boxes overlap by more than this part of their union are one hand."""
@@ -101,63 +117,85 @@ class HandDetector:
         self._palm = _Model(weights["palm"], threads)
         self._landmarks = _Model(weights["landmarks"], threads)
 
-    def detect(self, colour: np.ndarray, near: Box | None = None) -> list[DetectedHand]:
+    def detect(
+        self, colour: np.ndarray, near: Box | None = None, lengths: np.ndarray | None = None
+    ) -> list[DetectedHand]:
         """All hands found.
 
         The whole image is searched first. If nothing is there, so are its parts, enlarged, and the image
-        turned; the first of these that shows a hand counts, or the best that may show one.
+        turned; the first of these that shows a hand counts, or the best of all that may show one.
 
         Args:
             colour: RGB, uint8, shape [H, W, 3].
             near: a box beside or around the hand, searched before other parts.
+            lengths: ``hand_lengths`` of the image, if depth is known.
 
         Returns:
             Most probable first; empty if there is none.
         """
         image = Image.fromarray(colour)
         height, width = colour.shape[:2]
-        faint: list[DetectedHand] = []
-        for window, threshold in _search_windows(width, height, near):
-            answers = [self._hand(image, start) for start in self._palms(image, window, threshold)]
+        palms: list[tuple[float, Window]] = []
+        for window in _search_windows(width, height, near):
+            seen = self._palms(image, window)
+            answers = [self._hand(image, start) for score, start in seen if score >= SURE_PALM]
             found = _distinct([hand for hand in answers if hand.score >= SURE_HAND])
-            if found:
-                first = [self._again(image, hand) for hand in found[:LOOKED_AT_AGAIN]]
+            first = [self._again(image, hand.pixels, lengths, hand) for hand in found[:LOOKED_AT_AGAIN]]
+            first = [hand for hand in first if hand.score >= FAINT_HAND]
+            if first:
                 return first + found[LOOKED_AT_AGAIN:]
-            if threshold >= SURE_PALM:
-                faint += answers
+            palms += seen
+        faint = [
+            self._again(image, np.array([start.centre]), lengths, start)
+            for start in _apart(palms)[:FAINT_PALMS]
+        ]
         best = max(faint, key=lambda hand: hand.score, default=None)
-        if best is None or best.score < FAINT_HAND:
-            return []
-        best = self._again(image, best)
-        return [best] if best.score >= FAINT_HAND else []
+        return [best] if best is not None and best.score >= FAINT_HAND else []
 
-    def _again(self, image: Image.Image, hand: DetectedHand) -> DetectedHand:
-        """The hand with the answers from other windows around it.
+    def _again(
+        self, image: Image.Image, about: np.ndarray, lengths: np.ndarray | None, start: DetectedHand | Window
+    ) -> DetectedHand:
+        """What the models make of a hand in many windows: the answer that most others confirm.
 
-        Its score is then the mean of all windows', 0 for those that show no hand, and the score of its side
-        what part of them agrees.
+        Its score is the part of the last windows, weighted by theirs, that confirms it, and the score of its
+        side what part of those agrees.
+
+        Args:
+            image: RGB.
+            about: pixels where it may be, shape [N, 2].
+            lengths: ``hand_lengths``.
+            start: the first answer, or the window that it should be in.
         """
-        window = window_of_landmarks(hand.pixels[_TO_MODEL])
-        others = []
-        for angle, scale, mirrored in OTHER_WINDOWS:
-            turned = Window(window.centre, scale * window.size, window.angle + np.radians(angle))
-            answer = self._look(image, turned, mirrored)
-            if answer.score >= min(SURE_HAND, hand.score):
-                others.append(answer)
-        every = [hand, *others]
-        right = [h.side_score if h.side == "right" else 1 - h.side_score for h in every]
-        vote = float(np.average(right, weights=[h.score for h in every]))
-        score = sum(h.score for h in every) / (1 + len(OTHER_WINDOWS))
-        agreed = max(0.5, vote if hand.side == "right" else 1 - vote)
-        return replace(hand, side_score=agreed, score=score, others=tuple(others))
+        every = [start] if isinstance(start, DetectedHand) else []
+        length = _length_at(about, lengths)
+        if math.isnan(length):
+            window = start if isinstance(start, Window) else window_of_landmarks(start.pixels[_TO_MODEL])
+            length = window.size / WINDOW_LENGTHS
+        every += self._turned(image, about.mean(axis=0), length)
+        last = []
+        for answer in sorted(every, key=lambda answer: -answer.score)[:CUT_AGAIN]:
+            window = window_of_landmarks(answer.pixels[_TO_MODEL])
+            last += [self._look(image, window, mirrored) for mirrored in (False, True)]
+        every += last
+        return _settled([answer for answer in every if _possible(answer, length)] or every, last, length)
 
-    def _palms(self, image: Image.Image, window: Window, threshold: float) -> Iterator[Window]:
+    def _turned(self, image: Image.Image, centre: np.ndarray, length: float) -> list[DetectedHand]:
+        """Answers from windows for a hand of some length about a pixel."""
+        size = WINDOW_LENGTHS * length
+        middle = (float(centre[0]), float(centre[1]))
+        return [self._look(image, Window(middle, size, float(angle))) for angle in WINDOW_TURNS]
+
+    def _palms(self, image: Image.Image, window: Window) -> list[tuple[float, Window]]:
+        """Scores of palms in a window, and windows of their hands."""
         offsets, logits = self._palm(window.cut(image, DETECTOR_PIXELS))
-        for palm in decode_palms(offsets.reshape(-1, 18), logits.ravel(), threshold):
+        found = []
+        for palm in decode_palms(offsets.reshape(-1, 18), logits.ravel(), FAINT_PALM):
             points = window.to_image(palm.points)
             half = (palm.box[2:] - palm.box[:2]) / 2 * window.size
             middle = window.to_image((palm.box[:2] + palm.box[2:]) / 2)
-            yield window_of_palm(np.concatenate([middle - half, middle + half]), points[0], points[2])
+            box = np.concatenate([middle - half, middle + half])
+            found.append((palm.score, window_of_palm(box, points[0], points[2])))
+        return found
 
     def _hand(self, image: Image.Image, window: Window) -> DetectedHand:
         answer = self._look(image, window)
@@ -178,6 +216,49 @@ class HandDetector:
             points, shape, right = points * [-1, 1] + [1, 0], shape * [-1, 1, 1], 1 - right
         score = float(np.clip(presence.item(), 0.0, 1.0))
         return DetectedHand(window.to_image(points), window.turn(shape), score=score, **_side(right))
+
+
+def hand_lengths(depth: np.ndarray, focal: float) -> np.ndarray:
+    """How long a hand is in the image at the depth of each pixel [pixels], shape [H, W]; NaN without depth.
+
+    depth: [m], shape [H, W], 0 where nothing was measured; focal: length [pixels].
+    """
+    return HAND_LENGTH * focal / np.where(depth > 0, depth, np.nan)
+
+
+def _length_at(pixels: np.ndarray, lengths: np.ndarray | None) -> float:
+    """Median of a map at some pixels, NaN if it is not known there. pixels: shape [N, 2]."""
+    if lengths is None:
+        return math.nan
+    height, width = lengths.shape
+    u, v = np.rint(pixels).astype(int).T
+    inside = (u >= 0) & (u < width) & (v >= 0) & (v < height)
+    found = lengths[v[inside], u[inside]]
+    found = found[np.isfinite(found)]
+    return float(np.median(found)) if found.size else math.nan
+
+
+def _possible(hand: DetectedHand, length: float) -> bool:
+    """Whether the landmarks of a hand may extend so far. length: of a hand in the image [pixels]."""
+    return EXTENTS[0] < float(np.linalg.norm(np.ptp(hand.pixels, axis=0))) / length < EXTENTS[1]
+
+
+def _settled(every: list[DetectedHand], last: list[DetectedHand], length: float) -> DetectedHand:
+    """The answer that most others confirm, with the others, most confirmed first; see ``_again``."""
+    pixels = np.array([hand.pixels for hand in every])
+    apart = np.linalg.norm(pixels[:, None] - pixels, axis=-1).mean(axis=-1)
+    weights = np.array([hand.score for hand in every]) ** 2
+    near = np.exp(-np.square(apart / (SAME_ANSWER * length)))
+    order = np.argsort(-(near @ weights), kind="stable")
+    best = every[order[0]]
+    right = [hand.side_score if hand.side == "right" else 1 - hand.side_score for hand in last]
+    scores = np.array([hand.score for hand in last])
+    confirmed = np.array([np.linalg.norm(hand.pixels - best.pixels, axis=1).mean() for hand in last])
+    confirmed = np.exp(-np.square(confirmed / (SAME_ANSWER * length)))
+    vote = float(np.average(right, weights=scores * confirmed + 1e-9))
+    score = float(np.mean(scores * confirmed))
+    others = tuple(every[i] for i in order[1:])
+    return replace(best, score=score, others=others, **_side(vote))
 
 
 def _side(right: float) -> dict[str, Any]:
@@ -230,23 +311,30 @@ def _distance_to_box(hand: DetectedHand, box: Box) -> float:
     return float(np.linalg.norm(beyond, axis=1).mean())
 
 
-def _search_windows(width: int, height: int, near: Box | None) -> Iterator[tuple[Window, float]]:
-    """Windows to search in turn, each with the score a palm needs there."""
+def _search_windows(width: int, height: int, near: Box | None) -> Iterator[Window]:
+    """Windows to search in turn."""
     middle = ((width - 1) / 2, (height - 1) / 2)
     whole = Window(middle, float(max(width, height)))
-    yield whole, SURE_PALM
+    yield whole
     if near is not None:
         centre = ((near[0] + near[2]) / 2, (near[1] + near[3]) / 2)
-        yield Window(centre, 3.0 * max(near[2] - near[0], near[3] - near[1])), SURE_PALM
+        yield Window(centre, 3.0 * max(near[2] - near[0], near[3] - near[1]))
     part = 0.6 * min(width, height)
     across, down = (
         np.linspace(part / 2, edge - part / 2, math.ceil(2 * edge / part) - 1) for edge in (width, height)
     )
-    parts = [Window((float(u), float(v)), part) for v in down for u in across]
-    yield from ((window, SURE_PALM) for window in parts)
+    yield from (Window((float(u), float(v)), part) for v in down for u in across)
     for angle in (np.pi / 2, -np.pi / 2, np.pi):
-        yield Window(whole.centre, whole.size, angle), SURE_PALM
-    yield from ((window, FAINT_PALM) for window in (whole, *parts))
+        yield Window(whole.centre, whole.size, angle)
+
+
+def _apart(palms: list[tuple[float, Window]]) -> list[Window]:
+    """Windows of palms, best first, without those in the middle half of a better one."""
+    kept: list[Window] = []
+    for _, window in sorted(palms, key=lambda palm: -palm[0]):
+        if all(math.dist(window.centre, other.centre) > 0.25 * other.size for other in kept):
+            kept.append(window)
+    return kept
 
 
 def _distinct(hands: list[DetectedHand]) -> list[DetectedHand]:

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fungrasp.grasps.human_hand import BONES
 from fungrasp.perception.capture import Capture, Intrinsics
 from fungrasp.perception.hand_contact import Surroundings
-from fungrasp.perception.hand_flesh import FLESH, capsule_distances
 from fungrasp.perception.hand_start import MIRROR_X
 
 REACH = 0.12
@@ -30,11 +30,14 @@ POINTS = 400
 FEW = 12
 """So many times as many are sorted: most show something else."""
 
-SKIN = 0.006
-"""Points so near to a guessed hand's skin [m] show what colour it has."""
+BONE = 0.006
+"""Points that are seen so near to a guessed hand's bones [m] show what colour it has."""
 
 LEAST_SKIN = 40
 """From fewer points no colour is learnt."""
+
+MOST_SKIN = 400
+"""From more points no more is learnt."""
 
 OTHER_COLOUR = 4.0
 """Colours farther from the skin's [standard deviations] are another thing's."""
@@ -71,7 +74,8 @@ class HandView:
 def look(capture: Capture, around: Surroundings, guesses: list[np.ndarray]) -> HandView:
     """Find the points of the hand.
 
-    They are near a guess, neither object nor table, of the colour that most guesses' skin has.
+    They are near a guess, neither object nor table, of the colour that most of what is seen at the guesses'
+    bones has: landmarks that are wrong are on the hand nevertheless, or each on something else.
 
     Args:
         capture: the image.
@@ -100,8 +104,10 @@ def look(capture: Capture, around: Surroundings, guesses: list[np.ndarray]) -> H
     table = around.table_distance(points)
     if table is not None:
         near &= table[0] > TABLE_NEAR
-    points, colour = points[near], colour[near]
-    points = points[_skin_coloured(points, colour, guesses)]
+    points, colour, seen = points[near], colour[near], np.stack([columns, rows], axis=1)[near]
+    bones = [lens.project(guess)[np.transpose(BONES)] for guess in guesses]
+    reach = BONE * lens.fx / float(np.median(joints[:, 2]))
+    points = points[_skin_coloured(seen, colour, bones, reach)]
     every = max(1, len(points) // POINTS)
     return HandView(depth, lens, around, points[::every])
 
@@ -117,17 +123,37 @@ def _edges(depth: np.ndarray) -> np.ndarray:
     return jumps
 
 
-def _skin_coloured(points: np.ndarray, colour: np.ndarray, guesses: list[np.ndarray]) -> np.ndarray:
-    """Which points have the colour of the hand: that of the points at the guesses' skin, bool, shape [P]."""
-    votes = np.zeros(len(points))
-    for guess in guesses:
-        distance = capsule_distances(points, *FLESH.ends(guess), FLESH.radius)[0]
-        votes += np.abs(distance).min(axis=1) < SKIN
-    sure = votes >= max(1.0, 0.5 * votes.max(initial=0.0))
-    if sure.sum() < LEAST_SKIN:
-        return np.ones(len(points), dtype=bool)
+def _skin_coloured(
+    pixels: np.ndarray, colour: np.ndarray, bones: list[np.ndarray], reach: float
+) -> np.ndarray:
+    """Which pixels have the colour of the hand, bool, shape [P].
+
+    Args:
+        pixels: shape [P, 2].
+        colour: RGB, shape [P, 3].
+        bones: of each guess, pixels of both ends, shape [2, B, 2].
+        reach: pixels nearer than this to a bone may show it.
+    """
+    votes = np.zeros(len(pixels))
+    for ends in bones:
+        votes += (_line_distance(pixels, *ends) < reach).any(axis=1)
+    on = np.flatnonzero(votes)
+    if len(on) < LEAST_SKIN:
+        return np.ones(len(pixels), dtype=bool)
+    on = on[:: max(1, len(on) // MOST_SKIN)]
     red, green, blue = np.log(colour.astype(float) + 8.0).T
     tone = np.stack([red - green, blue - green], axis=1)
-    middle = np.median(tone[sure], axis=0)
-    spread = np.maximum(1.48 * np.median(np.abs(tone[sure] - middle), axis=0), COLOUR_SPREAD)
+    apart = np.linalg.norm(tone[on, None] - tone[on], axis=-1) / COLOUR_SPREAD
+    middle = tone[on[(np.exp(-0.5 * apart**2) @ votes[on]).argmax()]]
+    alike = tone[on][np.linalg.norm(tone[on] - middle, axis=1) < OTHER_COLOUR * COLOUR_SPREAD]
+    middle = np.median(alike, axis=0)
+    spread = np.maximum(1.48 * np.median(np.abs(alike - middle), axis=0), COLOUR_SPREAD)
     return np.linalg.norm((tone - middle) / spread, axis=1) < OTHER_COLOUR
+
+
+def _line_distance(pixels: np.ndarray, first: np.ndarray, last: np.ndarray) -> np.ndarray:
+    """Distances of pixels, shape [P, 2], from lines between pixels, each [B, 2]; returns [P, B]."""
+    line = last - first
+    offset = pixels[:, None] - first
+    along = np.einsum("pbi,bi->pb", offset, line) / np.maximum(np.sum(line**2, axis=1), 1e-9)
+    return np.linalg.norm(offset - np.clip(along, 0.0, 1.0)[..., None] * line, axis=-1)

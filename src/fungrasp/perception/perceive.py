@@ -25,7 +25,7 @@ from fungrasp.perception.estimates import HandEstimate, ObjectEstimate, Side
 from fungrasp.perception.hand_contact import Surroundings
 from fungrasp.perception.hand_fit import fit_hand
 from fungrasp.perception.hand_held import fit_held
-from fungrasp.perception.hand_landmarks import DetectedHand, HandDetector, choose_hand
+from fungrasp.perception.hand_landmarks import DetectedHand, HandDetector, choose_hand, hand_lengths
 from fungrasp.perception.hand_refine import refine_hand
 from fungrasp.perception.hand_side import settle_side
 from fungrasp.perception.object_pose import SIZES, estimate_object_pose
@@ -49,8 +49,11 @@ LEADING_HAND = 0.4
 class Detector(Protocol):
     """What finds hands in a colour image; ``HandDetector`` is one."""
 
-    def detect(self, colour: np.ndarray, near: Box | None = None) -> list[DetectedHand]:
-        """All hands found in an RGB image, shape [H, W, 3]; near: a box beside or around the hand."""
+    def detect(
+        self, colour: np.ndarray, near: Box | None = None, lengths: np.ndarray | None = None
+    ) -> list[DetectedHand]:
+        """All hands found in an RGB image, shape [H, W, 3]. near: a box beside or around the hand; lengths:
+        ``hand_lengths`` of the image."""
         ...
 
 
@@ -123,7 +126,8 @@ def perceive(
         seen = _see(capture, mesh, hand, None, table, object_estimate, seed, improve_pose)
     else:
         near = _object_box(capture, model, object_estimate)
-        hands = (detector or HandDetector()).detect(capture.colour, near)
+        lengths = hand_lengths(capture.depth, capture.intrinsics.fx)
+        hands = (detector or HandDetector()).detect(capture.colour, near, lengths)
         candidates, doubts = _candidates(hands, near, side)
         seen = max(
             (
