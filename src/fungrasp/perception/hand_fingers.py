@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fungrasp.perception.hand_flesh import FLESH, capsule_distances
+from fungrasp.perception.hand_overlap import overlaps
 from fungrasp.perception.hand_skeleton import (
     ANGLE_HIGH,
     ANGLE_LOW,
@@ -58,6 +59,8 @@ class FingerSettings:
     front_worst: float = 0.04
     inside: float = 0.004
     """Of how deep flesh is in the object or the table [m]."""
+    overlap: float = 0.004
+    """Of how deep flesh is in other fingers [m]."""
     touch: float = 0.008
     """Of the gap between the last link and the object [m]."""
     touch_worst: float = 0.02
@@ -167,6 +170,7 @@ def finger_cost(
     cost += np.square(np.minimum(distance - 0.5 * radius, 0.0) / settings.inside).sum(axis=1)
     gap = np.maximum((distance - 0.8 * radius)[:, -3:].min(axis=1), 0.0)
     cost += _limited(gap / settings.touch, settings.touch_worst / settings.touch)
+    cost += np.square(overlaps(probes, radius, hand, finger) / settings.overlap).sum(axis=1)
     facing = _opposite(hand, finger, view)
     if facing is not None:
         cost += settings.opposed * 0.5 * (1.0 - normal[:, -1] @ facing)

@@ -20,6 +20,7 @@ from fungrasp.perception.hand_evidence import (
     silhouette_evidence,
 )
 from fungrasp.perception.hand_flesh import explained_part, flesh_evidence
+from fungrasp.perception.hand_overlap import overlap_evidence
 from fungrasp.perception.hand_probes import PROBES
 from fungrasp.perception.hand_settings import SeenSettings
 from fungrasp.perception.hand_silhouette import Silhouettes
@@ -51,6 +52,8 @@ class HeldSettings(SeenSettings):
     """Skin farther in front [m] is likelier a fault of the depth."""
     front_slack: float = 0.004
     """Skin so little in front [m] is not."""
+    overlap_spread: float = 0.002
+    """Standard deviation of how deep fingers are in each other [m]."""
     judged: tuple[tuple[float, float], float] = ((0.02, 0.03), 0.02)
     """How far in front of and behind the skin something else is seen, and how far from it is no point of the
     hand [m], when guesses are compared."""
@@ -152,6 +155,7 @@ class HeldProblem:
             ),
             shape_evidence(joints, jacobian, directions, settings.shape_spread / worth),
             Evidence(fit.turn / settings.shape_turn_spread, turn_prior),
+            overlap_evidence(hand, joints, jacobian, settings.overlap_spread),
             *anatomy_evidence(hand),
         ]
         if contact:
