@@ -21,7 +21,7 @@ from fungrasp.perception.hand_fit import fit_hand
 from fungrasp.perception.hand_landmarks import DetectedHand, choose_hand
 from fungrasp.perception.known_object import known_object
 from fungrasp.perception.object_pose import PoseAnswers, best_estimate, search_object_pose
-from fungrasp.perception.perceive import Detector, Perceived, leading, perceive
+from fungrasp.perception.perceive import Detector, Perceived, find_hands, leading, perceive
 from fungrasp.perception.pose_confidence import FEATURES, features
 from fungrasp.perception.pose_error import add_s, rotation_error
 from fungrasp.perception.segmentation import TIPS
@@ -168,9 +168,7 @@ class _Seen:
     def __init__(self, hands: list[DetectedHand]):
         self._hands = hands
 
-    def detect(
-        self, colour: np.ndarray, near: Box | None = None, lengths: np.ndarray | None = None
-    ) -> list[DetectedHand]:
+    def detect(self, colour: np.ndarray, near: Box | None = None) -> list[DetectedHand]:
         return self._hands
 
 
@@ -197,7 +195,7 @@ def measure_perception(
     with Stopwatch() as mesh_watch:
         known_object(mesh)
     with Stopwatch() as hand_watch:
-        hands = detector.detect(capture.colour)
+        hands = find_hands(detector, capture)
         if hands:
             hand = fit_hand(choose_hand(hands)[0], capture)
     with Stopwatch() as table_watch:
@@ -245,8 +243,8 @@ def measure_absent(
     no_hand: Capture, no_object: Capture, model: ObjectModel, detector: Detector
 ) -> AbsentResult:
     """What perception makes of images of the same scene without the hand, and without the object."""
-    hands = [fit_hand(hand, no_hand) for hand in detector.detect(no_hand.colour)]
-    seen = detector.detect(no_object.colour)
+    hands = [fit_hand(hand, no_hand) for hand in find_hands(detector, no_hand)]
+    seen = find_hands(detector, no_object)
     hand = fit_hand(choose_hand(seen)[0], no_object) if seen else None
     pose = search_object_pose(no_object, model, leading(hand))
     points = np.asarray(model.vertices)

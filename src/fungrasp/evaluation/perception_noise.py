@@ -33,8 +33,6 @@ class TrueLandmarks:
         axis = np.cross([0.0, 0.0, 1.0], toward / np.linalg.norm(toward))
         self._hand = DetectedHand(pixels, Rotation.from_rotvec(-axis).apply(shape), "right", 1.0, 1.0)
 
-    def detect(
-        self, colour: np.ndarray, near: Box | None = None, lengths: np.ndarray | None = None
-    ) -> list[DetectedHand]:
+    def detect(self, colour: np.ndarray, near: Box | None = None) -> list[DetectedHand]:
         """The hand, whatever the image; see ``perceive.Detector``."""
         return [self._hand]

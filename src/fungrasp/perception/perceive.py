@@ -35,7 +35,7 @@ from fungrasp.perception.quality import Quality, measure_quality
 from fungrasp.perception.table import NO_TABLE, table_under
 from fungrasp.perception.world_frame import guessed_table, in_world, put_down, world_from_table
 
-__all__ = ["Detector", "Perceived", "Quality", "leading", "perceive"]
+__all__ = ["Detector", "Perceived", "Quality", "find_hands", "leading", "perceive"]
 
 SURE_HAND = 0.6
 """Hands of a lower score are "not sure". Of 30 found in rendered captures, three of the four whose joints
@@ -49,11 +49,8 @@ LEADING_HAND = 0.4
 class Detector(Protocol):
     """What finds hands in a colour image; ``HandDetector`` is one."""
 
-    def detect(
-        self, colour: np.ndarray, near: Box | None = None, lengths: np.ndarray | None = None
-    ) -> list[DetectedHand]:
-        """All hands found in an RGB image, shape [H, W, 3]. near: a box beside or around the hand; lengths:
-        ``hand_lengths`` of the image."""
+    def detect(self, colour: np.ndarray, near: Box | None = None) -> list[DetectedHand]:
+        """All hands found in an RGB image, shape [H, W, 3]; near: a box beside or around the hand."""
         ...
 
 
@@ -126,8 +123,7 @@ def perceive(
         seen = _see(capture, mesh, hand, None, table, object_estimate, seed, improve_pose)
     else:
         near = _object_box(capture, model, object_estimate)
-        lengths = hand_lengths(capture.depth, capture.intrinsics.fx)
-        hands = (detector or HandDetector()).detect(capture.colour, near, lengths)
+        hands = find_hands(detector or HandDetector(), capture, near)
         candidates, doubts = _candidates(hands, near, side)
         seen = max(
             (
@@ -172,6 +168,13 @@ def perceive(
         doubts=tuple(doubts),
         sure=thing.accepted and hand.score >= SURE_HAND,
     )
+
+
+def find_hands(detector: Detector, capture: Capture, near: Box | None = None) -> list[DetectedHand]:
+    """All hands found in an image; MediaPipe's models are told how large they are at what depth."""
+    if isinstance(detector, HandDetector):
+        return detector.detect(capture.colour, near, hand_lengths(capture.depth, capture.intrinsics.fx))
+    return detector.detect(capture.colour, near)
 
 
 def _check_size(model: ObjectModel) -> None:
