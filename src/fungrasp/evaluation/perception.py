@@ -21,7 +21,7 @@ from fungrasp.perception.hand_fit import fit_hand
 from fungrasp.perception.hand_landmarks import DetectedHand, choose_hand
 from fungrasp.perception.known_object import known_object
 from fungrasp.perception.object_pose import PoseAnswers, best_estimate, search_object_pose
-from fungrasp.perception.perceive import Detector, Perceived, find_hands, leading, perceive
+from fungrasp.perception.perceive import Detector, Perceived, find_hands, perceive
 from fungrasp.perception.pose_confidence import FEATURES, features
 from fungrasp.perception.pose_error import add_s, rotation_error
 from fungrasp.perception.segmentation import TIPS
@@ -200,14 +200,13 @@ def measure_perception(
             hand = fit_hand(choose_hand(hands)[0], capture)
     with Stopwatch() as table_watch:
         table, under = None, None
-        lead = leading(hand)
-        if lead is not None:
-            table = table_under(capture, lead.joints_camera, np.random.default_rng(0))
+        if hand is not None:
+            table = table_under(capture, hand.joints_camera, np.random.default_rng(0))
             under = NO_TABLE if table is None else table
     with Stopwatch() as masked_watch:
-        with_mask = search_object_pose(masked, mesh, lead, under)
+        with_mask = search_object_pose(masked, mesh, hand, under)
     with Stopwatch() as unmasked_watch:
-        without = search_object_pose(capture, mesh, lead, under)
+        without = search_object_pose(capture, mesh, hand, under)
     perceived = None
     with Stopwatch() as rest_watch:
         if hand is not None:
@@ -215,7 +214,7 @@ def measure_perception(
                 capture, model, table=table, object_estimate=best_estimate(without), detector=_Seen(hands)
             )
     parts = (hand_watch, table_watch, unmasked_watch, rest_watch)
-    wrong = None if other is None else search_object_pose(masked, other, lead, under)
+    wrong = None if other is None else search_object_pose(masked, other, hand, under)
     truth = known.pose_camera_object
     return CaptureResult(
         object_name=str(known.grasp.object_name),
@@ -246,7 +245,7 @@ def measure_absent(
     hands = [fit_hand(hand, no_hand) for hand in find_hands(detector, no_hand)]
     seen = find_hands(detector, no_object)
     hand = fit_hand(choose_hand(seen)[0], no_object) if seen else None
-    pose = search_object_pose(no_object, model, leading(hand))
+    pose = search_object_pose(no_object, model, hand)
     points = np.asarray(model.vertices)
     return AbsentResult(max((hand.score for hand in hands), default=0.0), _pose_result(pose, points, None))
 

@@ -26,12 +26,13 @@ class TrueLandmarks:
             spread: standard deviation of a landmark, each way [pixels of an image 640 wide].
             rng: decides the shifts.
         """
-        pixels = lens.project(joints) + spread * lens.width / 640 * rng.normal(size=(21, 2))
+        spread *= lens.width / 640
+        pixels = lens.project(joints) + spread * rng.normal(size=(21, 2))
         shape = joints - joints.mean(axis=0) + SHAPE_NOISE * rng.normal(size=(21, 3))
         # A landmark model sees every hand as if it were in the middle of the image.
         toward = lens.deproject(pixels.mean(axis=0), np.ones(()))
         axis = np.cross([0.0, 0.0, 1.0], toward / np.linalg.norm(toward))
-        self._hand = DetectedHand(pixels, Rotation.from_rotvec(-axis).apply(shape), "right", 1.0, 1.0)
+        self._hand = DetectedHand(pixels, Rotation.from_rotvec(-axis).apply(shape), "right", 1.0, 1.0, spread)
 
     def detect(self, colour: np.ndarray, near: Box | None = None) -> list[DetectedHand]:
         """The hand, whatever the image; see ``perceive.Detector``."""

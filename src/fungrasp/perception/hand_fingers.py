@@ -121,6 +121,7 @@ def search_fingers(
     landmarks: np.ndarray,
     rng: np.random.Generator,
     settings: FingerSettings,
+    spread: float | None = None,
 ) -> Skeleton:
     """The hand with every finger in the best posture of those tried; its own is among them.
 
@@ -130,8 +131,10 @@ def search_fingers(
         landmarks: [pixels], shape [21, 2].
         rng: chooses the postures.
         settings: what speaks for one.
+        spread: standard deviation of a landmark [pixels], if it is known.
     """
-    spread = settings.landmark * float(np.linalg.norm(np.ptp(landmarks, axis=0)))
+    if spread is None:
+        spread = settings.landmark * float(np.linalg.norm(np.ptp(landmarks, axis=0)))
     for finger in ORDER:
         tried = np.concatenate([hand.angles[None, finger], postures(finger, TRIES, rng)])
         cost = finger_cost(hand, finger, tried, view, landmarks, spread, settings)

@@ -107,8 +107,7 @@ class _Problem:
 
     def __init__(self, seen: HandMeasurements, settings: HandFitSettings):
         self.seen, self.settings = seen, settings
-        extent = float(np.linalg.norm(np.ptp(seen.pixels, axis=0)))
-        self.landmark_spread = max(settings.least_landmark_spread, settings.landmark_spread * extent)
+        self.landmark_spread = seen.landmark_spread(settings.landmark_spread, settings.least_landmark_spread)
 
     def look(self, hand: Skeleton) -> None:
         """See where the background is, for a hand about there."""

@@ -127,7 +127,8 @@ def _first_fit(guess: DetectedHand, problem: HeldProblem, hand: Skeleton) -> _Ca
 def _searched(candidate: _Candidate) -> _Candidate:
     problem, fit = candidate.problem, candidate.fit
     rng = np.random.default_rng(0)
-    hand = search_fingers(fit.hand, problem.view, problem.seen.pixels, rng, FingerSettings())
+    seen = problem.seen
+    hand = search_fingers(fit.hand, problem.view, seen.pixels, rng, FingerSettings(), seen.spread)
     fit = Fit(hand, fit.turn)
     problem.look(hand)
     for outlier, far in _HELD_STAGES:

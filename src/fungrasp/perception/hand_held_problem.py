@@ -73,8 +73,7 @@ class HeldProblem:
 
     def __init__(self, seen: HandMeasurements, view: HandView, settings: HeldSettings):
         self.seen, self.view, self.settings = seen, view, settings
-        extent = float(np.linalg.norm(np.ptp(seen.pixels, axis=0)))
-        self._landmark_spread = max(settings.least_landmark_spread, settings.landmark_spread * extent)
+        self._landmark_spread = seen.landmark_spread(settings.landmark_spread, settings.least_landmark_spread)
 
     def look(self, hand: Skeleton) -> None:
         """See where the background is, for a hand about there."""
@@ -126,8 +125,9 @@ class HeldProblem:
         directions = Rotation.from_rotvec(fit.turn).apply(self.seen.directions)
         turn_prior = np.hstack([np.zeros((3, SIZE)), np.eye(3)]) / settings.shape_turn_spread
         worth = settings.late_landmarks if late else 1.0
-        guessed = settings.hidden_landmarks if late else 1.0
-        landmark_spread = self._landmark_spread / worth / np.where(self._hidden, guessed, 1.0)
+        landmark_spread = np.full(len(joints), self._landmark_spread)
+        if late and self.seen.spread is None:
+            landmark_spread /= worth * np.where(self._hidden, settings.hidden_landmarks, 1.0)
         many = np.sqrt(settings.points_worth / max(len(self.view.points), 1))
         spread = tuple(width / many for width in settings.point_spread)
         found = [

@@ -92,6 +92,9 @@ class DetectedHand:
     """Probability of ``side``, 0.5 to 1."""
     score: float
     """Probability that this is a hand, 0 to 1."""
+    spread: float | None = None
+    """Standard deviation of a landmark, hidden or not, each way [pixels]; None: as MediaPipe's err, see
+    ``SeenSettings``."""
     others: tuple[DetectedHand, ...] = ()
     """What the models make of the same hand in other windows of the image; each may be the better answer."""
 

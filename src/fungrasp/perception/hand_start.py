@@ -46,6 +46,8 @@ class HandMeasurements:
     intrinsics: Intrinsics
     score: float
     """Probability that this is a hand."""
+    spread: float | None = None
+    """Standard deviation of a landmark [pixels], if the detector knows it."""
 
     @classmethod
     def of(cls, detected: DetectedHand, capture: Capture) -> HandMeasurements:
@@ -63,7 +65,13 @@ class HandMeasurements:
         shape = Rotation.from_rotvec(axis).apply(shape)
         bones = shape[FAR_BONES] - shape[NEAR_BONES]
         directions = bones / np.maximum(np.linalg.norm(bones, axis=1), 1e-6)[:, None]
-        return cls(pixels, shape, directions, depth, intrinsics, detected.score)
+        return cls(pixels, shape, directions, depth, intrinsics, detected.score, detected.spread)
+
+    def landmark_spread(self, part: float, least: float) -> float:
+        """Standard deviation of a landmark [pixels]: what the detector says, else a part of the hand's extent
+        in the image; at least some pixels."""
+        extent = float(np.linalg.norm(np.ptp(self.pixels, axis=0)))
+        return max(least, part * extent if self.spread is None else self.spread)
 
     def measured(self, pixels: np.ndarray) -> np.ndarray:
         """Median depth around each pixel [m], 0 where there is hardly any. pixels: shape [P, 2]."""

@@ -35,15 +35,11 @@ from fungrasp.perception.quality import Quality, measure_quality
 from fungrasp.perception.table import NO_TABLE, table_under
 from fungrasp.perception.world_frame import guessed_table, in_world, put_down, world_from_table
 
-__all__ = ["Detector", "Perceived", "Quality", "find_hands", "leading", "perceive"]
+__all__ = ["Detector", "Perceived", "Quality", "find_hands", "perceive"]
 
 SURE_HAND = 0.6
 """Hands of a lower score are "not sure". Of 30 found in rendered captures, three of the four whose joints
 were wrong by more than 25 mm had less, and none of those right to 14 mm."""
-
-LEADING_HAND = 0.4
-"""Hands of a lower score don't lead the search for table and object: all four that were wrong by more than
-40 mm in rendered captures had at most that, and sent the search astray."""
 
 
 class Detector(Protocol):
@@ -240,24 +236,18 @@ def _see(
     improve: bool,
 ) -> _Seen:
     """The table under a hand and the object in it, unless they are known."""
-    lead = leading(hand)
-    if table is None and lead is not None:
-        table = table_under(capture, lead.joints_camera, np.random.default_rng(seed))
-    under = NO_TABLE if table is None and lead is not None else table
+    if table is None:
+        table = table_under(capture, hand.joints_camera, np.random.default_rng(seed))
+    under = NO_TABLE if table is None else table
     if thing is None:
-        thing = estimate_object_pose(capture, mesh, lead, under, seed=seed)
+        thing = estimate_object_pose(capture, mesh, hand, under, seed=seed)
     elif not thing.judged:
-        thing = judge_estimate(thing, capture, mesh, lead, under, seed=seed, improve=improve)
-    if table is None and lead is None and thing.accepted:
+        thing = judge_estimate(thing, capture, mesh, hand, under, seed=seed, improve=improve)
+    if table is None and thing.accepted:
         # The object tells as well what is below it.
         surface = transform_points(thing.pose_camera_object, np.asarray(mesh.vertices))
         table = table_under(capture, surface, np.random.default_rng(seed))
     return _Seen(detected, hand, table, thing)
-
-
-def leading(hand: HandEstimate | None) -> HandEstimate | None:
-    """A hand that is seen clearly enough to lead the search for table and object; None if it is not."""
-    return hand if hand is not None and hand.score >= LEADING_HAND else None
 
 
 def _refined(seen: _Seen, capture: Capture, model: ObjectModel, side: Side | None) -> HandEstimate:
