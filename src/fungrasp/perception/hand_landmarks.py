@@ -120,8 +120,12 @@ class HandDetector:
         self._palm = _Model(weights["palm"], threads)
         self._landmarks = _Model(weights["landmarks"], threads)
 
-    def detect(
-        self, colour: np.ndarray, near: Box | None = None, lengths: np.ndarray | None = None
+    def detect(self, colour: np.ndarray, near: Box | None = None) -> list[DetectedHand]:
+        """All hands found; see ``detect_with_depth``, which finds more of them."""
+        return self.detect_with_depth(colour, None, near)
+
+    def detect_with_depth(
+        self, colour: np.ndarray, lengths: np.ndarray | None, near: Box | None = None
     ) -> list[DetectedHand]:
         """All hands found.
 
@@ -130,8 +134,8 @@ class HandDetector:
 
         Args:
             colour: RGB, uint8, shape [H, W, 3].
+            lengths: ``hand_lengths`` of the image [pixels], shape [H, W]; None if depth is not known.
             near: a box beside or around the hand, searched before other parts.
-            lengths: ``hand_lengths`` of the image, if depth is known.
 
         Returns:
             Most probable first; empty if there is none.

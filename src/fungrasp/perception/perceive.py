@@ -8,7 +8,7 @@ still given, marked as not sure.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 import trimesh
@@ -35,7 +35,7 @@ from fungrasp.perception.quality import Quality, measure_quality
 from fungrasp.perception.table import NO_TABLE, table_under
 from fungrasp.perception.world_frame import guessed_table, in_world, put_down, world_from_table
 
-__all__ = ["Detector", "Perceived", "Quality", "find_hands", "perceive"]
+__all__ = ["DepthDetector", "Detector", "Perceived", "Quality", "find_hands", "perceive"]
 
 SURE_HAND = 0.6
 """Hands of a lower score are "not sure". Of 30 found in rendered captures, three of the four whose joints
@@ -47,6 +47,17 @@ class Detector(Protocol):
 
     def detect(self, colour: np.ndarray, near: Box | None = None) -> list[DetectedHand]:
         """All hands found in an RGB image, shape [H, W, 3]; near: a box beside or around the hand."""
+        ...
+
+
+@runtime_checkable
+class DepthDetector(Detector, Protocol):
+    """A detector that makes use of how large hands are in the image."""
+
+    def detect_with_depth(
+        self, colour: np.ndarray, lengths: np.ndarray, near: Box | None = None
+    ) -> list[DetectedHand]:
+        """As ``detect``. lengths: ``hand_lengths`` of the image [pixels], shape [H, W]."""
         ...
 
 
@@ -167,9 +178,10 @@ def perceive(
 
 
 def find_hands(detector: Detector, capture: Capture, near: Box | None = None) -> list[DetectedHand]:
-    """All hands found in an image; MediaPipe's models are told how large they are at what depth."""
-    if isinstance(detector, HandDetector):
-        return detector.detect(capture.colour, near, hand_lengths(capture.depth, capture.intrinsics.fx))
+    """All hands found in an image by a detector, which may be one that depth helps."""
+    if isinstance(detector, DepthDetector):
+        lengths = hand_lengths(capture.depth, capture.intrinsics.fx)
+        return detector.detect_with_depth(capture.colour, lengths, near)
     return detector.detect(capture.colour, near)
 
 
