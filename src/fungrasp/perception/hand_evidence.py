@@ -11,6 +11,7 @@ from fungrasp.perception.capture import Intrinsics
 from fungrasp.perception.hand_probes import in_front
 from fungrasp.perception.hand_silhouette import Silhouettes
 from fungrasp.perception.hand_skeleton import (
+    ALIKE_SPREAD,
     ANGLE_HIGH,
     ANGLE_LOW,
     ANGLE_MEAN,
@@ -180,8 +181,25 @@ def anatomy_evidence(hand: Skeleton) -> list[Evidence]:
         _prior("bases", hand.bases.ravel() / BASE_SPREAD, 1 / BASE_SPREAD),
         _prior("bones", hand.bones.ravel() / BONE_SPREAD, 1 / BONE_SPREAD),
         _prior("angles", unusual.ravel(), (1 / ANGLE_SPREAD).ravel()),
+        Evidence(_ALIKE @ (hand.angles - ANGLE_MEAN).ravel(), _ALIKE_COLUMNS),
         _prior("angles", beyond.ravel() / LIMIT_SOFTNESS, (beyond != 0).ravel() / LIMIT_SOFTNESS),
     ]
+
+
+def _alike() -> np.ndarray:
+    """Differences of what neighbouring fingers' flexion is beyond the usual, over their spread, by angle,
+    shape [9, 45]."""
+    rows = np.zeros((3, 3, 5, 3, 3))
+    for finger in range(3):
+        for joint in range(3):
+            rows[finger, joint, finger : finger + 2, joint, 1] = np.array([1.0, -1.0]) / ALIKE_SPREAD[joint]
+    return rows.reshape(9, 45)
+
+
+_ALIKE = _alike()
+
+_ALIKE_COLUMNS = np.zeros((9, SIZE))
+_ALIKE_COLUMNS[:, PARAMETERS["angles"]] = _ALIKE
 
 
 def _prior(kind: str, residual: np.ndarray, slope: np.ndarray | float) -> Evidence:

@@ -16,6 +16,7 @@ from fungrasp.perception.hand_skeleton import (
     ANGLE_HIGH,
     ANGLE_LOW,
     ANGLE_MEAN,
+    ANGLE_SPREAD,
     BASE_FRAMES,
     BASES,
     LENGTHS,
@@ -35,6 +36,9 @@ OPPOSED_NEAR = 0.025
 
 MOST_POINTS = 80
 """Measured points that a finger is compared with."""
+
+WIDE = 1.3
+"""By how much more than usual postures that are tried differ."""
 
 PROBED = np.array([0.15, 0.5, 0.85])
 """Parts of each link that are looked at."""
@@ -101,17 +105,12 @@ def _turns(c: np.ndarray, s: np.ndarray) -> np.ndarray:
 
 def postures(finger: int, count: int, rng: np.random.Generator) -> np.ndarray:
     """Possible angles of one finger [rad], shape [count, 3, 3]."""
-    angles = np.zeros((count, 3, 3))
+    angles = ANGLE_MEAN[finger] + WIDE * ANGLE_SPREAD[finger] * rng.normal(size=(count, 3, 3))
+    hinges = np.ones((3, 3), dtype=bool)
+    hinges[0], hinges[:, 1] = False, False
+    angles[:, hinges] = 0.0
     if finger < 4:
-        angles[:, 0, 0] = rng.normal(0.0, np.radians(9), count)
-        angles[:, 0, 1] = rng.uniform(np.radians(-20), np.radians(85), count)
-        angles[:, 1, 1] = rng.uniform(np.radians(0), np.radians(95), count)
-        # The last two joints share a tendon.
-        angles[:, 2, 1] = angles[:, 1, 1] * rng.uniform(0.1, 0.8, count)
-    else:
-        angles[:, 0] = rng.uniform(-1, 1, (count, 3)) * np.radians([35.0, 35.0, 30.0])
-        angles[:, 1, 1] = rng.uniform(np.radians(-8), np.radians(50), count)
-        angles[:, 2, 1] = rng.uniform(np.radians(-10), np.radians(75), count)
+        angles[:, 0, 2] = 0.0
     return angles
 
 
@@ -181,7 +180,7 @@ def finger_cost(
     if table is not None:
         height = table[0].reshape(probes.shape[:2])
         cost += np.square(np.minimum(height - 0.5 * radius, 0.0) / settings.inside).sum(axis=1)
-    usual = (tried[..., 1] - ANGLE_MEAN[finger, :, 1]) / np.radians(60)
+    usual = (tried[..., 1] - ANGLE_MEAN[finger, :, 1]) / (2.0 * ANGLE_SPREAD[finger, :, 1])
     beyond = np.minimum(tried - ANGLE_LOW[finger], 0) + np.maximum(tried - ANGLE_HIGH[finger], 0)
     cost += settings.unusual * (usual**2).sum(axis=1) + np.square(beyond / np.radians(5)).sum(axis=(1, 2))
     return cost

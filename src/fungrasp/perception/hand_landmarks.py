@@ -66,6 +66,11 @@ of them bent about an object, all were between 0.46 and 1.03."""
 CUT_AGAIN = 4
 """Around so many of the answers from such windows, the most probable ones, a window is cut, and mirrored."""
 
+CONFIRMED_HAND, CONFIRMED = 0.8, 0.05
+"""If the first answer, one from the window around it and one from that window's mirror image are of higher
+scores, and nearer to each other than this part of the hand's length, they are right: of 170 rendered captures
+70 % have such, which are off by 7.7 pixels in the median of their landmarks, and 7.5 after more windows."""
+
 SAME_ANSWER = 0.12
 """Answers whose landmarks are apart by more than this on average, in hand lengths, don't confirm each
 other."""
@@ -178,6 +183,11 @@ class HandDetector:
         if math.isnan(length):
             window = start if isinstance(start, Window) else window_of_landmarks(start.pixels[_TO_MODEL])
             length = window.size / WINDOW_LENGTHS
+        if isinstance(start, DetectedHand) and _possible(start, length):
+            window = window_of_landmarks(start.pixels[_TO_MODEL])
+            again = [self._look(image, window, mirrored) for mirrored in (False, True)]
+            if all(_confirms(start, answer, length) for answer in again):
+                return _settled([start, *again], again, length)
         every += self._turned(image, about.mean(axis=0), length)
         last = []
         for answer in sorted(every, key=lambda answer: -answer.score)[:CUT_AGAIN]:
@@ -248,6 +258,13 @@ def _length_at(pixels: np.ndarray, lengths: np.ndarray | None) -> float:
 def _possible(hand: DetectedHand, length: float) -> bool:
     """Whether the landmarks of a hand may extend so far. length: of a hand in the image [pixels]."""
     return EXTENTS[0] < float(np.linalg.norm(np.ptp(hand.pixels, axis=0))) / length < EXTENTS[1]
+
+
+def _confirms(first: DetectedHand, second: DetectedHand, length: float) -> bool:
+    """Whether both answers are sure, and the same. length: of a hand in the image [pixels]."""
+    apart = float(np.linalg.norm(first.pixels - second.pixels, axis=1).mean())
+    sure = min(first.score, second.score) > CONFIRMED_HAND and first.side == second.side
+    return sure and apart < CONFIRMED * length
 
 
 def _settled(every: list[DetectedHand], last: list[DetectedHand], length: float) -> DetectedHand:
