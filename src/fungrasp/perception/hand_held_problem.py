@@ -34,7 +34,7 @@ from fungrasp.perception.hand_view import HandView
 class HeldSettings(SeenSettings):
     """What the measurements are worth once the object is known."""
 
-    late_landmarks: float = 0.5
+    late_landmarks: float = 0.35
     """What a landmark's residual still counts when the fingers have been searched, and in the judgement."""
     hidden: float = 0.03
     """A joint so far behind what is seen there [m] is hidden."""
@@ -44,7 +44,7 @@ class HeldSettings(SeenSettings):
     """How many depths of the hand's parts are told apart for that."""
     point_spread: tuple[float, float, float] = (0.004, 0.008, 0.025)
     """Standard deviation of a measured point's distance from the skin [m]: of fingers, palm and arm."""
-    points_worth: float = 120.0
+    points_worth: float = 85.0
     """All measured points count as so many: neighbours err alike."""
     front_spread: float = 0.016
     """Standard deviation of how far skin may be in front of what is seen there [m]."""
