@@ -54,8 +54,9 @@ class Perception:
     """Retarget true and perceived grasps, and try both in simulation."""
     hand: str = "allegro"
     """Robot hand of --chain."""
-    policy: tuple[str, ...] = ("reference",)
-    """What moves it, see `fungrasp evaluate`; with several, each is tried."""
+    policy: tuple[str, ...] = ()
+    """What moves it, see `fungrasp evaluate`; with several, each is tried. By default the freely licensed
+    student of the hand, or the reference if there is none."""
     threads: int = 0
     """Of --chain; 0 means all processors."""
     json: Path | None = None
@@ -73,7 +74,7 @@ class Perception:
 
         human = self._grasps()
         if self.chain:
-            self._check_policies()
+            self._policies()
         objects = load_objects(human, self.objects)
         store = None
         if self.json is not None:
@@ -207,16 +208,16 @@ class Perception:
             write_capture(known, folder)
         return known
 
-    def _check_policies(self) -> None:
-        from fungrasp.errors import FungraspError
+    def _policies(self) -> tuple[str, ...]:
+        """Names of what moves the hand; each can."""
         from fungrasp.evaluation.dynamic import check_policy
         from fungrasp.hands import load_hand
+        from fungrasp.policies import free_policy
 
-        if not self.policy:
-            raise FungraspError("--policy needs at least one name")
         hand = load_hand(self.hand)
         for policy in self.policy:
             check_policy(policy, hand)
+        return self.policy or (free_policy(hand.name),)
 
     def _chain(self, results: list[CaptureResult], objects: Mapping[str, ObjectModel]) -> dict[str, Any]:
         """Figures of the first policy, and of all of them by name where there are several."""
@@ -235,7 +236,8 @@ class Perception:
         ]
         sure = np.array([result.sure for result in results])
         each = {}
-        for policy in self.policy:
+        policies = self._policies()
+        for policy in policies:
             success = []
             for words, robot in zip(("true grasps", "perceived grasps"), sets, strict=True):
                 if robot is None:
@@ -245,5 +247,5 @@ class Perception:
                     tried = evaluate(robot, objects, hand, policy, threads=self.threads, progress=show)
                 success.append(tried.trials.success)
             each[policy] = chain_figures(success[0], success[1], rows, sure)
-        figures = {"hand": hand.name, "policy": self.policy[0]} | each[self.policy[0]]
-        return figures if len(self.policy) == 1 else figures | {"policies": each}
+        figures = {"hand": hand.name, "policy": policies[0]} | each[policies[0]]
+        return figures if len(policies) == 1 else figures | {"policies": each}

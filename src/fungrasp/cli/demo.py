@@ -62,8 +62,7 @@ class Demo:
     """What the grasp in the folder's image is for: "drink", "hand over" ..."""
     policy: str | None = None
     """What moves the hand: reference, or a policy (fungrasp policies list). By default the freely licensed
-    student of the hand; the reference if there is none, or for a grasp from an image, which is uncertain and
-    gains more from --refine."""
+    student of the hand, or the reference if there is none."""
     refine: int = 8
     """Under the reference, try this many variations of a grasp in simulation until one holds; 0: only the
     grasp as it is. A learned policy chooses by itself, in rehearsals."""
@@ -207,14 +206,12 @@ class Demo:
         Raises:
             FungraspError: there is no such policy.
         """
-        from fungrasp.policies import resolve_policy
-        from fungrasp.policies.policy_file import list_policies
+        from fungrasp.policies import free_policy, resolve_policy
 
-        if self.policy is not None:
-            resolve_policy(self.policy, hand.name)
-            return self.policy
-        free = f"{hand.name}-student-free"
-        return free if self.from_image is None and free in list_policies() else REFERENCE
+        if self.policy is None:
+            return free_policy(hand.name)
+        resolve_policy(self.policy, hand.name)
+        return self.policy
 
     def _film(
         self,

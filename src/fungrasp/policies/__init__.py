@@ -1,7 +1,7 @@
 """Things that act."""
 
 from fungrasp.policies.motion import ReferenceSettings
-from fungrasp.policies.play import POLICIES, Policy, chooses, make_policy, play, resolve_policy
+from fungrasp.policies.play import POLICIES, Policy, chooses, free_policy, make_policy, play, resolve_policy
 from fungrasp.policies.reference import ReferenceController
 from fungrasp.policies.refine import refine
 
@@ -11,6 +11,7 @@ __all__ = [
     "ReferenceController",
     "ReferenceSettings",
     "chooses",
+    "free_policy",
     "make_policy",
     "play",
     "refine",

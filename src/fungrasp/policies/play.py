@@ -59,6 +59,15 @@ def resolve_policy(name: str, hand: str) -> Path | None:
     raise UnknownNameError("policy", name, [*POLICIES, *KINDS, *known])
 
 
+def free_policy(hand: str) -> str:
+    """The freely licensed student of a hand, or the reference controller if none comes with the package.
+
+    hand: its name.
+    """
+    name = f"{hand}-student-free"
+    return name if name in list_policies() else "reference"
+
+
 def chooses(name: str, hand: str) -> bool:
     """Whether a policy chooses what to follow among variations of a grasp, which depends on a seed.
 
