@@ -17,7 +17,7 @@ from fungrasp.perception.hand_evidence import (
     anatomy_evidence,
     shape_evidence,
 )
-from fungrasp.perception.hand_skeleton import ANGLE_LOW, PARAMETERS, SIZE, Skeleton
+from fungrasp.perception.hand_skeleton import ANGLE_LOW, ANGLE_MEAN, PARAMETERS, SIZE, Skeleton
 from fungrasp.perception.hand_solver import LONGEST_STEP, damped_step, normal_equations, robust_weights
 from fungrasp.perception.hand_start import skeleton_through
 
@@ -73,7 +73,7 @@ def test_limits_count_only_beyond_them():
     hand = Skeleton.usual(np.zeros(3), np.eye(3))
     assert not anatomy_evidence(hand)[-1].residual.any()
     step = np.zeros(SIZE)
-    step[PARAMETERS["angles"].start + 3 + 1] = ANGLE_LOW[0, 1, 1] - np.radians(40)
+    step[PARAMETERS["angles"].start + 3 + 1] = ANGLE_LOW[0, 1, 1] - ANGLE_MEAN[0, 1, 1] - 0.2
     assert np.count_nonzero(anatomy_evidence(hand.moved(step))[-1].residual) == 1
 
 

@@ -74,7 +74,7 @@ class Perception:
 
         human = self._grasps()
         if self.chain:
-            self._policies()
+            self._check_policies()
         objects = load_objects(human, self.objects)
         store = None
         if self.json is not None:
@@ -208,16 +208,13 @@ class Perception:
             write_capture(known, folder)
         return known
 
-    def _policies(self) -> tuple[str, ...]:
-        """Names of what moves the hand; each can."""
+    def _check_policies(self) -> None:
         from fungrasp.evaluation.dynamic import check_policy
         from fungrasp.hands import load_hand
-        from fungrasp.policies import free_policy
 
         hand = load_hand(self.hand)
         for policy in self.policy:
             check_policy(policy, hand)
-        return self.policy or (free_policy(hand.name),)
 
     def _chain(self, results: list[CaptureResult], objects: Mapping[str, ObjectModel]) -> dict[str, Any]:
         """Figures of the first policy, and of all of them by name where there are several."""
@@ -227,6 +224,7 @@ class Perception:
         from fungrasp.evaluation import evaluate
         from fungrasp.evaluation.perception_results import chain_figures, chain_sets
         from fungrasp.hands import load_hand
+        from fungrasp.policies import free_policy
 
         hand = load_hand(self.hand)
         true, perceived, rows = chain_sets(results, objects)
@@ -236,7 +234,7 @@ class Perception:
         ]
         sure = np.array([result.sure for result in results])
         each = {}
-        policies = self._policies()
+        policies = self.policy or (free_policy(hand.name),)
         for policy in policies:
             success = []
             for words, robot in zip(("true grasps", "perceived grasps"), sets, strict=True):

@@ -7,6 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
+STEP = 2
+"""Distances are looked at so many pixels apart: silhouettes are not known better."""
+
 NOWHERE = -1e3
 """Distance to the background of a level that has none [pixels]."""
 
@@ -20,7 +23,8 @@ class Silhouettes:
     depths: np.ndarray
     """Parts nearer than this [m] belong to a level, ascending, shape [L]."""
     fields: np.ndarray
-    """Distance into the background of each level, negative outside it [pixels], shape [L, h, w]."""
+    """Distance into the background of each level, negative outside it [pixels], at every ``STEP``-th pixel,
+    shape [L, h, w]."""
 
     @classmethod
     def around(
@@ -45,7 +49,7 @@ class Silhouettes:
         edge = np.array(depth.shape[::-1])
         low = np.clip(np.floor(pixels.min(axis=0)) - margin, 0, edge - 2).astype(int)
         high = np.clip(np.ceil(pixels.max(axis=0)) + margin, low + 2, edge).astype(int)
-        crop = depth[low[1] : high[1], low[0] : high[0]]
+        crop = depth[low[1] : high[1] : STEP, low[0] : high[0] : STEP]
         depths = np.quantile(parts, np.arange(1, levels + 1) / levels)
         return cls(low, depths, np.stack([_field(crop > limit + behind) for limit in depths]))
 
@@ -61,7 +65,7 @@ class Silhouettes:
             what was looked at.
         """
         level = np.minimum(np.searchsorted(self.depths, parts), len(self.depths) - 1)
-        local = pixels - self.corner
+        local = (pixels - self.corner) / STEP
         height, width = self.fields.shape[1:]
         inside = np.all((local >= 0) & (local < [width - 1, height - 1]), axis=1)
         local = np.where(inside[:, None], local, 0.0)
@@ -71,11 +75,11 @@ class Silhouettes:
         top, bottom = near[0] + x * (near[1] - near[0]), near[2] + x * (near[3] - near[2])
         across = (1 - y) * (near[1] - near[0]) + y * (near[3] - near[2])
         value = np.where(inside, top + y * (bottom - top), 0.0)
-        return value, np.stack([across, bottom - top], axis=1) * inside[:, None]
+        return value, np.stack([across, bottom - top], axis=1) * inside[:, None] / STEP
 
 
 def _field(background: np.ndarray) -> np.ndarray:
     if not background.any():
         return np.full(background.shape, NOWHERE)
     inside, outside = (np.asarray(ndimage.distance_transform_edt(part)) for part in (background, ~background))
-    return inside - outside
+    return STEP * (inside - outside)
