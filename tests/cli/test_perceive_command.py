@@ -25,7 +25,7 @@ from fungrasp.objects import builtin_object
 from fungrasp.perception import HandEstimate, ObjectEstimate
 from fungrasp.perception import perceive as room
 from fungrasp.perception.adapters import registry
-from fungrasp.perception.hand_landmarks import DetectedHand
+from fungrasp.perception.detected_hand import DetectedHand
 from fungrasp.perception.hand_start import joint_confidence
 from fungrasp.perception.scene_folders import read_folder
 from fungrasp.report.demo_image import FOLDER, demo_truth

@@ -32,7 +32,7 @@ from fungrasp.geometry.poses import compose, invert, transform_points
 from fungrasp.grasps import HUMAN_JOINTS, HUMAN_LINKS, builtin_grasps
 from fungrasp.objects import builtin_object
 from fungrasp.perception import Capture, Intrinsics
-from fungrasp.perception.hand_landmarks import DetectedHand
+from fungrasp.perception.detected_hand import DetectedHand
 from fungrasp.perception.rays import MeshRays
 from fungrasp.perception.segmentation import TIPS
 

@@ -13,10 +13,12 @@ from fungrasp.grasps import load_human_grasps
 from fungrasp.grasps.anatomy import joint_bends
 from fungrasp.grasps.human_hand import HUMAN_JOINTS
 from fungrasp.objects import builtin_object
+from fungrasp.perception.detected_hand import DetectedHand, hand_lengths, possible, settled
 from fungrasp.perception.hand_crops import Window, window_of_landmarks, window_of_palm
-from fungrasp.perception.hand_landmarks import FROM_MODEL, DetectedHand, HandDetector, choose_hand
+from fungrasp.perception.hand_landmarks import FROM_MODEL, HandDetector, choose_hand
 from fungrasp.perception.hand_palms import anchor_centres, box_overlap, decode_palms
 from fungrasp.perception.hand_weights import have_weights
+from fungrasp.perception.perceive import find_hands
 
 needs_weights = pytest.mark.skipif(
     not have_weights(), reason="the hand models are not in the cache; run 'fungrasp setup perception'"
@@ -145,3 +147,46 @@ def test_no_hand_in_noise():
     pytest.importorskip("ai_edge_litert", reason="ai-edge-litert is not installed")
     noise = np.random.default_rng(0).integers(0, 255, (240, 320, 3), dtype=np.uint8)
     assert HandDetector().detect(noise) == []
+
+
+def answer(pixels, score=0.9, side="right"):
+    return DetectedHand(pixels, np.zeros((21, 3)), side, 0.9, score)
+
+
+def test_the_answer_that_most_others_confirm_wins():
+    rng = np.random.default_rng(0)
+    true, wrong = rng.uniform(0, 100, (21, 2)), rng.uniform(0, 100, (21, 2))
+    near = [answer(true + rng.normal(size=(21, 2)), 0.6) for _ in range(3)]
+    sure = answer(wrong, 0.98, "left")
+    hand = settled([sure, *near], [sure, *near], 100.0)
+    assert np.abs(hand.pixels - true).max() < 5 and hand.side == "right"
+    assert len(hand.others) == 3 and hand.others[-1].pixels is sure.pixels
+    # Three of four windows confirm it, each of them with 0.6.
+    assert 0.4 < hand.score < 0.5
+    lonely = settled([sure, answer(true, 0.6)], [answer(true, 0.6)], 100.0)
+    assert lonely.score < 0.1
+
+
+def test_lengths_of_hands_in_the_image():
+    depth = np.array([[0.5, 0.0], [1.0, 0.25]])
+    np.testing.assert_allclose(hand_lengths(depth, 600.0), [[228, np.nan], [114, 456]])
+    lengths = hand_lengths(np.full((480, 640), 0.5), 600.0)
+    assert possible(hand_at(300, 200, 150.0), 228.0)
+    assert not possible(hand_at(300, 200, 30.0), 228.0) and not possible(hand_at(300, 200, 400.0), 228.0)
+    assert np.isnan(hand_lengths(np.zeros((4, 4)), 600.0)).all() and lengths.shape == (480, 640)
+
+
+@needs_weights
+def test_depth_finds_a_hand_whose_palm_is_seen_at_a_wrong_place(picture):
+    pytest.importorskip("ai_edge_litert", reason="ai-edge-litert is not installed")
+    capture = picture.capture
+    truth = capture.intrinsics.project(picture.joints_camera)
+    lengths = hand_lengths(capture.depth, capture.intrinsics.fx)
+    detector = HandDetector()
+    (hand,) = detector.detect_with_depth(capture.colour, lengths)
+    assert np.median(np.linalg.norm(hand.pixels - truth, axis=1)) < 15
+    assert find_hands(detector, capture)[0].score == hand.score
+    beside = Window((float(truth[:, 0].mean() + 45), float(truth[:, 1].mean())), 120.0)
+    image = Image.fromarray(capture.colour)
+    again = detector._again(image, np.array([beside.centre]), lengths, beside)
+    assert np.median(np.linalg.norm(again.pixels - truth, axis=1)) < 15

@@ -16,7 +16,8 @@ from fungrasp.grasps.human_hand import mirror_points
 from fungrasp.objects import ObjectModel, builtin_object
 from fungrasp.perception import Capture, ObjectEstimate
 from fungrasp.perception import perceive as room
-from fungrasp.perception.hand_landmarks import DetectedHand, HandDetector
+from fungrasp.perception.detected_hand import DetectedHand
+from fungrasp.perception.hand_landmarks import HandDetector
 from fungrasp.perception.hand_side import settle_side
 from fungrasp.perception.hand_weights import have_weights
 from fungrasp.perception.perceive import Perceived, perceive

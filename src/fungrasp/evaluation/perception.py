@@ -17,8 +17,9 @@ from fungrasp.grasps import HumanGrasp
 from fungrasp.objects import ObjectModel
 from fungrasp.perception import Capture, HandEstimate
 from fungrasp.perception.capture import Box
+from fungrasp.perception.detected_hand import DetectedHand
 from fungrasp.perception.hand_fit import fit_hand
-from fungrasp.perception.hand_landmarks import DetectedHand, choose_hand
+from fungrasp.perception.hand_landmarks import choose_hand
 from fungrasp.perception.known_object import known_object
 from fungrasp.perception.object_pose import PoseAnswers, best_estimate, search_object_pose
 from fungrasp.perception.perceive import Detector, Perceived, find_hands, perceive

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from fungrasp.perception.capture import Box, Intrinsics
-from fungrasp.perception.hand_landmarks import DetectedHand
+from fungrasp.perception.detected_hand import DetectedHand
 
 SHAPE_NOISE = 0.01
 """Standard deviation of a joint's place in the detector's rough shape [m], each axis."""
@@ -32,7 +32,9 @@ class TrueLandmarks:
         # A landmark model sees every hand as if it were in the middle of the image.
         toward = lens.deproject(pixels.mean(axis=0), np.ones(()))
         axis = np.cross([0.0, 0.0, 1.0], toward / np.linalg.norm(toward))
-        self._hand = DetectedHand(pixels, Rotation.from_rotvec(-axis).apply(shape), "right", 1.0, 1.0, spread)
+        self._hand = DetectedHand(
+            pixels, Rotation.from_rotvec(-axis).apply(shape), "right", 1.0, 1.0, spread=spread
+        )
 
     def detect(self, colour: np.ndarray, near: Box | None = None) -> list[DetectedHand]:
         """The hand, whatever the image; see ``perceive.Detector``."""

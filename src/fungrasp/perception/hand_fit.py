@@ -14,6 +14,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from fungrasp.perception.capture import Capture
+from fungrasp.perception.detected_hand import DetectedHand
 from fungrasp.perception.estimates import HandEstimate
 from fungrasp.perception.hand_contact import Surroundings, contact_evidence
 from fungrasp.perception.hand_evidence import (
@@ -25,7 +26,6 @@ from fungrasp.perception.hand_evidence import (
     shape_evidence,
     silhouette_evidence,
 )
-from fungrasp.perception.hand_landmarks import DetectedHand
 from fungrasp.perception.hand_probes import PROBES
 from fungrasp.perception.hand_settings import SeenSettings
 from fungrasp.perception.hand_silhouette import Silhouettes

@@ -16,11 +16,11 @@ import numpy as np
 
 from fungrasp.errors import FungraspError
 from fungrasp.perception.capture import Capture
+from fungrasp.perception.detected_hand import DetectedHand
 from fungrasp.perception.estimates import HandEstimate, Side
 from fungrasp.perception.hand_contact import Surroundings
 from fungrasp.perception.hand_fingers import FingerSettings, search_fingers
 from fungrasp.perception.hand_held_problem import Fit, HeldProblem, HeldSettings
-from fungrasp.perception.hand_landmarks import DetectedHand
 from fungrasp.perception.hand_skeleton import Skeleton
 from fungrasp.perception.hand_start import MIRROR_X, HandMeasurements, mirror_estimate, start
 from fungrasp.perception.hand_view import HandView, look

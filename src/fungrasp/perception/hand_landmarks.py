@@ -11,7 +11,6 @@ from __future__ import annotations
 import importlib
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -19,6 +18,14 @@ from PIL import Image
 
 from fungrasp.errors import FungraspError
 from fungrasp.perception.capture import Box
+from fungrasp.perception.detected_hand import (
+    DetectedHand,
+    confirms,
+    length_at,
+    possible,
+    settled,
+    which_side,
+)
 from fungrasp.perception.estimates import Side
 from fungrasp.perception.hand_crops import Window, window_of_landmarks, window_of_palm
 from fungrasp.perception.hand_palms import DETECTOR_PIXELS, box_overlap, decode_palms
@@ -49,9 +56,6 @@ FAINT_HAND = 0.15
 """Least score of a hand that many windows were cut for. In 40 rendered captures without a hand none had more
 than 0.11."""
 
-HAND_LENGTH = 0.19
-"""From wrist to fingertips of an adult [m]."""
-
 WINDOW_LENGTHS = 1.16
 """Edge of a window that a hand of known length is looked at in, in hand lengths. Hands fill it less than the
 models were trained on, but one that was first seen at a wrong place is still inside."""
@@ -59,54 +63,14 @@ models were trained on, but one that was first seen at a wrong place is still in
 WINDOW_TURNS = np.radians(np.arange(0, 360, 45))
 """By how much such windows are turned [rad]."""
 
-EXTENTS = (0.4, 1.2)
-"""Least and largest extent of a hand's landmarks in the image, in hand lengths. Of 140 rendered hands, most
-of them bent about an object, all were between 0.46 and 1.03."""
-
 CUT_AGAIN = 4
 """Around so many of the answers from such windows, the most probable ones, a window is cut, and mirrored."""
-
-CONFIRMED_HAND, CONFIRMED = 0.8, 0.05
-"""If the first answer, one from the window around it and one from that window's mirror image are of higher
-scores, and nearer to each other than this part of the hand's length, they are right: of 170 rendered captures
-70 % have such, which are off by 7.7 pixels in the median of their landmarks, and 7.5 after more windows."""
-
-SAME_ANSWER = 0.12
-"""Answers whose landmarks are apart by more than this on average, in hand lengths, don't confirm each
-other."""
 
 LOOKED_AT_AGAIN = 2
 """So many hands of an image are looked at in more windows."""
 
 SAME_HAND = 0.5
 """Two answers whose boxes overlap by more than this part of their union are one hand."""
-
-
-@dataclass(frozen=True, eq=False)
-class DetectedHand:
-    """A hand in the image, joints in the order of ``HUMAN_JOINTS``."""
-
-    pixels: np.ndarray
-    """Landmarks [pixels], shape [21, 2]."""
-    shape_camera: np.ndarray
-    """Landmarks about the hand's middle [m], shape [21, 3], camera axes; size and depth are guesses of the
-    model."""
-    side: Side
-    """Which hand of the person."""
-    side_score: float
-    """Probability of ``side``, 0.5 to 1."""
-    score: float
-    """Probability that this is a hand, 0 to 1."""
-    spread: float | None = None
-    """Standard deviation of a landmark, hidden or not, each way [pixels]; None: as MediaPipe's err, see
-    ``SeenSettings``."""
-    others: tuple[DetectedHand, ...] = ()
-    """What the models make of the same hand in other windows of the image; each may be the better answer."""
-
-    @property
-    def box(self) -> np.ndarray:
-        """``x0 y0 x1 y1`` around the landmarks [pixels], shape [4]."""
-        return np.concatenate([self.pixels.min(axis=0), self.pixels.max(axis=0)])
 
 
 class HandDetector:
@@ -179,22 +143,22 @@ class HandDetector:
             start: the first answer, or the window that it should be in.
         """
         every = [start] if isinstance(start, DetectedHand) else []
-        length = _length_at(about, lengths)
+        length = length_at(about, lengths)
         if math.isnan(length):
             window = start if isinstance(start, Window) else window_of_landmarks(start.pixels[_TO_MODEL])
             length = window.size / WINDOW_LENGTHS
-        if isinstance(start, DetectedHand) and _possible(start, length):
+        if isinstance(start, DetectedHand) and possible(start, length):
             window = window_of_landmarks(start.pixels[_TO_MODEL])
             again = [self._look(image, window, mirrored) for mirrored in (False, True)]
-            if all(_confirms(start, answer, length) for answer in again):
-                return _settled([start, *again], again, length)
+            if all(confirms(start, answer, length) for answer in again):
+                return settled([start, *again], again, length)
         every += self._turned(image, about.mean(axis=0), length)
         last = []
         for answer in sorted(every, key=lambda answer: -answer.score)[:CUT_AGAIN]:
             window = window_of_landmarks(answer.pixels[_TO_MODEL])
             last += [self._look(image, window, mirrored) for mirrored in (False, True)]
         every += last
-        return _settled([answer for answer in every if _possible(answer, length)] or every, last, length)
+        return settled([answer for answer in every if possible(answer, length)] or every, last, length)
 
     def _turned(self, image: Image.Image, centre: np.ndarray, length: float) -> list[DetectedHand]:
         """Answers from windows for a hand of some length about a pixel."""
@@ -232,62 +196,7 @@ class HandDetector:
         if mirrored:
             points, shape, right = points * [-1, 1] + [1, 0], shape * [-1, 1, 1], 1 - right
         score = float(np.clip(presence.item(), 0.0, 1.0))
-        return DetectedHand(window.to_image(points), window.turn(shape), score=score, **_side(right))
-
-
-def hand_lengths(depth: np.ndarray, focal: float) -> np.ndarray:
-    """How long a hand is in the image at the depth of each pixel [pixels], shape [H, W]; NaN without depth.
-
-    depth: [m], shape [H, W], 0 where nothing was measured; focal: length [pixels].
-    """
-    return HAND_LENGTH * focal / np.where(depth > 0, depth, np.nan)
-
-
-def _length_at(pixels: np.ndarray, lengths: np.ndarray | None) -> float:
-    """Median of a map at some pixels, NaN if it is not known there. pixels: shape [N, 2]."""
-    if lengths is None:
-        return math.nan
-    height, width = lengths.shape
-    u, v = np.rint(pixels).astype(int).T
-    inside = (u >= 0) & (u < width) & (v >= 0) & (v < height)
-    found = lengths[v[inside], u[inside]]
-    found = found[np.isfinite(found)]
-    return float(np.median(found)) if found.size else math.nan
-
-
-def _possible(hand: DetectedHand, length: float) -> bool:
-    """Whether the landmarks of a hand may extend so far. length: of a hand in the image [pixels]."""
-    return EXTENTS[0] < float(np.linalg.norm(np.ptp(hand.pixels, axis=0))) / length < EXTENTS[1]
-
-
-def _confirms(first: DetectedHand, second: DetectedHand, length: float) -> bool:
-    """Whether both answers are sure, and the same. length: of a hand in the image [pixels]."""
-    apart = float(np.linalg.norm(first.pixels - second.pixels, axis=1).mean())
-    sure = min(first.score, second.score) > CONFIRMED_HAND and first.side == second.side
-    return sure and apart < CONFIRMED * length
-
-
-def _settled(every: list[DetectedHand], last: list[DetectedHand], length: float) -> DetectedHand:
-    """The answer that most others confirm, with the others, most confirmed first; see ``_again``."""
-    pixels = np.array([hand.pixels for hand in every])
-    apart = np.linalg.norm(pixels[:, None] - pixels, axis=-1).mean(axis=-1)
-    weights = np.array([hand.score for hand in every]) ** 2
-    near = np.exp(-np.square(apart / (SAME_ANSWER * length)))
-    order = np.argsort(-(near @ weights), kind="stable")
-    best = every[order[0]]
-    right = [hand.side_score if hand.side == "right" else 1 - hand.side_score for hand in last]
-    scores = np.array([hand.score for hand in last])
-    confirmed = np.array([np.linalg.norm(hand.pixels - best.pixels, axis=1).mean() for hand in last])
-    confirmed = np.exp(-np.square(confirmed / (SAME_ANSWER * length)))
-    vote = float(np.average(right, weights=scores * confirmed + 1e-9))
-    score = float(np.mean(scores * confirmed))
-    others = tuple(every[i] for i in order[1:])
-    return replace(best, score=score, others=others, **_side(vote))
-
-
-def _side(right: float) -> dict[str, Any]:
-    """Fields of a detected hand that is a right one with some probability."""
-    return {"side": "right" if right >= 0.5 else "left", "side_score": float(max(right, 1 - right))}
+        return DetectedHand(window.to_image(points), window.turn(shape), score=score, **which_side(right))
 
 
 def choose_hand(

@@ -7,8 +7,8 @@ import dataclasses
 import numpy as np
 
 from fungrasp.grasps.anatomy import joint_bends
+from fungrasp.perception.detected_hand import DetectedHand
 from fungrasp.perception.estimates import Side
-from fungrasp.perception.hand_landmarks import DetectedHand
 from fungrasp.perception.hand_start import MIRROR_X
 
 UNDECIDED = 0.6

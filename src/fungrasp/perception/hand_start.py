@@ -11,9 +11,9 @@ from scipy.special import gammainc
 
 from fungrasp.errors import FungraspError
 from fungrasp.perception.capture import Capture, Intrinsics
+from fungrasp.perception.detected_hand import DetectedHand
 from fungrasp.perception.estimates import HandEstimate
 from fungrasp.perception.hand_evidence import FAR_BONES, NEAR_BONES, Evidence, anatomy_evidence
-from fungrasp.perception.hand_landmarks import DetectedHand
 from fungrasp.perception.hand_skeleton import BASES, RADII, SIZE, WRIST_RADIUS, Skeleton
 from fungrasp.perception.hand_solver import damped_step, normal_equations
 

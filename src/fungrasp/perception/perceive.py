@@ -21,11 +21,12 @@ from fungrasp.grasps.importers.dexycb import MIRRORED
 from fungrasp.objects import ObjectModel
 from fungrasp.perception.capture import Box, Capture
 from fungrasp.perception.contacts import touching_links
+from fungrasp.perception.detected_hand import DetectedHand, hand_lengths
 from fungrasp.perception.estimates import HandEstimate, ObjectEstimate, Side
 from fungrasp.perception.hand_contact import Surroundings
 from fungrasp.perception.hand_fit import fit_hand
 from fungrasp.perception.hand_held import fit_held
-from fungrasp.perception.hand_landmarks import DetectedHand, HandDetector, choose_hand, hand_lengths
+from fungrasp.perception.hand_landmarks import HandDetector, choose_hand
 from fungrasp.perception.hand_refine import refine_hand
 from fungrasp.perception.hand_side import settle_side
 from fungrasp.perception.object_pose import SIZES, estimate_object_pose

@@ -19,8 +19,8 @@ from fungrasp.perception.adapters.hand_fields import HandFields, read_fields
 from fungrasp.perception.adapters.joint_orders import joint_order
 from fungrasp.perception.adapters.mano_model import ManoJoints
 from fungrasp.perception.capture import Intrinsics
+from fungrasp.perception.detected_hand import DetectedHand
 from fungrasp.perception.estimates import Side
-from fungrasp.perception.hand_landmarks import DetectedHand
 from fungrasp.perception.hand_start import MIRROR_X
 
 SIZES = (0.4, 2.0)

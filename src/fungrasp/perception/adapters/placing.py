@@ -13,8 +13,8 @@ import numpy as np
 from fungrasp.errors import FungraspError
 from fungrasp.perception.adapters.hand_file import hand_size, turn_to
 from fungrasp.perception.capture import Capture
+from fungrasp.perception.detected_hand import DetectedHand
 from fungrasp.perception.estimates import HandEstimate
-from fungrasp.perception.hand_landmarks import DetectedHand
 from fungrasp.perception.hand_probes import PROBES, in_front
 from fungrasp.perception.hand_start import HandMeasurements, joint_confidence
 
