@@ -73,7 +73,7 @@ def test_a_finger_inside_another_costs():
     hand = crossed()
     joints = hand.joints()
     middle = 0.5 * (joints[6] + joints[7])
-    points = np.array([[middle], [middle + [0, 0, 0.1]]])
+    points = np.array([[middle], [middle + np.array([0, 0, 0.1])]])
     deep = overlaps(points, np.array([0.008]), hand, 0)
     assert deep[0, 0] > 0.01 and deep[1, 0] == 0
     assert overlaps(points, np.array([0.008]), hand, 1)[0, 0] < deep[0, 0]
