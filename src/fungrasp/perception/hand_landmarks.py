@@ -45,16 +45,16 @@ SURE_PALM = 0.5
 FAINT_PALM = 0.1
 """Palms of lower score are none."""
 
-FAINT_PALMS = 5
+FAINT_PALMS = 3
 """Where no hand is found for sure, so many palms are looked at in many windows: palms are seen in many views
 of hands behind objects, of which the landmark model knows little."""
 
 SURE_HAND = 0.5
 """Windows with a lower probability of a hand show none, if another does."""
 
-FAINT_HAND = 0.15
+FAINT_HAND = 0.18
 """Least score of a hand that many windows were cut for. In 40 rendered captures without a hand none had more
-than 0.11."""
+than 0.15."""
 
 WINDOW_LENGTHS = 1.16
 """Edge of a window that a hand of known length is looked at in, in hand lengths. Hands fill it less than the
@@ -62,6 +62,10 @@ models were trained on, but one that was first seen at a wrong place is still in
 
 WINDOW_TURNS = np.radians(np.arange(0, 360, 45))
 """By how much such windows are turned [rad]."""
+
+ABOUT_PALM = ((0.0, 0.0), (0.25, 0.0), (-0.25, 0.0), (0.0, 0.25), (0.0, -0.25))
+"""Where the middles of such windows are if only a faint palm is known, from its own, in hand lengths; each is
+then turned by half as many angles."""
 
 CUT_AGAIN = 4
 """Around so many of the answers from such windows, the most probable ones, a window is cut, and mirrored."""
@@ -152,19 +156,20 @@ class HandDetector:
             again = [self._look(image, window, mirrored) for mirrored in (False, True)]
             if all(confirms(start, answer, length) for answer in again):
                 return settled([start, *again], again, length)
-        every += self._turned(image, about.mean(axis=0), length)
+        middle, size = about.mean(axis=0), WINDOW_LENGTHS * length
+        if isinstance(start, DetectedHand):
+            places = [(middle, turn) for turn in WINDOW_TURNS]
+        else:
+            centres = middle + length * np.array(ABOUT_PALM)
+            places = [(centre, turn) for centre in centres for turn in WINDOW_TURNS[::2]]
+        for (u, v), turn in places:
+            every.append(self._look(image, Window((float(u), float(v)), size, float(turn))))
         last = []
         for answer in sorted(every, key=lambda answer: -answer.score)[:CUT_AGAIN]:
             window = window_of_landmarks(answer.pixels[_TO_MODEL])
             last += [self._look(image, window, mirrored) for mirrored in (False, True)]
         every += last
         return settled([answer for answer in every if possible(answer, length)] or every, last, length)
-
-    def _turned(self, image: Image.Image, centre: np.ndarray, length: float) -> list[DetectedHand]:
-        """Answers from windows for a hand of some length about a pixel."""
-        size = WINDOW_LENGTHS * length
-        middle = (float(centre[0]), float(centre[1]))
-        return [self._look(image, Window(middle, size, float(angle))) for angle in WINDOW_TURNS]
 
     def _palms(self, image: Image.Image, window: Window) -> list[tuple[float, Window]]:
         """Scores of palms in a window, and windows of their hands."""
