@@ -15,7 +15,7 @@ from fungrasp.grasps.human_hand import HUMAN_JOINTS
 from fungrasp.objects import builtin_object
 from fungrasp.perception.detected_hand import DetectedHand, hand_lengths, possible, settled
 from fungrasp.perception.hand_crops import Window, window_of_landmarks, window_of_palm
-from fungrasp.perception.hand_landmarks import FROM_MODEL, HandDetector, choose_hand
+from fungrasp.perception.hand_landmarks import FROM_MODEL, JOINTS_OF_LANDMARKS, HandDetector, choose_hand
 from fungrasp.perception.hand_palms import anchor_centres, box_overlap, decode_palms
 from fungrasp.perception.hand_weights import have_weights
 from fungrasp.perception.perceive import find_hands
@@ -190,3 +190,13 @@ def test_depth_finds_a_hand_whose_palm_is_seen_at_a_wrong_place(picture):
     image = Image.fromarray(capture.colour)
     again = detector._again(image, np.array([beside.centre]), lengths, beside)
     assert np.median(np.linalg.norm(again.pixels - truth, axis=1)) < 15
+
+
+def test_landmarks_of_a_straight_finger_become_its_joints():
+    joints = np.zeros((21, 2))
+    joints[5:9, 0] = [0, 33, 55, 79]
+    joints[0, 0], joints[9, 0] = -95, 0
+    landmarks = np.linalg.solve(JOINTS_OF_LANDMARKS, joints)
+    # Landmarks of tips are short of the end, those of the joints before beyond them.
+    assert landmarks[8, 0] < 79 and landmarks[6, 0] > 33 and landmarks[7, 0] > 55 and landmarks[0, 0] > -95
+    np.testing.assert_allclose(JOINTS_OF_LANDMARKS.sum(axis=1), 1)
