@@ -22,7 +22,13 @@ from fungrasp.perception.hand_contact import Surroundings
 from fungrasp.perception.hand_fingers import FingerSettings, search_fingers
 from fungrasp.perception.hand_held_problem import Fit, HeldProblem, HeldSettings
 from fungrasp.perception.hand_skeleton import Skeleton
-from fungrasp.perception.hand_start import MIRROR_X, HandMeasurements, mirror_estimate, start
+from fungrasp.perception.hand_start import (
+    MIRROR_X,
+    HandMeasurements,
+    mirror_estimate,
+    skeleton_through,
+    start,
+)
 from fungrasp.perception.hand_view import HandView, look
 
 SAME_GUESS = 0.035
@@ -33,6 +39,9 @@ SEARCHED = 3
 
 MOST_GUESSES = 8
 """So many are fitted at all."""
+
+FITTED = 0.004
+"""How near a guess begins to the hand that was fitted without the object [m]."""
 
 OTHER_SIDE = 0.8
 """If a side is less probable than this, the other is tried, too."""
@@ -83,8 +92,9 @@ def fit_held(
             begun.append((guess, seen, start(seen)))
     if not begun:
         raise FungraspError("there is no depth where the hand is in the image")
-    flips = [MIRROR_X if guess.side == "left" else np.ones(3) for guess, _, _ in begun]
-    everywhere = [hand.joints() * flip for (_, _, hand), flip in zip(begun, flips, strict=True)]
+    first, seen, _ = begun[0]
+    begun.append((first, seen, skeleton_through(joints * _flip(first), FITTED)))
+    everywhere = [hand.joints() * _flip(guess) for guess, _, hand in begun]
     view = look(capture, around, [joints, *everywhere])
     views: dict[Side, HandView] = {"right": view, "left": view.mirrored()}
     candidates = [
@@ -94,6 +104,11 @@ def fit_held(
     best = min((_searched(candidate) for candidate in candidates[:SEARCHED]), key=lambda c: c.cost)
     right = best.problem.estimate(best.fit)
     return right if best.guess.side == "right" else mirror_estimate(right, best.guess.pixels)
+
+
+def _flip(guess: DetectedHand) -> np.ndarray:
+    """Takes a right hand to the guess's side, and back."""
+    return MIRROR_X if guess.side == "left" else np.ones(3)
 
 
 def _guesses(detected: DetectedHand, side: Side | None) -> list[DetectedHand]:
