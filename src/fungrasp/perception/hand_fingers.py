@@ -106,9 +106,8 @@ def _turns(c: np.ndarray, s: np.ndarray) -> np.ndarray:
 def postures(finger: int, count: int, rng: np.random.Generator) -> np.ndarray:
     """Possible angles of one finger [rad], shape [count, 3, 3]."""
     angles = ANGLE_MEAN[finger] + WIDE * ANGLE_SPREAD[finger] * rng.normal(size=(count, 3, 3))
-    hinges = np.ones((3, 3), dtype=bool)
-    hinges[0], hinges[:, 1] = False, False
-    angles[:, hinges] = 0.0
+    # Only the first joints deviate, and only the thumb's twists.
+    angles[:, 1:, ::2] = 0.0
     if finger < 4:
         angles[:, 0, 2] = 0.0
     return angles
