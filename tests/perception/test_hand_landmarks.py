@@ -188,7 +188,7 @@ def test_depth_finds_a_hand_whose_palm_is_seen_at_a_wrong_place(picture):
     assert find_hands(detector, capture)[0].score == hand.score
     beside = Window((float(truth[:, 0].mean() + 45), float(truth[:, 1].mean())), 120.0)
     image = Image.fromarray(capture.colour)
-    again = detector._again(image, np.array([beside.centre]), lengths, beside)
+    again = detector._about(image, beside, lengths)
     assert np.median(np.linalg.norm(again.pixels - truth, axis=1)) < 15
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -53,6 +52,20 @@ class DetectedHand:
         """``x0 y0 x1 y1`` around the landmarks [pixels], shape [4]."""
         return np.concatenate([self.pixels.min(axis=0), self.pixels.max(axis=0)])
 
+    @property
+    def extent(self) -> float:
+        """Diagonal of that box [pixels]."""
+        return float(np.linalg.norm(np.ptp(self.pixels, axis=0)))
+
+    @property
+    def right(self) -> float:
+        """Probability that it is a right hand."""
+        return self.side_score if self.side == "right" else 1.0 - self.side_score
+
+    def distance(self, other: DetectedHand) -> float:
+        """Mean distance of the landmarks of two hands [pixels]."""
+        return float(np.linalg.norm(self.pixels - other.pixels, axis=1).mean())
+
 
 def which_side(right: float) -> dict[str, Any]:
     """Fields of a detected hand that is a right one with some probability."""
@@ -67,43 +80,55 @@ def hand_lengths(depth: np.ndarray, focal: float) -> np.ndarray:
     return HAND_LENGTH * focal / np.where(depth > 0, depth, np.nan)
 
 
-def length_at(pixels: np.ndarray, lengths: np.ndarray | None) -> float:
-    """Median of a map at some pixels, NaN if it is not known there. pixels: shape [N, 2]."""
+def length_at(pixels: np.ndarray, lengths: np.ndarray | None, otherwise: float) -> float:
+    """How long a hand at some pixels is in the image [pixels].
+
+    Args:
+        pixels: shape [N, 2].
+        lengths: ``hand_lengths``, whose median counts; None if depth is not known.
+        otherwise: what is said if it is not known there.
+    """
     if lengths is None:
-        return math.nan
+        return otherwise
     height, width = lengths.shape
     u, v = np.rint(pixels).astype(int).T
     inside = (u >= 0) & (u < width) & (v >= 0) & (v < height)
     found = lengths[v[inside], u[inside]]
     found = found[np.isfinite(found)]
-    return float(np.median(found)) if found.size else math.nan
+    return float(np.median(found)) if found.size else otherwise
 
 
 def possible(hand: DetectedHand, length: float) -> bool:
     """Whether the landmarks of a hand may extend so far. length: of a hand in the image [pixels]."""
-    return EXTENTS[0] < float(np.linalg.norm(np.ptp(hand.pixels, axis=0))) / length < EXTENTS[1]
+    return EXTENTS[0] < hand.extent / length < EXTENTS[1]
 
 
 def confirms(first: DetectedHand, second: DetectedHand, length: float) -> bool:
     """Whether both answers are sure, and the same. length: of a hand in the image [pixels]."""
-    apart = float(np.linalg.norm(first.pixels - second.pixels, axis=1).mean())
     sure = min(first.score, second.score) > CONFIRMED_HAND and first.side == second.side
-    return sure and apart < CONFIRMED * length
+    return sure and first.distance(second) < CONFIRMED * length
 
 
 def settled(every: list[DetectedHand], last: list[DetectedHand], length: float) -> DetectedHand:
-    """The answer that most others confirm, with the others, most confirmed first; see ``_again``."""
-    pixels = np.array([hand.pixels for hand in every])
-    apart = np.linalg.norm(pixels[:, None] - pixels, axis=-1).mean(axis=-1)
+    """The answer that most others confirm, with the others, most confirmed first.
+
+    Its score is the part of the last answers, weighted by their scores, that confirms it, and the score of
+    its side what part of those agrees.
+
+    Args:
+        every: all answers about a hand.
+        last: those of them, or others, that judge it.
+        length: of a hand in the image [pixels].
+    """
+
+    def confirmed(hand: DetectedHand, by: list[DetectedHand]) -> np.ndarray:
+        apart = np.array([hand.distance(other) for other in by])
+        return np.exp(-np.square(apart / (SAME_ANSWER * length)))
+
     weights = np.array([hand.score for hand in every]) ** 2
-    near = np.exp(-np.square(apart / (SAME_ANSWER * length)))
-    order = np.argsort(-(near @ weights), kind="stable")
+    order = np.argsort([-(confirmed(hand, every) @ weights) for hand in every], kind="stable")
     best = every[order[0]]
-    right = [hand.side_score if hand.side == "right" else 1 - hand.side_score for hand in last]
-    scores = np.array([hand.score for hand in last])
-    confirmed = np.array([np.linalg.norm(hand.pixels - best.pixels, axis=1).mean() for hand in last])
-    confirmed = np.exp(-np.square(confirmed / (SAME_ANSWER * length)))
-    vote = float(np.average(right, weights=scores * confirmed + 1e-9))
-    score = float(np.mean(scores * confirmed))
+    worth = np.array([hand.score for hand in last]) * confirmed(best, last)
+    vote = float(np.average([hand.right for hand in last], weights=worth + 1e-9))
     others = tuple(every[i] for i in order[1:])
-    return replace(best, score=score, others=others, **which_side(vote))
+    return replace(best, score=float(worth.mean()), others=others, **which_side(vote))

@@ -71,6 +71,25 @@ FLESH = _capsules()
 """Four in the palm, three in each finger; the thumb's first is its ball."""
 
 
+def offsets_from_lines(
+    points: np.ndarray, first: np.ndarray, last: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Where on lines the points nearest to some others are, and the way from there to them.
+
+    Args:
+        points: shape [..., P, d].
+        first, last: ends of the lines, shape [..., C, d].
+
+    Returns:
+        0 to 1, shape [..., P, C]; shape [..., P, C, d].
+    """
+    line = last - first
+    square = np.maximum(np.sum(line**2, axis=-1), 1e-12)[..., None, :]
+    offset = points[..., :, None, :] - first[..., None, :, :]
+    along = np.clip(np.einsum("...pci,...ci->...pc", offset, line) / square, 0.0, 1.0)
+    return along, offset - along[..., None] * line[..., None, :, :]
+
+
 def capsule_distances(
     points: np.ndarray, first: np.ndarray, last: np.ndarray, radius: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -86,11 +105,7 @@ def capsule_distances(
         the camera; where on the line the nearest point is, 0 to 1, same shape; the outward normal, shape
         [..., P, C, 3].
     """
-    line = last - first
-    square = np.maximum(np.sum(line**2, axis=-1), 1e-12)[..., None, :]
-    offset = points[:, None] - first[..., None, :, :]
-    along = np.clip(np.einsum("...pci,...ci->...pc", offset, line) / square, 0.0, 1.0)
-    offset = offset - along[..., None] * line[..., None, :, :]
+    along, offset = offsets_from_lines(points, first, last)
     length = np.sqrt(np.einsum("...i,...i->...", offset, offset))
     normal = offset / np.maximum(length, 1e-9)[..., None]
     away = np.einsum("...pci,pi->...pc", normal, points / np.linalg.norm(points, axis=1)[:, None])

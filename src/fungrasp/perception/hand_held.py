@@ -116,9 +116,7 @@ def _guesses(detected: DetectedHand, side: Side | None) -> list[DetectedHand]:
     kept: list[DetectedHand] = []
     every = sorted((detected, *detected.others), key=lambda guess: guess is not detected)
     for guess in every:
-        extent = float(np.linalg.norm(np.ptp(guess.pixels, axis=0)))
-        off = [np.linalg.norm(guess.pixels - other.pixels, axis=1).mean() for other in kept]
-        if min(off, default=np.inf) > SAME_GUESS * extent:
+        if all(guess.distance(other) > SAME_GUESS * guess.extent for other in kept):
             kept.append(guess)
     sides: list[Side] = [side or detected.side]
     if side is None and detected.side_score < OTHER_SIDE:

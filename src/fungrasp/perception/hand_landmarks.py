@@ -37,8 +37,8 @@ FROM_MODEL = np.array([0, *range(5, 21), *range(1, 5)])
 
 _TO_MODEL = np.argsort(FROM_MODEL)
 
-FINGER_BEYOND, THUMB_BEYOND, WRIST_BEYOND = (0.0, 0.09, 0.13, -0.18), (0.0, 0.08, 0.08, -0.16), 0.04
-"""How far beyond the joints that data sets mean the models' landmarks are, knuckle to tip, as a part of the
+FINGER_BEYOND, THUMB_BEYOND, WRIST_BEYOND = (0.09, 0.13, -0.18), (0.08, 0.08, -0.16), 0.04
+"""How far beyond the joints that data sets mean the models' landmarks are, after knuckles, as a part of the
 bone that ends there; the wrist's toward the middle finger's knuckle, as a part of that way. Landmarks of tips
 are on the nail, not at its end. From 130 rendered captures, whose visible landmarks it brings from 7.3 to 6.3
 pixels and from 8.1 to 7.1; at knuckles and middle joints taken smaller than measured, as a rendered hand may
@@ -46,18 +46,16 @@ mislead."""
 
 
 def _joints_of_landmarks() -> np.ndarray:
-    """Takes landmarks in the order of ``HUMAN_JOINTS`` to joints, shape [21, 21]."""
     matrix = np.eye(21)
     for finger in range(5):
-        for joint, part in enumerate(THUMB_BEYOND if finger == 4 else FINGER_BEYOND):
-            if joint:
-                row = 1 + 4 * finger + joint
-                matrix[row, [row, row - 1]] += [-part, part]
+        for joint, part in enumerate(THUMB_BEYOND if finger == 4 else FINGER_BEYOND, start=2 + 4 * finger):
+            matrix[joint, [joint, joint - 1]] += [-part, part]
     matrix[0, [0, 9]] += [WRIST_BEYOND, -WRIST_BEYOND]
     return matrix
 
 
 JOINTS_OF_LANDMARKS = _joints_of_landmarks()
+"""Takes landmarks in the order of ``HUMAN_JOINTS`` to joints, shape [21, 21]."""
 
 _LANDMARKS_OF_JOINTS = np.linalg.inv(JOINTS_OF_LANDMARKS)
 
@@ -144,54 +142,56 @@ class HandDetector:
             seen = self._palms(image, window)
             answers = [self._hand(image, start) for score, start in seen if score >= SURE_PALM]
             found = _distinct([hand for hand in answers if hand.score >= SURE_HAND])
-            first = [self._again(image, hand.pixels, lengths, hand) for hand in found[:LOOKED_AT_AGAIN]]
+            first = [self._again(image, hand, lengths) for hand in found[:LOOKED_AT_AGAIN]]
             first = [hand for hand in first if hand.score >= FAINT_HAND]
             if first:
                 return first + found[LOOKED_AT_AGAIN:]
             palms += seen
-        faint = [
-            self._again(image, np.array([start.centre]), lengths, start)
-            for start in _apart(palms)[:FAINT_PALMS]
-        ]
+        faint = [self._about(image, start, lengths) for start in _apart(palms)[:FAINT_PALMS]]
         best = max(faint, key=lambda hand: hand.score, default=None)
         return [best] if best is not None and best.score >= FAINT_HAND else []
 
-    def _again(
-        self, image: Image.Image, about: np.ndarray, lengths: np.ndarray | None, start: DetectedHand | Window
-    ) -> DetectedHand:
-        """What the models make of a hand in many windows: the answer that most others confirm.
+    def _again(self, image: Image.Image, hand: DetectedHand, lengths: np.ndarray | None) -> DetectedHand:
+        """The hand, if the windows around it confirm it, else what windows all round make of it."""
+        window = _window_of(hand)
+        length = length_at(hand.pixels, lengths, window.size / WINDOW_LENGTHS)
+        if possible(hand, length):
+            again = [self._look(image, window, mirrored) for mirrored in (False, True)]
+            if all(confirms(hand, answer, length) for answer in again):
+                return settled([hand, *again], again, length)
+        middle = hand.pixels.mean(axis=0)
+        return self._settle(image, [hand], [(middle, turn) for turn in WINDOW_TURNS], length)
 
-        Its score is the part of the last windows, weighted by theirs, that confirms it, and the score of its
-        side what part of those agrees.
+    def _about(self, image: Image.Image, palm: Window, lengths: np.ndarray | None) -> DetectedHand:
+        """What windows about a palm make of its hand. palm: the window that the hand should be in."""
+        length = length_at(np.array([palm.centre]), lengths, palm.size / WINDOW_LENGTHS)
+        centres = palm.centre + length * np.array(ABOUT_PALM)
+        places = [(centre, turn) for centre in centres for turn in WINDOW_TURNS[::2]]
+        return self._settle(image, [], places, length)
+
+    def _settle(
+        self,
+        image: Image.Image,
+        seen: list[DetectedHand],
+        places: list[tuple[np.ndarray, float]],
+        length: float,
+    ) -> DetectedHand:
+        """The answer that most others confirm, of those seen already and from more windows.
 
         Args:
             image: RGB.
-            about: pixels where it may be, shape [N, 2].
-            lengths: ``hand_lengths``.
-            start: the first answer, or the window that it should be in.
+            seen: answers.
+            places: middles of windows [pixels], shape [2], and how they are turned [rad].
+            length: of a hand in the image [pixels].
         """
-        every = [start] if isinstance(start, DetectedHand) else []
-        length = length_at(about, lengths)
-        if math.isnan(length):
-            window = start if isinstance(start, Window) else _window_of(start)
-            length = window.size / WINDOW_LENGTHS
-        if isinstance(start, DetectedHand) and possible(start, length):
-            window = _window_of(start)
-            again = [self._look(image, window, mirrored) for mirrored in (False, True)]
-            if all(confirms(start, answer, length) for answer in again):
-                return settled([start, *again], again, length)
-        middle, size = about.mean(axis=0), WINDOW_LENGTHS * length
-        if isinstance(start, DetectedHand):
-            places = [(middle, turn) for turn in WINDOW_TURNS]
-        else:
-            centres = middle + length * np.array(ABOUT_PALM)
-            places = [(centre, turn) for centre in centres for turn in WINDOW_TURNS[::2]]
-        for (u, v), turn in places:
-            every.append(self._look(image, Window((float(u), float(v)), size, float(turn))))
-        last = []
-        for answer in sorted(every, key=lambda answer: -answer.score)[:CUT_AGAIN]:
-            window = _window_of(answer)
-            last += [self._look(image, window, mirrored) for mirrored in (False, True)]
+        size = WINDOW_LENGTHS * length
+        every = seen + [
+            self._look(image, Window((float(u), float(v)), size, float(turn))) for (u, v), turn in places
+        ]
+        best = sorted(every, key=lambda answer: -answer.score)[:CUT_AGAIN]
+        last = [
+            self._look(image, _window_of(answer), mirrored) for answer in best for mirrored in (False, True)
+        ]
         every += last
         return settled([answer for answer in every if possible(answer, length)] or every, last, length)
 

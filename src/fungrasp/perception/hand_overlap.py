@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from fungrasp.perception.hand_evidence import Evidence
-from fungrasp.perception.hand_flesh import FLESH
+from fungrasp.perception.hand_flesh import FLESH, offsets_from_lines
 from fungrasp.perception.hand_skeleton import Skeleton
 
 SLACK = 0.0015
@@ -80,11 +80,8 @@ def overlaps(points: np.ndarray, radius: np.ndarray, hand: Skeleton, finger: int
     """
     others = (FLESH.finger >= 0) & (FLESH.finger != finger)
     first, last = FLESH.ends(hand.joints())
-    first, line = first[others], (last - first)[others]
     thick = FLESH.radius[others] * np.exp(hand.size)
-    offset = points[:, :, None] - first
-    along = np.clip(np.einsum("spci,ci->spc", offset, line) / np.sum(line**2, axis=1), 0.0, 1.0)
-    away = offset - along[..., None] * line
+    along, away = offsets_from_lines(points, first[others], last[others])
     distance = np.sqrt(np.einsum("spci,spci->spc", away, away))
     gap = distance - thick[:, 0] - along * (thick[:, 1] - thick[:, 0]) - radius[:, None] + SLACK
     return np.maximum(-gap.min(axis=-1), 0.0)

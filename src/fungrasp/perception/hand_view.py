@@ -10,6 +10,7 @@ import numpy as np
 from fungrasp.grasps.human_hand import BONES
 from fungrasp.perception.capture import Capture, Intrinsics
 from fungrasp.perception.hand_contact import Surroundings
+from fungrasp.perception.hand_flesh import offsets_from_lines
 from fungrasp.perception.hand_start import MIRROR_X
 
 REACH = 0.12
@@ -136,7 +137,8 @@ def _skin_coloured(
     """
     votes = np.zeros(len(pixels))
     for ends in bones:
-        votes += (_line_distance(pixels, *ends) < reach).any(axis=1)
+        _, offset = offsets_from_lines(pixels, *ends)
+        votes += (np.linalg.norm(offset, axis=-1) < reach).any(axis=1)
     on = np.flatnonzero(votes)
     if len(on) < LEAST_SKIN:
         return np.ones(len(pixels), dtype=bool)
@@ -149,11 +151,3 @@ def _skin_coloured(
     middle = np.median(alike, axis=0)
     spread = np.maximum(1.48 * np.median(np.abs(alike - middle), axis=0), COLOUR_SPREAD)
     return np.linalg.norm((tone - middle) / spread, axis=1) < OTHER_COLOUR
-
-
-def _line_distance(pixels: np.ndarray, first: np.ndarray, last: np.ndarray) -> np.ndarray:
-    """Distances of pixels, shape [P, 2], from lines between pixels, each [B, 2]; returns [P, B]."""
-    line = last - first
-    offset = pixels[:, None] - first
-    along = np.einsum("pbi,bi->pb", offset, line) / np.maximum(np.sum(line**2, axis=1), 1e-9)
-    return np.linalg.norm(offset - np.clip(along, 0.0, 1.0)[..., None] * line, axis=-1)

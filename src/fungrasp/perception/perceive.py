@@ -39,8 +39,8 @@ from fungrasp.perception.world_frame import guessed_table, in_world, put_down, w
 __all__ = ["DepthDetector", "Detector", "Perceived", "Quality", "find_hands", "perceive"]
 
 SURE_HAND = 0.6
-"""Hands of a lower score are "not sure". Of 30 found in rendered captures, three of the four whose joints
-were wrong by more than 25 mm had less, and none of those right to 14 mm."""
+"""Hands of a lower score are "not sure". Of 85 found in rendered captures 72 have more, whose joints are off
+by 9.7 mm in the mean; those of the others by 32 mm."""
 
 
 class Detector(Protocol):
