@@ -13,7 +13,7 @@ HAND_LENGTH = 0.19
 """From wrist to fingertips of an adult [m]."""
 
 EXTENTS = (0.4, 1.2)
-"""Least and largest extent of a hand's landmarks in the image, in hand lengths. Of 140 rendered hands, most
+"""Least and largest extent of a hand's landmarks in the image, in hand lengths. Of 170 rendered hands, most
 of them bent about an object, all were between 0.46 and 1.03."""
 
 CONFIRMED_HAND, CONFIRMED = 0.8, 0.05

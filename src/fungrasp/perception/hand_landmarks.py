@@ -40,7 +40,7 @@ _TO_MODEL = np.argsort(FROM_MODEL)
 FINGER_BEYOND, THUMB_BEYOND, WRIST_BEYOND = (0.09, 0.13, -0.18), (0.08, 0.08, -0.16), 0.04
 """How far beyond the joints that data sets mean the models' landmarks are, after knuckles, as a part of the
 bone that ends there; the wrist's toward the middle finger's knuckle, as a part of that way. Landmarks of tips
-are on the nail, not at its end. From 130 rendered captures, whose visible landmarks it brings from 7.3 to 6.3
+are on the nail, not at its end. From 178 rendered captures, whose visible landmarks it brings from 7.3 to 6.3
 pixels and from 8.1 to 7.1; at knuckles and middle joints taken smaller than measured, as a rendered hand may
 mislead."""
 
