@@ -7,7 +7,7 @@ JOBS ?= 2
 VENV := .venv
 BIN := $(VENV)/bin
 # Whether hands in images can be found; the models are fetched, as the repository does not hold them.
-SEES = $(BIN)/python -c 'import sys, ai_edge_litert; from fungrasp.perception.hand_weights import have_weights; \
+SEES = $(BIN)/python -c 'import sys, ai_edge_litert; from fungrasp.perception.hand.model_weights import have_weights; \
 	sys.exit(not have_weights())' 2>/dev/null
 CHECKS := lint types imports docs unit
 

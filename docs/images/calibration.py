@@ -25,7 +25,7 @@ from fungrasp.evaluation.calibration import (
 )
 from fungrasp.evaluation.results import finite
 from fungrasp.evaluation.statistics import wilson_interval
-from fungrasp.perception.pose_confidence import ACCEPT, FEATURES
+from fungrasp.perception.object_pose.confidence import ACCEPT, FEATURES
 
 HERE = Path(__file__).parent
 EDGES = np.array([0.0, 0.1, 0.25, 0.5, ACCEPT, 0.9, 0.97, 1.0])

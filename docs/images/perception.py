@@ -11,10 +11,10 @@ import numpy as np
 from PIL import Image
 
 from fungrasp.objects import builtin_object
-from fungrasp.perception.perceive import perceive
-from fungrasp.perception.scene_folders import read_folder
+from fungrasp.perception.io.scene_folders import read_folder
+from fungrasp.perception.pipeline import perceive
 from fungrasp.report import grid
-from fungrasp.report.demo_image import FOLDER, demo_truth
+from fungrasp.report.demo_capture import FOLDER, demo_truth
 from fungrasp.report.perception_pictures import drawn_over, grasp_from_four_sides
 
 SIZE = (480, 360)

@@ -10,17 +10,11 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from fungrasp.grasps import HumanGraspSet, builtin_grasps
+from fungrasp.grasps import HumanGraspSet, builtin_grasps, load_objects
 from fungrasp.hands import load_hand
-from fungrasp.report import (
-    Camera,
-    grid,
-    human_grasp_scene,
-    look_at_grasp,
-    render,
-    robot_grasp_scene,
-)
-from fungrasp.retarget import load_objects, retarget
+from fungrasp.rendering import Camera, human_grasp_scene, look_at_grasp, render, robot_grasp_scene
+from fungrasp.report import grid
+from fungrasp.retarget import retarget
 
 CHOICE = (("mug", "drink"), ("hammer", "hammer"), ("spray_bottle", "spray"), ("scissors", "cut"))
 """Object and task of each row."""

@@ -10,12 +10,11 @@ import numpy as np
 import pytest
 from grasp_files import run, some_grasps
 
+from fungrasp.captures.capture_files import write_capture
+from fungrasp.captures.render_capture import CaptureSettings, capture_at
 from fungrasp.cli.bench_perception import Perception
-from fungrasp.grasps import save_human_grasps
+from fungrasp.grasps import load_objects, save_human_grasps
 from fungrasp.perception import Intrinsics
-from fungrasp.report.captures import CaptureSettings, capture_at
-from fungrasp.report.captures_files import write_capture
-from fungrasp.retarget import load_objects
 
 
 @pytest.fixture(scope="module")
@@ -75,7 +74,7 @@ def test_perception_on_kept_captures(human, tmp_path, capsys, monkeypatch):
     objects = load_objects(grasps)
     for i in range(2):
         write_capture(capture_at(i, grasps, objects, 7, small), tmp_path / "kept" / f"7_{i:04d}")
-    monkeypatch.setattr("fungrasp.perception.hand_landmarks.HandDetector", NoHands)
+    monkeypatch.setattr("fungrasp.perception.hand.landmarks.HandDetector", NoHands)
     path = tmp_path / "b.json"
     arguments = ("--grasps", human, "--captures", 2, "--seed", 7, "--keep", tmp_path / "kept", "--wrong")
     with monkeypatch.context() as patch:

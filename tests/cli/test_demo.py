@@ -16,9 +16,9 @@ from fungrasp.cli.main import main
 from fungrasp.grasps import HumanGraspSet, builtin_grasps, save_human_grasps
 from fungrasp.objects import builtin_object
 from fungrasp.perception import HandEstimate, ObjectEstimate
-from fungrasp.perception import perceive as perceiving
-from fungrasp.perception.perceive import Perceived
-from fungrasp.report.demo_image import FOLDER, demo_truth
+from fungrasp.perception import pipeline as perceiving
+from fungrasp.perception.pipeline import Perceived
+from fungrasp.report.demo_capture import FOLDER, demo_truth
 
 
 @pytest.fixture(autouse=True)
@@ -109,7 +109,7 @@ def test_a_file_in_the_way_of_the_folder(tmp_path: Path, capsys: pytest.CaptureF
 
 
 def test_an_interruption_leaves_no_half_written_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from fungrasp.report import trial_film
+    from fungrasp.report import episode_film as trial_film
 
     def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt

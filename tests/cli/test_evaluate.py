@@ -11,7 +11,8 @@ from grasp_files import BAD, bad_inputs, run, some_grasps
 from PIL import Image
 
 from fungrasp import evaluation
-from fungrasp.evaluation import dynamic, replay
+from fungrasp.evaluation import lift_test as dynamic
+from fungrasp.evaluation import replay
 from fungrasp.grasps import save_human_grasps
 
 

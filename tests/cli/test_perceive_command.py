@@ -23,12 +23,12 @@ from fungrasp.errors import FungraspError, UnknownNameError
 from fungrasp.grasps import load_human_grasps, load_robot_grasps
 from fungrasp.objects import builtin_object
 from fungrasp.perception import HandEstimate, ObjectEstimate
-from fungrasp.perception import perceive as room
+from fungrasp.perception import pipeline as room
 from fungrasp.perception.adapters import registry
-from fungrasp.perception.detected_hand import DetectedHand
-from fungrasp.perception.hand_start import joint_confidence
-from fungrasp.perception.scene_folders import read_folder
-from fungrasp.report.demo_image import FOLDER, demo_truth
+from fungrasp.perception.hand.detection import DetectedHand
+from fungrasp.perception.hand.initial_skeleton import joint_confidence
+from fungrasp.perception.io.scene_folders import read_folder
+from fungrasp.report.demo_capture import FOLDER, demo_truth
 
 TRUTH = demo_truth()
 NAME = TRUTH.object_name
@@ -46,7 +46,7 @@ def landmarks() -> DetectedHand:
 
 def object_mask() -> np.ndarray:
     """Pixels that show the object and what hides it, roughly: the depth of its silhouette."""
-    from fungrasp.perception.rays import MeshRays
+    from fungrasp.perception.object_pose.mesh_rays import MeshRays
 
     model, capture = builtin_object(NAME), read_folder(FOLDER)
     rays = capture.intrinsics.rays().reshape(-1, 3)
@@ -137,7 +137,7 @@ def camera(monkeypatch) -> list[tuple[object, object]]:
         asked.append((recording, image))
         return read_folder(FOLDER)
 
-    monkeypatch.setattr("fungrasp.perception.realsense.capture_from_camera", capture)
+    monkeypatch.setattr("fungrasp.perception.io.realsense.capture_from_camera", capture)
     return asked
 
 

@@ -12,9 +12,9 @@ from onnx import TensorProto, helper
 
 from fungrasp.cli.main import main
 from fungrasp.hands import load_hand
-from fungrasp.policies import policy_file
-from fungrasp.policies.card import ActionPart, Budget, Part, PolicyCard, TrainingData
-from fungrasp.policies.policy_file import hand_digest, save_policy, servo_gains
+from fungrasp.policies.checkpoint import checkpoint_file as policy_file
+from fungrasp.policies.checkpoint.card import ActionPart, Budget, Part, PolicyCard, TrainingData
+from fungrasp.policies.checkpoint.checkpoint_file import hand_digest, save_policy, servo_gains
 
 NAMES = ("allegro-student", "allegro-teacher")
 

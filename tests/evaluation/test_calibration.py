@@ -16,7 +16,7 @@ from fungrasp.evaluation.calibration import (
     reliability,
     scored,
 )
-from fungrasp.perception.pose_confidence import FEATURES
+from fungrasp.perception.object_pose.confidence import FEATURES
 
 
 def drawn(count: int, weights: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:

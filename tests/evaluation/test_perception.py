@@ -32,9 +32,9 @@ from fungrasp.geometry.poses import compose, invert, transform_points
 from fungrasp.grasps import HUMAN_JOINTS, HUMAN_LINKS, builtin_grasps
 from fungrasp.objects import builtin_object
 from fungrasp.perception import Capture, Intrinsics
-from fungrasp.perception.detected_hand import DetectedHand
-from fungrasp.perception.rays import MeshRays
-from fungrasp.perception.segmentation import TIPS
+from fungrasp.perception.hand.detection import DetectedHand
+from fungrasp.perception.object_pose.mesh_rays import MeshRays
+from fungrasp.perception.scene.segmentation import TIPS
 
 GRASP = builtin_grasps()[0]
 MODEL = builtin_object(GRASP.object_name)

@@ -11,9 +11,9 @@ from surface_samples import PlacedHand, convex_distance, matrix, nearest_point
 from fungrasp.errors import FungraspError
 from fungrasp.evaluation import static_quality
 from fungrasp.geometry.poses import compose
-from fungrasp.grasps import HumanGraspSet, builtin_grasps
+from fungrasp.grasps import HumanGraspSet, builtin_grasps, load_objects
 from fungrasp.hands import load_hand
-from fungrasp.retarget import load_objects, retarget
+from fungrasp.retarget import retarget
 
 FAR = 2.0
 """Beyond this [mm] only the order of magnitude of a mean gap matters."""

@@ -11,8 +11,8 @@ from fungrasp.grasps import BONES, HUMAN_LINKS, bone_lengths, builtin_grasps
 from fungrasp.grasps.anatomy import check_anatomy
 from fungrasp.hands import load_hand
 from fungrasp.objects import load_object, object_names
-from fungrasp.retarget.everyday import EVERYDAY
-from fungrasp.retarget.human_terms import part_samples
+from fungrasp.synthesis.builtin_specifications import EVERYDAY
+from fungrasp.synthesis.human_hand_terms import part_samples
 
 FINGER_LINKS = HUMAN_LINKS[1:]
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from conftest import bent_hand
+from bent_hand import bent_hand
 from scipy.spatial.transform import Rotation
 
 from fungrasp.errors import FungraspError

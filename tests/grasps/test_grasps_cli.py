@@ -8,7 +8,7 @@ import types
 import numpy as np
 import pytest
 import trimesh
-from conftest import bent_hand
+from bent_hand import bent_hand
 from PIL import Image
 from test_dexycb import write_dataset
 from test_pickles import labels

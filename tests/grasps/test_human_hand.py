@@ -39,7 +39,7 @@ def test_directions_of_a_flat_hand(hand):
 
 @given(bends=angles, turn=st.integers(0, 50))
 def test_bends_are_those_the_hand_was_made_with_in_any_frame(bends, turn):
-    from conftest import bent_hand
+    from bent_hand import bent_hand
 
     joints = bent_hand(bends) @ Rotation.random(rng=turn).as_matrix().T + [1, 2, 3]
     flexion, deviation = joint_bends(joints)

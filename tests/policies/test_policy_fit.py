@@ -11,8 +11,8 @@ from small_policies import OBSERVATION, allegro_card
 from fungrasp.errors import FungraspError
 from fungrasp.hands import load_hand
 from fungrasp.hands.hand import read_hand
-from fungrasp.policies.card import Part, PolicyCard
-from fungrasp.policies.policy_file import (
+from fungrasp.policies.checkpoint.card import Part, PolicyCard
+from fungrasp.policies.checkpoint.checkpoint_file import (
     check_fits,
     hand_digest,
 )

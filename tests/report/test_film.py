@@ -3,7 +3,8 @@ import numpy as np
 import pytest
 
 from fungrasp.errors import FungraspError
-from fungrasp.report import film, orbit_camera
+from fungrasp.rendering import orbit_camera
+from fungrasp.report import film
 from fungrasp.report.film import frame_times, interpolate
 
 SCENE = """

@@ -15,11 +15,11 @@ from fungrasp.grasps import HumanGrasp
 from fungrasp.grasps.human_hand import mirror_points, mirror_pose
 from fungrasp.objects import builtin_object
 from fungrasp.perception import HandEstimate, ObjectEstimate
-from fungrasp.perception.perceive import Perceived
+from fungrasp.perception.io.scene_folders import read_folder
+from fungrasp.perception.pipeline import Perceived
 from fungrasp.perception.quality import Quality
-from fungrasp.perception.scene_folders import read_folder
 from fungrasp.report import perception_page
-from fungrasp.report.demo_image import FILES, FOLDER, demo_truth, true_errors
+from fungrasp.report.demo_capture import FILES, FOLDER, demo_truth, true_errors
 from fungrasp.report.page_parts import Quantity
 from fungrasp.report.perception_alternatives import alternatives
 from fungrasp.report.perception_page import contact_words, quantities, write_perception_page

@@ -6,18 +6,16 @@ from flat_hand import FLAT_HAND
 
 from fungrasp.errors import FungraspError
 from fungrasp.hands import load_hand
-from fungrasp.report import (
+from fungrasp.rendering import (
     Renderer,
-    captioned,
-    four_views,
-    grid,
     human_grasp_scene,
     look_at_grasp,
     robot_grasp_scene,
     robot_scene_colours,
     robot_scene_states,
 )
-from fungrasp.report.scenes import CONTACT, OBJECT_BODY
+from fungrasp.rendering.grasp_scenes import CONTACT, OBJECT_BODY
+from fungrasp.report import captioned, four_views, grid
 
 BOX = trimesh.creation.box((0.06, 0.06, 0.04))
 POSE = np.array([0.0, 0.15, 0.02, 1, 0, 0, 0])

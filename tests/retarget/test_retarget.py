@@ -13,10 +13,10 @@ from scipy.spatial.transform import Rotation
 from fungrasp.errors import UnknownNameError
 from fungrasp.evaluation.quality import StaticQuality, static_quality
 from fungrasp.geometry.poses import compose, invert
-from fungrasp.grasps import HumanGraspSet, RobotGraspSet
+from fungrasp.grasps import HumanGraspSet, RobotGraspSet, load_objects
 from fungrasp.grasps.files import load_human_grasps
 from fungrasp.hands import load_hand
-from fungrasp.retarget import METHODS, load_objects, retarget
+from fungrasp.retarget import METHODS, retarget
 
 DEXYCB, YCB = SHARED / "data" / "dexycb_train.npz", SHARED / "data" / "ycb"
 needs_dexycb = pytest.mark.skipif(

@@ -7,9 +7,9 @@ import pytest
 from task_scenes import hand, plain, ready, stay
 
 from fungrasp.geometry.poses import compose, invert
-from fungrasp.grasps import builtin_grasps
+from fungrasp.grasps import builtin_grasps, load_objects
 from fungrasp.policies import ReferenceController, play
-from fungrasp.retarget import load_objects, retarget
+from fungrasp.retarget import retarget
 from fungrasp.simulation import Worlds, build_scene
 from fungrasp.task import Action, LiftTask, Protocol
 

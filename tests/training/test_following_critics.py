@@ -11,13 +11,13 @@ import torch
 from small_training import BATCH, PPO, WORLDS, hand, run_settings, training_set
 
 from fungrasp.errors import FungraspError
+from fungrasp.planning.selection.candidates import expect
 from fungrasp.policies import make_policy, play
-from fungrasp.policies.card import Budget
-from fungrasp.policies.policy_file import load_policy, read_card
-from fungrasp.policies.proposals import expect
+from fungrasp.policies.checkpoint.card import Budget
+from fungrasp.policies.checkpoint.checkpoint_file import load_policy, read_card
+from fungrasp.policies.residual_action import ResidualSettings
 from fungrasp.simulation import Worlds, build_scene
 from fungrasp.task import LiftTask
-from fungrasp.task.residual import ResidualSettings
 from fungrasp.training.checkpoint import read_checkpoint
 from fungrasp.training.export import export_critic, make_card
 from fungrasp.training.library import Variety, build_library

@@ -11,14 +11,14 @@ from small_training import hand, training_set
 
 import fungrasp.training.plans as plans
 from fungrasp.errors import FungraspError
+from fungrasp.planning.selection.candidates import Start
+from fungrasp.planning.selection.search import ChoiceSettings, choose_references
 from fungrasp.policies import make_policy, play
-from fungrasp.policies.card import Budget
-from fungrasp.policies.choose import ChoiceSettings, choose_references
-from fungrasp.policies.policy_file import load_policy
-from fungrasp.policies.proposals import Start
+from fungrasp.policies.checkpoint.card import Budget
+from fungrasp.policies.checkpoint.checkpoint_file import load_policy
+from fungrasp.policies.residual_action import ResidualSettings
 from fungrasp.simulation import Worlds, build_scene
 from fungrasp.task import LiftTask
-from fungrasp.task.residual import ResidualSettings
 from fungrasp.training.export import export_critic, make_card
 from fungrasp.training.plans import Outcomes, cross_validate, fit_critic, try_plans
 from fungrasp.training.settings import PlanSettings

@@ -18,9 +18,9 @@ from small_training import BATCH, PPO, environment, hand, library, run_settings,
 
 from fungrasp.errors import FungraspError
 from fungrasp.hands import load_hand
-from fungrasp.policies.card import Budget
-from fungrasp.policies.policy_file import load_policy
-from fungrasp.policies.references import References
+from fungrasp.planning.references import References
+from fungrasp.policies.checkpoint.card import Budget
+from fungrasp.policies.checkpoint.checkpoint_file import load_policy
 from fungrasp.training.checkpoint import check_environment, environment_state, read_checkpoint
 from fungrasp.training.distill import make_student
 from fungrasp.training.export import export_student, make_card
@@ -164,7 +164,9 @@ def test_a_killed_run_goes_on_where_its_checkpoint_is(tmp_path):
         "from fungrasp.training.run import train;"
         "train(Path(sys.argv[2]), [t.training_set()], t.hand(), t.run_settings(), 10**9, threads=1)"
     )
-    process = subprocess.Popen([sys.executable, "-c", code, str(Path(__file__).parent), str(tmp_path)])
+    process = subprocess.Popen(
+        [sys.executable, "-c", code, str(Path(__file__).parents[1] / "helpers"), str(tmp_path)]
+    )
     checkpoint = tmp_path / "checkpoint.pt"
     deadline = time.time() + 600
     while not checkpoint.exists() and time.time() < deadline and process.poll() is None:

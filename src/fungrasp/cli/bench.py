@@ -39,9 +39,9 @@ class Retargeting:
     def run(self) -> None:
         from fungrasp.errors import UnknownNameError
         from fungrasp.evaluation.results import finite, machine
-        from fungrasp.grasps import load_human_grasps
+        from fungrasp.grasps import load_human_grasps, load_objects
         from fungrasp.hands import load_hand
-        from fungrasp.retarget import METHODS, load_objects
+        from fungrasp.retarget import METHODS
 
         _check_positive(repeat=self.repeat)
         for name in self.method:
@@ -108,9 +108,8 @@ class Simulation:
         from fungrasp.cli.retarget import retargeted
         from fungrasp.evaluation.results import machine
         from fungrasp.evaluation.speed import simulation_speed
-        from fungrasp.grasps import load_human_grasps
+        from fungrasp.grasps import load_human_grasps, load_objects
         from fungrasp.hands import load_hand
-        from fungrasp.retarget import load_objects
 
         _check_positive(worlds=self.worlds, repeat=self.repeat)
         hand = load_hand(self.hand)
@@ -171,10 +170,9 @@ class Training:
 
         from fungrasp.cli.retarget import retargeted
         from fungrasp.evaluation.results import machine
-        from fungrasp.grasps import load_human_grasps
+        from fungrasp.grasps import load_human_grasps, load_objects
         from fungrasp.hands import load_hand
-        from fungrasp.policies.policy_file import load_policy
-        from fungrasp.retarget import load_objects
+        from fungrasp.policies.checkpoint.checkpoint_file import load_policy
         from fungrasp.training.environment import EnvironmentSettings, LiftEnvironment
         from fungrasp.training.library import Variety, build_library
         from fungrasp.training.settings import PpoSettings

@@ -11,14 +11,14 @@ from fungrasp.cli.console import progress_bar, table, write_json
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
+    from fungrasp.captures.capture_scene import Label
+    from fungrasp.captures.render_capture import SyntheticCapture
     from fungrasp.evaluation.perception import CaptureResult
     from fungrasp.evaluation.perception_store import KeptCaptures
     from fungrasp.grasps import HumanGraspSet
     from fungrasp.objects import ObjectModel
     from fungrasp.perception import Capture
-    from fungrasp.perception.perceive import Detector
-    from fungrasp.report.captures import SyntheticCapture
-    from fungrasp.report.captures_scene import Label
+    from fungrasp.perception.pipeline import Detector
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ class Perception:
         from fungrasp.evaluation.perception_store import KeptCaptures
         from fungrasp.evaluation.results import machine
         from fungrasp.files import digest
-        from fungrasp.retarget import load_objects
+        from fungrasp.grasps import load_objects
 
         human = self._grasps()
         if self.chain:
@@ -143,7 +143,7 @@ class Perception:
     def _measured(
         self, human: HumanGraspSet, objects: Mapping[str, ObjectModel], store: KeptCaptures | None
     ) -> Iterator[CaptureResult]:
-        from fungrasp.perception.hand_landmarks import HandDetector
+        from fungrasp.perception.hand.landmarks import HandDetector
 
         detector = HandDetector() if self.landmarks_noise is None else None
         with progress_bar("perceiving", self.captures) as show:
@@ -164,10 +164,10 @@ class Perception:
 
         import numpy as np
 
+        from fungrasp.captures.capture_files import painted_mesh
+        from fungrasp.captures.capture_scene import Label
         from fungrasp.evaluation.perception import measure_absent, measure_perception
         from fungrasp.evaluation.perception_noise import TrueLandmarks
-        from fungrasp.report.captures_files import painted_mesh
-        from fungrasp.report.captures_scene import Label
 
         known = self._capture(index, human, objects)
         if detector is None:
@@ -189,7 +189,7 @@ class Perception:
         self, index: int, part: Label, human: HumanGraspSet, objects: Mapping[str, ObjectModel]
     ) -> Capture:
         """The same capture without the hand or the object."""
-        from fungrasp.report.captures import CaptureSettings, capture_at
+        from fungrasp.captures.render_capture import CaptureSettings, capture_at
 
         return capture_at(index, human, objects, self.seed, CaptureSettings(missing=(part,))).capture
 
@@ -197,8 +197,8 @@ class Perception:
         self, index: int, human: HumanGraspSet, objects: Mapping[str, ObjectModel]
     ) -> SyntheticCapture:
         """Read if it was kept, else rendered."""
-        from fungrasp.report.captures import capture_at
-        from fungrasp.report.captures_files import TRUTH_FILE, read_synthetic_capture, write_capture
+        from fungrasp.captures.capture_files import TRUTH_FILE, read_synthetic_capture, write_capture
+        from fungrasp.captures.render_capture import capture_at
 
         folder = None if self.keep is None else self.keep / f"{self.seed}_{index:04d}"
         if folder is not None and (folder / TRUTH_FILE).is_file():
@@ -209,7 +209,7 @@ class Perception:
         return known
 
     def _check_policies(self) -> None:
-        from fungrasp.evaluation.dynamic import check_policy
+        from fungrasp.evaluation.lift_test import check_policy
         from fungrasp.hands import load_hand
 
         hand = load_hand(self.hand)

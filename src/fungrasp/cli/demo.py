@@ -74,9 +74,8 @@ class Demo:
     """0 means all processors; the grasps do not depend on it."""
 
     def run(self) -> None:
-        from fungrasp.grasps import load_human_grasps
+        from fungrasp.grasps import load_human_grasps, load_objects
         from fungrasp.hands import load_hand
-        from fungrasp.retarget import load_objects
 
         self._check()
         hand = load_hand(self.hand)
@@ -123,7 +122,7 @@ class Demo:
         from fungrasp.cli.retarget import retargeted
         from fungrasp.evaluation import static_quality
         from fungrasp.report import Page, write_page
-        from fungrasp.report.demonstration import grasp_report
+        from fungrasp.report.grasp_demo import grasp_report
 
         start = perf_counter()
         self.out.mkdir(parents=True, exist_ok=True)
@@ -179,7 +178,7 @@ class Demo:
     ) -> tuple[DynamicResult, list[Trajectory]]:
         """The outcome of each grasp, refined first, and what moved how."""
         from fungrasp.evaluation import evaluate, replay
-        from fungrasp.policies import refine
+        from fungrasp.planning.selection.refinement import refine
 
         policy = self._policy(hand)
         if self.refine and policy == REFERENCE:
@@ -223,8 +222,8 @@ class Demo:
     ) -> tuple[Path, list[Path]]:
         """The whole film, and its part for each grasp."""
         from fungrasp.report import write_video
-        from fungrasp.report.demonstration import grasp_title
-        from fungrasp.report.trial_film import trial_film
+        from fungrasp.report.episode_film import trial_film
+        from fungrasp.report.grasp_demo import grasp_title
 
         clips: list[Path] = []
         seconds = sum(float(t.times[-1]) / SPEED for t in trajectories)

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from fungrasp.grasps import HumanGraspSet
     from fungrasp.objects import ObjectModel
     from fungrasp.perception import Capture
-    from fungrasp.perception.perceive import Perceived
+    from fungrasp.perception.pipeline import Perceived
     from fungrasp.report import Quantity
 
 INTRODUCTION = (
@@ -99,9 +99,9 @@ def seen_grasp(folder: str, mesh: str | None, mass: float | None, task: str, see
     from fungrasp.cli.held_object import held_object
     from fungrasp.errors import FungraspError
     from fungrasp.objects import builtin_object
-    from fungrasp.perception.perceive import perceive
-    from fungrasp.perception.scene_folders import read_folder
-    from fungrasp.report.demo_image import FOLDER, demo_truth, true_errors
+    from fungrasp.perception.io.scene_folders import read_folder
+    from fungrasp.perception.pipeline import perceive
+    from fungrasp.report.demo_capture import FOLDER, demo_truth, true_errors
 
     if folder == BUILTIN:
         if mesh is not None or mass is not None:

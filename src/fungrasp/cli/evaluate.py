@@ -12,12 +12,12 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from fungrasp.evaluation import Disturbance, DynamicResult
-    from fungrasp.evaluation.dynamic import Refinement
-    from fungrasp.evaluation.store import PartialResults
+    from fungrasp.evaluation.lift_test import Refinement
+    from fungrasp.evaluation.partial_results import PartialResults
     from fungrasp.grasps import HumanGraspSet, RobotGraspSet
     from fungrasp.hands import Hand
     from fungrasp.objects import ObjectModel
-    from fungrasp.policies.choose import Planner
+    from fungrasp.planning.selection.search import Planner
 
 SEARCHED_CHUNK = 32
 """Grasps refined, or planned by a policy, and tried together: what an interrupted run may lose."""
@@ -79,13 +79,12 @@ class Evaluate:
         from fungrasp.cli.retarget import draw_grasps
         from fungrasp.cli.trial_tables import comparison, result_table, robustness_table, static_words
         from fungrasp.evaluation import CONDITIONS, result_json
-        from fungrasp.evaluation.dynamic import check_hand, check_policy
+        from fungrasp.evaluation.lift_test import check_hand, check_policy
+        from fungrasp.evaluation.partial_results import PartialResults
         from fungrasp.evaluation.results import machine, robustness_json
-        from fungrasp.evaluation.store import PartialResults
-        from fungrasp.grasps import RobotGraspSet, load_grasps
+        from fungrasp.grasps import RobotGraspSet, load_grasps, load_objects
         from fungrasp.hands import load_hand
-        from fungrasp.policies.choose import ChoiceSettings, Planner
-        from fungrasp.retarget import load_objects
+        from fungrasp.planning.selection.search import ChoiceSettings, Planner
 
         disturbance = self._disturbance()
         hand = load_hand(self.hand)
@@ -217,7 +216,7 @@ class Evaluate:
     ) -> DynamicResult:
         """names: of the method and the condition, "" for one that needs no name."""
         from fungrasp.evaluation import evaluate
-        from fungrasp.evaluation.dynamic import CHUNK
+        from fungrasp.evaluation.lift_test import CHUNK
         from fungrasp.policies import chooses
 
         method, condition = names
@@ -266,9 +265,9 @@ class Evaluate:
     def _refinement(self, objects: Mapping[str, ObjectModel], hand: Hand) -> Refinement | None:
         if not self.refine:
             return None
-        from fungrasp.evaluation.dynamic import Refinement
+        from fungrasp.evaluation.lift_test import Refinement
         from fungrasp.files import digest
-        from fungrasp.policies import refine
+        from fungrasp.planning.selection.refinement import refine
 
         done: dict[str, RobotGraspSet] = {}
 

@@ -169,8 +169,8 @@ class Make:
         from rich.progress import Progress
 
         from fungrasp.errors import UnknownNameError
-        from fungrasp.retarget.everyday import EVERYDAY
-        from fungrasp.retarget.generate import generate
+        from fungrasp.synthesis.builtin_specifications import EVERYDAY
+        from fungrasp.synthesis.synthesize import generate
 
         known = {wish.object for wish in EVERYDAY}
         for name in self.objects:
@@ -237,9 +237,9 @@ def _draw(grasp: HumanGrasp | RobotGrasp, path: Path, objects: Path | None) -> N
     from fungrasp.grasps import HumanGrasp
     from fungrasp.hands import load_hand
     from fungrasp.objects import load_object
-    from fungrasp.report.pictures import human_grasp_scene, robot_grasp_scene
-    from fungrasp.report.render import render
-    from fungrasp.report.viewpoints import look_at_grasp
+    from fungrasp.rendering import human_grasp_scene, robot_grasp_scene
+    from fungrasp.rendering.render import render
+    from fungrasp.rendering.viewpoints import look_at_grasp
 
     thing = load_object(grasp.object_name, float(grasp.object_mass), objects)
     shape = (thing.vertices, thing.faces, grasp.object_pose, grasp.link_contacts)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from fungrasp.perception import Capture
-    from fungrasp.perception.capture import Box
+    from fungrasp.perception.io.capture import Box
 
 BUILTIN = "builtin"
 """Stands for the image that comes with the package."""
@@ -56,7 +56,7 @@ class ImageSource:
         Raises:
             FungraspError: it is not said, or said twice, where the image comes from; or it can't be read.
         """
-        from fungrasp.perception.files import parse_box
+        from fungrasp.perception.io.image_files import parse_box
 
         self._check()
         box = None if self.box is None else parse_box(self.box)
@@ -88,8 +88,8 @@ class ImageSource:
             raise FungraspError("--keep needs --camera or --recording")
 
     def _of_folder(self, folder: Path, box: Box | None) -> Capture:
-        from fungrasp.perception.scene_folders import own_files, read_folder
-        from fungrasp.report.demo_image import FOLDER
+        from fungrasp.perception.io.scene_folders import own_files, read_folder
+        from fungrasp.report.demo_capture import FOLDER
 
         own = own_files(FOLDER if _is_builtin(folder) else folder)
         if own is None:
@@ -98,8 +98,8 @@ class ImageSource:
         return self._of_files(rgb, depth, intrinsics, self.mask or mask, box)
 
     def _of_camera(self, box: Box | None) -> Capture:
-        from fungrasp.perception.realsense import capture_from_camera
-        from fungrasp.perception.scene_folders import read_folder, write_folder
+        from fungrasp.perception.io.realsense import capture_from_camera
+        from fungrasp.perception.io.scene_folders import read_folder, write_folder
 
         capture = capture_from_camera(self.recording, image=None if self.camera else self.image)
         if self.keep is not None:
@@ -111,7 +111,7 @@ class ImageSource:
     def _of_files(
         self, rgb: Path | None, depth: Path | None, lens: Path | None, mask: Path | None, box: Box | None
     ) -> Capture:
-        from fungrasp.perception.files import read_capture
+        from fungrasp.perception.io.image_files import read_capture
 
         assert rgb is not None and depth is not None and lens is not None
         return read_capture(
@@ -119,7 +119,7 @@ class ImageSource:
         )
 
     def _marked(self, capture: Capture, box: Box | None) -> Capture:
-        from fungrasp.perception.files import read_mask
+        from fungrasp.perception.io.image_files import read_mask
 
         mask = None if self.mask is None else read_mask(self.mask, capture.depth.shape)
         return capture if mask is None and box is None else capture.with_object(mask, box)

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from fungrasp.grasps import HumanGrasp, HumanGraspSet
     from fungrasp.objects import ObjectModel
     from fungrasp.perception import Capture, HandEstimate, ObjectEstimate
-    from fungrasp.perception.perceive import Perceived
+    from fungrasp.perception.pipeline import Perceived
 
 UNSURE = 3
 """Exit status when the result was written but is not to be trusted unseen."""
@@ -69,7 +69,7 @@ class Perceive:
         from time import perf_counter
 
         from fungrasp.cli.held_object import held_object
-        from fungrasp.perception.perceive import perceive
+        from fungrasp.perception.pipeline import perceive
 
         start = perf_counter()
         self._check()

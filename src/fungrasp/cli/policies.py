@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 if TYPE_CHECKING:
-    from fungrasp.policies.card import PolicyCard
+    from fungrasp.policies.checkpoint.card import PolicyCard
 
 
 @dataclass(frozen=True)
@@ -22,7 +22,7 @@ class List:
 
     def run(self) -> None:
         from fungrasp.cli.console import table
-        from fungrasp.policies.policy_file import list_policies, read_card
+        from fungrasp.policies.checkpoint.checkpoint_file import list_policies, read_card
 
         files = list_policies()
         cards = {name: read_card(path) for name, path in files.items()}
@@ -60,7 +60,7 @@ class Info:
     """Print JSON and nothing else."""
 
     def run(self) -> None:
-        from fungrasp.policies.policy_file import read_card
+        from fungrasp.policies.checkpoint.checkpoint_file import read_card
 
         card = read_card(self.name)
         print(json.dumps(card.to_json(), indent=2) if self.json else _text(card))

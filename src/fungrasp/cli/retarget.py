@@ -50,9 +50,8 @@ class Retarget:
     def run(self) -> None:
         from fungrasp.evaluation import static_quality
         from fungrasp.evaluation.results import finite
-        from fungrasp.grasps import load_human_grasps, save_robot_grasps
+        from fungrasp.grasps import load_human_grasps, load_objects, save_robot_grasps
         from fungrasp.hands import load_hand
-        from fungrasp.retarget import load_objects
 
         hand = load_hand(self.hand)
         human = load_human_grasps(self.grasps)
@@ -132,9 +131,10 @@ def draw_grasps(
     from PIL import Image
 
     from fungrasp.files import atomic_path
-    from fungrasp.report.pictures import grid, human_grasp_scene, robot_grasp_scene
-    from fungrasp.report.render import render
-    from fungrasp.report.viewpoints import look_at_grasp
+    from fungrasp.rendering import human_grasp_scene, robot_grasp_scene
+    from fungrasp.rendering.render import render
+    from fungrasp.rendering.viewpoints import look_at_grasp
+    from fungrasp.report.pictures import grid
 
     _, first = np.unique(robot.object_name, return_index=True)
     others = np.setdiff1d(np.arange(len(robot)), first)

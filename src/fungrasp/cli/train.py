@@ -120,7 +120,7 @@ def critic_file(name: str, hand: Hand) -> Path:
         FungraspError: there is none of this name, or it is another kind of policy.
     """
     from fungrasp.policies import resolve_policy
-    from fungrasp.policies.policy_file import read_card
+    from fungrasp.policies.checkpoint.checkpoint_file import read_card
 
     path = resolve_policy(name, hand.name)
     if path is None or (kind := read_card(path).kind) != "critic":
@@ -178,10 +178,10 @@ def training_sets(
     """
     from fungrasp.cli.retarget import retargeted
     from fungrasp.errors import UnknownNameError
-    from fungrasp.evaluation.dynamic import check_hand
-    from fungrasp.grasps import RobotGraspSet, load_grasps
+    from fungrasp.evaluation.lift_test import check_hand
+    from fungrasp.grasps import RobotGraspSet, load_grasps, load_objects
     from fungrasp.grasps.files import BUILTIN
-    from fungrasp.retarget import METHODS, load_objects
+    from fungrasp.retarget import METHODS
     from fungrasp.training.run import TrainingSet
 
     if method not in METHODS:

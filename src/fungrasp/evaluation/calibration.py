@@ -14,7 +14,7 @@ import numpy as np
 from fungrasp.errors import FungraspError
 from fungrasp.evaluation.perception import RIGHT_MM
 from fungrasp.evaluation.statistics import wilson_interval
-from fungrasp.perception.pose_confidence import FEATURES
+from fungrasp.perception.object_pose.confidence import FEATURES
 
 RIDGE = 0.1
 """Pull of the weights of standardised features towards 0, in answers: keeps separable data finite."""

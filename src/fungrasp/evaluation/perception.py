@@ -16,17 +16,17 @@ import trimesh
 from fungrasp.grasps import HumanGrasp
 from fungrasp.objects import ObjectModel
 from fungrasp.perception import Capture, HandEstimate
-from fungrasp.perception.capture import Box
-from fungrasp.perception.detected_hand import DetectedHand
-from fungrasp.perception.hand_fit import fit_hand
-from fungrasp.perception.hand_landmarks import choose_hand
-from fungrasp.perception.known_object import known_object
-from fungrasp.perception.object_pose import PoseAnswers, best_estimate, search_object_pose
-from fungrasp.perception.perceive import Detector, Perceived, find_hands, perceive
-from fungrasp.perception.pose_confidence import FEATURES, features
-from fungrasp.perception.pose_error import add_s, rotation_error
-from fungrasp.perception.segmentation import TIPS
-from fungrasp.perception.table import NO_TABLE, table_under
+from fungrasp.perception.hand.detection import DetectedHand
+from fungrasp.perception.hand.fit import fit_hand
+from fungrasp.perception.hand.landmarks import choose_hand
+from fungrasp.perception.io.capture import Box
+from fungrasp.perception.object_pose.confidence import FEATURES, features
+from fungrasp.perception.object_pose.estimate import PoseAnswers, best_estimate, search_object_pose
+from fungrasp.perception.object_pose.known_object import known_object
+from fungrasp.perception.object_pose.pose_error import add_s, rotation_error
+from fungrasp.perception.pipeline import Detector, Perceived, find_hands, perceive
+from fungrasp.perception.scene.segmentation import TIPS
+from fungrasp.perception.scene.table import NO_TABLE, table_under
 
 RIGHT_MM = 10.0
 """An object's pose is right if its ADD-S is below this."""

@@ -8,8 +8,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from fungrasp.perception.capture import Box, Intrinsics
-from fungrasp.perception.detected_hand import DetectedHand
+from fungrasp.perception.hand.detection import DetectedHand
+from fungrasp.perception.io.capture import Box, Intrinsics
 
 SHAPE_NOISE = 0.01
 """Standard deviation of a joint's place in the detector's rough shape [m], each axis."""

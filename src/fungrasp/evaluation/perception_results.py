@@ -13,7 +13,7 @@ from fungrasp.evaluation.perception import CaptureResult, PoseResult
 from fungrasp.evaluation.results import finite
 from fungrasp.evaluation.statistics import wilson_interval
 from fungrasp.grasps import HumanGrasp, HumanGraspSet
-from fungrasp.perception.perceive import SURE_HAND
+from fungrasp.perception.pipeline import SURE_HAND
 
 
 @dataclass(frozen=True)

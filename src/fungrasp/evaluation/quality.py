@@ -15,11 +15,11 @@ from fungrasp.geometry import SignedDistanceBank
 from fungrasp.geometry.poses import compose, inverse_transform_points, invert, transform_points
 from fungrasp.grasps import HumanGraspSet, RobotGraspSet
 from fungrasp.hands import Hand
+from fungrasp.hands.correspondence import correspond
 from fungrasp.hands.kinematics import BodyPoints, HandKinematics
 from fungrasp.hands.shape import HandBalls, hand_balls
 from fungrasp.objects import ObjectModel
-from fungrasp.retarget.correspondence import correspond
-from fungrasp.retarget.problem import nearest_surface
+from fungrasp.optimization.hand_problem import nearest_surface
 
 TOUCHING = 0.003
 """A link nearer to the object than this counts as a contact of the force closure [m]."""

@@ -13,8 +13,8 @@ import mujoco
 import numpy as np
 
 from fungrasp import __version__
-from fungrasp.evaluation.dynamic import DynamicResult
-from fungrasp.evaluation.static_test import StaticResult
+from fungrasp.evaluation.lift_test import DynamicResult
+from fungrasp.evaluation.six_directions import StaticResult
 from fungrasp.evaluation.statistics import mean_over_groups, wilson_interval
 
 LEGACY_PERIOD = 0.0289

@@ -8,6 +8,7 @@ from fungrasp.grasps.files import (
     save_human_grasps,
     save_robot_grasps,
 )
+from fungrasp.grasps.grasp_objects import load_objects
 from fungrasp.grasps.grasp_set import GraspSet
 from fungrasp.grasps.human import HumanGrasp, HumanGraspSet
 from fungrasp.grasps.human_hand import BONES, HUMAN_JOINTS, HUMAN_LINKS, bone_lengths, link_directions
@@ -27,6 +28,7 @@ __all__ = [
     "link_directions",
     "load_grasps",
     "load_human_grasps",
+    "load_objects",
     "load_robot_grasps",
     "save_human_grasps",
     "save_robot_grasps",

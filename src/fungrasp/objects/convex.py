@@ -16,7 +16,7 @@ import trimesh
 from scipy.spatial import ConvexHull, QhullError
 
 from fungrasp.files import atomic_path
-from fungrasp.objects.kept import kept
+from fungrasp.objects.cache import kept
 from fungrasp.objects.repair import hull_solid, solid
 
 FORMAT = 1

@@ -11,8 +11,8 @@ import trimesh
 
 from fungrasp.errors import FungraspError
 from fungrasp.geometry.signed_distance import SignedDistanceGrid
+from fungrasp.objects.cache import kept
 from fungrasp.objects.convex import ConvexPiece, convex_pieces, mesh_digest
-from fungrasp.objects.kept import kept
 
 GRID_SPACING = 0.0025
 """Edge of a cell of the signed-distance grid [m]."""

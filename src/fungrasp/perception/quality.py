@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from fungrasp.geometry.signed_distance import SignedDistanceGrid
-from fungrasp.perception.capture import Capture
-from fungrasp.perception.contacts import link_gaps
 from fungrasp.perception.estimates import HandEstimate, ObjectEstimate
-from fungrasp.perception.hand_contact import Surroundings
-from fungrasp.perception.hand_probes import PROBES, in_front
+from fungrasp.perception.hand.contact_flags import link_gaps
+from fungrasp.perception.hand.object_contact import Surroundings
+from fungrasp.perception.hand.surface_samples import PROBES, in_front
+from fungrasp.perception.io.capture import Capture
 
 NEAR = 0.03
 """What is seen farther than this from where the skin should be [m] is something else."""

@@ -1,19 +1,23 @@
-"""Things that act."""
+"""Policies: they see observations and nothing else, and act ten times a second."""
 
-from fungrasp.policies.motion import ReferenceSettings
-from fungrasp.policies.play import POLICIES, Policy, chooses, free_policy, make_policy, play, resolve_policy
-from fungrasp.policies.reference import ReferenceController
-from fungrasp.policies.refine import refine
+from fungrasp.policies.registry import (
+    POLICIES,
+    Policy,
+    chooses,
+    free_policy,
+    make_policy,
+    play,
+    resolve_policy,
+)
+from fungrasp.policies.scripted import ReferenceController
 
 __all__ = [
     "POLICIES",
     "Policy",
     "ReferenceController",
-    "ReferenceSettings",
     "chooses",
     "free_policy",
     "make_policy",
     "play",
-    "refine",
     "resolve_policy",
 ]

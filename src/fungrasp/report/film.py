@@ -9,10 +9,10 @@ import mujoco
 import numpy as np
 
 from fungrasp.errors import FungraspError, UnknownNameError
-from fungrasp.report.camera import Camera
+from fungrasp.rendering.camera import Camera
+from fungrasp.rendering.render import Renderer
+from fungrasp.rendering.shading import Look
 from fungrasp.report.pictures import captioned
-from fungrasp.report.render import Renderer
-from fungrasp.report.shading import Look
 
 
 def film(

@@ -7,9 +7,9 @@ import trimesh
 
 from fungrasp.objects import ObjectModel
 from fungrasp.perception import Capture
-from fungrasp.perception.perceive import Perceived
-from fungrasp.perception.pose_confidence import RIVAL_DISTANCE
-from fungrasp.perception.pose_error import add_s, rotation_error
+from fungrasp.perception.object_pose.confidence import RIVAL_DISTANCE
+from fungrasp.perception.object_pose.pose_error import add_s, rotation_error
+from fungrasp.perception.pipeline import Perceived
 from fungrasp.report.page_parts import figure
 from fungrasp.report.perception_pictures import pose_over
 

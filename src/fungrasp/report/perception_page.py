@@ -15,8 +15,8 @@ from fungrasp.grasps.human_hand import FINGERS
 from fungrasp.grasps.importers.dexycb import MIRRORED
 from fungrasp.objects import ObjectModel
 from fungrasp.perception import Capture
-from fungrasp.perception.perceive import SURE_HAND, Perceived
-from fungrasp.perception.pose_confidence import ACCEPT
+from fungrasp.perception.object_pose.confidence import ACCEPT
+from fungrasp.perception.pipeline import SURE_HAND, Perceived
 from fungrasp.report.page import Page, write_page
 from fungrasp.report.page_parts import Quantity, figure, quality_card
 from fungrasp.report.perception_alternatives import alternatives

@@ -14,9 +14,9 @@ from fungrasp.grasps import HumanGrasp
 from fungrasp.grasps.human_hand import BONES, FINGERS, mirror_points
 from fungrasp.objects import ObjectModel
 from fungrasp.perception import Capture, HandEstimate, Intrinsics
-from fungrasp.perception.rays import MeshRays
+from fungrasp.perception.object_pose.mesh_rays import MeshRays
+from fungrasp.rendering.grasp_scenes import human_grasp_scene
 from fungrasp.report.pictures import four_views
-from fungrasp.report.scenes import human_grasp_scene
 
 FINGER_COLOURS = {
     "index": (255, 205, 40),

@@ -9,27 +9,9 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from fungrasp.errors import FungraspError
-from fungrasp.report.render import Renderer
-from fungrasp.report.scenes import (
-    human_grasp_scene,
-    robot_grasp_scene,
-    robot_scene_colours,
-    robot_scene_states,
-)
-from fungrasp.report.shading import Look
-from fungrasp.report.viewpoints import frame_geoms, look_at_grasp
-
-__all__ = [
-    "captioned",
-    "four_views",
-    "frame_geoms",
-    "grid",
-    "human_grasp_scene",
-    "look_at_grasp",
-    "robot_grasp_scene",
-    "robot_scene_colours",
-    "robot_scene_states",
-]
+from fungrasp.rendering.render import Renderer
+from fungrasp.rendering.shading import Look
+from fungrasp.rendering.viewpoints import frame_geoms
 
 INK = (38, 42, 48)
 PAPER = (250, 250, 248)

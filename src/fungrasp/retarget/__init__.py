@@ -1,6 +1,6 @@
 """HumanGrasp -> RobotGrasp (paper IV.A)."""
 
-from fungrasp.retarget.ours import RetargetSettings
-from fungrasp.retarget.retarget import METHODS, load_objects, retarget
+from fungrasp.retarget.contact_optimization import RetargetSettings
+from fungrasp.retarget.retarget import METHODS, retarget
 
-__all__ = ["METHODS", "RetargetSettings", "load_objects", "retarget"]
+__all__ = ["METHODS", "RetargetSettings", "retarget"]

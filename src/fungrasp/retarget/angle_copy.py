@@ -14,11 +14,11 @@ import numpy as np
 from fungrasp.geometry.poses import rotate
 from fungrasp.grasps.anatomy import joint_bends
 from fungrasp.hands import FINGERS, Hand
-from fungrasp.retarget.correspondence import HUMAN_FINGER_JOINTS
-from fungrasp.retarget.ours import RetargetSettings, palm_alignment
-from fungrasp.retarget.problem import HandPoints, Problem, State
-from fungrasp.retarget.solver import minimise
-from fungrasp.retarget.terms import Residual
+from fungrasp.hands.correspondence import HUMAN_FINGER_JOINTS
+from fungrasp.optimization.hand_problem import HandPoints, Problem, State
+from fungrasp.optimization.levenberg_marquardt import minimise
+from fungrasp.optimization.terms import Residual
+from fungrasp.retarget.contact_optimization import RetargetSettings, palm_alignment
 
 PARALLEL, PERPENDICULAR = np.cos(np.radians(25.0)), np.cos(np.radians(65.0))
 """Cosines of the angle to a finger's flexion axis within which a joint flexes, beyond which it spreads."""

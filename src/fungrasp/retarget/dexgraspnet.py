@@ -20,11 +20,11 @@ from __future__ import annotations
 import numpy as np
 
 from fungrasp.geometry.poses import cross
-from fungrasp.retarget import terms
-from fungrasp.retarget.ours import RetargetSettings, initial_pose
-from fungrasp.retarget.problem import HandPoints, Problem, State, Surroundings
-from fungrasp.retarget.solver import Term, minimise
-from fungrasp.retarget.terms import Residual
+from fungrasp.optimization import terms
+from fungrasp.optimization.hand_problem import HandPoints, Problem, State, Surroundings
+from fungrasp.optimization.levenberg_marquardt import Term, minimise
+from fungrasp.optimization.terms import Residual
+from fungrasp.retarget.contact_optimization import RetargetSettings, initial_pose
 
 DISTANCE_WEIGHT = 100.0
 """w_dis [1/m]."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from pathlib import Path
 
 import numpy as np
 
@@ -11,35 +10,20 @@ from fungrasp.errors import UnknownNameError
 from fungrasp.geometry.poses import compose, transform_points
 from fungrasp.grasps import HumanGraspSet, RobotGraspSet
 from fungrasp.hands import Hand
+from fungrasp.hands.correspondence import correspond
 from fungrasp.hands.kinematics import HandKinematics
-from fungrasp.objects import ObjectModel, load_object
+from fungrasp.objects import ObjectModel
+from fungrasp.optimization.hand_problem import HandPoints, Problem
 from fungrasp.parallel import in_chunks
-from fungrasp.retarget import angle_copy, dexgraspnet, ours
-from fungrasp.retarget.correspondence import correspond
-from fungrasp.retarget.ours import RetargetSettings
-from fungrasp.retarget.problem import HandPoints, Problem
+from fungrasp.retarget import angle_copy, contact_optimization, dexgraspnet
+from fungrasp.retarget.contact_optimization import RetargetSettings
 
 Solver = Callable[[HandPoints, Problem, RetargetSettings], tuple[np.ndarray, np.ndarray]]
 METHODS: dict[str, Solver] = {
-    "ours": ours.solve,
+    "ours": contact_optimization.solve,
     "angle-copy": angle_copy.solve,
     "dexgraspnet": dexgraspnet.solve,
 }
-
-
-def load_objects(
-    grasps: HumanGraspSet | RobotGraspSet, folder: str | Path | None = None
-) -> dict[str, ObjectModel]:
-    """The objects of a grasp set, by name, each with the mass of its first grasp.
-
-    Raises:
-        FungraspError: an object can't be found or read.
-    """
-    names, rows = np.unique(grasps.object_name, return_index=True)
-    return {
-        str(n): load_object(str(n), float(grasps.object_mass[r]), folder)
-        for n, r in zip(names, rows, strict=True)
-    }
 
 
 def retarget(

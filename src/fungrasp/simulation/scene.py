@@ -2,7 +2,7 @@
 slots, sensors.
 
 The table of per-object model fields lets every world of a batch hold another object
-(``fungrasp.simulation.worlds``).
+(``fungrasp.simulation.mujoco_cpu``).
 """
 
 from __future__ import annotations

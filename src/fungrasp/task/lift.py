@@ -10,9 +10,9 @@ import numpy as np
 from fungrasp.geometry.poses import compose, invert, norm, rotate
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.simulation import Scene, Worlds
-from fungrasp.task.motion import WristSetPoint
 from fungrasp.task.protocol import Protocol
-from fungrasp.task.servos import Servos, SetPoints
+from fungrasp.task.setpoints import Servos, SetPoints
+from fungrasp.task.wrist_limits import WristSetPoint
 
 
 @dataclass(frozen=True)

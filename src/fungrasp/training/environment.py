@@ -10,12 +10,12 @@ import numpy as np
 
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
-from fungrasp.policies.references import begin_on_way
-from fungrasp.policies.tracking import Tracker
+from fungrasp.planning.references import begin_on_way
+from fungrasp.policies.plan_tracking import Tracker
+from fungrasp.policies.residual_action import ResidualSettings
 from fungrasp.simulation import SceneSettings, Worlds, build_scene
 from fungrasp.task import LiftTask, Protocol
 from fungrasp.task.observation import critic, flatten, layout, observe, privileged
-from fungrasp.task.residual import ResidualSettings
 from fungrasp.task.reward import RewardWeights, total
 from fungrasp.training.history import History
 from fungrasp.training.library import Library

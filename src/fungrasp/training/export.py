@@ -14,10 +14,10 @@ import torch
 from rsl_rl.models import MLPModel
 
 from fungrasp.hands import Hand
-from fungrasp.policies.card import ActionPart, Budget, Part, PolicyCard
-from fungrasp.policies.learned import ACTION_PARTS
-from fungrasp.policies.policy_file import hand_digest, save_policy, servo_gains
-from fungrasp.task.residual import WRIST_ACTIONS, ResidualSettings
+from fungrasp.policies.checkpoint.card import ActionPart, Budget, Part, PolicyCard
+from fungrasp.policies.checkpoint.checkpoint_file import hand_digest, save_policy, servo_gains
+from fungrasp.policies.residual_action import WRIST_ACTIONS, ResidualSettings
+from fungrasp.policies.residual_policy import ACTION_PARTS
 from fungrasp.training.history import HISTORY
 from fungrasp.training.plans import PlanCritic
 from fungrasp.training.student import StudentGraph, StudentModel

@@ -18,7 +18,7 @@ import numpy as np
 from fungrasp import __version__
 from fungrasp.errors import FungraspError
 from fungrasp.files import atomic_path
-from fungrasp.policies.references import References
+from fungrasp.planning.references import References
 from fungrasp.training.library import Library
 
 _log = logging.getLogger(__name__)

@@ -11,11 +11,11 @@ from fungrasp.errors import FungraspError
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
-from fungrasp.policies.network import PolicyNetwork
-from fungrasp.policies.proposals import expect
-from fungrasp.policies.reference import planned
-from fungrasp.policies.references import References
-from fungrasp.policies.variations import Spread, vary, with_settings
+from fungrasp.planning.references import References
+from fungrasp.planning.selection.candidates import expect
+from fungrasp.planning.selection.variations import Spread, vary, with_settings
+from fungrasp.policies.checkpoint.network import PolicyNetwork
+from fungrasp.policies.scripted import planned
 from fungrasp.simulation import Worlds, build_scene
 from fungrasp.task import LiftTask
 

@@ -18,12 +18,12 @@ from fungrasp.files import atomic_path, digest
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
-from fungrasp.policies.plan_features import plan_features
-from fungrasp.policies.policy_file import hand_digest
-from fungrasp.policies.reference import ReferenceController
-from fungrasp.policies.references import References, begin_on_way
-from fungrasp.policies.rehearse import try_out
-from fungrasp.policies.variations import Spread, vary, with_settings
+from fungrasp.planning.references import References, begin_on_way
+from fungrasp.planning.selection.predictor_features import plan_features
+from fungrasp.planning.selection.rollouts import try_out
+from fungrasp.planning.selection.variations import Spread, vary, with_settings
+from fungrasp.policies.checkpoint.checkpoint_file import hand_digest
+from fungrasp.policies.scripted import ReferenceController
 from fungrasp.simulation import Scene, SceneSettings, Worlds, build_scene
 from fungrasp.task import LiftTask, Protocol
 from fungrasp.task.observation import flatten, layout

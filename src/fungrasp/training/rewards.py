@@ -6,7 +6,7 @@ import numpy as np
 
 from fungrasp.geometry.poses import compose, inverse_transform_points, invert, rotation_vector
 from fungrasp.hands import Hand
-from fungrasp.policies.tracking import View, link_directions
+from fungrasp.policies.plan_tracking import View, link_directions
 from fungrasp.task import reward
 from fungrasp.task.observation import Sensed
 

@@ -18,11 +18,11 @@ from fungrasp.files import atomic_path, digest
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand, hand_files
 from fungrasp.objects import ObjectModel
-from fungrasp.policies.card import Budget, PolicyCard, TrainingData
-from fungrasp.policies.network import PolicyNetwork
-from fungrasp.policies.policy_file import SUFFIX, hand_digest, load_policy
-from fungrasp.policies.references import References
-from fungrasp.task.residual import ResidualSettings
+from fungrasp.planning.references import References
+from fungrasp.policies.checkpoint.card import Budget, PolicyCard, TrainingData
+from fungrasp.policies.checkpoint.checkpoint_file import SUFFIX, hand_digest, load_policy
+from fungrasp.policies.checkpoint.network import PolicyNetwork
+from fungrasp.policies.residual_action import ResidualSettings
 from fungrasp.training.environment import EnvironmentSettings, LiftEnvironment
 from fungrasp.training.export import export_student, export_teacher, make_card
 from fungrasp.training.folder import RunFolder, git_revision, kept_library, machine

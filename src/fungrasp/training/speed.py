@@ -13,13 +13,13 @@ import numpy as np
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
-from fungrasp.policies.card import Budget
-from fungrasp.policies.learned import LearnedPolicy
-from fungrasp.policies.network import PolicyNetwork
-from fungrasp.policies.policy_file import load_policy
+from fungrasp.policies.checkpoint.card import Budget
+from fungrasp.policies.checkpoint.checkpoint_file import load_policy
+from fungrasp.policies.checkpoint.network import PolicyNetwork
+from fungrasp.policies.residual_policy import LearnedPolicy
 from fungrasp.simulation import Worlds, build_scene
 from fungrasp.task import Action, LiftTask
-from fungrasp.task.servos import SetPoints
+from fungrasp.task.setpoints import SetPoints
 from fungrasp.training.distill import make_student
 from fungrasp.training.environment import EnvironmentSettings, LiftEnvironment
 from fungrasp.training.export import export_student, make_card

@@ -16,8 +16,8 @@ from fungrasp.errors import FungraspError
 from fungrasp.files import digest
 from fungrasp.hands import Hand, load_hand
 from fungrasp.objects import ObjectModel, load_object
-from fungrasp.policies.card import Budget, PolicyCard, TrainingData
-from fungrasp.policies.policy_file import SUFFIX, hand_digest
+from fungrasp.policies.checkpoint.card import Budget, PolicyCard, TrainingData
+from fungrasp.policies.checkpoint.checkpoint_file import SUFFIX, hand_digest
 from fungrasp.training.distill import DistillProgress, distill
 from fungrasp.training.environment import LiftEnvironment
 from fungrasp.training.export import export_student, make_card

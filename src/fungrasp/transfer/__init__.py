@@ -2,9 +2,9 @@
 
 from fungrasp.transfer.delay import Delay, delay_steps
 from fungrasp.transfer.differences import Differences
-from fungrasp.transfer.noise import noisy_joints, noisy_object, noisy_wrist, offset_pose, shift_on_table
 from fungrasp.transfer.physics import apply, move_table, push_objects, pushes
-from fungrasp.transfer.randomisation import MILD, NONE, Randomisation, Range, Sample, Spread, sample
+from fungrasp.transfer.pose_noise import noisy_joints, noisy_object, noisy_wrist, offset_pose, shift_on_table
+from fungrasp.transfer.randomization import MILD, NONE, Randomisation, Range, Sample, Spread, sample
 
 __all__ = [
     "MILD",

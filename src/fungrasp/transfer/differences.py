@@ -6,9 +6,9 @@ import numpy as np
 
 from fungrasp.geometry.poses import inverse_transform_points
 from fungrasp.simulation import Worlds
-from fungrasp.transfer.noise import noisy_object, noisy_wrist, shift_on_table
 from fungrasp.transfer.physics import apply, push_objects, pushes
-from fungrasp.transfer.randomisation import Randomisation, Sample, sample
+from fungrasp.transfer.pose_noise import noisy_object, noisy_wrist, shift_on_table
+from fungrasp.transfer.randomization import Randomisation, Sample, sample
 
 
 class Differences:

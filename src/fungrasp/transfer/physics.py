@@ -8,7 +8,7 @@ import numpy as np
 from fungrasp.errors import FungraspError
 from fungrasp.simulation import Worlds
 from fungrasp.simulation.scene import HAND_PREFIX
-from fungrasp.transfer.randomisation import Sample
+from fungrasp.transfer.randomization import Sample
 
 _SAMEFRAME_NONE = int(mujoco.mjtSameFrame.mjSAMEFRAME_NONE)
 

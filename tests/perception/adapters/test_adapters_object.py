@@ -12,7 +12,7 @@ from fungrasp.perception.adapters import (
     read_object_pose,
     registry,
 )
-from fungrasp.perception.pose_confidence import ACCEPT
+from fungrasp.perception.object_pose.confidence import ACCEPT
 
 TURN = Rotation.from_rotvec([0.4, -1.2, 2.0])
 PLACE = np.array([0.05, -0.02, 0.62])

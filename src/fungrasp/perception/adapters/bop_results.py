@@ -11,7 +11,7 @@ import numpy as np
 
 from fungrasp.errors import FungraspError
 from fungrasp.perception.adapters.rigid import pose_from_rotation
-from fungrasp.perception.capture import DEPTH_LIMIT
+from fungrasp.perception.io.capture import DEPTH_LIMIT
 
 COLUMNS = ("scene_id", "im_id", "obj_id", "score", "R", "t", "time")
 

@@ -9,9 +9,9 @@ from fungrasp.errors import FungraspError
 from fungrasp.perception.adapters.hand_fields import read_fields
 from fungrasp.perception.adapters.hand_file import hands_of
 from fungrasp.perception.adapters.placing import place_hand
-from fungrasp.perception.capture import Capture
 from fungrasp.perception.estimates import HandEstimate, Side
-from fungrasp.perception.hand_landmarks import choose_hand
+from fungrasp.perception.hand.landmarks import choose_hand
+from fungrasp.perception.io.capture import Capture
 
 _log = logging.getLogger(__name__)
 

@@ -18,10 +18,10 @@ from fungrasp.grasps.human_hand import bone_lengths
 from fungrasp.perception.adapters.hand_fields import HandFields, read_fields
 from fungrasp.perception.adapters.joint_orders import joint_order
 from fungrasp.perception.adapters.mano_model import ManoJoints
-from fungrasp.perception.capture import Intrinsics
-from fungrasp.perception.detected_hand import DetectedHand
 from fungrasp.perception.estimates import Side
-from fungrasp.perception.hand_start import MIRROR_X
+from fungrasp.perception.hand.detection import DetectedHand
+from fungrasp.perception.hand.initial_skeleton import MIRROR_X
+from fungrasp.perception.io.capture import Intrinsics
 
 SIZES = (0.4, 2.0)
 """Smallest and largest hand as a part of an adult's; beyond, the unit is wrong."""

@@ -12,7 +12,7 @@ from fungrasp.errors import FungraspError
 from fungrasp.perception.adapters.bop_results import read_bop_results, select_rows
 from fungrasp.perception.adapters.rigid import pose_from_numbers
 from fungrasp.perception.estimates import ObjectEstimate
-from fungrasp.perception.pose_confidence import ACCEPT
+from fungrasp.perception.object_pose.confidence import ACCEPT
 
 SUFFIXES = (".txt", ".npy", ".json", ".csv")
 

@@ -12,11 +12,11 @@ import numpy as np
 
 from fungrasp.errors import FungraspError
 from fungrasp.perception.adapters.hand_file import hand_size, turn_to
-from fungrasp.perception.capture import Capture
-from fungrasp.perception.detected_hand import DetectedHand
 from fungrasp.perception.estimates import HandEstimate
-from fungrasp.perception.hand_probes import PROBES, in_front
-from fungrasp.perception.hand_start import HandMeasurements, joint_confidence
+from fungrasp.perception.hand.detection import DetectedHand
+from fungrasp.perception.hand.initial_skeleton import HandMeasurements, joint_confidence
+from fungrasp.perception.hand.surface_samples import PROBES, in_front
+from fungrasp.perception.io.capture import Capture
 
 AGREEMENT = 0.012
 """Depths so near to each other [m] agree: thickness of the flesh, errors of shape and camera."""

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from fungrasp.errors import FungraspError
-from fungrasp.perception.capture import DEPTH_LIMIT
+from fungrasp.perception.io.capture import DEPTH_LIMIT
 
 TOLERANCE = 0.02
 """How far a rotation may be from one, in any element of ``R^T R - 1``; then the nearest rotation is taken."""

@@ -1,0 +1,111 @@
+"""Writing rendered captures to folders that perception reads, and reading them back with the truth."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import trimesh
+from PIL import Image
+
+from fungrasp.captures.capture_scene import Label
+from fungrasp.captures.painted_mesh import PaintedMesh
+from fungrasp.captures.render_capture import SyntheticCapture
+from fungrasp.errors import FungraspError
+from fungrasp.files import atomic_path
+from fungrasp.grasps import HumanGrasp
+from fungrasp.perception.io.image_files import read_capture
+from fungrasp.perception.io.scene_folders import COLOUR_FILE, DEPTH_FILE, LENS_FILE
+
+TRUTH_FILE, LABELS_FILE, OBJECT_MASK_FILE = "truth.json", "labels.png", "object_mask.png"
+"""What a photograph's folder would not have."""
+
+DEPTH_UNIT = 0.001
+"""Metres per unit of the written depth."""
+
+
+def write_capture(synthetic: SyntheticCapture, folder: str | Path) -> None:
+    """Write what a camera would give, the painted mesh and the truth.
+
+    That is ``rgb.png``, ``depth.png`` (16 bit, 1 mm), ``K.json``, ``<object>.ply``; ``truth.json``,
+    ``labels.png`` and ``object_mask.png``, whose name keeps it from being taken for a mask given.
+
+    Raises:
+        FungraspError: the folder can't be written to.
+    """
+    folder, capture = Path(folder), synthetic.capture
+    lens = capture.intrinsics
+    _save_image(folder / COLOUR_FILE, capture.colour)
+    _save_image(folder / DEPTH_FILE, np.round(capture.depth / DEPTH_UNIT).clip(0, 65535).astype(np.uint16))
+    _save_image(folder / LABELS_FILE, synthetic.labels)
+    _save_image(folder / OBJECT_MASK_FILE, np.where(synthetic.object_mask, 255, 0).astype(np.uint8))
+    fields = {name: getattr(lens, name) for name in ("width", "height", "fx", "fy", "cx", "cy")}
+    _save_json(folder / LENS_FILE, {**fields, "depth_unit": DEPTH_UNIT})
+    grasp = synthetic.grasp
+    truth = {
+        "object_name": str(grasp.object_name),
+        "object_mass": float(grasp.object_mass),
+        "task": str(grasp.task),
+        "pose_world_camera": synthetic.pose_world_camera.tolist(),
+        "pose_camera_object": synthetic.pose_camera_object.tolist(),
+        "joints_camera": synthetic.joints_camera.tolist(),
+        "object_pose": grasp.object_pose.tolist(),
+        "object_rest_pose": grasp.object_rest_pose.tolist(),
+        "hand_joints": grasp.hand_joints.tolist(),
+        "link_contacts": grasp.link_contacts.tolist(),
+        "labels": {label.name.lower(): int(label) for label in Label},
+    }
+    with atomic_path(folder / f"{grasp.object_name}.ply") as path:
+        painted_mesh(synthetic.painted).export(path)
+    # Last, so that a folder with it is whole.
+    _save_json(folder / TRUTH_FILE, truth)
+
+
+def painted_mesh(painted: PaintedMesh) -> trimesh.Trimesh:
+    """The same as a mesh with a colour per vertex."""
+    colours = np.round(255 * painted.colours).astype(np.uint8)
+    return trimesh.Trimesh(painted.vertices, painted.faces, vertex_colors=colours, process=False)
+
+
+def read_synthetic_capture(folder: str | Path) -> SyntheticCapture:
+    """Read what ``write_capture`` wrote. Depth is rounded to ``DEPTH_UNIT``.
+
+    Raises:
+        FungraspError: a file is missing or bad.
+    """
+    folder = Path(folder)
+    capture = read_capture(folder / COLOUR_FILE, folder / DEPTH_FILE, folder / LENS_FILE)
+    path = folder / TRUTH_FILE
+    try:
+        truth = json.loads(path.read_text())
+        grasp = HumanGrasp(
+            object_name=truth["object_name"],
+            object_mass=truth["object_mass"],
+            object_pose=np.array(truth["object_pose"], dtype=float),
+            object_rest_pose=np.array(truth["object_rest_pose"], dtype=float),
+            hand_joints=np.array(truth["hand_joints"], dtype=float),
+            link_contacts=np.array(truth["link_contacts"], dtype=bool),
+            task=truth["task"],
+        )
+        pose = np.array(truth["pose_world_camera"], dtype=float)
+        with Image.open(folder / LABELS_FILE) as image:
+            labels = np.array(image)
+        mesh: Any = trimesh.load(folder / f"{grasp.object_name}.ply", process=False)
+        painted = PaintedMesh(
+            np.array(mesh.vertices), np.array(mesh.faces), np.array(mesh.visual.vertex_colors)[:, :3] / 255
+        )
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise FungraspError(f"{folder} is no rendered capture: {' '.join(str(error).split())}") from error
+    return SyntheticCapture(capture, grasp, pose, labels, painted)
+
+
+def _save_image(path: Path, pixels: np.ndarray) -> None:
+    with atomic_path(path) as temporary:
+        Image.fromarray(pixels).save(temporary)
+
+
+def _save_json(path: Path, content: Any) -> None:
+    with atomic_path(path) as temporary:
+        temporary.write_text(json.dumps(content, indent=1) + "\n")

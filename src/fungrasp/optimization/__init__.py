@@ -1,0 +1,1 @@
+"""Solvers and terms that every fit of a hand shares."""

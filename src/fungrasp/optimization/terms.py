@@ -1,0 +1,212 @@
+"""The terms of the retargeting objective (paper IV.A), each one pure function.
+
+The objective is half the sum of squares of all residuals. A term returns its residuals, shape [N, R], already
+divided by the length or angle at which it counts as one unit, and their Jacobian, shape [N, R, D].
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fungrasp.geometry.poses import cross, quaternion_conjugate, quaternion_multiply, rotation_vector
+from fungrasp.optimization.contact_forces import balanced_forces
+from fungrasp.optimization.hand_problem import Problem, State, Surroundings, nearest_surface
+
+Residual = tuple[np.ndarray, np.ndarray]
+
+
+def fingertip_position(state: State[Problem], unit: float = 0.01) -> Residual:
+    """(p_tip - p_human tip) / unit for each finger: the first initialisation of IV.A. unit: [m]."""
+    match = state.points.match
+    far, human = match.far[match.is_last], match.human_far[match.is_last]
+    residual = (state.keypoints[:, far] - state.problem.joints[:, human]) / unit
+    return _flat(residual, state.keypoint_jacobian(far) / unit)
+
+
+def link_direction(state: State[Problem], unit: float = 0.5) -> Residual:
+    """(d_robot - d_human) / unit for each finger link, d the unit vector from its near to its far key point
+    (IV.A)."""
+    match = state.points.match
+    robot = state.keypoints[:, match.far] - state.keypoints[:, match.near]
+    human = state.problem.joints[:, match.human_far] - state.problem.joints[:, match.human_near]
+    length = np.linalg.norm(robot, axis=-1, keepdims=True)
+    robot, human = robot / length, human / np.linalg.norm(human, axis=-1, keepdims=True)
+    move = (state.keypoint_jacobian(match.far) - state.keypoint_jacobian(match.near)) / length[..., None]
+    jacobian = move - robot[..., None] * np.einsum("nsi,nsid->nsd", robot, move)[:, :, None]
+    return _flat((robot - human) / unit, jacobian / unit)
+
+
+def contact_position(state: State[Problem], unit: float = 0.005, inner_weight: float = 0.4) -> Residual:
+    """L_pos of IV.A, on the surface: c_j (p_j - (s_j + rho_j n_j)) / unit.
+
+    p_j is the far key point of robot link j, s_j the surface point nearest to the corresponding human joint,
+    n_j the normal there and rho_j the robot finger's radius, so that thick robot fingers touch where thin
+    human fingers did.
+
+    Args:
+        unit: [m].
+        inner_weight: factor for links that don't end in a fingertip.
+    """
+    match, problem = state.points.match, state.problem
+    human = match.human_far
+    target = problem.surface[:, human] + state.points.far_radius[:, None] * problem.normals[:, human]
+    weight = problem.contacts[:, 1:] * np.where(match.is_last, 1.0, inner_weight) / unit
+    residual = weight[..., None] * (state.keypoints[:, match.far] - target)
+    return _flat(residual, weight[..., None, None] * state.keypoint_jacobian(match.far))
+
+
+def contact_gap(state: State[Problem], unit: float = 0.003) -> Residual:
+    """c_j max(0, gap_j) / unit, gap_j the smallest clearance of link j's surface from the object. unit:
+    [m]."""
+    links = [
+        link for link in range(1, len(state.points.link_members)) if len(state.points.link_members[link])
+    ]
+    nearest = np.stack(
+        [
+            m[np.argmin(state.clearance[:, m], axis=1)]
+            for m in (state.points.link_members[link] for link in links)
+        ],
+        axis=1,
+    )
+    clearance = np.take_along_axis(state.clearance, nearest, axis=1)
+    wanted = state.problem.contacts[:, links] & (clearance > 0)
+    normal = np.take_along_axis(state.normals, nearest[..., None], axis=1)
+    jacobian = (normal[:, :, None] @ state.ball_jacobian(nearest))[:, :, 0]
+    return wanted * clearance / unit, wanted[..., None] * jacobian / unit
+
+
+def object_penetration(
+    state: State[Surroundings], unit: float = 0.001, margin: float = 0.0, most: int = 24
+) -> Residual:
+    """max(0, margin - clearance) / unit for the ``most`` deepest balls (L_pen of IV.A).
+
+    Args:
+        unit, margin: [m].
+    """
+    deepest = _smallest(state.clearance, most)
+    depth = margin - np.take_along_axis(state.clearance, deepest, axis=1)
+    active = depth > 0
+    normal = np.take_along_axis(state.normals, deepest[..., None], axis=1)
+    jacobian = -(normal[:, :, None] @ state.ball_jacobian(deepest))[:, :, 0]
+    return active * depth / unit, active[..., None] * jacobian / unit
+
+
+def table_penetration(
+    state: State[Surroundings], unit: float = 0.001, margin: float = 0.001, most: int = 12
+) -> Residual:
+    """max(0, margin - height) / unit for the ``most`` lowest balls (h_{i-table} in L_col of IV.A).
+
+    Args:
+        unit, margin: [m].
+    """
+    lowest = _smallest(state.heights, most)
+    depth = margin - np.take_along_axis(state.heights, lowest, axis=1)
+    active = depth > 0
+    up = np.take_along_axis(
+        state.problem.up, np.take_along_axis(state.plane, lowest, axis=1)[..., None], axis=1
+    )
+    jacobian = -(up[:, :, None] @ state.ball_jacobian(lowest))[:, :, 0]
+    return active * depth / unit, active[..., None] * jacobian / unit
+
+
+def self_penetration(
+    state: State[Surroundings], unit: float = 0.002, margin: float = 0.001, most: int = 8
+) -> Residual:
+    """max(0, margin - d_ij) / unit for the ``most`` closest pairs of balls of different fingers, d_ij the
+    distance between their surfaces (L_col of IV.A, with the distance of shapes in place of that of joints).
+
+    Args:
+        unit, margin: [m].
+    """
+    pairs = state.points.self_pairs
+    balls, radius = state.balls, state.points.balls.radius
+    squared = np.sum(balls**2, axis=-1)
+    product = balls[:, pairs.first] @ np.swapaxes(balls[:, pairs.second], 1, 2)
+    distance = squared[:, pairs.first, None] + squared[:, None, pairs.second] - 2 * product
+    gap = np.sqrt(np.maximum(distance, 1e-12)) - radius[pairs.first, None] - radius[pairs.second]
+    gap = np.where(pairs.apart, gap, 1.0).reshape(len(balls), -1)
+    closest = _smallest(gap, most)
+    depth = margin - np.take_along_axis(gap, closest, axis=1)
+    active = depth > 0
+    a, b = pairs.first[closest // len(pairs.second)], pairs.second[closest % len(pairs.second)]
+    between = np.take_along_axis(balls, a[..., None], axis=1) - np.take_along_axis(
+        balls, b[..., None], axis=1
+    )
+    direction = between / np.maximum(np.linalg.norm(between, axis=-1, keepdims=True), 1e-9)
+    move = state.ball_jacobian(a) - state.ball_jacobian(b)
+    jacobian = np.where(active[..., None], -np.einsum("nqi,nqid->nqd", direction, move) / unit, 0.0)
+    return active * depth / unit, jacobian
+
+
+def force_closure(
+    state: State[Problem], unit: float = 0.05, friction: float = 0.3, reach: float = 0.006
+) -> Residual:
+    """(sum f_j, sum (x_j - center) x f_j / extent) / unit, over links that should touch (L_fc of IV.A).
+
+    x_j is the surface point nearest to the far key point of link j. The f_j are the contact forces within
+    friction cones, normal parts summing to one, that balance best: with ``friction`` zero this is Liu et al.,
+    "Synthesizing diverse and physically stable grasps", 2021. As the forces are optimal, the derivative holds
+    them fixed in the contact frames.
+
+    Args:
+        unit: dimensionless.
+        friction: coefficient to count on, well below the true one.
+        reach: half width of the difference that gives the curvature [m]; it also smooths edges.
+    """
+    match, problem = state.points.match, state.problem
+    wanted = problem.contacts[:, 1:]
+    x = state.keypoints[:, match.far]
+    place, normal = nearest_surface(problem.bank, problem.grid, x, iterations=2)
+    curvature = np.empty((*x.shape, 3))
+    for axis in range(3):
+        shift = np.zeros(3)
+        shift[axis] = reach
+        ahead = problem.bank.query(problem.grid, x + shift)[1]
+        behind = problem.bank.query(problem.grid, x - shift)[1]
+        curvature[..., axis] = (ahead - behind) / (2 * reach)
+    lever = (place - problem.center[:, None]) / problem.extent[:, None, None]
+    force = balanced_forces(lever, -normal, wanted, friction)
+    pressure = -np.sum(force * normal, axis=-1)
+    move = state.keypoint_jacobian(match.far)
+    force_d = -pressure[..., None, None] * np.einsum("nsij,nsjd->nsid", curvature, move)
+    torque = cross(lever, force)
+    torque_d = cross(np.swapaxes(move, 2, 3) / problem.extent[:, None, None, None], force[:, :, None])
+    torque_d = torque_d + cross(lever[:, :, None], np.swapaxes(force_d, 2, 3))
+    residual = np.concatenate([force.sum(axis=1), torque.sum(axis=1)], axis=1)
+    jacobian = np.concatenate([force_d.sum(axis=1), np.swapaxes(torque_d.sum(axis=1), 1, 2)], axis=1)
+    enough = (wanted.sum(axis=1) >= 2)[:, None]
+    return enough * residual / unit, enough[..., None] * jacobian / unit
+
+
+def stay_near(
+    state: State[Surroundings],
+    start: tuple[np.ndarray, np.ndarray],
+    unit: float = 1.0,
+    position_unit: float = np.inf,
+    rotation_unit: float = np.inf,
+) -> Residual:
+    """Differences of joints, wrist position and wrist rotation from ``start`` over their units.
+
+    Args:
+        start: wrist poses [N, 7] and independent joints [rad], shape [N, U].
+        unit, position_unit, rotation_unit: [rad], [m], [rad].
+    """
+    pose, independent = start
+    turn = rotation_vector(quaternion_multiply(state.wrist_pose[:, 3:], quaternion_conjugate(pose[:, 3:])))
+    difference = np.concatenate(
+        [state.wrist_pose[:, :3] - pose[:, :3], turn, state.independent - independent], axis=1
+    )
+    units = np.repeat([position_unit, rotation_unit, unit], [3, 3, independent.shape[1]])
+    jacobian = np.broadcast_to(np.diag(1.0 / units), (len(pose), len(units), len(units)))
+    return difference / units, jacobian
+
+
+def _flat(residual: np.ndarray, jacobian: np.ndarray) -> Residual:
+    count = len(residual)
+    return residual.reshape(count, -1), jacobian.reshape(count, -1, jacobian.shape[-1])
+
+
+def _smallest(values: np.ndarray, most: int) -> np.ndarray:
+    if values.shape[1] <= most:
+        return np.broadcast_to(np.arange(values.shape[1]), values.shape)
+    return np.argpartition(values, most, axis=1)[:, :most]

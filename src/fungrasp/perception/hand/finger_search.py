@@ -1,0 +1,234 @@
+"""Where each finger may be on a palm that is about right: many postures are tried.
+
+Least squares goes downhill only; a thumb that was guessed on the wrong side of an object never gets round it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+import numpy as np
+
+from fungrasp.perception.hand.finger_overlap import overlaps
+from fungrasp.perception.hand.hand_capsules import FLESH, capsule_distances
+from fungrasp.perception.hand.hand_pixels import HandView
+from fungrasp.perception.hand.skeleton import (
+    ANGLE_HIGH,
+    ANGLE_LOW,
+    ANGLE_MEAN,
+    ANGLE_SPREAD,
+    BASE_FRAMES,
+    BASES,
+    LENGTHS,
+    RADII,
+    Skeleton,
+)
+
+TRIES = 256
+"""Postures tried of each finger."""
+
+ORDER = (4, 0, 1, 2, 3)
+"""In which fingers are searched: the thumb first."""
+
+OPPOSED_NEAR = 0.025
+"""Only fingertips so near to the object [m] say where others touch it."""
+
+MOST_POINTS = 80
+"""Measured points that a finger is compared with."""
+
+WIDE = 1.3
+"""By how much more than usual postures that are tried differ."""
+
+PROBED = np.array([0.15, 0.5, 0.85])
+"""Parts of each link that are looked at."""
+
+
+@dataclass(frozen=True)
+class FingerSettings:
+    """What speaks for a finger's posture: standard deviations, and costs beyond which it gets no worse."""
+
+    landmark: float = 0.06
+    """Of a landmark, as a part of the hand's extent in the image."""
+    landmark_worst: float = 3.0
+    """A landmark farther off [standard deviations] is wrong: those of hidden fingers are guesses."""
+    point: float = 0.006
+    """Of a measured point's distance from the skin [m]."""
+    point_worst: float = 0.02
+    """A point farther away is left unexplained [m]."""
+    points_weight: float = 60.0
+    """Measured points count as so many."""
+    front: float = 0.006
+    """Of how far skin is in front of what is seen there [m]."""
+    front_worst: float = 0.04
+    inside: float = 0.004
+    """Of how deep flesh is in the object or the table [m]."""
+    overlap: float = 0.004
+    """Of how deep flesh is in other fingers [m]."""
+    touch: float = 0.008
+    """Of the gap between the last link and the object [m]."""
+    touch_worst: float = 0.02
+    opposed: float = 4.0
+    """What it costs if thumb and fingers touch the object from the same side."""
+    unusual: float = 1.0
+    """What an unusual posture costs."""
+
+
+def finger_joints(hand: Skeleton, finger: int, angles: np.ndarray) -> np.ndarray:
+    """Joints of one finger in several postures [m], shape [S, 4, 3].
+
+    angles: [rad], shape [S, 3, 3]: joint, (deviation, flexion, twist).
+    """
+    scale = np.exp(hand.size)
+    lengths = scale * LENGTHS[finger] * np.exp(hand.bones[finger])
+    joints = np.empty((len(angles), 4, 3))
+    joints[:, 0] = hand.position + scale * hand.turn @ (BASES[finger] + hand.bases[finger])
+    frame = np.broadcast_to(hand.turn @ BASE_FRAMES[finger], (len(angles), 3, 3))
+    cosine, sine = np.cos(angles), np.sin(angles)
+    for joint in range(3):
+        c, s = cosine[:, joint], sine[:, joint]
+        frame = frame @ _turns(c, s)
+        joints[:, joint + 1] = joints[:, joint] + lengths[joint] * frame[:, :, 0]
+    return joints
+
+
+def _turns(c: np.ndarray, s: np.ndarray) -> np.ndarray:
+    """Rotation about z, then y, then x, by angles of cosine c and sine s, each shape [S, 3]."""
+    (cz, cy, cx), (sz, sy, sx) = c.T, s.T
+    rows = [
+        [cz * cy, cz * sy * sx - sz * cx, cz * sy * cx + sz * sx],
+        [sz * cy, sz * sy * sx + cz * cx, sz * sy * cx - cz * sx],
+        [-sy, cy * sx, cy * cx],
+    ]
+    return np.moveaxis(np.array(rows), -1, 0)
+
+
+def postures(finger: int, count: int, rng: np.random.Generator) -> np.ndarray:
+    """Possible angles of one finger [rad], shape [count, 3, 3]."""
+    angles = ANGLE_MEAN[finger] + WIDE * ANGLE_SPREAD[finger] * rng.normal(size=(count, 3, 3))
+    # Only the first joints deviate, and only the thumb's twists.
+    angles[:, 1:, ::2] = 0.0
+    if finger < 4:
+        angles[:, 0, 2] = 0.0
+    return angles
+
+
+def search_fingers(
+    hand: Skeleton,
+    view: HandView,
+    landmarks: np.ndarray,
+    rng: np.random.Generator,
+    settings: FingerSettings,
+    spread: float | None = None,
+) -> Skeleton:
+    """The hand with every finger in the best posture of those tried; its own is among them.
+
+    Args:
+        hand: whose palm is about right.
+        view: what is seen.
+        landmarks: [pixels], shape [21, 2].
+        rng: chooses the postures.
+        settings: what speaks for one.
+        spread: standard deviation of a landmark [pixels], if it is known.
+    """
+    if spread is None:
+        spread = settings.landmark * float(np.linalg.norm(np.ptp(landmarks, axis=0)))
+    for finger in ORDER:
+        tried = np.concatenate([hand.angles[None, finger], postures(finger, TRIES, rng)])
+        cost = finger_cost(hand, finger, tried, view, landmarks, spread, settings)
+        angles = hand.angles.copy()
+        angles[finger] = tried[cost.argmin()]
+        hand = dataclasses.replace(hand, angles=angles)
+    return hand
+
+
+def finger_cost(
+    hand: Skeleton,
+    finger: int,
+    tried: np.ndarray,
+    view: HandView,
+    landmarks: np.ndarray,
+    spread: float,
+    settings: FingerSettings,
+) -> np.ndarray:
+    """What speaks against each posture of a finger, shape [S]. tried: [rad], shape [S, 3, 3]."""
+    joints = finger_joints(hand, finger, tried)
+    scale = np.exp(hand.size)
+    own = slice(1 + 4 * finger, 5 + 4 * finger)
+    off = np.linalg.norm(view.intrinsics.project(joints[:, 1:]) - landmarks[own][1:], axis=-1) / spread
+    cost = _limited(off, settings.landmark_worst).sum(axis=1)
+    cost += _points_cost(hand, finger, joints, view, settings)
+    # Flesh along the links.
+    last = np.where(np.arange(3) == 2, 0.8, 1.0)[:, None] * PROBED
+    first, step = joints[:, :-1, None], np.diff(joints, axis=1)[:, :, None]
+    probes = (first + last[..., None] * step).reshape(len(joints), -1, 3)
+    radius = scale * (RADII[finger, :-1, None] + last * np.diff(RADII[finger])[:, None]).ravel()
+    seen = view.depth_at(view.intrinsics.project(probes))
+    front = np.nan_to_num(np.maximum(seen - probes[..., 2] + radius - 0.006, 0.0))
+    cost += _limited(front / settings.front, settings.front_worst / settings.front).sum(axis=1) / 2
+    distance, normal = view.around.object_distance(probes.reshape(-1, 3))
+    distance, normal = distance.reshape(probes.shape[:2]), normal.reshape(probes.shape)
+    cost += np.square(np.minimum(distance - 0.5 * radius, 0.0) / settings.inside).sum(axis=1)
+    gap = np.maximum((distance - 0.8 * radius)[:, -3:].min(axis=1), 0.0)
+    cost += _limited(gap / settings.touch, settings.touch_worst / settings.touch)
+    cost += np.square(overlaps(probes, radius, hand, finger) / settings.overlap).sum(axis=1)
+    facing = _opposite(hand, finger, view)
+    if facing is not None:
+        cost += settings.opposed * 0.5 * (1.0 - normal[:, -1] @ facing)
+    table = view.around.table_distance(probes.reshape(-1, 3))
+    if table is not None:
+        height = table[0].reshape(probes.shape[:2])
+        cost += np.square(np.minimum(height - 0.5 * radius, 0.0) / settings.inside).sum(axis=1)
+    usual = (tried[..., 1] - ANGLE_MEAN[finger, :, 1]) / (2.0 * ANGLE_SPREAD[finger, :, 1])
+    beyond = np.minimum(tried - ANGLE_LOW[finger], 0) + np.maximum(tried - ANGLE_HIGH[finger], 0)
+    cost += settings.unusual * (usual**2).sum(axis=1) + np.square(beyond / np.radians(5)).sum(axis=(1, 2))
+    return cost
+
+
+def _opposite(hand: Skeleton, finger: int, view: HandView) -> np.ndarray | None:
+    """Outward normal that the object should have where a finger touches it: towards the thumb's pad for
+    fingers, away from the mean of the fingers' for the thumb. Unit vector, shape [3]; None if not known."""
+    joints = hand.joints()
+    pads = 0.5 * (joints[3::4] + joints[4::4])
+    distance, normal = view.around.object_distance(pads[4:] if finger < 4 else pads[:4])
+    touching = distance < OPPOSED_NEAR
+    if not touching.any():
+        return None
+    mean = -normal[touching].mean(axis=0)
+    length = float(np.linalg.norm(mean))
+    return mean / length if length > 0.3 else None
+
+
+def _points_cost(
+    hand: Skeleton, finger: int, joints: np.ndarray, view: HandView, settings: FingerSettings
+) -> np.ndarray:
+    whole = hand.joints()
+    scale = np.exp(hand.size)
+    others = FLESH.finger != finger
+    first, last = FLESH.ends(whole)
+    rest = np.abs(
+        capsule_distances(view.points, first[others], last[others], scale * FLESH.radius[others])[0]
+    ).min(axis=1)
+    # Only points that this finger may explain, and no other part of the hand does.
+    length = scale * LENGTHS[finger].sum() + 0.02
+    free = (rest > 0.002) & (np.linalg.norm(view.points - joints[0, 0], axis=1) < length)
+    if not free.any():
+        return np.zeros(len(joints))
+    apart = max(1, int(free.sum()) // MOST_POINTS)
+    free = np.flatnonzero(free)[::apart]
+    points = view.points[free]
+    own = FLESH.finger == finger
+    every = np.zeros((len(joints), 21, 3))
+    every[:, 1 + 4 * finger : 5 + 4 * finger] = joints
+    first, last = FLESH.ends(every)
+    distance = np.abs(
+        capsule_distances(points, first[:, own], last[:, own], scale * FLESH.radius[own])[0]
+    ).min(axis=-1)
+    distance = np.minimum(distance, rest[free])
+    weight = settings.points_weight * apart / max(len(view.points), 1)
+    return weight * _limited(distance / settings.point, settings.point_worst / settings.point).sum(axis=1)
+
+
+def _limited(residual: np.ndarray, worst: float) -> np.ndarray:
+    """Geman and McClure's loss, which tends to the square of ``worst``."""
+    return worst**2 * residual**2 / (worst**2 + residual**2)

@@ -1,0 +1,50 @@
+"""Robust Gauss-Newton steps from blocks of evidence."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from fungrasp.perception.hand.evidence import Evidence
+from fungrasp.perception.hand.skeleton import PARAMETERS
+
+LONGEST_STEP = {"position": 0.05, "turn": 0.5, "angles": 0.5}
+"""Largest change of a parameter in one step [m] or [rad]: the derivatives know no farther."""
+
+
+def normal_equations(evidence: Iterable[Evidence], size: int) -> tuple[np.ndarray, np.ndarray]:
+    """Weighted normal matrix, shape [size, size], and gradient, [size].
+
+    A residual (or group) of norm r with outlier limit c weighs ``(c^2 / (c^2 + r^2))^2``: the loss of Geman
+    and McClure, on which outliers pull the less the farther out they are.
+
+    Args:
+        evidence: blocks; those with fewer than ``size`` columns leave the last parameters alone.
+        size: number of parameters.
+    """
+    matrix, gradient = np.zeros((size, size)), np.zeros(size)
+    for block in evidence:
+        columns = block.jacobian.shape[1]
+        weighted = (block.jacobian * robust_weights(block)[:, None]).T
+        matrix[:columns, :columns] += weighted @ block.jacobian
+        gradient[:columns] += weighted @ block.residual
+    return matrix, gradient
+
+
+def robust_weights(block: Evidence) -> np.ndarray:
+    """Weight of each residual, 0 to 1, shape [R]."""
+    square = (block.residual**2).reshape(-1, block.group).sum(axis=1)
+    return np.repeat((1.0 + square / np.square(block.outlier)) ** -2.0, block.group)
+
+
+def damped_step(matrix: np.ndarray, gradient: np.ndarray, damping: float = 1e-3) -> np.ndarray:
+    """Step towards the least-squares solution, shortened where it would be too long to trust.
+
+    Args:
+        matrix, gradient: normal equations; the first parameters are those of a skeleton.
+        damping: added to each parameter's curvature, as a part of it.
+    """
+    step = -np.linalg.solve(matrix + np.diag(damping * np.diag(matrix) + 1e-9), gradient)
+    largest = max(float(np.abs(step[PARAMETERS[kind]]).max()) / most for kind, most in LONGEST_STEP.items())
+    return step / max(1.0, largest)

@@ -1,0 +1,1 @@
+"""Captures from files, folders and cameras."""

@@ -1,0 +1,161 @@
+"""Reading a camera's intrinsics from JSON: our layout, RealSense's, BOP's, or a bare matrix."""
+
+from __future__ import annotations
+
+import json
+import logging
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fungrasp.errors import FungraspError
+from fungrasp.perception.io.capture import Intrinsics
+
+OFF_CENTRE = 0.3
+"""A camera's optical axis lies at most this part of the image's width or height from the image's middle."""
+
+FOCAL_RANGE = (0.25, 6.0)
+"""A camera's focal length, as a part of the image's longer side."""
+
+MILLIMETRE = 0.001
+
+_MATRIX_NAMES = ("cam_K", "K", "camera_matrix", "intrinsic_matrix")
+_DISTORTION = 1e-6
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Lens:
+    """Intrinsics as a file gives them."""
+
+    intrinsics: Intrinsics
+    depth_unit: float | None = None
+    """Metres per unit of the depth image, if the file says."""
+
+
+def read_lens(path: str | Path, size: tuple[int, int], *, image: int | None = None) -> Lens:
+    """Read intrinsics and check that they fit an image.
+
+    Layouts, told apart by their fields:
+
+    - ours: ``width, height, fx, fy, cx, cy`` and, if wanted, ``depth_unit`` [m per unit];
+    - RealSense: ``width, height, fx, fy, ppx, ppy``, maybe inside ``color``; ``depth_scale`` [m per unit];
+    - BOP ``camera.json``: ours with ``depth_scale`` [mm per unit] instead of ``depth_unit``;
+    - BOP ``scene_camera.json``: by image number, ``cam_K`` (9 numbers) and ``depth_scale`` [mm per unit];
+    - a matrix: 3 lists of 3 numbers or 9 numbers, alone or as ``K``, ``cam_K`` or ``camera_matrix``.
+
+    Args:
+        path: the JSON file.
+        size: of the colour image, width and height [pixels].
+        image: number of the image, for BOP's ``scene_camera.json``.
+
+    Raises:
+        FungraspError: the file can't be read, has none of these layouts, or is for another resolution.
+    """
+    path = Path(path)
+    try:
+        content = json.loads(path.read_text())
+    except OSError as error:
+        raise FungraspError(f"cannot read the intrinsics {path}: {error.strerror or error}") from error
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise FungraspError(f"{path} is not valid JSON: {error}") from error
+    return lens_from(content, size, where=str(path), image=image)
+
+
+def lens_from(content: Any, size: tuple[int, int], *, where: str, image: int | None = None) -> Lens:
+    """As ``read_lens`` for what the file held. where: name of the file, for messages."""
+    if isinstance(content, list):
+        return Lens(_from_matrix(content, size, where))
+    if not isinstance(content, Mapping):
+        raise FungraspError(f"{where}: intrinsics are fields or a 3 x 3 matrix, not {content!r:.40}")
+    for name in ("color", "colour", "intrinsics"):
+        if isinstance(content.get(name), Mapping):
+            content = {**content, **content[name]}
+    if content and all(str(key).isdigit() and isinstance(content[key], Mapping) for key in content):
+        content = _of_image(content, image, where)
+    for name in _MATRIX_NAMES:
+        if name in content:
+            return Lens(_from_matrix(content[name], size, where), _unit(content, MILLIMETRE, where))
+    real_sense = "ppx" in content
+    names = ("fx", "fy", "ppx", "ppy") if real_sense else ("fx", "fy", "cx", "cy")
+    fx, fy, cx, cy = (_number(content, name, where) for name in names)
+    given = tuple(
+        int(_number(content, name, where)) if name in content else None for name in ("width", "height")
+    )
+    width, height = (value or own for value, own in zip(given, size, strict=True))
+    if (width, height) != size:
+        raise FungraspError(
+            f"{where}: the intrinsics are for an image of {width} x {height} pixels, but the colour image "
+            f"has {size[0]} x {size[1]}{_scale_hint((width, height), size)}"
+        )
+    coefficients = np.abs(np.asarray(content.get("coeffs") or [0.0], dtype=float))
+    if coefficients.max() > _DISTORTION:
+        _log.warning("%s: the lens's distortion is not taken into account; undistort the images", where)
+    lens = _checked(width, height, fx, fy, cx, cy, where)
+    return Lens(lens, _unit(content, 1.0 if real_sense else MILLIMETRE, where))
+
+
+def _of_image(content: Mapping[str, Any], image: int | None, where: str) -> Mapping[str, Any]:
+    if image is None:
+        if len(content) == 1:
+            return next(iter(content.values()))
+        raise FungraspError(f"{where} has the intrinsics of {len(content)} images: say which image is meant")
+    for key, value in content.items():
+        if int(key) == image:
+            return value
+    raise FungraspError(f"{where} has no image {image}")
+
+
+def _from_matrix(matrix: Any, size: tuple[int, int], where: str) -> Intrinsics:
+    try:
+        k = np.array(matrix, dtype=float).reshape(3, 3)
+    except (TypeError, ValueError) as error:
+        raise FungraspError(f"{where}: the matrix of intrinsics must be 3 x 3 numbers") from error
+    if np.abs(k[[1, 2, 2], [0, 0, 1]]).max() > 1e-6 or abs(k[2, 2] - 1) > 1e-6 or abs(k[0, 1]) > 1.0:
+        raise FungraspError(
+            f"{where}: the matrix of intrinsics must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], row by row"
+        )
+    return _checked(*size, k[0, 0], k[1, 1], k[0, 2], k[1, 2], where)
+
+
+def _checked(width: int, height: int, fx: float, fy: float, cx: float, cy: float, where: str) -> Intrinsics:
+    try:
+        lens = Intrinsics(width, height, fx, fy, cx, cy)
+    except FungraspError as error:
+        raise FungraspError(f"{where}: {error}") from error
+    centred = max(abs(cx / width - 0.5), abs(cy / height - 0.5)) <= OFF_CENTRE
+    low, high = (part * max(width, height) for part in FOCAL_RANGE)
+    if not (centred and low <= min(fx, fy) and max(fx, fy) <= high and 0.5 < fx / fy < 2):
+        raise FungraspError(
+            f"{where}: fx = {fx:g}, fy = {fy:g}, cx = {cx:g}, cy = {cy:g} [pixels] don't fit an image of "
+            f"{width} x {height} pixels: intrinsics of another resolution, or not in pixels?"
+        )
+    return lens
+
+
+def _unit(content: Mapping[str, Any], scale_unit: float, where: str) -> float | None:
+    if "depth_unit" in content:
+        unit = _number(content, "depth_unit", where)
+    elif "depth_scale" in content:
+        unit = _number(content, "depth_scale", where) * scale_unit
+    else:
+        return None
+    if not unit > 0:
+        raise FungraspError(f"{where}: the unit of depth must be positive, not {unit} m")
+    return unit
+
+
+def _number(content: Mapping[str, Any], name: str, where: str) -> float:
+    value = content.get(name)
+    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
+        raise FungraspError(f"{where}: the field '{name}' must be a number, not {value!r}")
+    return float(value)
+
+
+def _scale_hint(of: tuple[int, int], size: tuple[int, int]) -> str:
+    if of[0] * size[1] == of[1] * size[0]:
+        return f"; if it was only resized, multiply fx, fy, cx and cy by {size[0] / of[0]:.4g}"
+    return ": intrinsics of another resolution"

@@ -1,0 +1,190 @@
+"""Captures out of folders: our own, which can be written too, BOP scenes, DexYCB recordings."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from fungrasp.errors import FungraspError
+from fungrasp.files import atomic_path
+from fungrasp.grasps.importers.yaml_file import read_yaml
+from fungrasp.perception.io.capture import Capture
+from fungrasp.perception.io.image_files import read_capture, read_colour
+from fungrasp.perception.io.intrinsics_files import MILLIMETRE, lens_from
+
+COLOUR_FILE, DEPTH_FILE, LENS_FILE, MASK_FILE = "rgb.png", "depth.png", "K.json", "mask.png"
+"""Names of the files in a capture's own folder."""
+
+FINE, COARSE = 0.0001, 0.001
+"""Units [m] in which depth is written: the coarse one where the fine one does not reach."""
+
+_PICTURES = (".png", ".jpg", ".jpeg", ".tif")
+
+
+def read_folder(folder: str | Path, image: int | None = None) -> Capture:
+    """Read a capture from a folder, whichever kind it is.
+
+    - ours: ``rgb.png``, ``depth.png``, ``K.json`` and, if there is one, ``mask.png``;
+    - a BOP scene: see ``read_bop``;
+    - one camera of a DexYCB sequence: see ``read_dexycb``.
+
+    Args:
+        folder: the folder.
+        image: number of the image in a BOP scene or a DexYCB sequence; None takes the first, or the last, in
+            which the object is held.
+
+    Raises:
+        FungraspError: the folder is of no such kind, or a file in it is bad.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise FungraspError(f"the folder {folder} does not exist")
+    own = own_files(folder)
+    if own is not None:
+        colour, depth, lens, mask = own
+        return read_capture(colour, depth, lens, mask=mask)
+    if (folder / "scene_camera.json").is_file():
+        return read_bop(folder, _numbers(folder, "depth")[0] if image is None else image)
+    frames = sorted(folder.glob("aligned_depth_to_color_*.png"))
+    if frames:
+        return read_dexycb(folder, int(frames[-1].stem[-6:]) if image is None else image)
+    raise FungraspError(
+        f"{folder} is no capture: it has neither {LENS_FILE} (ours), nor scene_camera.json (a BOP scene), "
+        "nor aligned_depth_to_color_*.png (one camera of a DexYCB sequence)"
+    )
+
+
+def own_files(folder: str | Path) -> tuple[Path, Path, Path, Path | None] | None:
+    """Colour, depth, intrinsics and, if there is one, mask of a capture's own folder; None for other folders.
+
+    The files need not exist; reading them says so.
+    """
+    folder = Path(folder)
+    if not (folder / LENS_FILE).is_file():
+        return None
+    mask = folder / MASK_FILE
+    return (
+        folder / COLOUR_FILE,
+        folder / DEPTH_FILE,
+        folder / LENS_FILE,
+        mask if mask.is_file() else None,
+    )
+
+
+def write_folder(capture: Capture, folder: str | Path) -> None:
+    """Write a capture as a folder of our own, which ``read_folder`` reads.
+
+    Depth is rounded to ``FINE``, or to ``COARSE`` where the image reaches far; a box is not written.
+
+    Raises:
+        FungraspError: the folder can't be written to, or has a mask that is not this capture's.
+    """
+    folder = Path(folder)
+    if capture.mask is None and (folder / MASK_FILE).exists():
+        raise FungraspError(f"{folder} has the mask of another image, {MASK_FILE}: remove it first")
+    largest = float(capture.depth.max())
+    unit = FINE if largest < FINE * 65535 else COARSE
+    depth = np.round(capture.depth / unit)
+    depth = np.where(depth > 65535, 0, depth).astype(np.uint16)
+    images = {COLOUR_FILE: capture.colour, DEPTH_FILE: depth}
+    if capture.mask is not None:
+        images[MASK_FILE] = np.where(capture.mask, 255, 0).astype(np.uint8)
+    for name, pixels in images.items():
+        with atomic_path(folder / name) as temporary:
+            Image.fromarray(pixels).save(temporary)
+    # Last, so that a folder with it is whole.
+    with atomic_path(folder / LENS_FILE) as temporary:
+        temporary.write_text(json.dumps({**asdict(capture.intrinsics), "depth_unit": unit}, indent=1) + "\n")
+
+
+def read_bop(scene: str | Path, image: int, instance: int | None = None) -> Capture:
+    """Read an image of a BOP scene (github.com/thodan/bop_toolkit, ``docs/bop_datasets_format.md``).
+
+    ::
+
+        <scene>/scene_camera.json                cam_K and depth_scale [mm per unit] by image
+        <scene>/rgb/000000.png                   or .jpg, .tif
+        <scene>/depth/000000.png
+        <scene>/mask_visib/000000_000000.png     image and instance
+
+    Args:
+        scene: the scene's folder.
+        image: its number.
+        instance: row of the object in the image's ground truth; its visible mask becomes the capture's.
+
+    Raises:
+        FungraspError: a file is missing or bad.
+    """
+    scene = Path(scene)
+    mask = None if instance is None else scene / "mask_visib" / f"{image:06d}_{instance:06d}.png"
+    return read_capture(
+        _picture(scene / "rgb", image), _picture(scene / "depth", image), scene / "scene_camera.json",
+        mask=mask, image=image,
+    )  # fmt: skip
+
+
+def read_dexycb(camera: str | Path, frame: int, *, with_mask: bool = False) -> Capture:
+    """Read a frame of one camera of a DexYCB sequence (dex-ycb.github.io).
+
+    ::
+
+        <root>/<subject>/<sequence>/meta.yml                                   ycb_ids, ycb_grasp_ind
+        <root>/<subject>/<sequence>/<serial>/color_000000.jpg
+        <root>/<subject>/<sequence>/<serial>/aligned_depth_to_color_000000.png [mm]
+        <root>/<subject>/<sequence>/<serial>/labels_000000.npz                 seg: YCB number of each pixel
+        <root>/calibration/intrinsics/<serial>_640x480.yml                     color: fx, fy, ppx, ppy
+
+    Args:
+        camera: the camera's folder, ``<root>/<subject>/<sequence>/<serial>``.
+        frame: its number.
+        with_mask: take the grasped object's labelled pixels as the mask.
+
+    Raises:
+        FungraspError: a file is missing or bad, or PyYAML is not installed.
+    """
+    camera = Path(camera).absolute()
+    colour = camera / f"color_{frame:06d}.jpg"
+    height, width = read_colour(colour).shape[:2]
+    calibration = camera.parents[2] / "calibration" / "intrinsics" / f"{camera.name}_{width}x{height}.yml"
+    lens = lens_from(read_yaml(calibration), (width, height), where=str(calibration))
+    depth = camera / f"aligned_depth_to_color_{frame:06d}.png"
+    capture = read_capture(colour, depth, lens.intrinsics, depth_unit=MILLIMETRE)
+    if not with_mask:
+        return capture
+    meta = read_yaml(camera.parent / "meta.yml")
+    try:
+        number = int(meta["ycb_ids"][int(meta["ycb_grasp_ind"])])
+    except (KeyError, TypeError, ValueError, IndexError) as error:
+        raise FungraspError(
+            f"{camera.parent / 'meta.yml'}: ycb_ids and ycb_grasp_ind don't name an object"
+        ) from error
+    labels = camera / f"labels_{frame:06d}.npz"
+    try:
+        with np.load(labels, allow_pickle=False) as data:
+            mask = data["seg"] == number
+    except Exception as error:
+        # np.load fails in many ways on a file that is cut short or something else.
+        raise FungraspError(
+            f"{labels} is not a readable DexYCB label: {' '.join(str(error).split())}"
+        ) from error
+    return capture.with_object(mask=mask)
+
+
+def _picture(folder: Path, image: int) -> Path:
+    for suffix in _PICTURES:
+        path = folder / f"{image:06d}{suffix}"
+        if path.is_file():
+            return path
+    raise FungraspError(f"{folder} has no image {image} ({image:06d}.png)")
+
+
+def _numbers(scene: Path, kind: str) -> list[int]:
+    names = (path.stem for path in (scene / kind).glob("*") if path.suffix in _PICTURES)
+    numbers = sorted(int(name) for name in names if name.isdigit())
+    if not numbers:
+        raise FungraspError(f"the BOP scene {scene} has no images in its folder '{kind}'")
+    return numbers

@@ -1,0 +1,136 @@
+"""Fitting a known surface to measured points from many starts at once.
+
+Point-to-plane ICP without correspondences: the signed-distance grid gives each point's distance from the
+surface and the surface's direction there (Fitzgibbon, 2003). Samples of the surface must also stay out of the
+space that the camera saw to be free, which is what fixes an object whose visible side is flat or round.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fungrasp.geometry.poses import (
+    cross,
+    inverse_transform_points,
+    quaternion_from_rotation_vector,
+    quaternion_multiply,
+    rotation_matrix,
+)
+from fungrasp.geometry.signed_distance import SignedDistanceBank
+from fungrasp.perception.object_pose.free_space import FreeSpace
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """The known object, ready to be fitted; object frame."""
+
+    distance: SignedDistanceBank
+    """Of one grid."""
+    samples: np.ndarray
+    """Points of the surface, each far from those before it [m], shape [M, 3]: any leading part is evenly
+    spread too."""
+
+    def median_distance(self, points: np.ndarray, pose: np.ndarray) -> float:
+        """Median distance of points [m], camera frame, shape [P, 3], from the surface at a pose [7]."""
+        local = inverse_transform_points(pose, points)
+        return float(np.median(np.abs(self.distance.query(np.zeros(1, dtype=int), local[None])[0])))
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """What the object must agree with; camera frame."""
+
+    points: np.ndarray
+    """Measured on the object, in random order [m], shape [P, 3]."""
+    free: FreeSpace
+    """Where the object is not."""
+
+
+@dataclass(frozen=True)
+class Round:
+    """One round of the coarse-to-fine fit."""
+
+    iterations: int
+    points: int
+    """How many measured points are used."""
+    samples: int
+    """How many surface samples are used."""
+    scale: float
+    """Distance [m] at which a point's pull has fallen to a quarter."""
+    free_weight: float = 1.0
+    """Weight of a surface sample in free space, in that of a measured point."""
+    free_scale: float = 0.02
+    """As ``scale``, for how far surface samples intrude into free space."""
+
+
+def fit(
+    surface: Surface, evidence: Evidence, poses: np.ndarray, settings: Round
+) -> tuple[np.ndarray, np.ndarray]:
+    """Move each pose to a nearby minimum of
+    ``mean rho(distance(points)) + free_weight * mean rho(intrusion(samples))`` by Gauss-Newton steps,
+    ``rho(r) = r^2 / (1 + (r / scale)^2)``, means over the points or samples used.
+
+    Args:
+        surface: the object.
+        evidence: the image.
+        poses: starts, object in the camera frame, shape [H, 7].
+        settings: of this round.
+
+    Returns:
+        poses, shape [H, 7]; the sum before the last step [m^2], shape [H].
+    """
+    points = evidence.points[: settings.points]
+    samples = surface.samples[: settings.samples]
+    cost = np.zeros(len(poses))
+    for _ in range(settings.iterations):
+        rotation, position = rotation_matrix(poses[:, 3:]), poses[:, None, :3]
+        grid = np.zeros(len(poses), dtype=int)
+        distance, slope = surface.distance.query(grid, (points - position) @ rotation)
+        normal = slope @ rotation.swapaxes(-1, -2)
+        arm = points - position
+        pulls = _terms(-normal, arm, distance, settings.scale)
+        turned = samples @ rotation.swapaxes(-1, -2)
+        depth, away = evidence.free.intrusion(turned + position)
+        pushes = _terms(away, turned, depth, settings.free_scale)
+        portion = settings.free_weight / len(samples)
+        matrix = pulls[0] / len(points) + portion * pushes[0]
+        vector = pulls[1] / len(points) + portion * pushes[1]
+        cost = pulls[2] / len(points) + portion * pushes[2]
+        damping = np.diag([3e-7] * 3 + [1e-3] * 3) + 1e-3 * matrix * np.eye(6)
+        step = np.linalg.solve(matrix + damping, -vector[..., None])[..., 0]
+        poses = _moved(poses, step)
+    return poses, cost
+
+
+def _terms(
+    gradient: np.ndarray, arm: np.ndarray, residual: np.ndarray, scale: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Normal equations for a turn about the object's origin and a shift.
+
+    Args:
+        gradient: of the residual by the point's position on the object, shape [H, P, 3].
+        arm: the point less the object's origin, shape [H, P, 3].
+        residual: [m], shape [H, P].
+        scale: of the robust weight [m].
+
+    Returns:
+        matrix, shape [H, 6, 6]; vector, shape [H, 6]; sum of robust costs [m^2], shape [H].
+    """
+    jacobian = np.concatenate([cross(arm, gradient), gradient], axis=-1)
+    squared = (residual / scale) ** 2
+    weighted = jacobian / ((1.0 + squared) ** 2)[..., None]
+    matrix = weighted.swapaxes(-1, -2) @ jacobian
+    vector = (weighted.swapaxes(-1, -2) @ residual[..., None])[..., 0]
+    return matrix, vector, scale**2 * (squared / (1.0 + squared)).sum(axis=-1)
+
+
+def _moved(poses: np.ndarray, step: np.ndarray) -> np.ndarray:
+    """Poses after a turn and a shift, shape [H, 7]; a turn of at most 0.3 rad, a shift of at most 3 cm."""
+    turn, shift = step[:, :3], step[:, 3:]
+    turn = turn * np.minimum(1.0, 0.3 / np.maximum(np.linalg.norm(turn, axis=1, keepdims=True), 1e-9))
+    shift = shift * np.minimum(1.0, 0.03 / np.maximum(np.linalg.norm(shift, axis=1, keepdims=True), 1e-9))
+    quaternion = quaternion_multiply(quaternion_from_rotation_vector(turn), poses[:, 3:])
+    quaternion = quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)
+    return np.concatenate([poses[:, :3] + shift, quaternion], axis=1)

@@ -1,0 +1,193 @@
+"""A known mesh made ready for finding it in depth images."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import trimesh
+from scipy.spatial import KDTree
+
+from fungrasp.errors import FungraspError
+from fungrasp.geometry.poses import (
+    quaternion_from_rotation_vector,
+    quaternion_multiply,
+    rotate,
+    rotation_matrix,
+    transform_points,
+)
+from fungrasp.geometry.signed_distance import SignedDistanceBank, nearest_on_mesh, points_on_triangles
+from fungrasp.objects import ObjectModel
+from fungrasp.perception.object_pose.icp import Surface
+from fungrasp.perception.object_pose.mesh_rays import MeshRays
+
+SAMPLES = 1000
+"""Surface samples of a known object."""
+
+LEAST_COLOUR = 0.03
+"""Colours that differ by less (standard deviation of a channel, 0 to 1) say nothing."""
+
+
+@dataclass(frozen=True, eq=False)
+class KnownObject:
+    """What the search needs to know of a mesh. ``known_object`` makes it."""
+
+    surface: Surface
+    normals: np.ndarray
+    """Outward, at the surface's samples, shape [M, 3]."""
+    rays: MeshRays
+    size: float
+    """Diagonal of the box round the mesh, sides along its axes [m]."""
+    symmetries: np.ndarray
+    """Poses, not the identity, that map the surface nearly onto itself, shape [S, 7]."""
+    colours: np.ndarray | None
+    """RGB of the surface's samples, 0 to 1, shape [M, 3], if the mesh has colours that differ."""
+
+
+def known_object(mesh: ObjectModel | trimesh.Trimesh) -> KnownObject:
+    """Prepare a mesh; the result is kept for the next image.
+
+    Args:
+        mesh: the object [m].
+
+    Raises:
+        FungraspError: the mesh has no faces.
+    """
+    if isinstance(mesh, trimesh.Trimesh):
+        if len(mesh.faces) == 0:
+            raise FungraspError("the object's mesh has no faces")
+        model = _model(np.array(mesh.vertices, float).tobytes(), np.array(mesh.faces, np.int32).tobytes())
+        return replace(_known(model), colours=_colours(mesh, _known(model).surface.samples))
+    return _known(mesh)
+
+
+@lru_cache(maxsize=16)
+def _model(vertices: bytes, faces: bytes) -> ObjectModel:
+    return ObjectModel(
+        "mesh",
+        1.0,
+        np.frombuffer(vertices, dtype=float).reshape(-1, 3),
+        np.frombuffer(faces, dtype=np.int32).reshape(-1, 3),
+    )
+
+
+@lru_cache(maxsize=16)
+def _known(model: ObjectModel) -> KnownObject:
+    points, normals = _even_samples(model.mesh, SAMPLES)
+    return KnownObject(
+        Surface(SignedDistanceBank([model.signed_distance]), points),
+        normals,
+        MeshRays(model.vertices, model.faces),
+        float(np.linalg.norm(model.size)),
+        _near_symmetries(points),
+        None,
+    )
+
+
+def _near_symmetries(points: np.ndarray) -> np.ndarray:
+    """Turns by multiples of 30 degrees about the principal axes, through the middle, that move the surface
+    by less than 4 % of its size. points: shape [M, 3]. Returns shape [S, 7]."""
+    middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
+    tree = KDTree(points)
+    limit = 0.04 * float(np.linalg.norm(np.ptp(points, axis=0)))
+    axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2]
+    poses = []
+    for axis in axes:
+        for angle in np.radians(np.arange(30, 360, 30)):
+            turn = quaternion_from_rotation_vector(axis * angle)
+            pose = np.concatenate([middle - rotate(turn, middle), turn])
+            if float(np.mean(tree.query(transform_points(pose, points[:300]))[0])) < limit:
+                poses.append(pose)
+    return np.array(poses).reshape(-1, 7)
+
+
+def _colours(mesh: trimesh.Trimesh, points: np.ndarray) -> np.ndarray | None:
+    """RGB at surface points, 0 to 1, shape [P, 3]; None where the mesh has no colours, or only one."""
+    visual: Any = mesh.visual
+    if visual is None:
+        return None
+    if visual.kind == "texture":
+        visual = visual.to_color()
+    if visual.kind not in ("vertex", "face"):
+        return None
+    nearest, faces = nearest_on_mesh(mesh, points)
+    if visual.kind == "face":
+        colours = np.asarray(visual.face_colors)[faces, :3] / 255.0
+    else:
+        parts = trimesh.triangles.points_to_barycentric(mesh.triangles[faces], nearest)
+        corners = np.asarray(visual.vertex_colors)[mesh.faces[faces], :3] / 255.0
+        colours = np.einsum("pc,pci->pi", parts, corners)
+    return colours if float(colours.std(axis=0).max()) > LEAST_COLOUR else None
+
+
+def _even_samples(mesh: trimesh.Trimesh, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Points on the surface and its normals there, each point far from all before it."""
+    gap = float(np.sqrt(mesh.area / (6 * count)))
+    points, owners = points_on_triangles(np.asarray(mesh.triangles), gap)
+    rng = np.random.default_rng(0)
+    some = rng.permutation(len(points))[: 8 * count]
+    points, owners = points[some], owners[some]
+    chosen = np.zeros(min(count, len(points)), dtype=int)
+    apart = np.full(len(points), np.inf)
+    for i in range(1, len(chosen)):
+        apart = np.minimum(apart, np.square(points - points[chosen[i - 1]]).sum(axis=1))
+        chosen[i] = int(apart.argmax())
+    return points[chosen], np.asarray(mesh.face_normals)[owners[chosen]]
+
+
+def even_rotations(count: int, rng: np.random.Generator) -> np.ndarray:
+    """Rotations spread evenly over all there are (super-Fibonacci spirals, Alexa, 2022), turned at random.
+
+    Returns:
+        wxyz, shape [count, 4].
+    """
+    s = np.arange(count) + 0.5
+    inner, outer = np.sqrt(s / count), np.sqrt(1.0 - s / count)
+    a, b = 2 * np.pi * s / np.sqrt(2.0), 2 * np.pi * s / 1.533751168755204
+    spiral = np.stack([inner * np.sin(a), inner * np.cos(a), outer * np.sin(b), outer * np.cos(b)], axis=-1)
+    turn = rng.normal(size=4)
+    return quaternion_multiply(turn / np.linalg.norm(turn), spiral)
+
+
+def starting_poses(known: KnownObject, points: np.ndarray, quaternions: np.ndarray) -> np.ndarray:
+    """For each rotation five positions: the middle of the side that the camera would see in the middle of the
+    measured points, and, as a part of the object may be hidden, each corner of the one's box in the view at
+    the same corner of the other's, nearest point at nearest point.
+
+    Args:
+        known: the object.
+        points: measured on it [m], camera frame, shape [P, 3].
+        quaternions: wxyz, shape [H, 4].
+
+    Returns:
+        object in the camera frame, shape [5 H, 7].
+    """
+    middle = points.mean(axis=0)
+    axes = _view_axes(middle)
+    rotation = axes @ rotation_matrix(quaternions)
+    samples = known.surface.samples[:300]
+    seen = np.maximum(-(rotation @ known.normals[:300].T)[:, 0], 0.0)
+    turned = samples @ rotation.swapaxes(-1, -2)
+    side = np.einsum("hm,hmi->hi", seen, turned) / np.maximum(seen.sum(axis=1), 1e-9)[:, None]
+    measured = points @ axes.T
+    target = measured.mean(axis=0)
+    centred = target - side
+    low = np.percentile(measured, 2, axis=0) - turned.min(axis=1)
+    high = np.percentile(measured, 98, axis=0) - turned.max(axis=1)
+    depth = low[:, :1]
+    positions = [
+        centred,
+        *(np.concatenate([depth, x[:, 1:2], y[:, 2:]], axis=1) for x in (low, high) for y in (low, high)),
+    ]
+    poses = [np.concatenate([position @ axes, quaternions], axis=1) for position in positions]
+    return np.concatenate(poses)
+
+
+def _view_axes(point: np.ndarray) -> np.ndarray:
+    """Unit vectors towards a point in front of the camera, to the right and down, as rows, shape [3, 3]."""
+    forward = point / np.linalg.norm(point)
+    right = np.cross([0.0, 1.0, 0.0], forward)
+    right /= np.linalg.norm(right)
+    return np.stack([forward, right, np.cross(forward, right)])

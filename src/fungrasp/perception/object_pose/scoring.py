@@ -1,0 +1,145 @@
+"""How well poses of a known object explain a depth image: ray casting against the measurement."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from fungrasp.geometry.poses import inverse_transform_points
+from fungrasp.perception.io.capture import Capture
+from fungrasp.perception.object_pose.known_object import KnownObject
+from fungrasp.perception.scene.segmentation import TIPS
+
+UNSEEN = 0.1
+"""Weight of a pixel of the mesh's silhouette that is hidden, in that of an explained one."""
+
+OCCLUDER = 0.25
+"""How sure it is that what seems to be a thing in front of the object is no unrecognised part of the arm."""
+
+CONTACT = 0.05
+"""Fingertips as far from the surface as this [m] halve the quality."""
+
+FLESH = 0.009
+"""From a fingertip's joint centre to its skin [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Verdict:
+    """What speaks for and against H poses."""
+
+    quality: np.ndarray
+    """What ranks them, 0 to 1, shape [H]: pixels explained / (those, and those of the mask that are not, and
+    those contradicted, and ``UNSEEN`` of the mesh's silhouette that is hidden); less where the fingertips are
+    far."""
+    explained: np.ndarray
+    """Part of the mask's pixels that the pose explains, shape [H]."""
+    contradicted: np.ndarray
+    """Pixels in which the mesh would hide what was measured, or be hidden by the table or another thing, as
+    a part of those of the mask, shape [H]."""
+    visible: np.ndarray
+    """Part of the mesh's silhouette that agrees with the measurement, shape [H]."""
+    contact: np.ndarray
+    """Mean distance of the three nearest fingertips' skin from the surface [m], shape [H]; 0 without a
+    hand."""
+    pixels: np.ndarray
+    """Measured pixels of the image that the pose explains, shape [H]."""
+
+    def chosen(self, rows: np.ndarray) -> Verdict:
+        """The verdicts on some of the poses."""
+        return Verdict(*(getattr(self, field.name)[rows] for field in fields(self)))
+
+
+@dataclass(frozen=True, eq=False)
+class Judge:
+    """Rays to compare with. ``make_judge`` makes it."""
+
+    known: KnownObject
+    directions: np.ndarray
+    """With z = 1, camera frame, shape [R, 3]."""
+    depth: np.ndarray
+    """Measured [m], shape [R]."""
+    support: np.ndarray
+    """How sure it is that the pixel shows a thing, not skin, table or room, shape [R]."""
+    masks: np.ndarray
+    """How sure it is that the pixel shows the object if a mask is right, shape [N, R]."""
+    opaque: np.ndarray
+    """How sure it is that the object is not behind what the pixel shows, shape [R]: 1 for the table,
+    ``OCCLUDER`` for things, 0 for skin."""
+    joints: np.ndarray | None
+    """Of the hand [m], camera frame, shape [21, 3]."""
+    step: int
+    """Every so many rows and columns has rays."""
+
+    def __call__(self, poses: np.ndarray, owner: np.ndarray) -> Verdict:
+        """Judge poses of the object in the camera frame, shape [H, 7], each by the mask it was fitted to,
+        shape [H] int."""
+        seen = self.known.rays.cast(poses, self.directions)
+        noise = noise_at(self.depth)
+        error = seen - self.depth
+        likeness = np.exp(-0.5 * np.square(error / (1.5 * noise)))
+        mine = self.masks[owner]
+        total = np.maximum(mine.sum(axis=1), 1.0)
+        explained = np.einsum("hr,hr->h", likeness, mine) / total
+        everywhere = likeness @ self.support
+        in_front = error < -(3.0 * noise + 0.003)
+        behind = np.where((error > 3.0 * noise + 0.006) & np.isfinite(seen), self.opaque, 0.0)
+        contradicted = ((in_front + behind) * (1.0 - mine)).sum(axis=1) / total
+        hit = np.maximum(np.isfinite(seen).sum(axis=1), 1)
+        visible = likeness.sum(axis=1) / hit
+        against = (1.0 - explained + contradicted) * total + UNSEEN * (1.0 - visible) * hit
+        quality = everywhere / (everywhere + against)
+        contact = np.zeros(len(poses))
+        if self.joints is not None:
+            tips = inverse_transform_points(poses, self.joints[list(TIPS)])
+            apart = self.known.surface.distance.query(np.zeros(len(poses), dtype=int), tips)[0] - FLESH
+            contact = np.sort(np.abs(apart), axis=1)[:, :3].mean(axis=1)
+            quality = quality / (1.0 + np.square(contact / CONTACT))
+        return Verdict(quality, explained, contradicted, visible, contact, everywhere * self.step**2)
+
+
+def noise_at(depth: np.ndarray) -> np.ndarray:
+    """Standard deviation of a depth camera's error [m]. depth: [m]."""
+    return 0.0025 + 0.002 * depth**2
+
+
+def make_judge(
+    known: KnownObject,
+    capture: Capture,
+    support: np.ndarray,
+    masks: Sequence[np.ndarray],
+    table: np.ndarray | None,
+    joints: np.ndarray | None,
+    rays: int,
+) -> Judge:
+    """Rays through the part of the image in which the object may be.
+
+    Args:
+        known: the object.
+        capture: the image.
+        support: how sure it is that a pixel shows a thing, not skin, table or room, shape [H, W].
+        masks: proposals for the object's pixels, bool, shape [H, W] each.
+        table: plane ``[nx ny nz d]``, camera frame, or None.
+        joints: of the hand [m], camera frame, shape [21, 3], or None.
+        rays: about how many meet a mask.
+    """
+    k = capture.intrinsics
+    rows, columns = np.nonzero(np.logical_or.reduce(masks) & capture.measured)
+    pad = int(0.6 * known.size * k.fx / float(np.median(capture.depth[rows, columns])))
+    step = max(1, round(float(np.sqrt(max(mask.sum() for mask in masks) / rays))))
+    v, u = np.mgrid[
+        max(0, rows.min() - pad) : min(k.height, rows.max() + pad) : step,
+        max(0, columns.min() - pad) : min(k.width, columns.max() + pad) : step,
+    ].reshape(2, -1)
+    keep = capture.measured[v, u]
+    v, u = v[keep], u[keep]
+    depth = capture.depth[v, u].astype(float)
+    directions = k.deproject(np.stack([u, v], axis=-1), np.ones(len(u)))
+    shown = support[v, u].astype(float)
+    opaque = OCCLUDER * shown
+    if table is not None:
+        height = (directions * depth[:, None]) @ table[:3] + table[3]
+        opaque = np.where(np.abs(height) < 3 * noise_at(depth), 1.0, opaque)
+    mine = np.stack([np.where(mask[v, u], shown, 0.0) for mask in masks])
+    return Judge(known, directions, depth, shown, mine, opaque, joints, step)

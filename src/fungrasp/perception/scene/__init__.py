@@ -1,0 +1,1 @@
+"""The table, the world frame, and which pixels belong to what."""

@@ -1,0 +1,172 @@
+"""Which pixels may show the object that the hand holds: the table, the arm and far things taken away.
+
+No single answer is safe, as skin and object touch: several masks are proposed, and the fit of the known mesh
+decides. Camera frame: OpenCV [m].
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy import ndimage
+
+from fungrasp.grasps.human_hand import BONES
+from fungrasp.perception.io.capture import Capture
+from fungrasp.perception.scene.planes import tolerance
+
+BONE_RADII = np.array([[15.0, 10.0, 9.0, 8.0]] * 4 + [[17.0, 13.0, 11.0, 10.0]]).ravel() / 1000
+"""Of the flesh round each of ``BONES`` [m]."""
+
+PALM = ((1, 5), (5, 9), (9, 13), (13, 17), (17, 1))
+"""Lines across the palm that have flesh round them as well, as pairs of joints."""
+
+PALM_RADIUS = 0.013
+"""Of the flesh round the lines of ``PALM`` [m]."""
+
+FOREARM = (0.35, 0.045)
+"""Length and radius of forearm and sleeve [m]."""
+
+TIPS = (4, 8, 12, 16, 20)
+"""The fingertips among the 21 joints."""
+
+MARGINS = (0.012, 0.004, 0.02)
+"""Pixels nearer to the skin [m] are left out of the masks; several are tried."""
+
+NEAR_HAND = 0.06
+"""A thing this near to the hand's skin [m] may be what it holds."""
+
+JUMP = 0.012
+"""Neighbouring pixels whose depth differs by more than this [m], and by more than 2 % of it, do not belong
+together."""
+
+
+@dataclass(frozen=True, eq=False)
+class Segmentation:
+    """Where the object may be."""
+
+    masks: tuple[np.ndarray, ...]
+    """Different proposals, each bool, shape [H, W]; best guess first; none if nothing is there."""
+    support: np.ndarray
+    """How sure it is that a pixel shows the object or another thing, not skin, table or room: 0 to 1,
+    shape [H, W]."""
+
+
+def distance_from_hand(points: np.ndarray, joints: np.ndarray) -> np.ndarray:
+    """Distance from the skin of a hand, roughly, negative inside.
+
+    Args:
+        points: [m], shape [P, 3], camera frame.
+        joints: [m], shape [21, 3], camera frame.
+
+    Returns:
+        [m], shape [P].
+    """
+    near, far = joints[np.transpose((*BONES, *PALM))]
+    radii = np.concatenate([BONE_RADII, np.full(len(PALM), PALM_RADIUS)])
+    return _distance_from_rods(points, near, far, radii)
+
+
+def distance_from_forearm(points: np.ndarray, joints: np.ndarray) -> np.ndarray:
+    """As ``distance_from_hand``, for a sleeved forearm that goes straight on."""
+    away = joints[0] - joints[[5, 9]].mean(axis=0)
+    away = away / max(float(np.linalg.norm(away)), 1e-6)
+    length, radius = FOREARM
+    ends = joints[:1] + away * np.array([[radius], [length]])
+    return _distance_from_rods(points, ends[:1], ends[1:], np.array([radius]))
+
+
+def _distance_from_rods(
+    points: np.ndarray, near: np.ndarray, far: np.ndarray, radii: np.ndarray
+) -> np.ndarray:
+    best = np.full(len(points), np.inf)
+    for start, end, radius in zip(near, far, radii, strict=True):
+        line = end - start
+        along = np.clip((points - start) @ line / max(float(line @ line), 1e-12), 0.0, 1.0)
+        offset = points - start - along[:, None] * line
+        best = np.minimum(best, np.sqrt(np.einsum("pi,pi->p", offset, offset)) - radius)
+    return best
+
+
+def segment(
+    capture: Capture, joints: np.ndarray | None, table: np.ndarray | None, size: float
+) -> Segmentation:
+    """Propose masks for the object in the hand.
+
+    Args:
+        capture: its box, if it has one, bounds the object; its mask is not looked at.
+        joints: of the hand [m], camera frame, shape [21, 3], if known.
+        table: plane ``[nx ny nz d]``, ``n . x + d`` the height above it [m], shape [4], if there is one.
+        size: longest distance between two points of the object [m].
+    """
+    points = capture.points()
+    candidate = capture.measured & (capture.depth < 3.0)
+    if capture.box is not None:
+        candidate &= _inside(capture.box, candidate.shape)
+    if table is not None:
+        height = points @ table[:3] + table[3]
+        candidate &= height > tolerance(capture.depth)
+    reach = np.zeros(candidate.shape)
+    if joints is not None:
+        rows, columns = np.nonzero(candidate)
+        tips = joints[list(TIPS)]
+        flat = points[rows, columns]
+        reach[rows, columns] = np.linalg.norm(flat[:, None] - tips, axis=-1).min(axis=1)
+        candidate &= reach < size + 0.03
+    rows, columns = np.nonzero(candidate)
+    flat = points[rows, columns]
+    hand, clear = np.full((2, *candidate.shape), np.inf)
+    if joints is not None:
+        hand[rows, columns] = distance_from_hand(flat, joints)
+        clear[rows, columns] = np.minimum(hand[rows, columns], distance_from_forearm(flat, joints))
+    support = np.where(candidate, np.clip((clear - 0.004) / 0.014, 0.0, 1.0), 0.0)
+    masks: list[np.ndarray] = []
+    for margin in MARGINS if joints is not None else (0.0,):
+        pieces = _pieces(candidate & (clear > margin), capture.depth)
+        masks.extend(_groups(pieces, hand, joints is not None))
+    return Segmentation(_different(masks), support)
+
+
+def _groups(pieces: list[np.ndarray], hand: np.ndarray, held: bool) -> list[np.ndarray]:
+    """Masks out of connected pieces: all those near the hand, and single ones."""
+    if not pieces or not held:
+        return pieces[:5]
+    distance = np.array([np.percentile(hand[piece], 2) for piece in pieces])
+    near = [piece for piece, d in zip(pieces, distance, strict=True) if d < NEAR_HAND]
+    together = [np.logical_or.reduce(near)] if near else []
+    likely = sorted(range(len(pieces)), key=lambda i: distance[i] - 0.05 * np.log(pieces[i].sum()))
+    return [*together, *(pieces[i] for i in likely[:2])]
+
+
+def _pieces(mask: np.ndarray, depth: np.ndarray) -> list[np.ndarray]:
+    """Connected parts without jumps of depth, largest first, small ones left out."""
+    filled = np.where(mask, depth, 0.0)
+    jump = np.maximum(JUMP, 0.02 * depth)
+    broken = np.zeros(mask.shape, bool)
+    for axis in (0, 1):
+        step = np.abs(np.diff(filled, axis=axis))
+        both = np.minimum(np.take(filled, range(1, mask.shape[axis]), axis), np.delete(filled, -1, axis)) > 0
+        cut = both & (step > np.delete(jump, -1, axis))
+        broken |= np.pad(cut, [(0, 1), (0, 0)] if axis == 0 else [(0, 0), (0, 1)])
+    labelled: Any = ndimage.label(mask & ~broken)
+    labels, count = labelled
+    sizes = np.bincount(labels.ravel(), minlength=count + 1)[1:]
+    least = max(60, int(0.02 * sizes.max(initial=0)))
+    order = [int(i) for i in np.argsort(-sizes)[:8] if sizes[i] >= least]
+    return [labels == i + 1 for i in order]
+
+
+def _different(masks: list[np.ndarray]) -> tuple[np.ndarray, ...]:
+    """Masks that are not nearly the same as an earlier one, at most six."""
+    kept: list[np.ndarray] = []
+    for mask in masks:
+        overlaps = ((mask & other).sum() / max(int((mask | other).sum()), 1) for other in kept)
+        if all(overlap < 0.92 for overlap in overlaps):
+            kept.append(mask)
+    return tuple(kept[:6])
+
+
+def _inside(box: tuple[float, float, float, float], shape: tuple[int, ...]) -> np.ndarray:
+    rows, columns = np.ogrid[: shape[0], : shape[1]]
+    return (columns >= box[0]) & (columns <= box[2]) & (rows >= box[1]) & (rows <= box[3])

@@ -1,0 +1,1 @@
+"""Robot grasps become grasp plans: settle, approach, grip, lift."""

@@ -1,0 +1,258 @@
+"""A way to the grasp that touches neither object nor table: found backwards, by taking the hand off the
+object.
+
+From the grasp, the wrist withdraws step by step along a direction, and at each step the fingers open as much
+as they must to keep clear (the retargeter's optimiser with its collision terms only). Several directions are
+tried; the clearest wins.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from fungrasp.geometry.poses import compose, rotate
+from fungrasp.hands import Hand
+from fungrasp.hands.kinematics import HandKinematics
+from fungrasp.objects import ObjectModel
+from fungrasp.optimization import terms
+from fungrasp.optimization.hand_problem import HandPoints, State, Surroundings
+from fungrasp.optimization.levenberg_marquardt import minimise
+from fungrasp.parallel import in_chunks
+
+RETREATS = (0.03, 0.07, 0.12)
+"""How far the wrist has withdrawn at each way point after the first, which is at the grasp [m]."""
+
+BLOCKED = 0.003
+"""A way that intrudes this far into the margins [m] is tried again with the fingers wide open."""
+LATER = 1e-4
+"""Each direction is preferred to the next unless it intrudes deeper by this [m]."""
+WIDE = 0.3
+"""Wide open fingers, as a fraction of their angles in the grasp."""
+
+
+@dataclass(frozen=True)
+class ApproachSettings:
+    """How clear the way should be."""
+
+    object_margin: float = 0.008
+    """Distance to keep from the object [m]."""
+    table_margin: float = 0.006
+    """Distance to keep from the table [m]."""
+    joint_unit: float = 0.25
+    """Change of a joint that counts as one unit [rad]."""
+    position_unit: float = 0.006
+    """Sideways shift of the wrist that counts as one unit [m]."""
+    rotation_unit: float = 0.1
+    """Turn of the wrist that counts as one unit [rad]."""
+    iterations: int = 5
+    """Of the optimiser, per way point; twice as many for the first."""
+
+
+@dataclass(frozen=True)
+class Approach:
+    """Way points of N hands, nearest to the grasp first, K of them."""
+
+    wrist_pose: np.ndarray
+    """Object frame, shape [N, K, 7]."""
+    fingers: np.ndarray
+    """Independent joints [rad], shape [N, K, U]."""
+    collision: np.ndarray
+    """Deepest intrusion into the margins over the way points [m], shape [N]."""
+
+
+def plan_approach(
+    hand: Hand,
+    object_names: list[str],
+    settled_pose: np.ndarray,
+    objects: Mapping[str, ObjectModel],
+    wrist_in_object: np.ndarray,
+    grasp: np.ndarray,
+    settings: ApproachSettings | None = None,
+) -> Approach:
+    """Plan the way of N hands to their grasps.
+
+    Args:
+        hand: the robot hand.
+        object_names: of the object of each grasp, length N.
+        settled_pose: of the objects on the table, world frame, shape [N, 7].
+        objects: by name.
+        wrist_in_object: palm in the grasp, object frame, shape [N, 7].
+        grasp: independent joints in the grasp [rad], shape [N, U].
+        settings: the defaults if None.
+    """
+    settings = settings or ApproachSettings()
+    around = Surroundings.settled(object_names, settled_pose, objects)
+    centers = np.array([objects[name].center_of_mass for name in object_names])
+
+    def run(rows: np.ndarray) -> Approach:
+        best = _best_way(hand, around.rows(rows), wrist_in_object[rows], grasp[rows], centers[rows], settings)
+        blocked = np.flatnonzero(best.collision > BLOCKED)
+        if len(blocked):
+            hard = rows[blocked]
+            wide = _best_way(
+                hand, around.rows(hard), wrist_in_object[hard], WIDE * grasp[hard], centers[hard], settings
+            )
+            better = wide.collision < best.collision[blocked]
+            for name in ("wrist_pose", "fingers", "collision"):
+                getattr(best, name)[blocked[better]] = getattr(wide, name)[better]
+        return best
+
+    parts = in_chunks(run, len(around))
+    return Approach(
+        *(
+            np.concatenate([getattr(part, name) for part in parts])
+            for name in ("wrist_pose", "fingers", "collision")
+        )
+    )
+
+
+def _best_way(
+    hand: Hand,
+    around: Surroundings,
+    wrist: np.ndarray,
+    fingers: np.ndarray,
+    center: np.ndarray,
+    settings: ApproachSettings,
+) -> Approach:
+    """The clearest of the ways in several directions, taken off the object with the fingers near
+    ``fingers``.
+
+    No way is clearer than its first point, which all have in common: once one is as clear, the others are
+    not looked at.
+    """
+    clear = _Clearer(hand, around, settings)
+    first = clear(wrist, fingers, 2 * settings.iterations)
+    directions = _directions(hand, wrist, around.up[:, 0], center)
+    best = _withdraw(clear, first, directions[0], settings.iterations)
+    cost = best.collision.copy()
+    for i, direction in enumerate(directions[1:], start=1):
+        rows = np.flatnonzero(cost > first.collision + LATER * i)
+        if not len(rows):
+            break
+        start = Approach(first.wrist_pose[rows], first.fingers[rows], first.collision[rows])
+        way = _withdraw(
+            _Clearer(hand, around.rows(rows), settings), start, direction[rows], settings.iterations
+        )
+        better = way.collision + LATER * i < cost[rows]
+        for name in ("wrist_pose", "fingers", "collision"):
+            getattr(best, name)[rows[better]] = getattr(way, name)[better]
+        cost[rows[better]] = way.collision[better] + LATER * i
+    return best
+
+
+def _directions(hand: Hand, wrist: np.ndarray, up: np.ndarray, center: np.ndarray) -> list[np.ndarray]:
+    """Unit vectors along which the wrist may withdraw, object frame, shape [N, 3] each."""
+    outwards = _unit(wrist[:, :3] - center)
+    backwards = -rotate(wrist[:, 3:], hand.palm_normal)
+    along = -rotate(wrist[:, 3:], hand.palm_fingers)
+    return [
+        outwards,
+        _unit(outwards + 0.5 * up),
+        _unit(backwards + along),
+        backwards,
+        _unit(along + 0.3 * up),
+        up,
+    ]
+
+
+class _Clearer:
+    """Moves hands as little as needed to keep clear of object, table and themselves."""
+
+    def __init__(self, hand: Hand, around: Surroundings, settings: ApproachSettings):
+        self._points = HandPoints(HandKinematics(hand, len(around)))
+        self._around, self._settings = around, settings
+        self._terms = [
+            partial(terms.object_penetration, unit=0.001, margin=settings.object_margin),
+            partial(terms.table_penetration, unit=0.001, margin=settings.table_margin),
+            partial(terms.self_penetration, unit=0.002),
+        ]
+
+    def __call__(self, wrist: np.ndarray, fingers: np.ndarray, iterations: int) -> Approach:
+        """One way point near the given state."""
+        s = self._settings
+        stay = partial(
+            terms.stay_near,
+            start=(wrist, fingers),
+            unit=s.joint_unit,
+            position_unit=s.position_unit,
+            rotation_unit=s.rotation_unit,
+        )
+        wrist, fingers, _ = minimise(
+            self._points, self._around, [*self._terms, stay], wrist, fingers, iterations
+        )
+        state = State(self._points, self._around, wrist, fingers)
+        intrusion = np.maximum(
+            s.object_margin - state.clearance.min(axis=1), s.table_margin - state.heights.min(axis=1)
+        )
+        return Approach(wrist[:, None], fingers[:, None], np.maximum(intrusion, 0.0))
+
+
+def _withdraw(clear: _Clearer, first: Approach, direction: np.ndarray, iterations: int) -> Approach:
+    way, before = [first], 0.0
+    for retreat in RETREATS:
+        wrist = way[-1].wrist_pose[:, 0].copy()
+        wrist[:, :3] += (retreat - before) * direction
+        before = retreat
+        way.append(clear(wrist, way[-1].fingers[:, 0], iterations))
+    return Approach(
+        np.concatenate([point.wrist_pose for point in way], axis=1),
+        np.concatenate([point.fingers for point in way], axis=1),
+        np.max([point.collision for point in way], axis=0),
+    )
+
+
+def _unit(v: np.ndarray) -> np.ndarray:
+    return v / np.maximum(np.linalg.norm(v, axis=-1, keepdims=True), 1e-9)
+
+
+class Path:
+    """The planned way as a curve that is followed by its arc length, world frame."""
+
+    def __init__(
+        self, start: np.ndarray, start_fingers: np.ndarray, approach: Approach, settled_pose: np.ndarray
+    ):
+        """
+        Args:
+            start: palm pose at the start, world frame, shape [N, 7].
+            start_fingers: [rad], shape [N, U].
+            approach: planned way points.
+            settled_pose: of the objects, world frame, shape [N, 7].
+        """
+        way = compose(settled_pose[:, None], approach.wrist_pose[:, ::-1])
+        self.poses = np.concatenate([start[:, None], way], axis=1)
+        self.fingers = np.concatenate([start_fingers[:, None], approach.fingers[:, ::-1]], axis=1)
+        legs = np.linalg.norm(np.diff(self.poses[..., :3], axis=1), axis=-1)
+        self.arc = np.concatenate(
+            [np.zeros((len(start), 1)), np.cumsum(np.maximum(legs, 1e-4), axis=1)], axis=1
+        )
+        self.length = self.arc[:, -1]
+        self.progress = np.zeros(len(start))
+
+    def at(self, arc: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Palm pose [N, 7] and fingers [N, U] at arc lengths [m], shape [N]."""
+        arc = np.clip(arc, 0.0, self.length)
+        leg = np.clip((self.arc <= arc[:, None]).sum(axis=1) - 1, 0, self.arc.shape[1] - 2)
+        rows = np.arange(len(arc))
+        share = ((arc - self.arc[rows, leg]) / (self.arc[rows, leg + 1] - self.arc[rows, leg]))[:, None]
+        a, b = self.poses[rows, leg], self.poses[rows, leg + 1]
+        b = np.where(np.sum(a[:, 3:] * b[:, 3:], axis=1, keepdims=True) < 0, b * [1, 1, 1, -1, -1, -1, -1], b)
+        pose = a + share * (b - a)
+        pose[:, 3:] = _unit(pose[:, 3:])
+        fingers = self.fingers[rows, leg] + share * (self.fingers[rows, leg + 1] - self.fingers[rows, leg])
+        return pose, fingers
+
+    def advance(self, position: np.ndarray, lookahead: float) -> None:
+        """Move on to the arc length that lies nearest to where the set point is, at most ``lookahead``
+        further [m].
+
+        Args:
+            position: of the palm's set point, world frame [m], shape [N, 3].
+        """
+        tries = self.progress + np.linspace(0.0, lookahead, 17)[:, None]
+        distances = [np.linalg.norm(self.at(arc)[0][:, :3] - position, axis=1) for arc in tries]
+        best = np.argmin(distances, axis=0)
+        self.progress = np.minimum(tries[best, np.arange(len(best))], self.length)

@@ -1,0 +1,115 @@
+"""Grasps fitted to where the object has come to rest.
+
+Measured rest poses are noisy: when the object settles it tilts a little, and round things roll, which would
+take the grasp below the table. The grasp is therefore moved as little as needed to be above the table and in
+touch again. It starts from where it is on the object or, if that fits better, from where it was around the
+object before it rolled.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from functools import partial
+
+import numpy as np
+
+from fungrasp.geometry.poses import compose, invert
+from fungrasp.grasps import RobotGraspSet
+from fungrasp.hands import Hand
+from fungrasp.hands.kinematics import HandKinematics
+from fungrasp.objects import ObjectModel
+from fungrasp.optimization import terms
+from fungrasp.optimization.hand_problem import HandPoints, Problem, Surroundings
+from fungrasp.optimization.levenberg_marquardt import minimise
+from fungrasp.parallel import in_chunks
+
+
+@dataclass(frozen=True)
+class AdaptSettings:
+    """How far a grasp may move."""
+
+    table_margin: float = 0.001
+    """Distance to keep from the table [m]."""
+    joint_unit: float = 0.3
+    """Change of a joint that counts as one unit [rad]."""
+    position_unit: float = 0.01
+    """[m]"""
+    rotation_unit: float = 0.15
+    """[rad]"""
+    closure_unit: float = 0.06
+    """Unbalanced part of contact forces that counts as one unit."""
+    closure_friction: float = 0.2
+    """Friction that the balance may count on."""
+    iterations: int = 15
+    """Of the optimiser."""
+    loyalty: float = 3.0
+    """Objective by which leaving the grasp's place on the object must pay."""
+
+
+def adapt(
+    hand: Hand,
+    grasps: RobotGraspSet,
+    objects: Mapping[str, ObjectModel],
+    settled_pose: np.ndarray,
+    wrist_in_object: np.ndarray,
+    grasp: np.ndarray,
+    settings: AdaptSettings | None = None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Wrist poses in the settled objects' frames [N, 7] and independent joints [rad], shape [N, U].
+
+    Args:
+        hand: the robot hand.
+        grasps: N grasps.
+        objects: by name.
+        settled_pose: of the objects, world frame, shape [N, 7].
+        wrist_in_object: palm in the grasp, object frame, shape [N, 7].
+        grasp: independent joints in the grasp [rad], shape [N, U].
+        settings: the defaults if None.
+    """
+    s = settings or AdaptSettings()
+    names = grasps.object_name.tolist()
+    around = Surroundings.settled(names, settled_pose, objects)
+    count = len(grasps)
+    problem = Problem(
+        **{f.name: getattr(around, f.name) for f in fields(around)},
+        joints=np.zeros((count, 21, 3)),
+        contacts=grasps.link_contacts,
+        surface=np.zeros((count, 21, 3)),
+        normals=np.zeros((count, 21, 3)),
+        center=np.array([objects[name].center_of_mass for name in names]),
+        extent=np.array([0.5 * np.linalg.norm(objects[name].size) for name in names]),
+    )
+    before = np.concatenate([settled_pose[:, :3], grasps.object_rest_pose[:, 3:]], axis=1)
+    unrolled = compose(invert(settled_pose), compose(before, wrist_in_object))
+
+    def run(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        part = problem.rows(rows)
+        points = HandPoints(HandKinematics(hand, len(rows)))
+        solutions = []
+        for wrist in (wrist_in_object[rows], unrolled[rows]):
+            stay = partial(
+                terms.stay_near,
+                start=(wrist, grasp[rows]),
+                unit=s.joint_unit,
+                position_unit=s.position_unit,
+                rotation_unit=s.rotation_unit,
+            )
+            collisions = [
+                partial(terms.object_penetration, unit=0.0007),
+                partial(terms.table_penetration, unit=0.0007, margin=s.table_margin),
+                partial(terms.self_penetration, unit=0.001),
+            ]
+            grip = [
+                partial(terms.contact_gap, unit=0.002),
+                partial(terms.force_closure, unit=s.closure_unit, friction=s.closure_friction),
+            ]
+            solutions.append(
+                minimise(points, part, [*collisions, *grip, stay], wrist, grasp[rows], s.iterations)
+            )
+        (on_object, joints, cost), (around_object, other_joints, other_cost) = solutions
+        leave = (other_cost + s.loyalty < cost)[:, None]
+        return np.where(leave, around_object, on_object), np.where(leave, other_joints, joints)
+
+    wrist, joints = (np.concatenate(parts) for parts in zip(*in_chunks(run, count), strict=True))
+    return wrist, joints

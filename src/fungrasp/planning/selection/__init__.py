@@ -1,0 +1,1 @@
+"""Which plan to follow: candidates, a success predictor, simulated rollouts, search."""

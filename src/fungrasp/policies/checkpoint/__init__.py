@@ -1,0 +1,1 @@
+"""The file of a learned policy: an ONNX graph and its card."""

@@ -1,0 +1,269 @@
+"""Policies as files: one ONNX file with a card inside, which is checked before anything is run.
+
+The card is a metadata entry of the ONNX model, ``fungrasp``: JSON that begins with the SHA-256 of the whole
+file, those 64 digits taken as zeros. So a file that was cut off or changed is found, whatever was changed.
+Reading needs neither torch nor the package ``onnx``, and never runs code of the file.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Protocol
+from xml.etree import ElementTree
+
+from fungrasp.errors import FungraspError, UnknownNameError
+from fungrasp.files import atomic_path
+from fungrasp.hands import Hand
+from fungrasp.policies.checkpoint.card import PolicyCard, card_from_text, card_text
+from fungrasp.policies.checkpoint.network import PolicyNetwork
+from fungrasp.policies.checkpoint.onnx_metadata import check_harmless, metadata_entries, with_metadata
+
+FOLDER = Path(__file__).parent / "weights"
+"""Policies that come with the package, ``<name>.onnx``."""
+SUFFIX = ".onnx"
+KEY = "fungrasp"
+DIGITS = 64
+HEAD = b'{"sha256": "'
+"""What the card begins with."""
+
+Layout = Sequence[tuple[str, int]] | Mapping[str, int]
+"""Names and sizes of the parts of a flat vector, in order."""
+
+
+class Serializable(Protocol):
+    """An ``onnx.ModelProto``, or anything that turns into its bytes."""
+
+    def SerializeToString(self) -> bytes: ...
+
+
+def save_policy(path: str | Path, model: bytes | Serializable, card: PolicyCard) -> PolicyCard:
+    """Write a policy file, whole or not at all, after trying that it can be loaded.
+
+    Args:
+        path: ends in ``.onnx``.
+        model: an ONNX model (see ``PolicyNetwork`` for its inputs and outputs), with all weights inside.
+        card: what it is; its ``sha256`` is replaced.
+
+    Returns:
+        The card with its ``sha256``.
+
+    Raises:
+        FungraspError: the model or card is wrong, or the file can't be written; an older file is left as it
+            was.
+    """
+    path = Path(path)
+    if path.suffix != SUFFIX:
+        raise FungraspError(f"a policy is saved as {SUFFIX}, not {path}")
+    data = model if isinstance(model, bytes) else model.SerializeToString()
+    try:
+        blank = card_text(replace(card, sha256="0" * DIGITS)).encode()
+        data = with_metadata(data, KEY, blank)
+        at = _digest_offset(data)
+        data = data[:at] + _digest(data, at).encode() + data[at + DIGITS :]
+        saved = _network(data, threads=1).card
+    except FungraspError as error:
+        raise FungraspError(f"{path} is not saved: {error}") from error
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(data)
+    return saved
+
+
+def load_policy(path_or_name: str | Path, threads: int = 1) -> PolicyNetwork:
+    """A policy, ready to run.
+
+    Args:
+        path_or_name: a file, or the name of a policy that comes with the package.
+        threads: that compute one step.
+
+    Raises:
+        FungraspError: no such policy; it is damaged, changed, no policy or of another format; it needs code
+            or files other than itself; or ONNX Runtime is missing.
+    """
+    path = _path(path_or_name)
+    data = _read(path)
+    try:
+        return _network(data, threads)
+    except FungraspError as error:
+        raise FungraspError(f"{path}: {error}") from error
+
+
+def read_card(path_or_name: str | Path) -> PolicyCard:
+    """The card of a policy; the file is checked for damage, and not run.
+
+    Raises:
+        FungraspError: no such policy; it is damaged, changed, no policy or of another format.
+    """
+    path = _path(path_or_name)
+    data = _read(path)
+    try:
+        return _card(data)
+    except FungraspError as error:
+        raise FungraspError(f"{path}: {error}") from error
+
+
+def list_policies() -> dict[str, Path]:
+    """Files of the policies that come with the package, by name."""
+    return {path.stem: path for path in sorted(FOLDER.glob(f"*{SUFFIX}"))}
+
+
+def find_policy(name: str) -> Path:
+    """File of a policy that comes with the package.
+
+    Raises:
+        UnknownNameError: there is none of this name.
+    """
+    policies = list_policies()
+    if name not in policies:
+        raise UnknownNameError("policy", name, policies)
+    return policies[name]
+
+
+def servo_gains(hand: Hand) -> dict[str, tuple[float, float]]:
+    """Stiffness [N m/rad] and damping [N m s/rad] of each servo, by joint, in their order."""
+    return {joint: (servo.kp, servo.kd) for joint, servo in hand.actuators.items()}
+
+
+def hand_digest(hand: Hand) -> str:
+    """SHA-256 of what a hand's TOML and model file say, in hexadecimal.
+
+    Comments, spaces and line ends don't count, nor do the hand's title and sources. Mesh files that a model
+    names are not looked into.
+
+    Raises:
+        FungraspError: a file can't be read.
+    """
+    try:
+        table = tomllib.loads(hand.path.read_text())
+        model = ElementTree.canonicalize(from_file=str(hand.model_path), strip_text=True)
+    except (OSError, ValueError, ElementTree.ParseError) as error:
+        raise FungraspError(f"cannot read the files of hand '{hand.name}': {error}") from error
+    for key in ("title", "source"):
+        table.pop(key, None)
+    table["actuators"].pop("source", None)
+    return hashlib.sha256(f"{json.dumps(table, sort_keys=True, default=str)}\n{model}".encode()).hexdigest()
+
+
+def check_fits(
+    card: PolicyCard,
+    hand: Hand,
+    observation_layout: Layout,
+    privileged_layout: Layout,
+    rate: float,
+) -> None:
+    """Refuse a policy that was made for something else.
+
+    Args:
+        card: of the policy.
+        hand: that it should move.
+        observation_layout: parts of the observation that it would get, in order.
+        privileged_layout: those of the privileged observation; not looked at for a student.
+        rate: how often it would act [Hz].
+
+    Raises:
+        FungraspError: they differ; the message says in what.
+    """
+    found = _hand_differences(card, hand)
+    found += _layout_differences("observation", card.observation, observation_layout)
+    if card.kind == "teacher":
+        found += _layout_differences("privileged observation", card.privileged, privileged_layout)
+    if abs(card.rate_hz - rate) > 1e-6 * card.rate_hz:
+        found.append(f"it acts at {card.rate_hz:g} Hz, here at {rate:g} Hz")
+    if found:
+        raise FungraspError(f"policy '{card.name}' does not fit: {'; '.join(found)}")
+
+
+def _hand_differences(card: PolicyCard, hand: Hand) -> list[str]:
+    if card.hand != hand.name:
+        return [f"it was made for the hand '{card.hand}', not '{hand.name}'"]
+    gains = servo_gains(hand)
+    if tuple(gains) != card.joint_names:
+        return [f"its joints are {', '.join(card.joint_names)}, those of '{hand.name}' {', '.join(gains)}"]
+    changed = [
+        f"{joint} kp {card.gains[joint][0]:g}, kd {card.gains[joint][1]:g}, not {kp:g}, {kd:g}"
+        for joint, (kp, kd) in gains.items()
+        if (kp, kd) != tuple(card.gains[joint])
+    ]
+    if changed:
+        more = f" and {len(changed) - 1} more" if len(changed) > 1 else ""
+        return [f"it was made for other servo gains: {changed[0]}{more}"]
+    if hand_digest(hand) != card.hand_digest:
+        return [f"the model of the hand '{hand.name}' has changed since it was made"]
+    return []
+
+
+def _layout_differences(what: str, wanted: Layout, given: Layout) -> list[str]:
+    theirs, ours = dict(wanted), dict(given)
+    if list(theirs.items()) == list(ours.items()):
+        return []
+    found = [f"its {what} has '{name}', which is missing here" for name in theirs if name not in ours]
+    found += [f"its {what} lacks '{name}'" for name in ours if name not in theirs]
+    found += [
+        f"'{name}' of its {what} has {size} numbers, here {ours[name]}"
+        for name, size in theirs.items()
+        if name in ours and ours[name] != size
+    ]
+    return found or [f"its {what} is in the order {', '.join(theirs)}, here {', '.join(ours)}"]
+
+
+def _path(path_or_name: str | Path) -> Path:
+    known = list_policies()
+    if str(path_or_name) in known:
+        return known[str(path_or_name)]
+    path = Path(path_or_name)
+    if path.suffix == SUFFIX or isinstance(path_or_name, Path) or path.is_file():
+        return path
+    return find_policy(str(path_or_name))
+
+
+def _read(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise FungraspError(f"cannot read the policy {path}: {error.strerror or error}") from error
+
+
+def _network(data: bytes, threads: int) -> PolicyNetwork:
+    card = _card(data)
+    check_harmless(data)
+    return PolicyNetwork(data, card, threads)
+
+
+def _card(data: bytes) -> PolicyCard:
+    """The card in a file's bytes, once its digest is found right."""
+    at = _digest_offset(data)
+    said, found = data[at : at + DIGITS].decode("ascii", errors="replace"), _digest(data, at)
+    if said != found:
+        raise FungraspError(
+            f"damaged or changed since it was saved: its SHA-256 is {found[:12]}..., "
+            f"its card says {said[:12]}..."
+        )
+    _, value = metadata_entries(data, KEY)[0]
+    return replace(card_from_text(data[value.start : value.end]), sha256=found)
+
+
+def _digest_offset(data: bytes) -> int:
+    """Where the digest's digits are."""
+    entries = metadata_entries(data, KEY)
+    if len(entries) != 1:
+        raise FungraspError(
+            "an ONNX file, but no policy: it has no policy card"
+            if not entries
+            else "it has several policy cards"
+        )
+    _, value = entries[0]
+    start = value.start + len(HEAD)
+    if data[value.start : start] != HEAD or start + DIGITS > value.end:
+        raise FungraspError("its policy card is damaged")
+    return start
+
+
+def _digest(data: bytes, at: int) -> str:
+    digest = hashlib.sha256(data[:at])
+    digest.update(b"0" * DIGITS)
+    digest.update(data[at + DIGITS :])
+    return digest.hexdigest()

@@ -1,0 +1,28 @@
+"""Pictures without a display: a ray-casting renderer for MuJoCo models. No GPU, display or OpenGL."""
+
+from fungrasp.rendering.camera import Camera, fit_camera, orbit_camera
+from fungrasp.rendering.grasp_scenes import (
+    human_grasp_scene,
+    robot_grasp_scene,
+    robot_scene_colours,
+    robot_scene_states,
+)
+from fungrasp.rendering.render import Renderer, Views, render
+from fungrasp.rendering.shading import Look
+from fungrasp.rendering.viewpoints import frame_geoms, look_at_grasp
+
+__all__ = [
+    "Camera",
+    "Look",
+    "Renderer",
+    "Views",
+    "fit_camera",
+    "frame_geoms",
+    "human_grasp_scene",
+    "look_at_grasp",
+    "orbit_camera",
+    "render",
+    "robot_grasp_scene",
+    "robot_scene_colours",
+    "robot_scene_states",
+]

@@ -1,0 +1,94 @@
+"""The image that ``fungrasp demo --from-image`` starts from, and how it was made."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+import trimesh
+
+from fungrasp.captures.capture_files import TRUTH_FILE, write_capture
+from fungrasp.captures.depth_noise import ColourNoise
+from fungrasp.captures.render_capture import CaptureSettings, render_capture
+from fungrasp.files import atomic_path
+from fungrasp.grasps import builtin_grasps
+from fungrasp.objects import ObjectModel, builtin_object
+from fungrasp.perception.io.scene_folders import COLOUR_FILE, DEPTH_FILE, LENS_FILE
+from fungrasp.perception.object_pose.pose_error import add, rotation_error
+from fungrasp.perception.pipeline import Perceived
+from fungrasp.report.page_parts import Quantity
+
+FOLDER = Path(__file__).parent / "demo_capture"
+"""The image, its depth and its lens, as ``read_folder`` reads them; and the truth."""
+
+FILES = (COLOUR_FILE, DEPTH_FILE, LENS_FILE, TRUTH_FILE)
+
+ROW, SEED = 71, 0
+"""The built-in grasp that is shown, and the dice of camera, room and noise."""
+
+SETTINGS = CaptureSettings(
+    distance=(0.42, 0.62), elevation=(22.0, 48.0), clutter=(1, 3), colour_noise=ColourNoise(noise=1.0)
+)
+"""A person's own view of a table, less grainy than usual, to be a small file."""
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """What is known about the image because it was made."""
+
+    object_name: str
+    task: str
+    pose_camera_object: np.ndarray
+    """Shape [7]."""
+    joints_camera: np.ndarray
+    """[m], camera frame, shape [21, 3]."""
+
+
+def demo_truth() -> Truth:
+    """The truth about the image in ``FOLDER``."""
+    truth = json.loads((FOLDER / TRUTH_FILE).read_text())
+    return Truth(
+        truth["object_name"],
+        truth["task"],
+        np.array(truth["pose_camera_object"]),
+        np.array(truth["joints_camera"]),
+    )
+
+
+def true_errors(truth: Truth, perceived: Perceived, model: ObjectModel) -> list[Quantity]:
+    """How far what was perceived is from the truth."""
+    joints = 1e3 * np.linalg.norm(perceived.hand.joints_camera - truth.joints_camera, axis=1)
+    pose = perceived.object.pose_camera_object
+    points = np.asarray(trimesh.sample.sample_surface(model.mesh, 2000, seed=0)[0])
+    apart = 1e3 * float(add(points, pose, truth.pose_camera_object))
+    turned = float(np.degrees(rotation_error(pose, truth.pose_camera_object)))
+    return [
+        Quantity("Error of the joints", float(joints.mean()), "mm", "Mean of the 21 joints.", 12.0),
+        Quantity("Error of the worst joint", float(joints.max()), "mm", "Usually one that is hidden."),
+        Quantity("Error of the object", apart, "mm", "Mean distance of its points from the true ones.", 10.0),
+        Quantity("Turn of the object", turned, "°", "Between its pose and the true one.", 10.0),
+    ]
+
+
+def make_demo_image(folder: str | Path = FOLDER) -> None:
+    """Render the image anew. Another machine's rounding may change single pixels.
+
+    Raises:
+        FungraspError: the folder can't be written to.
+    """
+    grasp = builtin_grasps()[ROW]
+    rng = np.random.default_rng([4, ROW, SEED])
+    synthetic = render_capture(grasp, builtin_object(grasp.object_name), rng, SETTINGS)
+    with TemporaryDirectory() as name:
+        write_capture(synthetic, name)
+        for file in FILES:
+            with atomic_path(Path(folder) / file) as path:
+                shutil.copyfile(Path(name) / file, path)
+
+
+if __name__ == "__main__":
+    make_demo_image()

@@ -1,0 +1,152 @@
+"""A grasp from the human hand to the lift: its pictures, and what the page says about it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from fungrasp.evaluation import DynamicResult, StaticQuality, Trajectory
+from fungrasp.grasps import HumanGrasp, RobotGrasp
+from fungrasp.hands import Hand
+from fungrasp.objects import ObjectModel
+from fungrasp.rendering.grasp_scenes import human_grasp_scene, robot_grasp_scene
+from fungrasp.rendering.render import render
+from fungrasp.rendering.viewpoints import frame_geoms, look_at_grasp
+from fungrasp.report.episode_film import view_angles
+from fungrasp.report.page import Contact, GraspReport, Quantity
+
+DIGITS = 3
+"""Of a number after the point."""
+
+MEANINGS: dict[str, tuple[str, str, str]] = {
+    "contact_error_mm": ("Contact error", "mm", "Between where person and robot touch, on the surface."),
+    "contact_gap_mm": ("Contact gap", "mm", "Between the object and the links that should touch it."),
+    "link_direction_error_deg": (
+        "Link direction error",
+        "°",
+        "Between person and robot, mean of the finger links.",
+    ),
+    "object_penetration_mm": ("Depth in the object", "mm", "Deepest point of the hand inside the object."),
+    "table_penetration_mm": ("Depth in the table", "mm", "Deepest point of the hand below the table top."),
+    "limit_violation_rad": ("Beyond joint limits", "rad", "Of the joint that exceeds its limits most."),
+    "force_closure_epsilon": (
+        "Force closure ε",
+        "",
+        "Weakest push that the contacts resist; 0 if not all.",
+    ),
+}
+"""Name, unit and meaning of the numbers of ``StaticQuality`` that a page shows."""
+
+
+def grasp_title(grasp: HumanGrasp) -> str:
+    """ "Spray bottle, to spray"."""
+    name = grasp.object_name.replace("_", " ")
+    return f"{name[:1].upper()}{name[1:]}, to {grasp.task}" if grasp.task else f"{name[:1].upper()}{name[1:]}"
+
+
+def grasp_report(
+    human: HumanGrasp,
+    robot: RobotGrasp,
+    hand: Hand,
+    thing: ObjectModel,
+    trajectory: Trajectory,
+    quality: StaticQuality,
+    result: DynamicResult,
+    row: int,
+    clip: Path,
+) -> GraspReport:
+    """What the page says about a grasp.
+
+    Args:
+        human: of ``thing``.
+        robot: of ``hand``; it imitates ``human``.
+        hand: the robot hand.
+        thing: the object.
+        trajectory: its trial.
+        quality: of the set of robot grasps.
+        result: of their trials.
+        row: of the grasp in ``quality`` and ``result``.
+        clip: film of the trial.
+    """
+    pictures = grasp_pictures(human, robot, hand, thing)
+    return GraspReport(
+        title=grasp_title(human),
+        object_mass=human.object_mass,
+        success=trajectory.success,
+        outcome=outcome(trajectory, int(result.refined_tries[row]), result.rehearsed),
+        human_picture=pictures[0],
+        robot_picture=pictures[1],
+        film=clip,
+        contacts=contacts(robot, trajectory, hand),
+        quality=quantities(quality, result, row),
+    )
+
+
+def outcome(trajectory: Trajectory, tries: int, rehearsed: bool = False) -> str:
+    """How a trial ended, in a sentence.
+
+    Args:
+        tries: trials that refining took, negative if none succeeded.
+        rehearsed: whether the policy had tried plans in a simulation of its own.
+    """
+    if not trajectory.success:
+        tried = f"None of {-tries} variations held" if tries < -1 else "It did not hold"
+        return f"{tried}: {trajectory.reason}."
+    if tries <= 1:
+        how = "with a plan that was chosen in rehearsals" if rehearsed else "at the first try"
+        return f"Lifted and held for 3 s, {how}."
+    return f"Lifted and held for 3 s, by one of {tries} variations tried in simulation."
+
+
+def grasp_pictures(
+    human: HumanGrasp, robot: RobotGrasp, hand: Hand, thing: ObjectModel, width: int = 560, height: int = 420
+) -> tuple[np.ndarray, np.ndarray]:
+    """The human grasp and the robot's, seen from the same side; links in contact are orange.
+
+    Args:
+        human: of ``thing``.
+        robot: of ``hand``; it imitates ``human``.
+        width: of each picture [pixels].
+        height: of each picture [pixels].
+
+    Returns:
+        two pictures, sRGB, shape [height, width, 3] uint8.
+    """
+    mesh = (thing.vertices, thing.faces)
+    person = human_grasp_scene(human.hand_joints, *mesh, human.object_pose, human.link_contacts)
+    model, qpos = robot_grasp_scene(
+        hand, robot.wrist_pose, robot.joint_positions, *mesh, robot.object_pose, robot.link_contacts
+    )
+    camera = look_at_grasp(model, qpos, width=width, height=height)
+    azimuth, elevation = view_angles(camera)
+    theirs = frame_geoms(person, person.qpos0, azimuth, elevation, width=width, height=height)
+    return render(person, person.qpos0, theirs)[0], render(model, qpos, camera)[0]
+
+
+def contacts(robot: RobotGrasp, trajectory: Trajectory, hand: Hand) -> list[Contact]:
+    """Which links should touch the object, and which do during more than half of the hold."""
+    hold = trajectory.phase == trajectory.phase.max()
+    reached = trajectory.link_contacts[hold].mean(axis=0) > 0.5
+    return [
+        Contact(name, bool(target), bool(touches))
+        for name, target, touches in zip(hand.link_names, robot.link_contacts, reached, strict=True)
+        if target or touches
+    ]
+
+
+def quantities(quality: StaticQuality, result: DynamicResult, row: int) -> list[Quantity]:
+    """Numbers of one grasp: the retargeted grasp's static quality, then what was measured in simulation."""
+    static = [
+        Quantity(name, round(float(getattr(quality, key)[row]), DIGITS), unit, meaning)
+        for key, (name, unit, meaning) in MEANINGS.items()
+        if np.isfinite(getattr(quality, key)[row])
+    ]
+    t = result.trials
+    lifted, slip, pushed = 1e3 * t.lifted_height_m[row], t.sim_distance_hand_mm_s[row], 1e3 * t.pushed_m[row]
+    return [
+        *static,
+        Quantity("Lifted by", round(float(lifted), DIGITS), "mm", "At least, during the hold."),
+        Quantity("Slip", round(float(slip), DIGITS), "mm/s", "Of the object in the hand, during the hold."),
+        Quantity("Pushed by", round(float(pushed), DIGITS), "mm", "While the hand approached and closed."),
+    ]

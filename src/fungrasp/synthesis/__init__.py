@@ -1,0 +1,1 @@
+"""Human grasps written as specifications (part, task, fingers) and solved."""

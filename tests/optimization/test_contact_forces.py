@@ -1,0 +1,103 @@
+"""Contact forces that balance."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from fungrasp.optimization.contact_forces import balanced_forces, cone_edges
+
+FRICTION = 0.4
+
+
+def unbalanced(lever: np.ndarray, force: np.ndarray) -> np.ndarray:
+    """Norm of the sum of forces and torques, shape [N]."""
+    return np.linalg.norm(
+        np.concatenate([force.sum(axis=1), np.cross(lever, force).sum(axis=1)], axis=1), axis=1
+    )
+
+
+def in_a_ring(count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Contacts on a disc of radius 1 and their inward normals, shape [1, count, 3]."""
+    angles = 2 * np.pi * np.arange(count) / count
+    points = np.stack([np.cos(angles), np.sin(angles), np.zeros(count)], axis=-1)[None]
+    return points, -points
+
+
+@pytest.mark.parametrize("count", [2, 3, 5])
+@pytest.mark.parametrize("friction", [0.0, FRICTION])
+def test_contacts_all_around_balance(count: int, friction: float):
+    lever, inward = in_a_ring(count)
+    force = balanced_forces(lever, inward, np.ones((1, count), dtype=bool), friction)
+    assert unbalanced(lever, force)[0] < 0.01
+
+
+def test_contacts_on_one_side_do_not():
+    lever = np.array([[[0.0, -0.5, -1.0], [0.0, 0.5, -1.0]]])
+    inward = np.tile([0.0, 0.0, 1.0], (1, 2, 1))
+    force = balanced_forces(lever, inward, np.ones((1, 2), dtype=bool), FRICTION)
+    np.testing.assert_allclose(force.sum(axis=1)[0, 2], 1.0, rtol=1e-9)
+
+
+def test_friction_balances_what_normals_alone_cannot():
+    """Two contacts on slopes of 15 degrees: held if the friction exceeds their tangent, 0.27."""
+    slope = np.radians(15.0)
+    lever = np.array([[[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]]])
+    inward = np.array([[[-np.cos(slope), 0.0, np.sin(slope)], [np.cos(slope), 0.0, np.sin(slope)]]])
+    used = np.ones((1, 2), dtype=bool)
+    assert unbalanced(lever, balanced_forces(lever, inward, used, 0.4, iterations=300))[0] < 0.02
+    assert unbalanced(lever, balanced_forces(lever, inward, used, 0.15, iterations=300))[0] > 0.08
+    np.testing.assert_allclose(
+        unbalanced(lever, balanced_forces(lever, inward, used, 0.0)), np.sin(slope), rtol=1e-6
+    )
+
+
+@settings(deadline=None, max_examples=40)
+@given(seed=st.integers(0, 2**31), count=st.integers(1, 8), friction=st.floats(0.0, 1.0))
+def test_forces_stay_in_their_cones_and_their_normal_parts_sum_to_one(seed: int, count: int, friction: float):
+    random = np.random.default_rng(seed)
+    lever, inward = random.normal(size=(2, 6, count, 3))
+    inward /= np.linalg.norm(inward, axis=-1, keepdims=True)
+    used = random.random((6, count)) < 0.7
+    force = balanced_forces(lever, inward, used, friction)
+    pressure = np.sum(force * inward, axis=-1)
+    sideways = np.linalg.norm(force - pressure[..., None] * inward, axis=-1)
+    assert np.all(pressure >= -1e-9)
+    assert np.all(sideways <= friction * pressure + 1e-9)
+    assert np.all(force[~used] == 0)
+    np.testing.assert_allclose(pressure.sum(axis=1), used.any(axis=1), atol=1e-6)
+
+
+def test_turning_the_scene_turns_the_forces():
+    """Only the directions of the cones' edges depend on the frame: without friction nothing does."""
+    random = np.random.default_rng(0)
+    lever, inward = random.normal(size=(2, 1, 5, 3))
+    inward /= np.linalg.norm(inward, axis=-1, keepdims=True)
+    used, turn = np.ones((1, 5), dtype=bool), Rotation.random(rng=1).as_matrix().T
+    force = balanced_forces(lever, inward, used, 0.0)
+    np.testing.assert_allclose(
+        balanced_forces(lever @ turn, inward @ turn, used, 0.0), force @ turn, atol=1e-9
+    )
+
+
+def test_batch_is_each_by_itself():
+    random = np.random.default_rng(0)
+    lever, inward = random.normal(size=(2, 4, 6, 3))
+    inward /= np.linalg.norm(inward, axis=-1, keepdims=True)
+    used = random.random((4, 6)) < 0.6
+    together = balanced_forces(lever, inward, used, FRICTION)
+    for i in range(4):
+        alone = balanced_forces(lever[i : i + 1], inward[i : i + 1], used[i : i + 1], FRICTION)
+        np.testing.assert_allclose(together[i], alone[0], atol=1e-12)
+
+
+@pytest.mark.parametrize("axis", [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.6, 0.0, 0.8]])
+def test_cone_edges_lie_on_the_cone(axis: list[float]):
+    inward = np.array(axis)
+    edges = cone_edges(inward, FRICTION)
+    np.testing.assert_allclose(edges @ inward, 1.0)
+    np.testing.assert_allclose(np.linalg.norm(edges - inward, axis=-1), FRICTION)
+    np.testing.assert_allclose(edges.mean(axis=0), inward, atol=1e-12)

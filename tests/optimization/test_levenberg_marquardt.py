@@ -1,0 +1,92 @@
+"""The optimiser: bounds, descent, independence of the batch."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+import pytest
+from retarget_scenes import held, plain_objects
+
+from fungrasp.hands import load_hand
+from fungrasp.hands.kinematics import HandKinematics
+from fungrasp.optimization import terms
+from fungrasp.optimization.hand_problem import HandPoints, Problem, State
+from fungrasp.optimization.levenberg_marquardt import Term, minimise
+from fungrasp.retarget.contact_optimization import initial_pose
+
+TERMS: list[Term] = [
+    partial(terms.fingertip_position, unit=0.01),
+    partial(terms.link_direction, unit=0.5),
+    partial(terms.object_penetration, unit=0.001),
+    partial(terms.self_penetration, unit=0.001),
+]
+
+
+def setting(name: str, rows: slice = slice(None)) -> tuple[HandPoints, Problem]:
+    hand = load_hand(name)
+    count = len(range(6)[rows])
+    points = HandPoints(HandKinematics(hand, count))
+    return points, Problem.from_grasps(held(), plain_objects(), points.match).rows(rows)
+
+
+def cost_of(points: HandPoints, problem: Problem, pose: np.ndarray, joints: np.ndarray) -> np.ndarray:
+    state = State(points, problem, pose, joints)
+    return sum((0.5 * np.sum(term(state)[0] ** 2, axis=1) for term in TERMS), np.zeros(len(problem)))
+
+
+@pytest.mark.parametrize("name", ["allegro", "inspire"])
+def test_cost_never_grows_and_is_the_one_reported(name: str):
+    points, problem = setting(name)
+    start = initial_pose(points, problem)
+    costs = [cost_of(points, problem, *start)]
+    for iterations in (0, 1, 3, 10, 30):
+        pose, joints, cost = minimise(points, problem, TERMS, *start, iterations)
+        np.testing.assert_allclose(cost, cost_of(points, problem, pose, joints), rtol=1e-9)
+        assert np.all(cost <= costs[-1] + 1e-9)
+        costs.append(cost)
+    assert np.all(costs[-1] < 0.5 * costs[0])
+
+
+def test_without_iterations_nothing_moves():
+    points, problem = setting("leap")
+    pose, joints = initial_pose(points, problem)
+    before = pose.copy(), joints.copy()
+    result = minimise(points, problem, TERMS, pose, joints, 0)
+    for found, given, kept in zip(result[:2], (pose, joints), before, strict=True):
+        np.testing.assert_array_equal(found, kept)
+        np.testing.assert_array_equal(given, kept)
+    minimise(points, problem, TERMS, pose, joints, 3)
+    np.testing.assert_array_equal(pose, before[0])
+    np.testing.assert_array_equal(joints, before[1])
+
+
+@pytest.mark.parametrize("name", ["allegro", "shadow", "inspire"])
+def test_joints_stop_at_their_limits(name: str):
+    """Human fingertips that are out of reach pull the joints against their stops."""
+    points, problem = setting(name)
+    far = problem.joints.copy()
+    far[:, 4::4] += 0.3 * np.random.default_rng(0).normal(size=far[:, 4::4].shape)
+    problem = type(problem)(**{**vars(problem), "joints": far})
+    kinematics = points.kinematics
+    pose, joints, _ = minimise(
+        points, problem, [terms.fingertip_position], *initial_pose(points, problem), 40
+    )
+    assert np.all(joints >= kinematics.lower)
+    assert np.all(joints <= kinematics.upper)
+    assert np.any((joints == kinematics.lower) | (joints == kinematics.upper))
+    full = joints @ kinematics.matrix.T + kinematics.offset
+    limits = kinematics.hand.joint_limits
+    assert np.all((full >= limits[:, 0] - 1e-9) & (full <= limits[:, 1] + 1e-9))
+    np.testing.assert_allclose(np.linalg.norm(pose[:, 3:], axis=1), 1.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["allegro", "inspire"])
+def test_a_batch_is_each_grasp_by_itself(name: str):
+    points, problem = setting(name)
+    together = minimise(points, problem, TERMS, *initial_pose(points, problem), 15)
+    for row in (0, 3, 5):
+        alone_points, alone = setting(name, slice(row, row + 1))
+        found = minimise(alone_points, alone, TERMS, *initial_pose(alone_points, alone), 15)
+        for batch, single in zip(together, found, strict=True):
+            np.testing.assert_allclose(batch[row], single[0], rtol=1e-6, atol=1e-7)

@@ -1,0 +1,202 @@
+"""Finding hands: decoding of the detector's answers, windows, choice among hands, the models themselves."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from PIL import Image
+
+from fungrasp.errors import FungraspError
+from fungrasp.grasps import load_human_grasps
+from fungrasp.grasps.anatomy import joint_bends
+from fungrasp.grasps.human_hand import HUMAN_JOINTS
+from fungrasp.objects import builtin_object
+from fungrasp.perception.hand.crops import Window, window_of_landmarks, window_of_palm
+from fungrasp.perception.hand.detection import DetectedHand, hand_lengths, possible, settled
+from fungrasp.perception.hand.landmarks import FROM_MODEL, JOINTS_OF_LANDMARKS, HandDetector, choose_hand
+from fungrasp.perception.hand.model_weights import have_weights
+from fungrasp.perception.hand.palm_detection import anchor_centres, box_overlap, decode_palms
+from fungrasp.perception.pipeline import find_hands
+
+needs_weights = pytest.mark.skipif(
+    not have_weights(), reason="the hand models are not in the cache; run 'fungrasp setup perception'"
+)
+
+
+def test_anchors_cover_the_image_in_two_grids():
+    centres = anchor_centres()
+    assert centres.shape == (2016, 2)
+    np.testing.assert_allclose(centres[:3], np.array([[4, 4], [4, 4], [12, 4]]) / 192)
+    np.testing.assert_allclose(centres[24 * 24 * 2], np.array([8, 8]) / 192)
+    np.testing.assert_allclose(centres.mean(axis=0), 0.5)
+
+
+def test_overlapping_answers_are_one_palm_weighted_by_score():
+    offsets, logits = np.zeros((2016, 18)), np.full(2016, -50.0)
+    offsets[:, 2:4] = 48
+    logits[0], logits[2], logits[-1] = 3.0, 1.0, 2.0
+    first, second = decode_palms(offsets, logits, 0.5)
+    weights = 1 / (1 + np.exp([-3.0, -1.0]))
+    middle = weights @ np.array([4, 12]) / weights.sum() / 192
+    np.testing.assert_allclose(first.box, [middle - 1 / 8, 4 / 192 - 1 / 8, middle + 1 / 8, 4 / 192 + 1 / 8])
+    np.testing.assert_allclose(first.points, np.tile([middle, 4 / 192], (7, 1)))
+    assert first.score > second.score and second.points[0, 0] > 0.9
+    assert decode_palms(offsets, logits - 50, 0.5) == []
+
+
+def test_overlap_of_boxes():
+    boxes = np.array([[0, 0, 1, 1], [0.5, 0, 1.5, 1], [2, 2, 3, 3]])
+    np.testing.assert_allclose(box_overlap(boxes[0], boxes), [1, 1 / 3, 0])
+
+
+@settings(deadline=None, max_examples=40)
+@given(
+    u=st.floats(60, 240),
+    v=st.floats(60, 180),
+    size=st.floats(80, 700),
+    angle=st.floats(-3, 3),
+    at=st.floats(0.3, 0.7),
+)
+def test_windows_show_what_they_say(u, v, size, angle, at):
+    """A blurred dot in the image is where the window's coordinates say it is, at any scale and turn."""
+    window = Window((u, v), size, angle)
+    dot = window.to_image(np.array([at, 1 - at]))
+    rows, columns = np.mgrid[:240, :320]
+    sigma = max(2.0, size / 40)
+    light = np.exp(-((columns - dot[0]) ** 2 + (rows - dot[1]) ** 2) / (2 * sigma**2))
+    image = Image.fromarray(np.repeat((255 * light).astype(np.uint8)[..., None], 3, axis=2))
+    cut = window.cut(image, 64)[..., 0]
+    if not (sigma * 3 < dot[0] < 320 - sigma * 3 and sigma * 3 < dot[1] < 240 - sigma * 3):
+        return
+    places = (np.arange(64) + 0.5) / 64
+    found = np.array([cut.sum(axis=0) @ places, cut.sum(axis=1) @ places]) / cut.sum()
+    np.testing.assert_allclose(found, [at, 1 - at], atol=0.012)
+
+
+@settings(deadline=None)
+@given(angle=st.floats(-3.1, 3.1))
+def test_windows_show_hands_upright(angle):
+    up = np.array([np.sin(angle), -np.cos(angle)])
+    wrist = np.array([200.0, 150.0])
+    window = window_of_palm(np.array([150, 100, 250, 200.0]), wrist, wrist + 60 * up)
+    above = window.to_image(np.array([0.5, 0.0])) - window.to_image(np.array([0.5, 1.0]))
+    np.testing.assert_allclose(above / np.linalg.norm(above), up, atol=1e-9)
+    assert window.size == 260
+    pixels = wrist + np.random.default_rng(0).normal(size=(21, 2)) * 20
+    pixels[0], pixels[[5, 9, 13]] = wrist, wrist + 50 * up
+    again = window_of_landmarks(pixels)
+    np.testing.assert_allclose(np.cos(again.angle - angle), 1, atol=1e-9)
+
+
+def hand_at(u, v, size=100.0, side="right", score=0.9):
+    pixels = np.random.default_rng(1).uniform(-size / 2, size / 2, (21, 2))
+    pixels += np.array([u, v]) - pixels.mean(axis=0)
+    return DetectedHand(pixels, np.zeros((21, 3)), side, 0.9, score)
+
+
+def test_the_hand_that_is_meant():
+    left, small, far = hand_at(100, 100, side="left"), hand_at(300, 100, 60), hand_at(500, 300, 90)
+    assert choose_hand([small]) == (small, "")
+    best, note = choose_hand([left, small, far])
+    assert best is left and "3 hands" in note and "largest one was taken, at pixel 100, 100" in note
+    best, note = choose_hand([left, small, far], near=(480, 280, 600, 400))
+    assert best is far and "nearest to the box" in note
+    best, note = choose_hand([left, small, far], side="right")
+    assert best is far and "right hand that is the largest" in note
+    best, note = choose_hand([small], side="left")
+    assert best is small and "looks like a right one, not a left one" in note
+    with pytest.raises(FungraspError, match="no hand was found"):
+        choose_hand([])
+
+
+def test_order_of_joints():
+    names = ["wrist", *(f"thumb_{j}" for j in ("cmc", "mcp", "ip", "tip"))]
+    names += [f"{f}_{j}" for f in ("index", "middle", "ring", "pinky") for j in ("mcp", "pip", "dip", "tip")]
+    assert tuple(names[i] for i in FROM_MODEL) == HUMAN_JOINTS
+
+
+@pytest.fixture(scope="module")
+def picture():
+    from fungrasp.captures.render_capture import CaptureSettings, render_capture
+
+    grasps = load_human_grasps("builtin")
+    row = int(np.flatnonzero(grasps.object_name == "mug")[0])
+    near = CaptureSettings(clutter=(0, 0), distance=(0.45, 0.5), elevation=(35, 50))
+    return render_capture(grasps[row], builtin_object("mug"), np.random.default_rng(5), near)
+
+
+@needs_weights
+def test_a_rendered_hand_is_found_and_told_from_a_left_one(picture):
+    pytest.importorskip("ai_edge_litert", reason="ai-edge-litert is not installed")
+    detector, colour = HandDetector(), picture.capture.colour
+    truth = picture.capture.intrinsics.project(picture.joints_camera)
+    (hand,) = detector.detect(colour)
+    assert hand.side == "right" and np.median(np.linalg.norm(hand.pixels - truth, axis=1)) < 15
+    assert joint_bends(hand.shape_camera)[0][:4].mean() > 0
+    (mirrored,) = detector.detect(np.ascontiguousarray(colour[:, ::-1]))
+    assert mirrored.side == "left"
+    assert joint_bends(mirrored.shape_camera)[0][:4].mean() < 0
+    turned = detector.detect(np.ascontiguousarray(np.rot90(colour)))
+    assert len(turned) == 1 and turned[0].side == "right"
+
+
+@needs_weights
+def test_no_hand_in_noise():
+    pytest.importorskip("ai_edge_litert", reason="ai-edge-litert is not installed")
+    noise = np.random.default_rng(0).integers(0, 255, (240, 320, 3), dtype=np.uint8)
+    assert HandDetector().detect(noise) == []
+
+
+def answer(pixels, score=0.9, side="right"):
+    return DetectedHand(pixels, np.zeros((21, 3)), side, 0.9, score)
+
+
+def test_the_answer_that_most_others_confirm_wins():
+    rng = np.random.default_rng(0)
+    true, wrong = rng.uniform(0, 100, (21, 2)), rng.uniform(0, 100, (21, 2))
+    near = [answer(true + rng.normal(size=(21, 2)), 0.6) for _ in range(3)]
+    sure = answer(wrong, 0.98, "left")
+    hand = settled([sure, *near], [sure, *near], 100.0)
+    assert np.abs(hand.pixels - true).max() < 5 and hand.side == "right"
+    assert len(hand.others) == 3 and hand.others[-1].pixels is sure.pixels
+    # Three of four windows confirm it, each of them with 0.6.
+    assert 0.4 < hand.score < 0.5
+    lonely = settled([sure, answer(true, 0.6)], [answer(true, 0.6)], 100.0)
+    assert lonely.score < 0.1
+
+
+def test_lengths_of_hands_in_the_image():
+    depth = np.array([[0.5, 0.0], [1.0, 0.25]])
+    np.testing.assert_allclose(hand_lengths(depth, 600.0), [[228, np.nan], [114, 456]])
+    lengths = hand_lengths(np.full((480, 640), 0.5), 600.0)
+    assert possible(hand_at(300, 200, 150.0), 228.0)
+    assert not possible(hand_at(300, 200, 30.0), 228.0) and not possible(hand_at(300, 200, 400.0), 228.0)
+    assert np.isnan(hand_lengths(np.zeros((4, 4)), 600.0)).all() and lengths.shape == (480, 640)
+
+
+@needs_weights
+def test_depth_finds_a_hand_whose_palm_is_seen_at_a_wrong_place(picture):
+    pytest.importorskip("ai_edge_litert", reason="ai-edge-litert is not installed")
+    capture = picture.capture
+    truth = capture.intrinsics.project(picture.joints_camera)
+    lengths = hand_lengths(capture.depth, capture.intrinsics.fx)
+    detector = HandDetector()
+    (hand,) = detector.detect_with_depth(capture.colour, lengths)
+    assert np.median(np.linalg.norm(hand.pixels - truth, axis=1)) < 15
+    assert find_hands(detector, capture)[0].score == hand.score
+    beside = Window((float(truth[:, 0].mean() + 45), float(truth[:, 1].mean())), 120.0)
+    image = Image.fromarray(capture.colour)
+    again = detector._about(image, beside, lengths)
+    assert np.median(np.linalg.norm(again.pixels - truth, axis=1)) < 15
+
+
+def test_landmarks_of_a_straight_finger_become_its_joints():
+    joints = np.zeros((21, 2))
+    joints[5:9, 0] = [0, 33, 55, 79]
+    joints[0, 0], joints[9, 0] = -95, 0
+    landmarks = np.linalg.solve(JOINTS_OF_LANDMARKS, joints)
+    # Landmarks of tips are short of the end, those of the joints before beyond them.
+    assert landmarks[8, 0] < 79 and landmarks[6, 0] > 33 and landmarks[7, 0] > 55 and landmarks[0, 0] > -95
+    np.testing.assert_allclose(JOINTS_OF_LANDMARKS.sum(axis=1), 1)

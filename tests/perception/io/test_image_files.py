@@ -1,0 +1,181 @@
+import json
+import logging
+import re
+
+import numpy as np
+import pytest
+from capture_files import HEIGHT, OURS, WIDTH, scene, write_scene
+from PIL import Image
+
+from fungrasp.errors import FungraspError
+from fungrasp.perception import Capture, Intrinsics
+from fungrasp.perception.io.capture_checks import check_alignment, looks_bgr
+from fungrasp.perception.io.image_files import parse_box, read_capture
+
+
+def test_files_become_a_capture_in_metres(tmp_path, caplog):
+    with caplog.at_level(logging.WARNING):
+        capture = read_capture(*write_scene(tmp_path), box=(100, 80, 220, 180))
+    colour, depth = scene()
+    np.testing.assert_array_equal(capture.colour, colour)
+    np.testing.assert_allclose(capture.depth, depth, atol=5e-4)
+    assert capture.intrinsics == Intrinsics(WIDTH, HEIGHT, 300, 301, 160, 119)
+    assert capture.depth[6, 6] == 0
+    assert not caplog.records
+
+
+def test_the_unit_of_depth_is_explicit(tmp_path):
+    lens = {name: value for name, value in OURS.items() if name != "depth_unit"}
+    paths = write_scene(tmp_path, lens, unit=0.0001)
+    with pytest.raises(FungraspError, match=r"how many metres a unit of depth is: 0.001 \(1 mm\) is usual"):
+        read_capture(*paths)
+    assert read_capture(*paths, depth_unit=0.0001).depth[100, 150] == pytest.approx(0.6)
+
+
+@pytest.mark.parametrize(
+    ("unit", "given", "right"), [(0.001, 1.0, "0.001"), (0.0001, 0.001, "0.0001"), (0.001, 1e-6, "0.001")]
+)
+def test_a_wrong_unit_is_named_with_the_right_one(tmp_path, unit, given, right):
+    paths = write_scene(tmp_path, unit=unit)
+    with pytest.raises(FungraspError, match=f"with units of {right} m it would be 0.9 m"):
+        read_capture(*paths, depth_unit=given)
+
+
+def test_masks_of_any_kind_of_image(tmp_path):
+    paths = write_scene(tmp_path)
+    wanted = scene()[1] == np.float32(0.6)
+    for kind in ("L", "1", "RGB"):
+        Image.fromarray(np.where(wanted, 255, 0).astype(np.uint8)).convert(kind).save(tmp_path / "mask.png")
+        np.testing.assert_array_equal(read_capture(*paths, mask=tmp_path / "mask.png").mask, wanted)
+    Image.fromarray(np.full((10, 10), 255, np.uint8)).save(tmp_path / "mask.png")
+    with pytest.raises(FungraspError, match=r"mask .* has 10 x 10 pixels"):
+        read_capture(*paths, mask=tmp_path / "mask.png")
+
+
+def test_float_depth_is_metres(tmp_path):
+    colour, _, lens = write_scene(tmp_path)
+    depth = scene()[1]
+    depth[0, 0] = np.nan
+    np.save(tmp_path / "depth.npy", depth)
+    read = read_capture(colour, tmp_path / "depth.npy", lens).depth
+    assert read[0, 0] == 0
+    assert read[100, 150] == np.float32(0.6)
+    np.save(tmp_path / "depth.npy", 1000 * depth)
+    with pytest.raises(FungraspError, match=r"0\.9 m"):
+        read_capture(colour, tmp_path / "depth.npy", lens)
+
+
+def cut_short(path):
+    path.write_bytes(path.read_bytes()[:200])
+
+
+def not_aligned(path):
+    Image.fromarray(np.full((480, 848), 700, np.uint16)).save(path)
+
+
+def a_picture_of_depth(path):
+    Image.fromarray(np.full((HEIGHT, WIDTH), 100, np.uint8)).save(path)
+
+
+def words(path):
+    path.write_text("this is not an image")
+
+
+def nothing_measured(path):
+    Image.fromarray(np.zeros((HEIGHT, WIDTH), np.uint16)).save(path)
+
+
+@pytest.mark.parametrize(
+    ("which", "mistake", "message"),
+    [
+        (0, cut_short, "colour image .* damaged or cut short"),
+        (1, cut_short, "depth image .* damaged or cut short"),
+        (0, words, "not an image"),
+        (1, words, "not an image"),
+        (1, not_aligned, "848 x 480 pixels and the colour image 320 x 240: align"),
+        (1, a_picture_of_depth, "picture of depth"),
+        (1, nothing_measured, "no pixel has a measurement"),
+        (0, lambda path: path.unlink(), "does not exist"),
+        (2, lambda path: path.unlink(), "No such file"),
+        (2, words, "not valid JSON"),
+    ],
+)
+def test_usual_mistakes_are_named(tmp_path, which, mistake, message):
+    paths = write_scene(tmp_path)
+    mistake(paths[which])
+    with pytest.raises(FungraspError, match=message) as error:
+        read_capture(*paths)
+    assert paths[which].name in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_depth_given_as_colour_is_named(tmp_path):
+    colour, depth, lens = write_scene(tmp_path)
+    with pytest.raises(FungraspError, match="is it the depth"):
+        read_capture(depth, colour, lens)
+
+
+def test_large_images_are_made_smaller_with_a_word(tmp_path, caplog):
+    colour, depth, lens = write_scene(tmp_path)
+    factor = 16
+    for path in (colour, depth):
+        pixels = np.array(Image.open(path))
+        Image.fromarray(pixels.repeat(factor, 0).repeat(factor, 1)).save(path, compress_level=1)
+    big = {name: value * factor for name, value in OURS.items()} | {"depth_unit": 0.001}
+    lens.write_text(json.dumps(big))
+    with caplog.at_level(logging.WARNING):
+        capture = read_capture(colour, depth, lens, box=(1600, 1280, 3520, 2880))
+    assert "5120 x 3840 pixels are made smaller: 1706 x 1280" in caplog.text
+    assert capture.box is not None
+    pixel = np.array([capture.box[0], capture.box[1]])
+    assert pixel == pytest.approx([1600 / 3, 1280 / 3])
+    # The corner of the box is seen in the same direction as before.
+    before = Intrinsics(5120, 3840, big["fx"], big["fy"], big["cx"], big["cy"])
+    ray = before.deproject(np.array([1600.0, 1280.0]), np.array(1.0))
+    np.testing.assert_allclose(capture.intrinsics.project(ray), pixel, atol=0.5)
+    column, row = np.round(pixel).astype(int)
+    assert (capture.depth[row - 2, column], capture.depth[row + 2, column + 2]) == pytest.approx((0.9, 0.6))
+
+
+def test_an_enormous_image_is_refused_before_it_is_decoded(tmp_path):
+    paths = write_scene(tmp_path)
+    Image.new("L", (9000, 9000)).save(paths[0])
+    with pytest.raises(FungraspError, match="9000 x 9000 pixels; the largest allowed"):
+        read_capture(*paths)
+
+
+def test_a_shift_between_depth_and_colour_is_seen():
+    colour, depth = scene()
+    lens = Intrinsics(WIDTH, HEIGHT, 300, 301, 160, 119)
+    assert check_alignment(Capture(colour, depth, lens)) is None
+    assert check_alignment(Capture(colour, np.roll(depth, (0, 16), (0, 1)), lens)) == (16, 0)
+    assert check_alignment(Capture(colour, np.roll(depth, (-12, 0), (0, 1)), lens)) == (0, -12)
+
+
+def test_a_busy_background_is_not_taken_for_a_shift():
+    """Stripes at the image's top, and noise that makes steps in far depth below them."""
+    colour, depth = scene()
+    rng = np.random.default_rng(0)
+    colour[:20] = np.where(np.arange(WIDTH)[None, :, None] // 6 % 2, 255, 0)
+    colour[40:70] = 20, 30, 25
+    depth[40:70] = 3.0 + 0.1 * rng.normal(size=(30, WIDTH)).astype(np.float32)
+    lens = Intrinsics(WIDTH, HEIGHT, 300, 301, 160, 119)
+    assert check_alignment(Capture(colour, depth, lens)) is None
+    assert check_alignment(Capture(colour, np.roll(depth, (0, 16), (0, 1)), lens)) == (16, 0)
+
+
+def test_swapped_colours_are_guessed_from_skin(tmp_path, caplog):
+    colour, _ = scene()
+    assert not looks_bgr(colour)
+    assert looks_bgr(np.ascontiguousarray(colour[..., ::-1]))
+    paths = write_scene(tmp_path)
+    Image.fromarray(np.ascontiguousarray(colour[..., ::-1])).save(paths[0])
+    with caplog.at_level(logging.WARNING):
+        read_capture(*paths)
+    assert "BGR" in caplog.text
+
+
+def test_a_box_is_four_numbers():
+    assert parse_box("1,2.5, 30,40") == (1, 2.5, 30, 40)
+    with pytest.raises(FungraspError, match=re.escape("x0,y0,x1,y1 in pixels, not '1,2,3'")):
+        parse_box("1,2,3")

@@ -1,0 +1,88 @@
+import json
+import logging
+
+import pytest
+from capture_files import OURS
+
+from fungrasp.errors import FungraspError
+from fungrasp.perception import Intrinsics
+from fungrasp.perception.io.intrinsics_files import read_lens
+
+SIZE = (320, 240)
+LENS = Intrinsics(320, 240, 300, 301, 160, 119)
+MATRIX = [[300, 0, 160], [0, 301, 119], [0, 0, 1]]
+FLAT = [300, 0, 160, 0, 301, 119, 0, 0, 1]
+REAL_SENSE = {
+    "width": 320,
+    "height": 240,
+    "fx": 300,
+    "fy": 301,
+    "ppx": 160,
+    "ppy": 119,
+    "model": "none",
+    "coeffs": [0] * 5,
+}
+
+
+@pytest.mark.parametrize(
+    ("content", "unit"),
+    [
+        (OURS, 0.001),
+        (REAL_SENSE, None),
+        ({**REAL_SENSE, "depth_scale": 0.00025}, 0.00025),
+        ({"color": REAL_SENSE, "depth": {"fx": 1}}, None),
+        (
+            {"cx": 160, "cy": 119, "depth_scale": 0.1, "fx": 300, "fy": 301, "height": 240, "width": 320},
+            0.0001,
+        ),
+        ({"3": {"cam_K": FLAT, "depth_scale": 1.0}, "12": {"cam_K": [1] * 9}}, 0.001),
+        (MATRIX, None),
+        (FLAT, None),
+        ({"K": MATRIX}, None),
+    ],
+)
+def test_every_layout_gives_the_same_lens(tmp_path, content, unit):
+    path = tmp_path / "K.json"
+    path.write_text(json.dumps(content))
+    lens = read_lens(path, SIZE, image=3)
+    assert lens.intrinsics == LENS
+    assert lens.depth_unit == pytest.approx(unit) if unit else lens.depth_unit is None
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ({**OURS, "width": 640, "height": 480}, "640 x 480 .* multiply fx, fy, cx and cy by 0.5"),
+        ({**OURS, "width": 1280, "height": 720}, "1280 x 720 .* another resolution"),
+        ([[600, 0, 320], [0, 600, 240], [0, 0, 1]], "another resolution"),
+        ([[0.94, 0, 0.5], [0, 1.25, 0.5], [0, 0, 1]], "not in pixels"),
+        ([[300, 0, 0], [0, 301, 0], [160, 119, 1]], "row by row"),
+        ([1, 2, 3], "3 x 3"),
+        ({**OURS, "fx": "300"}, "'fx' must be a number, not '300'"),
+        ({"fx": 1, "fy": 1}, "'cx' must be a number"),
+        ({"1": {"cam_K": FLAT}, "2": {"cam_K": FLAT}}, "has no image 3"),
+        ({**OURS, "depth_unit": 0}, "unit of depth must be positive"),
+        ("K", "3 x 3 matrix"),
+    ],
+)
+def test_bad_intrinsics_are_named(tmp_path, content, words):
+    path = tmp_path / "K.json"
+    path.write_text(json.dumps(content))
+    with pytest.raises(FungraspError, match=words) as error:
+        read_lens(path, SIZE, image=3)
+    assert str(path) in str(error.value)
+
+
+def test_intrinsics_of_many_images_need_a_number(tmp_path):
+    path = tmp_path / "scene_camera.json"
+    path.write_text(json.dumps({"3": {"cam_K": FLAT}, "5": {"cam_K": FLAT}}))
+    with pytest.raises(FungraspError, match="intrinsics of 2 images"):
+        read_lens(path, SIZE)
+
+
+def test_distortion_is_not_passed_over_in_silence(tmp_path, caplog):
+    path = tmp_path / "K.json"
+    path.write_text(json.dumps({**REAL_SENSE, "coeffs": [0.1, -0.2, 0, 0, 0]}))
+    with caplog.at_level(logging.WARNING):
+        read_lens(path, SIZE)
+    assert "distortion" in caplog.text

@@ -1,0 +1,185 @@
+"""A made-up pyrealsense2 with the calls that are used; the real one was seen to give the same."""
+
+import logging
+import sys
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from fungrasp.errors import FungraspError
+from fungrasp.perception.io.realsense import capture_from_camera
+
+WIDTH, HEIGHT = 64, 48
+UNIT = 0.0001
+
+
+class FakeRealSense:
+    """A module object: one camera, or one recording of so many images."""
+
+    def __init__(
+        self, fmt="rgb8", images=100, start_error=None, millimetres=700, missing="", coeffs=(0,) * 5
+    ):
+        self.stream = SimpleNamespace(depth="depth", color="color")
+        self.format = SimpleNamespace(
+            z16="z16", rgb8="rgb8", bgr8="bgr8", rgba8="rgba8", bgra8="bgra8", yuyv="yuyv"
+        )
+        self.fmt, self.images, self.start_error, self.missing = fmt, images, start_error, missing
+        self.millimetres, self.coeffs = millimetres, coeffs
+        self.given, self.stopped, self.aligned, self.real_time = 0, 0, 0, True
+        self.played, self.streams = None, []
+
+    def config(self):
+        def play(file_name, repeat_playback=True):
+            self.played = (file_name, repeat_playback)
+
+        return SimpleNamespace(
+            enable_stream=lambda *arguments: self.streams.append(arguments), enable_device_from_file=play
+        )
+
+    def pipeline(self):
+        def start(config):
+            if self.start_error:
+                raise RuntimeError(self.start_error)
+            return SimpleNamespace(get_device=self.device)
+
+        def stop():
+            self.stopped += 1
+
+        return SimpleNamespace(start=start, stop=stop, try_wait_for_frames=self.wait)
+
+    def device(self):
+        def set_real_time(value):
+            self.real_time = value
+
+        return SimpleNamespace(
+            as_playback=lambda: SimpleNamespace(set_real_time=set_real_time),
+            first_depth_sensor=lambda: SimpleNamespace(get_depth_scale=lambda: UNIT),
+        )
+
+    def wait(self, timeout_ms=5000):
+        if self.given == self.images:
+            return False, None
+        self.given += 1
+        return True, self.given - 1
+
+    def align(self, to):
+        assert to == "color"
+        return SimpleNamespace(process=self.frames)
+
+    def frames(self, number):
+        self.aligned += 1
+        channels = 4 if "a8" in self.fmt else 3
+        pixels = np.zeros((HEIGHT, WIDTH, channels), np.uint8)
+        pixels[..., 0 if self.fmt.startswith("rgb") else 2] = 200
+        pixels[..., 1] = number
+        depth = np.full((HEIGHT, WIDTH), self.millimetres * 0.001 / UNIT, np.uint16)
+        lens = SimpleNamespace(
+            width=WIDTH, height=HEIGHT, fx=60.0, fy=61.0, ppx=31.0, ppy=24.0, coeffs=list(self.coeffs)
+        )
+        profile = SimpleNamespace(format=lambda: self.fmt, get_intrinsics=lambda: lens)
+        profile.as_video_stream_profile = lambda: profile
+        colour = SimpleNamespace(get_data=lambda: pixels, profile=profile)
+        return SimpleNamespace(
+            get_depth_frame=lambda: (
+                None if self.missing == "depth" else SimpleNamespace(get_data=lambda: depth)
+            ),
+            get_color_frame=lambda: None if self.missing == "colour" else colour,
+        )
+
+
+@pytest.fixture
+def realsense(monkeypatch):
+    def install(**options):
+        fake = FakeRealSense(**options)
+        monkeypatch.setitem(sys.modules, "pyrealsense2", fake)
+        return fake
+
+    return install
+
+
+def test_a_camera_gives_a_capture_after_the_warm_up(realsense):
+    fake = realsense()
+    capture = capture_from_camera(warm_up=7)
+    assert capture.colour[0, 0].tolist() == [200, 7, 0]
+    assert capture.depth.dtype == np.float32 and np.allclose(capture.depth, 0.7)
+    assert (capture.intrinsics.fx, capture.intrinsics.fy) == (60, 61)
+    assert (capture.intrinsics.cx, capture.intrinsics.cy) == (31, 24)
+    assert (fake.given, fake.aligned, fake.stopped, fake.played) == (8, 1, 1, None)
+    assert fake.streams == [("depth", "z16"), ("color", "rgb8")]
+
+
+@pytest.mark.parametrize("fmt", ["rgb8", "bgr8", "rgba8", "bgra8"])
+def test_a_recording_is_played_once_and_in_its_own_format(realsense, tmp_path, fmt):
+    file = tmp_path / "recording.bag"
+    file.touch()
+    fake = realsense(fmt=fmt, images=4)
+    capture = capture_from_camera(file)
+    assert capture.colour[5, 5].tolist() == [200, 3, 0], "of a short recording the last image"
+    assert fake.played == (str(file), False) and fake.real_time is False and fake.stopped == 1
+    assert fake.streams == [("depth",), ("color",)]
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"start_error": "No device connected"}, "no RealSense camera is connected"),
+        ({"start_error": "Couldn't resolve requests"}, "no depth and colour together"),
+        ({"images": 0}, "gives no images"),
+        ({"missing": "depth"}, "has no depth image"),
+        ({"missing": "colour"}, "has no colour image"),
+        ({"fmt": "yuyv"}, "format yuyv; one of rgb8, bgr8"),
+        ({"millimetres": 0}, "no pixel has a measurement"),
+    ],
+)
+def test_what_fails_is_named_and_the_camera_is_let_go(realsense, options, words):
+    fake = realsense(**options)
+    with pytest.raises(FungraspError, match=words):
+        capture_from_camera(warm_up=2)
+    assert fake.stopped == (0 if "start_error" in options else 1)
+
+
+def test_an_image_of_a_recording_by_its_number(realsense, tmp_path):
+    file = tmp_path / "recording.bag"
+    file.touch()
+    realsense(images=4)
+    assert capture_from_camera(file, image=2).colour[0, 0].tolist() == [200, 2, 0]
+    realsense(images=4)
+    with pytest.raises(FungraspError, match="has no image 4: its images are 0 to 3"):
+        capture_from_camera(file, image=4)
+    with pytest.raises(FungraspError, match="no image -1"):
+        capture_from_camera(file, image=-1)
+
+
+def test_bad_recordings(realsense, tmp_path):
+    realsense(start_error="Failed to resolve request.\n Reason: Error reading version line")
+    with pytest.raises(FungraspError, match="does not exist"):
+        capture_from_camera(tmp_path / "missing.bag")
+    file = tmp_path / "bad.bag"
+    file.write_bytes(b"cut short")
+    with pytest.raises(FungraspError, match=r"can't be played: is it damaged.*Error reading version line"):
+        capture_from_camera(file)
+    with pytest.raises(FungraspError, match="not be negative"):
+        capture_from_camera(warm_up=-1)
+
+
+def test_distortion_is_told(realsense, caplog):
+    realsense(coeffs=(0.1, -0.2, 0, 0, 0))
+    with caplog.at_level(logging.WARNING):
+        capture_from_camera(warm_up=0)
+    assert "distortion is not taken into account" in caplog.text
+
+
+def test_without_pyrealsense2_the_way_to_get_it_is_told(monkeypatch):
+    monkeypatch.setitem(sys.modules, "pyrealsense2", None)
+    with pytest.raises(FungraspError, match=r"pip install 'fungrasp\[realsense\]'.*none for macOS"):
+        capture_from_camera()
+
+
+def test_without_libusb_the_package_is_named(monkeypatch):
+    def broken(name):
+        raise ImportError("libusb-1.0.so.0: cannot open shared object file: No such file or directory")
+
+    monkeypatch.setattr("fungrasp.perception.io.realsense.importlib.import_module", broken)
+    with pytest.raises(FungraspError, match=r"can't be loaded: libusb.*apt install libusb-1.0-0"):
+        capture_from_camera()

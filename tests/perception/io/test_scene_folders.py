@@ -1,0 +1,104 @@
+import json
+
+import numpy as np
+import pytest
+from capture_files import HEIGHT, OURS, WIDTH, scene, write_scene
+from PIL import Image
+
+from fungrasp.errors import FungraspError
+from fungrasp.perception.io.capture import Capture, Intrinsics
+from fungrasp.perception.io.scene_folders import read_bop, read_dexycb, read_folder, write_folder
+
+
+def test_our_own_folder(tmp_path):
+    write_scene(tmp_path)
+    assert read_folder(tmp_path).mask is None
+    Image.fromarray(np.eye(HEIGHT, WIDTH, dtype=np.uint8)).save(tmp_path / "mask.png")
+    mask = read_folder(tmp_path).mask
+    assert mask is not None and mask.sum() == HEIGHT
+
+
+def a_bop_scene(folder):
+    colour, depth = scene()
+    for name in ("rgb", "depth", "mask_visib"):
+        (folder / name).mkdir(parents=True)
+    Image.fromarray(colour).save(folder / "rgb" / "000007.jpg", quality=95)
+    Image.fromarray(np.round(depth * 10000).astype(np.uint16)).save(folder / "depth" / "000007.png")
+    mask = np.where(depth == np.float32(0.6), 255, 0).astype(np.uint8)
+    Image.fromarray(mask).save(folder / "mask_visib" / "000007_000001.png")
+    matrix = [OURS["fx"], 0, OURS["cx"], 0, OURS["fy"], OURS["cy"], 0, 0, 1]
+    cameras = {"7": {"cam_K": matrix, "depth_scale": 0.1}, "8": {"cam_K": matrix, "depth_scale": 0.1}}
+    (folder / "scene_camera.json").write_text(json.dumps(cameras))
+    return folder
+
+
+def test_what_is_written_is_read_again(tmp_path):
+    (colour, depth), mask = scene(), np.zeros((HEIGHT, WIDTH), bool)
+    mask[80:180, 100:220] = True
+    lens = Intrinsics(WIDTH, HEIGHT, 301.5, 300.25, 160.5, 119.0)
+    capture = Capture(colour, depth + np.float32(0.00337), lens, mask)
+    write_folder(capture, tmp_path / "near")
+    again = read_folder(tmp_path / "near")
+    np.testing.assert_array_equal(again.colour, capture.colour)
+    np.testing.assert_array_equal(again.mask, mask)
+    np.testing.assert_allclose(again.depth, capture.depth, atol=0.51e-4)
+    assert again.intrinsics == lens
+    with pytest.raises(FungraspError, match="mask of another image"):
+        write_folder(Capture(colour, capture.depth, lens), tmp_path / "near")
+    far = capture.depth.copy()
+    far[0, :2] = 20.0, 100.0
+    write_folder(Capture(colour, far, lens), tmp_path / "far")
+    again = read_folder(tmp_path / "far")
+    assert again.mask is None and again.depth[0, :2].tolist() == pytest.approx([20.0, 0.0])
+    np.testing.assert_allclose(again.depth[1:], far[1:], atol=0.51e-3)
+
+
+def test_a_bop_scene(tmp_path):
+    folder = a_bop_scene(tmp_path / "000002")
+    capture = read_bop(folder, 7, instance=1)
+    np.testing.assert_allclose(capture.depth, scene()[1], atol=1e-4)
+    assert capture.intrinsics.fy == 301
+    np.testing.assert_array_equal(capture.mask, scene()[1] == np.float32(0.6))
+    assert read_folder(folder).mask is None
+    with pytest.raises(FungraspError, match="has no image 8"):
+        read_bop(folder, 8)
+
+
+def a_dexycb_camera(root):
+    colour, depth = scene()
+    camera = root / "20200709-subject-01" / "20200709_141754" / "836212060125"
+    calibration = root / "calibration" / "intrinsics"
+    camera.mkdir(parents=True)
+    calibration.mkdir(parents=True)
+    Image.fromarray(colour).save(camera / "color_000071.jpg", quality=95)
+    Image.fromarray(np.round(depth * 1000).astype(np.uint16)).save(
+        camera / "aligned_depth_to_color_000071.png"
+    )
+    seg = np.where(depth == np.float32(0.6), 5, 0).astype(np.uint8)
+    np.savez(camera / "labels_000071.npz", seg=seg)
+    (camera.parent / "meta.yml").write_text("ycb_ids: [2, 5]\nycb_grasp_ind: 1\n")
+    lens = "{fx: 300.0, fy: 301.0, ppx: 160.0, ppy: 119.0}"
+    (calibration / f"{camera.name}_{WIDTH}x{HEIGHT}.yml").write_text(f"color: {lens}\ndepth: {{fx: 1.0}}\n")
+    return camera
+
+
+def test_a_dexycb_camera(tmp_path):
+    pytest.importorskip("yaml")
+    camera = a_dexycb_camera(tmp_path)
+    capture = read_dexycb(camera, 71, with_mask=True)
+    np.testing.assert_allclose(capture.depth, scene()[1], atol=1e-3)
+    assert (capture.intrinsics.fx, capture.intrinsics.cy) == (300, 119)
+    np.testing.assert_array_equal(capture.mask, scene()[1] == np.float32(0.6))
+    assert read_folder(camera).mask is None
+    (camera / "labels_000071.npz").write_bytes(b"cut short")
+    with pytest.raises(FungraspError, match="not a readable DexYCB label"):
+        read_dexycb(camera, 71, with_mask=True)
+    with pytest.raises(FungraspError, match="does not exist"):
+        read_dexycb(camera, 3)
+
+
+def test_a_folder_of_something_else_is_refused(tmp_path):
+    with pytest.raises(FungraspError, match="is no capture"):
+        read_folder(tmp_path)
+    with pytest.raises(FungraspError, match="does not exist"):
+        read_folder(tmp_path / "missing")

@@ -1,0 +1,62 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from fungrasp.geometry.poses import compose, quaternion_from_rotation_vector
+from fungrasp.perception.object_pose.pose_error import add, add_s, rotation_error
+
+CORNERS = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)]) * 0.05
+HOME = np.array([0.1, -0.2, 0.6, 1.0, 0.0, 0.0, 0.0])
+
+
+def turned(axis: list[float], angle: float) -> np.ndarray:
+    pose = HOME.copy()
+    pose[3:] = quaternion_from_rotation_vector(np.array(axis) * angle)
+    return pose
+
+
+def shifted(pose: np.ndarray, *shift: float) -> np.ndarray:
+    return np.concatenate([pose[:3] + np.array(shift), pose[3:]])
+
+
+def test_a_shift_is_the_error() -> None:
+    moved = shifted(HOME, 0.003, 0.0, 0.004)
+    assert add(CORNERS, moved, HOME) == pytest.approx(0.005)
+    assert add_s(CORNERS, moved, HOME) == pytest.approx(0.005)
+    assert rotation_error(moved, HOME) == pytest.approx(0.0)
+
+
+def test_a_symmetry_is_an_error_for_add_only() -> None:
+    quarter = turned([0.0, 0.0, 1.0], np.pi / 2)
+    assert add_s(CORNERS, quarter, HOME) == pytest.approx(0.0, abs=1e-9)
+    assert add(CORNERS, quarter, HOME) == pytest.approx(0.1)
+    assert rotation_error(quarter, HOME) == pytest.approx(np.pi / 2)
+
+
+def test_add_s_goes_from_the_truth_to_the_estimate() -> None:
+    # The estimate covers the true points and one more far away, which must not count.
+    points = np.array([[0.0, 0, 0], [0.1, 0, 0]])
+    moved = shifted(HOME, 0.1, 0.0, 0.0)
+    # True points at 0 and 0.1, estimated ones at 0.1 and 0.2.
+    assert add_s(points, moved, HOME) == pytest.approx(0.05)
+
+
+def test_batch_equals_loop() -> None:
+    poses = np.stack([HOME, turned([1.0, 0, 0], 0.3), shifted(HOME, 0.01, 0.0, 0.0)])
+    for error in (add, add_s):
+        assert error(CORNERS, poses, HOME) == pytest.approx([error(CORNERS, pose, HOME) for pose in poses])
+
+
+@settings(deadline=None)
+@given(
+    turn=st.lists(st.floats(-3, 3), min_size=3, max_size=3),
+    shift=st.lists(st.floats(-1, 1), min_size=3, max_size=3),
+)
+def test_moving_the_whole_scene_changes_nothing(turn: list[float], shift: list[float]) -> None:
+    scene = np.concatenate([shift, quaternion_from_rotation_vector(np.array(turn))])
+    pose = shifted(turned([0.6, 0.0, 0.8], 0.4), 0.02, 0.0, 0.01)
+    for error in (add, add_s):
+        before, after = error(CORNERS, pose, HOME), error(CORNERS, compose(scene, pose), compose(scene, HOME))
+        assert after == pytest.approx(before, abs=1e-9)
+    assert rotation_error(compose(scene, pose), compose(scene, HOME)) == pytest.approx(0.4, abs=1e-6)

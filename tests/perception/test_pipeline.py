@@ -1,0 +1,399 @@
+"""From an image to a grasp: ``perceive``. A stand-in says where the landmarks are, with noise."""
+
+from __future__ import annotations
+
+import dataclasses
+from functools import cache
+
+import numpy as np
+import pytest
+import trimesh
+from hand_scenes import CAMERA, HandScene, hand_scene
+
+from fungrasp.errors import FungraspError
+from fungrasp.geometry.poses import compose, inverse_transform_points, invert, transform_points
+from fungrasp.grasps.human_hand import mirror_points
+from fungrasp.objects import ObjectModel, builtin_object
+from fungrasp.perception import Capture, ObjectEstimate
+from fungrasp.perception import pipeline as room
+from fungrasp.perception.hand.detection import DetectedHand
+from fungrasp.perception.hand.handedness import settle_side
+from fungrasp.perception.hand.landmarks import HandDetector
+from fungrasp.perception.hand.model_weights import have_weights
+from fungrasp.perception.object_pose.mesh_rays import MeshRays
+from fungrasp.perception.object_pose.pose_error import add_s
+from fungrasp.perception.pipeline import Perceived, perceive
+from fungrasp.perception.scene.table import table_under
+
+MUG_ROW, BOWL_ROW = 0, 36
+FLIP = np.array([-1.0, 1.0, 1.0])
+
+
+class StandIn:
+    """A detector that finds what it was told."""
+
+    def __init__(self, *hands: DetectedHand):
+        self.hands = list(hands)
+
+    def detect(self, colour, near=None):
+        return self.hands
+
+
+class Forbidden:
+    def detect(self, colour, near=None):
+        raise AssertionError("nobody should look for hands")
+
+
+@cache
+def mug() -> tuple[HandScene, DetectedHand]:
+    rng = np.random.default_rng(0)
+    scene = hand_scene(MUG_ROW, rng)
+    return scene, scene.detected(rng)
+
+
+@cache
+def seen() -> Perceived:
+    scene, detected = mug()
+    return perceive(scene.capture, scene.model, detector=StandIn(detected), task="drink")
+
+
+@cache
+def object_pixels() -> np.ndarray:
+    """A mask of the mug."""
+    scene, _ = mug()
+    rays = CAMERA.rays().reshape(-1, 3)
+    depth = MeshRays(scene.model.vertices, scene.model.faces).cast(scene.pose_camera_object[None], rays)[0]
+    return np.abs(depth.reshape(CAMERA.height, CAMERA.width) - scene.capture.depth) < 0.005
+
+
+def known(scene: HandScene, score: float = 0.9) -> ObjectEstimate:
+    """The true pose."""
+    return ObjectEstimate(scene.pose_camera_object, score, True, residual_m=0.001)
+
+
+def in_object(perceived: Perceived) -> np.ndarray:
+    """Joints in the object's frame."""
+    return inverse_transform_points(perceived.grasp.object_pose, perceived.grasp.hand_joints)
+
+
+def test_an_image_becomes_a_grasp():
+    scene, _ = mug()
+    perceived = seen()
+    assert perceived.sure and perceived.table_found
+    # The handle is hidden.
+    (doubt,) = perceived.doubts
+    assert "which way round the object is" in doubt
+    error = np.linalg.norm(perceived.hand.joints_camera - scene.joints, axis=1)
+    assert error.mean() < 0.012
+    thing = perceived.object
+    poses = [thing.pose_camera_object, *(p for p, score in thing.alternatives if score > thing.score - 0.01)]
+    assert min(add_s(scene.model.vertices, pose, scene.pose_camera_object) for pose in poses) < 0.004
+    np.testing.assert_allclose(perceived.table, scene.table, atol=0.01)
+    grasp = perceived.grasp
+    assert (grasp.object_name, grasp.object_mass, grasp.task) == ("mug", scene.model.mass, "drink")
+    assert grasp.link_contacts[[3, 15]].any() and 3 <= grasp.link_contacts.sum() <= 12
+    quality = perceived.quality
+    assert quality.reprojection_px < 10 and quality.hand_residual_m < 0.008
+    assert quality.depth_residual_m < 0.003 and quality.penetration_m < 0.012
+    assert quality.hand_score == perceived.hand.score and quality.object_score == perceived.object.score
+
+
+def test_the_world_is_that_of_the_architecture():
+    scene, _ = mug()
+    perceived = seen()
+    camera, grasp = perceived.pose_world_camera, perceived.grasp
+    plane = perceived.table
+    heights = transform_points(camera, scene.joints)[:, 2]
+    np.testing.assert_allclose(heights, scene.joints @ plane[:3] + plane[3], atol=1e-9)
+    held = compose(invert(camera), grasp.object_pose)
+    np.testing.assert_allclose(held[:3], perceived.object.pose_camera_object[:3], atol=1e-9)
+    centre = transform_points(grasp.object_pose, scene.model.center_of_mass[None])[0]
+    np.testing.assert_allclose(centre[:2], 0.0, atol=1e-9)
+    looks = transform_points(camera, np.array([[0.0, 0.0, 0.3], [0.1, 0.0, 0.3]])) - camera[:3]
+    assert camera[2] > 0.2 and looks[0, 1] > 0.05 and abs(looks[0, 0]) < 1e-9
+    assert (looks[1] - looks[0])[0] > 0.09
+    np.testing.assert_allclose(
+        grasp.hand_joints, transform_points(camera, perceived.hand.joints_camera), atol=1e-9
+    )
+
+
+@pytest.mark.parametrize("name", ["mug", "can", "hammer"])
+def test_an_object_is_put_down_on_its_nearest_stable_face(name):
+    from fungrasp.perception.scene.world_frame import put_down
+
+    model = builtin_object(name)
+    tilt = np.array([0.98, 0.14, 0.1, 0.09])
+    held = np.array([0.1, -0.2, 0.5, *(tilt / np.linalg.norm(tilt))])
+    rest = put_down(model, held)
+    heights = transform_points(rest, model.vertices)[:, 2]
+    assert heights.min() == pytest.approx(0.0, abs=1e-9)
+    assert (heights < 1e-4).sum() >= 3
+    centres = [transform_points(pose, model.center_of_mass[None])[0, :2] for pose in (held, rest)]
+    np.testing.assert_allclose(*centres, atol=1e-9)
+    np.testing.assert_allclose(put_down(model, rest), rest, atol=1e-6)
+    # A tilt of some 20 degrees is not the other way up.
+    assert abs(rest[3:] @ held[3:]) > 0.95
+
+
+def test_what_is_known_is_not_looked_for():
+    scene, _ = mug()
+    table = np.array([0.0, -0.8, -0.6, 0.5])
+    perceived = perceive(
+        scene.capture,
+        scene.model,
+        hand=seen().hand,
+        object_estimate=known(scene),
+        table=table,
+        detector=Forbidden(),
+    )
+    assert perceived.table_found
+    np.testing.assert_array_equal(perceived.table, table)
+    np.testing.assert_array_equal(perceived.object.pose_camera_object, scene.pose_camera_object)
+    # A pose from elsewhere says nothing of how it fits the depth: that is measured.
+    elsewhere = ObjectEstimate(scene.pose_camera_object, 0.9, True)
+    again = perceive(scene.capture, scene.model, hand=seen().hand, object_estimate=elsewhere, table=table)
+    assert 0 < again.quality.depth_residual_m < 0.005
+    moved = np.linalg.norm(perceived.hand.joints_camera - seen().hand.joints_camera, axis=1)
+    assert 0 < moved.max() < 0.02
+
+
+def mirrored(
+    scene: HandScene, detected: DetectedHand
+) -> tuple[Capture, ObjectModel, ObjectEstimate, DetectedHand]:
+    """The scene in a mirror: a left hand."""
+    capture, width = scene.capture, CAMERA.width - 1
+    lens = dataclasses.replace(CAMERA, cx=width - CAMERA.cx)
+    image = Capture(capture.colour[:, ::-1].copy(), capture.depth[:, ::-1].copy(), lens)
+    model = ObjectModel(
+        "gum", scene.model.mass, mirror_points(scene.model.vertices), scene.model.faces[:, ::-1].copy()
+    )
+    # S_x R S_y of the rotation, S_x of the position.
+    from scipy.spatial.transform import Rotation
+
+    turn = Rotation.from_quat(scene.pose_camera_object[3:], scalar_first=True).as_matrix()
+    turn = np.diag(FLIP) @ turn @ np.diag([1.0, -1.0, 1.0])
+    pose = np.concatenate(
+        [scene.pose_camera_object[:3] * FLIP, Rotation.from_matrix(turn).as_quat(scalar_first=True)]
+    )
+    hand = dataclasses.replace(
+        detected,
+        pixels=detected.pixels * [-1.0, 1.0] + [width, 0.0],
+        shape_camera=detected.shape_camera * FLIP,
+        side="left",
+    )
+    return image, model, ObjectEstimate(pose, 0.9, True), hand
+
+
+def test_a_left_hand_is_mirrored_on_the_way_in():
+    scene, detected = mug()
+    right = perceive(
+        scene.capture,
+        scene.model,
+        detector=StandIn(detected),
+        object_estimate=known(scene),
+        table=scene.table,
+    )
+    image, model, thing, hand = mirrored(scene, detected)
+    left = perceive(
+        image, model, detector=StandIn(hand), object_estimate=thing, table=scene.table * [-1, 1, 1, 1]
+    )
+    assert left.hand.side == "left" and left.grasp.object_name == "gum_mirrored"
+    # Other pixels show the hand, and the meshes' distance grids differ by a fraction of a cell: either may
+    # decide the search of a finger.
+    apart = np.linalg.norm(left.hand.joints_camera * FLIP - right.hand.joints_camera, axis=1)
+    assert np.median(apart) < 4e-3 and apart.max() < 0.012
+    # The mirrored mesh of the mirrored mesh is the first one.
+    apart = np.linalg.norm(in_object(left) - in_object(right), axis=1)
+    assert np.median(apart) < 4e-3 and apart.max() < 0.012
+    np.testing.assert_allclose(left.grasp.object_rest_pose[2], right.grasp.object_rest_pose[2], atol=1e-6)
+    assert (left.grasp.link_contacts == right.grasp.link_contacts).sum() >= 15
+
+
+def test_of_two_hands_the_one_at_the_object_is_taken():
+    scene, detected = mug()
+    other = dataclasses.replace(detected, pixels=detected.pixels * 0.5 + [10.0, 10.0], score=0.99)
+    u, v = CAMERA.project(scene.pose_camera_object[:3])
+    capture = scene.capture.with_object(box=(u - 40, v - 40, u + 40, v + 40))
+    found = StandIn(other, detected)
+    for image in (capture, scene.capture):
+        perceived = perceive(image, scene.model, detector=found, object_estimate=known(scene))
+        np.testing.assert_array_equal(perceived.hand.pixels, detected.pixels)
+        assert perceived.sure and "2 hands are in the image; the one nearest" in perceived.doubts[0]
+
+
+def test_of_two_hands_the_one_that_holds_the_object_is_taken(monkeypatch):
+    scene, detected = mug()
+    middle = detected.pixels.mean(axis=0)
+    larger = dataclasses.replace(detected, pixels=(detected.pixels - middle) * 1.3 + middle + [60.0, 0.0])
+
+    def estimate(capture, mesh, hand, table, seed):
+        near = np.linalg.norm(hand.pixels.mean(axis=0) - middle) < 5
+        return known(scene, 0.95 if near else 0.4)
+
+    monkeypatch.setattr(room, "estimate_object_pose", estimate)
+    perceived = perceive(scene.capture, scene.model, detector=StandIn(larger, detected))
+    np.testing.assert_array_equal(perceived.hand.pixels, detected.pixels)
+    assert "2 hands are in the image; the one that holds" in perceived.doubts[0]
+
+
+def test_a_side_that_was_said_counts():
+    scene, detected = mug()
+    unlikely = dataclasses.replace(detected, side="left", side_score=0.6)
+    perceived = perceive(
+        scene.capture, scene.model, detector=StandIn(unlikely), object_estimate=known(scene), side="right"
+    )
+    assert perceived.hand.side == "right" and perceived.grasp.object_name == "mug"
+    assert any("left one, not a right one as was said" in doubt for doubt in perceived.doubts)
+
+
+def test_fingers_tell_which_hand_it_is_where_the_model_is_in_doubt():
+    _, detected = mug()
+    assert settle_side(detected)[0] is detected
+    doubtful = dataclasses.replace(detected, side="left", side_score=0.55)
+    settled, note = settle_side(doubtful)
+    assert settled.side == "right" and "fingers bend like those of a right one" in note
+    np.testing.assert_array_equal(settled.pixels, detected.pixels)
+    # The model is sure, the landmarks can't be.
+    wrong, note = settle_side(dataclasses.replace(doubtful, side_score=0.99))
+    assert (wrong.side, wrong.score) == ("left", detected.score / 2) and "bent backwards" in note
+    assert settle_side(doubtful, "left")[0].side == "left"
+
+
+def test_no_hand_or_one_in_a_glove():
+    scene, _ = mug()
+    with pytest.raises(FungraspError, match=r"no hand was found .* must be bare"):
+        perceive(scene.capture, scene.model, detector=StandIn())
+
+
+def test_a_hand_without_depth():
+    scene, detected = mug()
+    depth = scene.capture.depth.copy()
+    low, high = detected.pixels.min(axis=0).astype(int) - 30, detected.pixels.max(axis=0).astype(int) + 30
+    depth[low[1] : high[1], low[0] : high[0]] = 0
+    capture = Capture(scene.capture.colour, depth, CAMERA)
+    with pytest.raises(FungraspError, match="no depth where the hand is"):
+        perceive(capture, scene.model, detector=StandIn(detected))
+
+
+def test_holes_in_depth_do_little_harm():
+    scene, detected = mug()
+    depth = scene.capture.depth.copy()
+    rng = np.random.default_rng(3)
+    for v, u in rng.integers(0, [CAMERA.height, CAMERA.width], (150, 2)):
+        depth[v : v + 16, u : u + 16] = 0
+    assert (depth == 0).mean() > 0.1
+    perceived = perceive(
+        Capture(scene.capture.colour, depth, CAMERA, object_pixels()), scene.model, detector=StandIn(detected)
+    )
+    error = add_s(scene.model.vertices, perceived.object.pose_camera_object, scene.pose_camera_object)
+    assert error < 0.01 or not perceived.sure
+
+
+def test_the_wrong_mesh_is_not_believed():
+    scene, detected = mug()
+    perceived = perceive(
+        scene.capture.with_object(object_pixels()), builtin_object("hammer"), detector=StandIn(detected)
+    )
+    assert not perceived.sure and any("the object's pose: not sure" in doubt for doubt in perceived.doubts)
+    assert perceived.grasp.object_name == "hammer"
+
+
+def test_a_mesh_in_millimetres_is_refused():
+    scene, _ = mug()
+    model = ObjectModel("mug", 0.3, scene.model.vertices * 1000, scene.model.faces)
+    with pytest.raises(FungraspError, match="is the mesh in millimetres"):
+        perceive(scene.capture, model, detector=Forbidden())
+
+
+def test_an_object_out_of_view_is_not_believed():
+    scene, detected = mug()
+    nowhere = np.zeros((CAMERA.height, CAMERA.width), bool)
+    nowhere[:6, :6] = True
+    perceived = perceive(scene.capture.with_object(mask=nowhere), scene.model, detector=StandIn(detected))
+    assert not perceived.sure and any("pixels with depth" in doubt for doubt in perceived.doubts)
+
+
+def test_a_hand_too_faint_to_lead_to_the_table_is_kept_above_it():
+    scene, detected = mug()
+    faint = dataclasses.replace(detected, score=0.35)
+    perceived = perceive(scene.capture, scene.model, detector=StandIn(faint), object_estimate=known(scene))
+    assert perceived.table_found and not perceived.sure
+    np.testing.assert_allclose(perceived.table, scene.table, atol=0.01)
+    assert np.linalg.norm(perceived.hand.joints_camera - scene.joints, axis=1).mean() < 0.012
+
+
+def test_without_a_table_the_world_is_a_guess():
+    scene, detected = mug()
+    heights = scene.capture.points() @ scene.table[:3] + scene.table[3]
+    depth = np.where(heights > 0.004, scene.capture.depth, 0).astype(np.float32)
+    perceived = perceive(
+        Capture(scene.capture.colour, depth, CAMERA),
+        scene.model,
+        detector=StandIn(detected),
+        object_estimate=known(scene),
+    )
+    assert not perceived.table_found and any("no table was seen" in doubt for doubt in perceived.doubts)
+    assert perceived.sure
+    surface = transform_points(perceived.grasp.object_pose, scene.model.vertices)
+    lowest = min(surface[:, 2].min(), perceived.grasp.hand_joints[:, 2].min())
+    assert lowest == pytest.approx(0.0, abs=1e-6)
+
+
+def test_a_hand_of_low_score_is_not_believed():
+    scene, detected = mug()
+    unlikely = dataclasses.replace(detected, score=0.3)
+    perceived = perceive(scene.capture, scene.model, detector=StandIn(unlikely), object_estimate=known(scene))
+    assert not perceived.sure and any("the hand: its score" in doubt for doubt in perceived.doubts)
+
+
+def test_a_wall_is_no_table():
+    """A wall close behind fills more of the image than the table."""
+    scene, _ = mug()
+    away = np.array([0.0, 0.0, 1.0]) - scene.table[:3] * scene.table[2]
+    wall = np.append(-away, away @ scene.pose_camera_object[:3]) / np.linalg.norm(away)
+    wall[3] += 0.06
+    heights = scene.capture.points() @ scene.table[:3] + scene.table[3]
+    slope = CAMERA.rays() @ wall[:3]
+    reach = np.where(slope < -1e-3, -wall[3] / np.minimum(slope, -1e-3), 9.0)
+    depth = np.where(heights < 0.004, np.minimum(scene.capture.depth, reach), scene.capture.depth)
+    depth[CAMERA.height * 3 // 4 :] = 0.0
+    walled = Capture(scene.capture.colour, depth.astype(np.float32), CAMERA)
+    seen = walled.points()[walled.measured]
+    assert (np.abs(seen @ wall[:3] + wall[3]) < 1e-2).sum() > (
+        np.abs(seen @ scene.table[:3] + scene.table[3]) < 1e-2
+    ).sum()
+    found = table_under(walled, scene.joints, np.random.default_rng(0))
+    assert found is not None
+    np.testing.assert_allclose(found, scene.table, atol=0.01)
+
+
+def test_moving_the_camera_does_not_move_the_hand_on_the_object():
+    """Two views of one grasp: joints in the object's frame agree as well as they agree with the truth."""
+    rng = np.random.default_rng(5)
+    scene = hand_scene(MUG_ROW, rng)
+    first, second = (
+        perceive(view.capture, view.model, detector=StandIn(detected), object_estimate=known(view))
+        for view, detected in (mug(), (scene, scene.detected(rng)))
+    )
+    apart = np.linalg.norm(in_object(first) - in_object(second), axis=1)
+    assert apart.mean() < 0.02
+
+
+def test_the_mesh_may_have_colours():
+    scene, detected = mug()
+    paint = np.random.default_rng(0).integers(0, 255, (len(scene.model.vertices), 3))
+    coloured = trimesh.Trimesh(scene.model.vertices, scene.model.faces, vertex_colors=paint, process=False)
+    perceived = perceive(
+        scene.capture.with_object(object_pixels()),
+        scene.model,
+        coloured=coloured,
+        detector=StandIn(detected),
+    )
+    assert add_s(scene.model.vertices, perceived.object.pose_camera_object, scene.pose_camera_object) < 0.006
+
+
+@pytest.mark.skipif(not have_weights(), reason="the hand models are not set up (fungrasp setup perception)")
+def test_without_a_hand_in_the_picture_the_real_detector_says_so():
+    scene, _ = mug()
+    with pytest.raises(FungraspError, match="no hand was found"):
+        perceive(scene.capture, scene.model, detector=HandDetector(threads=1))

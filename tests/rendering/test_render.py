@@ -1,0 +1,190 @@
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+
+from fungrasp.errors import FungraspError
+from fungrasp.rendering import Camera, Look, Renderer, orbit_camera, render
+from fungrasp.rendering.render import NOTHING, TABLE
+from fungrasp.rendering.shading import linear, sun_direction
+
+SCENE = """
+<mujoco>
+  <worldbody>
+    <geom name="floor" type="plane" size="1 1 1" rgba="1 0 0 1"/>
+    <body name="ball" pos="0 0 0.05">
+      <joint name="x" type="slide" axis="1 0 0"/>
+      <joint name="z" type="slide" axis="0 0 1"/>
+      <geom name="ball" type="sphere" size="0.05" rgba="0.2 0.5 0.9 1"/>
+      <geom name="hull" type="box" size="0.3 0.3 0.3" group="3"/>
+    </body>
+    <body name="post" pos="0.12 0.08 0.06">
+      <geom name="post" type="capsule" size="0.02 0.04" rgba="0.9 0.6 0.2 1"/>
+    </body>
+    <body name="guide" mocap="true" pos="0 0 -1"><geom name="guide" type="box" size="0.03 0.03 0.03"/></body>
+  </worldbody>
+</mujoco>
+"""
+
+
+@pytest.fixture(scope="module")
+def model():
+    return mujoco.MjModel.from_xml_string(SCENE)
+
+
+@pytest.fixture(scope="module")
+def camera():
+    return orbit_camera((0.03, 0.0, 0.05), 0.6, -60, 30, width=80, height=60)
+
+
+def _geom(model, name):
+    return model.geom(name).id
+
+
+def test_silhouette_and_depth_of_a_sphere_are_exact(model):
+    camera = Camera((0.0, -0.6, 0.25), (0.0, 0.0, 0.05), fov_y=20, width=160, height=120)
+    views = Renderer(model).views(np.zeros(2), camera, colour=False)
+    seen = views.segmentation[0] == _geom(model, "ball")
+    v, u = np.mgrid[:120, :160]
+    rays = camera.directions(np.stack([u, v], -1).astype(float))
+    offset = np.array([0.0, 0.0, 0.05]) - camera.position
+    along = rays @ offset
+    squared = along**2 - offset @ offset + 0.05**2
+    np.testing.assert_array_equal(seen, squared > 0)
+    depth = (along - np.sqrt(np.maximum(squared, 0))) * (rays @ camera.rotation[:, 2])
+    np.testing.assert_allclose(views.depth[0][seen], depth[seen], atol=1e-6)
+
+
+def test_depth_of_the_table_is_its_distance_along_the_view(model, camera):
+    views = Renderer(model).views(np.zeros(2), camera, colour=False)
+    v, u = np.argwhere(views.segmentation[0] == TABLE)[-1]
+    direction = camera.directions(np.array([u, v], float))
+    point = np.asarray(camera.position) + direction * views.depth[0, v, u] / (
+        direction @ camera.rotation[:, 2]
+    )
+    assert abs(point[2]) < 1e-6
+
+
+def test_sky_has_no_depth(model):
+    camera = Camera((0, -0.6, 0.1), (0, 0, 0.2), width=20, height=16)
+    views = Renderer(model).views(np.zeros(2), camera, colour=False)
+    sky = views.segmentation == NOTHING
+    assert sky.any()
+    assert (views.depth[sky] == 0).all()
+    assert (views.depth[~sky] > 0).all()
+
+
+def test_collision_groups_and_planes_are_not_drawn(model, camera):
+    seen = Renderer(model).views(np.zeros(2), camera, colour=False).segmentation
+    assert set(np.unique(seen)) <= {NOTHING, TABLE, _geom(model, "ball"), _geom(model, "post")}
+
+
+def test_without_ground_the_models_plane_is_drawn(model, camera):
+    seen = Renderer(model, ground=False).views(np.zeros(2), camera, colour=False).segmentation
+    assert (seen == _geom(model, "floor")).any()
+    assert not (seen == TABLE).any()
+
+
+def test_shadow_falls_on_the_table_opposite_to_the_light(model):
+    above = Camera((0, 0, 0.8), (0, 0, 0), up=(0, 1, 0), fov_y=40, width=80, height=80)
+    look = Look(light=(-1, 0, 1), table=(0.8, 0.8, 0.8), table_dark=(0.8, 0.8, 0.8))
+    state = np.array([-0.1, 0.05])
+    lit = render(model, state, above, look=look, shadows=False)[0].astype(int)
+    shaded = render(model, state, above, look=look)[0].astype(int)
+    darker = (lit - shaded).sum(-1) > 60
+    spot, _ = above.project(np.array([0.0, 0.0, 0.0]))
+    mirror, _ = above.project(np.array([-0.2, 0.0, 0.0]))
+    u, v = np.round(spot).astype(int)
+    assert darker[v, u]
+    u, v = np.round(mirror).astype(int)
+    assert not darker[v, u]
+
+
+def test_things_darken_the_table_where_they_touch_it(model):
+    camera = Camera((0, -0.5, 0.3), (0, 0, 0), fov_y=30, width=80, height=60)
+    look = Look(light=(0, 0, 1), light_radius=0, table=(0.8, 0.8, 0.8), table_dark=(0.8, 0.8, 0.8))
+    picture = render(model, np.zeros(2), camera, look=look)[0].astype(int).sum(-1)
+    near, _ = camera.project(np.array([-0.06, -0.0, 0.0]))
+    far, _ = camera.project(np.array([-0.14, 0.0, 0.0]))
+    assert (
+        picture[tuple(np.round(near[::-1]).astype(int))]
+        < picture[tuple(np.round(far[::-1]).astype(int))] - 10
+    )
+
+
+def test_same_bytes_on_any_number_of_threads_and_in_any_company(model, camera):
+    states = np.stack([np.linspace(0, 0.1, 10), np.linspace(0, 0.05, 10)], axis=1)
+    look = Look(light=(-1, -1, 2))
+    together = render(model, states, camera, look=look, threads=2)
+    np.testing.assert_array_equal(together, render(model, states, camera, look=look, threads=1))
+    np.testing.assert_array_equal(together[7], render(model, states[7], camera, look=replace(look))[0])
+
+
+def test_rays_left_out_do_not_change_the_picture(model, camera, monkeypatch):
+    quick = Renderer(model).views(np.zeros(2), camera)
+    from fungrasp.rendering import frame
+    from fungrasp.rendering import tile_culling as culling
+
+    monkeypatch.setattr(frame, "seen_tiles", lambda c, b: np.ones(culling.tile_shape(c), bool))
+    monkeypatch.setattr(frame, "blocked", lambda points, *rest: np.ones(len(points), bool))
+    monkeypatch.setattr(frame, "near", lambda points, *rest: np.ones(len(points), bool))
+    full = Renderer(model).views(np.zeros(2), camera)
+    np.testing.assert_array_equal(quick.segmentation, full.segmentation)
+    np.testing.assert_array_equal(quick.colour, full.colour)
+
+
+def test_antialiasing_comes_closer_to_a_large_picture(model, camera):
+    large = render(model, np.zeros(2), camera.sized(640, 480), shadows=False, antialias=1)[0]
+    truth = linear(large / 255).reshape(60, 8, 80, 8, 3).mean((1, 3))
+    pictures = [render(model, np.zeros(2), camera, shadows=False, antialias=n)[0] for n in (1, 3)]
+    rough, fine = (np.abs(linear(picture / 255) - truth).max() for picture in pictures)
+    assert fine < 0.4 * rough
+
+
+def test_each_frame_has_its_own_camera_colours_and_mocap_pose(model, camera):
+    other = replace(camera, position=(0.5, 0.4, 0.3))
+    colours = np.stack([model.geom_rgba, model.geom_rgba])
+    colours[1, _geom(model, "ball")] = (0.1, 0.9, 0.1, 1)
+    colours[0, _geom(model, "post"), 3] = 0
+    mocap = np.array([[[0, 0, -1, 1, 0, 0, 0]], [[-0.1, 0, 0.1, 1, 0, 0, 0]]], float)
+    views = Renderer(model).views(np.zeros((2, 2)), [camera, other], mocap=mocap, geom_rgba=colours)
+    ball, post, guide = (views.segmentation == _geom(model, n) for n in ("ball", "post", "guide"))
+    assert not post[0].any()
+    assert post[1].any()
+    assert not guide[0].any()
+    assert guide[1].any()
+    assert np.argmax(views.colour[0][ball[0]].mean(0)) == 2
+    assert np.argmax(views.colour[1][ball[1]].mean(0)) == 1
+    look = Look(light=tuple(sun_direction(Look(), camera.rotation)))
+    alone = render(model, np.zeros(2), other, mocap=mocap[1], geom_rgba=colours[1], look=look)[0]
+    assert np.abs(views.colour[1].astype(int) - alone).max() <= 1
+
+
+def test_frames_come_one_by_one(model, camera):
+    stream = Renderer(model).stream(np.zeros((1000, 2)), camera.sized(16, 12))
+    assert next(stream).shape == (12, 16, 3)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"qpos": np.zeros((2, 3))}, "qpos"),
+        ({"qpos": np.full(2, np.nan)}, "finite"),
+        ({"mocap": np.zeros((1, 3, 7))}, "mocap"),
+        ({"geom_rgba": np.ones((2, 4))}, "geom_rgba"),
+        ({"camera": []}, "cameras"),
+        ({"antialias": 0}, "antialias"),
+        ({"threads": -1}, "threads"),
+    ],
+)
+def test_wrong_arguments_are_named(model, camera, arguments, words):
+    with pytest.raises(FungraspError, match=words):
+        render(model, **{"qpos": np.zeros(2), "camera": camera, **arguments})
+
+
+def test_looks_are_checked():
+    with pytest.raises(FungraspError, match="table"):
+        Look(table=(2, 0, 0))
+    with pytest.raises(FungraspError, match="light"):
+        Look(light=(0, 0, 0))
