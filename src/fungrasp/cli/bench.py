@@ -173,8 +173,8 @@ class Training:
         from fungrasp.grasps import load_human_grasps, load_objects
         from fungrasp.hands import load_hand
         from fungrasp.policies.checkpoint.checkpoint_file import load_policy
-        from fungrasp.training.environment import EnvironmentSettings, LiftEnvironment
-        from fungrasp.training.library import Variety, build_library
+        from fungrasp.training.environment import EnvironmentSettings, TrainingEnvironment
+        from fungrasp.training.plan_library import Variety, build_plan_library
         from fungrasp.training.settings import PpoSettings
         from fungrasp.training.speed import (
             acting_speed,
@@ -192,10 +192,10 @@ class Training:
         robot, _ = retargeted(human, objects, hand, "ours", self.threads)
         settings = EnvironmentSettings(worlds=self.worlds)
         with progress_bar("planning references", len(robot)) as show:
-            library = build_library(robot, objects, hand, Variety(1), 0, self.threads, show)
+            library = build_plan_library(robot, objects, hand, Variety(1), 0, self.threads, show)
         with progress_bar("stepping", self.steps) as show:
             stepping = environment_speed(library, objects, hand, settings, self.steps, 0, self.threads, show)
-        environment = LiftEnvironment(library, objects, hand, settings, 0, self.threads)
+        environment = TrainingEnvironment(library, objects, hand, settings, 0, self.threads)
         updating = update_speed(environment, PpoSettings())
         network = network or untrained_student(library, objects, hand)
         acting = acting_speed(network, robot.select([0]), objects, hand)

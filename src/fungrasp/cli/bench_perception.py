@@ -209,12 +209,12 @@ class Perception:
         return known
 
     def _check_policies(self) -> None:
-        from fungrasp.evaluation.lift_test import check_policy
         from fungrasp.hands import load_hand
+        from fungrasp.policies import policy_files
 
         hand = load_hand(self.hand)
         for policy in self.policy:
-            check_policy(policy, hand)
+            policy_files(policy, hand.name).digests()
 
     def _chain(self, results: list[CaptureResult], objects: Mapping[str, ObjectModel]) -> dict[str, Any]:
         """Figures of the first policy, and of all of them by name where there are several."""
@@ -224,7 +224,7 @@ class Perception:
         from fungrasp.evaluation import evaluate
         from fungrasp.evaluation.perception_results import chain_figures, chain_sets
         from fungrasp.hands import load_hand
-        from fungrasp.policies import free_policy
+        from fungrasp.policies import default_policy
 
         hand = load_hand(self.hand)
         true, perceived, rows = chain_sets(results, objects)
@@ -234,7 +234,7 @@ class Perception:
         ]
         sure = np.array([result.sure for result in results])
         each = {}
-        policies = self.policy or (free_policy(hand.name),)
+        policies = self.policy or (default_policy(hand.name),)
         for policy in policies:
             success = []
             for words, robot in zip(("true grasps", "perceived grasps"), sets, strict=True):
@@ -243,7 +243,7 @@ class Perception:
                     continue
                 with progress_bar(f"{policy}, {words}", len(robot)) as show:
                     tried = evaluate(robot, objects, hand, policy, threads=self.threads, progress=show)
-                success.append(tried.trials.success)
+                success.append(tried.outcomes.success)
             each[policy] = chain_figures(success[0], success[1], rows, sure)
         figures = {"hand": hand.name, "policy": policies[0]} | each[policies[0]]
         return figures if len(policies) == 1 else figures | {"policies": each}

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from fungrasp.cli.demo_from_image import SeenGrasp
-    from fungrasp.evaluation import DynamicResult, Trajectory
+    from fungrasp.evaluation import LiftTestResult, Trajectory
     from fungrasp.grasps import HumanGraspSet, RobotGraspSet
     from fungrasp.hands import Hand
     from fungrasp.objects import ObjectModel
@@ -65,7 +65,7 @@ class Demo:
     student of the hand, or the reference if there is none."""
     refine: int = 8
     """Under the reference, try this many variations of a grasp in simulation until one holds; 0: only the
-    grasp as it is. A learned policy chooses by itself, in rehearsals."""
+    grasp as it is. A learned policy chooses among candidates by itself, in simulated rollouts."""
     seed: int = 0
     """Of the variations."""
     out: Path = Path("demo")
@@ -175,18 +175,20 @@ class Demo:
 
     def _tried(
         self, robot: RobotGraspSet, objects: Mapping[str, ObjectModel], hand: Hand, folder: Path
-    ) -> tuple[DynamicResult, list[Trajectory]]:
+    ) -> tuple[LiftTestResult, list[Trajectory]]:
         """The outcome of each grasp, refined first, and what moved how."""
         from fungrasp.evaluation import evaluate, replay
-        from fungrasp.planning.selection.refinement import refine
+        from fungrasp.planning.selection.refinement import refine_grasps
+        from fungrasp.policies import OpenLoopPolicy
 
         policy = self._policy(hand)
         if self.refine and policy == REFERENCE:
             with progress_bar("trying variations", len(robot)) as show:
-                robot = refine(
+                robot = refine_grasps(
                     robot,
                     objects,
                     hand,
+                    OpenLoopPolicy(),
                     tries=self.refine,
                     seed=self.seed,
                     threads=self.threads,
@@ -205,11 +207,11 @@ class Demo:
         Raises:
             FungraspError: there is no such policy.
         """
-        from fungrasp.policies import free_policy, resolve_policy
+        from fungrasp.policies import default_policy, policy_files
 
         if self.policy is None:
-            return free_policy(hand.name)
-        resolve_policy(self.policy, hand.name)
+            return default_policy(hand.name)
+        policy_files(self.policy, hand.name)
         return self.policy
 
     def _film(

@@ -11,13 +11,14 @@ from fungrasp.cli.console import progress_bar, write_json
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from fungrasp.evaluation import Disturbance, DynamicResult
+    from fungrasp.evaluation import LiftTestResult
     from fungrasp.evaluation.lift_test import Refinement
     from fungrasp.evaluation.partial_results import PartialResults
     from fungrasp.grasps import HumanGraspSet, RobotGraspSet
     from fungrasp.hands import Hand
     from fungrasp.objects import ObjectModel
-    from fungrasp.planning.selection.search import Planner
+    from fungrasp.planning.selection import SelectionSettings
+    from fungrasp.transfer import Randomization
 
 SEARCHED_CHUNK = 32
 """Grasps refined, or planned by a policy, and tried together: what an interrupted run may lose."""
@@ -34,8 +35,8 @@ class Evaluate:
     hand: str = "allegro"
     """Name of a hand, or the path of a hand's TOML file."""
     policy: str = "reference"
-    """What moves the hand: "reference", "teacher", "student", one of `fungrasp policies list`, or a policy
-    file (.onnx)."""
+    """What moves the hand: "reference", "student", "teacher", "plan" (the student's plan, played blindly),
+    one of `fungrasp policies list`, or a policy file (.onnx)."""
     refine: int = 0
     """First try this many variations of each grasp in simulation, and keep the best."""
     method: tuple[str, ...] = ("ours",)
@@ -45,7 +46,7 @@ class Evaluate:
     json: Path | None = None
     """Write every number here (.json). Given again after an interruption, the command goes on."""
     record: Path | None = None
-    """Folder to which each trial is recorded (.npz)."""
+    """Folder to which each episode is recorded (.npz)."""
     picture: Path | None = None
     """Draw some of the grasps, and whether they held, to this PNG file."""
     static: bool = False
@@ -64,9 +65,10 @@ class Evaluate:
     """During the hold, three pushes in random directions: force [times the object's weight], duration [s]."""
     object_shift: float = 0.0
     """The object is moved this far on the table [m] after the policy has planned."""
-    rehearse: bool = True
-    """Policies that choose among plans try the most promising in a simulation of their own first, with other
-    masses, friction and poses than they are told, and search further where none holds."""
+    rollouts: bool = True
+    """Policies that choose among candidate plans try the most promising in simulated rollouts first, in
+    worlds that differ from what is believed, and search further where none holds: 33 to 189 episodes for each
+    grasp."""
     robustness: bool = False
     """Try the grasps under each condition of the robustness protocol: other masses, friction, table heights,
     wrong poses, latency, pushes, moved objects."""
@@ -78,19 +80,21 @@ class Evaluate:
 
         from fungrasp.cli.retarget import draw_grasps
         from fungrasp.cli.trial_tables import comparison, result_table, robustness_table, static_words
-        from fungrasp.evaluation import CONDITIONS, result_json
-        from fungrasp.evaluation.lift_test import check_hand, check_policy
+        from fungrasp.evaluation import result_json
+        from fungrasp.evaluation.lift_test import check_hand
         from fungrasp.evaluation.partial_results import PartialResults
         from fungrasp.evaluation.results import machine, robustness_json
         from fungrasp.grasps import RobotGraspSet, load_grasps, load_objects
         from fungrasp.hands import load_hand
-        from fungrasp.planning.selection.search import ChoiceSettings, Planner
+        from fungrasp.planning.selection import SelectionSettings
+        from fungrasp.policies import policy_files
+        from fungrasp.transfer import ROBUSTNESS
 
-        disturbance = self._disturbance()
+        randomization = self._randomization()
         hand = load_hand(self.hand)
-        check_policy(self.policy, hand)
+        policy_files(self.policy, hand.name).digests()
         grasps = load_grasps(self.grasps)
-        self._check(isinstance(grasps, RobotGraspSet), disturbance, hand)
+        self._check(isinstance(grasps, RobotGraspSet), randomization, hand)
         if isinstance(grasps, RobotGraspSet):
             check_hand(grasps, hand)
         objects = load_objects(grasps, self.objects)
@@ -99,13 +103,13 @@ class Evaluate:
         )
         start = perf_counter()
         sets = self._robot_grasps(grasps, objects, hand)
-        conditions = CONDITIONS if self.robustness else {"": disturbance}
+        conditions = ROBUSTNESS if self.robustness else {"": randomization}
         refinement = self._refinement(objects, hand)
-        planner = Planner(ChoiceSettings() if self.rehearse else ChoiceSettings(rehearsal=None), self.threads)
+        selection = SelectionSettings() if self.rollouts else SelectionSettings(rollouts=None)
         tried = {
             name: {
                 condition: self._evaluate(
-                    (name, condition), robot, objects, hand, other, refinement, planner, store
+                    (name, condition), robot, objects, hand, other, refinement, selection, store
                 )
                 for condition, other in conditions.items()
             }
@@ -128,7 +132,7 @@ class Evaluate:
             store.remove()
         if self.picture is not None:
             name, robot = next(iter(sets.items()))
-            outcome = results[name].trials.reason[: len(robot)].tolist()
+            outcome = results[name].outcomes.reason[: len(robot)].tolist()
             draw_grasps(
                 self.picture, robot, objects, hand, captions=[reason or "success" for reason in outcome]
             )
@@ -141,32 +145,34 @@ class Evaluate:
         if len(results) > 1:
             print(comparison(results))
         count = sum(len(result.index) for those in tried.values() for result in those.values())
-        print(f"{count} trials in {seconds:.1f} s")
+        print(f"{count} episodes in {seconds:.1f} s")
 
-    def _disturbance(self) -> Disturbance:
+    def _randomization(self) -> Randomization:
         from math import radians
 
-        from fungrasp.evaluation import Disturbance
+        from fungrasp.transfer import MeasurementError, Randomization
+        from fungrasp.transfer.randomization import THREE_PUSHES
 
         distance, angle = self.pose_noise
-        force, duration = self.push
-        return Disturbance(
-            mass_scale=self.mass_scale,
-            friction=self.friction,
-            position_noise=distance,
-            rotation_noise=radians(angle),
-            table_height=self.table_height,
-            latency=self.latency,
-            push=force,
+        weights, duration = self.push
+        return Randomization(
+            mass=(self.mass_scale, self.mass_scale),
+            friction=None if self.friction is None else (self.friction, self.friction),
+            object_position_error=MeasurementError(offset=distance),
+            object_rotation_error=MeasurementError(offset=radians(angle)),
+            table_height=(self.table_height, self.table_height),
+            action_delay=(self.latency, self.latency),
+            push_times=THREE_PUSHES if weights else (),
+            push_weights=(weights, weights),
             push_duration=duration,
-            object_shift=self.object_shift,
+            object_shift=(self.object_shift, self.object_shift),
         )
 
-    def _check(self, robot: bool, disturbance: Disturbance, hand: Hand) -> None:
+    def _check(self, robot: bool, randomization: Randomization, hand: Hand) -> None:
         """Complain about options that do not go together."""
         from fungrasp.errors import FungraspError, UnknownNameError
-        from fungrasp.evaluation import Disturbance
         from fungrasp.retarget import METHODS
+        from fungrasp.transfer import NOMINAL
 
         for name in self.method:
             if name not in METHODS:
@@ -178,20 +184,24 @@ class Evaluate:
                 raise FungraspError(f"--{name} needs at least one value, and each once")
         if min(self.seed) < 0 or self.refine < 0 or self.threads < 0:
             raise FungraspError("--seed, --refine and --threads must not be negative")
-        if self.robustness and disturbance != Disturbance():
-            raise FungraspError("--robustness has disturbances of its own: give it or single ones")
-        if len(self.seed) > 1 and not (self.robustness or self._is_random(disturbance, hand)):
+        if self.robustness and randomization != NOMINAL:
+            raise FungraspError("--robustness has conditions of its own: give it or single ones")
+        if len(self.seed) > 1 and not (self.robustness or self._is_random(randomization, hand)):
             raise FungraspError(
-                "nothing is random here, so several seeds would only repeat the same trials: give one "
+                "nothing is random here, so several seeds would only repeat the same episodes: give one "
                 "--seed, or something random (--pose-noise, --push, --object-shift, --robustness, --refine, "
                 "a learned policy that chooses plans)"
             )
 
-    def _is_random(self, disturbance: Disturbance, hand: Hand) -> bool:
-        """Whether trials depend on the seed."""
-        from fungrasp.policies import chooses
+    def _is_random(self, randomization: Randomization, hand: Hand) -> bool:
+        """Whether episodes depend on the seed."""
+        return bool(self.refine or randomization.is_random or self._searches(hand))
 
-        return bool(self.refine or disturbance.is_random or chooses(self.policy, hand.name))
+    def _searches(self, hand: Hand) -> bool:
+        """Whether plans are chosen among candidates."""
+        from fungrasp.policies import policy_files
+
+        return policy_files(self.policy, hand.name).predictor is not None
 
     def _robot_grasps(
         self, grasps: HumanGraspSet | RobotGraspSet, objects: Mapping[str, ObjectModel], hand: Hand
@@ -209,15 +219,14 @@ class Evaluate:
         robot: RobotGraspSet,
         objects: Mapping[str, ObjectModel],
         hand: Hand,
-        disturbance: Disturbance,
+        randomization: Randomization,
         refinement: Refinement | None,
-        planner: Planner,
+        selection: SelectionSettings,
         store: PartialResults | None,
-    ) -> DynamicResult:
+    ) -> LiftTestResult:
         """names: of the method and the condition, "" for one that needs no name."""
         from fungrasp.evaluation import evaluate
         from fungrasp.evaluation.lift_test import CHUNK
-        from fungrasp.policies import chooses
 
         method, condition = names
         folder = self.record
@@ -225,7 +234,7 @@ class Evaluate:
             folder = folder / method
         if folder is not None and condition:
             folder = folder / condition.replace(",", "").replace(" ", "-")
-        seeds = self.seed if self._is_random(disturbance, hand) else self.seed[:1]
+        seeds = self.seed if self._is_random(randomization, hand) else self.seed[:1]
         words = ", ".join(word for word in (hand.name, method, condition) if word)
         with progress_bar(words, len(robot) * len(seeds)) as show:
             return evaluate(
@@ -235,12 +244,12 @@ class Evaluate:
                 self.policy,
                 seeds=seeds,
                 threads=self.threads,
-                disturbance=disturbance,
+                randomization=randomization,
                 refine=refinement,
-                planner=planner,
+                selection=selection,
                 record=folder,
                 store=store,
-                chunk=SEARCHED_CHUNK if self.refine or chooses(self.policy, hand.name) else CHUNK,
+                chunk=SEARCHED_CHUNK if self.refine or self._searches(hand) else CHUNK,
                 progress=show,
             )
 
@@ -267,7 +276,8 @@ class Evaluate:
             return None
         from fungrasp.evaluation.lift_test import Refinement
         from fungrasp.files import digest
-        from fungrasp.planning.selection.refinement import refine
+        from fungrasp.planning.selection.refinement import refine_grasps
+        from fungrasp.policies import OpenLoopPolicy
 
         done: dict[str, RobotGraspSet] = {}
 
@@ -275,7 +285,15 @@ class Evaluate:
             """Once for all conditions."""
             key = digest({name: getattr(grasps, name) for name in grasps.FIELDS}, grasps.extra, seed)
             if key not in done:
-                done[key] = refine(grasps, objects, hand, tries=self.refine, seed=seed, threads=self.threads)
+                done[key] = refine_grasps(
+                    grasps,
+                    objects,
+                    hand,
+                    OpenLoopPolicy(),
+                    tries=self.refine,
+                    seed=seed,
+                    threads=self.threads,
+                )
             return done[key]
 
         return Refinement(improve, f"{self.refine} tries")

@@ -21,7 +21,7 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
     "perceive": ("fungrasp.cli.perceive", "turn an image with depth of a held object into a human grasp"),
     "retarget": ("fungrasp.cli.retarget", "turn human grasps into grasps of a robot hand"),
     "evaluate": ("fungrasp.cli.evaluate", "try grasps in simulation and measure how many lift the object"),
-    "critic": ("fungrasp.cli.critic", "learn which variations of a grasp will hold"),
+    "predictor": ("fungrasp.cli.predictor", "learn which variations of a grasp will hold"),
     "train": ("fungrasp.cli.train", "train a policy on grasps: a teacher that knows the contacts"),
     "distill": ("fungrasp.cli.distill", "train a student, that sees what a robot has, from a teacher"),
     "reproduce": ("fungrasp.cli.reproduce", "train and test what the paper's tables compare"),

@@ -11,7 +11,7 @@ from fungrasp.cli.console import progress_bar, table, write_json
 from fungrasp.cli.train import check_numbers, check_packages, progress_lines, training_sets
 from fungrasp.errors import FungraspError
 from fungrasp.training.environment import EnvironmentSettings
-from fungrasp.training.library import Variety
+from fungrasp.training.plan_library import Variety
 from fungrasp.training.settings import DistillSettings, PpoSettings
 
 if TYPE_CHECKING:
@@ -141,7 +141,7 @@ class Table:
                 RunSettings(self.seed, self.variety, self.environment, replace(self.ppo, sees=variant.sees)),
                 int(self.steps),
                 threads=self.threads,
-                references=self.out / f"references-{variant.method}.npz",
+                plan_file=self.out / f"references-{variant.method}.npz",
                 planning=show,
                 progress=progress_lines(int(self.steps)),
             )

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from fungrasp.errors import FungraspError
 from fungrasp.training.environment import EnvironmentSettings
-from fungrasp.training.library import Variety
+from fungrasp.training.plan_library import Variety
 from fungrasp.training.settings import PpoSettings
 
 if TYPE_CHECKING:
@@ -48,8 +48,8 @@ class Train:
     steps: float = 3e6
     """Control steps of all worlds together, earlier runs of this training included."""
     plans: str | None = None
-    """A critic that chooses the plans to follow, in training and at work: a policy that comes with the
-    package ("critic" is short for the hand's), or a file. The grasps' own plans by default."""
+    """A success predictor that chooses the plans to follow, in training and at work: one that comes with the
+    package ("predictor" is short for the hand's), or a file. The grasps' own plans by default."""
     initial: Path | None = None
     """Folder of another training, whose networks this one begins with."""
     shrink: float = 1.0
@@ -85,9 +85,9 @@ class Train:
         sets = training_sets(self.grasps, self.objects, hand, self.method, self.terms, self.threads)
         # More threads make the small networks slower.
         torch.set_num_threads(1)
-        plans = None if self.plans is None else critic_file(self.plans, hand)
+        plans = None if self.plans is None else predictor_file(self.plans, hand)
         copies = sum(len(s.grasps) for s in sets) * self.variety.planned(plans is not None)
-        with progress_bar("planning references", copies) as show:
+        with progress_bar("planning", copies) as show:
             card = train(
                 self.out,
                 sets,
@@ -113,19 +113,18 @@ class Train:
 COMMAND = Train
 
 
-def critic_file(name: str, hand: Hand) -> Path:
-    """The file of a critic of plans.
+def predictor_file(name: str, hand: Hand) -> Path:
+    """The file of a success predictor.
 
     Raises:
         FungraspError: there is none of this name, or it is another kind of policy.
     """
-    from fungrasp.policies import resolve_policy
-    from fungrasp.policies.checkpoint.checkpoint_file import read_card
+    from fungrasp.policies import policy_files
 
-    path = resolve_policy(name, hand.name)
-    if path is None or (kind := read_card(path).kind) != "critic":
-        raise FungraspError(f"--plans takes a critic; '{name}' is a {'controller' if path is None else kind}")
-    return path
+    files = policy_files(name, hand.name)
+    if files.network is not None or files.predictor is None:
+        raise FungraspError(f"--plans takes a success predictor, which '{name}' is not")
+    return files.predictor
 
 
 def check_packages() -> None:

@@ -9,12 +9,12 @@ from fungrasp.cli.console import table
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from fungrasp.evaluation import DynamicResult
+    from fungrasp.evaluation import LiftTestResult
 
 HEAD = ("trials", "success", "95 % interval", "contacts", "slip [mm/s]", "pushed [mm]")
 
 
-def result_table(result: DynamicResult) -> str:
+def result_table(result: LiftTestResult) -> str:
     """Objects and their rates of success, and why trials failed."""
     from collections import Counter
 
@@ -25,7 +25,7 @@ def result_table(result: DynamicResult) -> str:
     rows += [_row(name, part) for name, part in numbers["by_object"].items()]
     rows.append(_row("all", numbers))
     rows.append(_row("mean over objects", numbers["mean_over_objects"]))
-    reasons = Counter(reason for reason in result.trials.reason.tolist() if reason)
+    reasons = Counter(reason for reason in result.outcomes.reason.tolist() if reason)
     lines = [f"failed: {count:3d} {reason}" for reason, count in reasons.most_common()]
     return "\n".join([table(rows), *lines])
 
@@ -40,19 +40,19 @@ def static_words(static: Mapping[str, Any]) -> str:
     return "\n".join([line, *([quality_table(static["quality"])] if "quality" in static else [])])
 
 
-def comparison(results: Mapping[str, DynamicResult]) -> str:
+def comparison(results: Mapping[str, LiftTestResult]) -> str:
     """Methods side by side."""
     return _side_by_side("method", results)
 
 
-def robustness_table(results: Mapping[str, DynamicResult]) -> str:
+def robustness_table(results: Mapping[str, LiftTestResult]) -> str:
     """Conditions side by side, and the mean of their rates of success; the first is undisturbed."""
-    rates = [float(result.trials.success.mean()) for result in results.values()]
+    rates = [float(result.outcomes.success.mean()) for result in results.values()]
     mean = f"mean over the {len(rates) - 1} disturbed conditions: {sum(rates[1:]) / (len(rates) - 1):.1%}"
     return "\n".join([_side_by_side("condition", results), mean])
 
 
-def _side_by_side(first: str, results: Mapping[str, DynamicResult]) -> str:
+def _side_by_side(first: str, results: Mapping[str, LiftTestResult]) -> str:
     from fungrasp.evaluation.results import summary
 
     return table([(first, *HEAD), *(_row(name, summary(result)) for name, result in results.items())])

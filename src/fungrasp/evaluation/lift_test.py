@@ -1,31 +1,33 @@
-"""The dynamic test on any number of grasps: reach, grasp, lift, hold (docs/evaluation.md)."""
+"""The lift test on any number of grasps: reach, grasp, lift, hold (docs/evaluation.md)."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
+import mujoco
 import numpy as np
 
 from fungrasp import __version__
 from fungrasp.errors import FungraspError
 from fungrasp.evaluation.partial_results import PartialResults
-from fungrasp.evaluation.robustness import Disturbance
 from fungrasp.evaluation.trajectory import Recorder
 from fungrasp.files import digest
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
-from fungrasp.planning.selection.search import Planner
-from fungrasp.policies import chooses, make_policy, play, resolve_policy
-from fungrasp.policies.checkpoint.checkpoint_file import read_card
+from fungrasp.planning import MotionPlanner, Planner
+from fungrasp.planning.selection import SelectionSettings
+from fungrasp.policies import make_planner, make_policy, policy_files
 from fungrasp.simulation import Scene, build_scene
-from fungrasp.task import LiftTask, Protocol, Trials
+from fungrasp.task import LiftEnvironment, LiftProtocol, Outcomes, Policy, PrivilegedPolicy, play
+from fungrasp.transfer import NOMINAL, Randomization, draw_each
 
 CHUNK = 128
-"""Trials simulated together. It bounds the memory, and a trial does not depend on the others of its chunk."""
+"""Episodes simulated together. It bounds the memory, and an episode does not depend on the others of its
+chunk."""
 
 
 @dataclass(frozen=True)
@@ -39,82 +41,99 @@ class Refinement:
 
 
 @dataclass(frozen=True, eq=False)
-class DynamicResult:
-    """Outcome of N trials."""
+class LiftTestResult:
+    """Outcome of N episodes."""
 
     hand: str
+    """Name of the hand."""
     policy: str
-    protocol: Protocol
-    disturbance: Disturbance
+    """Name or file of the policy."""
+    protocol: LiftProtocol
+    """The numbers of the test."""
+    randomization: Randomization
+    """How worlds differed from what was believed."""
     index: np.ndarray
-    """Row of each trial's grasp in the set, shape [N]."""
+    """Row of each episode's grasp in the set, shape [N]."""
     seed: np.ndarray
-    """Of each trial, shape [N]."""
+    """Seed of each episode, shape [N]."""
     object_name: np.ndarray
-    """Shape [N] str."""
+    """Name of each object, shape [N] str."""
     task: np.ndarray
-    """What the grasp is for, shape [N] str."""
-    trials: Trials
-    """Each field of shape [N]."""
-    legacy_success: np.ndarray
-    """Whether the object did not touch the table during the hold, at whatever height: the definition of
-    earlier published code; shape [N] bool."""
+    """What each grasp is for, shape [N] str."""
+    outcomes: Outcomes
+    """N of them."""
     refined_tries: np.ndarray
-    """Trials that refining the grasp took, 1 if it was not refined, negative where none succeeded;
+    """Episodes that refining the grasp took, 1 if it was not refined, negative where none succeeded;
     shape [N]."""
-    rehearsed: bool = False
-    """Whether the policy chose among plans and tried them in a simulation of its own first."""
+    rollouts: np.ndarray
+    """Episodes that were simulated to plan each grasp, shape [N] int."""
 
 
 def evaluate(
     grasps: RobotGraspSet,
     objects: Mapping[str, ObjectModel],
     hand: Hand,
-    policy: str = "reference",
+    policy: str | Policy | PrivilegedPolicy = "reference",
     *,
+    planner: Planner | None = None,
+    selection: SelectionSettings | None = None,
     seeds: tuple[int, ...] = (0,),
     threads: int = 0,
-    protocol: Protocol | None = None,
-    disturbance: Disturbance | None = None,
+    protocol: LiftProtocol | None = None,
+    randomization: Randomization = NOMINAL,
     refine: Refinement | None = None,
-    planner: Planner | None = None,
     record: Path | None = None,
     store: PartialResults | None = None,
     chunk: int = CHUNK,
     progress: Callable[[float], None] = lambda done: None,
-) -> DynamicResult:
+) -> LiftTestResult:
     """Try each grasp once for each seed.
 
     Args:
         grasps: of ``hand``.
         objects: by name.
         hand: the robot hand.
-        policy: name or file, see ``fungrasp.policies.resolve_policy``.
+        policy: a policy, or the name or file of one (``fungrasp.policies.make_policy``).
+        planner: whose plans it follows; the one that belongs to a policy's name, and ``MotionPlanner`` for a
+            policy object, if None.
+        selection: how that planner selects among candidates; the defaults if None.
         seeds: of everything that is random.
         threads: 0 means all processors. The result does not depend on it.
         protocol: the published one if None.
-        disturbance: what the policy is not told; nothing if None.
+        randomization: how worlds differ from what is believed; not at all if left out.
         refine: applied to the grasps, chunk by chunk, before they are tried.
-        planner: of policies that choose what to follow; one with the default settings if None.
-        record: folder for the recorded trials, ``<row>_<object>.npz`` (``<row>_<seed>_<object>.npz`` with
+        record: folder for the recorded episodes, ``<row>_<object>.npz`` (``<row>_<seed>_<object>.npz`` with
             several seeds).
-        store: keeps finished chunks, and knows those of an earlier run.
-        chunk: trials simulated together.
-        progress: called with the number of trials that are done, fractions included.
+        store: keeps finished chunks, and knows those of an earlier run; only for a policy and a planner that
+            are given by name.
+        chunk: episodes simulated together.
+        progress: called with the number of episodes that are done, fractions included.
 
     Raises:
         FungraspError: an unknown policy, grasps of another hand, or a folder that can't be written to.
     """
-    weights = check_policy(policy, hand)
     check_hand(grasps, hand)
+    named = isinstance(policy, str)
+    if not named and store is not None:
+        raise FungraspError("partial results are kept only for policies that are given by name")
+    if isinstance(policy, str):
+        policy_key = (policy, *policy_files(policy, hand.name).digests())
+    else:
+        policy_key = (type(policy).__name__, "", "")
+    if planner is None:
+        planner = (
+            make_planner(policy, hand, objects, selection, threads=threads)
+            if isinstance(policy, str)
+            else MotionPlanner(hand, objects)
+        )
     test = _Test(
         build_scene(hand, objects),
         objects,
-        policy,
-        weights,
-        protocol or Protocol(),
-        disturbance or Disturbance(),
-        planner or Planner(threads=threads),
+        make_policy(policy, hand, objects) if isinstance(policy, str) else policy,
+        planner,
+        policy_key,
+        protocol or LiftProtocol(),
+        randomization,
         threads,
     )
     parts: list[dict[str, np.ndarray]] = []
@@ -141,33 +160,19 @@ def evaluate(
     merged = {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
     index = merged["index"]
     assert grasps.task is not None
-    return DynamicResult(
+    return LiftTestResult(
         hand=hand.name,
-        policy=policy,
+        policy=test.policy_key[0],
         protocol=test.protocol,
-        disturbance=test.disturbance,
+        randomization=randomization,
         index=index,
         seed=merged["seed"],
         object_name=grasps.object_name[index],
         task=grasps.task[index],
-        trials=Trials(**{field.name: merged[field.name] for field in fields(Trials)}),
-        legacy_success=merged["legacy_success"],
+        outcomes=Outcomes.from_arrays(merged),
         refined_tries=merged["refined_tries"],
-        rehearsed=test.planner.settings.rehearsal is not None and chooses(policy, hand.name),
+        rollouts=merged["rollouts"],
     )
-
-
-def check_policy(name: str, hand: Hand) -> str:
-    """Complain about a policy that does not exist or can't be read.
-
-    Returns:
-        The SHA-256 of its file; "" for a policy without weights.
-
-    Raises:
-        FungraspError: it does not.
-    """
-    path = resolve_policy(name, hand.name)
-    return "" if path is None else read_card(path).sha256
 
 
 def check_hand(grasps: RobotGraspSet, hand: Hand) -> None:
@@ -199,11 +204,12 @@ class _Test:
 
     scene: Scene
     objects: Mapping[str, ObjectModel]
-    policy: str
-    weights: str
-    protocol: Protocol
-    disturbance: Disturbance
+    policy: Policy | PrivilegedPolicy
     planner: Planner
+    policy_key: tuple[str, str, str]
+    """Name of the policy, digests of its network and of its success predictor."""
+    protocol: LiftProtocol
+    randomization: Randomization
     threads: int
 
     def key(
@@ -219,16 +225,16 @@ class _Test:
         names = np.unique(grasps.object_name).tolist()
         return digest(
             __version__,
+            mujoco.__version__,
             hand.path.read_bytes(),
             hand.model_path.read_bytes(),
             {name: getattr(grasps, name) for name in grasps.FIELDS},
             grasps.extra,
             {name: self.objects[name].digest for name in names},
-            self.policy,
-            self.weights,
+            self.policy_key,
+            getattr(self.planner, "settings", None),
             self.protocol,
-            self.disturbance,
-            self.planner.settings,
+            self.randomization,
             self.scene.settings,
             rows,
             seed,
@@ -244,44 +250,36 @@ class _Test:
         files: list[Path],
         progress: Callable[[float], None],
     ) -> dict[str, np.ndarray]:
-        """Fields of ``Trials``, ``legacy_success`` and ``refined_tries``, each of shape [W].
+        """Fields of ``Outcomes``, ``refined_tries`` and ``rollouts``, each of shape [W].
 
         Args:
             grasps: W grasps.
             rows: of the grasps in their set, shape [W].
             seed: of what is random.
-            files: to record the trials to, W of them or none.
+            files: to record the episodes to, W of them or none.
             progress: called with the share that is done.
         """
-        d = self.disturbance
-        task = LiftTask(
-            self.scene, d.placed(grasps), d.worlds(self.scene, grasps, self.threads), self.protocol
-        )
-        task.reset()
-        centers = np.array([self.objects[name].center_of_mass for name in grasps.object_name.tolist()])
-        policy = make_policy(
-            self.policy, d.disturb(task, centers, seed, rows), self.objects, self.planner, seed
-        )
-        push = d.pusher(task, seed, rows)
-        recorder = Recorder(task) if files else None
-        touched = np.zeros(len(rows), dtype=bool)
-
-        p = self.protocol
+        hand, r, p = self.scene.hand, self.randomization, self.protocol
+        sample = draw_each(r, seed, rows, len(hand.joint_names))
+        jitter = [np.random.default_rng([seed, int(row), 1]) for row in rows]
+        environment = LiftEnvironment(self.scene, len(rows), r, p, jitter, self.threads)
+        belief = environment.settle(grasps, sample)
+        plan = self.planner.plan(grasps, belief, seed)
+        environment.move_objects()
+        recorder = Recorder(environment.task, grasps) if files else None
         longest = p.approach_time + p.hold_time + 1.2
 
         def watch() -> None:
-            nonlocal touched
-            touched = touched | (np.isfinite(task.hold_time) & ~task.done & task.worlds.object_on_table)
-            push()
-            progress(min(float(task.time.max()) / longest, 1.0))
+            progress(min(float(environment.task.time.max()) / longest, 1.0))
             if recorder is not None:
                 recorder()
 
-        trials = play(task, policy, watch)
+        outcomes = play(environment, self.policy, plan, watch=watch)
         if recorder is not None:
             for trajectory, file in zip(recorder.trajectories(rows), files, strict=True):
                 trajectory.save(file)
-        return {field.name: getattr(trials, field.name) for field in fields(trials)} | {
-            "legacy_success": ~touched & (trials.reason != "the simulation diverged"),
-            "refined_tries": grasps.extra.get("refined_tries", np.ones(len(grasps), dtype=int)),
+        none = np.zeros(len(rows), dtype=int)
+        return outcomes.arrays() | {
+            "refined_tries": grasps.extra.get("refined_tries", none + 1),
+            "rollouts": none if plan.rollouts is None else plan.rollouts,
         }

@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 
 from fungrasp import __version__
-from fungrasp.evaluation.lift_test import DynamicResult
+from fungrasp.evaluation.lift_test import LiftTestResult
 from fungrasp.evaluation.six_directions import StaticResult
 from fungrasp.evaluation.statistics import mean_over_groups, wilson_interval
 
@@ -28,38 +28,40 @@ MEANS = (
     "sim_distance_hand_mm_s",
     "pushed_m",
 )
-"""Fields of ``Trials`` that are averaged."""
+"""Fields of ``Outcomes`` that are averaged."""
 
 
-def summary(result: DynamicResult, which: np.ndarray | None = None) -> dict[str, Any]:
+def summary(result: LiftTestResult, which: np.ndarray | None = None) -> dict[str, Any]:
     """Rates and means over the trials. which: shape [N] bool, all if None."""
     which = np.ones(len(result.index), dtype=bool) if which is None else which
-    count, successes = int(which.sum()), int(result.trials.success[which].sum())
+    count, successes = int(which.sum()), int(result.outcomes.success[which].sum())
     values: dict[str, Any] = {
         "count": count,
         "success_rate": successes / count,
         "success_interval": list(wilson_interval(successes, count)),
     }
-    values |= {name: float(np.mean(getattr(result.trials, name)[which])) for name in MEANS}
+    values |= {name: float(np.mean(getattr(result.outcomes, name)[which])) for name in MEANS}
     displacement = values["sim_distance_world_mm_s"] * LEGACY_PERIOD
     values["legacy"] = {
-        "success_rate": float(np.mean(result.legacy_success[which])),
+        "success_rate": float(np.mean(result.outcomes.legacy_success[which])),
         "sim_distance_mm_per_28.9_ms": displacement,
     }
     return values
 
 
-def mean_over_objects(result: DynamicResult) -> dict[str, float]:
+def mean_over_objects(result: LiftTestResult) -> dict[str, float]:
     """Rate of success and means, each object counted once."""
-    columns = {"success_rate": result.trials.success} | {name: getattr(result.trials, name) for name in MEANS}
+    columns = {"success_rate": result.outcomes.success} | {
+        name: getattr(result.outcomes, name) for name in MEANS
+    }
     return {name: mean_over_groups(values, result.object_name) for name, values in columns.items()}
 
 
-def result_json(result: DynamicResult) -> dict[str, Any]:
+def result_json(result: LiftTestResult) -> dict[str, Any]:
     """All of a result; nothing in it is NaN or infinite (None stands for what was not measured)."""
     seeds = np.unique(result.seed).tolist()
     names = np.unique(result.object_name).tolist()
-    columns = {field.name: getattr(result.trials, field.name) for field in fields(result.trials)}
+    columns = {field.name: getattr(result.outcomes, field.name) for field in fields(result.outcomes)}
     trials = [
         {
             "index": int(result.index[i]),
@@ -68,7 +70,6 @@ def result_json(result: DynamicResult) -> dict[str, Any]:
             "seed": int(result.seed[i]),
             **{name: values[i] for name, values in columns.items()},
             "refined_tries": int(result.refined_tries[i]),
-            "legacy_success": result.legacy_success[i],
         }
         for i in range(len(result.index))
     ]
@@ -77,10 +78,10 @@ def result_json(result: DynamicResult) -> dict[str, Any]:
             "version": __version__,
             "hand": result.hand,
             "policy": result.policy,
-            "rehearsed": result.rehearsed,
+            "rollouts_per_grasp": float(np.mean(result.rollouts)),
             "seed": seeds[0] if len(seeds) == 1 else seeds,
             "protocol": asdict(result.protocol),
-            "disturbance": asdict(result.disturbance),
+            "randomization": asdict(result.randomization),
             **summary(result),
             "mean_over_objects": mean_over_objects(result),
             "by_object": {name: summary(result, result.object_name == name) for name in names},
@@ -89,7 +90,7 @@ def result_json(result: DynamicResult) -> dict[str, Any]:
     )
 
 
-def robustness_json(results: Mapping[str, DynamicResult]) -> dict[str, Any]:
+def robustness_json(results: Mapping[str, LiftTestResult]) -> dict[str, Any]:
     """Rates and means of a policy under each condition, and whether each trial succeeded.
 
     Args:
@@ -98,7 +99,7 @@ def robustness_json(results: Mapping[str, DynamicResult]) -> dict[str, Any]:
     return {
         name: finite(
             {
-                "disturbance": asdict(result.disturbance),
+                "randomization": asdict(result.randomization),
                 **summary(result),
                 "mean_over_objects": mean_over_objects(result),
                 "trials": [
@@ -106,8 +107,8 @@ def robustness_json(results: Mapping[str, DynamicResult]) -> dict[str, Any]:
                     for index, seed, success, reason in zip(
                         result.index.tolist(),
                         result.seed.tolist(),
-                        result.trials.success.tolist(),
-                        result.trials.reason.tolist(),
+                        result.outcomes.success.tolist(),
+                        result.outcomes.reason.tolist(),
                         strict=True,
                     )
                 ],

@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from fungrasp.evaluation.lift_test import CHUNK, check_hand
-from fungrasp.geometry.poses import compose, invert, rotation_vector
+from fungrasp.geometry.poses import compose, inverse_transform_points, invert, rotation_vector
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
-from fungrasp.optimization.hand_problem import Surroundings
-from fungrasp.planning.grasp_motion import ReferenceSettings
-from fungrasp.planning.grip_forces import squeeze_torques
-from fungrasp.simulation import Scene, SceneSettings, Worlds, build_scene
-from fungrasp.transfer import move_table
+from fungrasp.planning.grasp_motion import squeeze_offsets
+from fungrasp.simulation import Engine, MujocoCpuEngine, Scene, SceneSettings, build_scene
+from fungrasp.task import Belief
 
 DIRECTIONS = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], dtype=float)
 """Of the pushes, world frame, in the order of the results."""
@@ -88,9 +86,8 @@ def six_direction_test(
     """
     check_hand(grasps, hand)
     p = protocol or StaticProtocol()
-    settings = SceneSettings(friction=p.friction, torsional_friction=p.torsional_friction)
+    settings = SceneSettings(gravity=0.0, friction=p.friction, torsional_friction=p.torsional_friction)
     scene = build_scene(hand, objects, settings)
-    scene.model.opt.gravity[:] = 0.0
     parts = []
     for start in range(0, len(grasps), chunk):
         part = grasps.select(slice(start, start + chunk))
@@ -106,55 +103,43 @@ def _push(
     scene: Scene, grasps: RobotGraspSet, objects: Mapping[str, ObjectModel], p: StaticProtocol, threads: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Displacement and angle, shape [W, 6] each."""
-    names = {name: i for i, name in enumerate(scene.objects)}
-    index = np.array([names[name] for name in grasps.object_name.tolist()])
-    worlds = Worlds(scene, index, mass=np.full(len(grasps), p.mass), threads=threads)
-    move_table(worlds, -100.0)
-    matrix, offset = scene.hand.coupling
-    closed = (grasps.joint_positions - offset) @ np.linalg.pinv(matrix).T
-    squeezed = closed + _servo_offsets(scene.hand, grasps, closed, objects, p.mass)
-    worlds.reset()
-    worlds.object_pose, worlds.wrist_reference = grasps.object_pose, grasps.wrist_pose
-    worlds.joint_positions = closed @ matrix.T + offset
-    worlds.forward()
-    before, center = compose(invert(worlds.palm_pose), worlds.object_pose), _center_in_palm(worlds)
+    hand, count = scene.hand, len(grasps)
+    index = scene.indices(grasps.object_name.tolist())
+    engine = MujocoCpuEngine(scene, count, threads)
+    engine.set_parameters(
+        object_index=index, object_mass=np.full(count, p.mass), table_height=np.full(count, -100.0)
+    )
+    closed = hand.independent(grasps.joint_positions)
+    floating = replace(grasps, object_mass=np.full(count, p.mass))
+    belief = Belief.nominal(grasps.object_pose, floating.object_mass, grasps.wrist_pose, closed)
+    palm = compose(invert(grasps.object_pose), grasps.wrist_pose)
+    squeezed = closed + squeeze_offsets(hand, floating, objects, belief, palm, closed)
+    engine.reset()
+    engine.set_state(
+        object_pose=grasps.object_pose,
+        wrist_frame=grasps.wrist_pose,
+        joint_positions=hand.all_joints(closed),
+    )
+    before, center = compose(invert(engine.palm_pose), engine.object_pose), _center_in_palm(engine)
+    still = np.zeros((count, 3))
     steps = round(p.close_time / scene.settings.timestep)
     for step in range(steps):
-        worlds.ctrl[:, scene.finger_actuators] = closed + (step + 1) / steps * (squeezed - closed)
-        worlds.step(1)
-    worlds.step(round(p.pause / scene.settings.timestep))
-    states = [worlds.qpos, worlds.qvel, worlds.batch.bind("qacc_warmstart")]
-    kept = [state.copy() for state in states]
-    push = worlds.batch.bind("xfrc_applied")
-    body = scene.model.body("object").id
-    displacement, angle = np.empty((len(grasps), 6)), np.empty((len(grasps), 6))
+        fingers = closed + (step + 1) / steps * (squeezed - closed)
+        engine.step(engine.controls(grasps.wrist_pose, still, fingers), 1)
+    controls = engine.controls(grasps.wrist_pose, still, squeezed)
+    engine.step(controls, round(p.pause / scene.settings.timestep))
+    closed_state = engine.get_state()
+    displacement, angle = np.empty((count, 6)), np.empty((count, 6))
     for k, direction in enumerate(DIRECTIONS):
-        for state, value in zip(states, kept, strict=True):
-            state[:] = value
-        push[:, body, :3] = p.force_per_mass * p.mass * direction
-        worlds.step(round(p.push_time / scene.settings.timestep))
-        now = compose(invert(worlds.palm_pose), worlds.object_pose)
-        displacement[:, k] = np.linalg.norm(_center_in_palm(worlds) - center, axis=1)
+        engine.restore(closed_state)
+        engine.push_object(np.tile(p.force_per_mass * p.mass * direction, (count, 1)))
+        engine.step(controls, round(p.push_time / scene.settings.timestep))
+        now = compose(invert(engine.palm_pose), engine.object_pose)
+        displacement[:, k] = np.linalg.norm(_center_in_palm(engine) - center, axis=1)
         angle[:, k] = np.linalg.norm(rotation_vector(compose(invert(before), now)[:, 3:]), axis=1)
     return displacement, angle
 
 
-def _servo_offsets(
-    hand: Hand, grasps: RobotGraspSet, closed: np.ndarray, objects: Mapping[str, ObjectModel], mass: float
-) -> np.ndarray:
-    """The reference controller's squeeze, as offsets of the servo targets [rad], shape [W, U]."""
-    s = ReferenceSettings()
-    names = grasps.object_name.tolist()
-    around = Surroundings.settled(names, grasps.object_pose, objects)
-    wrist = compose(invert(grasps.object_pose), grasps.wrist_pose)
-    models = [objects[name] for name in names]
-    torques = squeeze_torques(hand, around, models, wrist, closed, grasps.link_contacts)
-    stiffness = np.array([servo.kp for servo in hand.actuators.values()])
-    force = (s.force + s.force_per_kg * mass) * grasps.extra.get("force_scale", np.ones(len(grasps)))
-    return np.clip(force[:, None] * torques / stiffness, -s.squeeze_limit, s.squeeze_limit)
-
-
-def _center_in_palm(worlds: Worlds) -> np.ndarray:
+def _center_in_palm(engine: Engine) -> np.ndarray:
     """Object's centre of mass, palm frame [m], shape [W, 3]."""
-    center = np.concatenate([worlds.center_of_mass, np.tile([1.0, 0.0, 0.0, 0.0], (len(worlds), 1))], axis=1)
-    return compose(invert(worlds.palm_pose), center)[:, :3]
+    return inverse_transform_points(engine.palm_pose, engine.center_of_mass[:, None])[:, 0]

@@ -6,16 +6,16 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from time import perf_counter
 
-import mujoco
 import numpy as np
 
-from fungrasp.evaluation.robustness import Disturbance
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
-from fungrasp.policies import ReferenceController
-from fungrasp.simulation import Worlds, build_scene
-from fungrasp.task import Action, LiftTask
+from fungrasp.planning import MotionPlanner
+from fungrasp.policies import OpenLoopPolicy
+from fungrasp.simulation import build_scene
+from fungrasp.simulation.bare_stepping import recorded_steps, step_bare, step_in_loop
+from fungrasp.task import Action, LiftEnvironment, Observation, play
 
 LOOPED = 6
 """Worlds stepped by the Python loop."""
@@ -29,7 +29,7 @@ class SimulationSpeed:
     steps: int
     """Physics steps of all worlds in one round."""
     environment: float
-    """``LiftTask.step``: speed limits, set points, contacts, when a trial has ended."""
+    """``LiftTask.step``: speed limits, setpoints, contacts, when an episode has ended."""
     bare: float
     """The same model in ``mujoco.batch``, fed with the same controls."""
     loop: float
@@ -51,7 +51,7 @@ def simulation_speed(
     repeat: int = 3,
     progress: Callable[[float], None] = lambda share: None,
 ) -> SimulationSpeed:
-    """Play the reference controller's actions on W grasps in three ways.
+    """Play planned motions of W grasps in three ways.
 
     Args:
         grasps: of ``hand``, one per world.
@@ -61,35 +61,34 @@ def simulation_speed(
         repeat: rounds, of which the fastest counts.
         progress: called with the share that is done.
     """
-    scene = build_scene(hand, objects)
-    worlds = _RecordedWorlds(Disturbance().worlds(scene, grasps, threads))
-    task = LiftTask(scene, grasps, worlds.worlds)
-    task.reset()
-    start = _state(worlds.worlds)
-    actions = _record(worlds, task, objects)
-    steps = sum(len(which) * substeps for _, substeps, which in worlds.calls)
+    environment = LiftEnvironment(build_scene(hand, objects), len(grasps), threads=threads)
+    engine, task = environment.engine, environment.task
+    plan = MotionPlanner(hand, objects).plan(grasps, environment.settle(grasps))
+    start = engine.get_state()
+    actions: list[Action] = []
+    with recorded_steps(engine) as calls:
+        policy = _Recording(actions)
+        play(environment, policy, plan)
+    every = np.arange(len(grasps))
+    steps = sum(len(every if worlds is None else worlds) * number for _, number, worlds in calls)
     progress(0.2)
 
     seconds = {"environment": np.inf, "bare": np.inf}
     ends = []
     for round_number in range(repeat):
-        task.reset()
+        environment.settle(grasps)
         begin = perf_counter()
         for action in actions:
             task.step(action)
         seconds["environment"] = min(seconds["environment"], perf_counter() - begin)
-        ends.append(worlds.worlds.qpos.copy())
-        _restore(worlds.worlds, start)
-        begin = perf_counter()
-        for ctrl, substeps, which in worlds.calls:
-            worlds.worlds.ctrl[:] = ctrl
-            worlds.worlds.batch.step(which, nstep=substeps)
-        seconds["bare"] = min(seconds["bare"], perf_counter() - begin)
-        ends.append(worlds.worlds.qpos.copy())
+        ends.append(engine.positions)
+        engine.restore(start)
+        seconds["bare"] = min(seconds["bare"], step_bare(engine, calls))
+        ends.append(engine.positions)
         progress(0.2 + 0.6 * (round_number + 1) / repeat)
-    _restore(worlds.worlds, start)
+    engine.restore(start)
     some = np.unique(np.linspace(0, len(grasps) - 1, LOOPED).astype(int))
-    looped, loop_steps, loop_seconds = _loop(worlds, some)
+    looped, loop_steps, loop_seconds = step_in_loop(engine, calls, some)
     same = all(np.array_equal(end, ends[0]) for end in ends) and np.array_equal(looped, ends[0][some])
     return SimulationSpeed(
         worlds=len(grasps),
@@ -101,58 +100,12 @@ def simulation_speed(
     )
 
 
-class _RecordedWorlds:
-    """Worlds, and the controls they were stepped with."""
+class _Recording(OpenLoopPolicy):
+    """Plays plans, and keeps its actions."""
 
-    def __init__(self, worlds: Worlds):
-        self.worlds = worlds
-        self.calls: list[tuple[np.ndarray, int, np.ndarray]] = []
-        """Controls, number of substeps and ids of the worlds of each call."""
+    def __init__(self, actions: list[Action]):
+        self._actions = actions
 
-
-def _record(worlds: _RecordedWorlds, task: LiftTask, objects: Mapping[str, ObjectModel]) -> list[Action]:
-    """Run the trials once; the actions."""
-    policy, actions = ReferenceController(task, objects), []
-    step = worlds.worlds.step
-
-    def recorded(substeps: int, which: np.ndarray | None = None) -> None:
-        ids = np.arange(len(worlds.worlds)) if which is None else which
-        worlds.calls.append((worlds.worlds.ctrl.copy(), substeps, ids))
-        step(substeps, which)
-
-    worlds.worlds.step = recorded
-    while not task.done.all():
-        actions.append(policy.act())
-        task.step(actions[-1])
-    worlds.worlds.step = step
-    return actions
-
-
-def _state(worlds: Worlds) -> list[tuple[np.ndarray, np.ndarray]]:
-    """State arrays and their current values."""
-    warmstart = worlds.batch.bind("qacc_warmstart")
-    arrays = [worlds.qpos, worlds.qvel, worlds.ctrl, worlds.mocap_pos, worlds.mocap_quat, warmstart]
-    return [(array, array.copy()) for array in arrays]
-
-
-def _restore(worlds: Worlds, state: list[tuple[np.ndarray, np.ndarray]]) -> None:
-    for array, value in state:
-        array[:] = value
-    worlds.forward()
-
-
-def _loop(worlds: _RecordedWorlds, chosen: np.ndarray) -> tuple[np.ndarray, int, float]:
-    """Step some worlds from their current state; positions at the end [C, nq], steps made, seconds."""
-    ends, steps, seconds = [], 0, 0.0
-    for world in chosen.tolist():
-        model, data = worlds.worlds.batch.get_model(world), worlds.worlds.batch.get_data(world)
-        controls = [(ctrl[world], n) for ctrl, n, which in worlds.calls if world in which]
-        begin = perf_counter()
-        for ctrl, substeps in controls:
-            data.ctrl[:] = ctrl
-            for _ in range(substeps):
-                mujoco.mj_step(model, data)
-            steps += substeps
-        seconds += perf_counter() - begin
-        ends.append(data.qpos.copy())
-    return np.array(ends), steps, seconds
+    def act(self, observation: Observation) -> Action:
+        self._actions.append(super().act(observation))
+        return self._actions[-1]

@@ -11,6 +11,7 @@ import numpy as np
 
 from fungrasp.errors import FungraspError
 from fungrasp.files import atomic_path
+from fungrasp.grasps import RobotGraspSet
 from fungrasp.task import LiftTask
 
 PHASES = ("approach", "lift", "hold")
@@ -86,28 +87,32 @@ def replay(path: str | Path) -> Trajectory:
 
 
 class Recorder:
-    """Watches a task and keeps its states; hand it to ``LiftTask.step``."""
+    """Watches a task and keeps its states; hand it to ``LiftEnvironment.step``."""
 
-    def __init__(self, task: LiftTask):
-        """task: reset."""
-        self._task = task
+    def __init__(self, task: LiftTask, grasps: RobotGraspSet):
+        """
+        Args:
+            task: whose episodes have begun.
+            grasps: one per world.
+        """
+        self._task, self._grasps = task, grasps
         self._states: list[tuple[np.ndarray, ...]] = []
         self._times: list[np.ndarray] = []
         self()
 
     def __call__(self) -> None:
         """Keep the current state."""
-        task, worlds = self._task, self._task.worlds
+        task, engine = self._task, self._task.engine
         phase = np.isfinite(task.lift_time).astype(np.int8) + np.isfinite(task.hold_time)
         self._times.append(task.time.copy())
         self._states.append(
             (
                 ~task.done,
-                worlds.qpos.astype(np.float32),
-                worlds.object_pose.astype(np.float32),
-                worlds.palm_pose.astype(np.float32),
-                worlds.joint_positions.astype(np.float32),
-                worlds.link_contacts,
+                engine.positions.astype(np.float32),
+                engine.object_pose.astype(np.float32),
+                engine.palm_pose.astype(np.float32),
+                engine.joint_positions.astype(np.float32),
+                engine.link_contacts,
                 phase.astype(np.int8),
             )
         )
@@ -115,7 +120,7 @@ class Recorder:
     def trajectories(self, rows: np.ndarray) -> list[Trajectory]:
         """One per world, each until its trial was done. rows: of the grasps in their set, shape [W]."""
         task = self._task
-        trials, reference = task.trials(), task.worlds.wrist_reference
+        outcomes, frame = task.outcomes(), task.engine.wrist_frame
         running, *states = (np.stack(column) for column in zip(*self._states, strict=True))
         times = np.array(self._times)
         result = []
@@ -124,15 +129,15 @@ class Recorder:
             qpos, thing, palm, joints, contacts, phase = (state[kept, world] for state in states)
             result.append(
                 Trajectory(
-                    hand=task.grasps.hand,
-                    object_name=str(task.grasps.object_name[world]),
-                    object_mass=float(task.grasps.object_mass[world]),
+                    hand=self._grasps.hand,
+                    object_name=str(self._grasps.object_name[world]),
+                    object_mass=float(self._grasps.object_mass[world]),
                     index=int(row),
-                    success=bool(trials.success[world]),
-                    reason=str(trials.reason[world]),
+                    success=bool(outcomes.success[world]),
+                    reason=str(outcomes.reason[world]),
                     times=times[kept, world],
                     qpos=qpos,
-                    wrist_reference=reference[world],
+                    wrist_reference=frame[world],
                     object_pose=thing,
                     palm_pose=palm,
                     joint_positions=joints,

@@ -134,6 +134,20 @@ class Hand:
                 offset[j] = constant + slope * offset[source]
         return matrix, offset
 
+    @cached_property
+    def _decoupling(self) -> np.ndarray:
+        return np.linalg.pinv(self.coupling[0])
+
+    def independent(self, joint_positions: np.ndarray) -> np.ndarray:
+        """Independent joints [rad], shape [..., U], of all joints [rad], shape [..., M]; the nearest ones
+        where the given joints do not keep their couplings."""
+        return (joint_positions - self.coupling[1]) @ self._decoupling.T
+
+    def all_joints(self, independent: np.ndarray) -> np.ndarray:
+        """All joints [rad], shape [..., M], of independent ones [rad], shape [..., U]."""
+        matrix, offset = self.coupling
+        return independent @ matrix.T + offset
+
     @property
     def links(self) -> tuple[tuple[str, ...], ...]:
         """Contact links: the palm, then each finger's links in order; a contact flag each. Each entry names

@@ -1,1 +1,6 @@
-"""Robot grasps become grasp plans: settle, approach, grip, lift."""
+"""Robot grasps become grasp plans: settle, approach, grip, lift; and which of many plans to follow."""
+
+from fungrasp.planning.grasp_motion import MotionPlanner, MotionSettings
+from fungrasp.planning.planner import Planner
+
+__all__ = ["MotionPlanner", "MotionSettings", "Planner"]

@@ -1,4 +1,4 @@
-"""A way to the grasp that touches neither object nor table: found backwards, by taking the hand off the
+"""A path to the grasp that touches neither object nor table: found backwards, by taking the hand off the
 object.
 
 From the grasp, the wrist withdraws step by step along a direction, and at each step the fingers open as much
@@ -24,11 +24,11 @@ from fungrasp.optimization.levenberg_marquardt import minimise
 from fungrasp.parallel import in_chunks
 
 RETREATS = (0.03, 0.07, 0.12)
-"""How far the wrist has withdrawn at each way point after the first, which is at the grasp [m]."""
+"""How far the wrist has withdrawn at each waypoint after the first, which is at the grasp [m]."""
 
 BLOCKED = 0.003
-"""A way that intrudes this far into the margins [m] is tried again with the fingers wide open."""
-LATER = 1e-4
+"""A path that intrudes this far into the margins [m] is tried again with the fingers wide open."""
+ORDER_PENALTY = 1e-4
 """Each direction is preferred to the next unless it intrudes deeper by this [m]."""
 WIDE = 0.3
 """Wide open fingers, as a fraction of their angles in the grasp."""
@@ -36,7 +36,7 @@ WIDE = 0.3
 
 @dataclass(frozen=True)
 class ApproachSettings:
-    """How clear the way should be."""
+    """How clear the path should be."""
 
     object_margin: float = 0.008
     """Distance to keep from the object [m]."""
@@ -49,19 +49,19 @@ class ApproachSettings:
     rotation_unit: float = 0.1
     """Turn of the wrist that counts as one unit [rad]."""
     iterations: int = 5
-    """Of the optimiser, per way point; twice as many for the first."""
+    """Of the optimiser, per waypoint; twice as many for the first."""
 
 
 @dataclass(frozen=True)
 class Approach:
-    """Way points of N hands, nearest to the grasp first, K of them."""
+    """Waypoints of N hands, nearest to the grasp first, K of them."""
 
     wrist_pose: np.ndarray
     """Object frame, shape [N, K, 7]."""
     fingers: np.ndarray
     """Independent joints [rad], shape [N, K, U]."""
     collision: np.ndarray
-    """Deepest intrusion into the margins over the way points [m], shape [N]."""
+    """Deepest intrusion into the margins over the waypoints [m], shape [N]."""
 
 
 def plan_approach(
@@ -73,7 +73,7 @@ def plan_approach(
     grasp: np.ndarray,
     settings: ApproachSettings | None = None,
 ) -> Approach:
-    """Plan the way of N hands to their grasps.
+    """Plan the paths of N hands to their grasps.
 
     Args:
         hand: the robot hand.
@@ -89,11 +89,13 @@ def plan_approach(
     centers = np.array([objects[name].center_of_mass for name in object_names])
 
     def run(rows: np.ndarray) -> Approach:
-        best = _best_way(hand, around.rows(rows), wrist_in_object[rows], grasp[rows], centers[rows], settings)
+        best = _best_path(
+            hand, around.rows(rows), wrist_in_object[rows], grasp[rows], centers[rows], settings
+        )
         blocked = np.flatnonzero(best.collision > BLOCKED)
         if len(blocked):
             hard = rows[blocked]
-            wide = _best_way(
+            wide = _best_path(
                 hand, around.rows(hard), wrist_in_object[hard], WIDE * grasp[hard], centers[hard], settings
             )
             better = wide.collision < best.collision[blocked]
@@ -110,7 +112,7 @@ def plan_approach(
     )
 
 
-def _best_way(
+def _best_path(
     hand: Hand,
     around: Surroundings,
     wrist: np.ndarray,
@@ -118,29 +120,32 @@ def _best_way(
     center: np.ndarray,
     settings: ApproachSettings,
 ) -> Approach:
-    """The clearest of the ways in several directions, taken off the object with the fingers near
+    """The clearest of the paths in several directions, taken off the object with the fingers near
     ``fingers``.
 
-    No way is clearer than its first point, which all have in common: once one is as clear, the others are
+    No path is clearer than its first point, which all have in common: once one is as clear, the others are
     not looked at.
     """
-    clear = _Clearer(hand, around, settings)
-    first = clear(wrist, fingers, 2 * settings.iterations)
+    resolve = _CollisionResolution(hand, around, settings)
+    first = resolve(wrist, fingers, 2 * settings.iterations)
     directions = _directions(hand, wrist, around.up[:, 0], center)
-    best = _withdraw(clear, first, directions[0], settings.iterations)
+    best = _withdraw(resolve, first, directions[0], settings.iterations)
     cost = best.collision.copy()
     for i, direction in enumerate(directions[1:], start=1):
-        rows = np.flatnonzero(cost > first.collision + LATER * i)
+        rows = np.flatnonzero(cost > first.collision + ORDER_PENALTY * i)
         if not len(rows):
             break
         start = Approach(first.wrist_pose[rows], first.fingers[rows], first.collision[rows])
-        way = _withdraw(
-            _Clearer(hand, around.rows(rows), settings), start, direction[rows], settings.iterations
+        path = _withdraw(
+            _CollisionResolution(hand, around.rows(rows), settings),
+            start,
+            direction[rows],
+            settings.iterations,
         )
-        better = way.collision + LATER * i < cost[rows]
+        better = path.collision + ORDER_PENALTY * i < cost[rows]
         for name in ("wrist_pose", "fingers", "collision"):
-            getattr(best, name)[rows[better]] = getattr(way, name)[better]
-        cost[rows[better]] = way.collision[better] + LATER * i
+            getattr(best, name)[rows[better]] = getattr(path, name)[better]
+        cost[rows[better]] = path.collision[better] + ORDER_PENALTY * i
     return best
 
 
@@ -159,7 +164,7 @@ def _directions(hand: Hand, wrist: np.ndarray, up: np.ndarray, center: np.ndarra
     ]
 
 
-class _Clearer:
+class _CollisionResolution:
     """Moves hands as little as needed to keep clear of object, table and themselves."""
 
     def __init__(self, hand: Hand, around: Surroundings, settings: ApproachSettings):
@@ -172,7 +177,7 @@ class _Clearer:
         ]
 
     def __call__(self, wrist: np.ndarray, fingers: np.ndarray, iterations: int) -> Approach:
-        """One way point near the given state."""
+        """One waypoint near the given state."""
         s = self._settings
         stay = partial(
             terms.stay_near,
@@ -191,17 +196,19 @@ class _Clearer:
         return Approach(wrist[:, None], fingers[:, None], np.maximum(intrusion, 0.0))
 
 
-def _withdraw(clear: _Clearer, first: Approach, direction: np.ndarray, iterations: int) -> Approach:
-    way, before = [first], 0.0
+def _withdraw(
+    resolve: _CollisionResolution, first: Approach, direction: np.ndarray, iterations: int
+) -> Approach:
+    path, before = [first], 0.0
     for retreat in RETREATS:
-        wrist = way[-1].wrist_pose[:, 0].copy()
+        wrist = path[-1].wrist_pose[:, 0].copy()
         wrist[:, :3] += (retreat - before) * direction
         before = retreat
-        way.append(clear(wrist, way[-1].fingers[:, 0], iterations))
+        path.append(resolve(wrist, path[-1].fingers[:, 0], iterations))
     return Approach(
-        np.concatenate([point.wrist_pose for point in way], axis=1),
-        np.concatenate([point.fingers for point in way], axis=1),
-        np.max([point.collision for point in way], axis=0),
+        np.concatenate([point.wrist_pose for point in path], axis=1),
+        np.concatenate([point.fingers for point in path], axis=1),
+        np.max([point.collision for point in path], axis=0),
     )
 
 
@@ -209,8 +216,8 @@ def _unit(v: np.ndarray) -> np.ndarray:
     return v / np.maximum(np.linalg.norm(v, axis=-1, keepdims=True), 1e-9)
 
 
-class Path:
-    """The planned way as a curve that is followed by its arc length, world frame."""
+class FollowedPath:
+    """The planned path as a curve that is followed by its arc length, world frame."""
 
     def __init__(
         self, start: np.ndarray, start_fingers: np.ndarray, approach: Approach, settled_pose: np.ndarray
@@ -219,11 +226,11 @@ class Path:
         Args:
             start: palm pose at the start, world frame, shape [N, 7].
             start_fingers: [rad], shape [N, U].
-            approach: planned way points.
+            approach: planned waypoints.
             settled_pose: of the objects, world frame, shape [N, 7].
         """
-        way = compose(settled_pose[:, None], approach.wrist_pose[:, ::-1])
-        self.poses = np.concatenate([start[:, None], way], axis=1)
+        planned = compose(settled_pose[:, None], approach.wrist_pose[:, ::-1])
+        self.poses = np.concatenate([start[:, None], planned], axis=1)
         self.fingers = np.concatenate([start_fingers[:, None], approach.fingers[:, ::-1]], axis=1)
         legs = np.linalg.norm(np.diff(self.poses[..., :3], axis=1), axis=-1)
         self.arc = np.concatenate(
@@ -246,11 +253,11 @@ class Path:
         return pose, fingers
 
     def advance(self, position: np.ndarray, lookahead: float) -> None:
-        """Move on to the arc length that lies nearest to where the set point is, at most ``lookahead``
+        """Move on to the arc length that lies nearest to where the setpoint is, at most ``lookahead``
         further [m].
 
         Args:
-            position: of the palm's set point, world frame [m], shape [N, 3].
+            position: of the palm's setpoint, world frame [m], shape [N, 3].
         """
         tries = self.progress + np.linspace(0.0, lookahead, 17)[:, None]
         distances = [np.linalg.norm(self.at(arc)[0][:, :3] - position, axis=1) for arc in tries]

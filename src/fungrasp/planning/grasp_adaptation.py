@@ -43,11 +43,11 @@ class AdaptSettings:
     """Friction that the balance may count on."""
     iterations: int = 15
     """Of the optimiser."""
-    loyalty: float = 3.0
-    """Objective by which leaving the grasp's place on the object must pay."""
+    switch_penalty: float = 3.0
+    """Decrease of the objective that moving to where the grasp was before the object rolled must bring."""
 
 
-def adapt(
+def adapt_to_settled_object(
     hand: Hand,
     grasps: RobotGraspSet,
     objects: Mapping[str, ObjectModel],
@@ -108,7 +108,7 @@ def adapt(
                 minimise(points, part, [*collisions, *grip, stay], wrist, grasp[rows], s.iterations)
             )
         (on_object, joints, cost), (around_object, other_joints, other_cost) = solutions
-        leave = (other_cost + s.loyalty < cost)[:, None]
+        leave = (other_cost + s.switch_penalty < cost)[:, None]
         return np.where(leave, around_object, on_object), np.where(leave, other_joints, joints)
 
     wrist, joints = (np.concatenate(parts) for parts in zip(*in_chunks(run, count), strict=True))

@@ -1,23 +1,15 @@
 """Policies: they see observations and nothing else, and act ten times a second."""
 
-from fungrasp.policies.registry import (
-    POLICIES,
-    Policy,
-    chooses,
-    free_policy,
-    make_policy,
-    play,
-    resolve_policy,
-)
-from fungrasp.policies.scripted import ReferenceController
+from fungrasp.policies.registry import default_policy, make_planner, make_policy, policy_files
+from fungrasp.policies.residual_policy import StudentPolicy, TeacherPolicy
+from fungrasp.policies.scripted import OpenLoopPolicy
 
 __all__ = [
-    "POLICIES",
-    "Policy",
-    "ReferenceController",
-    "chooses",
-    "free_policy",
+    "OpenLoopPolicy",
+    "StudentPolicy",
+    "TeacherPolicy",
+    "default_policy",
+    "make_planner",
     "make_policy",
-    "play",
-    "resolve_policy",
+    "policy_files",
 ]

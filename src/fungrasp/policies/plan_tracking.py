@@ -1,10 +1,9 @@
-"""Between a residual policy and a task: reads the worlds, follows the reference, applies actions."""
+"""Between a residual network and a robot: follows plans, makes the network's inputs, applies its actions."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
-from typing import Protocol
 
 import numpy as np
 
@@ -13,202 +12,175 @@ from fungrasp.geometry.poses import compose, rotation_matrix, stack
 from fungrasp.hands import Hand
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.objects import ObjectModel
-from fungrasp.planning.references import References, object_tables
-from fungrasp.policies.residual_action import WRIST_ACTIONS, ResidualSettings, apply, smoothed
-from fungrasp.task import Action, LiftTask
-from fungrasp.task.observation import Readings, Sensed, Wanted
-
-
-class SensorNoise(Protocol):
-    """What stands between the truth and what is measured; each method gives what is measured."""
-
-    def joints(self, joints: np.ndarray) -> np.ndarray:
-        """Joint positions [rad], shape [W, U]."""
-        ...
-
-    def palm(self, pose: np.ndarray) -> np.ndarray:
-        """Palm pose, shape [W, 7]."""
-        ...
-
-    def object(self, pose: np.ndarray) -> np.ndarray:
-        """Tracked object pose, shape [W, 7]."""
-        ...
+from fungrasp.policies.residual_action import WRIST_ACTIONS, ResidualSettings, add_residual, smoothed
+from fungrasp.task import Action, GraspPlan, LiftProtocol, Observation
+from fungrasp.task.features import HandState, PlanTarget, robot_features
 
 
 @dataclass(frozen=True, eq=False)
-class View:
-    """All that observations and rewards are made of, at one control step."""
+class TrackingState:
+    """All that a network's inputs and the reward are made of, at one control step."""
 
-    now: Readings
-    before: Readings
-    wanted: Wanted
+    now: HandState
+    """Measured at this step."""
+    before: HandState
+    """Measured at the one before."""
+    target: PlanTarget
+    """What the plan asks for."""
     action: np.ndarray
-    """The last one, smoothed, shape [W, A]."""
+    """The last action, smoothed, shape [W, A]."""
+
+    def robot_features(self) -> dict[str, np.ndarray]:
+        """What a network gets of what a robot knows, by name (``task.features``)."""
+        return robot_features(self.now, self.before, self.target, self.action)
 
 
-class Tracker:
-    """Follows references in W worlds, each from its own beginning.
+class PlanTracker:
+    """Follows plans for W robots, each from its own beginning.
 
-    Until the fingers close, the reference goes where the object goes; from then on it stays where it was.
+    Until the fingers close, the plan goes where the object goes; from then on it stays where it was.
     """
 
     def __init__(
         self,
-        task: LiftTask,
+        hand: Hand,
         objects: Mapping[str, ObjectModel],
-        references: References,
+        plans: GraspPlan,
+        count: int,
         settings: ResidualSettings | None = None,
-        noise: SensorNoise | None = None,
     ):
         """
         Args:
-            task: its worlds are read and, through actions, moved.
-            objects: by name.
-            references: to choose from.
+            hand: the robot hand.
+            objects: by name, those of the plans.
+            plans: to choose from, N of them.
+            count: W, number of robots.
             settings: of the actions; the defaults if None.
-            noise: of the sensors; none if None.
         """
-        self.task, self.references, self.noise = task, references, noise
-        self.settings = settings or ResidualSettings()
-        count = len(task.worlds)
-        self.kinematics = HandKinematics(task.scene.hand, count)
-        self._keypoints = self.kinematics.body_points(task.scene.hand.keypoint_names)
-        known = task.scene.objects
-        self._bank = SignedDistanceBank([objects[name].signed_distance for name in known])
-        self._center, self._size = object_tables(known, objects)
-        index = task.scene.indices(references.object_name.tolist())
-        self._target_surface = self._bank.query(index, references.keypoints)
-        self.size = WRIST_ACTIONS + self.kinematics.matrix.shape[1]
+        self.plans, self.settings = plans, settings or ResidualSettings()
+        self._hand, self._kinematics = hand, HandKinematics(hand, count)
+        self._keypoints = self._kinematics.body_points(hand.keypoint_names)
+        names = sorted(set(plans.object_name.tolist()))
+        self._bank = SignedDistanceBank([objects[name].signed_distance for name in names])
+        self._center = np.array([objects[name].center_of_mass for name in names])
+        self._size = np.array([objects[name].size for name in names])
+        self._object = np.array([names.index(name) for name in plans.object_name.tolist()])
+        self._target_surface = self._bank.query(self._object, plans.keypoints)
+        self.size = WRIST_ACTIONS + len(hand.actuators)
         """Numbers in an action."""
         self.rows = np.zeros(count, dtype=int)
+        """The plan that each robot follows, shape [W]."""
         self.action = np.zeros((count, self.size))
-        self._aims, self._closing, self._lift = self._chosen()
+        """The last action, smoothed, shape [W, A]."""
         self._anchor = np.tile([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], (count, 1))
-        self._step = task.control_step
-        self._before: Readings | None = None
-        self._now: Readings | None = None
-        # Made when first asked for after each reading.
         self._goal: tuple[np.ndarray, np.ndarray] | None = None
-        self._view: View | None = None
-        self._sensed: Sensed | None = None
+        """Of this control step, made when first asked for."""
+        self._now: HandState | None = None
+        self._before: HandState | None = None
 
-    def begin(self, ids: np.ndarray, rows: np.ndarray) -> None:
-        """Follow other references in some worlds. ids: worlds, shape [I]; rows: of the references, [I]."""
+    def begin(self, ids: np.ndarray, rows: np.ndarray, observation: Observation) -> None:
+        """Follow other plans in some worlds.
+
+        Args:
+            ids: worlds, shape [I].
+            rows: of the plans, shape [I].
+            observation: of all W worlds.
+        """
         self.rows[ids] = rows
         self.action[ids] = 0.0
-        self._aims, self._closing, self._lift = self._chosen()
-        self._goal = self._view = self._sensed = None
-        fresh = self._read()
+        self._choose()
+        self._read(observation)
+        fresh = self._measure(observation)
         self._anchor[ids] = fresh.object_pose[ids]
         if self._now is None or self._before is None:
             self._now = self._before = fresh
             return
         for kept in (self._now, self._before):
-            for field in fields(Readings):
+            for field in fields(HandState):
                 getattr(kept, field.name)[ids] = getattr(fresh, field.name)[ids]
 
-    def advance(self) -> None:
-        """Read the worlds, once in each control step."""
-        if self._now is None:
-            raise RuntimeError("begin comes before advance")
-        self._goal = self._view = self._sensed = None
-        self._before, self._now = self._now, self._read()
+    def update(self, observation: Observation) -> None:
+        """See what has become of the worlds, once in each control step. observation: of all W worlds."""
+        self._read(observation)
+        self._before, self._now = self._now, self._measure(observation)
         before_closing = (self._step < self._closing)[:, None]
         self._anchor = np.where(before_closing, self._now.object_pose, self._anchor)
 
-    def view(self) -> View:
-        """The worlds as they were last read, by ``begin`` or ``advance``."""
-        if self._view is not None:
-            return self._view
-        task = self.task
+    def state(self) -> TrackingState:
+        """The worlds as they were last seen, by ``begin`` or ``update``."""
         if self._now is None or self._before is None:
-            raise RuntimeError("begin comes before view")
-        goal, fingers = self._asked()
-        since_lift = np.maximum(task.time - task.lift_time, -1.0)
-        lifted = goal.copy()
-        lifted[:, 2] += task.protocol.lift_height * (since_lift >= 0)
-        wanted = Wanted(
-            palm_goal=lifted,
+            raise RuntimeError("begin comes before state")
+        goal, fingers = self._planned()
+        lifting, period = self._since_lift >= 0, self.plans.control_period
+        goal = goal.copy()
+        goal[:, 2] += LiftProtocol.lift_height * lifting
+        target = PlanTarget(
+            palm_goal=goal,
             servo_targets=fingers,
-            since_closing=task.protocol.control_period * (self._step - self._closing),
-            since_lift=since_lift,
+            since_closing=period * (self._step - self._closing),
+            since_lift=self._since_lift,
             **self._aims,
         )
-        self._view = View(self._now, self._before, wanted, self.action)
-        return self._view
+        return TrackingState(self._now, self._before, target, self.action)
 
     def act(self, action: np.ndarray) -> Action:
-        """What the task is asked for. action: of the policy, shape [W, A]."""
+        """What the robots are asked for. action: of the network, shape [W, A]."""
         self.action = smoothed(action, self.action, self.settings)
-        self._view = None
-        goal, fingers = apply(*self._asked(), self.action, self.settings)
+        goal, fingers = add_residual(*self._planned(), self.action, self.settings)
         return Action(goal, fingers, self._step >= self._lift)
 
-    def sensed(self) -> Sensed:
-        """What only a simulation knows, when the worlds were last read."""
-        if self._sensed is None:
-            worlds = self.task.worlds
-            self._sensed = Sensed(
-                worlds.link_contacts,
-                worlds.link_forces,
-                worlds.object_velocity,
-                worlds.table_forces,
-                worlds.hand_on_hand,
-                worlds.object_on_table,
-            )
-        return self._sensed
-
-    def _asked(self) -> tuple[np.ndarray, np.ndarray]:
-        """Of the reference for this control step: palm, world frame, shape [W, 7]; servo targets, [W, U]."""
+    def _planned(self) -> tuple[np.ndarray, np.ndarray]:
+        """Of the plan for this control step: palm, world frame, shape [W, 7]; servo targets, [W, U]."""
         if self._goal is None:
-            goal, fingers = self.references.motion.at(self._step, self.rows)
+            goal, fingers = self.plans.at(self._step, self.rows)
             self._goal = compose(self._anchor, goal), fingers
         return self._goal
 
-    def _chosen(self) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray]:
-        """What stays the same during a trial: fields of ``Wanted``; first steps of closing and of lift, shape
-        [W] int each."""
-        refs, rows, index = self.references, self.rows, self.task.worlds.object_index
+    def _choose(self) -> None:
+        """What stays the same during an episode: fields of ``PlanTarget``, first steps of closing and
+        lift."""
+        plans, rows = self.plans, self.rows
         distance, normal = self._target_surface
-        aims = {
-            "palm_in_object": refs.motion.wrist[rows],
-            "keypoints": refs.keypoints[rows],
+        self._aims = {
+            "palm_in_object": plans.grasp_palm_pose[rows],
+            "keypoints": plans.keypoints[rows],
             "surface_distance": distance[rows],
             "surface_normal": normal[rows],
-            "contacts": refs.contacts[rows],
-            "settled_pose": refs.settled_pose[rows],
-            "mass": refs.mass[rows],
-            "center": self._center[index],
-            "size": self._size[index],
+            "contacts": plans.link_contacts[rows],
+            "settled_pose": plans.object_pose[rows],
+            "mass": plans.object_mass[rows],
+            "center": self._center[self._object[rows]],
+            "size": self._size[self._object[rows]],
         }
-        return aims, refs.motion.closing[rows], refs.motion.lift[rows]
+        self._closing, self._lift = plans.closing_step[rows], plans.lift_step[rows]
 
-    def _read(self) -> Readings:
-        task, noise = self.task, self.noise
-        self._step = task.control_step
-        joints = task.independent(task.worlds.joint_positions)
-        palm, thing = task.worlds.palm_pose, task.tracked_object_pose
-        if noise is not None:
-            joints, palm, thing = noise.joints(joints), noise.palm(palm), noise.object(thing)
-        self.kinematics.update(None, joints)
-        keypoints = self.kinematics.points(self._keypoints)
+    def _read(self, observation: Observation) -> None:
+        self._goal = None
+        self._step = np.rint(observation.time / self.plans.control_period).astype(int)
+        self._since_lift = observation.time_since_lift
+
+    def _measure(self, observation: Observation) -> HandState:
+        palm, thing = observation.palm_pose, observation.object_pose
+        self._kinematics.update(None, observation.joint_positions)
+        keypoints = self._kinematics.points(self._keypoints)
         palm_turn, object_turn = rotation_matrix(stack(palm[:, 3:], thing[:, 3:]))
+        # Rows are points: p_world = R p, so P_world = P R^T, and back by P R.
         in_world = keypoints @ palm_turn.mT + palm[:, None, :3]
         in_object = (in_world - thing[:, None, :3]) @ object_turn
-        distance, normal = self._bank.query(task.worlds.object_index, in_object)
-        return Readings(
-            joints,
-            task.finger_set_point.copy(),
-            palm,
-            task.set_point.pose.copy(),
-            thing,
-            keypoints,
-            distance,
-            normal,
+        distance, normal = self._bank.query(self._object[self.rows], in_object)
+        return HandState(
+            joints=observation.joint_positions.copy(),
+            joint_setpoints=observation.joint_setpoints.copy(),
+            palm_pose=palm.copy(),
+            palm_setpoint=observation.palm_setpoint.copy(),
+            object_pose=thing.copy(),
+            keypoints=keypoints,
+            surface_distance=distance,
+            surface_normal=normal,
         )
 
 
-def link_directions(hand: Hand, keypoints: np.ndarray) -> np.ndarray:
+def link_directions_of(hand: Hand, keypoints: np.ndarray) -> np.ndarray:
     """Vectors along the links of each finger, from key points; zero where a finger has fewer.
 
     Args:

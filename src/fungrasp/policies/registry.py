@@ -1,117 +1,140 @@
-"""Policies by name, and letting one act until all trials are over."""
+"""Policies by name, each with the planner whose plans it follows."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
 from fungrasp.errors import FungraspError, UnknownNameError
+from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
-from fungrasp.planning.selection.search import Planner
+from fungrasp.planning import MotionPlanner, Planner
+from fungrasp.planning.selection import SearchPlanner, SelectionSettings
 from fungrasp.policies.checkpoint.checkpoint_file import SUFFIX, list_policies, load_policy, read_card
-from fungrasp.policies.residual_policy import LearnedPolicy, check_card
-from fungrasp.policies.scripted import ReferenceController
-from fungrasp.task import Action, LiftTask, Trials
+from fungrasp.policies.residual_policy import check_card, residual_policy
+from fungrasp.policies.scripted import OpenLoopPolicy
+from fungrasp.policies.success_predictor import NetworkPredictor
+from fungrasp.task import LiftProtocol, Policy, PrivilegedPolicy
+
+REFERENCE = "reference"
+"""Follows one planned motion blindly, without weights and without rollouts."""
+PLAN = "plan"
+"""Follows the student's plan blindly: what the closed loop is worth is the difference."""
+KINDS = ("teacher", "student", "predictor")
+"""Short for the policies ``<hand>-teacher``, ``<hand>-student`` and ``<hand>-predictor``, with or without
+``-free`` behind, that come with the package."""
 
 
-class Policy(Protocol):
-    """Acts in all worlds of a task, at the task's control rate."""
+@dataclass(frozen=True, eq=False)
+class PolicyFiles:
+    """What a policy's name stands for."""
 
-    def act(self) -> Action:
-        """What to do in the next control period."""
-        ...
+    network: Path | None
+    """File of the network that acts; None where the plan is followed blindly."""
+    predictor: Path | None
+    """File of the success predictor that candidates are chosen by; None where there is one motion for each
+    grasp."""
+
+    def digests(self) -> tuple[str, str]:
+        """SHA-256 of both files, "" for none.
+
+        Raises:
+            FungraspError: a file can't be read.
+        """
+
+        def sha256(path: Path | None) -> str:
+            return "" if path is None else read_card(path).sha256
+
+        return sha256(self.network), sha256(self.predictor)
 
 
-POLICIES: dict[str, Callable[[LiftTask, Mapping[str, ObjectModel]], Policy]] = {
-    "reference": ReferenceController
-}
-"""Makers of policies that need no weights, for a task that has been reset."""
-
-KINDS = ("teacher", "student", "critic")
-"""Short for the policies ``<hand>-teacher``, ``<hand>-student`` and ``<hand>-critic`` that come with the
-package."""
-
-
-def resolve_policy(name: str, hand: str) -> Path | None:
-    """The file of a policy, None for one of ``POLICIES``.
+def policy_files(name: str, hand: str) -> PolicyFiles:
+    """The files of a policy.
 
     Args:
-        name: one of ``POLICIES`` or ``KINDS``, a policy that comes with the package, or a file.
+        name: "reference", "plan", one of ``KINDS``, a policy that comes with the package, or a file.
         hand: name of the hand that it should move.
 
     Raises:
-        FungraspError: no such policy.
+        FungraspError: no such policy, or a file that can't be read.
     """
-    if name in POLICIES:
-        return None
+    if name == REFERENCE:
+        return PolicyFiles(None, None)
+    if name == PLAN:
+        return PolicyFiles(None, policy_files("student", hand).predictor)
+    path = _find(name, hand)
+    card = read_card(path)
+    if card.kind in ("critic", "predictor"):
+        return PolicyFiles(None, path)
+    return PolicyFiles(path, path.with_name(card.plans + SUFFIX) if card.plans else None)
+
+
+def _find(name: str, hand: str) -> Path:
     if Path(name).suffix == SUFFIX:
         return Path(name)
     known = list_policies()
-    full = f"{hand}-{name}" if name in KINDS else name
-    if full in known:
-        return known[full]
+    names = (f"{hand}-{name}", f"{hand}-{name}-free") if name in KINDS else (name,)
+    for full in names:
+        if full in known:
+            return known[full]
     if name in KINDS:
         raise FungraspError(
             f"no {name} for the hand '{hand}' comes with fungrasp: train one (fungrasp train), "
             "and give its file"
         )
-    raise UnknownNameError("policy", name, [*POLICIES, *KINDS, *known])
+    raise UnknownNameError("policy", name, [REFERENCE, PLAN, *KINDS, *known])
 
 
-def free_policy(hand: str) -> str:
-    """The freely licensed student of a hand, or the reference controller if none comes with the package.
-
-    hand: its name.
-    """
+def default_policy(hand: str) -> str:
+    """The student of a hand, or the reference policy if none comes with the package. hand: its name."""
     name = f"{hand}-student-free"
-    return name if name in list_policies() else "reference"
+    return name if name in list_policies() else REFERENCE
 
 
-def chooses(name: str, hand: str) -> bool:
-    """Whether a policy chooses what to follow among variations of a grasp, which depends on a seed.
-
-    Args: as for ``resolve_policy``.
-    """
-    path = resolve_policy(name, hand)
-    card = None if path is None else read_card(path)
-    return card is not None and (card.kind == "critic" or bool(card.plans))
-
-
-def make_policy(
-    name: str,
-    task: LiftTask,
-    objects: Mapping[str, ObjectModel],
-    planner: Planner | None = None,
-    seed: int = 0,
-) -> Policy:
-    """A policy by name, ready to act.
+def make_policy(name: str, hand: Hand, objects: Mapping[str, ObjectModel]) -> Policy | PrivilegedPolicy:
+    """A policy by name.
 
     Args:
-        name: as for ``resolve_policy``.
-        task: reset.
-        objects: by name.
-        planner: of policies that choose what to follow; one with the default settings if None.
-        seed: of that choice.
+        name: as for ``policy_files``.
+        hand: that it moves.
+        objects: by name, all that it may meet.
 
     Raises:
-        FungraspError: no such policy, or one that does not fit the task's hand.
+        FungraspError: no such policy, or one for another hand.
     """
-    path = resolve_policy(name, task.scene.hand.name)
-    if path is None:
-        return POLICIES[name](task, objects)
-    network, planner = load_policy(path), planner or Planner()
-    if network.card.kind == "critic":
-        return ReferenceController(task, objects, motion=planner(task, objects, network, seed)[0].motion)
-    if not network.card.plans:
-        return LearnedPolicy(task, objects, network)
-    check_card(network.card, task)
-    critic = load_policy(path.with_name(network.card.plans + SUFFIX))
-    return LearnedPolicy(task, objects, network, planner(task, objects, critic, seed, network)[0])
+    path = policy_files(name, hand.name).network
+    return OpenLoopPolicy() if path is None else residual_policy(load_policy(path), hand, objects)
 
 
-def play(task: LiftTask, policy: Policy, watch: Callable[[], None] | None = None) -> Trials:
-    """Let a policy act until all trials are over. watch: called after each substep, to record."""
-    while not task.done.all():
-        task.step(policy.act(), watch)
-    return task.trials()
+def make_planner(
+    name: str,
+    hand: Hand,
+    objects: Mapping[str, ObjectModel],
+    settings: SelectionSettings | None = None,
+    protocol: LiftProtocol | None = None,
+    threads: int = 0,
+) -> Planner:
+    """The planner whose plans a policy follows.
+
+    Args:
+        name: of the policy, as for ``policy_files``.
+        hand: that it moves.
+        objects: by name.
+        settings: of the selection among candidates; the defaults if None.
+        protocol: of the motions; the published one if None.
+        threads: 0 means all processors. Plans do not depend on it.
+
+    Raises:
+        FungraspError: no such policy, or one for another hand.
+    """
+    files = policy_files(name, hand.name)
+    if files.predictor is None:
+        return MotionPlanner(hand, objects, protocol=protocol)
+    predictor = NetworkPredictor(load_policy(files.predictor), hand, objects)
+    policy: Policy = OpenLoopPolicy()
+    if files.network is not None:
+        check_card(read_card(files.network), hand)
+        made = residual_policy(load_policy(files.network), hand, objects)
+        policy = made  # pyright: ignore[reportAssignmentType]
+    return SearchPlanner(hand, objects, predictor, policy, files.digests()[0], settings, protocol, threads)

@@ -41,7 +41,7 @@ def smoothed(action: Array, previous: Array, settings: ResidualSettings) -> Arra
     return settings.smoothing * previous + (1.0 - settings.smoothing) * clip(action, -1.0, 1.0)
 
 
-def apply(
+def add_residual(
     palm_goal: Array, servo_targets: Array, action: Array, settings: ResidualSettings
 ) -> tuple[Array, Array]:
     """Palm goals [W, 7] and servo targets [W, U] with a residual.

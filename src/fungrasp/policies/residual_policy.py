@@ -1,4 +1,4 @@
-"""A trained policy at work: follows the reference, looks at the worlds, corrects."""
+"""Learned policies at work: they follow a plan, look at the observation, and correct."""
 
 from __future__ import annotations
 
@@ -7,92 +7,101 @@ from collections.abc import Mapping
 import numpy as np
 
 from fungrasp.errors import FungraspError
+from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
-from fungrasp.planning.references import References
 from fungrasp.policies.checkpoint.card import PolicyCard
 from fungrasp.policies.checkpoint.checkpoint_file import check_fits
 from fungrasp.policies.checkpoint.network import PolicyNetwork
-from fungrasp.policies.plan_tracking import SensorNoise, Tracker
+from fungrasp.policies.plan_tracking import PlanTracker
 from fungrasp.policies.residual_action import ResidualSettings
-from fungrasp.policies.scripted import planned
-from fungrasp.task import Action, LiftTask
-from fungrasp.task.observation import flatten, layout, observe, privileged
+from fungrasp.task import Action, GraspPlan, Observation, Privileged
+from fungrasp.task.features import contact_features, flatten, layout
 
 ACTION_PARTS = ("position", "rotation", "fingers")
 """Parts of a residual action, with the scales of ``ResidualSettings``."""
 
 
-class LearnedPolicy:
-    """Acts in W worlds with a network from a policy file."""
+class _ResidualNetwork:
+    """What students and teachers have in common."""
 
-    def __init__(
-        self,
-        task: LiftTask,
-        objects: Mapping[str, ObjectModel],
-        network: PolicyNetwork,
-        references: References | None = None,
-        noise: SensorNoise | None = None,
-    ):
+    def __init__(self, network: PolicyNetwork, hand: Hand, objects: Mapping[str, ObjectModel]):
         """
         Args:
-            task: reset; the grasps come from it.
-            objects: by name.
-            network: made for the task's hand.
-            references: to follow, one for each world; those of the task's grasps if None.
-            noise: of the sensors; none if None.
+            network: of a policy file.
+            hand: that it moves.
+            objects: by name, all that plans may be for.
 
         Raises:
-            FungraspError: the network was made for another hand, other observations or another rate.
+            FungraspError: the network was made for another hand or other actions.
         """
-        check_card(network.card, task)
-        self._network, hand = network, task.scene.hand
-        if references is None:
-            references = References.of(planned(task, objects), task.grasps, task.settled_pose, hand)
-        self._tracker = Tracker(task, objects, references, residual_settings(network.card), noise)
-        everyone = np.arange(len(task.worlds))
-        self._tracker.begin(everyone, everyone)
-        self._sees_contacts = bool(network.card.privileged)
-        check_fits(
-            network.card,
-            hand,
-            layout(self._seen()),
-            layout(self._contacts()),
-            1 / task.protocol.control_period,
-        )
-        self._state = network.initial_state(len(everyone))
-        self._first = True
+        check_card(network.card, hand)
+        self.network, self._hand, self._objects = network, hand, objects
+        self._settings = residual_settings(network.card)
 
-    def act(self) -> Action:
-        """What to do in the next control period."""
-        if not self._first:
-            self._tracker.advance()
-        self._first = False
-        seen = flatten(self._seen() | (self._contacts() if self._sees_contacts else {}))
-        # A finished or broken world may hold anything; its action is not used.
+    def reset(self, plan: GraspPlan, observation: Observation) -> None:
+        """See ``Policy.reset``.
+
+        Raises:
+            FungraspError: the network was made for other observations or another rate.
+        """
+        everyone = np.arange(len(observation))
+        self._tracker = PlanTracker(self._hand, self._objects, plan, len(everyone), self._settings)
+        self._tracker.begin(everyone, everyone, observation)
+        seen = layout(self._tracker.state().robot_features())
+        contacts = tuple((part.name, part.size) for part in self.network.card.privileged)
+        check_fits(self.network.card, self._hand, seen, contacts, 1 / plan.control_period)
+        self._memory = self.network.initial_state(len(everyone))
+
+    def _act(self, observation: Observation, contacts: Mapping[str, np.ndarray]) -> Action:
+        self._tracker.update(observation)
+        seen = flatten({**self._tracker.state().robot_features(), **contacts})
+        # A finished or diverged world may hold anything; its action is not used.
         finite = np.where(np.isfinite(seen), seen, 0.0).astype(np.float32)
-        action, _, self._state = self._network(finite, self._state)
+        action, self.outputs, self._memory = self.network(finite, self._memory)
         return self._tracker.act(action)
 
-    def _seen(self) -> dict[str, np.ndarray]:
-        """What a robot has."""
-        view = self._tracker.view()
-        return observe(view.now, view.before, view.wanted, view.action)
 
-    def _contacts(self) -> dict[str, np.ndarray]:
-        """What only a teacher sees."""
-        sensed = self._tracker.sensed()
-        return privileged(sensed.contacts, sensed.forces, self._tracker.view().wanted.contacts)
+class StudentPolicy(_ResidualNetwork):
+    """Acts on what a robot has. ``outputs`` holds what else the network said at the last step: the contact
+    states and forces that it infers."""
+
+    outputs: Mapping[str, np.ndarray]
+
+    def act(self, observation: Observation) -> Action:
+        """See ``Policy.act``."""
+        return self._act(observation, {})
 
 
-def check_card(card: PolicyCard, task: LiftTask) -> None:
+class TeacherPolicy(_ResidualNetwork):
+    """Acts on contacts too, which only a simulation knows."""
+
+    def act_privileged(self, observation: Observation, privileged: Privileged) -> Action:
+        """See ``PrivilegedPolicy.act_privileged``."""
+        targets = self._tracker.plans.link_contacts
+        return self._act(observation, contact_features(privileged.contacts, privileged.forces, targets))
+
+
+def residual_policy(
+    network: PolicyNetwork, hand: Hand, objects: Mapping[str, ObjectModel]
+) -> StudentPolicy | TeacherPolicy:
+    """A learned policy, a teacher if its network takes contacts. Arguments: as for both.
+
+    Raises:
+        FungraspError: the network was made for another hand or other actions.
+    """
+    kind = TeacherPolicy if network.card.privileged else StudentPolicy
+    return kind(network, hand, objects)
+
+
+def check_card(card: PolicyCard, hand: Hand) -> None:
     """What can be checked before anything is planned for a policy.
 
     Raises:
-        FungraspError: it was made for another hand, another rate or other actions.
+        FungraspError: it was made for another hand or other actions.
     """
     own = tuple((part.name, part.size) for part in card.observation)
     contacts = tuple((part.name, part.size) for part in card.privileged)
-    check_fits(card, task.scene.hand, own, contacts, 1 / task.protocol.control_period)
+    check_fits(card, hand, own, contacts, card.rate_hz)
     residual_settings(card)
 
 

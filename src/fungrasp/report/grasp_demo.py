@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fungrasp.evaluation import DynamicResult, StaticQuality, Trajectory
+from fungrasp.evaluation import LiftTestResult, StaticQuality, Trajectory
 from fungrasp.grasps import HumanGrasp, RobotGrasp
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
@@ -52,7 +52,7 @@ def grasp_report(
     thing: ObjectModel,
     trajectory: Trajectory,
     quality: StaticQuality,
-    result: DynamicResult,
+    result: LiftTestResult,
     row: int,
     clip: Path,
 ) -> GraspReport:
@@ -63,18 +63,18 @@ def grasp_report(
         robot: of ``hand``; it imitates ``human``.
         hand: the robot hand.
         thing: the object.
-        trajectory: its trial.
+        trajectory: its episode.
         quality: of the set of robot grasps.
-        result: of their trials.
+        result: of their episodes.
         row: of the grasp in ``quality`` and ``result``.
-        clip: film of the trial.
+        clip: film of the episode.
     """
     pictures = grasp_pictures(human, robot, hand, thing)
     return GraspReport(
         title=grasp_title(human),
         object_mass=human.object_mass,
         success=trajectory.success,
-        outcome=outcome(trajectory, int(result.refined_tries[row]), result.rehearsed),
+        outcome=outcome(trajectory, int(result.refined_tries[row]), bool(result.rollouts[row])),
         human_picture=pictures[0],
         robot_picture=pictures[1],
         film=clip,
@@ -83,18 +83,18 @@ def grasp_report(
     )
 
 
-def outcome(trajectory: Trajectory, tries: int, rehearsed: bool = False) -> str:
-    """How a trial ended, in a sentence.
+def outcome(trajectory: Trajectory, tries: int, rollouts: bool = False) -> str:
+    """How an episode ended, in a sentence.
 
     Args:
-        tries: trials that refining took, negative if none succeeded.
-        rehearsed: whether the policy had tried plans in a simulation of its own.
+        tries: episodes that refining took, negative if none succeeded.
+        rollouts: whether the plan was chosen in simulated rollouts.
     """
     if not trajectory.success:
         tried = f"None of {-tries} variations held" if tries < -1 else "It did not hold"
         return f"{tried}: {trajectory.reason}."
     if tries <= 1:
-        how = "with a plan that was chosen in rehearsals" if rehearsed else "at the first try"
+        how = "with a plan that was chosen in simulated rollouts" if rollouts else "at the first try"
         return f"Lifted and held for 3 s, {how}."
     return f"Lifted and held for 3 s, by one of {tries} variations tried in simulation."
 
@@ -135,14 +135,14 @@ def contacts(robot: RobotGrasp, trajectory: Trajectory, hand: Hand) -> list[Cont
     ]
 
 
-def quantities(quality: StaticQuality, result: DynamicResult, row: int) -> list[Quantity]:
+def quantities(quality: StaticQuality, result: LiftTestResult, row: int) -> list[Quantity]:
     """Numbers of one grasp: the retargeted grasp's static quality, then what was measured in simulation."""
     static = [
         Quantity(name, round(float(getattr(quality, key)[row]), DIGITS), unit, meaning)
         for key, (name, unit, meaning) in MEANINGS.items()
         if np.isfinite(getattr(quality, key)[row])
     ]
-    t = result.trials
+    t = result.outcomes
     lifted, slip, pushed = 1e3 * t.lifted_height_m[row], t.sim_distance_hand_mm_s[row], 1e3 * t.pushed_m[row]
     return [
         *static,

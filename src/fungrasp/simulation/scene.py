@@ -24,6 +24,12 @@ WRIST_JOINTS = ("wrist_x", "wrist_y", "wrist_z", "wrist_roll", "wrist_pitch", "w
 HAND_PREFIX = "hand/"
 """In front of the names of the hand's bodies, joints and actuators."""
 
+GRAVITY = 9.81
+"""Acceleration of free fall [m/s^2]."""
+
+NOMINAL_FRICTION = 0.9
+"""Sliding friction of hand, object and table where nothing else is said (docs/evaluation.md)."""
+
 _DATA = mujoco.mjtConDataField
 
 
@@ -32,8 +38,10 @@ class SceneSettings:
     """Physics of the dynamic test (docs/evaluation.md)."""
 
     timestep: float = 0.005
-    """[s]."""
-    friction: float = 0.9
+    """Physics step [s]."""
+    gravity: float = GRAVITY
+    """Downward acceleration [m/s^2]."""
+    friction: float = NOMINAL_FRICTION
     """Sliding friction of hand, object and table."""
     torsional_friction: float = 0.005
     """[m]."""
@@ -65,7 +73,7 @@ class Scene:
     """Vertices of each object [m], shape [V, 3]: to stand it on the table."""
 
     def indices(self, names: Iterable[str]) -> np.ndarray:
-        """Index of each object named, shape [N] int: what ``Worlds`` calls ``object_index``."""
+        """Index of each object named, shape [N] int: what an engine calls ``object_index``."""
         known = {name: i for i, name in enumerate(self.objects)}
         return np.array([known[name] for name in names])
 
@@ -78,6 +86,11 @@ class Scene:
     def finger_actuators(self) -> np.ndarray:
         """Actuator ids of the hand's independent joints, in ``Hand.actuators`` order."""
         return np.array([self.model.actuator(HAND_PREFIX + name).id for name in self.hand.actuators])
+
+    @property
+    def servo_limits(self) -> np.ndarray:
+        """Lowest and highest target of each finger servo [rad], shape [U, 2]."""
+        return self.model.actuator_ctrlrange[self.finger_actuators]
 
 
 def build_scene(
@@ -136,7 +149,7 @@ def _compile(
 def _set_options(spec: mujoco.MjSpec, settings: SceneSettings) -> None:
     option = spec.option
     option.timestep = settings.timestep
-    option.gravity = [0.0, 0.0, -9.81]
+    option.gravity = [0.0, 0.0, -settings.gravity]
     option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     option.impratio = settings.impratio
     option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
@@ -154,8 +167,7 @@ def _add_object(
             mesh.uservert = piece.vertices.ravel().tolist()
             mesh.userface = piece.faces.ravel().tolist()
             # MuJoCo makes hulls, without which a pair of geoms has one contact point at most, only of meshes
-            # that a
-            # geom of this model shows, or that say so.
+            # that a geom of this model shows, or that say so.
             mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
     model = objects[shown]
     body = spec.worldbody.add_body(name="object", pos=[0.0, 0.0, 0.5])

@@ -1,6 +1,26 @@
-"""What a policy sees and does in the dynamic test, and when a grasp has succeeded."""
+"""What a policy observes, does and is rewarded for; the lift test; when a grasp has succeeded."""
 
-from fungrasp.task.lift import Action, LiftTask, Trials
-from fungrasp.task.protocol import Protocol
+from fungrasp.task.action import Action
+from fungrasp.task.belief import Belief
+from fungrasp.task.environment import LiftEnvironment, play
+from fungrasp.task.grasp_plan import GraspPlan
+from fungrasp.task.lift import LiftTask
+from fungrasp.task.observation import Observation, Privileged
+from fungrasp.task.outcome import Outcomes
+from fungrasp.task.policy import Policy, PrivilegedPolicy
+from fungrasp.task.protocol import LiftProtocol
 
-__all__ = ["Action", "LiftTask", "Protocol", "Trials"]
+__all__ = [
+    "Action",
+    "Belief",
+    "GraspPlan",
+    "LiftEnvironment",
+    "LiftProtocol",
+    "LiftTask",
+    "Observation",
+    "Outcomes",
+    "Policy",
+    "Privileged",
+    "PrivilegedPolicy",
+    "play",
+]

@@ -1,237 +1,58 @@
-"""What a policy sees: phi(s) of the paper (section IV.B.1) and what a robot that knows the object's mesh can
-add to it.
-
-Pure functions of what is measured and what is wanted, on any array-API library. All positions and directions
-are in the palm's frame, so that nothing depends on where the table stands. Every part is scaled to be of the
-order of one.
-"""
+"""What is seen: by every policy (``Observation``), and by a teacher and the reward only (``Privileged``)."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
-from fungrasp.geometry.poses import (
-    Array,
-    array_namespace,
-    clip,
-    compose,
-    invert,
-    like,
-    relative,
-    rotate,
-    rotation_matrix,
-    rotation_vector,
-    side_by_side,
-    stack,
-)
-
-POSITION_UNIT = 0.05
-"""[m]."""
-FORCE_UNIT = 5.0
-"""[N]."""
-SERVO_UNIT = 0.2
-"""Difference between servo target and joint [rad]."""
-_MOTION_UNITS = np.repeat(
-    [[[0.01, 0.05]], [[0.02, 0.1]], [[POSITION_UNIT, 0.3]], [[POSITION_UNIT, 0.3]], [[0.01, 0.1]]], 3, axis=-1
-)
-"""Of the palm from its set point, since the step before and to its goal, of the object from its place in the
-grasp and since the step before: shift [m] and turn [rad], shape [5, 1, 6]."""
-_PHASE_BEGINS, _PHASE_ENDS = np.array([-1.0, 0.0, 0.0, 0.0]), np.array([0.0, 2.0, 2.0, 2.0])
-"""Where time counts: before the fingers close, after, and twice since the lift began [s]."""
+from fungrasp.records import BatchRecord
 
 
 @dataclass(frozen=True, eq=False)
-class Readings:
-    """Measured in W worlds."""
+class Observation(BatchRecord):
+    """What W robots know at a control step. Simulated and real sensors produce the same.
 
-    joints: Array
-    """Independent joints [rad], shape [W, U]."""
-    servo_targets: Array
+    U is the number of the hand's independent joints, each with a servo.
+    """
+
+    time: np.ndarray
+    """Time since the plan began [s], shape [W]."""
+    time_since_lift: np.ndarray
+    """Time since the lift began [s], -1 before, shape [W]."""
+    joint_positions: np.ndarray
+    """Measured independent joints [rad], shape [W, U]."""
+    joint_setpoints: np.ndarray
     """What the joints' servos were last told [rad], shape [W, U]."""
-    palm_pose: Array
-    """World frame, shape [W, 7]."""
-    palm_set_point: Array
-    """Where the wrist was last told to be, world frame, shape [W, 7]."""
-    object_pose: Array
-    """As tracked, world frame, shape [W, 7]."""
-    keypoints: Array
-    """Of the hand (``Hand.keypoint_names``), palm frame [m], shape [W, K, 3]."""
-    surface_distance: Array
-    """Of the key points from the object's surface [m], shape [W, K]."""
-    surface_normal: Array
-    """Direction away from the surface at the key points, object frame, shape [W, K, 3]."""
+    palm_pose: np.ndarray
+    """Measured pose of the palm body, world frame, shape [W, 7]."""
+    palm_setpoint: np.ndarray
+    """Where the palm was last told to be, world frame, shape [W, 7]."""
+    object_pose: np.ndarray
+    """Tracked pose of the object, world frame, shape [W, 7]."""
+    object_pose_age: np.ndarray
+    """How old the tracked pose is [s], shape [W]."""
 
 
 @dataclass(frozen=True, eq=False)
-class Sensed:
-    """Known in simulation only: privileged."""
+class Privileged(BatchRecord):
+    """What only a simulation knows of W worlds; L contact links."""
 
-    contacts: Array
+    contacts: np.ndarray
     """Which links touch the object, shape [W, L] bool."""
-    forces: Array
-    """Net contact force of each link on the object [N], shape [W, L]."""
-    object_velocity: Array
-    """Linear, then angular, world frame [m/s, rad/s], shape [W, 6]."""
-    table_forces: Array
-    """Between each link and the table [N], shape [W, L]."""
-    self_force: Array
-    """Of the hand with itself [N], shape [W]."""
-    object_on_table: Array
-    """Shape [W] bool."""
-
-
-@dataclass(frozen=True, eq=False)
-class Wanted:
-    """What the reference asks for in W worlds."""
-
-    palm_goal: Array
-    """For the coming control period, world frame, shape [W, 7]."""
-    servo_targets: Array
-    """For the coming control period [rad], shape [W, U]."""
-    palm_in_object: Array
-    """In the grasp, shape [W, 7]."""
-    keypoints: Array
-    """In the grasp, object frame [m], shape [W, K, 3]."""
-    surface_distance: Array
-    """Of those key points from the object's surface [m], shape [W, K]."""
-    surface_normal: Array
-    """Direction away from the surface there, object frame, shape [W, K, 3]."""
-    contacts: Array
-    """Links that should touch, shape [W, L] bool."""
-    settled_pose: Array
-    """Of the object when the trial began, world frame, shape [W, 7]."""
-    mass: Array
-    """Of the object, as far as known [kg], shape [W]."""
-    center: Array
-    """Object's centre of mass, object frame [m], shape [W, 3]."""
-    size: Array
-    """Object's extents, object frame [m], shape [W, 3]."""
-    since_closing: Array
-    """Time since the fingers began to close, negative before [s], shape [W]."""
-    since_lift: Array
-    """Time since the lift began, negative before [s], shape [W]."""
-
-
-def observe(now: Readings, before: Readings, wanted: Wanted, action: Array) -> dict[str, Array]:
-    """What a robot has, by name, each part of shape [W, number].
-
-    Args:
-        now: measured at this control step.
-        before: measured at the one before (the same again at a trial's first).
-        wanted: by the reference.
-        action: the last action, shape [W, A].
-    """
-    xp = array_namespace(now.joints)
-    # What is treated alike is treated together: for one robot the number of calls is what takes time.
-    seen = relative(
-        stack(now.palm_pose, now.palm_pose, now.palm_pose, now.palm_pose, before.object_pose),
-        stack(now.palm_set_point, before.palm_pose, wanted.palm_goal, now.object_pose, before.palm_pose),
-    )
-    object_in_palm, from_object_before = seen[3], seen[4]
-    change = compose(stack(wanted.palm_in_object, from_object_before), object_in_palm)
-    poses = xp.concat([seen[:3], change])
-    motions = xp.concat([poses[..., :3], rotation_vector(poses[..., 3:])], axis=-1)
-    set_point, palm_before, goal, deviation, change = motions / like(motions, _MOTION_UNITS)
-    to_world, from_object = rotation_matrix(stack(now.palm_pose[:, 3:], object_in_palm[:, 3:]))
-    moved = xp.matmul((now.object_pose - wanted.settled_pose)[:, None, :3], to_world)[:, 0]
-    extents = xp.matmul(xp.abs(from_object), wanted.size[..., None])[..., 0]
-    count, number = now.surface_distance.shape
-    vectors = [wanted.keypoints, wanted.center[:, None], now.surface_normal, wanted.surface_normal]
-    vectors = xp.matmul(xp.concat(vectors, axis=1), from_object.mT)
-    points = vectors[:, : number + 1] + object_in_palm[:, None, :3]
-    errors = (points[:, :number] - now.keypoints) / POSITION_UNIT
-    normals = vectors[:, number + 1 :].reshape((count, 6 * number))
-    distances = xp.concat([now.surface_distance, wanted.surface_distance], axis=-1)
-    distances = clip(distances / 0.02, -1.0, 5.0)
-    return {
-        "joints": now.joints,
-        "joint_errors": (wanted.servo_targets - now.joints) / SERVO_UNIT,
-        "servo_errors": (now.servo_targets - now.joints) / SERVO_UNIT,
-        "joint_changes": (now.joints - before.joints) / SERVO_UNIT,
-        "palm_error": set_point,
-        "palm_change": palm_before,
-        "palm_goal": goal,
-        "up": to_world[:, 2],
-        "palm_height": now.palm_pose[:, 2:3] / (2 * POSITION_UNIT),
-        "object_center": points[:, number] / (2 * POSITION_UNIT),
-        "object_extents": extents / (2 * POSITION_UNIT),
-        "object_deviation": deviation,
-        "object_moved": moved / POSITION_UNIT,
-        "object_change": change,
-        "keypoint_errors": errors.reshape((count, 3 * number)),
-        "surface_distances": distances[:, :number],
-        "surface_normals": normals[:, : 3 * number],
-        "target_distances": distances[:, number:],
-        "target_normals": normals[:, 3 * number :],
-        "target_contacts": xp.astype(wanted.contacts, now.joints.dtype),
-        "mass": xp.log(wanted.mass[:, None] / 0.3),
-        "phase": _phase(wanted.since_closing, wanted.since_lift),
-        "last_action": action,
-    }
-
-
-def privileged(contacts: Array, forces: Array, targets: Array) -> dict[str, Array]:
-    """The contacts that a teacher sees and a student has to infer: f and g_c of the paper, by name.
-
-    Args:
-        contacts: which links touch, in [0, 1], shape [W, L].
-        forces: [N], shape [W, L].
-        targets: which links should touch, shape [W, L] bool.
-    """
-    xp = array_namespace(forces)
-    wanted = xp.astype(targets, forces.dtype)
-    touching = xp.astype(contacts, forces.dtype)
-    return {
-        "contacts": touching,
-        "contact_errors": wanted - touching,
-        "contact_forces": scaled_forces(forces),
-    }
-
-
-def scaled_forces(forces: Array) -> Array:
-    """Forces [N] as policies see them: ``tanh(f / 5 N)``."""
-    return array_namespace(forces).tanh(forces / FORCE_UNIT)
-
-
-def critic(sensed: Sensed, readings: Readings, friction: Array, mass: Array) -> dict[str, Array]:
-    """What only the critic sees, by name.
-
-    Args:
-        sensed: in simulation.
-        readings: measured.
-        friction: sliding friction, shape [W].
-        mass: true mass of the object [kg], shape [W].
-    """
-    xp = array_namespace(friction)
-    back = invert(readings.palm_pose)[:, 3:]
-    return {
-        "object_velocity": rotate(back, sensed.object_velocity[:, :3]) / 0.2,
-        "object_spin": rotate(back, sensed.object_velocity[:, 3:]) / 2.0,
-        "table_forces": scaled_forces(sensed.table_forces),
-        "self_force": scaled_forces(sensed.self_force)[:, None],
-        "object_on_table": xp.astype(sensed.object_on_table, friction.dtype)[:, None],
-        "friction": friction[:, None],
-        "true_mass": xp.log(mass[:, None] / 0.3),
-    }
-
-
-def flatten(parts: Mapping[str, Array]) -> Array:
-    """Parts side by side, shape [W, sum of numbers]."""
-    values = list(parts.values())
-    return array_namespace(values[0]).concat(values, axis=-1)
-
-
-def layout(parts: Mapping[str, Array]) -> tuple[tuple[str, int], ...]:
-    """Name and size of each part, in order."""
-    return tuple((name, int(value.shape[-1])) for name, value in parts.items())
-
-
-def _phase(since_closing: Array, since_lift: Array) -> Array:
-    """Where in the trial, shape [W, 4]."""
-    times = side_by_side(since_closing, since_closing, since_lift, since_lift)
-    phase = clip(times, like(times, _PHASE_BEGINS), like(times, _PHASE_ENDS))
-    phase[:, 2] = since_lift >= 0
-    return phase
+    forces: np.ndarray
+    """Net contact force of each link on the object [N], magnitude, shape [W, L]."""
+    object_velocity: np.ndarray
+    """Linear [m/s], then angular [rad/s] velocity of the object, world frame, shape [W, 6]."""
+    table_forces: np.ndarray
+    """Net contact force between each link and the table [N], magnitude, shape [W, L]."""
+    self_force: np.ndarray
+    """Net contact force of the hand with itself [N], magnitude, shape [W]."""
+    object_on_table: np.ndarray
+    """Whether the object touches the table, shape [W] bool."""
+    object_mass: np.ndarray
+    """True mass of the object [kg], shape [W]."""
+    friction: np.ndarray
+    """True sliding friction of hand, object and table, shape [W]."""
+    lifted_height: np.ndarray
+    """Height of the object's centre of mass above where it settled [m], shape [W]."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
-class Protocol:
+class LiftProtocol:
     """Start, motion limits, lift and hold."""
 
     settle_time: float = 1.0
@@ -22,12 +22,16 @@ class Protocol:
     lift_height: float = 0.15
     """The wrist's goal rises by this [m]."""
     hold_time: float = 3.0
-    """[s]."""
+    """The object is held for this long [s]."""
     success_height: float = 0.10
     """The object's centre of mass stays this far above where it settled [m]."""
     wrist_speed: float = 0.25
-    """[m/s]."""
+    """Largest speed of the wrist's setpoint [m/s]."""
     wrist_acceleration: float = 0.3
-    """[m/s^2]."""
+    """Largest acceleration of the wrist's setpoint [m/s^2]."""
     wrist_rotation_speed: float = 1.0
-    """[rad/s]."""
+    """Largest rotation speed of the wrist's setpoint [rad/s]."""
+    lost_height: float = 0.03
+    """An object that is lower than this above where it settled [m] ``lost_after`` the lift began is lost."""
+    lost_after: float = 1.0
+    """Time since the beginning of the lift from which an object can be lost [s]."""

@@ -16,33 +16,31 @@ from array_api_compat import array_namespace
 
 from fungrasp.errors import FungraspError, UnknownNameError
 from fungrasp.geometry.poses import Array
-
-GRAVITY = 9.81
-"""[m/s^2]."""
+from fungrasp.simulation.scene import GRAVITY
 
 
 @dataclass(frozen=True)
 class RewardWeights:
     """How much each term counts; the names are those of the terms given to ``total``."""
 
-    position: float = 0.5
+    position: float = 0.3
     """Of ``position_reward``, in [-1, 0]."""
-    contact: float = 1.0
+    contact: float = 0.5
     """Of ``contact_reward``, in [0, 2], times ``dynamic_contact_weight``."""
     safety: float = 0.3
     """Of ``safety_reward``, in [-1, 0]."""
-    posture: float = 0.2
+    posture: float = 0.1
     """Of ``posture_reward``, in [-2, 0]."""
-    lift: float = 2.0
+    lift: float = 1.0
     """Of ``lift_reward``, in [0, 1]."""
     stability: float = 0.5
     """Of ``stability_reward``, in [-1, 0]."""
     action: float = 0.02
     """Of ``action_reward``, in [-5, 0] for actions in [-1, 1]."""
-    success: float = 5.0
-    """Once, where the trial ends in success (term: 1 there, 0 elsewhere)."""
-    drop: float = -2.0
-    """Once, where the trial ends with the object lost (term: 1 there, 0 elsewhere)."""
+    success: float = 10.0
+    """Once, where the episode ends in success (term: 1 there, 0 elsewhere)."""
+    drop: float = -3.0
+    """Once, where the episode ends with the object lost (term: 1 there, 0 elsewhere)."""
 
     def __post_init__(self) -> None:
         for field in fields(self):

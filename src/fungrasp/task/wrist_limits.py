@@ -1,17 +1,17 @@
-"""Set points that move towards goals within the wrist's speed limits."""
+"""Where the wrist's speed is limited: setpoints that move towards goals no faster than allowed."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from fungrasp.geometry.poses import norm, turned_towards
-from fungrasp.task.protocol import Protocol
+from fungrasp.task.protocol import LiftProtocol
 
 
-class WristSetPoint:
-    """Pose and velocity of W wrist set points, world frame."""
+class WristSetpoint:
+    """Pose and velocity of W wrist setpoints, world frame."""
 
-    def __init__(self, pose: np.ndarray, protocol: Protocol):
+    def __init__(self, pose: np.ndarray, protocol: LiftProtocol):
         """pose: shape [W, 7]."""
         self.pose = pose.copy()
         self.velocity = np.zeros((len(pose), 3))

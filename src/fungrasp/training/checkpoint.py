@@ -18,7 +18,7 @@ import torch
 
 from fungrasp.errors import FungraspError
 from fungrasp.files import atomic_path
-from fungrasp.training.environment import LiftEnvironment
+from fungrasp.training.environment import TrainingEnvironment
 
 MAGIC = b"fungrasp checkpoint 2\n"
 """Its number goes up when checkpoints change."""
@@ -70,7 +70,7 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
     return state
 
 
-def environment_state(environment: LiftEnvironment) -> dict[str, Any]:
+def environment_state(environment: TrainingEnvironment) -> dict[str, Any]:
     """What tells an environment from others, and what it has learned and drawn so far."""
     return {
         "hand": environment.hand.name,
@@ -81,7 +81,7 @@ def environment_state(environment: LiftEnvironment) -> dict[str, Any]:
     }
 
 
-def check_environment(path: Path, state: Mapping[str, Any], environment: LiftEnvironment) -> None:
+def check_environment(path: Path, state: Mapping[str, Any], environment: TrainingEnvironment) -> None:
     """Refuse a checkpoint from another kind of environment.
 
     Raises:
@@ -94,7 +94,7 @@ def check_environment(path: Path, state: Mapping[str, Any], environment: LiftEnv
         raise FungraspError(f"the checkpoint {path} was trained on other observations")
 
 
-def restore_environment(state: Mapping[str, Any], environment: LiftEnvironment) -> None:
+def restore_environment(state: Mapping[str, Any], environment: TrainingEnvironment) -> None:
     """Go on with the success rates and random numbers of a checkpoint; trials begin anew."""
     rates = state["success_of_group"].numpy()
     if rates.shape == environment.success_of_group.shape:
@@ -103,5 +103,5 @@ def restore_environment(state: Mapping[str, Any], environment: LiftEnvironment) 
     torch.set_rng_state(state["torch_random"])
 
 
-def _layout(environment: LiftEnvironment) -> str:
-    return json.dumps([environment.layout, environment.privileged_layout, environment.critic_layout])
+def _layout(environment: TrainingEnvironment) -> str:
+    return json.dumps([environment.layout, environment.privileged_layout, environment.value_layout])

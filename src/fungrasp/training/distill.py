@@ -21,7 +21,7 @@ from fungrasp.training.checkpoint import (
     restore_environment,
     write_checkpoint,
 )
-from fungrasp.training.environment import LiftEnvironment
+from fungrasp.training.environment import TrainingEnvironment
 from fungrasp.training.networks import tensors
 from fungrasp.training.settings import HIDDEN, DistillSettings
 from fungrasp.training.student import StudentModel
@@ -43,7 +43,7 @@ class DistillProgress:
     """L_re."""
 
 
-def make_student(environment: LiftEnvironment, hidden: tuple[int, ...] = HIDDEN) -> StudentModel:
+def make_student(environment: TrainingEnvironment, hidden: tuple[int, ...] = HIDDEN) -> StudentModel:
     """An untrained student for an environment that keeps a history."""
     observations = tensors(environment.observations)
     return StudentModel(
@@ -60,7 +60,7 @@ def make_student(environment: LiftEnvironment, hidden: tuple[int, ...] = HIDDEN)
 
 def distill(
     teacher: MLPModel,
-    environment: LiftEnvironment,
+    environment: TrainingEnvironment,
     steps: int,
     settings: DistillSettings | None = None,
     seed: int = 0,
@@ -127,7 +127,7 @@ class Distillation:
     student: StudentModel
     optimizer: torch.optim.Optimizer
     schedule: torch.optim.lr_scheduler.LRScheduler
-    environment: LiftEnvironment
+    environment: TrainingEnvironment
     recent: deque[bool]
     """Whether the last trials succeeded."""
     rounds: int = 0
@@ -169,7 +169,11 @@ class Distillation:
 
 
 def _collect(
-    actor: MLPModel, teacher: MLPModel, environment: LiftEnvironment, s: DistillSettings, recent: deque[bool]
+    actor: MLPModel,
+    teacher: MLPModel,
+    environment: TrainingEnvironment,
+    s: DistillSettings,
+    recent: deque[bool],
 ) -> TensorDict:
     """Let one act, and ask the teacher what it would have done."""
     batches = []

@@ -1,4 +1,4 @@
-"""Many worlds in which a policy learns: trials that begin anew, each with another reference."""
+"""Many worlds in which a policy learns: episodes that begin anew, each with another plan."""
 
 from __future__ import annotations
 
@@ -10,63 +10,56 @@ import numpy as np
 
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
-from fungrasp.planning.references import begin_on_way
-from fungrasp.policies.plan_tracking import Tracker
+from fungrasp.policies.plan_tracking import PlanTracker
 from fungrasp.policies.residual_action import ResidualSettings
-from fungrasp.simulation import SceneSettings, Worlds, build_scene
-from fungrasp.task import LiftTask, Protocol
-from fungrasp.task.observation import critic, flatten, layout, observe, privileged
+from fungrasp.simulation import SceneSettings, build_scene
+from fungrasp.task import LiftEnvironment, LiftProtocol
+from fungrasp.task.features import contact_features, flatten, layout, value_features
 from fungrasp.task.reward import RewardWeights, total
 from fungrasp.training.history import History
-from fungrasp.training.library import Library
+from fungrasp.training.plan_library import PlanLibrary
 from fungrasp.training.rewards import LiftReward
-from fungrasp.transfer import MILD, Differences, Randomisation
+from fungrasp.transfer import MODERATE, Randomization, draw
 
 _log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
 class EnvironmentSettings:
-    """Of training trials."""
+    """How training episodes run."""
 
     worlds: int = 512
-    """Trials that run at once."""
+    """Episodes that run at once."""
     timestep: float = 0.01
-    """Of physics [s]; the dynamic test has 0.005."""
+    """Physics step [s]; the lift test has 0.005."""
     hold_time: float = 1.5
-    """[s]; the dynamic test has 3."""
+    """Time that the object has to be held [s]; the lift test has 3."""
     early: tuple[int, int] = (4, 14)
-    """Trials begin this many control steps before the fingers close, on the reference's way."""
+    """Fewest and most control steps before the fingers close at which episodes begin, on the planned path."""
     whole: float = 0.1
-    """Share of trials that begin where the dynamic test does."""
-    dropped_height: float = 0.03
-    """An object lower than this a while after the lift began is lost [m]."""
-    dropped_after: float = 1.2
-    """[s]."""
+    """Share of episodes that begin where the lift test does."""
     lift_goal: float = 0.14
     """Height of the object that is paid in full [m]; above the test's 0.1, as what swings hangs lower."""
-    randomisation: Randomisation = MILD
-    """What differs from what the policy is told, anew in each trial."""
+    randomization: Randomization = MODERATE
+    """How worlds differ from what is believed, anew in each episode."""
     history: bool = False
     """Whether observations hold a student's history."""
     residual: ResidualSettings = field(default_factory=ResidualSettings)
-    reward: RewardWeights = field(
-        default_factory=lambda: RewardWeights(
-            position=0.3, contact=0.5, posture=0.1, lift=1.0, success=10.0, drop=-3.0
-        )
-    )
+    """How far actions may depart from the plan."""
+    reward: RewardWeights = field(default_factory=RewardWeights)
+    """Weights of the reward's terms."""
 
 
 @dataclass(frozen=True, eq=False)
-class Observations:
+class NetworkInputs:
     """What the networks get, W worlds."""
 
     robot: np.ndarray
     """What a robot has, shape [W, O]."""
     privileged: np.ndarray
     """Contacts, shape [W, P]."""
-    critic: np.ndarray
-    """What only the critic sees besides, shape [W, C]."""
+    value: np.ndarray
+    """What only the value network gets besides, shape [W, C]."""
     history: np.ndarray | None = None
     """What a student's encoder sees, if kept, shape [W, HISTORY, H]."""
 
@@ -75,23 +68,23 @@ class Observations:
 class Step:
     """Outcome of a step in W worlds."""
 
-    observations: Observations
+    observations: NetworkInputs
     reward: np.ndarray
     """Shape [W]."""
     done: np.ndarray
-    """Trials that ended, shape [W] bool; their observations are those of the next trial's beginning."""
+    """Episodes that ended, shape [W] bool; their observations are those of the next one's beginning."""
     success: np.ndarray
     """Shape [W] bool, where done."""
     terms: dict[str, float]
     """Mean of each reward term."""
 
 
-class LiftEnvironment:
-    """W worlds that never stop."""
+class TrainingEnvironment:
+    """W worlds in which one episode follows another."""
 
     def __init__(
         self,
-        library: Library,
+        library: PlanLibrary,
         objects: Mapping[str, ObjectModel],
         hand: Hand,
         settings: EnvironmentSettings | None = None,
@@ -100,7 +93,7 @@ class LiftEnvironment:
     ):
         """
         Args:
-            library: of references of ``hand``.
+            library: of plans of ``hand``.
             objects: by name.
             hand: the robot hand.
             settings: the defaults if None.
@@ -110,29 +103,24 @@ class LiftEnvironment:
         s = self.settings = settings or EnvironmentSettings()
         self.library, self.hand = library, hand
         self.rng = np.random.default_rng(seed)
-        refs = library.references
-        names = sorted(set(refs.object_name.tolist()))
+        names = sorted(set(library.plans.object_name.tolist()))
         scene = build_scene(hand, {name: objects[name] for name in names}, SceneSettings(timestep=s.timestep))
-        self._object_index = scene.indices(refs.object_name.tolist())
-        rows = np.arange(s.worlds) % len(refs)
-        self.protocol = replace(Protocol(), hold_time=s.hold_time)
-        worlds = Worlds(scene, self._object_index[rows], refs.mass[rows], threads=threads)
-        placeholder = refs.select(rows).grasps(hand)
-        self.task = LiftTask(scene, placeholder, worlds, self.protocol)
-        self.differences = Differences(s.randomisation, worlds, self.rng)
-        self.tracker = Tracker(self.task, objects, refs, s.residual, self.differences)
+        self.protocol = replace(LiftProtocol(), hold_time=s.hold_time)
+        self.episodes = LiftEnvironment(scene, s.worlds, s.randomization, self.protocol, self.rng, threads)
+        self.tracker = PlanTracker(hand, objects, library.plans, s.worlds, s.residual)
         self.reward = LiftReward(hand, self.protocol.control_period, s.lift_goal)
         self.success_of_group = np.full(int(library.group.max()) + 1, 0.5)
         """Running success rate of each grasp, shape [G]."""
         self.diverged = 0
-        """Trials whose physics broke down so far."""
-        worlds.reset()
-        self._begin(np.arange(s.worlds))
+        """Episodes whose physics broke down so far."""
+        everyone = np.arange(s.worlds)
+        self.tracker.begin(everyone, self._begin(everyone), self.episodes.observe())
+        self._privileged = self.episodes.privileged()
         parts, contacts, more = self._parts()
         self.layout, self.privileged_layout = layout(parts), layout(contacts)
-        self.critic_layout = layout(more)
+        self.value_layout = layout(more)
         self._history = History(s.worlds, self.layout) if s.history else None
-        self.observations = self._observe(np.arange(s.worlds))
+        self.observations = self._observe(everyone)
 
     @property
     def actions(self) -> int:
@@ -141,31 +129,28 @@ class LiftEnvironment:
 
     def step(self, action: np.ndarray) -> Step:
         """One control period in all worlds. action: shape [W, A]."""
-        task, tracker, s = self.task, self.tracker, self.settings
-        before = tracker.action
-        self.differences.push(task.time - task.lift_time)
-        task.step(tracker.act(action))
-        tracker.advance()
-        view, sensed = tracker.view(), tracker.sensed()
-        height = task.worlds.center_of_mass[:, 2] - task.settled_height
-        broken = task.worlds.broken | ~np.isfinite(height)
-        terms = self.reward.terms(view, sensed, np.nan_to_num(height, nan=-1.0), before)
-        since_lift = task.time - task.lift_time
-        dropped = (since_lift > s.dropped_after) & (height < s.dropped_height)
-        lost = dropped | broken | (np.linalg.norm(view.now.object_pose[:, :2], axis=1) > 10.0)
+        episodes, tracker, s = self.episodes, self.tracker, self.settings
+        task, before = episodes.task, tracker.action
+        episodes.step(tracker.act(action))
+        tracker.update(episodes.observe())
+        self._privileged = episodes.privileged()
+        terms = self.reward.terms(tracker.state(), self._privileged, before)
+        diverged, lost = task.engine.diverged, task.lost
         done = task.done | lost
-        success = task.done & ~lost & task.trials().success
+        success = task.done & ~lost & task.outcomes().success
         reward = total(
             terms | {"success": success.astype(float), "drop": (done & ~success).astype(float)}, s.reward
         )
-        reward = np.where(broken, s.reward.drop, np.nan_to_num(reward))
-        self._report(np.flatnonzero(broken))
+        reward = np.where(diverged, s.reward.drop, np.nan_to_num(reward))
+        self._report(np.flatnonzero(diverged))
         ids = np.flatnonzero(done)
         if len(ids):
             group = self.library.group[tracker.rows[ids]]
             for g, won in zip(group, success[ids], strict=True):
                 self.success_of_group[g] += 0.1 * (float(won) - self.success_of_group[g])
-            self._begin(ids)
+            rows = self._begin(ids)
+            tracker.begin(ids, rows, episodes.observe())
+            self._privileged = episodes.privileged()
         self.observations = self._observe(ids)
         return Step(
             self.observations,
@@ -175,42 +160,38 @@ class LiftEnvironment:
             {name: float(np.nanmean(v)) for name, v in terms.items()},
         )
 
-    def _report(self, broken: np.ndarray) -> None:
+    def _report(self, diverged: np.ndarray) -> None:
         """Count and name worlds whose physics broke down."""
-        self.diverged += len(broken)
-        rows = self.tracker.rows[broken]
-        for row, name in zip(rows.tolist(), self.library.references.object_name[rows].tolist(), strict=True):
+        self.diverged += len(diverged)
+        rows = self.tracker.rows[diverged]
+        for row, name in zip(rows.tolist(), self.library.plans.object_name[rows].tolist(), strict=True):
             grasp = self.library.group[row]
-            _log.warning("physics broke down: object '%s', grasp %d, reference %d", name, grasp, row)
+            _log.warning("physics broke down: object '%s', grasp %d, plan %d", name, grasp, row)
 
-    def _begin(self, ids: np.ndarray) -> None:
-        """New trials in some worlds."""
-        s, refs, rng = self.settings, self.library.references, self.rng
+    def _begin(self, ids: np.ndarray) -> np.ndarray:
+        """New episodes in some worlds; the plans they follow, shape [I]."""
+        s, plans, rng = self.settings, self.library.plans, self.rng
+        # Plans that sometimes hold teach most.
         rate = self.success_of_group[self.library.group]
         chance = rate * (1 - rate) + 0.05
-        rows = rng.choice(len(refs), size=len(ids), p=chance / chance.sum())
+        rows = rng.choice(len(plans), size=len(ids), p=chance / chance.sum())
         early = rng.integers(s.early[0], s.early[1] + 1, size=len(ids))
-        first = np.maximum(refs.motion.closing[rows] - early, 0)
+        first = np.maximum(plans.closing_step[rows] - early, 0)
         first[rng.random(len(ids)) < s.whole] = 0
-        task, told = self.task, refs.select(rows)
-        task.worlds.reset(ids)
-        self.differences.begin(ids, self._object_index[rows], told.mass)
-        task.latency[ids] = self.differences.latency(ids, task.protocol.control_period)
-        placed = replace(told, settled_pose=self.differences.placed(ids, told.settled_pose))
-        begin_on_way(task, ids, placed, np.arange(len(ids)), first)
-        self.tracker.begin(ids, rows)
+        sample = draw(s.randomization, len(ids), len(self.hand.joint_names), rng)
+        self.episodes.begin(ids, plans.select(rows), first, sample, hand_followed=True)
+        return rows
 
     def _parts(self) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray], dict[str, np.ndarray]]:
-        view, sensed, drawn = self.tracker.view(), self.tracker.sensed(), self.differences.drawn
-        friction = np.full(len(drawn), 0.9) if drawn.friction is None else drawn.friction
+        state, p = self.tracker.state(), self._privileged
         return (
-            observe(view.now, view.before, view.wanted, view.action),
-            privileged(sensed.contacts, sensed.forces, view.wanted.contacts),
-            critic(sensed, view.now, friction, drawn.mass * view.wanted.mass),
+            state.robot_features(),
+            contact_features(p.contacts, p.forces, state.target.contacts),
+            value_features(p, state.now.palm_pose),
         )
 
-    def _observe(self, begun: np.ndarray) -> Observations:
-        seen = Observations(*(flatten(part).astype(np.float32) for part in self._parts()))
+    def _observe(self, begun: np.ndarray) -> NetworkInputs:
+        seen = NetworkInputs(*(flatten(part).astype(np.float32) for part in self._parts()))
         if self._history is None:
             return seen
         return replace(seen, history=self._history.push(seen.robot, begun))

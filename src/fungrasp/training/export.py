@@ -19,8 +19,8 @@ from fungrasp.policies.checkpoint.checkpoint_file import hand_digest, save_polic
 from fungrasp.policies.residual_action import WRIST_ACTIONS, ResidualSettings
 from fungrasp.policies.residual_policy import ACTION_PARTS
 from fungrasp.training.history import HISTORY
-from fungrasp.training.plans import PlanCritic
 from fungrasp.training.student import StudentGraph, StudentModel
+from fungrasp.training.success_predictor import PredictorNetwork
 
 OPSET = 18
 
@@ -78,7 +78,7 @@ def make_card(
 
     Args:
         name: of the policy.
-        kind: "teacher", "student" or "critic".
+        kind: "teacher", "student" or "predictor".
         hand: that it moves.
         layout: of the observation.
         privileged: layout of the privileged observation; empty but for a teacher.
@@ -123,8 +123,9 @@ def export_student(student: StudentModel, path: Path, card: PolicyCard) -> None:
     save_policy(path, graph(StudentGraph(student), inputs, outputs), card)
 
 
-def export_critic(critic: PlanCritic, path: Path, card: PolicyCard) -> None:
-    """Write a plan critic's file: its observation is ``plan_features``, its action the expected success."""
+def export_predictor(predictor: PredictorNetwork, path: Path, card: PolicyCard) -> None:
+    """Write a success predictor's file: its observation is ``plan_features``, its action the expected
+    success."""
     card = replace(card, action=(ActionPart("success", 1, 1.0),))
     example = torch.zeros(2, card.input_size)
-    save_policy(path, graph(critic, {"observation": example}, ("action",)), card)
+    save_policy(path, graph(predictor, {"observation": example}, ("action",)), card)

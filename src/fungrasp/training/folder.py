@@ -18,8 +18,8 @@ import numpy as np
 from fungrasp import __version__
 from fungrasp.errors import FungraspError
 from fungrasp.files import atomic_path
-from fungrasp.planning.references import References
-from fungrasp.training.library import Library
+from fungrasp.task import GraspPlan
+from fungrasp.training.plan_library import PlanLibrary
 
 _log = logging.getLogger(__name__)
 
@@ -116,7 +116,7 @@ class RunFolder:
             raise FungraspError(f"cannot write {self.progress}: {error.strerror or error}") from error
 
 
-def kept_library(path: Path, key: str, plan: Callable[[], Library]) -> Library:
+def kept_library(path: Path, key: str, plan: Callable[[], PlanLibrary]) -> PlanLibrary:
     """A planned library from its file; if it isn't there, can't be read or is another one, it is planned and
     kept.
 
@@ -134,13 +134,13 @@ def kept_library(path: Path, key: str, plan: Callable[[], Library]) -> Library:
                 arrays = dict(data)
             if str(arrays.pop("key")) == key:
                 group = arrays.pop("group")
-                return Library(References.from_arrays(arrays), group)
+                return PlanLibrary(GraspPlan.from_arrays(arrays), group)
             _log.warning("%s belongs to other grasps or settings: planning again", path)
         except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile, zlib.error) as error:
             _log.warning("%s is unreadable (%s): planning again", path, error)
     library = plan()
     with atomic_path(path) as part, part.open("wb") as stream:
-        arrays = {"key": np.array(key), "group": library.group} | library.references.arrays()
+        arrays = {"key": np.array(key), "group": library.group} | library.plans.arrays()
         np.savez(stream, **arrays)  # pyright: ignore[reportArgumentType]
     return library
 

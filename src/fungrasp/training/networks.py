@@ -9,7 +9,7 @@ from rsl_rl.models import MLPModel
 from rsl_rl.modules.distribution import GaussianDistribution
 from tensordict import TensorDict
 
-from fungrasp.training.environment import LiftEnvironment, Observations
+from fungrasp.training.environment import NetworkInputs, TrainingEnvironment
 from fungrasp.training.settings import Sees
 from fungrasp.training.student import StudentModel
 
@@ -32,7 +32,7 @@ class ColouredGaussian(GaussianDistribution):
 
 
 def make_networks(
-    environment: LiftEnvironment, sees: Sees, hidden: tuple[int, ...], noise: float, correlation: float
+    environment: TrainingEnvironment, sees: Sees, hidden: tuple[int, ...], noise: float, correlation: float
 ) -> tuple[MLPModel, MLPModel]:
     """Actor, which hardly changes the reference at first, and critic.
 
@@ -46,7 +46,7 @@ def make_networks(
     observations = tensors(environment.observations)
     groups = {
         "actor": ["robot", "privileged"] if sees == "contacts" else ["robot"],
-        "critic": ["robot", "privileged", "critic"],
+        "critic": ["robot", "privileged", "value"],
     }
     model: dict[str, Any] = {"hidden_dims": list(hidden), "activation": "elu", "obs_normalization": True}
     student = sees == "history"
@@ -76,10 +76,10 @@ def make_networks(
     return actor, critic
 
 
-def tensors(observations: Observations) -> TensorDict:
-    """Observations as rsl-rl wants them: a group each."""
+def tensors(observations: NetworkInputs) -> TensorDict:
+    """NetworkInputs as rsl-rl wants them: a group each."""
     groups = {
-        name: torch.from_numpy(getattr(observations, name)) for name in ("robot", "privileged", "critic")
+        name: torch.from_numpy(getattr(observations, name)) for name in ("robot", "privileged", "value")
     }
     if observations.history is not None:
         groups["history"] = torch.from_numpy(observations.history).flatten(1)

@@ -25,7 +25,7 @@ from fungrasp.training.checkpoint import (
     restore_environment,
     write_checkpoint,
 )
-from fungrasp.training.environment import LiftEnvironment
+from fungrasp.training.environment import TrainingEnvironment
 from fungrasp.training.networks import make_networks, tensors
 from fungrasp.training.settings import PpoSettings
 from fungrasp.training.student import StudentModel
@@ -51,9 +51,9 @@ class Progress:
 
 
 class Trainer:
-    """PPO on a ``LiftEnvironment``: collects, learns, keeps checkpoints."""
+    """PPO on a ``TrainingEnvironment``: collects, learns, keeps checkpoints."""
 
-    def __init__(self, environment: LiftEnvironment, settings: PpoSettings | None = None, seed: int = 0):
+    def __init__(self, environment: TrainingEnvironment, settings: PpoSettings | None = None, seed: int = 0):
         """
         Args:
             environment: to learn in.
@@ -86,12 +86,12 @@ class Trainer:
         self.algorithm.optimizer = torch.optim.Adam(
             [
                 {"params": list(actor.parameters()), "lr": s.learning_rate},
-                {"params": list(critic.parameters()), "lr": s.critic_learning_rate},
+                {"params": list(critic.parameters()), "lr": s.value_learning_rate},
             ]
         )
         if isinstance(actor, StudentModel):
             encoder = [*actor.encoder.parameters(), *actor.head.parameters()]
-            self._encoder_optimizer = torch.optim.Adam(encoder, lr=s.critic_learning_rate)
+            self._encoder_optimizer = torch.optim.Adam(encoder, lr=s.value_learning_rate)
         self.steps, self.seconds = 0, 0.0
         """Control steps, and what they took [s], earlier runs included."""
         self._begun = False

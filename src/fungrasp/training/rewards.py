@@ -1,4 +1,4 @@
-"""The reward's terms (``fungrasp.task.reward``) from what a tracker sees."""
+"""The reward's terms (``fungrasp.task.reward``) of what a tracker sees."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ import numpy as np
 
 from fungrasp.geometry.poses import compose, inverse_transform_points, invert, rotation_vector
 from fungrasp.hands import Hand
-from fungrasp.policies.plan_tracking import View, link_directions
+from fungrasp.policies.plan_tracking import TrackingState, link_directions_of
 from fungrasp.task import reward
-from fungrasp.task.observation import Sensed
+from fungrasp.task.observation import Privileged
 
 TIP_WEIGHT, THUMB_TIP_WEIGHT = 4.0, 6.0
 """Of fingertips among the key points; the others count 1 (the published set-up)."""
@@ -35,43 +35,42 @@ class LiftReward:
         self._link_ends = np.array(ends)
 
     def terms(
-        self, view: View, sensed: Sensed, height: np.ndarray, previous_action: np.ndarray
+        self, state: TrackingState, privileged: Privileged, previous_action: np.ndarray
     ) -> dict[str, np.ndarray]:
         """By name, each of shape [W].
 
         Args:
-            view: after the step.
-            sensed: likewise.
-            height: of the object's centre of mass above where it settled [m], shape [W].
-            previous_action: the one before the view's, shape [W, A].
+            state: after the step.
+            privileged: likewise.
+            previous_action: the one before the state's, shape [W, A].
         """
-        now, wanted = view.now, view.wanted
+        now, target, p = state.now, state.target, privileged
         object_in_palm = compose(invert(now.palm_pose), now.object_pose)
         keypoints = inverse_transform_points(object_in_palm, now.keypoints)
-        goal_in_palm = inverse_transform_points(wanted.palm_in_object, wanted.keypoints)
-        lifting = wanted.since_lift >= 0
+        goal_in_palm = inverse_transform_points(target.palm_in_object, target.keypoints)
+        lifting = target.since_lift >= 0
         weight = reward.dynamic_contact_weight(
-            now.keypoints[:, self._link_ends], goal_in_palm[:, self._link_ends], wanted.contacts
+            now.keypoints[:, self._link_ends], goal_in_palm[:, self._link_ends], target.contacts
         )
-        contact = reward.contact_reward(sensed.contacts, wanted.contacts, sensed.forces, wanted.mass)
-        slip, spin = self._relative_motion(view)
-        drift = reward.stability_reward(sensed.object_velocity[:, :3], sensed.object_velocity[:, 3:])
+        contact = reward.contact_reward(p.contacts, target.contacts, p.forces, target.mass)
+        slip, spin = self._relative_motion(state)
+        drift = reward.stability_reward(p.object_velocity[:, :3], p.object_velocity[:, 3:])
         held = reward.stability_reward(slip, spin, velocity_unit=0.03, spin_unit=0.5)
         return {
-            "position": reward.position_reward(keypoints, wanted.keypoints, self._weights),
+            "position": reward.position_reward(keypoints, target.keypoints, self._weights),
             "contact": weight * contact,
-            "safety": reward.safety_reward(sensed.table_forces, sensed.self_force),
+            "safety": reward.safety_reward(p.table_forces, p.self_force),
             "posture": reward.posture_reward(
-                link_directions(self._hand, keypoints), link_directions(self._hand, wanted.keypoints)
+                link_directions_of(self._hand, keypoints), link_directions_of(self._hand, target.keypoints)
             ),
-            "lift": np.where(lifting, reward.lift_reward(height, self._goal), 0.0),
+            "lift": np.where(lifting, reward.lift_reward(p.lifted_height, self._goal), 0.0),
             "stability": np.where(lifting, held, drift),
-            "action": reward.action_reward(view.action, previous_action),
+            "action": reward.action_reward(state.action, previous_action),
         }
 
-    def _relative_motion(self, view: View) -> tuple[np.ndarray, np.ndarray]:
+    def _relative_motion(self, state: TrackingState) -> tuple[np.ndarray, np.ndarray]:
         """Velocity of the object in the palm's frame [m/s], [rad/s], shape [W, 3] each."""
-        now = compose(invert(view.now.palm_pose), view.now.object_pose)
-        before = compose(invert(view.before.palm_pose), view.before.object_pose)
+        now = compose(invert(state.now.palm_pose), state.now.object_pose)
+        before = compose(invert(state.before.palm_pose), state.before.object_pose)
         turn = compose(invert(before), now)
         return (now[:, :3] - before[:, :3]) / self._period, rotation_vector(turn[:, 3:]) / self._period

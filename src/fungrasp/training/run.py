@@ -18,24 +18,25 @@ from fungrasp.files import atomic_path, digest
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand, hand_files
 from fungrasp.objects import ObjectModel
-from fungrasp.planning.references import References
+from fungrasp.planning.selection.success_predictor import SuccessPredictor
 from fungrasp.policies.checkpoint.card import Budget, PolicyCard, TrainingData
 from fungrasp.policies.checkpoint.checkpoint_file import SUFFIX, hand_digest, load_policy
-from fungrasp.policies.checkpoint.network import PolicyNetwork
 from fungrasp.policies.residual_action import ResidualSettings
-from fungrasp.training.environment import EnvironmentSettings, LiftEnvironment
+from fungrasp.policies.success_predictor import NetworkPredictor
+from fungrasp.task import GraspPlan
+from fungrasp.training.environment import EnvironmentSettings, TrainingEnvironment
 from fungrasp.training.export import export_student, export_teacher, make_card
 from fungrasp.training.folder import RunFolder, git_revision, kept_library, machine
-from fungrasp.training.library import Library, Variety, build_library
+from fungrasp.training.plan_library import PlanLibrary, Variety, build_plan_library
 from fungrasp.training.ppo import Progress, Trainer
 from fungrasp.training.settings import PpoSettings
 from fungrasp.training.student import StudentModel
 
-REFERENCES = "references.npz"
+PLANS = "plans.npz"
 POLICY = "policy.onnx"
 
 PLANNED_FROM = ("hand", "hand_sha256", "sets", "variety", "seed", "plans_sha256")
-"""Settings that the planned references depend on."""
+"""Settings that the plans depend on."""
 
 Log = Callable[[Mapping[str, float], int], None]
 """Takes numbers by name, and the control steps so far."""
@@ -92,7 +93,7 @@ def train(
     plans: Path | None = None,
     initial: Path | None = None,
     shrink: float = 1.0,
-    references: Path | None = None,
+    plan_file: Path | None = None,
     planning: Callable[[int], None] = lambda done: None,
     progress: Callable[[Progress], None] = lambda p: None,
     log: Log | None = None,
@@ -108,13 +109,13 @@ def train(
         steps: control steps of all worlds together, earlier calls included.
         licence: of the policy, for its card.
         threads: 0 means all processors. The result does not depend on it.
-        plans: file of a critic that chooses the plans to follow, in training and at work; a copy of it is
-            kept beside the policy. The grasps' own plans if None.
+        plans: file of a success predictor that chooses the plans to follow, in training and at work; a copy
+            of it is kept beside the policy. The grasps' own plans if None.
         initial: folder of a training whose networks this one begins with; fresh ones if None.
         shrink: factor on the finished policy's corrections, and on those of its students. A policy that has
             seen little is right about their direction more often than about their size.
-        references: file of the planned references; one in the folder if None.
-        planning: called with the number of references that are planned.
+        plan_file: file of the plans to train on; one in the folder if None.
+        planning: called with the number of plans that are made.
         progress: called after each update.
         log: gets the numbers of each update, besides TensorBoard.
 
@@ -130,14 +131,14 @@ def train(
     residual = settings.environment.residual.shrunk(shrink)
     objects = joined_objects(sets)
     about = [s.about() for s in sets]
-    critic = None if plans is None else load_policy(plans)
+    predictor = None if plans is None else NetworkPredictor(load_policy(plans), hand, objects)
     planned_from = {
         "hand": hand.name,
         "hand_sha256": hand_digest(hand),
         "sets": about,
         "variety": asdict(settings.variety),
         "seed": settings.seed,
-        "plans_sha256": "" if critic is None else critic.card.sha256,
+        "plans_sha256": "" if predictor is None else predictor.digest,
     }
     run.claim(
         planned_from
@@ -149,17 +150,17 @@ def train(
         steps=steps,
         hand=hand.name if hand.name in hand_files() else str(hand.path.absolute()),
         licence=licence,
-        references=str((references or folder / REFERENCES).absolute()),
+        plan_file=str((plan_file or folder / PLANS).absolute()),
         object_folders=[None if s.folder is None else str(s.folder.absolute()) for s in sets],
     )
     library = kept_library(
-        references or folder / REFERENCES,
+        plan_file or folder / PLANS,
         digest(__version__, json.dumps(planned_from)),
-        lambda: plan_library(sets, hand, settings, threads, planning, critic),
+        lambda: plan_library(sets, hand, settings, threads, planning, predictor),
     )
     if plans is not None:
         keep_beside(folder, plans)
-    environment = LiftEnvironment(library, objects, hand, settings.environment, settings.seed, threads)
+    environment = TrainingEnvironment(library, objects, hand, settings.environment, settings.seed, threads)
     trainer = Trainer(environment, settings.ppo, settings.seed)
     if run.checkpoint.exists():
         trainer.load(run.checkpoint)
@@ -205,16 +206,16 @@ def consistent(settings: RunSettings) -> RunSettings:
     return replace(settings, environment=replace(settings.environment, history=history))
 
 
-def keep_beside(folder: Path, critic: Path) -> None:
-    """Copy a critic's file into the folder of a policy that follows its plans.
+def keep_beside(folder: Path, predictor: Path) -> None:
+    """Copy a success predictor's file into the folder of a policy that follows its plans.
 
     Raises:
         FungraspError: it can't be written.
     """
-    copy = folder / (critic.stem + SUFFIX)
-    if copy.resolve() != critic.resolve():
+    copy = folder / (predictor.stem + SUFFIX)
+    if copy.resolve() != predictor.resolve():
         with atomic_path(copy) as part:
-            part.write_bytes(critic.read_bytes())
+            part.write_bytes(predictor.read_bytes())
 
 
 def plan_library(
@@ -223,18 +224,18 @@ def plan_library(
     settings: RunSettings,
     threads: int = 0,
     progress: Callable[[int], None] = lambda done: None,
-    critic: PolicyNetwork | None = None,
-) -> Library:
-    """The references of several sets, each grasp a group of its own.
+    predictor: SuccessPredictor | None = None,
+) -> PlanLibrary:
+    """The plans of several sets, each grasp a group of its own.
 
     Raises:
         FungraspError: a set without any usable grasp; the message names it.
     """
-    parts: list[Library] = []
+    parts: list[PlanLibrary] = []
     groups = done = 0
     for number, one in enumerate(sets):
         try:
-            part = build_library(
+            part = build_plan_library(
                 one.grasps,
                 one.objects,
                 hand,
@@ -242,15 +243,15 @@ def plan_library(
                 settings.seed + number,
                 threads,
                 lambda count, before=done: progress(before + count),
-                critic,
+                predictor,
             )
         except FungraspError as error:
             raise FungraspError(f"{one.name}: {error}") from error
-        parts.append(Library(part.references, part.group + groups))
+        parts.append(PlanLibrary(part.plans, part.group + groups))
         groups += len(one.grasps)
-        done += len(one.grasps) * settings.variety.planned(critic is not None)
-    return Library(
-        References.join([part.references for part in parts]), np.concatenate([part.group for part in parts])
+        done += len(one.grasps) * settings.variety.planned(predictor is not None)
+    return PlanLibrary(
+        GraspPlan.join([part.plans for part in parts]), np.concatenate([part.group for part in parts])
     )
 
 

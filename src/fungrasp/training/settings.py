@@ -17,7 +17,7 @@ class PpoSettings:
     """Of PPO."""
 
     hidden: tuple[int, ...] = HIDDEN
-    """Units of the hidden layers, of actor and critic."""
+    """Units of the hidden layers, of actor and value network."""
     sees: Sees = "contacts"
     """What the actor knows of the contacts: the truth (a teacher), nothing, or what an encoder infers from
     the last steps, learned along the way (a student from scratch)."""
@@ -39,8 +39,8 @@ class PpoSettings:
     """Change of the policy per update that the actor's learning rate adapts to."""
     learning_rate: float = 1e-4
     """Of the actor, to begin with."""
-    critic_learning_rate: float = 1e-3
-    """It stays the same."""
+    value_learning_rate: float = 1e-3
+    """Of the value network; it stays the same."""
     reward_scale: float = 0.1
     """Makes returns of the order of one."""
     noise: float = 0.15
@@ -74,21 +74,21 @@ class DistillSettings:
 
 
 @dataclass(frozen=True)
-class PlanSettings:
-    """Of the trials that a critic learns from, and of its learning."""
+class PredictorSettings:
+    """Of the episodes that a success predictor learns from, and of its learning."""
 
     attempts: int = 24
     """Variations of each grasp, the unchanged one included."""
     timestep: float = 0.01
-    """Of physics [s]."""
+    """Physics step [s]."""
     hold_time: float = 2.0
-    """[s]; the dynamic test has 3."""
+    """Time that the object has to be held [s]; the lift test has 3."""
     early: int = 5
-    """Trials begin this many control steps before the fingers close."""
+    """Control steps before the fingers close at which episodes begin."""
     chunk: int = 512
-    """Trials at once."""
+    """Episodes simulated together."""
     networks: int = 4
-    """Whose mean is the critic."""
+    """Networks whose mean is the predictor."""
     hidden: tuple[int, int] = (256, 128)
     """Units of a network's hidden layers."""
     dropout: float = 0.3

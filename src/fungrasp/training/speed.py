@@ -13,22 +13,21 @@ import numpy as np
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
+from fungrasp.planning import MotionPlanner
+from fungrasp.policies import StudentPolicy
 from fungrasp.policies.checkpoint.card import Budget
 from fungrasp.policies.checkpoint.checkpoint_file import load_policy
 from fungrasp.policies.checkpoint.network import PolicyNetwork
-from fungrasp.policies.residual_policy import LearnedPolicy
-from fungrasp.simulation import Worlds, build_scene
-from fungrasp.task import Action, LiftTask
-from fungrasp.task.setpoints import SetPoints
+from fungrasp.simulation import build_scene
+from fungrasp.simulation.bare_stepping import recorded_steps, step_bare
+from fungrasp.task import Action, LiftEnvironment
+from fungrasp.task.setpoints import SetpointSequence
 from fungrasp.training.distill import make_student
-from fungrasp.training.environment import EnvironmentSettings, LiftEnvironment
+from fungrasp.training.environment import EnvironmentSettings, TrainingEnvironment
 from fungrasp.training.export import export_student, make_card
-from fungrasp.training.library import Library
+from fungrasp.training.plan_library import PlanLibrary
 from fungrasp.training.ppo import Trainer
 from fungrasp.training.settings import PpoSettings
-
-Call = tuple[np.ndarray, int, np.ndarray | None]
-"""Controls, physics steps and worlds of one call of the engine."""
 
 
 @dataclass(frozen=True)
@@ -80,7 +79,7 @@ class ActingSpeed:
 
 
 def environment_speed(
-    library: Library,
+    library: PlanLibrary,
     objects: Mapping[str, ObjectModel],
     hand: Hand,
     settings: EnvironmentSettings,
@@ -102,44 +101,31 @@ def environment_speed(
         threads: 0 means all processors.
         progress: called with the control steps that are done.
     """
-    told, timed = (LiftEnvironment(library, objects, hand, settings, seed, threads) for _ in range(2))
+    told, timed = (TrainingEnvironment(library, objects, hand, settings, seed, threads) for _ in range(2))
     rng = np.random.default_rng(seed)
-    calls: list[Call] = []
-    engine = told.task.worlds.step
-
-    def recorded(substeps: int, which: np.ndarray | None = None) -> None:
-        calls.append((told.task.worlds.ctrl.copy(), substeps, which))
-        engine(substeps, which)
-
-    told.task.worlds.step = recorded
     seconds = {"environment": 0.0, "bare": 0.0}
     physics = 0
-    for step in range(steps):
-        action = rng.normal(scale=0.15, size=(settings.worlds, told.actions))
-        calls.clear()
-        told.step(action)
-        worlds = timed.task.worlds
-        before = _state(worlds)
-        start = perf_counter()
-        for ctrl, substeps, which in calls:
-            worlds.ctrl[:] = ctrl
-            worlds.batch.step(which, nstep=substeps)
-        seconds["bare"] += perf_counter() - start
-        for array, value in before:
-            array[:] = value
-        worlds.forward()
-        start = perf_counter()
-        timed.step(action)
-        seconds["environment"] += perf_counter() - start
-        physics = sum(substeps for _, substeps, _ in calls)
-        progress(step + 1)
+    engine = timed.episodes.engine
+    with recorded_steps(told.episodes.engine) as calls:
+        for step in range(steps):
+            action = rng.normal(scale=0.15, size=(settings.worlds, told.actions))
+            calls.clear()
+            told.step(action)
+            before = engine.get_state()
+            seconds["bare"] += step_bare(engine, calls)
+            engine.restore(before)
+            start = perf_counter()
+            timed.step(action)
+            seconds["environment"] += perf_counter() - start
+            physics = sum(number for _, number, _ in calls)
+            progress(step + 1)
     count = steps * settings.worlds
-    same = np.array_equal(told.task.worlds.qpos, timed.task.worlds.qpos)
+    same = np.array_equal(told.episodes.engine.positions, engine.positions)
     speeds = count / seconds["environment"], count / seconds["bare"]
     return EnvironmentSpeed(settings.worlds, physics, *speeds, identical=same)
 
 
-def update_speed(environment: LiftEnvironment, settings: PpoSettings, updates: int = 2) -> UpdateSpeed:
+def update_speed(environment: TrainingEnvironment, settings: PpoSettings, updates: int = 2) -> UpdateSpeed:
     """Collect and learn for a few updates, after a first one that does not count."""
     trainer = Trainer(environment, settings)
     trainer.learn(1)
@@ -178,32 +164,34 @@ def acting_speed(
         hand: the robot hand.
     """
     scene = build_scene(hand, {name: objects[name] for name in grasp.object_name.tolist()})
-    worlds = Worlds(scene, np.zeros(1, dtype=int), grasp.object_mass, threads=1)
-    task = LiftTask(scene, grasp, worlds)
-    task.reset()
-    policy = LearnedPolicy(task, objects, network)
-    set_points = task.set_points
-    acting, control = [], []
+    environment = LiftEnvironment(scene, 1, threads=1)
+    plan = MotionPlanner(hand, objects).plan(grasp, environment.settle(grasp))
+    policy, task = StudentPolicy(network, hand, objects), environment.task
+    generate, control = task.advance_setpoints, []
 
-    def timed(action: Action) -> SetPoints:
+    def timed(action: Action) -> SetpointSequence:
         start = process_time()
-        points = set_points(action)
+        sequence = generate(action)
         control.append(process_time() - start)
-        return points
+        return sequence
 
-    task.set_points = timed
+    task.advance_setpoints = timed
+    acting = []
+    observation = environment.observe()
+    policy.reset(plan, observation)
     while not task.done.all():
         start = process_time()
-        action = policy.act()
+        action = policy.act(observation)
         acting.append(process_time() - start)
-        task.step(action)
+        environment.step(action)
+        observation = environment.observe()
     return ActingSpeed(1e3 * float(np.median(acting)), 1e3 * float(np.median(control)))
 
 
-def untrained_student(library: Library, objects: Mapping[str, ObjectModel], hand: Hand) -> PolicyNetwork:
+def untrained_student(library: PlanLibrary, objects: Mapping[str, ObjectModel], hand: Hand) -> PolicyNetwork:
     """A student as it is before it has learned anything, as loaded from its file."""
     settings = EnvironmentSettings(worlds=1, history=True)
-    environment = LiftEnvironment(library, objects, hand, settings, threads=1)
+    environment = TrainingEnvironment(library, objects, hand, settings, threads=1)
     card = make_card(
         "untrained",
         "student",
@@ -218,10 +206,3 @@ def untrained_student(library: Library, objects: Mapping[str, ObjectModel], hand
         path = Path(folder) / "untrained.onnx"
         export_student(make_student(environment), path, card)
         return load_policy(path)
-
-
-def _state(worlds: Worlds) -> list[tuple[np.ndarray, np.ndarray]]:
-    """State arrays and their current values."""
-    warmstart = worlds.batch.bind("qacc_warmstart")
-    arrays = [worlds.qpos, worlds.qvel, worlds.ctrl, worlds.mocap_pos, worlds.mocap_quat, warmstart]
-    return [(array, array.copy()) for array in arrays]

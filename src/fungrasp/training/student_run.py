@@ -19,12 +19,12 @@ from fungrasp.objects import ObjectModel, load_object
 from fungrasp.policies.checkpoint.card import Budget, PolicyCard, TrainingData
 from fungrasp.policies.checkpoint.checkpoint_file import SUFFIX, hand_digest
 from fungrasp.training.distill import DistillProgress, distill
-from fungrasp.training.environment import LiftEnvironment
+from fungrasp.training.environment import TrainingEnvironment
 from fungrasp.training.export import export_student, make_card
 from fungrasp.training.folder import RunFolder, git_revision, kept_library, machine
-from fungrasp.training.library import Library
+from fungrasp.training.plan_library import PlanLibrary
 from fungrasp.training.ppo import Trainer
-from fungrasp.training.run import PLANNED_FROM, REFERENCES, Log, RunSettings, checkpoint_digest, keep_beside
+from fungrasp.training.run import PLANNED_FROM, PLANS, Log, RunSettings, checkpoint_digest, keep_beside
 from fungrasp.training.settings import DistillSettings
 
 STUDENT = "student.onnx"
@@ -39,20 +39,20 @@ class TeacherRun:
     settings: RunSettings
     objects: Mapping[str, ObjectModel]
     """By name."""
-    library: Library
+    library: PlanLibrary
     data: tuple[TrainingData, ...]
     """What it was trained on."""
     licence: str
     plans: str
-    """Name of the critic whose plans it follows, a file beside it; none if empty."""
+    """Name of the success predictor whose plans it follows, a file beside it; none if empty."""
     shrink: float
     """Factor on its corrections, and on those of its students."""
 
-    def environment(self, seed: int, history: bool, threads: int = 0) -> LiftEnvironment:
+    def environment(self, seed: int, history: bool, threads: int = 0) -> TrainingEnvironment:
         """Worlds like those that it was trained in. history: whether observations hold a student's."""
         given = self.settings.environment
         settings = replace(given, history=history, residual=given.residual.shrunk(self.shrink))
-        return LiftEnvironment(self.library, self.objects, self.hand, settings, seed, threads)
+        return TrainingEnvironment(self.library, self.objects, self.hand, settings, seed, threads)
 
 
 def read_teacher(folder: Path, objects: Path | None = None) -> TeacherRun:
@@ -63,7 +63,7 @@ def read_teacher(folder: Path, objects: Path | None = None) -> TeacherRun:
         objects: folder of meshes; where they were when it was trained if None.
 
     Raises:
-        FungraspError: no training is there, its references are lost, or its hand or objects have changed.
+        FungraspError: no training is there, its plans are lost, or its hand or objects have changed.
     """
     run = RunFolder(folder)
     config = run.read_config()
@@ -83,15 +83,15 @@ def read_teacher(folder: Path, objects: Path | None = None) -> TeacherRun:
             things |= _objects(one["objects"], None if place is None else objects or Path(place), folder)
         data = tuple(TrainingData(one["name"], one["terms"], one["count"]) for one in wanted["sets"])
         planned_from = {name: wanted[name] for name in PLANNED_FROM}
-        references = Path(config["references"])
+        plan_file = Path(config["plan_file"])
         licence, plans, shrink = config["licence"], config["plans"], float(config["shrink"])
     except (KeyError, TypeError, ValueError) as error:
         if isinstance(error, FungraspError):
             raise
         raise FungraspError(f"{run.config} is damaged, or of another version of fungrasp") from error
-    here = folder / REFERENCES
+    here = folder / PLANS
     key = digest(__version__, json.dumps(planned_from))
-    library = kept_library(here if here.is_file() else references, key, lambda: _lost(folder))
+    library = kept_library(here if here.is_file() else plan_file, key, lambda: _lost(folder))
     return TeacherRun(run, hand, settings, things, library, data, licence, plans, shrink)
 
 
@@ -183,8 +183,8 @@ def train_student(
     return card
 
 
-def _lost(folder: Path) -> Library:
-    raise FungraspError(f"the references of {folder} are lost or damaged: run fungrasp train on it again")
+def _lost(folder: Path) -> PlanLibrary:
+    raise FungraspError(f"the plans of {folder} are lost or damaged: run fungrasp train on it again")
 
 
 def _objects(digests: Mapping[str, str], place: Path | None, folder: Path) -> dict[str, ObjectModel]:

@@ -1,29 +1,30 @@
-"""From simulation to reality: worlds that differ in what no policy is told."""
+"""From simulation to reality: worlds that differ from what is believed of them."""
 
-from fungrasp.transfer.delay import Delay, delay_steps
-from fungrasp.transfer.differences import Differences
-from fungrasp.transfer.physics import apply, move_table, push_objects, pushes
-from fungrasp.transfer.pose_noise import noisy_joints, noisy_object, noisy_wrist, offset_pose, shift_on_table
-from fungrasp.transfer.randomization import MILD, NONE, Randomisation, Range, Sample, Spread, sample
+from fungrasp.transfer.pose_noise import offset_pose, shift_on_table
+from fungrasp.transfer.randomization import (
+    MODERATE,
+    NOMINAL,
+    ROBUSTNESS,
+    WIDE,
+    EpisodeSample,
+    MeasurementError,
+    Randomization,
+    Range,
+    draw,
+    draw_each,
+)
 
 __all__ = [
-    "MILD",
-    "NONE",
-    "Delay",
-    "Differences",
-    "Randomisation",
+    "MODERATE",
+    "NOMINAL",
+    "ROBUSTNESS",
+    "WIDE",
+    "EpisodeSample",
+    "MeasurementError",
+    "Randomization",
     "Range",
-    "Sample",
-    "Spread",
-    "apply",
-    "delay_steps",
-    "move_table",
-    "noisy_joints",
-    "noisy_object",
-    "noisy_wrist",
+    "draw",
+    "draw_each",
     "offset_pose",
-    "push_objects",
-    "pushes",
-    "sample",
     "shift_on_table",
 ]

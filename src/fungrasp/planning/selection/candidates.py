@@ -1,160 +1,153 @@
-"""Plans of variations of grasps, and what a learned critic expects of them."""
+"""Candidates: planned variations of grasps, and what is known of them."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
-from fungrasp.objects import ObjectModel
-from fungrasp.planning.grasp_motion import plan_motion, raised
-from fungrasp.planning.references import References
-from fungrasp.planning.selection.predictor_features import plan_features
-from fungrasp.planning.selection.rollouts import Tally
-from fungrasp.planning.selection.variations import Spread, vary
-from fungrasp.policies.checkpoint.checkpoint_file import check_fits
-from fungrasp.policies.checkpoint.network import PolicyNetwork
-from fungrasp.task import LiftTask, Protocol
-from fungrasp.task.observation import flatten, layout
-
-STEP = 1e-4
-"""Poses are told in steps of so much [m, rad], so that what is settled anew is not planned anew."""
+from fungrasp.planning.planner import Planner
+from fungrasp.planning.selection.success_predictor import SuccessPredictor
+from fungrasp.planning.selection.variations import VariationSpread, vary
+from fungrasp.task import Belief, GraspPlan
 
 
 @dataclass(frozen=True, eq=False)
-class Start:
-    """What N grasps are planned from; tables are at zero here."""
+class CandidateStatistics:
+    """What is known of K candidates of each of G grasps; all arrays have the shape [K, G]."""
 
-    grasps: RobotGraspSet
-    settled_pose: np.ndarray
-    """Of the objects, world frame, shape [N, 7]."""
-    palm: np.ndarray
-    """World frame, shape [N, 7]."""
-    fingers: np.ndarray
-    """Independent joints [rad], shape [N, U]."""
+    expected: np.ndarray
+    """Success that the predictor expects."""
+    prior: float
+    """Number of rollouts that its expectation stands for."""
+    tried: np.ndarray
+    """Number of rollouts."""
+    held: np.ndarray
+    """Number of those that succeeded."""
+    bonus: np.ndarray
+    """Sum over the rollouts of what counts besides success."""
 
     @classmethod
-    def of(cls, task: LiftTask, table: np.ndarray) -> Start:
-        """That of a task that has been reset. table: its height under each object [m], shape [N]."""
-        return cls(
-            task.grasps,
-            _in_steps(raised(task.settled_pose, -table)),
-            _in_steps(raised(task.set_point.pose, -table)),
-            _rounded(task.finger_set_point),
-        )
+    def untried(cls, expected: np.ndarray, prior: float) -> CandidateStatistics:
+        """Before any rollout."""
+        return cls(expected, prior, *(np.zeros(expected.shape) for _ in range(3)))
 
-    def __len__(self) -> int:
-        return len(self.grasps)
+    @property
+    def success(self) -> np.ndarray:
+        """Success expected after the rollouts: their mean with the prior's rollouts added."""
+        return (self.held + self.prior * self.expected) / (self.tried + self.prior)
 
-    def select(self, rows: np.ndarray) -> Start:
-        """Some of them."""
-        return Start(self.grasps.select(rows), self.settled_pose[rows], self.palm[rows], self.fingers[rows])
+    @property
+    def order(self) -> np.ndarray:
+        """Candidates of each grasp, the best first."""
+        score = self.success + self.bonus / np.maximum(self.tried, 1)
+        return np.argsort(-score, axis=0, kind="stable")
 
+    def add(self, candidates: np.ndarray, success: np.ndarray, bonus: np.ndarray) -> None:
+        """Count rollouts.
 
-def _rounded(values: np.ndarray) -> np.ndarray:
-    return STEP * np.round(values / STEP) + 0.0  # no -0.0, which would look like another place
+        Args:
+            candidates: of each grasp, shape [P, G].
+            success: of as many rollouts of each, P G candidates in turn.
+            bonus: likewise.
+        """
+        grasps = np.arange(candidates.shape[1])
+        self.tried[candidates, grasps] += len(bonus) // candidates.size
+        self.held[candidates, grasps] += success.reshape(*candidates.shape, -1).sum(axis=2)
+        self.bonus[candidates, grasps] += bonus.reshape(*candidates.shape, -1).sum(axis=2)
 
+    def select(self, candidates: np.ndarray, grasps: np.ndarray) -> CandidateStatistics:
+        """Of candidates [P, S] of some grasps [S]."""
+        return self._each(lambda name: getattr(self, name)[candidates, grasps])
 
-def _in_steps(pose: np.ndarray) -> np.ndarray:
-    told = _rounded(pose)
-    told[:, 3:] /= np.linalg.norm(told[:, 3:], axis=1, keepdims=True)
-    return told
+    def join(self, other: CandidateStatistics) -> CandidateStatistics:
+        """With more candidates of the same grasps."""
+        return self._each(lambda name: np.concatenate([getattr(self, name), getattr(other, name)]))
+
+    def _each(self, values: Callable[[str], np.ndarray]) -> CandidateStatistics:
+        """With another array in the place of each."""
+        return replace(self, **{name: values(name) for name in ("expected", "tried", "held", "bonus")})
 
 
 @dataclass(frozen=True, eq=False)
-class Pool:
-    """K plans of each of G grasps, those of one variation after those of another."""
+class Candidates:
+    """K candidates of each of G grasps, those of one variation after those of another: candidate k of grasp g
+    is row k G + g."""
 
     grasps: RobotGraspSet
     """As varied, K G of them."""
-    plans: References
+    plans: GraspPlan
     """K G of them."""
-    tally: Tally
+    beliefs: Belief
+    """Of the grasps' scenes, G of them."""
+    statistics: CandidateStatistics
     """Shape [K, G]."""
 
-    def best(self) -> tuple[References, np.ndarray]:
+    def best(self) -> tuple[GraspPlan, np.ndarray]:
         """The best plan of each grasp, and the success expected of it, shape [G]."""
-        count = self.tally.expected.shape[1]
-        best, grasps = self.tally.order[0], np.arange(count)
-        return self.plans.select(best * count + grasps), self.tally.success[best, grasps]
+        count = self.statistics.expected.shape[1]
+        best, grasps = self.statistics.order[0], np.arange(count)
+        return self.plans.select(best * count + grasps), self.statistics.success[best, grasps]
 
-    def among_best(self, number: int, grasps: np.ndarray) -> Pool:
-        """So many plans, the best, of some grasps."""
-        best = self.tally.order[:number, grasps]
-        rows = (best * self.tally.expected.shape[1] + grasps).ravel()
-        return Pool(self.grasps.select(rows), self.plans.select(rows), self.tally.select(best, grasps))
+    def among_best(self, number: int, grasps: np.ndarray) -> Candidates:
+        """The best so many candidates of some grasps."""
+        best = self.statistics.order[:number, grasps]
+        rows = (best * self.statistics.expected.shape[1] + grasps).ravel()
+        return Candidates(
+            self.grasps.select(rows),
+            self.plans.select(rows),
+            self.beliefs.select(grasps),
+            self.statistics.select(best, grasps),
+        )
 
-    def join(self, other: Pool) -> Pool:
-        """With more plans of the same grasps."""
-        return Pool(
+    def join(self, other: Candidates) -> Candidates:
+        """With more candidates of the same grasps."""
+        return Candidates(
             RobotGraspSet.concatenate([self.grasps, other.grasps]),
-            References.join([self.plans, other.plans]),
-            self.tally.join(other.tally),
+            GraspPlan.join([self.plans, other.plans]),
+            self.beliefs,
+            self.statistics.join(other.statistics),
         )
 
 
 def propose(
-    start: Start,
+    planner: Planner,
+    predictor: SuccessPredictor,
+    hand: Hand,
+    beliefs: Belief,
     grasps: RobotGraspSet,
     attempts: np.ndarray,
-    search: int,
-    spread: Spread,
+    spread: VariationSpread,
     seed: int,
-    objects: Mapping[str, ObjectModel],
-    hand: Hand,
-    protocol: Protocol,
-    critic: PolicyNetwork,
+    search: int,
     prior: float,
     chunk: int,
-) -> Pool:
-    """Plan variations.
+) -> Candidates:
+    """Plan variations of grasps.
 
     Args:
-        start: of G grasps.
+        planner: of single motions.
+        predictor: says what to expect of them.
+        hand: of the grasps.
+        beliefs: of G grasps.
         grasps: to vary, G after G, K G of them.
         attempts: number of each variation, shape [K G].
-        search: another number of the variations.
         spread: of the variations.
         seed: of the variations.
-        objects: by name.
-        hand: of the grasps.
-        protocol: of the motions.
-        critic: says what to expect.
-        prior: trials that its expectation stands for.
+        search: another number of the variations.
+        prior: number of rollouts that the expectation stands for.
         chunk: plans made together.
     """
-    count = len(start)
+    count = len(beliefs)
     where = np.resize(np.arange(count), len(grasps))
     varied = vary(grasps, hand, np.full(len(grasps), search), attempts, seed, spread)
     plans, expected = [], []
     for first in range(0, len(grasps), chunk):
-        part = slice(first, first + chunk)
-        told, some = start.select(where[part]), varied.select(part)
-        motion = plan_motion(
-            hand, some, objects, told.settled_pose, told.palm, told.fingers, protocol=protocol
-        )
-        plans.append(References.of(motion, some, told.settled_pose, hand))
-        expected.append(expect(critic, hand, plans[-1], objects, 1 / protocol.control_period))
-    tally = Tally.untried(np.concatenate(expected).reshape(-1, count), prior)
-    return Pool(varied, References.join(plans), tally)
-
-
-def expect(
-    critic: PolicyNetwork, hand: Hand, plans: References, objects: Mapping[str, ObjectModel], rate: float
-) -> np.ndarray:
-    """Expected success of plans, in [0, 1], shape [N].
-
-    Args:
-        critic: of the kind "critic".
-        hand: of the plans.
-        plans: N of them.
-        objects: by name.
-        rate: of control [Hz].
-    """
-    parts = plan_features(plans, objects)
-    check_fits(critic.card, hand, layout(parts), (), rate)
-    value, _, _ = critic(np.nan_to_num(flatten(parts)).astype(np.float32))
-    return value[:, 0]
+        rows = slice(first, first + chunk)
+        plans.append(planner.plan(varied.select(rows), beliefs.select(where[rows])))
+        expected.append(predictor(plans[-1]))
+    statistics = CandidateStatistics.untried(np.concatenate(expected).reshape(-1, count), prior)
+    return Candidates(varied, GraspPlan.join(plans), beliefs, statistics)

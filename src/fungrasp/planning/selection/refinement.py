@@ -1,5 +1,4 @@
-"""References that physics has agreed to: variations of a grasp are tried in simulation and the best is
-kept."""
+"""Grasps that hold in simulation: variations of a grasp are tried in the lift test and the best is kept."""
 
 from __future__ import annotations
 
@@ -13,25 +12,25 @@ from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.objects import ObjectModel
-from fungrasp.planning.selection.variations import Spread, vary, with_settings
-from fungrasp.policies.registry import play
-from fungrasp.policies.scripted import ReferenceController
-from fungrasp.simulation import Scene, Worlds, build_scene
-from fungrasp.task import LiftTask, Trials
+from fungrasp.planning.grasp_motion import MotionPlanner
+from fungrasp.planning.selection.variations import VariationSpread, vary, with_settings
+from fungrasp.simulation import Scene, build_scene
+from fungrasp.task import LiftEnvironment, Outcomes, Policy, play
 
 ROUND = 3
 """Variations tried at once for a grasp that has not succeeded yet."""
 
 
-def refine(
+def refine_grasps(
     grasps: RobotGraspSet,
     objects: Mapping[str, ObjectModel],
     hand: Hand,
+    policy: Policy,
     *,
     tries: int,
     seed: int = 0,
     threads: int = 0,
-    spread: Spread | None = None,
+    spread: VariationSpread | None = None,
     progress: Callable[[int], None] = lambda count: None,
 ) -> RobotGraspSet:
     """Try variations of each grasp in the dynamic test until one succeeds; keep the best.
@@ -44,6 +43,7 @@ def refine(
         grasps: N grasps of ``hand``.
         objects: by name.
         hand: the robot hand.
+        policy: what follows the plans.
         tries: most trials per grasp, the unchanged grasp included.
         seed: of the random numbers.
         threads: 0 means all processors.
@@ -51,10 +51,10 @@ def refine(
         progress: called with the number of grasps that are finished.
 
     Returns:
-        N grasps; ``extra`` has the controller's settings of each (``ReferenceController``) and
+        N grasps; ``extra`` has the controller's settings of each (``MotionPlanner``) and
         ``refined_tries``, the number of trials it took, negative where none succeeded.
     """
-    spread = spread or Spread()
+    spread = spread or VariationSpread()
     scene = build_scene(hand, objects)
     best = with_settings(grasps)
     score = np.full(len(grasps), -np.inf)
@@ -77,14 +77,14 @@ def refine(
                 seed,
                 spread,
             )
-        trials = _try(scene, proposals, objects, threads)
-        value = _score(trials).reshape(len(rows), number)
+        outcomes = _try(scene, proposals, objects, policy, threads)
+        value = _score(outcomes).reshape(len(rows), number)
         winner = np.argmax(value, axis=1) + number * np.arange(len(rows))
         better = np.flatnonzero(value.max(axis=1) > score[rows])
         best = _put(best, rows[better], proposals.select(winner[better]))
         score[rows] = np.maximum(score[rows], value.max(axis=1))
         used[rows] += number
-        solved[rows] |= trials.success.reshape(len(rows), number).any(axis=1)
+        solved[rows] |= outcomes.success.reshape(len(rows), number).any(axis=1)
         done += number
         progress(int(solved[rows].sum()))
     progress(int((~solved).sum()))
@@ -96,27 +96,29 @@ def refine(
 
 
 def _try(
-    scene: Scene, grasps: RobotGraspSet, objects: Mapping[str, ObjectModel], threads: int, chunk: int = 256
-) -> Trials:
+    scene: Scene,
+    grasps: RobotGraspSet,
+    objects: Mapping[str, ObjectModel],
+    policy: Policy,
+    threads: int,
+    chunk: int = 256,
+) -> Outcomes:
+    planner = MotionPlanner(scene.hand, objects)
     results = []
     for start in range(0, len(grasps), chunk):
         part = grasps.select(np.arange(start, min(start + chunk, len(grasps))))
-        index = scene.indices(part.object_name.tolist())
-        task = LiftTask(scene, part, Worlds(scene, index, part.object_mass, threads=threads))
-        task.reset()
-        results.append(play(task, ReferenceController(task, objects)))
-    return Trials(
-        *(np.concatenate([getattr(r, name) for r in results]) for name in Trials.__dataclass_fields__)
-    )
+        environment = LiftEnvironment(scene, len(part), threads=threads)
+        results.append(play(environment, policy, planner.plan(part, environment.settle(part))))
+    return Outcomes.join(results)
 
 
-def _score(trials: Trials) -> np.ndarray:
-    lifted = np.clip(np.nan_to_num(trials.lifted_height_m, posinf=0.0), -0.1, 0.1)
+def _score(outcomes: Outcomes) -> np.ndarray:
+    lifted = np.clip(np.nan_to_num(outcomes.lifted_height_m, posinf=0.0), -0.1, 0.1)
     return (
-        10.0 * trials.success
-        + trials.contact_ratio
+        10.0 * outcomes.success
+        + outcomes.contact_ratio
         + 10.0 * lifted
-        - 0.01 * trials.sim_distance_hand_mm_s.clip(0, 50)
+        - 0.01 * outcomes.sim_distance_hand_mm_s.clip(0, 50)
     )
 
 

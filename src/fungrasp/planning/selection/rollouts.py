@@ -1,228 +1,165 @@
-"""Plans tried in a simulation of the policy's own before it acts, in worlds that differ from what it was
-told: those that hold in most of them are good plans, and not only lucky ones."""
+"""Plans tried in simulation before one is followed, in worlds that differ from what is believed: those that
+hold in most of them are good plans, and not only lucky ones."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from fungrasp.geometry.poses import compose
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
-from fungrasp.planning.references import References, begin_on_way
-from fungrasp.simulation import Scene, SceneSettings, Worlds, build_scene
-from fungrasp.task import Action, LiftTask, Protocol
-from fungrasp.transfer import MILD, Differences, Randomisation
-from fungrasp.transfer.randomization import Sample, Spread, sample
+from fungrasp.planning.selection.candidates import Candidates
+from fungrasp.records import BatchRecord
+from fungrasp.simulation import Scene, SceneSettings, build_scene
+from fungrasp.task import Belief, GraspPlan, LiftEnvironment, LiftProtocol, Policy, play
+from fungrasp.transfer import MODERATE, EpisodeSample, MeasurementError, Randomization, draw
 
-Actor = Callable[[LiftTask, References, Differences], Callable[[], Action]]
-"""Makes what acts in trials that have begun, from a reference for each world and sensors that err."""
 Rounds = tuple[tuple[int, int], ...]
-"""In each round, how many plans of a grasp are tried, the best so far, and how often each."""
+"""In each round, how many candidates of a grasp are tried, the best so far, and how often each."""
 
-LOST_HEIGHT = 0.03
-"""An object lower than this a while after the lift began is lost [m]."""
-LOST_AFTER = 1.0
-"""[s]"""
-MOST_SLIP = 10.0
-"""[mm/s]"""
+LARGEST_SLIP = 10.0
+"""Slip beyond this counts no more [mm/s]."""
 
 
 @dataclass(frozen=True)
-class RehearsalSettings:
-    """Of the trials before a grasp."""
+class RolloutSettings:
+    """How plans are tried."""
 
-    randomisation: Randomisation = MILD
-    """What differs from what the policy was told. It sees none of it."""
+    randomization: Randomization = MODERATE
+    """How worlds differ from what is believed; the policy sees none of it."""
     timestep: float = 0.01
-    """Of physics [s]."""
+    """Physics step [s]."""
     hold_time: float = 2.0
-    """[s]."""
+    """Time that the object has to be held [s]."""
     early: int = 4
-    """Trials begin this many control steps before the fingers close."""
+    """Control steps before the fingers close at which rollouts begin."""
     contact: float = 0.1
     """Weight of the contact ratio against success."""
     slip: float = 0.01
-    """Weight of the slip against success [s/mm]; ten millimetres a second count at most."""
+    """Weight of the slip against success [s/mm]."""
     chunk: int = 512
-    """Trials at once."""
+    """Rollouts simulated together."""
 
 
 @dataclass(frozen=True, eq=False)
-class Outcome:
-    """Of T trials."""
+class RolloutResults(BatchRecord):
+    """Of R rollouts."""
 
     success: np.ndarray
-    """Shape [T] bool."""
+    """Whether the object was held, shape [R] bool."""
     contact_ratio: np.ndarray
-    """Zero for lost objects, shape [T]."""
+    """Share of the target links in contact during the hold; zero for lost objects, shape [R]."""
     slip: np.ndarray
-    """In the hand [mm/s], zero for lost objects, shape [T]."""
+    """Displacement in the hand during the hold [mm/s]; zero for lost objects, shape [R]."""
 
 
-def blind(task: LiftTask, plans: References, sensors: Differences) -> Callable[[], Action]:
-    """An ``Actor`` that does what is planned, wherever the object is."""
-
-    def act() -> Action:
-        goal, fingers = plans.motion.at(task.control_step)
-        return Action(compose(plans.settled_pose, goal), fingers, task.control_step >= plans.motion.lift)
-
-    return act
-
-
-@dataclass(frozen=True, eq=False)
-class Tally:
-    """What is known of K plans of each of W grasps; all arrays have the shape [K, W]."""
-
-    expected: np.ndarray
-    """Success that a critic expects."""
-    prior: float
-    """Trials that its expectation stands for."""
-    tried: np.ndarray
-    """Trials."""
-    held: np.ndarray
-    """Those that succeeded."""
-    bonus: np.ndarray
-    """Sum over the trials of what counts besides success."""
-
-    @classmethod
-    def untried(cls, expected: np.ndarray, prior: float) -> Tally:
-        """Before any trial."""
-        return cls(expected, prior, *(np.zeros(expected.shape) for _ in range(3)))
-
-    @property
-    def success(self) -> np.ndarray:
-        """Expected after the trials."""
-        return (self.held + self.prior * self.expected) / (self.tried + self.prior)
-
-    @property
-    def order(self) -> np.ndarray:
-        """Plans of each grasp, the best first."""
-        score = self.success + self.bonus / np.maximum(self.tried, 1)
-        return np.argsort(-score, axis=0, kind="stable")
-
-    def add(self, plans: np.ndarray, outcome: Outcome, bonus: np.ndarray) -> None:
-        """Count trials. plans: of each grasp, shape [P, W]; outcome and bonus: as often each, P W in turn."""
-        grasps = np.arange(plans.shape[1])
-        self.tried[plans, grasps] += len(bonus) // plans.size
-        self.held[plans, grasps] += outcome.success.reshape(*plans.shape, -1).sum(axis=2)
-        self.bonus[plans, grasps] += bonus.reshape(*plans.shape, -1).sum(axis=2)
-
-    def select(self, plans: np.ndarray, grasps: np.ndarray) -> Tally:
-        """Of plans [P, G] of some grasps [G]."""
-        return self._each(lambda name: getattr(self, name)[plans, grasps])
-
-    def join(self, other: Tally) -> Tally:
-        """With more plans of the same grasps."""
-        return self._each(lambda name: np.concatenate([getattr(self, name), getattr(other, name)]))
-
-    def _each(self, values: Callable[[str], np.ndarray]) -> Tally:
-        """With another array in the place of each."""
-        return replace(self, **{name: values(name) for name in ("expected", "tried", "held", "bonus")})
-
-
-def rehearse(
-    plans: References,
-    tally: Tally,
+def try_candidates(
+    candidates: Candidates,
     rounds: Rounds,
     objects: Mapping[str, ObjectModel],
     hand: Hand,
-    settings: RehearsalSettings | None = None,
-    seed: Sequence[int] = (0,),
+    policy: Policy,
+    settings: RolloutSettings,
+    seed: Sequence[int],
     threads: int = 0,
-    actor: Actor = blind,
 ) -> None:
-    """Try the most promising plans of each grasp in differing worlds.
+    """Try the most promising candidates of each grasp, and count how they did.
 
-    All plans meet the same differences, so what is found of a grasp does not depend on the others.
+    All candidates meet the same differences, so what is found of a grasp does not depend on the others.
 
     Args:
-        plans: of W grasps K each, those of one variation after those of another, length K W.
-        tally: of these plans; the trials are added to it.
-        rounds: of the trials, at least one.
+        candidates: K of each of G grasps; their statistics are updated.
+        rounds: of the rollouts, at least one.
         objects: by name.
         hand: of the plans.
-        settings: the defaults if None.
+        policy: what follows the plans.
+        settings: of the rollouts.
         seed: of the differences.
         threads: 0 means all processors.
-        actor: of what acts in the trials.
     """
-    s = settings or RehearsalSettings()
-    count = tally.expected.shape[1]
-    names = sorted(set(plans.object_name.tolist()))
-    scene = build_scene(hand, {name: objects[name] for name in names}, SceneSettings(timestep=s.timestep))
-    trials = sum(each for _, each in rounds)
-    drawn = sample(s.randomisation, trials, len(hand.joint_names), np.random.default_rng(seed))
-    among, done = tally.order, 0
+    s, plans, statistics = settings, candidates.plans, candidates.statistics
+    count = statistics.expected.shape[1]
+    scene = _scene(plans, objects, hand, s.timestep)
+    number = sum(each for _, each in rounds)
+    sample = draw(s.randomization, number, len(hand.joint_names), np.random.default_rng(seed))
+    pose_errors = np.random.default_rng([*seed, 1]).normal(size=(number, 6))
+    best, done = statistics.order, 0
     for most, each in rounds:
-        among = np.take_along_axis(among, tally.select(among, np.arange(count)).order, axis=0)[:most]
-        flat = (among * count + np.arange(count)).ravel()
+        best = np.take_along_axis(best, statistics.select(best, np.arange(count)).order, axis=0)[:most]
+        # Candidates lie one variation after the other: candidate k of grasp g is row k G + g.
+        flat = (best * count + np.arange(count)).ravel()
         rows, draws = np.repeat(flat, each), np.tile(done + np.arange(each), len(flat))
-        outcome = _trials(plans, rows, drawn, draws, scene, s, threads, actor)
-        slip = np.minimum(outcome.slip, MOST_SLIP)
-        tally.add(among, outcome, s.contact * outcome.contact_ratio - s.slip * slip)
+        beliefs = candidates.beliefs.select(rows % count)
+        drawn = _with_believed_errors(sample.select(draws), beliefs, pose_errors[draws])
+        found = roll_out(plans.select(rows), beliefs, drawn, scene, policy, s, threads)
+        slip = np.minimum(found.slip, LARGEST_SLIP)
+        statistics.add(best, found.success, s.contact * found.contact_ratio - s.slip * slip)
         done += each
 
 
-def _trials(
-    plans: References,
-    rows: np.ndarray,
-    drawn: Sample,
-    draws: np.ndarray,
+def roll_out(
+    plans: GraspPlan,
+    beliefs: Belief,
+    sample: EpisodeSample,
     scene: Scene,
-    s: RehearsalSettings,
-    threads: int,
-    actor: Actor,
-) -> Outcome:
-    """Of plans [T] in worlds that were drawn [T]."""
-    index = scene.indices(plans.object_name.tolist())
-    protocol = replace(Protocol(), hold_time=s.hold_time)
-    results = []
-    for first in range(0, len(rows), s.chunk):
-        part = rows[first : first + s.chunk]
-        told, ids = plans.select(part), np.arange(len(part))
-        worlds = Worlds(scene, index[part], told.mass, threads=threads)
-        task = LiftTask(scene, told.grasps(scene.hand), worlds, protocol)
-        worlds.reset()
-        differences = Differences(_steady(s.randomisation), worlds, np.random.default_rng(0))
-        differences.begin(ids, index[part], told.mass, drawn.select(draws[first : first + s.chunk]))
-        task.latency[:] = differences.latency(ids, protocol.control_period)
-        placed = differences.placed(ids, told.settled_pose)
-        begin_on_way(task, ids, told, ids, np.maximum(told.motion.closing - s.early, 0), placed)
-        results.append(try_out(task, actor(task, told, differences), differences.push))
-    return Outcome(
-        *(np.concatenate([getattr(part, field.name) for part in results]) for field in fields(Outcome))
-    )
-
-
-def _steady(randomisation: Randomisation) -> Randomisation:
-    """Without jitter, so that a trial does not depend on which others run beside it."""
-    errors = {f.name: getattr(randomisation, f.name) for f in fields(Randomisation)}
-    return replace(
-        randomisation, **{k: replace(v, jitter=0.0) for k, v in errors.items() if isinstance(v, Spread)}
-    )
-
-
-def try_out(
-    task: LiftTask, act: Callable[[], Action], disturb: Callable[[np.ndarray], None] = lambda since: None
-) -> Outcome:
-    """Play trials that have begun, and end those whose object was lost early.
+    policy: Policy,
+    settings: RolloutSettings,
+    threads: int = 0,
+) -> RolloutResults:
+    """Try R plans once each.
 
     Args:
-        task: in W worlds.
-        act: what to do in the next control period.
-        disturb: called before each period with the time since the lift began [s], shape [W].
+        plans: R of them.
+        beliefs: of their scenes, R rows.
+        sample: what differs in each, R rows.
+        scene: with the plans' objects.
+        policy: what follows the plans.
+        settings: of the rollouts.
+        threads: 0 means all processors.
     """
-    lost = np.zeros(len(task.worlds), dtype=bool)
-    while not task.done.all():
-        disturb(task.time - task.lift_time)
-        task.step(act())
-        height = task.worlds.center_of_mass[:, 2] - task.settled_height
-        gone = ((task.time - task.lift_time > LOST_AFTER) & (height < LOST_HEIGHT)) | ~np.isfinite(height)
-        lost |= gone & ~task.done
-        task.done |= gone
-    trials = task.trials()
-    measured = trials.contact_ratio, trials.sim_distance_hand_mm_s
-    return Outcome(trials.success & ~lost, *(np.where(lost, 0.0, np.nan_to_num(m)) for m in measured))
+    s = settings
+    protocol = replace(LiftProtocol(), hold_time=s.hold_time)
+    randomization = _without_jitter(s.randomization)
+    results = []
+    for first in range(0, len(plans), s.chunk):
+        rows = slice(first, first + s.chunk)
+        some = plans.select(rows)
+        ids = np.arange(len(some))
+        environment = LiftEnvironment(scene, len(ids), randomization, protocol, threads=threads)
+        step = np.maximum(some.closing_step - s.early, 0)
+        environment.begin(ids, some, step, sample.select(rows), beliefs.select(rows))
+        outcomes = play(environment, policy, some, end_lost=True)
+        lost = outcomes.reason == "lost before the hold"
+        measured = outcomes.contact_ratio, outcomes.sim_distance_hand_mm_s
+        results.append(
+            RolloutResults(outcomes.success, *(np.where(lost, 0.0, np.nan_to_num(m)) for m in measured))
+        )
+    return RolloutResults.join(results)
+
+
+def _scene(plans: GraspPlan, objects: Mapping[str, ObjectModel], hand: Hand, timestep: float) -> Scene:
+    names = sorted(set(plans.object_name.tolist()))
+    return build_scene(hand, {name: objects[name] for name in names}, SceneSettings(timestep=timestep))
+
+
+def _without_jitter(randomization: Randomization) -> Randomization:
+    """So that a rollout does not depend on which others run beside it."""
+    errors = {f.name: getattr(randomization, f.name) for f in fields(Randomization)}
+    still = {n: replace(e, jitter=0.0) for n, e in errors.items() if isinstance(e, MeasurementError)}
+    return replace(randomization, **still, tracker_dropout=0.0)
+
+
+def _with_believed_errors(sample: EpisodeSample, beliefs: Belief, z: np.ndarray) -> EpisodeSample:
+    """Object pose errors as large as the belief says they may be: ``e = L z`` with ``L L^T`` its covariance.
+
+    Args:
+        sample: R rows; returned as it is if the belief knows no covariance.
+        beliefs: R rows.
+        z: standard normal numbers, shape [R, 6].
+    """
+    if beliefs.object_pose_covariance is None:
+        return sample
+    factor = np.linalg.cholesky(beliefs.object_pose_covariance + 1e-12 * np.eye(6))
+    return replace(sample, object_bias=np.einsum("rij,rj->ri", factor, z))

@@ -1,220 +1,218 @@
-"""Of many variations of a grasp, the one that holds best: a learned critic names the promising plans, and
-rehearsals decide between them."""
+"""Of many candidates of a grasp, the one that holds best: a learned predictor names the promising ones, and
+simulated rollouts decide between them."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
 
 from fungrasp.errors import FungraspError
 from fungrasp.files import digest
+from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
-from fungrasp.planning.grasp_motion import table_height
-from fungrasp.planning.references import References
-from fungrasp.planning.selection.candidates import Start, propose
-from fungrasp.planning.selection.rollouts import Actor, RehearsalSettings, Rounds, blind, rehearse
-from fungrasp.planning.selection.variations import Spread, with_settings
-from fungrasp.policies.checkpoint.network import PolicyNetwork
-from fungrasp.policies.residual_policy import LearnedPolicy
-from fungrasp.task import Action, LiftTask, Protocol
-from fungrasp.transfer import Differences
+from fungrasp.planning.grasp_motion import MotionPlanner, lowered, table_under
+from fungrasp.planning.selection.candidates import propose
+from fungrasp.planning.selection.rollouts import RolloutSettings, Rounds, try_candidates
+from fungrasp.planning.selection.success_predictor import SuccessPredictor
+from fungrasp.planning.selection.variations import VariationSpread, with_settings
+from fungrasp.task import Belief, GraspPlan, LiftProtocol, Policy
 
-WIDE = Spread(position=0.015, rotation=0.2, joints=0.1, closing=0.15, force=0.5, press=0.02)
+WIDE_SPREAD = VariationSpread(position=0.015, rotation=0.2, joints=0.1, closing=0.15, force=0.5, press=0.02)
+RESOLUTION = 1e-4
+"""Beliefs are rounded to steps of so much [m, rad], so that what has settled anew is not planned anew."""
 
 
 @dataclass(frozen=True)
-class SearchSettings:
-    """Of looking further where nothing holds: the best plans are varied again."""
+class FurtherSearch:
+    """Where no candidate is good enough, the best ones are varied again."""
 
     most: int = 3
-    """Times that plans are varied again."""
+    """Largest number of times that candidates are varied again."""
     enough: float = 0.6
-    """Expected success from which a plan is good enough."""
+    """Expected success from which a candidate is good enough."""
     parents: int = 3
-    """Best plans of a grasp that are varied, and kept beside the new ones."""
-    spread: Spread = WIDE
-    """Of the variations."""
+    """Best candidates of a grasp that are varied, and kept beside the new ones."""
+    spread: VariationSpread = WIDE_SPREAD
+    """Spread of the variations."""
     rounds: Rounds = ((27, 1), (8, 2), (3, 3))
-    """Of the rehearsal of old and new plans."""
+    """Rollouts of old and new candidates."""
 
 
 @dataclass(frozen=True)
-class ChoiceSettings:
-    """How many variations to choose from, and how."""
+class SelectionSettings:
+    """How many candidates there are, and how one is selected."""
 
-    tries: int = 24
-    """Plans of each grasp that are made together, the unchanged one included."""
-    rehearsal: RehearsalSettings | None = field(default_factory=RehearsalSettings)
-    """Trials that decide between the most promising; the critic alone decides if None."""
+    candidates: int = 24
+    """Candidates of each grasp that are planned together, the unchanged grasp included."""
+    rollouts: RolloutSettings | None = field(default_factory=RolloutSettings)
+    """Rollouts that decide between the most promising; the predictor alone decides if None."""
     rounds: Rounds = ((12, 1), (6, 2), (3, 3))
-    """Of the rehearsal."""
+    """Rollouts of the first candidates."""
     prior: float = 4.0
-    """Trials that the critic's expectation stands for."""
-    search: SearchSettings = field(default_factory=SearchSettings)
-    """Where the rehearsal has found nothing that holds."""
+    """Number of rollouts that the predictor's expectation stands for."""
+    search: FurtherSearch = field(default_factory=FurtherSearch)
+    """What is done where the rollouts have found nothing that holds."""
     chunk: int = 512
     """Plans made together."""
 
     def __post_init__(self) -> None:
-        if min(self.tries, self.search.parents) < 1:
+        """
+        Raises:
+            FungraspError: a number is too small.
+        """
+        if min(self.candidates, self.search.parents) < 1:
             raise FungraspError(f"there must be at least one plan to choose from, not {self}")
         for rounds in (self.rounds, self.search.rounds):
             if not rounds or min(number for pair in rounds for number in pair) < 1:
-                raise FungraspError(f"a rehearsal needs rounds of at least one plan and trial, not {rounds}")
+                raise FungraspError(f"rollouts need rounds of at least one plan and episode, not {rounds}")
+
+    @property
+    def rollouts_per_grasp(self) -> tuple[int, int]:
+        """Fewest and most episodes that are simulated to plan one grasp."""
+        if self.rollouts is None:
+            return 0, 0
+        first, again = (sum(a * b for a, b in rounds) for rounds in (self.rounds, self.search.rounds))
+        return first, first + self.search.most * again
 
 
-class Planner:
-    """Chooses plans for tasks, and remembers what it has chosen."""
+class SearchPlanner:
+    """Plans many variations of each grasp and selects one; remembers what it has planned.
 
-    def __init__(self, settings: ChoiceSettings | None = None, threads: int = 0):
+    It simulates ``settings.rollouts_per_grasp`` episodes for each grasp, in an engine of its own, never in
+    the world that the plan is for.
+    """
+
+    def __init__(
+        self,
+        hand: Hand,
+        objects: Mapping[str, ObjectModel],
+        predictor: SuccessPredictor,
+        policy: Policy,
+        policy_digest: str = "",
+        settings: SelectionSettings | None = None,
+        protocol: LiftProtocol | None = None,
+        threads: int = 0,
+    ):
         """
         Args:
+            hand: the robot hand.
+            objects: by name.
+            predictor: of success, made for the hand.
+            policy: what will follow the plans, and follows them in the rollouts.
+            policy_digest: tells policies apart.
             settings: the defaults if None.
-            threads: 0 means all processors. The choice does not depend on it.
+            protocol: of the motions; the published one if None.
+            threads: of the rollouts; 0 means all processors. The choice does not depend on it.
         """
-        self.settings, self._threads = settings or ChoiceSettings(), threads
-        self._known: dict[str, tuple[References, np.ndarray]] = {}
+        self.settings = settings or SelectionSettings()
+        self._hand, self._objects, self._threads = hand, objects, threads
+        self._predictor, self._policy, self._policy_digest = predictor, policy, policy_digest
+        self._single = MotionPlanner(hand, objects, protocol=protocol)
+        self._known: dict[str, GraspPlan] = {}
 
-    def __call__(
+    def plan(
         self,
-        task: LiftTask,
-        objects: Mapping[str, ObjectModel],
-        critic: PolicyNetwork,
+        grasps: RobotGraspSet,
+        belief: Belief,
         seed: int = 0,
-        policy: PolicyNetwork | None = None,
-    ) -> tuple[References, np.ndarray]:
-        """As ``choose_references``, for each world of a task that has been reset."""
-        table = table_height(task.grasps.object_name.tolist(), task.settled_pose, objects)
-        start = Start.of(task, table)
+        progress: Callable[[float], None] = lambda done: None,
+    ) -> GraspPlan:
+        """See ``Planner.plan``. All grasps are varied in the same ways, so that the choice for one does not
+        depend on the others."""
+        names = grasps.object_name.tolist()
+        table = table_under(names, belief.object_pose, belief.table_height, self._objects)
+        rounded = _rounded(lowered(belief, table))
         keys = [
-            self._key(start.select(np.array([i])), task, objects, critic, seed, policy)
-            for i in range(len(start))
+            self._key(grasps.select(np.array([i])), rounded.select(np.array([i])), seed)
+            for i in range(len(grasps))
         ]
         fresh = np.flatnonzero([key not in self._known for key in keys])
+        progress(len(grasps) - len(fresh))
         if len(fresh):
-            plans, expected = choose_references(
-                start.select(fresh),
-                task.scene.hand,
-                objects,
-                critic,
-                self.settings,
-                seed,
-                self._threads,
-                policy,
-                task.protocol,
-            )
+            planned = self._search(grasps.select(fresh), rounded.select(fresh), seed)
             for i, row in enumerate(fresh):
-                self._known[keys[row]] = plans.select(np.array([i])), expected[i]
-        found, value = zip(*(self._known[key] for key in keys), strict=True)
-        return References.join(found).raised(table), np.array(value)
+                self._known[keys[row]] = planned.select(np.array([i]))
+        progress(len(grasps))
+        return GraspPlan.join([self._known[key] for key in keys]).raised(table)
 
-    @staticmethod
-    def _key(
-        start: Start,
-        task: LiftTask,
-        objects: Mapping[str, ObjectModel],
-        critic: PolicyNetwork,
-        seed: int,
-        policy: PolicyNetwork | None,
-    ) -> str:
-        """All that the choice for one grasp depends on."""
-        grasps = start.grasps
+    def _search(self, grasps: RobotGraspSet, beliefs: Belief, seed: int) -> GraspPlan:
+        """One plan for each grasp, table at zero."""
+        s, everyone = self.settings, np.arange(len(grasps))
+        make = partial(
+            propose, self._single, self._predictor, self._hand, seed=seed, prior=s.prior, chunk=s.chunk
+        )
+        first = with_settings(grasps).select(np.tile(everyone, s.candidates))
+        numbers = np.repeat(np.arange(s.candidates), len(grasps))
+        pool = make(beliefs, first, numbers, VariationSpread(), search=0)
+        spent = np.zeros(len(grasps), dtype=int)
+        if s.rollouts is None:
+            chosen, expected = pool.best()
+            return replace(chosen, expected_success=expected, rollouts=spent)
+        roll = partial(
+            try_candidates,
+            objects=self._objects,
+            hand=self._hand,
+            policy=self._policy,
+            settings=s.rollouts,
+            threads=self._threads,
+        )
+        roll(pool, s.rounds, seed=(seed, 0))
+        spent += pool.statistics.tried.sum(axis=0).astype(int)
+        chosen, expected = pool.best()
+        left, value = everyone, expected
+        for search in range(1, s.search.most + 1):
+            hard = np.flatnonzero(value < s.search.enough)
+            if not len(hard):
+                break
+            left, parents = left[hard], pool.among_best(s.search.parents, hard)
+            number = np.arange(s.candidates)[:, None] % len(parents.statistics.expected)
+            rows = (number * len(left) + np.arange(len(left))).ravel()
+            numbers = np.repeat(np.arange(1, s.candidates + 1), len(left))
+            children = make(
+                beliefs.select(left), parents.grasps.select(rows), numbers, s.search.spread, search=search
+            )
+            before = parents.statistics.tried.sum(axis=0)
+            pool = parents.join(children)
+            roll(pool, s.search.rounds, seed=(seed, search))
+            spent[left] += (pool.statistics.tried.sum(axis=0) - before).astype(int)
+            found, value = pool.best()
+            place = everyone.copy()
+            place[left] = len(everyone) + np.arange(len(left))
+            chosen = GraspPlan.join([chosen, found]).select(place)
+            expected[left] = value
+        return replace(chosen, expected_success=expected, rollouts=spent)
+
+    def _key(self, grasp: RobotGraspSet, belief: Belief, seed: int) -> str:
+        """Digest of all that the choice for one grasp depends on."""
         return digest(
             seed,
-            critic.card.sha256,
-            "" if policy is None else policy.card.sha256,
-            {name: getattr(grasps, name) for name in grasps.FIELDS},
-            grasps.extra,
-            objects[grasps.object_name[0]].digest,
-            (start.settled_pose, start.palm, start.fingers),
-            task.protocol,
+            self._predictor.digest,
+            self._policy_digest,
+            {name: getattr(grasp, name) for name in grasp.FIELDS},
+            grasp.extra,
+            self._objects[grasp.object_name[0]].digest,
+            belief.arrays(),
         )
 
 
-def choose_references(
-    start: Start,
-    hand: Hand,
-    objects: Mapping[str, ObjectModel],
-    critic: PolicyNetwork,
-    settings: ChoiceSettings | None = None,
-    seed: int = 0,
-    threads: int = 0,
-    policy: PolicyNetwork | None = None,
-    protocol: Protocol | None = None,
-) -> tuple[References, np.ndarray]:
-    """Plan variations of each grasp, rehearse the most promising, and keep the best.
+def _rounded(belief: Belief) -> Belief:
+    """What is believed, in steps of ``RESOLUTION``."""
 
-    All grasps are varied in the same ways, so that the choice for one does not depend on the others.
+    def steps(values: np.ndarray) -> np.ndarray:
+        return RESOLUTION * np.round(values / RESOLUTION) + 0.0  # no -0.0, which has another digest
 
-    Args:
-        start: what the grasps are planned from.
-        hand: of the grasps.
-        objects: by name.
-        critic: a policy file of the kind "critic", made for the hand.
-        settings: the defaults if None.
-        seed: of the variations and rehearsals.
-        threads: of the rehearsals; 0 means all processors.
-        policy: that will follow the plans, and rehearses them; they are rehearsed blindly if None.
-        protocol: of the motions; the published one if None.
+    def pose(values: np.ndarray) -> np.ndarray:
+        rounded = steps(values)
+        rounded[:, 3:] /= np.linalg.norm(rounded[:, 3:], axis=1, keepdims=True)
+        return rounded
 
-    Returns:
-        One reference for each grasp; the success expected of it, shape [N].
-
-    Raises:
-        FungraspError: the critic was made for another hand or other features.
-    """
-    s = settings or ChoiceSettings()
-    everyone = np.arange(len(start))
-    plan = partial(
-        propose,
-        seed=seed,
-        objects=objects,
-        hand=hand,
-        protocol=protocol or Protocol(),
-        critic=critic,
-        prior=s.prior,
-        chunk=s.chunk,
+    return replace(
+        belief,
+        object_pose=pose(belief.object_pose),
+        palm_pose=pose(belief.palm_pose),
+        joint_positions=steps(belief.joint_positions),
     )
-    first = with_settings(start.grasps).select(np.tile(everyone, s.tries))
-    pool = plan(start, first, np.repeat(np.arange(s.tries), len(start)), 0, Spread())
-    if s.rehearsal is None:
-        return pool.best()
-    try_plans = partial(
-        rehearse,
-        objects=objects,
-        hand=hand,
-        settings=s.rehearsal,
-        threads=threads,
-        actor=blind if policy is None else _follower(policy, objects),
-    )
-    try_plans(pool.plans, pool.tally, s.rounds, seed=(seed, 0))
-    chosen, expected = pool.best()
-    left, value = everyone, expected
-    for search in range(1, s.search.most + 1):
-        hard = np.flatnonzero(value < s.search.enough)
-        if not len(hard):
-            break
-        left, parents = left[hard], pool.among_best(s.search.parents, hard)
-        number = np.arange(s.tries)[:, None] % len(parents.tally.expected)
-        rows = (number * len(left) + np.arange(len(left))).ravel()
-        attempts = np.repeat(np.arange(1, s.tries + 1), len(left))
-        children = plan(start.select(left), parents.grasps.select(rows), attempts, search, s.search.spread)
-        pool = parents.join(children)
-        try_plans(pool.plans, pool.tally, s.search.rounds, seed=(seed, search))
-        found, value = pool.best()
-        place = everyone.copy()
-        place[left] = len(everyone) + np.arange(len(left))
-        chosen = References.join([chosen, found]).select(place)
-        expected[left] = value
-    return chosen, expected
-
-
-def _follower(policy: PolicyNetwork, objects: Mapping[str, ObjectModel]) -> Actor:
-    def begin(task: LiftTask, plans: References, sensors: Differences) -> Callable[[], Action]:
-        return LearnedPolicy(task, objects, policy, plans, sensors).act
-
-    return begin

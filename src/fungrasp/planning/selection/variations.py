@@ -1,4 +1,4 @@
-"""Variations of grasps: what a search tries, and what a learned critic chooses from."""
+"""Variations of grasps: what a search tries, and what a success predictor chooses from."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from fungrasp.geometry.poses import compose, quaternion_from_rotation_vector
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.hands.kinematics import HandKinematics
-from fungrasp.planning.grasp_motion import ReferenceSettings
+from fungrasp.planning.grasp_motion import MotionSettings
 
 
 @dataclass(frozen=True)
-class Spread:
+class VariationSpread:
     """How much variations differ, one standard deviation unless said."""
 
     position: float = 0.008
@@ -31,9 +31,9 @@ class Spread:
     """Range of how far the wrist goes beyond its target [m]."""
 
 
-def with_settings(grasps: RobotGraspSet, settings: ReferenceSettings | None = None) -> RobotGraspSet:
+def with_settings(grasps: RobotGraspSet, settings: MotionSettings | None = None) -> RobotGraspSet:
     """The grasps with the controller's settings written out in ``extra`` where they have none."""
-    s = settings or ReferenceSettings()
+    s = settings or MotionSettings()
     count = len(grasps)
     defaults = {
         "force_scale": np.ones(count),
@@ -44,7 +44,12 @@ def with_settings(grasps: RobotGraspSet, settings: ReferenceSettings | None = No
 
 
 def vary(
-    grasps: RobotGraspSet, hand: Hand, indices: np.ndarray, attempts: np.ndarray, seed: int, spread: Spread
+    grasps: RobotGraspSet,
+    hand: Hand,
+    indices: np.ndarray,
+    attempts: np.ndarray,
+    seed: int,
+    spread: VariationSpread,
 ) -> RobotGraspSet:
     """Grasps with wrist, fingers, squeeze and last press varied; each depends on seed, index and attempt
     alone.
@@ -57,9 +62,8 @@ def vary(
         seed: of the random numbers.
         spread: of the variations.
     """
-    matrix, offset = hand.coupling
     kinematics = HandKinematics(hand, 1)
-    independent = (grasps.joint_positions - offset) @ np.linalg.pinv(matrix).T
+    independent = hand.independent(grasps.joint_positions)
     size = independent.shape[1]
     noise = np.stack(
         [
@@ -81,6 +85,6 @@ def vary(
     return replace(
         grasps,
         wrist_pose=compose(grasps.wrist_pose, shift),
-        joint_positions=fingers @ matrix.T + offset,
+        joint_positions=hand.all_joints(fingers),
         extra=extra,
     )

@@ -1,4 +1,4 @@
-"""``fungrasp critic``: learns which variations of a grasp will hold."""
+"""``fungrasp predictor``: learns which variations of a grasp will hold."""
 
 from __future__ import annotations
 
@@ -6,14 +6,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from fungrasp.cli.train import check_numbers, check_packages, training_sets
-from fungrasp.training.settings import PlanSettings
+from fungrasp.training.settings import PredictorSettings
 
 
 @dataclass(frozen=True)
-class Critic:
-    """Try many variations of grasps in physics, and train a critic that chooses among such variations.
+class TrainPredictor:
+    """Try many variations of grasps in physics, and train a success predictor that chooses among such
+    variations.
 
-    Its file is a policy: `fungrasp evaluate --policy critic.onnx` plays the plans that it chooses.
+    Its file is a policy: `fungrasp evaluate --policy predictor.onnx` plays the plans that it chooses.
     """
 
     out: Path
@@ -27,9 +28,9 @@ class Critic:
     """Name of a hand, or the path of a hand's TOML file."""
     method: str = "ours"
     """How human grasps are retargeted: ours, angle-copy or dexgraspnet."""
-    trials: Path | None = None
-    """Folder in which the trials' outcomes are kept, so that an interrupted command goes on where it was, and
-    more --attempts add to them; beside --out by default."""
+    episodes: Path | None = None
+    """Folder in which the episodes' outcomes are kept, so that an interrupted command goes on where it was,
+    and more --attempts add to them; beside --out by default."""
     seed: int = 0
     """Of everything that is random."""
     threads: int = 0
@@ -38,7 +39,7 @@ class Critic:
     """Under what terms each of --grasps may be used, for the critic's card."""
     licence: str = ""
     """Of the critic, for its card."""
-    settings: PlanSettings = field(default_factory=PlanSettings)
+    settings: PredictorSettings = field(default_factory=PredictorSettings)
 
     def run(self) -> None:
         check_packages()
@@ -51,15 +52,15 @@ class Critic:
         from fungrasp.hands import load_hand
         from fungrasp.policies.checkpoint.card import Budget, TrainingData
         from fungrasp.policies.residual_action import ResidualSettings
-        from fungrasp.task import Protocol
-        from fungrasp.training.export import export_critic, make_card
-        from fungrasp.training.plans import Outcomes, cross_validate, fit_critic, try_plans
+        from fungrasp.task import LiftProtocol
+        from fungrasp.training.export import export_predictor, make_card
+        from fungrasp.training.success_predictor import PlanOutcomes, cross_validate, fit_predictor, try_plans
 
         check_numbers(1, self.seed, self.threads)
         start, hand = perf_counter(), load_hand(self.hand)
         sets = training_sets(self.grasps, self.objects, hand, self.method, self.terms, self.threads)
         torch.set_num_threads(1)
-        folder = self.out.with_suffix(".trials") if self.trials is None else self.trials
+        folder = self.out.with_suffix(".episodes") if self.episodes is None else self.episodes
         parts, names = [], ()
         for number, one in enumerate(sets):
             with progress_bar(one.name, len(one.grasps) * self.settings.attempts) as show:
@@ -74,30 +75,30 @@ class Critic:
                     folder / str(number),
                 )
             parts.append(outcomes)
-        outcomes = Outcomes.join(*parts)
+        outcomes = PlanOutcomes.join(*parts)
         measured = cross_validate(outcomes, self.settings, seed=self.seed)
-        critic = fit_critic(outcomes, self.settings, self.seed)
+        predictor = fit_predictor(outcomes, self.settings, self.seed)
         card = make_card(
             self.out.stem,
-            "critic",
+            "predictor",
             hand,
             names,
             (),
             ResidualSettings(),
-            1 / Protocol().control_period,
+            1 / LiftProtocol().control_period,
             Budget(len(outcomes.grasp), perf_counter() - start, machine()),
             training_data=tuple(TrainingData(s.name, s.terms, len(s.grasps)) for s in sets),
             seed=self.seed,
             licence=self.licence,
-            limits=("Its budget counts trials where a policy of motions counts control steps.",),
+            limits=("Its budget counts episodes where a policy of motions counts control steps.",),
             measured={"cross-validated, no residual": measured},
         )
-        export_critic(critic, self.out, card)
+        export_predictor(predictor, self.out, card)
         print(
             f"{self.out}: of grasps it has not seen, {measured['first']:.1%} hold as they are, "
             f"{measured['chosen']:.1%} of those it chooses, {measured['any']:.1%} in some variation "
-            f"({len(outcomes.grasp)} trials in {(perf_counter() - start) / 60:.1f} min)"
+            f"({len(outcomes.grasp)} episodes in {(perf_counter() - start) / 60:.1f} min)"
         )
 
 
-COMMAND = Critic
+COMMAND = TrainPredictor

@@ -1,4 +1,4 @@
-"""The plan critic: learns from many tried plans which of a grasp's variations will hold."""
+"""The success predictor: learns from many tried plans which of a grasp's variations will hold."""
 
 from __future__ import annotations
 
@@ -18,23 +18,22 @@ from fungrasp.files import atomic_path, digest
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
-from fungrasp.planning.references import References, begin_on_way
-from fungrasp.planning.selection.predictor_features import plan_features
-from fungrasp.planning.selection.rollouts import try_out
-from fungrasp.planning.selection.variations import Spread, vary, with_settings
+from fungrasp.planning import MotionPlanner
+from fungrasp.planning.selection.success_predictor import plan_features
+from fungrasp.planning.selection.variations import VariationSpread, vary, with_settings
+from fungrasp.policies import OpenLoopPolicy
 from fungrasp.policies.checkpoint.checkpoint_file import hand_digest
-from fungrasp.policies.scripted import ReferenceController
-from fungrasp.simulation import Scene, SceneSettings, Worlds, build_scene
-from fungrasp.task import LiftTask, Protocol
-from fungrasp.task.observation import flatten, layout
-from fungrasp.training.settings import PlanSettings
+from fungrasp.simulation import Scene, SceneSettings, build_scene
+from fungrasp.task import GraspPlan, LiftEnvironment, LiftProtocol, play
+from fungrasp.task.features import flatten, layout
+from fungrasp.training.settings import PredictorSettings
 
 Layout = tuple[tuple[str, int], ...]
 """Names and sizes of the parts of a flat vector."""
 
 
 @dataclass(frozen=True, eq=False)
-class Outcomes:
+class PlanOutcomes:
     """N tried plans."""
 
     features: np.ndarray
@@ -49,28 +48,28 @@ class Outcomes:
     """During the hold, shape [N]."""
 
     @classmethod
-    def join(cls, *parts: Outcomes) -> Outcomes:
+    def join(cls, *parts: PlanOutcomes) -> PlanOutcomes:
         """One after the other; the grasps of each part count on from those of the part before."""
         offsets = np.cumsum([0, *(int(part.grasp.max()) + 1 for part in parts)])
         moved = [replace(p, grasp=p.grasp + o) for p, o in zip(parts, offsets[:-1], strict=True)]
         return cls(*(np.concatenate([getattr(part, f.name) for part in moved]) for f in fields(cls)))
 
-    def select(self, rows: np.ndarray) -> Outcomes:
+    def select(self, rows: np.ndarray) -> PlanOutcomes:
         """Some of them."""
-        return Outcomes(*(getattr(self, f.name)[rows] for f in fields(self)))
+        return PlanOutcomes(*(getattr(self, f.name)[rows] for f in fields(self)))
 
 
 def try_plans(
     grasps: RobotGraspSet,
     objects: Mapping[str, ObjectModel],
     hand: Hand,
-    settings: PlanSettings | None = None,
+    settings: PredictorSettings | None = None,
     seed: int = 0,
     threads: int = 0,
     progress: Callable[[int], None] = lambda done: None,
     keep: Path | None = None,
-) -> tuple[Outcomes, Layout]:
-    """Plan variations of grasps and try each once, blindly, in physics.
+) -> tuple[PlanOutcomes, Layout]:
+    """Plan variations of grasps and try each once in physics, open loop.
 
     Args:
         grasps: of ``hand``.
@@ -79,7 +78,7 @@ def try_plans(
         settings: the defaults if None.
         seed: of the variations.
         threads: 0 means all processors.
-        progress: called with the number of trials done.
+        progress: called with the number of episodes done.
         keep: folder in which outcomes are kept as they come; those that an interrupted call has left there
             are not tried again.
 
@@ -89,7 +88,7 @@ def try_plans(
     Raises:
         FungraspError: the folder can't be written to.
     """
-    s = settings or PlanSettings()
+    s = settings or PredictorSettings()
     scene = build_scene(hand, objects, SceneSettings(timestep=s.timestep))
     grasp = np.tile(np.arange(len(grasps)), s.attempts)
     attempt = np.repeat(np.arange(s.attempts), len(grasps))
@@ -98,27 +97,31 @@ def try_plans(
     parts, names = [], ()
     for first in range(0, len(grasp), s.chunk):
         rows = slice(first, first + s.chunk)
-        path = None if keep is None else keep / f"trials-{first:06d}.npz"
+        path = None if keep is None else keep / f"episodes-{first:06d}.npz"
         kept = None if path is None else _kept(path, key)
         if kept is None:
-            varied = vary(start.select(grasp[rows]), hand, grasp[rows], attempt[rows], seed, Spread())
-            references, success, ratio = _try(varied, objects, scene, s, threads)
-            features = plan_features(references, objects)
+            varied = vary(
+                start.select(grasp[rows]), hand, grasp[rows], attempt[rows], seed, VariationSpread()
+            )
+            plans, success, ratio = _try(varied, objects, scene, s, threads)
+            features = plan_features(plans, objects)
             flat = np.nan_to_num(flatten(features)).astype(np.float32)
-            kept = Outcomes(flat, grasp[rows], attempt[rows], success, ratio), layout(features)
+            kept = PlanOutcomes(flat, grasp[rows], attempt[rows], success, ratio), layout(features)
             if path is not None:
                 _keep(path, key, *kept)
         outcomes, names = kept
         parts.append(outcomes)
         progress(first + len(outcomes.success))
-    whole = Outcomes(*(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(Outcomes)))
+    whole = PlanOutcomes(
+        *(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(PlanOutcomes))
+    )
     return whole, names
 
 
 def _key(
-    grasps: RobotGraspSet, objects: Mapping[str, ObjectModel], hand: Hand, s: PlanSettings, seed: int
+    grasps: RobotGraspSet, objects: Mapping[str, ObjectModel], hand: Hand, s: PredictorSettings, seed: int
 ) -> str:
-    """Digest of all that decides the outcomes of trials, their number aside."""
+    """Digest of all that decides the outcomes, their number aside."""
     names = np.unique(grasps.object_name).tolist()
     return digest(
         __version__,
@@ -130,45 +133,46 @@ def _key(
     )
 
 
-def _kept(path: Path, key: str) -> tuple[Outcomes, Layout] | None:
-    """Outcomes from a file; None if there is none, it is damaged, or of other trials."""
+def _kept(path: Path, key: str) -> tuple[PlanOutcomes, Layout] | None:
+    """Outcomes from a file; None if there is none, it is damaged, or of other episodes."""
     try:
         with np.load(path, allow_pickle=False) as data:
             if str(data["key"]) != key:
                 return None
             names = tuple((str(n), int(size)) for n, size in json.loads(str(data["layout"])))
-            return Outcomes(*(data[f.name] for f in fields(Outcomes))), names
+            return PlanOutcomes(*(data[f.name] for f in fields(PlanOutcomes))), names
     except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile, zlib.error):
         return None
 
 
-def _keep(path: Path, key: str, outcomes: Outcomes, names: Layout) -> None:
-    arrays = {f.name: getattr(outcomes, f.name) for f in fields(Outcomes)}
+def _keep(path: Path, key: str, outcomes: PlanOutcomes, names: Layout) -> None:
+    arrays = {f.name: getattr(outcomes, f.name) for f in fields(PlanOutcomes)}
     with atomic_path(path) as part, part.open("wb") as stream:
         np.savez(stream, key=np.array(key), layout=np.array(json.dumps(names)), **arrays)
 
 
 def _try(
-    grasps: RobotGraspSet, objects: Mapping[str, ObjectModel], scene: Scene, s: PlanSettings, threads: int
-) -> tuple[References, np.ndarray, np.ndarray]:
+    grasps: RobotGraspSet,
+    objects: Mapping[str, ObjectModel],
+    scene: Scene,
+    s: PredictorSettings,
+    threads: int,
+) -> tuple[GraspPlan, np.ndarray, np.ndarray]:
     """The plans, whether they held, and their contact ratio."""
-    index = scene.indices(grasps.object_name.tolist())
-    protocol = replace(Protocol(), hold_time=s.hold_time)
-    task = LiftTask(scene, grasps, Worlds(scene, index, grasps.object_mass, threads=threads), protocol)
-    task.reset()
-    controller = ReferenceController(task, objects)
-    references = References.of(controller.motion, grasps, task.settled_pose.copy(), scene.hand)
+    protocol = replace(LiftProtocol(), hold_time=s.hold_time)
+    environment = LiftEnvironment(scene, len(grasps), protocol=protocol, threads=threads)
+    plans = MotionPlanner(scene.hand, objects).plan(grasps, environment.settle(grasps))
     ids = np.arange(len(grasps))
-    task.worlds.reset(ids)
-    begin_on_way(task, ids, references, ids, np.maximum(references.motion.closing - s.early, 0))
-    outcome = try_out(task, controller.act)
-    return references, outcome.success, outcome.contact_ratio
+    environment.begin(ids, plans, np.maximum(plans.closing_step - s.early, 0), environment.sample)
+    outcomes = play(environment, OpenLoopPolicy(), plans, end_lost=True)
+    lost = outcomes.reason == "lost before the hold"
+    return plans, outcomes.success, np.where(lost, 0.0, np.nan_to_num(outcomes.contact_ratio))
 
 
-class PlanCritic(torch.nn.Module):
+class PredictorNetwork(torch.nn.Module):
     """Mean of several networks' expected success."""
 
-    def __init__(self, features: np.ndarray, s: PlanSettings):
+    def __init__(self, features: np.ndarray, s: PredictorSettings):
         """features: of the plans it will learn from, shape [N, D]."""
         super().__init__()
         self.mean: torch.Tensor
@@ -199,37 +203,39 @@ class PlanCritic(torch.nn.Module):
         return torch.sigmoid(self.logits(features)).mean(dim=0)
 
 
-def fit_critic(outcomes: Outcomes, settings: PlanSettings | None = None, seed: int = 0) -> PlanCritic:
+def fit_predictor(
+    outcomes: PlanOutcomes, settings: PredictorSettings | None = None, seed: int = 0
+) -> PredictorNetwork:
     """Learn from tried plans.
 
     Raises:
         FungraspError: all of them held, or none.
     """
-    s = settings or PlanSettings()
+    s = settings or PredictorSettings()
     if outcomes.success.all() or not outcomes.success.any():
         word = "all" if outcomes.success.any() else "none"
-        raise FungraspError(f"a critic can't learn from plans of which {word} held")
+        raise FungraspError(f"a predictor can't learn from plans of which {word} held")
     torch.manual_seed(seed)
-    critic = PlanCritic(outcomes.features, s)
+    predictor = PredictorNetwork(outcomes.features, s)
     features, truth = torch.from_numpy(outcomes.features), torch.from_numpy(outcomes.success).float()
-    optimizer = torch.optim.AdamW(critic.parameters(), lr=s.learning_rate, weight_decay=s.weight_decay)
+    optimizer = torch.optim.AdamW(predictor.parameters(), lr=s.learning_rate, weight_decay=s.weight_decay)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, s.epochs)
-    critic.train()
+    predictor.train()
     for _ in range(s.epochs):
         for rows in torch.randperm(len(truth)).split(s.minibatch):
-            logits = critic.logits(features[rows])[..., 0]
+            logits = predictor.logits(features[rows])[..., 0]
             loss = torch.nn.functional.binary_cross_entropy_with_logits(logits, truth[rows].expand_as(logits))
             optimizer.zero_grad()
             loss.backward()
             optimizer.step()
         schedule.step()
-    return critic.eval()
+    return predictor.eval()
 
 
 def cross_validate(
-    outcomes: Outcomes, settings: PlanSettings | None = None, folds: int = 5, seed: int = 0
+    outcomes: PlanOutcomes, settings: PredictorSettings | None = None, folds: int = 5, seed: int = 0
 ) -> dict[str, float]:
-    """What choosing would give on grasps that the critic has not seen.
+    """What choosing would give on grasps that the predictor has not seen.
 
     Returns:
         Share that held of the grasps as they are ("first"), of all variations ("mean"), of those chosen
@@ -238,10 +244,10 @@ def cross_validate(
     fold = np.random.default_rng(seed).integers(folds, size=int(outcomes.grasp.max()) + 1)[outcomes.grasp]
     expected = np.zeros(len(fold))
     for k in np.unique(fold):
-        critic = fit_critic(outcomes.select(np.flatnonzero(fold != k)), settings, seed)
+        predictor = fit_predictor(outcomes.select(np.flatnonzero(fold != k)), settings, seed)
         rows = np.flatnonzero(fold == k)
         with torch.inference_mode():
-            expected[rows] = critic(torch.from_numpy(outcomes.features[rows]))[:, 0].numpy()
+            expected[rows] = predictor(torch.from_numpy(outcomes.features[rows]))[:, 0].numpy()
     groups = [np.flatnonzero(outcomes.grasp == g) for g in np.unique(outcomes.grasp)]
     chosen = np.array([rows[np.argmax(expected[rows])] for rows in groups])
     return {

@@ -1,0 +1,64 @@
+"""How likely a planned grasp is to hold, before it is tried: the predictor's inputs, and what it is."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Protocol
+
+import numpy as np
+
+from fungrasp.geometry import SignedDistanceBank
+from fungrasp.geometry.poses import compose, invert, rotate, rotation_matrix, transform_points
+from fungrasp.objects import ObjectModel
+from fungrasp.task import GraspPlan
+from fungrasp.task.features import POSITION_UNIT
+
+
+class SuccessPredictor(Protocol):
+    """Expects how likely plans are to hold."""
+
+    digest: str
+    """Tells predictors apart: SHA-256 of the file."""
+
+    def __call__(self, plans: GraspPlan) -> np.ndarray:
+        """Probability of success, shape [N]. plans: N of them."""
+        ...
+
+
+def plan_features(plans: GraspPlan, objects: Mapping[str, ObjectModel]) -> dict[str, np.ndarray]:
+    """What a predictor sees of plans, by name, each of shape [N, number]; palm frame, scaled to be of the
+    order of one.
+
+    Args:
+        plans: N planned grasps.
+        objects: by name.
+    """
+    names = sorted(set(plans.object_name.tolist()))
+    index = np.array([names.index(name) for name in plans.object_name.tolist()])
+    bank = SignedDistanceBank([objects[name].signed_distance for name in names])
+    center = np.array([objects[name].center_of_mass for name in names])[index]
+    size = np.array([objects[name].size for name in names])[index]
+    distance, normal = bank.query(index, plans.keypoints)
+    to_palm = invert(plans.grasp_palm_pose)
+    count = len(plans)
+    keypoints = transform_points(to_palm, plans.keypoints)
+    normals = rotate(to_palm[:, None, 3:], normal)
+    up = rotate(to_palm[:, 3:], rotate(invert(plans.object_pose)[:, 3:], np.array([0.0, 0.0, 1.0])))
+    axes = np.abs(rotation_matrix(to_palm[:, 3:]))
+    press = compose(to_palm, plans.palm_goal[:, -1])[:, :3]
+    height = compose(plans.object_pose, plans.grasp_palm_pose)[:, 2:3]
+    return {
+        "keypoints": keypoints.reshape(count, -1) / POSITION_UNIT,
+        "surface_distances": np.clip(distance / 0.02, -1.0, 2.5),
+        "surface_normals": normals.reshape(count, -1),
+        "grasp": plans.grasp_joints,
+        "squeeze": plans.finger_targets[:, -1] - plans.grasp_joints,
+        "press": press / 0.01,
+        "object_center": transform_points(to_palm, center[:, None])[:, 0] / (2 * POSITION_UNIT),
+        "object_extents": (axes * size[:, None]).sum(axis=-1) / (2 * POSITION_UNIT),
+        "up": up,
+        "palm_height": height / (2 * POSITION_UNIT),
+        "target_contacts": plans.link_contacts.astype(float),
+        "mass": np.log(plans.object_mass[:, None] / 0.3),
+        "collision": plans.path_collision[:, None] / 0.01,
+    }

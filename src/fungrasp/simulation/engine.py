@@ -1,0 +1,195 @@
+"""The door to physics: what task, planning and evaluation may ask of an engine, and nothing else.
+
+An engine steps W worlds of one scene, each with its own object, parameters and state. Arrays lead with the
+world and are copies: writing to them changes nothing. ``tests/simulation/engine_contract.py`` is the suite
+that every engine has to pass.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+import numpy as np
+
+from fungrasp.simulation.scene import Scene
+
+EngineState = Any
+"""A snapshot of the state of all worlds, in the engine's own form."""
+
+
+class Engine(Protocol):
+    """W worlds of a scene: a hand on a floating wrist, an object, a table."""
+
+    scene: Scene
+    object_index: np.ndarray
+    """Which of ``scene.objects`` each world holds, shape [W] int."""
+
+    def __len__(self) -> int:
+        """W, the number of worlds."""
+        ...
+
+    # What is: current after ``set_state`` and ``step``.
+
+    @property
+    def object_pose(self) -> np.ndarray:
+        """Pose of the object, world frame, shape [W, 7]."""
+        ...
+
+    @property
+    def object_velocity(self) -> np.ndarray:
+        """Linear [m/s], then angular [rad/s] velocity of the object, world frame, shape [W, 6]."""
+        ...
+
+    @property
+    def center_of_mass(self) -> np.ndarray:
+        """Centre of mass of the object [m], world frame, shape [W, 3]."""
+        ...
+
+    @property
+    def palm_pose(self) -> np.ndarray:
+        """Pose of the palm body, world frame, shape [W, 7]."""
+        ...
+
+    @property
+    def joint_positions(self) -> np.ndarray:
+        """Joints of the hand [rad], in ``Hand.joint_names`` order, shape [W, M]."""
+        ...
+
+    @property
+    def link_contacts(self) -> np.ndarray:
+        """Whether each contact link touches the object, shape [W, L] bool."""
+        ...
+
+    @property
+    def link_forces(self) -> np.ndarray:
+        """Magnitude of the net contact force between each link and the object [N], shape [W, L]."""
+        ...
+
+    @property
+    def table_forces(self) -> np.ndarray:
+        """Magnitude of the net contact force between each link and the table [N], shape [W, L]."""
+        ...
+
+    @property
+    def self_force(self) -> np.ndarray:
+        """Magnitude of the net force of the hand's contacts with itself [N], shape [W]."""
+        ...
+
+    @property
+    def object_on_table(self) -> np.ndarray:
+        """Whether the object touches the table, shape [W] bool."""
+        ...
+
+    @property
+    def diverged(self) -> np.ndarray:
+        """Worlds whose physics has broken down since they were last reset, shape [W] bool. Their other
+        numbers mean nothing and need not show it."""
+        ...
+
+    @property
+    def positions(self) -> np.ndarray:
+        """Generalised positions of ``scene.model``, shape [W, nq]: for recordings and pictures."""
+        ...
+
+    @property
+    def wrist_frame(self) -> np.ndarray:
+        """Frame in which the wrist's six joints count, world frame, shape [W, 7]."""
+        ...
+
+    # What is to be.
+
+    def reset(self, worlds: np.ndarray | None = None) -> None:
+        """Put worlds back to the scene's default state; parameters stay. worlds: ids, shape [I]; all if
+        None."""
+        ...
+
+    def set_state(
+        self,
+        worlds: np.ndarray | None = None,
+        *,
+        object_pose: np.ndarray | None = None,
+        wrist_frame: np.ndarray | None = None,
+        palm_pose: np.ndarray | None = None,
+        palm_velocity: np.ndarray | None = None,
+        joint_positions: np.ndarray | None = None,
+    ) -> None:
+        """Put things somewhere, at rest. What is not given stays where it is.
+
+        Args:
+            worlds: ids, shape [I]; all if None.
+            object_pose: world frame, shape [I, 7].
+            wrist_frame: see ``wrist_frame``, shape [I, 7]; it should be near where the palm will work, as the
+                wrist's joints are Euler angles in it. The palm goes there if ``palm_pose`` is not given.
+            palm_pose: world frame, shape [I, 7].
+            palm_velocity: linear, world frame [m/s], shape [I, 3]; zero if None.
+            joint_positions: joints of the hand [rad], shape [I, M].
+        """
+        ...
+
+    def set_parameters(
+        self,
+        worlds: np.ndarray | None = None,
+        *,
+        object_index: np.ndarray | None = None,
+        object_mass: np.ndarray | None = None,
+        friction: np.ndarray | None = None,
+        table_height: np.ndarray | None = None,
+        joint_damping: np.ndarray | None = None,
+        servo_stiffness: np.ndarray | None = None,
+        servo_damping: np.ndarray | None = None,
+        wrist_stiffness: np.ndarray | None = None,
+    ) -> None:
+        """Set physical parameters. What is not given stays as it is; the state stays as it is.
+
+        Args:
+            worlds: ids, shape [I]; all if None.
+            object_index: which of ``scene.objects`` each world holds, shape [I]; mass and table become the
+                scene's unless given.
+            object_mass: mass of the object [kg], shape [I]; its inertia scales along.
+            friction: sliding friction of hand, object and table, shape [I].
+            table_height: height of the table top [m], shape [I].
+            joint_damping: factor on the scene's damping of each joint, shape [I, M].
+            servo_stiffness: factor on the scene's stiffness of each finger servo, shape [I, U].
+            servo_damping: factor on the scene's damping of each finger servo, shape [I, U].
+            wrist_stiffness: factor on stiffness and damping of the wrist's servos, shape [I].
+        """
+        ...
+
+    def push_object(self, force: np.ndarray) -> None:
+        """Pull at the objects' centres of mass until told otherwise or reset. force: [N], world frame, shape
+        [W, 3]."""
+        ...
+
+    def controls(
+        self, palm_pose: np.ndarray, palm_velocity: np.ndarray, finger_targets: np.ndarray
+    ) -> np.ndarray:
+        """What the servos are told, for ``step``.
+
+        Args:
+            palm_pose: setpoint of the palm, world frame, shape [..., W, 7].
+            palm_velocity: linear velocity of that setpoint, world frame [m/s], shape [..., W, 3]. A damped
+                servo trails behind a moving setpoint; it is told to be ahead by as much.
+            finger_targets: setpoints of the finger servos [rad], shape [..., W, U].
+
+        Returns:
+            Shape [..., W, 6 + U].
+        """
+        ...
+
+    def step(self, controls: np.ndarray, steps: int, worlds: np.ndarray | None = None) -> None:
+        """Advance by physics steps under constant controls.
+
+        Args:
+            controls: one row of ``controls`` for each world, shape [W, 6 + U].
+            steps: number of physics steps of ``scene.settings.timestep``.
+            worlds: ids that are advanced, shape [I]; all if None.
+        """
+        ...
+
+    def get_state(self) -> EngineState:
+        """A snapshot of all worlds, from which physics goes on to the last bit as it did."""
+        ...
+
+    def restore(self, state: EngineState) -> None:
+        """Put all worlds back to a snapshot."""
+        ...

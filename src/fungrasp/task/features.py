@@ -1,0 +1,218 @@
+"""What policy networks get: phi(s) of the paper (section IV.B.1) and what a robot that knows the object's
+mesh can add to it.
+
+Pure functions of what is measured and what the plan asks for, on any array-API library. All positions and
+directions are in the palm's frame, so that nothing depends on where the table stands. Every part is scaled to
+be of the order of one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from fungrasp.geometry.poses import (
+    Array,
+    array_namespace,
+    clip,
+    compose,
+    invert,
+    like,
+    relative,
+    rotate,
+    rotation_matrix,
+    rotation_vector,
+    side_by_side,
+    stack,
+)
+from fungrasp.task.observation import Privileged
+
+POSITION_UNIT = 0.05
+"""[m]."""
+FORCE_UNIT = 5.0
+"""[N]."""
+SERVO_UNIT = 0.2
+"""Difference between servo target and joint [rad]."""
+_MOTION_UNITS = np.repeat(
+    [[[0.01, 0.05]], [[0.02, 0.1]], [[POSITION_UNIT, 0.3]], [[POSITION_UNIT, 0.3]], [[0.01, 0.1]]], 3, axis=-1
+)
+"""Of the palm from its set point, since the step before and to its goal, of the object from its place in the
+grasp and since the step before: shift [m] and turn [rad], shape [5, 1, 6]."""
+_PHASE_BEGINS, _PHASE_ENDS = np.array([-1.0, 0.0, 0.0, 0.0]), np.array([0.0, 2.0, 2.0, 2.0])
+"""Where time counts: before the fingers close, after, and twice since the lift began [s]."""
+
+
+@dataclass(frozen=True, eq=False)
+class HandState:
+    """The measured state of W hands and their objects."""
+
+    joints: Array
+    """Independent joints [rad], shape [W, U]."""
+    joint_setpoints: Array
+    """What the joints' servos were last told [rad], shape [W, U]."""
+    palm_pose: Array
+    """World frame, shape [W, 7]."""
+    palm_setpoint: Array
+    """Where the wrist was last told to be, world frame, shape [W, 7]."""
+    object_pose: Array
+    """As tracked, world frame, shape [W, 7]."""
+    keypoints: Array
+    """Of the hand (``Hand.keypoint_names``), palm frame [m], shape [W, K, 3]."""
+    surface_distance: Array
+    """Of the key points from the object's surface [m], shape [W, K]."""
+    surface_normal: Array
+    """Direction away from the surface at the key points, object frame, shape [W, K, 3]."""
+
+
+@dataclass(frozen=True, eq=False)
+class PlanTarget:
+    """What the plans ask for in W worlds."""
+
+    palm_goal: Array
+    """For the coming control period, world frame, shape [W, 7]."""
+    servo_targets: Array
+    """For the coming control period [rad], shape [W, U]."""
+    palm_in_object: Array
+    """In the grasp, shape [W, 7]."""
+    keypoints: Array
+    """In the grasp, object frame [m], shape [W, K, 3]."""
+    surface_distance: Array
+    """Of those key points from the object's surface [m], shape [W, K]."""
+    surface_normal: Array
+    """Direction away from the surface there, object frame, shape [W, K, 3]."""
+    contacts: Array
+    """Links that should touch, shape [W, L] bool."""
+    settled_pose: Array
+    """Of the object when the trial began, world frame, shape [W, 7]."""
+    mass: Array
+    """Of the object, as far as known [kg], shape [W]."""
+    center: Array
+    """Object's centre of mass, object frame [m], shape [W, 3]."""
+    size: Array
+    """Object's extents, object frame [m], shape [W, 3]."""
+    since_closing: Array
+    """Time since the fingers began to close, negative before [s], shape [W]."""
+    since_lift: Array
+    """Time since the lift began, negative before [s], shape [W]."""
+
+
+def robot_features(now: HandState, before: HandState, target: PlanTarget, action: Array) -> dict[str, Array]:
+    """What a robot has, by name, each part of shape [W, number].
+
+    Args:
+        now: measured at this control step.
+        before: measured at the one before (the same again at a trial's first).
+        target: of the plan.
+        action: the last action, shape [W, A].
+    """
+    xp = array_namespace(now.joints)
+    # What is treated alike is treated together: for one robot the number of calls is what takes time.
+    seen = relative(
+        stack(now.palm_pose, now.palm_pose, now.palm_pose, now.palm_pose, before.object_pose),
+        stack(now.palm_setpoint, before.palm_pose, target.palm_goal, now.object_pose, before.palm_pose),
+    )
+    object_in_palm, from_object_before = seen[3], seen[4]
+    change = compose(stack(target.palm_in_object, from_object_before), object_in_palm)
+    poses = xp.concat([seen[:3], change])
+    motions = xp.concat([poses[..., :3], rotation_vector(poses[..., 3:])], axis=-1)
+    set_point, palm_before, goal, deviation, change = motions / like(motions, _MOTION_UNITS)
+    to_world, from_object = rotation_matrix(stack(now.palm_pose[:, 3:], object_in_palm[:, 3:]))
+    moved = xp.matmul((now.object_pose - target.settled_pose)[:, None, :3], to_world)[:, 0]
+    extents = xp.matmul(xp.abs(from_object), target.size[..., None])[..., 0]
+    count, number = now.surface_distance.shape
+    vectors = [target.keypoints, target.center[:, None], now.surface_normal, target.surface_normal]
+    vectors = xp.matmul(xp.concat(vectors, axis=1), from_object.mT)
+    points = vectors[:, : number + 1] + object_in_palm[:, None, :3]
+    errors = (points[:, :number] - now.keypoints) / POSITION_UNIT
+    normals = vectors[:, number + 1 :].reshape((count, 6 * number))
+    distances = xp.concat([now.surface_distance, target.surface_distance], axis=-1)
+    distances = clip(distances / 0.02, -1.0, 5.0)
+    return {
+        "joints": now.joints,
+        "joint_errors": (target.servo_targets - now.joints) / SERVO_UNIT,
+        "servo_errors": (now.joint_setpoints - now.joints) / SERVO_UNIT,
+        "joint_changes": (now.joints - before.joints) / SERVO_UNIT,
+        "palm_error": set_point,
+        "palm_change": palm_before,
+        "palm_goal": goal,
+        "up": to_world[:, 2],
+        "palm_height": now.palm_pose[:, 2:3] / (2 * POSITION_UNIT),
+        "object_center": points[:, number] / (2 * POSITION_UNIT),
+        "object_extents": extents / (2 * POSITION_UNIT),
+        "object_deviation": deviation,
+        "object_moved": moved / POSITION_UNIT,
+        "object_change": change,
+        "keypoint_errors": errors.reshape((count, 3 * number)),
+        "surface_distances": distances[:, :number],
+        "surface_normals": normals[:, : 3 * number],
+        "target_distances": distances[:, number:],
+        "target_normals": normals[:, 3 * number :],
+        "target_contacts": xp.astype(target.contacts, now.joints.dtype),
+        "mass": xp.log(target.mass[:, None] / 0.3),
+        "phase": _phase(target.since_closing, target.since_lift),
+        "last_action": action,
+    }
+
+
+def contact_features(contacts: Array, forces: Array, targets: Array) -> dict[str, Array]:
+    """The contacts that a teacher sees and a student has to infer: f and g_c of the paper, by name.
+
+    Args:
+        contacts: which links touch, in [0, 1], shape [W, L].
+        forces: [N], shape [W, L].
+        targets: which links should touch, shape [W, L] bool.
+    """
+    xp = array_namespace(forces)
+    asked = xp.astype(targets, forces.dtype)
+    touching = xp.astype(contacts, forces.dtype)
+    return {
+        "contacts": touching,
+        "contact_errors": asked - touching,
+        "contact_forces": scaled_forces(forces),
+    }
+
+
+def scaled_forces(forces: Array) -> Array:
+    """Forces [N] as policies see them: ``tanh(f / 5 N)``."""
+    return array_namespace(forces).tanh(forces / FORCE_UNIT)
+
+
+def value_features(privileged: Privileged, palm_pose: Array) -> dict[str, Array]:
+    """What only PPO's value network gets besides, by name.
+
+    Args:
+        privileged: of the simulation.
+        palm_pose: measured, world frame, shape [W, 7].
+    """
+    p, xp = privileged, array_namespace(palm_pose)
+    back = invert(palm_pose)[:, 3:]
+    return {
+        "object_velocity": rotate(back, p.object_velocity[:, :3]) / 0.2,
+        "object_spin": rotate(back, p.object_velocity[:, 3:]) / 2.0,
+        "table_forces": scaled_forces(p.table_forces),
+        "self_force": scaled_forces(p.self_force)[:, None],
+        "object_on_table": xp.astype(p.object_on_table, palm_pose.dtype)[:, None],
+        "friction": p.friction[:, None],
+        "true_mass": xp.log(p.object_mass[:, None] / 0.3),
+    }
+
+
+def flatten(parts: Mapping[str, Array]) -> Array:
+    """Parts side by side, shape [W, sum of numbers]."""
+    values = list(parts.values())
+    return array_namespace(values[0]).concat(values, axis=-1)
+
+
+def layout(parts: Mapping[str, Array]) -> tuple[tuple[str, int], ...]:
+    """Name and size of each part, in order."""
+    return tuple((name, int(value.shape[-1])) for name, value in parts.items())
+
+
+def _phase(since_closing: Array, since_lift: Array) -> Array:
+    """Where in the trial, shape [W, 4]."""
+    times = side_by_side(since_closing, since_closing, since_lift, since_lift)
+    phase = clip(times, like(times, _PHASE_BEGINS), like(times, _PHASE_ENDS))
+    phase[:, 2] = since_lift >= 0
+    return phase

@@ -1,0 +1,91 @@
+"""What a policy follows: where wrist and fingers should be at every control step, and what that aims at."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import ClassVar, Self
+
+import numpy as np
+
+from fungrasp.geometry.poses import clip
+from fungrasp.records import BatchRecord
+
+
+@dataclass(frozen=True, eq=False)
+class GraspPlan(BatchRecord):
+    """Plans of N grasps, T control steps each; from the last step on everything stays the same.
+
+    Motions are in the frame of the object as it rests on the table, so that a plan moves along with an object
+    that is seen elsewhere.
+    """
+
+    SCALARS: ClassVar[tuple[str, ...]] = ("hand", "control_period")
+    _STEPPED: ClassVar[tuple[str, ...]] = ("palm_goal", "finger_targets", "palm_setpoint", "palm_velocity")
+
+    hand: str
+    """Name of the hand."""
+    control_period: float
+    """Time between two control steps [s]."""
+    object_name: np.ndarray
+    """Name of each object, shape [N] str."""
+    object_mass: np.ndarray
+    """Mass of the object that was planned for [kg], shape [N]."""
+    object_pose: np.ndarray
+    """Pose of the object at rest that was planned for, world frame, shape [N, 7]."""
+    link_contacts: np.ndarray
+    """Links that should touch the object, shape [N, L] bool."""
+    keypoints: np.ndarray
+    """Key points of the hand in the grasp, object frame [m], shape [N, K, 3]."""
+    grasp_palm_pose: np.ndarray
+    """Palm in the grasp, object frame, shape [N, 7]."""
+    grasp_joints: np.ndarray
+    """Independent joints in the grasp [rad], shape [N, U]."""
+    palm_goal: np.ndarray
+    """Goal of the palm at each step, without the lift, object frame, shape [N, T, 7]."""
+    finger_targets: np.ndarray
+    """Targets of the finger servos at each step [rad], shape [N, T, U]."""
+    palm_setpoint: np.ndarray
+    """Where the palm's setpoint is when the step begins, object frame, shape [N, T, 7]."""
+    palm_velocity: np.ndarray
+    """Velocity of that setpoint, world frame [m/s], shape [N, T, 3]."""
+    closing_step: np.ndarray
+    """First step at which the fingers close, shape [N] int."""
+    lift_step: np.ndarray
+    """First step of the lift, shape [N] int."""
+    path_collision: np.ndarray
+    """Deepest intrusion of the planned path into the margins around object and table [m], shape [N]."""
+    expected_success: np.ndarray | None = None
+    """Probability of success that the planner expects, shape [N]; None if it did not estimate one."""
+    rollouts: np.ndarray | None = None
+    """Simulated episodes that were spent on planning each grasp, shape [N] int; None for none."""
+
+    def at(self, step: np.ndarray, rows: np.ndarray | slice = slice(None)) -> tuple[np.ndarray, np.ndarray]:
+        """Palm goals, object frame [I, 7], and finger targets [rad], [I, U], of some rows at their steps.
+
+        Args:
+            step: control step of each row, shape [I] int; beyond the last it is the last.
+            rows: I rows; all if left out.
+        """
+        step = clip(step, 0, self.palm_goal.shape[1] - 1)
+        index = np.arange(len(self))[rows]
+        return self.palm_goal[index, step], self.finger_targets[index, step]
+
+    def raised(self, height: np.ndarray) -> GraspPlan:
+        """The plans for objects that rest higher. height: [m], shape [N]."""
+        pose = self.object_pose.copy()
+        pose[:, 2] += height
+        return replace(self, object_pose=pose)
+
+    @classmethod
+    def join(cls, parts: Sequence[Self]) -> Self:
+        """One after the other; motions that end earlier stay where they end."""
+        length = max(part.palm_goal.shape[1] for part in parts)
+        return super().join([part._padded(length) for part in parts])
+
+    def _padded(self, length: int) -> Self:
+        def pad(values: np.ndarray) -> np.ndarray:
+            missing = length - values.shape[1]
+            return np.concatenate([values, np.repeat(values[:, -1:], missing, axis=1)], axis=1)
+
+        return replace(self, **{name: pad(getattr(self, name)) for name in self._STEPPED})

@@ -1,0 +1,144 @@
+"""When a grasp has succeeded, and what else is measured during the hold (docs/evaluation.md)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fungrasp.geometry.poses import compose, invert
+from fungrasp.records import BatchRecord
+from fungrasp.simulation import Engine
+from fungrasp.task.protocol import LiftProtocol
+
+
+@dataclass(frozen=True, eq=False)
+class Outcomes(BatchRecord):
+    """Outcomes of W episodes, a number each, shape [W]."""
+
+    success: np.ndarray
+    """Whether the object stayed up and touched nothing but the hand during the whole hold, bool."""
+    lifted_height_m: np.ndarray
+    """Smallest height of the centre of mass above where it settled, during the hold [m]."""
+    contact_ratio: np.ndarray
+    """Share of the target links in contact, mean over the hold."""
+    contact_precision: np.ndarray
+    """Share of the links in contact that are targets, mean over the hold; zero without contact."""
+    contact_f1: np.ndarray
+    """Harmonic mean of the two at each sample, mean over the hold."""
+    sim_distance_world_mm_s: np.ndarray
+    """Displacement of the object per second of the hold, in the world [mm/s]."""
+    sim_distance_hand_mm_s: np.ndarray
+    """The same relative to the palm: slip [mm/s]."""
+    pushed_m: np.ndarray
+    """Displacement of the object in the table's plane before the lift [m]."""
+    legacy_success: np.ndarray
+    """Whether the object did not touch the table during the hold, at whatever height: the definition of
+    earlier published code, bool."""
+    reason: np.ndarray
+    """Why the episode failed, "" on success, str."""
+
+
+class LiftMeasurements:
+    """Accumulates what the outcomes of W episodes are made of."""
+
+    def __init__(self, engine: Engine, protocol: LiftProtocol):
+        """
+        Args:
+            engine: it is read.
+            protocol: of the episodes.
+        """
+        count = len(engine)
+        self._engine, self._protocol = engine, protocol
+        self.settled_height = np.zeros(count)
+        """Height of the objects' centres of mass at rest, world frame [m], shape [W]."""
+        self._lifted = np.full(count, np.inf)
+        self._touched_table = np.zeros(count, dtype=bool)
+        self._pushed = np.zeros(count)
+        # Rows: number of samples, recall, precision, F1, travel in the world, travel in the palm, any
+        # contact.
+        self._sums = np.zeros((7, count))
+        self._previous = np.full((count, 3), np.nan), np.full((count, 3), np.nan)
+
+    @property
+    def height(self) -> np.ndarray:
+        """Of the objects' centres of mass above where they settled [m], -1 where physics has broken down,
+        shape [W]."""
+        height = self._engine.center_of_mass[:, 2] - self.settled_height
+        return np.where(np.isfinite(height) & ~self._engine.diverged, height, -1.0)
+
+    def begin(self, ids: np.ndarray) -> None:
+        """Start anew in some worlds, whose objects are at rest. ids: shape [I]."""
+        self.settled_height[ids] = self._engine.center_of_mass[ids, 2]
+        self._lifted[ids] = np.inf
+        self._touched_table[ids] = False
+        self._pushed[ids] = 0.0
+        self._sums[:, ids] = 0.0
+        self._previous[0][ids], self._previous[1][ids] = np.nan, np.nan
+
+    def lift_begins(self, which: np.ndarray, settled_pose: np.ndarray) -> None:
+        """Measure how far the objects were pushed.
+
+        Args:
+            which: worlds in which the lift begins, shape [W] bool.
+            settled_pose: where the objects were, world frame, shape [W, 7].
+        """
+        moved = np.linalg.norm(self._engine.object_pose[:, :2] - settled_pose[:, :2], axis=1)
+        self._pushed[which] = moved[which]
+
+    def watch(self, holding: np.ndarray) -> None:
+        """After each setpoint: height and table. holding: worlds in their hold, shape [W] bool."""
+        self._lifted = np.where(holding, np.minimum(self._lifted, self.height), self._lifted)
+        self._touched_table |= holding & self._engine.object_on_table
+
+    def sample(self, holding: np.ndarray, target: np.ndarray) -> None:
+        """After each control period: contacts and displacement.
+
+        Args:
+            holding: worlds in their hold, shape [W] bool.
+            target: links that should touch, shape [W, L] bool.
+        """
+        position, palm = self._engine.object_pose, self._engine.palm_pose
+        in_palm = compose(invert(palm), position)[:, :3]
+        actual = self._engine.link_contacts
+        both = (actual & target).sum(axis=1)
+        recall = both / np.maximum(target.sum(axis=1), 1)
+        precision = both / np.maximum(actual.sum(axis=1), 1)
+        f1 = 2 * both / np.maximum(target.sum(axis=1) + actual.sum(axis=1), 1)
+        travel = np.linalg.norm(position[:, :3] - self._previous[0], axis=1)
+        slip = np.linalg.norm(in_palm - self._previous[1], axis=1)
+        sample = np.stack([np.ones(len(holding)), recall, precision, f1, travel, slip, actual.any(axis=1)])
+        self._sums += np.where(holding & np.isfinite(travel), np.nan_to_num(sample), 0.0)
+        self._previous = position[:, :3].copy(), in_palm
+
+    def outcomes(self) -> Outcomes:
+        """What was measured so far."""
+        number, recall, precision, f1, travel, slip, touching = self._sums
+        number = np.maximum(number, 1)
+        high = self._lifted >= self._protocol.success_height
+        diverged = self._lifted < -0.5
+        success = high & ~self._touched_table
+        reason = np.select(
+            [success, diverged, high, touching / number > 0.9, touching > 0],
+            [
+                "",
+                "the simulation diverged",
+                "the object touched the table during the hold",
+                "held too low",
+                "dropped during the hold",
+            ],
+            "lost before the hold",
+        )
+        per_second = 1e3 / (number * self._protocol.control_period)
+        return Outcomes(
+            success=success,
+            lifted_height_m=self._lifted,
+            contact_ratio=recall / number,
+            contact_precision=precision / number,
+            contact_f1=f1 / number,
+            sim_distance_world_mm_s=travel * per_second,
+            sim_distance_hand_mm_s=slip * per_second,
+            pushed_m=self._pushed,
+            legacy_success=~self._touched_table & ~diverged,
+            reason=reason,
+        )

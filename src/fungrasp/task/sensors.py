@@ -1,0 +1,134 @@
+"""Simulated sensors: what W robots see of their worlds, with its errors, delay and gaps."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from fungrasp.geometry.poses import inverse_transform_points
+from fungrasp.task.lift import LiftTask
+from fungrasp.task.observation import Observation
+from fungrasp.transfer import EpisodeSample, MeasurementError, Randomization, offset_pose
+
+NO_LIFT = -1.0
+"""``Observation.time_since_lift`` before the lift [s]."""
+
+
+class SimulatedSensors:
+    """Measures what ``Observation`` holds. Biases are those of a sample; jitter is drawn at every call."""
+
+    def __init__(
+        self,
+        task: LiftTask,
+        randomization: Randomization,
+        rng: np.random.Generator | Sequence[np.random.Generator],
+    ):
+        """
+        Args:
+            task: whose worlds are measured.
+            randomization: with the jitter and the dropouts.
+            rng: of those; one for all worlds, or one for each.
+        """
+        self._task, self._r, self._rng = task, randomization, rng
+        self._ring: list[np.ndarray] = []
+        """Object poses at the last setpoints, the newest last; each of shape [W, 7]."""
+        self._last: tuple[np.ndarray, np.ndarray] | None = None
+        """Object pose that was last seen, and its age."""
+
+    def begin(self, ids: np.ndarray) -> None:
+        """Forget the past of some worlds, whose episodes begin. ids: shape [I]."""
+        now = self._task.engine.object_pose
+        for pose in self._ring:
+            pose[ids] = now[ids]
+        if self._last is not None:
+            self._last[0][ids], self._last[1][ids] = now[ids], 0.0
+
+    def record(self) -> None:
+        """Keep the objects' poses, after each setpoint: for trackers that are late."""
+        if not self._r.tracker_delay[1]:
+            return
+        period = self._task.setpoints.period
+        self._ring.append(self._task.engine.object_pose)
+        del self._ring[: -(1 + round(self._r.tracker_delay[1] / period))]
+
+    def observe(self, sample: EpisodeSample) -> Observation:
+        """What is seen now. sample: of the episodes in the W worlds."""
+        task, r = self._task, self._r
+        since_lift = np.maximum(task.time - task.lift_time, NO_LIFT)
+        hand, joints = task.scene.hand, task.engine.joint_positions
+        if r.joint_error == MeasurementError():
+            joints = hand.independent(joints)
+        else:
+            joints = hand.independent(joints + sample.joint_bias)
+            joints = joints + r.joint_error.jitter * self._normal(joints.shape[1])
+        palm = task.engine.palm_pose
+        if any(e != MeasurementError() for e in (r.palm_position_error, r.palm_rotation_error)):
+            errors = (r.palm_position_error, r.palm_rotation_error)
+            palm = offset_pose(palm, sample.palm_bias + self._jitter(errors))
+        thing, age = self._track(sample)
+        return Observation(
+            time=task.time.copy(),
+            time_since_lift=since_lift,
+            joint_positions=joints,
+            joint_setpoints=task.setpoints.fingers.copy(),
+            palm_pose=palm,
+            palm_setpoint=task.setpoints.wrist.pose.copy(),
+            object_pose=thing,
+            object_pose_age=age,
+        )
+
+    def believed_object_pose(self, pose: np.ndarray, sample: EpisodeSample) -> np.ndarray:
+        """Where objects at rest are believed to be, world frame, shape [W, 7]: measurements are averaged, so
+        that the bias alone remains.
+
+        Args:
+            pose: where they are, world frame, shape [W, 7].
+            sample: of the episodes.
+        """
+        r = self._r
+        if all(e == MeasurementError() for e in (r.object_position_error, r.object_rotation_error)):
+            return pose
+        return offset_pose(pose, sample.object_bias, self._center())
+
+    def _track(self, sample: EpisodeSample) -> tuple[np.ndarray, np.ndarray]:
+        """Tracked object poses, world frame [W, 7], and their age [s], shape [W]."""
+        task, r = self._task, self._r
+        pose, age = task.engine.object_pose, np.zeros(len(task.engine))
+        if r.tracker_delay[1] > 0 and self._ring:
+            late = np.rint(sample.tracker_delay / task.setpoints.period).astype(int)
+            late = np.minimum(late, len(self._ring) - 1)
+            pose = np.stack(self._ring)[len(self._ring) - 1 - late, np.arange(len(late))]
+            age = late * task.setpoints.period
+        errors = (r.object_position_error, r.object_rotation_error)
+        if any(e != MeasurementError() for e in errors):
+            pose = offset_pose(pose, sample.object_bias + self._jitter(errors), self._center())
+        if r.tracker_dropout > 0:
+            if self._last is not None:
+                missing = self._uniform() < r.tracker_dropout
+                pose = np.where(missing[:, None], self._last[0], pose)
+                age = np.where(missing, self._last[1] + task.protocol.control_period, age)
+            self._last = pose.copy(), age.copy()
+        return pose, age
+
+    def _center(self) -> np.ndarray:
+        """Centres of mass in the frames of objects [m], shape [W, 3]: a tracked object turns about its
+        own."""
+        now = self._task.engine.object_pose
+        return inverse_transform_points(now, self._task.engine.center_of_mass[:, None])[:, 0]
+
+    def _jitter(self, errors: tuple[MeasurementError, MeasurementError]) -> np.ndarray:
+        """Of position and rotation, shape [W, 6]."""
+        return self._normal(6) * np.repeat([e.jitter for e in errors], 3)
+
+    def _normal(self, size: int) -> np.ndarray:
+        count = len(self._task.engine)
+        if isinstance(self._rng, np.random.Generator):
+            return self._rng.normal(size=(count, size))
+        return np.stack([rng.normal(size=size) for rng in self._rng])
+
+    def _uniform(self) -> np.ndarray:
+        count = len(self._task.engine)
+        if isinstance(self._rng, np.random.Generator):
+            return self._rng.random(count)
+        return np.array([rng.random() for rng in self._rng])
