@@ -14,16 +14,16 @@ from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.objects import ObjectModel
 from fungrasp.policies.residual_action import WRIST_ACTIONS, ResidualSettings, add_residual, smoothed
 from fungrasp.task import Action, GraspPlan, LiftProtocol, Observation
-from fungrasp.task.features import HandState, PlanTarget, robot_features
+from fungrasp.task.features import MeasuredState, PlanTarget, robot_features
 
 
 @dataclass(frozen=True, eq=False)
 class TrackingState:
     """All that a network's inputs and the reward are made of, at one control step."""
 
-    now: HandState
+    now: MeasuredState
     """Measured at this step."""
-    before: HandState
+    before: MeasuredState
     """Measured at the one before."""
     target: PlanTarget
     """What the plan asks for."""
@@ -75,8 +75,8 @@ class PlanTracker:
         self._anchor = np.tile([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], (count, 1))
         self._goal: tuple[np.ndarray, np.ndarray] | None = None
         """Of this control step, made when first asked for."""
-        self._now: HandState | None = None
-        self._before: HandState | None = None
+        self._now: MeasuredState | None = None
+        self._before: MeasuredState | None = None
 
     def begin(self, ids: np.ndarray, rows: np.ndarray, observation: Observation) -> None:
         """Follow other plans in some worlds.
@@ -96,7 +96,7 @@ class PlanTracker:
             self._now = self._before = fresh
             return
         for kept in (self._now, self._before):
-            for field in fields(HandState):
+            for field in fields(MeasuredState):
                 getattr(kept, field.name)[ids] = getattr(fresh, field.name)[ids]
 
     def update(self, observation: Observation) -> None:
@@ -159,7 +159,7 @@ class PlanTracker:
         self._step = np.rint(observation.time / self.plans.control_period).astype(int)
         self._since_lift = observation.time_since_lift
 
-    def _measure(self, observation: Observation) -> HandState:
+    def _measure(self, observation: Observation) -> MeasuredState:
         palm, thing = observation.palm_pose, observation.object_pose
         self._kinematics.update(None, observation.joint_positions)
         keypoints = self._kinematics.points(self._keypoints)
@@ -168,7 +168,7 @@ class PlanTracker:
         in_world = keypoints @ palm_turn.mT + palm[:, None, :3]
         in_object = (in_world - thing[:, None, :3]) @ object_turn
         distance, normal = self._bank.query(self._object[self.rows], in_object)
-        return HandState(
+        return MeasuredState(
             joints=observation.joint_positions.copy(),
             joint_setpoints=observation.joint_setpoints.copy(),
             palm_pose=palm.copy(),

@@ -45,7 +45,7 @@ _PHASE_BEGINS, _PHASE_ENDS = np.array([-1.0, 0.0, 0.0, 0.0]), np.array([0.0, 2.0
 
 
 @dataclass(frozen=True, eq=False)
-class HandState:
+class MeasuredState:
     """The measured state of W hands and their objects."""
 
     joints: Array
@@ -98,7 +98,7 @@ class PlanTarget:
     """Time since the lift began, negative before [s], shape [W]."""
 
 
-def robot_features(now: HandState, before: HandState, target: PlanTarget, action: Array) -> dict[str, Array]:
+def robot_features(now: MeasuredState, before: MeasuredState, target: PlanTarget, action: Array) -> dict[str, Array]:
     """What a robot has, by name, each part of shape [W, number].
 
     Args:
