@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from scipy.spatial import ConvexHull
 
 from fungrasp.objects import ConvexPiece, convex_pieces, load_object
-from fungrasp.objects.convex import DecompositionSettings, fewer_points, mesh_digest
-from fungrasp.objects.fidelity import piece_fidelity
+from fungrasp.objects.convex_decomposition import DecompositionSettings, fewer_points, mesh_digest
+from fungrasp.objects.piece_fidelity import piece_fidelity
 
 SHARED = Path(__file__).resolve().parents[2] / ".." / "shared"
 
@@ -50,7 +50,9 @@ def test_kept_pieces_are_read_back(cache, monkeypatch):
     mesh = bracket()
     first = convex_pieces(mesh.vertices, mesh.faces)
     assert len(kept_files(cache)) == 1
-    monkeypatch.setattr("fungrasp.objects.convex._decompose", lambda *_: pytest.fail("computed again"))
+    monkeypatch.setattr(
+        "fungrasp.objects.convex_decomposition._decompose", lambda *_: pytest.fail("computed again")
+    )
     assert_same(first, convex_pieces(mesh.vertices, mesh.faces))
 
 

@@ -13,14 +13,14 @@ if TYPE_CHECKING:
     from fungrasp.grasps import HumanGrasp, HumanGraspSet, RobotGrasp
 
 GraspFile = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
-Source = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SOURCE")]
+SourcePath = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SOURCE")]
 
 WIDTH, HEIGHT = 960, 720
 """Of pictures [pixels]."""
 
 
 @dataclass(frozen=True)
-class List:
+class ListGrasps:
     """Count the grasps of a set by object and task."""
 
     grasps: str = "builtin"
@@ -46,7 +46,7 @@ class List:
 
 
 @dataclass(frozen=True)
-class Show:
+class ShowGrasp:
     """Show one grasp: numbers, and on request a picture."""
 
     file: GraspFile
@@ -76,7 +76,7 @@ class Show:
 class ImportDexYCB:
     """Import DexYCB from its own folders: one grasp per sequence, where the object starts to move."""
 
-    source: Source
+    source: SourcePath
     """DexYCB's folder, which holds the subjects, calibration and models."""
     out: Path
     """Grasp file to write (.npz)."""
@@ -109,7 +109,7 @@ class ImportDexYCB:
 class ImportDGrasp:
     """Import a label pickle of D-Grasp; nothing in the pickle is run."""
 
-    source: Source
+    source: SourcePath
     """The .pkl file."""
     out: Path
     """Grasp file to write (.npz)."""
@@ -128,7 +128,7 @@ class ImportOther:
 
     importer: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")]
     """Name of the importer."""
-    source: Source
+    source: SourcePath
     """File or folder it reads."""
     out: Path
     """Grasp file to write (.npz)."""
@@ -140,7 +140,7 @@ class ImportOther:
 
 
 @dataclass(frozen=True)
-class Import:
+class ImportGrasps:
     """Turn a data set into a grasp file."""
 
     data: (
@@ -155,7 +155,7 @@ class Import:
 
 
 @dataclass(frozen=True)
-class Make:
+class MakeGrasps:
     """Make the human grasps of the built-in objects anew."""
 
     out: Path
@@ -169,23 +169,25 @@ class Make:
         from rich.progress import Progress
 
         from fungrasp.errors import UnknownNameError
-        from fungrasp.synthesis.builtin_specifications import EVERYDAY
-        from fungrasp.synthesis.synthesize import generate
+        from fungrasp.synthesis.builtin_specifications import BUILTIN_SPECIFICATIONS
+        from fungrasp.synthesis.synthesize import synthesize_grasps
 
-        known = {wish.object for wish in EVERYDAY}
+        known = {spec.object for spec in BUILTIN_SPECIFICATIONS}
         for name in self.objects:
             if name not in known:
                 raise UnknownNameError("object", name, sorted(known))
-        wishes = [wish for wish in EVERYDAY if not self.objects or wish.object in self.objects]
+        specs = [spec for spec in BUILTIN_SPECIFICATIONS if not self.objects or spec.object in self.objects]
         with Progress(transient=True) as progress:
-            bar = progress.add_task("making grasps", total=len(wishes))
-            grasps = generate(wishes, self.seed, progress=lambda count: progress.advance(bar, count))
+            bar = progress.add_task("making grasps", total=len(specs))
+            grasps = synthesize_grasps(specs, self.seed, progress=lambda count: progress.advance(bar, count))
         _save(self.out, grasps)
-        if len(grasps) < len(wishes):
-            print(f"left out: {len(wishes) - len(grasps)} of {len(wishes)} wishes, which could not be met")
+        if len(grasps) < len(specs):
+            print(
+                f"left out: {len(specs) - len(grasps)} of {len(specs)} specifications, which could not be met"
+            )
 
 
-COMMAND = {"list": List, "show": Show, "import": Import, "make": Make}
+COMMAND = {"list": ListGrasps, "show": ShowGrasp, "import": ImportGrasps, "make": MakeGrasps}
 
 
 def _save(path: Path, grasps: HumanGraspSet) -> None:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from fungrasp.objects import ObjectModel
 
-COLOURS = {
+COLORS = {
     "blue": (0.36, 0.55, 0.72),
     "orange": (0.93, 0.55, 0.22),
     "green": (0.45, 0.66, 0.38),
@@ -27,7 +27,7 @@ COLOURS = {
 
 
 @dataclass(frozen=True)
-class List:
+class ListObjects:
     """List the objects known by name."""
 
     objects: Path | None = None
@@ -66,7 +66,7 @@ class List:
 
 
 @dataclass(frozen=True)
-class Show:
+class ShowObject:
     """Show an object: size, mass, inertia, parts, what was repaired, and its convex pieces for physics."""
 
     name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME|PATH")]
@@ -84,12 +84,12 @@ class Show:
 
     def run(self) -> None:
         from fungrasp.errors import FungraspError
-        from fungrasp.objects.description import describe
+        from fungrasp.objects.object_description import describe_object
 
         if self.picture is not None and self.picture.suffix.lower() not in (".png", ".jpg", ".jpeg"):
             raise FungraspError(f"a picture must be a .png or .jpg file, not {self.picture}")
         model, weighed = self._load()
-        description = describe(model)
+        description = describe_object(model)
         if not weighed:
             description |= {"mass": None, "inertia": None}
         print(json.dumps(description, indent=2) if self.json else _text(description))
@@ -107,7 +107,7 @@ class Show:
         return load_object(self.name, self.mass if weighed else 1.0, self.objects), weighed
 
 
-COMMAND = {"list": List, "show": Show}
+COMMAND = {"list": ListObjects, "show": ShowObject}
 
 
 def _text(d: dict[str, Any]) -> str:
@@ -150,7 +150,7 @@ def _draw(model: ObjectModel, path: Path, by_piece: bool) -> None:
     from fungrasp.files import atomic_path
     from fungrasp.report.pictures import four_views, grid
 
-    names = list(COLOURS)
+    names = list(COLORS)
     legend = (
         "" if by_piece else ", ".join(f"{part} {names[i % len(names)]}" for i, part in enumerate(model.parts))
     )
@@ -174,13 +174,13 @@ def _scene(model: ObjectModel, by_piece: bool) -> mujoco.MjModel:
     spec = mujoco.MjSpec()
     pose = model.rest_pose()
     body = spec.worldbody.add_body(pos=pose[:3], quat=pose[3:])
-    colours = list(COLOURS.values())
+    colors = list(COLORS.values())
     for i, (vertices, faces) in enumerate(shapes):
         used, renumbered = np.unique(faces, return_inverse=True)
         mesh = spec.add_mesh(name=f"shape_{i}", inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL)
         mesh.uservert = np.ascontiguousarray(vertices[used]).ravel()
         mesh.userface = renumbered.astype(np.int32).ravel()
-        rgba = [*colours[i % len(colours)], 1.0]
+        rgba = [*colors[i % len(colors)], 1.0]
         body.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=mesh.name, rgba=rgba)
     return spec.compile()
 

@@ -16,10 +16,10 @@ if TYPE_CHECKING:
     from fungrasp.objects import ObjectModel
 
 
-UNITS = ("mm", "deg", "rad")
+QUALITY_UNITS = ("mm", "deg", "rad")
 """In the names of quality numbers."""
 
-DRAWN = 12
+DRAWN_GRASPS = 12
 """Grasps in a picture."""
 
 WIDTH, HEIGHT = 400, 320
@@ -66,7 +66,7 @@ class Retarget:
             write_json(self.quality, finite(quality.summary()) | {"grasps_per_second": rate})
         if self.picture is not None:
             draw_grasps(self.picture, robot, objects, hand, human)
-        print(quality_table(quality.summary()))
+        print(static_quality_table(quality.summary()))
         print(f"{self.out}: {len(robot)} grasps of {len(objects)} objects, {rate:.0f} grasps/s")
 
 
@@ -98,12 +98,12 @@ def retargeted(
         return robot, len(human) / (perf_counter() - start)
 
 
-def quality_table(summary: Mapping[str, Mapping[str, float]]) -> str:
+def static_quality_table(summary: Mapping[str, Mapping[str, float]]) -> str:
     """What ``StaticQuality.summary`` says, for people."""
     rows: list[tuple[str, ...]] = [("quality", "mean", "p95", "max", "unit")]
     for name, numbers in summary.items():
         what, _, unit = name.rpartition("_")
-        if unit not in UNITS:
+        if unit not in QUALITY_UNITS:
             what, unit = name, ""
         rows.append((what.replace("_", " "), *(f"{numbers[k]:.2f}" for k in ("mean", "p95", "max")), unit))
     return table(rows)
@@ -138,7 +138,7 @@ def draw_grasps(
 
     _, first = np.unique(robot.object_name, return_index=True)
     others = np.setdiff1d(np.arange(len(robot)), first)
-    rows = np.concatenate([first, others])[:DRAWN]
+    rows = np.concatenate([first, others])[:DRAWN_GRASPS]
     images, labels = [], []
     with progress_bar("drawing", len(rows)) as show:
         for done, row in enumerate(rows.tolist()):

@@ -1,7 +1,7 @@
 """Protocols, metrics over many trials, the paper's tables."""
 
+from fungrasp.evaluation.grasp_quality import StaticQuality, static_quality
 from fungrasp.evaluation.lift_test import DynamicResult, evaluate
-from fungrasp.evaluation.quality import StaticQuality, static_quality
 from fungrasp.evaluation.results import result_json
 from fungrasp.evaluation.robustness import CONDITIONS, Disturbance
 from fungrasp.evaluation.six_directions import StaticResult, six_direction_test

@@ -12,7 +12,7 @@ from fungrasp.geometry.poses import compose, invert, rotation_vector
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
-from fungrasp.optimization.hand_problem import Surroundings
+from fungrasp.optimization.collision_scene import CollisionScene
 from fungrasp.planning.grasp_motion import ReferenceSettings
 from fungrasp.planning.grip_forces import squeeze_torques
 from fungrasp.simulation import Scene, SceneSettings, Worlds, build_scene
@@ -145,7 +145,7 @@ def _servo_offsets(
     """The reference controller's squeeze, as offsets of the servo targets [rad], shape [W, U]."""
     s = ReferenceSettings()
     names = grasps.object_name.tolist()
-    around = Surroundings.settled(names, grasps.object_pose, objects)
+    around = CollisionScene.settled(names, grasps.object_pose, objects)
     wrist = compose(invert(grasps.object_pose), grasps.wrist_pose)
     models = [objects[name] for name in names]
     torques = squeeze_torques(hand, around, models, wrist, closed, grasps.link_contacts)

@@ -17,8 +17,6 @@ from fungrasp.errors import FungraspError, UnknownNameError
 FINGERS = ("index", "middle", "ring", "pinky", "thumb")
 """Names of fingers, in the order of the human joints and links (docs/conventions.md)."""
 
-WRIST_COORDINATES = 6
-
 
 @dataclass(frozen=True)
 class Finger:
@@ -163,7 +161,7 @@ class Hand:
         return (self.palm, *(name for f in self.fingers.values() for name in (*f.joints, f.tip)))
 
 
-def read_hand(path: Path) -> Hand:
+def read_hand_toml(path: Path) -> Hand:
     """Read a hand's TOML and check that all it names exists in the model.
 
     Args:

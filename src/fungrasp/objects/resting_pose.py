@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fungrasp.objects.model import ObjectModel
+from fungrasp.objects.object_model import ObjectModel
 
 
 def resting_directions(model: ObjectModel) -> np.ndarray:

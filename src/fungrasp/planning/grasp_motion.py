@@ -12,7 +12,7 @@ from fungrasp.geometry.poses import clip, compose, invert, rotate
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
-from fungrasp.optimization.hand_problem import Surroundings
+from fungrasp.optimization.collision_scene import CollisionScene
 from fungrasp.planning.approach_path import Approach, ApproachSettings, Path, plan_approach
 from fungrasp.planning.grasp_adaptation import AdaptSettings, adapt
 from fungrasp.planning.grip_forces import squeeze_torques
@@ -233,7 +233,7 @@ def _servo_offsets(
 ) -> np.ndarray:
     """Of the joints' servo targets, that make the torques of the squeeze [rad], shape [N, U]."""
     names = grasps.object_name.tolist()
-    around = Surroundings.settled(names, settled_pose, objects)
+    around = CollisionScene.settled(names, settled_pose, objects)
     models = [objects[name] for name in names]
     torques = squeeze_torques(hand, around, models, wrist, grasp, grasps.link_contacts)
     force = _setting(grasps, "force_scale", 1.0)[:, 0] * (s.force + s.force_per_kg * grasps.object_mass)

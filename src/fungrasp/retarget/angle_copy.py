@@ -15,8 +15,9 @@ from fungrasp.geometry.poses import rotate
 from fungrasp.grasps.anatomy import joint_bends
 from fungrasp.hands import FINGERS, Hand
 from fungrasp.hands.correspondence import HUMAN_FINGER_JOINTS
-from fungrasp.optimization.hand_problem import HandPoints, Problem, State
-from fungrasp.optimization.levenberg_marquardt import minimise
+from fungrasp.optimization.hand_configuration import HandConfiguration, HandPoints
+from fungrasp.optimization.levenberg_marquardt import minimize
+from fungrasp.optimization.retargeting_problem import RetargetingProblem
 from fungrasp.optimization.terms import Residual
 from fungrasp.retarget.contact_optimization import RetargetSettings, palm_alignment
 
@@ -41,7 +42,9 @@ class JointRoles(NamedTuple):
     """Which independent joints move the thumb and have no such role, shape [U] bool."""
 
 
-def solve(points: HandPoints, problem: Problem, settings: RetargetSettings) -> tuple[np.ndarray, np.ndarray]:
+def retarget_by_angle_copy(
+    points: HandPoints, problem: RetargetingProblem, settings: RetargetSettings
+) -> tuple[np.ndarray, np.ndarray]:
     """Wrist poses in the object's frame [N, 7] and independent joints [N, U].
 
     The palms are aligned. Each robot joint is set to the human angle whose role it plays (``joint_roles``),
@@ -56,7 +59,7 @@ def solve(points: HandPoints, problem: Problem, settings: RetargetSettings) -> t
     rotation = palm_alignment(kinematics.hand, problem.joints)
     pose = np.concatenate([np.zeros((len(problem), 3)), rotation], axis=1)
     thumb = partial(thumb_direction, free=np.concatenate([np.zeros(6, dtype=bool), roles.thumb_base]))
-    pose, independent, _ = minimise(points, problem, [thumb], pose, independent, THUMB_ITERATIONS)
+    pose, independent, _ = minimize(points, problem, [thumb], pose, independent, THUMB_ITERATIONS)
     kinematics.update(pose, independent)
     match = points.match
     tips = kinematics.points(points.keypoints)[:, match.far[match.is_last]]
@@ -156,20 +159,23 @@ def joint_roles(hand: Hand) -> JointRoles:
     return JointRoles(matrix, fan, np.any(coupling[in_thumb], axis=0) & ~has_role)
 
 
-def thumb_direction(state: State[Problem], free: np.ndarray) -> Residual:
+def thumb_direction(configuration: HandConfiguration[RetargetingProblem], free: np.ndarray) -> Residual:
     """d_robot - d_human for the thumb's first two links, d the unit vector along a link.
 
     Args:
         free: which entries of the tangent vector may change, shape [D] bool; others have derivative zero.
     """
-    match = state.points.match
+    match = configuration.points.match
     first = np.flatnonzero(match.is_thumb)[:2]
     near, far = match.near[first], match.far[first]
-    robot = state.keypoints[:, far] - state.keypoints[:, near]
-    human = state.problem.joints[:, match.human_far[first]] - state.problem.joints[:, match.human_near[first]]
+    robot = configuration.keypoints[:, far] - configuration.keypoints[:, near]
+    human = (
+        configuration.problem.joints[:, match.human_far[first]]
+        - configuration.problem.joints[:, match.human_near[first]]
+    )
     length = np.linalg.norm(robot, axis=-1, keepdims=True)
     robot, human = robot / length, human / np.linalg.norm(human, axis=-1, keepdims=True)
-    move = (state.keypoint_jacobian(far) - state.keypoint_jacobian(near)) / length[..., None]
+    move = (configuration.keypoint_jacobian(far) - configuration.keypoint_jacobian(near)) / length[..., None]
     jacobian = (move - robot[..., None] * np.einsum("nsi,nsid->nsd", robot, move)[:, :, None]) * free
     return (robot - human).reshape(len(robot), -1), jacobian.reshape(len(robot), -1, free.size)
 

@@ -11,8 +11,9 @@ from scipy.spatial.transform import Rotation
 
 from fungrasp.hands import Hand
 from fungrasp.optimization import terms
-from fungrasp.optimization.hand_problem import HandPoints, Problem
-from fungrasp.optimization.levenberg_marquardt import Term, minimise
+from fungrasp.optimization.hand_configuration import HandPoints
+from fungrasp.optimization.levenberg_marquardt import Term, minimize
+from fungrasp.optimization.retargeting_problem import RetargetingProblem
 
 
 @dataclass(frozen=True)
@@ -47,7 +48,9 @@ class RetargetSettings:
     second_iterations: int = 30
 
 
-def solve(points: HandPoints, problem: Problem, settings: RetargetSettings) -> tuple[np.ndarray, np.ndarray]:
+def retarget_by_contact_optimization(
+    points: HandPoints, problem: RetargetingProblem, settings: RetargetSettings
+) -> tuple[np.ndarray, np.ndarray]:
     """Wrist poses in the object's frame [N, 7] and independent joints [N, U]."""
     wrist_pose, independent = initial_pose(points, problem)
     table = partial(terms.table_penetration, unit=settings.table_unit, margin=settings.table_margin)
@@ -57,7 +60,7 @@ def solve(points: HandPoints, problem: Problem, settings: RetargetSettings) -> t
         partial(terms.link_direction, unit=settings.direction_unit),
         partial(table, unit=0.005),
     ]
-    wrist_pose, independent, _ = minimise(
+    wrist_pose, independent, _ = minimize(
         points, problem, first, wrist_pose, independent, settings.first_iterations
     )
     start = (wrist_pose, independent)
@@ -73,13 +76,13 @@ def solve(points: HandPoints, problem: Problem, settings: RetargetSettings) -> t
         table,
         itself,
     ]
-    wrist_pose, independent, _ = minimise(
+    wrist_pose, independent, _ = minimize(
         points, problem, second, wrist_pose, independent, settings.second_iterations
     )
     return wrist_pose, independent
 
 
-def initial_pose(points: HandPoints, problem: Problem) -> tuple[np.ndarray, np.ndarray]:
+def initial_pose(points: HandPoints, problem: RetargetingProblem) -> tuple[np.ndarray, np.ndarray]:
     """Palms aligned by the directions wrist to middle finger and palm normal, fingers a quarter closed."""
     kinematics = points.kinematics
     rotation = palm_alignment(kinematics.hand, problem.joints)

@@ -1,7 +1,7 @@
-"""How people hold the built-in objects: the wishes from which the built-in grasps are made.
+"""How people hold the built-in objects: the specifications from which the built-in grasps are made.
 
 Directions are in the objects' frames, z up as they stand on the table. Overhand, with the palm down, the
-thumb is on the side of +x when the fingers point to -y. Upright things are held from the side, thumb up.
+thumb is on the side of +x when the fingers point to -y. Upright objects are held from the side, thumb up.
 """
 
 from __future__ import annotations
@@ -10,40 +10,56 @@ from dataclasses import replace
 
 import numpy as np
 
-from fungrasp.synthesis.specification import GraspWish, Vector
+from fungrasp.synthesis.grasp_specification import GraspSpecification, Vector3
 
-DOWN: Vector = (0, 0, -1)
-LEFT: Vector = (0, 1, 0)
-RIGHT: Vector = (0, -1, 0)
-AHEAD: Vector = (1, 0, 0)
-BACK: Vector = (-1, 0, 0)
-
-
-def _around(wish: GraspWish, *degrees: float, about: tuple[float, float] = (0, 0)) -> list[GraspWish]:
-    return [wish.turned(np.deg2rad(angle), about) for angle in degrees]
+DOWN: Vector3 = (0, 0, -1)
+LEFT: Vector3 = (0, 1, 0)
+RIGHT: Vector3 = (0, -1, 0)
+AHEAD: Vector3 = (1, 0, 0)
+BACK: Vector3 = (-1, 0, 0)
 
 
-def _along(wish: GraspWish, *places: float, axis: int = 0) -> list[GraspWish]:
-    """The same wish with other coordinates of ``at`` along an axis."""
+def _around(
+    spec: GraspSpecification, *degrees: float, about: tuple[float, float] = (0, 0)
+) -> list[GraspSpecification]:
+    return [spec.turned(np.deg2rad(angle), about) for angle in degrees]
+
+
+def _along(spec: GraspSpecification, *places: float, axis: int = 0) -> list[GraspSpecification]:
+    """The same specification with other coordinates of ``at`` along an axis."""
     result = []
     for place in places:
-        at = list(wish.at)
+        at = list(spec.at)
         at[axis] = place
-        result.append(replace(wish, at=(at[0], at[1], at[2])))
+        result.append(replace(spec, at=(at[0], at[1], at[2])))
     return result
 
 
-def _drinking() -> list[GraspWish]:
-    mug = GraspWish("mug", "drink", "handle", "handle", at=(0.053, 0, 0.0), palm=BACK, fingers=LEFT)
-    mug_body = GraspWish("mug", "hand over", "body", "wrap", at=(-0.016, 0, 0.008), palm=AHEAD, fingers=RIGHT)
-    mug_rim = GraspWish("mug", "place", "rim", "disk", at=(-0.016, 0, 0.04), palm=DOWN, fingers=AHEAD)
-    stem = GraspWish("wine_glass", "drink", "stem", "pinch", at=(0, 0, -0.045), palm=LEFT, fingers=AHEAD)
-    bowl = GraspWish("wine_glass", "toast", "bowl", "wrap", at=(0, 0, 0.035), palm=LEFT, fingers=AHEAD)
-    top = GraspWish("wine_glass", "place", "bowl", "disk", at=(0, 0, 0.08), palm=DOWN, fingers=AHEAD)
-    pour = GraspWish("pitcher", "pour", "handle", "fist", at=(0.094, 0, 0.0), palm=BACK, fingers=LEFT)
-    wall = GraspWish("pitcher", "hand over", "body", "pinch", at=(0, 0.064, 0.1), palm=DOWN, fingers=LEFT)
-    tea = GraspWish("teapot", "pour", "handle", "fist", at=(0.109, 0, -0.005), palm=BACK, fingers=LEFT)
-    lid = GraspWish("teapot", "open", "lid", "pinch", at=(0.009, 0, 0.049), palm=DOWN, fingers=BACK)
+def _drinking() -> list[GraspSpecification]:
+    mug = GraspSpecification("mug", "drink", "handle", "handle", at=(0.053, 0, 0.0), palm=BACK, fingers=LEFT)
+    mug_body = GraspSpecification(
+        "mug", "hand over", "body", "wrap", at=(-0.016, 0, 0.008), palm=AHEAD, fingers=RIGHT
+    )
+    mug_rim = GraspSpecification(
+        "mug", "place", "rim", "disk", at=(-0.016, 0, 0.04), palm=DOWN, fingers=AHEAD
+    )
+    stem = GraspSpecification(
+        "wine_glass", "drink", "stem", "pinch", at=(0, 0, -0.045), palm=LEFT, fingers=AHEAD
+    )
+    bowl = GraspSpecification(
+        "wine_glass", "toast", "bowl", "wrap", at=(0, 0, 0.035), palm=LEFT, fingers=AHEAD
+    )
+    top = GraspSpecification("wine_glass", "place", "bowl", "disk", at=(0, 0, 0.08), palm=DOWN, fingers=AHEAD)
+    pour = GraspSpecification(
+        "pitcher", "pour", "handle", "fist", at=(0.094, 0, 0.0), palm=BACK, fingers=LEFT
+    )
+    wall = GraspSpecification(
+        "pitcher", "hand over", "body", "pinch", at=(0, 0.064, 0.1), palm=DOWN, fingers=LEFT
+    )
+    tea = GraspSpecification(
+        "teapot", "pour", "handle", "fist", at=(0.109, 0, -0.005), palm=BACK, fingers=LEFT
+    )
+    lid = GraspSpecification("teapot", "open", "lid", "pinch", at=(0.009, 0, 0.049), palm=DOWN, fingers=BACK)
     return [
         replace(mug, palm=(-1, 0, -0.3)),
         replace(mug, palm=(-1, -0.2, -0.3)),
@@ -63,12 +79,18 @@ def _drinking() -> list[GraspWish]:
     ]
 
 
-def _kitchen() -> list[GraspWish]:
-    cook = GraspWish("pan", "cook", "handle", "wrap", at=(0.07, 0, 0.012), palm=DOWN, fingers=LEFT)
-    pan_rim = GraspWish("pan", "wash", "body", "pinch", at=(-0.09, 0.117, 0.008), palm=DOWN, fingers=LEFT)
-    cut = GraspWish("knife", "cut", "handle", "cover", at=(-0.08, 0.008, 0), palm=DOWN, fingers=RIGHT)
-    chop = GraspWish("knife", "chop", "handle", "pinch", at=(-0.045, 0.008, 0), palm=DOWN, fingers=RIGHT)
-    eat = GraspWish(
+def _kitchen() -> list[GraspSpecification]:
+    cook = GraspSpecification("pan", "cook", "handle", "wrap", at=(0.07, 0, 0.012), palm=DOWN, fingers=LEFT)
+    pan_rim = GraspSpecification(
+        "pan", "wash", "body", "pinch", at=(-0.09, 0.117, 0.008), palm=DOWN, fingers=LEFT
+    )
+    cut = GraspSpecification(
+        "knife", "cut", "handle", "cover", at=(-0.08, 0.008, 0), palm=DOWN, fingers=RIGHT
+    )
+    chop = GraspSpecification(
+        "knife", "chop", "handle", "pinch", at=(-0.045, 0.008, 0), palm=DOWN, fingers=RIGHT
+    )
+    eat = GraspSpecification(
         "bowl",
         "eat",
         "rim",
@@ -78,12 +100,18 @@ def _kitchen() -> list[GraspWish]:
         fingers=(1, 0, -1),
         parts=dict.fromkeys(("index", "middle", "ring"), "body"),
     )
-    flip = GraspWish("spatula", "flip", "handle", "cover", at=(-0.08, 0, 0.002), palm=DOWN, fingers=RIGHT)
-    shaft = GraspWish(
+    flip = GraspSpecification(
+        "spatula", "flip", "handle", "cover", at=(-0.08, 0, 0.002), palm=DOWN, fingers=RIGHT
+    )
+    shaft = GraspSpecification(
         "spatula", "hand over", "shaft", "pinch", at=(-0.01, 0, 0.004), palm=DOWN, fingers=RIGHT
     )
-    scrub = GraspWish("brush", "scrub", "handle", "cover", at=(-0.03, 0, 0.008), palm=DOWN, fingers=RIGHT)
-    head = GraspWish("brush", "hand over", "head", "prism", at=(0.085, 0, 0.015), palm=DOWN, fingers=LEFT)
+    scrub = GraspSpecification(
+        "brush", "scrub", "handle", "cover", at=(-0.03, 0, 0.008), palm=DOWN, fingers=RIGHT
+    )
+    head = GraspSpecification(
+        "brush", "hand over", "head", "prism", at=(0.085, 0, 0.015), palm=DOWN, fingers=LEFT
+    )
     return [
         *_along(cook, 0.06, 0.075, 0.09),
         pan_rim,
@@ -102,15 +130,17 @@ def _kitchen() -> list[GraspWish]:
     ]
 
 
-def _containers() -> list[GraspWish]:
-    can = GraspWish("can", "drink", "body", "wrap", at=(0, 0, 0), palm=LEFT, fingers=AHEAD)
-    can_top = GraspWish("can", "place", "body", "disk", at=(0, 0, 0.04), palm=DOWN, fingers=AHEAD)
-    box = GraspWish("box", "hand over", "body", "prism", at=(0, -0.015, 0), palm=LEFT, fingers=AHEAD)
-    box_top = GraspWish("box", "place", "body", "prism", at=(0, 0, 0.065), palm=DOWN, fingers=AHEAD)
-    bottle = GraspWish("bottle", "drink", "body", "wrap", at=(0, 0, -0.01), palm=LEFT, fingers=AHEAD)
-    cap = GraspWish("bottle", "open", "cap", "pinch", at=(0, 0, 0.095), palm=DOWN, fingers=AHEAD)
-    neck = GraspWish("bottle", "hand over", "body", "disk", at=(0, 0, 0.055), palm=DOWN, fingers=AHEAD)
-    spray = GraspWish(
+def _containers() -> list[GraspSpecification]:
+    can = GraspSpecification("can", "drink", "body", "wrap", at=(0, 0, 0), palm=LEFT, fingers=AHEAD)
+    can_top = GraspSpecification("can", "place", "body", "disk", at=(0, 0, 0.04), palm=DOWN, fingers=AHEAD)
+    box = GraspSpecification("box", "hand over", "body", "prism", at=(0, -0.015, 0), palm=LEFT, fingers=AHEAD)
+    box_top = GraspSpecification("box", "place", "body", "prism", at=(0, 0, 0.065), palm=DOWN, fingers=AHEAD)
+    bottle = GraspSpecification("bottle", "drink", "body", "wrap", at=(0, 0, -0.01), palm=LEFT, fingers=AHEAD)
+    cap = GraspSpecification("bottle", "open", "cap", "pinch", at=(0, 0, 0.095), palm=DOWN, fingers=AHEAD)
+    neck = GraspSpecification(
+        "bottle", "hand over", "body", "disk", at=(0, 0, 0.055), palm=DOWN, fingers=AHEAD
+    )
+    spray = GraspSpecification(
         "spray_bottle",
         "spray",
         "neck",
@@ -121,7 +151,7 @@ def _containers() -> list[GraspWish]:
         parts={"index": "trigger"},
         contacts=("index_distal", "middle_middle", "middle_distal", "thumb_distal"),
     )
-    body = GraspWish(
+    body = GraspSpecification(
         "spray_bottle", "hand over", "body", "wrap", at=(-0.008, 0, -0.04), palm=AHEAD, fingers=RIGHT
     )
     return [
@@ -142,14 +172,20 @@ def _containers() -> list[GraspWish]:
     ]
 
 
-def _tools() -> list[GraspWish]:
-    hammer = GraspWish("hammer", "hammer", "grip", "cover", at=(-0.05, -0.006, 0), palm=DOWN, fingers=RIGHT)
-    shaft = GraspWish("hammer", "hand over", "shaft", "prism", at=(0.03, -0.006, 0), palm=DOWN, fingers=RIGHT)
-    drive = GraspWish("screwdriver", "drive", "handle", "cover", at=(-0.06, 0, 0), palm=DOWN, fingers=RIGHT)
-    rod = GraspWish(
+def _tools() -> list[GraspSpecification]:
+    hammer = GraspSpecification(
+        "hammer", "hammer", "grip", "cover", at=(-0.05, -0.006, 0), palm=DOWN, fingers=RIGHT
+    )
+    shaft = GraspSpecification(
+        "hammer", "hand over", "shaft", "prism", at=(0.03, -0.006, 0), palm=DOWN, fingers=RIGHT
+    )
+    drive = GraspSpecification(
+        "screwdriver", "drive", "handle", "cover", at=(-0.06, 0, 0), palm=DOWN, fingers=RIGHT
+    )
+    rod = GraspSpecification(
         "screwdriver", "hand over", "shaft", "pinch", at=(0.015, 0, -0.006), palm=DOWN, fingers=RIGHT
     )
-    drill = GraspWish(
+    drill = GraspSpecification(
         "drill",
         "drill",
         "grip",
@@ -159,8 +195,10 @@ def _tools() -> list[GraspWish]:
         fingers=(1, -0.4, 0),
         parts={"index": "trigger"},
     )
-    motor = GraspWish("drill", "hand over", "body", "wrap", at=(-0.03, 0, 0.079), palm=DOWN, fingers=RIGHT)
-    clamp = GraspWish(
+    motor = GraspSpecification(
+        "drill", "hand over", "body", "wrap", at=(-0.03, 0, 0.079), palm=DOWN, fingers=RIGHT
+    )
+    clamp = GraspSpecification(
         "clamp",
         "clamp",
         "handles",
@@ -174,9 +212,15 @@ def _tools() -> list[GraspWish]:
             "middle_distal": (-0.05, -0.037, 0),
         },
     )
-    jaws = GraspWish("clamp", "hand over", "jaws", "prism", at=(0.035, 0, 0), palm=DOWN, fingers=LEFT)
-    torch = GraspWish("flashlight", "light", "body", "cover", at=(-0.02, 0, -0.004), palm=DOWN, fingers=RIGHT)
-    glass = GraspWish("flashlight", "hand over", "head", "pinch", at=(0.05, 0, 0), palm=DOWN, fingers=LEFT)
+    jaws = GraspSpecification(
+        "clamp", "hand over", "jaws", "prism", at=(0.035, 0, 0), palm=DOWN, fingers=LEFT
+    )
+    torch = GraspSpecification(
+        "flashlight", "light", "body", "cover", at=(-0.02, 0, -0.004), palm=DOWN, fingers=RIGHT
+    )
+    glass = GraspSpecification(
+        "flashlight", "hand over", "head", "pinch", at=(0.05, 0, 0), palm=DOWN, fingers=LEFT
+    )
     return [
         *_along(hammer, -0.06, -0.04),
         *_along(replace(hammer, kind="prism"), -0.05, -0.035),
@@ -198,8 +242,8 @@ def _tools() -> list[GraspWish]:
     ]
 
 
-def _desk() -> list[GraspWish]:
-    snip = GraspWish(
+def _desk() -> list[GraspSpecification]:
+    snip = GraspSpecification(
         "scissors",
         "cut",
         "loops",
@@ -213,15 +257,17 @@ def _desk() -> list[GraspWish]:
             "middle_distal": (-0.08, -0.01, 0),
         },
     )
-    blades = GraspWish("scissors", "hand over", "blades", "pinch", at=(0.0, 0, 0), palm=DOWN, fingers=LEFT)
-    write = GraspWish(
+    blades = GraspSpecification(
+        "scissors", "hand over", "blades", "pinch", at=(0.0, 0, 0), palm=DOWN, fingers=LEFT
+    )
+    write = GraspSpecification(
         "marker", "write", "barrel", "tripod", at=(-0.01, 0, 0), palm=(0, 0.3, -1), fingers=(0.3, -1, -0.3)
     )
-    cap = GraspWish("marker", "open", "cap", "pinch", at=(0.03, 0, 0), palm=DOWN, fingers=LEFT)
-    read = GraspWish(
+    cap = GraspSpecification("marker", "open", "cap", "pinch", at=(0.03, 0, 0), palm=DOWN, fingers=LEFT)
+    read = GraspSpecification(
         "book", "read", "cover", "prism", at=(0.035, 0, 0), palm=BACK, fingers=(0, 0, 1), up=(1, 0, 0)
     )
-    throw = GraspWish("tennis_ball", "throw", "ball", "disk", at=(0, 0, 0), palm=DOWN, fingers=AHEAD)
+    throw = GraspSpecification("tennis_ball", "throw", "ball", "disk", at=(0, 0, 0), palm=DOWN, fingers=AHEAD)
     return [
         snip,
         replace(snip, fingers=(-0.4, -1, 0)),
@@ -239,5 +285,11 @@ def _desk() -> list[GraspWish]:
     ]
 
 
-EVERYDAY: tuple[GraspWish, ...] = (*_drinking(), *_kitchen(), *_containers(), *_tools(), *_desk())
-"""What ``fungrasp grasps make`` makes."""
+BUILTIN_SPECIFICATIONS: tuple[GraspSpecification, ...] = (
+    *_drinking(),
+    *_kitchen(),
+    *_containers(),
+    *_tools(),
+    *_desk(),
+)
+"""The specifications that ``fungrasp grasps make`` solves."""

@@ -19,7 +19,7 @@ class Finding:
 
 
 @dataclass(frozen=True)
-class Parts:
+class HandParts:
     """Which body or site plays which part, as far as it is known and exists in the model."""
 
     palm: str | None = None

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fungrasp.objects.builtin.assembly import Parts
+from fungrasp.objects.builtin.assembly import PartSolids
 from fungrasp.objects.builtin.shapes import box, ellipse, lathe, sweep
 
 
@@ -19,7 +19,7 @@ class Can:
     height: float = 0.115
     """[m]."""
 
-    def parts(self) -> Parts:
+    def parts(self) -> PartSolids:
         r, h = self.radius, self.height
         return {
             "body": [lathe([(r - 0.008, 0), (r, 0.01), (r, h - 0.014), (r - 0.006, h - 0.003)], segments=48)],
@@ -34,7 +34,7 @@ class Carton:
     size: tuple[float, float, float] = (0.06, 0.11, 0.17)
     """[m]."""
 
-    def parts(self) -> Parts:
+    def parts(self) -> PartSolids:
         return {"body": [box(self.size, bevel=0.001)]}
 
 
@@ -47,7 +47,7 @@ class Bottle:
     height: float = 0.205
     """With the cap [m]."""
 
-    def parts(self) -> Parts:
+    def parts(self) -> PartSolids:
         r, h = self.radius, self.height
         waist = r - 0.0035
         return {
@@ -82,7 +82,7 @@ class SprayBottle:
     height: float = 0.255
     """[m]."""
 
-    def parts(self) -> Parts:
+    def parts(self) -> PartSolids:
         a, b, s, h = self.length / 2, self.width / 2, self.body, self.height
         levels = [(0, 0.94), (0.005, 1.0), (s * 0.55, 1.0), (s * 0.8, 0.8), (s, 0.36)]
         sections = [

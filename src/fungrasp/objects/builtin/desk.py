@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fungrasp.objects.builtin.assembly import Parts
+from fungrasp.objects.builtin.assembly import PartSolids
 from fungrasp.objects.builtin.shapes import Solid, along_x, box, eye, lathe, mirrored, prism, turned
 
 
@@ -23,7 +23,7 @@ class Scissors:
     bar: float = 0.005
     """Half the thickness of the loops [m]."""
 
-    def parts(self) -> Parts:
+    def parts(self) -> PartSolids:
         blade, loop = self._half()
         return {
             "loops": [*loop, *(mirrored(s) for s in loop)],
@@ -56,7 +56,7 @@ class Marker:
     length: float = 0.125
     """[m]."""
 
-    def parts(self) -> Parts:
+    def parts(self) -> PartSolids:
         r, n = self.radius, self.length
         joint = n * 0.62
         barrel = [lathe([(r - 0.003, 0), (r - 0.0005, 0.006), (r, 0.02), (r, joint)], segments=28)]
@@ -78,7 +78,7 @@ class Book:
     board: float = 0.0025
     """Thickness of the cover [m]."""
 
-    def parts(self) -> Parts:
+    def parts(self) -> PartSolids:
         w, h, t = self.size
         b = self.board
         return {
@@ -98,7 +98,7 @@ class Ball:
     radius: float = 0.0335
     """[m]."""
 
-    def parts(self) -> Parts:
+    def parts(self) -> PartSolids:
         angles = np.linspace(-np.pi / 2, np.pi / 2, 15)[1:-1]
         poles = np.array([(0, 0, self.radius), (0, 0, -self.radius)])
         rounds = lathe([(self.radius * np.cos(a), self.radius * np.sin(a)) for a in angles], segments=28)

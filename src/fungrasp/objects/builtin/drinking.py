@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fungrasp.objects.builtin.assembly import Parts
+from fungrasp.objects.builtin.assembly import PartSolids
 from fungrasp.objects.builtin.shapes import Solid, bow, ellipse, lathe, ring, sweep
 
 
@@ -25,7 +25,7 @@ class Mug:
     reach: float = 0.031
     """From the wall to the middle line of the handle [m]."""
 
-    def parts(self) -> Parts:
+    def parts(self) -> PartSolids:
         r, h, inside = self.radius, self.height, self.radius - self.wall
         floor, lip = 0.006, h - self.rim
         return {
@@ -51,7 +51,7 @@ class WineGlass:
     stem: float = 0.085
     """Height of the underside of the bowl [m]."""
 
-    def parts(self) -> Parts:
+    def parts(self) -> PartSolids:
         r, s, h = self.radius, self.stem, self.height
         floor, widest = s + 0.012, s + 0.045
         return {
@@ -89,7 +89,7 @@ class Pitcher:
     wall: float = 0.004
     """[m]."""
 
-    def parts(self) -> Parts:
+    def parts(self) -> PartSolids:
         b, t, h, w = self.bottom, self.top, self.height, self.wall
         floor, neck = 0.006, h - 0.05
         inside = b + (t - b) * (neck - floor) / (h - floor) - w
@@ -134,7 +134,7 @@ class Teapot:
     height: float = 0.115
     """Up to the lid [m]."""
 
-    def parts(self) -> Parts:
+    def parts(self) -> PartSolids:
         r, h = self.radius, self.height
         angles = np.linspace(-0.95, 1.05, 8)
         belly = [(r * np.cos(a), h * 0.46 + r * 0.68 * np.sin(a)) for a in angles]

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fungrasp.objects.builtin.assembly import Parts
+from fungrasp.objects.builtin.assembly import PartSolids
 from fungrasp.objects.builtin.shapes import (
     Solid,
     along_x,
@@ -33,7 +33,7 @@ class Hammer:
     face: float = 0.0145
     """Radius of the striking face [m]."""
 
-    def parts(self) -> Parts:
+    def parts(self) -> PartSolids:
         head = self.length - 0.014
         grip = [
             ellipse((x, 0, 0), (0, a, 0), (0, 0, b), squareness=2.4)
@@ -99,7 +99,7 @@ class Screwdriver:
     radius: float = 0.016
     """Of the six-sided handle [m]."""
 
-    def parts(self) -> Parts:
+    def parts(self) -> PartSolids:
         r, n = self.radius, self.handle
         profile = [
             (0.55, 0),
@@ -138,7 +138,7 @@ class Drill:
     barrel: float = 0.029
     """Radius of the motor housing [m]."""
 
-    def parts(self) -> Parts:
+    def parts(self) -> PartSolids:
         axis = self.height - self.barrel
         r = self.barrel
         under = axis - r + 0.006
@@ -192,7 +192,7 @@ class Clamp:
     thickness: float = 0.026
     """Along z [m]."""
 
-    def parts(self) -> Parts:
+    def parts(self) -> PartSolids:
         t = self.thickness / 2
         side = {"jaws": self._jaw(t), "handles": self._handle(t)}
         both = {name: [*solids, *(mirrored(s) for s in solids)] for name, solids in side.items()}
@@ -254,7 +254,7 @@ class Flashlight:
     length: float = 0.15
     """[m]."""
 
-    def parts(self) -> Parts:
+    def parts(self) -> PartSolids:
         r, n = self.radius, self.length
         body = [
             lathe([(r - 0.002, 0), (r, 0.002), (r, 0.016)], segments=32),
