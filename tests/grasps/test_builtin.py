@@ -74,7 +74,7 @@ def test_fingers_stay_out_of_object_and_table(grasps, surface):
     assert grasps.hand_joints[..., 2].min() >= 0.0
 
 
-def test_contacts_are_on_the_wished_parts(grasps, surface):
+def test_contacts_are_on_the_specified_parts(grasps, surface):
     centers, radius = surface
     parts = defaultdict(set)
     for spec in BUILTIN_SPECIFICATIONS:

@@ -61,14 +61,14 @@ def held() -> HumanGraspSet:
     around = CollisionScene.measured_and_settled(names.tolist(), rest, objects)
     problem = problem_with(around, contacts=contacts)
     wrist, joints = _around(kinematics, len(names))
-    wishes = [
+    objective = [
         partial(terms.contact_gap, unit=0.001),
         partial(terms.object_penetration, unit=0.0003),
         partial(terms.table_penetration, unit=0.001, margin=0.005),
         partial(terms.self_penetration, unit=0.001),
         partial(terms.stay_near, start=(wrist, joints), unit=1.0, position_unit=0.05, rotation_unit=1.0),
     ]
-    wrist, joints, _ = minimize(points, problem, wishes, wrist, joints, 60)
+    wrist, joints, _ = minimize(points, problem, objective, wrist, joints, 60)
     touching = HandConfiguration(points, problem, wrist, joints)
     by_link = [touching.clearance[:, members].min(axis=1) for members in points.link_members]
     return HumanGraspSet(

@@ -66,9 +66,9 @@ TERMS: dict[str, tuple[Callable, dict]] = {
     "table_penetration": (terms.table_penetration, {"table": 0.0}),
     "self_penetration": (partial(terms.self_penetration, margin=0.02), {"closed": 0.8}),
     "stay_near": (terms.stay_near, {}),
-    "dexgraspnet.contact_distance": (dexgraspnet.contact_distance, {}),
-    "dexgraspnet.object_penetration": (dexgraspnet.object_penetration, {}),
-    "dexgraspnet.self_penetration": (dexgraspnet.self_penetration, {"closed": 0.9}),
+    "dexgraspnet.contact_distance_energy": (dexgraspnet.contact_distance_energy, {}),
+    "dexgraspnet.object_penetration_energy": (dexgraspnet.object_penetration_energy, {}),
+    "dexgraspnet.self_penetration_energy": (dexgraspnet.self_penetration_energy, {"closed": 0.9}),
     "angle_copy.thumb_direction": (angle_copy.thumb_direction, {}),
 }
 
@@ -106,7 +106,7 @@ def test_jacobian_is_the_derivative(name: str, hand: str):
 @pytest.mark.parametrize("hand", ["allegro", "inspire"])
 @pytest.mark.parametrize(
     "term",
-    [partial(terms.force_closure, friction=0.0), dexgraspnet.force_closure],
+    [partial(terms.force_closure, friction=0.0), dexgraspnet.force_closure_energy],
     ids=["ours", "dexgraspnet"],
 )
 def test_force_closure_has_the_gradient_of_its_cost(term: Callable, hand: str):
@@ -253,20 +253,20 @@ def test_stay_near_measures_position_rotation_and_joints(case: Case):
 def test_dexgraspnet_distance_is_the_rounded_absolute_value(case: Case):
     height = case.state.spheres[..., 1] + 0.02 - case.points.spheres.radius
     nearest = np.stack([height[:, m].min(axis=1) for m in case.points.link_members if len(m)], axis=1)
-    residual, _ = dexgraspnet.contact_distance(case.state)
+    residual, _ = dexgraspnet.contact_distance_energy(case.state)
     expected = 100 * (np.hypot(nearest, 5e-4) - 5e-4)
     np.testing.assert_allclose(0.5 * residual**2, expected, rtol=1e-3, atol=1e-6)
     assert np.all((residual < 0) == (nearest < 0))
 
 
 def test_dexgraspnet_forces_on_a_wall_add_up_to_four(case: Case):
-    residual, _ = dexgraspnet.force_closure(case.state)
+    residual, _ = dexgraspnet.force_closure_energy(case.state)
     np.testing.assert_allclose(0.5 * np.sum(residual[:, :3] ** 2, axis=1), 16.0, rtol=1e-6)
 
 
 def test_dexgraspnet_penetration_sums_over_the_hand(case: Case):
     depth = np.maximum(-(case.state.spheres[..., 1] + 0.02 - case.points.spheres.radius), 0)
     depth = np.sort(depth, axis=1)[:, -48:]
-    residual, _ = dexgraspnet.object_penetration(case.state)
+    residual, _ = dexgraspnet.object_penetration_energy(case.state)
     energy = 0.5 * np.sum(residual**2, axis=1)
     np.testing.assert_allclose(energy, 100 * np.sum(np.hypot(depth, 5e-4) - 5e-4, axis=1), rtol=1e-4)

@@ -23,8 +23,8 @@ from fungrasp.synthesis.human_hand_terms import (
     PartTargets,
     natural_posture,
     part_gap,
-    part_place,
     part_samples,
+    place_error,
 )
 from fungrasp.synthesis.initial_poses import random_offsets
 from fungrasp.synthesis.synthesize import SynthesisSettings, synthesize_candidates, synthesize_grasps
@@ -52,7 +52,7 @@ def state_of(
     )
 
 
-def test_grasps_are_as_wished(made):
+def test_grasps_are_as_specified(made):
     assert made.object_name.tolist() == ["can", "tennis_ball"]
     assert made.task.tolist() == ["drink", "throw"]
     assert made.object_mass.tolist() == [load_object("can").mass, load_object("tennis_ball").mass]
@@ -71,7 +71,7 @@ def test_grasps_are_as_wished(made):
     )
 
 
-def test_the_palm_faces_where_the_wish_says(made):
+def test_the_palm_faces_where_the_specification_says(made):
     for row, spec in enumerate((CAN, BALL)):
         joints = made.hand_joints[row]
         normal = np.cross(joints[1] - joints[0], joints[13] - joints[0])
@@ -86,26 +86,26 @@ def test_same_seed_same_grasps(made):
     np.testing.assert_array_equal(again.link_contacts, made.link_contacts)
 
 
-def test_random_starts_depend_on_seed_and_wish_only():
+def test_random_starts_depend_on_seed_and_specification_only():
     offsets = random_offsets([CAN, BALL], 1, 3, 0.01, 0.1)
     np.testing.assert_array_equal(offsets[[0, 3]], 0.0)
     np.testing.assert_array_equal(offsets[3:], random_offsets([BALL], 1, 3, 0.01, 0.1))
     assert not np.any(offsets[1:3] == random_offsets([CAN], 2, 3, 0.01, 0.1)[1:])
 
 
-def test_a_wish_twice_gives_one_grasp_and_an_impossible_one_none():
+def test_a_specification_twice_gives_one_grasp_and_an_impossible_one_none():
     twice = synthesize_grasps([BALL, BALL], settings=replace(QUICK, starts=1))
     assert len(twice) == 1
     under_the_table = replace(BALL, palm=(0, 0, 1))
-    with pytest.raises(FungraspError, match="none of the wished grasps"):
+    with pytest.raises(FungraspError, match="none of the specified grasps"):
         synthesize_grasps([under_the_table], settings=replace(QUICK, starts=1))
 
 
 def test_a_users_mesh_is_held_anywhere():
     mesh = trimesh.creation.icosphere(subdivisions=2, radius=0.03)
-    thing = ObjectModel("bead", 0.1, np.array(mesh.vertices), np.array(mesh.faces, dtype=np.int32))
+    bead = ObjectModel("bead", 0.1, np.array(mesh.vertices), np.array(mesh.faces, dtype=np.int32))
     spec = replace(BALL, object="bead", part=WHOLE)
-    grasps = synthesize_grasps([spec], settings=QUICK, objects={"bead": thing})
+    grasps = synthesize_grasps([spec], settings=QUICK, objects={"bead": bead})
     assert grasps.object_mass.tolist() == [0.1]
     assert grasps.object_pose[0, 2] == pytest.approx(-mesh.vertices[:, 2].min())
 
@@ -118,7 +118,7 @@ def test_rest_pose_stands_on_the_table_with_up_up(up):
     assert transform_points(pose, book.vertices)[:, 2].min() == pytest.approx(0.0, abs=1e-12)
 
 
-def test_turning_a_wish_turns_all_of_it():
+def test_turning_a_specification_turns_all_of_it():
     spec = replace(CAN, at=(0.01, 0, 0.02), places={"thumb_distal": (0.03, 0, 0)})
     turned = spec.turned(np.pi / 2, about=(0.01, 0))
     np.testing.assert_allclose(turned.at, (0.01, 0, 0.02), atol=1e-12)
@@ -145,7 +145,7 @@ def test_parts_of_fingers_and_links():
         ({"palm": (0, 0, 0)}, "parallel or zero"),
     ],
 )
-def test_wrong_wishes_are_named(change, words):
+def test_wrong_specifications_are_named(change, words):
     with pytest.raises(FungraspError, match=f"(?i){words}"):
         replace(CAN, **change)
 
@@ -200,7 +200,7 @@ def test_jacobians_are_derivatives(term):
     def value(state):
         if term == "gap":
             return part_gap(state, targets)
-        return part_place(state, targets) if term == "place" else natural_posture(state, ["disk"])
+        return place_error(state, targets) if term == "place" else natural_posture(state, ["disk"])
 
     residual, jacobian = value(state)
     assert np.any(jacobian)
@@ -210,7 +210,7 @@ def test_jacobians_are_derivatives(term):
     np.testing.assert_allclose(moved - residual, (jacobian @ step[..., None])[..., 0], atol=2e-8)
 
 
-def test_everyday_wishes_cover_objects_and_tasks():
+def test_builtin_specifications_cover_objects_and_tasks():
     from fungrasp.objects import object_names
 
     assert {spec.object for spec in BUILTIN_SPECIFICATIONS} == set(object_names())

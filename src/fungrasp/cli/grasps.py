@@ -1,13 +1,15 @@
-"""``fungrasp grasps``: list, show, import and make human grasps."""
+"""``fungrasp grasps``: list and show grasps, import and synthesize human ones."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
+
+from fungrasp.cli.console import left_table
 
 if TYPE_CHECKING:
     from fungrasp.grasps import HumanGrasp, HumanGraspSet, RobotGrasp
@@ -16,7 +18,7 @@ GraspFile = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
 SourcePath = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SOURCE")]
 
 WIDTH, HEIGHT = 960, 720
-"""Of pictures [pixels]."""
+"""Size of pictures [pixels]."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +42,7 @@ class ListGrasps:
             rows.append(
                 (name, task or "-", str(len(part)), f"{part.object_mass.mean():.3f}", f"{contacts:.1f}")
             )
-        print(_table(rows))
+        print(left_table(rows))
         objects = len(set(grasps.object_name.tolist()))
         print(f"{len(grasps)} grasps{of_hand}, {objects} objects")
 
@@ -156,21 +158,21 @@ class ImportGrasps:
 
 @dataclass(frozen=True)
 class MakeGrasps:
-    """Make the human grasps of the built-in objects anew."""
+    """Synthesize the human grasps of the built-in objects again."""
 
     out: Path
     """Grasp file to write (.npz)."""
     objects: tuple[str, ...] = ()
     """Only grasps of these built-in objects."""
     seed: int = 0
-    """Of the random starts."""
+    """Seed of the random starts."""
 
     def run(self) -> None:
         from rich.progress import Progress
 
         from fungrasp.errors import UnknownNameError
+        from fungrasp.synthesis import synthesize_grasps
         from fungrasp.synthesis.builtin_specifications import BUILTIN_SPECIFICATIONS
-        from fungrasp.synthesis.synthesize import synthesize_grasps
 
         known = {spec.object for spec in BUILTIN_SPECIFICATIONS}
         for name in self.objects:
@@ -178,13 +180,12 @@ class MakeGrasps:
                 raise UnknownNameError("object", name, sorted(known))
         specs = [spec for spec in BUILTIN_SPECIFICATIONS if not self.objects or spec.object in self.objects]
         with Progress(transient=True) as progress:
-            bar = progress.add_task("making grasps", total=len(specs))
+            bar = progress.add_task("synthesizing grasps", total=len(specs))
             grasps = synthesize_grasps(specs, self.seed, progress=lambda count: progress.advance(bar, count))
         _save(self.out, grasps)
-        if len(grasps) < len(specs):
-            print(
-                f"left out: {len(specs) - len(grasps)} of {len(specs)} specifications, which could not be met"
-            )
+        missing = len(specs) - len(grasps)
+        if missing:
+            print(f"left out: {missing} of {len(specs)} grasp specifications, which could not be met")
 
 
 COMMAND = {"list": ListGrasps, "show": ShowGrasp, "import": ImportGrasps, "make": MakeGrasps}
@@ -229,7 +230,7 @@ def _description(grasp: HumanGrasp | RobotGrasp) -> str:
             *zip(grasp.joint_names, (f"{angle:+.4f} rad" for angle in grasp.joint_positions), strict=True),
             *((name, str(value)) for name, value in grasp.extra.items()),
         ]
-    return _table(rows)
+    return left_table(rows)
 
 
 def _draw(grasp: HumanGrasp | RobotGrasp, path: Path, objects: Path | None) -> None:
@@ -259,9 +260,3 @@ def _draw(grasp: HumanGrasp | RobotGrasp, path: Path, objects: Path | None) -> N
 
 def _numbers(values: Iterable[float]) -> str:
     return "[" + " ".join(f"{value:.4f}" for value in values) + "]"
-
-
-def _table(rows: Sequence[Sequence[str]]) -> str:
-    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
-    lines = ("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)) for row in rows)
-    return "\n".join(line.rstrip() for line in lines)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
+from fungrasp.cli.console import left_table
 from fungrasp.errors import FungraspError
 
 if TYPE_CHECKING:
@@ -50,7 +51,7 @@ class ListHands:
             return
         header = ("name", "fingers", "driven/all joints", "mass [kg]", "title")
         print(
-            _table(
+            left_table(
                 [
                     header,
                     *(
@@ -92,7 +93,7 @@ class ShowHand:
 
 @dataclass(frozen=True)
 class CheckHand:
-    """Say in words what is wrong with a hand; ends with status 1 if it can't be used as it is.
+    """Report what is wrong with a hand's files; exits with status 1 if the hand cannot be used as it is.
 
     A bare URDF or MJCF also gets a TOML file to start from.
     """
@@ -210,14 +211,7 @@ def _text(hand: dict[str, Any]) -> str:
         joints.append(
             (f"  {name}", joint["body"], f"{limits[0]:.3f} to {limits[1]:.3f}" if limits else "none", drive)
         )
-    return "\n".join([*lines, _table(fingers), "", "joints", _table(joints)])
-
-
-def _table(rows: Sequence[Sequence[str]]) -> str:
-    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    return "\n".join(
-        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows
-    )
+    return "\n".join([*lines, left_table(fingers), "", "joints", left_table(joints)])
 
 
 def _vector(values: Sequence[float]) -> str:

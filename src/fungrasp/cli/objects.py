@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
+
+from fungrasp.cli.console import left_table
 
 if TYPE_CHECKING:
     import mujoco
@@ -23,7 +25,7 @@ COLORS = {
     "red": (0.75, 0.35, 0.42),
     "violet": (0.58, 0.50, 0.70),
 }
-"""Colours of parts in pictures, sRGB, in the order of the parts."""
+"""Colors of parts in pictures, sRGB, in the order of the parts."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +64,7 @@ class ListObjects:
             (m.name, ", ".join(m.parts), _size(m.size), f"{m.mass * 1000:.0f}", m.source) for m in models
         ]
         rows += [(name, "", "", "", str(path)) for name, path in meshes.items()]
-        print(_table(rows))
+        print(left_table(rows))
 
 
 @dataclass(frozen=True)
@@ -72,13 +74,13 @@ class ShowObject:
     name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME|PATH")]
     """A built-in object, a mesh in --objects, or the path of a mesh file."""
     mass: float | None = None
-    """[kg]; a built-in object has its own."""
+    """Mass [kg]; a built-in object has its own."""
     objects: Path | None = None
     """A folder of meshes."""
     picture: Path | None = None
-    """Write a picture from four sides here (.png or .jpg), its parts in colours."""
+    """Write a picture from four sides here (.png or .jpg), its parts in colors."""
     pieces: bool = False
-    """Colour the picture by convex piece instead of by part."""
+    """Color the picture by convex piece instead of by part."""
     json: bool = False
     """Print JSON and nothing else."""
 
@@ -97,7 +99,7 @@ class ShowObject:
             _draw(model, self.picture, self.pieces)
 
     def _load(self) -> tuple[ObjectModel, bool]:
-        """The object, and whether its mass is known; without one, a mesh is looked at as if it had 1 kg."""
+        """The object, and whether its mass is known; without one, a mesh is described as if it had 1 kg."""
         from fungrasp.objects import load_object, mesh_files, object_from_file
 
         if self.objects is None and Path(self.name).suffix and Path(self.name).is_file():
@@ -162,7 +164,7 @@ def _draw(model: ObjectModel, path: Path, by_piece: bool) -> None:
 
 
 def _scene(model: ObjectModel, by_piece: bool) -> mujoco.MjModel:
-    """The object at rest on the table, each part or piece in a colour of its own."""
+    """The object at rest on the table, each part or piece in a color of its own."""
     import mujoco
     import numpy as np
 
@@ -187,10 +189,3 @@ def _scene(model: ObjectModel, by_piece: bool) -> mujoco.MjModel:
 
 def _size(size: Iterable[float]) -> str:
     return " x ".join(f"{x * 100:.1f}" for x in size)
-
-
-def _table(rows: Sequence[Sequence[str]]) -> str:
-    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    return "\n".join(
-        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows
-    )

@@ -17,13 +17,13 @@ if TYPE_CHECKING:
 
 
 QUALITY_UNITS = ("mm", "deg", "rad")
-"""In the names of quality numbers."""
+"""Units at the end of the names of quality numbers."""
 
 DRAWN_GRASPS = 12
-"""Grasps in a picture."""
+"""Largest number of grasps in a picture."""
 
 WIDTH, HEIGHT = 400, 320
-"""Of each grasp in a picture [pixels]."""
+"""Size of each grasp in a picture [pixels]."""
 
 
 @dataclass(frozen=True)
@@ -39,13 +39,13 @@ class Retarget:
     hand: str = "allegro"
     """Name of a hand, or the path of a hand's TOML file."""
     method: str = "ours"
-    """ours, angle-copy or dexgraspnet."""
+    """Retargeting method: ours, angle-copy or dexgraspnet."""
     quality: Path | None = None
     """Write a summary of the quality of the grasps here (.json)."""
     picture: Path | None = None
     """Draw some of the grasps, human and robot side by side, to this PNG file."""
     threads: int = 0
-    """0 means all processors; the result does not depend on it."""
+    """Number of threads, 0 for all processors; the result does not depend on it."""
 
     def run(self) -> None:
         from fungrasp.evaluation import static_quality
@@ -99,7 +99,7 @@ def retargeted(
 
 
 def static_quality_table(summary: Mapping[str, Mapping[str, float]]) -> str:
-    """What ``StaticQuality.summary`` says, for people."""
+    """``StaticQuality.summary`` as a table of text."""
     rows: list[tuple[str, ...]] = [("quality", "mean", "p95", "max", "unit")]
     for name, numbers in summary.items():
         what, _, unit = name.rpartition("_")
@@ -125,7 +125,7 @@ def draw_grasps(
         objects: by name.
         hand: the robot hand.
         human: the N grasps they imitate, drawn to their left.
-        captions: what to say of each grasp besides its object.
+        captions: text for each grasp after the name of its object.
     """
     import numpy as np
     from PIL import Image

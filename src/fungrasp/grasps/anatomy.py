@@ -1,4 +1,4 @@
-"""Could a person have this hand and hold it like that? Judged from the 21 joints alone."""
+"""Anatomical checks of human grasps, from the 21 joints alone: bone lengths and joint angles."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ tracked grasps in D-Grasp's labels. They differ as the second counts the first b
 last to the skin."""
 
 BONE_VARIATION = 0.3
-"""Part by which a bone may be shorter or longer than the means: three standard deviations of the
+"""Fraction by which a bone may be shorter or longer than the means: three standard deviations of the
 radiographs."""
 
 FLEXION_RANGE = np.radians([[(-45, 90), (0, 100), (0, 80)]] * 4 + [[(-180, 180), (-10, 55), (-15, 80)]])
@@ -67,7 +67,7 @@ def joint_bends(hand_joints: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def check_anatomy(grasps: HumanGraspSet) -> list[str]:
-    """What no person could do in a grasp set, one sentence per grasp and part; empty if all is well."""
+    """Bones and joints of a grasp set outside adults' ranges, one sentence each; empty if there are none."""
     lengths = bone_lengths(grasps.hand_joints) * 1000
     shortest = ADULT_BONES[..., 0].ravel() * (1 - BONE_VARIATION)
     longest = ADULT_BONES[..., 1].ravel() * (1 + BONE_VARIATION)

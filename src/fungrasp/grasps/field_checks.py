@@ -22,10 +22,12 @@ class ArrayField:
     """What one array of a grasp set must look like."""
 
     kind: Literal["name", "text", "number", "positive", "pose", "flag"]
-    """``name``: text, not empty, no path; ``pose``: numbers of which the last four are a unit quaternion."""
+    """Type of the values. ``name``: text, not empty, no path; ``pose``: numbers of which the last four are a
+    unit quaternion."""
     shape: tuple[str | int, ...]
     """Sizes, or letters ("N", "M", ...) for sizes that fields of one set share."""
     optional: bool = False
+    """Whether a set or a file may lack the field."""
 
 
 def checked_array(name: str, field: ArrayField, value: Any, sizes: dict[str, int]) -> np.ndarray:

@@ -18,7 +18,7 @@ MAX_BONE_LENGTH = 0.3
 """No bone of a human hand is longer [m]; a file in millimetres or centimetres exceeds it."""
 
 MIN_BONE_LENGTH = 1e-3
-"""Joints nearer than this to their neighbour [m] coincide: something went wrong in whatever made them."""
+"""Joints nearer than this to their neighbor [m] coincide: an error of the program that wrote them."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -64,9 +64,9 @@ def mounting_pose(hand: Hand) -> np.ndarray:
 def mount(hand: Hand, arm: str = "ur5e") -> mujoco.MjSpec:
     """The hand on the flange of an arm, the arm's base at the world's origin.
 
-    Names of both are kept; meshes are held in the spec itself. The weight of the palm is compensated by the
-    arm (as a payload known to its controller), that of the fingers is not. A site ``PALM_SITE`` marks the
-    frame of the palm body.
+    Names of both stay as they are; meshes are held in the spec itself. The weight of the palm is compensated
+    by the arm (as a payload known to its controller), that of the fingers is not. A site ``PALM_SITE`` marks
+    the frame of the palm body.
 
     Raises:
         UnknownNameError: no such arm.

@@ -34,7 +34,7 @@ class Correspondence:
     is_last: np.ndarray
     """Whether the link ends in the fingertip, shape [S] bool."""
     is_thumb: np.ndarray
-    """Shape [S] bool."""
+    """Whether the link belongs to the thumb, shape [S] bool."""
     human_links: tuple[tuple[int, ...], ...]
     """Human links that each robot link stands for, length S."""
 

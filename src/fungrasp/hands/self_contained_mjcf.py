@@ -49,7 +49,7 @@ def _inline_meshes(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
         vertices = model.mesh_vert[model.mesh_vertadr[i] :][: model.mesh_vertnum[i]].astype(float)
         faces = model.mesh_face[model.mesh_faceadr[i] :][: model.mesh_facenum[i]]
         rotation = np.zeros(9)
-        # The compiler moves a mesh to its inertial frame; this is the way back.
+        # The compiler moves a mesh to its inertial frame; this moves it back.
         mujoco.mju_quat2Mat(rotation, model.mesh_quat[i])
         vertices = vertices @ rotation.reshape(3, 3).T + model.mesh_pos[i]
         # MuJoCo names a nameless mesh after its file, and the geoms use that name.

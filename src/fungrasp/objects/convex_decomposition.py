@@ -1,4 +1,4 @@
-"""Convex pieces of a mesh: CoACD, computed once and kept.
+"""Convex pieces of a mesh: CoACD, computed once and cached on disk.
 
 CoACD is not reproducible from run to run, so its pieces are published under a name made from the mesh and the
 settings, and every later use, in any process, reads that file.
@@ -28,14 +28,14 @@ class ConvexPiece:
     """One convex piece of an object."""
 
     vertices: np.ndarray
-    """[m], shape [N, 3] float64, object frame."""
+    """Vertices [m], shape [N, 3] float64, object frame."""
     faces: np.ndarray
     """Triangles, outward, shape [M, 3] int32."""
 
 
 @dataclass(frozen=True)
 class DecompositionSettings:
-    """Settings of CoACD; part of the name under which the pieces are kept.
+    """Settings of CoACD; part of the name under which the pieces are cached.
 
     The search is smaller than CoACD's default: 3 times faster and, on 5 YCB meshes, no less faithful.
     """
@@ -61,6 +61,7 @@ class DecompositionSettings:
     samples: int = 1000
     """Surface samples with which CoACD measures concavity."""
     seed: int = 0
+    """Seed of CoACD's random numbers."""
 
 
 def convex_hull(points: np.ndarray) -> ConvexPiece:
@@ -98,7 +99,7 @@ def convex_pieces(
     )
 
 
-def fewer_points(points: np.ndarray, most: int, tolerance: float) -> np.ndarray:
+def fewer_points(points: np.ndarray, limit: int, tolerance: float) -> np.ndarray:
     """Some of the corners of a convex solid, such that their hull is nearly the same.
 
     Starts from the extreme points along the axes and adds the corner furthest outside, until none is further
@@ -106,15 +107,15 @@ def fewer_points(points: np.ndarray, most: int, tolerance: float) -> np.ndarray:
 
     Args:
         points: [m], shape [N, 3].
-        most: points to keep at most, at least 4.
+        limit: largest number of points to keep, at least 4.
         tolerance: [m].
 
     Returns:
-        [m], shape [K, 3], K <= most.
+        [m], shape [K, 3], K <= limit.
     """
     corners = points[ConvexHull(points).vertices]
     chosen = list(dict.fromkeys([*np.argmax(corners, axis=0).tolist(), *np.argmin(corners, axis=0).tolist()]))
-    while len(chosen) < min(most, len(corners)):
+    while len(chosen) < min(limit, len(corners)):
         outside = _distance_outside(corners, chosen)
         furthest = int(np.argmax(outside))
         if outside[furthest] <= tolerance:

@@ -1,4 +1,4 @@
-"""Results that are computed once and kept: every process, also one running meanwhile, reads the same file."""
+"""Results computed once and cached on disk; processes that run at the same time read the same file."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ T = TypeVar("T")
 
 
 def cached_on_disk(kind: str, key: str, read: Callable[[Path], T], write: Callable[[Path], None]) -> T:
-    """What ``read`` finds in the file kept under ``key``; ``write`` makes it where it is missing or broken.
+    """What ``read`` finds in the file cached under ``key``; ``write`` makes it where it is missing or broken.
 
     Args:
         kind: folder in the cache.

@@ -52,7 +52,7 @@ def consistent_winding(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
 
 
 def fill_holes(mesh: trimesh.Trimesh, widest: float) -> tuple[trimesh.Trimesh, int]:
-    """Close holes with a fan of triangles around their centre.
+    """Close holes with a fan of triangles around their center.
 
     Args:
         mesh: with consistent winding.

@@ -1,4 +1,4 @@
-"""What there is to know about an object, in plain values."""
+"""Description of an object in plain values: what ``fungrasp objects show`` prints."""
 
 from __future__ import annotations
 

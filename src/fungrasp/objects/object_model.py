@@ -26,10 +26,11 @@ class ObjectModel:
     """An object. ``fungrasp.objects.load_object`` makes it."""
 
     name: str
+    """Name by which grasps refer to the object."""
     mass: float
-    """[kg]."""
+    """Mass [kg]."""
     vertices: np.ndarray
-    """[m], shape [V, 3] float64, object frame."""
+    """Vertices of the surface [m], shape [V, 3] float64, object frame."""
     faces: np.ndarray
     """Triangles, outward, shape [F, 3] int32."""
     parts: Mapping[str, np.ndarray] = field(default_factory=dict)
@@ -56,12 +57,12 @@ class ObjectModel:
 
     @cached_property
     def pieces(self) -> tuple[ConvexPiece, ...]:
-        """Convex pieces for physics: the construction of a built-in object, else CoACD's, which are kept."""
+        """Convex pieces for physics: the construction of a built-in object, else CoACD's, cached on disk."""
         return self.construction or convex_pieces(self.vertices, self.faces)
 
     @cached_property
     def signed_distance(self) -> SignedDistanceGrid:
-        """Distance to the surface on a grid, computed once and kept."""
+        """Distance to the surface on a grid, computed once and cached on disk."""
         return cached_on_disk(
             "signed_distance",
             f"{GRID_FORMAT} {GRID_SPACING} {self.digest}",
@@ -71,22 +72,23 @@ class ObjectModel:
 
     @cached_property
     def center_of_mass(self) -> np.ndarray:
-        """[m], shape [3], object frame, at uniform density."""
+        """Center of mass [m], shape [3], object frame, at uniform density."""
         return np.array(self.mesh.center_mass)
 
     @cached_property
     def inertia(self) -> np.ndarray:
-        """[kg m2], shape [3, 3], about the centre of mass, axes of the object frame, at uniform density."""
+        """Inertia [kg m2], shape [3, 3], about the center of mass, axes of the object frame, at uniform
+        density."""
         return np.array(self.mesh.moment_inertia)
 
     @cached_property
     def size(self) -> np.ndarray:
-        """[m], shape [3]: extents along the axes of the object frame."""
+        """Extents along the axes of the object frame [m], shape [3]."""
         return np.ptp(self.vertices, axis=0)
 
     @cached_property
     def digest(self) -> str:
-        """SHA-256 of the mesh: the name of what is kept about it."""
+        """SHA-256 of the mesh: the key of what is cached about it."""
         return mesh_digest(self.vertices, self.faces)
 
     def rest_pose(self, yaw: float = 0.0) -> np.ndarray:

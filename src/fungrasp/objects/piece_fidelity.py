@@ -1,4 +1,4 @@
-"""How closely an object's convex pieces follow its mesh."""
+"""How closely an object's convex pieces follow its mesh, as distances."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ class Fidelity:
     """Where the surface of the union of an object's pieces is, compared with its mesh [m]."""
 
     bulge_max: float
-    """Furthest point of a piece outside the mesh."""
+    """Largest distance of a point of a piece outside the mesh [m]."""
     bulge_mean: float
-    """Mean over the surface of the pieces of the distance outside the mesh, 0 where they are inside."""
+    """Mean over the pieces' surface of the distance outside the mesh [m], 0 where they are inside."""
     shrink_max: float
-    """Furthest point of the mesh outside all pieces."""
+    """Largest distance of a point of the mesh outside all pieces [m]."""
     shrink_mean: float
-    """Mean over the mesh of the distance outside all pieces, 0 where it is inside one."""
+    """Mean over the mesh of the distance outside all pieces [m], 0 where it is inside one."""
 
 
 def piece_fidelity(model: ObjectModel, samples: int = 4000) -> Fidelity:

@@ -1,4 +1,4 @@
-"""Baseline "angle-copy": the human's joint angles set on the robot, with no regard to contact.
+"""Baseline "angle-copy": the human's joint angles set on the robot, without regard to contact.
 
 "Angle Reset" in the paper.
 """
@@ -25,10 +25,11 @@ PARALLEL, PERPENDICULAR = np.cos(np.radians(25.0)), np.cos(np.radians(65.0))
 """Cosines of the angle to a finger's flexion axis within which a joint flexes, beyond which it spreads."""
 
 THUMB_ITERATIONS = 20
+"""Solver iterations for the joints at the base of the thumb."""
 
 
 class JointRoles(NamedTuple):
-    """Which joints bend which finger link, and which way.
+    """The sign with which each joint flexes a finger link or spreads a finger.
 
     ``angles = matrix @ joint_positions`` [rad] are the flexions of each finger's links towards the palm, then
     its deviation towards the side of the index finger.
@@ -49,9 +50,9 @@ def retarget_by_angle_copy(
 
     The palms are aligned. Each robot joint is set to the human angle whose role it plays (``joint_roles``),
     clipped to its limits; coupled joints share by least squares. The joints at the base of the thumb have no
-    human twin, as thumbs sit differently on each hand: they take the angles at which its first two links
-    point as the human's do. Then the hand is moved so that the mean of its fingertips lies where the human's
-    does. ``settings`` is not used.
+    human counterpart, as thumbs sit differently on each hand: they take the angles at which its first two
+    links point as the human's do. Then the hand is moved so that the mean of its fingertips lies where the
+    human's does. ``settings`` is not used.
     """
     kinematics = points.kinematics
     roles = joint_roles(kinematics.hand)

@@ -1,4 +1,4 @@
-"""Human grasps in, robot grasps out."""
+"""Retargeting of human grasps to robot hands, by the method of choice."""
 
 from __future__ import annotations
 

@@ -278,8 +278,8 @@ def _rows_jacobian(
     """
     # The kinematics take the same number of points for every hand: spread the Q points over slots per hand.
     slot = np.arange(len(rows)) - np.searchsorted(rows, rows)
-    count, most = len(configuration.wrist_pose), int(slot.max()) + 1
-    bodies, positions = np.zeros((count, most), dtype=int), np.zeros((count, most, 3))
+    count, slots = len(configuration.wrist_pose), int(slot.max()) + 1
+    bodies, positions = np.zeros((count, slots), dtype=int), np.zeros((count, slots, 3))
     bodies[rows, slot] = configuration.points.spheres.points.bodies[sphere]
     positions[rows, slot] = position
     return configuration.points.kinematics.jacobian(bodies, positions)[rows, slot]

@@ -1,8 +1,7 @@
 """Human grasps from specifications: the solver of retargeting, applied to the human hand, with contact
 targets on named parts of the object.
 
-from fungrasp.synthesis.synthesize import synthesize_grasps
-from fungrasp.synthesis.grasp_specification import GraspSpecification
+from fungrasp.synthesis import GraspSpecification, synthesize_grasps
 
 spec = GraspSpecification("can", "drink", "body", "wrap", at=(0, 0, 0), palm=(0, 1, 0), fingers=(1, 0, 0))
 grasps = synthesize_grasps([spec], seed=0)
@@ -119,8 +118,7 @@ def synthesize_grasps(
     rows = _best(candidates, specs, settings)
     if not rows:
         raise FungraspError(
-            "none of the specified grasps can be met; "
-            "fungrasp.synthesis.synthesize.synthesize_candidates shows why"
+            "none of the specified grasps can be met; fungrasp.synthesis.synthesize_candidates shows why"
         )
     chosen = candidates.specification[rows].tolist()
     names = [specs[i].object for i in chosen]

@@ -107,12 +107,12 @@ def check_shapes(source: ModelSource, parts: HandParts) -> Iterator[Finding]:
         yield error(f"no collision shape on the link {listed(bare)}: it can't touch anything")
     elif not links and not collides.any() and not source.stripped:
         yield error("the model has no collision shapes: it can't touch anything")
-    told: set[tuple[str, str]] = set()
+    reported: set[tuple[str, str]] = set()
     for pose, positions in (("zero", _zero(model)), ("middle", _middle(model))):
         for pair, depth in overlapping_shapes(model, positions).items():
-            if pair in told:
+            if pair in reported:
                 continue
-            told.add(pair)
+            reported.add(pair)
             say = error if pose == "zero" and depth > LARGE_OVERLAP else warning
             yield say(
                 f"the shapes of '{pair[0]}' and '{pair[1]}' overlap by {1000 * depth:.1f} mm at the {pose} "

@@ -1,4 +1,4 @@
-"""Saying in words what is wrong with a hand's files."""
+"""Check of a hand's files, and a hand folder drafted from a bare model."""
 
 from __future__ import annotations
 
@@ -158,7 +158,7 @@ def _check_model(source: ModelSource, parts: HandParts) -> Iterator[Finding]:
 def _named_parts(
     path: Path, data: Mapping[str, Any], model: mujoco.MjModel, findings: list[Finding]
 ) -> HandParts:
-    """The parts of the TOML that exist in the model; the others are told."""
+    """The parts of the TOML that exist in the model; the others are reported."""
     bodies = {model.body(i).name for i in range(1, model.nbody)}
     sites = {model.site(i).name for i in range(model.nsite)}
 

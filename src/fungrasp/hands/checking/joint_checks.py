@@ -26,8 +26,8 @@ def check_joints(model: mujoco.MjModel, parts: HandParts) -> Iterator[Finding]:
     # Bodies whose key point is another one, named in the TOML.
     elsewhere = {body for finger in parts.joints for body in parts.fingers[finger]}
     for joint in np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE):
-        body, axis, centre = int(model.jnt_bodyid[joint]), model.jnt_axis[joint], model.jnt_pos[joint]
-        offset = float(np.linalg.norm(centre - (centre @ axis) * axis))
+        body, axis, center = int(model.jnt_bodyid[joint]), model.jnt_axis[joint], model.jnt_pos[joint]
+        offset = float(np.linalg.norm(center - (center @ axis) * axis))
         if offset > FRAME_OFFSET and (not links or body_name(model, body) in links - elsewhere):
             yield warning(
                 f"the frame of '{body_name(model, body)}' is {1000 * offset:.1f} mm off the axis of its "

@@ -1,4 +1,4 @@
-"""Reading a URDF or MJCF: a fault is told and repaired, so that the rest can be checked too."""
+"""Reading a URDF or MJCF: a fault is reported and repaired, so that the rest can be checked too."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class ModelSource:
 
     path: Path
     spec: mujoco.MjSpec
-    """Repaired: without missing meshes, with static bodies kept; compiles to ``model``."""
+    """Repaired: without missing meshes, static bodies not fused; compiles to ``model``."""
     model: mujoco.MjModel
     fuses: bool
     """As written, bodies with no joint are merged into their parents."""

@@ -1,4 +1,4 @@
-"""A hand folder to start from: guess from the names and the tree of a model which body plays which part."""
+"""A draft of a hand's TOML: palm, fingers and tips guessed from the names and tree of a model's bodies."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _PATTERN = re.compile(
 
 @dataclass(frozen=True)
 class PartsGuess:
-    """The parts of a hand as guessed."""
+    """The parts of a hand as guessed, and what the guess lacks."""
 
     parts: HandParts
     """Only tip sites that exist."""
@@ -102,11 +102,11 @@ def tip_position(model: mujoco.MjModel, last: int) -> np.ndarray:
     far = np.zeros(3)
     for geom in np.flatnonzero(np.isin(model.geom_bodyid, members)):
         frame = data.geom_xmat[geom].reshape(3, 3)
-        centre, half = model.geom_aabb[geom, :3], model.geom_aabb[geom, 3:]
+        center, half = model.geom_aabb[geom, :3], model.geom_aabb[geom, 3:]
         longest = int(np.argmax(half))
         reach = half[longest] - np.sort(half)[1]
         for sign in (-1.0, 1.0):
-            local = centre + sign * reach * np.eye(3)[longest]
+            local = center + sign * reach * np.eye(3)[longest]
             point = rotation.T @ (data.geom_xpos[geom] + frame @ local - origin)
             far = max(far, point, key=np.linalg.norm)
     return far

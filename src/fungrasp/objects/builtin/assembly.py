@@ -1,4 +1,4 @@
-"""From convex solids with part names to one watertight mesh and its convex pieces."""
+"""One watertight mesh, its parts and its convex pieces from convex solids with part names."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ SPECK = 1e-10
 def assemble(
     parts: PartSolids,
 ) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray], tuple[ConvexPiece, ...]]:
-    """Unite convex solids, turn them to where they come to rest, put the origin at their box's centre.
+    """Unite convex solids, turn them to where they come to rest, put the origin at their box's center.
 
     Returns:
         vertices: [m], shape [V, 3] float64.

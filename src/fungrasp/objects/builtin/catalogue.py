@@ -17,9 +17,9 @@ class BuiltinObject:
     parts: Callable[[], PartSolids]
     """Makes the convex solids."""
     mass: float
-    """[kg]."""
+    """Mass [kg]."""
     source: str
-    """Why this size and mass."""
+    """Where size and mass come from."""
 
 
 BUILTINS = {

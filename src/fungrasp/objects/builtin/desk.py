@@ -1,4 +1,4 @@
-"""Things of desk and living room: scissors, marker, book, tennis ball."""
+"""Objects of desk and living room: scissors, marker, book, tennis ball."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Things to drink and pour from: mug, wine glass, pitcher, teapot."""
+"""Objects to drink and pour from: mug, wine glass, pitcher, teapot."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How an object comes to rest on a table."""
+"""The rotation in which a built-in object rests on a table."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ FLAT = 1e-3
 
 
 def resting_rotation(vertices: np.ndarray, center_of_mass: np.ndarray) -> np.ndarray:
-    """The smallest turn after which an object stands still: its centre of mass is above a face of its hull.
+    """The smallest rotation after which an object is stable: its center of mass is above a face of its hull.
 
     Args:
         vertices: [m], shape [V, 3].
@@ -30,7 +30,7 @@ def resting_rotation(vertices: np.ndarray, center_of_mass: np.ndarray) -> np.nda
             if normal[2] < -1 + FLAT**2:
                 return np.eye(3)
             return Rotation.align_vectors([[0, 0, -1]], [normal])[0].as_matrix()
-    raise AssertionError("the centre of mass lies inside the hull, so it is above one of its faces")
+    raise AssertionError("the center of mass lies inside the hull, so it is above one of its faces")
 
 
 def _inside(triangle: np.ndarray, point: np.ndarray, normal: np.ndarray) -> bool:
