@@ -56,8 +56,7 @@ def check_palm(source: ModelSource, parts: HandParts) -> Iterator[Finding]:
         )
         yield error(
             f"the palm '{parts.palm}' is fused with the world when the file is read, so that it has no body "
-            "of its "
-            f"own: {how}, or start from the MJCF that 'fungrasp hands check FILE --out FOLDER' writes"
+            f"of its own: {how}, or start from the MJCF that 'fungrasp hands check FILE --out FOLDER' writes"
         )
     above = ancestors(model, palm)[1:]
     if above:
@@ -70,8 +69,7 @@ def check_palm(source: ModelSource, parts: HandParts) -> Iterator[Finding]:
     if angle > 1e-3 or shift > 1e-4:
         yield warning(
             f"the palm '{parts.palm}' is not at the world's origin in its file: {1000 * shift:.1f} mm away "
-            "and "
-            f"turned by {np.degrees(angle):.1f} degrees; wrist poses are those of the palm body itself"
+            f"and turned by {np.degrees(angle):.1f} degrees; wrist poses are those of the palm body itself"
         )
 
 

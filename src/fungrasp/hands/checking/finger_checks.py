@@ -31,8 +31,7 @@ def check_fingers(model: mujoco.MjModel, parts: HandParts) -> Iterator[Finding]:
         if last not in ancestors(model, carrier):
             yield error(
                 f"finger '{finger}': the tip site '{tip}' is on the body '{body_name(model, carrier)}', not "
-                "on the "
-                f"last link '{links[-1]}'"
+                f"on the last link '{links[-1]}'"
             )
         elif model.body_weldid[carrier] != model.body_weldid[last]:
             yield error(
@@ -105,8 +104,7 @@ def _lengths(model: mujoco.MjModel, finger: str, names: tuple[str, ...]) -> Iter
         if np.linalg.norm(b - a) < SHORTEST_LINK:
             yield error(
                 f"finger '{finger}': '{near}' and '{far}' begin at the same point; leave out '{near}', or "
-                "move the "
-                "tip to the link's end"
+                "move the tip to the link's end"
             )
 
 

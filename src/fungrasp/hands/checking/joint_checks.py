@@ -89,8 +89,7 @@ def _coupling(model: mujoco.MjModel, joint: int, equality: int) -> Iterator[Find
     if np.abs(coefficients[2:]).max() > 1e-9:
         yield warning(
             f"joint '{name}' follows '{joint_name(model, driver)}' by a curve; retargeting uses only its "
-            "straight part, "
-            f"{coefficients[0]:g} + {coefficients[1]:g} * driver"
+            f"straight part, {coefficients[0]:g} + {coefficients[1]:g} * driver"
         )
     if coefficients[1] == 0.0:
         yield warning(
@@ -106,8 +105,7 @@ def _coupling(model: mujoco.MjModel, joint: int, equality: int) -> Iterator[Find
     if overrun > COUPLING_OVERRUN:
         yield warning(
             f"'{joint_name(model, driver)}' drives joint '{name}' from {ends.min():.3f} to {ends.max():.3f} "
-            "rad, "
-            f"beyond its limits {lower:.3f} to {upper:.3f}"
+            f"rad, beyond its limits {lower:.3f} to {upper:.3f}"
         )
 
 
@@ -132,6 +130,6 @@ def _tendons(model: mujoco.MjModel, driven: dict[int, list[int]]) -> Iterator[Fi
         if len(joints) > 1 and not set(joints) & set(driven):
             yield warning(
                 f"tendon '{model.tendon(tendon).name}' couples the joint "
-                f"{listed([joint_name(model, j) for j in joints])}; fungrasp sees "
-                "only joint equalities: they count as independent"
+                f"{listed([joint_name(model, j) for j in joints])}; fungrasp sees only joint equalities: "
+                "they count as independent"
             )

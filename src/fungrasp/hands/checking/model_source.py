@@ -219,8 +219,7 @@ def _mend_inertias(spec: mujoco.MjSpec) -> Iterator[Finding]:
     if lopsided:
         yield error(
             f"no mass has the principal inertias [kg m2] of the body {listed(lopsided)}: the largest must "
-            "not exceed "
-            "the sum of the other two"
+            "not exceed the sum of the other two"
         )
 
 

@@ -87,8 +87,7 @@ def _inertials(robot: ElementTree.Element, joints: list[ElementTree.Element]) ->
     if bare:
         yield warning(
             f"no <inertial> in the moving link {listed(bare)}: mass and inertia are computed from the "
-            "collision shapes "
-            "at the density of water; give the true ones"
+            "collision shapes at the density of water; give the true ones"
         )
 
 
