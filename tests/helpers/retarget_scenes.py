@@ -18,7 +18,7 @@ from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.objects import ObjectModel
 from fungrasp.optimization import terms
 from fungrasp.optimization.collision_scene import CollisionScene
-from fungrasp.optimization.hand_configuration import HandConfiguration, HandPoints
+from fungrasp.optimization.hand_state import HandPoints, HandState
 from fungrasp.optimization.levenberg_marquardt import minimize
 from fungrasp.optimization.retargeting_problem import RetargetingProblem
 
@@ -69,7 +69,7 @@ def held() -> HumanGraspSet:
         partial(terms.stay_near, start=(wrist, joints), unit=1.0, position_unit=0.05, rotation_unit=1.0),
     ]
     wrist, joints, _ = minimize(points, problem, objective, wrist, joints, 60)
-    touching = HandConfiguration(points, problem, wrist, joints)
+    touching = HandState(points, problem, wrist, joints)
     by_link = [touching.clearance[:, members].min(axis=1) for members in points.link_members]
     return HumanGraspSet(
         object_name=names,

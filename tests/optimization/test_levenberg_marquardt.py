@@ -11,7 +11,7 @@ from retarget_scenes import held, plain_objects
 from fungrasp.hands import load_hand
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.optimization import terms
-from fungrasp.optimization.hand_configuration import HandConfiguration, HandPoints
+from fungrasp.optimization.hand_state import HandPoints, HandState
 from fungrasp.optimization.levenberg_marquardt import Term, minimize
 from fungrasp.optimization.retargeting_problem import RetargetingProblem
 from fungrasp.retarget.contact_optimization import initial_pose
@@ -34,7 +34,7 @@ def setting(name: str, rows: slice = slice(None)) -> tuple[HandPoints, Retargeti
 def cost_of(
     points: HandPoints, problem: RetargetingProblem, pose: np.ndarray, joints: np.ndarray
 ) -> np.ndarray:
-    state = HandConfiguration(points, problem, pose, joints)
+    state = HandState(points, problem, pose, joints)
     return sum((0.5 * np.sum(term(state)[0] ** 2, axis=1) for term in TERMS), np.zeros(len(problem)))
 
 

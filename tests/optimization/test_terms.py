@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from fungrasp.hands import load_hand
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.optimization import terms
-from fungrasp.optimization.hand_configuration import HandConfiguration, HandPoints
+from fungrasp.optimization.hand_state import HandPoints, HandState
 from fungrasp.optimization.retargeting_problem import RetargetingProblem
 from fungrasp.retarget import angle_copy, dexgraspnet
 
@@ -44,15 +44,15 @@ class Case:
         self.problem = problem_with(around_field(grid, COUNT, table), **(default | given))
 
     @property
-    def state(self) -> HandConfiguration[RetargetingProblem]:
-        return HandConfiguration(self.points, self.problem, self.pose, self.joints)
+    def state(self) -> HandState[RetargetingProblem]:
+        return HandState(self.points, self.problem, self.pose, self.joints)
 
     def change(self, **given: np.ndarray) -> None:
         self.problem = problem_with(self.problem, **{k: getattr(self.problem, k) for k in FIELDS} | given)
 
-    def stepped(self, tangent: np.ndarray) -> HandConfiguration[RetargetingProblem]:
+    def stepped(self, tangent: np.ndarray) -> HandState[RetargetingProblem]:
         kinematics = self.points.kinematics
-        return HandConfiguration(self.points, self.problem, *kinematics.step(self.pose, self.joints, tangent))
+        return HandState(self.points, self.problem, *kinematics.step(self.pose, self.joints, tangent))
 
 
 FIELDS = ("joints", "contacts", "surface", "normals", "center", "extent")

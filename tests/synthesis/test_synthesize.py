@@ -15,7 +15,7 @@ from fungrasp.hands import load_hand
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.objects import ObjectModel, load_object
 from fungrasp.optimization.collision_scene import CollisionScene
-from fungrasp.optimization.hand_configuration import HandConfiguration
+from fungrasp.optimization.hand_state import HandState
 from fungrasp.synthesis.builtin_specifications import BUILTIN_SPECIFICATIONS
 from fungrasp.synthesis.grasp_specification import GRASP_KINDS, WHOLE, GraspKind, GraspSpecification
 from fungrasp.synthesis.human_hand_terms import (
@@ -43,11 +43,11 @@ def made():
 
 def state_of(
     spec: GraspSpecification, pose: np.ndarray, joints: np.ndarray
-) -> tuple[HandConfiguration[CollisionScene], PartTargets]:
+) -> tuple[HandState[CollisionScene], PartTargets]:
     objects = {spec.object: load_object(spec.object)}
     scene = CollisionScene.settled([spec.object], spec.rest_pose(objects[spec.object])[None], objects)
     points = HumanPoints(HandKinematics(load_hand("human"), 1))
-    return HandConfiguration(points, scene, pose[None], joints[None]), PartTargets.from_specifications(
+    return HandState(points, scene, pose[None], joints[None]), PartTargets.from_specifications(
         [spec], objects
     )
 
@@ -206,7 +206,7 @@ def test_jacobians_are_derivatives(term):
     assert np.any(jacobian)
     step = 1e-6 * random.normal(size=(1, state.points.kinematics.size))
     moved_pose, moved_joints = state.points.kinematics.step(pose[None], joints[None], step)
-    moved, _ = value(HandConfiguration(state.points, state.problem, moved_pose, moved_joints))
+    moved, _ = value(HandState(state.points, state.problem, moved_pose, moved_joints))
     np.testing.assert_allclose(moved - residual, (jacobian @ step[..., None])[..., 0], atol=2e-8)
 
 

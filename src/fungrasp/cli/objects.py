@@ -133,14 +133,8 @@ def _text(d: dict[str, Any]) -> str:
     ]
     rows += [
         ("pieces", f"{d['pieces']} convex"),
-        (
-            "",
-            f"at most {mm['bulge_max']:.2f} mm outside the mesh (mean {mm['bulge_mean']:.2f})",
-        ),
-        (
-            "",
-            f"mesh at most {mm['shrink_max']:.2f} mm outside them (mean {mm['shrink_mean']:.2f})",
-        ),
+        ("", f"at most {mm['bulge_max']:.2f} mm outside the mesh (mean {mm['bulge_mean']:.2f})"),
+        ("", f"mesh at most {mm['shrink_max']:.2f} mm outside them (mean {mm['shrink_mean']:.2f})"),
     ]
     title = f"{d['name']}: {d['source']}" if d["source"] else d["name"]
     return "\n".join([title, *(f"  {key:<9} {value}" for key, value in rows)])

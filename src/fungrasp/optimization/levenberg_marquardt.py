@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from fungrasp.optimization.collision_scene import CollisionScene
-from fungrasp.optimization.hand_configuration import HandConfiguration, HandPoints
+from fungrasp.optimization.hand_state import HandPoints, HandState
 from fungrasp.optimization.terms import Residual
 
-Term = Callable[[HandConfiguration[Any]], Residual]
+Term = Callable[[HandState[Any]], Residual]
 
 
 def minimize(
@@ -29,7 +29,7 @@ def minimize(
     Args:
         points: kinematics made for N hands.
         problem: N grasps, object frame.
-        terms: functions of a ``HandConfiguration`` as in ``fungrasp.optimization.terms``.
+        terms: functions of a ``HandState`` as in ``fungrasp.optimization.terms``.
         wrist_pose: start, object frame, shape [N, 7].
         independent: start [rad], shape [N, U].
         iterations: number of steps tried.
@@ -40,9 +40,7 @@ def minimize(
     kinematics = points.kinematics
     wrist_pose, independent = wrist_pose.copy(), independent.copy()
     damping = np.full(len(problem), 1e-2)
-    cost, hessian, gradient = _normal_equations(
-        HandConfiguration(points, problem, wrist_pose, independent), terms
-    )
+    cost, hessian, gradient = _normal_equations(HandState(points, problem, wrist_pose, independent), terms)
     diagonal = np.arange(kinematics.size)
     for _ in range(iterations):
         h, g = hessian.copy(), gradient.copy()
@@ -64,7 +62,7 @@ def minimize(
         step *= np.minimum(1.0, 0.5 / np.maximum(np.linalg.norm(step, axis=1, keepdims=True), 1e-9))
         new_pose, new_independent = kinematics.step(wrist_pose, independent, step)
         new_cost, new_hessian, new_gradient = _normal_equations(
-            HandConfiguration(points, problem, new_pose, new_independent), terms
+            HandState(points, problem, new_pose, new_independent), terms
         )
         better = new_cost < cost
         damping = np.clip(np.where(better, damping * 0.4, damping * 4.0), 1e-6, 1e4)
@@ -79,13 +77,11 @@ def minimize(
     return wrist_pose, independent, cost
 
 
-def _normal_equations(
-    configuration: HandConfiguration, terms: Sequence[Term]
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _normal_equations(state: HandState, terms: Sequence[Term]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Objective [N], Gauss-Newton Hessian J^T J [N, D, D] and gradient J^T r [N, D]."""
     cost, hessian, gradient = 0.0, 0.0, 0.0
     for term in terms:
-        residual, jacobian = term(configuration)
+        residual, jacobian = term(state)
         transposed = np.swapaxes(jacobian, 1, 2)
         cost = cost + 0.5 * np.sum(residual**2, axis=1)
         hessian = hessian + transposed @ jacobian

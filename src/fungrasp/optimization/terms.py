@@ -11,40 +11,36 @@ import numpy as np
 from fungrasp.geometry.poses import cross, quaternion_conjugate, quaternion_multiply, rotation_vector
 from fungrasp.optimization.collision_scene import CollisionScene, project_to_surface
 from fungrasp.optimization.contact_forces import balanced_forces
-from fungrasp.optimization.hand_configuration import HandConfiguration
+from fungrasp.optimization.hand_state import HandState
 from fungrasp.optimization.retargeting_problem import RetargetingProblem
 
 Residual = tuple[np.ndarray, np.ndarray]
 
 
-def fingertip_position(configuration: HandConfiguration[RetargetingProblem], unit: float = 0.01) -> Residual:
+def fingertip_position(state: HandState[RetargetingProblem], unit: float = 0.01) -> Residual:
     """(p_tip - p_human tip) / unit for each finger: the first initialisation of IV.A. unit: [m]."""
-    match = configuration.points.match
+    match = state.points.match
     far, human = match.far[match.is_last], match.human_far[match.is_last]
-    residual = (configuration.keypoints[:, far] - configuration.problem.joints[:, human]) / unit
-    return _flat(residual, configuration.keypoint_jacobian(far) / unit)
+    residual = (state.keypoints[:, far] - state.problem.joints[:, human]) / unit
+    return _flat(residual, state.keypoint_jacobian(far) / unit)
 
 
-def link_direction(configuration: HandConfiguration[RetargetingProblem], unit: float = 0.5) -> Residual:
+def link_direction(state: HandState[RetargetingProblem], unit: float = 0.5) -> Residual:
     """(d_robot - d_human) / unit for each finger link, d the unit vector from its near to its far key point
     (IV.A)."""
-    match = configuration.points.match
-    robot = configuration.keypoints[:, match.far] - configuration.keypoints[:, match.near]
-    human = (
-        configuration.problem.joints[:, match.human_far] - configuration.problem.joints[:, match.human_near]
-    )
+    match = state.points.match
+    robot = state.keypoints[:, match.far] - state.keypoints[:, match.near]
+    human = state.problem.joints[:, match.human_far] - state.problem.joints[:, match.human_near]
     length = np.linalg.norm(robot, axis=-1, keepdims=True)
     robot, human = robot / length, human / np.linalg.norm(human, axis=-1, keepdims=True)
-    move = (
-        configuration.keypoint_jacobian(match.far) - configuration.keypoint_jacobian(match.near)
-    ) / length[..., None]
+    move = (state.keypoint_jacobian(match.far) - state.keypoint_jacobian(match.near)) / length[..., None]
     # Derivative of a normalized vector: (I - d d^T) applied to the derivative of the vector over its length.
     jacobian = move - robot[..., None] * np.einsum("nsi,nsid->nsd", robot, move)[:, :, None]
     return _flat((robot - human) / unit, jacobian / unit)
 
 
 def contact_position(
-    configuration: HandConfiguration[RetargetingProblem], unit: float = 0.005, inner_weight: float = 0.4
+    state: HandState[RetargetingProblem], unit: float = 0.005, inner_weight: float = 0.4
 ) -> Residual:
     """L_pos of IV.A, on the surface: c_j (p_j - (s_j + rho_j n_j)) / unit.
 
@@ -56,81 +52,70 @@ def contact_position(
         unit: [m].
         inner_weight: factor for links that don't end in a fingertip.
     """
-    match, problem = configuration.points.match, configuration.problem
+    match, problem = state.points.match, state.problem
     human = match.human_far
-    target = problem.surface[:, human] + configuration.points.far_radius[:, None] * problem.normals[:, human]
+    target = problem.surface[:, human] + state.points.far_radius[:, None] * problem.normals[:, human]
     weight = problem.contacts[:, 1:] * np.where(match.is_last, 1.0, inner_weight) / unit
-    residual = weight[..., None] * (configuration.keypoints[:, match.far] - target)
-    return _flat(residual, weight[..., None, None] * configuration.keypoint_jacobian(match.far))
+    residual = weight[..., None] * (state.keypoints[:, match.far] - target)
+    return _flat(residual, weight[..., None, None] * state.keypoint_jacobian(match.far))
 
 
-def contact_gap(configuration: HandConfiguration[RetargetingProblem], unit: float = 0.003) -> Residual:
+def contact_gap(state: HandState[RetargetingProblem], unit: float = 0.003) -> Residual:
     """c_j max(0, gap_j) / unit, gap_j the smallest clearance of link j's surface from the object. unit:
     [m]."""
     links = [
-        link
-        for link in range(1, len(configuration.points.link_members))
-        if len(configuration.points.link_members[link])
+        link for link in range(1, len(state.points.link_members)) if len(state.points.link_members[link])
     ]
     nearest = np.stack(
         [
-            m[np.argmin(configuration.clearance[:, m], axis=1)]
-            for m in (configuration.points.link_members[link] for link in links)
+            m[np.argmin(state.clearance[:, m], axis=1)]
+            for m in (state.points.link_members[link] for link in links)
         ],
         axis=1,
     )
-    clearance = np.take_along_axis(configuration.clearance, nearest, axis=1)
-    wanted = configuration.problem.contacts[:, links] & (clearance > 0)
-    normal = np.take_along_axis(configuration.normals, nearest[..., None], axis=1)
-    jacobian = (normal[:, :, None] @ configuration.sphere_jacobian(nearest))[:, :, 0]
+    clearance = np.take_along_axis(state.clearance, nearest, axis=1)
+    wanted = state.problem.contacts[:, links] & (clearance > 0)
+    normal = np.take_along_axis(state.normals, nearest[..., None], axis=1)
+    jacobian = (normal[:, :, None] @ state.sphere_jacobian(nearest))[:, :, 0]
     return wanted * clearance / unit, wanted[..., None] * jacobian / unit
 
 
 def object_penetration(
-    configuration: HandConfiguration[CollisionScene],
-    unit: float = 0.001,
-    margin: float = 0.0,
-    count: int = 24,
+    state: HandState[CollisionScene], unit: float = 0.001, margin: float = 0.0, count: int = 24
 ) -> Residual:
     """max(0, margin - clearance) / unit for the ``count`` deepest spheres (L_pen of IV.A).
 
     Args:
         unit, margin: [m].
     """
-    deepest = _smallest(configuration.clearance, count)
-    depth = margin - np.take_along_axis(configuration.clearance, deepest, axis=1)
+    deepest = _smallest(state.clearance, count)
+    depth = margin - np.take_along_axis(state.clearance, deepest, axis=1)
     active = depth > 0
-    normal = np.take_along_axis(configuration.normals, deepest[..., None], axis=1)
-    jacobian = -(normal[:, :, None] @ configuration.sphere_jacobian(deepest))[:, :, 0]
+    normal = np.take_along_axis(state.normals, deepest[..., None], axis=1)
+    jacobian = -(normal[:, :, None] @ state.sphere_jacobian(deepest))[:, :, 0]
     return active * depth / unit, active[..., None] * jacobian / unit
 
 
 def table_penetration(
-    configuration: HandConfiguration[CollisionScene],
-    unit: float = 0.001,
-    margin: float = 0.001,
-    count: int = 12,
+    state: HandState[CollisionScene], unit: float = 0.001, margin: float = 0.001, count: int = 12
 ) -> Residual:
     """max(0, margin - height) / unit for the ``count`` lowest spheres (h_{i-table} in L_col of IV.A).
 
     Args:
         unit, margin: [m].
     """
-    lowest = _smallest(configuration.heights, count)
-    depth = margin - np.take_along_axis(configuration.heights, lowest, axis=1)
+    lowest = _smallest(state.heights, count)
+    depth = margin - np.take_along_axis(state.heights, lowest, axis=1)
     active = depth > 0
     up = np.take_along_axis(
-        configuration.problem.up, np.take_along_axis(configuration.plane, lowest, axis=1)[..., None], axis=1
+        state.problem.up, np.take_along_axis(state.plane, lowest, axis=1)[..., None], axis=1
     )
-    jacobian = -(up[:, :, None] @ configuration.sphere_jacobian(lowest))[:, :, 0]
+    jacobian = -(up[:, :, None] @ state.sphere_jacobian(lowest))[:, :, 0]
     return active * depth / unit, active[..., None] * jacobian / unit
 
 
 def self_penetration(
-    configuration: HandConfiguration[CollisionScene],
-    unit: float = 0.002,
-    margin: float = 0.001,
-    count: int = 8,
+    state: HandState[CollisionScene], unit: float = 0.002, margin: float = 0.001, count: int = 8
 ) -> Residual:
     """max(0, margin - d_ij) / unit for the ``count`` closest pairs of spheres of different fingers, d_ij the
     distance between their surfaces (L_col of IV.A, with the distance of shapes in place of that of joints).
@@ -138,8 +123,8 @@ def self_penetration(
     Args:
         unit, margin: [m].
     """
-    pairs = configuration.points.self_pairs
-    spheres, radius = configuration.spheres, configuration.points.spheres.radius
+    pairs = state.points.self_pairs
+    spheres, radius = state.spheres, state.points.spheres.radius
     # |a - b|^2 = |a|^2 + |b|^2 - 2 a . b for all pairs at once, shape [N, A, B].
     squared = np.sum(spheres**2, axis=-1)
     product = spheres[:, pairs.first] @ np.swapaxes(spheres[:, pairs.second], 1, 2)
@@ -154,16 +139,13 @@ def self_penetration(
         spheres, b[..., None], axis=1
     )
     direction = between / np.maximum(np.linalg.norm(between, axis=-1, keepdims=True), 1e-9)
-    move = configuration.sphere_jacobian(a) - configuration.sphere_jacobian(b)
+    move = state.sphere_jacobian(a) - state.sphere_jacobian(b)
     jacobian = np.where(active[..., None], -np.einsum("nqi,nqid->nqd", direction, move) / unit, 0.0)
     return active * depth / unit, jacobian
 
 
 def force_closure(
-    configuration: HandConfiguration[RetargetingProblem],
-    unit: float = 0.05,
-    friction: float = 0.3,
-    reach: float = 0.006,
+    state: HandState[RetargetingProblem], unit: float = 0.05, friction: float = 0.3, reach: float = 0.006
 ) -> Residual:
     """(sum f_j, sum (x_j - center) x f_j / extent) / unit, over links that should touch (L_fc of IV.A).
 
@@ -177,9 +159,9 @@ def force_closure(
         friction: coefficient to count on, well below the true one.
         reach: half width of the difference that gives the curvature [m]; it also smooths edges.
     """
-    match, problem = configuration.points.match, configuration.problem
+    match, problem = state.points.match, state.problem
     wanted = problem.contacts[:, 1:]
-    x = configuration.keypoints[:, match.far]
+    x = state.keypoints[:, match.far]
     place, normal = project_to_surface(problem.bank, problem.grid, x, iterations=2)
     # d(normal)/dx by central differences of the field's gradient, shape [N, S, 3, 3]: last axis is that of x.
     curvature = np.empty((*x.shape, 3))
@@ -193,7 +175,7 @@ def force_closure(
     force = balanced_forces(lever, -normal, wanted, friction)
     pressure = -np.sum(force * normal, axis=-1)
     # With the forces fixed in the contact frames, a force turns as the normal does: df = -pressure dn.
-    move = configuration.keypoint_jacobian(match.far)
+    move = state.keypoint_jacobian(match.far)
     force_d = -pressure[..., None, None] * np.einsum("nsij,nsjd->nsid", curvature, move)
     # Product rule of lever x force; cross products want xyz last, so that the D derivatives are swapped
     # forward.
@@ -207,7 +189,7 @@ def force_closure(
 
 
 def stay_near(
-    configuration: HandConfiguration[CollisionScene],
+    state: HandState[CollisionScene],
     start: tuple[np.ndarray, np.ndarray],
     unit: float = 1.0,
     position_unit: float = np.inf,
@@ -220,11 +202,9 @@ def stay_near(
         unit, position_unit, rotation_unit: [rad], [m], [rad].
     """
     pose, independent = start
-    turn = rotation_vector(
-        quaternion_multiply(configuration.wrist_pose[:, 3:], quaternion_conjugate(pose[:, 3:]))
-    )
+    turn = rotation_vector(quaternion_multiply(state.wrist_pose[:, 3:], quaternion_conjugate(pose[:, 3:])))
     difference = np.concatenate(
-        [configuration.wrist_pose[:, :3] - pose[:, :3], turn, configuration.independent - independent], axis=1
+        [state.wrist_pose[:, :3] - pose[:, :3], turn, state.independent - independent], axis=1
     )
     units = np.repeat([position_unit, rotation_unit, unit], [3, 3, independent.shape[1]])
     jacobian = np.broadcast_to(np.diag(1.0 / units), (len(pose), len(units), len(units)))

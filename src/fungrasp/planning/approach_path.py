@@ -20,7 +20,7 @@ from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.objects import ObjectModel
 from fungrasp.optimization import terms
 from fungrasp.optimization.collision_scene import CollisionScene
-from fungrasp.optimization.hand_configuration import HandConfiguration, HandPoints
+from fungrasp.optimization.hand_state import HandPoints, HandState
 from fungrasp.optimization.levenberg_marquardt import minimize
 from fungrasp.parallel import in_chunks
 
@@ -185,7 +185,7 @@ class _Clearer:
         wrist, fingers, _ = minimize(
             self._points, self._around, [*self._terms, stay], wrist, fingers, iterations
         )
-        state = HandConfiguration(self._points, self._around, wrist, fingers)
+        state = HandState(self._points, self._around, wrist, fingers)
         intrusion = np.maximum(
             s.object_margin - state.clearance.min(axis=1), s.table_margin - state.heights.min(axis=1)
         )

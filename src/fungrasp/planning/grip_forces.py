@@ -10,7 +10,7 @@ from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.objects import ObjectModel
 from fungrasp.optimization.collision_scene import CollisionScene
 from fungrasp.optimization.contact_forces import balanced_forces
-from fungrasp.optimization.hand_configuration import HandConfiguration, HandPoints
+from fungrasp.optimization.hand_state import HandPoints, HandState
 
 
 def squeeze_torques(
@@ -42,7 +42,7 @@ def squeeze_torques(
         Torques on the independent joints [N m per N], shape [N, U].
     """
     points = HandPoints(HandKinematics(hand, len(around)))
-    state = HandConfiguration(points, around, wrist_in_object, grasp)
+    state = HandState(points, around, wrist_in_object, grasp)
     nearest = np.stack([m[np.argmin(state.clearance[:, m], axis=1)] for m in points.link_members], axis=1)
     clearance = np.take_along_axis(state.clearance, nearest, axis=1)
     normal = np.take_along_axis(state.normals, nearest[..., None], axis=1)

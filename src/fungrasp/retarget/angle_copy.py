@@ -15,7 +15,7 @@ from fungrasp.geometry.poses import rotate
 from fungrasp.grasps.anatomy import joint_bends
 from fungrasp.hands import FINGERS, Hand
 from fungrasp.hands.correspondence import HUMAN_FINGER_JOINTS
-from fungrasp.optimization.hand_configuration import HandConfiguration, HandPoints
+from fungrasp.optimization.hand_state import HandPoints, HandState
 from fungrasp.optimization.levenberg_marquardt import minimize
 from fungrasp.optimization.retargeting_problem import RetargetingProblem
 from fungrasp.optimization.terms import Residual
@@ -160,23 +160,20 @@ def joint_roles(hand: Hand) -> JointRoles:
     return JointRoles(matrix, fan, np.any(coupling[in_thumb], axis=0) & ~has_role)
 
 
-def thumb_direction(configuration: HandConfiguration[RetargetingProblem], free: np.ndarray) -> Residual:
+def thumb_direction(state: HandState[RetargetingProblem], free: np.ndarray) -> Residual:
     """d_robot - d_human for the thumb's first two links, d the unit vector along a link.
 
     Args:
         free: which entries of the tangent vector may change, shape [D] bool; others have derivative zero.
     """
-    match = configuration.points.match
+    match = state.points.match
     first = np.flatnonzero(match.is_thumb)[:2]
     near, far = match.near[first], match.far[first]
-    robot = configuration.keypoints[:, far] - configuration.keypoints[:, near]
-    human = (
-        configuration.problem.joints[:, match.human_far[first]]
-        - configuration.problem.joints[:, match.human_near[first]]
-    )
+    robot = state.keypoints[:, far] - state.keypoints[:, near]
+    human = state.problem.joints[:, match.human_far[first]] - state.problem.joints[:, match.human_near[first]]
     length = np.linalg.norm(robot, axis=-1, keepdims=True)
     robot, human = robot / length, human / np.linalg.norm(human, axis=-1, keepdims=True)
-    move = (configuration.keypoint_jacobian(far) - configuration.keypoint_jacobian(near)) / length[..., None]
+    move = (state.keypoint_jacobian(far) - state.keypoint_jacobian(near)) / length[..., None]
     jacobian = (move - robot[..., None] * np.einsum("nsi,nsid->nsd", robot, move)[:, :, None]) * free
     return (robot - human).reshape(len(robot), -1), jacobian.reshape(len(robot), -1, free.size)
 

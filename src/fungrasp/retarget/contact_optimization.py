@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from fungrasp.hands import Hand
 from fungrasp.optimization import terms
-from fungrasp.optimization.hand_configuration import HandPoints
+from fungrasp.optimization.hand_state import HandPoints
 from fungrasp.optimization.levenberg_marquardt import Term, minimize
 from fungrasp.optimization.retargeting_problem import RetargetingProblem
 

@@ -23,7 +23,7 @@ import numpy as np
 from fungrasp.geometry.poses import cross
 from fungrasp.optimization import terms
 from fungrasp.optimization.collision_scene import CollisionScene
-from fungrasp.optimization.hand_configuration import HandConfiguration, HandPoints
+from fungrasp.optimization.hand_state import HandPoints, HandState
 from fungrasp.optimization.levenberg_marquardt import Term, minimize
 from fungrasp.optimization.retargeting_problem import RetargetingProblem
 from fungrasp.optimization.terms import Residual
@@ -61,9 +61,7 @@ def retarget_by_dexgraspnet(
     return wrist_pose, independent
 
 
-def force_closure_energy(
-    configuration: HandConfiguration[RetargetingProblem], reach: float = 0.006
-) -> Residual:
+def force_closure_energy(state: HandState[RetargetingProblem], reach: float = 0.006) -> Residual:
     """E_fc = |sum_i c_i|^2 + |sum_i x_i x c_i|^2, without friction (Liu et al. 2021).
 
     x_i [m] are the contact points of the n links that should touch (``contact_spheres``), object frame; c_i
@@ -72,12 +70,12 @@ def force_closure_energy(
     Args:
         reach: half width of the difference that gives the normals' derivative [m].
     """
-    spheres, wanted = contact_spheres(configuration)
-    bank, grid = configuration.problem.bank, configuration.problem.grid
-    gradient = np.take_along_axis(configuration.normals, spheres[..., None], axis=1)
+    spheres, wanted = contact_spheres(state)
+    bank, grid = state.problem.bank, state.problem.grid
+    gradient = np.take_along_axis(state.normals, spheres[..., None], axis=1)
     size = np.maximum(np.linalg.norm(gradient, axis=-1, keepdims=True), 1e-9)
     normal = gradient / size
-    center = np.take_along_axis(configuration.spheres, spheres[..., None], axis=1)
+    center = np.take_along_axis(state.spheres, spheres[..., None], axis=1)
     # d(gradient)/d(center) by central differences, shape [N, Q, 3, 3]: last axis is that of the center.
     curvature = np.empty((*center.shape, 3))
     for axis, shift in enumerate(reach * np.eye(3)):
@@ -86,8 +84,8 @@ def force_closure_energy(
     # Derivative of the normalized gradient: the part along the normal drops out.
     along = np.einsum("nqi,nqij->nqj", normal, curvature)
     curvature = (curvature - normal[..., None] * along[..., None, :]) / size[..., None]
-    radius = configuration.points.spheres.radius[spheres][..., None]
-    center_d = configuration.sphere_jacobian(spheres)
+    radius = state.points.spheres.radius[spheres][..., None]
+    center_d = state.sphere_jacobian(spheres)
     normal_d = np.einsum("nqij,nqjd->nqid", curvature, center_d)
     place, place_d = center - radius * normal, center_d - radius[..., None] * normal_d
     torque = cross(place, -normal)
@@ -103,39 +101,39 @@ def force_closure_energy(
     return np.sqrt(2.0) * wrench, np.sqrt(2.0) * wrench_d
 
 
-def contact_distance_energy(configuration: HandConfiguration[RetargetingProblem]) -> Residual:
+def contact_distance_energy(state: HandState[RetargetingProblem]) -> Residual:
     """w_dis E_dis = w_dis sum_i |d(x_i)|, d the signed distance of the contact points from the object."""
-    spheres, wanted = contact_spheres(configuration)
-    distance = np.take_along_axis(configuration.clearance, spheres, axis=1)
-    normal = np.take_along_axis(configuration.normals, spheres[..., None], axis=1)
-    jacobian = np.einsum("nqi,nqid->nqd", normal, configuration.sphere_jacobian(spheres))
+    spheres, wanted = contact_spheres(state)
+    distance = np.take_along_axis(state.clearance, spheres, axis=1)
+    normal = np.take_along_axis(state.normals, spheres[..., None], axis=1)
+    jacobian = np.einsum("nqi,nqid->nqd", normal, state.sphere_jacobian(spheres))
     return smooth_absolute((wanted * distance, wanted[..., None] * jacobian), DISTANCE_WEIGHT)
 
 
-def object_penetration_energy(configuration: HandConfiguration[CollisionScene]) -> Residual:
+def object_penetration_energy(state: HandState[CollisionScene]) -> Residual:
     """w_pen E_pen = w_pen sum max(0, depth) over the spheres that cover the hand."""
     return smooth_absolute(
-        terms.object_penetration(configuration, unit=1.0, margin=0.0, count=48), PENETRATION_WEIGHT
+        terms.object_penetration(state, unit=1.0, margin=0.0, count=48), PENETRATION_WEIGHT
     )
 
 
-def self_penetration_energy(configuration: HandConfiguration[CollisionScene]) -> Residual:
+def self_penetration_energy(state: HandState[CollisionScene]) -> Residual:
     """w_spen E_spen = w_spen sum max(0, depth) over pairs of spheres of different fingers."""
     return smooth_absolute(
-        terms.self_penetration(configuration, unit=1.0, margin=0.0, count=16), SELF_PENETRATION_WEIGHT
+        terms.self_penetration(state, unit=1.0, margin=0.0, count=16), SELF_PENETRATION_WEIGHT
     )
 
 
-def contact_spheres(configuration: HandConfiguration[RetargetingProblem]) -> tuple[np.ndarray, np.ndarray]:
+def contact_spheres(state: HandState[RetargetingProblem]) -> tuple[np.ndarray, np.ndarray]:
     """The sphere of each link that is nearest to the object.
 
     Returns:
         Ball indices and whether that link should touch, shape [N, Q] each, for the Q links that have spheres.
     """
-    members = configuration.points.link_members
+    members = state.points.link_members
     links = [link for link in range(len(members)) if len(members[link])]
-    nearest = [members[link][np.argmin(configuration.clearance[:, members[link]], axis=1)] for link in links]
-    return np.stack(nearest, axis=1), configuration.problem.contacts[:, links]
+    nearest = [members[link][np.argmin(state.clearance[:, members[link]], axis=1)] for link in links]
+    return np.stack(nearest, axis=1), state.problem.contacts[:, links]
 
 
 def smooth_absolute(lengths: Residual, weight: float) -> Residual:

@@ -13,7 +13,7 @@ from fungrasp.hands import Hand
 from fungrasp.hands.correspondence import correspond
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.objects import ObjectModel
-from fungrasp.optimization.hand_configuration import HandPoints
+from fungrasp.optimization.hand_state import HandPoints
 from fungrasp.optimization.retargeting_problem import RetargetingProblem
 from fungrasp.parallel import in_chunks
 from fungrasp.retarget.angle_copy import retarget_by_angle_copy

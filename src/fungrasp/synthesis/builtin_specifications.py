@@ -10,7 +10,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from fungrasp.synthesis.grasp_specification import GraspSpecification, Vector3
+from fungrasp.synthesis.grasp_specification import GraspSpecification as Spec
+from fungrasp.synthesis.grasp_specification import Vector3
 
 DOWN: Vector3 = (0, 0, -1)
 LEFT: Vector3 = (0, 1, 0)
@@ -19,13 +20,11 @@ AHEAD: Vector3 = (1, 0, 0)
 BACK: Vector3 = (-1, 0, 0)
 
 
-def _around(
-    spec: GraspSpecification, *degrees: float, about: tuple[float, float] = (0, 0)
-) -> list[GraspSpecification]:
+def _around(spec: Spec, *degrees: float, about: tuple[float, float] = (0, 0)) -> list[Spec]:
     return [spec.turned(np.deg2rad(angle), about) for angle in degrees]
 
 
-def _along(spec: GraspSpecification, *places: float, axis: int = 0) -> list[GraspSpecification]:
+def _along(spec: Spec, *places: float, axis: int = 0) -> list[Spec]:
     """The same specification with other coordinates of ``at`` along an axis."""
     result = []
     for place in places:
@@ -35,31 +34,17 @@ def _along(spec: GraspSpecification, *places: float, axis: int = 0) -> list[Gras
     return result
 
 
-def _drinking() -> list[GraspSpecification]:
-    mug = GraspSpecification("mug", "drink", "handle", "handle", at=(0.053, 0, 0.0), palm=BACK, fingers=LEFT)
-    mug_body = GraspSpecification(
-        "mug", "hand over", "body", "wrap", at=(-0.016, 0, 0.008), palm=AHEAD, fingers=RIGHT
-    )
-    mug_rim = GraspSpecification(
-        "mug", "place", "rim", "disk", at=(-0.016, 0, 0.04), palm=DOWN, fingers=AHEAD
-    )
-    stem = GraspSpecification(
-        "wine_glass", "drink", "stem", "pinch", at=(0, 0, -0.045), palm=LEFT, fingers=AHEAD
-    )
-    bowl = GraspSpecification(
-        "wine_glass", "toast", "bowl", "wrap", at=(0, 0, 0.035), palm=LEFT, fingers=AHEAD
-    )
-    top = GraspSpecification("wine_glass", "place", "bowl", "disk", at=(0, 0, 0.08), palm=DOWN, fingers=AHEAD)
-    pour = GraspSpecification(
-        "pitcher", "pour", "handle", "fist", at=(0.094, 0, 0.0), palm=BACK, fingers=LEFT
-    )
-    wall = GraspSpecification(
-        "pitcher", "hand over", "body", "pinch", at=(0, 0.064, 0.1), palm=DOWN, fingers=LEFT
-    )
-    tea = GraspSpecification(
-        "teapot", "pour", "handle", "fist", at=(0.109, 0, -0.005), palm=BACK, fingers=LEFT
-    )
-    lid = GraspSpecification("teapot", "open", "lid", "pinch", at=(0.009, 0, 0.049), palm=DOWN, fingers=BACK)
+def _drinking() -> list[Spec]:
+    mug = Spec("mug", "drink", "handle", "handle", at=(0.053, 0, 0.0), palm=BACK, fingers=LEFT)
+    mug_body = Spec("mug", "hand over", "body", "wrap", at=(-0.016, 0, 0.008), palm=AHEAD, fingers=RIGHT)
+    mug_rim = Spec("mug", "place", "rim", "disk", at=(-0.016, 0, 0.04), palm=DOWN, fingers=AHEAD)
+    stem = Spec("wine_glass", "drink", "stem", "pinch", at=(0, 0, -0.045), palm=LEFT, fingers=AHEAD)
+    bowl = Spec("wine_glass", "toast", "bowl", "wrap", at=(0, 0, 0.035), palm=LEFT, fingers=AHEAD)
+    top = Spec("wine_glass", "place", "bowl", "disk", at=(0, 0, 0.08), palm=DOWN, fingers=AHEAD)
+    pour = Spec("pitcher", "pour", "handle", "fist", at=(0.094, 0, 0.0), palm=BACK, fingers=LEFT)
+    wall = Spec("pitcher", "hand over", "body", "pinch", at=(0, 0.064, 0.1), palm=DOWN, fingers=LEFT)
+    tea = Spec("teapot", "pour", "handle", "fist", at=(0.109, 0, -0.005), palm=BACK, fingers=LEFT)
+    lid = Spec("teapot", "open", "lid", "pinch", at=(0.009, 0, 0.049), palm=DOWN, fingers=BACK)
     return [
         replace(mug, palm=(-1, 0, -0.3)),
         replace(mug, palm=(-1, -0.2, -0.3)),
@@ -79,18 +64,12 @@ def _drinking() -> list[GraspSpecification]:
     ]
 
 
-def _kitchen() -> list[GraspSpecification]:
-    cook = GraspSpecification("pan", "cook", "handle", "wrap", at=(0.07, 0, 0.012), palm=DOWN, fingers=LEFT)
-    pan_rim = GraspSpecification(
-        "pan", "wash", "body", "pinch", at=(-0.09, 0.117, 0.008), palm=DOWN, fingers=LEFT
-    )
-    cut = GraspSpecification(
-        "knife", "cut", "handle", "cover", at=(-0.08, 0.008, 0), palm=DOWN, fingers=RIGHT
-    )
-    chop = GraspSpecification(
-        "knife", "chop", "handle", "pinch", at=(-0.045, 0.008, 0), palm=DOWN, fingers=RIGHT
-    )
-    eat = GraspSpecification(
+def _kitchen() -> list[Spec]:
+    cook = Spec("pan", "cook", "handle", "wrap", at=(0.07, 0, 0.012), palm=DOWN, fingers=LEFT)
+    pan_rim = Spec("pan", "wash", "body", "pinch", at=(-0.09, 0.117, 0.008), palm=DOWN, fingers=LEFT)
+    cut = Spec("knife", "cut", "handle", "cover", at=(-0.08, 0.008, 0), palm=DOWN, fingers=RIGHT)
+    chop = Spec("knife", "chop", "handle", "pinch", at=(-0.045, 0.008, 0), palm=DOWN, fingers=RIGHT)
+    eat = Spec(
         "bowl",
         "eat",
         "rim",
@@ -100,18 +79,10 @@ def _kitchen() -> list[GraspSpecification]:
         fingers=(1, 0, -1),
         parts=dict.fromkeys(("index", "middle", "ring"), "body"),
     )
-    flip = GraspSpecification(
-        "spatula", "flip", "handle", "cover", at=(-0.08, 0, 0.002), palm=DOWN, fingers=RIGHT
-    )
-    shaft = GraspSpecification(
-        "spatula", "hand over", "shaft", "pinch", at=(-0.01, 0, 0.004), palm=DOWN, fingers=RIGHT
-    )
-    scrub = GraspSpecification(
-        "brush", "scrub", "handle", "cover", at=(-0.03, 0, 0.008), palm=DOWN, fingers=RIGHT
-    )
-    head = GraspSpecification(
-        "brush", "hand over", "head", "prism", at=(0.085, 0, 0.015), palm=DOWN, fingers=LEFT
-    )
+    flip = Spec("spatula", "flip", "handle", "cover", at=(-0.08, 0, 0.002), palm=DOWN, fingers=RIGHT)
+    shaft = Spec("spatula", "hand over", "shaft", "pinch", at=(-0.01, 0, 0.004), palm=DOWN, fingers=RIGHT)
+    scrub = Spec("brush", "scrub", "handle", "cover", at=(-0.03, 0, 0.008), palm=DOWN, fingers=RIGHT)
+    head = Spec("brush", "hand over", "head", "prism", at=(0.085, 0, 0.015), palm=DOWN, fingers=LEFT)
     return [
         *_along(cook, 0.06, 0.075, 0.09),
         pan_rim,
@@ -130,17 +101,15 @@ def _kitchen() -> list[GraspSpecification]:
     ]
 
 
-def _containers() -> list[GraspSpecification]:
-    can = GraspSpecification("can", "drink", "body", "wrap", at=(0, 0, 0), palm=LEFT, fingers=AHEAD)
-    can_top = GraspSpecification("can", "place", "body", "disk", at=(0, 0, 0.04), palm=DOWN, fingers=AHEAD)
-    box = GraspSpecification("box", "hand over", "body", "prism", at=(0, -0.015, 0), palm=LEFT, fingers=AHEAD)
-    box_top = GraspSpecification("box", "place", "body", "prism", at=(0, 0, 0.065), palm=DOWN, fingers=AHEAD)
-    bottle = GraspSpecification("bottle", "drink", "body", "wrap", at=(0, 0, -0.01), palm=LEFT, fingers=AHEAD)
-    cap = GraspSpecification("bottle", "open", "cap", "pinch", at=(0, 0, 0.095), palm=DOWN, fingers=AHEAD)
-    neck = GraspSpecification(
-        "bottle", "hand over", "body", "disk", at=(0, 0, 0.055), palm=DOWN, fingers=AHEAD
-    )
-    spray = GraspSpecification(
+def _containers() -> list[Spec]:
+    can = Spec("can", "drink", "body", "wrap", at=(0, 0, 0), palm=LEFT, fingers=AHEAD)
+    can_top = Spec("can", "place", "body", "disk", at=(0, 0, 0.04), palm=DOWN, fingers=AHEAD)
+    box = Spec("box", "hand over", "body", "prism", at=(0, -0.015, 0), palm=LEFT, fingers=AHEAD)
+    box_top = Spec("box", "place", "body", "prism", at=(0, 0, 0.065), palm=DOWN, fingers=AHEAD)
+    bottle = Spec("bottle", "drink", "body", "wrap", at=(0, 0, -0.01), palm=LEFT, fingers=AHEAD)
+    cap = Spec("bottle", "open", "cap", "pinch", at=(0, 0, 0.095), palm=DOWN, fingers=AHEAD)
+    neck = Spec("bottle", "hand over", "body", "disk", at=(0, 0, 0.055), palm=DOWN, fingers=AHEAD)
+    spray = Spec(
         "spray_bottle",
         "spray",
         "neck",
@@ -151,9 +120,7 @@ def _containers() -> list[GraspSpecification]:
         parts={"index": "trigger"},
         contacts=("index_distal", "middle_middle", "middle_distal", "thumb_distal"),
     )
-    body = GraspSpecification(
-        "spray_bottle", "hand over", "body", "wrap", at=(-0.008, 0, -0.04), palm=AHEAD, fingers=RIGHT
-    )
+    body = Spec("spray_bottle", "hand over", "body", "wrap", at=(-0.008, 0, -0.04), palm=AHEAD, fingers=RIGHT)
     return [
         *_around(can, 0, 90, 180, 270),
         *_around(can_top, 0, 120),
@@ -172,20 +139,12 @@ def _containers() -> list[GraspSpecification]:
     ]
 
 
-def _tools() -> list[GraspSpecification]:
-    hammer = GraspSpecification(
-        "hammer", "hammer", "grip", "cover", at=(-0.05, -0.006, 0), palm=DOWN, fingers=RIGHT
-    )
-    shaft = GraspSpecification(
-        "hammer", "hand over", "shaft", "prism", at=(0.03, -0.006, 0), palm=DOWN, fingers=RIGHT
-    )
-    drive = GraspSpecification(
-        "screwdriver", "drive", "handle", "cover", at=(-0.06, 0, 0), palm=DOWN, fingers=RIGHT
-    )
-    rod = GraspSpecification(
-        "screwdriver", "hand over", "shaft", "pinch", at=(0.015, 0, -0.006), palm=DOWN, fingers=RIGHT
-    )
-    drill = GraspSpecification(
+def _tools() -> list[Spec]:
+    hammer = Spec("hammer", "hammer", "grip", "cover", at=(-0.05, -0.006, 0), palm=DOWN, fingers=RIGHT)
+    shaft = Spec("hammer", "hand over", "shaft", "prism", at=(0.03, -0.006, 0), palm=DOWN, fingers=RIGHT)
+    drive = Spec("screwdriver", "drive", "handle", "cover", at=(-0.06, 0, 0), palm=DOWN, fingers=RIGHT)
+    rod = Spec("screwdriver", "hand over", "shaft", "pinch", at=(0.015, 0, -0.006), palm=DOWN, fingers=RIGHT)
+    drill = Spec(
         "drill",
         "drill",
         "grip",
@@ -195,10 +154,8 @@ def _tools() -> list[GraspSpecification]:
         fingers=(1, -0.4, 0),
         parts={"index": "trigger"},
     )
-    motor = GraspSpecification(
-        "drill", "hand over", "body", "wrap", at=(-0.03, 0, 0.079), palm=DOWN, fingers=RIGHT
-    )
-    clamp = GraspSpecification(
+    motor = Spec("drill", "hand over", "body", "wrap", at=(-0.03, 0, 0.079), palm=DOWN, fingers=RIGHT)
+    clamp = Spec(
         "clamp",
         "clamp",
         "handles",
@@ -212,15 +169,9 @@ def _tools() -> list[GraspSpecification]:
             "middle_distal": (-0.05, -0.037, 0),
         },
     )
-    jaws = GraspSpecification(
-        "clamp", "hand over", "jaws", "prism", at=(0.035, 0, 0), palm=DOWN, fingers=LEFT
-    )
-    torch = GraspSpecification(
-        "flashlight", "light", "body", "cover", at=(-0.02, 0, -0.004), palm=DOWN, fingers=RIGHT
-    )
-    glass = GraspSpecification(
-        "flashlight", "hand over", "head", "pinch", at=(0.05, 0, 0), palm=DOWN, fingers=LEFT
-    )
+    jaws = Spec("clamp", "hand over", "jaws", "prism", at=(0.035, 0, 0), palm=DOWN, fingers=LEFT)
+    torch = Spec("flashlight", "light", "body", "cover", at=(-0.02, 0, -0.004), palm=DOWN, fingers=RIGHT)
+    glass = Spec("flashlight", "hand over", "head", "pinch", at=(0.05, 0, 0), palm=DOWN, fingers=LEFT)
     return [
         *_along(hammer, -0.06, -0.04),
         *_along(replace(hammer, kind="prism"), -0.05, -0.035),
@@ -242,8 +193,8 @@ def _tools() -> list[GraspSpecification]:
     ]
 
 
-def _desk() -> list[GraspSpecification]:
-    snip = GraspSpecification(
+def _desk() -> list[Spec]:
+    snip = Spec(
         "scissors",
         "cut",
         "loops",
@@ -257,17 +208,15 @@ def _desk() -> list[GraspSpecification]:
             "middle_distal": (-0.08, -0.01, 0),
         },
     )
-    blades = GraspSpecification(
-        "scissors", "hand over", "blades", "pinch", at=(0.0, 0, 0), palm=DOWN, fingers=LEFT
-    )
-    write = GraspSpecification(
+    blades = Spec("scissors", "hand over", "blades", "pinch", at=(0.0, 0, 0), palm=DOWN, fingers=LEFT)
+    write = Spec(
         "marker", "write", "barrel", "tripod", at=(-0.01, 0, 0), palm=(0, 0.3, -1), fingers=(0.3, -1, -0.3)
     )
-    cap = GraspSpecification("marker", "open", "cap", "pinch", at=(0.03, 0, 0), palm=DOWN, fingers=LEFT)
-    read = GraspSpecification(
+    cap = Spec("marker", "open", "cap", "pinch", at=(0.03, 0, 0), palm=DOWN, fingers=LEFT)
+    read = Spec(
         "book", "read", "cover", "prism", at=(0.035, 0, 0), palm=BACK, fingers=(0, 0, 1), up=(1, 0, 0)
     )
-    throw = GraspSpecification("tennis_ball", "throw", "ball", "disk", at=(0, 0, 0), palm=DOWN, fingers=AHEAD)
+    throw = Spec("tennis_ball", "throw", "ball", "disk", at=(0, 0, 0), palm=DOWN, fingers=AHEAD)
     return [
         snip,
         replace(snip, fingers=(-0.4, -1, 0)),
@@ -285,11 +234,5 @@ def _desk() -> list[GraspSpecification]:
     ]
 
 
-BUILTIN_SPECIFICATIONS: tuple[GraspSpecification, ...] = (
-    *_drinking(),
-    *_kitchen(),
-    *_containers(),
-    *_tools(),
-    *_desk(),
-)
+BUILTIN_SPECIFICATIONS: tuple[Spec, ...] = (*_drinking(), *_kitchen(), *_containers(), *_tools(), *_desk())
 """The specifications that ``fungrasp grasps make`` solves."""

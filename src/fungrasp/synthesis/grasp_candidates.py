@@ -16,7 +16,7 @@ from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.objects import ObjectModel
 from fungrasp.optimization.collision_scene import CollisionScene
 from fungrasp.optimization.contact_forces import CONTACT_DISTANCE
-from fungrasp.optimization.hand_configuration import HandConfiguration
+from fungrasp.optimization.hand_state import HandState
 from fungrasp.synthesis.grasp_specification import GraspSpecification
 from fungrasp.synthesis.human_hand_terms import HumanPoints, part_samples
 
@@ -85,14 +85,13 @@ def check_candidates(
         pose, independent, cost: of the candidates, as ``minimize`` returns them.
     """
     points = HumanPoints(HandKinematics(hand, len(specs)), spacing=FINE_SPACING)
-    configuration = HandConfiguration(points, scene, pose, independent)
+    state = HandState(points, scene, pose, independent)
     contacts = np.zeros((len(specs), len(HUMAN_LINKS)), dtype=bool)
     part_distance = np.zeros(len(specs))
     for row, spec in enumerate(specs):
         model = objects[spec.object]
         gaps = {
-            part: _link_gaps(points, configuration.spheres[row], part_samples(model, part))
-            for part in spec.all_parts
+            part: _link_gaps(points, state.spheres[row], part_samples(model, part)) for part in spec.all_parts
         }
         contacts[row] = np.min([gaps[part] for part in spec.all_parts], axis=0) <= CONTACT_DISTANCE
         part_distance[row] = max(
@@ -100,14 +99,14 @@ def check_candidates(
         )
     return GraspCandidates(
         specification=owner,
-        joints=configuration.keypoints,
+        joints=state.keypoints,
         contacts=contacts,
         cost=cost,
-        object_penetration=np.maximum(-configuration.clearance.min(axis=1), 0.0),
-        table_penetration=np.maximum(-configuration.heights.min(axis=1), 0.0),
+        object_penetration=np.maximum(-state.clearance.min(axis=1), 0.0),
+        table_penetration=np.maximum(-state.heights.min(axis=1), 0.0),
         self_penetration=self_collision_depth(hand.model, independent),
         part_distance=part_distance,
-        anatomical=_anatomical(configuration.keypoints),
+        anatomical=_anatomical(state.keypoints),
     )
 
 

@@ -18,7 +18,7 @@ from fungrasp.grasps import HUMAN_LINKS
 from fungrasp.hands.kinematics import BodyPoints, HandKinematics
 from fungrasp.objects import ObjectModel
 from fungrasp.optimization.collision_scene import CollisionScene
-from fungrasp.optimization.hand_configuration import HandConfiguration, HandPoints, SelfPairs
+from fungrasp.optimization.hand_state import HandPoints, HandState, SelfPairs
 from fungrasp.optimization.terms import Residual
 from fungrasp.synthesis.grasp_specification import GRASP_KINDS, WHOLE, GraspSpecification
 
@@ -114,25 +114,23 @@ def part_samples(model: ObjectModel, part: str) -> KDTree:
     return KDTree(np.concatenate([corners[np.unique(faces)], corners[faces].mean(axis=1)]))
 
 
-def _touching_points(configuration: HandConfiguration[CollisionScene], targets: PartTargets) -> np.ndarray:
+def _touching_points(state: HandState[CollisionScene], targets: PartTargets) -> np.ndarray:
     """The points that should touch, in place of the spheres' centers [m], shape [N, P, 3]."""
-    points = configuration.points
+    points = state.points
     assert isinstance(points, HumanPoints)
     pads, sides = points.kinematics.points(points.pads), points.kinematics.points(points.sides)
     return np.where(targets.radial[:, points.spheres.link, None], sides, pads)
 
 
-def part_gap(
-    configuration: HandConfiguration[CollisionScene], targets: PartTargets, unit: float = 0.002
-) -> Residual:
+def part_gap(state: HandState[CollisionScene], targets: PartTargets, unit: float = 0.002) -> Residual:
     """max(0, |x - s| - r) / unit for each link that must touch: x and r its pad nearest to the part, s the
     part's point nearest to it.
 
     Args:
         unit: [m].
     """
-    pads = _touching_points(configuration, targets)
-    link, radius = configuration.points.spheres.link, (1 - PAD) * configuration.points.spheres.radius
+    pads = _touching_points(state, targets)
+    link, radius = state.points.spheres.link, (1 - PAD) * state.points.spheres.radius
     # One query per sphere of each (hand, link) pair with a target; ``query`` is the pair each sphere belongs
     # to.
     rows, links = np.nonzero(targets.tree >= 0)
@@ -151,7 +149,7 @@ def part_gap(
     best = np.lexsort((gap, np.repeat(np.arange(len(rows)), count)))[starts]
     gap, direction = gap[best], between[best] / np.maximum(distance[best], 1e-9)[:, None]
     return _scattered(
-        configuration,
+        state,
         rows,
         links,
         sphere[best],
@@ -162,24 +160,22 @@ def part_gap(
     )
 
 
-def place_error(
-    configuration: HandConfiguration[CollisionScene], targets: PartTargets, unit: float = 0.008
-) -> Residual:
+def place_error(state: HandState[CollisionScene], targets: PartTargets, unit: float = 0.008) -> Residual:
     """(x - p) / unit for links with a place p, x the link's pad that is nearest to it.
 
     Args:
         unit: [m].
     """
-    pads = _touching_points(configuration, targets)
+    pads = _touching_points(state, targets)
     rows, links = np.nonzero(np.isfinite(targets.places[..., 0]))
     residual = np.zeros((len(pads), 48))
-    jacobian = np.zeros((len(pads), 48, configuration.points.kinematics.size))
+    jacobian = np.zeros((len(pads), 48, state.points.kinematics.size))
     if not len(rows):
         return residual, jacobian
     away = np.linalg.norm(pads[rows] - targets.places[rows, links][:, None], axis=-1)
-    away[configuration.points.spheres.link[None] != links[:, None]] = np.inf
+    away[state.points.spheres.link[None] != links[:, None]] = np.inf
     sphere = np.argmin(away, axis=1)
-    move = _rows_jacobian(configuration, rows, sphere, pads[rows, sphere])
+    move = _rows_jacobian(state, rows, sphere, pads[rows, sphere])
     for axis in range(3):
         column = 3 * links + axis
         residual[rows, column] = (pads[rows, sphere, axis] - targets.places[rows, links, axis]) / unit
@@ -188,7 +184,7 @@ def place_error(
 
 
 def natural_posture(
-    configuration: HandConfiguration[CollisionScene],
+    state: HandState[CollisionScene],
     kinds: Sequence[str],
     along_unit: float = 1.2,
     off_unit: float = 0.25,
@@ -208,8 +204,8 @@ def natural_posture(
     each = [_posture(name, along_unit, off_unit, neighbor_unit) for name in names]
     which = np.array([names.index(kind) for kind in kinds])
     matrix, goal = np.stack([m for m, _ in each])[which], np.stack([g for _, g in each])[which]
-    residual = (matrix @ configuration.independent[..., None])[..., 0] - goal
-    jacobian = np.zeros((*residual.shape, configuration.points.kinematics.size))
+    residual = (matrix @ state.independent[..., None])[..., 0] - goal
+    jacobian = np.zeros((*residual.shape, state.points.kinematics.size))
     jacobian[..., 6:] = matrix
     return residual, jacobian
 
@@ -243,7 +239,7 @@ def _posture(
 
 
 def _scattered(
-    configuration: HandConfiguration[CollisionScene],
+    state: HandState[CollisionScene],
     rows: np.ndarray,
     links: np.ndarray,
     sphere: np.ndarray,
@@ -253,21 +249,18 @@ def _scattered(
     unit: float,
 ) -> Residual:
     """Residuals [N, 16] and their Jacobian [N, 16, D] from lists of Q entries; the others are zero."""
-    count = len(configuration.wrist_pose)
+    count = len(state.wrist_pose)
     residual = np.zeros((count, len(HUMAN_LINKS)))
-    jacobian = np.zeros((*residual.shape, configuration.points.kinematics.size))
+    jacobian = np.zeros((*residual.shape, state.points.kinematics.size))
     residual[rows, links] = value / unit
     jacobian[rows, links] = (
-        np.einsum("qi,qid->qd", direction, _rows_jacobian(configuration, rows, sphere, position)) / unit
+        np.einsum("qi,qid->qd", direction, _rows_jacobian(state, rows, sphere, position)) / unit
     )
     return residual, jacobian
 
 
 def _rows_jacobian(
-    configuration: HandConfiguration[CollisionScene],
-    rows: np.ndarray,
-    sphere: np.ndarray,
-    position: np.ndarray,
+    state: HandState[CollisionScene], rows: np.ndarray, sphere: np.ndarray, position: np.ndarray
 ) -> np.ndarray:
     """Jacobians of Q single points of hands, shape [Q, 3, D].
 
@@ -278,8 +271,8 @@ def _rows_jacobian(
     """
     # The kinematics take the same number of points for every hand: spread the Q points over slots per hand.
     slot = np.arange(len(rows)) - np.searchsorted(rows, rows)
-    count, slots = len(configuration.wrist_pose), int(slot.max()) + 1
+    count, slots = len(state.wrist_pose), int(slot.max()) + 1
     bodies, positions = np.zeros((count, slots), dtype=int), np.zeros((count, slots, 3))
-    bodies[rows, slot] = configuration.points.spheres.points.bodies[sphere]
+    bodies[rows, slot] = state.points.spheres.points.bodies[sphere]
     positions[rows, slot] = position
-    return configuration.points.kinematics.jacobian(bodies, positions)[rows, slot]
+    return state.points.kinematics.jacobian(bodies, positions)[rows, slot]

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from fungrasp.geometry.poses import quaternion_from_rotation_vector, quaternion_multiply
 from fungrasp.grasps import HUMAN_LINKS
 from fungrasp.optimization.collision_scene import CollisionScene
-from fungrasp.optimization.hand_configuration import HandConfiguration
+from fungrasp.optimization.hand_state import HandState
 from fungrasp.synthesis.grasp_specification import GRASP_KINDS, GraspSpecification
 from fungrasp.synthesis.human_hand_terms import HumanPoints
 
@@ -88,8 +88,8 @@ def approach_until_contact(
     for step in np.arange(-FARTHEST, DEEPEST + STEP / 2, STEP):
         moved = pose.copy()
         moved[:, :3] += step * into
-        configuration = HandConfiguration(points, scene, moved, opened)
-        clear = np.minimum(configuration.clearance, configuration.heights)[:, base].min(axis=1)
+        state = HandState(points, scene, moved, opened)
+        clear = np.minimum(state.clearance, state.heights)[:, base].min(axis=1)
         free &= (clear > -CONTACT_TOLERANCE) & (step <= deepest + 1e-9)
         depth[free] = step
     result = pose.copy()
@@ -107,8 +107,8 @@ def close_until_contact(
     finger_of_sphere = np.where(points.spheres.link > 0, (points.spheres.link - 1) // 3, -1)
     share, free = np.zeros((len(specs), 5)), np.ones((len(specs), 5), dtype=bool)
     for step in np.linspace(0.0, 1.0, 21):
-        configuration = HandConfiguration(points, scene, pose, opened + step * (closed - opened))
-        clear = np.minimum(configuration.clearance, configuration.heights)
+        state = HandState(points, scene, pose, opened + step * (closed - opened))
+        clear = np.minimum(state.clearance, state.heights)
         for finger in range(5):
             free[:, finger] &= clear[:, finger_of_sphere == finger].min(axis=1) > -CONTACT_TOLERANCE
         share[free] = step

@@ -23,7 +23,7 @@ from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.objects import ObjectModel, load_object
 from fungrasp.optimization import terms
 from fungrasp.optimization.collision_scene import CollisionScene, project_to_surface
-from fungrasp.optimization.hand_configuration import HandConfiguration
+from fungrasp.optimization.hand_state import HandState
 from fungrasp.optimization.levenberg_marquardt import Term, minimize
 from fungrasp.optimization.retargeting_problem import RetargetingProblem
 from fungrasp.synthesis.grasp_candidates import GraspCandidates, check_candidates
@@ -233,7 +233,7 @@ def _problem(
 ) -> RetargetingProblem:
     """The specifications as a retargeting problem: the links that must touch, the human hand at its start."""
     contacts = np.array([[link in spec.links for link in HUMAN_LINKS] for spec in specs])
-    joints = HandConfiguration(points, scene, pose, independent).keypoints
+    joints = HandState(points, scene, pose, independent).keypoints
     surface, normals = project_to_surface(scene.bank, scene.grid, joints)
     return RetargetingProblem(
         **{f.name: getattr(scene, f.name) for f in fields(scene)},

@@ -67,7 +67,7 @@ def _self_pairs(hand: Hand, spheres: CollisionSpheres) -> SelfPairs:
 ProblemT = TypeVar("ProblemT", bound=CollisionScene)
 
 
-class HandConfiguration(Generic[ProblemT]):
+class HandState(Generic[ProblemT]):
     """N hands at one iterate of the solver, object frame: positions, distances, and Jacobians on demand.
 
     Jacobians are with respect to the D = 6 + U tangent coordinates of ``HandKinematics``: wrist translation
