@@ -25,15 +25,23 @@ def fingertip_position(state: HandState[RetargetingProblem], unit: float = 0.01)
     return _flat(residual, state.keypoint_jacobian(far) / unit)
 
 
-def link_direction(state: HandState[RetargetingProblem], unit: float = 0.5) -> Residual:
-    """(d_robot - d_human) / unit for each finger link, d the unit vector from its near to its far key point
-    (IV.A)."""
+def link_direction(
+    state: HandState[RetargetingProblem], unit: float = 0.5, links: np.ndarray | slice = slice(None)
+) -> Residual:
+    """(d_robot - d_human) / unit for finger links, d the unit vector from the near to the far key point
+    (IV.A).
+
+    Args:
+        unit: dimensionless.
+        links: which of the S finger links; all by default.
+    """
     match = state.points.match
-    robot = state.keypoints[:, match.far] - state.keypoints[:, match.near]
-    human = state.problem.joints[:, match.human_far] - state.problem.joints[:, match.human_near]
+    near, far = match.near[links], match.far[links]
+    robot = state.keypoints[:, far] - state.keypoints[:, near]
+    human = state.problem.joints[:, match.human_far[links]] - state.problem.joints[:, match.human_near[links]]
     length = np.linalg.norm(robot, axis=-1, keepdims=True)
     robot, human = robot / length, human / np.linalg.norm(human, axis=-1, keepdims=True)
-    move = (state.keypoint_jacobian(match.far) - state.keypoint_jacobian(match.near)) / length[..., None]
+    move = (state.keypoint_jacobian(far) - state.keypoint_jacobian(near)) / length[..., None]
     # Derivative of a normalized vector: (I - d d^T) applied to the derivative of the vector over its length.
     jacobian = move - robot[..., None] * np.einsum("nsi,nsid->nsd", robot, move)[:, :, None]
     return _flat((robot - human) / unit, jacobian / unit)

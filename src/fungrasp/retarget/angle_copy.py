@@ -14,11 +14,12 @@ import numpy as np
 from fungrasp.geometry.poses import rotate
 from fungrasp.grasps.anatomy import joint_bends
 from fungrasp.hands import FINGERS, Hand
+from fungrasp.hands.checking.kinematic_tree import ancestors
 from fungrasp.hands.correspondence import HUMAN_FINGER_JOINTS
 from fungrasp.optimization.hand_state import HandPoints, HandState
 from fungrasp.optimization.levenberg_marquardt import minimize
 from fungrasp.optimization.retargeting_problem import RetargetingProblem
-from fungrasp.optimization.terms import Residual
+from fungrasp.optimization.terms import Residual, link_direction
 from fungrasp.retarget.contact_optimization import RetargetSettings, palm_alignment
 
 PARALLEL, PERPENDICULAR = np.cos(np.radians(25.0)), np.cos(np.radians(65.0))
@@ -166,16 +167,9 @@ def thumb_direction(state: HandState[RetargetingProblem], free: np.ndarray) -> R
     Args:
         free: which entries of the tangent vector may change, shape [D] bool; others have derivative zero.
     """
-    match = state.points.match
-    first = np.flatnonzero(match.is_thumb)[:2]
-    near, far = match.near[first], match.far[first]
-    robot = state.keypoints[:, far] - state.keypoints[:, near]
-    human = state.problem.joints[:, match.human_far[first]] - state.problem.joints[:, match.human_near[first]]
-    length = np.linalg.norm(robot, axis=-1, keepdims=True)
-    robot, human = robot / length, human / np.linalg.norm(human, axis=-1, keepdims=True)
-    move = (state.keypoint_jacobian(far) - state.keypoint_jacobian(near)) / length[..., None]
-    jacobian = (move - robot[..., None] * np.einsum("nsi,nsid->nsd", robot, move)[:, :, None]) * free
-    return (robot - human).reshape(len(robot), -1), jacobian.reshape(len(robot), -1, free.size)
+    first = np.flatnonzero(state.points.match.is_thumb)[:2]
+    residual, jacobian = link_direction(state, unit=1.0, links=first)
+    return residual, jacobian * free
 
 
 def _moved_links(hand: Hand) -> dict[str, dict[int, int]]:
@@ -189,7 +183,7 @@ def _moved_links(hand: Hand) -> dict[str, dict[int, int]]:
             (name, i)
             for name, chain in chains.items()
             for i, link in enumerate(chain)
-            if body in _ancestors(model, link)
+            if body in ancestors(model, link)
         ]
         if len({name for name, _ in moved}) == 1:
             name, first = moved[0]
@@ -200,12 +194,3 @@ def _moved_links(hand: Hand) -> dict[str, dict[int, int]]:
 def _position(data: mujoco.MjData, name: str) -> np.ndarray:
     is_site = mujoco.mj_name2id(data.model, mujoco.mjtObj.mjOBJ_SITE, name) >= 0
     return (data.site(name) if is_site else data.body(name)).xpos
-
-
-def _ancestors(model: mujoco.MjModel, body: int) -> set[int]:
-    """The body itself and all above it but the world."""
-    found = set()
-    while body:
-        found.add(body)
-        body = int(model.body_parentid[body])
-    return found

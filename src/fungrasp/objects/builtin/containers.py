@@ -15,9 +15,9 @@ class Can:
     """A drink can."""
 
     radius: float = 0.033
-    """[m]."""
+    """Radius of the can [m]."""
     height: float = 0.115
-    """[m]."""
+    """Height of the can [m]."""
 
     def parts(self) -> PartSolids:
         r, h = self.radius, self.height
@@ -32,7 +32,7 @@ class Carton:
     """A closed cardboard box, standing."""
 
     size: tuple[float, float, float] = (0.06, 0.11, 0.17)
-    """[m]."""
+    """Extents of the carton along x, y and z [m]."""
 
     def parts(self) -> PartSolids:
         return {"body": [box(self.size, bevel=0.001)]}
@@ -43,7 +43,7 @@ class Bottle:
     """A drink bottle with a waist and a screw cap."""
 
     radius: float = 0.0325
-    """[m]."""
+    """Radius of the bottle [m]."""
     height: float = 0.205
     """With the cap [m]."""
 
@@ -74,13 +74,13 @@ class SprayBottle:
     """A trigger sprayer; the nozzle and the trigger point to +x."""
 
     width: float = 0.062
-    """Of the body, along y [m]."""
+    """Width of the body, along y [m]."""
     length: float = 0.09
-    """Of the body, along x [m]."""
+    """Length of the body, along x [m]."""
     body: float = 0.165
     """Height of the shoulder [m]."""
     height: float = 0.255
-    """[m]."""
+    """Height of the spray bottle [m]."""
 
     def parts(self) -> PartSolids:
         a, b, s, h = self.length / 2, self.width / 2, self.body, self.height

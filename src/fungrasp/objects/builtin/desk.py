@@ -19,7 +19,7 @@ class Scissors:
     opening: float = 0.12
     """Half the angle between the blades [rad]."""
     thickness: float = 0.003
-    """Of one blade [m]."""
+    """Thickness of one blade [m]."""
     bar: float = 0.005
     """Half the thickness of the loops [m]."""
 
@@ -52,9 +52,9 @@ class Marker:
     """A felt pen with its cap on, lying; the cap points to +x."""
 
     radius: float = 0.0085
-    """Of the barrel [m]."""
+    """Radius of the barrel [m]."""
     length: float = 0.125
-    """[m]."""
+    """Length of the marker [m]."""
 
     def parts(self) -> PartSolids:
         r, n = self.radius, self.length
@@ -96,7 +96,7 @@ class Ball:
     """A ball."""
 
     radius: float = 0.0335
-    """[m]."""
+    """Radius of the ball [m]."""
 
     def parts(self) -> PartSolids:
         angles = np.linspace(-np.pi / 2, np.pi / 2, 15)[1:-1]

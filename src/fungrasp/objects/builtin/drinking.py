@@ -15,9 +15,9 @@ class Mug:
     """A straight mug; the handle points to +x."""
 
     radius: float = 0.041
-    """Of the outside [m]."""
+    """Radius of the outside [m]."""
     height: float = 0.095
-    """[m]."""
+    """Height of the mug [m]."""
     wall: float = 0.0045
     """Thickness of wall and floor [m]."""
     rim: float = 0.012
@@ -45,9 +45,9 @@ class WineGlass:
     """A stemmed glass."""
 
     radius: float = 0.038
-    """Of the bowl where it is widest [m]."""
+    """Radius of the bowl where it is widest [m]."""
     height: float = 0.19
-    """[m]."""
+    """Height of the wine glass [m]."""
     stem: float = 0.085
     """Height of the underside of the bowl [m]."""
 
@@ -85,9 +85,9 @@ class Pitcher:
     top: float = 0.066
     """Radius of the mouth [m]."""
     height: float = 0.22
-    """[m]."""
+    """Height of the pitcher [m]."""
     wall: float = 0.004
-    """[m]."""
+    """Thickness of the wall of the pitcher [m]."""
 
     def parts(self) -> PartSolids:
         b, t, h, w = self.bottom, self.top, self.height, self.wall
@@ -130,7 +130,7 @@ class Teapot:
     """A round teapot with its lid on; the handle points to +x and the spout to -x."""
 
     radius: float = 0.07
-    """Of the belly [m]."""
+    """Radius of the belly [m]."""
     height: float = 0.115
     """Up to the lid [m]."""
 

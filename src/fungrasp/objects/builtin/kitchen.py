@@ -19,7 +19,7 @@ class Pan:
     top: float = 0.12
     """Radius of the rim [m]."""
     depth: float = 0.045
-    """[m]."""
+    """Depth of the pan [m]."""
     handle: float = 0.18
     """Length of the handle [m]."""
 
@@ -56,7 +56,7 @@ class Knife:
     handle: float = 0.12
     """Length of the handle [m]."""
     width: float = 0.042
-    """Of the blade at the heel [m]."""
+    """Width of the blade at the heel [m]."""
     spine: float = 0.0024
     """Thickness of the blade at its back [m]."""
 
@@ -88,9 +88,9 @@ class Bowl:
     """A soup bowl."""
 
     radius: float = 0.075
-    """Of the rim [m]."""
+    """Radius of the rim [m]."""
     height: float = 0.06
-    """[m]."""
+    """Height of the bowl [m]."""
     wall: float = 0.0045
     """Thickness at the rim [m]."""
 

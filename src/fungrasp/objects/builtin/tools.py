@@ -27,7 +27,7 @@ class Hammer:
     """A claw hammer lying on its side; the head is at +x, its face points to -y and the claw to +y."""
 
     length: float = 0.32
-    """[m]."""
+    """Length of the hammer [m]."""
     grip: float = 0.14
     """Length of the rubber grip [m]."""
     face: float = 0.0145
@@ -97,7 +97,7 @@ class Screwdriver:
     shaft: float = 0.115
     """Length of the bare shaft [m]."""
     radius: float = 0.016
-    """Of the six-sided handle [m]."""
+    """Radius of the six-sided handle [m]."""
 
     def parts(self) -> PartSolids:
         r, n = self.radius, self.handle
@@ -134,7 +134,7 @@ class Drill:
     """A cordless drill standing on its battery; the chuck points to +x."""
 
     height: float = 0.215
-    """[m]."""
+    """Height of the drill [m]."""
     barrel: float = 0.029
     """Radius of the motor housing [m]."""
 
@@ -250,9 +250,9 @@ class Flashlight:
     """A torch lying on the table; the light points to +x."""
 
     radius: float = 0.0145
-    """Of the body [m]."""
+    """Radius of the body [m]."""
     length: float = 0.15
-    """[m]."""
+    """Length of the flashlight [m]."""
 
     def parts(self) -> PartSolids:
         r, n = self.radius, self.length
