@@ -13,7 +13,7 @@ from fungrasp.errors import FungraspError
 QUATERNION_TOLERANCE = 1e-3
 """How far the norm of a quaternion may be from 1: within, it is normalised; beyond, it is an error."""
 
-UNIT_TOLERANCE = 1e-12
+UNIT_NORM_TOLERANCE = 1e-12
 """A quaternion this close to unit norm is kept as it is, so that reading what was written changes nothing."""
 
 
@@ -67,7 +67,7 @@ def checked_array(name: str, field: ArrayField, value: Any, sizes: dict[str, int
             "has a quaternion (wxyz) that is not of length 1",
             norm,
         )
-        scale = np.where(np.abs(norm - 1) <= UNIT_TOLERANCE, 1.0, norm)
+        scale = np.where(np.abs(norm - 1) <= UNIT_NORM_TOLERANCE, 1.0, norm)
         array[..., 3:] /= scale[..., None]
     return array
 

@@ -1,4 +1,4 @@
-"""One folder per hand: a model and a TOML that says which body is which finger link."""
+"""Robot hands: one folder per hand, with a model and a TOML that names the bodies of palm and fingers."""
 
 from fungrasp.hands.hand import FINGERS, Actuator, Finger, Hand, read_hand_toml
 from fungrasp.hands.hand_registry import hand_files, load_hand

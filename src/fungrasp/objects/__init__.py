@@ -1,4 +1,4 @@
-"""A mesh and a mass become a physical object; the built-in everyday objects."""
+"""Physical objects from a mesh and a mass, and the built-in ones."""
 
 from fungrasp.objects.convex_decomposition import ConvexPiece, convex_pieces
 from fungrasp.objects.mesh_file import load_mesh

@@ -15,7 +15,7 @@ from fungrasp.objects.mesh_repair import SHELL_THICKNESS, consistent_winding, fi
 MESH_SUFFIXES = (".obj", ".stl", ".ply", ".glb")
 """File types looked up by an object's name, in this order."""
 
-TABLE_SIZE = 1.5
+TABLE_SIDE = 1.5
 """Side of the table [m]; an object longer than it is refused."""
 
 SHORTEST_OBJECT = 1e-3
@@ -83,12 +83,12 @@ def _read(path: Path) -> trimesh.Trimesh:
 
 
 def _check_size(path: Path, length: float) -> None:
-    if length >= 2 * TABLE_SIZE:
+    if length >= 2 * TABLE_SIDE:
         raise FungraspError(
             f"{path}: {length:.4g} m long; this looks like millimetres: scale the mesh by 0.001"
         )
-    if length > TABLE_SIZE:
-        raise FungraspError(f"{path}: {length:.4g} m long, larger than the table ({TABLE_SIZE:g} m)")
+    if length > TABLE_SIDE:
+        raise FungraspError(f"{path}: {length:.4g} m long, larger than the table ({TABLE_SIDE:g} m)")
     if length < SHORTEST_OBJECT:
         raise FungraspError(f"{path}: only {length:.3g} m long; a mesh must be in metres")
 

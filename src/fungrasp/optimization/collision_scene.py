@@ -97,3 +97,23 @@ def project_to_surface(
         points = points - distance[..., None] * gradient
     _, gradient = bank.query(grid, points)
     return points, gradient / np.maximum(np.linalg.norm(gradient, axis=-1, keepdims=True), 1e-9)
+
+
+def gradient_derivative(
+    bank: SignedDistanceBank, grid: np.ndarray, points: np.ndarray, reach: float
+) -> np.ndarray:
+    """Derivative of the signed distances' gradient by central differences, which also smooth edges.
+
+    Args:
+        bank, grid: as for ``project_to_surface``.
+        points: [m], shape [N, P, 3], object frame.
+        reach: half width of the differences [m].
+
+    Returns:
+        [1/m], shape [N, P, 3, 3]; the last axis is that of the point.
+    """
+    derivative = np.empty((*points.shape, 3))
+    for axis, shift in enumerate(reach * np.eye(3)):
+        ahead, behind = bank.query(grid, points + shift)[1], bank.query(grid, points - shift)[1]
+        derivative[..., axis] = (ahead - behind) / (2 * reach)
+    return derivative

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from fungrasp.geometry.poses import cross, quaternion_conjugate, quaternion_multiply, rotation_vector
-from fungrasp.optimization.collision_scene import CollisionScene, project_to_surface
+from fungrasp.optimization.collision_scene import CollisionScene, gradient_derivative, project_to_surface
 from fungrasp.optimization.contact_forces import balanced_forces
 from fungrasp.optimization.hand_state import HandState
 from fungrasp.optimization.retargeting_problem import RetargetingProblem
@@ -171,14 +171,7 @@ def force_closure(
     wanted = problem.contacts[:, 1:]
     x = state.keypoints[:, match.far]
     place, normal = project_to_surface(problem.bank, problem.grid, x, iterations=2)
-    # d(normal)/dx by central differences of the field's gradient, shape [N, S, 3, 3]: last axis is that of x.
-    curvature = np.empty((*x.shape, 3))
-    for axis in range(3):
-        shift = np.zeros(3)
-        shift[axis] = reach
-        ahead = problem.bank.query(problem.grid, x + shift)[1]
-        behind = problem.bank.query(problem.grid, x - shift)[1]
-        curvature[..., axis] = (ahead - behind) / (2 * reach)
+    curvature = gradient_derivative(problem.bank, problem.grid, x, reach)
     lever = (place - problem.center[:, None]) / problem.extent[:, None, None]
     force = balanced_forces(lever, -normal, wanted, friction)
     pressure = -np.sum(force * normal, axis=-1)

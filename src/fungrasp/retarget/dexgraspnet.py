@@ -22,7 +22,7 @@ import numpy as np
 
 from fungrasp.geometry.poses import cross
 from fungrasp.optimization import terms
-from fungrasp.optimization.collision_scene import CollisionScene
+from fungrasp.optimization.collision_scene import CollisionScene, gradient_derivative
 from fungrasp.optimization.hand_state import HandPoints, HandState
 from fungrasp.optimization.levenberg_marquardt import Term, minimize
 from fungrasp.optimization.retargeting_problem import RetargetingProblem
@@ -76,11 +76,7 @@ def force_closure_energy(state: HandState[RetargetingProblem], reach: float = 0.
     size = np.maximum(np.linalg.norm(gradient, axis=-1, keepdims=True), 1e-9)
     normal = gradient / size
     center = np.take_along_axis(state.spheres, spheres[..., None], axis=1)
-    # d(gradient)/d(center) by central differences, shape [N, Q, 3, 3]: last axis is that of the center.
-    curvature = np.empty((*center.shape, 3))
-    for axis, shift in enumerate(reach * np.eye(3)):
-        ahead, behind = bank.query(grid, center + shift)[1], bank.query(grid, center - shift)[1]
-        curvature[..., axis] = (ahead - behind) / (2 * reach)
+    curvature = gradient_derivative(bank, grid, center, reach)
     # Derivative of the normalized gradient: the part along the normal drops out.
     along = np.einsum("nqi,nqij->nqj", normal, curvature)
     curvature = (curvature - normal[..., None] * along[..., None, :]) / size[..., None]

@@ -77,7 +77,7 @@ class PartTargets:
         Raises:
             FungraspError: an object has no such part.
         """
-        keys = sorted({(w.object, part) for w in specs for part in w.part_of_link.values()})
+        keys = sorted({(spec.object, part) for spec in specs for part in spec.part_of_link.values()})
         tree = np.full((len(specs), len(HUMAN_LINKS)), -1)
         radial = np.zeros(tree.shape, dtype=bool)
         places = np.full((*tree.shape, 3), np.nan)

@@ -189,37 +189,31 @@ def _solve_batch(
     independent = close_until_contact(points, scene, each, pose)
     targets = PartTargets.from_specifications(each, objects)
     problem = _problem(points, scene, each, objects, pose, independent)
-    kinds = [spec.kind for spec in each]
-    start = (pose, independent)
     wrist = partial(
         terms.stay_near,
-        start=start,
+        start=(pose, independent),
         unit=np.inf,
         position_unit=settings.wrist_unit,
         rotation_unit=settings.wrist_turn_unit,
     )
     table = partial(terms.table_penetration, margin=settings.table_margin)
-    first: list[Term] = [
-        wrist,
-        partial(natural_posture, kinds=kinds),
-        partial(part_gap, targets=targets, unit=4 * settings.gap_unit),
-        partial(place_error, targets=targets, unit=2 * settings.place_unit),
-        partial(terms.object_penetration, unit=4 * settings.object_unit),
-        partial(table, unit=4 * settings.table_unit),
-        partial(terms.self_penetration, unit=4 * settings.self_unit),
-    ]
-    pose, independent, _ = minimize(points, problem, first, pose, independent, settings.first_iterations)
-    second: list[Term] = [
-        wrist,
-        partial(natural_posture, kinds=kinds),
-        partial(part_gap, targets=targets, unit=settings.gap_unit),
-        partial(place_error, targets=targets, unit=settings.place_unit),
-        partial(terms.object_penetration, unit=settings.object_unit),
-        partial(table, unit=settings.table_unit),
-        partial(terms.self_penetration, unit=settings.self_unit),
-        partial(terms.force_closure, unit=settings.closure_unit),
-    ]
-    pose, independent, cost = minimize(points, problem, second, pose, independent, settings.second_iterations)
+
+    def objective(factor: float) -> list[Term]:
+        """Terms whose units of contact and penetration are ``factor`` times as large, of places its root."""
+        return [
+            wrist,
+            partial(natural_posture, kinds=[spec.kind for spec in each]),
+            partial(part_gap, targets=targets, unit=factor * settings.gap_unit),
+            partial(place_error, targets=targets, unit=factor**0.5 * settings.place_unit),
+            partial(terms.object_penetration, unit=factor * settings.object_unit),
+            partial(table, unit=factor * settings.table_unit),
+            partial(terms.self_penetration, unit=factor * settings.self_unit),
+        ]
+
+    first, second = settings.first_iterations, settings.second_iterations
+    pose, independent, _ = minimize(points, problem, objective(4.0), pose, independent, first)
+    closure = partial(terms.force_closure, unit=settings.closure_unit)
+    pose, independent, cost = minimize(points, problem, [*objective(1.0), closure], pose, independent, second)
     return check_candidates(hand, scene, each, owner, objects, pose, independent, cost)
 
 
