@@ -22,7 +22,7 @@ import pytest
 
 from fungrasp.cli.main import COMMANDS, main
 from fungrasp.evaluation import StaticQuality, Trajectory
-from fungrasp.grasps import HumanGraspSet, RobotGraspSet, files, save_human_grasps
+from fungrasp.grasps import HumanGraspSet, RobotGraspSet, grasp_files, save_human_grasps
 from fungrasp.objects import builtin_object
 from fungrasp.task import Trials
 
@@ -76,7 +76,7 @@ def run(arguments: list[str]) -> int:
 @pytest.fixture
 def reader(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A folder with the reader's data, and few built-in grasps."""
-    builtin = files.builtin_grasps()
+    builtin = grasp_files.builtin_grasps()
     assert builtin.task is not None
     first = {
         f"{name} {task}": row
@@ -85,7 +85,7 @@ def reader(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     named = [first["can drink"]]
     others = [row for row in first.values() if row not in named]
     save_human_grasps(tmp_path / "few.npz", builtin.select(np.array([*named, *others[: MOST - 1]])))
-    monkeypatch.setattr(files, "BUILTIN_PATH", tmp_path / "few.npz")
+    monkeypatch.setattr(grasp_files, "BUILTIN_PATH", tmp_path / "few.npz")
     mine = builtin.select(np.flatnonzero(builtin.object_name == "box")[:2])
     (tmp_path / "meshes").mkdir()
     builtin_object("box").mesh.export(tmp_path / "meshes" / "carton.obj")

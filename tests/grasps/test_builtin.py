@@ -11,7 +11,7 @@ from fungrasp.grasps import BONES, HUMAN_LINKS, bone_lengths, builtin_grasps
 from fungrasp.grasps.anatomy import check_anatomy
 from fungrasp.hands import load_hand
 from fungrasp.objects import load_object, object_names
-from fungrasp.synthesis.builtin_specifications import EVERYDAY
+from fungrasp.synthesis.builtin_specifications import BUILTIN_SPECIFICATIONS
 from fungrasp.synthesis.human_hand_terms import part_samples
 
 FINGER_LINKS = HUMAN_LINKS[1:]
@@ -44,7 +44,7 @@ def test_there_are_enough_of_every_object_and_many_tasks(grasps):
     assert counts.min() >= 3
     assert len(set(grasps.task.tolist())) >= 8
     assert set(zip(grasps.object_name.tolist(), grasps.task.tolist(), strict=True)) <= {
-        (wish.object, wish.task) for wish in EVERYDAY
+        (spec.object, spec.task) for spec in BUILTIN_SPECIFICATIONS
     }
 
 
@@ -74,11 +74,11 @@ def test_fingers_stay_out_of_object_and_table(grasps, surface):
     assert grasps.hand_joints[..., 2].min() >= 0.0
 
 
-def test_contacts_are_on_the_wished_parts(grasps, surface):
+def test_contacts_are_on_the_specified_parts(grasps, surface):
     centers, radius = surface
     parts = defaultdict(set)
-    for wish in EVERYDAY:
-        parts[wish.object, wish.task] |= wish.all_parts
+    for spec in BUILTIN_SPECIFICATIONS:
+        parts[spec.object, spec.task] |= spec.all_parts
     for row, grasp in enumerate(grasps):
         gap = np.full(15, np.inf)
         for part in parts[grasp.object_name, grasp.task]:

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from test_grasp_sets import same
 
-import fungrasp.grasps.files as files
+import fungrasp.grasps.grasp_files as files
 from fungrasp.errors import FungraspError
 from fungrasp.grasps import (
     HumanGraspSet,

@@ -38,6 +38,23 @@ def test_one_grasp_is_a_row(human_grasps, robot_grasps):
 
 
 @pytest.mark.parametrize("kind", ["human_grasps", "robot_grasps"])
+def test_a_slice_is_a_set(kind, request):
+    grasps = request.getfixturevalue(kind)(5)
+    same(grasps[1:3], grasps.select([1, 2]))
+    same(grasps[::-2], grasps.select([4, 2, 0]))
+    assert len(grasps[5:]) == 0
+
+
+def test_reprs_are_short(human_grasps, robot_grasps):
+    humans, robots = human_grasps(4), robot_grasps(4)
+    objects = len(set(humans.object_name.tolist()))
+    assert repr(humans) == f"<HumanGraspSet: 4 grasps of {objects} objects>"
+    assert repr(robots).startswith("<RobotGraspSet: 4 grasps of ")
+    assert repr(humans[3]) == "<HumanGrasp: object 'object 1', task 'task 3'>"
+    assert repr(robots[0]).startswith(f"<RobotGrasp: hand {robots.hand!r}, object ")
+
+
+@pytest.mark.parametrize("kind", ["human_grasps", "robot_grasps"])
 def test_parts_joined_are_the_whole(kind, request):
     grasps = request.getfixturevalue(kind)(5)
     odd = np.arange(5) % 2 == 1

@@ -11,7 +11,14 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from fungrasp.geometry.poses import transform_points
-from fungrasp.grasps import BONES, HUMAN_JOINTS, HUMAN_LINKS, bone_lengths, link_directions, load_human_grasps
+from fungrasp.grasps import (
+    BONES,
+    HUMAN_JOINTS,
+    HUMAN_LINKS,
+    bone_lengths,
+    finger_link_directions,
+    load_human_grasps,
+)
 from fungrasp.grasps.anatomy import check_anatomy, joint_bends
 from fungrasp.grasps.human_hand import mirror_points, mirror_pose
 
@@ -29,7 +36,7 @@ def test_names():
 
 def test_directions_of_a_flat_hand(hand):
     joints = hand((0, 0, 0))
-    directions = link_directions(np.stack([joints, 2 * joints]))
+    directions = finger_link_directions(np.stack([joints, 2 * joints]))
     assert directions.shape == (2, 5, 3, 3)
     np.testing.assert_allclose(directions[0], directions[1])
     toward = joints[5] / np.linalg.norm(joints[5])

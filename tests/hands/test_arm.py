@@ -1,4 +1,4 @@
-"""The UR5e: the reference's kinematics, masses and limits; a hand on its flange; inverse kinematics."""
+"""The UR5e: the reference's kinematics, masses and limits; a hand on its flange."""
 
 from __future__ import annotations
 
@@ -9,8 +9,6 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from fungrasp.errors import UnknownNameError
 from fungrasp.geometry.poses import compose, rotate
@@ -19,8 +17,6 @@ from fungrasp.hands.arm import (
     FLANGE_SITE,
     MOUNTING_GAP,
     arm_files,
-    arm_inverse_kinematics,
-    arm_joints,
     arm_spec,
     mount,
     mounting_pose,
@@ -164,29 +160,6 @@ def test_the_palm_begins_at_the_flange():
         points = data.geom_xpos[geom] + corners @ data.geom_xmat[geom].reshape(3, 3).T
         lowest = min(lowest, ((points - flange.xpos) @ flange.xmat.reshape(3, 3)[:, 2]).min())
     assert lowest == pytest.approx(MOUNTING_GAP, abs=1e-6)
-
-
-@settings(max_examples=30, deadline=None)
-@given(st.lists(st.floats(-0.6, 0.6), min_size=6, max_size=6))
-def test_inverse_kinematics_finds_reachable_poses(offsets):
-    model, data = mounted("allegro"), mujoco.MjData(mounted("allegro"))
-    data.qpos[:6] = HOME + offsets
-    mujoco.mj_kinematics(model, data)
-    wanted = body_pose(data, "palm")
-    angles, position_error, rotation_error = arm_inverse_kinematics(model, wanted, HOME)
-    assert position_error < 1e-4 and rotation_error < 1e-3
-    data.qpos[:6] = angles
-    mujoco.mj_kinematics(model, data)
-    np.testing.assert_allclose(data.body("palm").xpos, wanted[:3], atol=1e-4)
-    assert (angles >= model.jnt_range[:6, 0]).all() and (angles <= model.jnt_range[:6, 1]).all()
-
-
-def test_inverse_kinematics_tells_how_far_an_unreachable_pose_is():
-    model = mounted("allegro")
-    angles, position_error, _ = arm_inverse_kinematics(model, np.array([3.0, 0, 0.5, 1, 0, 0, 0]), HOME)
-    assert np.isfinite(angles).all()
-    assert 1.5 < position_error < 2.5
-    assert arm_joints(model).tolist() == list(range(6))
 
 
 def test_the_arm_holds_the_hand_against_gravity():

@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from fungrasp.geometry.poses import transform_points
 from fungrasp.hands import hand_files, load_hand
+from fungrasp.hands.collision_spheres import collision_spheres
 from fungrasp.hands.kinematics import BodyPoints, HandKinematics
-from fungrasp.hands.shape import hand_balls
 
 HANDS = sorted(hand_files())
 COUNT = 4
@@ -57,7 +57,7 @@ def test_without_a_pose_the_palm_is_the_frame(kinematics: HandKinematics):
 
 def test_points_are_where_mujoco_has_them(kinematics: HandKinematics):
     pose, joints = random_state(kinematics)
-    points = hand_balls(kinematics.hand, 0.02).points
+    points = collision_spheres(kinematics.hand, 0.02).points
     kinematics.update(pose, joints)
     found = kinematics.points(points)
     for row in range(COUNT):

@@ -17,8 +17,10 @@ from fungrasp.hands import load_hand
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.objects import ObjectModel
 from fungrasp.optimization import terms
-from fungrasp.optimization.hand_problem import HandPoints, Problem, State, Surroundings
-from fungrasp.optimization.levenberg_marquardt import minimise
+from fungrasp.optimization.collision_scene import CollisionScene
+from fungrasp.optimization.hand_state import HandPoints, HandState
+from fungrasp.optimization.levenberg_marquardt import minimize
+from fungrasp.optimization.retargeting_problem import RetargetingProblem
 
 SHARED = Path(__file__).resolve().parents[2] / ".." / "shared"
 ROBOTS = ("allegro", "shadow", "faive", "inspire", "leap")
@@ -56,18 +58,18 @@ def held() -> HumanGraspSet:
     points = HandPoints(kinematics)
     contacts = np.zeros((len(names), len(hand.links)), dtype=bool)
     contacts[:, 1:] = points.match.is_last
-    around = Surroundings.resting(names.tolist(), rest, objects)
+    around = CollisionScene.measured_and_settled(names.tolist(), rest, objects)
     problem = problem_with(around, contacts=contacts)
     wrist, joints = _around(kinematics, len(names))
-    wishes = [
+    objective = [
         partial(terms.contact_gap, unit=0.001),
         partial(terms.object_penetration, unit=0.0003),
         partial(terms.table_penetration, unit=0.001, margin=0.005),
         partial(terms.self_penetration, unit=0.001),
         partial(terms.stay_near, start=(wrist, joints), unit=1.0, position_unit=0.05, rotation_unit=1.0),
     ]
-    wrist, joints, _ = minimise(points, problem, wishes, wrist, joints, 60)
-    touching = State(points, problem, wrist, joints)
+    wrist, joints, _ = minimize(points, problem, objective, wrist, joints, 60)
+    touching = HandState(points, problem, wrist, joints)
     by_link = [touching.clearance[:, members].min(axis=1) for members in points.link_members]
     return HumanGraspSet(
         object_name=names,
@@ -79,8 +81,8 @@ def held() -> HumanGraspSet:
     )
 
 
-def problem_with(around: Surroundings, **given: np.ndarray) -> Problem:
-    """A problem of N hands whose other fields are zero. given: fields of ``Problem``."""
+def problem_with(around: CollisionScene, **given: np.ndarray) -> RetargetingProblem:
+    """A problem of N hands whose other fields are zero. given: fields of ``RetargetingProblem``."""
     count = len(around)
     empty = {
         "joints": np.zeros((count, 21, 3)),
@@ -90,7 +92,7 @@ def problem_with(around: Surroundings, **given: np.ndarray) -> Problem:
         "center": np.zeros((count, 3)),
         "extent": np.ones(count),
     }
-    return Problem(**{**vars(around), **empty, **given})
+    return RetargetingProblem(**{**vars(around), **empty, **given})
 
 
 def field(
@@ -102,10 +104,10 @@ def field(
     return SignedDistanceGrid(np.full(3, axis[0]), spacing, distance(corners))
 
 
-def around_field(grid: SignedDistanceGrid, count: int, table: float = -10.0) -> Surroundings:
+def around_field(grid: SignedDistanceGrid, count: int, table: float = -10.0) -> CollisionScene:
     """One object for N hands, and a table at the height ``table`` [m] along x."""
     up = np.broadcast_to([1.0, 0.0, 0.0], (count, 1, 3))
-    return Surroundings(
+    return CollisionScene(
         SignedDistanceBank([grid]), np.zeros(count, dtype=int), up, np.full((count, 1), -table)
     )
 

@@ -1,6 +1,6 @@
 """Quality numbers found the slow way: from the exported MJCF, dense random points on its collision shapes,
 and exact
-distances from convex meshes. Shares no code with ``fungrasp.evaluation.quality``."""
+distances from convex meshes. Shares no code with ``fungrasp.evaluation.grasp_quality``."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from fungrasp.grasps import RobotGrasp
 from fungrasp.hands import Hand
-from fungrasp.hands.export import export_hand
+from fungrasp.hands.hand_export import export_hand
 from fungrasp.objects import ObjectModel
 
 POINTS = 3000

@@ -10,7 +10,7 @@ import trimesh
 
 from fungrasp.errors import FungraspError, UnknownNameError
 from fungrasp.objects import ObjectModel, builtin_object, object_names
-from fungrasp.objects.repair import bodies, hull_solid, solid
+from fungrasp.objects.mesh_repair import bodies, hull_solid, solid
 
 NAMES = object_names()
 

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from scipy.spatial import ConvexHull
 
 from fungrasp.objects import ConvexPiece, convex_pieces, load_object
-from fungrasp.objects.convex import DecompositionSettings, fewer_points, mesh_digest
-from fungrasp.objects.fidelity import piece_fidelity
+from fungrasp.objects.convex_decomposition import DecompositionSettings, fewer_points, mesh_digest
+from fungrasp.objects.piece_fidelity import piece_fidelity
 
 SHARED = Path(__file__).resolve().parents[2] / ".." / "shared"
 
@@ -50,7 +50,9 @@ def test_kept_pieces_are_read_back(cache, monkeypatch):
     mesh = bracket()
     first = convex_pieces(mesh.vertices, mesh.faces)
     assert len(kept_files(cache)) == 1
-    monkeypatch.setattr("fungrasp.objects.convex._decompose", lambda *_: pytest.fail("computed again"))
+    monkeypatch.setattr(
+        "fungrasp.objects.convex_decomposition._decompose", lambda *_: pytest.fail("computed again")
+    )
     assert_same(first, convex_pieces(mesh.vertices, mesh.faces))
 
 
@@ -94,7 +96,7 @@ def test_digest_tells_meshes_apart():
 def test_fewer_points_shrink_by_less_than_the_tolerance(seed, count):
     rng = np.random.default_rng(seed)
     points = rng.normal(size=(count, 3)) * [0.05, 0.03, 0.01]
-    few = fewer_points(points, most=count, tolerance=0.002)
+    few = fewer_points(points, limit=count, tolerance=0.002)
     planes = ConvexHull(few).equations
     assert (points @ planes[:, :3].T + planes[:, 3]).max(axis=1).max() <= 0.002 + 1e-9
 
@@ -102,14 +104,14 @@ def test_fewer_points_shrink_by_less_than_the_tolerance(seed, count):
 def test_fewer_points_of_a_box_are_its_corners():
     corners = np.array([(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=float)
     inside = np.random.default_rng(0).uniform(0.1, 0.9, size=(50, 3))
-    few = fewer_points(np.concatenate([corners, inside]), most=64, tolerance=1e-4)
+    few = fewer_points(np.concatenate([corners, inside]), limit=64, tolerance=1e-4)
     assert sorted(map(tuple, few)) == sorted(map(tuple, corners))
 
 
 def test_fewer_points_keeps_to_the_limit():
     points = np.random.default_rng(0).normal(size=(500, 3))
     points /= np.linalg.norm(points, axis=1, keepdims=True)
-    few = fewer_points(points, most=64, tolerance=0.0)
+    few = fewer_points(points, limit=64, tolerance=0.0)
     assert len(few) == 64
     assert ConvexHull(few).volume > 0.85 * ConvexHull(points).volume
 

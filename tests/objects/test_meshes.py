@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from fungrasp.errors import FungraspError
 from fungrasp.objects import load_mesh
-from fungrasp.objects.repair import consistent_winding, fill_holes
+from fungrasp.objects.mesh_repair import consistent_winding, fill_holes
 
 SHARED = Path(__file__).resolve().parents[2] / ".." / "shared"
 

@@ -10,7 +10,14 @@ import pytest
 import trimesh
 
 from fungrasp.errors import FungraspError, UnknownNameError
-from fungrasp.objects import ObjectModel, load_object, mesh_files, object_from_file, object_names, registry
+from fungrasp.objects import (
+    ObjectModel,
+    load_object,
+    mesh_files,
+    object_from_file,
+    object_names,
+    object_registry,
+)
 
 
 @pytest.fixture
@@ -97,14 +104,14 @@ def test_objects_of_another_package(folder, monkeypatch):
             return lambda: folder
 
     monkeypatch.setattr(
-        registry, "entry_points", lambda group: [Entry()] if group == "fungrasp.objects" else []
+        object_registry, "entry_points", lambda group: [Entry()] if group == "fungrasp.objects" else []
     )
-    registry._packaged_meshes.cache_clear()
+    object_registry._packaged_meshes.cache_clear()
     try:
         assert load_object("brick", 1.0).name == "brick"
         assert "handle" in load_object("mug", 1.0).parts
     finally:
-        registry._packaged_meshes.cache_clear()
+        object_registry._packaged_meshes.cache_clear()
 
 
 def test_signed_distance_is_computed_once_and_kept(tmp_path, monkeypatch):
@@ -115,7 +122,7 @@ def test_signed_distance_is_computed_once_and_kept(tmp_path, monkeypatch):
     assert grid.values[tuple(centre)] == pytest.approx(-0.01, abs=0.003)
     assert grid.values[0, 0, 0] > 0.03
     monkeypatch.setattr(
-        "fungrasp.objects.model.SignedDistanceGrid.from_mesh", lambda *_: pytest.fail("computed again")
+        "fungrasp.objects.object_model.SignedDistanceGrid.from_mesh", lambda *_: pytest.fail("computed again")
     )
     again = ObjectModel("box", 2.0, box.vertices, box.faces).signed_distance
     np.testing.assert_array_equal(again.values, grid.values)

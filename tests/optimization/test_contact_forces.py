@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from fungrasp.optimization.contact_forces import balanced_forces, cone_edges
+from fungrasp.optimization.contact_forces import balanced_forces, friction_cone_edges
 
 FRICTION = 0.4
 
@@ -94,10 +94,12 @@ def test_batch_is_each_by_itself():
         np.testing.assert_allclose(together[i], alone[0], atol=1e-12)
 
 
+@pytest.mark.parametrize("count", [6, 8])
 @pytest.mark.parametrize("axis", [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.6, 0.0, 0.8]])
-def test_cone_edges_lie_on_the_cone(axis: list[float]):
+def test_friction_cone_edges_lie_on_the_cone(axis: list[float], count: int):
     inward = np.array(axis)
-    edges = cone_edges(inward, FRICTION)
+    edges = friction_cone_edges(inward, FRICTION, count)
+    assert edges.shape == (count, 3)
     np.testing.assert_allclose(edges @ inward, 1.0)
     np.testing.assert_allclose(np.linalg.norm(edges - inward, axis=-1), FRICTION)
     np.testing.assert_allclose(edges.mean(axis=0), inward, atol=1e-12)

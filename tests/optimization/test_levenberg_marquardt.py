@@ -11,8 +11,9 @@ from retarget_scenes import held, plain_objects
 from fungrasp.hands import load_hand
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.optimization import terms
-from fungrasp.optimization.hand_problem import HandPoints, Problem, State
-from fungrasp.optimization.levenberg_marquardt import Term, minimise
+from fungrasp.optimization.hand_state import HandPoints, HandState
+from fungrasp.optimization.levenberg_marquardt import Term, minimize
+from fungrasp.optimization.retargeting_problem import RetargetingProblem
 from fungrasp.retarget.contact_optimization import initial_pose
 
 TERMS: list[Term] = [
@@ -23,15 +24,17 @@ TERMS: list[Term] = [
 ]
 
 
-def setting(name: str, rows: slice = slice(None)) -> tuple[HandPoints, Problem]:
+def setting(name: str, rows: slice = slice(None)) -> tuple[HandPoints, RetargetingProblem]:
     hand = load_hand(name)
     count = len(range(6)[rows])
     points = HandPoints(HandKinematics(hand, count))
-    return points, Problem.from_grasps(held(), plain_objects(), points.match).rows(rows)
+    return points, RetargetingProblem.from_grasps(held(), plain_objects(), points.match).rows(rows)
 
 
-def cost_of(points: HandPoints, problem: Problem, pose: np.ndarray, joints: np.ndarray) -> np.ndarray:
-    state = State(points, problem, pose, joints)
+def cost_of(
+    points: HandPoints, problem: RetargetingProblem, pose: np.ndarray, joints: np.ndarray
+) -> np.ndarray:
+    state = HandState(points, problem, pose, joints)
     return sum((0.5 * np.sum(term(state)[0] ** 2, axis=1) for term in TERMS), np.zeros(len(problem)))
 
 
@@ -41,7 +44,7 @@ def test_cost_never_grows_and_is_the_one_reported(name: str):
     start = initial_pose(points, problem)
     costs = [cost_of(points, problem, *start)]
     for iterations in (0, 1, 3, 10, 30):
-        pose, joints, cost = minimise(points, problem, TERMS, *start, iterations)
+        pose, joints, cost = minimize(points, problem, TERMS, *start, iterations)
         np.testing.assert_allclose(cost, cost_of(points, problem, pose, joints), rtol=1e-9)
         assert np.all(cost <= costs[-1] + 1e-9)
         costs.append(cost)
@@ -52,11 +55,11 @@ def test_without_iterations_nothing_moves():
     points, problem = setting("leap")
     pose, joints = initial_pose(points, problem)
     before = pose.copy(), joints.copy()
-    result = minimise(points, problem, TERMS, pose, joints, 0)
+    result = minimize(points, problem, TERMS, pose, joints, 0)
     for found, given, kept in zip(result[:2], (pose, joints), before, strict=True):
         np.testing.assert_array_equal(found, kept)
         np.testing.assert_array_equal(given, kept)
-    minimise(points, problem, TERMS, pose, joints, 3)
+    minimize(points, problem, TERMS, pose, joints, 3)
     np.testing.assert_array_equal(pose, before[0])
     np.testing.assert_array_equal(joints, before[1])
 
@@ -69,7 +72,7 @@ def test_joints_stop_at_their_limits(name: str):
     far[:, 4::4] += 0.3 * np.random.default_rng(0).normal(size=far[:, 4::4].shape)
     problem = type(problem)(**{**vars(problem), "joints": far})
     kinematics = points.kinematics
-    pose, joints, _ = minimise(
+    pose, joints, _ = minimize(
         points, problem, [terms.fingertip_position], *initial_pose(points, problem), 40
     )
     assert np.all(joints >= kinematics.lower)
@@ -84,9 +87,9 @@ def test_joints_stop_at_their_limits(name: str):
 @pytest.mark.parametrize("name", ["allegro", "inspire"])
 def test_a_batch_is_each_grasp_by_itself(name: str):
     points, problem = setting(name)
-    together = minimise(points, problem, TERMS, *initial_pose(points, problem), 15)
+    together = minimize(points, problem, TERMS, *initial_pose(points, problem), 15)
     for row in (0, 3, 5):
         alone_points, alone = setting(name, slice(row, row + 1))
-        found = minimise(alone_points, alone, TERMS, *initial_pose(alone_points, alone), 15)
+        found = minimize(alone_points, alone, TERMS, *initial_pose(alone_points, alone), 15)
         for batch, single in zip(together, found, strict=True):
             np.testing.assert_allclose(batch[row], single[0], rtol=1e-6, atol=1e-7)

@@ -13,7 +13,8 @@ from scipy.spatial.transform import Rotation
 from fungrasp.hands import load_hand
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.optimization import terms
-from fungrasp.optimization.hand_problem import HandPoints, Problem, State
+from fungrasp.optimization.hand_state import HandPoints, HandState
+from fungrasp.optimization.retargeting_problem import RetargetingProblem
 from fungrasp.retarget import angle_copy, dexgraspnet
 
 COUNT = 3
@@ -43,15 +44,15 @@ class Case:
         self.problem = problem_with(around_field(grid, COUNT, table), **(default | given))
 
     @property
-    def state(self) -> State[Problem]:
-        return State(self.points, self.problem, self.pose, self.joints)
+    def state(self) -> HandState[RetargetingProblem]:
+        return HandState(self.points, self.problem, self.pose, self.joints)
 
     def change(self, **given: np.ndarray) -> None:
         self.problem = problem_with(self.problem, **{k: getattr(self.problem, k) for k in FIELDS} | given)
 
-    def stepped(self, tangent: np.ndarray) -> State[Problem]:
+    def stepped(self, tangent: np.ndarray) -> HandState[RetargetingProblem]:
         kinematics = self.points.kinematics
-        return State(self.points, self.problem, *kinematics.step(self.pose, self.joints, tangent))
+        return HandState(self.points, self.problem, *kinematics.step(self.pose, self.joints, tangent))
 
 
 FIELDS = ("joints", "contacts", "surface", "normals", "center", "extent")
@@ -65,9 +66,9 @@ TERMS: dict[str, tuple[Callable, dict]] = {
     "table_penetration": (terms.table_penetration, {"table": 0.0}),
     "self_penetration": (partial(terms.self_penetration, margin=0.02), {"closed": 0.8}),
     "stay_near": (terms.stay_near, {}),
-    "dexgraspnet.contact_distance": (dexgraspnet.contact_distance, {}),
-    "dexgraspnet.object_penetration": (dexgraspnet.object_penetration, {}),
-    "dexgraspnet.self_penetration": (dexgraspnet.self_penetration, {"closed": 0.9}),
+    "dexgraspnet.contact_distance_energy": (dexgraspnet.contact_distance_energy, {}),
+    "dexgraspnet.object_penetration_energy": (dexgraspnet.object_penetration_energy, {}),
+    "dexgraspnet.self_penetration_energy": (dexgraspnet.self_penetration_energy, {"closed": 0.9}),
     "angle_copy.thumb_direction": (angle_copy.thumb_direction, {}),
 }
 
@@ -91,7 +92,8 @@ def test_jacobian_is_the_derivative(name: str, hand: str):
         tangent = np.zeros((COUNT, size))
         tangent[:, direction] = h
         ahead, behind = term(case.stepped(tangent))[0], term(case.stepped(-tangent))[0]
-        # Terms that pick the nearest balls may list them in another order: their cost does not depend on it.
+        # Terms that pick the nearest spheres may list them in another order: their cost does not depend on
+        # it.
         if "penetration" in name:
             expected = (0.5 * (ahead**2).sum(axis=1) - 0.5 * (behind**2).sum(axis=1)) / (2 * h)
             found = np.einsum("nr,nr->n", residual, jacobian[..., direction])
@@ -104,7 +106,7 @@ def test_jacobian_is_the_derivative(name: str, hand: str):
 @pytest.mark.parametrize("hand", ["allegro", "inspire"])
 @pytest.mark.parametrize(
     "term",
-    [partial(terms.force_closure, friction=0.0), dexgraspnet.force_closure],
+    [partial(terms.force_closure, friction=0.0), dexgraspnet.force_closure_energy],
     ids=["ours", "dexgraspnet"],
 )
 def test_force_closure_has_the_gradient_of_its_cost(term: Callable, hand: str):
@@ -185,41 +187,43 @@ def test_contact_gap_is_the_distance_of_the_nearest_ball(case: Case):
     contacts = case.problem.contacts.copy()
     contacts[2] = False
     case.change(contacts=contacts)
-    state, balls = case.state, case.points.balls
-    height = state.balls[..., 1] + 0.02 - balls.radius
+    state, spheres = case.state, case.points.spheres
+    height = state.spheres[..., 1] + 0.02 - spheres.radius
     links = range(1, len(case.points.link_members))
-    expected = np.stack([height[:, balls.link == link].min(axis=1) for link in links], axis=1)
+    expected = np.stack([height[:, spheres.link == link].min(axis=1) for link in links], axis=1)
     residual, _ = terms.contact_gap(state, unit=0.002)
     np.testing.assert_allclose(residual[:2], np.maximum(expected, 0)[:2] / 0.002, atol=1e-6)
     assert np.all(residual[2] == 0)
 
 
 def test_object_penetration_is_the_depth_of_the_deepest_balls(case: Case):
-    depth = np.sort(np.maximum(0.003 - (case.state.balls[..., 1] + 0.02 - case.points.balls.radius), 0))
-    residual, _ = terms.object_penetration(case.state, unit=0.001, margin=0.003, most=5)
+    depth = np.sort(np.maximum(0.003 - (case.state.spheres[..., 1] + 0.02 - case.points.spheres.radius), 0))
+    residual, _ = terms.object_penetration(case.state, unit=0.001, margin=0.003, count=5)
     np.testing.assert_allclose(np.sort(residual, axis=1), depth[:, -5:] / 0.001, atol=1e-6)
 
 
 def test_table_penetration_is_the_depth_of_the_lowest_balls():
     case = Case("allegro", table=0.01)
-    depth = np.sort(np.maximum(0.002 + 0.01 - case.state.balls[..., 0] + case.points.balls.radius, 0))
-    residual, _ = terms.table_penetration(case.state, unit=0.001, margin=0.002, most=6)
+    depth = np.sort(np.maximum(0.002 + 0.01 - case.state.spheres[..., 0] + case.points.spheres.radius, 0))
+    residual, _ = terms.table_penetration(case.state, unit=0.001, margin=0.002, count=6)
     np.testing.assert_allclose(np.sort(residual, axis=1), depth[:, -6:] / 0.001, atol=1e-9)
 
 
 def test_self_penetration_finds_the_closest_balls_of_two_fingers():
     case = Case("allegro", closed=0.9)
-    state, balls = case.state, case.points.balls
-    finger = np.array([-1, *np.repeat(np.arange(4), 3)])[balls.link]
+    state, spheres = case.state, case.points.spheres
+    finger = np.array([-1, *np.repeat(np.arange(4), 3)])[spheres.link]
     for row in range(COUNT):
         gaps = [
-            np.linalg.norm(state.balls[row, a] - state.balls[row, b]) - balls.radius[a] - balls.radius[b]
+            np.linalg.norm(state.spheres[row, a] - state.spheres[row, b])
+            - spheres.radius[a]
+            - spheres.radius[b]
             for a in range(len(finger))
             for b in range(a)
             if finger[a] != finger[b] and min(finger[a], finger[b]) >= 0
         ]
         gaps = [0.01 - g for g in sorted(gaps)[:4]]
-        residual, _ = terms.self_penetration(state, unit=0.001, margin=0.01, most=4)
+        residual, _ = terms.self_penetration(state, unit=0.001, margin=0.01, count=4)
         np.testing.assert_allclose(np.sort(residual[row])[::-1], np.maximum(gaps, 0) / 0.001, atol=1e-6)
     assert residual.max() > 0
 
@@ -247,22 +251,22 @@ def test_stay_near_measures_position_rotation_and_joints(case: Case):
 
 
 def test_dexgraspnet_distance_is_the_rounded_absolute_value(case: Case):
-    height = case.state.balls[..., 1] + 0.02 - case.points.balls.radius
+    height = case.state.spheres[..., 1] + 0.02 - case.points.spheres.radius
     nearest = np.stack([height[:, m].min(axis=1) for m in case.points.link_members if len(m)], axis=1)
-    residual, _ = dexgraspnet.contact_distance(case.state)
+    residual, _ = dexgraspnet.contact_distance_energy(case.state)
     expected = 100 * (np.hypot(nearest, 5e-4) - 5e-4)
     np.testing.assert_allclose(0.5 * residual**2, expected, rtol=1e-3, atol=1e-6)
     assert np.all((residual < 0) == (nearest < 0))
 
 
 def test_dexgraspnet_forces_on_a_wall_add_up_to_four(case: Case):
-    residual, _ = dexgraspnet.force_closure(case.state)
+    residual, _ = dexgraspnet.force_closure_energy(case.state)
     np.testing.assert_allclose(0.5 * np.sum(residual[:, :3] ** 2, axis=1), 16.0, rtol=1e-6)
 
 
 def test_dexgraspnet_penetration_sums_over_the_hand(case: Case):
-    depth = np.maximum(-(case.state.balls[..., 1] + 0.02 - case.points.balls.radius), 0)
+    depth = np.maximum(-(case.state.spheres[..., 1] + 0.02 - case.points.spheres.radius), 0)
     depth = np.sort(depth, axis=1)[:, -48:]
-    residual, _ = dexgraspnet.object_penetration(case.state)
+    residual, _ = dexgraspnet.object_penetration_energy(case.state)
     energy = 0.5 * np.sum(residual**2, axis=1)
     np.testing.assert_allclose(energy, 100 * np.sum(np.hypot(depth, 5e-4) - 5e-4, axis=1), rtol=1e-4)

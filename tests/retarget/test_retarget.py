@@ -11,10 +11,10 @@ from retarget_scenes import ROBOTS, SHARED, held, moved, plain_objects
 from scipy.spatial.transform import Rotation
 
 from fungrasp.errors import UnknownNameError
-from fungrasp.evaluation.quality import StaticQuality, static_quality
+from fungrasp.evaluation.grasp_quality import StaticQuality, static_quality
 from fungrasp.geometry.poses import compose, invert
 from fungrasp.grasps import HumanGraspSet, RobotGraspSet, load_objects
-from fungrasp.grasps.files import load_human_grasps
+from fungrasp.grasps.grasp_files import load_human_grasps
 from fungrasp.hands import load_hand
 from fungrasp.retarget import METHODS, retarget
 

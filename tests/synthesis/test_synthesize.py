@@ -1,4 +1,4 @@
-"""Human grasps made from wishes: what they promise, and that wrong wishes are named."""
+"""Human grasps made from specifications: what they promise, and that wrong specifications are named."""
 
 from dataclasses import replace
 
@@ -14,45 +14,52 @@ from fungrasp.grasps.anatomy import check_anatomy
 from fungrasp.hands import load_hand
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.objects import ObjectModel, load_object
-from fungrasp.optimization.hand_problem import State, Surroundings
-from fungrasp.synthesis.builtin_specifications import EVERYDAY
+from fungrasp.optimization.collision_scene import CollisionScene
+from fungrasp.optimization.hand_state import HandState
+from fungrasp.synthesis.builtin_specifications import BUILTIN_SPECIFICATIONS
+from fungrasp.synthesis.grasp_specification import GRASP_KINDS, WHOLE, GraspKind, GraspSpecification
 from fungrasp.synthesis.human_hand_terms import (
     HumanPoints,
-    Targets,
+    PartTargets,
     natural_posture,
     part_gap,
-    part_place,
     part_samples,
+    place_error,
 )
 from fungrasp.synthesis.initial_poses import random_offsets
-from fungrasp.synthesis.specification import KINDS, WHOLE, GraspKind, GraspWish
-from fungrasp.synthesis.synthesize import GenerateSettings, attempt, generate
+from fungrasp.synthesis.synthesize import SynthesisSettings, synthesize_candidates, synthesize_grasps
 
-QUICK = GenerateSettings(starts=2)
-CAN = GraspWish("can", "drink", "body", "wrap", at=(0, 0, 0), palm=(0, 1, 0), fingers=(1, 0, 0))
-BALL = GraspWish("tennis_ball", "throw", "ball", "disk", at=(0, 0, 0), palm=(0, 0, -1), fingers=(1, 0, 0))
+QUICK = SynthesisSettings(starts=2)
+CAN = GraspSpecification("can", "drink", "body", "wrap", at=(0, 0, 0), palm=(0, 1, 0), fingers=(1, 0, 0))
+BALL = GraspSpecification(
+    "tennis_ball", "throw", "ball", "disk", at=(0, 0, 0), palm=(0, 0, -1), fingers=(1, 0, 0)
+)
 
 
 @pytest.fixture(scope="module")
 def made():
-    return generate([CAN, BALL], seed=3, settings=QUICK)
+    return synthesize_grasps([CAN, BALL], seed=3, settings=QUICK)
 
 
-def state_of(wish: GraspWish, pose: np.ndarray, joints: np.ndarray) -> tuple[State[Surroundings], Targets]:
-    objects = {wish.object: load_object(wish.object)}
-    around = Surroundings.settled([wish.object], wish.rest_pose(objects[wish.object])[None], objects)
+def state_of(
+    spec: GraspSpecification, pose: np.ndarray, joints: np.ndarray
+) -> tuple[HandState[CollisionScene], PartTargets]:
+    objects = {spec.object: load_object(spec.object)}
+    scene = CollisionScene.settled([spec.object], spec.rest_pose(objects[spec.object])[None], objects)
     points = HumanPoints(HandKinematics(load_hand("human"), 1))
-    return State(points, around, pose[None], joints[None]), Targets.of([wish], objects)
+    return HandState(points, scene, pose[None], joints[None]), PartTargets.from_specifications(
+        [spec], objects
+    )
 
 
-def test_grasps_are_as_wished(made):
+def test_grasps_are_as_specified(made):
     assert made.object_name.tolist() == ["can", "tennis_ball"]
     assert made.task.tolist() == ["drink", "throw"]
     assert made.object_mass.tolist() == [load_object("can").mass, load_object("tennis_ball").mass]
     np.testing.assert_array_equal(made.object_pose, made.object_rest_pose)
-    for row, wish in enumerate((CAN, BALL)):
+    for row, spec in enumerate((CAN, BALL)):
         touching = {name for name, flag in zip(HUMAN_LINKS, made.link_contacts[row], strict=True) if flag}
-        assert set(wish.links) <= touching
+        assert set(spec.links) <= touching
     assert check_anatomy(made) == []
     hand = load_hand("human")
     kinematics = HandKinematics(hand, 1)
@@ -64,41 +71,41 @@ def test_grasps_are_as_wished(made):
     )
 
 
-def test_the_palm_faces_where_the_wish_says(made):
-    for row, wish in enumerate((CAN, BALL)):
+def test_the_palm_faces_where_the_specification_says(made):
+    for row, spec in enumerate((CAN, BALL)):
         joints = made.hand_joints[row]
         normal = np.cross(joints[1] - joints[0], joints[13] - joints[0])
         fingers = joints[5] - joints[0]
-        assert normal @ wish.palm > 0.8 * np.linalg.norm(normal)
-        assert fingers @ wish.fingers > 0.7 * np.linalg.norm(fingers)
+        assert normal @ spec.palm > 0.8 * np.linalg.norm(normal)
+        assert fingers @ spec.fingers > 0.7 * np.linalg.norm(fingers)
 
 
 def test_same_seed_same_grasps(made):
-    again = generate([CAN, BALL], seed=3, settings=QUICK)
+    again = synthesize_grasps([CAN, BALL], seed=3, settings=QUICK)
     np.testing.assert_array_equal(again.hand_joints, made.hand_joints)
     np.testing.assert_array_equal(again.link_contacts, made.link_contacts)
 
 
-def test_random_starts_depend_on_seed_and_wish_only():
+def test_random_starts_depend_on_seed_and_specification_only():
     offsets = random_offsets([CAN, BALL], 1, 3, 0.01, 0.1)
     np.testing.assert_array_equal(offsets[[0, 3]], 0.0)
     np.testing.assert_array_equal(offsets[3:], random_offsets([BALL], 1, 3, 0.01, 0.1))
     assert not np.any(offsets[1:3] == random_offsets([CAN], 2, 3, 0.01, 0.1)[1:])
 
 
-def test_a_wish_twice_gives_one_grasp_and_an_impossible_one_none():
-    twice = generate([BALL, BALL], settings=replace(QUICK, starts=1))
+def test_a_specification_twice_gives_one_grasp_and_an_impossible_one_none():
+    twice = synthesize_grasps([BALL, BALL], settings=replace(QUICK, starts=1))
     assert len(twice) == 1
     under_the_table = replace(BALL, palm=(0, 0, 1))
-    with pytest.raises(FungraspError, match="none of the wished grasps"):
-        generate([under_the_table], settings=replace(QUICK, starts=1))
+    with pytest.raises(FungraspError, match="none of the specified grasps"):
+        synthesize_grasps([under_the_table], settings=replace(QUICK, starts=1))
 
 
 def test_a_users_mesh_is_held_anywhere():
     mesh = trimesh.creation.icosphere(subdivisions=2, radius=0.03)
-    thing = ObjectModel("bead", 0.1, np.array(mesh.vertices), np.array(mesh.faces, dtype=np.int32))
-    wish = replace(BALL, object="bead", part=WHOLE)
-    grasps = generate([wish], settings=QUICK, objects={"bead": thing})
+    bead = ObjectModel("bead", 0.1, np.array(mesh.vertices), np.array(mesh.faces, dtype=np.int32))
+    spec = replace(BALL, object="bead", part=WHOLE)
+    grasps = synthesize_grasps([spec], settings=QUICK, objects={"bead": bead})
     assert grasps.object_mass.tolist() == [0.1]
     assert grasps.object_pose[0, 2] == pytest.approx(-mesh.vertices[:, 2].min())
 
@@ -111,9 +118,9 @@ def test_rest_pose_stands_on_the_table_with_up_up(up):
     assert transform_points(pose, book.vertices)[:, 2].min() == pytest.approx(0.0, abs=1e-12)
 
 
-def test_turning_a_wish_turns_all_of_it():
-    wish = replace(CAN, at=(0.01, 0, 0.02), places={"thumb_distal": (0.03, 0, 0)})
-    turned = wish.turned(np.pi / 2, about=(0.01, 0))
+def test_turning_a_specification_turns_all_of_it():
+    spec = replace(CAN, at=(0.01, 0, 0.02), places={"thumb_distal": (0.03, 0, 0)})
+    turned = spec.turned(np.pi / 2, about=(0.01, 0))
     np.testing.assert_allclose(turned.at, (0.01, 0, 0.02), atol=1e-12)
     np.testing.assert_allclose(turned.palm, (-1, 0, 0), atol=1e-12)
     np.testing.assert_allclose(turned.fingers, (0, 1, 0), atol=1e-12)
@@ -121,11 +128,11 @@ def test_turning_a_wish_turns_all_of_it():
 
 
 def test_parts_of_fingers_and_links():
-    wish = replace(
+    spec = replace(
         CAN, contacts=("index_middle", "index_distal", "palm"), parts={"index": "a", "index_distal": "b"}
     )
-    assert wish.part_of_link == {"index_middle": "a", "index_distal": "b", "palm": "body"}
-    assert wish.all_parts == {"body", "a", "b"}
+    assert spec.part_of_link == {"index_middle": "a", "index_distal": "b", "palm": "body"}
+    assert spec.all_parts == {"body", "a", "b"}
 
 
 @pytest.mark.parametrize(
@@ -138,21 +145,21 @@ def test_parts_of_fingers_and_links():
         ({"palm": (0, 0, 0)}, "parallel or zero"),
     ],
 )
-def test_wrong_wishes_are_named(change, words):
+def test_wrong_specifications_are_named(change, words):
     with pytest.raises(FungraspError, match=f"(?i){words}"):
         replace(CAN, **change)
 
 
 def test_unknown_objects_and_parts_are_named():
     with pytest.raises(FungraspError, match="handel"):
-        attempt([replace(CAN, object="mug", part="handel")], settings=QUICK)
+        synthesize_candidates([replace(CAN, object="mug", part="handel")], settings=QUICK)
     with pytest.raises(FungraspError, match="cann"):
-        generate([replace(CAN, object="cann")], settings=QUICK)
+        synthesize_grasps([replace(CAN, object="cann")], settings=QUICK)
 
 
 def test_kinds_are_within_the_hands_limits():
     kinematics = HandKinematics(load_hand("human"), 1)
-    for kind in KINDS.values():
+    for kind in GRASP_KINDS.values():
         for angles in (np.array(kind.open), np.array(kind.closed)):
             assert np.all(angles >= kinematics.lower) and np.all(angles <= kinematics.upper)
     with pytest.raises(FungraspError, match="21"):
@@ -167,47 +174,49 @@ def test_part_samples_lie_on_the_part():
 
 
 def test_gap_is_the_distance_of_the_pad_from_the_part():
-    wish = replace(BALL, contacts=("index_distal",))
+    spec = replace(BALL, contacts=("index_distal",))
     pose = np.array([-0.15, 0.0, 0.14, 0.7071067811865476, 0.0, 0.7071067811865476, 0.0])
-    state, targets = state_of(wish, pose, np.array(KINDS["disk"].open))
+    state, targets = state_of(spec, pose, np.array(GRASP_KINDS["disk"].open))
     residual, _ = part_gap(state, targets, unit=1.0)
     column = HUMAN_LINKS.index("index_distal")
     assert np.count_nonzero(residual) == 1
     members = state.points.link_members[column]
-    clearance = np.linalg.norm(state.balls[0, members], axis=1) - 0.0335 - state.points.balls.radius[members]
+    clearance = (
+        np.linalg.norm(state.spheres[0, members], axis=1) - 0.0335 - state.points.spheres.radius[members]
+    )
     assert residual[0, column] == pytest.approx(clearance.min(), abs=0.006)
     assert residual[0, column] >= clearance.min() - 1e-4
 
 
 @pytest.mark.parametrize("term", ["gap", "place", "posture"])
 def test_jacobians_are_derivatives(term):
-    wish = replace(BALL, places={"thumb_distal": (0.0, 0.03, 0.0)})
+    spec = replace(BALL, places={"thumb_distal": (0.0, 0.03, 0.0)})
     random = np.random.default_rng(0)
     pose = np.array([-0.15, 0.01, 0.08, *random.normal(size=4)])
     pose[3:] /= np.linalg.norm(pose[3:])
-    joints = np.array(KINDS["disk"].open) + 0.1
-    state, targets = state_of(wish, pose, joints)
+    joints = np.array(GRASP_KINDS["disk"].open) + 0.1
+    state, targets = state_of(spec, pose, joints)
 
     def value(state):
         if term == "gap":
             return part_gap(state, targets)
-        return part_place(state, targets) if term == "place" else natural_posture(state, ["disk"])
+        return place_error(state, targets) if term == "place" else natural_posture(state, ["disk"])
 
     residual, jacobian = value(state)
     assert np.any(jacobian)
     step = 1e-6 * random.normal(size=(1, state.points.kinematics.size))
     moved_pose, moved_joints = state.points.kinematics.step(pose[None], joints[None], step)
-    moved, _ = value(State(state.points, state.problem, moved_pose, moved_joints))
+    moved, _ = value(HandState(state.points, state.problem, moved_pose, moved_joints))
     np.testing.assert_allclose(moved - residual, (jacobian @ step[..., None])[..., 0], atol=2e-8)
 
 
-def test_everyday_wishes_cover_objects_and_tasks():
+def test_builtin_specifications_cover_objects_and_tasks():
     from fungrasp.objects import object_names
 
-    assert {wish.object for wish in EVERYDAY} == set(object_names())
-    assert len({wish.task for wish in EVERYDAY}) >= 8
-    for wish in EVERYDAY:
-        assert wish.all_parts <= set(load_object(wish.object).parts), wish
+    assert {spec.object for spec in BUILTIN_SPECIFICATIONS} == set(object_names())
+    assert len({spec.task for spec in BUILTIN_SPECIFICATIONS}) >= 8
+    for spec in BUILTIN_SPECIFICATIONS:
+        assert spec.all_parts <= set(load_object(spec.object).parts), spec
 
 
 def test_the_command_makes_a_file_or_says_what_is_unknown(tmp_path, capsys):

@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from fungrasp.training.library import Variety, build_library
+from fungrasp.training.plans import Outcomes, fit_critic, try_plans
 from small_training import BATCH, PPO, WORLDS, hand, run_settings, training_set
 
 from fungrasp.errors import FungraspError
@@ -20,8 +22,6 @@ from fungrasp.simulation import Worlds, build_scene
 from fungrasp.task import LiftTask
 from fungrasp.training.checkpoint import read_checkpoint
 from fungrasp.training.export import export_critic, make_card
-from fungrasp.training.library import Variety, build_library
-from fungrasp.training.plans import Outcomes, fit_critic, try_plans
 from fungrasp.training.run import POLICY, train
 from fungrasp.training.settings import DistillSettings, PlanSettings
 from fungrasp.training.student_run import STUDENT, train_student

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from functools import cache
 
+import fungrasp.training.plans as plans
 import numpy as np
 import pytest
 import torch
+from fungrasp.training.plans import Outcomes, cross_validate, fit_critic, try_plans
 from small_training import hand, training_set
 
-import fungrasp.training.plans as plans
 from fungrasp.errors import FungraspError
 from fungrasp.planning.selection.candidates import Start
 from fungrasp.planning.selection.search import ChoiceSettings, choose_references
@@ -20,7 +21,6 @@ from fungrasp.policies.residual_action import ResidualSettings
 from fungrasp.simulation import Worlds, build_scene
 from fungrasp.task import LiftTask
 from fungrasp.training.export import export_critic, make_card
-from fungrasp.training.plans import Outcomes, cross_validate, fit_critic, try_plans
 from fungrasp.training.settings import PlanSettings
 
 SMALL = PlanSettings(attempts=3, networks=2, hidden=(16, 8), chunk=4, hold_time=0.5)

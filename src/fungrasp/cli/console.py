@@ -19,6 +19,14 @@ def table(rows: Sequence[Sequence[str]]) -> str:
     return "\n".join(lines)
 
 
+def left_table(rows: Sequence[Sequence[str]]) -> str:
+    """Rows of cells as lines, all columns aligned to the left."""
+    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
+    return "\n".join(
+        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows
+    )
+
+
 @contextmanager
 def progress_bar(words: str, total: float) -> Iterator[Callable[[float], None]]:
     """A bar on stderr while something takes long; nothing where stderr is no terminal.

@@ -1,26 +1,28 @@
-"""``fungrasp grasps``: list, show, import and make human grasps."""
+"""``fungrasp grasps``: list and show grasps, import and synthesize human ones."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
+from fungrasp.cli.console import left_table
+
 if TYPE_CHECKING:
     from fungrasp.grasps import HumanGrasp, HumanGraspSet, RobotGrasp
 
 GraspFile = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
-Source = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SOURCE")]
+SourcePath = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SOURCE")]
 
 WIDTH, HEIGHT = 960, 720
-"""Of pictures [pixels]."""
+"""Size of pictures [pixels]."""
 
 
 @dataclass(frozen=True)
-class List:
+class ListGrasps:
     """Count the grasps of a set by object and task."""
 
     grasps: str = "builtin"
@@ -40,13 +42,13 @@ class List:
             rows.append(
                 (name, task or "-", str(len(part)), f"{part.object_mass.mean():.3f}", f"{contacts:.1f}")
             )
-        print(_table(rows))
+        print(left_table(rows))
         objects = len(set(grasps.object_name.tolist()))
         print(f"{len(grasps)} grasps{of_hand}, {objects} objects")
 
 
 @dataclass(frozen=True)
-class Show:
+class ShowGrasp:
     """Show one grasp: numbers, and on request a picture."""
 
     file: GraspFile
@@ -76,7 +78,7 @@ class Show:
 class ImportDexYCB:
     """Import DexYCB from its own folders: one grasp per sequence, where the object starts to move."""
 
-    source: Source
+    source: SourcePath
     """DexYCB's folder, which holds the subjects, calibration and models."""
     out: Path
     """Grasp file to write (.npz)."""
@@ -109,7 +111,7 @@ class ImportDexYCB:
 class ImportDGrasp:
     """Import a label pickle of D-Grasp; nothing in the pickle is run."""
 
-    source: Source
+    source: SourcePath
     """The .pkl file."""
     out: Path
     """Grasp file to write (.npz)."""
@@ -128,7 +130,7 @@ class ImportOther:
 
     importer: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")]
     """Name of the importer."""
-    source: Source
+    source: SourcePath
     """File or folder it reads."""
     out: Path
     """Grasp file to write (.npz)."""
@@ -140,7 +142,7 @@ class ImportOther:
 
 
 @dataclass(frozen=True)
-class Import:
+class ImportGrasps:
     """Turn a data set into a grasp file."""
 
     data: (
@@ -155,37 +157,38 @@ class Import:
 
 
 @dataclass(frozen=True)
-class Make:
-    """Make the human grasps of the built-in objects anew."""
+class MakeGrasps:
+    """Synthesize the human grasps of the built-in objects again."""
 
     out: Path
     """Grasp file to write (.npz)."""
     objects: tuple[str, ...] = ()
     """Only grasps of these built-in objects."""
     seed: int = 0
-    """Of the random starts."""
+    """Seed of the random starts."""
 
     def run(self) -> None:
         from rich.progress import Progress
 
         from fungrasp.errors import UnknownNameError
-        from fungrasp.synthesis.builtin_specifications import EVERYDAY
-        from fungrasp.synthesis.synthesize import generate
+        from fungrasp.synthesis import synthesize_grasps
+        from fungrasp.synthesis.builtin_specifications import BUILTIN_SPECIFICATIONS
 
-        known = {wish.object for wish in EVERYDAY}
+        known = {spec.object for spec in BUILTIN_SPECIFICATIONS}
         for name in self.objects:
             if name not in known:
                 raise UnknownNameError("object", name, sorted(known))
-        wishes = [wish for wish in EVERYDAY if not self.objects or wish.object in self.objects]
+        specs = [spec for spec in BUILTIN_SPECIFICATIONS if not self.objects or spec.object in self.objects]
         with Progress(transient=True) as progress:
-            bar = progress.add_task("making grasps", total=len(wishes))
-            grasps = generate(wishes, self.seed, progress=lambda count: progress.advance(bar, count))
+            bar = progress.add_task("synthesizing grasps", total=len(specs))
+            grasps = synthesize_grasps(specs, self.seed, progress=lambda count: progress.advance(bar, count))
         _save(self.out, grasps)
-        if len(grasps) < len(wishes):
-            print(f"left out: {len(wishes) - len(grasps)} of {len(wishes)} wishes, which could not be met")
+        missing = len(specs) - len(grasps)
+        if missing:
+            print(f"left out: {missing} of {len(specs)} grasp specifications, which could not be met")
 
 
-COMMAND = {"list": List, "show": Show, "import": Import, "make": Make}
+COMMAND = {"list": ListGrasps, "show": ShowGrasp, "import": ImportGrasps, "make": MakeGrasps}
 
 
 def _save(path: Path, grasps: HumanGraspSet) -> None:
@@ -227,7 +230,7 @@ def _description(grasp: HumanGrasp | RobotGrasp) -> str:
             *zip(grasp.joint_names, (f"{angle:+.4f} rad" for angle in grasp.joint_positions), strict=True),
             *((name, str(value)) for name, value in grasp.extra.items()),
         ]
-    return _table(rows)
+    return left_table(rows)
 
 
 def _draw(grasp: HumanGrasp | RobotGrasp, path: Path, objects: Path | None) -> None:
@@ -257,9 +260,3 @@ def _draw(grasp: HumanGrasp | RobotGrasp, path: Path, objects: Path | None) -> N
 
 def _numbers(values: Iterable[float]) -> str:
     return "[" + " ".join(f"{value:.4f}" for value in values) + "]"
-
-
-def _table(rows: Sequence[Sequence[str]]) -> str:
-    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
-    lines = ("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)) for row in rows)
-    return "\n".join(line.rstrip() for line in lines)

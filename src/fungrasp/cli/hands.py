@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
+from fungrasp.cli.console import left_table
 from fungrasp.errors import FungraspError
 
 if TYPE_CHECKING:
@@ -22,7 +23,7 @@ HandName = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")]
 
 
 @dataclass(frozen=True)
-class List:
+class ListHands:
     """List the known hands."""
 
     json: bool = False
@@ -30,7 +31,7 @@ class List:
 
     def run(self) -> None:
         from fungrasp.hands import hand_files, load_hand
-        from fungrasp.hands.description import hand_mass
+        from fungrasp.hands.hand_description import hand_mass
 
         rows = []
         for name in hand_files():
@@ -50,7 +51,7 @@ class List:
             return
         header = ("name", "fingers", "driven/all joints", "mass [kg]", "title")
         print(
-            _table(
+            left_table(
                 [
                     header,
                     *(
@@ -69,7 +70,7 @@ class List:
 
 
 @dataclass(frozen=True)
-class Show:
+class ShowHand:
     """Show a hand: fingers, joints with limits, couplings, actuators."""
 
     name: HandName
@@ -81,18 +82,18 @@ class Show:
 
     def run(self) -> None:
         from fungrasp.hands import load_hand
-        from fungrasp.hands.description import describe
+        from fungrasp.hands.hand_description import describe_hand
 
         hand = load_hand(self.name)
-        description = describe(hand)
+        description = describe_hand(hand)
         if self.picture is not None:
             _draw(hand, self.picture)
         print(json.dumps(description, indent=2) if self.json else _text(description))
 
 
 @dataclass(frozen=True)
-class Check:
-    """Say in words what is wrong with a hand; ends with status 1 if it can't be used as it is.
+class CheckHand:
+    """Report what is wrong with a hand's files; exits with status 1 if the hand cannot be used as it is.
 
     A bare URDF or MJCF also gets a TOML file to start from.
     """
@@ -106,9 +107,9 @@ class Check:
 
     def run(self) -> None:
         from fungrasp.hands import hand_files
-        from fungrasp.hands.check import check_hand, write_skeleton
+        from fungrasp.hands.checking.hand_checks import check_hand_files, write_skeleton
 
-        findings = check_hand(hand_files().get(self.path, Path(self.path)))
+        findings = check_hand_files(hand_files().get(self.path, Path(self.path)))
         errors = sum(finding.severity == "error" for finding in findings)
         if self.json:
             print(json.dumps([{"severity": f.severity, "message": f.message} for f in findings], indent=2))
@@ -125,7 +126,7 @@ class Check:
 
 
 @dataclass(frozen=True)
-class Export:
+class ExportHand:
     """Write a hand as one MJCF file that needs no other file, with position actuators."""
 
     name: HandName
@@ -138,7 +139,7 @@ class Export:
     def run(self) -> None:
         from fungrasp.files import atomic_path
         from fungrasp.hands import load_hand
-        from fungrasp.hands.export import export_hand
+        from fungrasp.hands.hand_export import export_hand
 
         text = export_hand(load_hand(self.name), self.arm)
         with atomic_path(self.out) as temporary:
@@ -146,7 +147,7 @@ class Export:
         print(f"wrote {self.out}")
 
 
-COMMAND = {"list": List, "show": Show, "check": Check, "export": Export}
+COMMAND = {"list": ListHands, "show": ShowHand, "check": CheckHand, "export": ExportHand}
 
 
 def _draw(hand: Hand, path: Path) -> None:
@@ -210,14 +211,7 @@ def _text(hand: dict[str, Any]) -> str:
         joints.append(
             (f"  {name}", joint["body"], f"{limits[0]:.3f} to {limits[1]:.3f}" if limits else "none", drive)
         )
-    return "\n".join([*lines, _table(fingers), "", "joints", _table(joints)])
-
-
-def _table(rows: Sequence[Sequence[str]]) -> str:
-    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    return "\n".join(
-        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows
-    )
+    return "\n".join([*lines, left_table(fingers), "", "joints", left_table(joints)])
 
 
 def _vector(values: Sequence[float]) -> str:

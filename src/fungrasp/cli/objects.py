@@ -4,30 +4,32 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
+from fungrasp.cli.console import left_table
+
 if TYPE_CHECKING:
     import mujoco
 
     from fungrasp.objects import ObjectModel
 
-COLOURS = {
+COLORS = {
     "blue": (0.36, 0.55, 0.72),
     "orange": (0.93, 0.55, 0.22),
     "green": (0.45, 0.66, 0.38),
     "red": (0.75, 0.35, 0.42),
     "violet": (0.58, 0.50, 0.70),
 }
-"""Colours of parts in pictures, sRGB, in the order of the parts."""
+"""Colors of parts in pictures, sRGB, in the order of the parts."""
 
 
 @dataclass(frozen=True)
-class List:
+class ListObjects:
     """List the objects known by name."""
 
     objects: Path | None = None
@@ -62,34 +64,34 @@ class List:
             (m.name, ", ".join(m.parts), _size(m.size), f"{m.mass * 1000:.0f}", m.source) for m in models
         ]
         rows += [(name, "", "", "", str(path)) for name, path in meshes.items()]
-        print(_table(rows))
+        print(left_table(rows))
 
 
 @dataclass(frozen=True)
-class Show:
+class ShowObject:
     """Show an object: size, mass, inertia, parts, what was repaired, and its convex pieces for physics."""
 
     name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME|PATH")]
     """A built-in object, a mesh in --objects, or the path of a mesh file."""
     mass: float | None = None
-    """[kg]; a built-in object has its own."""
+    """Mass [kg]; a built-in object has its own."""
     objects: Path | None = None
     """A folder of meshes."""
     picture: Path | None = None
-    """Write a picture from four sides here (.png or .jpg), its parts in colours."""
+    """Write a picture from four sides here (.png or .jpg), its parts in colors."""
     pieces: bool = False
-    """Colour the picture by convex piece instead of by part."""
+    """Color the picture by convex piece instead of by part."""
     json: bool = False
     """Print JSON and nothing else."""
 
     def run(self) -> None:
         from fungrasp.errors import FungraspError
-        from fungrasp.objects.description import describe
+        from fungrasp.objects.object_description import describe_object
 
         if self.picture is not None and self.picture.suffix.lower() not in (".png", ".jpg", ".jpeg"):
             raise FungraspError(f"a picture must be a .png or .jpg file, not {self.picture}")
         model, weighed = self._load()
-        description = describe(model)
+        description = describe_object(model)
         if not weighed:
             description |= {"mass": None, "inertia": None}
         print(json.dumps(description, indent=2) if self.json else _text(description))
@@ -97,7 +99,7 @@ class Show:
             _draw(model, self.picture, self.pieces)
 
     def _load(self) -> tuple[ObjectModel, bool]:
-        """The object, and whether its mass is known; without one, a mesh is looked at as if it had 1 kg."""
+        """The object, and whether its mass is known; without one, a mesh is described as if it had 1 kg."""
         from fungrasp.objects import load_object, mesh_files, object_from_file
 
         if self.objects is None and Path(self.name).suffix and Path(self.name).is_file():
@@ -107,7 +109,7 @@ class Show:
         return load_object(self.name, self.mass if weighed else 1.0, self.objects), weighed
 
 
-COMMAND = {"list": List, "show": Show}
+COMMAND = {"list": ListObjects, "show": ShowObject}
 
 
 def _text(d: dict[str, Any]) -> str:
@@ -131,14 +133,8 @@ def _text(d: dict[str, Any]) -> str:
     ]
     rows += [
         ("pieces", f"{d['pieces']} convex"),
-        (
-            "",
-            f"at most {mm['bulge_max']:.2f} mm outside the mesh (mean {mm['bulge_mean']:.2f})",
-        ),
-        (
-            "",
-            f"mesh at most {mm['shrink_max']:.2f} mm outside them (mean {mm['shrink_mean']:.2f})",
-        ),
+        ("", f"at most {mm['bulge_max']:.2f} mm outside the mesh (mean {mm['bulge_mean']:.2f})"),
+        ("", f"mesh at most {mm['shrink_max']:.2f} mm outside them (mean {mm['shrink_mean']:.2f})"),
     ]
     title = f"{d['name']}: {d['source']}" if d["source"] else d["name"]
     return "\n".join([title, *(f"  {key:<9} {value}" for key, value in rows)])
@@ -150,7 +146,7 @@ def _draw(model: ObjectModel, path: Path, by_piece: bool) -> None:
     from fungrasp.files import atomic_path
     from fungrasp.report.pictures import four_views, grid
 
-    names = list(COLOURS)
+    names = list(COLORS)
     legend = (
         "" if by_piece else ", ".join(f"{part} {names[i % len(names)]}" for i, part in enumerate(model.parts))
     )
@@ -162,7 +158,7 @@ def _draw(model: ObjectModel, path: Path, by_piece: bool) -> None:
 
 
 def _scene(model: ObjectModel, by_piece: bool) -> mujoco.MjModel:
-    """The object at rest on the table, each part or piece in a colour of its own."""
+    """The object at rest on the table, each part or piece in a color of its own."""
     import mujoco
     import numpy as np
 
@@ -174,23 +170,16 @@ def _scene(model: ObjectModel, by_piece: bool) -> mujoco.MjModel:
     spec = mujoco.MjSpec()
     pose = model.rest_pose()
     body = spec.worldbody.add_body(pos=pose[:3], quat=pose[3:])
-    colours = list(COLOURS.values())
+    colors = list(COLORS.values())
     for i, (vertices, faces) in enumerate(shapes):
         used, renumbered = np.unique(faces, return_inverse=True)
         mesh = spec.add_mesh(name=f"shape_{i}", inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL)
         mesh.uservert = np.ascontiguousarray(vertices[used]).ravel()
         mesh.userface = renumbered.astype(np.int32).ravel()
-        rgba = [*colours[i % len(colours)], 1.0]
+        rgba = [*colors[i % len(colors)], 1.0]
         body.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=mesh.name, rgba=rgba)
     return spec.compile()
 
 
 def _size(size: Iterable[float]) -> str:
     return " x ".join(f"{x * 100:.1f}" for x in size)
-
-
-def _table(rows: Sequence[Sequence[str]]) -> str:
-    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    return "\n".join(
-        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows
-    )

@@ -193,7 +193,7 @@ def _identity(name: str) -> dict[str, str]:
     """Tells a file of grasps from others, wherever it lies."""
     import hashlib
 
-    from fungrasp.grasps.files import BUILTIN, BUILTIN_PATH
+    from fungrasp.grasps.grasp_files import BUILTIN, BUILTIN_PATH
 
     path = BUILTIN_PATH if name == BUILTIN else Path(name)
     try:

@@ -16,14 +16,14 @@ if TYPE_CHECKING:
     from fungrasp.objects import ObjectModel
 
 
-UNITS = ("mm", "deg", "rad")
-"""In the names of quality numbers."""
+QUALITY_UNITS = ("mm", "deg", "rad")
+"""Units at the end of the names of quality numbers."""
 
-DRAWN = 12
-"""Grasps in a picture."""
+DRAWN_GRASPS = 12
+"""Largest number of grasps in a picture."""
 
 WIDTH, HEIGHT = 400, 320
-"""Of each grasp in a picture [pixels]."""
+"""Size of each grasp in a picture [pixels]."""
 
 
 @dataclass(frozen=True)
@@ -39,13 +39,13 @@ class Retarget:
     hand: str = "allegro"
     """Name of a hand, or the path of a hand's TOML file."""
     method: str = "ours"
-    """ours, angle-copy or dexgraspnet."""
+    """Retargeting method: ours, angle-copy or dexgraspnet."""
     quality: Path | None = None
     """Write a summary of the quality of the grasps here (.json)."""
     picture: Path | None = None
     """Draw some of the grasps, human and robot side by side, to this PNG file."""
     threads: int = 0
-    """0 means all processors; the result does not depend on it."""
+    """Number of threads, 0 for all processors; the result does not depend on it."""
 
     def run(self) -> None:
         from fungrasp.evaluation import static_quality
@@ -66,7 +66,7 @@ class Retarget:
             write_json(self.quality, finite(quality.summary()) | {"grasps_per_second": rate})
         if self.picture is not None:
             draw_grasps(self.picture, robot, objects, hand, human)
-        print(quality_table(quality.summary()))
+        print(static_quality_table(quality.summary()))
         print(f"{self.out}: {len(robot)} grasps of {len(objects)} objects, {rate:.0f} grasps/s")
 
 
@@ -98,12 +98,12 @@ def retargeted(
         return robot, len(human) / (perf_counter() - start)
 
 
-def quality_table(summary: Mapping[str, Mapping[str, float]]) -> str:
-    """What ``StaticQuality.summary`` says, for people."""
+def static_quality_table(summary: Mapping[str, Mapping[str, float]]) -> str:
+    """``StaticQuality.summary`` as a table of text."""
     rows: list[tuple[str, ...]] = [("quality", "mean", "p95", "max", "unit")]
     for name, numbers in summary.items():
         what, _, unit = name.rpartition("_")
-        if unit not in UNITS:
+        if unit not in QUALITY_UNITS:
             what, unit = name, ""
         rows.append((what.replace("_", " "), *(f"{numbers[k]:.2f}" for k in ("mean", "p95", "max")), unit))
     return table(rows)
@@ -125,7 +125,7 @@ def draw_grasps(
         objects: by name.
         hand: the robot hand.
         human: the N grasps they imitate, drawn to their left.
-        captions: what to say of each grasp besides its object.
+        captions: text for each grasp after the name of its object.
     """
     import numpy as np
     from PIL import Image
@@ -138,7 +138,7 @@ def draw_grasps(
 
     _, first = np.unique(robot.object_name, return_index=True)
     others = np.setdiff1d(np.arange(len(robot)), first)
-    rows = np.concatenate([first, others])[:DRAWN]
+    rows = np.concatenate([first, others])[:DRAWN_GRASPS]
     images, labels = [], []
     with progress_bar("drawing", len(rows)) as show:
         for done, row in enumerate(rows.tolist()):

@@ -179,7 +179,7 @@ def training_sets(
     from fungrasp.errors import UnknownNameError
     from fungrasp.evaluation.lift_test import check_hand
     from fungrasp.grasps import RobotGraspSet, load_grasps, load_objects
-    from fungrasp.grasps.files import BUILTIN
+    from fungrasp.grasps.grasp_files import BUILTIN
     from fungrasp.retarget import METHODS
     from fungrasp.training.run import TrainingSet
 

@@ -1,7 +1,7 @@
 """Protocols, metrics over many trials, the paper's tables."""
 
+from fungrasp.evaluation.grasp_quality import StaticQuality, static_quality
 from fungrasp.evaluation.lift_test import LiftTestResult, evaluate
-from fungrasp.evaluation.quality import StaticQuality, static_quality
 from fungrasp.evaluation.results import result_json
 from fungrasp.evaluation.six_directions import StaticResult, six_direction_test
 from fungrasp.evaluation.trajectory import Trajectory, replay

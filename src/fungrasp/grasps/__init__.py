@@ -1,6 +1,6 @@
 """Human and robot grasps: the types, the files they are exchanged in, and importers of data sets."""
 
-from fungrasp.grasps.files import (
+from fungrasp.grasps.grasp_files import (
     builtin_grasps,
     load_grasps,
     load_human_grasps,
@@ -10,9 +10,9 @@ from fungrasp.grasps.files import (
 )
 from fungrasp.grasps.grasp_objects import load_objects
 from fungrasp.grasps.grasp_set import GraspSet
-from fungrasp.grasps.human import HumanGrasp, HumanGraspSet
-from fungrasp.grasps.human_hand import BONES, HUMAN_JOINTS, HUMAN_LINKS, bone_lengths, link_directions
-from fungrasp.grasps.robot import RobotGrasp, RobotGraspSet
+from fungrasp.grasps.human_grasp import HumanGrasp, HumanGraspSet
+from fungrasp.grasps.human_hand import BONES, HUMAN_JOINTS, HUMAN_LINKS, bone_lengths, finger_link_directions
+from fungrasp.grasps.robot_grasp import RobotGrasp, RobotGraspSet
 
 __all__ = [
     "BONES",
@@ -25,7 +25,7 @@ __all__ = [
     "RobotGraspSet",
     "bone_lengths",
     "builtin_grasps",
-    "link_directions",
+    "finger_link_directions",
     "load_grasps",
     "load_human_grasps",
     "load_objects",

@@ -1,11 +1,11 @@
-"""Could a person have this hand and hold it like that? Judged from the 21 joints alone."""
+"""Anatomical checks of human grasps, from the 21 joints alone: bone lengths and joint angles."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from fungrasp.grasps.human import HumanGraspSet
-from fungrasp.grasps.human_hand import BONES, HUMAN_JOINTS, bone_lengths, link_directions
+from fungrasp.grasps.human_grasp import HumanGraspSet
+from fungrasp.grasps.human_hand import BONES, HUMAN_JOINTS, bone_lengths, finger_link_directions
 
 ADULT_BONES = np.array(
     [
@@ -22,7 +22,7 @@ tracked grasps in D-Grasp's labels. They differ as the second counts the first b
 last to the skin."""
 
 BONE_VARIATION = 0.3
-"""Part by which a bone may be shorter or longer than the means: three standard deviations of the
+"""Fraction by which a bone may be shorter or longer than the means: three standard deviations of the
 radiographs."""
 
 FLEXION_RANGE = np.radians([[(-45, 90), (0, 100), (0, 80)]] * 4 + [[(-180, 180), (-10, 55), (-15, 80)]])
@@ -32,7 +32,7 @@ MCP, PIP, DIP; the thumb's CMC (no limit), MCP, IP."""
 DEVIATION_LIMIT = np.radians([20.0, 0.0, 0.0])
 """Motion to either side of a finger's MCP, PIP, DIP [rad]."""
 
-SLACK = np.radians(25.0)
+JOINT_RANGE_SLACK = np.radians(25.0)
 """Allowed beyond the ranges [rad]: joint centres lie off the bones' lines, and objects bend fingers further
 than the hand alone does."""
 
@@ -53,7 +53,7 @@ def joint_bends(hand_joints: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """
     base = hand_joints[..., 1::4, :] - hand_joints[..., :1, :]
     base = base / np.linalg.norm(base, axis=-1, keepdims=True)
-    links = link_directions(hand_joints)
+    links = finger_link_directions(hand_joints)
     before = np.concatenate([base[..., None, :], links[..., :-1, :]], axis=-2)
     across = (hand_joints[..., 1, :] - hand_joints[..., 13, :])[..., None, None, :]
     axis = across - np.sum(across * before, axis=-1, keepdims=True) * before
@@ -67,12 +67,12 @@ def joint_bends(hand_joints: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def check_anatomy(grasps: HumanGraspSet) -> list[str]:
-    """What no person could do in a grasp set, one sentence per grasp and part; empty if all is well."""
+    """Bones and joints of a grasp set outside adults' ranges, one sentence each; empty if there are none."""
     lengths = bone_lengths(grasps.hand_joints) * 1000
     shortest = ADULT_BONES[..., 0].ravel() * (1 - BONE_VARIATION)
     longest = ADULT_BONES[..., 1].ravel() * (1 + BONE_VARIATION)
     flexion, deviation = joint_bends(grasps.hand_joints)
-    low, high = FLEXION_RANGE[..., 0] - SLACK, FLEXION_RANGE[..., 1] + SLACK
+    low, high = FLEXION_RANGE[..., 0] - JOINT_RANGE_SLACK, FLEXION_RANGE[..., 1] + JOINT_RANGE_SLACK
     findings = []
     for row, name in enumerate(grasps.object_name):
         grasp = f"grasp {row} ({name})"
@@ -88,8 +88,10 @@ def check_anatomy(grasps: HumanGraspSet) -> list[str]:
             )
             allowed = f"{least:.0f} to {most:.0f} degrees"
             findings.append(f"{grasp}: {_joint(finger, joint)} is bent {angle:.0f} degrees, not {allowed}")
-        for finger, joint in np.argwhere(np.abs(deviation[row]) > DEVIATION_LIMIT + SLACK):
-            angle, most = np.degrees([deviation[row, finger, joint], DEVIATION_LIMIT[joint] + SLACK])
+        for finger, joint in np.argwhere(np.abs(deviation[row]) > DEVIATION_LIMIT + JOINT_RANGE_SLACK):
+            angle, most = np.degrees(
+                [deviation[row, finger, joint], DEVIATION_LIMIT[joint] + JOINT_RANGE_SLACK]
+            )
             findings.append(
                 f"{grasp}: {_joint(finger, joint)} is bent {angle:.0f} degrees sideways, not {most:.0f}"
             )

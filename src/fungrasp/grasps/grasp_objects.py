@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from fungrasp.grasps.human import HumanGraspSet
-from fungrasp.grasps.robot import RobotGraspSet
+from fungrasp.grasps.human_grasp import HumanGraspSet
+from fungrasp.grasps.robot_grasp import RobotGraspSet
 from fungrasp.objects import ObjectModel, load_object
 
 

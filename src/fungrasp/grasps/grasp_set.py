@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, ClassVar, Generic, Self, TypeVar
+from typing import Any, ClassVar, Generic, Self, TypeVar, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from fungrasp.errors import FungraspError
-from fungrasp.grasps.fields import Field, checked_array
+from fungrasp.grasps.field_checks import ArrayField, checked_array
 
 Grasp = TypeVar("Grasp")
 
@@ -17,10 +17,11 @@ Grasp = TypeVar("Grasp")
 class GraspSet(Generic[Grasp]):
     """Grasps as arrays, one row each. Subclasses are frozen dataclasses whose ``FIELDS`` name their arrays.
 
-    ``grasps[i]`` is one grasp, ``for grasp in grasps`` visits all, ``grasps.select(...)`` is a smaller set.
+    ``grasps[i]`` is one grasp and ``grasps[i:j]`` a smaller set, ``for grasp in grasps`` visits all,
+    ``grasps.select(...)`` takes indices or a mask.
     """
 
-    FIELDS: ClassVar[Mapping[str, Field]]
+    FIELDS: ClassVar[Mapping[str, ArrayField]]
     GRASP: ClassVar[type]
 
     object_name: np.ndarray
@@ -36,9 +37,19 @@ class GraspSet(Generic[Grasp]):
     def __len__(self) -> int:
         return len(self.object_name)
 
-    def __getitem__(self, index: int) -> Grasp:
+    @overload
+    def __getitem__(self, index: int) -> Grasp: ...
+    @overload
+    def __getitem__(self, index: slice) -> Self: ...
+    def __getitem__(self, index: int | slice) -> Grasp | Self:
+        if isinstance(index, slice):
+            return self.select(index)
         row = range(len(self))[index]
         return self.GRASP(**self._whole_set(), **self._rows(row))
+
+    def __repr__(self) -> str:
+        objects = len(set(self.object_name.tolist()))
+        return f"<{type(self).__name__}: {len(self)} grasps of {objects} objects>"
 
     def __iter__(self) -> Iterator[Grasp]:
         return (self[row] for row in range(len(self)))

@@ -4,20 +4,20 @@ from __future__ import annotations
 
 import numpy as np
 
-FINGERS = ("index", "middle", "ring", "pinky", "thumb")
-"""Order of fingers in joints and links."""
+HUMAN_FINGERS = ("index", "middle", "ring", "pinky", "thumb")
+"""Order of the fingers in joints and links."""
 
 HUMAN_JOINTS = (
     "wrist",
-    *(f"{finger}_{joint}" for finger in FINGERS[:4] for joint in ("mcp", "pip", "dip", "tip")),
+    *(f"{finger}_{joint}" for finger in HUMAN_FINGERS[:4] for joint in ("mcp", "pip", "dip", "tip")),
     *(f"thumb_{joint}" for joint in ("cmc", "mcp", "ip", "tip")),
 )
 """The 21 joints of ``hand_joints``; "tip" is the end of the finger."""
 
-LINKS = ("proximal", "middle", "distal")
+FINGER_LINKS = ("proximal", "middle", "distal")
 """Links of a finger, from base to tip."""
 
-HUMAN_LINKS = ("palm", *(f"{finger}_{link}" for finger in FINGERS for link in LINKS))
+HUMAN_LINKS = ("palm", *(f"{finger}_{link}" for finger in HUMAN_FINGERS for link in FINGER_LINKS))
 """The 16 links of ``link_contacts``. The thumb's three are its metacarpal, proximal and distal bones."""
 
 BONES = tuple((0 if joint % 4 == 1 else joint - 1, joint) for joint in range(1, 21))
@@ -33,14 +33,14 @@ def bone_lengths(hand_joints: np.ndarray) -> np.ndarray:
     return np.linalg.norm(hand_joints[..., far, :] - hand_joints[..., near, :], axis=-1)
 
 
-def link_directions(hand_joints: np.ndarray) -> np.ndarray:
+def finger_link_directions(hand_joints: np.ndarray) -> np.ndarray:
     """Unit vector along each finger link, from its near joint to its far one.
 
     Args:
         hand_joints: [m], shape [..., 21, 3], any frame.
 
     Returns:
-        Shape [..., 5, 3, 3]: finger in the order of ``FINGERS``, link in that of ``LINKS``, xyz.
+        Shape [..., 5, 3, 3]: finger in the order of ``HUMAN_FINGERS``, link in that of ``FINGER_LINKS``, xyz.
     """
     fingers = hand_joints[..., 1:, :].reshape(*hand_joints.shape[:-2], 5, 4, 3)
     bones = fingers[..., 1:, :] - fingers[..., :-1, :]

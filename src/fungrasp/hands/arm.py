@@ -1,4 +1,4 @@
-"""A hand on a robot arm: mounting it on the flange, and the arm's inverse kinematics."""
+"""A hand mounted on the flange of a robot arm."""
 
 from __future__ import annotations
 
@@ -9,15 +9,9 @@ import mujoco
 import numpy as np
 
 from fungrasp.errors import UnknownNameError
-from fungrasp.geometry.poses import (
-    compose,
-    invert,
-    quaternion_conjugate,
-    quaternion_multiply,
-    rotation_vector,
-)
+from fungrasp.geometry.poses import compose, invert
 from fungrasp.hands.hand import Hand
-from fungrasp.hands.mjcf import self_contained_xml
+from fungrasp.hands.self_contained_mjcf import self_contained_xml
 
 FLANGE_SITE = "tool0"
 """Site of an arm's model where a hand is mounted; z points out of the flange."""
@@ -51,7 +45,7 @@ def mounting_pose(hand: Hand) -> np.ndarray:
     """Pose of the palm body on a flange whose z axis points out of it.
 
     The fingers point along the flange's z axis and the palm faces its x axis; the shapes of the palm are
-    centred on the z axis and begin ``MOUNTING_GAP`` above the flange.
+    centered on the z axis and begin ``MOUNTING_GAP`` above the flange.
 
     Returns:
         ``pose_flange_palm``, shape [7].
@@ -70,9 +64,9 @@ def mounting_pose(hand: Hand) -> np.ndarray:
 def mount(hand: Hand, arm: str = "ur5e") -> mujoco.MjSpec:
     """The hand on the flange of an arm, the arm's base at the world's origin.
 
-    Names of both are kept; meshes are held in the spec itself. The weight of the palm is compensated by the
-    arm (as a payload known to its controller), that of the fingers is not. A site ``PALM_SITE`` marks the
-    frame of the palm body.
+    Names of both stay as they are; meshes are held in the spec itself. The weight of the palm is compensated
+    by the arm (as a payload known to its controller), that of the fingers is not. A site ``PALM_SITE`` marks
+    the frame of the palm body.
 
     Raises:
         UnknownNameError: no such arm.
@@ -95,74 +89,6 @@ def mount(hand: Hand, arm: str = "ur5e") -> mujoco.MjSpec:
     return mujoco.MjSpec.from_string(re.sub(f'(?<!class)="{_PREFIX}', '="', self_contained_xml(spec)))
 
 
-def arm_inverse_kinematics(
-    model: mujoco.MjModel,
-    pose_world_palm: np.ndarray,
-    start: np.ndarray,
-    iterations: int = 200,
-    tolerance: float = 1e-5,
-) -> tuple[np.ndarray, float, float]:
-    """Angles of the arm that bring the palm to a pose: damped least squares, step
-
-    ``dq = J^T (J J^T + lambda I)^-1 e`` with ``lambda = 1e-3 |e|^2 + 1e-6`` and e the stacked position [m]
-    and rotation [rad] error, within the joint limits.
-
-    Args:
-        model: compiled from ``mount``.
-        pose_world_palm: wanted pose of the palm body, shape [7].
-        start: angles of the arm's joints to begin from [rad], shape [A], in model order.
-        iterations: at most this many steps.
-        tolerance: stop when the norm of the error is below.
-
-    Returns:
-        Angles of the arm's joints [rad], shape [A]; remaining position error [m] and rotation error [rad].
-    """
-    site = model.site(PALM_SITE).id
-    joints = arm_joints(model)
-    dofs, addresses = model.jnt_dofadr[joints], model.jnt_qposadr[joints]
-    lower, upper = model.jnt_range[joints].T
-    data = mujoco.MjData(model)
-    angles = np.clip(np.asarray(start, dtype=float), lower, upper)
-    jacobian_position, jacobian_rotation = np.zeros((3, model.nv)), np.zeros((3, model.nv))
-    best = (angles, np.inf, np.inf)
-    for _ in range(iterations + 1):
-        data.qpos[addresses] = angles
-        mujoco.mj_kinematics(model, data)
-        mujoco.mj_comPos(model, data)
-        error = _pose_error(data, site, pose_world_palm)
-        norms = float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:]))
-        if np.hypot(*norms) < np.hypot(*best[1:]):
-            best = (angles, *norms)
-        if np.hypot(*norms) < tolerance:
-            break
-        mujoco.mj_jacSite(model, data, jacobian_position, jacobian_rotation, site)
-        jacobian = np.concatenate([jacobian_position[:, dofs], jacobian_rotation[:, dofs]])
-        damping = (1e-3 * error @ error + 1e-6) * np.eye(6)
-        step = jacobian.T @ np.linalg.solve(jacobian @ jacobian.T + damping, error)
-        angles = np.clip(angles + step, lower, upper)
-    return best
-
-
-def arm_joints(model: mujoco.MjModel) -> np.ndarray:
-    """Ids of the joints between the world and the mounted palm, base to flange, shape [A]."""
-    body, joints = int(model.site(PALM_SITE).bodyid[0]), []
-    while body:
-        first = int(model.body_jntadr[body])
-        joints.extend(range(first, first + int(model.body_jntnum[body])) if first >= 0 else ())
-        body = int(model.body_parentid[body])
-    return np.array(sorted(joints), dtype=int)
-
-
-def _pose_error(data: mujoco.MjData, site: int, pose: np.ndarray) -> np.ndarray:
-    """Position then rotation-vector error, world frame, shape [6]."""
-    quaternion = np.zeros(4)
-    mujoco.mju_mat2Quat(quaternion, data.site_xmat[site])
-    rotation = rotation_vector(
-        quaternion_multiply(np.asarray(pose[3:], dtype=float), quaternion_conjugate(quaternion))
-    )
-    return np.concatenate([pose[:3] - data.site_xpos[site], rotation])
-
-
 def _palm_bounds(hand: Hand, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Extent of the palm body's shapes [m] along unit vectors of the palm frame.
 
@@ -174,9 +100,9 @@ def _palm_bounds(hand: Hand, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         rotation = np.zeros(9)
         mujoco.mju_quat2Mat(rotation, model.geom_quat[geom])
         rotation = rotation.reshape(3, 3)
-        centre = rows @ (model.geom_pos[geom] + rotation @ model.geom_aabb[geom, :3])
+        center = rows @ (model.geom_pos[geom] + rotation @ model.geom_aabb[geom, :3])
         half = np.abs(rows @ rotation) @ model.geom_aabb[geom, 3:]
-        lower, upper = np.minimum(lower, centre - half), np.maximum(upper, centre + half)
+        lower, upper = np.minimum(lower, center - half), np.maximum(upper, center + half)
     if not np.isfinite(lower).all():
         return np.zeros(3), np.zeros(3)
     return lower, upper

@@ -1,8 +1,8 @@
-"""Which robot link and key point stands for which human one, by rule: fingers by name, links from the base
+"""Correspondence of robot links and key points with the human ones: fingers by name, links from the base
 outwards.
 
-A robot without a finger drops it; a robot finger with fewer links lacks those near the tip, so that its last
-link stands for the rest of the human finger (paper IV.A).
+A human finger that the robot lacks is dropped. A robot finger with fewer links lacks those near the tip: its
+last link stands for the rest of the human finger (paper IV.A).
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ HUMAN_FINGER_LINKS = {name: tuple(range(1 + 3 * i, 4 + 3 * i)) for i, name in en
 
 @dataclass(frozen=True)
 class Correspondence:
-    """Index tables; S is the number of the robot's finger links."""
+    """Indices of corresponding key points, joints and links; S is the number of the robot's finger links."""
 
     near: np.ndarray
     """Robot key point at the near end of each finger link (index into ``Hand.keypoint_names``), shape [S]."""
@@ -34,7 +34,7 @@ class Correspondence:
     is_last: np.ndarray
     """Whether the link ends in the fingertip, shape [S] bool."""
     is_thumb: np.ndarray
-    """Shape [S] bool."""
+    """Whether the link belongs to the thumb, shape [S] bool."""
     human_links: tuple[tuple[int, ...], ...]
     """Human links that each robot link stands for, length S."""
 

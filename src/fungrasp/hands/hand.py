@@ -1,10 +1,10 @@
-"""A dexterous hand: its kinematic model and which body plays which part of a human hand."""
+"""A dexterous hand: its kinematic model, and which bodies correspond to the links of a human hand."""
 
 from __future__ import annotations
 
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -16,8 +16,6 @@ from fungrasp.errors import FungraspError, UnknownNameError
 
 FINGERS = ("index", "middle", "ring", "pinky", "thumb")
 """Names of fingers, in the order of the human joints and links (docs/conventions.md)."""
-
-WRIST_COORDINATES = 6
 
 
 @dataclass(frozen=True)
@@ -33,7 +31,7 @@ class Finger:
     """Site or body at the joint at the near end of each link: the link's own body, unless the model's frames
     lie elsewhere."""
     tip: str
-    """Site at the centre of the fingertip's round end."""
+    """Site at the center of the fingertip's round end."""
 
 
 @dataclass(frozen=True)
@@ -41,6 +39,7 @@ class Actuator:
     """Position servo of one independent joint."""
 
     joint: str
+    """Name of the joint."""
     kp: float
     """Stiffness [N m/rad]."""
     kd: float
@@ -54,7 +53,9 @@ class Hand:
     """A hand folder, read and checked. ``fungrasp.hands.load_hand`` makes it."""
 
     name: str
+    """Name by which commands and files refer to the hand."""
     title: str
+    """Name of the product."""
     path: Path
     """The TOML file."""
     model_path: Path
@@ -70,7 +71,7 @@ class Hand:
     actuators: Mapping[str, Actuator]
     """By joint name, in the model's joint order."""
     source: str = ""
-    sources: Mapping[str, str] = field(default_factory=dict)
+    """Where the model comes from."""
 
     def spec(self) -> mujoco.MjSpec:
         """A fresh model of the bare hand, palm fixed at the world's origin, one position actuator per
@@ -177,7 +178,7 @@ class Hand:
         return (self.palm, *(name for f in self.fingers.values() for name in (*f.joints, f.tip)))
 
 
-def read_hand(path: Path) -> Hand:
+def read_hand_toml(path: Path) -> Hand:
     """Read a hand's TOML and check that all it names exists in the model.
 
     Args:
@@ -249,7 +250,6 @@ def read_hand(path: Path) -> Hand:
         fingers=fingers,
         actuators=_actuators(path, data["actuators"], model),
         source=data.get("source", ""),
-        sources={"actuators": data["actuators"].get("source", "")},
     )
 
 

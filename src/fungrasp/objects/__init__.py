@@ -1,9 +1,15 @@
-"""A mesh and a mass become a physical object; the built-in everyday objects."""
+"""Physical objects from a mesh and a mass, and the built-in ones."""
 
-from fungrasp.objects.convex import ConvexPiece, convex_pieces
-from fungrasp.objects.mesh import load_mesh
-from fungrasp.objects.model import ObjectModel
-from fungrasp.objects.registry import builtin_object, load_object, mesh_files, object_from_file, object_names
+from fungrasp.objects.convex_decomposition import ConvexPiece, convex_pieces
+from fungrasp.objects.mesh_file import load_mesh
+from fungrasp.objects.object_model import ObjectModel
+from fungrasp.objects.object_registry import (
+    builtin_object,
+    load_object,
+    mesh_files,
+    object_from_file,
+    object_names,
+)
 
 __all__ = [
     "ConvexPiece",

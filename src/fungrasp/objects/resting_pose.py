@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from fungrasp.objects.model import ObjectModel
+from fungrasp.objects.object_model import ObjectModel
 
 
 def resting_directions(model: ObjectModel) -> np.ndarray:
     """Downward unit normals of the faces on which the object is stable: those of its convex hull below the
-    centre of mass.
+    center of mass.
 
     Returns:
         object frame, shape [R, 3].
@@ -29,7 +29,7 @@ def settled_up(model: ObjectModel, up: np.ndarray) -> np.ndarray:
     """The table's normal once the object has settled from a pose in which it was ``up``: that of the nearest
     stable face.
 
-    Measured poses are a few degrees off; a flat thing would then hover or sink on one side.
+    Measured poses are a few degrees off; a flat object would then hover or sink on one side.
 
     Args:
         up: unit vector, object frame, shape [..., 3].

@@ -9,13 +9,15 @@ from __future__ import annotations
 import numpy as np
 
 from fungrasp.geometry.poses import cross, quaternion_conjugate, quaternion_multiply, rotation_vector
+from fungrasp.optimization.collision_scene import CollisionScene, gradient_derivative, project_to_surface
 from fungrasp.optimization.contact_forces import balanced_forces
-from fungrasp.optimization.hand_problem import Problem, State, Surroundings, nearest_surface
+from fungrasp.optimization.hand_state import HandState
+from fungrasp.optimization.retargeting_problem import RetargetingProblem
 
 Residual = tuple[np.ndarray, np.ndarray]
 
 
-def fingertip_position(state: State[Problem], unit: float = 0.01) -> Residual:
+def fingertip_position(state: HandState[RetargetingProblem], unit: float = 0.01) -> Residual:
     """(p_tip - p_human tip) / unit for each finger: the first initialisation of IV.A. unit: [m]."""
     match = state.points.match
     far, human = match.far[match.is_last], match.human_far[match.is_last]
@@ -23,20 +25,31 @@ def fingertip_position(state: State[Problem], unit: float = 0.01) -> Residual:
     return _flat(residual, state.keypoint_jacobian(far) / unit)
 
 
-def link_direction(state: State[Problem], unit: float = 0.5) -> Residual:
-    """(d_robot - d_human) / unit for each finger link, d the unit vector from its near to its far key point
-    (IV.A)."""
+def link_direction(
+    state: HandState[RetargetingProblem], unit: float = 0.5, links: np.ndarray | slice = slice(None)
+) -> Residual:
+    """(d_robot - d_human) / unit for finger links, d the unit vector from the near to the far key point
+    (IV.A).
+
+    Args:
+        unit: dimensionless.
+        links: which of the S finger links; all by default.
+    """
     match = state.points.match
-    robot = state.keypoints[:, match.far] - state.keypoints[:, match.near]
-    human = state.problem.joints[:, match.human_far] - state.problem.joints[:, match.human_near]
+    near, far = match.near[links], match.far[links]
+    robot = state.keypoints[:, far] - state.keypoints[:, near]
+    human = state.problem.joints[:, match.human_far[links]] - state.problem.joints[:, match.human_near[links]]
     length = np.linalg.norm(robot, axis=-1, keepdims=True)
     robot, human = robot / length, human / np.linalg.norm(human, axis=-1, keepdims=True)
-    move = (state.keypoint_jacobian(match.far) - state.keypoint_jacobian(match.near)) / length[..., None]
+    move = (state.keypoint_jacobian(far) - state.keypoint_jacobian(near)) / length[..., None]
+    # Derivative of a normalized vector: (I - d d^T) applied to the derivative of the vector over its length.
     jacobian = move - robot[..., None] * np.einsum("nsi,nsid->nsd", robot, move)[:, :, None]
     return _flat((robot - human) / unit, jacobian / unit)
 
 
-def contact_position(state: State[Problem], unit: float = 0.005, inner_weight: float = 0.4) -> Residual:
+def contact_position(
+    state: HandState[RetargetingProblem], unit: float = 0.005, inner_weight: float = 0.4
+) -> Residual:
     """L_pos of IV.A, on the surface: c_j (p_j - (s_j + rho_j n_j)) / unit.
 
     p_j is the far key point of robot link j, s_j the surface point nearest to the corresponding human joint,
@@ -55,7 +68,7 @@ def contact_position(state: State[Problem], unit: float = 0.005, inner_weight: f
     return _flat(residual, weight[..., None, None] * state.keypoint_jacobian(match.far))
 
 
-def contact_gap(state: State[Problem], unit: float = 0.003) -> Residual:
+def contact_gap(state: HandState[RetargetingProblem], unit: float = 0.003) -> Residual:
     """c_j max(0, gap_j) / unit, gap_j the smallest clearance of link j's surface from the object. unit:
     [m]."""
     links = [
@@ -71,75 +84,76 @@ def contact_gap(state: State[Problem], unit: float = 0.003) -> Residual:
     clearance = np.take_along_axis(state.clearance, nearest, axis=1)
     wanted = state.problem.contacts[:, links] & (clearance > 0)
     normal = np.take_along_axis(state.normals, nearest[..., None], axis=1)
-    jacobian = (normal[:, :, None] @ state.ball_jacobian(nearest))[:, :, 0]
+    jacobian = (normal[:, :, None] @ state.sphere_jacobian(nearest))[:, :, 0]
     return wanted * clearance / unit, wanted[..., None] * jacobian / unit
 
 
 def object_penetration(
-    state: State[Surroundings], unit: float = 0.001, margin: float = 0.0, most: int = 24
+    state: HandState[CollisionScene], unit: float = 0.001, margin: float = 0.0, count: int = 24
 ) -> Residual:
-    """max(0, margin - clearance) / unit for the ``most`` deepest balls (L_pen of IV.A).
+    """max(0, margin - clearance) / unit for the ``count`` deepest spheres (L_pen of IV.A).
 
     Args:
         unit, margin: [m].
     """
-    deepest = _smallest(state.clearance, most)
+    deepest = _smallest(state.clearance, count)
     depth = margin - np.take_along_axis(state.clearance, deepest, axis=1)
     active = depth > 0
     normal = np.take_along_axis(state.normals, deepest[..., None], axis=1)
-    jacobian = -(normal[:, :, None] @ state.ball_jacobian(deepest))[:, :, 0]
+    jacobian = -(normal[:, :, None] @ state.sphere_jacobian(deepest))[:, :, 0]
     return active * depth / unit, active[..., None] * jacobian / unit
 
 
 def table_penetration(
-    state: State[Surroundings], unit: float = 0.001, margin: float = 0.001, most: int = 12
+    state: HandState[CollisionScene], unit: float = 0.001, margin: float = 0.001, count: int = 12
 ) -> Residual:
-    """max(0, margin - height) / unit for the ``most`` lowest balls (h_{i-table} in L_col of IV.A).
+    """max(0, margin - height) / unit for the ``count`` lowest spheres (h_{i-table} in L_col of IV.A).
 
     Args:
         unit, margin: [m].
     """
-    lowest = _smallest(state.heights, most)
+    lowest = _smallest(state.heights, count)
     depth = margin - np.take_along_axis(state.heights, lowest, axis=1)
     active = depth > 0
     up = np.take_along_axis(
         state.problem.up, np.take_along_axis(state.plane, lowest, axis=1)[..., None], axis=1
     )
-    jacobian = -(up[:, :, None] @ state.ball_jacobian(lowest))[:, :, 0]
+    jacobian = -(up[:, :, None] @ state.sphere_jacobian(lowest))[:, :, 0]
     return active * depth / unit, active[..., None] * jacobian / unit
 
 
 def self_penetration(
-    state: State[Surroundings], unit: float = 0.002, margin: float = 0.001, most: int = 8
+    state: HandState[CollisionScene], unit: float = 0.002, margin: float = 0.001, count: int = 8
 ) -> Residual:
-    """max(0, margin - d_ij) / unit for the ``most`` closest pairs of balls of different fingers, d_ij the
+    """max(0, margin - d_ij) / unit for the ``count`` closest pairs of spheres of different fingers, d_ij the
     distance between their surfaces (L_col of IV.A, with the distance of shapes in place of that of joints).
 
     Args:
         unit, margin: [m].
     """
     pairs = state.points.self_pairs
-    balls, radius = state.balls, state.points.balls.radius
-    squared = np.sum(balls**2, axis=-1)
-    product = balls[:, pairs.first] @ np.swapaxes(balls[:, pairs.second], 1, 2)
+    spheres, radius = state.spheres, state.points.spheres.radius
+    # |a - b|^2 = |a|^2 + |b|^2 - 2 a . b for all pairs at once, shape [N, A, B].
+    squared = np.sum(spheres**2, axis=-1)
+    product = spheres[:, pairs.first] @ np.swapaxes(spheres[:, pairs.second], 1, 2)
     distance = squared[:, pairs.first, None] + squared[:, None, pairs.second] - 2 * product
     gap = np.sqrt(np.maximum(distance, 1e-12)) - radius[pairs.first, None] - radius[pairs.second]
-    gap = np.where(pairs.apart, gap, 1.0).reshape(len(balls), -1)
-    closest = _smallest(gap, most)
+    gap = np.where(pairs.apart, gap, 1.0).reshape(len(spheres), -1)
+    closest = _smallest(gap, count)
     depth = margin - np.take_along_axis(gap, closest, axis=1)
     active = depth > 0
     a, b = pairs.first[closest // len(pairs.second)], pairs.second[closest % len(pairs.second)]
-    between = np.take_along_axis(balls, a[..., None], axis=1) - np.take_along_axis(
-        balls, b[..., None], axis=1
+    between = np.take_along_axis(spheres, a[..., None], axis=1) - np.take_along_axis(
+        spheres, b[..., None], axis=1
     )
     direction = between / np.maximum(np.linalg.norm(between, axis=-1, keepdims=True), 1e-9)
-    move = state.ball_jacobian(a) - state.ball_jacobian(b)
+    move = state.sphere_jacobian(a) - state.sphere_jacobian(b)
     jacobian = np.where(active[..., None], -np.einsum("nqi,nqid->nqd", direction, move) / unit, 0.0)
     return active * depth / unit, jacobian
 
 
 def force_closure(
-    state: State[Problem], unit: float = 0.05, friction: float = 0.3, reach: float = 0.006
+    state: HandState[RetargetingProblem], unit: float = 0.05, friction: float = 0.3, reach: float = 0.006
 ) -> Residual:
     """(sum f_j, sum (x_j - center) x f_j / extent) / unit, over links that should touch (L_fc of IV.A).
 
@@ -156,19 +170,16 @@ def force_closure(
     match, problem = state.points.match, state.problem
     wanted = problem.contacts[:, 1:]
     x = state.keypoints[:, match.far]
-    place, normal = nearest_surface(problem.bank, problem.grid, x, iterations=2)
-    curvature = np.empty((*x.shape, 3))
-    for axis in range(3):
-        shift = np.zeros(3)
-        shift[axis] = reach
-        ahead = problem.bank.query(problem.grid, x + shift)[1]
-        behind = problem.bank.query(problem.grid, x - shift)[1]
-        curvature[..., axis] = (ahead - behind) / (2 * reach)
+    place, normal = project_to_surface(problem.bank, problem.grid, x, iterations=2)
+    curvature = gradient_derivative(problem.bank, problem.grid, x, reach)
     lever = (place - problem.center[:, None]) / problem.extent[:, None, None]
     force = balanced_forces(lever, -normal, wanted, friction)
     pressure = -np.sum(force * normal, axis=-1)
+    # With the forces fixed in the contact frames, a force turns as the normal does: df = -pressure dn.
     move = state.keypoint_jacobian(match.far)
     force_d = -pressure[..., None, None] * np.einsum("nsij,nsjd->nsid", curvature, move)
+    # Product rule of lever x force; cross products want xyz last, so that the D derivatives are swapped
+    # forward.
     torque = cross(lever, force)
     torque_d = cross(np.swapaxes(move, 2, 3) / problem.extent[:, None, None, None], force[:, :, None])
     torque_d = torque_d + cross(lever[:, :, None], np.swapaxes(force_d, 2, 3))
@@ -179,7 +190,7 @@ def force_closure(
 
 
 def stay_near(
-    state: State[Surroundings],
+    state: HandState[CollisionScene],
     start: tuple[np.ndarray, np.ndarray],
     unit: float = 1.0,
     position_unit: float = np.inf,
@@ -202,11 +213,13 @@ def stay_near(
 
 
 def _flat(residual: np.ndarray, jacobian: np.ndarray) -> Residual:
+    """[N, S, 3] and [N, S, 3, D] to [N, 3 S] and [N, 3 S, D]."""
     count = len(residual)
     return residual.reshape(count, -1), jacobian.reshape(count, -1, jacobian.shape[-1])
 
 
-def _smallest(values: np.ndarray, most: int) -> np.ndarray:
-    if values.shape[1] <= most:
+def _smallest(values: np.ndarray, count: int) -> np.ndarray:
+    """Indices of the ``count`` smallest values of each row, in no order, shape [N, count]."""
+    if values.shape[1] <= count:
         return np.broadcast_to(np.arange(values.shape[1]), values.shape)
-    return np.argpartition(values, most, axis=1)[:, :most]
+    return np.argpartition(values, count, axis=1)[:, :count]

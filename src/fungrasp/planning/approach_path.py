@@ -19,8 +19,9 @@ from fungrasp.hands import Hand
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.objects import ObjectModel
 from fungrasp.optimization import terms
-from fungrasp.optimization.hand_problem import HandPoints, State, Surroundings
-from fungrasp.optimization.levenberg_marquardt import minimise
+from fungrasp.optimization.collision_scene import CollisionScene
+from fungrasp.optimization.hand_state import HandPoints, HandState
+from fungrasp.optimization.levenberg_marquardt import minimize
 from fungrasp.parallel import in_chunks
 
 RETREATS = (0.03, 0.07, 0.12)
@@ -85,7 +86,7 @@ def plan_approach(
         settings: the defaults if None.
     """
     settings = settings or ApproachSettings()
-    around = Surroundings.settled(object_names, settled_pose, objects)
+    around = CollisionScene.settled(object_names, settled_pose, objects)
     centers = np.array([objects[name].center_of_mass for name in object_names])
 
     def run(rows: np.ndarray) -> Approach:
@@ -114,7 +115,7 @@ def plan_approach(
 
 def _best_path(
     hand: Hand,
-    around: Surroundings,
+    around: CollisionScene,
     wrist: np.ndarray,
     fingers: np.ndarray,
     center: np.ndarray,
@@ -167,7 +168,7 @@ def _directions(hand: Hand, wrist: np.ndarray, up: np.ndarray, center: np.ndarra
 class _CollisionResolution:
     """Moves hands as little as needed to keep clear of object, table and themselves."""
 
-    def __init__(self, hand: Hand, around: Surroundings, settings: ApproachSettings):
+    def __init__(self, hand: Hand, around: CollisionScene, settings: ApproachSettings):
         self._points = HandPoints(HandKinematics(hand, len(around)))
         self._around, self._settings = around, settings
         self._terms = [
@@ -186,10 +187,10 @@ class _CollisionResolution:
             position_unit=s.position_unit,
             rotation_unit=s.rotation_unit,
         )
-        wrist, fingers, _ = minimise(
+        wrist, fingers, _ = minimize(
             self._points, self._around, [*self._terms, stay], wrist, fingers, iterations
         )
-        state = State(self._points, self._around, wrist, fingers)
+        state = HandState(self._points, self._around, wrist, fingers)
         intrusion = np.maximum(
             s.object_margin - state.clearance.min(axis=1), s.table_margin - state.heights.min(axis=1)
         )

@@ -20,8 +20,10 @@ from fungrasp.hands import Hand
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.objects import ObjectModel
 from fungrasp.optimization import terms
-from fungrasp.optimization.hand_problem import HandPoints, Problem, Surroundings
-from fungrasp.optimization.levenberg_marquardt import minimise
+from fungrasp.optimization.collision_scene import CollisionScene
+from fungrasp.optimization.hand_state import HandPoints
+from fungrasp.optimization.levenberg_marquardt import minimize
+from fungrasp.optimization.retargeting_problem import RetargetingProblem
 from fungrasp.parallel import in_chunks
 
 
@@ -69,9 +71,9 @@ def adapt_to_settled_object(
     """
     s = settings or AdaptSettings()
     names = grasps.object_name.tolist()
-    around = Surroundings.settled(names, settled_pose, objects)
+    around = CollisionScene.settled(names, settled_pose, objects)
     count = len(grasps)
-    problem = Problem(
+    problem = RetargetingProblem(
         **{f.name: getattr(around, f.name) for f in fields(around)},
         joints=np.zeros((count, 21, 3)),
         contacts=grasps.link_contacts,
@@ -105,7 +107,7 @@ def adapt_to_settled_object(
                 partial(terms.force_closure, unit=s.closure_unit, friction=s.closure_friction),
             ]
             solutions.append(
-                minimise(points, part, [*collisions, *grip, stay], wrist, grasp[rows], s.iterations)
+                minimize(points, part, [*collisions, *grip, stay], wrist, grasp[rows], s.iterations)
             )
         (on_object, joints, cost), (around_object, other_joints, other_cost) = solutions
         leave = (other_cost + s.switch_penalty < cost)[:, None]

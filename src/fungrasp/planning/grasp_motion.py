@@ -15,7 +15,7 @@ from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.objects import ObjectModel
-from fungrasp.optimization.hand_problem import Surroundings
+from fungrasp.optimization.collision_scene import CollisionScene
 from fungrasp.planning.approach_path import Approach, ApproachSettings, FollowedPath, plan_approach
 from fungrasp.planning.grasp_adaptation import AdaptSettings, adapt_to_settled_object
 from fungrasp.planning.grip_forces import squeeze_torques
@@ -254,7 +254,7 @@ def squeeze_offsets(
     """
     s = settings or MotionSettings()
     names = grasps.object_name.tolist()
-    around = Surroundings.settled(names, belief.object_pose, objects)
+    around = CollisionScene.settled(names, belief.object_pose, objects)
     models = [objects[name] for name in names]
     torques = squeeze_torques(hand, around, models, palm, joints, grasps.link_contacts)
     force = _setting(grasps, "force_scale", 1.0)[:, 0] * (s.force + s.force_per_kg * belief.object_mass)

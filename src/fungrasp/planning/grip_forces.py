@@ -8,13 +8,14 @@ import numpy as np
 from fungrasp.hands import Hand
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.objects import ObjectModel
+from fungrasp.optimization.collision_scene import CollisionScene
 from fungrasp.optimization.contact_forces import balanced_forces
-from fungrasp.optimization.hand_problem import HandPoints, State, Surroundings
+from fungrasp.optimization.hand_state import HandPoints, HandState
 
 
 def squeeze_torques(
     hand: Hand,
-    around: Surroundings,
+    around: CollisionScene,
     objects: list[ObjectModel],
     wrist_in_object: np.ndarray,
     grasp: np.ndarray,
@@ -41,16 +42,16 @@ def squeeze_torques(
         Torques on the independent joints [N m per N], shape [N, U].
     """
     points = HandPoints(HandKinematics(hand, len(around)))
-    state = State(points, around, wrist_in_object, grasp)
+    state = HandState(points, around, wrist_in_object, grasp)
     nearest = np.stack([m[np.argmin(state.clearance[:, m], axis=1)] for m in points.link_members], axis=1)
     clearance = np.take_along_axis(state.clearance, nearest, axis=1)
     normal = np.take_along_axis(state.normals, nearest[..., None], axis=1)
     normal = normal / np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-9)
     place = (
-        np.take_along_axis(state.balls, nearest[..., None], axis=1)
-        - points.balls.radius[nearest][..., None] * normal
+        np.take_along_axis(state.spheres, nearest[..., None], axis=1)
+        - points.spheres.radius[nearest][..., None] * normal
     )
-    jacobian = points.kinematics.jacobian(points.balls.points.bodies[nearest], place)[..., 6:]
+    jacobian = points.kinematics.jacobian(points.spheres.points.bodies[nearest], place)[..., 6:]
     used = contacts & (clearance < near)
     lonely = used.sum(axis=1) < 2
     used[lonely] = (clearance <= np.sort(clearance, axis=1)[:, 2:3])[lonely]

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from fungrasp.grasps import HUMAN_LINKS
-from fungrasp.grasps.human_hand import FINGERS
+from fungrasp.grasps.human_hand import HUMAN_FINGERS
 from fungrasp.grasps.importers.dexycb import MIRRORED
 from fungrasp.objects import ObjectModel
 from fungrasp.perception import Capture
@@ -144,7 +144,7 @@ def contact_words(link_contacts: np.ndarray) -> str:
     """ "palm; index: distal; thumb: middle, distal". link_contacts: shape [16] bool."""
     touching = [name for name, touches in zip(HUMAN_LINKS, link_contacts, strict=True) if touches]
     words = ["palm"] * ("palm" in touching)
-    for finger in FINGERS:
+    for finger in HUMAN_FINGERS:
         links = [name.removeprefix(f"{finger}_") for name in touching if name.startswith(f"{finger}_")]
         words += [f"{finger}: {', '.join(links)}"] * bool(links)
     return "; ".join(words) or "nothing"
@@ -170,7 +170,7 @@ def _seen(capture: Capture, model: ObjectModel, perceived: Perceived) -> str:
     over = drawn_over(capture, hand, model, pose, perceived.object.accepted)
     view = close_up(capture, hand, model, pose)
     legend = "".join(
-        f'<li><i style="background:rgb{FINGER_COLOURS[finger]}"></i>{finger}</li>' for finger in FINGERS
+        f'<li><i style="background:rgb{FINGER_COLOURS[finger]}"></i>{finger}</li>' for finger in HUMAN_FINGERS
     )
     words = (
         "The hand's skeleton, a colour for each finger, and the outline of the object's mesh, hidden parts "

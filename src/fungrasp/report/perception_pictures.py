@@ -11,7 +11,7 @@ from scipy import ndimage
 from fungrasp.errors import FungraspError
 from fungrasp.geometry.poses import rotate, transform_points
 from fungrasp.grasps import HumanGrasp
-from fungrasp.grasps.human_hand import BONES, FINGERS, mirror_points
+from fungrasp.grasps.human_hand import BONES, HUMAN_FINGERS, mirror_points
 from fungrasp.objects import ObjectModel
 from fungrasp.perception import Capture, HandEstimate, Intrinsics
 from fungrasp.perception.object_pose.mesh_rays import MeshRays
@@ -235,7 +235,7 @@ def _with_skeleton(picture: np.ndarray, view: CloseUp, lens: Intrinsics, hand: H
     places = _FINE * view.place(lens.project(joints))
     spread = np.sqrt(np.trace(hand.covariance, axis1=1, axis2=2) / 3)
     radius = _FINE * view.scale * lens.fx * spread / np.maximum(joints[:, 2], 1e-3)
-    colours = [SURE_LINE, *(FINGER_COLOURS[FINGERS[joint // 4]] for joint in range(20))]
+    colours = [SURE_LINE, *(FINGER_COLOURS[HUMAN_FINGERS[joint // 4]] for joint in range(20))]
     size = (_FINE * SHAPE[0], _FINE * SHAPE[1])
     sheet = Image.fromarray(picture).resize(size, Image.Resampling.BICUBIC)
     draw = ImageDraw.Draw(sheet, "RGBA")

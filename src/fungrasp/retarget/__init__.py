@@ -1,4 +1,4 @@
-"""HumanGrasp -> RobotGrasp (paper IV.A)."""
+"""Human grasps to robot grasps (paper IV.A), and the baselines."""
 
 from fungrasp.retarget.contact_optimization import RetargetSettings
 from fungrasp.retarget.retarget import METHODS, retarget

@@ -1,4 +1,4 @@
-"""Baseline "angle-copy": the human's joint angles set on the robot, with no regard to contact.
+"""Baseline "angle-copy": the human's joint angles set on the robot, without regard to contact.
 
 "Angle Reset" in the paper.
 """
@@ -14,20 +14,23 @@ import numpy as np
 from fungrasp.geometry.poses import rotate
 from fungrasp.grasps.anatomy import joint_bends
 from fungrasp.hands import FINGERS, Hand
+from fungrasp.hands.checking.kinematic_tree import ancestors
 from fungrasp.hands.correspondence import HUMAN_FINGER_JOINTS
-from fungrasp.optimization.hand_problem import HandPoints, Problem, State
-from fungrasp.optimization.levenberg_marquardt import minimise
-from fungrasp.optimization.terms import Residual
+from fungrasp.optimization.hand_state import HandPoints, HandState
+from fungrasp.optimization.levenberg_marquardt import minimize
+from fungrasp.optimization.retargeting_problem import RetargetingProblem
+from fungrasp.optimization.terms import Residual, link_direction
 from fungrasp.retarget.contact_optimization import RetargetSettings, palm_alignment
 
 PARALLEL, PERPENDICULAR = np.cos(np.radians(25.0)), np.cos(np.radians(65.0))
 """Cosines of the angle to a finger's flexion axis within which a joint flexes, beyond which it spreads."""
 
 THUMB_ITERATIONS = 20
+"""Solver iterations for the joints at the base of the thumb."""
 
 
 class JointRoles(NamedTuple):
-    """Which joints bend which finger link, and which way.
+    """The sign with which each joint flexes a finger link or spreads a finger.
 
     ``angles = matrix @ joint_positions`` [rad] are the flexions of each finger's links towards the palm, then
     its deviation towards the side of the index finger.
@@ -41,14 +44,16 @@ class JointRoles(NamedTuple):
     """Which independent joints move the thumb and have no such role, shape [U] bool."""
 
 
-def solve(points: HandPoints, problem: Problem, settings: RetargetSettings) -> tuple[np.ndarray, np.ndarray]:
+def retarget_by_angle_copy(
+    points: HandPoints, problem: RetargetingProblem, settings: RetargetSettings
+) -> tuple[np.ndarray, np.ndarray]:
     """Wrist poses in the object's frame [N, 7] and independent joints [N, U].
 
     The palms are aligned. Each robot joint is set to the human angle whose role it plays (``joint_roles``),
     clipped to its limits; coupled joints share by least squares. The joints at the base of the thumb have no
-    human twin, as thumbs sit differently on each hand: they take the angles at which its first two links
-    point as the human's do. Then the hand is moved so that the mean of its fingertips lies where the human's
-    does. ``settings`` is not used.
+    human counterpart, as thumbs sit differently on each hand: they take the angles at which its first two
+    links point as the human's do. Then the hand is moved so that the mean of its fingertips lies where the
+    human's does. ``settings`` is not used.
     """
     kinematics = points.kinematics
     roles = joint_roles(kinematics.hand)
@@ -56,7 +61,7 @@ def solve(points: HandPoints, problem: Problem, settings: RetargetSettings) -> t
     rotation = palm_alignment(kinematics.hand, problem.joints)
     pose = np.concatenate([np.zeros((len(problem), 3)), rotation], axis=1)
     thumb = partial(thumb_direction, free=np.concatenate([np.zeros(6, dtype=bool), roles.thumb_base]))
-    pose, independent, _ = minimise(points, problem, [thumb], pose, independent, THUMB_ITERATIONS)
+    pose, independent, _ = minimize(points, problem, [thumb], pose, independent, THUMB_ITERATIONS)
     kinematics.update(pose, independent)
     match = points.match
     tips = kinematics.points(points.keypoints)[:, match.far[match.is_last]]
@@ -156,22 +161,15 @@ def joint_roles(hand: Hand) -> JointRoles:
     return JointRoles(matrix, fan, np.any(coupling[in_thumb], axis=0) & ~has_role)
 
 
-def thumb_direction(state: State[Problem], free: np.ndarray) -> Residual:
+def thumb_direction(state: HandState[RetargetingProblem], free: np.ndarray) -> Residual:
     """d_robot - d_human for the thumb's first two links, d the unit vector along a link.
 
     Args:
         free: which entries of the tangent vector may change, shape [D] bool; others have derivative zero.
     """
-    match = state.points.match
-    first = np.flatnonzero(match.is_thumb)[:2]
-    near, far = match.near[first], match.far[first]
-    robot = state.keypoints[:, far] - state.keypoints[:, near]
-    human = state.problem.joints[:, match.human_far[first]] - state.problem.joints[:, match.human_near[first]]
-    length = np.linalg.norm(robot, axis=-1, keepdims=True)
-    robot, human = robot / length, human / np.linalg.norm(human, axis=-1, keepdims=True)
-    move = (state.keypoint_jacobian(far) - state.keypoint_jacobian(near)) / length[..., None]
-    jacobian = (move - robot[..., None] * np.einsum("nsi,nsid->nsd", robot, move)[:, :, None]) * free
-    return (robot - human).reshape(len(robot), -1), jacobian.reshape(len(robot), -1, free.size)
+    first = np.flatnonzero(state.points.match.is_thumb)[:2]
+    residual, jacobian = link_direction(state, unit=1.0, links=first)
+    return residual, jacobian * free
 
 
 def _moved_links(hand: Hand) -> dict[str, dict[int, int]]:
@@ -185,7 +183,7 @@ def _moved_links(hand: Hand) -> dict[str, dict[int, int]]:
             (name, i)
             for name, chain in chains.items()
             for i, link in enumerate(chain)
-            if body in _ancestors(model, link)
+            if body in ancestors(model, link)
         ]
         if len({name for name, _ in moved}) == 1:
             name, first = moved[0]
@@ -196,12 +194,3 @@ def _moved_links(hand: Hand) -> dict[str, dict[int, int]]:
 def _position(data: mujoco.MjData, name: str) -> np.ndarray:
     is_site = mujoco.mj_name2id(data.model, mujoco.mjtObj.mjOBJ_SITE, name) >= 0
     return (data.site(name) if is_site else data.body(name)).xpos
-
-
-def _ancestors(model: mujoco.MjModel, body: int) -> set[int]:
-    """The body itself and all above it but the world."""
-    found = set()
-    while body:
-        found.add(body)
-        body = int(model.body_parentid[body])
-    return found

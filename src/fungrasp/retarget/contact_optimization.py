@@ -1,4 +1,4 @@
-"""Our retargeting: initialise by wrist, fingertips and link directions, then optimise contact and collision
+"""Our retargeting: initialize by wrist, fingertips and link directions, then optimize contact and collision
 (paper IV.A)."""
 
 from __future__ import annotations
@@ -11,24 +11,25 @@ from scipy.spatial.transform import Rotation
 
 from fungrasp.hands import Hand
 from fungrasp.optimization import terms
-from fungrasp.optimization.hand_problem import HandPoints, Problem
-from fungrasp.optimization.levenberg_marquardt import Term, minimise
+from fungrasp.optimization.hand_state import HandPoints
+from fungrasp.optimization.levenberg_marquardt import Term, minimize
+from fungrasp.optimization.retargeting_problem import RetargetingProblem
 
 
 @dataclass(frozen=True)
 class RetargetSettings:
-    """What counts how much: the size at which each term counts as one unit."""
+    """The size at which each term of the objective counts as one unit, and numbers of iterations."""
 
     fingertip_unit: float = 0.01
-    """[m], first stage."""
+    """Distance of a fingertip from the human one, first stage [m]."""
     direction_unit: float = 0.5
-    """Difference of unit vectors, first stage."""
+    """Difference of the unit vectors along a link, first stage [-]."""
     contact_unit: float = 0.0033
-    """[m]."""
+    """Distance of a contact from its target on the surface [m]."""
     inner_contact_weight: float = 0.3
-    """Factor for contacts of links that don't end in a fingertip."""
+    """Factor for contacts of links that do not end in a fingertip [-]."""
     gap_unit: float = 0.002
-    """[m]."""
+    """Gap between a link that should touch and the object [m]."""
     object_unit: float = 0.0006
     """Penetration of the object [m]."""
     table_unit: float = 0.0007
@@ -38,16 +39,20 @@ class RetargetSettings:
     self_unit: float = 0.001
     """Penetration of the hand by itself [m]."""
     closure_unit: float = 0.3
-    """Unbalanced part of contact forces that sum to one."""
+    """Unbalanced part of contact forces that sum to one [-]."""
     closure_friction: float = 0.3
-    """Friction that the balance may count on."""
+    """Friction coefficient that the balance may use; well below the nominal one [-]."""
     posture_unit: float = 0.85
-    """Difference of unit vectors, second stage."""
+    """Difference of the unit vectors along a link, second stage [-]."""
     first_iterations: int = 15
+    """Solver iterations of the first stage."""
     second_iterations: int = 30
+    """Solver iterations of the second stage."""
 
 
-def solve(points: HandPoints, problem: Problem, settings: RetargetSettings) -> tuple[np.ndarray, np.ndarray]:
+def retarget_by_contact_optimization(
+    points: HandPoints, problem: RetargetingProblem, settings: RetargetSettings
+) -> tuple[np.ndarray, np.ndarray]:
     """Wrist poses in the object's frame [N, 7] and independent joints [N, U]."""
     wrist_pose, independent = initial_pose(points, problem)
     table = partial(terms.table_penetration, unit=settings.table_unit, margin=settings.table_margin)
@@ -57,7 +62,7 @@ def solve(points: HandPoints, problem: Problem, settings: RetargetSettings) -> t
         partial(terms.link_direction, unit=settings.direction_unit),
         partial(table, unit=0.005),
     ]
-    wrist_pose, independent, _ = minimise(
+    wrist_pose, independent, _ = minimize(
         points, problem, first, wrist_pose, independent, settings.first_iterations
     )
     start = (wrist_pose, independent)
@@ -73,13 +78,13 @@ def solve(points: HandPoints, problem: Problem, settings: RetargetSettings) -> t
         table,
         itself,
     ]
-    wrist_pose, independent, _ = minimise(
+    wrist_pose, independent, _ = minimize(
         points, problem, second, wrist_pose, independent, settings.second_iterations
     )
     return wrist_pose, independent
 
 
-def initial_pose(points: HandPoints, problem: Problem) -> tuple[np.ndarray, np.ndarray]:
+def initial_pose(points: HandPoints, problem: RetargetingProblem) -> tuple[np.ndarray, np.ndarray]:
     """Palms aligned by the directions wrist to middle finger and palm normal, fingers a quarter closed."""
     kinematics = points.kinematics
     rotation = palm_alignment(kinematics.hand, problem.joints)
@@ -100,9 +105,11 @@ def palm_alignment(hand: Hand, joints: np.ndarray) -> np.ndarray:
     """
     fingers = joints[:, 5] - joints[:, 0]
     fingers = fingers / np.linalg.norm(fingers, axis=1, keepdims=True)
+    # Joints 0, 1, 5, 13: wrist, and the bases of index, middle and pinky.
     normal = np.cross(joints[:, 1] - joints[:, 0], joints[:, 13] - joints[:, 0])
     normal -= np.sum(normal * fingers, axis=1, keepdims=True) * fingers
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    # Columns of both matrices are the same three axes of the palm, so that human = rotation @ robot.
     human = np.stack([fingers, normal, np.cross(fingers, normal)], axis=-1)
     robot = np.stack(
         [hand.palm_fingers, hand.palm_normal, np.cross(hand.palm_fingers, hand.palm_normal)], axis=-1

@@ -1,4 +1,4 @@
-"""Human grasps in, robot grasps out."""
+"""Retargeting of human grasps to robot hands, by the method of choice."""
 
 from __future__ import annotations
 
@@ -13,16 +13,18 @@ from fungrasp.hands import Hand
 from fungrasp.hands.correspondence import correspond
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.objects import ObjectModel
-from fungrasp.optimization.hand_problem import HandPoints, Problem
+from fungrasp.optimization.hand_state import HandPoints
+from fungrasp.optimization.retargeting_problem import RetargetingProblem
 from fungrasp.parallel import in_chunks
-from fungrasp.retarget import angle_copy, contact_optimization, dexgraspnet
-from fungrasp.retarget.contact_optimization import RetargetSettings
+from fungrasp.retarget.angle_copy import retarget_by_angle_copy
+from fungrasp.retarget.contact_optimization import RetargetSettings, retarget_by_contact_optimization
+from fungrasp.retarget.dexgraspnet import retarget_by_dexgraspnet
 
-Solver = Callable[[HandPoints, Problem, RetargetSettings], tuple[np.ndarray, np.ndarray]]
+Solver = Callable[[HandPoints, RetargetingProblem, RetargetSettings], tuple[np.ndarray, np.ndarray]]
 METHODS: dict[str, Solver] = {
-    "ours": contact_optimization.solve,
-    "angle-copy": angle_copy.solve,
-    "dexgraspnet": dexgraspnet.solve,
+    "ours": retarget_by_contact_optimization,
+    "angle-copy": retarget_by_angle_copy,
+    "dexgraspnet": retarget_by_dexgraspnet,
 }
 
 
@@ -55,7 +57,7 @@ def retarget(
         raise UnknownNameError("retargeting method", method, METHODS)
     settings = settings or RetargetSettings()
     match = correspond(hand)
-    problem = Problem.from_grasps(grasps, objects, match)
+    problem = RetargetingProblem.from_grasps(grasps, objects, match)
 
     def run(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         part = problem.rows(rows)

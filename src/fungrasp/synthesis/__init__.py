@@ -1,1 +1,13 @@
-"""Human grasps written as specifications (part, task, fingers) and solved."""
+"""Human grasps written as specifications (object, part, task, kind of grasp) and solved."""
+
+from fungrasp.synthesis.grasp_specification import GRASP_KINDS, GraspKind, GraspSpecification
+from fungrasp.synthesis.synthesize import SynthesisSettings, synthesize_candidates, synthesize_grasps
+
+__all__ = [
+    "GRASP_KINDS",
+    "GraspKind",
+    "GraspSpecification",
+    "SynthesisSettings",
+    "synthesize_candidates",
+    "synthesize_grasps",
+]

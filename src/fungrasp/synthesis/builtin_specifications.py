@@ -1,7 +1,7 @@
-"""How people hold the built-in objects: the wishes from which the built-in grasps are made.
+"""How people hold the built-in objects: the specifications from which the built-in grasps are made.
 
 Directions are in the objects' frames, z up as they stand on the table. Overhand, with the palm down, the
-thumb is on the side of +x when the fingers point to -y. Upright things are held from the side, thumb up.
+thumb is on the side of +x when the fingers point to -y. Upright objects are held from the side, thumb up.
 """
 
 from __future__ import annotations
@@ -10,40 +10,41 @@ from dataclasses import replace
 
 import numpy as np
 
-from fungrasp.synthesis.specification import GraspWish, Vector
+from fungrasp.synthesis.grasp_specification import GraspSpecification as Spec
+from fungrasp.synthesis.grasp_specification import Vector3
 
-DOWN: Vector = (0, 0, -1)
-LEFT: Vector = (0, 1, 0)
-RIGHT: Vector = (0, -1, 0)
-AHEAD: Vector = (1, 0, 0)
-BACK: Vector = (-1, 0, 0)
-
-
-def _around(wish: GraspWish, *degrees: float, about: tuple[float, float] = (0, 0)) -> list[GraspWish]:
-    return [wish.turned(np.deg2rad(angle), about) for angle in degrees]
+DOWN: Vector3 = (0, 0, -1)
+LEFT: Vector3 = (0, 1, 0)
+RIGHT: Vector3 = (0, -1, 0)
+AHEAD: Vector3 = (1, 0, 0)
+BACK: Vector3 = (-1, 0, 0)
 
 
-def _along(wish: GraspWish, *places: float, axis: int = 0) -> list[GraspWish]:
-    """The same wish with other coordinates of ``at`` along an axis."""
+def _around(spec: Spec, *degrees: float, about: tuple[float, float] = (0, 0)) -> list[Spec]:
+    return [spec.turned(np.deg2rad(angle), about) for angle in degrees]
+
+
+def _along(spec: Spec, *places: float, axis: int = 0) -> list[Spec]:
+    """The same specification with other coordinates of ``at`` along an axis."""
     result = []
     for place in places:
-        at = list(wish.at)
+        at = list(spec.at)
         at[axis] = place
-        result.append(replace(wish, at=(at[0], at[1], at[2])))
+        result.append(replace(spec, at=(at[0], at[1], at[2])))
     return result
 
 
-def _drinking() -> list[GraspWish]:
-    mug = GraspWish("mug", "drink", "handle", "handle", at=(0.053, 0, 0.0), palm=BACK, fingers=LEFT)
-    mug_body = GraspWish("mug", "hand over", "body", "wrap", at=(-0.016, 0, 0.008), palm=AHEAD, fingers=RIGHT)
-    mug_rim = GraspWish("mug", "place", "rim", "disk", at=(-0.016, 0, 0.04), palm=DOWN, fingers=AHEAD)
-    stem = GraspWish("wine_glass", "drink", "stem", "pinch", at=(0, 0, -0.045), palm=LEFT, fingers=AHEAD)
-    bowl = GraspWish("wine_glass", "toast", "bowl", "wrap", at=(0, 0, 0.035), palm=LEFT, fingers=AHEAD)
-    top = GraspWish("wine_glass", "place", "bowl", "disk", at=(0, 0, 0.08), palm=DOWN, fingers=AHEAD)
-    pour = GraspWish("pitcher", "pour", "handle", "fist", at=(0.094, 0, 0.0), palm=BACK, fingers=LEFT)
-    wall = GraspWish("pitcher", "hand over", "body", "pinch", at=(0, 0.064, 0.1), palm=DOWN, fingers=LEFT)
-    tea = GraspWish("teapot", "pour", "handle", "fist", at=(0.109, 0, -0.005), palm=BACK, fingers=LEFT)
-    lid = GraspWish("teapot", "open", "lid", "pinch", at=(0.009, 0, 0.049), palm=DOWN, fingers=BACK)
+def _drinking() -> list[Spec]:
+    mug = Spec("mug", "drink", "handle", "handle", at=(0.053, 0, 0.0), palm=BACK, fingers=LEFT)
+    mug_body = Spec("mug", "hand over", "body", "wrap", at=(-0.016, 0, 0.008), palm=AHEAD, fingers=RIGHT)
+    mug_rim = Spec("mug", "place", "rim", "disk", at=(-0.016, 0, 0.04), palm=DOWN, fingers=AHEAD)
+    stem = Spec("wine_glass", "drink", "stem", "pinch", at=(0, 0, -0.045), palm=LEFT, fingers=AHEAD)
+    bowl = Spec("wine_glass", "toast", "bowl", "wrap", at=(0, 0, 0.035), palm=LEFT, fingers=AHEAD)
+    top = Spec("wine_glass", "place", "bowl", "disk", at=(0, 0, 0.08), palm=DOWN, fingers=AHEAD)
+    pour = Spec("pitcher", "pour", "handle", "fist", at=(0.094, 0, 0.0), palm=BACK, fingers=LEFT)
+    wall = Spec("pitcher", "hand over", "body", "pinch", at=(0, 0.064, 0.1), palm=DOWN, fingers=LEFT)
+    tea = Spec("teapot", "pour", "handle", "fist", at=(0.109, 0, -0.005), palm=BACK, fingers=LEFT)
+    lid = Spec("teapot", "open", "lid", "pinch", at=(0.009, 0, 0.049), palm=DOWN, fingers=BACK)
     return [
         replace(mug, palm=(-1, 0, -0.3)),
         replace(mug, palm=(-1, -0.2, -0.3)),
@@ -63,12 +64,12 @@ def _drinking() -> list[GraspWish]:
     ]
 
 
-def _kitchen() -> list[GraspWish]:
-    cook = GraspWish("pan", "cook", "handle", "wrap", at=(0.07, 0, 0.012), palm=DOWN, fingers=LEFT)
-    pan_rim = GraspWish("pan", "wash", "body", "pinch", at=(-0.09, 0.117, 0.008), palm=DOWN, fingers=LEFT)
-    cut = GraspWish("knife", "cut", "handle", "cover", at=(-0.08, 0.008, 0), palm=DOWN, fingers=RIGHT)
-    chop = GraspWish("knife", "chop", "handle", "pinch", at=(-0.045, 0.008, 0), palm=DOWN, fingers=RIGHT)
-    eat = GraspWish(
+def _kitchen() -> list[Spec]:
+    cook = Spec("pan", "cook", "handle", "wrap", at=(0.07, 0, 0.012), palm=DOWN, fingers=LEFT)
+    pan_rim = Spec("pan", "wash", "body", "pinch", at=(-0.09, 0.117, 0.008), palm=DOWN, fingers=LEFT)
+    cut = Spec("knife", "cut", "handle", "cover", at=(-0.08, 0.008, 0), palm=DOWN, fingers=RIGHT)
+    chop = Spec("knife", "chop", "handle", "pinch", at=(-0.045, 0.008, 0), palm=DOWN, fingers=RIGHT)
+    eat = Spec(
         "bowl",
         "eat",
         "rim",
@@ -78,12 +79,10 @@ def _kitchen() -> list[GraspWish]:
         fingers=(1, 0, -1),
         parts=dict.fromkeys(("index", "middle", "ring"), "body"),
     )
-    flip = GraspWish("spatula", "flip", "handle", "cover", at=(-0.08, 0, 0.002), palm=DOWN, fingers=RIGHT)
-    shaft = GraspWish(
-        "spatula", "hand over", "shaft", "pinch", at=(-0.01, 0, 0.004), palm=DOWN, fingers=RIGHT
-    )
-    scrub = GraspWish("brush", "scrub", "handle", "cover", at=(-0.03, 0, 0.008), palm=DOWN, fingers=RIGHT)
-    head = GraspWish("brush", "hand over", "head", "prism", at=(0.085, 0, 0.015), palm=DOWN, fingers=LEFT)
+    flip = Spec("spatula", "flip", "handle", "cover", at=(-0.08, 0, 0.002), palm=DOWN, fingers=RIGHT)
+    shaft = Spec("spatula", "hand over", "shaft", "pinch", at=(-0.01, 0, 0.004), palm=DOWN, fingers=RIGHT)
+    scrub = Spec("brush", "scrub", "handle", "cover", at=(-0.03, 0, 0.008), palm=DOWN, fingers=RIGHT)
+    head = Spec("brush", "hand over", "head", "prism", at=(0.085, 0, 0.015), palm=DOWN, fingers=LEFT)
     return [
         *_along(cook, 0.06, 0.075, 0.09),
         pan_rim,
@@ -102,15 +101,15 @@ def _kitchen() -> list[GraspWish]:
     ]
 
 
-def _containers() -> list[GraspWish]:
-    can = GraspWish("can", "drink", "body", "wrap", at=(0, 0, 0), palm=LEFT, fingers=AHEAD)
-    can_top = GraspWish("can", "place", "body", "disk", at=(0, 0, 0.04), palm=DOWN, fingers=AHEAD)
-    box = GraspWish("box", "hand over", "body", "prism", at=(0, -0.015, 0), palm=LEFT, fingers=AHEAD)
-    box_top = GraspWish("box", "place", "body", "prism", at=(0, 0, 0.065), palm=DOWN, fingers=AHEAD)
-    bottle = GraspWish("bottle", "drink", "body", "wrap", at=(0, 0, -0.01), palm=LEFT, fingers=AHEAD)
-    cap = GraspWish("bottle", "open", "cap", "pinch", at=(0, 0, 0.095), palm=DOWN, fingers=AHEAD)
-    neck = GraspWish("bottle", "hand over", "body", "disk", at=(0, 0, 0.055), palm=DOWN, fingers=AHEAD)
-    spray = GraspWish(
+def _containers() -> list[Spec]:
+    can = Spec("can", "drink", "body", "wrap", at=(0, 0, 0), palm=LEFT, fingers=AHEAD)
+    can_top = Spec("can", "place", "body", "disk", at=(0, 0, 0.04), palm=DOWN, fingers=AHEAD)
+    box = Spec("box", "hand over", "body", "prism", at=(0, -0.015, 0), palm=LEFT, fingers=AHEAD)
+    box_top = Spec("box", "place", "body", "prism", at=(0, 0, 0.065), palm=DOWN, fingers=AHEAD)
+    bottle = Spec("bottle", "drink", "body", "wrap", at=(0, 0, -0.01), palm=LEFT, fingers=AHEAD)
+    cap = Spec("bottle", "open", "cap", "pinch", at=(0, 0, 0.095), palm=DOWN, fingers=AHEAD)
+    neck = Spec("bottle", "hand over", "body", "disk", at=(0, 0, 0.055), palm=DOWN, fingers=AHEAD)
+    spray = Spec(
         "spray_bottle",
         "spray",
         "neck",
@@ -121,9 +120,7 @@ def _containers() -> list[GraspWish]:
         parts={"index": "trigger"},
         contacts=("index_distal", "middle_middle", "middle_distal", "thumb_distal"),
     )
-    body = GraspWish(
-        "spray_bottle", "hand over", "body", "wrap", at=(-0.008, 0, -0.04), palm=AHEAD, fingers=RIGHT
-    )
+    body = Spec("spray_bottle", "hand over", "body", "wrap", at=(-0.008, 0, -0.04), palm=AHEAD, fingers=RIGHT)
     return [
         *_around(can, 0, 90, 180, 270),
         *_around(can_top, 0, 120),
@@ -142,14 +139,12 @@ def _containers() -> list[GraspWish]:
     ]
 
 
-def _tools() -> list[GraspWish]:
-    hammer = GraspWish("hammer", "hammer", "grip", "cover", at=(-0.05, -0.006, 0), palm=DOWN, fingers=RIGHT)
-    shaft = GraspWish("hammer", "hand over", "shaft", "prism", at=(0.03, -0.006, 0), palm=DOWN, fingers=RIGHT)
-    drive = GraspWish("screwdriver", "drive", "handle", "cover", at=(-0.06, 0, 0), palm=DOWN, fingers=RIGHT)
-    rod = GraspWish(
-        "screwdriver", "hand over", "shaft", "pinch", at=(0.015, 0, -0.006), palm=DOWN, fingers=RIGHT
-    )
-    drill = GraspWish(
+def _tools() -> list[Spec]:
+    hammer = Spec("hammer", "hammer", "grip", "cover", at=(-0.05, -0.006, 0), palm=DOWN, fingers=RIGHT)
+    shaft = Spec("hammer", "hand over", "shaft", "prism", at=(0.03, -0.006, 0), palm=DOWN, fingers=RIGHT)
+    drive = Spec("screwdriver", "drive", "handle", "cover", at=(-0.06, 0, 0), palm=DOWN, fingers=RIGHT)
+    rod = Spec("screwdriver", "hand over", "shaft", "pinch", at=(0.015, 0, -0.006), palm=DOWN, fingers=RIGHT)
+    drill = Spec(
         "drill",
         "drill",
         "grip",
@@ -159,8 +154,8 @@ def _tools() -> list[GraspWish]:
         fingers=(1, -0.4, 0),
         parts={"index": "trigger"},
     )
-    motor = GraspWish("drill", "hand over", "body", "wrap", at=(-0.03, 0, 0.079), palm=DOWN, fingers=RIGHT)
-    clamp = GraspWish(
+    motor = Spec("drill", "hand over", "body", "wrap", at=(-0.03, 0, 0.079), palm=DOWN, fingers=RIGHT)
+    clamp = Spec(
         "clamp",
         "clamp",
         "handles",
@@ -174,9 +169,9 @@ def _tools() -> list[GraspWish]:
             "middle_distal": (-0.05, -0.037, 0),
         },
     )
-    jaws = GraspWish("clamp", "hand over", "jaws", "prism", at=(0.035, 0, 0), palm=DOWN, fingers=LEFT)
-    torch = GraspWish("flashlight", "light", "body", "cover", at=(-0.02, 0, -0.004), palm=DOWN, fingers=RIGHT)
-    glass = GraspWish("flashlight", "hand over", "head", "pinch", at=(0.05, 0, 0), palm=DOWN, fingers=LEFT)
+    jaws = Spec("clamp", "hand over", "jaws", "prism", at=(0.035, 0, 0), palm=DOWN, fingers=LEFT)
+    torch = Spec("flashlight", "light", "body", "cover", at=(-0.02, 0, -0.004), palm=DOWN, fingers=RIGHT)
+    glass = Spec("flashlight", "hand over", "head", "pinch", at=(0.05, 0, 0), palm=DOWN, fingers=LEFT)
     return [
         *_along(hammer, -0.06, -0.04),
         *_along(replace(hammer, kind="prism"), -0.05, -0.035),
@@ -198,8 +193,8 @@ def _tools() -> list[GraspWish]:
     ]
 
 
-def _desk() -> list[GraspWish]:
-    snip = GraspWish(
+def _desk() -> list[Spec]:
+    snip = Spec(
         "scissors",
         "cut",
         "loops",
@@ -213,15 +208,15 @@ def _desk() -> list[GraspWish]:
             "middle_distal": (-0.08, -0.01, 0),
         },
     )
-    blades = GraspWish("scissors", "hand over", "blades", "pinch", at=(0.0, 0, 0), palm=DOWN, fingers=LEFT)
-    write = GraspWish(
+    blades = Spec("scissors", "hand over", "blades", "pinch", at=(0.0, 0, 0), palm=DOWN, fingers=LEFT)
+    write = Spec(
         "marker", "write", "barrel", "tripod", at=(-0.01, 0, 0), palm=(0, 0.3, -1), fingers=(0.3, -1, -0.3)
     )
-    cap = GraspWish("marker", "open", "cap", "pinch", at=(0.03, 0, 0), palm=DOWN, fingers=LEFT)
-    read = GraspWish(
+    cap = Spec("marker", "open", "cap", "pinch", at=(0.03, 0, 0), palm=DOWN, fingers=LEFT)
+    read = Spec(
         "book", "read", "cover", "prism", at=(0.035, 0, 0), palm=BACK, fingers=(0, 0, 1), up=(1, 0, 0)
     )
-    throw = GraspWish("tennis_ball", "throw", "ball", "disk", at=(0, 0, 0), palm=DOWN, fingers=AHEAD)
+    throw = Spec("tennis_ball", "throw", "ball", "disk", at=(0, 0, 0), palm=DOWN, fingers=AHEAD)
     return [
         snip,
         replace(snip, fingers=(-0.4, -1, 0)),
@@ -239,5 +234,5 @@ def _desk() -> list[GraspWish]:
     ]
 
 
-EVERYDAY: tuple[GraspWish, ...] = (*_drinking(), *_kitchen(), *_containers(), *_tools(), *_desk())
-"""What ``fungrasp grasps make`` makes."""
+BUILTIN_SPECIFICATIONS: tuple[Spec, ...] = (*_drinking(), *_kitchen(), *_containers(), *_tools(), *_desk())
+"""The specifications that ``fungrasp grasps make`` solves."""

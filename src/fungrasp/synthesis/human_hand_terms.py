@@ -17,23 +17,26 @@ from fungrasp.errors import UnknownNameError
 from fungrasp.grasps import HUMAN_LINKS
 from fungrasp.hands.kinematics import BodyPoints, HandKinematics
 from fungrasp.objects import ObjectModel
-from fungrasp.optimization.hand_problem import HandPoints, SelfPairs, State, Surroundings
+from fungrasp.optimization.collision_scene import CollisionScene
+from fungrasp.optimization.hand_state import HandPoints, HandState, SelfPairs
 from fungrasp.optimization.terms import Residual
-from fungrasp.synthesis.specification import KINDS, WHOLE, GraspWish
+from fungrasp.synthesis.grasp_specification import GRASP_KINDS, WHOLE, GraspSpecification
 
 PAD = 0.4
-"""A finger's pad is a ball that touches its capsule from inside; how far off the axis, over the radius."""
+"""A finger's pad is a sphere that touches its capsule from inside: distance of its center from the axis, over
+the radius of the capsule."""
 
 SAMPLE_GAP = 0.003
-"""Largest edge of the triangles whose corners and middles stand for a part's surface [m]."""
+"""Largest edge of the triangles whose corners and centers sample a part's surface [m]."""
 
 
 class HumanPoints(HandPoints):
-    """The human hand's points, its pads and thumb sides, and pairs of balls that include the palm."""
+    """``HandPoints`` of the human hand, with finger pads, thumb sides and pairs of spheres that include the
+    palm."""
 
     def __init__(self, kinematics: HandKinematics, spacing: float = 0.018):
         super().__init__(kinematics, spacing)
-        points, radius = self.balls.points, self.balls.radius
+        points, radius = self.spheres.points, self.spheres.radius
         shift = PAD * radius[:, None]
         self.pads = BodyPoints(points.bodies, points.offsets + shift * np.array([1.0, 0.0, 0.0]))
         self.sides = BodyPoints(points.bodies, points.offsets + shift * np.array([0.0, 1.0, 0.0]))
@@ -41,8 +44,9 @@ class HumanPoints(HandPoints):
 
 
 def _pairs(points: HumanPoints) -> SelfPairs:
-    """Balls of different fingers, and of fingers and the palm but for the links that grow out of it."""
-    link = points.balls.link
+    """Spheres of different fingers, and of fingers and the palm but for the links that grow out of it."""
+    # finger: -1 for the palm, 0 to 3 for index to pinky, 4 for the thumb; place: 0 to 2 from base to tip.
+    link = points.spheres.link
     finger, place = np.where(link > 0, (link - 1) // 3, -1), np.where(link > 0, (link - 1) % 3, -1)
     every = np.arange(len(link))
     apart = (finger[:, None] < finger) & ~((finger[:, None] == -1) & (place == 0))
@@ -52,7 +56,7 @@ def _pairs(points: HumanPoints) -> SelfPairs:
 
 
 @dataclass(frozen=True)
-class Targets:
+class PartTargets:
     """Which link of which hand must touch which part; N hands."""
 
     trees: tuple[KDTree, ...]
@@ -65,18 +69,24 @@ class Targets:
     """Where the link should touch [m], NaN for anywhere, object frame, shape [N, 16, 3]."""
 
     @classmethod
-    def of(cls, wishes: Sequence[GraspWish], objects: Mapping[str, ObjectModel]) -> Targets:
-        """Raises: FungraspError if an object has no such part."""
-        keys = sorted({(w.object, part) for w in wishes for part in w.part_of_link.values()})
-        tree = np.full((len(wishes), len(HUMAN_LINKS)), -1)
+    def from_specifications(
+        cls, specs: Sequence[GraspSpecification], objects: Mapping[str, ObjectModel]
+    ) -> PartTargets:
+        """Targets of N hands, one specification each.
+
+        Raises:
+            FungraspError: an object has no such part.
+        """
+        keys = sorted({(spec.object, part) for spec in specs for part in spec.part_of_link.values()})
+        tree = np.full((len(specs), len(HUMAN_LINKS)), -1)
         radial = np.zeros(tree.shape, dtype=bool)
         places = np.full((*tree.shape, 3), np.nan)
-        for row, wish in enumerate(wishes):
-            for link, part in wish.part_of_link.items():
-                tree[row, HUMAN_LINKS.index(link)] = keys.index((wish.object, part))
-            for link in KINDS[wish.kind].radial:
+        for row, spec in enumerate(specs):
+            for link, part in spec.part_of_link.items():
+                tree[row, HUMAN_LINKS.index(link)] = keys.index((spec.object, part))
+            for link in GRASP_KINDS[spec.kind].radial:
                 radial[row, HUMAN_LINKS.index(link)] = True
-            for link, place in wish.places.items():
+            for link, place in spec.places.items():
                 places[row, HUMAN_LINKS.index(link)] = place
         return cls(tuple(part_samples(objects[name], part) for name, part in keys), tree, radial, places)
 
@@ -91,28 +101,28 @@ class Targets:
 
 
 @lru_cache(maxsize=256)
-def part_samples(thing: ObjectModel, part: str) -> KDTree:
+def part_samples(model: ObjectModel, part: str) -> KDTree:
     """Points about 2 mm apart on the faces of a part.
 
     Raises:
         UnknownNameError: the object has no such part.
     """
-    if part != WHOLE and part not in thing.parts:
-        raise UnknownNameError(f"part of object '{thing.name}'", part, (*thing.parts, WHOLE))
-    chosen = thing.faces if part == WHOLE else thing.faces[thing.parts[part]]
-    corners, faces = trimesh.remesh.subdivide_to_size(thing.vertices, chosen, SAMPLE_GAP, max_iter=30)[:2]
+    if part != WHOLE and part not in model.parts:
+        raise UnknownNameError(f"part of object '{model.name}'", part, (*model.parts, WHOLE))
+    chosen = model.faces if part == WHOLE else model.faces[model.parts[part]]
+    corners, faces = trimesh.remesh.subdivide_to_size(model.vertices, chosen, SAMPLE_GAP, max_iter=30)[:2]
     return KDTree(np.concatenate([corners[np.unique(faces)], corners[faces].mean(axis=1)]))
 
 
-def _touching_points(state: State[Surroundings], targets: Targets) -> np.ndarray:
-    """The points that should touch, in place of the balls' centres [m], shape [N, P, 3]."""
+def _touching_points(state: HandState[CollisionScene], targets: PartTargets) -> np.ndarray:
+    """The points that should touch, in place of the spheres' centers [m], shape [N, P, 3]."""
     points = state.points
     assert isinstance(points, HumanPoints)
     pads, sides = points.kinematics.points(points.pads), points.kinematics.points(points.sides)
-    return np.where(targets.radial[:, points.balls.link, None], sides, pads)
+    return np.where(targets.radial[:, points.spheres.link, None], sides, pads)
 
 
-def part_gap(state: State[Surroundings], targets: Targets, unit: float = 0.002) -> Residual:
+def part_gap(state: HandState[CollisionScene], targets: PartTargets, unit: float = 0.002) -> Residual:
     """max(0, |x - s| - r) / unit for each link that must touch: x and r its pad nearest to the part, s the
     part's point nearest to it.
 
@@ -120,24 +130,29 @@ def part_gap(state: State[Surroundings], targets: Targets, unit: float = 0.002) 
         unit: [m].
     """
     pads = _touching_points(state, targets)
-    link, radius = state.points.balls.link, (1 - PAD) * state.points.balls.radius
+    link, radius = state.points.spheres.link, (1 - PAD) * state.points.spheres.radius
+    # One query per sphere of each (hand, link) pair with a target; ``query`` is the pair each sphere belongs
+    # to.
     rows, links = np.nonzero(targets.tree >= 0)
     order = np.argsort(link, kind="stable")
     first, count = np.searchsorted(link[order], links), np.bincount(link, minlength=16)[links]
     query = np.repeat(np.arange(len(rows)), count)
-    ball = order[np.repeat(first, count) + np.arange(len(query)) - np.repeat(np.cumsum(count) - count, count)]
-    position = pads[rows[query], ball]
+    sphere = order[
+        np.repeat(first, count) + np.arange(len(query)) - np.repeat(np.cumsum(count) - count, count)
+    ]
+    position = pads[rows[query], sphere]
     between = position - targets.nearest(targets.tree[rows, links][query], position)
     distance = np.linalg.norm(between, axis=1)
-    gap = distance - radius[ball]
+    gap = distance - radius[sphere]
     starts = np.cumsum(count) - count
+    # Sorted by pair, then gap: the first of each pair is its nearest sphere.
     best = np.lexsort((gap, np.repeat(np.arange(len(rows)), count)))[starts]
     gap, direction = gap[best], between[best] / np.maximum(distance[best], 1e-9)[:, None]
     return _scattered(
         state,
         rows,
         links,
-        ball[best],
+        sphere[best],
         position[best],
         direction * (gap > 0)[:, None],
         np.maximum(gap, 0),
@@ -145,7 +160,7 @@ def part_gap(state: State[Surroundings], targets: Targets, unit: float = 0.002) 
     )
 
 
-def part_place(state: State[Surroundings], targets: Targets, unit: float = 0.008) -> Residual:
+def place_error(state: HandState[CollisionScene], targets: PartTargets, unit: float = 0.008) -> Residual:
     """(x - p) / unit for links with a place p, x the link's pad that is nearest to it.
 
     Args:
@@ -158,34 +173,35 @@ def part_place(state: State[Surroundings], targets: Targets, unit: float = 0.008
     if not len(rows):
         return residual, jacobian
     away = np.linalg.norm(pads[rows] - targets.places[rows, links][:, None], axis=-1)
-    away[state.points.balls.link[None] != links[:, None]] = np.inf
-    ball = np.argmin(away, axis=1)
-    move = _rows_jacobian(state, rows, ball, pads[rows, ball])
+    away[state.points.spheres.link[None] != links[:, None]] = np.inf
+    sphere = np.argmin(away, axis=1)
+    move = _rows_jacobian(state, rows, sphere, pads[rows, sphere])
     for axis in range(3):
         column = 3 * links + axis
-        residual[rows, column] = (pads[rows, ball, axis] - targets.places[rows, links, axis]) / unit
+        residual[rows, column] = (pads[rows, sphere, axis] - targets.places[rows, links, axis]) / unit
         jacobian[rows, column] = move[:, axis] / unit
     return residual, jacobian
 
 
 def natural_posture(
-    state: State[Surroundings],
+    state: HandState[CollisionScene],
     kinds: Sequence[str],
     along_unit: float = 1.2,
     off_unit: float = 0.25,
-    neighbour_unit: float = 0.4,
+    neighbor_unit: float = 0.4,
 ) -> Residual:
-    """Joints along each finger's way from open to closed, and neighbouring fingers about equally far.
+    """Joints near each finger's line from open to closed, and neighboring fingers about equally closed.
 
-    For finger f with way d_f: (d_f . (q - open) - half of the way) / along_unit, the rest of q - open over
-    ``off_unit``, and differences between neighbours' parts along the way over ``neighbour_unit``.
+    For finger f with direction d_f from open to closed: (d_f . (q - open) - half of the distance) /
+    along_unit, the rest of q - open over ``off_unit``, and differences of d_f . q between neighbors over
+    ``neighbor_unit``.
 
     Args:
-        kinds: of the hands, length N.
-        along_unit, off_unit, neighbour_unit: [rad].
+        kinds: name of each hand's grasp kind, length N.
+        along_unit, off_unit, neighbor_unit: [rad].
     """
     names = list(dict.fromkeys(kinds))
-    each = [_posture(name, along_unit, off_unit, neighbour_unit) for name in names]
+    each = [_posture(name, along_unit, off_unit, neighbor_unit) for name in names]
     which = np.array([names.index(kind) for kind in kinds])
     matrix, goal = np.stack([m for m, _ in each])[which], np.stack([g for _, g in each])[which]
     residual = (matrix @ state.independent[..., None])[..., 0] - goal
@@ -195,62 +211,68 @@ def natural_posture(
 
 
 def _posture(
-    kind: str, along_unit: float, off_unit: float, neighbour_unit: float
+    kind: str, along_unit: float, off_unit: float, neighbor_unit: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    start, way = np.array(KINDS[kind].open), np.array(KINDS[kind].closed) - KINDS[kind].open
+    start, span = (
+        np.array(GRASP_KINDS[kind].open),
+        np.array(GRASP_KINDS[kind].closed) - GRASP_KINDS[kind].open,
+    )
     rows, along = [], []
     for first, last in ((0, 4), (4, 8), (8, 12), (12, 16), (16, 21)):
         direction = np.zeros(21)
-        direction[first:last] = way[first:last] / max(float(np.linalg.norm(way[first:last])), 1e-9)
+        direction[first:last] = span[first:last] / max(float(np.linalg.norm(span[first:last])), 1e-9)
         along.append(direction)
         rows.append(direction / along_unit)
         rows += list((np.eye(21)[first:last] - np.outer(direction[first:last], direction)) / off_unit)
     rows += [
-        (a - b) / neighbour_unit
-        for a, b in ((along[0], along[1]), (along[1], along[2]), (along[2], along[3]))
+        (a - b) / neighbor_unit for a, b in ((along[0], along[1]), (along[1], along[2]), (along[2], along[3]))
     ]
     matrix = np.array(rows)
     half = np.array(
-        [np.linalg.norm(way[first:last]) / 2 for first, last in ((0, 4), (4, 8), (8, 12), (12, 16), (16, 21))]
+        [
+            np.linalg.norm(span[first:last]) / 2
+            for first, last in ((0, 4), (4, 8), (8, 12), (12, 16), (16, 21))
+        ]
     )
     goal = matrix @ (start + sum(h * d for h, d in zip(half, along, strict=True)))
     return matrix, goal
 
 
 def _scattered(
-    state: State[Surroundings],
+    state: HandState[CollisionScene],
     rows: np.ndarray,
     links: np.ndarray,
-    ball: np.ndarray,
+    sphere: np.ndarray,
     position: np.ndarray,
     direction: np.ndarray,
     value: np.ndarray,
     unit: float,
 ) -> Residual:
-    """One residual per hand and link from lists of Q of them."""
+    """Residuals [N, 16] and their Jacobian [N, 16, D] from lists of Q entries; the others are zero."""
     count = len(state.wrist_pose)
     residual = np.zeros((count, len(HUMAN_LINKS)))
     jacobian = np.zeros((*residual.shape, state.points.kinematics.size))
     residual[rows, links] = value / unit
     jacobian[rows, links] = (
-        np.einsum("qi,qid->qd", direction, _rows_jacobian(state, rows, ball, position)) / unit
+        np.einsum("qi,qid->qd", direction, _rows_jacobian(state, rows, sphere, position)) / unit
     )
     return residual, jacobian
 
 
 def _rows_jacobian(
-    state: State[Surroundings], rows: np.ndarray, ball: np.ndarray, position: np.ndarray
+    state: HandState[CollisionScene], rows: np.ndarray, sphere: np.ndarray, position: np.ndarray
 ) -> np.ndarray:
     """Jacobians of Q single points of hands, shape [Q, 3, D].
 
     Args:
         rows: which hand, ascending, shape [Q].
-        ball: which ball's body the point rides on, shape [Q].
+        sphere: index of the sphere whose body carries the point, shape [Q].
         position: [m], shape [Q, 3].
     """
+    # The kinematics take the same number of points for every hand: spread the Q points over slots per hand.
     slot = np.arange(len(rows)) - np.searchsorted(rows, rows)
-    count, most = len(state.wrist_pose), int(slot.max()) + 1
-    bodies, positions = np.zeros((count, most), dtype=int), np.zeros((count, most, 3))
-    bodies[rows, slot] = state.points.balls.points.bodies[ball]
+    count, slots = len(state.wrist_pose), int(slot.max()) + 1
+    bodies, positions = np.zeros((count, slots), dtype=int), np.zeros((count, slots, 3))
+    bodies[rows, slot] = state.points.spheres.points.bodies[sphere]
     positions[rows, slot] = position
     return state.points.kinematics.jacobian(bodies, positions)[rows, slot]

@@ -98,7 +98,9 @@ class PlanTarget:
     """Time since the lift began, negative before [s], shape [W]."""
 
 
-def robot_features(now: MeasuredState, before: MeasuredState, target: PlanTarget, action: Array) -> dict[str, Array]:
+def robot_features(
+    now: MeasuredState, before: MeasuredState, target: PlanTarget, action: Array
+) -> dict[str, Array]:
     """What a robot has, by name, each part of shape [W, number].
 
     Args:

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from fungrasp.geometry.poses import inverse_transform_points
-from fungrasp.grasps.human_hand import FINGERS
+from fungrasp.grasps.human_hand import HUMAN_FINGERS
 
 LINK_RADII = np.array([0.012] + [0.010, 0.009, 0.008] * 4 + [0.012, 0.011, 0.010])
 """Half the thickness of an adult's links [m], in the order of ``HUMAN_LINKS``."""
 
-TOLERANCE = 0.005
+TRACKED_CONTACT_GAP = 0.005
 """Gap that still counts as contact [m]: about the error of a tracked hand. On the 375 training
 grasps of D-Grasp the flags of the distal links then agree with its labels in 96 % of the cases."""
 
@@ -27,7 +27,7 @@ def link_points(hand_joints: np.ndarray) -> np.ndarray:
         [m], shape [N, 16, P, 3]. The palm's lie between the wrist and the bases of the four fingers.
     """
     count = len(hand_joints)
-    fingers = hand_joints[:, 1:].reshape(count, len(FINGERS), 4, 3)
+    fingers = hand_joints[:, 1:].reshape(count, len(HUMAN_FINGERS), 4, 3)
     along = np.linspace(0.0, 1.0, POINTS_PER_LINK)[:, None]
     links = fingers[:, :, :-1, None] * (1 - along) + fingers[:, :, 1:, None] * along
     bases = fingers[:, :4, 0]
@@ -41,7 +41,7 @@ def link_contacts(
     object_pose: np.ndarray,
     vertices: np.ndarray,
     faces: np.ndarray,
-    tolerance: float = TOLERANCE,
+    tolerance: float = TRACKED_CONTACT_GAP,
 ) -> np.ndarray:
     """Links, as capsules about their bones, nearer to the object's surface than the tolerance or inside it.
 
@@ -67,7 +67,7 @@ def surface_contacts(
     object_pose: np.ndarray,
     vertices: np.ndarray,
     faces: np.ndarray,
-    tolerance: float = TOLERANCE,
+    tolerance: float = TRACKED_CONTACT_GAP,
 ) -> np.ndarray:
     """Links of which a vertex of the hand's surface is nearer to the object than the tolerance or inside it.
 

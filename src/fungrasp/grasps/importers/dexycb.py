@@ -14,9 +14,9 @@ import numpy as np
 
 from fungrasp.errors import FungraspError
 from fungrasp.files import atomic_path
-from fungrasp.grasps.human import HumanGraspSet
+from fungrasp.grasps.human_grasp import HumanGraspSet
 from fungrasp.grasps.human_hand import mirror_points, mirror_pose
-from fungrasp.grasps.importers.contacts import TOLERANCE, link_contacts, surface_contacts
+from fungrasp.grasps.importers.contacts import TRACKED_CONTACT_GAP, link_contacts, surface_contacts
 from fungrasp.grasps.importers.dexycb_folder import (
     Sequence,
     Track,
@@ -48,7 +48,7 @@ class DexYCBOptions:
     """Folder of your MANO model: adds joint rotations and takes contacts from the hand's surface."""
     objects: Path | None = None
     """Folder of meshes <name>.obj; by default DexYCB's own models."""
-    contact_tolerance: float = TOLERANCE
+    contact_tolerance: float = TRACKED_CONTACT_GAP
     """Gap between hand and object that still counts as contact [m]."""
 
 

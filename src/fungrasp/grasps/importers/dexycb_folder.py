@@ -38,7 +38,7 @@ class Sequence:
     serials: tuple[str, ...]
     """Cameras that have labels."""
     object_number: int
-    """Of the grasped object, see ``YCB_NAMES``."""
+    """Number of the grasped object, a key of ``YCB_NAMES``."""
     grasped: int
     """Row of the grasped object in ``pose_y``."""
     side: str

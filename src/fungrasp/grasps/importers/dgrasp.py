@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from fungrasp.errors import FungraspError
-from fungrasp.grasps.human import HumanGraspSet
+from fungrasp.grasps.human_grasp import HumanGraspSet
 from fungrasp.grasps.importers.safe_pickle import load_arrays_pickle
 from fungrasp.grasps.importers.ycb import YCB_NAMES
 

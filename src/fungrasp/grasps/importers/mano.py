@@ -37,7 +37,7 @@ class ManoHand:
         if not file.is_file():
             raise FungraspError(f"the MANO model {file} does not exist")
         try:
-            # With 45 components smplx takes axis angles whatever it is told: they are made below.
+            # With 45 components smplx takes axis angles whatever its arguments say: they are made below.
             self._model: Any = smplx.MANO(
                 str(file),
                 is_rhand=side == "right",

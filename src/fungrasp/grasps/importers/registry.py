@@ -7,7 +7,7 @@ from importlib.metadata import entry_points
 from pathlib import Path
 
 from fungrasp.errors import FungraspError, UnknownNameError
-from fungrasp.grasps.human import HumanGraspSet
+from fungrasp.grasps.human_grasp import HumanGraspSet
 
 Importer = Callable[[Path], HumanGraspSet]
 """Takes the data set's file or folder."""

@@ -55,7 +55,7 @@ def load_arrays_pickle(path: str | Path) -> Any:
     except _RefusedError as error:
         raise FungraspError(f"{path} was not read: {error}") from error
     except Exception as error:
-        # Bytes that are no pickle make the unpickler fail in any way at all.
+        # Bytes that are no pickle make the unpickler raise any exception.
         reason = " ".join(str(error).split()) or type(error).__name__
         raise FungraspError(f"{path} is not a readable pickle of arrays: {reason}") from error
 

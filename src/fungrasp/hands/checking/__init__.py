@@ -1,1 +1,1 @@
-"""What can be wrong with a hand's files, by kind of fault. The door is ``fungrasp.hands.check``."""
+"""Checks of a hand's files, by kind of fault; ``hand_checks.check_hand_files`` runs them all."""

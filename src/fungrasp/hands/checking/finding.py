@@ -1,4 +1,4 @@
-"""What a check says."""
+"""What a check reports."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ Severity = Literal["error", "warning", "note"]
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing a check found."""
+    """One fault or remark of a check."""
 
     severity: Severity
     """Error: the hand can't be used, or not rightly. Warning: probably a mistake. Note: good to know."""
     message: str
-    """A sentence that names the thing and says what to do; a suggested file may follow it."""
+    """A sentence that names the body, joint or entry and the remedy; a drafted file may follow it."""
 
 
 @dataclass(frozen=True)
-class Parts:
-    """Which body or site plays which part, as far as it is known and exists in the model."""
+class HandParts:
+    """The bodies and sites of palm, fingers and tips, as far as they are known and exist in the model."""
 
     palm: str | None = None
-    """Body."""
+    """Name of the palm body."""
     fingers: dict[str, tuple[str, ...]] = field(default_factory=dict)
     """Bodies from base to tip by finger name."""
     joints: dict[str, tuple[str, ...]] = field(default_factory=dict)
@@ -48,7 +48,7 @@ def note(message: str) -> Finding:
     return Finding("note", message)
 
 
-def listed(names: list[str], most: int = 6) -> str:
-    """'a', 'b' and 3 more"""
-    shown = ", ".join(f"'{name}'" for name in names[:most])
-    return shown if len(names) <= most else f"{shown} and {len(names) - most} more"
+def listed(names: list[str], limit: int = 6) -> str:
+    """Names for a message: 'a', 'b' and 3 more."""
+    shown = ", ".join(f"'{name}'" for name in names[:limit])
+    return shown if len(names) <= limit else f"{shown} and {len(names) - limit} more"

@@ -1,5 +1,5 @@
 """Everyday objects made by parametric construction: real sizes, real masses, named functional parts."""
 
-from fungrasp.objects.builtin.catalogue import BUILTINS, Builtin, build
+from fungrasp.objects.builtin.catalogue import BUILTINS, BuiltinObject, build_builtin
 
-__all__ = ["BUILTINS", "Builtin", "build"]
+__all__ = ["BUILTINS", "BuiltinObject", "build_builtin"]

@@ -1,4 +1,4 @@
-"""From convex solids with part names to one watertight mesh and its convex pieces."""
+"""One watertight mesh, its parts and its convex pieces from convex solids with part names."""
 
 from __future__ import annotations
 
@@ -8,23 +8,25 @@ import manifold3d
 import numpy as np
 import trimesh
 
-from fungrasp.objects.builtin.resting import resting_rotation
+from fungrasp.objects.builtin.resting_rotation import resting_rotation
 from fungrasp.objects.builtin.shapes import Solid
-from fungrasp.objects.convex import ConvexPiece, convex_hull
-from fungrasp.objects.repair import hull_solid, vertex_components
+from fungrasp.objects.convex_decomposition import ConvexPiece, convex_hull
+from fungrasp.objects.mesh_repair import hull_solid, vertex_components
 
-Parts = Mapping[str, Sequence[Solid]]
+PartSolids = Mapping[str, Sequence[Solid]]
 """Convex solids by the name of the functional part they make up."""
 
-ROUNDING = 1e-8
+GEOMETRY_TOLERANCE = 1e-8
 """Tolerance of lengths [m], and of volumes relative to them."""
 
 SPECK = 1e-10
 """Volume below which a closed surface is rounding [m3]."""
 
 
-def assemble(parts: Parts) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray], tuple[ConvexPiece, ...]]:
-    """Unite convex solids, turn them to where they come to rest, put the origin at their box's centre.
+def assemble(
+    parts: PartSolids,
+) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray], tuple[ConvexPiece, ...]]:
+    """Unite convex solids, turn them to where they come to rest, put the origin at their box's center.
 
     Returns:
         vertices: [m], shape [V, 3] float64.
@@ -83,10 +85,12 @@ def _joined(solids: Sequence[Solid]) -> list[Solid]:
 
 def _convex_together(a: Solid, b: Solid) -> bool:
     """Whether the hull of two solids is no larger than their union."""
-    if np.any(a.min(axis=0) > b.max(axis=0) + ROUNDING) or np.any(b.min(axis=0) > a.max(axis=0) + ROUNDING):
+    if np.any(a.min(axis=0) > b.max(axis=0) + GEOMETRY_TOLERANCE) or np.any(
+        b.min(axis=0) > a.max(axis=0) + GEOMETRY_TOLERANCE
+    ):
         return False
     first, second = hull_solid(a), hull_solid(b)
     hull = hull_solid(np.concatenate([a, b])).volume()
-    if hull * (1 - ROUNDING) > first.volume() + second.volume():
+    if hull * (1 - GEOMETRY_TOLERANCE) > first.volume() + second.volume():
         return False
-    return hull * (1 - ROUNDING) <= (first + second).volume()
+    return hull * (1 - GEOMETRY_TOLERANCE) <= (first + second).volume()

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fungrasp.objects.builtin.assembly import Parts
+from fungrasp.objects.builtin.assembly import PartSolids
 from fungrasp.objects.builtin.shapes import box, ellipse, lathe, sweep
 
 
@@ -15,11 +15,11 @@ class Can:
     """A drink can."""
 
     radius: float = 0.033
-    """[m]."""
+    """Radius of the can [m]."""
     height: float = 0.115
-    """[m]."""
+    """Height of the can [m]."""
 
-    def parts(self) -> Parts:
+    def parts(self) -> PartSolids:
         r, h = self.radius, self.height
         return {
             "body": [lathe([(r - 0.008, 0), (r, 0.01), (r, h - 0.014), (r - 0.006, h - 0.003)], segments=48)],
@@ -32,9 +32,9 @@ class Carton:
     """A closed cardboard box, standing."""
 
     size: tuple[float, float, float] = (0.06, 0.11, 0.17)
-    """[m]."""
+    """Extents of the carton along x, y and z [m]."""
 
-    def parts(self) -> Parts:
+    def parts(self) -> PartSolids:
         return {"body": [box(self.size, bevel=0.001)]}
 
 
@@ -43,11 +43,11 @@ class Bottle:
     """A drink bottle with a waist and a screw cap."""
 
     radius: float = 0.0325
-    """[m]."""
+    """Radius of the bottle [m]."""
     height: float = 0.205
     """With the cap [m]."""
 
-    def parts(self) -> Parts:
+    def parts(self) -> PartSolids:
         r, h = self.radius, self.height
         waist = r - 0.0035
         return {
@@ -74,15 +74,15 @@ class SprayBottle:
     """A trigger sprayer; the nozzle and the trigger point to +x."""
 
     width: float = 0.062
-    """Of the body, along y [m]."""
+    """Width of the body, along y [m]."""
     length: float = 0.09
-    """Of the body, along x [m]."""
+    """Length of the body, along x [m]."""
     body: float = 0.165
     """Height of the shoulder [m]."""
     height: float = 0.255
-    """[m]."""
+    """Height of the spray bottle [m]."""
 
-    def parts(self) -> Parts:
+    def parts(self) -> PartSolids:
         a, b, s, h = self.length / 2, self.width / 2, self.body, self.height
         levels = [(0, 0.94), (0.005, 1.0), (s * 0.55, 1.0), (s * 0.8, 0.8), (s, 0.36)]
         sections = [

@@ -1,4 +1,4 @@
-"""Things of desk and living room: scissors, marker, book, tennis ball."""
+"""Objects of desk and living room: scissors, marker, book, tennis ball."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fungrasp.objects.builtin.assembly import Parts
+from fungrasp.objects.builtin.assembly import PartSolids
 from fungrasp.objects.builtin.shapes import Solid, along_x, box, eye, lathe, mirrored, prism, turned
 
 
@@ -19,11 +19,11 @@ class Scissors:
     opening: float = 0.12
     """Half the angle between the blades [rad]."""
     thickness: float = 0.003
-    """Of one blade [m]."""
+    """Thickness of one blade [m]."""
     bar: float = 0.005
     """Half the thickness of the loops [m]."""
 
-    def parts(self) -> Parts:
+    def parts(self) -> PartSolids:
         blade, loop = self._half()
         return {
             "loops": [*loop, *(mirrored(s) for s in loop)],
@@ -52,11 +52,11 @@ class Marker:
     """A felt pen with its cap on, lying; the cap points to +x."""
 
     radius: float = 0.0085
-    """Of the barrel [m]."""
+    """Radius of the barrel [m]."""
     length: float = 0.125
-    """[m]."""
+    """Length of the marker [m]."""
 
-    def parts(self) -> Parts:
+    def parts(self) -> PartSolids:
         r, n = self.radius, self.length
         joint = n * 0.62
         barrel = [lathe([(r - 0.003, 0), (r - 0.0005, 0.006), (r, 0.02), (r, joint)], segments=28)]
@@ -78,7 +78,7 @@ class Book:
     board: float = 0.0025
     """Thickness of the cover [m]."""
 
-    def parts(self) -> Parts:
+    def parts(self) -> PartSolids:
         w, h, t = self.size
         b = self.board
         return {
@@ -96,9 +96,9 @@ class Ball:
     """A ball."""
 
     radius: float = 0.0335
-    """[m]."""
+    """Radius of the ball [m]."""
 
-    def parts(self) -> Parts:
+    def parts(self) -> PartSolids:
         angles = np.linspace(-np.pi / 2, np.pi / 2, 15)[1:-1]
         poles = np.array([(0, 0, self.radius), (0, 0, -self.radius)])
         rounds = lathe([(self.radius * np.cos(a), self.radius * np.sin(a)) for a in angles], segments=28)

@@ -1,4 +1,4 @@
-"""Things to drink and pour from: mug, wine glass, pitcher, teapot."""
+"""Objects to drink and pour from: mug, wine glass, pitcher, teapot."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fungrasp.objects.builtin.assembly import Parts
+from fungrasp.objects.builtin.assembly import PartSolids
 from fungrasp.objects.builtin.shapes import Solid, bow, ellipse, lathe, ring, sweep
 
 
@@ -15,9 +15,9 @@ class Mug:
     """A straight mug; the handle points to +x."""
 
     radius: float = 0.041
-    """Of the outside [m]."""
+    """Radius of the outside [m]."""
     height: float = 0.095
-    """[m]."""
+    """Height of the mug [m]."""
     wall: float = 0.0045
     """Thickness of wall and floor [m]."""
     rim: float = 0.012
@@ -25,7 +25,7 @@ class Mug:
     reach: float = 0.031
     """From the wall to the middle line of the handle [m]."""
 
-    def parts(self) -> Parts:
+    def parts(self) -> PartSolids:
         r, h, inside = self.radius, self.height, self.radius - self.wall
         floor, lip = 0.006, h - self.rim
         return {
@@ -45,13 +45,13 @@ class WineGlass:
     """A stemmed glass."""
 
     radius: float = 0.038
-    """Of the bowl where it is widest [m]."""
+    """Radius of the bowl where it is widest [m]."""
     height: float = 0.19
-    """[m]."""
+    """Height of the wine glass [m]."""
     stem: float = 0.085
     """Height of the underside of the bowl [m]."""
 
-    def parts(self) -> Parts:
+    def parts(self) -> PartSolids:
         r, s, h = self.radius, self.stem, self.height
         floor, widest = s + 0.012, s + 0.045
         return {
@@ -85,11 +85,11 @@ class Pitcher:
     top: float = 0.066
     """Radius of the mouth [m]."""
     height: float = 0.22
-    """[m]."""
+    """Height of the pitcher [m]."""
     wall: float = 0.004
-    """[m]."""
+    """Thickness of the wall of the pitcher [m]."""
 
-    def parts(self) -> Parts:
+    def parts(self) -> PartSolids:
         b, t, h, w = self.bottom, self.top, self.height, self.wall
         floor, neck = 0.006, h - 0.05
         inside = b + (t - b) * (neck - floor) / (h - floor) - w
@@ -130,11 +130,11 @@ class Teapot:
     """A round teapot with its lid on; the handle points to +x and the spout to -x."""
 
     radius: float = 0.07
-    """Of the belly [m]."""
+    """Radius of the belly [m]."""
     height: float = 0.115
     """Up to the lid [m]."""
 
-    def parts(self) -> Parts:
+    def parts(self) -> PartSolids:
         r, h = self.radius, self.height
         angles = np.linspace(-0.95, 1.05, 8)
         belly = [(r * np.cos(a), h * 0.46 + r * 0.68 * np.sin(a)) for a in angles]

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fungrasp.objects.builtin.assembly import Parts
+from fungrasp.objects.builtin.assembly import PartSolids
 from fungrasp.objects.builtin.shapes import ellipse, lathe, ring, sweep
 
 
@@ -19,11 +19,11 @@ class Pan:
     top: float = 0.12
     """Radius of the rim [m]."""
     depth: float = 0.045
-    """[m]."""
+    """Depth of the pan [m]."""
     handle: float = 0.18
     """Length of the handle [m]."""
 
-    def parts(self) -> Parts:
+    def parts(self) -> PartSolids:
         b, t, d = self.bottom, self.top, self.depth
         floor = 0.004
         start, end = t - 0.006, t + self.handle
@@ -56,11 +56,11 @@ class Knife:
     handle: float = 0.12
     """Length of the handle [m]."""
     width: float = 0.042
-    """Of the blade at the heel [m]."""
+    """Width of the blade at the heel [m]."""
     spine: float = 0.0024
     """Thickness of the blade at its back [m]."""
 
-    def parts(self) -> Parts:
+    def parts(self) -> PartSolids:
         length, w, thick = self.blade, self.width, self.spine
         back = 0.012
         spine = [(0.0, back), (length * 0.6, back - 0.001), (length, back - 0.018)]
@@ -88,13 +88,13 @@ class Bowl:
     """A soup bowl."""
 
     radius: float = 0.075
-    """Of the rim [m]."""
+    """Radius of the rim [m]."""
     height: float = 0.06
-    """[m]."""
+    """Height of the bowl [m]."""
     wall: float = 0.0045
     """Thickness at the rim [m]."""
 
-    def parts(self) -> Parts:
+    def parts(self) -> PartSolids:
         r, h, w = self.radius, self.height, self.wall
         foot, floor, middle, lip = 0.036, 0.008, 0.028, h - 0.01
         outer_middle, outer_lip = r * 0.87, r * 0.985
@@ -124,7 +124,7 @@ class Spatula:
     blade: float = 0.09
     """Length of the blade [m]."""
 
-    def parts(self) -> Parts:
+    def parts(self) -> PartSolids:
         bend = self.shaft + 0.01
         plate = [
             (bend, -0.02), (bend, 0.02), (bend + self.blade, -0.041), (bend + self.blade, 0.041),
@@ -159,7 +159,7 @@ class Brush:
     bristles: float = 0.026
     """Length of the bristles [m]."""
 
-    def parts(self) -> Parts:
+    def parts(self) -> PartSolids:
         back, length = self.bristles, self.head
         bar = [
             ellipse((x, 0, z), (0, a, 0), (0, 0, b), squareness=3)

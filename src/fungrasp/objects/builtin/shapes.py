@@ -32,7 +32,7 @@ def prism(outline: Sequence[tuple[float, float]], bottom: float, top: float, bev
     """A plate with a convex ``outline`` in x and y [m], from z = ``bottom`` to ``top`` [m].
 
     Args:
-        bevel: the outline shrinks by this towards its centre [m] at the top and bottom, over the same height.
+        bevel: the outline shrinks by this towards its center [m] at the top and bottom, over the same height.
     """
     points = np.asarray(outline, dtype=float)
     inward = points.mean(axis=0) - points

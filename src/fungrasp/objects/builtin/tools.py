@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fungrasp.objects.builtin.assembly import Parts
+from fungrasp.objects.builtin.assembly import PartSolids
 from fungrasp.objects.builtin.shapes import (
     Solid,
     along_x,
@@ -27,13 +27,13 @@ class Hammer:
     """A claw hammer lying on its side; the head is at +x, its face points to -y and the claw to +y."""
 
     length: float = 0.32
-    """[m]."""
+    """Length of the hammer [m]."""
     grip: float = 0.14
     """Length of the rubber grip [m]."""
     face: float = 0.0145
     """Radius of the striking face [m]."""
 
-    def parts(self) -> Parts:
+    def parts(self) -> PartSolids:
         head = self.length - 0.014
         grip = [
             ellipse((x, 0, 0), (0, a, 0), (0, 0, b), squareness=2.4)
@@ -97,9 +97,9 @@ class Screwdriver:
     shaft: float = 0.115
     """Length of the bare shaft [m]."""
     radius: float = 0.016
-    """Of the six-sided handle [m]."""
+    """Radius of the six-sided handle [m]."""
 
-    def parts(self) -> Parts:
+    def parts(self) -> PartSolids:
         r, n = self.radius, self.handle
         profile = [
             (0.55, 0),
@@ -134,11 +134,11 @@ class Drill:
     """A cordless drill standing on its battery; the chuck points to +x."""
 
     height: float = 0.215
-    """[m]."""
+    """Height of the drill [m]."""
     barrel: float = 0.029
     """Radius of the motor housing [m]."""
 
-    def parts(self) -> Parts:
+    def parts(self) -> PartSolids:
         axis = self.height - self.barrel
         r = self.barrel
         under = axis - r + 0.006
@@ -192,7 +192,7 @@ class Clamp:
     thickness: float = 0.026
     """Along z [m]."""
 
-    def parts(self) -> Parts:
+    def parts(self) -> PartSolids:
         t = self.thickness / 2
         side = {"jaws": self._jaw(t), "handles": self._handle(t)}
         both = {name: [*solids, *(mirrored(s) for s in solids)] for name, solids in side.items()}
@@ -250,11 +250,11 @@ class Flashlight:
     """A torch lying on the table; the light points to +x."""
 
     radius: float = 0.0145
-    """Of the body [m]."""
+    """Radius of the body [m]."""
     length: float = 0.15
-    """[m]."""
+    """Length of the flashlight [m]."""
 
-    def parts(self) -> Parts:
+    def parts(self) -> PartSolids:
         r, n = self.radius, self.length
         body = [
             lathe([(r - 0.002, 0), (r, 0.002), (r, 0.016)], segments=32),

@@ -1,0 +1,202 @@
+"""Static quality of retargeted grasps (docs/evaluation.md): no physics; from the hand's model, the mesh and
+the human grasp."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from fungrasp.errors import FungraspError
+from fungrasp.evaluation.force_closure import closure_epsilon, closure_residual, primitive_wrenches
+from fungrasp.evaluation.penetration import exact_clearance, nearest_surface_points, penetration_depth
+from fungrasp.geometry import SignedDistanceBank
+from fungrasp.geometry.poses import compose, inverse_transform_points, invert, transform_points
+from fungrasp.grasps import HumanGraspSet, RobotGraspSet
+from fungrasp.hands import Hand
+from fungrasp.hands.collision_spheres import CollisionSpheres, collision_spheres, self_collision_depth
+from fungrasp.hands.correspondence import correspond
+from fungrasp.hands.kinematics import BodyPoints, HandKinematics
+from fungrasp.objects import ObjectModel
+from fungrasp.optimization.collision_scene import project_to_surface
+from fungrasp.optimization.contact_forces import CONTACT_DISTANCE
+
+
+@dataclass(frozen=True)
+class StaticQuality:
+    """One number per grasp, shape [N] each; NaN where a grasp asks for no contact."""
+
+    contact_error_mm: np.ndarray
+    """Mean over human joints in contact of the distance between the surface point nearest to the joint and
+    the one nearest to the robot's corresponding point."""
+    contact_gap_mm: np.ndarray
+    """Mean over robot links that should touch of the distance of their collision surface from the object."""
+    link_direction_error_deg: np.ndarray
+    """Mean angle between corresponding finger links."""
+    object_penetration_mm: np.ndarray
+    """Deepest point of the hand's collision geometry inside the object."""
+    table_penetration_mm: np.ndarray
+    """Deepest point below the table, object at its rest pose."""
+    self_penetration_mm: np.ndarray
+    """Deepest overlap of two of the hand's collision geoms that may collide."""
+    limit_violation_rad: np.ndarray
+    """Largest excess of a joint over its limits."""
+    force_closure_residual: np.ndarray
+    """Unbalanced part of the best contact forces that sum to one, at the links within ``CONTACT_DISTANCE`` of
+    the object; torques over half the object's largest extent."""
+    force_closure_epsilon: np.ndarray
+    """Weakest wrench that those contacts resist (Ferrari and Canny's Q1); zero if they don't resist all."""
+
+    def summary(self) -> dict[str, dict[str, float]]:
+        """Mean, 95th percentile and maximum of each number over the grasps."""
+        result = {}
+        for field in fields(self):
+            values = getattr(self, field.name)
+            values = values[np.isfinite(values)]
+            if len(values):
+                result[field.name] = {
+                    "mean": float(values.mean()),
+                    "p95": float(np.percentile(values, 95)),
+                    "max": float(values.max()),
+                }
+        return result
+
+
+def static_quality(
+    robot: RobotGraspSet,
+    human: HumanGraspSet,
+    objects: Mapping[str, ObjectModel],
+    hand: Hand,
+    spacing: float = 0.004,
+) -> StaticQuality:
+    """Judge robot grasps against the human ones they imitate.
+
+    Args:
+        robot: N grasps of ``hand``.
+        human: the same N grasps, as the human did them.
+        objects: by name.
+        spacing: of the points that cover the hand's collision geometry [m].
+
+    Raises:
+        FungraspError: the sets don't belong together.
+    """
+    if len(robot) != len(human) or np.any(robot.object_name != human.object_name):
+        raise FungraspError(
+            "the robot grasps and the human grasps are not of the same objects in the same order"
+        )
+    if tuple(robot.joint_names) != hand.joint_names:
+        raise FungraspError(f"the robot grasps have other joints than hand '{hand.name}'")
+    match = correspond(hand)
+    kinematics = HandKinematics(hand, len(robot), threads=0)
+    wrist = compose(invert(robot.object_pose), robot.wrist_pose)
+    independent = (robot.joint_positions - kinematics.offset) @ np.linalg.pinv(kinematics.matrix).T
+    kinematics.update(wrist, independent)
+    keypoints = kinematics.points(kinematics.body_points(hand.keypoint_names))
+    joints = inverse_transform_points(human.object_pose, human.hand_joints)
+
+    names = sorted(set(robot.object_name.tolist()))
+    bank = SignedDistanceBank([objects[name].signed_distance for name in names])
+    grid = np.array([names.index(name) for name in robot.object_name.tolist()])
+    models = [objects[name] for name in names]
+    wanted = match.link_contacts(human.link_contacts)[:, 1:]
+    theirs = nearest_surface_points(models, grid, joints[:, match.human_far], wanted)
+    ours = nearest_surface_points(models, grid, keypoints[:, match.far], wanted)
+    contact_error = _mean_where(np.linalg.norm(theirs - ours, axis=-1), wanted)
+
+    spheres = collision_spheres(hand, spacing)
+    centers, clearance, heights = _clearances(kinematics, spheres, bank, grid, robot)
+    clearance = exact_clearance(models, grid, centers, clearance, spheres.radius)
+    nearest = [_nearest(clearance, spheres.link == link) for link in range(len(hand.links))]
+    by_link = np.stack([distance for _, distance in nearest], axis=1)
+    contacts = np.stack([centers[np.arange(len(robot)), sphere] for sphere, _ in nearest], axis=1)
+    residual, epsilon = _force_closure(contacts, by_link, bank, grid, models)
+    return StaticQuality(
+        contact_error_mm=1e3 * contact_error,
+        contact_gap_mm=1e3 * _mean_where(np.maximum(by_link[:, 1:], 0.0), wanted),
+        link_direction_error_deg=np.rad2deg(_direction_error(keypoints, joints, match).mean(axis=1)),
+        object_penetration_mm=1e3
+        * penetration_depth(models, bank, grid, centers, clearance, spheres.radius, spheres.link),
+        table_penetration_mm=1e3 * np.maximum(-heights.min(axis=1), 0.0),
+        self_penetration_mm=1e3 * self_collision_depth(hand.model, robot.joint_positions),
+        limit_violation_rad=np.maximum(
+            np.maximum(
+                hand.joint_limits[:, 0] - robot.joint_positions,
+                robot.joint_positions - hand.joint_limits[:, 1],
+            ),
+            0.0,
+        ).max(axis=1),
+        force_closure_residual=residual,
+        force_closure_epsilon=epsilon,
+    )
+
+
+def _clearances(
+    kinematics: HandKinematics,
+    spheres: CollisionSpheres,
+    bank: SignedDistanceBank,
+    grid: np.ndarray,
+    robot: RobotGraspSet,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Centers of the spheres in the object frame [m], shape [N, P, 3]; distance of their surfaces from the
+    object and from the table [m], shape [N, P] each."""
+    # In parts of 256 spheres, so that the arrays of a query stay in the cache of the processor.
+    centers, clearance, heights = [], [], []
+    for start in range(0, len(spheres.radius), 256):
+        part = slice(start, start + 256)
+        centers.append(
+            kinematics.points(BodyPoints(spheres.points.bodies[part], spheres.points.offsets[part]))
+        )
+        clearance.append(bank.query(grid, centers[-1])[0] - spheres.radius[part])
+        heights.append(transform_points(robot.object_rest_pose, centers[-1])[..., 2] - spheres.radius[part])
+    return np.concatenate(centers, axis=1), np.concatenate(clearance, axis=1), np.concatenate(heights, axis=1)
+
+
+def _nearest(clearance: np.ndarray, which: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Index and clearance of the nearest of the spheres in a mask, shape [N] each; infinite where it is
+    empty."""
+    masked = np.where(which, clearance, np.inf)
+    sphere = masked.argmin(axis=1)
+    return sphere, masked[np.arange(len(sphere)), sphere]
+
+
+def _force_closure(
+    centers: np.ndarray,
+    clearance: np.ndarray,
+    bank: SignedDistanceBank,
+    grid: np.ndarray,
+    objects: list[ObjectModel],
+) -> tuple[np.ndarray, np.ndarray]:
+    """Residual and epsilon of the links in contact, shape [N] each.
+
+    Args:
+        centers: of the sphere of each link that is nearest to the object, object frame [m], shape [N, L, 3].
+        clearance: of those spheres [m], shape [N, L].
+        bank: of the objects.
+        grid: which object each grasp is of, shape [N].
+        objects: in the order of the bank.
+    """
+    surface, outward = project_to_surface(bank, grid, centers)
+    values = np.zeros((2, len(grid)))
+    for row, number in enumerate(grid):
+        touching = clearance[row] < CONTACT_DISTANCE
+        levers = surface[row, touching] - objects[number].center_of_mass
+        wrenches = primitive_wrenches(
+            levers, -outward[row, touching], 0.5 * float(objects[number].size.max())
+        )
+        values[:, row] = closure_residual(wrenches), closure_epsilon(wrenches)
+    return values[0], values[1]
+
+
+def _direction_error(keypoints: np.ndarray, joints: np.ndarray, match) -> np.ndarray:
+    robot = keypoints[:, match.far] - keypoints[:, match.near]
+    human = joints[:, match.human_far] - joints[:, match.human_near]
+    cosine = np.sum(robot * human, axis=-1) / (
+        np.linalg.norm(robot, axis=-1) * np.linalg.norm(human, axis=-1)
+    )
+    return np.arccos(np.clip(cosine, -1.0, 1.0))
+
+
+def _mean_where(values: np.ndarray, which: np.ndarray) -> np.ndarray:
+    count = which.sum(axis=1)
+    return np.where(count > 0, np.sum(values * which, axis=1) / np.maximum(count, 1), np.nan)

@@ -1,0 +1,191 @@
+"""Reading and writing grasp sets: one ``.npz`` file each, the format of docs/file-format.md."""
+
+from __future__ import annotations
+
+import zipfile
+import zlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from fungrasp.errors import FungraspError
+from fungrasp.files import atomic_path
+from fungrasp.grasps.grasp_set import GraspSet
+from fungrasp.grasps.human_grasp import HumanGraspSet
+from fungrasp.grasps.robot_grasp import RobotGraspSet
+
+FILE_VERSION = 1
+"""Version of the file format; a file without the field ``version`` is of version 1."""
+
+BUILTIN = "builtin"
+"""The name that stands for the built-in human grasps wherever a file of human grasps is asked for."""
+
+BUILTIN_PATH = Path(__file__).parent / "builtin" / "grasps.npz"
+
+EXTRA = "extra/"
+"""What the names of a robot grasp set's further numbers begin with in the file."""
+
+Set = TypeVar("Set", bound=GraspSet[Any])
+
+
+def load_human_grasps(path: str | Path) -> HumanGraspSet:
+    """Read human grasps from a file, or the built-in ones for "builtin".
+
+    Raises:
+        FungraspError: no such file, not a grasp set, or bad content; names file, field, shapes and row.
+    """
+    if str(path) == BUILTIN:
+        return builtin_grasps()
+    return _human(Path(path), _read(path))
+
+
+def load_robot_grasps(path: str | Path) -> RobotGraspSet:
+    """Read robot grasps from a file.
+
+    Raises:
+        FungraspError: no such file, not a grasp set, or bad content; names file, field, shapes and row.
+    """
+    return _robot(Path(path), _read(path))
+
+
+def load_grasps(path: str | Path) -> HumanGraspSet | RobotGraspSet:
+    """Read a file of human or of robot grasps; "builtin" stands for the built-in human grasps.
+
+    Raises:
+        FungraspError: no such file, not a grasp set, or bad content; names file, field, shapes and row.
+    """
+    if str(path) == BUILTIN:
+        return builtin_grasps()
+    arrays = _read(path)
+    return _robot(Path(path), arrays) if _is_robot(arrays) else _human(Path(path), arrays)
+
+
+def builtin_grasps() -> HumanGraspSet:
+    """The human grasps on the built-in objects that come with the package.
+
+    Raises:
+        FungraspError: this installation lacks them.
+    """
+    if not BUILTIN_PATH.is_file():
+        raise FungraspError("this installation lacks the built-in human grasps; give a file of human grasps")
+    return load_human_grasps(BUILTIN_PATH)
+
+
+def save_human_grasps(path: str | Path, grasps: HumanGraspSet) -> None:
+    """Write human grasps. Nothing is lost: numbers are kept as float32 where that is exact, else as float64.
+
+    Raises:
+        FungraspError: the set is empty or the file can't be written.
+    """
+    _write(path, grasps, {})
+
+
+def save_robot_grasps(path: str | Path, grasps: RobotGraspSet) -> None:
+    """Write robot grasps. Nothing is lost: numbers are kept as float32 where that is exact, else as float64.
+
+    Raises:
+        FungraspError: the set is empty or the file can't be written.
+    """
+    extra = {EXTRA + name: value for name, value in grasps.extra.items()}
+    joint_names = np.array(grasps.joint_names, dtype=str)
+    _write(path, grasps, {"hand": np.array(grasps.hand), "joint_names": joint_names} | extra)
+
+
+def _human(path: Path, arrays: Mapping[str, np.ndarray]) -> HumanGraspSet:
+    if _is_robot(arrays):
+        raise FungraspError(
+            f"{path} holds robot grasps (of the hand '{arrays['hand']}'), human grasps are needed here"
+        )
+    return _build(path, HumanGraspSet, arrays, {})
+
+
+def _robot(path: Path, arrays: Mapping[str, np.ndarray]) -> RobotGraspSet:
+    if not _is_robot(arrays) and "hand_joints" in arrays:
+        raise FungraspError(
+            f"{path} holds human grasps, robot grasps are needed here; 'fungrasp retarget' makes them"
+        )
+    whole: dict[str, Any] = {}
+    for name, ndim in (("hand", 0), ("joint_names", 1)):
+        value = arrays.get(name)
+        if value is None:
+            raise FungraspError(f"{path}: field '{name}' is missing")
+        if value.ndim != ndim or value.dtype.kind not in "US":
+            expected = "one name" if ndim == 0 else "names of shape (M,)"
+            raise FungraspError(
+                f"{path}: field '{name}' holds {value.dtype} of shape {value.shape}, expected {expected}"
+            )
+        whole[name] = str(value) if ndim == 0 else tuple(value.astype(str))
+    whole["extra"] = {
+        name.removeprefix(EXTRA): value for name, value in arrays.items() if name.startswith(EXTRA)
+    }
+    return _build(path, RobotGraspSet, arrays, whole)
+
+
+def _is_robot(arrays: Mapping[str, np.ndarray]) -> bool:
+    return "hand" in arrays and "hand_joints" not in arrays
+
+
+def _build(path: Path, kind: type[Set], arrays: Mapping[str, np.ndarray], whole: Mapping[str, Any]) -> Set:
+    missing = [name for name, field in kind.FIELDS.items() if name not in arrays and not field.optional]
+    if missing:
+        raise FungraspError(
+            f"{path}: field '{missing[0]}' is missing; found: {', '.join(sorted(arrays)) or 'nothing'}"
+        )
+    try:
+        grasps = kind(**whole, **{name: arrays.get(name) for name in kind.FIELDS})
+    except FungraspError as error:
+        raise FungraspError(f"{path}: {error}") from error
+    if not len(grasps):
+        raise FungraspError(f"{path} holds no grasps")
+    return grasps
+
+
+def _read(path: str | Path) -> dict[str, np.ndarray]:
+    path = Path(path)
+    if not path.is_file():
+        raise FungraspError(f"the grasp file {path} {'is a folder' if path.is_dir() else 'does not exist'}")
+    arrays: dict[str, np.ndarray] = {}
+    name = ""
+    try:
+        with path.open("rb") as stream:
+            if not zipfile.is_zipfile(stream):
+                raise FungraspError(f"{path} is not a grasp set: not an .npz file, or one that is cut short")
+            stream.seek(0)
+            with np.load(stream, allow_pickle=False) as archive:
+                for name in archive.files:
+                    value = archive[name]
+                    if not isinstance(value, np.ndarray):
+                        raise FungraspError(f"{path}: field '{name}' is no array")
+                    arrays[name] = value
+    except OSError as error:
+        raise FungraspError(f"cannot read {path}: {error.strerror or error}") from error
+    except FungraspError:
+        raise
+    except (ValueError, EOFError, KeyError, NotImplementedError, zipfile.BadZipFile, zlib.error) as error:
+        where = f"field '{name}' " if name else ""
+        raise FungraspError(f"{path}: {where}cannot be read: {' '.join(str(error).split())}") from error
+    version = arrays.pop("version", np.array(FILE_VERSION))
+    if version.ndim or version.dtype.kind not in "iu" or not 1 <= version <= FILE_VERSION:
+        raise FungraspError(
+            f"{path} is of file version {version}, this fungrasp reads versions up to {FILE_VERSION}"
+        )
+    return arrays
+
+
+def _write(path: str | Path, grasps: GraspSet[Any], further: Mapping[str, np.ndarray]) -> None:
+    if not len(grasps):
+        raise FungraspError(f"no grasps to write to {path}")
+    arrays = {name: getattr(grasps, name) for name in grasps.FIELDS} | dict(further)
+    stored = {name: _compact(value) for name, value in arrays.items() if value is not None}
+    with atomic_path(path) as temporary, temporary.open("wb") as stream:
+        np.savez_compressed(stream, version=np.array(FILE_VERSION), **stored)  # pyright: ignore[reportArgumentType]
+
+
+def _compact(array: np.ndarray) -> np.ndarray:
+    if array.dtype != np.float64:
+        return array
+    with np.errstate(over="ignore"):
+        short = array.astype(np.float32)
+    return short if np.array_equal(short.astype(np.float64), array, equal_nan=True) else array

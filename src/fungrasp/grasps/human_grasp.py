@@ -1,0 +1,103 @@
+"""Human grasps: how a person holds an object; one of them, and a set."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from fungrasp.grasps.field_checks import ArrayField, check_rows
+from fungrasp.grasps.grasp_set import GraspSet
+from fungrasp.grasps.human_hand import bone_lengths
+
+MAX_HAND_DISTANCE = 1.0
+"""Largest distance between an object's origin and a joint of the hand that holds it [m]."""
+
+MAX_BONE_LENGTH = 0.3
+"""No bone of a human hand is longer [m]; a file in millimetres or centimetres exceeds it."""
+
+MIN_BONE_LENGTH = 1e-3
+"""Joints nearer than this to their neighbor [m] coincide: an error of the program that wrote them."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class HumanGrasp:
+    """One human grasp. World frame, z up, table top at z = 0; poses ``[x y z qw qx qy qz]``."""
+
+    object_name: str
+    """Name of the object, as ``fungrasp.objects.load_object`` takes it."""
+    object_mass: float
+    """Mass of the object [kg]."""
+    object_pose: np.ndarray
+    """Pose of the object when grasped, world frame, shape [7]."""
+    object_rest_pose: np.ndarray
+    """Pose of the object at rest on the table before the grasp, world frame, shape [7]."""
+    hand_joints: np.ndarray
+    """Joints [m] in the order of ``HUMAN_JOINTS``, world frame, shape [21, 3]."""
+    link_contacts: np.ndarray
+    """Which of ``HUMAN_LINKS`` touch the object, bool, shape [16]."""
+    task: str = ""
+    """What the grasp is for: "drink", "cut", ...; empty if not known."""
+    hand_qpos: np.ndarray | None = None
+    """Wrist position [m], wrist and 15 joint rotations as intrinsic XYZ Euler angles [rad], shape [51]."""
+
+    def __repr__(self) -> str:
+        return f"<HumanGrasp: object {self.object_name!r}, task {self.task!r}>"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class HumanGraspSet(GraspSet[HumanGrasp]):
+    """N human grasps of right hands: the fields of ``HumanGrasp`` with a leading axis N (float64, bool, str).
+
+    Raises:
+        FungraspError: a field of wrong shape or type, not finite, a quaternion or mass that can't be, or
+            joints that are no hand in metres near the object; the message names field and row.
+    """
+
+    object_name: np.ndarray
+    object_mass: np.ndarray
+    object_pose: np.ndarray
+    object_rest_pose: np.ndarray
+    hand_joints: np.ndarray
+    link_contacts: np.ndarray
+    task: np.ndarray | None = None
+    """Given as None it becomes N empty strings."""
+    hand_qpos: np.ndarray | None = None
+
+    FIELDS: ClassVar = {
+        "object_name": ArrayField("name", ("N",)),
+        "object_mass": ArrayField("positive", ("N",)),
+        "object_pose": ArrayField("pose", ("N", 7)),
+        "object_rest_pose": ArrayField("pose", ("N", 7)),
+        "hand_joints": ArrayField("number", ("N", 21, 3)),
+        "link_contacts": ArrayField("flag", ("N", 16)),
+        "task": ArrayField("text", ("N",), optional=True),
+        "hand_qpos": ArrayField("number", ("N", 51), optional=True),
+    }
+    GRASP: ClassVar = HumanGrasp
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.task is None:
+            object.__setattr__(self, "task", np.full(len(self), ""))
+        bones = bone_lengths(self.hand_joints)
+        longest, shortest = bones.max(axis=1, initial=0), bones.min(axis=1, initial=np.inf)
+        check_rows(
+            "hand_joints", longest <= MAX_BONE_LENGTH, "is no hand in metres; its longest bone [m]", longest
+        )
+        check_rows(
+            "hand_joints",
+            shortest >= MIN_BONE_LENGTH,
+            "has joints that coincide; its shortest bone [m]",
+            shortest,
+        )
+        distance = np.linalg.norm(self.hand_joints - self.object_pose[:, None, :3], axis=-1).max(
+            axis=1, initial=0
+        )
+        check_rows(
+            "hand_joints",
+            distance <= MAX_HAND_DISTANCE,
+            "is far from the object; the farthest joint [m]",
+            distance,
+        )

@@ -1,0 +1,113 @@
+"""Robot grasps: how a robot hand holds an object; one of them, and a set for one hand."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
+
+import numpy as np
+
+from fungrasp.errors import FungraspError
+from fungrasp.grasps.field_checks import ArrayField, check_rows, checked_extra
+from fungrasp.grasps.grasp_set import GraspSet
+from fungrasp.grasps.human_grasp import MAX_HAND_DISTANCE
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class RobotGrasp:
+    """One robot grasp. World frame, z up, table top at z = 0; poses ``[x y z qw qx qy qz]``."""
+
+    hand: str
+    """Name of the hand, as ``fungrasp.hands.load_hand`` takes it."""
+    object_name: str
+    """Name of the object, as ``fungrasp.objects.load_object`` takes it."""
+    object_mass: float
+    """Mass of the object [kg]."""
+    object_pose: np.ndarray
+    """Pose of the object when grasped, world frame, shape [7]."""
+    object_rest_pose: np.ndarray
+    """Pose of the object at rest on the table before the grasp, world frame, shape [7]."""
+    wrist_pose: np.ndarray
+    """Pose of the palm body when the object is at ``object_pose``, world frame, shape [7]."""
+    joint_names: tuple[str, ...]
+    """Every joint of the hand's model, coupled ones included, length M."""
+    joint_positions: np.ndarray
+    """Angles of the joints [rad], in the order of ``joint_names``, shape [M]."""
+    keypoints: np.ndarray
+    """The hand's key points [m], world frame, shape [K, 3]."""
+    link_contacts: np.ndarray
+    """Which of the hand's links should touch the object, bool, shape [L]."""
+    task: str = ""
+    """What the grasp is for; empty if not known."""
+    extra: Mapping[str, np.ndarray] = field(default_factory=dict)
+    """Further numbers by name (quality, refined controller settings)."""
+
+    def __repr__(self) -> str:
+        return f"<RobotGrasp: hand {self.hand!r}, object {self.object_name!r}, task {self.task!r}>"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class RobotGraspSet(GraspSet[RobotGrasp]):
+    """N grasps of one robot hand: the fields of ``RobotGrasp`` with a leading axis N (float64, bool, str);
+    ``hand`` and ``joint_names`` belong to the set.
+
+    Raises:
+        FungraspError: a field of wrong shape or type, not finite, a quaternion or mass that can't be, or a
+            wrist far from the object; the message names field and row.
+    """
+
+    hand: str
+    object_name: np.ndarray
+    object_mass: np.ndarray
+    object_pose: np.ndarray
+    object_rest_pose: np.ndarray
+    wrist_pose: np.ndarray
+    joint_names: Sequence[str]
+    """Kept as a tuple."""
+    joint_positions: np.ndarray
+    keypoints: np.ndarray
+    link_contacts: np.ndarray
+    task: np.ndarray | None = None
+    """Given as None it becomes N empty strings."""
+    extra: Mapping[str, np.ndarray] = field(default_factory=dict)
+    """Numbers or flags by name, each of shape [N, ...]; NaN means not measured."""
+
+    FIELDS: ClassVar = {
+        "object_name": ArrayField("name", ("N",)),
+        "object_mass": ArrayField("positive", ("N",)),
+        "object_pose": ArrayField("pose", ("N", 7)),
+        "object_rest_pose": ArrayField("pose", ("N", 7)),
+        "wrist_pose": ArrayField("pose", ("N", 7)),
+        "joint_positions": ArrayField("number", ("N", "M")),
+        "keypoints": ArrayField("number", ("N", "K", 3)),
+        "link_contacts": ArrayField("flag", ("N", "L")),
+        "task": ArrayField("text", ("N",), optional=True),
+    }
+    GRASP: ClassVar = RobotGrasp
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        object.__setattr__(self, "joint_names", tuple(str(name) for name in self.joint_names))
+        if not self.hand:
+            raise FungraspError("field 'hand' is empty, expected the name of a hand")
+        if len(self.joint_names) != self.joint_positions.shape[1]:
+            raise FungraspError(
+                f"field 'joint_positions' has shape {self.joint_positions.shape}, expected (N, M) with "
+                f"M = {len(self.joint_names)}, the length of joint_names"
+            )
+        if len(set(self.joint_names)) != len(self.joint_names):
+            raise FungraspError("field 'joint_names' names a joint twice")
+        if self.task is None:
+            object.__setattr__(self, "task", np.full(len(self), ""))
+        object.__setattr__(self, "extra", checked_extra(self.extra, len(self)))
+        distance = np.linalg.norm(self.wrist_pose[:, :3] - self.object_pose[:, :3], axis=-1)
+        check_rows(
+            "wrist_pose", distance <= MAX_HAND_DISTANCE, "is far from the object; the distance [m]", distance
+        )
+
+    def _whole_set(self) -> dict[str, Any]:
+        return {"hand": self.hand, "joint_names": self.joint_names}
+
+    def _rows(self, which: Any) -> dict[str, Any]:
+        return super()._rows(which) | {"extra": {name: value[which] for name, value in self.extra.items()}}

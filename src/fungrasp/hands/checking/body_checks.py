@@ -1,0 +1,180 @@
+"""Faults of the palm, its frame, the masses and the shapes of a compiled model."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import mujoco
+import numpy as np
+
+from fungrasp.hands.checking.finding import Finding, HandParts, error, listed, note, warning
+from fungrasp.hands.checking.kinematic_tree import (
+    ancestors,
+    body_name,
+    coupled_positions,
+    joint_name,
+    subtree,
+)
+from fungrasp.hands.checking.model_source import ModelSource
+
+LEAST_OVERLAP = 5e-4
+"""Overlap of collision shapes that is mentioned [m]."""
+
+LARGE_OVERLAP = 3e-3
+"""Overlap at the zero pose that is an error [m]."""
+
+
+def check_palm(source: ModelSource, parts: HandParts) -> Iterator[Finding]:
+    """Is the palm a body of its own, fixed, at the origin of the world?"""
+    model = source.model
+    on_world = np.flatnonzero(model.geom_bodyid == 0)
+    if len(on_world):
+        yield error(
+            f"{len(on_world)} shapes belong to the world and not to a body: the palm is fused with the "
+            "world; "
+            'put its shapes and the fingers in a <body name="palm">'
+        )
+    if parts.palm is None:
+        return
+    palm = model.body(parts.palm).id
+    movers = [
+        joint_name(model, j)
+        for body in ancestors(model, palm)
+        for j in np.flatnonzero(model.jnt_bodyid == body)
+    ]
+    if movers:
+        yield error(
+            f"the palm '{parts.palm}' moves on the joint {listed(movers)}; fungrasp moves the palm itself: "
+            "remove the joint"
+        )
+        return
+    if source.fuses:
+        how = (
+            'write <mujoco><compiler fusestatic="false"/></mujoco> inside <robot>'
+            if source.urdf is not None
+            else 'remove fusestatic="true"'
+        )
+        yield error(
+            f"the palm '{parts.palm}' is fused with the world when the file is read, so that it has no body "
+            f"of its own: {how}, or start from the MJCF that 'fungrasp hands check FILE --out FOLDER' writes"
+        )
+    above = ancestors(model, palm)[1:]
+    if above:
+        stand = listed([body_name(model, body) for body in above])
+        yield note(f"the palm '{parts.palm}' is not the root: it stands on {stand}")
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    angle = 2 * np.arccos(min(1.0, abs(data.xquat[palm, 0])))
+    shift = float(np.linalg.norm(data.xpos[palm]))
+    if angle > 1e-3 or shift > 1e-4:
+        yield warning(
+            f"the palm '{parts.palm}' is not at the world's origin in its file: {1000 * shift:.1f} mm away "
+            f"and turned by {np.degrees(angle):.1f} degrees; wrist poses are those of the palm body itself"
+        )
+
+
+def check_masses(source: ModelSource) -> Iterator[Finding]:
+    """Moving bodies with no mass, and masses that are hardly in kilograms."""
+    model = source.model
+    empty = [
+        body_name(model, body)
+        for body in np.flatnonzero(model.body_jntnum > 0)
+        if model.body_mass[model.body_weldid == body].sum() < 1e-6 and not _stripped(source, body)
+    ]
+    if empty:
+        yield error(f"no mass in the moving body {listed(empty)}: give an inertial, or shapes with a mass")
+    total = float(model.body_mass.sum())
+    if total > 10.0:
+        yield warning(f"the hand weighs {total:.4g} kg; are its masses in kilograms?")
+
+
+def check_shapes(source: ModelSource, parts: HandParts) -> Iterator[Finding]:
+    """Links with nothing to touch with, and shapes that overlap at the zero or the middle pose."""
+    model = source.model
+    collides = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
+    links = [body for chain in parts.fingers.values() for body in chain]
+    bare = [
+        name
+        for name in links
+        if not _stripped(source, _weld(model, name))
+        and not collides[
+            np.isin(model.geom_bodyid, np.flatnonzero(model.body_weldid == _weld(model, name)))
+        ].any()
+    ]
+    if bare:
+        yield error(f"no collision shape on the link {listed(bare)}: it can't touch anything")
+    elif not links and not collides.any() and not source.stripped:
+        yield error("the model has no collision shapes: it can't touch anything")
+    reported: set[tuple[str, str]] = set()
+    for pose, positions in (("zero", _zero(model)), ("middle", _middle(model))):
+        for pair, depth in overlapping_shapes(model, positions).items():
+            if pair in reported:
+                continue
+            reported.add(pair)
+            say = error if pose == "zero" and depth > LARGE_OVERLAP else warning
+            yield say(
+                f"the shapes of '{pair[0]}' and '{pair[1]}' overlap by {1000 * depth:.1f} mm at the {pose} "
+                "pose; shrink "
+                f'them, or if they may, write <contact><exclude body1="{pair[0]}" '
+                f'body2="{pair[1]}"/></contact>'
+            )
+
+
+def overlapping_shapes(model: mujoco.MjModel, positions: np.ndarray) -> dict[tuple[str, str], float]:
+    """Pairs of bodies whose collision shapes overlap by more than ``LEAST_OVERLAP``.
+
+    Args:
+        model: a hand.
+        positions: of all joints, shape [nq].
+
+    Returns:
+        Deepest overlap by pair of body names [m].
+    """
+    data = mujoco.MjData(model)
+    data.qpos[:] = positions
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+    mujoco.mj_collision(model, data)
+    deepest: dict[tuple[str, str], float] = {}
+    for contact in data.contact:
+        first, second = sorted(int(model.geom_bodyid[geom]) for geom in contact.geom)
+        pair = body_name(model, first), body_name(model, second)
+        deepest[pair] = max(deepest.get(pair, 0.0), -float(contact.dist))
+    return {pair: depth for pair, depth in deepest.items() if depth > LEAST_OVERLAP}
+
+
+def check_size(model: mujoco.MjModel, parts: HandParts) -> Iterator[Finding]:
+    """A hand in millimetres."""
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    root = model.body(parts.palm).id if parts.palm else 0
+    reach = max(
+        (float(np.linalg.norm(data.xpos[b] - data.xpos[root])) for b in subtree(model, root)), default=0.0
+    )
+    if reach > 0.6 or 0.0 < reach < 0.03:
+        yield warning(f"the farthest link is {reach:.3g} m from the palm; is the model in metres?")
+
+
+def _zero(model: mujoco.MjModel) -> np.ndarray:
+    positions = model.qpos0.copy()
+    hinges = np.flatnonzero(model.jnt_limited)
+    address = model.jnt_qposadr[hinges]
+    positions[address] = np.clip(0.0, *model.jnt_range[hinges].T)
+    return coupled_positions(model, positions)
+
+
+def _middle(model: mujoco.MjModel) -> np.ndarray:
+    positions = model.qpos0.copy()
+    hinges = np.flatnonzero(model.jnt_limited)
+    positions[model.jnt_qposadr[hinges]] = model.jnt_range[hinges].mean(axis=1)
+    return coupled_positions(model, positions)
+
+
+def _stripped(source: ModelSource, weld: int | np.integer) -> bool:
+    """Has a body lost shapes, of those that move with the body ``weld``?"""
+    members = np.flatnonzero(source.model.body_weldid == weld)
+    return any(source.model.body(int(body)).name in source.stripped for body in members)
+
+
+def _weld(model: mujoco.MjModel, name: str) -> int:
+    return int(model.body_weldid[model.body(name).id])

@@ -1,0 +1,135 @@
+"""Faults of the parts named in a hand's TOML: finger chains, tips, the palm's frame."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import pairwise
+
+import mujoco
+import numpy as np
+
+from fungrasp.hands.checking.finding import Finding, HandParts, error, warning
+from fungrasp.hands.checking.kinematic_tree import ancestors, body_name, coupled_positions
+
+SHORTEST_LINK = 1e-3
+"""Key points of a finger nearer than this are one and the same [m]."""
+
+
+def check_fingers(model: mujoco.MjModel, parts: HandParts) -> Iterator[Finding]:
+    """Is each finger one chain from the palm to its tip, in that order?"""
+    owners: dict[str, str] = {}
+    for finger, links in parts.fingers.items():
+        for link in links:
+            if owners.setdefault(link, finger) != finger or links.count(link) > 1:
+                yield error(f"the body '{link}' is named twice: in finger '{owners[link]}' and in '{finger}'")
+        yield from _chain(model, parts.palm, finger, links)
+        tip = parts.tips.get(finger)
+        if tip is None or not links:
+            continue
+        carrier = int(model.site(tip).bodyid[0])
+        last = model.body(links[-1]).id
+        if last not in ancestors(model, carrier):
+            yield error(
+                f"finger '{finger}': the tip site '{tip}' is on the body '{body_name(model, carrier)}', not "
+                f"on the last link '{links[-1]}'"
+            )
+        elif model.body_weldid[carrier] != model.body_weldid[last]:
+            yield error(
+                f"finger '{finger}': a joint moves the tip site '{tip}' against the last link '{links[-1]}'"
+            )
+        else:
+            yield from _lengths(model, finger, (*parts.joints.get(finger, links), tip))
+
+
+def check_palm_frame(
+    model: mujoco.MjModel, parts: HandParts, along: np.ndarray, normal: np.ndarray
+) -> Iterator[Finding]:
+    """Do the fingers point where the palm's frame says, and close to where it says?
+
+    Args:
+        model: the hand.
+        parts: with palm, fingers and tips.
+        along: ``palm_frame.fingers``, shape [3].
+        normal: ``palm_frame.normal``, shape [3].
+    """
+    if abs(float(along @ normal)) > 0.1:
+        yield warning("palm_frame: 'fingers' and 'normal' must be perpendicular")
+    fingers = [name for name in parts.fingers if name != "thumb" and name in parts.tips]
+    if parts.palm is None or not fingers:
+        return
+    zero = coupled_positions(model, np.clip(np.zeros(model.nq), *_limits(model)))
+    bent = coupled_positions(model, np.mean(_limits(model), axis=0))
+    directions, motions = [], []
+    for finger in fingers:
+        base, tip = _key_points(model, parts, finger, zero)
+        directions.append((tip - base) / max(float(np.linalg.norm(tip - base)), 1e-9))
+        motions.append(_key_points(model, parts, finger, bent)[1] - tip)
+    direction, motion = np.mean(directions, axis=0), np.mean(motions, axis=0)
+    angle = np.degrees(
+        np.arccos(np.clip(direction @ along / max(float(np.linalg.norm(direction)), 1e-9), -1, 1))
+    )
+    if angle > 60.0:
+        yield warning(
+            f"palm_frame.fingers is {angle:.0f} degrees off the direction of the fingers at the zero pose, "
+            f"{_numbers(direction)}"
+        )
+    if motion @ normal < 0.0:
+        yield warning(
+            f"palm_frame.normal points out of the back of the hand: fingers bend along {_numbers(motion)}"
+        )
+
+
+def _chain(model: mujoco.MjModel, palm: str | None, finger: str, links: tuple[str, ...]) -> Iterator[Finding]:
+    chain = (() if palm is None else (palm,)) + links
+    for near, far in pairwise(chain):
+        inner, outer = model.body(near).id, model.body(far).id
+        up = ancestors(model, outer)
+        if inner in up:
+            if model.body_weldid[inner] == model.body_weldid[outer]:
+                yield error(f"finger '{finger}': no joint between '{near}' and '{far}', so they are one link")
+        elif outer in ancestors(model, inner):
+            yield error(
+                f"finger '{finger}': '{far}' is nearer to the palm than '{near}'; list links from base to tip"
+            )
+        else:
+            yield error(f"finger '{finger}' is not one chain: '{far}' does not hang on '{near}'")
+
+
+def _lengths(model: mujoco.MjModel, finger: str, names: tuple[str, ...]) -> Iterator[Finding]:
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    sites = {model.site(i).name for i in range(model.nsite)}
+    points = [data.site(name).xpos if name in sites else data.body(name).xpos for name in names]
+    for (near, a), (far, b) in pairwise(zip(names, points, strict=True)):
+        if np.linalg.norm(b - a) < SHORTEST_LINK:
+            yield error(
+                f"finger '{finger}': '{near}' and '{far}' begin at the same point; leave out '{near}', or "
+                "move the tip to the link's end"
+            )
+
+
+def _key_points(
+    model: mujoco.MjModel, parts: HandParts, finger: str, positions: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Base and tip of a finger in the palm's frame [m], each of shape [3]."""
+    data = mujoco.MjData(model)
+    data.qpos[:] = positions
+    mujoco.mj_kinematics(model, data)
+    palm = model.body(parts.palm).id
+    rotation = data.xmat[palm].reshape(3, 3)
+    base = data.xpos[model.body(parts.fingers[finger][0]).id]
+    tip = data.site_xpos[model.site(parts.tips[finger]).id]
+    return (base - data.xpos[palm]) @ rotation, (tip - data.xpos[palm]) @ rotation
+
+
+def _limits(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
+    """Limits of all coordinates, 0 where there are none; each of shape [nq]."""
+    lower, upper = np.zeros(model.nq), np.zeros(model.nq)
+    joints = np.flatnonzero(model.jnt_limited)
+    lower[model.jnt_qposadr[joints]], upper[model.jnt_qposadr[joints]] = model.jnt_range[joints].T
+    return lower, upper
+
+
+def _numbers(vector: np.ndarray) -> str:
+    unit = vector / max(float(np.linalg.norm(vector)), 1e-9)
+    return "(" + ", ".join(f"{value:.2f}" for value in unit) + ")"

@@ -1,0 +1,250 @@
+"""Reading a URDF or MJCF: a fault is reported and repaired, so that the rest can be checked too."""
+
+from __future__ import annotations
+
+import contextlib
+import re
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from fungrasp.hands.checking.finding import Finding, error, listed, warning
+from fungrasp.hands.checking.urdf_checks import check_urdf
+
+MESH_FORMATS = (".obj", ".stl", ".msh")
+
+
+@dataclass(frozen=True)
+class ModelSource:
+    """A model file, read."""
+
+    path: Path
+    spec: mujoco.MjSpec
+    """Repaired: without missing meshes, static bodies not fused; compiles to ``model``."""
+    model: mujoco.MjModel
+    fuses: bool
+    """As written, bodies with no joint are merged into their parents."""
+    urdf: ElementTree.Element | None
+    """Root element, if the file is a URDF."""
+    stripped: frozenset[str]
+    """Bodies that lost shapes with the missing meshes: nothing can be said about their mass and touch."""
+
+
+def read_source(path: Path, findings: list[Finding]) -> ModelSource | None:
+    """Read a model file and add what is wrong to ``findings``. None if nothing beyond that can be checked."""
+    root = _parse(path, findings)
+    if root is None:
+        return None
+    urdf = root if root.tag == "robot" else None
+    if urdf is not None:
+        findings.extend(check_urdf(urdf))
+    with _quiet():
+        try:
+            spec = mujoco.MjSpec.from_file(str(path))
+        except ValueError as problem:
+            findings.append(error(f"MuJoCo cannot read {path}: {one_line(problem)}"))
+            return None
+        fuses = bool(spec.compiler.fusestatic)
+        stripped = _drop_missing_meshes(spec, findings)
+        findings.extend(_joint_kinds(spec))
+        findings.extend(_mend_limits(spec))
+        findings.extend(_mend_inertias(spec))
+        compiler = spec.compiler
+        compiler.fusestatic, compiler.balanceinertia, compiler.boundmass, compiler.boundinertia = (
+            False,
+            True,
+            1e-12,
+            1e-14,
+        )
+        try:
+            model = spec.compile()
+        except ValueError as problem:
+            findings.append(error(f"{path} does not compile: {one_line(problem)}"))
+            return None
+    return ModelSource(path, spec, model, fuses, urdf, stripped)
+
+
+def one_line(problem: Exception) -> str:
+    """The text of an exception in one line."""
+    return " ".join(str(problem).split())
+
+
+def _parse(path: Path, findings: list[Finding]) -> ElementTree.Element | None:
+    try:
+        text = path.read_text()
+    except (OSError, UnicodeDecodeError) as problem:
+        findings.append(error(f"cannot read {path}: {getattr(problem, 'strerror', None) or problem}"))
+        return None
+    if path.suffix == ".xacro" or re.search(r"<xacro:|\$\{", text):
+        findings.append(
+            error(f"{path} is a xacro template; run xacro on it and check the URDF that comes out")
+        )
+        return None
+    try:
+        root = ElementTree.fromstring(text)
+    except ElementTree.ParseError as problem:
+        findings.append(error(f"{path} is not valid XML: {problem}"))
+        return None
+    if root.tag not in ("robot", "mujoco"):
+        findings.append(
+            error(f"{path} is neither a URDF (<robot>) nor an MJCF (<mujoco>): its root is <{root.tag}>")
+        )
+        return None
+    return root
+
+
+def _drop_missing_meshes(spec: mujoco.MjSpec, findings: list[Finding]) -> frozenset[str]:
+    folder = Path(spec.modelfiledir) / spec.compiler.meshdir
+    bad: set[str] = set()
+    missing: list[str] = []
+    unreadable: list[str] = []
+    for mesh in spec.meshes:
+        if not mesh.file:
+            continue
+        if not (folder / mesh.file).is_file():
+            missing.append(mesh.file)
+        elif Path(mesh.file).suffix.lower() not in MESH_FORMATS:
+            unreadable.append(mesh.file)
+        else:
+            continue
+        bad.add(mesh.name or Path(mesh.file).stem)
+    if missing:
+        packages = any(file.startswith("package:") for file in missing)
+        hint = (
+            " (package:// addresses are not resolved: write paths relative to the file)" if packages else ""
+        )
+        findings.append(
+            error(f"missing mesh {listed(missing)}, looked for in {folder}{hint}; the checks go on without")
+        )
+    if unreadable:
+        findings.append(
+            error(f"mesh {listed(unreadable)}: MuJoCo reads {', '.join(MESH_FORMATS)}; convert it")
+        )
+    stripped = set()
+    for geom in list(spec.geoms):
+        if geom.meshname in bad:
+            stripped.add(geom.parent.name)
+            spec.delete(geom)
+    for mesh in list(spec.meshes):
+        if (mesh.name or Path(mesh.file).stem) in bad:
+            spec.delete(mesh)
+    return frozenset(stripped)
+
+
+def _joint_kinds(spec: mujoco.MjSpec) -> Iterator[Finding]:
+    kinds = mujoco.mjtJoint
+    for joint in spec.joints:
+        if joint.type in (kinds.mjJNT_FREE, kinds.mjJNT_BALL):
+            word = "free" if joint.type == kinds.mjJNT_FREE else "ball"
+            yield error(f"joint '{joint.name}' is a {word} joint; the joints of a hand must be hinges")
+        elif joint.type == kinds.mjJNT_SLIDE:
+            yield warning(f"joint '{joint.name}' slides; the joints of a hand are expected to be hinges")
+
+
+def _mend_limits(spec: mujoco.MjSpec) -> Iterator[Finding]:
+    limited, auto = mujoco.mjtLimited.mjLIMITED_TRUE, mujoco.mjtLimited.mjLIMITED_AUTO
+    unlimited, degrees = [], []
+    widest = 0.0
+    for joint in spec.joints:
+        if joint.type != mujoco.mjtJoint.mjJNT_HINGE:
+            continue
+        lower, upper = np.deg2rad(joint.range) if spec.compiler.degree else np.asarray(joint.range)
+        if lower == upper == 0.0:
+            unlimited.append(joint.name)
+        elif lower == upper:
+            yield error(
+                f"joint '{joint.name}' has a zero range: both limits are {lower:g} rad; make it fixed or "
+                "give its limits"
+            )
+        elif lower > upper:
+            yield error(
+                f"joint '{joint.name}' has inverted limits: lower {lower:g} is above upper {upper:g} rad"
+            )
+        elif max(-lower, upper) > 2 * np.pi + 1e-6:
+            degrees.append(f"{joint.name} ({lower:g} to {upper:g})")
+        elif joint.limited != limited and not (joint.limited == auto and spec.compiler.autolimits):
+            yield error(
+                f"joint '{joint.name}' gives a range that is ignored; write limited=\"true\" or "
+                'autolimits="true"'
+            )
+        widest = max(widest, abs(lower), abs(upper))
+        if lower >= upper:
+            joint.limited = mujoco.mjtLimited.mjLIMITED_FALSE
+    if unlimited:
+        yield error(
+            f"no limits (or both are 0) for the joint {listed(unlimited)}; give lower and upper in radians"
+        )
+    if degrees:
+        yield error(
+            f"limits beyond a full turn for the joint {listed(degrees)} [rad]: degrees mistaken for radians?"
+        )
+    if spec.compiler.degree and 0.0 < widest < 0.1:
+        yield error(
+            f"the widest joint limit is {widest:.3g} rad: radians read as degrees? Add <compiler "
+            'angle="radian"/>'
+        )
+
+
+def _mend_inertias(spec: mujoco.MjSpec) -> Iterator[Finding]:
+    negative, lopsided = [], []
+    for body in spec.bodies:
+        if not body.explicitinertial:
+            continue
+        moments = _principal_inertias(body)
+        if not body.mass > 0:
+            if list(body.joints):
+                yield error(f"body '{body.name}' has mass {body.mass:g} kg; it must be positive")
+            body.explicitinertial = False
+            continue
+        if not moments[0] > 0:
+            negative.append(f"{body.name} ({_numbers(moments)})")
+        elif moments[2] > (moments[0] + moments[1]) * (1 + 1e-3):
+            lopsided.append(f"{body.name} ({_numbers(moments)})")
+        else:
+            radius = float(np.sqrt(moments[2] / body.mass))
+            if not 3e-4 < radius < 0.3:
+                yield warning(
+                    f"body '{body.name}' has a radius of gyration of {1000 * radius:.3g} mm: are its mass "
+                    f"({body.mass:g}) and principal inertias ({_numbers(moments)}) in kg and kg m2?"
+                )
+            continue
+        body.fullinertia = [np.nan, 0, 0, 0, 0, 0]
+        body.inertia = [body.mass * 1e-4] * 3
+    if negative:
+        yield error(f"the principal inertias [kg m2] must be positive of the body {listed(negative)}")
+    if lopsided:
+        yield error(
+            f"no mass has the principal inertias [kg m2] of the body {listed(lopsided)}: the largest must "
+            "not exceed the sum of the other two"
+        )
+
+
+def _principal_inertias(body: mujoco.MjsBody) -> np.ndarray:
+    """In rising order [kg m2], shape [3]."""
+    diagonal, full = np.asarray(body.inertia), np.asarray(body.fullinertia)
+    return np.linalg.eigvalsh(np.diag(diagonal) if np.isnan(full[0]) else _symmetric(full))
+
+
+def _symmetric(full: np.ndarray) -> np.ndarray:
+    """xx, yy, zz, xy, xz, yz to a matrix, shape [3, 3]."""
+    xx, yy, zz, xy, xz, yz = full
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+
+
+def _numbers(values: np.ndarray) -> str:
+    return ", ".join(f"{value:.3g}" for value in values)
+
+
+@contextlib.contextmanager
+def _quiet() -> Iterator[None]:
+    """Keep MuJoCo's own warnings from the terminal and from a log file: the findings say it better."""
+    before = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(lambda _: None)
+    try:
+        yield
+    finally:
+        mujoco.set_mju_user_warning(before)

@@ -1,0 +1,41 @@
+"""Finding hands by name: ours, other packages' (entry point ``fungrasp.hands``), or a user's TOML file."""
+
+from __future__ import annotations
+
+from functools import cache
+from importlib.metadata import entry_points
+from pathlib import Path
+
+from fungrasp.errors import FungraspError, UnknownNameError
+from fungrasp.hands.hand import Hand, read_hand_toml
+
+
+@cache
+def hand_files() -> dict[str, Path]:
+    """TOML file of every known hand, by name. An entry point's value is a callable that returns a folder or a
+    TOML file."""
+    files = {path.parent.name: path for path in sorted(Path(__file__).parent.glob("*/hand.toml"))}
+    for entry in entry_points(group="fungrasp.hands"):
+        files.setdefault(entry.name, _toml_in(Path(entry.load()())))
+    return files
+
+
+def load_hand(name: str | Path) -> Hand:
+    """A hand by name ("allegro"), or by the path of its TOML file or folder.
+
+    Raises:
+        FungraspError: no such hand, or its files are wrong.
+    """
+    text = str(name)
+    if text in hand_files():
+        return read_hand_toml(hand_files()[text])
+    if text.endswith(".toml") or Path(text).is_dir():
+        path = _toml_in(Path(text))
+        if not path.is_file():
+            raise FungraspError(f"the hand file {path} does not exist")
+        return read_hand_toml(path)
+    raise UnknownNameError("hand", text, hand_files())
+
+
+def _toml_in(path: Path) -> Path:
+    return path / "hand.toml" if path.is_dir() else path

@@ -1,0 +1,121 @@
+"""Reading a mesh file: checked, and repaired where that can be said in a sentence."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import trimesh
+
+from fungrasp.errors import FungraspError
+from fungrasp.objects.mesh_repair import SHELL_THICKNESS, consistent_winding, fill_holes, rebuild, unite
+
+MESH_SUFFIXES = (".obj", ".stl", ".ply", ".glb")
+"""File types looked up by an object's name, in this order."""
+
+TABLE_SIDE = 1.5
+"""Side of the table [m]; an object longer than it is refused."""
+
+SHORTEST_OBJECT = 1e-3
+"""Length of the shortest object [m]."""
+
+WIDEST_HOLE = 0.5
+"""Widest hole that is filled, as a part of the object's longest side."""
+
+_log = logging.getLogger(__name__)
+
+
+def load_mesh(path: str | Path, *, repair: bool = True) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
+    """Read a closed surface in metres.
+
+    Args:
+        path: any mesh trimesh reads; a scene's meshes are joined.
+        repair: mend a surface that is not closed; else that is an error.
+
+    Returns:
+        vertices: [m], shape [V, 3] float64.
+        faces: outward, shape [F, 3] int32.
+        repairs: what was changed, one phrase each; also logged as a warning.
+
+    Raises:
+        FungraspError: the file is missing, unreadable, empty, not finite, not in metres, or can't be mended.
+    """
+    path = Path(path)
+    mesh = _read(path)
+    _check_size(path, float(np.max(mesh.extents)))
+    repairs: list[str] = []
+    if not _closed(mesh) or mesh.volume <= 0:
+        if not repair:
+            raise FungraspError(f"{path}: the surface is not closed, or its faces don't all point outwards")
+        mesh = _mend(path, mesh, repairs)
+    united = unite(mesh) if repair else None
+    if united is not None:
+        mesh = united
+        repairs.append("united bodies that overlap")
+    for phrase in repairs:
+        _log.warning("%s: %s", path, phrase)
+    return np.array(mesh.vertices, dtype=np.float64), np.array(mesh.faces, dtype=np.int32), tuple(repairs)
+
+
+def _read(path: Path) -> trimesh.Trimesh:
+    if not path.is_file():
+        raise FungraspError(f"the mesh file {path} does not exist")
+    try:
+        mesh: Any = trimesh.load(path, force="mesh", process=False)
+        vertices, faces = np.array(mesh.vertices, dtype=float), np.array(mesh.faces)
+    except Exception as error:
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise FungraspError(f"cannot read the mesh {path}: {reason}") from error
+    if len(faces) == 0:
+        raise FungraspError(f"{path}: the mesh has no faces")
+    bad = ~np.isfinite(vertices).all(axis=1)
+    if bad.any():
+        raise FungraspError(f"{path}: vertex {int(np.argmax(bad))} is not finite")
+    merged = trimesh.Trimesh(vertices, faces, process=True)
+    merged.update_faces(merged.nondegenerate_faces())
+    merged.update_faces(merged.unique_faces())
+    merged.remove_unreferenced_vertices()
+    if len(merged.faces) == 0:
+        raise FungraspError(f"{path}: the mesh has no face with an area")
+    return merged
+
+
+def _check_size(path: Path, length: float) -> None:
+    if length >= 2 * TABLE_SIDE:
+        raise FungraspError(
+            f"{path}: {length:.4g} m long; this looks like millimetres: scale the mesh by 0.001"
+        )
+    if length > TABLE_SIDE:
+        raise FungraspError(f"{path}: {length:.4g} m long, larger than the table ({TABLE_SIDE:g} m)")
+    if length < SHORTEST_OBJECT:
+        raise FungraspError(f"{path}: only {length:.3g} m long; a mesh must be in metres")
+
+
+def _closed(mesh: trimesh.Trimesh) -> bool:
+    return bool(mesh.is_watertight and mesh.is_winding_consistent)
+
+
+def _mend(path: Path, mesh: trimesh.Trimesh, repairs: list[str]) -> trimesh.Trimesh:
+    if not mesh.is_winding_consistent:
+        mesh = consistent_winding(mesh)
+        repairs.append("made neighbouring faces wind the same way")
+    if not mesh.is_watertight:
+        mesh, closed = fill_holes(mesh, WIDEST_HOLE * float(np.max(mesh.extents)))
+        if closed:
+            repairs.append(f"filled {closed} hole{'s' * (closed > 1)}")
+    if not _closed(mesh):
+        rebuilt = rebuild(mesh)
+        if rebuilt is None:
+            raise FungraspError(f"{path}: the surface is not closed and can't be mended")
+        mesh = rebuilt
+        repairs[:] = [
+            f"rebuilt the open surface as a shell {SHELL_THICKNESS * 1000:g} mm thick, closed cavities filled"
+        ]
+    if mesh.volume < 0:
+        mesh.invert()
+        repairs.append("turned the faces outwards")
+    if mesh.volume == 0:
+        raise FungraspError(f"{path}: the surface encloses no volume")
+    return mesh

@@ -1,0 +1,100 @@
+"""A physical object: its mesh, mass, parts, and what follows from them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+import trimesh
+
+from fungrasp.errors import FungraspError
+from fungrasp.geometry.signed_distance import SignedDistanceGrid
+from fungrasp.objects.convex_decomposition import ConvexPiece, convex_pieces, mesh_digest
+from fungrasp.objects.disk_cache import cached_on_disk
+
+GRID_SPACING = 0.0025
+"""Edge of a cell of the signed-distance grid [m]."""
+
+GRID_FORMAT = 2
+"""Goes up when the same mesh should give another grid."""
+
+
+@dataclass(frozen=True, eq=False)
+class ObjectModel:
+    """An object. ``fungrasp.objects.load_object`` makes it."""
+
+    name: str
+    """Name by which grasps refer to the object."""
+    mass: float
+    """Mass [kg]."""
+    vertices: np.ndarray
+    """Vertices of the surface [m], shape [V, 3] float64, object frame."""
+    faces: np.ndarray
+    """Triangles, outward, shape [F, 3] int32."""
+    parts: Mapping[str, np.ndarray] = field(default_factory=dict)
+    """Functional parts by name: which faces belong to it, shape [F] bool; empty for a user's mesh."""
+    construction: tuple[ConvexPiece, ...] = ()
+    """The convex solids a built-in object is the union of; empty for a user's mesh."""
+    repairs: tuple[str, ...] = ()
+    """What was mended when the mesh was read."""
+    source: str = ""
+    """Where the mass and the size come from."""
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.mass) and self.mass > 0):
+            raise FungraspError(
+                f"object '{self.name}': the mass must be positive and finite, not {self.mass!r} kg"
+            )
+
+    @cached_property
+    def mesh(self) -> trimesh.Trimesh:
+        """The surface, with density so that it has the object's mass; do not change it."""
+        mesh = trimesh.Trimesh(self.vertices, self.faces, process=False)
+        mesh.density = self.mass / mesh.volume
+        return mesh
+
+    @cached_property
+    def pieces(self) -> tuple[ConvexPiece, ...]:
+        """Convex pieces for physics: the construction of a built-in object, else CoACD's, cached on disk."""
+        return self.construction or convex_pieces(self.vertices, self.faces)
+
+    @cached_property
+    def signed_distance(self) -> SignedDistanceGrid:
+        """Distance to the surface on a grid, computed once and cached on disk."""
+        return cached_on_disk(
+            "signed_distance",
+            f"{GRID_FORMAT} {GRID_SPACING} {self.digest}",
+            SignedDistanceGrid.load,
+            lambda path: SignedDistanceGrid.from_mesh(self.vertices, self.faces, GRID_SPACING).save(path),
+        )
+
+    @cached_property
+    def center_of_mass(self) -> np.ndarray:
+        """Center of mass [m], shape [3], object frame, at uniform density."""
+        return np.array(self.mesh.center_mass)
+
+    @cached_property
+    def inertia(self) -> np.ndarray:
+        """Inertia [kg m2], shape [3, 3], about the center of mass, axes of the object frame, at uniform
+        density."""
+        return np.array(self.mesh.moment_inertia)
+
+    @cached_property
+    def size(self) -> np.ndarray:
+        """Extents along the axes of the object frame [m], shape [3]."""
+        return np.ptp(self.vertices, axis=0)
+
+    @cached_property
+    def digest(self) -> str:
+        """SHA-256 of the mesh: the key of what is cached about it."""
+        return mesh_digest(self.vertices, self.faces)
+
+    def rest_pose(self, yaw: float = 0.0) -> np.ndarray:
+        """Standing on the table, shape [7], world frame: origin above the world's, lowest vertex at z = 0.
+
+        Args:
+            yaw: turn about the vertical [rad].
+        """
+        return np.array([0, 0, -self.vertices[:, 2].min(), np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)])

@@ -1,0 +1,109 @@
+"""Finding objects by name: in a folder, ours, another package's (entry point ``fungrasp.objects``)."""
+
+from __future__ import annotations
+
+from functools import cache, lru_cache
+from importlib.metadata import entry_points
+from pathlib import Path
+
+import numpy as np
+
+from fungrasp.errors import FungraspError, UnknownNameError
+from fungrasp.objects.builtin import BUILTINS, build_builtin
+from fungrasp.objects.mesh_file import MESH_SUFFIXES, load_mesh
+from fungrasp.objects.object_model import ObjectModel
+
+
+def object_names() -> tuple[str, ...]:
+    """Names of the built-in objects."""
+    return tuple(BUILTINS)
+
+
+@lru_cache(maxsize=256)
+def builtin_object(name: str, mass: float | None = None) -> ObjectModel:
+    """A built-in object.
+
+    Args:
+        name: one of ``object_names()``.
+        mass: [kg]; its own if None.
+
+    Raises:
+        FungraspError: no such object, or a mass that is not positive.
+    """
+    if name not in BUILTINS:
+        raise UnknownNameError("object", name, BUILTINS)
+    return build_builtin(name, mass)
+
+
+def load_object(name: str, mass: float | None = None, folder: str | Path | None = None) -> ObjectModel:
+    """By name: ``<name>.obj`` (.stl, .ply, .glb) in ``folder``, else built-in, else another package's.
+
+    Args:
+        name: of the mesh file without suffix, or of a built-in object.
+        mass: [kg]; needed for a mesh, a built-in object has its own.
+        folder: of meshes.
+
+    Raises:
+        FungraspError: no such folder or object, a bad mesh, or a missing or bad mass.
+    """
+    files = mesh_files(folder)
+    known = {**dict.fromkeys(BUILTINS), **files}
+    if name not in known:
+        raise UnknownNameError("object", name, known)
+    path = known[name]
+    if path is None:
+        return builtin_object(name, mass)
+    return object_from_file(path, mass)
+
+
+def mesh_files(folder: str | Path | None = None) -> dict[str, Path]:
+    """Mesh file of every object that is one, by name: other packages' and, before those, the folder's.
+
+    Raises:
+        FungraspError: the folder does not exist.
+    """
+    packaged = {name: path for name, path in _packaged_meshes().items() if name not in BUILTINS}
+    return packaged | (_meshes_in(Path(folder)) if folder is not None else {})
+
+
+def object_from_file(path: str | Path, mass: float | None) -> ObjectModel:
+    """An object from a mesh file; its name is the file's without suffix.
+
+    Raises:
+        FungraspError: a bad mesh, or a missing or bad mass.
+    """
+    path = Path(path)
+    if mass is None:
+        raise FungraspError(f"object '{path.stem}': a mesh needs a mass [kg]")
+    stamp = path.stat().st_mtime_ns if path.is_file() else 0
+    return _from_file(path.absolute(), float(mass), stamp)
+
+
+@lru_cache(maxsize=256)
+def _from_file(path: Path, mass: float, stamp: int) -> ObjectModel:
+    vertices, faces, repairs = _mesh(path, stamp)
+    return ObjectModel(path.stem, mass, vertices, faces, repairs=repairs, source=str(path))
+
+
+@lru_cache(maxsize=256)
+def _mesh(path: Path, stamp: int) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
+    return load_mesh(path)
+
+
+def _meshes_in(folder: Path) -> dict[str, Path]:
+    if not folder.is_dir():
+        raise FungraspError(f"the folder of objects {folder} does not exist")
+    return {
+        path.stem: path
+        for suffix in reversed(MESH_SUFFIXES)
+        for path in sorted(folder.iterdir())
+        if path.suffix.lower() == suffix
+    }
+
+
+@cache
+def _packaged_meshes() -> dict[str, Path]:
+    files: dict[str, Path] = {}
+    for entry in entry_points(group="fungrasp.objects"):
+        files |= _meshes_in(Path(entry.load()()))
+    return files

@@ -1,0 +1,119 @@
+"""What a hand may collide with, in the object's frame: the object's signed distance and the table."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Self
+
+import numpy as np
+
+from fungrasp.geometry import SignedDistanceBank
+from fungrasp.geometry.poses import invert, rotate
+from fungrasp.objects import ObjectModel
+from fungrasp.objects.resting_pose import settled_up
+
+
+@dataclass(frozen=True)
+class CollisionScene:
+    """What N hands may collide with: an object each, and the table, in the object's frame."""
+
+    bank: SignedDistanceBank
+    """Signed-distance grids of the objects."""
+    grid: np.ndarray
+    """Index of each hand's object in the bank, shape [N]."""
+    up: np.ndarray
+    """Normals of the planes to stay above, shape [N, T, 3]."""
+    height: np.ndarray
+    """Height of the object's origin above each plane [m], shape [N, T]: a point p is at up . p + height."""
+
+    @classmethod
+    def settled(
+        cls, names: Sequence[str], pose: np.ndarray, objects: Mapping[str, ObjectModel]
+    ) -> CollisionScene:
+        """One plane per hand: the table under an object that has settled.
+
+        Args:
+            names: name of each hand's object, length N.
+            pose: of the objects, world frame, shape [N, 7].
+            objects: by name.
+        """
+        known = sorted(set(names))
+        up = rotate(invert(pose)[:, 3:], np.array([0.0, 0.0, 1.0]))
+        grid = np.array([known.index(name) for name in names])
+        return cls(
+            SignedDistanceBank([objects[name].signed_distance for name in known]),
+            grid,
+            up[:, None],
+            pose[:, 2:3],
+        )
+
+    @classmethod
+    def measured_and_settled(
+        cls, names: Sequence[str], pose: np.ndarray, objects: Mapping[str, ObjectModel]
+    ) -> CollisionScene:
+        """Two planes per hand: the table at the measured, noisy rest pose of its object, and at the pose in
+        which the object settles.
+
+        Args: as for ``settled``.
+        """
+        measured = cls.settled(names, pose, objects)
+        up = np.array(
+            [settled_up(objects[name], u) for name, u in zip(names, measured.up[:, 0], strict=True)]
+        )
+        height = -np.array([np.min(objects[name].vertices @ u) for name, u in zip(names, up, strict=True)])
+        return replace(
+            measured,
+            up=np.stack([measured.up[:, 0], up], axis=1),
+            height=np.stack([measured.height[:, 0], height], axis=1),
+        )
+
+    def rows(self, which: slice | np.ndarray) -> Self:
+        """The scene of some of the hands: a slice or indices."""
+        parts = {f.name: getattr(self, f.name)[which] for f in fields(self) if f.name != "bank"}
+        return replace(self, **parts)
+
+    def __len__(self) -> int:
+        return len(self.grid)
+
+
+def project_to_surface(
+    bank: SignedDistanceBank, grid: np.ndarray, points: np.ndarray, iterations: int = 3
+) -> tuple[np.ndarray, np.ndarray]:
+    """Surface points nearest to points, by Newton steps ``p - d(p) n(p)`` down the signed distance.
+
+    Args:
+        bank: signed-distance grids.
+        grid: index of each row's grid in the bank, shape [N].
+        points: [m], shape [N, P, 3], object frame.
+        iterations: number of steps.
+
+    Returns:
+        surface points [m] and outward unit normals, each shape [N, P, 3].
+    """
+    for _ in range(iterations):
+        distance, gradient = bank.query(grid, points)
+        gradient = gradient / np.maximum(np.linalg.norm(gradient, axis=-1, keepdims=True), 1e-9)
+        points = points - distance[..., None] * gradient
+    _, gradient = bank.query(grid, points)
+    return points, gradient / np.maximum(np.linalg.norm(gradient, axis=-1, keepdims=True), 1e-9)
+
+
+def gradient_derivative(
+    bank: SignedDistanceBank, grid: np.ndarray, points: np.ndarray, reach: float
+) -> np.ndarray:
+    """Derivative of the signed distances' gradient by central differences, which also smooth edges.
+
+    Args:
+        bank, grid: as for ``project_to_surface``.
+        points: [m], shape [N, P, 3], object frame.
+        reach: half width of the differences [m].
+
+    Returns:
+        [1/m], shape [N, P, 3, 3]; the last axis is that of the point.
+    """
+    derivative = np.empty((*points.shape, 3))
+    for axis, shift in enumerate(reach * np.eye(3)):
+        ahead, behind = bank.query(grid, points + shift)[1], bank.query(grid, points - shift)[1]
+        derivative[..., axis] = (ahead - behind) / (2 * reach)
+    return derivative

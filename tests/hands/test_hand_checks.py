@@ -1,0 +1,417 @@
+"""The checker: every fault is found in a small hand that has it; the small hand without faults has none."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from fungrasp.errors import FungraspError
+from fungrasp.hands import hand_files, load_hand
+from fungrasp.hands.checking.hand_checks import Finding, check_hand_files, write_skeleton
+from fungrasp.hands.checking.toml_draft import finger_of
+
+SHARED = Path(__file__).resolve().parents[2] / ".." / "shared"
+
+
+def finger(name: str, y: float) -> str:
+    return f"""
+    <body name="{name}_a" pos="0 {y} 0.1">
+      <joint name="{name}_j1"/><geom name="{name}_a" fromto="0 0 0.015 0 0 0.03"/>
+      <body name="{name}_b" pos="0 0 0.045">
+        <joint name="{name}_j2"/><geom name="{name}_b" fromto="0 0 0.015 0 0 0.03"/>
+        <site name="{name}_tip" pos="0 0 0.03"/>
+      </body>
+    </body>"""
+
+
+MJCF = f"""<mujoco>
+  <compiler angle="radian"/>
+  <default><joint axis="0 1 0" range="0 1.5"/><geom type="capsule" size="0.008"/></default>
+  <worldbody>
+    <body name="palm">
+      <geom name="palm" type="box" size="0.01 0.04 0.04" pos="0 0 0.04"/>
+      {finger("index", 0.03)}
+      {finger("thumb", -0.03)}
+    </body>
+  </worldbody>
+  <equality><joint joint1="index_j2" joint2="index_j1" polycoef="0 1 0 0 0"/></equality>
+</mujoco>"""
+
+TOML = """name = "small"
+model = "small.xml"
+palm = "palm"
+[palm_frame]
+fingers = [0.0, 0.0, 1.0]
+normal = [1.0, 0.0, 0.0]
+[fingers.index]
+links = ["index_a", "index_b"]
+tip = "index_tip"
+[fingers.thumb]
+links = ["thumb_a", "thumb_b"]
+tip = "thumb_tip"
+[actuators]
+kp = 1.0
+kd = 0.1
+force_limit = 0.5
+"""
+
+INERTIA = '<inertia ixx="1e-5" iyy="1e-5" izz="4e-6" ixy="0" ixz="0" iyz="0"/>'
+INERTIAL = f'<inertial><mass value="0.02"/>{INERTIA}</inertial>'
+LIMIT = '<limit lower="0" upper="1.5" effort="1" velocity="1"/>'
+BOX = '<collision><geometry><box size="0.01 0.01 0.02"/></geometry></collision>'
+
+
+def urdf_finger(name: str, y: float) -> str:
+    return f"""
+  <link name="{name}_a">{INERTIAL}{BOX}</link>
+  <link name="{name}_b">{INERTIAL}{BOX}</link>
+  <joint name="{name}_j1" type="revolute"><origin xyz="0 {y} 0.1"/>
+    <parent link="palm"/><child link="{name}_a"/><axis xyz="0 1 0"/>{LIMIT}</joint>
+  <joint name="{name}_j2" type="revolute"><origin xyz="0 0 0.04"/>
+    <parent link="{name}_a"/><child link="{name}_b"/><axis xyz="0 1 0"/>{LIMIT}</joint>"""
+
+
+URDF = f"""<robot name="small">
+  <mujoco><compiler fusestatic="false"/></mujoco>
+  <link name="palm">{INERTIAL}{BOX}</link>{urdf_finger("index", 0.03)}{urdf_finger("thumb", -0.03)}
+</robot>"""
+
+
+def changed(text: str, old: str, new: str) -> str:
+    assert old in text
+    return text.replace(old, new, 1)
+
+
+def write(folder: Path, mjcf: str = MJCF, toml: str = TOML) -> Path:
+    (folder / "small.xml").write_text(mjcf)
+    (folder / "hand.toml").write_text(toml)
+    return folder / "hand.toml"
+
+
+def said(findings: list[Finding], severity: str, pattern: str) -> bool:
+    return any(f.severity == severity and re.search(pattern, f.message) for f in findings)
+
+
+def faults(findings: list[Finding]) -> list[Finding]:
+    return [f for f in findings if f.severity != "note"]
+
+
+@pytest.mark.parametrize("name", sorted(hand_files()))
+def test_our_hands_have_no_errors(name):
+    assert [f.message for f in check_hand_files(hand_files()[name]) if f.severity == "error"] == []
+
+
+def test_a_sound_hand_has_no_faults(tmp_path):
+    toml = write(tmp_path)
+    assert faults(check_hand_files(toml)) == []
+    assert check_hand_files(tmp_path) == check_hand_files(toml)
+    assert load_hand(toml).name == "small"
+
+
+def test_a_sound_bare_model_gets_a_toml_that_works(tmp_path):
+    (tmp_path / "small.xml").write_text(MJCF)
+    findings = check_hand_files(tmp_path / "small.xml")
+    assert faults(findings) == []
+    assert findings[-1].message.startswith("a hand.toml to start from")
+    (tmp_path / "hand.toml").write_text(findings[-1].message.split("\n\n", 1)[1])
+    hand = load_hand(tmp_path)
+    assert hand.fingers == load_hand(write(tmp_path)).fingers
+    assert hand.palm == "palm"
+    assert hand.palm_fingers.tolist() == [0, 0, 1] and hand.palm_normal.tolist() == [1, 0, 0]
+
+
+def test_a_sound_urdf_has_no_faults(tmp_path):
+    (tmp_path / "small.urdf").write_text(URDF)
+    assert faults(check_hand_files(tmp_path / "small.urdf")) == []
+
+
+PALM = '<body name="palm">'
+INDEX = '<body name="index_a" pos="0 0.03 0.1">'
+JOINT = '<joint name="index_j1"/>'
+SHAPE = 'fromto="0 0 0.015 0 0 0.03"/>'
+
+
+def joint(attributes: str) -> str:
+    return f'<joint name="index_j1" {attributes}/>'
+
+
+def inertial(mass: str, diagonal: str) -> str:
+    return f'<inertial pos="0 0 0" mass="{mass}" diaginertia="{diagonal}"/>'
+
+
+def follows(joint: str, driver: str) -> str:
+    return f'<joint joint1="{joint}" joint2="{driver}" polycoef="0 1 0 0 0"/></equality>'
+
+
+TENDON = """<tendon><fixed name="t">
+  <joint joint="thumb_j1" coef="1"/><joint joint="thumb_j2" coef="1"/>
+</fixed></tendon>"""
+MESH = '<collision><geometry><mesh filename="package://x/a.stl"/></geometry></collision>'
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "severity", "pattern"),
+    [
+        (JOINT, joint('range="1.5 0"'), "error", "'index_j1' has inverted limits"),
+        (JOINT, joint('range="1 1"'), "error", "'index_j1' has a zero range"),
+        (JOINT, joint('range="0 90"'), "error", "index_j1 .*degrees mistaken"),
+        (JOINT, joint('range="0 0"'), "error", "no limits.*'index_j1'"),
+        (JOINT, joint('limited="false"'), "error", "'index_j1'.*ignored"),
+        (JOINT, joint('type="ball" range="0 1"'), "error", "'index_j1' is a ball"),
+        (JOINT, joint('type="slide"'), "warning", "'index_j1' slides"),
+        ('angle="radian"', 'angle="degree"', "error", "radians read as degrees"),
+        (JOINT, joint('pos="0.012 0.5 0"'), "warning", "'index_a' is 12.0 mm off"),
+        (
+            PALM,
+            '<geom name="base" fromto="0 0 -1 0 0 -0.9"/>' + PALM,
+            "error",
+            "palm is fused with the world",
+        ),
+        (
+            PALM,
+            '<body name="palm" pos="0 0 0.2" quat="0 1 0 0">',
+            "warning",
+            "200.0 mm away and turned by 180.0",
+        ),
+        (PALM, PALM + '<joint name="wrist"/>', "error", "moves on the joint 'wrist'"),
+        (PALM, PALM + "<freejoint/>", "error", "is a free joint"),
+        (
+            '<compiler angle="radian"/>',
+            '<compiler angle="radian" fusestatic="true"/>',
+            "error",
+            "'palm' is fused",
+        ),
+        ("0 1 0 0 0", "0 1 0.5 0 0", "warning", "'index_j2' follows 'index_j1' by a curve"),
+        ("0 1 0 0 0", "0.1 2 0 0 0", "warning", r"'index_j2' from 0.100 to 3.100 rad, beyond"),
+        ("0 1 0 0 0", "0.1 0 0 0 0", "warning", "slope 0"),
+        (
+            "</equality>",
+            follows("index_j1", "index_j2"),
+            "error",
+            "'index_j1', 'index_j2' form a loop",
+        ),
+        (
+            "</equality>",
+            follows("index_j2", "thumb_j1"),
+            "error",
+            "'index_j2' is driven by 2",
+        ),
+        (
+            "</mujoco>",
+            TENDON + "</mujoco>",
+            "warning",
+            "tendon 't' couples the joint 'thumb_j1', 'thumb_j2'",
+        ),
+        (INDEX, INDEX + inertial("0", "0 0 0"), "error", "'index_a' has mass 0 kg"),
+        (INDEX, INDEX + inertial("1", "1e-5 1e-5 1e-4"), "error", "index_a.*sum of the other"),
+        (INDEX, INDEX + inertial("1", "0 1e-5 1e-5"), "error", "must be positive.*index_a"),
+        (INDEX, INDEX + inertial("0.1", "1 1 1"), "warning", "'index_a' has a radius of gyr"),
+        (
+            '<geom name="index_a" fromto="0 0 0.015 0 0 0.03"/>',
+            "",
+            "error",
+            "no mass in the moving body 'index_a'",
+        ),
+        (
+            '<geom name="index_b" fromto="0 0 0.015 0 0 0.03"/>',
+            '<geom name="index_b" fromto="0 0 0.015 0 0 0.03" contype="0" conaffinity="0"/>',
+            "error",
+            "no collision shape on the link 'index_b'",
+        ),
+        (
+            'size="0.01 0.04 0.04" pos="0 0 0.04"',
+            'size="0.01 0.04 0.06" pos="0 0 0.06"',
+            "error",
+            "'palm' and 'index_a' .* at the zero pose",
+        ),
+        (
+            INDEX,
+            '<body name="index_a" pos="0 0.03 0.1" quat="0 1 0 0">',
+            "error",
+            "'palm' and 'index_b' overlap",
+        ),
+        (INDEX, '<body name="index_a" pos="0 0.03 1.1">', "warning", "in metres"),
+        (
+            '<site name="index_tip" pos="0 0 0.03"/>',
+            '<site name="index_tip"/>',
+            "error",
+            "'index_b' and 'index_tip' begin at the same point",
+        ),
+    ],
+)
+def test_faults_of_an_mjcf(tmp_path, old, new, severity, pattern):
+    findings = check_hand_files(write(tmp_path, changed(MJCF, old, new)))
+    assert said(findings, severity, pattern), findings
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "severity", "pattern"),
+    [
+        ('palm = "palm"', 'palm = "plam"', "error", "unknown body of small.xml 'plam'. Did you mean 'palm'"),
+        ('tip = "index_tip"', 'tip = "index_top"', "error", "unknown site of small.xml 'index_top'"),
+        (
+            'tip = "index_tip"',
+            'tip = "thumb_tip"',
+            "error",
+            "'thumb_tip' is on the body 'thumb_b', not on the last",
+        ),
+        ('["index_a", "index_b"]', '["index_b", "index_a"]', "error", "list links from base to tip"),
+        ('["index_a", "index_b"]', '["index_a", "thumb_b"]', "error", "'thumb_b' does not hang on 'index_a'"),
+        ('["index_a", "index_b"]', "[]", "error", "finger 'index' needs 'links'"),
+        ("fingers.index", "fingers.indx", "error", "unknown finger 'indx'. Did you mean 'index'"),
+        (
+            'tip = "index_tip"',
+            'tip = "index_tip"\njoints = ["index_a", "x"]',
+            "error",
+            "site or body of small.xml 'x'",
+        ),
+        ('tip = "index_tip"', 'tip = "index_tip"\njoints = ["index_a"]', "error", "2 links and 1 joints"),
+        ("[fingers.thumb]", "[fingers.pinky]", "error", "no thumb"),
+        ("force_limit = 0.5", "", "error", "actuators.force_limit for joint"),
+        ("normal = [1.0, 0.0, 0.0]", "normal = [-1.0, 0.0, 0.0]", "warning", "out of the back of the hand"),
+        (
+            "fingers = [0.0, 0.0, 1.0]",
+            "fingers = [0.0, 1.0, 0.0]",
+            "warning",
+            "palm_frame.fingers is 90 degrees off",
+        ),
+        ("fingers = [0.0, 0.0, 1.0]", "fingers = [1.0, 0.0, 0.0]", "warning", "perpendicular"),
+        ("normal = [1.0, 0.0, 0.0]", "normal = [2.0, 0.0, 0.0]", "error", "must be a unit vector"),
+        ('model = "small.xml"', 'model = "big.xml"', "error", "big.xml does not exist"),
+        ('palm = "palm"', "palm = 3", "error", "'palm' must be a text, not 3"),
+        ('model = "small.xml"', 'model = ["small.xml"]', "error", "'model' must be a text"),
+        (
+            'name = "small"',
+            'name = "small"\nactuators = 3\n[rest]',
+            "error",
+            "'actuators' must be a table|not valid",
+        ),
+        ('links = ["index_a", "index_b"]', "links = [1, [2]]", "error", "unknown body of small.xml '1'"),
+        ("[fingers.index]", "[index]", "error", "a hand needs a thumb and at least one more finger"),
+        ('name = "small"', "", "error", "the field 'name' is missing"),
+        ('name = "small"', "name = small", "error", "not valid TOML"),
+    ],
+)
+def test_faults_of_a_toml(tmp_path, old, new, severity, pattern):
+    findings = check_hand_files(write(tmp_path, toml=changed(TOML, old, new)))
+    assert said(findings, severity, pattern), findings
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "severity", "pattern"),
+    [
+        ('<mujoco><compiler fusestatic="false"/></mujoco>', "", "error", "'palm' is fused with the world"),
+        ('<parent link="index_a"/>', '<parent link="indexa"/>', "error", "names a parent link 'indexa'"),
+        (
+            '<link name="thumb_a">',
+            '<link name="lost"/><link name="thumb_a">',
+            "error",
+            "no parent joint: 'palm', 'lost'",
+        ),
+        ('index_a">' + INERTIAL, 'index_a">', "warning", "no <inertial> in the moving link 'index_a'"),
+        ('effort="1"', 'effort="0"', "warning", "'index_j1' has no force limit"),
+        ('lower="0" upper="1.5"', 'lower="1.5" upper="0"', "error", "'index_j1' has inverted limits"),
+        ('upper="1.5"', 'upper="90"', "error", "degrees mistaken"),
+        (LIMIT, "", "error", "no limits.*'index_j1'"),
+        (LIMIT, LIMIT + '<mimic joint="none"/>', "error", "mimics 'none', which does not exist"),
+        (LIMIT, LIMIT + '<mimic joint="thumb_j1" multiplier="0"/>', "warning", "multiplier 0"),
+        (LIMIT, LIMIT + '<mimic joint="thumb_j1" multiplier="3"/>', "warning", "beyond its limits"),
+        ('type="revolute"', 'type="floating"', "error", "'index_j1' is floating"),
+        (BOX, MESH, "error", "missing mesh 'package://x/a.stl'.*not resolved"),
+        ("thumb", "fifth", "warning", "no thumb"),
+        ("<robot", "<rabbit", "error", "not valid XML"),
+        ("</robot>", "<!-- ${radius} --></robot>", "error", "xacro"),
+    ],
+)
+def test_faults_of_a_urdf(tmp_path, old, new, severity, pattern):
+    text = URDF.replace(old, new) if old == "thumb" else changed(URDF, old, new)
+    (tmp_path / "small.urdf").write_text(text)
+    findings = check_hand_files(tmp_path / "small.urdf")
+    assert said(findings, severity, pattern), findings
+
+
+def test_it_goes_on_after_a_missing_mesh(tmp_path):
+    mesh = changed(MJCF, "<worldbody>", '<asset><mesh name="m" file="lost.obj"/></asset><worldbody>')
+    mesh = changed(mesh, '<geom name="index_a" fromto="0 0 0.015 0 0 0.03"/>', '<geom type="mesh" mesh="m"/>')
+    mesh = changed(mesh, '<joint name="thumb_j1"/>', '<joint name="thumb_j1" range="2 1"/>')
+    findings = check_hand_files(write(tmp_path, mesh))
+    assert said(findings, "error", r"missing mesh 'lost.obj'")
+    assert said(findings, "error", "'thumb_j1' has inverted limits")
+    assert not said(findings, "error", "no mass|no collision shape")
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "pattern"),
+    [
+        ("none.xml", None, "does not exist"),
+        ("hand.txt", "x", "is none of"),
+        ("hand.xml", "<html/>", "neither a URDF"),
+        ("hand.xml", "<mujoco><nonsense/></mujoco>", "MuJoCo cannot read"),
+        ("hand.xml", "<mujoco/>", "no joints"),
+    ],
+)
+def test_files_that_are_no_hands(tmp_path, name, content, pattern):
+    if content is not None:
+        (tmp_path / name).write_text(content)
+    findings = check_hand_files(tmp_path / name)
+    assert said(findings, "error", pattern), findings
+    assert not any("\n" in f.message for f in faults(findings))
+
+
+def test_mujoco_writes_no_log_file(tmp_path, monkeypatch, capfd):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "small.urdf").write_text(changed(URDF, 'upper="1.5"', 'upper="0"'))
+    check_hand_files(tmp_path / "small.urdf")
+    assert not (tmp_path / "MUJOCO_LOG.TXT").exists()
+    assert capfd.readouterr().err == ""
+
+
+def test_actuators_without_a_force_limit(tmp_path):
+    (tmp_path / "small.xml").write_text(
+        changed(MJCF, "</mujoco>", '<actuator><position name="push" joint="thumb_j1"/></actuator></mujoco>')
+    )
+    assert said(check_hand_files(tmp_path / "small.xml"), "warning", "no force limit on the actuator 'push'")
+
+
+def test_a_skeleton_of_a_urdf_is_a_hand(tmp_path):
+    (tmp_path / "small.urdf").write_text(changed(URDF, '<mujoco><compiler fusestatic="false"/></mujoco>', ""))
+    toml, model = write_skeleton(tmp_path / "small.urdf", tmp_path / "out")
+    assert model.is_file()
+    assert faults(check_hand_files(toml)) == []
+    hand = load_hand(toml)
+    assert hand.fingers["index"].links == ("index_a", "index_b")
+    assert list(hand.fingers) == ["index", "thumb"]
+    with pytest.raises(FungraspError, match="exists already"):
+        write_skeleton(tmp_path / "small.urdf", tmp_path / "out")
+
+
+@pytest.mark.parametrize(
+    ("name", "finger"),
+    [
+        ("rh_ffproximal", "index"),
+        ("index_middle", "index"),
+        ("rh_mfmiddle", "middle"),
+        ("R_ring_mcp", "ring"),
+        ("pinky_L1", "pinky"),
+        ("little_distal", "pinky"),
+        ("rh_thbase", "thumb"),
+        ("thumb_pp", "thumb"),
+        ("link_3.0", None),
+        ("string_pulley", None),
+        ("other", None),
+    ],
+)
+def test_fingers_are_known_by_their_names(name, finger):
+    assert finger_of(name) == finger
+
+
+@pytest.mark.parametrize("name", ["inspire_right.urdf", "leap_right.urdf", "shadow_right.xml"])
+def test_models_of_others_are_read_to_the_end(name):
+    path = SHARED / "reference" / "hands" / name
+    if not path.is_file():
+        pytest.skip(f"{path} is not here")
+    findings = check_hand_files(path)
+    assert said(findings, "error", "missing mesh")
+    assert said(findings, "note", "a hand.toml to start from")
