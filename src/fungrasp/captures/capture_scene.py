@@ -15,7 +15,7 @@ from fungrasp.geometry.poses import transform_points
 from fungrasp.grasps import HumanGrasp
 from fungrasp.objects import ObjectModel, builtin_object
 from fungrasp.rendering.shading import Colour, Look
-from fungrasp.rendering.surfaces import Surface
+from fungrasp.rendering.surfaces import SurfaceMesh
 
 
 class Label(IntEnum):
@@ -51,10 +51,10 @@ CLUTTER_REACH = (0.10, 0.38)
 """Clutter stands so far from the grasp, measured between centres [m]."""
 
 SLEEVES_WORN = 0.7
-"""Part of the people who wear a sleeve."""
+"""Fraction of the people who wear a sleeve."""
 
 WALL_DISTANCE = (1.4, 2.6)
-"""From the grasp [m]."""
+"""Range of distances of the walls from the grasp [m]."""
 
 _SPACE = 0.012
 _FLOOR = -0.72
@@ -78,7 +78,7 @@ _PLAINS: tuple[Colour, ...] = ((0.86, 0.86, 0.85), (0.32, 0.33, 0.35), (0.60, 0.
 class CaptureScene:
     """Surfaces to be seen, what they are, and the light."""
 
-    surfaces: tuple[Surface, ...]
+    surfaces: tuple[SurfaceMesh, ...]
     labels: np.ndarray
     """``Label`` of each surface, shape [surfaces] uint8."""
     look: Look
@@ -153,7 +153,7 @@ def _clutter(
     return placed
 
 
-def _table(centre: np.ndarray, rng: np.random.Generator) -> Surface:
+def _table(centre: np.ndarray, rng: np.random.Generator) -> SurfaceMesh:
     size = np.array(TABLE_SIZE)
     box = trimesh.creation.box(size)
     vertices = np.array(box.vertices)
@@ -164,7 +164,7 @@ def _table(centre: np.ndarray, rng: np.random.Generator) -> Surface:
     pose = np.array([*(centre[:2] + offset), -0.5 * size[2], np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)])
     vertices, faces = transform_points(pose, vertices), np.array(box.faces)
     normals, specular = fine_mesh_normals(vertices, faces), float(rng.uniform(0, 0.15))
-    return Surface(vertices, faces, normals, np.ones(3), specular, 50.0, image, places[faces])
+    return SurfaceMesh(vertices, faces, normals, np.ones(3), specular, 50.0, image, places[faces])
 
 
 def _table_image(rng: np.random.Generator) -> np.ndarray:
@@ -186,7 +186,7 @@ def _table_image(rng: np.random.Generator) -> np.ndarray:
     return np.clip(image, 0, 1)
 
 
-def _room(centre: np.ndarray, rng: np.random.Generator) -> list[Surface]:
+def _room(centre: np.ndarray, rng: np.random.Generator) -> list[SurfaceMesh]:
     """Floor and four walls."""
     grey = rng.uniform(0.45, 0.9)
     wall = np.clip(grey + rng.uniform(-0.08, 0.08, 3), 0, 1)
@@ -200,7 +200,7 @@ def _room(centre: np.ndarray, rng: np.random.Generator) -> list[Surface]:
     return things
 
 
-def _block(centre: np.ndarray, size: Sequence[float], colour: np.ndarray) -> Surface:
+def _block(centre: np.ndarray, size: Sequence[float], colour: np.ndarray) -> SurfaceMesh:
     box = trimesh.creation.box(size)
     vertices = np.array(box.vertices) + centre
     return PaintedMesh(vertices, np.array(box.faces), np.tile(colour, (len(vertices), 1))).surface(0.0)

@@ -13,7 +13,7 @@ import trimesh
 from fungrasp.geometry.poses import transform_points
 from fungrasp.objects import ObjectModel
 from fungrasp.rendering.shading import linear
-from fungrasp.rendering.surfaces import Surface
+from fungrasp.rendering.surfaces import SurfaceMesh
 
 CREASE = float(np.cos(np.radians(35.0)))
 """A corner's normal is smooth if it differs from its triangle's by no more than this angle (cosine)."""
@@ -33,10 +33,10 @@ class PaintedMesh:
     colours: np.ndarray
     """sRGB from 0 to 1, shape [V, 3]."""
 
-    def surface(self, specular: float = 0.1, shininess: float = 10.0) -> Surface:
+    def surface(self, specular: float = 0.1, shininess: float = 10.0) -> SurfaceMesh:
         """The mesh as it is drawn. specular, shininess: strength and exponent of the highlight."""
         normals = fine_mesh_normals(self.vertices, self.faces)
-        return Surface(self.vertices, self.faces, normals, linear(self.colours), specular, shininess)
+        return SurfaceMesh(self.vertices, self.faces, normals, linear(self.colours), specular, shininess)
 
     def moved(self, pose: np.ndarray) -> PaintedMesh:
         """The mesh at a pose, shape [7]."""

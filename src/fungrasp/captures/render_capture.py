@@ -39,15 +39,15 @@ class CaptureSettings:
     """What test captures look like."""
 
     intrinsics: Intrinsics = TYPICAL
-    """Of the typical camera; those of a capture differ from them by a few pixels."""
+    """Intrinsics of the typical camera; those of a capture differ by a few pixels."""
     intrinsics_spread: float = 8.0
     """Largest difference of focal length and optical axis from the typical ones [pixels]."""
     distance: tuple[float, float] = (0.4, 0.9)
-    """From the camera to the grasp [m]."""
+    """Range of distances from the camera to the grasp [m]."""
     elevation: tuple[float, float] = (15.0, 65.0)
-    """Of the camera above the table, seen from the grasp [degrees]."""
+    """Range of elevations of the camera above the table, seen from the grasp [degrees]."""
     clutter: tuple[int, int] = (0, 5)
-    """Fewest and most other things on the table."""
+    """Fewest and most other objects on the table."""
     skin: tuple[Colour, ...] = SKIN_TONES
     """Tones of skin, sRGB; another colour makes a glove."""
     object_seen: float = 0.012

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 
 from fungrasp.rendering.shading import Materials, linear
-from fungrasp.rendering.surfaces import Surface, corner_normals
+from fungrasp.rendering.surfaces import SurfaceMesh, corner_normals
 
 VISIBLE_GROUPS = (0, 1, 2)
 """Geom groups that are drawn; MuJoCo's convention keeps collision shapes in the others."""
@@ -26,7 +26,7 @@ def drawn_geoms(model: mujoco.MjModel, *, ground: bool) -> np.ndarray:
     return np.isin(model.geom_group, VISIBLE_GROUPS) & ~np.isin(model.geom_type, left_out)
 
 
-def geom_surface(model: mujoco.MjModel, geom: int, materials: Materials) -> Surface:
+def geom_surface(model: mujoco.MjModel, geom: int, materials: Materials) -> SurfaceMesh:
     """Surface of a geom, in the geom's own frame."""
     mesh = int(model.geom_dataid[geom])
     texture, uv = None, None
@@ -35,7 +35,7 @@ def geom_surface(model: mujoco.MjModel, geom: int, materials: Materials) -> Surf
         texture = texture_image(model, geom) if uv is not None else None
     else:
         vertices, faces = _primitive(mujoco.mjtGeom(model.geom_type[geom]), model.geom_size[geom])
-    return Surface(
+    return SurfaceMesh(
         vertices,
         faces,
         corner_normals(vertices, faces),

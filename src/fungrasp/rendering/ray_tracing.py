@@ -31,7 +31,7 @@ from fungrasp.rendering.shading import (
     table_fade,
     table_top,
 )
-from fungrasp.rendering.surfaces import Surface
+from fungrasp.rendering.surfaces import SurfaceMesh
 
 NOTHING, TABLE = -1, -2
 """Values of a segmentation where no surface is seen."""
@@ -82,7 +82,7 @@ class SeenPoints:
 class RayTracer:
     """Surfaces in the world, and the light on them."""
 
-    def __init__(self, surfaces: Sequence[Surface], look: Look, table_center: np.ndarray | None = None):
+    def __init__(self, surfaces: Sequence[SurfaceMesh], look: Look, table_center: np.ndarray | None = None):
         """
         Args:
             surfaces: all that casts shadows.

@@ -17,7 +17,7 @@ from fungrasp.rendering.camera import Camera
 from fungrasp.rendering.model_surfaces import drawn_geoms, geom_surface
 from fungrasp.rendering.ray_tracing import NOTHING, TABLE, RayTracer, SeenPoints
 from fungrasp.rendering.shading import Look, linear, model_materials, sun_direction, to_bytes
-from fungrasp.rendering.surfaces import Surface
+from fungrasp.rendering.surfaces import SurfaceMesh
 
 __all__ = ["NOTHING", "TABLE", "Renderer", "Views", "render"]
 
@@ -205,7 +205,7 @@ class Renderer:
 
     def _posed(
         self, data: mujoco.MjData, qpos: np.ndarray, colours: np.ndarray, mocap: np.ndarray | None = None
-    ) -> tuple[list[int], list[Surface]]:
+    ) -> tuple[list[int], list[SurfaceMesh]]:
         """Ids and surfaces of the geoms that are seen in a state."""
         data.qpos[:] = qpos
         if mocap is not None:

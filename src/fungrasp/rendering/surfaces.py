@@ -13,7 +13,7 @@ CREASE = float(np.cos(np.radians(38.0)))
 
 
 @dataclass(frozen=True)
-class Surface:
+class SurfaceMesh:
     """A triangle mesh to be drawn; V vertices, T triangles."""
 
     vertices: np.ndarray
@@ -33,7 +33,7 @@ class Surface:
     corner_uv: np.ndarray | None = None
     """Texture coordinates (u, v) of the triangles' corners, v up, shape [T, 3, 2]."""
 
-    def moved(self, position: np.ndarray, rotation: np.ndarray) -> Surface:
+    def moved(self, position: np.ndarray, rotation: np.ndarray) -> SurfaceMesh:
         """The surface after a rigid motion. position: [m], shape [3]; rotation: shape [3, 3]."""
         vertices = self.vertices @ rotation.T + position
         normals = self.corner_normals @ rotation.T.astype(np.float32)

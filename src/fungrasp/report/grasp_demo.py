@@ -17,7 +17,7 @@ from fungrasp.report.episode_film import view_angles
 from fungrasp.report.page import Contact, GraspReport, Quantity
 
 DIGITS = 3
-"""Of a number after the point."""
+"""Digits after the point to which numbers are rounded."""
 
 MEANINGS: dict[str, tuple[str, str, str]] = {
     "contact_error_mm": ("Contact error", "mm", "Between where person and robot touch, on the surface."),
@@ -88,13 +88,13 @@ def outcome(trajectory: Trajectory, tries: int, rehearsed: bool = False) -> str:
 
     Args:
         tries: trials that refining took, negative if none succeeded.
-        rehearsed: whether the policy had tried plans in a simulation of its own.
+        rehearsed: whether the plan was chosen by simulated rollouts.
     """
     if not trajectory.success:
         tried = f"None of {-tries} variations held" if tries < -1 else "It did not hold"
         return f"{tried}: {trajectory.reason}."
     if tries <= 1:
-        how = "with a plan that was chosen in rehearsals" if rehearsed else "at the first try"
+        how = "with a plan chosen by simulated rollouts" if rehearsed else "at the first try"
         return f"Lifted and held for 3 s, {how}."
     return f"Lifted and held for 3 s, by one of {tries} variations tried in simulation."
 
