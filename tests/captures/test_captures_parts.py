@@ -4,15 +4,16 @@ import trimesh
 from flat_hand import FLAT_HAND
 
 from fungrasp.captures.depth_noise import ColourNoise, DepthNoise, noisy_colour, noisy_depth
-from fungrasp.captures.mesh_tracer import NOTHING, Thing, Tracer
 from fungrasp.captures.painted_mesh import EDGE, PaintedMesh, painted_object
+from fungrasp.captures.render_capture import posed_rays
 from fungrasp.captures.skin_and_sleeve import CLEARANCE, FOREARM, SKIN_TONES, painted_hand, painted_sleeve
 from fungrasp.objects import builtin_object
 from fungrasp.perception import Intrinsics
+from fungrasp.rendering.ray_tracing import NOTHING, RayTracer
 from fungrasp.rendering.shading import Look, linear
 
 LENS = Intrinsics(80, 60, 70, 70, 39.5, 29.5)
-AT_ORIGIN = np.array([0, 0, 0, 1.0, 0, 0, 0])
+AT_ORIGIN = posed_rays(LENS, np.array([0, 0, 0, 1.0, 0, 0, 0]))
 
 
 def a_ball(radius=0.1, centre=(0, 0, 0.5), colour=(0.8, 0.2, 0.2)) -> PaintedMesh:
@@ -22,37 +23,38 @@ def a_ball(radius=0.1, centre=(0, 0, 0.5), colour=(0.8, 0.2, 0.2)) -> PaintedMes
 
 
 def test_a_ball_is_seen_where_geometry_puts_it():
-    view = Tracer([Thing(a_ball())], Look(light=(0, 0, -1))).see(LENS, AT_ORIGIN)
+    tracer = RayTracer([a_ball().surface()], Look(light=(0, 0, -1)))
+    points = tracer.see(AT_ORIGIN)
+    surface = points.surface.reshape(60, 80)
     rays = LENS.rays()
     # |t r - c|^2 = R^2 for rays r with z = 1, so that t is the depth.
     rr, rc = np.sum(rays**2, -1), 0.5 * rays[..., 2]
     inside = rc**2 - rr * (0.25 - 0.01)
-    depth = np.where(inside > 0, (rc - np.sqrt(np.maximum(inside, 0))) / rr, 0)
+    distance = np.where(inside > 0, (rc - np.sqrt(np.maximum(inside, 0))) / np.sqrt(rr), np.inf)
     sure = np.abs(inside) > 2e-3
-    np.testing.assert_array_equal((view.thing == 0)[sure], (inside > 0)[sure])
-    np.testing.assert_allclose(view.depth[sure], depth[sure], atol=1e-3)
-    assert (view.thing[~(inside > 0) & sure] == NOTHING).all()
-    centre = view.light[30, 40]
+    np.testing.assert_array_equal((surface == 0)[sure], (inside > 0)[sure])
+    np.testing.assert_allclose(points.distance.reshape(60, 80)[sure], distance[sure], atol=1e-3)
+    assert (surface[~(inside > 0) & sure] == NOTHING).all()
+    centre = tracer.picture(AT_ORIGIN, points)[30, 40]
     ratio = linear(np.array([0.8, 0.2, 0.2]))
     assert centre[0] / centre[1] == pytest.approx(ratio[0] / ratio[1], rel=0.35)
 
 
 def test_things_throw_shadows():
     floor = trimesh.creation.box((1, 1, 0.01))
-    white = np.ones((len(floor.vertices), 3))
-    ground = Thing(
-        PaintedMesh(floor.vertices.view(np.ndarray) + np.array([0, 0, 0.8]), np.array(floor.faces), white),
-        0.0,
-    )
-    ball = Thing(a_ball(radius=0.05, centre=(0.08, 0, 0.7)))
+    vertices = np.array(floor.vertices) + np.array([0, 0, 0.8])
+    ground = PaintedMesh(vertices, np.array(floor.faces), np.ones((len(vertices), 3))).surface(0.0)
+    ball = a_ball(radius=0.05, centre=(0.08, 0, 0.7)).surface()
     look = Look(light=(1, 0, -1.0), light_radius=0.0)
-    lonely = Tracer([ground], look).see(LENS, AT_ORIGIN).light
-    view = Tracer([ground, ball], look).see(LENS, AT_ORIGIN)
-    darker = (view.light[..., 0] < 0.75 * lonely[..., 0]) & (view.thing == 0)
+    alone, both = RayTracer([ground], look), RayTracer([ground, ball], look)
+    points = both.see(AT_ORIGIN)
+    seen = points.surface.reshape(60, 80)
+    lit = alone.picture(AT_ORIGIN, alone.see(AT_ORIGIN))
+    darker = (both.picture(AT_ORIGIN, points)[..., 0] < 0.75 * lit[..., 0]) & (seen == 0)
     columns = np.nonzero(darker)[1]
     assert len(columns) > 20
     # The light comes from the right (+x): the shadow lies to the left of the ball.
-    assert columns.mean() < np.nonzero(view.thing == 1)[1].mean()
+    assert columns.mean() < np.nonzero(seen == 1)[1].mean()
 
 
 def test_a_hand_has_an_arm_above_the_table_and_features():

@@ -168,12 +168,3 @@ def test_sites_and_bodies_are_found_by_name():
     some = points[np.array([1])]
     assert isinstance(some, BodyPoints)
     np.testing.assert_array_equal(some.offsets, points.offsets[1:])
-
-
-def test_threads_do_not_change_the_result():
-    one, two = (HandKinematics(load_hand("shadow"), COUNT, threads) for threads in (1, 2))
-    pose, joints = random_state(one)
-    points = one.body_points(one.hand.keypoint_names)
-    for kinematics in (one, two):
-        kinematics.update(pose, joints)
-    np.testing.assert_array_equal(one.points(points), two.points(points))

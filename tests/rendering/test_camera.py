@@ -36,12 +36,6 @@ def test_intrinsics_project_camera_points():
     np.testing.assert_allclose(camera.project(point)[0], image[:2] / image[2])
 
 
-def test_all_directions_are_row_by_row():
-    camera = orbit_camera((0, 0, 0), 1.0, 30, 20, width=7, height=5)
-    rows = camera.all_directions().reshape(5, 7, 3)
-    np.testing.assert_allclose(rows[3, 2], camera.directions(np.array([2.0, 3.0])), atol=1e-6)
-
-
 @given(angles, heights, st.integers(0, 2**31))
 def test_fitted_camera_sees_all_spheres(azimuth, elevation, seed):
     rng = np.random.default_rng(seed)

@@ -6,7 +6,7 @@ import trimesh
 from flat_hand import FLAT_HAND
 
 from fungrasp.errors import FungraspError
-from fungrasp.rendering.hand_mesh import LINKS, human_hand_mesh, surface_nets
+from fungrasp.rendering.hand_mesh import LINK_JOINTS, human_hand_mesh, surface_nets
 
 
 def test_the_surface_of_a_ball_is_where_it_should_be():
@@ -40,7 +40,7 @@ def test_fingertips_end_at_the_tip_joints():
 def test_vertices_belong_to_the_link_they_surround():
     hand = human_hand_mesh(FLAT_HAND)
     np.testing.assert_allclose(hand.links.sum(1), 1.0, atol=1e-6)
-    for link, (near, far) in enumerate(LINKS[1:], start=1):
+    for link, (near, far) in enumerate(LINK_JOINTS[1:], start=1):
         middle = 0.5 * (FLAT_HAND[near] + FLAT_HAND[far])
         closest = np.argsort(np.linalg.norm(hand.vertices - middle, axis=1))[:5]
         assert (hand.links[closest].argmax(1) == link).all()

@@ -9,13 +9,13 @@ from enum import IntEnum
 import numpy as np
 import trimesh
 
-from fungrasp.captures.mesh_tracer import Thing
-from fungrasp.captures.painted_mesh import PaintedMesh, painted_object
+from fungrasp.captures.painted_mesh import PaintedMesh, fine_mesh_normals, painted_object
 from fungrasp.captures.skin_and_sleeve import painted_hand, painted_sleeve
 from fungrasp.geometry.poses import transform_points
 from fungrasp.grasps import HumanGrasp
 from fungrasp.objects import ObjectModel, builtin_object
 from fungrasp.rendering.shading import Colour, Look
+from fungrasp.rendering.surfaces import SurfaceMesh
 
 
 class Label(IntEnum):
@@ -51,10 +51,10 @@ CLUTTER_REACH = (0.10, 0.38)
 """Clutter stands so far from the grasp, measured between centres [m]."""
 
 SLEEVES_WORN = 0.7
-"""Part of the people who wear a sleeve."""
+"""Fraction of the people who wear a sleeve."""
 
 WALL_DISTANCE = (1.4, 2.6)
-"""From the grasp [m]."""
+"""Range of distances of the walls from the grasp [m]."""
 
 _SPACE = 0.012
 _FLOOR = -0.72
@@ -76,20 +76,20 @@ _PLAINS: tuple[Colour, ...] = ((0.86, 0.86, 0.85), (0.32, 0.33, 0.35), (0.60, 0.
 
 @dataclass(frozen=True)
 class CaptureScene:
-    """Things to be seen, what they are, and the light."""
+    """Surfaces to be seen, what they are, and the light."""
 
-    things: tuple[Thing, ...]
+    surfaces: tuple[SurfaceMesh, ...]
     labels: np.ndarray
-    """``Label`` of each thing, shape [things] uint8."""
+    """``Label`` of each surface, shape [surfaces] uint8."""
     look: Look
     arm_end: np.ndarray
     """Where the arm ends [m], world frame, shape [3]: better not in the image."""
 
     def without(self, missing: Collection[Label]) -> CaptureScene:
-        """The scene without some of its things; a sleeve goes with its hand."""
+        """The scene without some of its surfaces; a sleeve goes with its hand."""
         gone = {*missing, *([Label.SLEEVE] if Label.HAND in missing else [])}
         kept = [i for i, label in enumerate(self.labels.tolist()) if label not in gone]
-        return replace(self, things=tuple(self.things[i] for i in kept), labels=self.labels[kept])
+        return replace(self, surfaces=tuple(self.surfaces[i] for i in kept), labels=self.labels[kept])
 
 
 def capture_scene(
@@ -113,20 +113,19 @@ def capture_scene(
     """
     skin, arm = painted_hand(grasp.hand_joints, tones[int(rng.integers(len(tones)))], rng)
     held = painted.moved(grasp.object_pose)
-    gloss = Thing(held, float(rng.uniform(0.05, 0.5)), float(rng.uniform(12, 80)))
-    parts = [(Label.HAND, Thing(skin, 0.18, 15.0)), (Label.OBJECT, gloss)]
+    glossy = held.surface(float(rng.uniform(0.05, 0.5)), float(rng.uniform(12, 80)))
+    parts = [(Label.HAND, skin.surface(0.18, 15.0)), (Label.OBJECT, glossy)]
     if rng.uniform() < SLEEVES_WORN:
         cloth = _SLEEVES[rng.integers(len(_SLEEVES))]
-        parts.append(
-            (Label.SLEEVE, Thing(painted_sleeve(arm, rng.uniform(0.25, 0.6), cloth, rng), 0.02, 6.0))
-        )
+        sleeve = painted_sleeve(arm, rng.uniform(0.25, 0.6), cloth, rng)
+        parts.append((Label.SLEEVE, sleeve.surface(0.02, 6.0)))
     taken, centre = np.concatenate([held.vertices, skin.vertices]), held.vertices.mean(0)
     for model, pose in _clutter(taken, centre, clutter, towards, rng):
-        parts.append((Label.CLUTTER, Thing(painted_object(model).moved(pose), 0.3, 40.0)))
+        parts.append((Label.CLUTTER, painted_object(model).moved(pose).surface(0.3, 40.0)))
     parts.append((Label.TABLE, _table(centre, rng)))
-    parts += [(Label.ROOM, thing) for thing in _room(centre, rng)]
-    things, labels = zip(*((thing, label) for label, thing in parts), strict=True)
-    return CaptureScene(things, np.array(labels, np.uint8), _light(rng), arm.control[2])
+    parts += [(Label.ROOM, surface) for surface in _room(centre, rng)]
+    labels, surfaces = zip(*parts, strict=True)
+    return CaptureScene(surfaces, np.array(labels, np.uint8), _look(rng), arm.control[2])
 
 
 def _clutter(
@@ -154,7 +153,7 @@ def _clutter(
     return placed
 
 
-def _table(centre: np.ndarray, rng: np.random.Generator) -> Thing:
+def _table(centre: np.ndarray, rng: np.random.Generator) -> SurfaceMesh:
     size = np.array(TABLE_SIZE)
     box = trimesh.creation.box(size)
     vertices = np.array(box.vertices)
@@ -163,8 +162,9 @@ def _table(centre: np.ndarray, rng: np.random.Generator) -> Thing:
     offset = rng.uniform(-0.5, 0.5, 2) * (0.5 * size[1] - 0.25)
     yaw = rng.uniform(0, np.pi)
     pose = np.array([*(centre[:2] + offset), -0.5 * size[2], np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)])
-    mesh = PaintedMesh(vertices, np.array(box.faces), np.ones((len(vertices), 3))).moved(pose)
-    return Thing(mesh, float(rng.uniform(0, 0.15)), 50.0, image, places)
+    vertices, faces = transform_points(pose, vertices), np.array(box.faces)
+    normals, specular = fine_mesh_normals(vertices, faces), float(rng.uniform(0, 0.15))
+    return SurfaceMesh(vertices, faces, normals, np.ones(3), specular, 50.0, image, places[faces])
 
 
 def _table_image(rng: np.random.Generator) -> np.ndarray:
@@ -186,7 +186,7 @@ def _table_image(rng: np.random.Generator) -> np.ndarray:
     return np.clip(image, 0, 1)
 
 
-def _room(centre: np.ndarray, rng: np.random.Generator) -> list[Thing]:
+def _room(centre: np.ndarray, rng: np.random.Generator) -> list[SurfaceMesh]:
     """Floor and four walls."""
     grey = rng.uniform(0.45, 0.9)
     wall = np.clip(grey + rng.uniform(-0.08, 0.08, 3), 0, 1)
@@ -200,15 +200,17 @@ def _room(centre: np.ndarray, rng: np.random.Generator) -> list[Thing]:
     return things
 
 
-def _block(centre: np.ndarray, size: Sequence[float], colour: np.ndarray) -> Thing:
+def _block(centre: np.ndarray, size: Sequence[float], colour: np.ndarray) -> SurfaceMesh:
     box = trimesh.creation.box(size)
     vertices = np.array(box.vertices) + centre
-    return Thing(PaintedMesh(vertices, np.array(box.faces), np.tile(colour, (len(vertices), 1))), 0.0)
+    return PaintedMesh(vertices, np.array(box.faces), np.tile(colour, (len(vertices), 1))).surface(0.0)
 
 
-def _light(rng: np.random.Generator) -> Look:
+def _look(rng: np.random.Generator) -> Look:
     azimuth, height = rng.uniform(0, 2 * np.pi), rng.uniform(0.9, 2.5)
     return Look(
+        backdrop_top=(0.0, 0.0, 0.0),
+        backdrop_horizon=(0.0, 0.0, 0.0),
         light=(float(np.cos(azimuth)), float(np.sin(azimuth)), float(height)),
         light_radius=float(rng.uniform(2, 14)),
         key=float(rng.uniform(1.0, 2.3)),

@@ -12,6 +12,11 @@ import trimesh
 
 from fungrasp.geometry.poses import transform_points
 from fungrasp.objects import ObjectModel
+from fungrasp.rendering.shading import linear
+from fungrasp.rendering.surfaces import SurfaceMesh
+
+CREASE = float(np.cos(np.radians(35.0)))
+"""A corner's normal is smooth if it differs from its triangle's by no more than this angle (cosine)."""
 
 EDGE = 0.006
 """Longest edge of a painted object's triangles [m]: the finest thing its paint can show."""
@@ -28,9 +33,32 @@ class PaintedMesh:
     colours: np.ndarray
     """sRGB from 0 to 1, shape [V, 3]."""
 
+    def surface(self, specular: float = 0.1, shininess: float = 10.0) -> SurfaceMesh:
+        """The mesh as it is drawn. specular, shininess: strength and exponent of the highlight."""
+        normals = fine_mesh_normals(self.vertices, self.faces)
+        return SurfaceMesh(self.vertices, self.faces, normals, linear(self.colours), specular, shininess)
+
     def moved(self, pose: np.ndarray) -> PaintedMesh:
         """The mesh at a pose, shape [7]."""
         return replace(self, vertices=transform_points(pose, self.vertices))
+
+
+def fine_mesh_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Unit normals at the triangles' corners, those of the vertices except at creases, shape [T, 3, 3]
+    float32. For meshes so fine that triangles beside a crease are small; ``rendering`` has one for all.
+    """
+    corners = vertices[faces]
+    # The length of these is twice the triangle's area, by which it counts at its vertices.
+    weighted = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    vertex = np.stack(
+        [np.bincount(faces.ravel(), np.repeat(weighted[:, k], 3), minlength=len(vertices)) for k in range(3)],
+        axis=-1,
+    )
+    vertex /= np.maximum(np.linalg.norm(vertex, axis=-1, keepdims=True), 1e-300)
+    flat = weighted / np.maximum(np.linalg.norm(weighted, axis=-1, keepdims=True), 1e-300)
+    smooth = vertex[faces]
+    soft = np.einsum("tci,ti->tc", smooth, flat) > CREASE
+    return np.where(soft[..., None], smooth, flat[:, None]).astype(np.float32)
 
 
 def mixed(a: np.ndarray, b: np.ndarray, part: np.ndarray) -> np.ndarray:

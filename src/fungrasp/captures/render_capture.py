@@ -14,15 +14,15 @@ from scipy.spatial.transform import Rotation
 
 from fungrasp.captures.capture_scene import CaptureScene, Label, capture_scene
 from fungrasp.captures.depth_noise import ColourNoise, DepthNoise, noisy_colour, noisy_depth
-from fungrasp.captures.mesh_tracer import Tracer
 from fungrasp.captures.painted_mesh import PaintedMesh, painted_object
 from fungrasp.captures.skin_and_sleeve import SKIN_TONES
 from fungrasp.errors import FungraspError, UnknownNameError
-from fungrasp.geometry.poses import compose, inverse_transform_points, invert
+from fungrasp.geometry.poses import compose, inverse_transform_points, invert, rotation_matrix
 from fungrasp.grasps import HumanGrasp, HumanGraspSet
 from fungrasp.objects import ObjectModel
 from fungrasp.perception import Capture, Intrinsics
 from fungrasp.rendering.camera import orbit_camera
+from fungrasp.rendering.ray_tracing import NOTHING, PixelRays, RayTracer
 from fungrasp.rendering.shading import Colour
 
 TRIES = 24
@@ -39,15 +39,15 @@ class CaptureSettings:
     """What test captures look like."""
 
     intrinsics: Intrinsics = TYPICAL
-    """Of the typical camera; those of a capture differ from them by a few pixels."""
+    """Intrinsics of the typical camera; those of a capture differ by a few pixels."""
     intrinsics_spread: float = 8.0
     """Largest difference of focal length and optical axis from the typical ones [pixels]."""
     distance: tuple[float, float] = (0.4, 0.9)
-    """From the camera to the grasp [m]."""
+    """Range of distances from the camera to the grasp [m]."""
     elevation: tuple[float, float] = (15.0, 65.0)
-    """Of the camera above the table, seen from the grasp [degrees]."""
+    """Range of elevations of the camera above the table, seen from the grasp [degrees]."""
     clutter: tuple[int, int] = (0, 5)
-    """Fewest and most other things on the table."""
+    """Fewest and most other objects on the table."""
     skin: tuple[Colour, ...] = SKIN_TONES
     """Tones of skin, sRGB; another colour makes a glove."""
     object_seen: float = 0.012
@@ -172,24 +172,39 @@ def render_capture(
     clutter = int(rng.integers(settings.clutter[0], settings.clutter[1] + 1))
     towards = float(np.radians(azimuth))
     scene = capture_scene(grasp, painted, rng, tones=settings.skin, clutter=clutter, towards=towards)
-    tracer = Tracer(scene.things, scene.look)
+    tracer = RayTracer(scene.surfaces, scene.look)
     pose = _camera(grasp, painted, tracer, scene, intrinsics, azimuth, settings, rng)
     if settings.missing:
         scene = scene.without(settings.missing)
-        tracer = Tracer(scene.things, scene.look)
-    view = tracer.see(intrinsics, pose)
-    labels = np.append(scene.labels, np.uint8(Label.ROOM))[view.thing]
-    colour = noisy_colour(view.light, settings.colour_noise or ColourNoise(0.0, 0.0, 0.0), rng)
-    depth = view.depth.astype(np.float32)
+        tracer = RayTracer(scene.surfaces, scene.look)
+    rays, shape = posed_rays(intrinsics, pose), (intrinsics.height, intrinsics.width)
+    points = tracer.see(rays)
+    labels = np.append(scene.labels, np.uint8(Label.ROOM))[points.surface].reshape(shape)
+    light = tracer.picture(rays, points)
+    colour = noisy_colour(light, settings.colour_noise or ColourNoise(0.0, 0.0, 0.0), rng)
+    distance = np.where(points.surface == NOTHING, 0.0, points.distance).reshape(shape)
+    depth = (distance / np.linalg.norm(intrinsics.rays(), axis=-1)).astype(np.float32)
     if settings.depth_noise is not None:
         depth = noisy_depth(depth, intrinsics, settings.depth_noise, rng)
     return SyntheticCapture(Capture(colour, depth, intrinsics), grasp, pose, labels, painted)
 
 
+def posed_rays(intrinsics: Intrinsics, pose_world_camera: np.ndarray) -> PixelRays:
+    """The rays of a camera at a pose, shape [7]."""
+    rotation = rotation_matrix(pose_world_camera[3:])
+
+    def directions(pixels: np.ndarray) -> np.ndarray:
+        rays = intrinsics.deproject(pixels, np.ones(pixels.shape[:-1]))
+        return (rays / np.linalg.norm(rays, axis=-1, keepdims=True)) @ rotation.T
+
+    focal = 0.5 * (intrinsics.fx + intrinsics.fy)
+    return PixelRays(intrinsics.width, intrinsics.height, pose_world_camera[:3], focal, directions)
+
+
 def _camera(
     grasp: HumanGrasp,
     painted: PaintedMesh,
-    tracer: Tracer,
+    tracer: RayTracer,
     scene: CaptureScene,
     intrinsics: Intrinsics,
     azimuth: float,
@@ -211,7 +226,7 @@ def _camera(
         roll = Rotation.from_euler("z", rng.normal() * 5, degrees=True)
         rotation = (Rotation.from_matrix(camera.rotation) * roll).as_quat(scalar_first=True)
         pose = np.concatenate([camera.position, rotation])
-        seen = tracer.see(probe, pose, light=False).thing
+        seen = tracer.see(posed_rays(probe, pose), shaded=False).surface
         shown = [np.isin(seen, np.flatnonzero(scene.labels == k)).mean() for k in (Label.OBJECT, Label.HAND)]
         points = np.vstack([grasp.hand_joints, scene.arm_end])
         pixels = intrinsics.project(inverse_transform_points(pose, points))

@@ -10,7 +10,13 @@ import trimesh
 
 from fungrasp.captures.painted_mesh import PaintedMesh, mixed
 from fungrasp.grasps import HUMAN_JOINTS
-from fungrasp.rendering.hand_mesh import LINKS, human_hand_mesh
+from fungrasp.rendering.hand_mesh import (
+    FINGER_RADII,
+    LINK_JOINTS,
+    REFERENCE_PALM,
+    THUMB_RADII,
+    human_hand_mesh,
+)
 from fungrasp.rendering.shading import Colour
 
 SKIN_TONES: tuple[Colour, ...] = (
@@ -34,7 +40,6 @@ CLEARANCE = 0.05
 
 _STUMP = (0.012, 0.045)
 """Where the forearm of ``human_hand_mesh`` begins and ends behind the wrist [m], at its reference size."""
-_REFERENCE_PALM = 0.091
 _WRIST_HALF = (0.0295, 0.0185)
 _WRIST, _INDEX, _MIDDLE, _RING, _PINKY, _THUMB_MCP = (
     HUMAN_JOINTS.index(name)
@@ -43,11 +48,11 @@ _WRIST, _INDEX, _MIDDLE, _RING, _PINKY, _THUMB_MCP = (
 
 
 @dataclass(frozen=True)
-class Arm:
+class Forearm:
     """The forearm: a tube of elliptic section along a quadratic Bezier curve from the wrist to the elbow."""
 
     control: np.ndarray
-    """Of the curve [m], world frame, shape [3, 3]."""
+    """Control points of the curve [m], world frame, shape [3, 3]."""
     across: np.ndarray
     """Direction across the wrist, from the little finger's side to the thumb's, shape [3]."""
     slow: float
@@ -75,7 +80,7 @@ class Arm:
         return np.stack([wide, wide * (1 + 0.3 * part**2)], axis=-1)
 
 
-def painted_hand(joints: np.ndarray, tone: Colour, rng: np.random.Generator) -> tuple[PaintedMesh, Arm]:
+def painted_hand(joints: np.ndarray, tone: Colour, rng: np.random.Generator) -> tuple[PaintedMesh, Forearm]:
     """The skin of a right hand with its forearm, which bends away from the table.
 
     Args:
@@ -85,7 +90,7 @@ def painted_hand(joints: np.ndarray, tone: Colour, rng: np.random.Generator) -> 
     """
     joints = np.asarray(joints, dtype=float)
     hand = human_hand_mesh(joints, cell=CELL)
-    scale = float(np.linalg.norm(joints[_MIDDLE] - joints[_WRIST])) / _REFERENCE_PALM
+    scale = float(np.linalg.norm(joints[_MIDDLE] - joints[_WRIST])) / REFERENCE_PALM
     mesh = trimesh.Trimesh(hand.vertices, hand.faces, process=False)
     normals = np.array(mesh.vertex_normals)
     marks = _marks(joints, hand.vertices, normals, hand.links, scale)
@@ -99,7 +104,7 @@ def painted_hand(joints: np.ndarray, tone: Colour, rng: np.random.Generator) -> 
     return PaintedMesh(vertices, hand.faces, colours), arm
 
 
-def painted_sleeve(arm: Arm, start: float, colour: Colour, rng: np.random.Generator) -> PaintedMesh:
+def painted_sleeve(arm: Forearm, start: float, colour: Colour, rng: np.random.Generator) -> PaintedMesh:
     """A sleeve round the forearm, with a hem.
 
     Args:
@@ -128,7 +133,7 @@ def painted_sleeve(arm: Arm, start: float, colour: Colour, rng: np.random.Genera
     return PaintedMesh(vertices, faces, np.clip(np.asarray(colour) * shade, 0.0, 1.0))
 
 
-def _with_forearm(joints: np.ndarray, vertices: np.ndarray, scale: float) -> tuple[np.ndarray, Arm]:
+def _with_forearm(joints: np.ndarray, vertices: np.ndarray, scale: float) -> tuple[np.ndarray, Forearm]:
     """Stretch the stump behind the wrist into an arm along a curve that stays above the table."""
     wrist = joints[_WRIST]
     back = _unit(wrist - joints[[_MIDDLE, _RING]].mean(0))
@@ -141,7 +146,7 @@ def _with_forearm(joints: np.ndarray, vertices: np.ndarray, scale: float) -> tup
     onward = back.copy()
     onward[2] = max(onward[2], (CLEARANCE + 0.02 - bend[2]) / (0.5 * length), -0.2)
     control = np.stack([first, bend, bend + 0.5 * length * _unit(onward)])
-    arm = Arm(control, across, (end - start) / length, scale)
+    arm = Forearm(control, across, (end - start) / length, scale)
     local = vertices - first
     moves = local @ back > 0
     local, behind = local[moves], local[moves] @ back
@@ -174,7 +179,7 @@ def _marks(
     for finger in range(5):
         for k in range(3):
             link = 1 + 3 * finger + k
-            near, far = (joints[j] for j in LINKS[link])
+            near, far = (joints[j] for j in LINK_JOINTS[link])
             length = float(np.linalg.norm(far - near))
             along, up = (far - near) / length, dorsal[finger, k]
             family = [link - 1 if k else 0, link, *([link + 1] if k < 2 else [])]
@@ -193,7 +198,7 @@ def _marks(
                 marks.red[rows] += 0.5 * crease * np.clip(0.3 - height, 0, 1)
                 marks.swell[rows] -= 0.0005 * scale * crease * np.clip(-height, 0, 1)
             if k == 2:
-                radius = (0.0082 if finger == 4 else 0.0066) * scale
+                radius = (THUMB_RADII if finger == 4 else FINGER_RADII)[-1] * scale
                 _mark_fingertip(marks, rows, place / length, aside / radius, height, scale)
     marks.pale[:] += 0.22 * links[:, 0] * np.clip(normals @ -dorsal[1, 0], 0, 1)
     return marks

@@ -88,7 +88,7 @@ def static_quality(
     if tuple(robot.joint_names) != hand.joint_names:
         raise FungraspError(f"the robot grasps have other joints than hand '{hand.name}'")
     match = correspond(hand)
-    kinematics = HandKinematics(hand, len(robot), threads=0)
+    kinematics = HandKinematics(hand, len(robot))
     wrist = compose(invert(robot.object_pose), robot.wrist_pose)
     independent = (robot.joint_positions - kinematics.offset) @ np.linalg.pinv(kinematics.matrix).T
     kinematics.update(wrist, independent)

@@ -6,7 +6,6 @@ from typing import NamedTuple
 
 import mujoco
 import numpy as np
-from mujoco.batch import Batch
 
 from fungrasp.geometry.poses import (
     cross,
@@ -39,31 +38,27 @@ class HandKinematics:
     wrist's origin, both along the reference frame's axes, then the independent joints [rad].
     """
 
-    def __init__(self, hand: Hand, count: int, threads: int = 1):
+    def __init__(self, hand: Hand, count: int):
         """
         Args:
             hand: any hand.
             count: N.
-            threads: for MuJoCo; 0 means all processors.
         """
-        spec = hand.spec()
-        spec.option.disableflags |= (
-            mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
-        )
         self.hand = hand
-        self.model = spec.compile()
+        self.model = model = hand.spec().compile()
         self.matrix, self.offset = hand.coupling
         limits = hand.joint_limits
         self.lower, self.upper = _independent_limits(self.matrix, self.offset, limits)
-        self._batch = Batch(self.model, count, nthread=threads)
-        self._qpos = self._batch.bind("qpos")
-        self._xpos, self._xmat = self._batch.bind("xpos"), self._batch.bind("xmat")
-        self._anchor, self._axis = self._batch.bind("xanchor"), self._batch.bind("xaxis")
-        self._moves = _moved_bodies(self.model)
+        self._data = data = mujoco.MjData(model)
+        self._position, self._matrix = (
+            np.empty((count, *data.xpos.shape)),
+            np.empty((count, *data.xmat.shape)),
+        )
+        self._anchor, self._axis = np.empty((2, count, *data.xanchor.shape))
+        self._moves = _moved_bodies(model)
         # The palm stands still in the model.
-        data = mujoco.MjData(self.model)
-        mujoco.mj_kinematics(self.model, data)
-        palm = self.model.body(hand.palm).id
+        mujoco.mj_kinematics(model, data)
+        palm = model.body(hand.palm).id
         self._palm_place = data.xpos[palm].copy()
         self._to_palm = data.xmat[palm].reshape(1, 3, 3).mT.copy()
         self._in_palm = np.zeros((count, 3)), self._to_palm, -self._to_palm @ self._palm_place
@@ -83,8 +78,12 @@ class HandKinematics:
                 is that frame.
             independent: independent joint positions [rad], shape [N, U].
         """
-        self._qpos[:] = independent @ self.matrix.T + self.offset
-        self._batch.forward(stage=mujoco.mjtStage.mjSTAGE_POS)
+        model, data = self.model, self._data
+        for i, joints in enumerate(independent @ self.matrix.T + self.offset):
+            data.qpos[:] = joints
+            mujoco.mj_kinematics(model, data)
+            self._position[i], self._matrix[i] = data.xpos, data.xmat
+            self._anchor[i], self._axis[i] = data.xanchor, data.xaxis
         self._wrist_position, self._rotation, self._translation = self._in_palm
         if wrist_pose is not None:
             self._wrist_position = wrist_pose[:, :3]
@@ -94,8 +93,8 @@ class HandKinematics:
 
     def points(self, which: BodyPoints) -> np.ndarray:
         """Positions in the reference frame [m], shape [N, P, 3]."""
-        matrices = self._xmat.take(which.bodies, axis=1).reshape(-1, len(which.bodies), 3, 3)
-        local = self._xpos.take(which.bodies, axis=1) + (matrices @ which.offsets[:, :, None])[..., 0]
+        matrices = self._matrix.take(which.bodies, axis=1).reshape(-1, len(which.bodies), 3, 3)
+        local = self._position.take(which.bodies, axis=1) + (matrices @ which.offsets[:, :, None])[..., 0]
         return self._map(local)
 
     def jacobian(self, bodies: np.ndarray, positions: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Pictures without a display: a ray-casting renderer for MuJoCo models. No GPU, display or OpenGL."""
+"""Pictures without a display: a ray tracer, for MuJoCo models and for captures. No GPU, display or OpenGL."""
 
 from fungrasp.rendering.camera import Camera, fit_camera, orbit_camera
 from fungrasp.rendering.grasp_scenes import (

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fungrasp.errors import FungraspError
+from fungrasp.rendering.ray_tracing import PixelRays
 
 
 @dataclass(frozen=True)
@@ -78,12 +79,9 @@ class Camera:
             result[..., i] = right * x + down * y + forward * size
         return result
 
-    def all_directions(self) -> np.ndarray:
-        """Unit view directions through all pixels, row by row, world frame, shape [height * width, 3]
-        float32.
-        """
-        v, u = np.mgrid[: self.height, : self.width].reshape(2, -1)
-        return self.directions(np.stack([u, v], axis=-1).astype(np.float32))
+    def rays(self) -> PixelRays:
+        """What the ray tracer needs to know."""
+        return PixelRays(self.width, self.height, np.array(self.position), self.focal, self.directions)
 
     def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Where points appear.

@@ -9,7 +9,7 @@ import numpy as np
 
 from fungrasp.errors import FungraspError
 
-LINKS = (
+LINK_JOINTS = (
     (0, 5),
     *((1, 2), (2, 3), (3, 4)),
     *((5, 6), (6, 7), (7, 8)),
@@ -19,10 +19,17 @@ LINKS = (
 )
 """Joints at the near and far end of each of the 16 human links."""
 
-_REFERENCE_PALM = 0.091
+REFERENCE_PALM = 0.091
+"""From wrist to middle knuckle of the hand that the sizes here are of [m]; other hands are scaled."""
+
+FINGER_RADII = (0.0108, 0.0090, 0.0078, 0.0066)
+"""Of the drawn index finger at its joints, from knuckle to tip [m]. They taper and blend to look like skin;
+perception and contacts have their own, of simple capsules."""
+
+THUMB_RADII = (0.0150, 0.0118, 0.0100, 0.0082)
+"""The same of the thumb [m]."""
+
 _SIZES = {"index": 1.0, "middle": 1.02, "ring": 0.96, "pinky": 0.84}
-_FINGER_RADII = (0.0108, 0.0090, 0.0078, 0.0066)
-_THUMB_RADII = (0.0150, 0.0118, 0.0100, 0.0082)
 
 
 @dataclass(frozen=True)
@@ -63,7 +70,7 @@ def human_hand_mesh(joints: np.ndarray, *, cell: float = 0.0022) -> HandMesh:
     length = float(np.linalg.norm(joints[5] - joints[0]))
     if not 0.03 < length < 0.3:
         raise FungraspError(f"the joints are no human hand: wrist to middle knuckle is {length:.3g} m")
-    scale = length / _REFERENCE_PALM
+    scale = length / REFERENCE_PALM
     palm, fingers = _palm(joints, scale), _fingers(joints, scale)
     cones = [*palm, *(cone for chain in fingers for cone in chain)]
     low = (
@@ -147,9 +154,9 @@ def _fingers(joints: np.ndarray, scale: float) -> list[list[_Cone]]:
     chains = []
     starts = {"index": 1, "middle": 5, "ring": 9, "pinky": 13}
     for name, start in starts.items():
-        radii = [r * _SIZES[name] * scale for r in _FINGER_RADII]
+        radii = [r * _SIZES[name] * scale for r in FINGER_RADII]
         chains.append(_chain(joints[start : start + 4], radii))
-    return [*chains, _chain(joints[17:21], [r * scale for r in _THUMB_RADII])]
+    return [*chains, _chain(joints[17:21], [r * scale for r in THUMB_RADII])]
 
 
 def _chain(points: np.ndarray, radii: Sequence[float]) -> list[_Cone]:
@@ -237,7 +244,7 @@ def _membership(vertices: np.ndarray, joints: np.ndarray, scale: float) -> np.nd
         return _cone_distance(vertices.astype(np.float32), cone, zero)
 
     distance = [np.min([to(cone) for cone in palm], axis=0)]
-    for (a, b), radius in zip(LINKS[1:], radii[1:], strict=True):
+    for (a, b), radius in zip(LINK_JOINTS[1:], radii[1:], strict=True):
         distance.append(to(_Cone(joints[a], joints[b], radius * scale, radius * scale)))
     nearest = np.stack(distance, axis=-1) / (0.0022 * scale)
     weight = np.exp(nearest.min(-1, keepdims=True) - nearest)

@@ -1,4 +1,4 @@
-"""The few directions in which light is sampled, and how neighbouring pixels share what they found."""
+"""The few directions in which light is sampled, and the average over neighboring pixels of what was found."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ _PASSES = (
 )
 
 
-def asking(width: int, height: int) -> np.ndarray:
+def sampled_pixels(height: int, width: int) -> np.ndarray:
     """Which pixels take a sample, row by row, shape [height * width] bool."""
     return (np.add.outer(np.arange(height), np.arange(width)) % 2 == 0).ravel()
 
 
-def disc(pixels: np.ndarray) -> np.ndarray:
+def disc_sample(pixels: np.ndarray) -> np.ndarray:
     """Sample in the unit disc, as for a round light. pixels: (u, v), shape [P, 2]. Returns shape [P, 2]."""
     return _DISC[_sample(pixels, _TOWARDS)]
 
 
-def hemisphere(pixels: np.ndarray) -> np.ndarray:
+def hemisphere_sample(pixels: np.ndarray) -> np.ndarray:
     """Sample of the directions about z, as dense as their cosine with it. pixels: (u, v), shape [P, 2].
     Returns unit vectors, shape [P, 3]."""
     points = np.concatenate([_DISC, np.sqrt(1 - np.sum(_DISC**2, -1, keepdims=True))], axis=-1)
@@ -67,20 +67,20 @@ def axes_along(z: np.ndarray) -> np.ndarray:
     return result
 
 
-def share(
+def average_over_neighbors(
     values: Sequence[np.ndarray],
     mask: np.ndarray,
-    asked: np.ndarray,
+    known: np.ndarray,
     surface: np.ndarray,
     distance: np.ndarray,
 ) -> list[np.ndarray]:
-    """Average over the neighbours that see the same surface: first over the pattern, so that it cancels, then
+    """Average over the neighbors that see the same surface: first over the pattern, so that it cancels, then
     wider.
 
     Args:
         values: each of shape [H, W].
         mask: where the values are to be averaged, shape [H, W] bool.
-        asked: where they are known, shape [H, W] bool.
+        known: where they were sampled, shape [H, W] bool.
         surface: id of what is seen; a negative one is flat, shape [H, W].
         distance: of what is seen [m], shape [H, W].
 
@@ -94,8 +94,8 @@ def share(
     near_surface = surface[box]
     near_distance = np.where(near_surface >= 0, distance[box], 0).astype(np.float32)
     result = [value[box] for value in values]
-    for known, kernel in zip((asked[box], np.ones_like(asked[box])), _PASSES, strict=True):
-        result = _averaged(result, known, kernel, near_surface, near_distance)
+    for sampled, kernel in zip((known[box], np.ones_like(known[box])), _PASSES, strict=True):
+        result = _averaged(result, sampled, kernel, near_surface, near_distance)
     whole = [value.copy() for value in values]
     for full, part in zip(whole, result, strict=True):
         full[box] = np.where(mask[box], part, full[box])

@@ -1,17 +1,12 @@
-"""Pictures of a MuJoCo model on the CPU: ray cast, softly lit, anti-aliased, the same bytes every time.
-
-Each frame goes through the same steps: rays from the camera (left out where no geom's bounding sphere can be
-seen), the table in closed form, a shadow and an occlusion ray from each pixel that needs them, with
-directions that change over a 4 x 4 pattern and are averaged over it, and more rays through the pixels on
-edges. The rays of a few frames are cast in one call on all threads.
-"""
+"""Pictures of MuJoCo models on the CPU: ray traced, softly lit, anti-aliased, the same bytes every time."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import islice
 from typing import TypeVar
 
 import mujoco
@@ -19,15 +14,12 @@ import numpy as np
 
 from fungrasp.errors import FungraspError
 from fungrasp.rendering.camera import Camera
-from fungrasp.rendering.frame import NOTHING, TABLE, Frame, Scene
-from fungrasp.rendering.model_rays import RayCaster, drawn_geoms
+from fungrasp.rendering.model_surfaces import drawn_geoms, geom_surface
+from fungrasp.rendering.ray_tracing import NOTHING, TABLE, RayTracer, SeenPoints
 from fungrasp.rendering.shading import Look, linear, model_materials, sun_direction, to_bytes
-from fungrasp.rendering.surfaces import mesh_surface
+from fungrasp.rendering.surfaces import SurfaceMesh
 
 __all__ = ["NOTHING", "TABLE", "Renderer", "Views", "render"]
-
-CHUNK = 8
-"""Frames that are worked on at once."""
 
 _Result = TypeVar("_Result")
 
@@ -106,12 +98,9 @@ class Renderer:
         self._threads = threads or os.cpu_count() or 1
         self._drawn = drawn_geoms(model, ground=ground)
         self._materials = model_materials(model)
-        self._caster = RayCaster(
-            model, max(CHUNK, 2 * self._threads), drawn=self._drawn, threads=self._threads
-        )
-        is_mesh = (model.geom_type == mujoco.mjtGeom.mjGEOM_MESH) & self._drawn
-        surfaces = {int(m): mesh_surface(model, int(m)) for m in np.unique(model.geom_dataid[is_mesh])}
-        self._meshes = {int(g): surfaces[int(model.geom_dataid[g])] for g in np.flatnonzero(is_mesh)}
+        self._surfaces = {
+            int(geom): geom_surface(model, int(geom), self._materials) for geom in np.flatnonzero(self._drawn)
+        }
 
     def stream(
         self,
@@ -135,8 +124,8 @@ class Renderer:
         Raises:
             FungraspError: an argument has the wrong shape, or is not finite.
         """
-        job = self._job(qpos, camera, mocap, geom_rgba)
-        return (to_bytes(light) for frames in self._chunks(job) for light in self._colours(frames))
+        frames = self._frames(qpos, camera, mocap, geom_rgba)
+        return (to_bytes(light) for light in self._each(self._light, frames))
 
     def views(
         self,
@@ -152,23 +141,36 @@ class Renderer:
         Args:
             colour: False leaves out the colours, which take most of the time.
         """
-        job = self._job(qpos, camera, mocap, geom_rgba)
-        pictures, depths, segmentations = [], [], []
-        for frames in self._chunks(job):
-            for frame in frames:
-                depths.append(frame.depth())
-                segmentations.append(frame.points.geom.astype(np.int32).reshape(frame.shape))
-            if colour:
-                pictures += [to_bytes(light) for light in self._colours(frames)]
+        frames = self._frames(qpos, camera, mocap, geom_rgba)
+        seen = list(self._each(lambda frame: self._view(frame, colour), frames))
+        pictures, depths, segmentations = zip(*seen, strict=True)
         return Views(np.stack(pictures) if colour else None, np.stack(depths), np.stack(segmentations))
 
-    def _job(
+    def _light(self, frame: _Frame, points: SeenPoints | None = None) -> np.ndarray:
+        """Linear light of a frame, shape [H, W, 3]."""
+        rays = frame.camera.rays()
+        points = points or frame.tracer.see(rays)
+        return frame.tracer.picture(rays, points, shadows=self._shadows, antialias=self._antialias)
+
+    def _view(self, frame: _Frame, colour: bool) -> tuple[np.ndarray | None, np.ndarray, np.ndarray]:
+        """Picture, depth and segmentation of a frame."""
+        points, camera = frame.tracer.see(frame.camera.rays(), shaded=colour), frame.camera
+        shape = (camera.height, camera.width)
+        distance = np.where(points.surface == NOTHING, 0.0, points.distance)
+        depth = (distance * (points.direction @ camera.rotation[:, 2])).astype(np.float32)
+        # The last two of these are what NOTHING and TABLE take from the end of the array.
+        ids = np.array([*frame.geoms, TABLE, NOTHING], np.int32)[points.surface]
+        picture = to_bytes(self._light(frame, points)) if colour else None
+        return picture, depth.reshape(shape), ids.reshape(shape)
+
+    def _frames(
         self,
         qpos: np.ndarray,
         camera: Camera | Sequence[Camera],
         mocap: np.ndarray | None,
         geom_rgba: np.ndarray | None,
-    ) -> _Job:
+    ) -> Iterator[_Frame]:
+        """Check the arguments, then make the frames one by one; those of one state share their tracer."""
         model = self.model
         qpos = np.atleast_2d(np.asarray(qpos, dtype=float))
         count = len(qpos)
@@ -187,58 +189,52 @@ class Renderer:
         colours = self._materials.colours if geom_rgba is None else np.asarray(geom_rgba, dtype=np.float32)
         colours = np.broadcast_to(colours, (count, *colours.shape)) if colours.ndim == 2 else colours
         _check("geom_rgba", colours, (count, model.ngeom, 4))
-        return _Job(qpos, cameras, mocap, colours)
+        look = replace(self._look, light=sun_direction(self._look, cameras[0].rotation))
+        center = np.asarray(cameras[0].target[:2]) if self._ground else None
 
-    def _chunks(self, job: _Job) -> Iterator[list[Frame]]:
-        """Frames whose pixels know what they see, a few at a time."""
-        scene, directions, camera = None, None, None
-        for start in range(0, len(job.qpos), CHUNK):
-            span = slice(start, start + CHUNK)
-            visible = self._drawn & (job.colours[span, :, 3] > 0)
-            mocap = None if job.mocap is None else job.mocap[span]
-            centres, rotations, boxes = self._caster.pose(job.qpos[span], mocap, visible)
-            if scene is None:
-                middle = np.asarray(job.cameras[0].target[:2])
-                sun = sun_direction(self._look, job.cameras[0].rotation)
-                scene = Scene(
-                    self.model, self._look, self._materials, self._meshes, sun, middle, self._ground
-                )
-            frames = []
-            for i, view in enumerate(job.cameras[span]):
-                if directions is None or view != camera:
-                    camera, directions = view, view.all_directions()
-                colours = linear(job.colours[start + i, :, :3])
-                frames.append(Frame(scene, view, directions, colours, centres[i], rotations[i], boxes[i]))
-            hits = self._caster.cast(self._each(lambda f: (f.eye, f.first_rays()), frames))
-            self._each(lambda pair: pair[0].see(pair[1]), list(zip(frames, hits, strict=True)))
-            yield frames
+        def frames() -> Iterator[_Frame]:
+            data, before = mujoco.MjData(model), None
+            for i, view in enumerate(cameras):
+                state = (qpos[i], colours[i], *(() if mocap is None else (mocap[i],)))
+                if before is None or not all(map(np.array_equal, state, before)):
+                    geoms, surfaces = self._posed(data, *state)
+                    tracer, before = RayTracer(surfaces, look, center), state
+                yield _Frame(tracer, view, geoms)
 
-    def _colours(self, frames: list[Frame]) -> list[np.ndarray]:
-        if self._shadows:
-            hits = self._caster.cast(self._each(Frame.light_rays, frames), normals=False)
-            self._each(lambda pair: pair[0].receive(pair[1]), list(zip(frames, hits, strict=True)))
-        else:
-            self._each(lambda frame: frame.receive(None), frames)
-        if self._antialias == 1:
-            return self._each(lambda frame: frame.colour(None), frames)
-        edges = self._caster.cast(self._each(lambda f: (f.eye, f.edge_rays(self._antialias)), frames))
-        return self._each(lambda pair: pair[0].colour(pair[1]), list(zip(frames, edges, strict=True)))
+        return frames()
 
-    def _each(self, function: Callable[..., _Result], items: Sequence) -> list[_Result]:
-        if len(items) == 1 or self._threads == 1:
-            return [function(item) for item in items]
-        with ThreadPoolExecutor(min(self._threads, len(items))) as pool:
-            return list(pool.map(function, items))
+    def _posed(
+        self, data: mujoco.MjData, qpos: np.ndarray, colours: np.ndarray, mocap: np.ndarray | None = None
+    ) -> tuple[list[int], list[SurfaceMesh]]:
+        """Ids and surfaces of the geoms that are seen in a state."""
+        data.qpos[:] = qpos
+        if mocap is not None:
+            data.mocap_pos[:], data.mocap_quat[:] = mocap[:, :3], mocap[:, 3:]
+        mujoco.mj_kinematics(self.model, data)
+        geoms = [geom for geom in self._surfaces if colours[geom, 3] > 0]
+        surfaces = [
+            replace(self._surfaces[g], color=linear(colours[g, :3])).moved(
+                data.geom_xpos[g], data.geom_xmat[g].reshape(3, 3)
+            )
+            for g in geoms
+        ]
+        return geoms, surfaces
+
+    def _each(self, function: Callable[[_Frame], _Result], frames: Iterator[_Frame]) -> Iterator[_Result]:
+        """Results for the frames in their order, ``threads`` of them worked on at once."""
+        with ThreadPoolExecutor(self._threads) as pool:
+            while some := list(islice(frames, self._threads)):
+                yield from pool.map(function, some)
 
 
 @dataclass(frozen=True)
-class _Job:
-    """Checked arguments of a rendering of F frames."""
+class _Frame:
+    """A state of the model and the camera that looks at it."""
 
-    qpos: np.ndarray
-    cameras: list[Camera]
-    mocap: np.ndarray | None
-    colours: np.ndarray
+    tracer: RayTracer
+    camera: Camera
+    geoms: list[int]
+    """Geom id of each surface."""
 
 
 def _check(name: str, values: np.ndarray, shape: tuple[int, ...]) -> None:

@@ -8,7 +8,6 @@ import mujoco
 import numpy as np
 
 from fungrasp.errors import FungraspError
-from fungrasp.rendering.surfaces import dot
 
 Colour = tuple[float, float, float]
 """sRGB, each from 0 to 1."""
@@ -96,6 +95,11 @@ def linear(colour: np.ndarray) -> np.ndarray:
 def to_bytes(light: np.ndarray) -> np.ndarray:
     """Linear light, 1 being white, to 8-bit sRGB; any shape."""
     return _GAMMA[np.clip(light * _STEPS + 0.5, 0, _STEPS).astype(np.int32)]
+
+
+def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Scalar products over the last axis; the shapes are equal."""
+    return np.einsum("...i,...i->...", a, b)
 
 
 def soft_clip(light: np.ndarray) -> np.ndarray:
@@ -197,17 +201,16 @@ def table_fade(look: Look, points: np.ndarray, middle: np.ndarray) -> np.ndarray
     return s * s * (3 - 2 * s)
 
 
-def sun_direction(look: Look, rotation: np.ndarray) -> np.ndarray:
-    """Unit vector towards the key light. rotation: of the camera, its axes as columns, shape [3, 3]."""
+def sun_direction(look: Look, rotation: np.ndarray) -> tuple[float, float, float]:
+    """Direction towards the key light. rotation: of the camera, its axes as columns, shape [3, 3]."""
     right, forward = rotation[:, 0], rotation[:, 2]
     if look.light is not None:
-        direction = np.asarray(look.light, dtype=float)
-    else:
-        ahead = np.array([forward[0], forward[1], 0.0])
-        size = np.linalg.norm(ahead)
-        ahead = ahead / size if size > 1e-6 else np.cross([0.0, 0.0, 1.0], right)
-        direction = -0.60 * right - 0.48 * ahead + np.array([0.0, 0.0, 1.05])
-    return direction / np.linalg.norm(direction)
+        return look.light
+    ahead = np.array([forward[0], forward[1], 0.0])
+    size = np.linalg.norm(ahead)
+    ahead = ahead / size if size > 1e-6 else np.cross([0.0, 0.0, 1.0], right)
+    x, y, z = (-0.60 * right - 0.48 * ahead + np.array([0.0, 0.0, 1.05])).tolist()
+    return x, y, z
 
 
 def _key_colour(look: Look) -> np.ndarray:

@@ -10,7 +10,7 @@ import numpy as np
 from fungrasp.errors import FungraspError
 from fungrasp.rendering.camera import Camera, fit_camera
 from fungrasp.rendering.grasp_scenes import CONTACT, OBJECT_BODY
-from fungrasp.rendering.model_rays import VISIBLE_GROUPS
+from fungrasp.rendering.model_surfaces import VISIBLE_GROUPS
 from fungrasp.rendering.render import Renderer, Views
 from fungrasp.rendering.shading import model_materials
 

@@ -37,7 +37,7 @@ SETTINGS = CaptureSettings(
 
 
 @dataclass(frozen=True, eq=False)
-class Truth:
+class DemoTruth:
     """What is known about the image because it was made."""
 
     object_name: str
@@ -48,10 +48,10 @@ class Truth:
     """[m], camera frame, shape [21, 3]."""
 
 
-def demo_truth() -> Truth:
+def demo_truth() -> DemoTruth:
     """The truth about the image in ``FOLDER``."""
     truth = json.loads((FOLDER / TRUTH_FILE).read_text())
-    return Truth(
+    return DemoTruth(
         truth["object_name"],
         truth["task"],
         np.array(truth["pose_camera_object"]),
@@ -59,7 +59,7 @@ def demo_truth() -> Truth:
     )
 
 
-def true_errors(truth: Truth, perceived: Perceived, model: ObjectModel) -> list[Quantity]:
+def true_errors(truth: DemoTruth, perceived: Perceived, model: ObjectModel) -> list[Quantity]:
     """How far what was perceived is from the truth."""
     joints = 1e3 * np.linalg.norm(perceived.hand.joints_camera - truth.joints_camera, axis=1)
     pose = perceived.object.pose_camera_object

@@ -23,7 +23,7 @@ CAPTION_MARGIN = 1.18
 """How much larger than its contents a film's picture is: there is a bar of words."""
 
 VERDICT_TIME = 1.0
-"""For which the last picture stays, with words on how the trial ended [s]."""
+"""Time for which the last picture stays, with words on how the episode ended [s]."""
 
 FARTHEST = 0.4
 """An object that has travelled further is out of the film's picture [m]."""
@@ -47,7 +47,7 @@ def trial_film(
     title: str = "",
     threads: int = 0,
 ) -> Iterator[np.ndarray]:
-    """A recorded trial, with the object's own mesh; links light up while they touch.
+    """A recorded episode, with the object's own mesh; links light up while they touch.
 
     The camera draws nearer while the hand approaches. Where nothing moves, as in most of the hold, a frame is
     drawn once. A trial whose simulation diverged is shown until then.

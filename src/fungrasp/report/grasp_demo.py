@@ -17,7 +17,7 @@ from fungrasp.report.episode_film import view_angles
 from fungrasp.report.page import Contact, GraspReport, Quantity
 
 DIGITS = 3
-"""Of a number after the point."""
+"""Digits after the point to which numbers are rounded."""
 
 MEANINGS: dict[str, tuple[str, str, str]] = {
     "contact_error_mm": ("Contact error", "mm", "Between where person and robot touch, on the surface."),

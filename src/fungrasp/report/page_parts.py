@@ -14,10 +14,10 @@ import numpy as np
 from fungrasp.errors import FungraspError
 
 PHOTOGRAPH_QUALITY = 90
-"""Of JPEG, 0 to 100."""
+"""JPEG quality of photographs, 0 to 100."""
 
-VERDICTS = {True: '<em class="good">good</em>', False: '<em class="bad">poor</em>'}
-"""On a number that has a limit."""
+VERDICTS = {None: "", True: '<em class="good">good</em>', False: '<em class="bad">poor</em>'}
+"""HTML that says whether a number keeps to its limits; None for a number without any."""
 
 
 @dataclass(frozen=True)
@@ -97,13 +97,10 @@ def quality_card(quality: Sequence[Quantity], title: str = "Quality") -> str:
         words = [item.meaning]
         words += [f"At most {number(item.limit)}{unit}."] if item.limit is not None else []
         words += [f"At least {number(item.least)}{unit}."] if item.least is not None else []
-        verdict = {None: "", True: '<em class="good">good</em>', False: '<em class="bad">poor</em>'}[
-            item.good
-        ]
         rows.append(
             f'<tr><th scope="row">{escape(item.name)}<small>{escape(" ".join(filter(None, words)))}</small>'
             f'</th><td class="number{" over" if item.good is False else ""}">{escape(number(item.value))}'
-            f"<span>{escape(unit)}</span>{verdict}</td></tr>"
+            f"<span>{escape(unit)}</span>{VERDICTS[item.good]}</td></tr>"
         )
     return (
         f'<section class="card"><h3>{escape(title)}</h3><table class="quality"><thead class="hidden"><tr>'
