@@ -29,8 +29,8 @@ POLICIES: dict[str, Callable[[LiftTask, Mapping[str, ObjectModel]], Policy]] = {
 """Makers of policies that need no weights, for a task that has been reset."""
 
 KINDS = ("teacher", "student", "critic")
-"""Short for the policies ``<hand>-teacher``, ``<hand>-student`` and ``<hand>-critic`` that come with the
-package."""
+"""Short for the policies ``<hand>-teacher-free``, ``<hand>-student-free`` and ``<hand>-critic-free`` that come
+with the package."""
 
 
 def resolve_policy(name: str, hand: str) -> Path | None:
@@ -48,7 +48,7 @@ def resolve_policy(name: str, hand: str) -> Path | None:
     if Path(name).suffix == SUFFIX:
         return Path(name)
     known = list_policies()
-    full = f"{hand}-{name}" if name in KINDS else name
+    full = f"{hand}-{name}-free" if name in KINDS else name
     if full in known:
         return known[full]
     if name in KINDS:
