@@ -47,10 +47,10 @@ class Critic:
         import torch
 
         from fungrasp.cli.console import progress_bar
-        from fungrasp.evaluation.results import machine
         from fungrasp.hands import load_hand
         from fungrasp.policies.checkpoint.card import Budget, TrainingData
         from fungrasp.policies.residual_action import ResidualSettings
+        from fungrasp.provenance import machine
         from fungrasp.task import Protocol
         from fungrasp.training.export import export_critic, make_card
         from fungrasp.training.plans import Outcomes, cross_validate, fit_critic, try_plans

@@ -81,10 +81,11 @@ class Evaluate:
         from fungrasp.evaluation import CONDITIONS, result_json
         from fungrasp.evaluation.lift_test import check_hand, check_policy
         from fungrasp.evaluation.partial_results import PartialResults
-        from fungrasp.evaluation.results import machine, robustness_json
+        from fungrasp.evaluation.results import robustness_json
         from fungrasp.grasps import RobotGraspSet, load_grasps, load_objects
         from fungrasp.hands import load_hand
         from fungrasp.planning.selection.search import ChoiceSettings, Planner
+        from fungrasp.provenance import machine
 
         disturbance = self._disturbance()
         hand = load_hand(self.hand)

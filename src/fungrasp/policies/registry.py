@@ -29,8 +29,7 @@ POLICIES: dict[str, Callable[[LiftTask, Mapping[str, ObjectModel]], Policy]] = {
 """Makers of policies that need no weights, for a task that has been reset."""
 
 KINDS = ("teacher", "student", "critic")
-"""Short for the policies ``<hand>-teacher-free``, ``<hand>-student-free`` and ``<hand>-critic-free`` that come
-with the package."""
+"""Short for the policies ``<hand>-<kind>-free`` that come with the package."""
 
 
 def resolve_policy(name: str, hand: str) -> Path | None:

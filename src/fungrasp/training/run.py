@@ -23,9 +23,10 @@ from fungrasp.policies.checkpoint.card import Budget, PolicyCard, TrainingData
 from fungrasp.policies.checkpoint.checkpoint_file import SUFFIX, hand_digest, load_policy
 from fungrasp.policies.checkpoint.network import PolicyNetwork
 from fungrasp.policies.residual_action import ResidualSettings
+from fungrasp.provenance import git_revision, machine
 from fungrasp.training.environment import EnvironmentSettings, LiftEnvironment
 from fungrasp.training.export import export_student, export_teacher, make_card
-from fungrasp.training.folder import RunFolder, git_revision, kept_library, machine
+from fungrasp.training.folder import RunFolder, kept_library
 from fungrasp.training.library import Library, Variety, build_library
 from fungrasp.training.ppo import Progress, Trainer
 from fungrasp.training.settings import PpoSettings
