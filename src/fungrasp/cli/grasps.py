@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
+
+from fungrasp.cli.console import table
 
 if TYPE_CHECKING:
     from fungrasp.grasps import HumanGrasp, HumanGraspSet, RobotGrasp
@@ -40,7 +42,7 @@ class List:
             rows.append(
                 (name, task or "-", str(len(part)), f"{part.object_mass.mean():.3f}", f"{contacts:.1f}")
             )
-        print(_table(rows))
+        print(table(rows, left=None))
         objects = len(set(grasps.object_name.tolist()))
         print(f"{len(grasps)} grasps{of_hand}, {objects} objects")
 
@@ -227,7 +229,7 @@ def _description(grasp: HumanGrasp | RobotGrasp) -> str:
             *zip(grasp.joint_names, (f"{angle:+.4f} rad" for angle in grasp.joint_positions), strict=True),
             *((name, str(value)) for name, value in grasp.extra.items()),
         ]
-    return _table(rows)
+    return table(rows, left=None)
 
 
 def _draw(grasp: HumanGrasp | RobotGrasp, path: Path, objects: Path | None) -> None:
@@ -257,9 +259,3 @@ def _draw(grasp: HumanGrasp | RobotGrasp, path: Path, objects: Path | None) -> N
 
 def _numbers(values: Iterable[float]) -> str:
     return "[" + " ".join(f"{value:.4f}" for value in values) + "]"
-
-
-def _table(rows: Sequence[Sequence[str]]) -> str:
-    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
-    lines = ("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)) for row in rows)
-    return "\n".join(line.rstrip() for line in lines)

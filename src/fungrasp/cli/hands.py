@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
+from fungrasp.cli.console import table
 from fungrasp.errors import FungraspError
 
 if TYPE_CHECKING:
@@ -50,7 +51,7 @@ class List:
             return
         header = ("name", "fingers", "driven/all joints", "mass [kg]", "title")
         print(
-            _table(
+            table(
                 [
                     header,
                     *(
@@ -63,7 +64,8 @@ class List:
                         )
                         for row in rows
                     ),
-                ]
+                ],
+                left=None,
             )
         )
 
@@ -210,14 +212,7 @@ def _text(hand: dict[str, Any]) -> str:
         joints.append(
             (f"  {name}", joint["body"], f"{limits[0]:.3f} to {limits[1]:.3f}" if limits else "none", drive)
         )
-    return "\n".join([*lines, _table(fingers), "", "joints", _table(joints)])
-
-
-def _table(rows: Sequence[Sequence[str]]) -> str:
-    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    return "\n".join(
-        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows
-    )
+    return "\n".join([*lines, table(fingers, left=None), "", "joints", table(joints, left=None)])
 
 
 def _vector(values: Sequence[float]) -> str:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
+
+from fungrasp.cli.console import table
 
 if TYPE_CHECKING:
     import mujoco
@@ -62,7 +64,7 @@ class List:
             (m.name, ", ".join(m.parts), _size(m.size), f"{m.mass * 1000:.0f}", m.source) for m in models
         ]
         rows += [(name, "", "", "", str(path)) for name, path in meshes.items()]
-        print(_table(rows))
+        print(table(rows, left=None))
 
 
 @dataclass(frozen=True)
@@ -187,10 +189,3 @@ def _scene(model: ObjectModel, by_piece: bool) -> mujoco.MjModel:
 
 def _size(size: Iterable[float]) -> str:
     return " x ".join(f"{x * 100:.1f}" for x in size)
-
-
-def _table(rows: Sequence[Sequence[str]]) -> str:
-    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    return "\n".join(
-        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows
-    )
