@@ -95,7 +95,7 @@ class PolicyCard:
     normalisation: str = "mean and standard deviation are inside the graph"
     """How observations are to be normalized before they are given to the graph, in words."""
     training_data: tuple[TrainingData, ...] = ()
-    """Every set of grasps that it has learned from, its critic's and its teacher's included."""
+    """Sets of grasps that it has learned from."""
     git_revision: str = ""
     """The commit that trained it; empty if unknown."""
     seed: int = 0
