@@ -41,7 +41,7 @@ test: $(VENV)/.installed-dev
 	if [ -n "$$failed" ]; then echo "failed:$$failed"; exit 1; fi
 
 check: $(VENV)/.installed-dev
-	@$(MAKE) --no-print-directory --jobs=2 types quick lint imports
+	@$(MAKE) --no-print-directory --jobs=2 --keep-going types quick lint imports
 
 tables: $(VENV)/.installed-dev
 	$(BIN)/python docs/tables.py

@@ -61,7 +61,7 @@ def test_human_and_robot_grasps_give_the_same_table_and_json(human, robot, tmp_p
     )
     assert status == 0 and err == ""
     lines = out.splitlines()
-    assert lines[0].split()[:3] == ["object", "trials", "success"]
+    assert lines[0].split()[:3] == ["object", "episodes", "success"]
     assert [line.split()[0] for line in lines[1:5]] == ["can", "tennis_ball", "all", "mean"]
     assert "95 % interval" in lines[0] and "2 trials in" in lines[-1]
     assert (
@@ -78,6 +78,10 @@ def test_human_and_robot_grasps_give_the_same_table_and_json(human, robot, tmp_p
         "by_object",
         "seconds",
         "machine",
+        "mujoco",
+        "command",
+        "date",
+        "revision",
     ):
         assert key in numbers
     assert sorted(path.name for path in record.iterdir()) == ["0000_can.npz", "0001_tennis_ball.npz"]

@@ -85,7 +85,7 @@ class Evaluate:
         from fungrasp.grasps import RobotGraspSet, load_grasps, load_objects
         from fungrasp.hands import load_hand
         from fungrasp.planning.selection.search import ChoiceSettings, Planner
-        from fungrasp.provenance import machine
+        from fungrasp.provenance import run_record
 
         disturbance = self._disturbance()
         hand = load_hand(self.hand)
@@ -125,7 +125,7 @@ class Evaluate:
                 for name, those in tried.items():
                     jsons[name]["robustness"] = robustness_json(those)
             whole: dict[str, Any] = next(iter(jsons.values())) if len(jsons) == 1 else {"methods": jsons}
-            write_json(self.json, whole | {"seconds": seconds, "machine": machine()})
+            write_json(self.json, run_record(whole.get("seed", self.seed)) | whole | {"seconds": seconds})
             store.remove()
         if self.picture is not None:
             name, robot = next(iter(sets.items()))
