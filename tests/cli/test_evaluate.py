@@ -168,7 +168,7 @@ def test_robustness_tries_every_condition(human, tmp_path, capsys, monkeypatch):
     status, out, _ = run(capsys, "evaluate", *options)
     assert status == 0
     lines = out.splitlines()
-    assert lines[0].split()[:3] == ["condition", "trials", "success"]
+    assert lines[0].split()[:3] == ["condition", "episodes", "success"]
     assert [line.split("  ")[0] for line in lines[1:4]] == list(SOME)
     # What is not random is tried once.
     assert [line.replace(name, "").split()[0] for line, name in zip(lines[1:4], SOME, strict=True)] == list(
