@@ -1,6 +1,8 @@
 # make demo   grasps built-in objects, then the one in a picture; writes films and pages
 # make test   all checks and tests
-# Both set up what they need in .venv, once. PYTHON=... chooses the Python (3.11 or newer) it is made with.
+# make check  those of them that take less than a minute
+# make tables writes the tables of README and docs from docs/results
+# They set up what they need in .venv, once. PYTHON=... chooses the Python (3.11 or newer) it is made with.
 
 PYTHON ?= python3
 JOBS ?= 2
@@ -10,6 +12,10 @@ BIN := $(VENV)/bin
 SEES = $(BIN)/python -c 'import sys, ai_edge_litert; from fungrasp.perception.hand.model_weights import have_weights; \
 	sys.exit(not have_weights())' 2>/dev/null
 CHECKS := lint types imports docs unit
+# Tests that take seconds; with the checks before them, less than a minute on two cores.
+QUICK := tests/test_errors.py tests/test_files.py tests/test_tables.py tests/hands/test_forward_kinematics.py \
+	tests/geometry/test_poses.py tests/optimization tests/transfer tests/policies/checkpoint \
+	tests/evaluation/test_statistics.py tests/evaluation/test_result_files.py tests/cli/test_console.py
 
 export OMP_NUM_THREADS := 1
 export OPENBLAS_NUM_THREADS := 1
@@ -17,11 +23,11 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export NO_MKDOCS_2_WARNING := 1
 export PYRIGHT_PYTHON_IGNORE_WARNINGS := 1
 
-.PHONY: help demo test format clean $(CHECKS)
+.PHONY: help demo test check quick tables format clean $(CHECKS)
 .DELETE_ON_ERROR:
 
 help:
-	@sed -n '1,3s/^# //p' Makefile
+	@sed -n '1,5s/^# //p' Makefile
 
 demo: $(VENV)/.installed
 	$(BIN)/fungrasp demo $(ARGS)
@@ -33,6 +39,12 @@ demo: $(VENV)/.installed
 test: $(VENV)/.installed-dev
 	@failed=; for check in $(CHECKS); do $(MAKE) --no-print-directory $$check || failed="$$failed $$check"; done; \
 	if [ -n "$$failed" ]; then echo "failed:$$failed"; exit 1; fi
+
+check: $(VENV)/.installed-dev
+	@$(MAKE) --no-print-directory --jobs=2 --keep-going types quick lint imports
+
+tables: $(VENV)/.installed-dev
+	$(BIN)/python docs/tables.py
 
 lint: $(VENV)/.installed-dev
 	$(BIN)/ruff check --output-format concise
@@ -49,6 +61,9 @@ docs: $(VENV)/.installed-dev
 
 unit: $(VENV)/.installed-dev
 	$(BIN)/pytest -n $(JOBS) $(ARGS)
+
+quick: $(VENV)/.installed-dev
+	$(BIN)/pytest $(QUICK)
 
 format: $(VENV)/.installed-dev
 	$(BIN)/ruff check --fix

@@ -5,22 +5,28 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
+import tarfile
 import tomllib
 import zipfile
 from pathlib import Path
 
 import pytest
+from hatchling.builders.sdist import SdistBuilder
 
 import fungrasp
+from fungrasp.policies.checkpoint.checkpoint_file import read_card
 
 ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "fungrasp"
 
-
 EXTRAS = ("captures", "dexycb", "learning", "mano", "perception", "wandb")
 """Of the product, not of its development."""
 
-IMPORTED_ELSEWHERE = {"ai_edge_litert", "onnx", "tensorboard"}
+FREE = "Apache-2.0"
+FOREIGN = re.compile(r"(mano_|dex-?ycb|research)(?!.*\.(py|md)$)", re.IGNORECASE)
+"""Parts of the names of files (other than code and pages) and data sets that may not be shipped."""
+
+IMPORTED_ELSEWHERE = {"ai_edge_litert", "tensorboard"}
 """Declared, but imported by name at run time, or by torch."""
 
 
@@ -34,6 +40,13 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> zipfile.ZipFile:
     )
     assert done.returncode == 0, done.stderr
     return zipfile.ZipFile(next(folder.glob("fungrasp-*.whl")))
+
+
+@pytest.fixture(scope="module")
+def source_distribution(tmp_path_factory: pytest.TempPathFactory) -> tarfile.TarFile:
+    """The source distribution that a release would upload."""
+    folder = str(tmp_path_factory.mktemp("sdist"))
+    return tarfile.open(next(SdistBuilder(str(ROOT)).build(directory=folder)))
 
 
 def test_the_wheel_holds_every_file_of_the_package(wheel: zipfile.ZipFile) -> None:
@@ -65,9 +78,52 @@ def test_the_wheel_is_small(wheel: zipfile.ZipFile) -> None:
     assert sum(entry.compress_size for entry in wheel.infolist()) - sum(policies) < 2e6
 
 
-def test_no_foreign_data_in_the_package() -> None:
-    for path in SOURCE.rglob("*"):
-        assert path.suffix.lower() not in (".obj", ".stl", ".ply", ".glb", ".pkl", ".pt"), path
+def check_free(files: dict[str, bytes], folder: Path) -> None:
+    """Refuse files whose terms forbid anything, and those of data sets that are under other licences.
+
+    Args:
+        files: contents by name.
+        folder: an empty one, to write policies to.
+    """
+    policies = 0
+    for name, content in files.items():
+        assert not FOREIGN.search(name), name
+        assert not name.endswith((".obj", ".stl", ".ply", ".glb", ".pkl", ".pt")), name
+        if name.endswith(".onnx"):
+            policies += 1
+            path = folder / Path(name).name
+            path.write_bytes(content)
+            card = read_card(path)
+            assert card.licence == FREE and card.training_data, name
+            assert all(data.terms.startswith(FREE) for data in card.training_data), name
+            assert not any(FOREIGN.search(data.name) for data in card.training_data), name
+    assert policies
+
+
+def test_the_wheel_holds_only_what_is_free(wheel: zipfile.ZipFile, tmp_path: Path) -> None:
+    check_free({name: wheel.read(name) for name in wheel.namelist()}, tmp_path)
+    licences = [name for name in wheel.namelist() if name.endswith("METADATA")]
+    assert f"License-Expression: {FREE}\n" in wheel.read(licences[0]).decode()
+
+
+def test_the_source_distribution_holds_only_what_is_free(
+    source_distribution: tarfile.TarFile, tmp_path: Path
+) -> None:
+    contents: dict[str, bytes] = {}
+    for member in source_distribution.getmembers():
+        file = source_distribution.extractfile(member)
+        if file is not None and Path(member.name).suffix not in (".py", ".md"):
+            contents[member.name] = file.read()
+    check_free(contents, tmp_path)
+
+
+def test_the_check_finds_what_is_not_free(tmp_path: Path) -> None:
+    for path in (ROOT / "research").glob("*.onnx"):
+        with pytest.raises(AssertionError):
+            check_free({path.name: path.read_bytes()}, tmp_path)
+    for name in ("fungrasp/MANO_RIGHT.npz", "fungrasp/dexycb/labels.npz", "fungrasp/research/x.bin"):
+        with pytest.raises(AssertionError):
+            check_free({name: b""}, tmp_path)
 
 
 @pytest.mark.parametrize(

@@ -80,7 +80,7 @@ def test_a_failure_is_shown_as_one(tmp_path: Path, capsys: pytest.CaptureFixture
         (["--pick", "mug", "mug"], "is picked twice"),
         (["--count", "0"], "--count must be at least 1"),
         (["--refine", "-1"], "--refine must be at least 0"),
-        (["--policy", "allegro-studnt"], "Did you mean 'allegro-student'"),
+        (["--policy", "allegro-studnt"], "Did you mean 'allegro-student-free'"),
         (["--grasps", "nowhere.npz"], "nowhere.npz"),
         (["--objects", "nowhere"], "nowhere"),
         (["--mesh", "mug"], "--mesh needs --from-image FOLDER"),

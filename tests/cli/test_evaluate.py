@@ -7,6 +7,7 @@ import json
 
 import numpy as np
 import pytest
+from fungrasp.grasps.files import builtin_grasps
 from grasp_files import BAD, bad_inputs, run, some_grasps
 from PIL import Image
 
@@ -60,7 +61,7 @@ def test_human_and_robot_grasps_give_the_same_table_and_json(human, robot, tmp_p
     )
     assert status == 0 and err == ""
     lines = out.splitlines()
-    assert lines[0].split()[:3] == ["object", "trials", "success"]
+    assert lines[0].split()[:3] == ["object", "episodes", "success"]
     assert [line.split()[0] for line in lines[1:5]] == ["can", "tennis_ball", "all", "mean"]
     assert "95 % interval" in lines[0] and "2 trials in" in lines[-1]
     assert (
@@ -77,6 +78,10 @@ def test_human_and_robot_grasps_give_the_same_table_and_json(human, robot, tmp_p
         "by_object",
         "seconds",
         "machine",
+        "mujoco",
+        "command",
+        "date",
+        "revision",
     ):
         assert key in numbers
     assert sorted(path.name for path in record.iterdir()) == ["0000_can.npz", "0001_tennis_ball.npz"]
@@ -99,13 +104,26 @@ def test_methods_side_by_side(human, tmp_path, capsys):
     assert {"six_directions", "quality", "trials"} <= set(methods["ours"])
 
 
-def test_refined_grasps_are_no_worse(human, tmp_path, capsys):
+def test_refinement_mends_failures_and_leaves_successes_alone(tmp_path, capsys):
+    builtin = builtin_grasps()
+    rows = [
+        np.flatnonzero(builtin.object_name == name)[0] for name in ("box", "hammer", "marker", "scissors")
+    ]
+    save_human_grasps(tmp_path / "g.npz", builtin.select(np.array(rows)))
     plain, refined = tmp_path / "plain.json", tmp_path / "refined.json"
-    assert run(capsys, "evaluate", "--grasps", human, "--json", plain)[0] == 0
-    assert run(capsys, "evaluate", "--grasps", human, "--refine", 2, "--json", refined)[0] == 0
-    before, after = ([trial["success"] for trial in trials(path)] for path in (plain, refined))
-    assert all(b <= a for b, a in zip(before, after, strict=True))
-    assert all(abs(trial["refined_tries"]) <= 2 for trial in trials(refined))
+    assert run(capsys, "evaluate", "--grasps", tmp_path / "g.npz", "--json", plain)[0] == 0
+    assert run(capsys, "evaluate", "--grasps", tmp_path / "g.npz", "--refine", 4, "--json", refined)[0] == 0
+    pairs = list(zip(trials(plain), trials(refined), strict=True))
+    assert any(before["success"] for before, _ in pairs) and not all(b["success"] for b, _ in pairs)
+    for before, after in pairs:
+        if before["success"]:
+            assert after == before
+        else:
+            assert abs(after["refined_tries"]) in (2, 3, 4)
+        assert after["success"] == (after["refined_tries"] > 0), (
+            "the trial that counts agrees with the search"
+        )
+    assert any(after["success"] and not before["success"] for before, after in pairs)
 
 
 def test_disturbances_and_seeds(human, tmp_path, capsys):
@@ -150,7 +168,7 @@ def test_robustness_tries_every_condition(human, tmp_path, capsys, monkeypatch):
     status, out, _ = run(capsys, "evaluate", *options)
     assert status == 0
     lines = out.splitlines()
-    assert lines[0].split()[:3] == ["condition", "trials", "success"]
+    assert lines[0].split()[:3] == ["condition", "episodes", "success"]
     assert [line.split("  ")[0] for line in lines[1:4]] == list(SOME)
     # What is not random is tried once.
     assert [line.replace(name, "").split()[0] for line, name in zip(lines[1:4], SOME, strict=True)] == list(

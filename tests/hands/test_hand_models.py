@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import mujoco
 import numpy as np
 import pytest
-from hand_references import FOLDER, REFERENCES, Reference, reference_masses
+from hand_references import REFERENCES, Reference, reference_numbers
 
 from fungrasp.hands import Hand, hand_files, load_hand
 
@@ -18,8 +18,6 @@ REST: Mapping[str, Mapping[str, float]] = {
     "shadow": {"rh_LFJ5": 0.0},
 }
 """Joints that don't flex a finger, by hand, and their angle [rad] in the middle pose."""
-
-needs_files = pytest.mark.skipif(not FOLDER.is_dir(), reason=f"the reference hand models are not in {FOLDER}")
 
 
 def independent_limits(hand: Hand) -> np.ndarray:
@@ -100,28 +98,28 @@ def test_masses_and_inertias_are_positive(name: str):
     assert (model.body_inertia[moving] > 0).all()
 
 
-@needs_files
 @pytest.mark.parametrize("name", HANDS)
 def test_mass_is_the_references(name: str):
     hand = load_hand(name)
     mass = hand.model.body_mass.sum()
-    known = [m for m in (_hand_mass(reference) for reference in REFERENCES.get(name, ())) if m is not None]
+    known = [
+        m for m in (_hand_mass(name, reference) for reference in REFERENCES.get(name, ())) if m is not None
+    ]
     if not known:
         pytest.skip(f"no reference gives the mass of '{name}'")
     for expected in known:
         assert mass == pytest.approx(expected, rel=0.05)
 
 
-@needs_files
 def test_shadow_link_masses_are_the_references():
-    hand, masses = load_hand("shadow"), reference_masses(REFERENCES["shadow"][0])
+    hand, masses = load_hand("shadow"), reference_numbers("shadow", REFERENCES["shadow"][0]).masses
     ours = {hand.model.body(i).name: hand.model.body_mass[i] for i in range(1, hand.model.nbody)}
     assert ours == pytest.approx(masses, abs=1e-9)
 
 
-def _hand_mass(reference: Reference) -> float | None:
+def _hand_mass(name: str, reference: Reference) -> float | None:
     if reference.mass is None and reference.true_masses:
-        return sum(reference_masses(reference).values())
+        return sum(reference_numbers(name, reference).masses.values())
     return reference.mass
 
 

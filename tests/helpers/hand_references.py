@@ -1,18 +1,32 @@
-"""Reference models of real hands, from which the tests read frames, limits, masses and couplings.
+"""What the makers' descriptions of real hands say: frames, joint axes, limits, masses and couplings.
 
-The files are the makers' URDF or MJCF texts without their meshes; they are not part of this project, and
-where they are missing the tests against them are skipped. To cover one more hand, add it to ``REFERENCES``.
+The numbers are in ``hand_references.json``, so that they can be compared anywhere. They were computed from
+the makers' URDF or MJCF texts, which are not part of this project; where those lie in ``FOLDER``,
+``python tests/helpers/hand_references.py`` makes the numbers anew, and a test compares both. To cover one
+more hand, add it to ``REFERENCES``.
 """
 
 from __future__ import annotations
 
+import hashlib
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 import mujoco
+import numpy as np
 
+from fungrasp.geometry.poses import compose, invert, rotate
+from fungrasp.hands import Hand, load_hand
+
+NUMBERS = Path(__file__).with_suffix(".json")
+DIGITS = 6
+"""Decimals that the numbers are kept with [m, rad]."""
+CONFIGURATIONS = 5
+"""Joint configurations that frames and axes are compared in."""
 FOLDER = Path(__file__).resolve().parents[2] / ".." / "shared" / "reference" / "hands"
 
 
@@ -113,6 +127,121 @@ REFERENCES: Mapping[str, tuple[Reference, ...]] = {
 """By hand name; the hand is compared with each."""
 
 
+class Posed:
+    """A model whose frames are read relative to its palm."""
+
+    def __init__(self, model: mujoco.MjModel, palm: str):
+        self.model, self.palm, self.data = model, palm, mujoco.MjData(model)
+
+    def set(self, angles: dict[str, float]) -> None:
+        """Joints not named stay at zero."""
+        self.data.qpos[:] = 0.0
+        for joint, angle in angles.items():
+            self.data.qpos[self.model.joint(joint).qposadr[0]] = angle
+        mujoco.mj_kinematics(self.model, self.data)
+
+    def _pose_world(self, body: str) -> np.ndarray:
+        frame = self.data.body(body)
+        return np.concatenate([frame.xpos, frame.xquat])
+
+    def body(self, name: str) -> np.ndarray:
+        """Pose in the palm frame, shape [7]."""
+        return compose(invert(self._pose_world(self.palm)), self._pose_world(name))
+
+    def site(self, name: str) -> np.ndarray:
+        """Pose in the palm frame, shape [7]."""
+        quaternion = np.empty(4)
+        mujoco.mju_mat2Quat(quaternion, self.data.site(name).xmat)
+        return compose(
+            invert(self._pose_world(self.palm)), np.concatenate([self.data.site(name).xpos, quaternion])
+        )
+
+    def joint(self, name: str) -> tuple[np.ndarray, np.ndarray]:
+        """A point on the axis and the axis' direction in the palm frame, shapes [3]."""
+        inverse = invert(self._pose_world(self.palm))
+        joint = self.data.joint(name)
+        return inverse[:3] + rotate(inverse[3:], joint.xanchor), rotate(inverse[3:], joint.xaxis)
+
+    def point(self, name: str) -> np.ndarray:
+        """A site's, or else a body's, position in the palm frame, shape [3]."""
+        is_site = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_SITE, name) >= 0
+        return (self.site(name) if is_site else self.body(name))[:3]
+
+    def capsule(self, geom: int) -> tuple[np.ndarray, np.ndarray]:
+        """A capsule's middle and the direction of its axis in the palm frame, shapes [3]."""
+        inverse = invert(self._pose_world(self.palm))
+        axis = self.data.geom_xmat[geom].reshape(3, 3)[:, 2]
+        return inverse[:3] + rotate(inverse[3:], self.data.geom_xpos[geom]), rotate(inverse[3:], axis)
+
+
+def random_angles(hand: Hand, count: int) -> np.ndarray:
+    """Joint angles [rad] that keep the couplings, shape [count, M]: limits, zero, then uniform draws."""
+    free = [hand.joint_names.index(name) for name in hand.actuators]
+    low, high = hand.joint_limits[free].T
+    draws = np.random.default_rng(0).uniform(low, high, size=(count - 3, len(free)))
+    matrix, offset = hand.coupling
+    return np.concatenate([[low, high, np.clip(0.0, low, high)], draws]) @ matrix.T + offset
+
+
+@dataclass(frozen=True)
+class ReferenceNumbers:
+    """What a reference says of a hand, by the reference's own names. Poses are relative to its palm."""
+
+    sha256: str
+    """Of the file that the numbers were computed from."""
+    angles: dict[str, list[float]]
+    """Joint angles [rad] of C configurations by joint, each shape [C]."""
+    bodies: dict[str, np.ndarray]
+    """Poses in these configurations by body, ``[x y z qw qx qy qz]``, shape [C, 7]."""
+    axes: dict[str, np.ndarray]
+    """A point on each joint's axis and the axis' direction, shape [C, 6]."""
+    limits: dict[str, tuple[float, float]]
+    """Joint limits [rad]."""
+    masses: dict[str, float]
+    """Masses by body [kg]."""
+    couplings: list[tuple[dict[str, float], float]]
+    """Linear equations between joint angles: coefficients by joint, and the sum [rad]."""
+
+
+def reference_numbers(name: str, reference: Reference) -> ReferenceNumbers:
+    """The kept numbers of a reference of the hand ``name``."""
+    kept = json.loads(NUMBERS.read_text())[f"{name}/{reference.file}"]
+    for key in ("bodies", "axes"):
+        kept[key] = {body: np.array(values) for body, values in kept[key].items()}
+    kept["couplings"] = [tuple(coupling) for coupling in kept["couplings"]]
+    return ReferenceNumbers(**kept)
+
+
+def computed_numbers(name: str, reference: Reference) -> dict[str, Any]:
+    """The same from the reference's file, as JSON holds it."""
+    hand, model = load_hand(name), reference_model(reference)
+    theirs = Posed(model, reference.palm)
+    joints = [reference.joints.get(joint, joint) for joint in hand.joint_names]
+    angles = np.round(random_angles(hand, CONFIGURATIONS), DIGITS)
+    bodies = [model.body(i).name for i in range(1, model.nbody)]
+    frames: dict[str, list[list[float]]] = {body: [] for body in bodies}
+    axes: dict[str, list[list[float]]] = {joint: [] for joint in joints}
+    for row in angles:
+        theirs.set(dict(zip(joints, row.tolist(), strict=True)))
+        for body in bodies:
+            frames[body].append(_rounded(theirs.body(body)))
+        for joint in joints:
+            axes[joint].append(_rounded(np.concatenate(theirs.joint(joint))))
+    return {
+        "sha256": hashlib.sha256((FOLDER / reference.file).read_bytes()).hexdigest(),
+        "angles": dict(zip(joints, angles.T.tolist(), strict=True)),
+        "bodies": frames,
+        "axes": axes,
+        "limits": {joint: _rounded(model.joint(joint).range) for joint in joints},
+        "masses": reference_masses(reference),
+        "couplings": reference_couplings(reference),
+    }
+
+
+def _rounded(values: np.ndarray) -> list[float]:
+    return (np.round(values, DIGITS) + 0.0).tolist()
+
+
 def reference_model(reference: Reference) -> mujoco.MjModel:
     """The reference's kinematics: no shapes, no actuators, placeholder masses."""
     root = _read(FOLDER / reference.file)
@@ -175,3 +304,22 @@ def _read(path: Path) -> ElementTree.Element:
             at = list(parent).index(include)
             parent[at : at + 1] = _read(path.parent / include.get("file", ""))
     return root
+
+
+def _write_numbers() -> None:
+    numbers = {
+        f"{name}/{reference.file}": computed_numbers(name, reference)
+        for name, references in REFERENCES.items()
+        for reference in references
+    }
+    parts = [
+        f" {json.dumps(file)}: {{\n"
+        + ",\n".join(f"  {json.dumps(key)}: {json.dumps(value)}" for key, value in part.items())
+        + "\n }"
+        for file, part in numbers.items()
+    ]
+    NUMBERS.write_text("{\n" + ",\n".join(parts) + "\n}\n")
+
+
+if __name__ == "__main__":
+    _write_numbers()

@@ -38,9 +38,10 @@ class Retargeting:
 
     def run(self) -> None:
         from fungrasp.errors import UnknownNameError
-        from fungrasp.evaluation.results import finite, machine
+        from fungrasp.evaluation.results import finite
         from fungrasp.grasps import load_human_grasps, load_objects
         from fungrasp.hands import load_hand
+        from fungrasp.provenance import machine
         from fungrasp.retarget import METHODS
 
         _check_positive(repeat=self.repeat)
@@ -106,10 +107,10 @@ class Simulation:
         import numpy as np
 
         from fungrasp.cli.retarget import retargeted
-        from fungrasp.evaluation.results import machine
         from fungrasp.evaluation.speed import simulation_speed
         from fungrasp.grasps import load_human_grasps, load_objects
         from fungrasp.hands import load_hand
+        from fungrasp.provenance import machine
 
         _check_positive(worlds=self.worlds, repeat=self.repeat)
         hand = load_hand(self.hand)
@@ -169,10 +170,10 @@ class Training:
         import numpy as np
 
         from fungrasp.cli.retarget import retargeted
-        from fungrasp.evaluation.results import machine
         from fungrasp.grasps import load_human_grasps, load_objects
         from fungrasp.hands import load_hand
         from fungrasp.policies.checkpoint.checkpoint_file import load_policy
+        from fungrasp.provenance import machine
         from fungrasp.training.environment import EnvironmentSettings, TrainingEnvironment
         from fungrasp.training.plan_library import Variety, build_plan_library
         from fungrasp.training.settings import PpoSettings

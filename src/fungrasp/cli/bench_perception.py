@@ -68,9 +68,9 @@ class Perception:
         from fungrasp import __version__
         from fungrasp.evaluation.perception_results import capture_rows, perception_figures, target_rows
         from fungrasp.evaluation.perception_store import KeptCaptures
-        from fungrasp.evaluation.results import machine
         from fungrasp.files import digest
         from fungrasp.grasps import load_objects
+        from fungrasp.provenance import machine
 
         human = self._grasps()
         if self.chain:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from fungrasp.cli.console import progress_bar
 from fungrasp.cli.demo_from_image import Folder
-from fungrasp.cli.provenance import provenance
+from fungrasp.cli.provenance import page_provenance
 
 if TYPE_CHECKING:
     import numpy as np
@@ -101,7 +101,7 @@ class Demo:
         for note in seen.notes:
             print(note)
         if not seen.perceived.sure:
-            write_doubts(self.out / "index.html", seen, provenance(source, self.seed))
+            write_doubts(self.out / "index.html", seen, page_provenance(source, self.seed))
         objects = {seen.thing.name: seen.thing}
         self._show(seen.human, objects, hand, image_title(seen), image_words(seen), source, seen)
 
@@ -147,7 +147,7 @@ class Demo:
                         )
                     )
                     show(row + 1)
-            made = provenance(source, self.seed, perf_counter() - start)
+            made = page_provenance(source, self.seed, perf_counter() - start)
             page = Page(title, reports, hand.title, introduction, made)
             page_path = write_page(self.out / "index.html", page, opening)
         for report in reports:

@@ -83,11 +83,12 @@ class Evaluate:
         from fungrasp.evaluation import result_json
         from fungrasp.evaluation.lift_test import check_hand
         from fungrasp.evaluation.partial_results import PartialResults
-        from fungrasp.evaluation.results import machine, robustness_json
+        from fungrasp.evaluation.results import robustness_json
         from fungrasp.grasps import RobotGraspSet, load_grasps, load_objects
         from fungrasp.hands import load_hand
         from fungrasp.planning.selection import SelectionSettings
         from fungrasp.policies import policy_files
+        from fungrasp.provenance import run_record
         from fungrasp.transfer import ROBUSTNESS
 
         randomization = self._randomization()
@@ -128,7 +129,7 @@ class Evaluate:
                 for name, those in tried.items():
                     jsons[name]["robustness"] = robustness_json(those)
             whole: dict[str, Any] = next(iter(jsons.values())) if len(jsons) == 1 else {"methods": jsons}
-            write_json(self.json, whole | {"seconds": seconds, "machine": machine()})
+            write_json(self.json, run_record(whole.get("seed", self.seed)) | whole | {"seconds": seconds})
             store.remove()
         if self.picture is not None:
             name, robot = next(iter(sets.items()))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from fungrasp.cli.console import left_table
+from fungrasp.cli.console import table
 
 if TYPE_CHECKING:
     from fungrasp.grasps import HumanGrasp, HumanGraspSet, RobotGrasp
@@ -42,7 +42,7 @@ class ListGrasps:
             rows.append(
                 (name, task or "-", str(len(part)), f"{part.object_mass.mean():.3f}", f"{contacts:.1f}")
             )
-        print(left_table(rows))
+        print(table(rows, left=None))
         objects = len(set(grasps.object_name.tolist()))
         print(f"{len(grasps)} grasps{of_hand}, {objects} objects")
 
@@ -230,7 +230,7 @@ def _description(grasp: HumanGrasp | RobotGrasp) -> str:
             *zip(grasp.joint_names, (f"{angle:+.4f} rad" for angle in grasp.joint_positions), strict=True),
             *((name, str(value)) for name, value in grasp.extra.items()),
         ]
-    return left_table(rows)
+    return table(rows, left=None)
 
 
 def _draw(grasp: HumanGrasp | RobotGrasp, path: Path, objects: Path | None) -> None:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from fungrasp.cli.console import left_table
+from fungrasp.cli.console import table
 from fungrasp.errors import FungraspError
 
 if TYPE_CHECKING:
@@ -51,7 +51,7 @@ class ListHands:
             return
         header = ("name", "fingers", "driven/all joints", "mass [kg]", "title")
         print(
-            left_table(
+            table(
                 [
                     header,
                     *(
@@ -64,7 +64,8 @@ class ListHands:
                         )
                         for row in rows
                     ),
-                ]
+                ],
+                left=None,
             )
         )
 
@@ -211,7 +212,7 @@ def _text(hand: dict[str, Any]) -> str:
         joints.append(
             (f"  {name}", joint["body"], f"{limits[0]:.3f} to {limits[1]:.3f}" if limits else "none", drive)
         )
-    return "\n".join([*lines, left_table(fingers), "", "joints", left_table(joints)])
+    return "\n".join([*lines, table(fingers, left=None), "", "joints", table(joints, left=None)])
 
 
 def _vector(values: Sequence[float]) -> str:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from fungrasp.cli.console import left_table
+from fungrasp.cli.console import table
 
 if TYPE_CHECKING:
     import mujoco
@@ -64,7 +64,7 @@ class ListObjects:
             (m.name, ", ".join(m.parts), _size(m.size), f"{m.mass * 1000:.0f}", m.source) for m in models
         ]
         rows += [(name, "", "", "", str(path)) for name, path in meshes.items()]
-        print(left_table(rows))
+        print(table(rows, left=None))
 
 
 @dataclass(frozen=True)

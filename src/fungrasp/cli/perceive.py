@@ -138,13 +138,13 @@ class Perceive:
     def _write(self, perceived: Perceived, capture: Capture, model: ObjectModel, seconds: float) -> list[str]:
         """Write the files, the grasp last; what to say about them."""
         from fungrasp.cli.held_object import mirrored_object, write_mesh
-        from fungrasp.cli.provenance import provenance
+        from fungrasp.cli.provenance import page_provenance
         from fungrasp.grasps import save_human_grasps
         from fungrasp.report.perception_page import write_perception_page
 
         notes: list[str] = []
         if self.report is not None:
-            made = provenance({"Image": self.source.name}, self.seed, seconds)
+            made = page_provenance({"Image": self.source.name}, self.seed, seconds)
             write_perception_page(self.report, capture, model, perceived, made)
             notes.append(f"page: {self.report}")
         if self.json is not None:

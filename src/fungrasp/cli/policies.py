@@ -47,7 +47,7 @@ class List:
             )
             for name, card in cards.items()
         ]
-        print(table([header, *rows]))
+        print(table([header, *rows], left=None, widest=30))
 
 
 @dataclass(frozen=True)

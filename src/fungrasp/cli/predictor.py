@@ -48,10 +48,10 @@ class TrainPredictor:
         import torch
 
         from fungrasp.cli.console import progress_bar
-        from fungrasp.evaluation.results import machine
         from fungrasp.hands import load_hand
         from fungrasp.policies.checkpoint.card import Budget, TrainingData
         from fungrasp.policies.residual_action import ResidualSettings
+        from fungrasp.provenance import machine
         from fungrasp.task import LiftProtocol
         from fungrasp.training.export import export_predictor, make_card
         from fungrasp.training.success_predictor import PlanOutcomes, cross_validate, fit_predictor, try_plans

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from fungrasp.cli.console import progress_bar, table, write_json
 from fungrasp.cli.train import check_numbers, check_packages, progress_lines, training_sets
 from fungrasp.errors import FungraspError
+from fungrasp.provenance import run_record
 from fungrasp.training.environment import EnvironmentSettings
 from fungrasp.training.plan_library import Variety
 from fungrasp.training.settings import DistillSettings, PpoSettings
@@ -23,7 +24,7 @@ DISTILLED = 6
 
 
 @dataclass(frozen=True)
-class Table:
+class Ablation:
     """Train every policy of a table with the same budget, try each on other grasps, and print the table
     beside the paper's.
 
@@ -51,9 +52,13 @@ class Table:
     threads: int = 0
     """Of the simulation; 0 means all processors."""
     environment: EnvironmentSettings = field(default_factory=EnvironmentSettings)
+    """Of the worlds that policies are trained in."""
     ppo: PpoSettings = field(default_factory=PpoSettings)
+    """Of the training of every policy but the distilled student."""
     variety: Variety = field(default_factory=Variety)
+    """How the grasps are varied that policies are trained on."""
     distill: DistillSettings = field(default_factory=DistillSettings)
+    """Of the distillation of the student."""
 
     def reproduce(self, name: str) -> None:
         """Make the table of this name."""
@@ -93,7 +98,8 @@ class Table:
             return kept["result"]
         policy = self._trained(variant, hand)
         result = self._tested(variant, hand, policy)
-        write_json(path, {"variant": asdict(variant), "budget": budget, "result": result})
+        made = run_record(self.seed)
+        write_json(path, {**made, "variant": asdict(variant), "budget": budget, "result": result})
         return result
 
     def _budget(self, variant: Variant) -> dict[str, Any]:
@@ -156,12 +162,12 @@ class Table:
             result = evaluate(
                 test.grasps, test.objects, hand, str(policy), threads=self.threads, progress=show
             )
-        # Where it was trained is nobody's business.
+        # The name in place of the path of the policy's file, which means nothing on another machine.
         return result_json(result) | {"policy": variant.name}
 
 
 @dataclass(frozen=True)
-class Retargeting(Table):
+class RetargetingAblation(Ablation):
     """Compare retargeting methods: a teacher trained on the grasps of each, tested on grasps of the same
     method.
 
@@ -178,7 +184,7 @@ class Retargeting(Table):
 
 
 @dataclass(frozen=True)
-class Privileged(Table):
+class PrivilegedAblation(Ablation):
     """Compare what is known of the contacts: nothing, what an encoder learns along the way, the truth, and
     what a student has learned from a teacher.
 
@@ -202,4 +208,4 @@ def _identity(name: str) -> dict[str, str]:
         raise FungraspError(f"cannot read {path}: {error.strerror or error}") from error
 
 
-COMMAND = {"retargeting": Retargeting, "privileged": Privileged}
+COMMAND = {"retargeting": RetargetingAblation, "privileged": PrivilegedAblation}

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
     from fungrasp.evaluation import LiftTestResult
 
-HEAD = ("trials", "success", "95 % interval", "contacts", "slip [mm/s]", "pushed [mm]")
+HEAD = ("episodes", "success", "95 % interval", "contacts", "slip [mm/s]", "pushed [mm]")
 
 
 def result_table(result: LiftTestResult) -> str:

@@ -2,18 +2,22 @@
 
 from fungrasp.evaluation.grasp_quality import StaticQuality, static_quality
 from fungrasp.evaluation.lift_test import LiftTestResult, evaluate
+from fungrasp.evaluation.result_files import ResultFile, read_result, write_result
 from fungrasp.evaluation.results import result_json
 from fungrasp.evaluation.six_directions import StaticResult, six_direction_test
 from fungrasp.evaluation.trajectory import Trajectory, replay
 
 __all__ = [
     "LiftTestResult",
+    "ResultFile",
     "StaticQuality",
     "StaticResult",
     "Trajectory",
     "evaluate",
+    "read_result",
     "replay",
     "result_json",
     "six_direction_test",
     "static_quality",
+    "write_result",
 ]

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import math
-import os
-import platform
 from collections.abc import Mapping
 from dataclasses import asdict, fields
 from typing import Any
 
-import mujoco
 import numpy as np
 
 from fungrasp import __version__
@@ -129,14 +126,6 @@ def static_json(result: StaticResult) -> dict[str, Any]:
             "displacement_m": result.displacement_m,
             "angle_rad": result.angle_rad,
         }
-    )
-
-
-def machine() -> str:
-    """What the numbers were measured on, in words."""
-    return (
-        f"{platform.system()} {platform.machine()}, {os.cpu_count()} processors, "
-        f"Python {platform.python_version()}, MuJoCo {mujoco.__version__}"
     )
 
 

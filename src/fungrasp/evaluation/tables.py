@@ -12,10 +12,11 @@ class PaperNumbers:
     """A row of the paper's table, by its own, laxer test (docs/evaluation.md)."""
 
     success: float
-    """Share of trials."""
+    """Share of episodes."""
     displacement: float
     """SimD [mm per control step of 28.9 ms]."""
     contact_ratio: float
+    """Share of the wanted contacts."""
 
 
 @dataclass(frozen=True)
@@ -33,6 +34,7 @@ class Variant:
     distilled: bool
     """Whether what is tested is a student of that policy."""
     paper: PaperNumbers
+    """What the paper reports for it."""
 
 
 _TEACHER = PaperNumbers(0.85, 1.6, 0.79)

@@ -22,8 +22,7 @@ REFERENCE = "reference"
 PLAN = "plan"
 """Follows the student's plan blindly: what the closed loop is worth is the difference."""
 KINDS = ("teacher", "student", "predictor")
-"""Short for the policies ``<hand>-teacher``, ``<hand>-student`` and ``<hand>-predictor``, with or without
-``-free`` behind, that come with the package."""
+"""Short for the policies ``<hand>-<kind>-free`` that come with the package."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,10 +73,9 @@ def _find(name: str, hand: str) -> Path:
     if Path(name).suffix == SUFFIX:
         return Path(name)
     known = list_policies()
-    names = (f"{hand}-{name}", f"{hand}-{name}-free") if name in KINDS else (name,)
-    for full in names:
-        if full in known:
-            return known[full]
+    full = f"{hand}-{name}-free" if name in KINDS else name
+    if full in known:
+        return known[full]
     if name in KINDS:
         raise FungraspError(
             f"no {name} for the hand '{hand}' comes with fungrasp: train one (fungrasp train), "

@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import json
 import logging
-import os
-import platform
-import subprocess
 import zipfile
 import zlib
 from collections.abc import Callable, Iterator, Mapping
@@ -18,6 +15,7 @@ import numpy as np
 from fungrasp import __version__
 from fungrasp.errors import FungraspError
 from fungrasp.files import atomic_path
+from fungrasp.provenance import git_revision, machine
 from fungrasp.task import GraspPlan
 from fungrasp.training.plan_library import PlanLibrary
 
@@ -143,30 +141,6 @@ def kept_library(path: Path, key: str, plan: Callable[[], PlanLibrary]) -> PlanL
         arrays = {"key": np.array(key), "group": library.group} | library.plans.arrays()
         np.savez(stream, **arrays)  # pyright: ignore[reportArgumentType]
     return library
-
-
-def git_revision() -> str:
-    """Of the checkout that fungrasp runs from, "+changes" if it was edited since; "" outside a checkout."""
-    here = Path(__file__).parent
-
-    def git(*arguments: str) -> str:
-        return subprocess.run(
-            ["git", "-C", str(here), *arguments], capture_output=True, text=True, check=True, timeout=10
-        ).stdout.strip()
-
-    try:
-        git("ls-files", "--error-unmatch", "__init__.py")
-        return git("rev-parse", "HEAD") + ("+changes" if git("status", "--porcelain", "--", "..") else "")
-    except (OSError, subprocess.SubprocessError):
-        return ""
-
-
-def machine() -> str:
-    """What trains, in words."""
-    return (
-        f"{platform.system()} {platform.machine()}, {os.cpu_count()} processors, "
-        f"Python {platform.python_version()}"
-    )
 
 
 def _differences(there: Any, here: Any, name: str = "") -> Iterator[str]:

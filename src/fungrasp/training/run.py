@@ -23,10 +23,11 @@ from fungrasp.policies.checkpoint.card import Budget, PolicyCard, TrainingData
 from fungrasp.policies.checkpoint.checkpoint_file import SUFFIX, hand_digest, load_policy
 from fungrasp.policies.residual_action import ResidualSettings
 from fungrasp.policies.success_predictor import NetworkPredictor
+from fungrasp.provenance import git_revision, machine
 from fungrasp.task import GraspPlan
 from fungrasp.training.environment import EnvironmentSettings, TrainingEnvironment
 from fungrasp.training.export import export_student, export_teacher, make_card
-from fungrasp.training.folder import RunFolder, git_revision, kept_library, machine
+from fungrasp.training.folder import RunFolder, kept_library
 from fungrasp.training.plan_library import PlanLibrary, Variety, build_plan_library
 from fungrasp.training.ppo import Progress, Trainer
 from fungrasp.training.settings import PpoSettings

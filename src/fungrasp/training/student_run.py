@@ -18,10 +18,11 @@ from fungrasp.hands import Hand, load_hand
 from fungrasp.objects import ObjectModel, load_object
 from fungrasp.policies.checkpoint.card import Budget, PolicyCard, TrainingData
 from fungrasp.policies.checkpoint.checkpoint_file import SUFFIX, hand_digest
+from fungrasp.provenance import git_revision, machine
 from fungrasp.training.distill import DistillProgress, distill
 from fungrasp.training.environment import TrainingEnvironment
 from fungrasp.training.export import export_student, make_card
-from fungrasp.training.folder import RunFolder, git_revision, kept_library, machine
+from fungrasp.training.folder import RunFolder, kept_library
 from fungrasp.training.plan_library import PlanLibrary
 from fungrasp.training.ppo import Trainer
 from fungrasp.training.run import PLANNED_FROM, PLANS, Log, RunSettings, checkpoint_digest, keep_beside

@@ -29,6 +29,8 @@ from fungrasp.policies.checkpoint.checkpoint_file import (
     save_policy,
 )
 
+RESEARCH = Path(__file__).parents[3] / "research"
+
 
 @pytest.fixture(scope="module")
 def saved(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -104,7 +106,13 @@ def test_a_missing_onnx_runtime_is_said(saved: Path, monkeypatch: pytest.MonkeyP
     monkeypatch.setitem(sys.modules, "onnxruntime", None)
     with pytest.raises(FungraspError, match=r"pip install onnxruntime .*fungrasp\[learning\]"):
         load_policy(saved)
-    assert read_card(saved).name == "small"
+
+
+def test_writing_without_onnx_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    model = feedforward().SerializeToString()
+    monkeypatch.setitem(sys.modules, "onnx", None)
+    with pytest.raises(FungraspError, match=r"needs the package onnx: .*fungrasp\[learning\]"):
+        save_policy(tmp_path / "p.onnx", model, allegro_card())
 
 
 @pytest.mark.parametrize("measured", [{"success": float("nan")}, {"success": np.float32(1)}, {"a": {1, 2}}])
@@ -151,8 +159,12 @@ def test_policies_by_name(saved: Path, tmp_path: Path, monkeypatch: pytest.Monke
             look_up("allegro-studnet")
 
 
-def test_shipped_policies_are_sound() -> None:
-    for name, path in list_policies().items():
+def test_policies_of_the_repository_are_sound() -> None:
+    """Those of the package by name, those for research by path; files of earlier versions keep loading."""
+    shipped = list_policies()
+    assert shipped and all(name.endswith("-free") for name in shipped)
+    files = [*shipped.values(), *RESEARCH.glob("*.onnx")]
+    for name, path in {path.stem: path for path in files}.items():
         policy = load_policy(path)
         card = policy.card
         assert card.name == name and card.licence and card.limits and card.training_data

@@ -1,4 +1,4 @@
-"""What a policy file says about itself."""
+"""The card of a policy file: what the policy is for, how it is run, where it comes from."""
 
 from __future__ import annotations
 
@@ -19,14 +19,18 @@ class Part(NamedTuple):
     """A run of numbers in a flat vector."""
 
     name: str
+    """What the numbers are, "joint_positions"."""
     size: int
+    """How many numbers."""
 
 
 class ActionPart(NamedTuple):
     """A run of numbers in the flat action."""
 
     name: str
+    """What the numbers move, "fingers"."""
     size: int
+    """How many numbers."""
     scale: float
     """What an action of 1 means, in the unit of the part (m, rad)."""
 
@@ -35,6 +39,7 @@ class TrainingData(NamedTuple):
     """Grasps that a policy was trained on."""
 
     name: str
+    """Of the data set."""
     terms: str
     """Under what terms they may be used."""
     count: int
@@ -47,8 +52,9 @@ class Budget(NamedTuple):
     steps: int
     """Control steps of all worlds together."""
     seconds: float
-    """[s]."""
+    """How long training took [s]."""
     machine: str
+    """What it ran on, in words."""
 
 
 @dataclass(frozen=True)
@@ -60,10 +66,12 @@ class PolicyCard:
     """
 
     name: str
+    """Of the policy; that of its file if it comes with the package."""
     kind: str
     """One of ``KINDS``: a teacher sees what only a simulation knows, a student what a robot has; a critic
     judges plans."""
     hand: str
+    """Name of the hand that it moves."""
     hand_digest: str
     """``hand_digest`` of the hand that it was trained for."""
     joint_names: tuple[str, ...]
@@ -73,27 +81,36 @@ class PolicyCard:
     rate_hz: float
     """How often it acts [Hz]."""
     observation: tuple[Part, ...]
+    """What it sees, in the order of the graph's input."""
     action: tuple[ActionPart, ...]
+    """What it does, in the order of the graph's output."""
     budget: Budget
+    """What training took."""
     privileged: tuple[Part, ...] = ()
-    """None for a student."""
+    """What it sees that only a simulation knows; nothing for a student."""
     plans: str = ""
     """Name of the critic that chooses the plans it follows, a policy file beside it; none if empty."""
     action_smoothing: float = 0.0
     """Weight of the previous smoothed action in the next one, in [0, 1); the new action has the rest."""
     normalisation: str = "mean and standard deviation are inside the graph"
+    """How observations are to be normalized before they are given to the graph, in words."""
     training_data: tuple[TrainingData, ...] = ()
+    """Sets of grasps that it has learned from."""
     git_revision: str = ""
+    """The commit that trained it; empty if unknown."""
     seed: int = 0
+    """Of its training."""
     measured: Mapping[str, Any] = field(default_factory=dict)
     """Numbers and nested tables of numbers, by what was measured; a share of successes is called
     "success"."""
     licence: str = ""
+    """Under what terms the file may be used, "Apache-2.0"."""
     limits: tuple[str, ...] = ()
     """Sentences: where it fails, what it was not made for."""
     created: str = ""
     """Date or time, ISO 8601."""
     format_version: int = FORMAT_VERSION
+    """Of the card's format."""
     sha256: str = ""
     """Of the file, these 64 digits taken as zeros; given by saving and loading."""
 

@@ -1,8 +1,9 @@
 """Policies as files: one ONNX file with a card inside, which is checked before anything is run.
 
-The card is a metadata entry of the ONNX model, ``fungrasp``: JSON that begins with the SHA-256 of the whole
-file, those 64 digits taken as zeros. So a file that was cut off or changed is found, whatever was changed.
-Reading needs neither torch nor the package ``onnx``, and never runs code of the file.
+The card is the metadata entry ``fungrasp`` of the ONNX model: JSON that begins with the SHA-256 of the whole
+file, those 64 digits taken as zeros. The digest is checked before any parser sees the file: a file that was
+cut off or changed is refused, whatever was changed. Reading needs ONNX Runtime but neither torch nor the
+package ``onnx``, which only writing needs.
 """
 
 from __future__ import annotations
@@ -13,35 +14,31 @@ import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Protocol
+from typing import TYPE_CHECKING
 from xml.etree import ElementTree
 
 from fungrasp.errors import FungraspError, UnknownNameError
 from fungrasp.files import atomic_path
 from fungrasp.hands import Hand
 from fungrasp.policies.checkpoint.card import PolicyCard, card_from_text, card_text
-from fungrasp.policies.checkpoint.network import PolicyNetwork
-from fungrasp.policies.checkpoint.onnx_metadata import check_harmless, metadata_entries, with_metadata
+from fungrasp.policies.checkpoint.network import PolicyNetwork, onnx_metadata
+
+if TYPE_CHECKING:
+    from onnx import ModelProto
 
 FOLDER = Path(__file__).parent / "weights"
 """Policies that come with the package, ``<name>.onnx``."""
 SUFFIX = ".onnx"
 KEY = "fungrasp"
 DIGITS = 64
-HEAD = b'{"sha256": "'
+HEAD = '{"sha256": "'
 """What the card begins with."""
 
 Layout = Sequence[tuple[str, int]] | Mapping[str, int]
 """Names and sizes of the parts of a flat vector, in order."""
 
 
-class Serializable(Protocol):
-    """An ``onnx.ModelProto``, or anything that turns into its bytes."""
-
-    def SerializeToString(self) -> bytes: ...
-
-
-def save_policy(path: str | Path, model: bytes | Serializable, card: PolicyCard) -> PolicyCard:
+def save_policy(path: str | Path, model: bytes | ModelProto, card: PolicyCard) -> PolicyCard:
     """Write a policy file, whole or not at all, after trying that it can be loaded.
 
     Args:
@@ -59,12 +56,8 @@ def save_policy(path: str | Path, model: bytes | Serializable, card: PolicyCard)
     path = Path(path)
     if path.suffix != SUFFIX:
         raise FungraspError(f"a policy is saved as {SUFFIX}, not {path}")
-    data = model if isinstance(model, bytes) else model.SerializeToString()
     try:
-        blank = card_text(replace(card, sha256="0" * DIGITS)).encode()
-        data = with_metadata(data, KEY, blank)
-        at = _digest_offset(data)
-        data = data[:at] + _digest(data, at).encode() + data[at + DIGITS :]
+        data = _sealed(model, card_text(replace(card, sha256="0" * DIGITS)))
         saved = _network(data, threads=1).card
     except FungraspError as error:
         raise FungraspError(f"{path} is not saved: {error}") from error
@@ -81,8 +74,8 @@ def load_policy(path_or_name: str | Path, threads: int = 1) -> PolicyNetwork:
         threads: that compute one step.
 
     Raises:
-        FungraspError: no such policy; it is damaged, changed, no policy or of another format; it needs code
-            or files other than itself; or ONNX Runtime is missing.
+        FungraspError: no such policy; it is damaged, changed, no policy or of another format; ONNX Runtime
+            refuses it (operators that it does not have, weights in another file) or is missing.
     """
     path = _path(path_or_name)
     data = _read(path)
@@ -227,10 +220,31 @@ def _read(path: Path) -> bytes:
         raise FungraspError(f"cannot read the policy {path}: {error.strerror or error}") from error
 
 
+def _sealed(model: bytes | ModelProto, text: str) -> bytes:
+    """An ONNX file with this text as its only card, whose digits are those of the file's digest.
+
+    Raises:
+        FungraspError: the package ``onnx`` is missing, or the bytes are no ONNX model.
+    """
+    try:
+        import onnx
+    except ImportError as error:
+        raise FungraspError(
+            'writing a policy needs the package onnx: pip install "fungrasp[learning]"'
+        ) from error
+    try:
+        sealed = onnx.load_from_string(model if isinstance(model, bytes) else model.SerializeToString())
+        others = {entry.key: entry.value for entry in sealed.metadata_props if entry.key != KEY}
+        onnx.helper.set_model_props(sealed, {**others, KEY: text})
+        data = sealed.SerializeToString(deterministic=True)
+    except Exception as error:
+        raise FungraspError(f"not an ONNX model: {error}") from error
+    at = _digest_offset(data)
+    return data[:at] + _digest(data, at).encode() + data[at + DIGITS :]
+
+
 def _network(data: bytes, threads: int) -> PolicyNetwork:
-    card = _card(data)
-    check_harmless(data)
-    return PolicyNetwork(data, card, threads)
+    return PolicyNetwork(data, _card(data), threads)
 
 
 def _card(data: bytes) -> PolicyCard:
@@ -242,24 +256,21 @@ def _card(data: bytes) -> PolicyCard:
             f"damaged or changed since it was saved: its SHA-256 is {found[:12]}..., "
             f"its card says {said[:12]}..."
         )
-    _, value = metadata_entries(data, KEY)[0]
-    return replace(card_from_text(data[value.start : value.end]), sha256=found)
+    text = onnx_metadata(data).get(KEY, "")
+    if not text.startswith(HEAD + found):
+        raise FungraspError("its policy card is damaged")
+    return replace(card_from_text(text), sha256=found)
 
 
 def _digest_offset(data: bytes) -> int:
     """Where the digest's digits are."""
-    entries = metadata_entries(data, KEY)
-    if len(entries) != 1:
-        raise FungraspError(
-            "an ONNX file, but no policy: it has no policy card"
-            if not entries
-            else "it has several policy cards"
-        )
-    _, value = entries[0]
-    start = value.start + len(HEAD)
-    if data[value.start : start] != HEAD or start + DIGITS > value.end:
-        raise FungraspError("its policy card is damaged")
-    return start
+    head = HEAD.encode()
+    if data.count(head) > 1:
+        raise FungraspError("it has several policy cards")
+    at = data.find(head)
+    if at < 0:
+        raise FungraspError("not a policy file: it has no policy card")
+    return at + len(head)
 
 
 def _digest(data: bytes, at: int) -> str:

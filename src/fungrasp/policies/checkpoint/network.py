@@ -90,7 +90,8 @@ class PolicyNetwork:
             outputs by name ("contacts", "forces", ...), each [W, ...]; the state for the next step.
 
         Raises:
-            FungraspError: a wrong shape or state, or a number that is NaN or infinite (in or out).
+            FungraspError: a wrong shape or state, a number that is NaN or infinite (in or out), or the graph
+                can't be computed.
         """
         observation = self._checked(observation)
         worlds = len(observation)
@@ -107,7 +108,11 @@ class PolicyNetwork:
                     f"not {np.shape(state[name])}"
                 )
             feed[STATE + name] = np.ascontiguousarray(state[name], dtype=kind)
-        outputs = dict(zip(self._outputs, self._session.run(self._outputs, feed), strict=True))
+        try:
+            values = self._session.run(self._outputs, feed)
+        except Exception as error:
+            raise FungraspError(f"{self._name} can't run: {' '.join(str(error).split())}") from error
+        outputs = dict(zip(self._outputs, values, strict=True))
         action = outputs.pop(ACTION)
         self._refuse_infinite("gave an action with", action, self.card.action)
         after = {name: outputs.pop(NEXT_STATE + name) for name in self._states}
@@ -168,16 +173,29 @@ def onnx_runtime() -> ModuleType:
     return onnxruntime
 
 
-def _session(model: bytes, threads: int) -> Any:
+def onnx_metadata(model: bytes) -> dict[str, str]:
+    """The metadata entries of an ONNX file.
+
+    Raises:
+        FungraspError: ONNX Runtime is missing or refuses the file.
+    """
+    return _session(model, threads=1, optimized=False).get_modelmeta().custom_metadata_map
+
+
+def _session(model: bytes, threads: int, optimized: bool = True) -> Any:
     runtime = onnx_runtime()
     if threads < 1:
         raise FungraspError(f"a policy needs at least one thread, not {threads}")
     options = runtime.SessionOptions()
+    if not optimized:
+        options.graph_optimization_level = runtime.GraphOptimizationLevel.ORT_DISABLE_ALL
     options.intra_op_num_threads = threads
     options.inter_op_num_threads = 1
     options.log_severity_level = 4
     options.add_session_config_entry("session.load_model_format", "ONNX")
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+    # Weights must lie in the file itself: others would be looked for in a folder that can't exist.
+    options.add_session_config_entry("session.model_external_initializers_file_folder_path", os.devnull)
     try:
         return runtime.InferenceSession(model, options, providers=["CPUExecutionProvider"])
     except Exception as error:

@@ -1,0 +1,295 @@
+"""Writes the tables of measured numbers in README.md and docs/ from the files in docs/results/.
+
+``python docs/tables.py`` replaces what stands between ``<!-- table: NAME -->`` and ``<!-- end of table -->``
+in every page; with ``--check`` it writes nothing and fails where a page and the results differ.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from perception_table import SOURCES, perception_rows
+
+from fungrasp.evaluation.result_files import ResultFile, read_result
+
+ROOT = Path(__file__).resolve().parents[1]
+RESULTS = ROOT / "docs" / "results"
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+MARKED = re.compile(r"(<!-- table: (?P<name>\w+) -->\n)(?P<text>.*?)(<!-- end of table -->)", re.DOTALL)
+NONE = "—"
+
+
+class Table(NamedTuple):
+    """A table and where its numbers come from."""
+
+    head: Sequence[str]
+    """Names of the columns."""
+    rows: Sequence[Sequence[str]]
+    """Cells, as many in each row as columns."""
+    results: Sequence[str]
+    """Names of the result files."""
+
+
+def hands() -> Table:
+    """Static quality and success of each hand."""
+    head = ("hand", "contact error [mm]", "contact gap [mm]", "link direction [°]")
+    head += ("object penetration, mean / p95 [mm]", "success", "success, refined")
+    rows = [
+        (
+            row["hand"],
+            f"{row['contact_error_mm']:.1f}",
+            f"{row['contact_gap_mm']:.2f}",
+            f"{row['link_direction_error_deg']:.0f}",
+            f"{row['object_penetration_mean_mm']:.1f} / {row['object_penetration_p95_mm']:.1f}",
+            _percent(row["success_rate"]),
+            f"{_percent(row['refined_success_rate'])} {row['note']}".strip(),
+        )
+        for row in _read("hands").rows
+    ]
+    return Table(head, rows, ["hands"])
+
+
+def policies() -> Table:
+    """Success of the policies, in short."""
+    titles = {
+        "reference": "`reference`",
+        "allegro-student-free": "`allegro-student-free`, trained on built-in objects only",
+        "allegro-teacher": "`allegro-teacher`, trained on the other two thirds as well; research only",
+        "allegro-student": "`allegro-student`, likewise, three seeds",
+    }
+    without = {row["policy"]: row for row in _read("policies-without-rollouts").rows}
+    rows = []
+    for name, title in titles.items():
+        cells = [NONE] * 3
+        if name != "reference":
+            header = _read(name).header
+            low, high = header["success_interval"]
+            interval = f"{100 * low:.0f} – {100 * high:.0f} %"
+            cells = [_percent(header["success_rate"]), interval, f"{header['contact_ratio']:.2f}"]
+        plain = without.get(name)
+        cells += (
+            [NONE, NONE]
+            if plain is None
+            else [_percent(plain["success_rate"]), f"{plain['contact_ratio']:.2f}"]
+        )
+        rows.append((title, *cells))
+    head = (
+        "policy",
+        "success",
+        "95 % interval",
+        "contact ratio",
+        "without rollouts: success",
+        "contact ratio",
+    )
+    return Table(head, rows, ["policies-without-rollouts", *(n for n in titles if n != "reference")])
+
+
+def policies_in_full() -> Table:
+    """Success, contacts and slip of every policy, with and without rollouts."""
+    names = ("reference", "allegro-critic-free", "allegro-student-free", "allegro-critic")
+    names += ("allegro-teacher", "allegro-student")
+    without = {row["policy"]: row for row in _read("policies-without-rollouts").rows}
+    rows, used = [], ["policies-without-rollouts"]
+    for name in names:
+        title, cells = f"`{name}`", [NONE] * 3
+        if (RESULTS / f"{name}.json").is_file():
+            used.append(name)
+            title, cells = _measured(name)
+        plain = without.get(name)
+        if plain is not None:
+            slip = _slip(plain["slip_mean_mm_s"], plain["slip_median_mm_s"])
+            cells = [*cells, _percent(plain["success_rate"]), f"{plain['contact_ratio']:.2f}", slip]
+        rows.append((title, *cells, *[NONE] * (6 - len(cells))))
+    head = ("policy", "with rollouts: success", "contact ratio", "slip [mm/s], mean / median")
+    head += ("without: success", "contact ratio", "slip, mean / median")
+    return Table(head, rows, used)
+
+
+def _measured(name: str) -> tuple[str, list[str]]:
+    """Title and cells of a policy's episodes."""
+    rows = _read(name).rows
+    seeds = sorted({row["seed"] for row in rows})
+    success = np.array([row["success"] for row in rows])
+    slips = np.array([row["sim_distance_hand_mm_s"] for row in rows])
+    contacts = np.mean([row["contact_ratio"] for row in rows])
+    title, share = f"`{name}`", _percent(success.mean())
+    if len(seeds) > 1:
+        title += f", seeds {', '.join(map(str, seeds))}"
+        of_seed = np.array([row["seed"] for row in rows])
+        share += f" ({', '.join(f'{100 * success[of_seed == seed].mean():.1f}' for seed in seeds)})"
+    return title, [share, f"{contacts:.2f}", _slip(slips.mean(), float(np.median(slips)))]
+
+
+def methods() -> Table:
+    """Retargeting methods side by side."""
+    rows = []
+    for row in _read("methods").rows:
+        name = row["method"] if row["method"] == "ours" else f"`{row['method']}`"
+        rows.append((name, _percent(row["success_rate"]), f"{row['contact_ratio']:.2f}"))
+    return Table(("method", "success", "contact ratio"), rows, ["methods"])
+
+
+def robustness() -> Table:
+    """Success under each condition of the robustness protocol [%]."""
+    columns = {
+        "`reference`": "robustness-reference",
+        "`reference`, `--refine 16`": "robustness-refined",
+        "`allegro-student`": "robustness-student",
+    }
+    shares = [_condition_shares(_read(name).rows) for name in columns.values()]
+    rows = [(name, *(f"{100 * share[name]:.0f}" for share in shares)) for name in shares[0]]
+    means = [np.mean([value for name, value in share.items() if name != "nominal"]) for share in shares]
+    rows.append(("mean of the ten disturbed", *(f"{100 * mean:.1f}" for mean in means)))
+    return Table(("condition", *columns), rows, list(columns.values()))
+
+
+def _condition_shares(rows: Sequence[dict[str, Any]]) -> dict[str, float]:
+    """Share of successes by condition, in the order of the file."""
+    prefix = "robustness/"
+    parts = dict.fromkeys(row["part"] for row in rows if row["part"].startswith(prefix))
+    return {
+        part.removeprefix(prefix): float(np.mean([row["success"] for row in rows if row["part"] == part]))
+        for part in parts
+    }
+
+
+def ablations() -> Table:
+    """The paper's ablations."""
+    titles = {
+        "without": "without privileged information",
+        "scratch": "student from scratch",
+        "teacher": "teacher",
+        "student": "student, distilled from it",
+        "angle-copy": "teacher on `angle-copy`'s grasps",
+        "dexgraspnet": "teacher on `dexgraspnet`'s grasps",
+    }
+    rows = []
+    for name, title in titles.items():
+        header = _read(f"ablation-{name}").header
+        rows.append(
+            (
+                title,
+                _percent(header["success_rate"]),
+                f"{header['contact_ratio']:.2f}",
+                f"{header['sim_distance_hand_mm_s']:.1f}",
+                f"{100 * header['variant']['paper']['success']:.0f} %",
+            )
+        )
+    head = ("policy", "success", "contact ratio", "slip [mm/s]", "paper: success")
+    return Table(head, rows, [f"ablation-{name}" for name in titles])
+
+
+def perception() -> Table:
+    """What is found in captures of objects kept aside, against the targets."""
+    return Table(("figure", "target", "measured"), perception_rows(_read), SOURCES)
+
+
+def chain() -> Table:
+    """From image to lift: how many objects are lifted from true and from perceived grasps."""
+    rows = []
+    for name, part in _read("perception-chain").header["chain"]["policies"].items():
+        counts = [round(part[what]["rate"] * part[what]["count"]) for what in ("true", "perceived")]
+        rows.append((f"`{name}`", *map(str, counts), f"{100 * part['share']:.0f} %"))
+    head = ("policy", "lifted, of the true grasps", "of the perceived ones", "share")
+    return Table(head, rows, ["perception-chain"])
+
+
+def recorded(name: str) -> Callable[[], Table]:
+    """A table whose cells are kept as they were written down, with their head in the header."""
+
+    def build() -> Table:
+        result = _read(name)
+        return Table(result.header["head"], [list(row.values()) for row in result.rows], [name])
+
+    return build
+
+
+BUILDERS: dict[str, Callable[[], Table]] = {
+    "hands": hands,
+    "policies": policies,
+    "policies_in_full": policies_in_full,
+    "methods": methods,
+    "robustness": robustness,
+    "ablations": ablations,
+    "perception": perception,
+    "chain": chain,
+    "adapters": recorded("adapters"),
+    "experiments_hand_fit": recorded("experiments-hand-fit"),
+    "experiments_policies": recorded("experiments-policies"),
+    "experiments_left": recorded("experiments-left"),
+    "experiments_rollouts": recorded("experiments-rollouts"),
+}
+"""By the name in a page."""
+
+
+def markdown(table: Table, page: Path) -> str:
+    """The table's text: head, rows, and how it can be made again. page: that it stands in."""
+    for row in table.rows:
+        assert len(row) == len(table.head), row
+    lines = [_line(table.head), _line(["---"] * len(table.head)), *map(_line, table.rows)]
+    return "\n".join([*lines, "", *_sources(table.results, page), ""])
+
+
+def rewritten(page: Path) -> str:
+    """The page's text with its tables as the results have them."""
+
+    def replace(match: re.Match[str]) -> str:
+        name = match["name"]
+        if name not in BUILDERS:
+            raise SystemExit(f"{page}: no table is called '{name}'; there are {', '.join(BUILDERS)}")
+        return match[1] + markdown(BUILDERS[name](), page) + match[4]
+
+    return MARKED.sub(replace, page.read_text())
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Write the pages, or compare them."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--check", action="store_true", help="write nothing; fail where a page differs")
+    check = parser.parse_args(arguments).check
+    stale = [page for page in PAGES if rewritten(page) != page.read_text()]
+    for page in stale:
+        if check:
+            sys.stderr.write(f"{page.relative_to(ROOT)}: tables differ from docs/results: 'make tables'\n")
+        else:
+            page.write_text(rewritten(page))
+    return int(check and bool(stale))
+
+
+def _read(name: str) -> ResultFile:
+    return read_result(RESULTS / f"{name}.json")
+
+
+def _sources(names: Sequence[str], page: Path) -> Iterator[str]:
+    """What made the numbers, and links to the files."""
+    commands = dict.fromkeys(_read(name).header["command"] for name in names)
+    for command in [command for command in commands if command][:1]:
+        more = " and its like, which the files name" if len(commands) > 1 else ""
+        yield f"Measured by `{command}`{more}."
+    if not any(commands):
+        yield "Recorded by hand; no command was kept."
+    links = [f"[{name}]({os.path.relpath(RESULTS / name, page.parent)}.json)" for name in names]
+    yield f"Data: {', '.join(links)}."
+
+
+def _line(cells: Sequence[str]) -> str:
+    return "".join(f"| {cell} " if cell else "| " for cell in cells) + "|"
+
+
+def _percent(share: float | None) -> str:
+    return NONE if share is None else f"{100 * share:.1f} %"
+
+
+def _slip(mean: float, median: float | None) -> str:
+    return f"{mean:.1f} / {NONE if median is None else f'{median:.1f}'}"
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,164 @@
+"""Result files: a small JSON header beside a CSV table with one row per episode.
+
+The header holds what was run (command, revision, versions, seed, machine, date) and the summary; its keys
+``rows``, ``columns`` and ``sha256`` name the table, the type of each column and the table's digest. Nested
+values have dotted column names, ``seconds.hand.cpu``. One JSON file that holds its rows as lists, as
+``fungrasp evaluate --json`` writes it, is read alike.
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import io
+import json
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from fungrasp.errors import FungraspError
+from fungrasp.files import atomic_path
+
+ROW_LISTS = ("trials", "each")
+"""Keys of a single JSON file under which its rows are."""
+PART = "part"
+"""Column that says where in a single JSON file a row was, "robustness/nominal"; absent where all were in one
+place."""
+
+Row = dict[str, Any]
+"""Values by column: bool, int, float, text, or None for what was not measured."""
+
+
+@dataclass(frozen=True)
+class ResultFile:
+    """What a result file holds."""
+
+    header: dict[str, Any]
+    """What was run, and the summary."""
+    rows: list[Row]
+    """One per episode (of a perception benchmark: per capture)."""
+
+
+def write_result(path: str | Path, header: Mapping[str, Any], rows: Iterable[Mapping[str, Any]]) -> None:
+    """Write a header and its table, ``<name>.json`` and ``<name>.csv``.
+
+    Args:
+        path: of the header, ends in ``.json``.
+        header: what JSON can hold; NaN and infinities can't be written.
+        rows: may be nested, and may lack columns that others have.
+
+    Raises:
+        FungraspError: a file can't be written, or a value is NaN or infinite.
+    """
+    path = Path(path)
+    if path.suffix != ".json":
+        raise FungraspError(f"a result is written as .json, not {path}")
+    flat = [dict(_flattened(row)) for row in rows]
+    names = dict.fromkeys(name for row in flat for name in row)
+    kinds = {name: _kind([row.get(name) for row in flat]) for name in names}
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(kinds)
+    writer.writerows([_text(row.get(name), kind) for name, kind in kinds.items()] for row in flat)
+    table = stream.getvalue().encode()
+    about = {"rows": f"{path.stem}.csv", "columns": kinds, "sha256": hashlib.sha256(table).hexdigest()}
+    try:
+        entries = {**header, **about}.items()
+        lines = [f" {json.dumps(key)}: {json.dumps(value, allow_nan=False)}" for key, value in entries]
+    except (TypeError, ValueError) as error:
+        raise FungraspError(f"cannot write {path}: {error}") from error
+    with atomic_path(path.with_suffix(".csv")) as temporary:
+        temporary.write_bytes(table)
+    with atomic_path(path) as temporary:
+        temporary.write_text("{\n" + ",\n".join(lines) + "\n}\n")
+
+
+def read_result(path: str | Path) -> ResultFile:
+    """Read a header with its table, or a single JSON file of ``--json``.
+
+    Raises:
+        FungraspError: a file can't be read, or the table is not the one that the header was written with.
+    """
+    path = Path(path)
+    try:
+        header = json.loads(path.read_text())
+        if not isinstance(header, dict):
+            raise ValueError("it is not a table")
+        if not isinstance(header.get("columns"), dict):
+            header, rows = split_rows(header)
+            return ResultFile(header, rows)
+        kinds, name, digest = header.pop("columns"), header.pop("rows"), header.pop("sha256")
+        table = (path.parent / Path(name).name).read_bytes()
+        if hashlib.sha256(table).hexdigest() != digest:
+            raise ValueError(f"{name} has changed since it was written")
+        lines = csv.DictReader(io.StringIO(table.decode(), newline=""))
+        rows = [{key: _value(line[key], kind) for key, kind in kinds.items()} for line in lines]
+    except OSError as error:
+        raise FungraspError(f"cannot read the result {path}: {error.strerror or error}") from error
+    except (ValueError, KeyError, TypeError) as error:
+        raise FungraspError(f"the result {path} is damaged: {error}") from error
+    return ResultFile(header, rows)
+
+
+def split_rows(whole: Mapping[str, Any]) -> tuple[dict[str, Any], list[Row]]:
+    """Header and rows of a result that holds its rows as lists.
+
+    Args:
+        whole: as ``fungrasp evaluate --json`` writes it.
+    """
+    header, found = _split(whole, ())
+    parts = ["/".join(place) for place, rows in found for _ in rows]
+    rows = [dict(_flattened(row)) for _, rows in found for row in rows]
+    if len(set(parts)) > 1:
+        rows = [{PART: part, **row} for part, row in zip(parts, rows, strict=True)]
+    return header, rows
+
+
+def _split(
+    value: Mapping[str, Any], place: tuple[str, ...]
+) -> tuple[dict[str, Any], list[tuple[tuple[str, ...], Sequence[Row]]]]:
+    header: dict[str, Any] = {}
+    found: list[tuple[tuple[str, ...], Sequence[Row]]] = []
+    for key, item in value.items():
+        if key in ROW_LISTS and isinstance(item, list):
+            found.append((place, item))
+        elif isinstance(item, Mapping):
+            header[key], inner = _split(item, (*place, key))
+            found += inner
+        else:
+            header[key] = item
+    return header, found
+
+
+def _flattened(row: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, Any]]:
+    for name, value in row.items():
+        if isinstance(value, Mapping):
+            yield from _flattened(value, f"{above}{name}.")
+        else:
+            yield f"{above}{name}", value
+
+
+def _kind(values: Sequence[Any]) -> str:
+    """The narrowest type that holds all values that are there."""
+    kinds = {type(value) for value in values if value is not None}
+    for name, allowed in (("bool", {bool}), ("int", {int}), ("float", {int, float}), ("str", {str})):
+        if kinds <= allowed:
+            return name
+    return "json"
+
+
+def _text(value: Any, kind: str) -> str:
+    if value is None:
+        return ""
+    return json.dumps(value, allow_nan=False) if kind == "json" else str(value)
+
+
+def _value(text: str, kind: str) -> Any:
+    if kind == "str":
+        return text
+    if not text:
+        return None
+    if kind == "bool":
+        return {"True": True, "False": False}[text]
+    return {"int": int, "float": float, "json": json.loads}[kind](text)
