@@ -64,7 +64,7 @@ def policy_files(name: str, hand: str) -> PolicyFiles:
         return PolicyFiles(None, policy_files("student", hand).predictor)
     path = _find(name, hand)
     card = read_card(path)
-    if card.kind in ("critic", "predictor"):
+    if card.kind == "predictor":
         return PolicyFiles(None, path)
     return PolicyFiles(path, path.with_name(card.plans + SUFFIX) if card.plans else None)
 

@@ -12,7 +12,9 @@ from typing import Any, NamedTuple, get_args, get_origin, get_type_hints
 from fungrasp.errors import FungraspError
 
 FORMAT_VERSION = 1
-KINDS = ("teacher", "student", "critic")
+KINDS = ("teacher", "student", "predictor")
+FORMER_KINDS = {"critic": "predictor"}
+"""What files of earlier versions call them."""
 
 
 class Part(NamedTuple):
@@ -68,8 +70,8 @@ class PolicyCard:
     name: str
     """Of the policy; that of its file if it comes with the package."""
     kind: str
-    """One of ``KINDS``: a teacher sees what only a simulation knows, a student what a robot has; a critic
-    judges plans."""
+    """One of ``KINDS``: a teacher sees what only a simulation knows, a student what a robot has; a
+    predictor judges plans."""
     hand: str
     """Name of the hand that it moves."""
     hand_digest: str
@@ -89,7 +91,8 @@ class PolicyCard:
     privileged: tuple[Part, ...] = ()
     """What it sees that only a simulation knows; nothing for a student."""
     plans: str = ""
-    """Name of the critic that chooses the plans it follows, a policy file beside it; none if empty."""
+    """Name of the success predictor that chooses the plans it follows, a policy file beside it; none if
+    empty."""
     action_smoothing: float = 0.0
     """Weight of the previous smoothed action in the next one, in [0, 1); the new action has the rest."""
     normalisation: str = "mean and standard deviation are inside the graph"
@@ -202,6 +205,9 @@ def card_from_text(text: str | bytes) -> PolicyCard:
         raise FungraspError(
             f"its policy card is of format {version!r}; this version of fungrasp reads {FORMAT_VERSION}"
         )
+    kind = values.get("kind")
+    if isinstance(kind, str):
+        values["kind"] = FORMER_KINDS.get(kind, kind)
     hints = get_type_hints(PolicyCard)
     needed = [f.name for f in fields(PolicyCard) if f.default is MISSING and f.default_factory is MISSING]
     for name in needed:
