@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from fungrasp.grasps import HumanGraspSet, RobotGraspSet
     from fungrasp.hands import Hand
     from fungrasp.objects import ObjectModel
-    from fungrasp.planning.selection import SelectionSettings
+    from fungrasp.planning import Planner
     from fungrasp.transfer import Randomization
 
 SEARCHED_CHUNK = 32
@@ -45,6 +45,9 @@ class Evaluate:
     """Of everything that is random; with several, each grasp is tried with each."""
     json: Path | None = None
     """Write every number here (.json). Given again after an interruption, the command goes on."""
+    out: Path | None = None
+    """Write a compact result: this JSON file with settings and summary, and beside it a CSV file with one row
+    per episode."""
     record: Path | None = None
     """Folder to which each episode is recorded (.npz)."""
     picture: Path | None = None
@@ -80,15 +83,12 @@ class Evaluate:
 
         from fungrasp.cli.retarget import draw_grasps
         from fungrasp.cli.trial_tables import comparison, result_table, robustness_table, static_words
-        from fungrasp.evaluation import result_json
         from fungrasp.evaluation.lift_test import check_hand
         from fungrasp.evaluation.partial_results import PartialResults
-        from fungrasp.evaluation.results import robustness_json
         from fungrasp.grasps import RobotGraspSet, load_grasps, load_objects
         from fungrasp.hands import load_hand
         from fungrasp.planning.selection import SelectionSettings
-        from fungrasp.policies import policy_files
-        from fungrasp.provenance import run_record
+        from fungrasp.policies import make_planner, policy_files
         from fungrasp.transfer import ROBUSTNESS
 
         randomization = self._randomization()
@@ -99,18 +99,19 @@ class Evaluate:
         if isinstance(grasps, RobotGraspSet):
             check_hand(grasps, hand)
         objects = load_objects(grasps, self.objects)
-        store = (
-            None if self.json is None else PartialResults(self.json.with_name(f"{self.json.name}.partial"))
-        )
+        file = self.json or self.out
+        store = None if file is None else PartialResults(file.with_name(f"{file.name}.partial"))
         start = perf_counter()
         sets = self._robot_grasps(grasps, objects, hand)
         conditions = ROBUSTNESS if self.robustness else {"": randomization}
         refinement = self._refinement(objects, hand)
         selection = SelectionSettings() if self.rollouts else SelectionSettings(rollouts=None)
+        # One planner for all conditions: what it has planned for one it knows for the others.
+        planner = make_planner(self.policy, hand, objects, selection, threads=self.threads)
         tried = {
             name: {
                 condition: self._evaluate(
-                    (name, condition), robot, objects, hand, other, refinement, selection, store
+                    (name, condition), robot, objects, hand, other, refinement, planner, store
                 )
                 for condition, other in conditions.items()
             }
@@ -123,13 +124,8 @@ class Evaluate:
             for name, robot in sets.items()
             if self.static
         }
-        if self.json is not None and store is not None:
-            jsons = {name: result_json(result) | static.get(name, {}) for name, result in results.items()}
-            if self.robustness:
-                for name, those in tried.items():
-                    jsons[name]["robustness"] = robustness_json(those)
-            whole: dict[str, Any] = next(iter(jsons.values())) if len(jsons) == 1 else {"methods": jsons}
-            write_json(self.json, run_record(whole.get("seed", self.seed)) | whole | {"seconds": seconds})
+        if store is not None:
+            self._write(tried, static, seconds)
             store.remove()
         if self.picture is not None:
             name, robot = next(iter(sets.items()))
@@ -147,6 +143,30 @@ class Evaluate:
             print(comparison(results))
         count = sum(len(result.index) for those in tried.values() for result in those.values())
         print(f"{count} episodes in {seconds:.1f} s")
+
+    def _write(
+        self,
+        tried: Mapping[str, Mapping[str, LiftTestResult]],
+        static: Mapping[str, dict[str, Any]],
+        seconds: float,
+    ) -> None:
+        """All results to --json and --out."""
+        from fungrasp.evaluation import result_json, write_result
+        from fungrasp.evaluation.result_files import split_rows
+        from fungrasp.evaluation.results import robustness_json
+        from fungrasp.provenance import run_record
+
+        jsons: dict[str, dict[str, Any]] = {}
+        for name, those in tried.items():
+            jsons[name] = result_json(next(iter(those.values()))) | static.get(name, {})
+            if self.robustness:
+                jsons[name]["robustness"] = robustness_json(those)
+        whole: dict[str, Any] = next(iter(jsons.values())) if len(jsons) == 1 else {"methods": jsons}
+        whole = run_record(whole.get("seed", self.seed)) | whole | {"seconds": seconds}
+        if self.json is not None:
+            write_json(self.json, whole)
+        if self.out is not None:
+            write_result(self.out, *split_rows(whole))
 
     def _randomization(self) -> Randomization:
         from math import radians
@@ -222,7 +242,7 @@ class Evaluate:
         hand: Hand,
         randomization: Randomization,
         refinement: Refinement | None,
-        selection: SelectionSettings,
+        planner: Planner,
         store: PartialResults | None,
     ) -> LiftTestResult:
         """names: of the method and the condition, "" for one that needs no name."""
@@ -247,7 +267,7 @@ class Evaluate:
                 threads=self.threads,
                 randomization=randomization,
                 refine=refinement,
-                selection=selection,
+                planner=planner,
                 record=folder,
                 store=store,
                 chunk=SEARCHED_CHUNK if self.refine or self._searches(hand) else CHUNK,

@@ -131,16 +131,24 @@ class SearchPlanner:
             for i in range(len(grasps))
         ]
         fresh = np.flatnonzero([key not in self._known for key in keys])
-        progress(len(grasps) - len(fresh))
+        known = len(grasps) - len(fresh)
+        progress(known)
         if len(fresh):
-            planned = self._search(grasps.select(fresh), rounded.select(fresh), seed)
+            planned = self._search(
+                grasps.select(fresh),
+                rounded.select(fresh),
+                seed,
+                lambda share: progress(known + share * len(fresh)),
+            )
             for i, row in enumerate(fresh):
                 self._known[keys[row]] = planned.select(np.array([i]))
         progress(len(grasps))
         return GraspPlan.join([self._known[key] for key in keys]).raised(table)
 
-    def _search(self, grasps: RobotGraspSet, beliefs: Belief, seed: int) -> GraspPlan:
-        """One plan for each grasp, table at zero."""
+    def _search(
+        self, grasps: RobotGraspSet, beliefs: Belief, seed: int, progress: Callable[[float], None]
+    ) -> GraspPlan:
+        """One plan for each grasp, table at zero. progress: called with the share that is done."""
         s, everyone = self.settings, np.arange(len(grasps))
         make = partial(
             propose, self._single, self._predictor, self._hand, seed=seed, prior=s.prior, chunk=s.chunk
@@ -160,8 +168,10 @@ class SearchPlanner:
             settings=s.rollouts,
             threads=self._threads,
         )
+        most = s.rollouts_per_grasp[1] * len(grasps)
         roll(pool, s.rounds, seed=(seed, 0))
         spent += pool.statistics.tried.sum(axis=0).astype(int)
+        progress(spent.sum() / most)
         chosen, expected = pool.best()
         left, value = everyone, expected
         for search in range(1, s.search.most + 1):
@@ -179,6 +189,7 @@ class SearchPlanner:
             pool = parents.join(children)
             roll(pool, s.search.rounds, seed=(seed, search))
             spent[left] += (pool.statistics.tried.sum(axis=0) - before).astype(int)
+            progress(spent.sum() / most)
             found, value = pool.best()
             place = everyone.copy()
             place[left] = len(everyone) + np.arange(len(left))
