@@ -18,12 +18,12 @@ from fungrasp.perception import HandEstimate, ObjectEstimate
 from fungrasp.perception.io.scene_folders import read_folder
 from fungrasp.perception.pipeline import Perceived
 from fungrasp.perception.quality import PerceptionQuality
-from fungrasp.perception.warning import warning
+from fungrasp.perception.warning import PerceptionWarning
 from fungrasp.report import perception_page
 from fungrasp.report.demo_capture import FILES, FOLDER, demo_truth, true_errors
 from fungrasp.report.page_parts import Quantity
 from fungrasp.report.perception_alternatives import alternatives
-from fungrasp.report.perception_page import contact_words, quantities, write_perception_page
+from fungrasp.report.perception_page import contact_words, perception_quantities, write_perception_page
 from fungrasp.report.perception_pictures import (
     FINGER_COLOURS,
     SHAPE,
@@ -110,8 +110,8 @@ def test_the_verdict_comes_first(tmp_path, no_pictures):
     assert said.index("✓ Confident") < said.index("In the image")
     assert "Low confidence" not in said
     warnings = (
-        warning("low_hand_score", score=0.31),
-        warning("object_not_accepted", reason="<wrong> mesh?"),
+        PerceptionWarning.of("low_hand_score", score=0.31),
+        PerceptionWarning.of("object_not_accepted", reason="<wrong> mesh?"),
     )
     thing = replace(perceived().object, score=0.3, accepted=False)
     html = page(tmp_path, perceived(object=thing, confident=False, warnings=warnings))
@@ -122,7 +122,7 @@ def test_the_verdict_comes_first(tmp_path, no_pictures):
         < said.index("The hand: its score is only 0.31.")
         < said.index("In the image")
     )
-    assert "neither is what touches it" in said
+    assert "so what touches it is uncertain" in said
     assert "<wrong>" not in html
     assert "<mine>" not in html
 
@@ -143,13 +143,13 @@ def test_a_page_holds_its_pictures_and_needs_nothing_from_outside(tmp_path):
 
 
 def test_figures_say_whether_they_are_good():
-    good = {item.name: item.good for item in quantities(CAPTURE, perceived())}
+    good = {item.name: item.good for item in perception_quantities(CAPTURE, perceived())}
     assert set(good.values()) == {True}
     bad = perceived(quality=PerceptionQuality(30.0, 0.01, float("nan"), 0.03, 0.2, 0.3))
-    marks = {item.name: item.good for item in quantities(CAPTURE, bad)}
+    marks = {item.name: item.good for item in perception_quantities(CAPTURE, bad)}
     assert marks.pop("Hand in depth") is None
     assert set(marks.values()) == {False}
-    assert all(item.meaning for item in quantities(CAPTURE, bad))
+    assert all(item.meaning for item in perception_quantities(CAPTURE, bad))
 
 
 @pytest.mark.parametrize(

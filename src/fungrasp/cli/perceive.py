@@ -117,12 +117,12 @@ class Perceive:
 
     def _hand(self, capture: Capture) -> HandEstimate | None:
         """What another program or package says; None if none is asked."""
-        from fungrasp.perception.adapters import load_hand_estimator, read_hand
+        from fungrasp.perception.adapters import load_hand_estimator, read_hand_estimate
 
         if self.hand_from is not None:
             return load_hand_estimator(self.hand_from)(capture)
         if self.hand_file is not None:
-            return read_hand(self.hand_file, capture, side=self.hand, mano=self.mano)
+            return read_hand_estimate(self.hand_file, capture, side=self.hand, mano=self.mano)
         return None
 
     def _object_pose(self, capture: Capture, mesh: ObjectModel | Trimesh) -> ObjectEstimate | None:

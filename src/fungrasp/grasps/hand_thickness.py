@@ -17,5 +17,9 @@ PALM_RADIUS = 0.014
 PALM_BALL_RADIUS = 0.0165
 """Of the palm with its balls, at the wrist's end [m]."""
 
+LINK_RADII = np.array([0.012] + [0.010, 0.009, 0.008] * 4 + [0.012, 0.011, 0.010])
+"""In the middle of each link [m], in the order of ``HUMAN_LINKS``, for those who look at links and not at
+joints."""
+
 FOREARM_RADII = np.array([0.018, 0.028])
 """Of the bare forearm at the wrist and 0.25 m from it [m]."""

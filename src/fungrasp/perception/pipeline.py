@@ -41,7 +41,7 @@ from fungrasp.perception.object_pose.external_pose import score_given_pose
 from fungrasp.perception.quality import PerceptionQuality, measure_quality
 from fungrasp.perception.scene.table import NO_TABLE, table_under
 from fungrasp.perception.scene.world_frame import guessed_table, in_world, put_down, world_from_table
-from fungrasp.perception.warning import PerceptionWarning, warning
+from fungrasp.perception.warning import PerceptionWarning
 
 ACCEPTED_HAND = 0.6
 """Hands of a lower score are of low confidence. Of 85 found in rendered captures 72 have more, whose joints
@@ -184,7 +184,7 @@ def _hands(
         meant = []
         for hand in largest_first(fitting)[:2]:
             u, v = hand.pixels.mean(axis=0).tolist()
-            meant.append((hand, [warning("several_candidates", count=len(hands), u=u, v=v)]))
+            meant.append((hand, [PerceptionWarning.of("several_candidates", count=len(hands), u=u, v=v)]))
     found = []
     for hand, warnings in meant:
         settled, more = settle_side(hand, side)
@@ -251,15 +251,17 @@ def _warnings(scene: _Scene, refined: HandEstimate, model: ObjectModel) -> list[
     """What is uncertain about object, refined hand and table."""
     found = []
     if not scene.object.accepted:
-        found.append(warning("object_not_accepted", reason=scene.object.note or "low confidence"))
+        found.append(
+            PerceptionWarning.of("object_not_accepted", reason=scene.object.note or "low confidence")
+        )
     elif (ambiguous := ambiguity(model, scene.object)) is not None:
         found.append(ambiguous)
     if refined.side != scene.hand.estimate.side:
-        found.append(warning("side_from_depth", side=refined.side))
+        found.append(PerceptionWarning.of("side_from_depth", side=refined.side))
     if refined.score < ACCEPTED_HAND:
-        found.append(warning("low_hand_score", score=refined.score))
+        found.append(PerceptionWarning.of("low_hand_score", score=refined.score))
     if scene.table is None:
-        found.append(warning("no_table"))
+        found.append(PerceptionWarning.of("no_table"))
     return found
 
 

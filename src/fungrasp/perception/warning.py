@@ -57,14 +57,14 @@ class PerceptionWarning:
     values: Mapping[str, float | str] = field(default_factory=dict)
     """Numbers and words of the sentence, by name; a name ends with its unit."""
 
+    @classmethod
+    def of(cls, code: str, **values: float | str) -> PerceptionWarning:
+        """A warning with its values."""
+        return cls(code, values)
+
     def __post_init__(self) -> None:
         if self.code not in MESSAGES:
             raise UnknownNameError("warning", self.code, MESSAGES)
 
     def __str__(self) -> str:
         return MESSAGES[self.code].format_map(self.values)
-
-
-def warning(code: str, **values: float | str) -> PerceptionWarning:
-    """A warning with its values."""
-    return PerceptionWarning(code, values)

@@ -86,12 +86,12 @@ def perception_parts(
         _verdict(perceived),
         _seen(capture, model, perceived),
         _in_space(model, perceived),
-        _figures(quantities(capture, perceived), truth),
+        _figures(perception_quantities(capture, perceived), truth),
         _uncertain(capture, model, perceived),
     ]
 
 
-def quantities(capture: Capture, perceived: Perceived) -> list[Quantity]:
+def perception_quantities(capture: Capture, perceived: Perceived) -> list[Quantity]:
     """The quality figures, what each means and what would be good."""
     quality, lens = perceived.quality, capture.intrinsics
     widest = round(REPROJECTION * max(1.0, max(lens.width, lens.height) / 640), 1)

@@ -53,7 +53,7 @@ HIDDEN = 1.4
 _log = logging.getLogger(__name__)
 
 
-def read_hand(
+def read_hand_estimate(
     path: str | Path,
     capture: Capture,
     *,

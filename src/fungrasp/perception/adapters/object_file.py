@@ -13,15 +13,15 @@ from fungrasp.perception.adapters.bop_results import read_bop_results, select_ro
 from fungrasp.perception.adapters.rigid import pose_from_numbers
 from fungrasp.perception.estimates import ObjectEstimate
 from fungrasp.perception.object_pose.confidence import ACCEPT
-from fungrasp.perception.warning import warning
+from fungrasp.perception.warning import PerceptionWarning
 
 SUFFIXES = (".txt", ".npy", ".json", ".csv")
 
 ANSWERS = 5
 """Most alternatives that are kept."""
 
-NO_SCORE = warning("no_score", said="the file gives no score; the pose was taken as it is")
-FOREIGN_SCORE = warning("no_score", said="the estimator's scores are no probabilities")
+NO_SCORE = PerceptionWarning.of("no_score", said="the file gives no score; the pose was taken as it is")
+FOREIGN_SCORE = PerceptionWarning.of("no_score", said="the estimator's scores are no probabilities")
 
 
 def read_object_pose(
@@ -100,7 +100,7 @@ def _estimate(poses: list[np.ndarray], scores: list[float]) -> ObjectEstimate:
         others = tuple((pose, 0.0) for pose in poses[1:])
         return ObjectEstimate(poses[0], ACCEPT, True, others, warnings=(FOREIGN_SCORE,), judged=False)
     accepted = scores[0] >= ACCEPT
-    warnings = () if accepted else (warning("low_own_score", score=scores[0]),)
+    warnings = () if accepted else (PerceptionWarning.of("low_own_score", score=scores[0]),)
     others = tuple(zip(poses[1:], scores[1:], strict=True))
     return ObjectEstimate(poses[0], scores[0], accepted, others, warnings=warnings, judged=False)
 

@@ -13,7 +13,7 @@ from fungrasp.errors import FungraspError
 from fungrasp.grasps.anatomy import joint_bends
 from fungrasp.perception.estimates import Side
 from fungrasp.perception.io.capture import Box, Capture
-from fungrasp.perception.warning import PerceptionWarning, warning
+from fungrasp.perception.warning import PerceptionWarning
 
 HAND_LENGTH = 0.19
 """From wrist to fingertips of an adult [m]."""
@@ -150,9 +150,9 @@ def choose_hand(
         if len(fitting) < len(hands):
             choice = f"{side} hand" if len(fitting) == 1 else f"{side} hand that is the {choice}"
         u, v = best.pixels.mean(axis=0).tolist()
-        warnings.append(warning("several_hands", count=len(hands), choice=choice, u=u, v=v))
+        warnings.append(PerceptionWarning.of("several_hands", count=len(hands), choice=choice, u=u, v=v))
     if side is not None and best.side != side:
-        warnings.append(warning("side_not_as_given", seen=best.side, given=side))
+        warnings.append(PerceptionWarning.of("side_not_as_given", seen=best.side, given=side))
     return best, warnings
 
 
@@ -186,8 +186,10 @@ def settle_side(hand: DetectedHand, side: Side | None = None) -> tuple[DetectedH
     bend = float(joint_bends(shape)[0][:4].mean())
     if hand.side_score < UNDECIDED and bend < -BENT_BACK:
         other: Side = "left" if hand.side == "right" else "right"
-        warnings = [warning("side_from_fingers", seen=hand.side, taken=other)]
+        warnings = [PerceptionWarning.of("side_from_fingers", seen=hand.side, taken=other)]
         return dataclasses.replace(hand, side=other), warnings
     if bend < -IMPOSSIBLE:
-        return dataclasses.replace(hand, score=DISTRUST * hand.score), [warning("fingers_bent_backwards")]
+        return dataclasses.replace(hand, score=DISTRUST * hand.score), [
+            PerceptionWarning.of("fingers_bent_backwards")
+        ]
     return hand, []

@@ -12,7 +12,7 @@ from fungrasp.perception.hand.contact_evidence import HandSurroundings
 from fungrasp.perception.object_pose.known_object import KnownObject
 from fungrasp.perception.object_pose.pose_error import add_s, rotation_error
 from fungrasp.perception.object_pose.scoring import PoseScores
-from fungrasp.perception.warning import PerceptionWarning, warning
+from fungrasp.perception.warning import PerceptionWarning
 
 ACCEPT = 0.75
 """Poses of a lower score are not accepted."""
@@ -85,16 +85,18 @@ def score_warnings(scores: PoseScores, rival: float, masked: bool) -> tuple[Perc
     found = []
     if scores.explained[0] < 0.7:
         what = "the mask" if masked else "what may be the object"
-        found.append(warning("poorly_explained", percent=100 * float(scores.explained[0]), what=what))
+        found.append(
+            PerceptionWarning.of("poorly_explained", percent=100 * float(scores.explained[0]), what=what)
+        )
     if scores.contradicted[0] > 0.1:
-        found.append(warning("contradicted"))
+        found.append(PerceptionWarning.of("contradicted"))
     if scores.contact[0] > 0.02:
-        found.append(warning("far_from_fingertips", distance_mm=1000 * float(scores.contact[0])))
+        found.append(PerceptionWarning.of("far_from_fingertips", distance_mm=1000 * float(scores.contact[0])))
     if rival > 0.9 * scores.quality[0]:
-        found.append(warning("rival_pose"))
+        found.append(PerceptionWarning.of("rival_pose"))
     if scores.pixels[0] < 500:
-        found.append(warning("few_pixels", pixels=float(scores.pixels[0])))
-    return tuple(found) or (warning("little_seen"),)
+        found.append(PerceptionWarning.of("few_pixels", pixels=float(scores.pixels[0])))
+    return tuple(found) or (PerceptionWarning.of("little_seen"),)
 
 
 def ambiguity(model: ObjectModel, thing: ObjectEstimate) -> PerceptionWarning | None:
@@ -119,5 +121,5 @@ def ambiguity(model: ObjectModel, thing: ObjectEstimate) -> PerceptionWarning | 
     distance_mm, turn_deg = 1000 * float(apart[others[0]]), float(turned[others[0]])
     if distance_mm > 1000 * RIVAL_DISTANCE:
         how = f"turned by {turn_deg:.0f} degrees" if turn_deg > TURNED else "elsewhere"
-        return warning("object_elsewhere", how=how, distance_mm=distance_mm)
-    return warning("object_orientation", turn_deg=turn_deg, distance_mm=distance_mm)
+        return PerceptionWarning.of("object_elsewhere", how=how, distance_mm=distance_mm)
+    return PerceptionWarning.of("object_orientation", turn_deg=turn_deg, distance_mm=distance_mm)

@@ -31,7 +31,7 @@ from fungrasp.perception.object_pose.search import (
 )
 from fungrasp.perception.scene.segmentation import TIPS
 from fungrasp.perception.scene.table import largest_plane
-from fungrasp.perception.warning import PerceptionWarning, warning
+from fungrasp.perception.warning import PerceptionWarning
 
 SIZES = (0.01, 1.5)
 """Shortest and longest diagonal of an object that a hand holds [m]."""
@@ -110,14 +110,16 @@ def search_object_pose(
     if not SIZES[0] < size < SIZES[1]:
         unit = "; is it in millimetres?" if size >= SIZES[1] else ""
         return _nothing(
-            capture, joints, warning("not_searched", problem=f"the mesh is {size:.4g} m large{unit}")
+            capture,
+            joints,
+            PerceptionWarning.of("not_searched", problem=f"the mesh is {size:.4g} m large{unit}"),
         )
     known, rng = known_object(mesh), np.random.default_rng(seed)
     if table is None:
         table = largest_plane(capture, rng)
     view, problem = view_of_object(known, capture, joints, table, rng)
     if problem or view is None:
-        return _nothing(capture, joints, warning("not_searched", problem=problem))
+        return _nothing(capture, joints, PerceptionWarning.of("not_searched", problem=problem))
     found, scores, colour = _answers(view, rng, settings or PoseSearchSettings())
     order = np.argsort(-(scores.quality + COLOUR_WEIGHT * scores.quality.max() * colour))
     poses, scores = found.poses[order], scores.chosen(order)

@@ -23,7 +23,7 @@ from fungrasp.perception.object_pose.object_view import (
 from fungrasp.perception.object_pose.pose_error import add_s
 from fungrasp.perception.object_pose.scoring import PoseScorer, PoseScores
 from fungrasp.perception.object_pose.search import PoseHypotheses, PoseSearchSettings, refine_poses
-from fungrasp.perception.warning import PerceptionWarning, warning
+from fungrasp.perception.warning import PerceptionWarning
 
 RAYS = 1000
 """About how many rays a pose is scored by; as many as our own answers."""
@@ -67,7 +67,7 @@ def score_given_pose(
     joints = None if hand is None else hand.joints_camera
     view, problem = view_of_object(known, thinned(capture), joints, table, rng)
     if view is None:
-        warnings = (warning("not_comparable", problem=problem),)
+        warnings = (PerceptionWarning.of("not_comparable", problem=problem),)
         return replace(thing, score=0.0, accepted=False, alternatives=(), warnings=warnings, judged=True)
     scorer = view.scorer(RAYS)
     answers = [
@@ -80,7 +80,7 @@ def score_given_pose(
     if score < ACCEPT:
         warnings = score_warnings(scores, 0.0, view.capture.mask is not None)
         if others and others[0][1] >= ACCEPT:
-            warnings += (warning("other_given_pose_fits", score=others[0][1]),)
+            warnings += (PerceptionWarning.of("other_given_pose_fits", score=others[0][1]),)
     return ObjectEstimate(pose, score, score >= ACCEPT, others, residual, warnings)
 
 
