@@ -225,7 +225,12 @@ def test_of_two_hands_the_one_at_the_object_is_taken():
 def test_of_two_hands_the_one_that_holds_the_object_is_taken(monkeypatch):
     scene, detected = mug()
     middle = detected.pixels.mean(axis=0)
-    larger = dataclasses.replace(detected, pixels=(detected.pixels - middle) * 1.3 + middle + [60.0, 0.0])
+    larger = dataclasses.replace(
+        detected,
+        pixels=(detected.pixels - middle) * 1.3 + middle + [60.0, 0.0],
+        side="left",
+        side_score=0.55,
+    )
 
     def estimate(capture, mesh, hand, table, seed):
         near = np.linalg.norm(hand.pixels.mean(axis=0) - middle) < 5
@@ -235,6 +240,8 @@ def test_of_two_hands_the_one_that_holds_the_object_is_taken(monkeypatch):
     perceived = perceive(scene.capture, scene.model, detector=StandIn(larger, detected))
     np.testing.assert_array_equal(perceived.hand.pixels, detected.pixels)
     assert "2 hands are in the image; the one that holds" in str(perceived.warnings[0])
+    # What was uncertain about the other hand is of no interest.
+    assert "side_from_fingers" not in {warning.code for warning in perceived.warnings}
 
 
 def test_a_side_that_was_said_counts():

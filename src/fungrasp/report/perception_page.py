@@ -36,7 +36,7 @@ REPROJECTION = 8.0
 
 HAND_RESIDUAL, OBJECT_RESIDUAL, PENETRATION = 0.010, 0.003, 0.015
 """Residuals and penetration beyond these are poor [m]. Fingers are soft: of DexYCB's own grasps half have a
-joint whose flesh reaches 9 mm into the object."""
+joint whose surroundings reach 9 mm into the object."""
 
 
 def write_perception_page(

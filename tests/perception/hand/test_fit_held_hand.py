@@ -11,6 +11,7 @@ from hand_scenes import CAMERA, hand_scene
 from fungrasp.geometry.signed_distance import SignedDistanceGrid
 from fungrasp.grasps import load_human_grasps
 from fungrasp.perception import Capture
+from fungrasp.perception.hand import fit
 from fungrasp.perception.hand.contact_evidence import HandSurroundings
 from fungrasp.perception.hand.finger_search import finger_joints, postures, search_fingers
 from fungrasp.perception.hand.fit import fit_held_hand, skeleton_through
@@ -152,3 +153,17 @@ def test_a_left_hand_is_the_mirror_image_of_a_right_one(held):
     assert left.side == "left"
     # Which of the measured points are looked at depends on the order of the pixels.
     assert error(left.joints_camera * mirror, right.joints_camera) < 0.006
+
+
+def test_the_seed_decides_which_postures_are_tried(held, monkeypatch):
+    scene, surroundings = held
+    drawn = []
+
+    def search(skeleton, view, landmarks, rng, **_):
+        drawn.append(rng.random())
+        return skeleton
+
+    monkeypatch.setattr(fit, "search_fingers", search)
+    detected = scene.detected(np.random.default_rng(7))
+    fit_held_hand(detected, scene.capture, surroundings, scene.joints, seed=3)
+    assert set(drawn) == {np.random.default_rng(3).random()}

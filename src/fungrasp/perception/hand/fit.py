@@ -27,6 +27,7 @@ from fungrasp.perception.hand.fit_problem import (
     HandFitSettings,
     HandFitStage,
     HandParameters,
+    joint_confidence,
 )
 from fungrasp.perception.hand.hand_measurements import (
     HandMeasurements,
@@ -179,7 +180,8 @@ def refine_hand(
     problem = HandFitProblem(estimate=hand, surroundings=surroundings, settings=settings)
     start = HandParameters(skeleton_through(hand.joints_camera, FITTED_SPREAD))
     parameters = problem.solve(start, COMPARED, REFINE_ITERATIONS)
-    joints, covariance, confidence = problem.joints(parameters, COMPARED)
+    joints, covariance = problem.joints(parameters, problem.evidence(parameters, COMPARED))
+    confidence = joint_confidence(covariance)
     return dataclasses.replace(hand, joints_camera=joints, covariance=covariance, confidence=confidence)
 
 
@@ -215,8 +217,10 @@ def _estimate(
 ) -> HandEstimate:
     """The fitted hand, mirrored back if it is a left one."""
     assert problem.seen is not None
-    joints, covariance, confidence = problem.joints(parameters, stage)
-    score = problem.seen.score * problem.agreement(parameters, stage)
+    evidence = problem.evidence(parameters, stage)
+    joints, covariance = problem.joints(parameters, evidence)
+    score = problem.seen.score * problem.agreement(parameters, evidence)
+    confidence = joint_confidence(covariance)
     right = HandEstimate(joints, problem.seen.pixels, confidence, covariance, "right", score)
     return right if detected.side == "right" else mirror_estimate(right, detected.pixels)
 

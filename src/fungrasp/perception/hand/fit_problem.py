@@ -252,20 +252,25 @@ class HandFitProblem:
         ]
 
     def joints(
-        self, parameters: HandParameters, stage: HandFitStage
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Joints [m], [21, 3], their covariances [m^2], [21, 3, 3], and confidences, [21]."""
+        self, parameters: HandParameters, evidence: list[HandEvidence]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Joints [m], shape [21, 3], and their covariances [m^2], shape [21, 3, 3].
+
+        evidence: at these parameters.
+        """
         joints, jacobian = parameters.skeleton.joints_and_derivatives()
-        matrix, _ = normal_equations(self.evidence(parameters, stage), self.size)
+        matrix, _ = normal_equations(evidence, self.size)
         # Only of the skeleton; inverting first takes the uncertain turn into account.
         inverse = np.linalg.inv(matrix)[:SIZE, :SIZE]
-        covariance = COVARIANCE_FACTOR * jacobian @ inverse @ jacobian.transpose(0, 2, 1)
-        return joints, covariance, joint_confidence(covariance)
+        return joints, COVARIANCE_FACTOR * jacobian @ inverse @ jacobian.transpose(0, 2, 1)
 
-    def agreement(self, parameters: HandParameters, stage: HandFitStage) -> float:
+    def agreement(self, parameters: HandParameters, evidence: list[HandEvidence]) -> float:
         """How well the image agrees with a fitted hand, 0 to 1: see ``image_agreement``; times the part of
-        the measured points that the hand explains, where they are known."""
-        landmarks, depth = self.evidence(parameters, stage)[:2]
+        the measured points that the hand explains, where they are known.
+
+        evidence: at these parameters.
+        """
+        landmarks, depth = evidence[:2]
         agreement = image_agreement(landmarks, depth)
         if self.view is None:
             return agreement
