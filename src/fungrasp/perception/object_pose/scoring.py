@@ -8,6 +8,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from fungrasp.geometry.poses import inverse_transform_points, rotation_matrix, transform_points
+from fungrasp.grasps.hand_thickness import FINGER_RADII
 from fungrasp.perception.io.capture import Capture, depth_noise
 from fungrasp.perception.object_pose.known_object import KnownObject
 from fungrasp.perception.scene.segmentation import TIPS
@@ -20,9 +21,6 @@ OCCLUDER = 0.25
 
 CONTACT = 0.05
 """Fingertips as far from the surface as this [m] halve the quality."""
-
-FINGERTIP_RADIUS = 0.009
-"""From a fingertip's joint centre to its skin [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,9 +91,8 @@ class PoseScorer:
         contact = np.zeros(len(poses))
         if self.joints is not None:
             tips = inverse_transform_points(poses, self.joints[list(TIPS)])
-            apart = (
-                self.known.surface.distance.query(np.zeros(len(poses), dtype=int), tips)[0] - FINGERTIP_RADIUS
-            )
+            distance, _ = self.known.surface.distance.query(np.zeros(len(poses), dtype=int), tips)
+            apart = distance - FINGER_RADII[:, 3]
             contact = np.sort(np.abs(apart), axis=1)[:, :3].mean(axis=1)
             quality = quality / (1.0 + np.square(contact / CONTACT))
         return PoseScores(quality, explained, contradicted, visible, contact, everywhere * self.step**2)

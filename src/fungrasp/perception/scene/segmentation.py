@@ -12,18 +12,21 @@ from typing import Any
 import numpy as np
 from scipy import ndimage
 
+from fungrasp.grasps.hand_thickness import FINGER_RADII, LINK_RADII, PALM_RADIUS
 from fungrasp.grasps.human_hand import BONES
 from fungrasp.perception.io.capture import Capture
 from fungrasp.perception.scene.table import plane_tolerance
 
-BONE_RADII = np.array([[15.0, 10.0, 9.0, 8.0]] * 4 + [[17.0, 13.0, 11.0, 10.0]]).ravel() / 1000
-"""Half the thickness of the hand round each of ``BONES`` [m]."""
-
 PALM = ((1, 5), (5, 9), (9, 13), (13, 17), (17, 1))
 """Lines across the palm that belong to the hand as well, as pairs of joints."""
 
-PALM_RADIUS = 0.013
-"""Half the thickness round the lines of ``PALM`` [m]."""
+CAPSULE_RADII = np.concatenate(
+    [
+        np.column_stack([[PALM_RADIUS] * 4 + [FINGER_RADII[4, 0]], LINK_RADII[1:].reshape(5, 3)]).ravel(),
+        np.full(len(PALM), PALM_RADIUS),
+    ]
+)
+"""Half the thickness of the hand round each of ``BONES``, then of the lines of ``PALM`` [m]."""
 
 FOREARM = (0.35, 0.045)
 """Length and radius of forearm and sleeve [m]."""
@@ -64,8 +67,7 @@ def distance_from_hand(points: np.ndarray, joints: np.ndarray) -> np.ndarray:
         [m], shape [P].
     """
     near, far = joints[np.transpose((*BONES, *PALM))]
-    radii = np.concatenate([BONE_RADII, np.full(len(PALM), PALM_RADIUS)])
-    return _distance_from_capsules(points, near, far, radii)
+    return _distance_from_capsules(points, near, far, CAPSULE_RADII)
 
 
 def distance_from_forearm(points: np.ndarray, joints: np.ndarray) -> np.ndarray:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fungrasp.perception.io.capture import Capture
+from fungrasp.perception.io.capture import Capture, depth_noise
 
 NO_TABLE = np.array([0.0, -1.0, 0.0, 50.0])
 """A plane so far below everything that it is none, for those who would else look for one."""
@@ -37,8 +37,8 @@ SMALLEST = 0.25
 STEP = 6
 """Every so many rows and columns are looked at, in an image of 640 columns."""
 
-PLANE_TOLERANCE = (0.004, 0.003)
-"""Points this near to a plane [m], plus this times the squared depth [1/m], belong to it."""
+PLANE_TOLERANCE = 1.6
+"""Points so near to a plane [standard deviations of depth] belong to it."""
 
 
 def table_under(capture: Capture, joints: np.ndarray, rng: np.random.Generator) -> np.ndarray | None:
@@ -99,7 +99,7 @@ def _points(capture: Capture, farthest: float) -> np.ndarray:
 
 def plane_tolerance(depth: np.ndarray) -> np.ndarray:
     """How far a measured point may be from the plane that it belongs to [m], shape of ``depth`` [m]."""
-    return PLANE_TOLERANCE[0] + PLANE_TOLERANCE[1] * depth**2
+    return PLANE_TOLERANCE * depth_noise(depth)
 
 
 def planes_through(corners: np.ndarray) -> np.ndarray:
