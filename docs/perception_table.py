@@ -31,13 +31,13 @@ def perception_rows(read: Callable[[str], ResultFile]) -> list[tuple[str, str, s
     }
     (labels,) = read("perception-contacts").rows
     worst = max(kept.rows, key=lambda row: row["hand.refined_joint_error_mm"] or 0.0)
-    doubted = "" if worst["sure"] else " (marked *not sure*)"
+    doubted = "" if worst["sure"] else " (marked *low confidence*)"
     return [
         (
             "hand found",
             "95 %",
             f"{100 * found['rate']:.0f} % ({true['found']} of {count}), {100 * true['sure'] / count:.0f} % "
-            f"({true['sure']}) sure of hand and object",
+            f"({true['sure']}) with confidence in hand and object",
         ),
         ("right or left hand told right, of those found", "", f"{true['side']} of {true['found']}"),
         ("landmarks, median", "7 px", f"{hand['pixel_error']['median']:.1f} px"),
@@ -47,12 +47,12 @@ def perception_rows(read: Callable[[str], ResultFile]) -> list[tuple[str, str, s
             f"{_pair(refined, 1)}, {refined['max']:.0f} mm{doubted}",
         ),
         (
-            "the same of the sure ones, worst",
+            "the same of the confident ones, worst",
             "12 mm",
             f"{_pair(sure['refined_joint_error_mm'], 1)}, {sure['refined_joint_error_mm']['max']:.0f} mm",
         ),
         (
-            "touching fingertips, mean / median; of the sure ones",
+            "touching fingertips, mean / median; of the confident ones",
             "8 mm",
             f"{_pair(tips, 0)}; {_pair(sure['tip_error_mm'], 0)}",
         ),

@@ -1,31 +1,24 @@
 """Makes docs/perception-calibration.json and its plot from what ``fungrasp bench perception --json`` wrote.
 
 ``python docs/images/calibration.py BENCH.json [BENCH.json ...]`` takes the answers of several runs together.
-``--fit`` also fits the score's weights anew, checks them on objects that each fit has not seen, and prints
-them; they are put into ``perception/pose_confidence.py`` by hand.
 """
 
 from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from fungrasp.evaluation.calibration import (
-    Answers,
-    answers_of,
-    cross_validated,
-    fit_logistic,
-    log_loss,
-    lowest_threshold,
-    reliability,
-)
+from fungrasp.evaluation.perception import RIGHT_MM
 from fungrasp.evaluation.results import finite
 from fungrasp.evaluation.statistics import wilson_interval
-from fungrasp.perception.object_pose.confidence import ACCEPT, FEATURES
+from fungrasp.perception.object_pose.confidence import ACCEPT
 
 HERE = Path(__file__).parent
 EDGES = np.array([0.0, 0.1, 0.25, 0.5, ACCEPT, 0.9, 0.97, 1.0])
@@ -35,9 +28,36 @@ SIZE, LEFT, TOP = 300, 60, 20
 """Of the plot [pixels]: edge of the square, space to its left and above."""
 
 
+@dataclass(frozen=True, eq=False)
+class Answers:
+    """N pose answers, and whether they were right."""
+
+    right: np.ndarray
+    """Shape [N] bool."""
+    score: np.ndarray
+    """What they were given, shape [N]."""
+    group: np.ndarray
+    """Name of the object in the image, shape [N]."""
+
+
+def answers_of(rows: Sequence[Mapping[str, Any]]) -> Answers:
+    """The pose answers in the "each" of ``fungrasp bench perception --json``: with mask, without, of wrong
+    meshes and absent objects; without those that found nothing at all, whose score is 0 by rule."""
+    found = []
+    for row in rows:
+        absent = None if row["absent"] is None else row["absent"]["pose"]
+        for answer in (row["masked"], row["unmasked"], row["wrong_mesh"], absent):
+            if answer is not None and answer["evidence"]:
+                # None stands for infinite: no pose is right.
+                right = answer["add_s_mm"] is not None and answer["add_s_mm"] < RIGHT_MM
+                found.append((right, answer["score"], row["object_name"]))
+    return Answers(*(np.array(column) for column in zip(*found, strict=True)))
+
+
 def figures(answers: Answers) -> dict[str, Any]:
     """What the score was worth."""
     accepted = answers.score >= ACCEPT
+    given = np.where(answers.right, answers.score, 1.0 - answers.score)
     count, right = int(accepted.sum()), int(answers.right[accepted].sum())
     return {
         "answers": len(answers.score),
@@ -48,7 +68,7 @@ def figures(answers: Answers) -> dict[str, Any]:
         "accepted_and_right": right,
         "accepted_right_interval": wilson_interval(right, count) if count else None,
         "right_but_not_accepted": int((answers.right & ~accepted).sum()),
-        "log_loss": log_loss(answers.score, answers.right),
+        "log_loss": float(-np.log(np.clip(given, 1e-6, 1.0)).mean()),
         "ranges": reliability(answers.score, answers.right, EDGES),
     }
 
@@ -89,32 +109,36 @@ def plot(numbers: dict[str, Any]) -> str:
     return "\n".join(parts) + "\n"
 
 
-def refit(answers: Answers) -> None:
-    """Print new weights, and what they are worth on objects they have not seen."""
-    choices = {
-        "today's": [FEATURES.index(name) for name in ("explained", "contradicted", "visible", "pixels")],
-        "and the rival": [0, 1, 2, 3, 4],
-        "all": list(range(len(FEATURES))),
-    }
-    for words, columns in choices.items():
-        score = cross_validated(answers, columns)
-        threshold = lowest_threshold(score, answers.right)
-        kept = score >= threshold
-        weights = fit_logistic(answers.evidence[:, columns], answers.right)
-        sys.stdout.write(
-            f"{words}: log loss {log_loss(score, answers.right):.3f} on objects not seen; from "
-            f"{threshold:.2f} on 97 % are right, {kept.sum()} of {len(kept)}; "
-            f"{[FEATURES[c] for c in columns]} {np.round(weights, 2).tolist()}\n"
-        )
+def reliability(score: np.ndarray, right: np.ndarray, edges: np.ndarray) -> list[dict[str, Any]]:
+    """For each range of scores how many answers there are, their mean score, and how many are right.
+
+    Args:
+        score: shape [N].
+        right: shape [N] bool.
+        edges: ascending, shape [B + 1]; the last range includes its upper edge.
+    """
+    rows = []
+    for low, high in pairwise(edges.tolist()):
+        mine = (score >= low) & ((score < high) | (high == edges[-1]) & (score == high))
+        count, good = int(mine.sum()), int(right[mine].sum())
+        if count:
+            rows.append(
+                {
+                    "from": float(low),
+                    "to": float(high),
+                    "count": count,
+                    "mean_score": float(score[mine].mean()),
+                    "right": good / count,
+                    "interval": wilson_interval(good, count),
+                }
+            )
+    return rows
 
 
 def main() -> None:
-    files = [Path(name) for name in sys.argv[1:] if name != "--fit"]
+    files = [Path(name) for name in sys.argv[1:]]
     answers = answers_of([row for file in files for row in json.loads(file.read_text())["each"]])
     numbers = finite(figures(answers) | {"from": [file.name for file in files]})
-    if "--fit" in sys.argv:
-        refit(answers)
-        return
     (HERE.parent / "perception-calibration.json").write_text(json.dumps(numbers, indent=1) + "\n")
     (HERE / "perception-calibration.svg").write_text(plot(numbers))
 

@@ -74,7 +74,7 @@ def test_perception_on_kept_captures(human, tmp_path, capsys, monkeypatch):
     objects = load_objects(grasps)
     for i in range(2):
         write_capture(capture_at(i, grasps, objects, 7, small), tmp_path / "kept" / f"7_{i:04d}")
-    monkeypatch.setattr("fungrasp.perception.hand.landmarks.HandDetector", NoHands)
+    monkeypatch.setattr("fungrasp.perception.hand.mediapipe_detector.MediaPipeHandDetector", NoHands)
     path = tmp_path / "b.json"
     arguments = ("--grasps", human, "--captures", 2, "--seed", 7, "--keep", tmp_path / "kept", "--wrong")
     with monkeypatch.context() as patch:

@@ -172,7 +172,7 @@ def test_from_the_built_in_image_to_the_lift(
     assert sorted(path.name for path in tmp_path.iterdir()) == ["film.mp4", "index.html"]
     assert "Spray bottle, to spray: " in capsys.readouterr().out
     page = (tmp_path / "index.html").read_text()
-    parts = ("✓ Sure", "In the image", "How far it is from the truth", "data:video/mp4", "Contact error")
+    parts = ("✓ Confident", "In the image", "How far it is from the truth", "data:video/mp4", "Contact error")
     places = [page.index(part) for part in parts]
     assert places == sorted(places)
     assert not re.search(r"(src|href)=\"(?!data:|#)", page), "the page needs another file"
@@ -188,10 +188,10 @@ def test_what_is_not_sure_is_not_tried(
     assert end.value.code == 3
     assert [path.name for path in tmp_path.iterdir()] == ["index.html"]
     said = capsys.readouterr()
-    assert "doubt: the hand: its score is only 0.20" in said.err
+    assert "warning: the hand: its score is only 0.20" in said.err
     assert "the robot does not try it" in said.err
     page = (tmp_path / "index.html").read_text()
-    assert "? Not sure" in page
+    assert "? Low confidence" in page
     assert "from the truth" not in page
 
 

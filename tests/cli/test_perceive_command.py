@@ -18,15 +18,15 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from fungrasp.cli.held_object import DENSITY, held_object
-from fungrasp.cli.perceive import UNSURE, parse_plane
+from fungrasp.cli.perceive import LOW_CONFIDENCE, parse_plane
 from fungrasp.errors import FungraspError, UnknownNameError
 from fungrasp.grasps import load_human_grasps, load_robot_grasps
 from fungrasp.objects import builtin_object
 from fungrasp.perception import HandEstimate, ObjectEstimate
 from fungrasp.perception import pipeline as room
-from fungrasp.perception.adapters import registry
-from fungrasp.perception.hand.detection import DetectedHand
-from fungrasp.perception.hand.initial_skeleton import joint_confidence
+from fungrasp.perception.adapters import entry_point
+from fungrasp.perception.hand.detected_hand import DetectedHand
+from fungrasp.perception.hand.fit_problem import joint_confidence
 from fungrasp.perception.io.scene_folders import read_folder
 from fungrasp.report.demo_capture import FOLDER, demo_truth
 
@@ -78,7 +78,7 @@ def found(monkeypatch) -> list[DetectedHand]:
             scale = colour.shape[1] / LENS["width"]
             return [dataclasses.replace(hand, pixels=hand.pixels * scale) for hand in hands]
 
-    monkeypatch.setattr(room, "HandDetector", StandIn)
+    monkeypatch.setattr(room, "MediaPipeHandDetector", StandIn)
     return hands
 
 
@@ -105,7 +105,7 @@ def test_three_files_become_a_grasp_that_can_be_retargeted(folder, found, tmp_pa
     assert grasps[0].object_mass == pytest.approx(DENSITY * volume, rel=1e-3)
     assert "the mass was guessed" in words and "a right hand on 'thing'" in words and str(page) in words
     told = json.loads(result.read_text())
-    assert told["sure"] and len(told["doubts"]) == 1 and told["table_found"]
+    assert told["sure"] and len(told["doubts"]) == len(told["warnings"]) == 1 and told["table_found"]
     np.testing.assert_allclose(told["grasp"]["hand_joints"], grasps[0].hand_joints)
     assert len(told["grasp"]["links_in_contact"]) == grasps[0].link_contacts.sum()
     np.testing.assert_allclose(told["object"]["pose_camera"][:3], TRUTH.pose_camera_object[:3], atol=0.005)
@@ -166,7 +166,7 @@ def test_a_pose_from_elsewhere_is_judged_by_the_depth(folder, found, tmp_path, c
     np.testing.assert_allclose(position, TRUTH.pose_camera_object[:3], atol=0.002)
     with pytest.raises(SystemExit) as end:
         run(capsys, "perceive", *common, "--object-pose-file", tmp_path / "far.json")
-    assert end.value.code == UNSURE and "the object's pose: not sure" in capsys.readouterr().err
+    assert end.value.code == LOW_CONFIDENCE and "the object's pose: low confidence" in capsys.readouterr().err
 
 
 def test_estimators_of_other_packages_are_asked(folder, tmp_path, capsys, monkeypatch):
@@ -183,7 +183,7 @@ def test_estimators_of_other_packages_are_asked(folder, tmp_path, capsys, monkey
 
     brought = {"hand_estimators": find_hand, "object_pose_estimators": find_object}
     monkeypatch.setattr(
-        registry,
+        entry_point,
         "entry_points",
         lambda group: [SimpleNamespace(name="mine", load=lambda: brought[group.removeprefix("fungrasp.")])],
     )
@@ -266,9 +266,9 @@ def test_an_unsure_result_is_written_and_says_so(folder, found, tmp_path, capsys
     out, result = tmp_path / "g.npz", tmp_path / "r.json"
     with pytest.raises(SystemExit) as end:
         run(capsys, "perceive", *arguments, "--out", out, "--json", result)
-    assert end.value.code == UNSURE == 3
+    assert end.value.code == LOW_CONFIDENCE == 3
     err = capsys.readouterr().err
-    assert "doubt: the hand: its score is only" in err and "not sure" in err
+    assert "warning: the hand: its score is only" in err and "low confidence" in err
     told = json.loads(result.read_text())
     assert not told["sure"] and told["doubts"] and len(load_human_grasps(out)) == 1
 

@@ -32,7 +32,7 @@ from fungrasp.geometry.poses import compose, invert, transform_points
 from fungrasp.grasps import HUMAN_JOINTS, HUMAN_LINKS, builtin_grasps
 from fungrasp.objects import builtin_object
 from fungrasp.perception import Capture, Intrinsics
-from fungrasp.perception.hand.detection import DetectedHand
+from fungrasp.perception.hand.detected_hand import DetectedHand
 from fungrasp.perception.object_pose.mesh_rays import MeshRays
 from fungrasp.perception.scene.segmentation import TIPS
 

@@ -12,7 +12,7 @@ from fungrasp.geometry.poses import transform_points
 from fungrasp.grasps import load_human_grasps
 from fungrasp.objects import ObjectModel, builtin_object
 from fungrasp.perception import Capture, Intrinsics
-from fungrasp.perception.hand.detection import DetectedHand
+from fungrasp.perception.hand.detected_hand import DetectedHand
 
 CAMERA = Intrinsics(640, 480, 600.0, 600.0, 319.5, 239.5)
 

@@ -16,10 +16,9 @@ from fungrasp.grasps.human_hand import mirror_points
 from fungrasp.objects import ObjectModel, builtin_object
 from fungrasp.perception import Capture, ObjectEstimate
 from fungrasp.perception import pipeline as room
-from fungrasp.perception.hand.detection import DetectedHand
-from fungrasp.perception.hand.handedness import settle_side
-from fungrasp.perception.hand.landmarks import HandDetector
-from fungrasp.perception.hand.model_weights import have_weights
+from fungrasp.perception.hand.detected_hand import DetectedHand, settle_side
+from fungrasp.perception.hand.mediapipe_detector import MediaPipeHandDetector
+from fungrasp.perception.hand.mediapipe_models import have_weights
 from fungrasp.perception.object_pose.mesh_rays import MeshRays
 from fungrasp.perception.object_pose.pose_error import add_s
 from fungrasp.perception.pipeline import Perceived, perceive
@@ -79,10 +78,10 @@ def in_object(perceived: Perceived) -> np.ndarray:
 def test_an_image_becomes_a_grasp():
     scene, _ = mug()
     perceived = seen()
-    assert perceived.sure and perceived.table_found
+    assert perceived.confident and perceived.table_found
     # The handle is hidden.
-    (doubt,) = perceived.doubts
-    assert "which way round the object is" in doubt
+    (warning,) = perceived.warnings
+    assert warning.code == "object_orientation" and "which way round the object is" in str(warning)
     error = np.linalg.norm(perceived.hand.joints_camera - scene.joints, axis=1)
     assert error.mean() < 0.012
     thing = perceived.object
@@ -218,13 +217,20 @@ def test_of_two_hands_the_one_at_the_object_is_taken():
     for image in (capture, scene.capture):
         perceived = perceive(image, scene.model, detector=found, object_estimate=known(scene))
         np.testing.assert_array_equal(perceived.hand.pixels, detected.pixels)
-        assert perceived.sure and "2 hands are in the image; the one nearest" in perceived.doubts[0]
+        assert perceived.confident and "2 hands are in the image; the one nearest" in str(
+            perceived.warnings[0]
+        )
 
 
 def test_of_two_hands_the_one_that_holds_the_object_is_taken(monkeypatch):
     scene, detected = mug()
     middle = detected.pixels.mean(axis=0)
-    larger = dataclasses.replace(detected, pixels=(detected.pixels - middle) * 1.3 + middle + [60.0, 0.0])
+    larger = dataclasses.replace(
+        detected,
+        pixels=(detected.pixels - middle) * 1.3 + middle + [60.0, 0.0],
+        side="left",
+        side_score=0.55,
+    )
 
     def estimate(capture, mesh, hand, table, seed):
         near = np.linalg.norm(hand.pixels.mean(axis=0) - middle) < 5
@@ -233,7 +239,9 @@ def test_of_two_hands_the_one_that_holds_the_object_is_taken(monkeypatch):
     monkeypatch.setattr(room, "estimate_object_pose", estimate)
     perceived = perceive(scene.capture, scene.model, detector=StandIn(larger, detected))
     np.testing.assert_array_equal(perceived.hand.pixels, detected.pixels)
-    assert "2 hands are in the image; the one that holds" in perceived.doubts[0]
+    assert "2 hands are in the image; the one that holds" in str(perceived.warnings[0])
+    # What was uncertain about the other hand is of no interest.
+    assert "side_from_fingers" not in {warning.code for warning in perceived.warnings}
 
 
 def test_a_side_that_was_said_counts():
@@ -243,19 +251,22 @@ def test_a_side_that_was_said_counts():
         scene.capture, scene.model, detector=StandIn(unlikely), object_estimate=known(scene), side="right"
     )
     assert perceived.hand.side == "right" and perceived.grasp.object_name == "mug"
-    assert any("left one, not a right one as was said" in doubt for doubt in perceived.doubts)
+    assert any("left one, not a right one as was said" in str(warning) for warning in perceived.warnings)
 
 
 def test_fingers_tell_which_hand_it_is_where_the_model_is_in_doubt():
     _, detected = mug()
     assert settle_side(detected)[0] is detected
     doubtful = dataclasses.replace(detected, side="left", side_score=0.55)
-    settled, note = settle_side(doubtful)
-    assert settled.side == "right" and "fingers bend like those of a right one" in note
+    settled, (warning,) = settle_side(doubtful)
+    assert settled.side == "right" and "fingers bend like those of a right one" in str(warning)
     np.testing.assert_array_equal(settled.pixels, detected.pixels)
     # The model is sure, the landmarks can't be.
-    wrong, note = settle_side(dataclasses.replace(doubtful, side_score=0.99))
-    assert (wrong.side, wrong.score) == ("left", detected.score / 2) and "bent backwards" in note
+    wrong, (warning,) = settle_side(dataclasses.replace(doubtful, side_score=0.99))
+    assert (wrong.side, wrong.score) == (
+        "left",
+        detected.score / 2,
+    ) and warning.code == "fingers_bent_backwards"
     assert settle_side(doubtful, "left")[0].side == "left"
 
 
@@ -286,7 +297,7 @@ def test_holes_in_depth_do_little_harm():
         Capture(scene.capture.colour, depth, CAMERA, object_pixels()), scene.model, detector=StandIn(detected)
     )
     error = add_s(scene.model.vertices, perceived.object.pose_camera_object, scene.pose_camera_object)
-    assert error < 0.01 or not perceived.sure
+    assert error < 0.01 or not perceived.confident
 
 
 def test_the_wrong_mesh_is_not_believed():
@@ -294,7 +305,9 @@ def test_the_wrong_mesh_is_not_believed():
     perceived = perceive(
         scene.capture.with_object(object_pixels()), builtin_object("hammer"), detector=StandIn(detected)
     )
-    assert not perceived.sure and any("the object's pose: not sure" in doubt for doubt in perceived.doubts)
+    assert not perceived.confident and any(
+        "the object's pose: low confidence" in str(warning) for warning in perceived.warnings
+    )
     assert perceived.grasp.object_name == "hammer"
 
 
@@ -310,14 +323,16 @@ def test_an_object_out_of_view_is_not_believed():
     nowhere = np.zeros((CAMERA.height, CAMERA.width), bool)
     nowhere[:6, :6] = True
     perceived = perceive(scene.capture.with_object(mask=nowhere), scene.model, detector=StandIn(detected))
-    assert not perceived.sure and any("pixels with depth" in doubt for doubt in perceived.doubts)
+    assert not perceived.confident and any(
+        "pixels with depth" in str(warning) for warning in perceived.warnings
+    )
 
 
 def test_a_hand_too_faint_to_lead_to_the_table_is_kept_above_it():
     scene, detected = mug()
     faint = dataclasses.replace(detected, score=0.35)
     perceived = perceive(scene.capture, scene.model, detector=StandIn(faint), object_estimate=known(scene))
-    assert perceived.table_found and not perceived.sure
+    assert perceived.table_found and not perceived.confident
     np.testing.assert_allclose(perceived.table, scene.table, atol=0.01)
     assert np.linalg.norm(perceived.hand.joints_camera - scene.joints, axis=1).mean() < 0.012
 
@@ -332,8 +347,10 @@ def test_without_a_table_the_world_is_a_guess():
         detector=StandIn(detected),
         object_estimate=known(scene),
     )
-    assert not perceived.table_found and any("no table was seen" in doubt for doubt in perceived.doubts)
-    assert perceived.sure
+    assert not perceived.table_found and any(
+        "no table was seen" in str(warning) for warning in perceived.warnings
+    )
+    assert perceived.confident
     surface = transform_points(perceived.grasp.object_pose, scene.model.vertices)
     lowest = min(surface[:, 2].min(), perceived.grasp.hand_joints[:, 2].min())
     assert lowest == pytest.approx(0.0, abs=1e-6)
@@ -343,7 +360,9 @@ def test_a_hand_of_low_score_is_not_believed():
     scene, detected = mug()
     unlikely = dataclasses.replace(detected, score=0.3)
     perceived = perceive(scene.capture, scene.model, detector=StandIn(unlikely), object_estimate=known(scene))
-    assert not perceived.sure and any("the hand: its score" in doubt for doubt in perceived.doubts)
+    assert not perceived.confident and any(
+        "the hand: its score" in str(warning) for warning in perceived.warnings
+    )
 
 
 def test_a_wall_is_no_table():
@@ -396,4 +415,4 @@ def test_the_mesh_may_have_colours():
 def test_without_a_hand_in_the_picture_the_real_detector_says_so():
     scene, _ = mug()
     with pytest.raises(FungraspError, match="no hand was found"):
-        perceive(scene.capture, scene.model, detector=HandDetector(threads=1))
+        perceive(scene.capture, scene.model, detector=MediaPipeHandDetector(threads=1))

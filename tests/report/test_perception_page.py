@@ -17,12 +17,13 @@ from fungrasp.objects import builtin_object
 from fungrasp.perception import HandEstimate, ObjectEstimate
 from fungrasp.perception.io.scene_folders import read_folder
 from fungrasp.perception.pipeline import Perceived
-from fungrasp.perception.quality import Quality
+from fungrasp.perception.quality import PerceptionQuality
+from fungrasp.perception.warning import PerceptionWarning
 from fungrasp.report import perception_page
 from fungrasp.report.demo_capture import FILES, FOLDER, demo_truth, true_errors
 from fungrasp.report.page_parts import Quantity
 from fungrasp.report.perception_alternatives import alternatives
-from fungrasp.report.perception_page import contact_words, quantities, write_perception_page
+from fungrasp.report.perception_page import contact_words, perception_quantities, write_perception_page
 from fungrasp.report.perception_pictures import (
     FINGER_COLOURS,
     SHAPE,
@@ -70,9 +71,9 @@ def perceived(**changes) -> Perceived:
             "object": ObjectEstimate(pose, 0.95, True),
             "table": np.array([0.0, -1.0, 0.0, 0.4]),
             "table_found": True,
-            "quality": Quality(2.0, 0.0004, 0.002, 0.003, 0.9, 0.95),
-            "doubts": (),
-            "sure": True,
+            "quality": PerceptionQuality(2.0, 0.0004, 0.002, 0.003, 0.9, 0.95),
+            "warnings": (),
+            "confident": True,
             **changes,
         }
     )
@@ -106,19 +107,22 @@ def turned(degrees: float, axis: str = "z") -> np.ndarray:
 
 def test_the_verdict_comes_first(tmp_path, no_pictures):
     said = words(page(tmp_path, perceived()))
-    assert said.index("✓ Sure") < said.index("In the image")
-    assert "Not sure" not in said
-    doubts = ("the hand: its score is only 0.31", "the object's pose: <wrong> mesh?")
+    assert said.index("✓ Confident") < said.index("In the image")
+    assert "Low confidence" not in said
+    warnings = (
+        PerceptionWarning.of("low_hand_score", score=0.31),
+        PerceptionWarning.of("object_not_accepted", reason="<wrong> mesh?"),
+    )
     thing = replace(perceived().object, score=0.3, accepted=False)
-    html = page(tmp_path, perceived(object=thing, sure=False, doubts=doubts))
+    html = page(tmp_path, perceived(object=thing, confident=False, warnings=warnings))
     said = words(html)
-    assert "✓ Sure" not in said
+    assert "✓ Confident" not in said
     assert (
-        said.index("? Not sure")
+        said.index("? Low confidence")
         < said.index("The hand: its score is only 0.31.")
         < said.index("In the image")
     )
-    assert "neither is what touches it" in said
+    assert "so what touches it is uncertain" in said
     assert "<wrong>" not in html
     assert "<mine>" not in html
 
@@ -139,13 +143,13 @@ def test_a_page_holds_its_pictures_and_needs_nothing_from_outside(tmp_path):
 
 
 def test_figures_say_whether_they_are_good():
-    good = {item.name: item.good for item in quantities(CAPTURE, perceived())}
+    good = {item.name: item.good for item in perception_quantities(CAPTURE, perceived())}
     assert set(good.values()) == {True}
-    bad = perceived(quality=Quality(30.0, 0.01, float("nan"), 0.03, 0.2, 0.3))
-    marks = {item.name: item.good for item in quantities(CAPTURE, bad)}
+    bad = perceived(quality=PerceptionQuality(30.0, 0.01, float("nan"), 0.03, 0.2, 0.3))
+    marks = {item.name: item.good for item in perception_quantities(CAPTURE, bad)}
     assert marks.pop("Hand in depth") is None
     assert set(marks.values()) == {False}
-    assert all(item.meaning for item in quantities(CAPTURE, bad))
+    assert all(item.meaning for item in perception_quantities(CAPTURE, bad))
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from fungrasp.grasps import HumanGraspSet
     from fungrasp.objects import ObjectModel
     from fungrasp.perception import Capture
-    from fungrasp.perception.pipeline import Detector
+    from fungrasp.perception.hand.detected_hand import HandDetector
 
 
 @dataclass(frozen=True)
@@ -143,9 +143,9 @@ class Perception:
     def _measured(
         self, human: HumanGraspSet, objects: Mapping[str, ObjectModel], store: KeptCaptures | None
     ) -> Iterator[CaptureResult]:
-        from fungrasp.perception.hand.landmarks import HandDetector
+        from fungrasp.perception.hand.mediapipe_detector import MediaPipeHandDetector
 
-        detector = HandDetector() if self.landmarks_noise is None else None
+        detector = MediaPipeHandDetector() if self.landmarks_noise is None else None
         with progress_bar("perceiving", self.captures) as show:
             for i in range(self.captures):
                 result = None if store is None else store.load(i)
@@ -157,7 +157,11 @@ class Perception:
                 show(i + 1)
 
     def _one(
-        self, index: int, human: HumanGraspSet, objects: Mapping[str, ObjectModel], detector: Detector | None
+        self,
+        index: int,
+        human: HumanGraspSet,
+        objects: Mapping[str, ObjectModel],
+        detector: HandDetector | None,
     ) -> CaptureResult:
         """detector: None for one that knows the truth but for ``landmarks_noise``."""
         from dataclasses import replace

@@ -91,7 +91,7 @@ class Demo:
         self._show(human, objects, hand, TITLE, INTRODUCTION, source)
 
     def _run_from_image(self, hand: Hand, source: dict[str, str]) -> None:
-        from fungrasp.cli.demo_from_image import image_title, image_words, seen_grasp, write_doubts
+        from fungrasp.cli.demo_from_image import image_title, image_words, seen_grasp, write_low_confidence
 
         assert self.from_image is not None
         with progress_bar("looking at the image", 1) as show:
@@ -100,8 +100,8 @@ class Demo:
         source["Image"] = seen.source
         for note in seen.notes:
             print(note)
-        if not seen.perceived.sure:
-            write_doubts(self.out / "index.html", seen, page_provenance(source, self.seed))
+        if not seen.perceived.confident:
+            write_low_confidence(self.out / "index.html", seen, page_provenance(source, self.seed))
         objects = {seen.thing.name: seen.thing}
         self._show(seen.human, objects, hand, image_title(seen), image_words(seen), source, seen)
 

@@ -132,18 +132,18 @@ def image_words(seen: SeenGrasp) -> str:
     return INTRODUCTION + (RENDERED if seen.truth else "")
 
 
-def write_doubts(path: Path, seen: SeenGrasp, provenance: Mapping[str, str]) -> NoReturn:
-    """Write the page on what was seen, and end: the robot does not try what is not sure.
+def write_low_confidence(path: Path, seen: SeenGrasp, provenance: Mapping[str, str]) -> NoReturn:
+    """Write the page on what was seen, and end: the robot does not try a grasp of low confidence.
 
     Raises:
         SystemExit: always.
     """
-    from fungrasp.cli.perceive import UNSURE
+    from fungrasp.cli.perceive import LOW_CONFIDENCE
     from fungrasp.report.perception_page import write_perception_page
 
     write_perception_page(path, seen.capture, seen.model, seen.perceived, provenance)
-    for doubt in seen.perceived.doubts:
-        print(f"fungrasp: doubt: {doubt}", file=sys.stderr)
-    print("fungrasp: not sure what is held, and how: the robot does not try it", file=sys.stderr)
+    for warning in seen.perceived.warnings:
+        print(f"fungrasp: warning: {warning}", file=sys.stderr)
+    print("fungrasp: low confidence in the perceived grasp: the robot does not try it", file=sys.stderr)
     print(f"page: {path}")
-    raise SystemExit(UNSURE)
+    raise SystemExit(LOW_CONFIDENCE)

@@ -38,7 +38,7 @@ def held_object(mesh: str, mass: float | None) -> HeldObject:
         FungraspError: there is no such file or object, the mesh is bad, or the mass.
     """
     from fungrasp.objects import builtin_object, object_from_file, object_names
-    from fungrasp.perception.object_pose.mesh_colors import coloured_mesh
+    from fungrasp.perception.object_pose.known_object import coloured_mesh
 
     is_file = Path(mesh).is_file()
     if not is_file and (mesh in object_names() or Path(mesh).name == mesh == Path(mesh).stem):

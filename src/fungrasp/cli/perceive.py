@@ -20,15 +20,15 @@ if TYPE_CHECKING:
     from fungrasp.perception import Capture, HandEstimate, ObjectEstimate
     from fungrasp.perception.pipeline import Perceived
 
-UNSURE = 3
-"""Exit status when the result was written but is not to be trusted unseen."""
+LOW_CONFIDENCE = 3
+"""Exit status when the result was written but should be looked at before use."""
 
 
 @dataclass(frozen=True)
 class Perceive:
     """Turn an image with depth of a person holding a known object into a human grasp.
 
-    Exit status 3: the grasp was written, but is not sure.
+    Exit status 3: the grasp was written, but its confidence is low.
     """
 
     mesh: str
@@ -98,11 +98,11 @@ class Perceive:
         print(f"{self.out}: a {perceived.hand.side} hand on '{model.name}', {touching} links in contact")
         for note in (*held.notes, *kept, *written):
             print(note)
-        for doubt in perceived.doubts:
-            print(f"fungrasp: doubt: {doubt}", file=sys.stderr)
-        if not perceived.sure:
-            print("fungrasp: not sure: look at the grasp before you use it", file=sys.stderr)
-            raise SystemExit(UNSURE)
+        for warning in perceived.warnings:
+            print(f"fungrasp: warning: {warning}", file=sys.stderr)
+        if not perceived.confident:
+            print("fungrasp: low confidence: look at the grasp before you use it", file=sys.stderr)
+            raise SystemExit(LOW_CONFIDENCE)
 
     def _check(self) -> None:
         """Complain about options that do not go together."""
@@ -117,12 +117,12 @@ class Perceive:
 
     def _hand(self, capture: Capture) -> HandEstimate | None:
         """What another program or package says; None if none is asked."""
-        from fungrasp.perception.adapters import load_hand_estimator, read_hand
+        from fungrasp.perception.adapters import load_hand_estimator, read_hand_estimate
 
         if self.hand_from is not None:
             return load_hand_estimator(self.hand_from)(capture)
         if self.hand_file is not None:
-            return read_hand(self.hand_file, capture, side=self.hand, mano=self.mano)
+            return read_hand_estimate(self.hand_file, capture, side=self.hand, mano=self.mano)
         return None
 
     def _object_pose(self, capture: Capture, mesh: ObjectModel | Trimesh) -> ObjectEstimate | None:
@@ -222,8 +222,11 @@ def as_json(perceived: Perceived) -> dict[str, Any]:
     quality = {name: v if isfinite(v) else None for name, v in asdict(perceived.quality).items()}
     return {
         "version": 1,
-        "sure": perceived.sure,
-        "doubts": list(perceived.doubts),
+        "sure": perceived.confident,
+        "doubts": [str(warning) for warning in perceived.warnings],
+        "warnings": [
+            {"code": warning.code, "values": dict(warning.values)} for warning in perceived.warnings
+        ],
         "quality": quality,
         "grasp": {
             "object_name": grasp.object_name,

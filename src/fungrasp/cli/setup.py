@@ -16,7 +16,7 @@ class Perception:
     """A wheel of mediapipe 0.10.21 at hand, for machines without network; by default pip downloads it."""
 
     def run(self) -> None:
-        from fungrasp.perception.hand.model_weights import fetch_weights, kept_weights
+        from fungrasp.perception.hand.mediapipe_models import fetch_weights, kept_weights
 
         for path in (kept_weights() if self.wheel is None else []) or fetch_weights(self.wheel):
             print(path)

@@ -16,15 +16,14 @@ import trimesh
 from fungrasp.grasps import HumanGrasp
 from fungrasp.objects import ObjectModel
 from fungrasp.perception import Capture, HandEstimate
-from fungrasp.perception.hand.detection import DetectedHand
+from fungrasp.perception.hand.detected_hand import DetectedHand, HandDetector, choose_hand, find_hands
 from fungrasp.perception.hand.fit import fit_hand
-from fungrasp.perception.hand.landmarks import choose_hand
 from fungrasp.perception.io.capture import Box
 from fungrasp.perception.object_pose.confidence import FEATURES, features
 from fungrasp.perception.object_pose.estimate import PoseAnswers, best_estimate, search_object_pose
 from fungrasp.perception.object_pose.known_object import known_object
 from fungrasp.perception.object_pose.pose_error import add_s, rotation_error
-from fungrasp.perception.pipeline import Detector, Perceived, find_hands, perceive
+from fungrasp.perception.pipeline import Perceived, perceive
 from fungrasp.perception.scene.segmentation import TIPS
 from fungrasp.perception.scene.table import NO_TABLE, table_under
 
@@ -36,7 +35,7 @@ TIP_LINKS = (3, 6, 9, 12, 15)
 
 
 class KnownCapture(Protocol):
-    """A capture and the truth about it, as ``report.captures.SyntheticCapture``."""
+    """A capture and the truth about it, as ``captures.render_capture.SyntheticCapture``."""
 
     @property
     def capture(self) -> Capture:
@@ -71,7 +70,7 @@ class HandResult:
     found: bool
     """Whether a hand was found whose landmarks are nearer to the true hand than its size."""
     score: float = 0.0
-    """How sure the estimate is."""
+    """Score of the estimate, 0 to 1."""
     right_side: bool = False
     """Whether it was taken for a right hand, which it is."""
     pixel_error: float = float("nan")
@@ -145,7 +144,7 @@ class CaptureResult:
     """What ``perceive`` made of the image without a mask, in a world of its own; None where no hand was
     found."""
     sure: bool
-    """Whether perception was sure of that."""
+    """Whether perception was confident of that."""
 
 
 class Stopwatch:
@@ -163,7 +162,7 @@ class Stopwatch:
         self.seconds = Seconds(perf_counter() - self._start[0], process_time() - self._start[1])
 
 
-class _Seen:
+class _FixedHands:
     """A detector that has its answer already."""
 
     def __init__(self, hands: list[DetectedHand]):
@@ -176,7 +175,7 @@ class _Seen:
 def measure_perception(
     known: KnownCapture,
     model: ObjectModel,
-    detector: Detector,
+    detector: HandDetector,
     other: ObjectModel | None = None,
     coloured: trimesh.Trimesh | None = None,
 ) -> CaptureResult:
@@ -212,7 +211,11 @@ def measure_perception(
     with Stopwatch() as rest_watch:
         if hand is not None:
             perceived = perceive(
-                capture, model, table=table, object_estimate=best_estimate(without), detector=_Seen(hands)
+                capture,
+                model,
+                table=table,
+                object_estimate=best_estimate(without),
+                detector=_FixedHands(hands),
             )
     parts = (hand_watch, table_watch, unmasked_watch, rest_watch)
     wrong = None if other is None else search_object_pose(masked, other, hand, under)
@@ -235,12 +238,12 @@ def measure_perception(
         absent=None,
         grasp=known.grasp,
         perceived=None if perceived is None else perceived.grasp,
-        sure=perceived is not None and perceived.sure,
+        sure=perceived is not None and perceived.confident,
     )
 
 
 def measure_absent(
-    no_hand: Capture, no_object: Capture, model: ObjectModel, detector: Detector
+    no_hand: Capture, no_object: Capture, model: ObjectModel, detector: HandDetector
 ) -> AbsentResult:
     """What perception makes of images of the same scene without the hand, and without the object."""
     hands = [fit_hand(hand, no_hand) for hand in find_hands(detector, no_hand)]
@@ -278,11 +281,11 @@ def _pose_result(answers: PoseAnswers, points: np.ndarray, truth: np.ndarray | N
     """truth: pose, shape [7]; None if no pose is right."""
     best = best_estimate(answers)
     pose = best.pose_camera_object
-    values = features(answers.verdict, answers.rival)[0].tolist()
+    values = features(answers.scores)[0].tolist()
     return PoseResult(
         add_s_mm=float("inf") if truth is None else 1000 * float(add_s(points, pose, truth)),
         rotation_deg=float("nan") if truth is None else float(np.degrees(rotation_error(pose, truth))),
         score=best.score,
         accepted=best.accepted,
-        evidence={} if answers.problem else dict(zip(FEATURES, values, strict=True)),
+        evidence={} if answers.problem is not None else dict(zip(FEATURES, values, strict=True)),
     )

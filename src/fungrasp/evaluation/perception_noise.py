@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from fungrasp.perception.hand.detection import DetectedHand
+from fungrasp.perception.hand.detected_hand import DetectedHand
 from fungrasp.perception.io.capture import Box, Intrinsics
 
 SHAPE_NOISE = 0.01

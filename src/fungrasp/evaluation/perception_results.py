@@ -13,7 +13,7 @@ from fungrasp.evaluation.perception import CaptureResult, PoseResult
 from fungrasp.evaluation.results import finite
 from fungrasp.evaluation.statistics import wilson_interval
 from fungrasp.grasps import HumanGrasp, HumanGraspSet
-from fungrasp.perception.pipeline import SURE_HAND
+from fungrasp.perception.pipeline import ACCEPTED_HAND
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ def perception_figures(results: Sequence[CaptureResult]) -> dict[str, Any]:
             "object_masked": _pose_figures(masked),
             "object_unmasked": _pose_figures(unmasked),
             "wrong_mesh": {"accepted": _rate([answer.accepted for answer in wrong])},
-            "no_hand": {"sure": _rate([part.hand_score >= SURE_HAND for part in absent])},
+            "no_hand": {"sure": _rate([part.hand_score >= ACCEPTED_HAND for part in absent])},
             "no_object": {"accepted": _rate([answer.accepted for answer in nowhere])},
             "accepted": {"right": _rate(accepted)},
             "seconds": {

@@ -1,4 +1,4 @@
-"""What perception believes: the hand's joints and the object's pose, each with how sure it is.
+"""The estimated hand joints and object pose, each with its confidence.
 
 Camera frame: OpenCV (x right, y down, z forward) [m].
 """
@@ -12,6 +12,7 @@ import numpy as np
 
 from fungrasp.errors import FungraspError
 from fungrasp.grasps import HUMAN_JOINTS
+from fungrasp.perception.warning import PerceptionWarning
 
 JOINTS = len(HUMAN_JOINTS)
 
@@ -21,7 +22,7 @@ Side = Literal["right", "left"]
 
 @dataclass(frozen=True, eq=False)
 class HandEstimate:
-    """A hand in the image."""
+    """An estimated hand."""
 
     joints_camera: np.ndarray
     """Joint centres [m], camera frame, shape [21, 3], in the order of ``HUMAN_JOINTS``."""
@@ -48,22 +49,28 @@ class HandEstimate:
 
 @dataclass(frozen=True, eq=False)
 class ObjectEstimate:
-    """A known object in the image."""
+    """The estimated pose of a known object."""
 
     pose_camera_object: np.ndarray
     """The best answer: pose of the mesh in the camera frame, shape [7]."""
     score: float
     """How sure it is that the best answer is right, 0 to 1."""
     accepted: bool
-    """Whether the score passes the threshold; False means "not sure"."""
+    """Whether the score passes the threshold."""
     alternatives: tuple[tuple[np.ndarray, float], ...] = ()
     """Other answers that the image does not rule out, best first: pose (shape [7]) and score."""
     residual_m: float = float("nan")
     """Median distance of the object's measured points from the mesh's surface [m]."""
-    note: str = ""
-    """What was uncertain, in words; empty when nothing was."""
+    warnings: tuple[PerceptionWarning, ...] = ()
+    """What was uncertain; empty when nothing was."""
     judged: bool = True
     """Whether the score comes from the image's depth; ``perceive`` judges those that are not."""
+
+    @property
+    def note(self) -> str:
+        """The warnings in one line; empty when there are none."""
+        words = "; ".join(map(str, self.warnings))
+        return words if self.accepted or not words else f"low confidence: {words}"
 
     def __post_init__(self) -> None:
         for pose, score in ((self.pose_camera_object, self.score), *self.alternatives):

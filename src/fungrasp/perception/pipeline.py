@@ -1,14 +1,18 @@
-"""From one image with depth and the object's mesh to a human grasp.
+"""From one RGB-D image and the object's mesh to a human grasp, in six steps.
 
-hand in the image -> hand in metres -> table -> object's pose -> the hand again, which now touches what it
-holds -> contacts -> world. Each step's doubts are collected in words; a result that they make doubtful is
-still given, marked as not sure.
+1. The hand in the image: landmarks (``hand.mediapipe_detector``).
+2. The hand in metres: a skeleton fitted to landmarks and depth (``hand.fit``).
+3. The table: the largest plane below the hand (``scene.table``).
+4. The object's pose: the mesh fitted to the depth (``object_pose.estimate``).
+5. The hand again, which now touches the object that it holds (``hand.fit``).
+6. The grasp: links in contact, and all of it in the world frame (``scene.world_frame``).
+
+Each step adds its warnings; a result of low confidence is still given, marked as such.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Protocol, runtime_checkable
 
 import numpy as np
 import trimesh
@@ -16,50 +20,32 @@ import trimesh
 from fungrasp.errors import FungraspError
 from fungrasp.geometry.poses import transform_points
 from fungrasp.grasps import HumanGrasp
-from fungrasp.grasps.human_hand import mirror_points, mirror_pose
-from fungrasp.grasps.importers.dexycb import MIRRORED
+from fungrasp.grasps.human_hand import MIRRORED, mirror_points, mirror_pose
 from fungrasp.objects import ObjectModel
 from fungrasp.perception.estimates import HandEstimate, ObjectEstimate, Side
-from fungrasp.perception.hand.contact_flags import touching_links
-from fungrasp.perception.hand.detection import DetectedHand, hand_lengths
-from fungrasp.perception.hand.fit import fit_hand
-from fungrasp.perception.hand.handedness import settle_side
-from fungrasp.perception.hand.held_hand import fit_held
-from fungrasp.perception.hand.landmarks import HandDetector, choose_hand
-from fungrasp.perception.hand.object_contact import Surroundings
-from fungrasp.perception.hand.refine import refine_hand
+from fungrasp.perception.hand.contact_evidence import HandSurroundings, touching_links
+from fungrasp.perception.hand.detected_hand import (
+    DetectedHand,
+    HandDetector,
+    choose_hand,
+    find_hands,
+    largest_first,
+    settle_side,
+)
+from fungrasp.perception.hand.fit import fit_hand, fit_held_hand, refine_hand
+from fungrasp.perception.hand.mediapipe_detector import MediaPipeHandDetector
 from fungrasp.perception.io.capture import Box, Capture
-from fungrasp.perception.object_pose.alternative_pose import other_pose
+from fungrasp.perception.object_pose.confidence import ambiguity
 from fungrasp.perception.object_pose.estimate import SIZES, estimate_object_pose
-from fungrasp.perception.object_pose.external_pose import judge_estimate
-from fungrasp.perception.quality import Quality, measure_quality
+from fungrasp.perception.object_pose.external_pose import score_given_pose
+from fungrasp.perception.quality import PerceptionQuality, measure_quality
 from fungrasp.perception.scene.table import NO_TABLE, table_under
 from fungrasp.perception.scene.world_frame import guessed_table, in_world, put_down, world_from_table
+from fungrasp.perception.warning import PerceptionWarning
 
-__all__ = ["DepthDetector", "Detector", "Perceived", "Quality", "find_hands", "perceive"]
-
-SURE_HAND = 0.6
-"""Hands of a lower score are "not sure". Of 85 found in rendered captures 72 have more, whose joints are off
-by 9.7 mm in the mean; those of the others by 32 mm."""
-
-
-class Detector(Protocol):
-    """What finds hands in a colour image; ``HandDetector`` is one."""
-
-    def detect(self, colour: np.ndarray, near: Box | None = None) -> list[DetectedHand]:
-        """All hands found in an RGB image, shape [H, W, 3]; near: a box beside or around the hand."""
-        ...
-
-
-@runtime_checkable
-class DepthDetector(Detector, Protocol):
-    """A detector that makes use of how large hands are in the image."""
-
-    def detect_with_depth(
-        self, colour: np.ndarray, lengths: np.ndarray, near: Box | None = None
-    ) -> list[DetectedHand]:
-        """As ``detect``. lengths: ``hand_lengths`` of the image [pixels], shape [H, W]."""
-        ...
+ACCEPTED_HAND = 0.6
+"""Hands of a lower score are of low confidence. Of 85 found in rendered captures 72 have more, whose joints
+are off by 9.7 mm in the mean; those of the others by 32 mm."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,14 +66,14 @@ class Perceived:
     [4]."""
     table_found: bool
     """Whether the table was given or seen; else it is a guess."""
-    quality: Quality
-    """In figures."""
-    doubts: tuple[str, ...]
-    """What was uncertain, in words; empty when nothing was."""
-    sure: bool
-    """Whether hand and object are both believed, the latter's surface to 10 mm on average. A table that is
-    only guessed is a doubt, but the hand on the object does not depend on it; so is which way round a nearly
-    symmetric object is."""
+    quality: PerceptionQuality
+    """Residuals, penetration and scores."""
+    warnings: tuple[PerceptionWarning, ...]
+    """What was uncertain; empty when nothing was."""
+    confident: bool
+    """Whether the scores of hand and object both pass their thresholds: the object's surface is then right to
+    10 mm on average. A table that is only guessed gives a warning, but the hand on the object does not depend
+    on it; so does the question which way round a nearly symmetric object is."""
 
 
 def perceive(
@@ -100,22 +86,22 @@ def perceive(
     table: np.ndarray | None = None,
     hand: HandEstimate | None = None,
     object_estimate: ObjectEstimate | None = None,
-    detector: Detector | None = None,
+    detector: HandDetector | None = None,
     seed: int = 0,
     improve_pose: bool = False,
 ) -> Perceived:
     """The grasp in an image.
 
     Args:
-        capture: colour and depth; its mask or box says where the object is.
+        capture: color and depth; its mask or box says where the object is.
         model: the object.
-        coloured: the same mesh with its colours, which tell apart the sides of a nearly symmetric object.
+        coloured: the same mesh with its colors, which tell apart the sides of a nearly symmetric object.
         side: which hand it is, if known.
         task: what the grasp is for, see ``HumanGrasp``.
         table: plane ``[nx ny nz d]``, camera frame, shape [4], unit normal upwards; looked for if None.
         hand: from another estimator; found in the image if None.
         object_estimate: from another estimator; found in the image if None. One that is not ``judged``
-            gets the score that the depth gives it, see ``judge_estimate``.
+            gets the score that the depth gives it, see ``score_given_pose``.
         detector: finds hands; by default MediaPipe's models, which ``fungrasp setup perception`` fetches.
         seed: the same seed gives the same answer.
         improve_pose: whether an ``object_estimate`` that is not ``judged`` is fitted to the depth nearby.
@@ -125,65 +111,32 @@ def perceive(
             holds, or the hand models are not set up.
     """
     _check_size(model)
-    doubts: list[str] = []
     mesh = model if coloured is None else coloured
-    if hand is not None:
-        seen = _see(capture, mesh, hand, None, table, object_estimate, seed, improve_pose)
-    else:
-        near = _object_box(capture, model, object_estimate)
-        hands = find_hands(detector or HandDetector(), capture, near)
-        candidates, doubts = _candidates(hands, near, side)
-        seen = max(
-            (
-                _see(capture, mesh, fit_hand(d, capture), d, table, object_estimate, seed, improve_pose)
-                for d in candidates
-            ),
-            key=lambda found: found.thing.score * found.hand.score,
-        )
-        if len(candidates) > 1:
-            u, v = seen.hand.pixels.mean(axis=0)
-            doubts.append(
-                f"{len(hands)} hands are in the image; the one that holds the object more likely was taken, "
-                f"at pixel {u:.0f}, {v:.0f}; a mask or box of the object settles it"
-            )
-    thing, plane = seen.thing, seen.table
-    if not thing.accepted:
-        doubts.append(f"the object's pose: {thing.note or 'not sure'}")
-    elif other := other_pose(model, thing):
-        doubts.append(other)
-    hand = _refined(seen, capture, model, side)
-    if hand.side != seen.hand.side:
-        doubts.append(f"which hand it is: a {hand.side} one fits the depth better; --hand says which it is")
-    if hand.score < SURE_HAND:
-        doubts.append(f"the hand: its score is only {hand.score:.2f}")
-    table_found = plane is not None
+    # 1, 2: the hand in the image and in metres. Where it is open which of two hands is meant, both go on.
+    hands = _hands(capture, model, object_estimate, side, detector) if hand is None else [_Hand(hand)]
+    # 3, 4: the table and the object; the hand that holds the object more probably is the one.
+    scenes = [_scene(capture, mesh, h, table, object_estimate, seed, improve_pose) for h in hands]
+    scene = max(scenes, key=lambda scene: scene.object.score * scene.hand.estimate.score)
+    # 5: the hand again, touching the object.
+    refined = _refined_hand(scene, capture, model, side, seed)
+    # 6: the grasp in the world.
+    plane = scene.table
     if plane is None:
-        surface = transform_points(thing.pose_camera_object, model.vertices)
-        plane = guessed_table(np.concatenate([surface, hand.joints_camera]))
-        doubts.append(
-            "no table was seen: the camera was taken to be level and the table to be right below the grasp"
-        )
-    centre = transform_points(thing.pose_camera_object, model.center_of_mass[None])[0]
-    pose_world_camera = world_from_table(plane, centre)
+        surface = transform_points(scene.object.pose_camera_object, model.vertices)
+        plane = guessed_table(np.concatenate([surface, refined.joints_camera]))
+    center = transform_points(scene.object.pose_camera_object, model.center_of_mass[None])[0]
+    pose_world_camera = world_from_table(plane, center)
     return Perceived(
-        grasp=_grasp(model, hand, thing, pose_world_camera, task),
+        grasp=_grasp(model, refined, scene.object, pose_world_camera, task),
         pose_world_camera=pose_world_camera,
-        hand=hand,
-        object=thing,
+        hand=refined,
+        object=scene.object,
         table=plane,
-        table_found=table_found,
-        quality=measure_quality(capture, hand, thing, model.signed_distance),
-        doubts=tuple(doubts),
-        sure=thing.accepted and hand.score >= SURE_HAND,
+        table_found=scene.table is not None,
+        quality=measure_quality(capture, refined, scene.object, model.signed_distance),
+        warnings=(*scene.hand.warnings, *_warnings(scene, refined, model)),
+        confident=scene.object.accepted and refined.score >= ACCEPTED_HAND,
     )
-
-
-def find_hands(detector: Detector, capture: Capture, near: Box | None = None) -> list[DetectedHand]:
-    """All hands found in an image by a detector, which may be one that depth helps."""
-    if isinstance(detector, DepthDetector):
-        lengths = hand_lengths(capture.depth, capture.intrinsics.fx)
-        return detector.detect_with_depth(capture.colour, lengths, near)
-    return detector.detect(capture.colour, near)
 
 
 def _check_size(model: ObjectModel) -> None:
@@ -194,32 +147,49 @@ def _check_size(model: ObjectModel) -> None:
 
 
 @dataclass(frozen=True, eq=False)
-class _Seen:
+class _Hand:
+    """A hand that may be the one that holds the object."""
+
+    estimate: HandEstimate
+    """Without knowledge of the object."""
+    detected: DetectedHand | None = None
+    """None for another estimator's hand."""
+    warnings: tuple[PerceptionWarning, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class _Scene:
     """A hand, and the table and the object that go with it."""
 
-    detected: DetectedHand | None
-    hand: HandEstimate
+    hand: _Hand
     table: np.ndarray | None
-    thing: ObjectEstimate
+    object: ObjectEstimate
 
 
-def _candidates(
-    hands: list[DetectedHand], near: Box | None, side: Side | None
-) -> tuple[list[DetectedHand], list[str]]:
-    """The hands that may be meant, and what was doubtful about choosing them.
-
-    One, where the object's place says which, or only one is there; else the two largest of the side.
-    """
-    chosen, note = choose_hand(hands, near, side)
+def _hands(
+    capture: Capture,
+    model: ObjectModel,
+    thing: ObjectEstimate | None,
+    side: Side | None,
+    detector: HandDetector | None,
+) -> list[_Hand]:
+    """The hands that may be meant: one, where the object's place says which or only one is there; else the
+    two largest of the side."""
+    near = _object_box(capture, model, thing)
+    hands = find_hands(detector or MediaPipeHandDetector(), capture, near)
+    chosen, warnings = choose_hand(hands, near, side)
+    meant = [(chosen, warnings)]
     fitting = [hand for hand in hands if side in (None, hand.side)]
     if near is None and len(fitting) > 1:
-        fitting.sort(key=lambda hand: -float(np.prod(hand.box[2:] - hand.box[:2])))
-        meant, note = fitting[:2], ""
-    else:
-        meant = [chosen]
-    settled = [settle_side(hand, side) for hand in meant]
-    notes = [note, *(word for _, word in settled)]
-    return [hand for hand, _ in settled], [word for word in notes if word]
+        meant = []
+        for hand in largest_first(fitting)[:2]:
+            u, v = hand.pixels.mean(axis=0).tolist()
+            meant.append((hand, [PerceptionWarning.of("several_candidates", count=len(hands), u=u, v=v)]))
+    found = []
+    for hand, warnings in meant:
+        settled, more = settle_side(hand, side)
+        found.append(_Hand(fit_hand(settled, capture), settled, (*warnings, *more)))
+    return found
 
 
 def _object_box(capture: Capture, model: ObjectModel, thing: ObjectEstimate | None) -> Box | None:
@@ -238,40 +208,61 @@ def _object_box(capture: Capture, model: ObjectModel, thing: ObjectEstimate | No
     return float(x0), float(y0), float(x1), float(y1)
 
 
-def _see(
+def _scene(
     capture: Capture,
     mesh: ObjectModel | trimesh.Trimesh,
-    hand: HandEstimate,
-    detected: DetectedHand | None,
+    hand: _Hand,
     table: np.ndarray | None,
     thing: ObjectEstimate | None,
     seed: int,
     improve: bool,
-) -> _Seen:
+) -> _Scene:
     """The table under a hand and the object in it, unless they are known."""
+    estimate = hand.estimate
     if table is None:
-        table = table_under(capture, hand.joints_camera, np.random.default_rng(seed))
+        table = table_under(capture, estimate.joints_camera, np.random.default_rng(seed))
     under = NO_TABLE if table is None else table
     if thing is None:
-        thing = estimate_object_pose(capture, mesh, hand, under, seed=seed)
+        thing = estimate_object_pose(capture, mesh, estimate, under, seed=seed)
     elif not thing.judged:
-        thing = judge_estimate(thing, capture, mesh, hand, under, seed=seed, improve=improve)
+        thing = score_given_pose(thing, capture, mesh, estimate, under, seed=seed, improve=improve)
     if table is None and thing.accepted:
         # The object tells as well what is below it.
         surface = transform_points(thing.pose_camera_object, np.asarray(mesh.vertices))
         table = table_under(capture, surface, np.random.default_rng(seed))
-    return _Seen(detected, hand, table, thing)
+    return _Scene(hand, table, thing)
 
 
-def _refined(seen: _Seen, capture: Capture, model: ObjectModel, side: Side | None) -> HandEstimate:
-    """The hand that touches the object; unchanged where the object's pose is not believed."""
-    if not seen.thing.accepted:
-        return seen.hand
-    surface, pose = model.signed_distance, seen.thing.pose_camera_object
-    if seen.detected is None:
-        return refine_hand(seen.hand, surface, pose, seen.table)
-    around = Surroundings(surface, pose, seen.table)
-    return fit_held(seen.detected, capture, around, seen.hand.joints_camera, side=side)
+def _refined_hand(
+    scene: _Scene, capture: Capture, model: ObjectModel, side: Side | None, seed: int
+) -> HandEstimate:
+    """The hand that touches the object; unchanged where the object's pose is not accepted."""
+    hand, thing = scene.hand, scene.object
+    if not thing.accepted:
+        return hand.estimate
+    surroundings = HandSurroundings(model.signed_distance, thing.pose_camera_object, scene.table)
+    if hand.detected is None:
+        return refine_hand(hand.estimate, surroundings)
+    joints = hand.estimate.joints_camera
+    return fit_held_hand(hand.detected, capture, surroundings, joints, side=side, seed=seed)
+
+
+def _warnings(scene: _Scene, refined: HandEstimate, model: ObjectModel) -> list[PerceptionWarning]:
+    """What is uncertain about object, refined hand and table."""
+    found = []
+    if not scene.object.accepted:
+        found.append(
+            PerceptionWarning.of("object_not_accepted", reason=scene.object.note or "low confidence")
+        )
+    elif (ambiguous := ambiguity(model, scene.object)) is not None:
+        found.append(ambiguous)
+    if refined.side != scene.hand.estimate.side:
+        found.append(PerceptionWarning.of("side_from_depth", side=refined.side))
+    if refined.score < ACCEPTED_HAND:
+        found.append(PerceptionWarning.of("low_hand_score", score=refined.score))
+    if scene.table is None:
+        found.append(PerceptionWarning.of("no_table"))
+    return found
 
 
 def _grasp(

@@ -7,17 +7,11 @@ import trimesh
 
 from fungrasp.objects import ObjectModel
 from fungrasp.perception import Capture
-from fungrasp.perception.object_pose.confidence import RIVAL_DISTANCE
+from fungrasp.perception.object_pose.confidence import CLOSE, RIVAL_DISTANCE, TURNED
 from fungrasp.perception.object_pose.pose_error import add_s, rotation_error
 from fungrasp.perception.pipeline import Perceived
 from fungrasp.report.page_parts import figure
 from fungrasp.report.perception_pictures import pose_over
-
-TURNED = 30.0
-"""A pose turned by more than this [degrees] is another one, however well it fits."""
-
-CLOSE = 0.1
-"""Poses whose score is lower by less than this fit almost as well as the answer."""
 
 SAME = 0.002
 """Poses whose surfaces are nearer than this on average (ADD-S [m]) look the same."""

@@ -11,12 +11,11 @@ from pathlib import Path
 import numpy as np
 
 from fungrasp.grasps import HUMAN_LINKS
-from fungrasp.grasps.human_hand import HUMAN_FINGERS
-from fungrasp.grasps.importers.dexycb import MIRRORED
+from fungrasp.grasps.human_hand import HUMAN_FINGERS, MIRRORED
 from fungrasp.objects import ObjectModel
 from fungrasp.perception import Capture
 from fungrasp.perception.object_pose.confidence import ACCEPT
-from fungrasp.perception.pipeline import SURE_HAND, Perceived
+from fungrasp.perception.pipeline import ACCEPTED_HAND, Perceived
 from fungrasp.report.page import Page, write_page
 from fungrasp.report.page_parts import Quantity, figure, quality_card
 from fungrasp.report.perception_alternatives import alternatives
@@ -37,7 +36,7 @@ REPROJECTION = 8.0
 
 HAND_RESIDUAL, OBJECT_RESIDUAL, PENETRATION = 0.010, 0.003, 0.015
 """Residuals and penetration beyond these are poor [m]. Fingers are soft: of DexYCB's own grasps half have a
-joint whose flesh reaches 9 mm into the object."""
+joint whose surroundings reach 9 mm into the object."""
 
 
 def write_perception_page(
@@ -87,12 +86,12 @@ def perception_parts(
         _verdict(perceived),
         _seen(capture, model, perceived),
         _in_space(model, perceived),
-        _figures(quantities(capture, perceived), truth),
+        _figures(perception_quantities(capture, perceived), truth),
         _uncertain(capture, model, perceived),
     ]
 
 
-def quantities(capture: Capture, perceived: Perceived) -> list[Quantity]:
+def perception_quantities(capture: Capture, perceived: Perceived) -> list[Quantity]:
     """The quality figures, what each means and what would be good."""
     quality, lens = perceived.quality, capture.intrinsics
     widest = round(REPROJECTION * max(1.0, max(lens.width, lens.height) / 640), 1)
@@ -101,7 +100,7 @@ def quantities(capture: Capture, perceived: Perceived) -> list[Quantity]:
             "Score of the hand",
             round(quality.hand_score, 2),
             meaning="How sure it is that this is a hand, held like this; 1 is certain.",
-            least=SURE_HAND,
+            least=ACCEPTED_HAND,
         ),
         Quantity(
             "Score of the object's pose",
@@ -151,16 +150,16 @@ def contact_words(link_contacts: np.ndarray) -> str:
 
 
 def _verdict(perceived: Perceived) -> str:
-    if perceived.sure:
-        kind, word = "good", "✓ Sure"
-        reason = "Hand and object are both believed."
+    if perceived.confident:
+        kind, word = "good", "✓ Confident"
+        reason = "The scores of hand and object are both high enough."
     else:
-        kind, word = "bad", "? Not sure"
+        kind, word = "bad", "? Low confidence"
         reason = "Look at the pictures before you use this grasp."
-    doubts = "".join(f"<li>{escape(_sentence(doubt))}</li>" for doubt in perceived.doubts)
+    warnings = "".join(f"<li>{escape(_sentence(str(one)))}</li>" for one in perceived.warnings)
     return (
         f'<section class="verdict {kind}" aria-label="Verdict"><p><strong>{word}.</strong> {reason}</p>'
-        + (f"<ul>{doubts}</ul>" if doubts else "")
+        + (f"<ul>{warnings}</ul>" if warnings else "")
         + "</section>"
     )
 
@@ -174,8 +173,8 @@ def _seen(capture: Capture, model: ObjectModel, perceived: Perceived) -> str:
     )
     words = (
         "The hand's skeleton, a colour for each finger, and the outline of the object's mesh, hidden parts "
-        "included. The pale disc round a joint says how far off it may be; a joint with a dark middle is not "
-        "trusted."
+        "included. The pale disc round a joint is its standard deviation; a joint with a dark middle has "
+        "low confidence."
     )
     small = figure(
         whole_image(capture, view), "The whole image; the frame is what is enlarged.", photograph=True
@@ -197,7 +196,7 @@ def _in_space(model: ObjectModel, perceived: Perceived) -> str:
     pictures = "".join(figure(view, side) for view, side in zip(views, SIDES, strict=False))
     lines = [f"Touching the object, orange: {contact_words(perceived.grasp.link_contacts)}."]
     if not perceived.object.accepted:
-        lines.append("As the object's pose is not believed, neither is what touches it.")
+        lines.append("The object's pose has a low score, so what touches it is uncertain.")
     if mirrored:
         lines.append("The image shows a left hand: what is drawn, and kept, is its reflection.")
     if not perceived.table_found:

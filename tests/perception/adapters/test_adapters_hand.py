@@ -16,9 +16,9 @@ from recorded import (
 
 from fungrasp.errors import FungraspError
 from fungrasp.grasps import HUMAN_JOINTS
-from fungrasp.perception.adapters import read_hand, read_hands
+from fungrasp.perception.adapters import read_hand_estimate, read_hands
+from fungrasp.perception.adapters.hand_placement import _common_factor
 from fungrasp.perception.adapters.joint_orders import MANO, OPENPOSE
-from fungrasp.perception.adapters.placing import _common_factor
 
 JOINTS = true_hand()
 
@@ -47,7 +47,7 @@ def test_hamer_is_put_where_depth_is_whatever_size_it_guessed(tmp_path, capture,
     path = write(
         tmp_path / f"hand.{'npz' if write is write_npz else 'json'}", hamer_fields(JOINTS, size=size)
     )
-    hand = read_hand(path, capture)
+    hand = read_hand_estimate(path, capture)
     assert worst(hand) < 0.008
     assert hand.side == "right" and hand.score > 0.9
     np.testing.assert_allclose(hand.pixels, CAMERA.project(JOINTS), atol=1.5)
@@ -56,7 +56,9 @@ def test_hamer_is_put_where_depth_is_whatever_size_it_guessed(tmp_path, capture,
 
 def test_a_hand_at_the_edge_is_seen_from_the_side(tmp_path):
     joints = true_hand(aside=0.22)
-    hand = read_hand(write_npz(tmp_path / "h.npz", hamer_fields(joints, size=0.9)), made_capture(joints))
+    hand = read_hand_estimate(
+        write_npz(tmp_path / "h.npz", hamer_fields(joints, size=0.9)), made_capture(joints)
+    )
     assert worst(hand, joints) < 0.012
 
 
@@ -68,8 +70,8 @@ def test_an_object_in_front_of_half_the_hand_does_not_pull_it(tmp_path, capture)
     depth[hidden] = 0.5
     held = dataclasses.replace(capture, depth=depth)
     path = write_npz(tmp_path / "h.npz", hamer_fields(JOINTS, size=1.15))
-    assert worst(read_hand(path, held)) < 0.012
-    assert worst(read_hand(path, dataclasses.replace(held, mask=hidden))) < 0.012
+    assert worst(read_hand_estimate(path, held)) < 0.012
+    assert worst(read_hand_estimate(path, dataclasses.replace(held, mask=hidden))) < 0.012
 
 
 def test_two_depths_that_are_as_likely_are_told_apart_by_chance():
@@ -86,14 +88,14 @@ def test_two_depths_that_are_as_likely_are_told_apart_by_chance():
 def test_a_hand_where_none_is_scores_low(tmp_path):
     wall = made_capture(true_hand(aside=-0.3))
     depth = np.full_like(wall.depth, 1.6)
-    hand = read_hand(
+    hand = read_hand_estimate(
         write_npz(tmp_path / "h.npz", hamer_fields(JOINTS)), dataclasses.replace(wall, depth=depth)
     )
     assert hand.score < 0.1, "at 1.6 m this hand would be three times as large as people's"
     nothing = np.zeros_like(depth)
     nothing[:4, :4] = 0.6
     with pytest.raises(FungraspError, match="no depth where the hand is"):
-        read_hand(tmp_path / "h.npz", dataclasses.replace(wall, depth=nothing))
+        read_hand_estimate(tmp_path / "h.npz", dataclasses.replace(wall, depth=nothing))
 
 
 def test_wilor_mini_with_two_hands(tmp_path, capture):
@@ -113,22 +115,22 @@ def test_wilor_mini_with_two_hands(tmp_path, capture):
     path = write_npz(tmp_path / "h.npz", fields)
     hands = read_hands(path, CAMERA)
     assert [(hand.side, hand.score) for hand in hands] == [("right", 0.8), ("left", 0.9)]
-    assert worst(read_hand(path, capture, side="right")) < 0.008
-    assert read_hand(path, capture, hand=1).side == "left"
+    assert worst(read_hand_estimate(path, capture, side="right")) < 0.008
+    assert read_hand_estimate(path, capture, hand=1).side == "left"
     with pytest.raises(FungraspError, match="has 2 hands, counted from 0; there is no hand 2"):
-        read_hand(path, capture, hand=2)
+        read_hand_estimate(path, capture, hand=2)
 
 
 def test_a_left_hand_as_seen_and_as_the_network_mirrors_it(tmp_path):
     joints = true_hand(side="left")
     capture = made_capture(joints)
     fields = hamer_fields(joints, "left")
-    hand = read_hand(write_npz(tmp_path / "seen.npz", fields), capture)
+    hand = read_hand_estimate(write_npz(tmp_path / "seen.npz", fields), capture)
     assert hand.side == "left" and worst(hand, joints) < 0.008
     fields["pred_keypoints_3d"] = fields["pred_keypoints_3d"] * [-1.0, 1.0, 1.0]
     with pytest.raises(FungraspError, match=r"bent back by \d+ degrees.*'mirrored'"):
-        read_hand(write_npz(tmp_path / "raw.npz", fields), capture)
-    hand = read_hand(write_npz(tmp_path / "raw.npz", {**fields, "mirrored": True}), capture)
+        read_hand_estimate(write_npz(tmp_path / "raw.npz", fields), capture)
+    hand = read_hand_estimate(write_npz(tmp_path / "raw.npz", {**fields, "mirrored": True}), capture)
     assert worst(hand, joints) < 0.008
 
 
@@ -149,18 +151,18 @@ def test_metro_by_its_crop(tmp_path, capture):
         "camera": [scale, a / scale, b / scale],
         "box": [x0, y0, x0 + side, y0 + side],
     }
-    hand = read_hand(write_json(tmp_path / "h.json", fields), capture)
+    hand = read_hand_estimate(write_json(tmp_path / "h.json", fields), capture)
     assert worst(hand) < 0.015
     del fields["camera"]
     with pytest.raises(FungraspError, match="'camera' or 'pred_camera' is missing"):
-        read_hand(write_json(tmp_path / "h.json", fields), capture)
+        read_hand_estimate(write_json(tmp_path / "h.json", fields), capture)
 
 
 def test_joints_of_a_tracker_keep_their_size_if_they_are_metric(tmp_path, capture):
     fields = {"source": "joints", "side": "right", "joints": JOINTS[TO_MANO] * 1.1, "order": "mano"}
-    scaled = read_hand(write_json(tmp_path / "h.json", fields), capture)
+    scaled = read_hand_estimate(write_json(tmp_path / "h.json", fields), capture)
     assert worst(scaled) < 0.008
-    kept = read_hand(write_json(tmp_path / "h.json", {**fields, "metric": True}), capture)
+    kept = read_hand_estimate(write_json(tmp_path / "h.json", {**fields, "metric": True}), capture)
     np.testing.assert_allclose(kept.joints_camera, JOINTS * 1.1, atol=1e-4)
     assert kept.score < scaled.score
 
@@ -169,10 +171,10 @@ def test_an_image_that_was_made_smaller(tmp_path, capture):
     fields = hamer_fields(JOINTS)
     fields["image_size"] = [1280, 960]
     fields["scaled_focal_length"] *= 2
-    assert worst(read_hand(write_npz(tmp_path / "h.npz", fields), capture)) < 0.008
+    assert worst(read_hand_estimate(write_npz(tmp_path / "h.npz", fields), capture)) < 0.008
     fields["image_size"] = [1280, 720]
     with pytest.raises(FungraspError, match="for an image of 1280 x 720 pixels"):
-        read_hand(write_npz(tmp_path / "h.npz", fields), capture)
+        read_hand_estimate(write_npz(tmp_path / "h.npz", fields), capture)
 
 
 @pytest.mark.parametrize(
@@ -199,12 +201,12 @@ def test_what_is_wrong_with_a_file_is_named(tmp_path, capture, change, words):
     fields = {**hamer_fields(true_hand(aside=0.1)), **change}
     path = write_npz(tmp_path / "h.npz", {name: value for name, value in fields.items() if value is not None})
     with pytest.raises(FungraspError, match=words):
-        read_hand(path, capture)
+        read_hand_estimate(path, capture)
 
 
 def test_files_that_are_none(tmp_path, capture):
     with pytest.raises(FungraspError, match="does not exist"):
-        read_hand(tmp_path / "missing.npz", capture)
+        read_hand_estimate(tmp_path / "missing.npz", capture)
     for name, content, words in (
         ("cut.npz", b"PK\x03\x04cut short", "can't be read"),
         ("cut.json", b'{"version": 1, ', "can't be read"),
@@ -214,4 +216,4 @@ def test_files_that_are_none(tmp_path, capture):
     ):
         (tmp_path / name).write_bytes(content)
         with pytest.raises(FungraspError, match=words):
-            read_hand(tmp_path / name, capture)
+            read_hand_estimate(tmp_path / name, capture)

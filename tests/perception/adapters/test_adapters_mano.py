@@ -9,7 +9,7 @@ from recorded import CAMERA, hamer_fields, made_capture, made_up_camera, true_ha
 from scipy.spatial.transform import Rotation
 
 from fungrasp.errors import FungraspError
-from fungrasp.perception.adapters import read_hand
+from fungrasp.perception.adapters import read_hand_estimate
 from fungrasp.perception.adapters.joint_orders import MANO, TIP_VERTICES
 from fungrasp.perception.adapters.mano_model import rotation_vectors
 
@@ -69,17 +69,19 @@ def test_joints_from_parameters(tmp_path, mano):
         {"global_orient": turn.as_matrix()[None], "hand_pose": np.tile(np.eye(3), (15, 1, 1))},
         {"hand_pose": -MEAN, "flat_hand_mean": False},
     ):
-        hand = read_hand(write_npz(tmp_path / "h.npz", {**fields, **change}), capture, mano=mano)
+        hand = read_hand_estimate(write_npz(tmp_path / "h.npz", {**fields, **change}), capture, mano=mano)
         np.testing.assert_allclose(hand.joints_camera, wanted, atol=2e-4)
     # One finger's last joint bent: only its tip moves, by the bone's length.
     pose = np.zeros((15, 3))
     pose[2] = [0.0, 0.0, 0.5]
-    hand = read_hand(write_npz(tmp_path / "h.npz", {**fields, "hand_pose": pose}), capture, mano=mano)
+    hand = read_hand_estimate(
+        write_npz(tmp_path / "h.npz", {**fields, "hand_pose": pose}), capture, mano=mano
+    )
     moved = np.linalg.norm(hand.joints_camera - wanted, axis=1) > 1e-3
     assert np.flatnonzero(moved).tolist() == [4], "the index finger's tip"
     with pytest.raises(FungraspError, match=r"'fingers' or 'hand_pose' is missing"):
         del fields["hand_pose"]
-        read_hand(write_npz(tmp_path / "h.npz", fields), capture, mano=mano)
+        read_hand_estimate(write_npz(tmp_path / "h.npz", fields), capture, mano=mano)
 
 
 def test_joints_from_a_surface(tmp_path, mano):
@@ -91,7 +93,7 @@ def test_joints_from_a_surface(tmp_path, mano):
     fields = hamer_fields(JOINTS)
     del fields["pred_keypoints_3d"]
     fields |= {"pred_vertices": turn.apply(model["v_template"]), "pred_cam_t_full": translation}
-    hand = read_hand(write_npz(tmp_path / "h.npz", fields), made_capture(JOINTS), mano=mano)
+    hand = read_hand_estimate(write_npz(tmp_path / "h.npz", fields), made_capture(JOINTS), mano=mano)
     assert np.linalg.norm(hand.joints_camera - JOINTS, axis=1).max() < 0.008
     np.testing.assert_allclose(hand.pixels, CAMERA.project(JOINTS), atol=1.5)
 
@@ -101,13 +103,13 @@ def test_without_a_model_or_smplx_the_way_is_told(tmp_path, monkeypatch):
     path = write_npz(tmp_path / "h.npz", fields)
     capture = made_capture(JOINTS)
     with pytest.raises(FungraspError, match=r"has no joints .* say where your MANO model is"):
-        read_hand(path, capture)
+        read_hand_estimate(path, capture)
     import sys
 
     monkeypatch.setitem(sys.modules, "smplx", None)
     fields |= {"global_orient": np.zeros(3), "hand_pose": np.zeros(45), "transl": JOINTS[0]}
     with pytest.raises(FungraspError, match=r"needs smplx: pip install 'fungrasp\[mano\]'"):
-        read_hand(write_npz(tmp_path / "h.npz", fields), capture, mano=tmp_path)
+        read_hand_estimate(write_npz(tmp_path / "h.npz", fields), capture, mano=tmp_path)
 
 
 def test_rotations_come_as_vectors_or_matrices():

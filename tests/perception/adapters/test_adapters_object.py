@@ -7,10 +7,10 @@ from scipy.spatial.transform import Rotation
 
 from fungrasp.errors import FungraspError
 from fungrasp.perception.adapters import (
+    entry_point,
     load_hand_estimator,
     load_object_pose_estimator,
     read_object_pose,
-    registry,
 )
 from fungrasp.perception.object_pose.confidence import ACCEPT
 
@@ -60,7 +60,7 @@ def test_matrices_and_our_seven_numbers_in_any_file(tmp_path):
     ):  # fmt: skip
         same_pose(read_object_pose(tmp_path / name, image=image).pose_camera_object)
     unsure = read_object_pose(tmp_path / "named.json")
-    assert unsure.score == 0.4 and not unsure.accepted and unsure.note.startswith("not sure")
+    assert unsure.score == 0.4 and not unsure.accepted and unsure.note.startswith("low confidence")
     with pytest.raises(FungraspError, match="has 2 poses: say which image"):
         read_object_pose(tmp_path / "many.npy")
     with pytest.raises(FungraspError, match="no pose of image 2; it has 0 to 1"):
@@ -196,7 +196,7 @@ def test_estimators_of_other_packages(monkeypatch):
         ],
         "fungrasp.object_pose_estimators": [],
     }
-    monkeypatch.setattr(registry, "entry_points", lambda group: entries[group])
+    monkeypatch.setattr(entry_point, "entry_points", lambda group: entries[group])
     assert load_hand_estimator("my-hands")("an image") == "a hand in an image"
     with pytest.raises(FungraspError, match=r"unknown hand estimator 'my-hand'. Did you mean 'my-hands'"):
         load_hand_estimator("my-hand")

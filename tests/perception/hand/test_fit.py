@@ -13,10 +13,10 @@ from fungrasp.geometry.poses import inverse_transform_points
 from fungrasp.geometry.signed_distance import SignedDistanceBank, SignedDistanceGrid
 from fungrasp.grasps import load_human_grasps
 from fungrasp.perception import Capture, HandEstimate
-from fungrasp.perception.hand.evidence import Evidence
-from fungrasp.perception.hand.fit import agreement, fit_hand
-from fungrasp.perception.hand.object_contact import Surroundings
-from fungrasp.perception.hand.refine import refine_hand
+from fungrasp.perception.hand.contact_evidence import HandSurroundings
+from fungrasp.perception.hand.fit import fit_hand, refine_hand
+from fungrasp.perception.hand.fit_problem import image_agreement
+from fungrasp.perception.hand.least_squares import HandEvidence
 
 ROWS = range(0, 24, 4)
 
@@ -72,13 +72,13 @@ def test_a_left_hand_is_the_mirror_image_of_a_right_one(scenes):
     np.testing.assert_allclose(left.covariance[:, 0, 1], -right.covariance[:, 0, 1], atol=1e-9)
 
 
-def test_agreement_counts_landmarks_and_flesh_that_is_seen_through():
+def test_agreement_counts_landmarks_and_skin_that_is_seen_through():
     none = np.zeros((4, 1))
-    landmarks = Evidence(np.zeros(4), none, outlier=4.0, group=2)
-    half = Evidence(np.array([0.0, 1.0, -9.0, -9.0]), none, outlier=np.full(4, 3.0))
-    assert agreement(landmarks, half) == 0.5
-    assert agreement(landmarks, Evidence(np.zeros(0), np.zeros((0, 1)), outlier=np.zeros(0))) == 0.0
-    assert agreement(Evidence(np.full(4, 99.0), none, outlier=4.0, group=2), half) < 1e-3
+    landmarks = HandEvidence(np.zeros(4), none, outlier=4.0, group=2)
+    half = HandEvidence(np.array([0.0, 1.0, -9.0, -9.0]), none, outlier=np.full(4, 3.0))
+    assert image_agreement(landmarks, half) == 0.5
+    assert image_agreement(landmarks, HandEvidence(np.zeros(0), np.zeros((0, 1)), outlier=np.zeros(0))) == 0.0
+    assert image_agreement(HandEvidence(np.full(4, 99.0), none, outlier=4.0, group=2), half) < 1e-3
 
 
 def test_no_depth_at_the_hand_is_an_error(scenes):
@@ -118,10 +118,10 @@ def certain(scene, joints, deviation=0.01):
 def test_refined_hand_leaves_the_object(held):
     scene, grid = held
     touching = scene.joints[[4, 8, 12, 16, 20]]
-    distance, gradient = Surroundings(grid, scene.pose_camera_object).object_distance(touching)
+    distance, gradient = HandSurroundings(grid, scene.pose_camera_object).object_distance(touching)
     nearest = distance.argmin()
     pushed = certain(scene, scene.joints - (0.012 + distance[nearest]) * gradient[nearest])
-    refined = refine_hand(pushed, grid, scene.pose_camera_object, scene.table)
+    refined = refine_hand(pushed, HandSurroundings(grid, scene.pose_camera_object, scene.table))
     assert depth_inside(scene, grid, pushed.joints_camera) > 0.004
     assert depth_inside(scene, grid, refined.joints_camera) < 0.002
     assert errors(refined, scene.joints).mean() < errors(pushed, scene.joints).mean()
@@ -131,7 +131,7 @@ def test_refining_a_left_hand_is_refining_its_mirror_image(held):
     scene, grid = held
     mirror = np.array([-1.0, 1.0, 1.0])
     hand = certain(scene, scene.joints + np.array([0.004, 0.003, 0.006]))
-    right = refine_hand(hand, grid, scene.pose_camera_object)
+    right = refine_hand(hand, HandSurroundings(grid, scene.pose_camera_object))
     flipped = SignedDistanceGrid(
         np.array([-grid.origin[0] - grid.spacing * (grid.values.shape[0] - 1), *grid.origin[1:]]),
         grid.spacing,
@@ -139,15 +139,7 @@ def test_refining_a_left_hand_is_refining_its_mirror_image(held):
     )
     pose = scene.pose_camera_object * [-1, 1, 1, 1, 1, -1, -1]
     left = refine_hand(
-        dataclasses.replace(hand, joints_camera=hand.joints_camera * mirror, side="left"), flipped, pose
+        dataclasses.replace(hand, joints_camera=hand.joints_camera * mirror, side="left"),
+        HandSurroundings(flipped, pose),
     )
     np.testing.assert_allclose(left.joints_camera, right.joints_camera * mirror, atol=1e-5)
-
-
-def test_contact_takes_flesh_out_of_the_object(held):
-    scene, grid = held
-    detected = scene.detected(np.random.default_rng(7))
-    around = Surroundings(grid, scene.pose_camera_object, scene.table)
-    hand = fit_hand(detected, scene.capture, around)
-    assert depth_inside(scene, grid, hand.joints_camera) < 0.003
-    assert errors(hand, scene.joints).mean() < 0.015

@@ -10,15 +10,16 @@ from scipy.spatial.transform import Rotation
 from fungrasp.grasps import load_human_grasps
 from fungrasp.grasps.anatomy import ADULT_BONES, joint_bends
 from fungrasp.grasps.human_hand import bone_lengths
-from fungrasp.perception.hand.evidence import (
-    FAR_BONES,
-    NEAR_BONES,
-    Evidence,
-    anatomy_evidence,
-    shape_evidence,
+from fungrasp.perception.hand.anatomy_evidence import anatomy_evidence
+from fungrasp.perception.hand.fit import skeleton_through
+from fungrasp.perception.hand.image_evidence import FAR_BONES, NEAR_BONES, direction_evidence
+from fungrasp.perception.hand.least_squares import (
+    LONGEST_STEP,
+    HandEvidence,
+    damped_step,
+    normal_equations,
+    robust_weights,
 )
-from fungrasp.perception.hand.gauss_newton import LONGEST_STEP, damped_step, normal_equations, robust_weights
-from fungrasp.perception.hand.initial_skeleton import skeleton_through
 from fungrasp.perception.hand.skeleton import ANGLE_LOW, ANGLE_MEAN, PARAMETERS, SIZE, Skeleton
 
 
@@ -83,25 +84,25 @@ def test_shape_evidence_forgives_a_turn_of_the_whole():
     bones = joints[FAR_BONES] - joints[NEAR_BONES]
     units = bones / np.linalg.norm(bones, axis=1)[:, None]
     turn = np.array([0.004, -0.003, 0.002])
-    turned = shape_evidence(joints, jacobian, Rotation.from_rotvec(turn).apply(units), 0.3)
+    turned = direction_evidence(joints, jacobian, Rotation.from_rotvec(turn).apply(units), 0.3)
     np.testing.assert_allclose(turned.residual + turned.jacobian[:, SIZE:] @ -turn, 0, atol=1e-4)
     assert np.abs(turned.residual).max() > 0.005
 
 
 def test_outliers_hardly_count_and_groups_are_judged_together():
-    block = Evidence(np.array([0.0, 1.0, 30.0, 0.0]), np.zeros((4, 1)), outlier=3.0, group=2)
+    block = HandEvidence(np.array([0.0, 1.0, 30.0, 0.0]), np.zeros((4, 1)), outlier=3.0, group=2)
     weights = robust_weights(block)
     np.testing.assert_allclose(weights[:2], (1 + 1 / 9) ** -2)
     assert weights[2] == weights[3] < 1e-3
-    each = Evidence(np.array([1.0, 1.0]), np.zeros((2, 1)), outlier=np.array([1.0, np.inf]))
+    each = HandEvidence(np.array([1.0, 1.0]), np.zeros((2, 1)), outlier=np.array([1.0, np.inf]))
     np.testing.assert_allclose(robust_weights(each), [0.25, 1.0])
-    assert (robust_weights(Evidence(np.full(3, 9.0), np.zeros((3, 1)))) == 1).all()
+    assert (robust_weights(HandEvidence(np.full(3, 9.0), np.zeros((3, 1)))) == 1).all()
 
 
 def test_steps_solve_linear_problems_and_are_never_too_long():
     rng = np.random.default_rng(0)
     jacobian, residual = rng.normal(size=(200, SIZE)), rng.normal(size=200) * 0.01
-    step = damped_step(*normal_equations([Evidence(residual, jacobian)], SIZE), damping=0.0)
+    step = damped_step(*normal_equations([HandEvidence(residual, jacobian)], SIZE), damping=0.0)
     np.testing.assert_allclose(step, np.linalg.lstsq(jacobian, -residual, rcond=None)[0], atol=1e-8)
-    far = damped_step(*normal_equations([Evidence(residual * 1e4, jacobian)], SIZE))
+    far = damped_step(*normal_equations([HandEvidence(residual * 1e4, jacobian)], SIZE))
     assert max(np.abs(far[PARAMETERS[k]]).max() / most for k, most in LONGEST_STEP.items()) <= 1 + 1e-9

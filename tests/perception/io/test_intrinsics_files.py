@@ -6,7 +6,7 @@ from capture_files import OURS
 
 from fungrasp.errors import FungraspError
 from fungrasp.perception import Intrinsics
-from fungrasp.perception.io.intrinsics_files import read_lens
+from fungrasp.perception.io.intrinsics_files import read_intrinsics
 
 SIZE = (320, 240)
 LENS = Intrinsics(320, 240, 300, 301, 160, 119)
@@ -44,7 +44,7 @@ REAL_SENSE = {
 def test_every_layout_gives_the_same_lens(tmp_path, content, unit):
     path = tmp_path / "K.json"
     path.write_text(json.dumps(content))
-    lens = read_lens(path, SIZE, image=3)
+    lens = read_intrinsics(path, SIZE, image=3)
     assert lens.intrinsics == LENS
     assert lens.depth_unit == pytest.approx(unit) if unit else lens.depth_unit is None
 
@@ -69,7 +69,7 @@ def test_bad_intrinsics_are_named(tmp_path, content, words):
     path = tmp_path / "K.json"
     path.write_text(json.dumps(content))
     with pytest.raises(FungraspError, match=words) as error:
-        read_lens(path, SIZE, image=3)
+        read_intrinsics(path, SIZE, image=3)
     assert str(path) in str(error.value)
 
 
@@ -77,12 +77,12 @@ def test_intrinsics_of_many_images_need_a_number(tmp_path):
     path = tmp_path / "scene_camera.json"
     path.write_text(json.dumps({"3": {"cam_K": FLAT}, "5": {"cam_K": FLAT}}))
     with pytest.raises(FungraspError, match="intrinsics of 2 images"):
-        read_lens(path, SIZE)
+        read_intrinsics(path, SIZE)
 
 
 def test_distortion_is_not_passed_over_in_silence(tmp_path, caplog):
     path = tmp_path / "K.json"
     path.write_text(json.dumps({**REAL_SENSE, "coeffs": [0.1, -0.2, 0, 0, 0]}))
     with caplog.at_level(logging.WARNING):
-        read_lens(path, SIZE)
+        read_intrinsics(path, SIZE)
     assert "distortion" in caplog.text

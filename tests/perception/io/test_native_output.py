@@ -5,11 +5,11 @@ import sys
 
 import pytest
 
-from fungrasp.perception.io.native_output import without_small_talk
+from fungrasp.perception.io.native_output import filtered_native_output
 
 
 def test_only_small_talk_is_left_out(capfd):
-    with without_small_talk():
+    with filtered_native_output():
         os.write(2, b"INFO: all is well\nWARNING: odd\nERROR: INFO: not at the beginning\n")
         print("INFO: from Python", file=sys.__stderr__)
         os.write(2, b"no newline at the end")
@@ -20,7 +20,7 @@ def test_only_small_talk_is_left_out(capfd):
 
 
 def test_errors_pass_and_stderr_is_given_back(capfd):
-    with pytest.raises(ValueError, match="bad"), without_small_talk():
+    with pytest.raises(ValueError, match="bad"), filtered_native_output():
         os.write(2, b"INFO: starting\nERROR: model\n")
         raise ValueError("bad")
     os.write(2, b"INFO: again\n")

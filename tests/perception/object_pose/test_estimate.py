@@ -52,7 +52,7 @@ def test_another_objects_mesh_is_not_accepted() -> None:
         there.capture.with_object(mask=there.mask), load_object("hammer"), there.hand
     )
     assert not found.accepted
-    assert found.note.startswith("not sure: ")
+    assert found.note.startswith("low confidence: ")
 
 
 def test_a_mesh_in_millimetres_is_said() -> None:

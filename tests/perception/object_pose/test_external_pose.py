@@ -11,7 +11,7 @@ from fungrasp.objects import load_object
 from fungrasp.perception import Capture
 from fungrasp.perception.estimates import ObjectEstimate
 from fungrasp.perception.object_pose.confidence import ACCEPT
-from fungrasp.perception.object_pose.external_pose import judge_estimate
+from fungrasp.perception.object_pose.external_pose import score_given_pose
 
 MUG = load_object("mug")
 LIFTED = np.concatenate([[0.0, 0.0, 0.08], quaternion_from_rotation_vector(np.array([0.3, 0.2, 0.8]))])
@@ -27,20 +27,22 @@ def said(shift: tuple[float, float, float] = (0, 0, 0), *others: np.ndarray) -> 
 @pytest.mark.parametrize("masked", [True, False])
 def test_a_pose_is_right_or_wrong_whatever_its_program_says(masked: bool) -> None:
     capture = SCENE.capture.with_object(mask=SCENE.mask) if masked else SCENE.capture
-    right = judge_estimate(replace(said(), score=0.1, accepted=False), capture, MUG, SCENE.hand, SCENE.table)
+    right = score_given_pose(
+        replace(said(), score=0.1, accepted=False), capture, MUG, SCENE.hand, SCENE.table
+    )
     assert right.accepted and right.judged and right.note == ""
     assert right.pose_camera_object.tobytes() == SCENE.pose.tobytes(), "it is not moved"
     assert right.residual_m < 0.003
-    wrong = judge_estimate(said((0.05, 0.0, 0.0)), capture, MUG, SCENE.hand, SCENE.table)
-    assert not wrong.accepted and wrong.note.startswith("not sure: ")
-    again = judge_estimate(said(), capture, MUG, SCENE.hand, SCENE.table)
+    wrong = score_given_pose(said((0.05, 0.0, 0.0)), capture, MUG, SCENE.hand, SCENE.table)
+    assert not wrong.accepted and wrong.note.startswith("low confidence: ")
+    again = score_given_pose(said(), capture, MUG, SCENE.hand, SCENE.table)
     assert again.score == right.score
 
 
 def test_a_pose_that_is_nearly_right_can_be_improved() -> None:
     capture = SCENE.capture.with_object(mask=SCENE.mask)
-    kept = judge_estimate(said((0.004, 0.0, 0.004)), capture, MUG, SCENE.hand, SCENE.table)
-    better = judge_estimate(said((0.004, 0.0, 0.004)), capture, MUG, SCENE.hand, SCENE.table, improve=True)
+    kept = score_given_pose(said((0.004, 0.0, 0.004)), capture, MUG, SCENE.hand, SCENE.table)
+    better = score_given_pose(said((0.004, 0.0, 0.004)), capture, MUG, SCENE.hand, SCENE.table, improve=True)
     assert kept.accepted and better.accepted and kept.score == better.score
     assert better.residual_m < kept.residual_m
     assert np.linalg.norm(better.pose_camera_object[:3] - SCENE.pose[:3]) < 0.002
@@ -50,7 +52,7 @@ def test_alternatives_get_scores_and_a_better_one_is_told() -> None:
     capture = SCENE.capture.with_object(mask=SCENE.mask)
     turn = np.concatenate([np.zeros(3), quaternion_from_rotation_vector(np.array([2.0, 0.0, 0.0]))])
     file = said((0.05, 0.0, 0.0), compose(SCENE.pose, turn), SCENE.pose)
-    judged = judge_estimate(file, capture, MUG, SCENE.hand, SCENE.table)
+    judged = score_given_pose(file, capture, MUG, SCENE.hand, SCENE.table)
     assert not judged.accepted and "another of the program's poses fits" in judged.note
     assert judged.pose_camera_object.tobytes() == file.pose_camera_object.tobytes(), (
         "its program's choice stays"
@@ -63,11 +65,11 @@ def test_without_depth_at_the_object_it_is_not_sure() -> None:
     mask = np.zeros_like(SCENE.mask)
     mask[:3, :3] = True
     capture = Capture(SCENE.capture.colour, SCENE.capture.depth, SCENE.capture.intrinsics, mask)
-    judged = judge_estimate(said(), capture, MUG)
+    judged = score_given_pose(said(), capture, MUG)
     assert not judged.accepted and judged.score == 0.0
     assert "can't be compared with the depth: the mask has only 9 pixels" in judged.note
 
 
 def test_another_mesh_is_not_believed() -> None:
     capture = SCENE.capture.with_object(mask=SCENE.mask)
-    assert not judge_estimate(said(), capture, load_object("hammer"), SCENE.hand, SCENE.table).accepted
+    assert not score_given_pose(said(), capture, load_object("hammer"), SCENE.hand, SCENE.table).accepted

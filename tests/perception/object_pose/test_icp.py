@@ -9,21 +9,27 @@ from fungrasp.geometry.poses import (
 )
 from fungrasp.geometry.signed_distance import SignedDistanceBank, SignedDistanceGrid
 from fungrasp.perception import Intrinsics
-from fungrasp.perception.object_pose.free_space import FreeSpace, free_space
-from fungrasp.perception.object_pose.icp import Evidence, Round, Surface, fit
+from fungrasp.perception.object_pose.icp import (
+    FreeSpace,
+    IcpSettings,
+    KnownSurface,
+    ObjectEvidence,
+    fit_poses,
+    free_space,
+)
 from fungrasp.perception.object_pose.pose_error import add
 
 SIZE = np.array([0.12, 0.08, 0.05])
 CAMERA = Intrinsics(200, 160, 200.0, 200.0, 99.5, 79.5)
 POSE = np.array([0.01, -0.02, 0.5, 1.0, 0.0, 0.0, 0.0])
-FINE = Round(15, 300, 300, 0.005)
+FINE = IcpSettings(15, 300, 300, 0.005)
 
 
-def box_surface() -> Surface:
+def box_surface() -> KnownSurface:
     box = trimesh.creation.box(SIZE)
     grid = SignedDistanceGrid.from_mesh(np.asarray(box.vertices), np.asarray(box.faces), 0.004)
     samples = trimesh.sample.sample_surface(box, 400, seed=1)[0]
-    return Surface(SignedDistanceBank([grid]), np.asarray(samples))
+    return KnownSurface(SignedDistanceBank([grid]), np.asarray(samples))
 
 
 SURFACE = box_surface()
@@ -45,30 +51,30 @@ def on_all_sides(count: int) -> np.ndarray:
 
 
 def test_recovers_a_pose_from_points_on_all_sides() -> None:
-    evidence = Evidence(on_all_sides(300), nothing_forbidden())
+    evidence = ObjectEvidence(on_all_sides(300), nothing_forbidden())
     starts = np.stack(
         [moved((0.01, 0.005, -0.01), (0.2, -0.1, 0.15)), moved((-0.01, 0.0, 0.01), (0, 0.2, 0))]
     )
-    coarse, _ = fit(SURFACE, evidence, starts, Round(10, 100, 100, 0.02))
-    poses, cost = fit(SURFACE, evidence, coarse, FINE)
+    coarse, _ = fit_poses(SURFACE, evidence, starts, IcpSettings(10, 100, 100, 0.02))
+    poses, cost = fit_poses(SURFACE, evidence, coarse, FINE)
     assert add(SURFACE.samples, poses, POSE).max() < 1e-3
     assert cost.max() < 1e-6
 
 
 def test_outliers_hardly_pull() -> None:
     points = np.concatenate([on_all_sides(240), np.tile(POSE[:3] + np.array([0.15, 0.0, 0.1]), (60, 1))])
-    poses, _ = fit(
-        SURFACE, Evidence(points, nothing_forbidden()), moved((0.005, 0, 0), (0.1, 0, 0))[None], FINE
+    poses, _ = fit_poses(
+        SURFACE, ObjectEvidence(points, nothing_forbidden()), moved((0.005, 0, 0), (0.1, 0, 0))[None], FINE
     )
     assert add(SURFACE.samples, poses, POSE).max() < 1e-3
 
 
 def test_batch_equals_loop() -> None:
-    evidence = Evidence(on_all_sides(100), nothing_forbidden())
+    evidence = ObjectEvidence(on_all_sides(100), nothing_forbidden())
     starts = np.stack([moved((0.01, 0, 0), (0, 0, 0.1)), moved((0, 0.02, 0), (0.3, 0, 0))])
-    together, cost = fit(SURFACE, evidence, starts, FINE)
+    together, cost = fit_poses(SURFACE, evidence, starts, FINE)
     for i in range(2):
-        alone, its_cost = fit(SURFACE, evidence, starts[i : i + 1], FINE)
+        alone, its_cost = fit_poses(SURFACE, evidence, starts[i : i + 1], FINE)
         assert together[i] == pytest.approx(alone[0], abs=1e-9)
         assert cost[i] == pytest.approx(its_cost[0], abs=1e-12)
 
@@ -91,7 +97,9 @@ def test_free_space_fixes_what_one_flat_side_leaves_open(known: bool) -> None:
     # Inside the seen side, so that the points alone are content.
     start = moved((0.012, 0.009, 0.0), (0, 0, 0.1))
     points = points[np.linalg.norm(points[:, :2] - POSE[:2], axis=1) < 0.025]
-    poses, _ = fit(SURFACE, Evidence(points, forbidden), start[None], Round(30, 300, 400, 0.005))
+    poses, _ = fit_poses(
+        SURFACE, ObjectEvidence(points, forbidden), start[None], IcpSettings(30, 300, 400, 0.005)
+    )
     error = add(SURFACE.samples, poses, POSE)[0]
     assert error < 0.003 if known else error > 0.01
 

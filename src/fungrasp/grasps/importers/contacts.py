@@ -5,10 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from fungrasp.geometry.poses import inverse_transform_points
+from fungrasp.grasps.hand_thickness import LINK_RADII
 from fungrasp.grasps.human_hand import HUMAN_FINGERS
-
-LINK_RADII = np.array([0.012] + [0.010, 0.009, 0.008] * 4 + [0.012, 0.011, 0.010])
-"""Half the thickness of an adult's links [m], in the order of ``HUMAN_LINKS``."""
 
 TRACKED_CONTACT_GAP = 0.005
 """Gap that still counts as contact [m]: about the error of a tracked hand. On the 375 training

@@ -19,8 +19,7 @@ from fungrasp.perception.adapters.hand_fields import HandFields, read_fields
 from fungrasp.perception.adapters.joint_orders import joint_order
 from fungrasp.perception.adapters.mano_model import ManoJoints
 from fungrasp.perception.estimates import Side
-from fungrasp.perception.hand.detection import DetectedHand
-from fungrasp.perception.hand.initial_skeleton import MIRROR_X
+from fungrasp.perception.hand.detected_hand import MIRROR_X, DetectedHand
 from fungrasp.perception.io.capture import Intrinsics
 
 SIZES = (0.4, 2.0)

@@ -13,14 +13,15 @@ from fungrasp.perception.adapters.bop_results import read_bop_results, select_ro
 from fungrasp.perception.adapters.rigid import pose_from_numbers
 from fungrasp.perception.estimates import ObjectEstimate
 from fungrasp.perception.object_pose.confidence import ACCEPT
+from fungrasp.perception.warning import PerceptionWarning
 
 SUFFIXES = (".txt", ".npy", ".json", ".csv")
 
 ANSWERS = 5
 """Most alternatives that are kept."""
 
-NO_SCORE = "the file gives no score; the pose was taken as it is"
-FOREIGN_SCORE = "the estimator's scores are no probabilities"
+NO_SCORE = PerceptionWarning.of("no_score", said="the file gives no score; the pose was taken as it is")
+FOREIGN_SCORE = PerceptionWarning.of("no_score", said="the estimator's scores are no probabilities")
 
 
 def read_object_pose(
@@ -44,7 +45,7 @@ def read_object_pose(
 
     What is returned is not ``judged``: ``perceive`` compares it with the depth and gives it another score.
     Until then the file is taken at its word: without a score the pose is accepted, with the lowest score that
-    is, and a note. A score of another range than 0 to 1 is no probability and treated likewise.
+    is, and a warning. A score of another range than 0 to 1 is no probability and treated likewise.
 
     Args:
         path: the file or folder.
@@ -79,7 +80,7 @@ def read_object_pose(
         raise FungraspError(f"{path}: a pose is numbers, all rows of the same length") from error
     pose = pose_from_numbers(_of_image(numbers, image, str(path)), str(path))
     if score is None:
-        return ObjectEstimate(pose, ACCEPT, True, note=NO_SCORE, judged=False)
+        return ObjectEstimate(pose, ACCEPT, True, warnings=(NO_SCORE,), judged=False)
     if isinstance(score, bool) or not isinstance(score, int | float):
         raise FungraspError(f"{path}: the score must be a number, not {score!r}")
     return _estimate([pose], [float(score)])
@@ -97,11 +98,11 @@ def _estimate(poses: list[np.ndarray], scores: list[float]) -> ObjectEstimate:
     """Best first."""
     if not all(0 <= score <= 1 for score in scores):
         others = tuple((pose, 0.0) for pose in poses[1:])
-        return ObjectEstimate(poses[0], ACCEPT, True, others, note=FOREIGN_SCORE, judged=False)
+        return ObjectEstimate(poses[0], ACCEPT, True, others, warnings=(FOREIGN_SCORE,), judged=False)
     accepted = scores[0] >= ACCEPT
-    note = "" if accepted else f"not sure: the estimator's own score is {scores[0]:.2g}"
+    warnings = () if accepted else (PerceptionWarning.of("low_own_score", score=scores[0]),)
     others = tuple(zip(poses[1:], scores[1:], strict=True))
-    return ObjectEstimate(poses[0], scores[0], accepted, others, note=note, judged=False)
+    return ObjectEstimate(poses[0], scores[0], accepted, others, warnings=warnings, judged=False)
 
 
 def _of_folder(folder: Path, image: int | str | None) -> Path:

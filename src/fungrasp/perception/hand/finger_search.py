@@ -10,9 +10,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fungrasp.perception.hand.finger_overlap import overlaps
-from fungrasp.perception.hand.hand_capsules import FLESH, capsule_distances
-from fungrasp.perception.hand.hand_pixels import HandView
+from fungrasp.grasps.hand_thickness import FINGER_RADII
+from fungrasp.perception.hand.anatomy_evidence import finger_overlap
+from fungrasp.perception.hand.hand_capsules import HAND_CAPSULES, capsule_distances
+from fungrasp.perception.hand.hand_measurements import HandView
 from fungrasp.perception.hand.skeleton import (
     ANGLE_HIGH,
     ANGLE_LOW,
@@ -21,7 +22,6 @@ from fungrasp.perception.hand.skeleton import (
     BASE_FRAMES,
     BASES,
     LENGTHS,
-    RADII,
     Skeleton,
 )
 
@@ -40,12 +40,12 @@ MOST_POINTS = 80
 WIDE = 1.3
 """By how much more than usual postures that are tried differ."""
 
-PROBED = np.array([0.15, 0.5, 0.85])
+SAMPLED_PARTS = np.array([0.15, 0.5, 0.85])
 """Parts of each link that are looked at."""
 
 
 @dataclass(frozen=True)
-class FingerSettings:
+class FingerSearchSettings:
     """What speaks for a finger's posture: standard deviations, and costs beyond which it gets no worse."""
 
     landmark: float = 0.06
@@ -62,9 +62,9 @@ class FingerSettings:
     """Of how far skin is in front of what is seen there [m]."""
     front_worst: float = 0.04
     inside: float = 0.004
-    """Of how deep flesh is in the object or the table [m]."""
+    """Of how deep the finger is in the object or the table [m]."""
     overlap: float = 0.004
-    """Of how deep flesh is in other fingers [m]."""
+    """Of how deep the finger is in other fingers [m]."""
     touch: float = 0.008
     """Of the gap between the last link and the object [m]."""
     touch_worst: float = 0.02
@@ -118,7 +118,7 @@ def search_fingers(
     view: HandView,
     landmarks: np.ndarray,
     rng: np.random.Generator,
-    settings: FingerSettings,
+    settings: FingerSearchSettings | None = None,
     spread: float | None = None,
 ) -> Skeleton:
     """The hand with every finger in the best posture of those tried; its own is among them.
@@ -131,6 +131,7 @@ def search_fingers(
         settings: what speaks for one.
         spread: standard deviation of a landmark [pixels], if it is known.
     """
+    settings = settings or FingerSearchSettings()
     if spread is None:
         spread = settings.landmark * float(np.linalg.norm(np.ptp(landmarks, axis=0)))
     for finger in ORDER:
@@ -149,7 +150,7 @@ def finger_cost(
     view: HandView,
     landmarks: np.ndarray,
     spread: float,
-    settings: FingerSettings,
+    settings: FingerSearchSettings,
 ) -> np.ndarray:
     """What speaks against each posture of a finger, shape [S]. tried: [rad], shape [S, 3, 3]."""
     joints = finger_joints(hand, finger, tried)
@@ -158,26 +159,26 @@ def finger_cost(
     off = np.linalg.norm(view.intrinsics.project(joints[:, 1:]) - landmarks[own][1:], axis=-1) / spread
     cost = _limited(off, settings.landmark_worst).sum(axis=1)
     cost += _points_cost(hand, finger, joints, view, settings)
-    # Flesh along the links.
-    last = np.where(np.arange(3) == 2, 0.8, 1.0)[:, None] * PROBED
+    # Samples along the links, each with the distance to the skin around it.
+    last = np.where(np.arange(3) == 2, 0.8, 1.0)[:, None] * SAMPLED_PARTS
     first, step = joints[:, :-1, None], np.diff(joints, axis=1)[:, :, None]
-    probes = (first + last[..., None] * step).reshape(len(joints), -1, 3)
-    radius = scale * (RADII[finger, :-1, None] + last * np.diff(RADII[finger])[:, None]).ravel()
-    seen = view.depth_at(view.intrinsics.project(probes))
-    front = np.nan_to_num(np.maximum(seen - probes[..., 2] + radius - 0.006, 0.0))
+    samples = (first + last[..., None] * step).reshape(len(joints), -1, 3)
+    radius = scale * (FINGER_RADII[finger, :-1, None] + last * np.diff(FINGER_RADII[finger])[:, None]).ravel()
+    seen = view.depth_at(view.intrinsics.project(samples))
+    front = np.nan_to_num(np.maximum(seen - samples[..., 2] + radius - 0.006, 0.0))
     cost += _limited(front / settings.front, settings.front_worst / settings.front).sum(axis=1) / 2
-    distance, normal = view.around.object_distance(probes.reshape(-1, 3))
-    distance, normal = distance.reshape(probes.shape[:2]), normal.reshape(probes.shape)
+    distance, normal = view.surroundings.object_distance(samples.reshape(-1, 3))
+    distance, normal = distance.reshape(samples.shape[:2]), normal.reshape(samples.shape)
     cost += np.square(np.minimum(distance - 0.5 * radius, 0.0) / settings.inside).sum(axis=1)
     gap = np.maximum((distance - 0.8 * radius)[:, -3:].min(axis=1), 0.0)
     cost += _limited(gap / settings.touch, settings.touch_worst / settings.touch)
-    cost += np.square(overlaps(probes, radius, hand, finger) / settings.overlap).sum(axis=1)
+    cost += np.square(finger_overlap(samples, radius, hand, finger) / settings.overlap).sum(axis=1)
     facing = _opposite(hand, finger, view)
     if facing is not None:
         cost += settings.opposed * 0.5 * (1.0 - normal[:, -1] @ facing)
-    table = view.around.table_distance(probes.reshape(-1, 3))
+    table = view.surroundings.table_distance(samples.reshape(-1, 3))
     if table is not None:
-        height = table[0].reshape(probes.shape[:2])
+        height = table[0].reshape(samples.shape[:2])
         cost += np.square(np.minimum(height - 0.5 * radius, 0.0) / settings.inside).sum(axis=1)
     usual = (tried[..., 1] - ANGLE_MEAN[finger, :, 1]) / (2.0 * ANGLE_SPREAD[finger, :, 1])
     beyond = np.minimum(tried - ANGLE_LOW[finger], 0) + np.maximum(tried - ANGLE_HIGH[finger], 0)
@@ -190,7 +191,7 @@ def _opposite(hand: Skeleton, finger: int, view: HandView) -> np.ndarray | None:
     fingers, away from the mean of the fingers' for the thumb. Unit vector, shape [3]; None if not known."""
     joints = hand.joints()
     pads = 0.5 * (joints[3::4] + joints[4::4])
-    distance, normal = view.around.object_distance(pads[4:] if finger < 4 else pads[:4])
+    distance, normal = view.surroundings.object_distance(pads[4:] if finger < 4 else pads[:4])
     touching = distance < OPPOSED_NEAR
     if not touching.any():
         return None
@@ -200,14 +201,14 @@ def _opposite(hand: Skeleton, finger: int, view: HandView) -> np.ndarray | None:
 
 
 def _points_cost(
-    hand: Skeleton, finger: int, joints: np.ndarray, view: HandView, settings: FingerSettings
+    hand: Skeleton, finger: int, joints: np.ndarray, view: HandView, settings: FingerSearchSettings
 ) -> np.ndarray:
     whole = hand.joints()
     scale = np.exp(hand.size)
-    others = FLESH.finger != finger
-    first, last = FLESH.ends(whole)
+    others = HAND_CAPSULES.finger != finger
+    first, last = HAND_CAPSULES.ends(whole)
     rest = np.abs(
-        capsule_distances(view.points, first[others], last[others], scale * FLESH.radius[others])[0]
+        capsule_distances(view.points, first[others], last[others], scale * HAND_CAPSULES.radius[others])[0]
     ).min(axis=1)
     # Only points that this finger may explain, and no other part of the hand does.
     length = scale * LENGTHS[finger].sum() + 0.02
@@ -217,12 +218,12 @@ def _points_cost(
     apart = max(1, int(free.sum()) // MOST_POINTS)
     free = np.flatnonzero(free)[::apart]
     points = view.points[free]
-    own = FLESH.finger == finger
+    own = HAND_CAPSULES.finger == finger
     every = np.zeros((len(joints), 21, 3))
     every[:, 1 + 4 * finger : 5 + 4 * finger] = joints
-    first, last = FLESH.ends(every)
+    first, last = HAND_CAPSULES.ends(every)
     distance = np.abs(
-        capsule_distances(points, first[:, own], last[:, own], scale * FLESH.radius[own])[0]
+        capsule_distances(points, first[:, own], last[:, own], scale * HAND_CAPSULES.radius[own])[0]
     ).min(axis=-1)
     distance = np.minimum(distance, rest[free])
     weight = settings.points_weight * apart / max(len(view.points), 1)

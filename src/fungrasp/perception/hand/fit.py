@@ -1,4 +1,4 @@
-"""A metric hand from its landmarks and the depth image: an anatomical skeleton by robust least squares.
+"""The hand in metres, fitted to the image, with or without the object that it holds.
 
 Landmarks say where joints are in the image; depth, how far the skin in front of them is and where no hand can
 be; the landmark model's own 3D shape, roughly how bones point; anatomy, what lengths and angles are possible;
@@ -8,63 +8,90 @@ joint behind the object is seen too near, one beside its landmark too far.
 
 from __future__ import annotations
 
+import dataclasses
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from fungrasp.perception.estimates import HandEstimate
-from fungrasp.perception.hand.detection import DetectedHand
-from fungrasp.perception.hand.evidence import (
-    Evidence,
-    anatomy_evidence,
-    depth_evidence,
-    pixel_evidence,
-    project,
-    shape_evidence,
-    silhouette_evidence,
-)
-from fungrasp.perception.hand.gauss_newton import damped_step, normal_equations, robust_weights
-from fungrasp.perception.hand.initial_skeleton import (
-    HandMeasurements,
+from fungrasp.errors import FungraspError
+from fungrasp.grasps.hand_thickness import FINGER_RADII, WRIST_RADIUS
+from fungrasp.perception.estimates import HandEstimate, Side
+from fungrasp.perception.hand.anatomy_evidence import anatomy_evidence
+from fungrasp.perception.hand.contact_evidence import HandSurroundings
+from fungrasp.perception.hand.detected_hand import MIRROR_X, DetectedHand
+from fungrasp.perception.hand.finger_search import search_fingers
+from fungrasp.perception.hand.fit_problem import (
+    HandFitProblem,
+    HandFitSettings,
+    HandFitStage,
+    HandParameters,
     joint_confidence,
-    joint_covariance,
-    mirror_estimate,
-    start,
 )
-from fungrasp.perception.hand.measurement_weights import SeenSettings
-from fungrasp.perception.hand.object_contact import Surroundings, contact_evidence
-from fungrasp.perception.hand.silhouette import Silhouettes
-from fungrasp.perception.hand.skeleton import SIZE, Skeleton
-from fungrasp.perception.hand.surface_samples import PROBES
+from fungrasp.perception.hand.hand_measurements import (
+    HandMeasurements,
+    HandView,
+    hand_view,
+    mirror_estimate,
+)
+from fungrasp.perception.hand.least_squares import HandEvidence, damped_step, normal_equations
+from fungrasp.perception.hand.skeleton import BASES, SIZE, Skeleton
 from fungrasp.perception.io.capture import Capture
 
+FREE_STAGES = tuple(HandFitStage(outlier) for outlier in ((0.06, 0.06), (0.02, 0.04), (0.008, 0.03)))
+"""Of a fit without the object."""
 
-@dataclass(frozen=True)
-class HandFitSettings(SeenSettings):
-    """What the measurements are worth, stage by stage."""
+PALM_STAGES = (HandFitStage((0.06, 0.06), 0.05), HandFitStage((0.02, 0.04), 0.03))
+"""Of a fit with the object, before the fingers are searched."""
 
-    outlier_depths: tuple[tuple[float, float], ...] = ((0.06, 0.06), (0.02, 0.04), (0.008, 0.03))
-    """How far in front of the skin something else is seen, and how far behind [m], one stage after the
-    other."""
-    held_outlier_depths: tuple[tuple[float, float], ...] = ((0.02, 0.03),)
-    """The same in the stages after those, if the object is known: what it hides is left out."""
-    iterations: int = 5
-    """Of every stage."""
+HELD_STAGES = tuple(HandFitStage((0.02, 0.03), far, contact=True, late=True) for far in (0.02, 0.015))
+"""The same afterwards."""
+
+COMPARED = HandFitStage((0.02, 0.03), 0.02, contact=True, late=True)
+"""How candidates are compared and the final estimate is judged."""
+
+STAGE_ITERATIONS = 5
+"""Gauss-Newton steps of a stage."""
+
+REFINE_ITERATIONS = 10
+"""Gauss-Newton steps of ``refine_hand``."""
+
+SAME_GUESS = 0.035
+"""Detections whose landmarks differ by less, on average and as a part of the hand's extent, are one."""
+
+SEARCHED = 3
+"""So many candidates, the best before that, have their fingers searched."""
+
+MOST_GUESSES = 8
+"""So many detections are fitted at all."""
+
+FITTED_SPREAD = 0.004
+"""How near a candidate begins to joints that are given [m]."""
+
+OTHER_SIDE = 0.8
+"""If a side is less probable than this, the other is tried, too."""
+
+_PALM_JOINTS = np.array([0, 1, 5, 9, 13])
+_AGREEMENT = 0.012
+
+
+@dataclass(frozen=True, eq=False)
+class _Candidate:
+    detected: DetectedHand
+    problem: HandFitProblem
+    parameters: HandParameters
+    cost: float
 
 
 def fit_hand(
-    detected: DetectedHand,
-    capture: Capture,
-    around: Surroundings | None = None,
-    settings: HandFitSettings | None = None,
+    detected: DetectedHand, capture: Capture, settings: HandFitSettings | None = None
 ) -> HandEstimate:
-    """The hand in metres.
+    """The hand in metres, without knowledge of the object.
 
     Args:
-        detected: landmarks in the colour image.
+        detected: landmarks in the color image.
         capture: the same image with depth.
-        around: object and table, if their poses are known: fingers near them touch, nothing is inside.
         settings: what the measurements are worth.
 
     Returns:
@@ -73,102 +100,199 @@ def fit_hand(
     Raises:
         FungraspError: there is no depth where the hand is.
     """
-    problem = _Problem(HandMeasurements.of(detected, capture), settings or HandFitSettings())
-    hand, turn = start(problem.seen), np.zeros(3)
-    if around is not None and detected.side == "left":
-        around = around.mirrored()
-    stages = [(outlier, None) for outlier in problem.settings.outlier_depths]
-    if around is not None:
-        stages += [(outlier, around) for outlier in problem.settings.held_outlier_depths]
-    for outlier, touched in stages:
-        problem.look(hand)
-        for _ in range(problem.settings.iterations):
-            evidence = problem.evidence(hand, turn, outlier, touched)
-            step = damped_step(*normal_equations(evidence, SIZE + 3))
-            hand, turn = hand.moved(step[:SIZE]), turn + step[SIZE:]
-    right = problem.estimate(hand, turn, around)
+    problem = HandFitProblem(seen=HandMeasurements.of(detected, capture), settings=settings)
+    assert problem.seen is not None
+    parameters = _in_stages(problem, HandParameters(initial_skeleton(problem.seen)), FREE_STAGES)
+    return _estimate(problem, parameters, FREE_STAGES[-1], detected)
+
+
+def fit_held_hand(
+    detected: DetectedHand,
+    capture: Capture,
+    surroundings: HandSurroundings,
+    joints: np.ndarray,
+    *,
+    side: Side | None = None,
+    seed: int = 0,
+    settings: HandFitSettings | None = None,
+) -> HandEstimate:
+    """The hand that holds a known object.
+
+    Each different detection of the hand in some window of the image, taken for one side, makes a candidate.
+    It is fitted to the landmarks, to depth, to the points that show the hand, to the object that it touches
+    and to the free space that it can't be in. Of the best candidates the fingers are searched, too, as they
+    may be behind the object. The candidate of least cost wins.
+
+    Args:
+        detected: landmarks in the color image, and those in other windows.
+        capture: the same image with depth.
+        surroundings: object and table.
+        joints: of the hand as it was fitted without them [m], camera frame, shape [21, 3].
+        side: which hand it is, if that is known.
+        seed: of the search of fingers.
+        settings: what the measurements are worth.
+
+    Raises:
+        FungraspError: there is no depth where the hand is.
+    """
+    begun: list[tuple[DetectedHand, HandMeasurements, Skeleton]] = []
+    for guess in _guesses(detected, side):
+        seen = HandMeasurements.of(guess, capture)
+        with suppress(FungraspError):
+            begun.append((guess, seen, initial_skeleton(seen)))
+    if not begun:
+        raise FungraspError("there is no depth where the hand is in the image")
+    first, seen, _ = begun[0]
+    begun.append((first, seen, skeleton_through(joints * _flip(first), FITTED_SPREAD)))
+    everywhere = [skeleton.joints() * _flip(guess) for guess, _, skeleton in begun]
+    view = hand_view(capture, surroundings, [joints, *everywhere])
+    views: dict[Side, HandView] = {"right": view, "left": view.mirrored()}
+    candidates = []
+    for guess, seen, skeleton in begun:
+        problem = HandFitProblem(seen=seen, view=views[guess.side], settings=settings)
+        parameters = _in_stages(problem, HandParameters(skeleton), PALM_STAGES)
+        cost = problem.cost(parameters, dataclasses.replace(COMPARED, contact=False))
+        candidates.append(_Candidate(guess, problem, parameters, cost))
+    candidates.sort(key=lambda candidate: candidate.cost)
+    searched = (_with_fingers_searched(candidate, seed) for candidate in candidates[:SEARCHED])
+    best = min(searched, key=lambda candidate: candidate.cost)
+    return _estimate(best.problem, best.parameters, COMPARED, best.detected)
+
+
+def refine_hand(
+    hand: HandEstimate, surroundings: HandSurroundings, settings: HandFitSettings | None = None
+) -> HandEstimate:
+    """A hand from another estimator that then touches what it nearly touches and is inside of nothing.
+
+    The joints are evidence as good as their covariances say.
+
+    Args:
+        hand: the estimate.
+        surroundings: object and table.
+        settings: what contact is worth against the estimate.
+
+    Returns:
+        The same hand with other joints, covariances and confidences.
+    """
+    if hand.side == "left":
+        mirrored = refine_hand(mirror_estimate(hand, hand.pixels), surroundings.mirrored(), settings)
+        return mirror_estimate(mirrored, hand.pixels)
+    problem = HandFitProblem(estimate=hand, surroundings=surroundings, settings=settings)
+    start = HandParameters(skeleton_through(hand.joints_camera, FITTED_SPREAD))
+    parameters = problem.solve(start, COMPARED, REFINE_ITERATIONS)
+    joints, covariance = problem.joints(parameters, problem.evidence(parameters, COMPARED))
+    confidence = joint_confidence(covariance)
+    return dataclasses.replace(hand, joints_camera=joints, covariance=covariance, confidence=confidence)
+
+
+def _in_stages(
+    problem: HandFitProblem, parameters: HandParameters, stages: tuple[HandFitStage, ...]
+) -> HandParameters:
+    for stage in stages:
+        problem.find_background(parameters.skeleton)
+        parameters = problem.solve(parameters, stage, STAGE_ITERATIONS)
+    return parameters
+
+
+def _with_fingers_searched(candidate: _Candidate, seed: int) -> _Candidate:
+    problem, parameters = candidate.problem, candidate.parameters
+    assert problem.seen is not None and problem.view is not None
+    skeleton = search_fingers(
+        parameters.skeleton,
+        problem.view,
+        problem.seen.pixels,
+        np.random.default_rng(seed),
+        spread=problem.seen.spread,
+    )
+    parameters = HandParameters(skeleton, parameters.turn)
+    problem.find_background(skeleton)
+    for stage in HELD_STAGES:
+        parameters = problem.solve(parameters, stage, STAGE_ITERATIONS)
+    problem.find_background(parameters.skeleton)
+    return dataclasses.replace(candidate, parameters=parameters, cost=problem.cost(parameters, COMPARED))
+
+
+def _estimate(
+    problem: HandFitProblem, parameters: HandParameters, stage: HandFitStage, detected: DetectedHand
+) -> HandEstimate:
+    """The fitted hand, mirrored back if it is a left one."""
+    assert problem.seen is not None
+    evidence = problem.evidence(parameters, stage)
+    joints, covariance = problem.joints(parameters, evidence)
+    score = problem.seen.score * problem.agreement(parameters, evidence)
+    confidence = joint_confidence(covariance)
+    right = HandEstimate(joints, problem.seen.pixels, confidence, covariance, "right", score)
     return right if detected.side == "right" else mirror_estimate(right, detected.pixels)
 
 
-def agreement(landmarks: Evidence, depth: Evidence) -> float:
-    """How well the image agrees with a fitted hand, 0 to 1.
+def _flip(guess: DetectedHand) -> np.ndarray:
+    """Takes a right hand to the guess's side, and back."""
+    return MIRROR_X if guess.side == "left" else np.ones(3)
 
-    The mean weight of the landmarks, times the part of the hand's visible flesh that is not seen through; 0
-    where no depth is measured at any of it.
+
+def _guesses(detected: DetectedHand, side: Side | None) -> list[DetectedHand]:
+    """Detections that differ, for each side that may be right; the most probable first."""
+    kept: list[DetectedHand] = []
+    every = sorted((detected, *detected.others), key=lambda guess: guess is not detected)
+    for guess in every:
+        if all(guess.distance(other) > SAME_GUESS * guess.extent for other in kept):
+            kept.append(guess)
+    sides: list[Side] = [side or detected.side]
+    if side is None and detected.side_score < OTHER_SIDE:
+        sides.append("left" if detected.side == "right" else "right")
+    guesses = [
+        dataclasses.replace(guess, side=one, score=detected.score, others=())
+        for guess in kept
+        for one in sides
+    ]
+    return guesses[:MOST_GUESSES]
+
+
+def initial_skeleton(seen: HandMeasurements) -> Skeleton:
+    """The landmark model's shape at the depth that most landmarks agree on.
+
+    Raises:
+        FungraspError: there is no depth where the hand is.
     """
-    if not len(depth.residual):
-        return 0.0
-    through = np.mean(depth.residual < -np.asarray(depth.outlier))
-    return float(robust_weights(landmarks).mean() * (1.0 - through))
-
-
-class _Problem:
-    """The measurements of one right hand, and what they say about a skeleton."""
-
-    def __init__(self, seen: HandMeasurements, settings: HandFitSettings):
-        self.seen, self.settings = seen, settings
-        self.landmark_spread = seen.landmark_spread(settings.landmark_spread, settings.least_landmark_spread)
-
-    def look(self, hand: Skeleton) -> None:
-        """See where the background is, for a hand about there."""
-        points, slopes = PROBES.place(*hand.joints_and_derivatives())
-        pixels, _ = project(points, slopes, self.seen.intrinsics)
-        settings = self.settings
-        self._silhouettes = Silhouettes.around(
-            self.seen.depth, pixels, points[:, 2], settings.background_levels, settings.background
+    measured = seen.measured(seen.pixels)
+    known = measured > 0
+    if not known.any():
+        raise FungraspError(
+            "there is no depth where the hand is in the image: is it too near or too far for the camera, or "
+            "is the depth not aligned to the colour?"
         )
+    rough = float(np.median(measured[known]))
+    radius = np.concatenate([[WRIST_RADIUS], FINGER_RADII.ravel()])
+    offsets = np.zeros(21)
+    for _ in range(2):
+        points = seen.intrinsics.deproject(seen.pixels, np.full(21, rough))
+        wide = np.var(points[:, :2], axis=0).sum() / max(np.var(seen.shape[:, :2], axis=0).sum(), 1e-9)
+        offsets = np.sqrt(wide) * (seen.shape[:, 2] - seen.shape[:, 2].mean())
+        rough = _densest((measured + radius - offsets)[known])
+    depth = np.maximum(rough + offsets, 0.1)
+    return skeleton_through(seen.intrinsics.deproject(seen.pixels, depth), 0.015)
 
-    def evidence(
-        self,
-        hand: Skeleton,
-        turn: np.ndarray,
-        outlier: tuple[float, float],
-        around: Surroundings | None,
-    ) -> list[Evidence]:
-        """Landmarks, depth, then everything else known about the parameters of the hand and the turn of the
-        landmark model's shape."""
-        settings, intrinsics = self.settings, self.seen.intrinsics
-        joints, jacobian = hand.joints_and_derivatives()
-        points, slopes = PROBES.place(joints, jacobian)
-        pixels, pixel_slopes = project(points, slopes, intrinsics)
-        radius = PROBES.radius * np.exp(hand.size)
-        thickness = settings.silhouette_inset * radius * intrinsics.fx / points[:, 2]
-        measured = self.seen.measured(pixels)
-        if around is not None:
-            seen = intrinsics.deproject(pixels, measured)
-            measured = np.where(around.object_distance(seen)[0] < settings.object_depth, 0.0, measured)
-        directions = Rotation.from_rotvec(turn).apply(self.seen.directions)
-        turn_prior = np.hstack([np.zeros((3, SIZE)), np.eye(3)]) / settings.shape_turn_spread
-        found = [
-            pixel_evidence(joints, jacobian, intrinsics, self.seen.pixels, self.landmark_spread),
-            depth_evidence(points, slopes, radius, measured, settings.depth_spread, outlier),
-            silhouette_evidence(
-                self._silhouettes,
-                pixels,
-                pixel_slopes,
-                points[:, 2],
-                thickness,
-                settings.silhouette_spread,
-                settings.silhouette_outlier,
-            ),
-            shape_evidence(joints, jacobian, directions, settings.shape_spread),
-            Evidence(turn / settings.shape_turn_spread, turn_prior),
-            *anatomy_evidence(hand),
-        ]
-        if around is not None:
-            found += contact_evidence(hand, joints, jacobian, around, settings.contact)
-        return found
 
-    def estimate(self, hand: Skeleton, turn: np.ndarray, around: Surroundings | None) -> HandEstimate:
+def skeleton_through(points: np.ndarray, spread: float, iterations: int = 8) -> Skeleton:
+    """The skeleton of a right hand whose joints come nearest to given points.
+
+    Args:
+        points: [m], shape [21, 3].
+        spread: standard deviation of the points [m]: how far anatomy may overrule them.
+        iterations: Gauss-Newton steps.
+    """
+    template = np.vstack([np.zeros(3), BASES[:4]])
+    placed = points[_PALM_JOINTS] - points[_PALM_JOINTS].mean(axis=0)
+    turn = Rotation.align_vectors(placed, template - template.mean(axis=0))[0].as_matrix()
+    hand = Skeleton.usual(points[0], turn)
+    for _ in range(iterations):
         joints, jacobian = hand.joints_and_derivatives()
-        evidence = self.evidence(hand, turn, self.settings.outlier_depths[-1], around)
-        matrix, _ = normal_equations(evidence, SIZE + 3)
-        covariance = joint_covariance(matrix, jacobian)
-        return HandEstimate(
-            joints,
-            self.seen.pixels,
-            joint_confidence(covariance),
-            covariance,
-            "right",
-            self.seen.score * agreement(*evidence[:2]),
-        )
+        near = HandEvidence(((joints - points) / spread).ravel(), jacobian.reshape(63, SIZE) / spread)
+        hand = hand.moved(damped_step(*normal_equations([near, *anatomy_evidence(hand)], SIZE)))
+    return hand
+
+
+def _densest(values: np.ndarray) -> float:
+    """Mean of the values near the one that most others are near."""
+    near = np.abs(values[:, None] - values) < _AGREEMENT
+    return float(values[near[near.sum(axis=1).argmax()]].mean())

@@ -1,4 +1,4 @@
-"""A hand's flesh as tapered capsules about its bones, and what measured points of its skin say about it."""
+"""The hand's shape: tapered capsules about its bones, and samples of them that are compared with an image."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fungrasp.perception.hand.evidence import Evidence
-from fungrasp.perception.hand.skeleton import RADII, Skeleton
+from fungrasp.grasps.hand_thickness import FINGER_RADII, PALM_BALL_RADIUS, PALM_RADIUS, WRIST_RADIUS
+from fungrasp.perception.hand.skeleton import Skeleton
 
 TIP_END = 0.7
 """The tip joint is on the skin: the last link's capsule ends at this part of it."""
@@ -19,12 +19,8 @@ for a capsule's."""
 FAR_SIDE_PENALTY = 0.02
 """By which such a point counts as farther away [m]."""
 
-
-PALM = 0.0165
-"""Half the thickness of the palm with its balls [m]; ``PALM_RADIUS`` is its least."""
-
-ARM_LENGTH, ARM_RADIUS = 0.25, np.array([0.018, 0.028])
-"""Of the forearm as far as it is looked at, and half its thickness at the wrist and there [m]."""
+ARM_LENGTH = 0.25
+"""Of the forearm as far as it is looked at [m]."""
 
 EXPLAINED = 0.012
 """Measured points so near to the skin [m] are explained by the hand."""
@@ -34,8 +30,8 @@ ARM_NEAR = 0.05
 
 
 @dataclass(frozen=True, eq=False)
-class Capsules:
-    """Lines between joints with flesh about them."""
+class HandCapsules:
+    """Tapered capsules about lines between joints."""
 
     near: np.ndarray
     """Joint at one end, shape [C]."""
@@ -44,7 +40,7 @@ class Capsules:
     end: np.ndarray
     """Where on the way to the far joint the line ends, shape [C]."""
     radius: np.ndarray
-    """Flesh about both ends, for a hand of mean size [m], shape [C, 2]."""
+    """Radius at both ends, for a hand of mean size [m], shape [C, 2]."""
     finger: np.ndarray
     """Which finger each belongs to, -1 for the palm, shape [C]."""
 
@@ -54,20 +50,20 @@ class Capsules:
         return first, first + self.end[:, None] * (last - first)
 
 
-def _capsules() -> Capsules:
+def _capsules() -> HandCapsules:
     rows = []
     for finger in range(5):
         base = 1 + 4 * finger
         if finger < 4:
-            rows.append((0, base, 1.0, PALM, PALM - 0.002, -1))
+            rows.append((0, base, 1.0, PALM_BALL_RADIUS, PALM_BALL_RADIUS - 0.002, -1))
         for link in range(3):
             end = TIP_END if link == 2 else 1.0
-            rows.append((base + link, base + link + 1, end, *RADII[finger, link : link + 2], finger))
+            rows.append((base + link, base + link + 1, end, *FINGER_RADII[finger, link : link + 2], finger))
     near, far, end, first, last, finger = (np.array(column) for column in zip(*rows, strict=True))
-    return Capsules(near, far, end, np.stack([first, last], axis=1), finger)
+    return HandCapsules(near, far, end, np.stack([first, last], axis=1), finger)
 
 
-FLESH = _capsules()
+HAND_CAPSULES = _capsules()
 """Four in the palm, three in each finger; the thumb's first is its ball."""
 
 
@@ -113,55 +109,19 @@ def capsule_distances(
     return distance + FAR_SIDE_PENALTY * (away > FAR_SIDE), along, normal
 
 
-def flesh_evidence(
-    hand: Skeleton,
-    joints: np.ndarray,
-    jacobian: np.ndarray,
-    points: np.ndarray,
-    spread: tuple[float, ...],
-    outlier: float,
-) -> Evidence:
-    """Every point that shows the hand or its arm lies on the skin.
-
-    Args:
-        hand, joints, jacobian: the skeleton, its joints and their derivatives.
-        points: [m], shape [P, 3].
-        spread: standard deviation of a point's distance from the skin [m]: at fingers, palm and arm.
-        outlier: a point farther from the skin [m] shows something else.
-    """
-    first, last = FLESH.ends(joints)
-    elbow = joints[0] + ARM_LENGTH * arm_direction(points, joints)
-    first, last = np.vstack([first, joints[0]]), np.vstack([last, elbow])
-    radius = np.vstack([FLESH.radius, ARM_RADIUS]) * np.exp(hand.size)
-    distance, along, normal = capsule_distances(points, first, last, radius)
-    nearest = np.abs(distance).argmin(axis=1)
-    row = np.arange(len(points))
-    distance, along, normal = distance[row, nearest], along[row, nearest], normal[row, nearest]
-    kind = _KIND[nearest]
-    part = np.where(kind == 2, 0.0, along * _END[nearest])[:, None]
-    by_step = np.einsum("pi,pin->pn", normal, jacobian[_NEAR[nearest]]) * (1 - part)
-    by_step += np.einsum("pi,pin->pn", normal, jacobian[_FAR[nearest]]) * part
-    width = np.asarray(spread)[kind]
-    return Evidence(distance / width, -by_step / width[:, None], outlier / width)
-
-
 def explained_part(hand: Skeleton, points: np.ndarray) -> float:
     """Part of the measured points, those of the arm apart, that lie on the skin, 0 to 1; 0 if there is none.
 
     points: [m], shape [P, 3].
     """
     joints = hand.joints()
-    distance, _, _ = capsule_distances(points, *FLESH.ends(joints), FLESH.radius * np.exp(hand.size))
+    distance, _, _ = capsule_distances(
+        points, *HAND_CAPSULES.ends(joints), HAND_CAPSULES.radius * np.exp(hand.size)
+    )
     distance = np.abs(distance).min(axis=1)
     back = joints[0] - joints[9]
     arm = (distance > EXPLAINED) & ((points - joints[0]) @ (back / np.linalg.norm(back)) > -0.01)
     return float((distance[~arm] < EXPLAINED).mean()) if not arm.all() else 0.0
-
-
-_KIND = np.append(np.where(FLESH.finger < 0, 1, 0), 2)
-"""Of every capsule and the arm: finger, palm, arm."""
-
-_NEAR, _FAR, _END = np.append(FLESH.near, 0), np.append(FLESH.far, 0), np.append(FLESH.end, 1.0)
 
 
 def arm_direction(points: np.ndarray, joints: np.ndarray) -> np.ndarray:
@@ -182,3 +142,59 @@ def arm_direction(points: np.ndarray, joints: np.ndarray) -> np.ndarray:
         return back
     mean = (offset[behind] / length[behind, None]).mean(axis=0)
     return mean / np.linalg.norm(mean)
+
+
+@dataclass(frozen=True, eq=False)
+class SurfaceSamples:
+    """Points on the lines between joints, each with the distance to the skin around it."""
+
+    near: np.ndarray
+    """Joint at one end, shape [P]."""
+    far: np.ndarray
+    """Joint at the other end, shape [P]."""
+    part: np.ndarray
+    """Where between them, 0 to 1, shape [P]."""
+    radius: np.ndarray
+    """Distance of the skin from the line there, for a hand of mean size [m], shape [P]."""
+
+    def place(self, joints: np.ndarray, jacobian: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Points [m], shape [P, 3], and their derivatives, [P, 3, n]."""
+        a = self.part[:, None]
+        points = (1 - a) * joints[self.near] + a * joints[self.far]
+        a = a[..., None]
+        return points, (1 - a) * jacobian[self.near] + a * jacobian[self.far]
+
+
+def _surface_samples() -> SurfaceSamples:
+    rows = [(0, 0, 0.0, WRIST_RADIUS)]
+    for finger in range(5):
+        base = 1 + 4 * finger
+        if finger < 4:
+            rows += [(0, base, part, PALM_RADIUS) for part in (0.35, 0.65, 0.9)]
+        for link in range(3):
+            first, last = FINGER_RADII[finger, link], FINGER_RADII[finger, link + 1]
+            # The tip joint is on the skin: the last link's samples end before it.
+            parts = (0.05, 0.35, 0.65, 0.8) if link == 2 else (0.05, 0.35, 0.65, 0.95)
+            rows += [(base + link, base + link + 1, x, first + x * (last - first)) for x in parts]
+    near, far, part, radius = zip(*rows, strict=True)
+    return SurfaceSamples(np.array(near), np.array(far), np.array(part), np.array(radius))
+
+
+SURFACE_SAMPLES = _surface_samples()
+"""One at the wrist, three along each bone of the palm, four along each link of the fingers."""
+
+FINGERTIP_SAMPLES = [np.flatnonzero(SURFACE_SAMPLES.near == 3 + 4 * finger) for finger in range(5)]
+"""Those on each finger's last link."""
+
+
+def in_front(points: np.ndarray, radius: np.ndarray) -> np.ndarray:
+    """Which samples are not hidden behind others, bool, shape [P].
+
+    Args:
+        points: [m], shape [P, 3], camera frame.
+        radius: distance to the skin [m], shape [P].
+    """
+    slopes = points[:, :2] / points[:, 2:]
+    aside = np.linalg.norm(slopes[:, None] - slopes, axis=-1) * points[:, 2]
+    skin = points[:, 2] - radius
+    return ~((aside < 0.9 * radius) & (skin < skin[:, None] - 0.5 * radius[:, None])).any(axis=1)

@@ -42,15 +42,6 @@ THUMB_DIRECTION = np.array([0.66, 0.53, -0.53])
 THUMB_FLEXION = np.array([0.0, -0.8, -0.6])
 """Where the thumb's tip goes when it flexes, palm frame: across the palm."""
 
-RADII = np.array([[10.5, 9.5, 8.5, 7.8]] * 4 + [[17.0, 12.5, 10.5, 9.0]]) * 1e-3
-"""Half the thickness of a finger at its four joints [m], shape [5, 4]; the thumb's first lies in its ball."""
-
-WRIST_RADIUS = 0.022
-"""Half the thickness of the wrist [m]."""
-
-PALM_RADIUS = 0.014
-"""Half the thickness of the palm [m]."""
-
 PARAMETERS = {
     "position": slice(0, 3),
     "turn": slice(3, 6),

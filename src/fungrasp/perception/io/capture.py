@@ -21,6 +21,11 @@ Box = tuple[float, float, float, float]
 """``x0, y0, x1, y1`` [pixels]: left, top, right and bottom edge."""
 
 
+def depth_noise(depth: np.ndarray) -> np.ndarray:
+    """Standard deviation of a depth camera's error [m]. depth: [m]."""
+    return 0.0025 + 0.002 * depth**2
+
+
 @dataclass(frozen=True)
 class Intrinsics:
     """A pinhole camera without distortion."""

@@ -12,7 +12,7 @@ from PIL import Image, UnidentifiedImageError
 from fungrasp.errors import FungraspError
 from fungrasp.perception.io.capture import Box, Capture, Intrinsics
 from fungrasp.perception.io.capture_checks import check_alignment, check_depth_range, looks_bgr
-from fungrasp.perception.io.intrinsics_files import read_lens
+from fungrasp.perception.io.intrinsics_files import read_intrinsics
 
 LARGEST = 60_000_000
 """Pixels of the largest image that is read."""
@@ -40,7 +40,7 @@ def read_capture(
         colour: PNG or JPEG.
         depth: 16-bit PNG (or TIFF with 16-bit or float pixels, or ``.npy``), 0 where nothing was measured;
             floats are metres.
-        intrinsics: JSON, see ``read_lens``.
+        intrinsics: JSON, see ``read_intrinsics``.
         depth_unit: metres per unit of the depth image; None takes what the intrinsics file says.
         mask: image that is not 0 where the object is.
         box: round the object [pixels].
@@ -62,7 +62,7 @@ def read_capture(
                 f"{size[0]} x {size[1]}"
             )
     else:
-        read = read_lens(intrinsics, size, image=image)
+        read = read_intrinsics(intrinsics, size, image=image)
         lens, unit = read.intrinsics, depth_unit if depth_unit is not None else read.depth_unit
     distance = read_depth(depth, unit)
     if distance.shape != picture.shape[:2]:

@@ -28,7 +28,7 @@ _log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
-class Lens:
+class FileIntrinsics:
     """Intrinsics as a file gives them."""
 
     intrinsics: Intrinsics
@@ -36,7 +36,7 @@ class Lens:
     """Metres per unit of the depth image, if the file says."""
 
 
-def read_lens(path: str | Path, size: tuple[int, int], *, image: int | None = None) -> Lens:
+def read_intrinsics(path: str | Path, size: tuple[int, int], *, image: int | None = None) -> FileIntrinsics:
     """Read intrinsics and check that they fit an image.
 
     Layouts, told apart by their fields:
@@ -62,13 +62,15 @@ def read_lens(path: str | Path, size: tuple[int, int], *, image: int | None = No
         raise FungraspError(f"cannot read the intrinsics {path}: {error.strerror or error}") from error
     except (json.JSONDecodeError, UnicodeDecodeError) as error:
         raise FungraspError(f"{path} is not valid JSON: {error}") from error
-    return lens_from(content, size, where=str(path), image=image)
+    return intrinsics_from(content, size, where=str(path), image=image)
 
 
-def lens_from(content: Any, size: tuple[int, int], *, where: str, image: int | None = None) -> Lens:
-    """As ``read_lens`` for what the file held. where: name of the file, for messages."""
+def intrinsics_from(
+    content: Any, size: tuple[int, int], *, where: str, image: int | None = None
+) -> FileIntrinsics:
+    """As ``read_intrinsics`` for what the file held. where: name of the file, for messages."""
     if isinstance(content, list):
-        return Lens(_from_matrix(content, size, where))
+        return FileIntrinsics(_from_matrix(content, size, where))
     if not isinstance(content, Mapping):
         raise FungraspError(f"{where}: intrinsics are fields or a 3 x 3 matrix, not {content!r:.40}")
     for name in ("color", "colour", "intrinsics"):
@@ -78,7 +80,7 @@ def lens_from(content: Any, size: tuple[int, int], *, where: str, image: int | N
         content = _of_image(content, image, where)
     for name in _MATRIX_NAMES:
         if name in content:
-            return Lens(_from_matrix(content[name], size, where), _unit(content, MILLIMETRE, where))
+            return FileIntrinsics(_from_matrix(content[name], size, where), _unit(content, MILLIMETRE, where))
     real_sense = "ppx" in content
     names = ("fx", "fy", "ppx", "ppy") if real_sense else ("fx", "fy", "cx", "cy")
     fx, fy, cx, cy = (_number(content, name, where) for name in names)
@@ -95,7 +97,7 @@ def lens_from(content: Any, size: tuple[int, int], *, where: str, image: int | N
     if coefficients.max() > _DISTORTION:
         _log.warning("%s: the lens's distortion is not taken into account; undistort the images", where)
     lens = _checked(width, height, fx, fy, cx, cy, where)
-    return Lens(lens, _unit(content, 1.0 if real_sense else MILLIMETRE, where))
+    return FileIntrinsics(lens, _unit(content, 1.0 if real_sense else MILLIMETRE, where))
 
 
 def _of_image(content: Mapping[str, Any], image: int | None, where: str) -> Mapping[str, Any]:

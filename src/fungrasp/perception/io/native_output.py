@@ -1,4 +1,4 @@
-"""Keeping the small talk of native libraries off stderr."""
+"""Filtering the log output of native libraries on stderr."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from tempfile import TemporaryFile
 
-SMALL_TALK = b"INFO:"
+DROPPED_PREFIX = b"INFO:"
 """How lines begin that are left out."""
 
 
 @contextmanager
-def without_small_talk() -> Iterator[None]:
+def filtered_native_output() -> Iterator[None]:
     """Hold back what is written to stderr meanwhile; then pass it on without lines that begin with "INFO:".
 
     For libraries that write past Python and have no setting for it. Keep what runs inside short: the whole
@@ -35,7 +35,7 @@ def without_small_talk() -> Iterator[None]:
             os.dup2(stderr, 2)
             os.close(stderr)
             held.seek(0)
-            kept = b"".join(line for line in held if not line.startswith(SMALL_TALK))
+            kept = b"".join(line for line in held if not line.startswith(DROPPED_PREFIX))
             if kept:
                 os.write(2, kept)
 

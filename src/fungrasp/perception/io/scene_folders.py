@@ -14,7 +14,7 @@ from fungrasp.files import atomic_path
 from fungrasp.grasps.importers.yaml_file import read_yaml
 from fungrasp.perception.io.capture import Capture
 from fungrasp.perception.io.image_files import read_capture, read_colour
-from fungrasp.perception.io.intrinsics_files import MILLIMETRE, lens_from
+from fungrasp.perception.io.intrinsics_files import MILLIMETRE, intrinsics_from
 
 COLOUR_FILE, DEPTH_FILE, LENS_FILE, MASK_FILE = "rgb.png", "depth.png", "K.json", "mask.png"
 """Names of the files in a capture's own folder."""
@@ -150,7 +150,7 @@ def read_dexycb(camera: str | Path, frame: int, *, with_mask: bool = False) -> C
     colour = camera / f"color_{frame:06d}.jpg"
     height, width = read_colour(colour).shape[:2]
     calibration = camera.parents[2] / "calibration" / "intrinsics" / f"{camera.name}_{width}x{height}.yml"
-    lens = lens_from(read_yaml(calibration), (width, height), where=str(calibration))
+    lens = intrinsics_from(read_yaml(calibration), (width, height), where=str(calibration))
     depth = camera / f"aligned_depth_to_color_{frame:06d}.png"
     capture = read_capture(colour, depth, lens.intrinsics, depth_unit=MILLIMETRE)
     if not with_mask:

@@ -1,22 +1,61 @@
-"""How sure a pose is, from what speaks for it and against it; and what makes it doubtful, in words."""
+"""How probable it is that a pose is right, and what makes it uncertain."""
 
 from __future__ import annotations
 
 import numpy as np
+import trimesh
 
+from fungrasp.geometry.poses import transform_points
+from fungrasp.objects import ObjectModel
+from fungrasp.perception.estimates import ObjectEstimate
+from fungrasp.perception.hand.contact_evidence import HandSurroundings
 from fungrasp.perception.object_pose.known_object import KnownObject
-from fungrasp.perception.object_pose.pose_error import add_s
-from fungrasp.perception.object_pose.scoring import Verdict
+from fungrasp.perception.object_pose.pose_error import add_s, rotation_error
+from fungrasp.perception.object_pose.scoring import PoseScores
+from fungrasp.perception.warning import PerceptionWarning
 
 ACCEPT = 0.75
-"""Answers with a score below are "not sure"."""
+"""Poses of a lower score are not accepted."""
 
-WEIGHTS = np.array([-15.57, 17.04, -13.4, 2.61, 1.51, 0.0, 0.0])
-"""Logistic regression on ``features`` (the first is the constant), fitted to the best answers on 159 rendered
+FEATURES = ("explained", "contradicted", "visible", "pixels")
+"""Names of what the score is made of: explained, contradicted and visible part, logarithm of the pixels."""
+
+WEIGHTS = np.array([-15.57, 17.04, -13.4, 2.61, 1.51])
+"""Logistic regression on ``FEATURES`` (the first is the constant), fitted to the best answers on 159 rendered
 captures of 16 YCB objects, of which 18 were searched with the mesh of another object."""
 
 RIVAL_DISTANCE = 0.01
 """A pose so far from another (ADD-S [m]) is a different answer."""
+
+TURNED = 30.0
+"""A pose turned by more than this [degrees] is a different answer, however well it fits."""
+
+CLOSE = 0.1
+"""Poses whose score is lower by less than this fit almost as well."""
+
+SAME = 0.001
+"""Poses whose surfaces are nearer than this on average [m] look the same: a symmetry."""
+
+COMPARED_POINTS = 300
+"""Of the object's surface, by which poses are compared."""
+
+
+def features(scores: PoseScores) -> np.ndarray:
+    """What the score is made of, see ``FEATURES``; shape [H, 4]."""
+    return np.stack(
+        [
+            scores.explained,
+            np.minimum(scores.contradicted, 0.5),
+            scores.visible,
+            np.log10(np.maximum(scores.pixels, 1.0)) - 3.0,
+        ],
+        axis=-1,
+    )
+
+
+def confidence(scores: PoseScores) -> np.ndarray:
+    """Probability that ADD-S is below 10 mm and the mesh is the right one, shape [H]."""
+    return 1.0 / (1.0 + np.exp(-(features(scores) @ WEIGHTS[1:] + WEIGHTS[0])))
 
 
 def rivals(known: KnownObject, poses: np.ndarray, quality: np.ndarray) -> np.ndarray:
@@ -35,44 +74,52 @@ def rivals(known: KnownObject, poses: np.ndarray, quality: np.ndarray) -> np.nda
     return result
 
 
-FEATURES = ("explained", "contradicted", "visible", "pixels", "rival", "contact")
-"""Names of what the score is made of: explained, contradicted and visible part, logarithm of the pixels,
-quality of the best different answer in that of the pose, distance of the fingertips [cm]."""
+def score_warnings(scores: PoseScores, rival: float, masked: bool) -> tuple[PerceptionWarning, ...]:
+    """Why the first pose has a low score.
+
+    Args:
+        scores: of one pose or more.
+        rival: quality of the best different answer, see ``rivals``.
+        masked: whether the object's mask was given.
+    """
+    found = []
+    if scores.explained[0] < 0.7:
+        what = "the mask" if masked else "what may be the object"
+        found.append(
+            PerceptionWarning.of("poorly_explained", percent=100 * float(scores.explained[0]), what=what)
+        )
+    if scores.contradicted[0] > 0.1:
+        found.append(PerceptionWarning.of("contradicted"))
+    if scores.contact[0] > 0.02:
+        found.append(PerceptionWarning.of("far_from_fingertips", distance_mm=1000 * float(scores.contact[0])))
+    if rival > 0.9 * scores.quality[0]:
+        found.append(PerceptionWarning.of("rival_pose"))
+    if scores.pixels[0] < 500:
+        found.append(PerceptionWarning.of("few_pixels", pixels=float(scores.pixels[0])))
+    return tuple(found) or (PerceptionWarning.of("little_seen"),)
 
 
-def features(verdict: Verdict, rival: np.ndarray) -> np.ndarray:
-    """What the score is made of, see ``FEATURES``; shape [H, 6]. rival: see ``rivals``."""
-    return np.stack(
-        [
-            verdict.explained,
-            np.minimum(verdict.contradicted, 0.5),
-            verdict.visible,
-            np.log10(np.maximum(verdict.pixels, 1.0)) - 3.0,
-            np.minimum(rival / np.maximum(verdict.quality, 1e-6), 1.0),
-            np.minimum(100 * verdict.contact, 5.0),
-        ],
-        axis=-1,
+def ambiguity(model: ObjectModel, thing: ObjectEstimate) -> PerceptionWarning | None:
+    """A warning if a different pose fits almost as well as the answer.
+
+    The score is that of the surface's place. Of a nearly symmetric object it may be certain although it is
+    not which way round the object is.
+    """
+    near = [pose for pose, score in thing.alternatives if score > thing.score - CLOSE]
+    if not near:
+        return None
+    points = np.asarray(trimesh.sample.sample_surface(model.mesh, COMPARED_POINTS, seed=0)[0])
+    answer = HandSurroundings(model.signed_distance, thing.pose_camera_object)
+    apart = np.array(
+        [np.abs(answer.object_distance(transform_points(pose, points))[0]).mean() for pose in near]
     )
-
-
-def confidence(evidence: np.ndarray) -> np.ndarray:
-    """Probability that ADD-S is below 10 mm and the mesh is the right one, shape [H]. evidence: see
-    ``features``."""
-    return 1.0 / (1.0 + np.exp(-(evidence @ WEIGHTS[1:] + WEIGHTS[0])))
-
-
-def doubts(verdict: Verdict, rival: np.ndarray, masked: bool) -> str:
-    """What makes the first pose doubtful."""
-    reasons = []
-    if verdict.explained[0] < 0.7:
-        whose = "the mask" if masked else "what may be the object"
-        reasons.append(f"the mesh explains {100 * verdict.explained[0]:.0f} % of {whose}; wrong mesh?")
-    if verdict.contradicted[0] > 0.1:
-        reasons.append("the mesh would hide things that were seen behind it")
-    if verdict.contact[0] > 0.02:
-        reasons.append(f"the fingertips are {1000 * verdict.contact[0]:.0f} mm from the object's surface")
-    if rival[0] > 0.9 * verdict.quality[0]:
-        reasons.append("another pose fits as well")
-    if verdict.pixels[0] < 500:
-        reasons.append(f"only {verdict.pixels[0]:.0f} pixels show the object")
-    return "; ".join(reasons) or "too little of the object is seen for a clear answer"
+    turned = np.degrees(rotation_error(np.stack(near), thing.pose_camera_object))
+    others = np.flatnonzero(((turned > TURNED) & (apart > SAME)) | (apart > RIVAL_DISTANCE))
+    if not len(others):
+        return None
+    # They come in the order of their scores.
+    distance_mm, turn_deg = 1000 * float(apart[others[0]]), float(turned[others[0]])
+    if distance_mm > 1000 * RIVAL_DISTANCE:
+        how = f"turned by {turn_deg:.0f} degrees" if turn_deg > TURNED else "elsewhere"
+        return PerceptionWarning.of("object_elsewhere", how=how, distance_mm=distance_mm)
+    return PerceptionWarning.of("object_orientation", turn_deg=turn_deg, distance_mm=distance_mm)

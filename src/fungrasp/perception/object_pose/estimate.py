@@ -10,23 +10,28 @@ import trimesh
 from fungrasp.objects import ObjectModel
 from fungrasp.perception.estimates import HandEstimate, ObjectEstimate
 from fungrasp.perception.io.capture import Capture
-from fungrasp.perception.object_pose.color_agreement import colour_agreement
-from fungrasp.perception.object_pose.confidence import ACCEPT, confidence, doubts, features, rivals
+from fungrasp.perception.object_pose.confidence import ACCEPT, confidence, rivals, score_warnings
 from fungrasp.perception.object_pose.known_object import known_object
-from fungrasp.perception.object_pose.prepared_view import LEAST_PIXELS, View, make_view, thinned
-from fungrasp.perception.object_pose.scoring import Verdict
-from fungrasp.perception.object_pose.search import (
-    Found,
-    SearchSettings,
-    best_of,
+from fungrasp.perception.object_pose.object_view import (
+    LEAST_PIXELS,
+    ObjectView,
     explained_mask,
-    gather,
-    refine,
-    search,
-    symmetric,
+    object_evidence,
+    thinned,
+    view_of_object,
+)
+from fungrasp.perception.object_pose.scoring import PoseScores, colour_agreement
+from fungrasp.perception.object_pose.search import (
+    PoseHypotheses,
+    PoseSearchSettings,
+    best_poses,
+    refine_poses,
+    search_poses,
+    with_symmetries,
 )
 from fungrasp.perception.scene.segmentation import TIPS
 from fungrasp.perception.scene.table import largest_plane
+from fungrasp.perception.warning import PerceptionWarning
 
 SIZES = (0.01, 1.5)
 """Shortest and longest diagonal of an object that a hand holds [m]."""
@@ -47,16 +52,16 @@ class PoseAnswers:
 
     poses: np.ndarray
     """Object in the camera frame, shape [H, 7]."""
-    verdict: Verdict
-    """On the H poses."""
+    scores: PoseScores
+    """Of the H poses."""
     rival: np.ndarray
     """Quality of the best different answer to each, shape [H]."""
     masked: bool
     """Whether the object's mask was given."""
     residual_m: float
     """Median distance of the object's measured points from the mesh in the first pose [m]."""
-    problem: str = ""
-    """Why nothing was found; the pose is then a guess of the place only."""
+    problem: PerceptionWarning | None = None
+    """Why nothing was searched for; the pose is then a guess of the place only."""
 
 
 def estimate_object_pose(
@@ -66,13 +71,13 @@ def estimate_object_pose(
     table: np.ndarray | None = None,
     *,
     seed: int = 0,
-    settings: SearchSettings | None = None,
+    settings: PoseSearchSettings | None = None,
 ) -> ObjectEstimate:
     """Find a known object in a depth image.
 
     The object's pixels are those of the capture's mask; without one, several masks are proposed from table,
     hand and box, and the fit decides. An answer that the image does not support is still given, with
-    ``accepted`` False and a note.
+    ``accepted`` False and warnings.
 
     Args:
         capture: colour and depth.
@@ -96,29 +101,33 @@ def search_object_pose(
     table: np.ndarray | None = None,
     *,
     seed: int = 0,
-    settings: SearchSettings | None = None,
+    settings: PoseSearchSettings | None = None,
 ) -> PoseAnswers:
-    """All that ``estimate_object_pose`` finds, with what speaks for and against each pose."""
+    """All that ``estimate_object_pose`` finds, with the scores of each pose."""
     capture = thinned(capture)
     size = float(np.linalg.norm(np.ptp(np.asarray(mesh.vertices), axis=0))) if len(mesh.vertices) else 0.0
     joints = None if hand is None else hand.joints_camera
     if not SIZES[0] < size < SIZES[1]:
         unit = "; is it in millimetres?" if size >= SIZES[1] else ""
-        return _nothing(capture, joints, f"the mesh is {size:.4g} m large{unit}")
+        return _nothing(
+            capture,
+            joints,
+            PerceptionWarning.of("not_searched", problem=f"the mesh is {size:.4g} m large{unit}"),
+        )
     known, rng = known_object(mesh), np.random.default_rng(seed)
     if table is None:
         table = largest_plane(capture, rng)
-    view, problem = make_view(known, capture, joints, table, rng)
+    view, problem = view_of_object(known, capture, joints, table, rng)
     if problem or view is None:
-        return _nothing(capture, joints, problem)
-    found, verdict, colour = _answers(view, rng, settings or SearchSettings())
-    order = np.argsort(-(verdict.quality + COLOUR_WEIGHT * verdict.quality.max() * colour))
-    poses, verdict = found.poses[order], verdict.chosen(order)
+        return _nothing(capture, joints, PerceptionWarning.of("not_searched", problem=problem))
+    found, scores, colour = _answers(view, rng, settings or PoseSearchSettings())
+    order = np.argsort(-(scores.quality + COLOUR_WEIGHT * scores.quality.max() * colour))
+    poses, scores = found.poses[order], scores.chosen(order)
     points = view.evidence[found.owner[order[0]]].points
     return PoseAnswers(
         poses,
-        verdict,
-        rivals(known, poses, verdict.quality),
+        scores,
+        rivals(known, poses, scores.quality),
         capture.mask is not None,
         known.surface.median_distance(points, poses[0]),
     )
@@ -127,49 +136,61 @@ def search_object_pose(
 def best_estimate(answers: PoseAnswers) -> ObjectEstimate:
     """The best answer, how sure it is, and the others."""
     poses = answers.poses
-    if answers.problem:
-        return ObjectEstimate(poses[0], 0.0, False, note=f"not sure: {answers.problem}")
-    scores = confidence(features(answers.verdict, answers.rival))
+    if answers.problem is not None:
+        return ObjectEstimate(poses[0], 0.0, False, warnings=(answers.problem,))
+    scores = confidence(answers.scores)
     score = float(scores[0])
-    note = "" if score >= ACCEPT else f"not sure: {doubts(answers.verdict, answers.rival, answers.masked)}"
+    warnings: tuple[PerceptionWarning, ...] = ()
+    if score < ACCEPT:
+        warnings = score_warnings(answers.scores, float(answers.rival[0]), answers.masked)
     others = tuple(
         (pose, float(min(value, score))) for pose, value in zip(poses[1:], scores[1:], strict=True)
     )
-    return ObjectEstimate(poses[0], score, score >= ACCEPT, others[:ANSWERS], answers.residual_m, note)
+    return ObjectEstimate(poses[0], score, score >= ACCEPT, others[:ANSWERS], answers.residual_m, warnings)
 
 
 def _answers(
-    view: View, rng: np.random.Generator, settings: SearchSettings
-) -> tuple[Found, Verdict, np.ndarray]:
-    """Different poses, what speaks for each, and the agreement of their colours."""
-    few, many = view.judge(250), view.judge(1000)
+    view: ObjectView, rng: np.random.Generator, settings: PoseSearchSettings
+) -> tuple[PoseHypotheses, PoseScores, np.ndarray]:
+    """Different poses, their scores, and the agreement of their colours."""
+    few, many = view.scorer(250), view.scorer(1000)
     known, evidence = view.known, view.evidence
-    found = search(known, evidence, (few, many), rng, settings)
+    found = search_poses(known, evidence, (few, many), rng, settings)
     masked = view.capture.mask is not None
     if float(many(found.poses, found.owner).quality.max()) < GOOD[0 if masked else 1]:
         harder = replace(settings, rotations=2 * settings.rotations)
-        again = search(known, evidence, (few, many), rng, harder)
-        found = Found(np.concatenate([found.poses, again.poses]), np.concatenate([found.owner, again.owner]))
+        again = search_poses(known, evidence, (few, many), rng, harder)
+        found = PoseHypotheses(
+            np.concatenate([found.poses, again.poses]), np.concatenate([found.owner, again.owner])
+        )
     if not masked:
-        found = best_of(found, known, many, 6)
+        found = best_poses(found, known, many, 6)
         allowed = view.support > 0.25
         masks = [explained_mask(known, view.capture, pose, allowed) for pose in found.poses[:3]]
-        sharper = [gather(view.capture, mask, view.table, rng) for mask in masks if mask.sum() > LEAST_PIXELS]
+        sharper = [
+            object_evidence(view.capture, mask, view.table, rng)
+            for mask in masks
+            if mask.sum() > LEAST_PIXELS
+        ]
         for seen in sharper:
             best = found.poses[:3]
-            poses = refine(known, [seen], Found(best, np.zeros(len(best), int)), settings.rounds[-1]).poses
-            found = Found(
+            poses = refine_poses(
+                known, [seen], PoseHypotheses(best, np.zeros(len(best), int)), settings.rounds[-1]
+            ).poses
+            found = PoseHypotheses(
                 np.concatenate([found.poses, poses]), np.concatenate([found.owner, found.owner[:3]])
             )
     if known.colours is not None and len(known.symmetries):
-        found = refine(known, evidence, symmetric(best_of(found, known, many, 2), known), settings.rounds[3])
-        found = refine(known, evidence, best_of(found, known, many, 24), settings.rounds[4])
-    found = best_of(found, known, many, 24)
+        found = refine_poses(
+            known, evidence, with_symmetries(best_poses(found, known, many, 2), known), settings.rounds[3]
+        )
+        found = refine_poses(known, evidence, best_poses(found, known, many, 24), settings.rounds[4])
+    found = best_poses(found, known, many, 24)
     colour = colour_agreement(known, view.capture, found.poses, view.support > 0.25)
     return found, many(found.poses, found.owner), colour
 
 
-def _nothing(capture: Capture, joints: np.ndarray | None, why: str) -> PoseAnswers:
+def _nothing(capture: Capture, joints: np.ndarray | None, why: PerceptionWarning) -> PoseAnswers:
     """No answer: a pose in the middle of what is known, and the reason."""
     if joints is not None:
         middle = joints[list(TIPS)].mean(axis=0)
@@ -178,5 +199,5 @@ def _nothing(capture: Capture, joints: np.ndarray | None, why: str) -> PoseAnswe
         points = capture.points()[shown if shown.any() else capture.measured]
         middle = np.median(points, axis=0)
     pose = np.concatenate([middle, [1.0, 0.0, 0.0, 0.0]])
-    none = Verdict(*np.zeros((6, 1)))
+    none = PoseScores(*np.zeros((6, 1)))
     return PoseAnswers(pose[None], none, np.zeros(1), capture.mask is not None, float("nan"), why)

@@ -1,4 +1,4 @@
-"""How sure a pose is that another program says: compared with the depth, as our own answers are."""
+"""The score of a pose from another program: compared with the depth, as our own answers are."""
 
 from __future__ import annotations
 
@@ -10,21 +10,29 @@ import trimesh
 from fungrasp.objects import ObjectModel
 from fungrasp.perception.estimates import HandEstimate, ObjectEstimate
 from fungrasp.perception.io.capture import Capture
-from fungrasp.perception.object_pose.confidence import ACCEPT, RIVAL_DISTANCE, confidence, doubts, features
+from fungrasp.perception.object_pose.confidence import ACCEPT, RIVAL_DISTANCE, confidence, score_warnings
 from fungrasp.perception.object_pose.known_object import known_object
+from fungrasp.perception.object_pose.object_view import (
+    LEAST_PIXELS,
+    ObjectView,
+    explained_mask,
+    object_evidence,
+    thinned,
+    view_of_object,
+)
 from fungrasp.perception.object_pose.pose_error import add_s
-from fungrasp.perception.object_pose.prepared_view import LEAST_PIXELS, View, make_view, thinned
-from fungrasp.perception.object_pose.scoring import Judge, Verdict
-from fungrasp.perception.object_pose.search import Found, SearchSettings, explained_mask, gather, refine
+from fungrasp.perception.object_pose.scoring import PoseScorer, PoseScores
+from fungrasp.perception.object_pose.search import PoseHypotheses, PoseSearchSettings, refine_poses
+from fungrasp.perception.warning import PerceptionWarning
 
 RAYS = 1000
-"""About how many rays a pose is judged by; as many as our own answers."""
+"""About how many rays a pose is scored by; as many as our own answers."""
 
 ALLOWED = 0.25
 """A pixel that shows a thing less surely than this is not the object's."""
 
 
-def judge_estimate(
+def score_given_pose(
     thing: ObjectEstimate,
     capture: Capture,
     mesh: ObjectModel | trimesh.Trimesh,
@@ -50,54 +58,54 @@ def judge_estimate(
 
     Returns:
         The program's best answer with its score; the others follow in the order of theirs. Not accepted where
-        the depth says nothing about the object; the note says why.
+        the depth says nothing about the object; the warnings say why.
 
     Raises:
         FungraspError: the mesh has no faces.
     """
     known, rng = known_object(mesh), np.random.default_rng(seed)
     joints = None if hand is None else hand.joints_camera
-    view, problem = make_view(known, thinned(capture), joints, table, rng)
+    view, problem = view_of_object(known, thinned(capture), joints, table, rng)
     if view is None:
-        note = f"not sure: it can't be compared with the depth: {problem}"
-        return replace(thing, score=0.0, accepted=False, alternatives=(), note=note, judged=True)
-    judge = view.judge(RAYS)
+        warnings = (PerceptionWarning.of("not_comparable", problem=problem),)
+        return replace(thing, score=0.0, accepted=False, alternatives=(), warnings=warnings, judged=True)
+    scorer = view.scorer(RAYS)
     answers = [
-        _judged(pose, view, judge, rng, improve)
+        _scored(pose, view, scorer, rng, improve)
         for pose in (thing.pose_camera_object, *(pose for pose, _ in thing.alternatives))
     ]
-    (pose, score, verdict, residual), *rest = answers
+    (pose, score, scores, residual), *rest = answers
     others = tuple(sorted(((p, s) for p, s, _, _ in rest), key=lambda answer: -answer[1]))
-    note = ""
+    warnings: tuple[PerceptionWarning, ...] = ()
     if score < ACCEPT:
-        note = f"not sure: {doubts(verdict, np.zeros(1), view.capture.mask is not None)}"
+        warnings = score_warnings(scores, 0.0, view.capture.mask is not None)
         if others and others[0][1] >= ACCEPT:
-            note += f"; another of the program's poses fits, with a score of {others[0][1]:.2f}"
-    return ObjectEstimate(pose, score, score >= ACCEPT, others, residual, note)
+            warnings += (PerceptionWarning.of("other_given_pose_fits", score=others[0][1]),)
+    return ObjectEstimate(pose, score, score >= ACCEPT, others, residual, warnings)
 
 
-def _judged(
-    pose: np.ndarray, view: View, judge: Judge, rng: np.random.Generator, improve: bool
-) -> tuple[np.ndarray, float, Verdict, float]:
-    """A pose, or the best fit nearby; its score; what speaks for it; how far from it the object is [m]."""
-    known, rounds = view.known, SearchSettings().rounds
+def _scored(
+    pose: np.ndarray, view: ObjectView, scorer: PoseScorer, rng: np.random.Generator, improve: bool
+) -> tuple[np.ndarray, float, PoseScores, float]:
+    """A pose, or the best fit nearby; its score; what that is made of; how far from it the object is [m]."""
+    known, rounds = view.known, PoseSearchSettings().rounds
     evidence = list(view.evidence)
     mask = explained_mask(known, view.capture, pose, view.support > ALLOWED)
     if mask.sum() > LEAST_PIXELS:
-        evidence.append(gather(view.capture, mask, view.table, rng))
-    found = Found(np.repeat(pose[None], len(evidence), axis=0), np.arange(len(evidence)))
+        evidence.append(object_evidence(view.capture, mask, view.table, rng))
+    found = PoseHypotheses(np.repeat(pose[None], len(evidence), axis=0), np.arange(len(evidence)))
     for step in rounds[3:]:
-        found = refine(known, evidence, found, step)
-    # The last one was fitted to what the pose explains, which is no proposal: all proposals judge it.
+        found = refine_poses(known, evidence, found, step)
+    # The last one was fitted to what the pose explains, which is no proposal: all proposals score it.
     proposals = np.arange(len(view.masks))
     fits = [(fit, owner) for fit, own in zip(found.poses, found.owner, strict=True)
             for owner in (proposals if own >= len(proposals) else [own])]  # fmt: skip
     poses = np.array([*(fit for fit, _ in fits), *(pose for _ in proposals)])
     owners = np.array([*(owner for _, owner in fits), *proposals])
-    verdict = judge(poses, owners)
-    scores = confidence(features(verdict, np.zeros(len(poses))))
+    scores = scorer(poses, owners)
+    probability = confidence(scores)
     near = add_s(known.surface.samples, poses, pose) < RIVAL_DISTANCE
-    best = int(np.argmax(np.where(near, verdict.quality, -1.0)))
+    best = int(np.argmax(np.where(near, scores.quality, -1.0)))
     chosen = poses[best] if improve else pose
     residual = known.surface.median_distance(view.evidence[owners[best]].points, chosen)
-    return chosen, float(scores[best]), verdict.chosen(np.array([best])), residual
+    return chosen, float(probability[best]), scores.chosen(np.array([best])), residual

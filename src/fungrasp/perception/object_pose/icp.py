@@ -8,8 +8,10 @@ space that the camera saw to be free, which is what fixes an object whose visibl
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from scipy import ndimage
 
 from fungrasp.geometry.poses import (
     cross,
@@ -19,11 +21,60 @@ from fungrasp.geometry.poses import (
     rotation_matrix,
 )
 from fungrasp.geometry.signed_distance import SignedDistanceBank
-from fungrasp.perception.object_pose.free_space import FreeSpace
+from fungrasp.perception.io.capture import Intrinsics
+
+BEHIND = 0.01
+"""A pixel shows something behind the object if it is deeper by this [m] than the object's nearest pixel."""
 
 
 @dataclass(frozen=True, eq=False)
-class Surface:
+class FreeSpace:
+    """What the depth image and the table forbid to the object. ``free_space`` makes it."""
+
+    intrinsics: Intrinsics
+    depth: np.ndarray
+    """Behind which a surface may be [m], shape [H, W]; 0: anywhere."""
+    refuge: np.ndarray
+    """Nearest pixel (row, column) that does not show something behind the object, shape [2, H, W]."""
+    table: np.ndarray | None
+    """Plane ``[nx ny nz d]`` with ``n . x + d`` the height above it [m], camera frame, shape [4]."""
+
+    def intrusion(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """How far points would have to move to be allowed, and where to.
+
+        Args:
+            points: [m], camera frame, shape [..., 3].
+
+        Returns:
+            distance [m], shape [...], 0 for allowed points; its gradient, shape [..., 3].
+        """
+        k = self.intrinsics
+        z = np.maximum(points[..., 2], 1e-3)
+        x, y = points[..., 0] / z, points[..., 1] / z
+        u, v = k.fx * x + k.cx, k.fy * y + k.cy
+        column, row = np.rint(u).astype(np.int64), np.rint(v).astype(np.int64)
+        seen = (column >= 0) & (column < k.width) & (row >= 0) & (row < k.height)
+        column, row = np.where(seen, column, 0), np.where(seen, row, 0)
+        short = np.where(seen, self.depth[row, column] - z, 0.0)
+        away_v = row - self.refuge[0, row, column]
+        away_u = column - self.refuge[1, row, column]
+        pixels = np.hypot(away_u, away_v)
+        sideways = pixels * z / k.fx
+        aside = (pixels > 0) & (sideways < short)
+        distance = np.where(aside, sideways, np.maximum(short, 0.0))
+        unit = np.where(aside, 1.0 / np.maximum(pixels, 1.0), 0.0)
+        du, dv = away_u * unit, away_v * unit
+        gradient = np.stack([du, dv, np.where(aside, -(du * x + dv * y), -1.0)], axis=-1)
+        if self.table is not None:
+            below = -(points @ self.table[:3] + self.table[3])
+            lower = below > distance
+            distance = np.where(lower, below, distance)
+            gradient = np.where(lower[..., None], -self.table[:3], gradient)
+        return distance, gradient
+
+
+@dataclass(frozen=True, eq=False)
+class KnownSurface:
     """The known object, ready to be fitted; object frame."""
 
     distance: SignedDistanceBank
@@ -39,7 +90,7 @@ class Surface:
 
 
 @dataclass(frozen=True, eq=False)
-class Evidence:
+class ObjectEvidence:
     """What the object must agree with; camera frame."""
 
     points: np.ndarray
@@ -49,7 +100,7 @@ class Evidence:
 
 
 @dataclass(frozen=True)
-class Round:
+class IcpSettings:
     """One round of the coarse-to-fine fit."""
 
     iterations: int
@@ -65,8 +116,8 @@ class Round:
     """As ``scale``, for how far surface samples intrude into free space."""
 
 
-def fit(
-    surface: Surface, evidence: Evidence, poses: np.ndarray, settings: Round
+def fit_poses(
+    surface: KnownSurface, evidence: ObjectEvidence, poses: np.ndarray, settings: IcpSettings
 ) -> tuple[np.ndarray, np.ndarray]:
     """Move each pose to a nearby minimum of
     ``mean rho(distance(points)) + free_weight * mean rho(intrusion(samples))`` by Gauss-Newton steps,
@@ -134,3 +185,29 @@ def _moved(poses: np.ndarray, step: np.ndarray) -> np.ndarray:
     quaternion = quaternion_multiply(quaternion_from_rotation_vector(turn), poses[:, 3:])
     quaternion = quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)
     return np.concatenate([poses[:, :3] + shift, quaternion], axis=1)
+
+
+def free_space(
+    depth: np.ndarray,
+    intrinsics: Intrinsics,
+    shown: np.ndarray,
+    table: np.ndarray | None = None,
+    tolerance: float = 0.006,
+) -> FreeSpace:
+    """What a depth image forbids to an object.
+
+    Args:
+        depth: [m], shape [H, W]; 0: not measured.
+        intrinsics: of the depth image.
+        shown: which pixels show the object, bool, shape [H, W].
+        table: its plane, see ``FreeSpace``.
+        tolerance: how far a surface may be in front of the measurement, or below the table [m].
+    """
+    measured = depth > 0
+    seen = shown & measured
+    transformed: Any = ndimage.distance_transform_edt(~seen, return_distances=False, return_indices=True)
+    level = depth[tuple(transformed)]
+    open_space = measured & ~shown & (depth > level + BEHIND)
+    refuge: Any = ndimage.distance_transform_edt(open_space, return_distances=False, return_indices=True)
+    lowered = None if table is None else np.append(table[:3], table[3] + tolerance)
+    return FreeSpace(intrinsics, np.where(measured, depth - tolerance, 0.0), refuge, lowered)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,7 +21,7 @@ from fungrasp.geometry.poses import (
 )
 from fungrasp.geometry.signed_distance import SignedDistanceBank, nearest_on_mesh, points_on_triangles
 from fungrasp.objects import ObjectModel
-from fungrasp.perception.object_pose.icp import Surface
+from fungrasp.perception.object_pose.icp import KnownSurface
 from fungrasp.perception.object_pose.mesh_rays import MeshRays
 
 SAMPLES = 1000
@@ -34,7 +35,7 @@ LEAST_COLOUR = 0.03
 class KnownObject:
     """What the search needs to know of a mesh. ``known_object`` makes it."""
 
-    surface: Surface
+    surface: KnownSurface
     normals: np.ndarray
     """Outward, at the surface's samples, shape [M, 3]."""
     rays: MeshRays
@@ -77,7 +78,7 @@ def _model(vertices: bytes, faces: bytes) -> ObjectModel:
 def _known(model: ObjectModel) -> KnownObject:
     points, normals = _even_samples(model.mesh, SAMPLES)
     return KnownObject(
-        Surface(SignedDistanceBank([model.signed_distance]), points),
+        KnownSurface(SignedDistanceBank([model.signed_distance]), points),
         normals,
         MeshRays(model.vertices, model.faces),
         float(np.linalg.norm(model.size)),
@@ -191,3 +192,38 @@ def _view_axes(point: np.ndarray) -> np.ndarray:
     right = np.cross([0.0, 1.0, 0.0], forward)
     right /= np.linalg.norm(right)
     return np.stack([forward, right, np.cross(forward, right)])
+
+
+def coloured_mesh(path: str | Path, model: ObjectModel) -> trimesh.Trimesh | None:
+    """The object with the colours of its mesh file, texture included.
+
+    A mesh that had to be mended keeps its mended surface; each of its vertices takes the colour of the file's
+    nearest one.
+
+    Args:
+        path: the file.
+        model: what was made of it.
+
+    Returns:
+        None where the file has no colours.
+
+    Raises:
+        FungraspError: the file can't be read.
+    """
+    try:
+        mesh: Any = trimesh.load(path, force="mesh", process=False)
+        visual = mesh.visual
+        if visual.kind == "texture" and visual.uv is None:
+            return None
+        if visual.kind not in ("texture", "vertex", "face"):
+            return None
+        if not model.repairs:
+            return mesh
+        colours = (visual.to_color() if visual.kind == "texture" else visual).vertex_colors
+    except Exception as error:
+        # trimesh fails in many ways on a texture that is missing or damaged.
+        raise FungraspError(f"cannot read the colours of {path}: {' '.join(str(error).split())}") from error
+    nearest = KDTree(np.asarray(mesh.vertices)).query(model.vertices)[1]
+    return trimesh.Trimesh(
+        model.vertices, model.faces, vertex_colors=np.asarray(colours)[nearest], process=False
+    )

@@ -7,8 +7,9 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from fungrasp.geometry.poses import inverse_transform_points
-from fungrasp.perception.io.capture import Capture
+from fungrasp.geometry.poses import inverse_transform_points, rotation_matrix, transform_points
+from fungrasp.grasps.hand_thickness import FINGER_RADII
+from fungrasp.perception.io.capture import Capture, depth_noise
 from fungrasp.perception.object_pose.known_object import KnownObject
 from fungrasp.perception.scene.segmentation import TIPS
 
@@ -21,13 +22,10 @@ OCCLUDER = 0.25
 CONTACT = 0.05
 """Fingertips as far from the surface as this [m] halve the quality."""
 
-FLESH = 0.009
-"""From a fingertip's joint centre to its skin [m]."""
-
 
 @dataclass(frozen=True, eq=False)
-class Verdict:
-    """What speaks for and against H poses."""
+class PoseScores:
+    """How well each of H poses explains the image."""
 
     quality: np.ndarray
     """What ranks them, 0 to 1, shape [H]: pixels explained / (those, and those of the mask that are not, and
@@ -46,14 +44,14 @@ class Verdict:
     pixels: np.ndarray
     """Measured pixels of the image that the pose explains, shape [H]."""
 
-    def chosen(self, rows: np.ndarray) -> Verdict:
-        """The verdicts on some of the poses."""
-        return Verdict(*(getattr(self, field.name)[rows] for field in fields(self)))
+    def chosen(self, rows: np.ndarray) -> PoseScores:
+        """The scores of some of the poses."""
+        return PoseScores(*(getattr(self, field.name)[rows] for field in fields(self)))
 
 
 @dataclass(frozen=True, eq=False)
-class Judge:
-    """Rays to compare with. ``make_judge`` makes it."""
+class PoseScorer:
+    """Rays through the image, to score poses with. ``pose_scorer`` makes it."""
 
     known: KnownObject
     directions: np.ndarray
@@ -72,11 +70,11 @@ class Judge:
     step: int
     """Every so many rows and columns has rays."""
 
-    def __call__(self, poses: np.ndarray, owner: np.ndarray) -> Verdict:
-        """Judge poses of the object in the camera frame, shape [H, 7], each by the mask it was fitted to,
+    def __call__(self, poses: np.ndarray, owner: np.ndarray) -> PoseScores:
+        """Score poses of the object in the camera frame, shape [H, 7], each by the mask it was fitted to,
         shape [H] int."""
         seen = self.known.rays.cast(poses, self.directions)
-        noise = noise_at(self.depth)
+        noise = depth_noise(self.depth)
         error = seen - self.depth
         likeness = np.exp(-0.5 * np.square(error / (1.5 * noise)))
         mine = self.masks[owner]
@@ -93,18 +91,14 @@ class Judge:
         contact = np.zeros(len(poses))
         if self.joints is not None:
             tips = inverse_transform_points(poses, self.joints[list(TIPS)])
-            apart = self.known.surface.distance.query(np.zeros(len(poses), dtype=int), tips)[0] - FLESH
+            distance, _ = self.known.surface.distance.query(np.zeros(len(poses), dtype=int), tips)
+            apart = distance - FINGER_RADII[:, 3]
             contact = np.sort(np.abs(apart), axis=1)[:, :3].mean(axis=1)
             quality = quality / (1.0 + np.square(contact / CONTACT))
-        return Verdict(quality, explained, contradicted, visible, contact, everywhere * self.step**2)
+        return PoseScores(quality, explained, contradicted, visible, contact, everywhere * self.step**2)
 
 
-def noise_at(depth: np.ndarray) -> np.ndarray:
-    """Standard deviation of a depth camera's error [m]. depth: [m]."""
-    return 0.0025 + 0.002 * depth**2
-
-
-def make_judge(
+def pose_scorer(
     known: KnownObject,
     capture: Capture,
     support: np.ndarray,
@@ -112,7 +106,7 @@ def make_judge(
     table: np.ndarray | None,
     joints: np.ndarray | None,
     rays: int,
-) -> Judge:
+) -> PoseScorer:
     """Rays through the part of the image in which the object may be.
 
     Args:
@@ -140,6 +134,47 @@ def make_judge(
     opaque = OCCLUDER * shown
     if table is not None:
         height = (directions * depth[:, None]) @ table[:3] + table[3]
-        opaque = np.where(np.abs(height) < 3 * noise_at(depth), 1.0, opaque)
+        opaque = np.where(np.abs(height) < 3 * depth_noise(depth), 1.0, opaque)
     mine = np.stack([np.where(mask[v, u], shown, 0.0) for mask in masks])
-    return Judge(known, directions, depth, shown, mine, opaque, joints, step)
+    return PoseScorer(known, directions, depth, shown, mine, opaque, joints, step)
+
+
+def colour_agreement(
+    known: KnownObject, capture: Capture, poses: np.ndarray, allowed: np.ndarray
+) -> np.ndarray:
+    """Correlation of the mesh's colours with those of the image, over the visible surface samples and the
+    three channels together: blind to the brightness and the tint of the light.
+
+    Args:
+        known: the object.
+        capture: the image.
+        poses: object in the camera frame, shape [H, 7].
+        allowed: pixels that may show the object, shape [H, W] bool.
+
+    Returns:
+        -1 to 1, shape [H]; 0 where the mesh has no colours or too little of it is seen.
+    """
+    result = np.zeros(len(poses))
+    if known.colours is None:
+        return result
+    points = transform_points(poses, known.surface.samples)
+    normals = known.normals @ rotation_matrix(poses[:, 3:]).swapaxes(-1, -2)
+    facing = -np.einsum("hmi,hmi->hm", normals, points) > 0.3 * np.linalg.norm(points, axis=-1)
+    with np.errstate(invalid="ignore"):
+        pixels = np.rint(np.nan_to_num(capture.intrinsics.project(points), nan=-1.0)).astype(np.int64)
+    height, width = allowed.shape
+    u, v = pixels[..., 0], pixels[..., 1]
+    inside = (u >= 0) & (u < width) & (v >= 0) & (v < height)
+    u, v = np.where(inside, u, 0), np.where(inside, v, 0)
+    depth = capture.depth[v, u]
+    seen = inside & facing & allowed[v, u] & (np.abs(points[..., 2] - depth) < 3 * depth_noise(depth))
+    for i, shown in enumerate(seen):
+        if shown.sum() < 30:
+            continue
+        model = known.colours[shown]
+        image = capture.colour[v[i, shown], u[i, shown]] / 255.0
+        model, image = model - model.mean(axis=0), image - image.mean(axis=0)
+        spread = float(np.sqrt(np.square(model).sum() * np.square(image).sum()))
+        if spread > 1e-3 * len(model):
+            result[i] = float((model * image).sum()) / spread
+    return result

@@ -12,18 +12,21 @@ from typing import Any
 import numpy as np
 from scipy import ndimage
 
+from fungrasp.grasps.hand_thickness import FINGER_RADII, LINK_RADII, PALM_RADIUS
 from fungrasp.grasps.human_hand import BONES
 from fungrasp.perception.io.capture import Capture
-from fungrasp.perception.scene.planes import tolerance
-
-BONE_RADII = np.array([[15.0, 10.0, 9.0, 8.0]] * 4 + [[17.0, 13.0, 11.0, 10.0]]).ravel() / 1000
-"""Of the flesh round each of ``BONES`` [m]."""
+from fungrasp.perception.scene.table import plane_tolerance
 
 PALM = ((1, 5), (5, 9), (9, 13), (13, 17), (17, 1))
-"""Lines across the palm that have flesh round them as well, as pairs of joints."""
+"""Lines across the palm that belong to the hand as well, as pairs of joints."""
 
-PALM_RADIUS = 0.013
-"""Of the flesh round the lines of ``PALM`` [m]."""
+CAPSULE_RADII = np.concatenate(
+    [
+        np.column_stack([[PALM_RADIUS] * 4 + [FINGER_RADII[4, 0]], LINK_RADII[1:].reshape(5, 3)]).ravel(),
+        np.full(len(PALM), PALM_RADIUS),
+    ]
+)
+"""Half the thickness of the hand round each of ``BONES``, then of the lines of ``PALM`` [m]."""
 
 FOREARM = (0.35, 0.045)
 """Length and radius of forearm and sleeve [m]."""
@@ -64,8 +67,7 @@ def distance_from_hand(points: np.ndarray, joints: np.ndarray) -> np.ndarray:
         [m], shape [P].
     """
     near, far = joints[np.transpose((*BONES, *PALM))]
-    radii = np.concatenate([BONE_RADII, np.full(len(PALM), PALM_RADIUS)])
-    return _distance_from_rods(points, near, far, radii)
+    return _distance_from_capsules(points, near, far, CAPSULE_RADII)
 
 
 def distance_from_forearm(points: np.ndarray, joints: np.ndarray) -> np.ndarray:
@@ -74,10 +76,10 @@ def distance_from_forearm(points: np.ndarray, joints: np.ndarray) -> np.ndarray:
     away = away / max(float(np.linalg.norm(away)), 1e-6)
     length, radius = FOREARM
     ends = joints[:1] + away * np.array([[radius], [length]])
-    return _distance_from_rods(points, ends[:1], ends[1:], np.array([radius]))
+    return _distance_from_capsules(points, ends[:1], ends[1:], np.array([radius]))
 
 
-def _distance_from_rods(
+def _distance_from_capsules(
     points: np.ndarray, near: np.ndarray, far: np.ndarray, radii: np.ndarray
 ) -> np.ndarray:
     best = np.full(len(points), np.inf)
@@ -106,7 +108,7 @@ def segment(
         candidate &= _inside(capture.box, candidate.shape)
     if table is not None:
         height = points @ table[:3] + table[3]
-        candidate &= height > tolerance(capture.depth)
+        candidate &= height > plane_tolerance(capture.depth)
     reach = np.zeros(candidate.shape)
     if joints is not None:
         rows, columns = np.nonzero(candidate)

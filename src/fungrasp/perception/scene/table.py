@@ -1,11 +1,14 @@
-"""Which plane in the image is the table."""
+"""Which plane in the image is the table: RANSAC over the measured points.
+
+A plane is ``[nx ny nz d]`` with a unit normal, ``n . x + d`` the height above it [m]; the camera, at the
+origin, is above it.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 
-from fungrasp.perception.io.capture import Capture
-from fungrasp.perception.scene.planes import fitted, members, planes_through, votes
+from fungrasp.perception.io.capture import Capture, depth_noise
 
 NO_TABLE = np.array([0.0, -1.0, 0.0, 50.0])
 """A plane so far below everything that it is none, for those who would else look for one."""
@@ -34,6 +37,9 @@ SMALLEST = 0.25
 STEP = 6
 """Every so many rows and columns are looked at, in an image of 640 columns."""
 
+PLANE_TOLERANCE = 1.6
+"""Points so near to a plane [standard deviations of depth] belong to it."""
+
 
 def table_under(capture: Capture, joints: np.ndarray, rng: np.random.Generator) -> np.ndarray | None:
     """The largest plane that can be the table under a hand (RANSAC): no wall, no side of the object.
@@ -54,12 +60,12 @@ def table_under(capture: Capture, joints: np.ndarray, rng: np.random.Generator) 
     planes = planes[(lowest > -BELOW) & (lowest < REACH)]
     if not len(planes):
         return None
-    for best in np.argsort(-votes(planes, points))[:20]:
-        near = members(planes[best], points)
+    for best in np.argsort(-plane_votes(planes, points))[:20]:
+        near = plane_members(planes[best], points)
         if near.sum() < max(30.0, LEAST_PART * len(points)):
             return None
         if np.ptp(np.percentile(points[near], [5, 95], axis=0), axis=0).max() > SMALLEST:
-            return fitted(planes[best], points)
+            return fitted_plane(planes[best], points)
     return None
 
 
@@ -78,10 +84,10 @@ def largest_plane(capture: Capture, rng: np.random.Generator, tries: int = 300) 
     if len(points) < LEAST_POINTS:
         return None
     planes = planes_through(points[rng.integers(0, len(points), (tries, 3))])
-    count = votes(planes, points)
+    count = plane_votes(planes, points)
     if count.max(initial=0) < 0.1 * len(points):
         return None
-    return fitted(planes[count.argmax()], points)
+    return fitted_plane(planes[count.argmax()], points)
 
 
 def _points(capture: Capture, farthest: float) -> np.ndarray:
@@ -89,3 +95,47 @@ def _points(capture: Capture, farthest: float) -> np.ndarray:
     step = max(1, STEP * capture.intrinsics.width // 640)
     points = capture.points()[::step, ::step].reshape(-1, 3)
     return points[np.isfinite(points[:, 2]) & (points[:, 2] < farthest)]
+
+
+def plane_tolerance(depth: np.ndarray) -> np.ndarray:
+    """How far a measured point may be from the plane that it belongs to [m], shape of ``depth`` [m]."""
+    return PLANE_TOLERANCE * depth_noise(depth)
+
+
+def planes_through(corners: np.ndarray) -> np.ndarray:
+    """Planes through three points each; points in a line give none.
+
+    Args:
+        corners: [m], shape [T, 3, 3].
+
+    Returns:
+        Shape [P, 4], P <= T.
+    """
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    length = np.linalg.norm(normal, axis=1, keepdims=True)
+    offset = -np.einsum("ti,ti->t", normal, corners[:, 0])[:, None]
+    kept = length[:, 0] > 1e-6
+    planes = np.concatenate([normal, offset], axis=1)[kept] / length[kept]
+    return planes * np.where(planes[:, 3:] < 0, -1.0, 1.0)
+
+
+def plane_votes(planes: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """How many points belong to each plane, shape [P]. planes: shape [P, 4]; points: [m], shape [N, 3]."""
+    heights = points @ planes[:, :3].T + planes[:, 3]
+    return (np.abs(heights) < plane_tolerance(points[:, 2])[:, None]).sum(axis=0)
+
+
+def plane_members(plane: np.ndarray, points: np.ndarray, width: float = 1.0) -> np.ndarray:
+    """Which points belong to a plane, shape [N] bool. width: in the tolerance."""
+    return np.abs(points @ plane[:3] + plane[3]) < width * plane_tolerance(points[:, 2])
+
+
+def fitted_plane(plane: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """The plane fitted by least squares to the points that belong to it, a few times, shape [4]."""
+    for width in (1.5, 1.0, 1.0):
+        near = points[plane_members(plane, points, width)]
+        middle = near.mean(axis=0)
+        direction = np.linalg.eigh((near - middle).T @ (near - middle))[1][:, 0]
+        plane = np.append(direction, -direction @ middle)
+        plane = plane if plane[3] > 0 else -plane
+    return plane

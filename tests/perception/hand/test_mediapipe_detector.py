@@ -13,12 +13,17 @@ from fungrasp.grasps import load_human_grasps
 from fungrasp.grasps.anatomy import joint_bends
 from fungrasp.grasps.human_hand import HUMAN_JOINTS
 from fungrasp.objects import builtin_object
-from fungrasp.perception.hand.crops import Window, window_of_landmarks, window_of_palm
-from fungrasp.perception.hand.detection import DetectedHand, hand_lengths, possible, settled
-from fungrasp.perception.hand.landmarks import FROM_MODEL, JOINTS_OF_LANDMARKS, HandDetector, choose_hand
-from fungrasp.perception.hand.model_weights import have_weights
+from fungrasp.perception.hand.detected_hand import DetectedHand, choose_hand, find_hands, hand_lengths
+from fungrasp.perception.hand.image_windows import Window, window_of_landmarks, window_of_palm
+from fungrasp.perception.hand.mediapipe_detector import (
+    FROM_MODEL,
+    JOINTS_OF_LANDMARKS,
+    MediaPipeHandDetector,
+    consensus,
+    possible,
+)
+from fungrasp.perception.hand.mediapipe_models import have_weights
 from fungrasp.perception.hand.palm_detection import anchor_centres, box_overlap, decode_palms
-from fungrasp.perception.pipeline import find_hands
 
 needs_weights = pytest.mark.skipif(
     not have_weights(), reason="the hand models are not in the cache; run 'fungrasp setup perception'"
@@ -98,15 +103,15 @@ def hand_at(u, v, size=100.0, side="right", score=0.9):
 
 def test_the_hand_that_is_meant():
     left, small, far = hand_at(100, 100, side="left"), hand_at(300, 100, 60), hand_at(500, 300, 90)
-    assert choose_hand([small]) == (small, "")
-    best, note = choose_hand([left, small, far])
-    assert best is left and "3 hands" in note and "largest one was taken, at pixel 100, 100" in note
-    best, note = choose_hand([left, small, far], near=(480, 280, 600, 400))
-    assert best is far and "nearest to the box" in note
-    best, note = choose_hand([left, small, far], side="right")
-    assert best is far and "right hand that is the largest" in note
-    best, note = choose_hand([small], side="left")
-    assert best is small and "looks like a right one, not a left one" in note
+    assert choose_hand([small]) == (small, [])
+    best, (note,) = choose_hand([left, small, far])
+    assert best is left and "3 hands" in str(note) and "largest one was taken, at pixel 100, 100" in str(note)
+    best, (note,) = choose_hand([left, small, far], near=(480, 280, 600, 400))
+    assert best is far and "nearest to the box" in str(note)
+    best, (note,) = choose_hand([left, small, far], side="right")
+    assert best is far and "right hand that is the largest" in str(note)
+    best, (note,) = choose_hand([small], side="left")
+    assert best is small and "looks like a right one, not a left one" in str(note)
     with pytest.raises(FungraspError, match="no hand was found"):
         choose_hand([])
 
@@ -130,7 +135,7 @@ def picture():
 @needs_weights
 def test_a_rendered_hand_is_found_and_told_from_a_left_one(picture):
     pytest.importorskip("ai_edge_litert", reason="ai-edge-litert is not installed")
-    detector, colour = HandDetector(), picture.capture.colour
+    detector, colour = MediaPipeHandDetector(), picture.capture.colour
     truth = picture.capture.intrinsics.project(picture.joints_camera)
     (hand,) = detector.detect(colour)
     assert hand.side == "right" and np.median(np.linalg.norm(hand.pixels - truth, axis=1)) < 15
@@ -146,7 +151,7 @@ def test_a_rendered_hand_is_found_and_told_from_a_left_one(picture):
 def test_no_hand_in_noise():
     pytest.importorskip("ai_edge_litert", reason="ai-edge-litert is not installed")
     noise = np.random.default_rng(0).integers(0, 255, (240, 320, 3), dtype=np.uint8)
-    assert HandDetector().detect(noise) == []
+    assert MediaPipeHandDetector().detect(noise) == []
 
 
 def answer(pixels, score=0.9, side="right"):
@@ -158,12 +163,12 @@ def test_the_answer_that_most_others_confirm_wins():
     true, wrong = rng.uniform(0, 100, (21, 2)), rng.uniform(0, 100, (21, 2))
     near = [answer(true + rng.normal(size=(21, 2)), 0.6) for _ in range(3)]
     sure = answer(wrong, 0.98, "left")
-    hand = settled([sure, *near], [sure, *near], 100.0)
+    hand = consensus([sure, *near], [sure, *near], 100.0)
     assert np.abs(hand.pixels - true).max() < 5 and hand.side == "right"
     assert len(hand.others) == 3 and hand.others[-1].pixels is sure.pixels
     # Three of four windows confirm it, each of them with 0.6.
     assert 0.4 < hand.score < 0.5
-    lonely = settled([sure, answer(true, 0.6)], [answer(true, 0.6)], 100.0)
+    lonely = consensus([sure, answer(true, 0.6)], [answer(true, 0.6)], 100.0)
     assert lonely.score < 0.1
 
 
@@ -182,13 +187,13 @@ def test_depth_finds_a_hand_whose_palm_is_seen_at_a_wrong_place(picture):
     capture = picture.capture
     truth = capture.intrinsics.project(picture.joints_camera)
     lengths = hand_lengths(capture.depth, capture.intrinsics.fx)
-    detector = HandDetector()
+    detector = MediaPipeHandDetector()
     (hand,) = detector.detect_with_depth(capture.colour, lengths)
     assert np.median(np.linalg.norm(hand.pixels - truth, axis=1)) < 15
     assert find_hands(detector, capture)[0].score == hand.score
     beside = Window((float(truth[:, 0].mean() + 45), float(truth[:, 1].mean())), 120.0)
     image = Image.fromarray(capture.colour)
-    again = detector._about(image, beside, lengths)
+    again = detector._around_palm(image, beside, lengths)
     assert np.median(np.linalg.norm(again.pixels - truth, axis=1)) < 15
 
 

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from fungrasp.geometry.poses import compose
 from fungrasp.objects import builtin_object
 from fungrasp.perception import ObjectEstimate
-from fungrasp.perception.object_pose.alternative_pose import other_pose
+from fungrasp.perception.object_pose.confidence import ambiguity
 
 POSE = np.array([0.05, 0.02, 0.6, 1.0, 0.0, 0.0, 0.0])
 
@@ -20,7 +20,7 @@ def about_z(degrees: float) -> np.ndarray:
 
 
 def said(name: str, *others: tuple[np.ndarray, float]) -> str:
-    return other_pose(builtin_object(name), ObjectEstimate(POSE, 0.95, True, others))
+    return str(ambiguity(builtin_object(name), ObjectEstimate(POSE, 0.95, True, others)) or "")
 
 
 def test_a_nearly_symmetric_object_may_be_the_other_way_round():
@@ -30,7 +30,7 @@ def test_a_nearly_symmetric_object_may_be_the_other_way_round():
     assert 1 <= millimetres <= 10
 
 
-def test_a_symmetry_and_a_worse_pose_are_no_doubt():
+def test_a_symmetry_and_a_worse_pose_give_no_warning():
     assert said("can", (about_z(70), 0.95)) == ""
     assert said("spray_bottle", (about_z(180), 0.8)) == ""
     assert said("spray_bottle") == ""

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from fungrasp.grasps import load_human_grasps
-from fungrasp.perception.hand.finger_overlap import nearest_between, overlap_evidence, overlaps
-from fungrasp.perception.hand.initial_skeleton import skeleton_through
+from fungrasp.perception.hand.anatomy_evidence import finger_overlap, nearest_between, overlap_evidence
+from fungrasp.perception.hand.fit import skeleton_through
 from fungrasp.perception.hand.skeleton import ANGLE_MEAN, SIZE, Skeleton
 
 
@@ -74,6 +74,6 @@ def test_a_finger_inside_another_costs():
     joints = hand.joints()
     middle = 0.5 * (joints[6] + joints[7])
     points = np.array([[middle], [middle + np.array([0, 0, 0.1])]])
-    deep = overlaps(points, np.array([0.008]), hand, 0)
+    deep = finger_overlap(points, np.array([0.008]), hand, 0)
     assert deep[0, 0] > 0.01 and deep[1, 0] == 0
-    assert overlaps(points, np.array([0.008]), hand, 1)[0, 0] < deep[0, 0]
+    assert finger_overlap(points, np.array([0.008]), hand, 1)[0, 0] < deep[0, 0]

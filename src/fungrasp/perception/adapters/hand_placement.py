@@ -1,4 +1,4 @@
-"""Size and distance of a hand whose shape and place in the image are known, from the depth image.
+"""A hand from another program's file: size and distance are measured in the depth image.
 
 Seen by one camera a hand may be small and near or large and far: every point may move along its ray, all by
 the same factor. Depth at the skin tells that factor wherever the hand is seen. Where it is hidden, or the
@@ -8,18 +8,23 @@ may well be behind what is seen, but nothing is seen through it.
 
 from __future__ import annotations
 
+import logging
+from pathlib import Path
+
 import numpy as np
 
 from fungrasp.errors import FungraspError
-from fungrasp.perception.adapters.hand_file import hand_size, turn_to
-from fungrasp.perception.estimates import HandEstimate
-from fungrasp.perception.hand.detection import DetectedHand
-from fungrasp.perception.hand.initial_skeleton import HandMeasurements, joint_confidence
-from fungrasp.perception.hand.surface_samples import PROBES, in_front
+from fungrasp.perception.adapters.hand_fields import read_fields
+from fungrasp.perception.adapters.hand_file import hand_size, hands_of, turn_to
+from fungrasp.perception.estimates import HandEstimate, Side
+from fungrasp.perception.hand.detected_hand import DetectedHand, choose_hand
+from fungrasp.perception.hand.fit_problem import joint_confidence
+from fungrasp.perception.hand.hand_capsules import SURFACE_SAMPLES, in_front
+from fungrasp.perception.hand.hand_measurements import HandMeasurements
 from fungrasp.perception.io.capture import Capture
 
 AGREEMENT = 0.012
-"""Depths so near to each other [m] agree: thickness of the flesh, errors of shape and camera."""
+"""Depths so near to each other [m] agree: thickness of the hand, errors of shape and camera."""
 
 SIZE_SPREAD = 0.11
 """Standard deviation of the logarithm of adults' hand sizes, errors of the shape included."""
@@ -27,11 +32,11 @@ SIZE_SPREAD = 0.11
 SEEN_THROUGH = 0.03
 """What is measured so far behind the skin [m] shows that no hand is there."""
 
-PROBE_WEIGHT = 0.5
-"""What one point of the flesh is worth that agrees [logarithm of likelihood]; neighbours err alike."""
+SAMPLE_WEIGHT = 0.5
+"""What one surface sample is worth that agrees [logarithm of likelihood]; neighbours err alike."""
 
 THROUGH_WEIGHT = 1.0
-"""What one point is worth that is seen through, against."""
+"""What one sample is worth that is seen through, against."""
 
 LEAST_AGREEING = 0.3
 """Part of the visible hand that must agree on a depth for full trust."""
@@ -44,6 +49,49 @@ SHAPE_SPREAD = 0.007
 
 HIDDEN = 1.4
 """By so much are these larger for a joint where nothing agrees."""
+
+_log = logging.getLogger(__name__)
+
+
+def read_hand_estimate(
+    path: str | Path,
+    capture: Capture,
+    *,
+    side: Side | None = None,
+    hand: int | None = None,
+    mano: str | Path | None = None,
+) -> HandEstimate:
+    """Read a hand that HaMeR, WiLoR, METRO or another program found in the capture's colour image.
+
+    The file is JSON or ``.npz`` with named arrays; docs/adapters.md says which. Size and distance of the hand
+    are not taken from it but measured in the depth image (see ``place_hand``), unless it says ``metric``.
+
+    Args:
+        path: the file.
+        capture: the image that the program saw, with its depth.
+        side: which hand is meant, if the file has several.
+        hand: which one, counted from 0; by default the one nearest to the capture's box, or the largest.
+        mano: the user's MANO model (folder or file), for files without joints.
+
+    Returns:
+        Joints in the camera frame, with covariances; a left hand is not mirrored.
+
+    Raises:
+        FungraspError: the file can't be read, lacks something, or is not of this image; there is no depth at
+            the hand.
+    """
+    fields = read_fields(path)
+    hands = hands_of(fields, capture.intrinsics, mano)
+    if hand is not None:
+        if not 0 <= hand < len(hands):
+            raise FungraspError(f"{path} has {len(hands)} hands, counted from 0; there is no hand {hand}")
+        hands = [hands[hand]]
+    if not hands:
+        raise FungraspError(f"{path} has no hand")
+    chosen, warnings = choose_hand(hands, capture.box, side)
+    for one in warnings:
+        _log.warning("%s: %s", path, one)
+    return place_hand(chosen, capture, keep_size=fields.flag("metric", False))
 
 
 def place_hand(detected: DetectedHand, capture: Capture, *, keep_size: bool = False) -> HandEstimate:
@@ -63,23 +111,23 @@ def place_hand(detected: DetectedHand, capture: Capture, *, keep_size: bool = Fa
         FungraspError: there is no depth where the hand is, or its landmarks don't fit its shape.
     """
     points = _of_given_size(detected, capture)
-    probes, _ = PROBES.place(points, np.zeros((21, 3, 0)))
+    samples, _ = SURFACE_SAMPLES.place(points, np.zeros((21, 3, 0)))
     size = hand_size(points)
-    radius = PROBES.radius * size
-    visible = in_front(probes, radius)
-    measured = _measured(detected, capture, probes)
+    radius = SURFACE_SAMPLES.radius * size
+    visible = in_front(samples, radius)
+    measured = _measured(detected, capture, samples)
     known = visible & (measured > 0)
     if not known.any():
         raise FungraspError(
             "there is no depth where the hand is in the image: is it too near or too far for the camera, "
             "or is the depth not aligned to the colour?"
         )
-    factors = measured[known] / (probes - radius[:, None] * [0, 0, 1])[known, 2]
+    factors = measured[known] / (samples - radius[:, None] * [0, 0, 1])[known, 2]
     factor, certainty = _common_factor(factors, float(points[:, 2].mean()), size)
     if keep_size:
         factor, certainty = 1.0, 1.0
     joints = points * factor
-    off = measured - factor * (probes[:, 2] - radius)
+    off = measured - factor * (samples[:, 2] - radius)
     agreeing = known & (np.abs(off) < AGREEMENT)
     covariance = _covariance(joints, _seen_joints(agreeing))
     trust = _trust(off[known], agreeing.sum() / known.sum(), size * factor)
@@ -108,9 +156,9 @@ def _of_given_size(detected: DetectedHand, capture: Capture) -> np.ndarray:
     return points
 
 
-def _measured(detected: DetectedHand, capture: Capture, probes: np.ndarray) -> np.ndarray:
-    """Depth at the probes' pixels [m], 0 where there is none or the object is, shape [P]."""
-    pixels = capture.intrinsics.project(probes)
+def _measured(detected: DetectedHand, capture: Capture, samples: np.ndarray) -> np.ndarray:
+    """Depth at the samples' pixels [m], 0 where there is none or the object is, shape [P]."""
+    pixels = capture.intrinsics.project(samples)
     depth = np.where(capture.depth > 0, capture.depth, np.nan)
     if capture.mask is not None:
         depth = np.where(capture.mask, np.nan, depth)
@@ -129,7 +177,7 @@ def _common_factor(factors: np.ndarray, distance: float, size: float) -> tuple[f
     unit = distance * float(np.median(factors))
     near = np.abs(beyond) < AGREEMENT / unit
     through = beyond > SEEN_THROUGH / unit
-    evidence = PROBE_WEIGHT * near.sum(axis=1) - THROUGH_WEIGHT * through.sum(axis=1)
+    evidence = SAMPLE_WEIGHT * near.sum(axis=1) - THROUGH_WEIGHT * through.sum(axis=1)
     evidence -= 0.5 * ((logs + np.log(size)) / SIZE_SPREAD) ** 2
     best = int(np.argmax(evidence))
     others = np.abs(beyond[best]) > SEEN_THROUGH / unit
@@ -138,10 +186,10 @@ def _common_factor(factors: np.ndarray, distance: float, size: float) -> tuple[f
 
 
 def _seen_joints(agreeing: np.ndarray) -> np.ndarray:
-    """Joints beside which depth agrees with the hand, bool, shape [21]. agreeing: by probe, shape [P]."""
+    """Joints beside which depth agrees with the hand, bool, shape [21]. agreeing: by sample, shape [P]."""
     seen = np.zeros(21, dtype=bool)
-    seen[PROBES.near[agreeing]] = True
-    seen[PROBES.far[agreeing]] = True
+    seen[SURFACE_SAMPLES.near[agreeing]] = True
+    seen[SURFACE_SAMPLES.far[agreeing]] = True
     return seen
 
 

@@ -7,10 +7,13 @@ top edge to 1 at its right or bottom edge.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from PIL import Image
+
+from fungrasp.perception.io.capture import Box
 
 PALM_OUTLINE = np.array([0, 1, 2, 3, 5, 6, 9, 10, 13, 14, 17, 18])
 """Landmarks (models' order) that a window around known landmarks is made from: palm, thumb, near joints."""
@@ -98,6 +101,26 @@ def window_of_landmarks(pixels: np.ndarray) -> Window:
     width, height = high - low
     centre = turn @ ((low + high) / 2 - [0.0, 0.1 * height])
     return Window((float(centre[0]), float(centre[1])), 2.0 * float(max(width, height)), angle)
+
+
+def search_windows(width: int, height: int, near: Box | None) -> Iterator[Window]:
+    """Windows in which palms are searched in turn: the image, around a box, its parts, the image turned.
+
+    width, height: of the image [pixels].
+    """
+    middle = ((width - 1) / 2, (height - 1) / 2)
+    whole = Window(middle, float(max(width, height)))
+    yield whole
+    if near is not None:
+        centre = ((near[0] + near[2]) / 2, (near[1] + near[3]) / 2)
+        yield Window(centre, 3.0 * max(near[2] - near[0], near[3] - near[1]))
+    part = 0.6 * min(width, height)
+    across, down = (
+        np.linspace(part / 2, edge - part / 2, math.ceil(2 * edge / part) - 1) for edge in (width, height)
+    )
+    yield from (Window((float(u), float(v)), part) for v in down for u in across)
+    for angle in (np.pi / 2, -np.pi / 2, np.pi):
+        yield Window(whole.centre, whole.size, angle)
 
 
 def _upright(direction: np.ndarray) -> float:

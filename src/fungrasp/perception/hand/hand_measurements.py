@@ -1,4 +1,4 @@
-"""What of an image shows the hand, once the object it holds and the table are known."""
+"""What an image says about one hand: landmarks, depth and, once object and table are known, its points."""
 
 from __future__ import annotations
 
@@ -6,12 +6,19 @@ import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from fungrasp.grasps.human_hand import BONES
+from fungrasp.perception.estimates import HandEstimate
+from fungrasp.perception.hand.contact_evidence import HandSurroundings
+from fungrasp.perception.hand.detected_hand import MIRROR_X, DetectedHand
 from fungrasp.perception.hand.hand_capsules import offsets_from_lines
-from fungrasp.perception.hand.initial_skeleton import MIRROR_X
-from fungrasp.perception.hand.object_contact import Surroundings
+from fungrasp.perception.hand.image_evidence import FAR_BONES, NEAR_BONES
 from fungrasp.perception.io.capture import Capture, Intrinsics
+
+DEEPEST = 0.16
+"""From the nearest to the farthest joint of a hand [m]: now and then the landmark model says a quarter of a
+metre."""
 
 REACH = 0.12
 """What is seen farther than this from every joint of a first guess [m] is not this hand."""
@@ -48,13 +55,71 @@ COLOUR_SPREAD = 0.04
 
 
 @dataclass(frozen=True, eq=False)
+class HandMeasurements:
+    """What was seen of a hand, in the mirror image if it is a left one."""
+
+    pixels: np.ndarray
+    """Landmarks, shape [21, 2]."""
+    shape: np.ndarray
+    """Joints about the hand's middle [m], camera frame, shape [21, 3], as the landmark model guesses."""
+    directions: np.ndarray
+    """Unit vectors of ``BONES`` in that shape, shape [20, 3]."""
+    depth: np.ndarray
+    """[m], shape [H, W]; NaN: none."""
+    intrinsics: Intrinsics
+    score: float
+    """Probability that this is a hand."""
+    spread: float | None = None
+    """Standard deviation of a landmark [pixels], if the detector knows it."""
+
+    @classmethod
+    def of(cls, detected: DetectedHand, capture: Capture) -> HandMeasurements:
+        """Of a detected hand, mirrored if it is a left one."""
+        intrinsics, pixels, shape = capture.intrinsics, detected.pixels, detected.shape_camera
+        depth = np.where(capture.depth > 0, capture.depth, np.nan)
+        if detected.side == "left":
+            last = intrinsics.width - 1
+            intrinsics = dataclasses.replace(intrinsics, cx=last - intrinsics.cx)
+            pixels = pixels * [-1.0, 1.0] + [last, 0.0]
+            shape, depth = shape * MIRROR_X, depth[:, ::-1]
+        deep = float(np.ptp(shape[:, 2]))
+        shape = shape * [1.0, 1.0, min(1.0, DEEPEST / max(deep, 1e-6))]
+        # The landmark model sees every hand as if it were in the middle of the image.
+        toward = intrinsics.deproject(pixels.mean(axis=0), np.ones(()))
+        axis = np.cross([0.0, 0.0, 1.0], toward / np.linalg.norm(toward))
+        shape = Rotation.from_rotvec(axis).apply(shape)
+        bones = shape[FAR_BONES] - shape[NEAR_BONES]
+        directions = bones / np.maximum(np.linalg.norm(bones, axis=1), 1e-6)[:, None]
+        return cls(pixels, shape, directions, depth, intrinsics, detected.score, detected.spread)
+
+    def landmark_spread(self, part: float, least: float) -> float:
+        """Standard deviation of a landmark [pixels]: what the detector says, else a part of the hand's extent
+        in the image; at least some pixels."""
+        extent = float(np.linalg.norm(np.ptp(self.pixels, axis=0)))
+        return max(least, part * extent if self.spread is None else self.spread)
+
+    def measured(self, pixels: np.ndarray) -> np.ndarray:
+        """Median depth around each pixel [m], 0 where there is hardly any. pixels: shape [P, 2]."""
+        height, width = self.depth.shape
+        around = np.arange(-1, 2)
+        middle = np.rint(pixels).astype(int)
+        columns, rows = middle[:, 0, None, None] + around, middle[:, 1, None, None] + around[:, None]
+        inside = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
+        values = self.depth[np.clip(rows, 0, height - 1), np.clip(columns, 0, width - 1)]
+        values = np.sort(np.where(inside, values, np.nan).reshape(len(pixels), -1), axis=1)
+        count = np.isfinite(values).sum(axis=1)
+        median = values[np.arange(len(values)), np.maximum(count - 1, 0) // 2]
+        return np.where(count >= 3, median, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
 class HandView:
     """An image of a right hand with what is known about it; the mirror image if it is of a left one."""
 
     depth: np.ndarray
     """[m], shape [H, W]; NaN: none."""
     intrinsics: Intrinsics
-    around: Surroundings
+    surroundings: HandSurroundings
     """Object and table."""
     points: np.ndarray
     """Measured points that may show the hand or its arm [m], camera frame, shape [P, 3]."""
@@ -62,7 +127,7 @@ class HandView:
     def mirrored(self) -> HandView:
         """The same seen in a mirror that swaps left and right."""
         lens = dataclasses.replace(self.intrinsics, cx=self.intrinsics.width - 1 - self.intrinsics.cx)
-        return HandView(self.depth[:, ::-1], lens, self.around.mirrored(), self.points * MIRROR_X)
+        return HandView(self.depth[:, ::-1], lens, self.surroundings.mirrored(), self.points * MIRROR_X)
 
     def depth_at(self, pixels: np.ndarray) -> np.ndarray:
         """Depth of the nearest pixel [m], NaN where there is none. pixels: shape [..., 2]."""
@@ -72,7 +137,7 @@ class HandView:
         return np.where(inside, self.depth[np.clip(v, 0, height - 1), np.clip(u, 0, width - 1)], np.nan)
 
 
-def look(capture: Capture, around: Surroundings, guesses: list[np.ndarray]) -> HandView:
+def hand_view(capture: Capture, surroundings: HandSurroundings, guesses: list[np.ndarray]) -> HandView:
     """Find the points of the hand.
 
     They are near a guess, neither object nor table, of the colour that most of what is seen at the guesses'
@@ -80,7 +145,7 @@ def look(capture: Capture, around: Surroundings, guesses: list[np.ndarray]) -> H
 
     Args:
         capture: the image.
-        around: object and table, not mirrored.
+        surroundings: object and table, not mirrored.
         guesses: joints of hands that may be there, best first [m], camera frame, each of shape [21, 3].
     """
     depth = np.where(capture.depth > 0, capture.depth, np.nan)
@@ -101,8 +166,8 @@ def look(capture: Capture, around: Surroundings, guesses: list[np.ndarray]) -> H
     near = np.zeros(len(points), dtype=bool)
     for guess in guesses:
         near |= np.linalg.norm(points[:, None] - guess[::2], axis=-1).min(axis=1) < REACH
-    near &= np.abs(around.object_distance(points)[0]) > OBJECT_NEAR
-    table = around.table_distance(points)
+    near &= np.abs(surroundings.object_distance(points)[0]) > OBJECT_NEAR
+    table = surroundings.table_distance(points)
     if table is not None:
         near &= table[0] > TABLE_NEAR
     points, colour, seen = points[near], colour[near], np.stack([columns, rows], axis=1)[near]
@@ -110,7 +175,7 @@ def look(capture: Capture, around: Surroundings, guesses: list[np.ndarray]) -> H
     reach = BONE * lens.fx / float(np.median(joints[:, 2]))
     points = points[_skin_coloured(seen, colour, bones, reach)]
     every = max(1, len(points) // POINTS)
-    return HandView(depth, lens, around, points[::every])
+    return HandView(depth, lens, surroundings, points[::every])
 
 
 def _edges(depth: np.ndarray) -> np.ndarray:
@@ -151,3 +216,14 @@ def _skin_coloured(
     middle = np.median(alike, axis=0)
     spread = np.maximum(1.48 * np.median(np.abs(alike - middle), axis=0), COLOUR_SPREAD)
     return np.linalg.norm((tone - middle) / spread, axis=1) < OTHER_COLOUR
+
+
+def mirror_estimate(hand: HandEstimate, pixels: np.ndarray) -> HandEstimate:
+    """The hand seen in a mirror that swaps left and right of the image. pixels: where its joints are seen."""
+    return dataclasses.replace(
+        hand,
+        joints_camera=hand.joints_camera * MIRROR_X,
+        covariance=hand.covariance * MIRROR_X[:, None] * MIRROR_X,
+        pixels=pixels,
+        side="left" if hand.side == "right" else "right",
+    )

@@ -1,4 +1,6 @@
-"""The weights of the hand models: fetched once from the mediapipe wheel, checked, kept in the user's cache.
+"""MediaPipe's hand models: weights fetched once from the mediapipe wheel and kept in the user's cache.
+
+The models are run by ``ai-edge-litert``.
 
 The two models (Apache-2.0) are files of the wheel of mediapipe 0.10.21; later wheels don't hold them. This
 package holds no weights.
@@ -7,6 +9,7 @@ package holds no weights.
 from __future__ import annotations
 
 import hashlib
+import importlib
 import subprocess
 import sys
 import tempfile
@@ -14,9 +17,13 @@ import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from fungrasp.errors import FungraspError
 from fungrasp.files import atomic_path, cache_folder
+from fungrasp.perception.io.native_output import filtered_native_output
 
 PACKAGE = "mediapipe==0.10.21"
 """The release, on the package index, whose wheels hold the models."""
@@ -154,3 +161,36 @@ def _check(content: bytes, file: WeightFile, where: Path) -> None:
             f"{file.name} in {where} is not the expected file (sha256 {digest}, not {file.sha256}); run "
             f"'{SETUP_COMMAND}' again"
         )
+
+
+class MediaPipeModel:
+    """A model file in an interpreter; called with one image."""
+
+    def __init__(self, content: bytes, threads: int):
+        """
+        Args:
+            content: of the model file.
+            threads: that run it.
+
+        Raises:
+            FungraspError: ai-edge-litert is not installed.
+        """
+        try:
+            runtime: Any = importlib.import_module("ai_edge_litert.interpreter")
+        except ImportError as error:
+            raise FungraspError(
+                "finding hands in images needs the package ai-edge-litert: pip install ai-edge-litert"
+            ) from error
+        with filtered_native_output():
+            self._interpreter = runtime.Interpreter(model_content=content, num_threads=threads)
+            self._interpreter.allocate_tensors()
+        self._input = self._interpreter.get_input_details()[0]["index"]
+        # The runtime lists outputs in any order; their names tell it.
+        outputs = sorted(self._interpreter.get_output_details(), key=lambda output: output["name"])
+        self._outputs = [output["index"] for output in outputs]
+
+    def __call__(self, image: np.ndarray) -> list[np.ndarray]:
+        """Outputs in the order of their names. image: 0 to 1, float32, shape [S, S, 3]."""
+        self._interpreter.set_tensor(self._input, image[None])
+        self._interpreter.invoke()
+        return [self._interpreter.get_tensor(index)[0] for index in self._outputs]

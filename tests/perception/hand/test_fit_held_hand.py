@@ -1,4 +1,4 @@
-"""The hand that holds a known object: flesh, points, the search of fingers, and which guess wins."""
+"""The hand that holds a known object: capsules, points, the search of fingers, and which guess wins."""
 
 from __future__ import annotations
 
@@ -11,12 +11,13 @@ from hand_scenes import CAMERA, hand_scene
 from fungrasp.geometry.signed_distance import SignedDistanceGrid
 from fungrasp.grasps import load_human_grasps
 from fungrasp.perception import Capture
-from fungrasp.perception.hand.finger_search import FingerSettings, finger_joints, postures, search_fingers
-from fungrasp.perception.hand.hand_capsules import FLESH, capsule_distances, explained_part, flesh_evidence
-from fungrasp.perception.hand.hand_pixels import look
-from fungrasp.perception.hand.held_hand import fit_held
-from fungrasp.perception.hand.initial_skeleton import skeleton_through
-from fungrasp.perception.hand.object_contact import Surroundings
+from fungrasp.perception.hand import fit
+from fungrasp.perception.hand.contact_evidence import HandSurroundings
+from fungrasp.perception.hand.finger_search import finger_joints, postures, search_fingers
+from fungrasp.perception.hand.fit import fit_held_hand, skeleton_through
+from fungrasp.perception.hand.hand_capsules import HAND_CAPSULES, capsule_distances, explained_part
+from fungrasp.perception.hand.hand_measurements import hand_view
+from fungrasp.perception.hand.image_evidence import point_evidence
 from fungrasp.perception.hand.skeleton import SIZE
 
 
@@ -25,7 +26,7 @@ def held():
     row = int(np.flatnonzero(load_human_grasps("builtin").object_name == "can")[0])
     scene = hand_scene(row, np.random.default_rng(6))
     grid = SignedDistanceGrid.from_mesh(scene.model.vertices, scene.model.faces, 0.004)
-    return scene, Surroundings(grid, scene.pose_camera_object, scene.table)
+    return scene, HandSurroundings(grid, scene.pose_camera_object, scene.table)
 
 
 def error(joints, truth):
@@ -36,20 +37,20 @@ def test_distance_of_a_point_from_a_capsule():
     first, last = np.array([[0.0, 0, 1]]), np.array([[0.1, 0, 1]])
     points = np.array([[0.05, 0, 0.95], [-0.03, 0, 0.96], [0.05, 0, 1.05]])
     distance, along, normal = capsule_distances(points, first, last, np.array([[0.01, 0.02]]))
-    # Half-way the flesh is 15 mm thick; the third point is on the side that the camera can't see.
+    # Half-way the capsule is 15 mm thick; the third point is on the side that the camera can't see.
     np.testing.assert_allclose(distance[:, 0], [0.035, 0.04, 0.055], atol=1e-9)
     np.testing.assert_allclose(along[:, 0], [0.5, 0.0, 0.5])
     np.testing.assert_allclose(normal[0, 0], [0, 0, -1])
 
 
-def test_derivatives_of_the_flesh(held):
-    scene, around = held
+def test_derivatives_of_points_on_the_skin(held):
+    scene, surroundings = held
     hand = skeleton_through(scene.joints, 0.003)
-    points = look(scene.capture, around, [scene.joints]).points
+    points = hand_view(scene.capture, surroundings, [scene.joints]).points
 
     def residuals(moved):
         joints, jacobian = moved.joints_and_derivatives()
-        return flesh_evidence(moved, joints, jacobian, points, (1.0, 1.0, 1.0), 1.0)
+        return point_evidence(moved, joints, jacobian, points, (1.0, 1.0, 1.0), 1.0)
 
     here = residuals(hand)
     for parameter in (0, 4, 9, 30, 45, 80):
@@ -63,26 +64,26 @@ def test_derivatives_of_the_flesh(held):
 
 
 def test_points_of_the_hand_are_neither_object_nor_table(held):
-    scene, around = held
-    points = look(scene.capture, around, [scene.joints]).points
+    scene, surroundings = held
+    points = hand_view(scene.capture, surroundings, [scene.joints]).points
     assert len(points) > 100
-    assert np.abs(around.object_distance(points)[0]).min() > 0.004
-    assert around.table_distance(points)[0].min() > 0.004
+    assert np.abs(surroundings.object_distance(points)[0]).min() > 0.004
+    assert surroundings.table_distance(points)[0].min() > 0.004
     assert explained_part(skeleton_through(scene.joints, 0.003), points) > 0.9
     aside = skeleton_through(scene.joints + np.array([0.05, 0, 0]), 0.003)
     assert explained_part(aside, points) < 0.7
 
 
 def test_skin_colour_leaves_other_things_out(held):
-    scene, around = held
+    scene, surroundings = held
     colour = np.full_like(scene.capture.colour, (200, 150, 120))
     distance = capsule_distances(
-        scene.capture.points().reshape(-1, 3), *FLESH.ends(scene.joints), FLESH.radius
+        scene.capture.points().reshape(-1, 3), *HAND_CAPSULES.ends(scene.joints), HAND_CAPSULES.radius
     )[0]
     far = np.abs(distance).min(axis=1).reshape(colour.shape[:2]) > 0.012
     colour[far | ~scene.capture.measured] = (40, 90, 200)
-    whole = look(scene.capture, around, [scene.joints])
-    skin = look(Capture(colour, scene.capture.depth, CAMERA), around, [scene.joints])
+    whole = hand_view(scene.capture, surroundings, [scene.joints])
+    skin = hand_view(Capture(colour, scene.capture.depth, CAMERA), surroundings, [scene.joints])
     pixels = np.rint(CAMERA.project(skin.points)).astype(int)
     assert (colour[pixels[:, 1], pixels[:, 0], 0] == 200).all()
     assert len(skin.points) > 0.3 * len(whole.points)
@@ -98,47 +99,45 @@ def test_postures_are_those_of_the_skeleton(held):
 
 
 def test_the_search_brings_a_finger_back(held):
-    scene, around = held
+    scene, surroundings = held
     hand = skeleton_through(scene.joints, 0.003)
     angles = hand.angles.copy()
     angles[1, :, 1] -= np.radians([70, 30, 10])
     lost = dataclasses.replace(hand, angles=angles)
-    view = look(scene.capture, around, [scene.joints])
-    found = search_fingers(
-        lost, view, CAMERA.project(scene.joints), np.random.default_rng(0), FingerSettings()
-    )
+    view = hand_view(scene.capture, surroundings, [scene.joints])
+    found = search_fingers(lost, view, CAMERA.project(scene.joints), np.random.default_rng(0))
     tip = 8
     assert np.linalg.norm(lost.joints()[tip] - scene.joints[tip]) > 0.04
     assert np.linalg.norm(found.joints()[tip] - scene.joints[tip]) < 0.02
 
 
 def test_the_better_guess_wins(held):
-    scene, around = held
+    scene, surroundings = held
     right = scene.detected(np.random.default_rng(7))
     wrong = dataclasses.replace(
         right, pixels=right.pixels[::-1] + np.array([20, 10]), shape_camera=right.shape_camera[::-1]
     )
     guess = dataclasses.replace(wrong, others=(right,))
-    hand = fit_held(guess, scene.capture, around, scene.joints)
+    hand = fit_held_hand(guess, scene.capture, surroundings, scene.joints)
     assert error(hand.joints_camera, scene.joints) < 0.012
-    assert hand.score > fit_held(wrong, scene.capture, around, scene.joints).score
-    gap = around.object_distance(hand.joints_camera)[0]
+    assert hand.score > fit_held_hand(wrong, scene.capture, surroundings, scene.joints).score
+    gap = surroundings.object_distance(hand.joints_camera)[0]
     assert gap.min() > -0.004
 
 
 def test_the_side_that_fits_the_depth_wins_if_in_doubt(held):
-    scene, around = held
+    scene, surroundings = held
     detected = dataclasses.replace(scene.detected(np.random.default_rng(7)), side="left", side_score=0.6)
-    hand = fit_held(detected, scene.capture, around, scene.joints)
+    hand = fit_held_hand(detected, scene.capture, surroundings, scene.joints)
     assert hand.side == "right" and error(hand.joints_camera, scene.joints) < 0.015
-    assert fit_held(detected, scene.capture, around, scene.joints, side="left").side == "left"
+    assert fit_held_hand(detected, scene.capture, surroundings, scene.joints, side="left").side == "left"
 
 
 def test_a_left_hand_is_the_mirror_image_of_a_right_one(held):
-    scene, around = held
+    scene, surroundings = held
     detected = scene.detected(np.random.default_rng(7))
     mirror = np.array([-1.0, 1.0, 1.0])
-    right = fit_held(detected, scene.capture, around, scene.joints)
+    right = fit_held_hand(detected, scene.capture, surroundings, scene.joints)
     seen = Capture(
         np.ascontiguousarray(scene.capture.colour[:, ::-1]),
         np.ascontiguousarray(scene.capture.depth[:, ::-1]),
@@ -150,7 +149,21 @@ def test_a_left_hand_is_the_mirror_image_of_a_right_one(held):
         shape_camera=detected.shape_camera * mirror,
         side="left",
     )
-    left = fit_held(other, seen, around.mirrored(), scene.joints * mirror)
+    left = fit_held_hand(other, seen, surroundings.mirrored(), scene.joints * mirror)
     assert left.side == "left"
     # Which of the measured points are looked at depends on the order of the pixels.
     assert error(left.joints_camera * mirror, right.joints_camera) < 0.006
+
+
+def test_the_seed_decides_which_postures_are_tried(held, monkeypatch):
+    scene, surroundings = held
+    drawn = []
+
+    def search(skeleton, view, landmarks, rng, **_):
+        drawn.append(rng.random())
+        return skeleton
+
+    monkeypatch.setattr(fit, "search_fingers", search)
+    detected = scene.detected(np.random.default_rng(7))
+    fit_held_hand(detected, scene.capture, surroundings, scene.joints, seed=3)
+    assert set(drawn) == {np.random.default_rng(3).random()}

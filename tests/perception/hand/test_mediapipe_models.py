@@ -10,8 +10,8 @@ import pytest
 
 from fungrasp.cli.main import main
 from fungrasp.errors import FungraspError
-from fungrasp.perception.hand import model_weights as hand_weights
-from fungrasp.perception.hand.model_weights import WeightFile, fetch_weights, have_weights, load_weights
+from fungrasp.perception.hand import mediapipe_models as hand_weights
+from fungrasp.perception.hand.mediapipe_models import WeightFile, fetch_weights, have_weights, load_weights
 
 CONTENT = {"palm": b"a palm model", "landmarks": b"a landmark model"}
 

@@ -1,19 +1,33 @@
-"""Robust Gauss-Newton steps from blocks of evidence."""
+"""Robust Gauss-Newton steps from blocks of residuals."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 
 import numpy as np
 
-from fungrasp.perception.hand.evidence import Evidence
 from fungrasp.perception.hand.skeleton import PARAMETERS
 
 LONGEST_STEP = {"position": 0.05, "turn": 0.5, "angles": 0.5}
 """Largest change of a parameter in one step [m] or [rad]: the derivatives know no farther."""
 
 
-def normal_equations(evidence: Iterable[Evidence], size: int) -> tuple[np.ndarray, np.ndarray]:
+@dataclass(frozen=True, eq=False)
+class HandEvidence:
+    """One block of residuals, with their derivatives by the parameters."""
+
+    residual: np.ndarray
+    """In standard deviations, shape [R]."""
+    jacobian: np.ndarray
+    """Derivatives by the parameters, shape [R, n]; n may be less than the number of parameters."""
+    outlier: float | np.ndarray = np.inf
+    """Residuals beyond this hardly count: one limit for all, or one per group, shape [R / group]."""
+    group: int = 1
+    """So many residuals in a row are one measurement and are judged by their norm."""
+
+
+def normal_equations(evidence: Iterable[HandEvidence], size: int) -> tuple[np.ndarray, np.ndarray]:
     """Weighted normal matrix, shape [size, size], and gradient, [size].
 
     A residual (or group) of norm r with outlier limit c weighs ``(c^2 / (c^2 + r^2))^2``: the loss of Geman
@@ -32,7 +46,7 @@ def normal_equations(evidence: Iterable[Evidence], size: int) -> tuple[np.ndarra
     return matrix, gradient
 
 
-def robust_weights(block: Evidence) -> np.ndarray:
+def robust_weights(block: HandEvidence) -> np.ndarray:
     """Weight of each residual, 0 to 1, shape [R]."""
     square = (block.residual**2).reshape(-1, block.group).sum(axis=1)
     return np.repeat((1.0 + square / np.square(block.outlier)) ** -2.0, block.group)
@@ -48,3 +62,12 @@ def damped_step(matrix: np.ndarray, gradient: np.ndarray, damping: float = 1e-3)
     step = -np.linalg.solve(matrix + np.diag(damping * np.diag(matrix) + 1e-9), gradient)
     largest = max(float(np.abs(step[PARAMETERS[kind]]).max()) / most for kind, most in LONGEST_STEP.items())
     return step / max(1.0, largest)
+
+
+def robust_cost(evidence: Iterable[HandEvidence]) -> float:
+    """Sum over all residuals (or groups) of ``r^2 / (1 + r^2 / c^2)``, of a norm r with outlier limit c."""
+    total = 0.0
+    for block in evidence:
+        square = (block.residual**2).reshape(-1, block.group).sum(axis=1)
+        total += float(np.sum(square / (1.0 + square / np.square(block.outlier))))
+    return total

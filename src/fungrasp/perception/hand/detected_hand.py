@@ -1,0 +1,195 @@
+"""Hands that a detector found in the color image, and which of them is meant."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+
+from fungrasp.errors import FungraspError
+from fungrasp.grasps.anatomy import joint_bends
+from fungrasp.perception.estimates import Side
+from fungrasp.perception.io.capture import Box, Capture
+from fungrasp.perception.warning import PerceptionWarning
+
+HAND_LENGTH = 0.19
+"""From wrist to fingertips of an adult [m]."""
+
+UNDECIDED = 0.6
+"""Below this part of its windows' votes the landmark model is overruled by how the fingers bend."""
+
+BENT_BACK = np.radians(8.0)
+"""Fingers bent back by more, on average over their joints, are those of the other hand [rad]."""
+
+IMPOSSIBLE = np.radians(20.0)
+"""If the landmark model is sure of the side, fingers bent back by more say that its landmarks are wrong
+[rad]."""
+
+DISTRUST = 0.5
+"""Factor of the hand's score in that case."""
+
+MIRROR_X = np.array([-1.0, 1.0, 1.0])
+"""Reflection that swaps left and right of the image, by coordinate."""
+
+
+@dataclass(frozen=True, eq=False)
+class DetectedHand:
+    """A hand in the image, joints in the order of ``HUMAN_JOINTS``."""
+
+    pixels: np.ndarray
+    """Landmarks [pixels], shape [21, 2]."""
+    shape_camera: np.ndarray
+    """Landmarks about the hand's middle [m], shape [21, 3], camera axes; size and depth are guesses of the
+    model."""
+    side: Side
+    """Which hand of the person."""
+    side_score: float
+    """Probability of ``side``, 0.5 to 1."""
+    score: float
+    """Probability that this is a hand, 0 to 1."""
+    others: tuple[DetectedHand, ...] = ()
+    """Detections of the same hand in other windows of the image; each may be the better one."""
+    spread: float | None = None
+    """Standard deviation of a landmark, hidden or not, each way [pixels]; None: as MediaPipe's err, see
+    ``HandFitSettings``."""
+
+    @property
+    def box(self) -> np.ndarray:
+        """``x0 y0 x1 y1`` around the landmarks [pixels], shape [4]."""
+        return np.concatenate([self.pixels.min(axis=0), self.pixels.max(axis=0)])
+
+    @property
+    def extent(self) -> float:
+        """Diagonal of that box [pixels]."""
+        return float(np.linalg.norm(np.ptp(self.pixels, axis=0)))
+
+    @property
+    def right(self) -> float:
+        """Probability that it is a right hand."""
+        return self.side_score if self.side == "right" else 1.0 - self.side_score
+
+    def distance(self, other: DetectedHand) -> float:
+        """Mean distance of the landmarks of two hands [pixels]."""
+        return float(np.linalg.norm(self.pixels - other.pixels, axis=1).mean())
+
+
+class HandDetector(Protocol):
+    """What finds hands in a color image; ``MediaPipeHandDetector`` is one."""
+
+    def detect(self, colour: np.ndarray, near: Box | None = None) -> list[DetectedHand]:
+        """All hands found in an RGB image, shape [H, W, 3]; near: a box beside or around the hand."""
+        ...
+
+
+@runtime_checkable
+class DepthHandDetector(HandDetector, Protocol):
+    """A detector that makes use of how large hands are in the image."""
+
+    def detect_with_depth(
+        self, colour: np.ndarray, lengths: np.ndarray, near: Box | None = None
+    ) -> list[DetectedHand]:
+        """As ``detect``. lengths: ``hand_lengths`` of the image [pixels], shape [H, W]."""
+        ...
+
+
+def find_hands(detector: HandDetector, capture: Capture, near: Box | None = None) -> list[DetectedHand]:
+    """All hands found in an image by a detector, which may be one that depth helps."""
+    if isinstance(detector, DepthHandDetector):
+        lengths = hand_lengths(capture.depth, capture.intrinsics.fx)
+        return detector.detect_with_depth(capture.colour, lengths, near)
+    return detector.detect(capture.colour, near)
+
+
+def hand_lengths(depth: np.ndarray, focal: float) -> np.ndarray:
+    """How long a hand is in the image at the depth of each pixel [pixels], shape [H, W]; NaN without depth.
+
+    depth: [m], shape [H, W], 0 where nothing was measured; focal: length [pixels].
+    """
+    return HAND_LENGTH * focal / np.where(depth > 0, depth, np.nan)
+
+
+def which_side(right: float) -> dict[str, Any]:
+    """Fields of a detected hand that is a right one with some probability."""
+    return {"side": "right" if right >= 0.5 else "left", "side_score": float(max(right, 1 - right))}
+
+
+def choose_hand(
+    hands: Sequence[DetectedHand], near: Box | None = None, side: Side | None = None
+) -> tuple[DetectedHand, list[PerceptionWarning]]:
+    """The hand that is meant.
+
+    Args:
+        hands: those found.
+        near: box around the object, or around the hand [pixels].
+        side: which hand it should be, if known.
+
+    Returns:
+        The hand of that side, if there is one, nearest to the box; without a box, the one largest in the
+        image. And warnings of the choice.
+
+    Raises:
+        FungraspError: there is no hand.
+    """
+    if not hands:
+        raise FungraspError(
+            "no hand was found in the image; it must be bare, in view, at least about 40 pixels wide and "
+            "not seen from its edge"
+        )
+    fitting = [hand for hand in hands if side in (None, hand.side)] or list(hands)
+    if near is None:
+        best = largest_first(fitting)[0]
+        choice = "largest one"
+    else:
+        best = min(fitting, key=lambda hand: _distance_to_box(hand, near))
+        choice = "one nearest to the box"
+    warnings = []
+    if len(hands) > 1:
+        if len(fitting) < len(hands):
+            choice = f"{side} hand" if len(fitting) == 1 else f"{side} hand that is the {choice}"
+        u, v = best.pixels.mean(axis=0).tolist()
+        warnings.append(PerceptionWarning.of("several_hands", count=len(hands), choice=choice, u=u, v=v))
+    if side is not None and best.side != side:
+        warnings.append(PerceptionWarning.of("side_not_as_given", seen=best.side, given=side))
+    return best, warnings
+
+
+def largest_first(hands: Sequence[DetectedHand]) -> list[DetectedHand]:
+    """The hands by the area of their boxes in the image, largest first."""
+    return sorted(hands, key=lambda hand: -float(np.prod(hand.box[2:] - hand.box[:2])))
+
+
+def _distance_to_box(hand: DetectedHand, box: Box) -> float:
+    beyond = np.maximum(np.maximum(np.array(box[:2]) - hand.pixels, hand.pixels - np.array(box[2:])), 0)
+    return float(np.linalg.norm(beyond, axis=1).mean())
+
+
+def settle_side(hand: DetectedHand, side: Side | None = None) -> tuple[DetectedHand, list[PerceptionWarning]]:
+    """The hand with the side that it has.
+
+    The landmark model tells the side from the picture, and is at times wrong about a hand behind an object.
+    The same landmarks in 3D, taken for a hand of the other side, bend their fingers backwards.
+
+    Args:
+        hand: as it was found.
+        side: which hand it is, if that is known.
+
+    Returns:
+        The hand, and a warning if the side was uncertain.
+    """
+    if side is not None:
+        return dataclasses.replace(hand, side=side), []
+    shape = hand.shape_camera if hand.side == "right" else hand.shape_camera * MIRROR_X
+    # Mean flexion of the joints of the four fingers [rad].
+    bend = float(joint_bends(shape)[0][:4].mean())
+    if hand.side_score < UNDECIDED and bend < -BENT_BACK:
+        other: Side = "left" if hand.side == "right" else "right"
+        warnings = [PerceptionWarning.of("side_from_fingers", seen=hand.side, taken=other)]
+        return dataclasses.replace(hand, side=other), warnings
+    if bend < -IMPOSSIBLE:
+        return dataclasses.replace(hand, score=DISTRUST * hand.score), [
+            PerceptionWarning.of("fingers_bent_backwards")
+        ]
+    return hand, []

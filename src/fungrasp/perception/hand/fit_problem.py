@@ -1,0 +1,301 @@
+"""One least-squares problem of a hand, whatever is known about it: image, object, another program's joints.
+
+The unknowns are the parameters of a right hand's ``Skeleton`` and, where there is an image, a turn of the
+shape that the landmark model guessed. Each source of knowledge adds its blocks of residuals.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+from scipy.special import gammainc
+
+from fungrasp.perception.estimates import HandEstimate
+from fungrasp.perception.hand.anatomy_evidence import anatomy_evidence, overlap_evidence
+from fungrasp.perception.hand.contact_evidence import (
+    HandContactSettings,
+    HandSurroundings,
+    contact_evidence,
+)
+from fungrasp.perception.hand.hand_capsules import SURFACE_SAMPLES, explained_part
+from fungrasp.perception.hand.hand_measurements import HandMeasurements, HandView
+from fungrasp.perception.hand.image_evidence import (
+    Silhouettes,
+    depth_evidence,
+    direction_evidence,
+    front_evidence,
+    landmark_evidence,
+    point_evidence,
+    project,
+    silhouette_evidence,
+)
+from fungrasp.perception.hand.least_squares import (
+    HandEvidence,
+    damped_step,
+    normal_equations,
+    robust_cost,
+    robust_weights,
+)
+from fungrasp.perception.hand.skeleton import SIZE, Skeleton
+
+TRUSTED_ERROR = 0.015
+"""A joint's confidence is the probability that its error is smaller than this [m]."""
+
+COVARIANCE_FACTOR = 1.3
+"""By which errors vary more than least squares believes: neighbouring measurements err alike. From made
+scenes with known truth."""
+
+
+@dataclass(frozen=True)
+class HandFitSettings:
+    """What the measurements are worth."""
+
+    landmark_spread: float = 0.03
+    """Standard deviation of a landmark, as a part of the hand's extent in the image."""
+    least_landmark_spread: float = 2.0
+    """Least standard deviation of a landmark [pixels]."""
+    late_landmarks: float = 0.35
+    """Factor of a landmark's residual once the fingers have been searched, and in the cost."""
+    hidden: float = 0.03
+    """A joint so far behind what is seen there [m] is hidden."""
+    hidden_landmarks: float = 0.5
+    """Further factor of the residual of a hidden joint's landmark then."""
+    depth_spread: float = 0.012
+    """Standard deviation of depth at a surface sample [m]: camera, thickness, and that neighbours err
+    alike."""
+    object_depth: float = 0.004
+    """What is seen so near to the known object's surface [m] is the object."""
+    background: float = 0.02
+    """What is seen farther behind a part of the hand [m] is background to it."""
+    background_levels: int = 3
+    """How many depths of the hand's parts are told apart for that."""
+    held_background_levels: int = 2
+    """The same where the object is known."""
+    silhouette_spread: float = 3.0
+    """Standard deviation of the silhouette [pixels]."""
+    silhouette_outlier: float = 20.0
+    """A part farther in the background [pixels] is likelier hidden by a hole in the depth."""
+    silhouette_inset: float = 0.7
+    """Part of the hand's thickness that is surely inside the silhouette."""
+    direction_spread: float = 0.35
+    """Standard deviation of the landmark model's bone directions [rad]."""
+    turn_spread: float = 0.25
+    """Standard deviation of their turn as a whole [rad]."""
+    point_spread: tuple[float, float, float] = (0.004, 0.008, 0.025)
+    """Standard deviation of a measured point's distance from the skin [m]: of fingers, palm and arm."""
+    points_worth: float = 85.0
+    """All measured points count as so many: neighbours err alike."""
+    front_spread: float = 0.016
+    """Standard deviation of how far skin may be in front of what is seen there [m]."""
+    front_outlier: float = 0.05
+    """Skin farther in front [m] is likelier a fault of the depth."""
+    front_slack: float = 0.004
+    """Skin so little in front [m] is not."""
+    overlap_spread: float = 0.002
+    """Standard deviation of how deep fingers are in each other [m]."""
+    contact: HandContactSettings = field(default_factory=HandContactSettings)
+    """What the object and the table are worth, where they are known."""
+
+
+@dataclass(frozen=True)
+class HandFitStage:
+    """What counts in one stage of a fit."""
+
+    depth_outlier: tuple[float, float] = (0.06, 0.06)
+    """How far in front of the skin something else is seen, and how far behind [m]."""
+    point_outlier: float = 0.05
+    """A measured point so far from the skin [m] is none of the hand's."""
+    contact: bool = False
+    """Whether object and table are taken to be right for this hand."""
+    late: bool = False
+    """Whether the fingers have been searched: landmarks of hidden joints are then worth less."""
+
+
+@dataclass(frozen=True, eq=False)
+class HandParameters:
+    """The unknowns."""
+
+    skeleton: Skeleton
+    turn: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    """Rotation vector of the landmark model's shape as a whole [rad], shape [3]."""
+
+
+class HandFitProblem:
+    """What is known about a right hand, and how well parameters agree with it."""
+
+    def __init__(
+        self,
+        *,
+        seen: HandMeasurements | None = None,
+        view: HandView | None = None,
+        estimate: HandEstimate | None = None,
+        surroundings: HandSurroundings | None = None,
+        settings: HandFitSettings | None = None,
+    ):
+        """
+        Args:
+            seen: the hand in the image.
+            view: what of the image shows the hand that holds a known object; needs ``seen``.
+            estimate: joints with covariances from another estimator.
+            surroundings: known object and table; by default those of ``view``.
+            settings: what the measurements are worth.
+        """
+        self.seen, self.view = seen, view
+        self.settings = settings or HandFitSettings()
+        self.surroundings = view.surroundings if view is not None else surroundings
+        self.size = SIZE if seen is None else SIZE + 3
+        if seen is not None:
+            least = self.settings.least_landmark_spread
+            self._landmark_spread = seen.landmark_spread(self.settings.landmark_spread, least)
+        if estimate is not None:
+            # W with W^T W the inverse covariance, shape [21, 3, 3].
+            self._whitening = np.linalg.cholesky(np.linalg.inv(estimate.covariance)).transpose(0, 2, 1)
+        self._estimate = estimate
+
+    def find_background(self, skeleton: Skeleton) -> None:
+        """Look where the background and hidden joints are, for a hand about there."""
+        assert self.seen is not None
+        settings, lens = self.settings, self.seen.intrinsics
+        points, slopes = SURFACE_SAMPLES.place(*skeleton.joints_and_derivatives())
+        pixels, _ = project(points, slopes, lens)
+        levels = settings.background_levels if self.view is None else settings.held_background_levels
+        self._silhouettes = Silhouettes.around(
+            self.seen.depth, pixels, points[:, 2], levels, settings.background
+        )
+        if self.view is not None:
+            joints = skeleton.joints()
+            self._hidden = joints[:, 2] - self.view.depth_at(lens.project(joints)) > settings.hidden
+
+    def solve(self, start: HandParameters, stage: HandFitStage, iterations: int) -> HandParameters:
+        """Gauss-Newton steps from a start."""
+        now = start
+        for _ in range(iterations):
+            step = damped_step(*normal_equations(self.evidence(now, stage), self.size))
+            turn = now.turn + step[SIZE:] if self.size > SIZE else now.turn
+            now = HandParameters(now.skeleton.moved(step[:SIZE]), turn)
+        return now
+
+    def cost(self, parameters: HandParameters, stage: HandFitStage) -> float:
+        """Sum of all residuals squared, each limited by its outlier bound."""
+        return robust_cost(self.evidence(parameters, stage))
+
+    def evidence(self, parameters: HandParameters, stage: HandFitStage) -> list[HandEvidence]:
+        """All that is known: the image's first (landmarks, depth, ...), then anatomy, then contact."""
+        hand = parameters.skeleton
+        joints, jacobian = hand.joints_and_derivatives()
+        found = []
+        if self._estimate is not None:
+            found.append(_joint_evidence(self._estimate, self._whitening, joints, jacobian))
+        if self.seen is not None:
+            found += self._image_evidence(self.seen, parameters, joints, jacobian, stage)
+        if self.view is not None:
+            found.append(overlap_evidence(hand, joints, jacobian, self.settings.overlap_spread))
+        found += anatomy_evidence(hand)
+        if self.surroundings is not None and stage.contact:
+            found += contact_evidence(hand, joints, jacobian, self.surroundings, self.settings.contact)
+        return found
+
+    def _image_evidence(
+        self,
+        seen: HandMeasurements,
+        parameters: HandParameters,
+        joints: np.ndarray,
+        jacobian: np.ndarray,
+        stage: HandFitStage,
+    ) -> list[HandEvidence]:
+        """Landmarks and depth first."""
+        settings, lens, hand = self.settings, seen.intrinsics, parameters.skeleton
+        points, slopes = SURFACE_SAMPLES.place(joints, jacobian)
+        pixels, pixel_slopes = project(points, slopes, lens)
+        radius = SURFACE_SAMPLES.radius * np.exp(hand.size)
+        measured = of_hand = seen.measured(pixels)
+        worth = settings.late_landmarks if stage.late else 1.0
+        landmark_spread = np.full(len(joints), self._landmark_spread)
+        if stage.late and seen.spread is None:
+            landmark_spread /= worth * np.where(self._hidden, settings.hidden_landmarks, 1.0)
+        shown = []
+        if self.view is not None:
+            distance = self.view.surroundings.object_distance(lens.deproject(pixels, measured))[0]
+            of_hand = np.where(distance < settings.object_depth, 0.0, measured)
+            many = np.sqrt(settings.points_worth / max(len(self.view.points), 1))
+            spread = tuple(width / many for width in settings.point_spread)
+            shown = [
+                point_evidence(hand, joints, jacobian, self.view.points, spread, stage.point_outlier),
+                front_evidence(
+                    points,
+                    slopes,
+                    radius + settings.front_slack,
+                    measured,
+                    settings.front_spread,
+                    settings.front_outlier,
+                ),
+            ]
+        directions = Rotation.from_rotvec(parameters.turn).apply(seen.directions)
+        turn_columns = np.hstack([np.zeros((3, SIZE)), np.eye(3)]) / settings.turn_spread
+        return [
+            landmark_evidence(joints, jacobian, lens, seen.pixels, landmark_spread),
+            depth_evidence(points, slopes, radius, of_hand, settings.depth_spread, stage.depth_outlier),
+            *shown,
+            silhouette_evidence(
+                self._silhouettes,
+                pixels,
+                pixel_slopes,
+                points[:, 2],
+                settings.silhouette_inset * radius * lens.fx / points[:, 2],
+                settings.silhouette_spread,
+                settings.silhouette_outlier,
+            ),
+            direction_evidence(joints, jacobian, directions, settings.direction_spread / worth),
+            HandEvidence(parameters.turn / settings.turn_spread, turn_columns),
+        ]
+
+    def joints(
+        self, parameters: HandParameters, evidence: list[HandEvidence]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Joints [m], shape [21, 3], and their covariances [m^2], shape [21, 3, 3].
+
+        evidence: at these parameters.
+        """
+        joints, jacobian = parameters.skeleton.joints_and_derivatives()
+        matrix, _ = normal_equations(evidence, self.size)
+        # Only of the skeleton; inverting first takes the uncertain turn into account.
+        inverse = np.linalg.inv(matrix)[:SIZE, :SIZE]
+        return joints, COVARIANCE_FACTOR * jacobian @ inverse @ jacobian.transpose(0, 2, 1)
+
+    def agreement(self, parameters: HandParameters, evidence: list[HandEvidence]) -> float:
+        """How well the image agrees with a fitted hand, 0 to 1: see ``image_agreement``; times the part of
+        the measured points that the hand explains, where they are known.
+
+        evidence: at these parameters.
+        """
+        landmarks, depth = evidence[:2]
+        agreement = image_agreement(landmarks, depth)
+        if self.view is None:
+            return agreement
+        return agreement * explained_part(parameters.skeleton, self.view.points)
+
+
+def _joint_evidence(
+    estimate: HandEstimate, whitening: np.ndarray, joints: np.ndarray, jacobian: np.ndarray
+) -> HandEvidence:
+    """The joints are where another estimator saw them, as well as its covariances say."""
+    off = np.einsum("jab,jb->ja", whitening, joints - estimate.joints_camera)
+    columns = (whitening @ jacobian).reshape(off.size, -1)
+    return HandEvidence(off.ravel(), columns, outlier=6.0, group=3)
+
+
+def image_agreement(landmarks: HandEvidence, depth: HandEvidence) -> float:
+    """The mean weight of the landmarks, times the part of the hand's visible surface that is not seen
+    through; 0 where no depth is measured at any of it."""
+    if not len(depth.residual):
+        return 0.0
+    through = np.mean(depth.residual < -np.asarray(depth.outlier))
+    return float(robust_weights(landmarks).mean() * (1.0 - through))
+
+
+def joint_confidence(covariance: np.ndarray) -> np.ndarray:
+    """Probability that a joint's error is below ``TRUSTED_ERROR``. covariance: [m^2], shape [21, 3, 3]."""
+    variance = np.trace(covariance, axis1=1, axis2=2) / 3
+    return gammainc(1.5, TRUSTED_ERROR**2 / (2 * variance))

@@ -1,0 +1,265 @@
+"""What the image says about a hand: one function per kind of evidence.
+
+Landmarks, depth, silhouette, measured points, and the shape that the landmark model guesses.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import ndimage
+
+from fungrasp.grasps.hand_thickness import FOREARM_RADII
+from fungrasp.grasps.human_hand import BONES
+from fungrasp.perception.hand.hand_capsules import (
+    ARM_LENGTH,
+    HAND_CAPSULES,
+    arm_direction,
+    capsule_distances,
+    in_front,
+)
+from fungrasp.perception.hand.least_squares import HandEvidence
+from fungrasp.perception.hand.skeleton import Skeleton
+from fungrasp.perception.io.capture import Intrinsics
+
+NEAR_BONES, FAR_BONES = np.transpose(BONES)
+
+FIELD_STEP = 2
+"""Distances are looked at so many pixels apart: silhouettes are not known better."""
+
+NO_BACKGROUND = -1e3
+"""Distance to the background of a level that has none [pixels]."""
+
+_KIND = np.append(np.where(HAND_CAPSULES.finger < 0, 1, 0), 2)
+"""Of every capsule and the arm: finger, palm, arm."""
+
+_NEAR, _FAR, _END = (
+    np.append(HAND_CAPSULES.near, 0),
+    np.append(HAND_CAPSULES.far, 0),
+    np.append(HAND_CAPSULES.end, 1.0),
+)
+
+
+def landmark_evidence(
+    joints: np.ndarray,
+    jacobian: np.ndarray,
+    intrinsics: Intrinsics,
+    pixels: np.ndarray,
+    spread: float | np.ndarray,
+) -> HandEvidence:
+    """The joints project to the landmarks. spread: standard deviation of a landmark [pixels], shape [21] or
+    one for all."""
+    projected, slopes = project(joints, jacobian, intrinsics)
+    width = np.broadcast_to(spread, 21)[:, None]
+    residual = ((projected - pixels) / width).ravel()
+    return HandEvidence(residual, (slopes / width[..., None]).reshape(42, -1), outlier=4.0, group=2)
+
+
+def project(
+    points: np.ndarray, jacobian: np.ndarray, intrinsics: Intrinsics
+) -> tuple[np.ndarray, np.ndarray]:
+    """Pixels of points, shape [P, 2], and their derivatives, [P, 2, n]."""
+    depth = np.maximum(points[:, 2:], 0.05)
+    focal = np.array([intrinsics.fx, intrinsics.fy])
+    slope = points[:, :2] / depth
+    pixels = slope * focal + [intrinsics.cx, intrinsics.cy]
+    derivative = jacobian[:, :2] - slope[..., None] * jacobian[:, 2:]
+    return pixels, derivative * (focal / depth)[..., None]
+
+
+def depth_evidence(
+    points: np.ndarray,
+    jacobian: np.ndarray,
+    radius: np.ndarray,
+    measured: np.ndarray,
+    spread: float,
+    outlier: tuple[float, float],
+) -> HandEvidence:
+    """The skin seen lies in front of the line between joints by half the hand's thickness.
+
+    Args:
+        points, jacobian: of the surface samples.
+        radius: distance of the skin from each [m], shape [P].
+        measured: depth of what is seen at their pixels [m], shape [P]; 0: none.
+        spread: standard deviation of the difference [m].
+        outlier: how far in front of the skin something else is seen, and how far behind [m].
+    """
+    seen = (measured > 0) & in_front(points, radius)
+    residual = (points[:, 2] - radius - measured)[seen] / spread
+    limit = np.where(residual > 0, outlier[0], outlier[1]) / spread
+    return HandEvidence(residual, jacobian[seen, 2] / spread, limit)
+
+
+def front_evidence(
+    points: np.ndarray,
+    jacobian: np.ndarray,
+    radius: np.ndarray,
+    measured: np.ndarray,
+    spread: float,
+    outlier: float,
+) -> HandEvidence:
+    """No skin is in front of what is seen.
+
+    Args:
+        points, jacobian: of the surface samples.
+        radius: distance of the skin from each, and slack [m], shape [P].
+        measured: depth of what is seen at their pixels [m], shape [P]; 0: none.
+        spread: standard deviation of how far skin is in front [m].
+        outlier: skin farther in front is likelier a fault of the depth [m].
+    """
+    ahead = measured - points[:, 2] + radius
+    wrong = (measured > 0) & (ahead > 0)
+    return HandEvidence(ahead[wrong] / spread, -jacobian[wrong, 2] / spread, outlier / spread)
+
+
+def silhouette_evidence(
+    silhouettes: Silhouettes,
+    pixels: np.ndarray,
+    slopes: np.ndarray,
+    depth: np.ndarray,
+    thickness: np.ndarray,
+    spread: float,
+    outlier: float,
+) -> HandEvidence:
+    """Nothing of the hand is where the background is seen.
+
+    Args:
+        silhouettes: where that is.
+        pixels, slopes: of the surface samples and their derivatives, shapes [P, 2] and [P, 2, n].
+        depth: of the surface samples [m], shape [P].
+        thickness: least distance of each from the background [pixels], shape [P].
+        spread: standard deviation of that distance [pixels].
+        outlier: a sample deeper in the background [pixels] is likelier hidden by a hole in the depth.
+    """
+    distance, gradient = silhouettes.distance(pixels, depth)
+    residual = distance + thickness
+    out = (residual > 0) & gradient.any(axis=1)
+    by_step = np.einsum("pi,pin->pn", gradient[out], slopes[out])
+    return HandEvidence(residual[out] / spread, by_step / spread, outlier / spread)
+
+
+def direction_evidence(
+    joints: np.ndarray, jacobian: np.ndarray, directions: np.ndarray, spread: float
+) -> HandEvidence:
+    """The bones point where a model of shape says, up to a turn of the whole hand.
+
+    That turn about the camera's axes is three more parameters, appended to the skeleton's.
+
+    Args:
+        joints, jacobian: of the skeleton.
+        directions: unit vectors of ``BONES``, turned as believed so far, camera frame, shape [20, 3].
+        spread: standard deviation of a direction [rad].
+    """
+    bones = joints[FAR_BONES] - joints[NEAR_BONES]
+    lengths = np.linalg.norm(bones, axis=1)[:, None]
+    units = bones / lengths
+    slopes = jacobian[FAR_BONES] - jacobian[NEAR_BONES]
+    along = np.einsum("bi,bin->bn", units, slopes)
+    slopes = (slopes - units[..., None] * along[:, None]) / lengths[..., None]
+    by_turn = -np.cross(np.eye(3), directions[:, None]).transpose(0, 2, 1)
+    columns = np.concatenate([slopes, by_turn], axis=-1).reshape(60, -1)
+    return HandEvidence(((units - directions) / spread).ravel(), columns / spread, outlier=4.0, group=3)
+
+
+def point_evidence(
+    hand: Skeleton,
+    joints: np.ndarray,
+    jacobian: np.ndarray,
+    points: np.ndarray,
+    spread: tuple[float, ...],
+    outlier: float,
+) -> HandEvidence:
+    """Every point that shows the hand or its arm lies on the skin.
+
+    Args:
+        hand, joints, jacobian: the skeleton, its joints and their derivatives.
+        points: [m], shape [P, 3].
+        spread: standard deviation of a point's distance from the skin [m]: at fingers, palm and arm.
+        outlier: a point farther from the skin [m] shows something else.
+    """
+    first, last = HAND_CAPSULES.ends(joints)
+    elbow = joints[0] + ARM_LENGTH * arm_direction(points, joints)
+    first, last = np.vstack([first, joints[0]]), np.vstack([last, elbow])
+    radius = np.vstack([HAND_CAPSULES.radius, FOREARM_RADII]) * np.exp(hand.size)
+    distance, along, normal = capsule_distances(points, first, last, radius)
+    nearest = np.abs(distance).argmin(axis=1)
+    row = np.arange(len(points))
+    distance, along, normal = distance[row, nearest], along[row, nearest], normal[row, nearest]
+    kind = _KIND[nearest]
+    part = np.where(kind == 2, 0.0, along * _END[nearest])[:, None]
+    by_step = np.einsum("pi,pin->pn", normal, jacobian[_NEAR[nearest]]) * (1 - part)
+    by_step += np.einsum("pi,pin->pn", normal, jacobian[_FAR[nearest]]) * part
+    width = np.asarray(spread)[kind]
+    return HandEvidence(distance / width, -by_step / width[:, None], outlier / width)
+
+
+@dataclass(frozen=True, eq=False)
+class Silhouettes:
+    """Distances in the image to the background of a hand, for parts of it at different depths."""
+
+    corner: np.ndarray
+    """Top left pixel ``[u v]`` of the part of the image that was looked at, shape [2]."""
+    depths: np.ndarray
+    """Parts nearer than this [m] belong to a level, ascending, shape [L]."""
+    fields: np.ndarray
+    """Distance into the background of each level, negative outside it [pixels], at every
+    ``FIELD_STEP``-th pixel, shape [L, h, w]."""
+
+    @classmethod
+    def around(
+        cls,
+        depth: np.ndarray,
+        pixels: np.ndarray,
+        parts: np.ndarray,
+        levels: int,
+        behind: float,
+        margin: int = 40,
+    ) -> Silhouettes:
+        """Look at the image around a hand.
+
+        Args:
+            depth: of the image [m], shape [H, W]; NaN: none, taken for anything.
+            pixels: of the hand's parts, shape [P, 2].
+            parts: their depths [m], shape [P].
+            levels: how many depths of parts are told apart.
+            behind: what is farther than a part by this [m] is background to it.
+            margin: looked at around the parts [pixels].
+        """
+        edge = np.array(depth.shape[::-1])
+        low = np.clip(np.floor(pixels.min(axis=0)) - margin, 0, edge - 2).astype(int)
+        high = np.clip(np.ceil(pixels.max(axis=0)) + margin, low + 2, edge).astype(int)
+        crop = depth[low[1] : high[1] : FIELD_STEP, low[0] : high[0] : FIELD_STEP]
+        depths = np.quantile(parts, np.arange(1, levels + 1) / levels)
+        return cls(low, depths, np.stack([_field(crop > limit + behind) for limit in depths]))
+
+    def distance(self, pixels: np.ndarray, parts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """How deep each part is in the background.
+
+        Args:
+            pixels: shape [P, 2].
+            parts: depths of the parts [m], shape [P].
+
+        Returns:
+            [pixels], shape [P], negative where it is not; its slope, shape [P, 2]; both 0 for parts beyond
+            what was looked at.
+        """
+        level = np.minimum(np.searchsorted(self.depths, parts), len(self.depths) - 1)
+        local = (pixels - self.corner) / FIELD_STEP
+        height, width = self.fields.shape[1:]
+        inside = np.all((local >= 0) & (local < [width - 1, height - 1]), axis=1)
+        local = np.where(inside[:, None], local, 0.0)
+        cell = local.astype(int)
+        x, y = (local - cell).T
+        near = [self.fields[level, cell[:, 1] + i, cell[:, 0] + j] for i in (0, 1) for j in (0, 1)]
+        top, bottom = near[0] + x * (near[1] - near[0]), near[2] + x * (near[3] - near[2])
+        across = (1 - y) * (near[1] - near[0]) + y * (near[3] - near[2])
+        value = np.where(inside, top + y * (bottom - top), 0.0)
+        return value, np.stack([across, bottom - top], axis=1) * inside[:, None] / FIELD_STEP
+
+
+def _field(background: np.ndarray) -> np.ndarray:
+    if not background.any():
+        return np.full(background.shape, NO_BACKGROUND)
+    inside, outside = (np.asarray(ndimage.distance_transform_edt(part)) for part in (background, ~background))
+    return FIELD_STEP * (inside - outside)

@@ -1,0 +1,144 @@
+"""What an image says about a known object, made ready for searching and scoring poses."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fungrasp.geometry.poses import transform_points
+from fungrasp.perception.io.capture import Capture, Intrinsics, depth_noise
+from fungrasp.perception.object_pose.icp import ObjectEvidence, free_space
+from fungrasp.perception.object_pose.known_object import KnownObject
+from fungrasp.perception.object_pose.scoring import PoseScorer, pose_scorer
+from fungrasp.perception.scene.segmentation import segment
+
+LEAST_PIXELS = 80
+"""Fewer measured pixels of the object don't tell its pose."""
+
+TOO_LARGE = 1.25
+"""What a mask shows is not the mesh if it is larger by this factor."""
+
+WIDEST = 960
+"""Longer images [pixels] are thinned out: more pixels cost time and do not help."""
+
+
+@dataclass(frozen=True, eq=False)
+class ObjectView:
+    """What an image says about the object. ``view_of_object`` makes it."""
+
+    known: KnownObject
+    capture: Capture
+    table: np.ndarray | None
+    """Plane ``[nx ny nz d]``, camera frame, shape [4], if known."""
+    joints: np.ndarray | None
+    """Of the hand [m], camera frame, shape [21, 3], if known."""
+    support: np.ndarray
+    """How sure it is that a pixel shows a thing, not skin, table or room, 0 to 1, shape [H, W]."""
+    masks: tuple[np.ndarray, ...]
+    """Proposals for the object's pixels, bool, shape [H, W] each."""
+    evidence: tuple[ObjectEvidence, ...]
+    """Of each mask."""
+
+    def scorer(self, rays: int) -> PoseScorer:
+        """Scores poses by about so many rays that meet a mask."""
+        known, capture = self.known, self.capture
+        return pose_scorer(known, capture, self.support, self.masks, self.table, self.joints, rays)
+
+
+def thinned(capture: Capture) -> Capture:
+    """Every so many rows and columns, so that the longer side is at most ``WIDEST``."""
+    k = capture.intrinsics
+    step = -(-max(k.width, k.height) // WIDEST)
+    if step == 1:
+        return capture
+    colour, depth = capture.colour[::step, ::step], capture.depth[::step, ::step]
+    lens = Intrinsics(depth.shape[1], depth.shape[0], k.fx / step, k.fy / step, k.cx / step, k.cy / step)
+    mask = None if capture.mask is None else capture.mask[::step, ::step]
+    if mask is not None and not mask.any():
+        return capture
+    x0, y0, x1, y1 = np.array(capture.box or (0.0, 0.0, 1.0, 1.0)) / step
+    box = None if capture.box is None else (float(x0), float(y0), float(x1), float(y1))
+    return Capture(colour, depth, lens, mask, box)
+
+
+def view_of_object(
+    known: KnownObject,
+    capture: Capture,
+    joints: np.ndarray | None,
+    table: np.ndarray | None,
+    rng: np.random.Generator,
+) -> tuple[ObjectView | None, str]:
+    """The image made ready; or why that can't be."""
+    if capture.mask is not None:
+        masks: tuple[np.ndarray, ...] = (capture.mask,)
+        support = capture.mask.astype(float)
+    else:
+        segmentation = segment(capture, joints, table, known.size)
+        masks, support = segmentation.masks, segmentation.support
+    counts = [int((mask & capture.measured).sum()) for mask in masks]
+    masks = tuple(mask for mask, count in zip(masks, counts, strict=True) if count >= LEAST_PIXELS)
+    if not masks:
+        where = "the mask" if capture.mask is not None else "what may be the object"
+        return None, f"{where} has only {max(counts, default=0)} pixels with depth"
+    evidence = tuple(object_evidence(capture, mask, table, rng) for mask in masks)
+    if capture.mask is not None:
+        low, high = np.percentile(evidence[0].points, [3, 97], axis=0)
+        extent = float(np.linalg.norm(high - low))
+        if extent > TOO_LARGE * known.size:
+            return None, (
+                f"the mask shows something {extent:.3f} m large, but the mesh is {known.size:.3f} m: "
+                "wrong mesh, mask or unit?"
+            )
+    return ObjectView(known, capture, table, joints, support, masks, evidence), ""
+
+
+def object_evidence(
+    capture: Capture, mask: np.ndarray, table: np.ndarray | None, rng: np.random.Generator
+) -> ObjectEvidence:
+    """What a mask says about the object.
+
+    Args:
+        capture: the image.
+        mask: pixels that show the object, shape [H, W] bool.
+        table: plane ``[nx ny nz d]``, camera frame, or None.
+        rng: shuffles the points.
+    """
+    shown = mask & capture.measured
+    rows, columns = np.nonzero(shown)
+    some = rng.permutation(len(rows))[:3000]
+    pixels = np.stack([columns[some], rows[some]], axis=-1)
+    points = capture.intrinsics.deproject(pixels, capture.depth[rows[some], columns[some]])
+    return ObjectEvidence(points, free_space(capture.depth, capture.intrinsics, mask, table))
+
+
+def explained_mask(known: KnownObject, capture: Capture, pose: np.ndarray, allowed: np.ndarray) -> np.ndarray:
+    """Pixels whose depth is that of the mesh, shape [H, W] bool.
+
+    Args:
+        known: the object.
+        capture: the image.
+        pose: object in the camera frame, shape [7].
+        allowed: pixels that may belong to the object, shape [H, W] bool.
+    """
+    k = capture.intrinsics
+    result = np.zeros(allowed.shape, dtype=bool)
+    corners = transform_points(pose, known.surface.samples)
+    pixels = k.project(corners[corners[:, 2] > 0.05])
+    if not len(pixels):
+        return result
+    low = np.clip(np.floor(pixels.min(axis=0)) - 2, 0, [k.width - 1, k.height - 1]).astype(int)
+    high = np.clip(np.ceil(pixels.max(axis=0)) + 2, 1, [k.width, k.height]).astype(int)
+    if np.any(high <= low):
+        return result
+    step = max(1, int(np.sqrt(float(np.prod(high - low)) / 15000)))
+    u, v = np.meshgrid(np.arange(low[0], high[0], step), np.arange(low[1], high[1], step))
+    flat = np.stack([u.ravel(), v.ravel()], axis=-1)
+    seen = known.rays.cast(pose[None], k.deproject(flat, np.ones(len(flat))))[0].reshape(u.shape)
+    depth = capture.depth[v, u]
+    agrees = (np.abs(seen - depth) < 3 * depth_noise(depth)) & (depth > 0)
+    grown = agrees.repeat(step, axis=0).repeat(step, axis=1)
+    part = result[low[1] :, low[0] :]
+    rows, columns = min(len(grown), part.shape[0]), min(len(grown[0]), part.shape[1])
+    part[:rows, :columns] = grown[:rows, :columns]
+    return result & allowed

@@ -1,0 +1,27 @@
+"""Warnings have a code, values and a sentence."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+
+from fungrasp.errors import UnknownNameError
+from fungrasp.perception.warning import MESSAGES, PerceptionWarning
+
+
+def test_a_warning_reads_as_a_sentence():
+    given = PerceptionWarning.of("low_hand_score", score=0.314)
+    assert str(given) == "the hand: its score is only 0.31"
+    assert given.code == "low_hand_score" and given.values == {"score": 0.314}
+
+
+def test_every_sentence_takes_its_values():
+    for code, message in MESSAGES.items():
+        values = dict.fromkeys(re.findall(r"{(\w+)", message), 1.5)
+        assert str(PerceptionWarning(code, values))
+
+
+def test_an_unknown_code_is_refused():
+    with pytest.raises(UnknownNameError, match="low_hand_score"):
+        PerceptionWarning.of("low_hand_scor")
