@@ -57,7 +57,7 @@ class MotionSettings:
     """How clear the approach should be."""
 
 
-def table_under(
+def table_below(
     names: Sequence[str],
     object_pose: np.ndarray,
     believed_height: np.ndarray,
@@ -130,7 +130,7 @@ class MotionPlanner:
         hand, objects, s = self.hand, self.objects, self.settings
         names = grasps.object_name.tolist()
         # Below, the table is at zero; what is planned is in the object's frame.
-        b = lowered(belief, table_under(names, belief.object_pose, belief.table_height, objects))
+        b = lowered(belief, table_below(names, belief.object_pose, belief.table_height, objects))
         in_object = compose(invert(grasps.object_pose), grasps.wrist_pose)
         given = hand.independent(grasps.joint_positions)
         palm, joints = adapt_to_settled_object(

@@ -14,7 +14,7 @@ from fungrasp.files import digest
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
-from fungrasp.planning.grasp_motion import MotionPlanner, lowered, table_under
+from fungrasp.planning.grasp_motion import MotionPlanner, lowered, table_below
 from fungrasp.planning.selection.candidates import propose
 from fungrasp.planning.selection.rollouts import RolloutSettings, Rounds, try_candidates
 from fungrasp.planning.selection.success_predictor import SuccessPredictor
@@ -124,7 +124,7 @@ class SearchPlanner:
         """See ``Planner.plan``. All grasps are varied in the same ways, so that the choice for one does not
         depend on the others."""
         names = grasps.object_name.tolist()
-        table = table_under(names, belief.object_pose, belief.table_height, self._objects)
+        table = table_below(names, belief.object_pose, belief.table_height, self._objects)
         rounded = _rounded(lowered(belief, table))
         keys = [
             self._key(grasps.select(np.array([i])), rounded.select(np.array([i])), seed)
