@@ -23,7 +23,7 @@ from fungrasp.planning.selection import SearchPlanner, SelectionSettings
 from fungrasp.policies import make_planner, make_policy, policy_files
 from fungrasp.simulation import Scene, build_scene
 from fungrasp.task import LiftEnvironment, LiftProtocol, Outcomes, Policy, PrivilegedPolicy, play
-from fungrasp.transfer import NOMINAL, Randomization, draw_each
+from fungrasp.transfer import NOMINAL, Randomization, draw_each, random_stream
 
 CHUNK = 128
 """Episodes simulated together. It bounds the memory, and an episode does not depend on the others of its
@@ -261,7 +261,7 @@ class _Test:
         """
         hand, r, p = self.scene.hand, self.randomization, self.protocol
         sample = draw_each(r, seed, rows, len(hand.joint_names))
-        jitter = [np.random.default_rng([seed, int(row), 1]) for row in rows]
+        jitter = [random_stream("sensor jitter", seed, int(row)) for row in rows]
         environment = LiftEnvironment(self.scene, len(rows), r, p, jitter, self.threads)
         belief = environment.settle(grasps, sample)
         # A searching planner takes most of the time: half of the progress is its.

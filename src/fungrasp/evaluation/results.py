@@ -38,6 +38,10 @@ def summary(result: LiftTestResult, which: np.ndarray | None = None) -> dict[str
         "success_interval": list(wilson_interval(successes, count)),
     }
     values |= {name: float(np.mean(getattr(result.outcomes, name)[which])) for name in MEANS}
+    held = which & result.outcomes.success
+    for name in ("sim_distance_world_mm_s", "sim_distance_hand_mm_s"):
+        distance = getattr(result.outcomes, name)[held]
+        values[f"{name}_held"] = float(np.mean(distance)) if len(distance) else None
     displacement = values["sim_distance_world_mm_s"] * LEGACY_PERIOD
     values["legacy"] = {
         "success_rate": float(np.mean(result.outcomes.legacy_success[which])),

@@ -47,6 +47,9 @@ class Trajectory:
     """Which links touch the object, in the order of ``Hand.links``, shape [T, L] bool."""
     phase: np.ndarray
     """Index into ``PHASES``, shape [T]."""
+    controls: np.ndarray | None = None
+    """What the servos of the scene were told before each state: the wrist's six joints in its frame [m, rad],
+    then the finger servos [rad]; shape [T, 6 + U]. None in recordings of earlier versions."""
 
     def save(self, path: str | Path) -> None:
         """Write to an ``.npz`` file, whole or not at all; numbers as float32.
@@ -54,7 +57,8 @@ class Trajectory:
         Raises:
             FungraspError: the file can't be written.
         """
-        arrays = {field.name: np.asarray(getattr(self, field.name)) for field in fields(self)}
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        arrays = {name: np.asarray(value) for name, value in values.items() if value is not None}
         short = {
             k: v.astype(np.float32) if v.dtype == np.float64 and v.ndim else v for k, v in arrays.items()
         }
@@ -79,7 +83,8 @@ def replay(path: str | Path) -> Trajectory:
         raise FungraspError(f"the recorded trial {path} does not exist")
     try:
         with np.load(path, allow_pickle=False) as data:
-            arrays = {field.name: data[field.name] for field in fields(Trajectory)}
+            names = [f.name for f in fields(Trajectory) if f.name in data or f.name != "controls"]
+            arrays = {name: data[name] for name in names}
     except (OSError, ValueError, EOFError, KeyError, TypeError, zipfile.BadZipFile, zlib.error) as error:
         raise FungraspError(f"{path} is no recorded trial: {' '.join(str(error).split())}") from error
     values = {name: value if value.ndim else value.item() for name, value in arrays.items()}
@@ -114,6 +119,7 @@ class Recorder:
                 engine.joint_positions.astype(np.float32),
                 engine.link_contacts,
                 phase.astype(np.int8),
+                task.controls.astype(np.float32),
             )
         )
 
@@ -126,7 +132,7 @@ class Recorder:
         result = []
         for world, row in enumerate(rows):
             kept = running[:, world]
-            qpos, thing, palm, joints, contacts, phase = (state[kept, world] for state in states)
+            qpos, thing, palm, joints, contacts, phase, controls = (state[kept, world] for state in states)
             result.append(
                 Trajectory(
                     hand=self._grasps.hand,
@@ -143,6 +149,7 @@ class Recorder:
                     joint_positions=joints,
                     link_contacts=contacts,
                     phase=phase,
+                    controls=controls,
                 )
             )
         return result

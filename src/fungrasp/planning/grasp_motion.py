@@ -47,8 +47,6 @@ class MotionSettings:
     """How far the wrist goes below its target while the fingers close, as the fingers yield upwards [m]."""
     press_in: float = 0.008
     """How far it goes beyond its target along the palm's normal [m]."""
-    lift_margin: float = 0.03
-    """How much higher the wrist goes than the lift asks for, as what swings hangs lower [m]."""
     lookahead: float = 0.06
     """How far ahead on its path the wrist aims [m]."""
     adapt: AdaptSettings = AdaptSettings()
@@ -197,7 +195,6 @@ def _follow_path(
         squeezing = np.clip((since + p.control_period - s.close_time) / s.squeeze_time, 0.0, 1.0)
         goal = np.where(closing > 0, closing_pose, goal)
         lifting = since[:, 0] >= after - 1e-9
-        goal[:, 2] += np.where(lifting, s.lift_margin, 0.0)
         fingers = fingers + closing * (grasp - fingers) + squeezing * squeeze
         table.append(
             (

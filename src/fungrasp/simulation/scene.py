@@ -48,6 +48,9 @@ class SceneSettings:
     impratio: float = 10.0
     iterations: int = 10
     """Newton iterations."""
+    noslip_iterations: int = 0
+    """Iterations that take the creep out of friction after the solver: they slow physics down and change few
+    outcomes (docs/simulation.md); the GPU engine has none."""
     wrist_stiffness: tuple[float, float] = (2000.0, 100.0)
     """Of the wrist servo: [N/m] and [N m/rad]. A robot arm is stiffer; this keeps collisions soft."""
     wrist_damping: tuple[float, float] = (120.0, 5.0)
@@ -69,8 +72,8 @@ class Scene:
     fields: Mapping[str, np.ndarray]
     """Model fields that differ between objects, shape [number of objects, ...]."""
     settings: SceneSettings
-    lowest: tuple[np.ndarray, ...]
-    """Vertices of each object [m], shape [V, 3]: to stand it on the table."""
+    models: tuple[ObjectModel, ...]
+    """The objects, in the order of ``objects``."""
 
     def indices(self, names: Iterable[str]) -> np.ndarray:
         """Index of each object named, shape [N] int: what an engine calls ``object_index``."""
@@ -121,7 +124,7 @@ def build_scene(
             for model in single
         ]
     )
-    return Scene(hand, whole, names, fields, settings, tuple(objects[name].vertices for name in names))
+    return Scene(hand, whole, names, fields, settings, tuple(objects.values()))
 
 
 def _compile(
@@ -154,6 +157,7 @@ def _set_options(spec: mujoco.MjSpec, settings: SceneSettings) -> None:
     option.impratio = settings.impratio
     option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     option.iterations = settings.iterations
+    option.noslip_iterations = settings.noslip_iterations
     option.ls_iterations = 20
     option.disableflags |= mujoco.mjtDisableBit.mjDSBL_MIDPHASE
 

@@ -81,7 +81,7 @@ class LiftEnvironment:
         self._set_parameters(everyone, self.scene.indices(grasps.object_name.tolist()), grasps.object_mass)
         rest = grasps.object_rest_pose.copy()
         rest[:, 2] += self.sample.table_height
-        self.task.settle(replace(grasps, object_rest_pose=rest))
+        self.task.settle(replace(grasps, object_rest_pose=rest), self.sample.table_height)
         self.sensors.begin(everyone)
         seen = self.sensors.believed_object_pose(self.task.settled_pose.copy(), self.sample)
         setpoints = self.task.setpoints

@@ -13,6 +13,7 @@ from fungrasp.task.action import Action
 from fungrasp.task.outcome import LiftMeasurements, Outcomes
 from fungrasp.task.protocol import LiftProtocol
 from fungrasp.task.setpoints import SetpointGenerator, SetpointSequence
+from fungrasp.task.start_pose import StartPoses
 
 PARKED = np.array([0.0, 0.0, 3.0, 1.0, 0.0, 0.0, 0.0])
 """Where the palm waits while objects settle, world frame."""
@@ -36,6 +37,9 @@ class LiftTask:
         """Links that should touch, shape [W, L]."""
         self.setpoints = SetpointGenerator(self.scene, count, self.protocol)
         self.measurements = LiftMeasurements(engine, self.protocol)
+        self._start_poses = StartPoses(self.scene)
+        self.controls = np.zeros((count, 6 + len(self.scene.hand.actuators)))
+        """What the engine's servos were last told, as ``Engine.controls`` gives it, shape [W, 6 + U]."""
         self.time = np.zeros(count)
         """Time of each episode [s], shape [W]."""
         self.lift_time = np.full(count, np.inf)
@@ -53,11 +57,12 @@ class LiftTask:
         low = (self.time - self.lift_time > p.lost_after) & (height < p.lost_height)
         return low | (height <= -1.0)
 
-    def settle(self, grasps: RobotGraspSet) -> None:
+    def settle(self, grasps: RobotGraspSet, table_height: np.ndarray | None = None) -> None:
         """Let the objects settle from their rest poses, then put the hands at their start.
 
         Args:
             grasps: one per world, of the objects that the worlds hold.
+            table_height: of the table top [m], shape [W]; zero if None.
         """
         engine, hand, p = self.engine, self.scene.hand, self.protocol
         low, high = hand.joint_limits.T
@@ -76,6 +81,8 @@ class LiftTask:
         away = target[:, :3] - settled[:, :3]
         away /= np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-9)
         start[:, :3] = settled[:, :3] + p.start_distance * away
+        height = np.zeros(len(engine)) if table_height is None else table_height
+        start = self._start_poses.clear(engine.object_index, settled, start, fingers, height)
         self.begin(np.arange(len(engine)), settled, target, start, fingers, grasps.link_contacts)
 
     def begin(
@@ -112,6 +119,9 @@ class LiftTask:
             palm_velocity=velocity,
             joint_positions=self.scene.hand.all_joints(start_fingers),
         )
+        self.controls = self.engine.controls(
+            self.setpoints.wrist.pose, self.setpoints.wrist.velocity, self.setpoints.fingers
+        )
         self.measurements.begin(ids)
         self.time[ids] = 0.0 if start_time is None else start_time
         self.lift_time[ids] = self.hold_time[ids] = np.inf
@@ -137,6 +147,7 @@ class LiftTask:
         for i in range(setpoints.number):
             setpoints.wrist.pose, setpoints.fingers = sequence.palm[i], sequence.fingers[i]
             before()
+            self.controls = controls[i]
             self.engine.step(controls[i], setpoints.substeps, active)
             self.time += np.where(self.done, 0.0, setpoints.period)
             self._update_hold(sequence.goal)

@@ -27,7 +27,8 @@ class Outcomes(BatchRecord):
     contact_f1: np.ndarray
     """Harmonic mean of the two at each sample, mean over the hold."""
     sim_distance_world_mm_s: np.ndarray
-    """Displacement of the object per second of the hold, in the world [mm/s]."""
+    """Displacement of the object per second of the hold, in the world [mm/s]; what is dropped counts until it
+    rests."""
     sim_distance_hand_mm_s: np.ndarray
     """The same relative to the palm: slip [mm/s]."""
     pushed_m: np.ndarray
@@ -55,9 +56,10 @@ class LiftMeasurements:
         self._lifted = np.full(count, np.inf)
         self._touched_table = np.zeros(count, dtype=bool)
         self._pushed = np.zeros(count)
-        # Rows: number of samples, recall, precision, F1, travel in the world, travel in the palm, any
-        # contact.
-        self._sums = np.zeros((7, count))
+        # Rows: number of samples, recall, precision, F1, any contact, intervals, travel in the world, travel
+        # in the palm. There is one interval less than samples: the first sample ends the lift.
+        self._sums = np.zeros((8, count))
+        self._held = np.zeros(count, dtype=bool)
         self._previous = np.full((count, 3), np.nan), np.full((count, 3), np.nan)
 
     @property
@@ -74,6 +76,7 @@ class LiftMeasurements:
         self._touched_table[ids] = False
         self._pushed[ids] = 0.0
         self._sums[:, ids] = 0.0
+        self._held[ids] = False
         self._previous[0][ids], self._previous[1][ids] = np.nan, np.nan
 
     def lift_begins(self, which: np.ndarray, settled_pose: np.ndarray) -> None:
@@ -107,13 +110,15 @@ class LiftMeasurements:
         f1 = 2 * both / np.maximum(target.sum(axis=1) + actual.sum(axis=1), 1)
         travel = np.linalg.norm(position[:, :3] - self._previous[0], axis=1)
         slip = np.linalg.norm(in_palm - self._previous[1], axis=1)
-        sample = np.stack([np.ones(len(holding)), recall, precision, f1, travel, slip, actual.any(axis=1)])
-        self._sums += np.where(holding & np.isfinite(travel), np.nan_to_num(sample), 0.0)
-        self._previous = position[:, :3].copy(), in_palm
+        contacts = np.stack([np.ones(len(holding)), recall, precision, f1, actual.any(axis=1)])
+        moved = np.stack([np.ones(len(holding)), travel, slip])
+        self._sums[:5] += np.where(holding, contacts, 0.0)
+        self._sums[5:] += np.where(holding & self._held, np.nan_to_num(moved), 0.0)
+        self._previous, self._held = (position[:, :3].copy(), in_palm), holding
 
     def outcomes(self) -> Outcomes:
         """What was measured so far."""
-        number, recall, precision, f1, travel, slip, touching = self._sums
+        number, recall, precision, f1, touching, intervals, travel, slip = self._sums
         number = np.maximum(number, 1)
         high = self._lifted >= self._protocol.success_height
         diverged = self._lifted < -0.5
@@ -129,7 +134,7 @@ class LiftMeasurements:
             ],
             "lost before the hold",
         )
-        per_second = 1e3 / (number * self._protocol.control_period)
+        per_second = 1e3 / (np.maximum(intervals, 1) * self._protocol.control_period)
         return Outcomes(
             success=success,
             lifted_height_m=self._lifted,

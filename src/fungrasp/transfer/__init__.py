@@ -12,6 +12,7 @@ from fungrasp.transfer.randomization import (
     Range,
     draw,
     draw_each,
+    random_stream,
 )
 
 __all__ = [
@@ -26,5 +27,6 @@ __all__ = [
     "draw",
     "draw_each",
     "offset_pose",
+    "random_stream",
     "shift_on_table",
 ]

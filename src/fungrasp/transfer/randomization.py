@@ -8,6 +8,7 @@ that was moved after planning are additions.
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Literal
@@ -229,6 +230,12 @@ def draw(randomization: Randomization, count: int, joints: int, rng: np.random.G
     )
 
 
+def random_stream(purpose: str, *numbers: int) -> np.random.Generator:
+    """A generator of its own for each purpose and numbers (seed, episode, ...): streams of different purposes
+    have nothing in common."""
+    return np.random.default_rng([zlib.crc32(purpose.encode()), *numbers])
+
+
 def draw_each(
     randomization: Randomization, seed: int, numbers: Sequence[int] | np.ndarray, joints: int
 ) -> EpisodeSample:
@@ -240,7 +247,7 @@ def draw_each(
         numbers: of the episodes, length W.
         joints: M, number of the hand's joints.
     """
-    generators = [np.random.default_rng([seed, int(number)]) for number in numbers]
+    generators = [random_stream("episode", seed, int(number)) for number in numbers]
     return EpisodeSample.join([draw(randomization, 1, joints, rng) for rng in generators])
 
 

@@ -14,7 +14,7 @@ from fungrasp.planning.selection.candidates import Candidates
 from fungrasp.records import BatchRecord
 from fungrasp.simulation import Scene, SceneSettings, build_scene
 from fungrasp.task import Belief, GraspPlan, LiftEnvironment, LiftProtocol, Policy, play
-from fungrasp.transfer import MODERATE, EpisodeSample, MeasurementError, Randomization, draw
+from fungrasp.transfer import MODERATE, EpisodeSample, MeasurementError, Randomization, draw, random_stream
 
 Rounds = tuple[tuple[int, int], ...]
 """In each round, how many candidates of a grasp are tried, the best so far, and how often each."""
@@ -83,8 +83,8 @@ def try_candidates(
     count = statistics.expected.shape[1]
     scene = _scene(plans, objects, hand, s.timestep)
     number = sum(each for _, each in rounds)
-    sample = draw(s.randomization, number, len(hand.joint_names), np.random.default_rng(seed))
-    pose_errors = np.random.default_rng([*seed, 1]).normal(size=(number, 6))
+    sample = draw(s.randomization, number, len(hand.joint_names), random_stream("rollouts", *seed))
+    pose_errors = random_stream("believed pose errors", *seed).normal(size=(number, 6))
     best, done = statistics.order, 0
     for most, each in rounds:
         best = np.take_along_axis(best, statistics.select(best, np.arange(count)).order, axis=0)[:most]
