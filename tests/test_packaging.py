@@ -19,7 +19,7 @@ from fungrasp.policies.checkpoint.checkpoint_file import read_card
 ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "fungrasp"
 
-EXTRAS = ("captures", "dexycb", "learning", "mano", "perception", "wandb")
+EXTRAS = ("dexycb", "learning", "mano", "perception", "wandb")
 """Of the product, not of its development."""
 
 FREE = "Apache-2.0"
