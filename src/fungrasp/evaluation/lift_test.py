@@ -21,7 +21,7 @@ from fungrasp.objects import ObjectModel
 from fungrasp.planning import MotionPlanner, Planner
 from fungrasp.planning.selection import SearchPlanner, SelectionSettings
 from fungrasp.policies import make_planner, make_policy, policy_files
-from fungrasp.simulation import Scene, build_scene
+from fungrasp.simulation import Scene, SceneSettings, build_scene
 from fungrasp.task import LiftEnvironment, LiftProtocol, Outcomes, Policy, PrivilegedPolicy, play
 from fungrasp.transfer import NOMINAL, Randomization, draw_each, random_stream
 
@@ -50,6 +50,8 @@ class LiftTestResult:
     """Name or file of the policy."""
     protocol: LiftProtocol
     """The numbers of the test."""
+    physics: SceneSettings
+    """Settings of the engine."""
     randomization: Randomization
     """How worlds differed from what was believed."""
     index: np.ndarray
@@ -80,6 +82,7 @@ def evaluate(
     seeds: tuple[int, ...] = (0,),
     threads: int = 0,
     protocol: LiftProtocol | None = None,
+    physics: SceneSettings | None = None,
     randomization: Randomization = NOMINAL,
     refine: Refinement | None = None,
     record: Path | None = None,
@@ -100,6 +103,7 @@ def evaluate(
         seeds: of everything that is random.
         threads: 0 means all processors. The result does not depend on it.
         protocol: the published one if None.
+        physics: settings of the engine; the defaults if None.
         randomization: how worlds differ from what is believed; not at all if left out.
         refine: applied to the grasps, chunk by chunk, before they are tried.
         record: folder for the recorded episodes, ``<row>_<object>.npz`` (``<row>_<seed>_<object>.npz`` with
@@ -127,7 +131,7 @@ def evaluate(
             else MotionPlanner(hand, objects)
         )
     test = _Test(
-        build_scene(hand, objects),
+        build_scene(hand, objects, physics),
         objects,
         make_policy(policy, hand, objects) if isinstance(policy, str) else policy,
         planner,
@@ -164,6 +168,7 @@ def evaluate(
         hand=hand.name,
         policy=test.policy_key[0],
         protocol=test.protocol,
+        physics=test.scene.settings,
         randomization=randomization,
         index=index,
         seed=merged["seed"],

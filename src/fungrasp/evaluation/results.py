@@ -82,6 +82,7 @@ def result_json(result: LiftTestResult) -> dict[str, Any]:
             "rollouts_per_grasp": float(np.mean(result.rollouts)),
             "seed": seeds[0] if len(seeds) == 1 else seeds,
             "protocol": asdict(result.protocol),
+            "physics": asdict(result.physics),
             "randomization": asdict(result.randomization),
             **summary(result),
             "mean_over_objects": mean_over_objects(result),
