@@ -3,7 +3,7 @@
 import sys
 
 import fungrasp
-from fungrasp.perception.hand.model_weights import have_weights
+from fungrasp.perception.hand.mediapipe_models import have_weights
 from fungrasp.perception.io.scene_folders import read_folder
 from fungrasp.report.demo_capture import FOLDER
 
@@ -15,4 +15,6 @@ found = fungrasp.perceive(capture, fungrasp.load_object("spray_bottle"), seed=0)
 
 print(f"a {found.hand.side} hand, {found.grasp.link_contacts.sum()} links touch the object")
 print("camera in the world:", found.pose_world_camera.round(3))
-print("; ".join(["sure" if found.sure else "not sure", *found.doubts]))
+print("confident" if found.confident else "low confidence")
+for warning in found.warnings:
+    print(f"{warning.code}: {warning}")
