@@ -1,0 +1,15 @@
+"""The lift test: which grasps lift the object and hold it."""
+
+import fungrasp
+from fungrasp.retarget import retarget
+
+human = fungrasp.builtin_grasps()[::12]
+objects = fungrasp.load_objects(human)
+hand = fungrasp.load_hand("allegro")
+robot = retarget(human, objects, hand)
+
+result = fungrasp.evaluate(robot, objects, hand, "reference", seeds=(0,))
+
+for name, task, reason in zip(result.object_name, result.task, result.outcomes.reason, strict=True):
+    print(f"{name}, {task}: {reason or 'success'}")
+print(f"{result.outcomes.success.mean():.0%} of {len(robot)} grasps lift and hold the object")

@@ -1,0 +1,30 @@
+"""What may differ between the world and what is believed of it: one description, for tests and training."""
+
+import numpy as np
+
+import fungrasp
+from fungrasp.retarget import retarget
+from fungrasp.transfer import ROBUSTNESS, MeasurementError, draw
+
+np.set_printoptions(precision=2)
+
+slippery_and_heavy = fungrasp.Randomization(
+    mass=(1.0, 1.5),
+    friction=(0.5, 0.9),
+    object_position_error=MeasurementError(bias=0.002, jitter=0.001),
+    tracker_delay=(0.0, 0.06),
+    tracker_dropout=0.1,
+)
+sample = draw(slippery_and_heavy, count=3, joints=16, rng=np.random.default_rng(0))
+print("mass factors:", sample.mass, " tracker delays [s]:", sample.tracker_delay)
+
+human = fungrasp.builtin_grasps()
+human = human.select(human.object_name == "can")
+objects = fungrasp.load_objects(human)
+hand = fungrasp.load_hand("allegro")
+robot = retarget(human, objects, hand)
+
+conditions = {"nominal": ROBUSTNESS["nominal"], "own": slippery_and_heavy}
+for name, randomization in conditions.items():
+    result = fungrasp.evaluate(robot, objects, hand, randomization=randomization, seeds=(0, 1))
+    print(f"{name}: {result.outcomes.success.mean():.0%}")
