@@ -37,7 +37,7 @@ class DepthNoise:
 
 
 @dataclass(frozen=True)
-class ColourNoise:
+class ColorNoise:
     """Errors of a small colour camera."""
 
     noise: float = 2.0
@@ -80,7 +80,7 @@ def noisy_depth(
     return np.where(lost, 0.0, measured).astype(np.float32)
 
 
-def noisy_colour(light: np.ndarray, noise: ColourNoise, rng: np.random.Generator) -> np.ndarray:
+def noisy_color(light: np.ndarray, noise: ColorNoise, rng: np.random.Generator) -> np.ndarray:
     """What a colour camera would make of linear light.
 
     Args:

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Perception:
+class BenchPerception:
     """Measure perception on rendered captures of human grasps: hand, object with and without its mask, all
     together, and against the targets.
 

@@ -224,7 +224,7 @@ class Demo:
     ) -> tuple[Path, list[Path]]:
         """The whole film, and its part for each grasp."""
         from fungrasp.report import write_video
-        from fungrasp.report.episode_film import trial_film
+        from fungrasp.report.episode_film import episode_film
         from fungrasp.report.grasp_demo import grasp_title
 
         clips: list[Path] = []
@@ -234,7 +234,7 @@ class Demo:
             done = 0
             for row, trajectory in enumerate(trajectories):
                 thing, clip = objects[trajectory.object_name], []
-                for frame in trial_film(
+                for frame in episode_film(
                     trajectory,
                     hand,
                     thing,

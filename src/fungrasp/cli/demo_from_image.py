@@ -116,7 +116,7 @@ def seen_grasp(folder: str, mesh: str | None, mass: float | None, task: str, see
         )
     held = held_object(mesh, mass)
     capture = read_folder(folder)
-    perceived = perceive(capture, held.model, coloured=held.coloured, task=task, seed=seed)
+    perceived = perceive(capture, held.model, colored=held.colored, task=task, seed=seed)
     return SeenGrasp(capture, held.model, perceived, folder, (), held.notes)
 
 

@@ -81,8 +81,8 @@ class Evaluate:
     def run(self) -> None:
         from time import perf_counter
 
+        from fungrasp.cli.episode_tables import comparison, result_table, robustness_table, static_words
         from fungrasp.cli.retarget import draw_grasps
-        from fungrasp.cli.trial_tables import comparison, result_table, robustness_table, static_words
         from fungrasp.evaluation.lift_test import check_hand
         from fungrasp.evaluation.partial_results import PartialResults
         from fungrasp.grasps import RobotGraspSet, load_grasps, load_objects

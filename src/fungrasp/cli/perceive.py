@@ -78,11 +78,11 @@ class Perceive:
         capture = self.source.read()
         model = held.model
         hand = self._hand(capture)
-        pose = self._object_pose(capture, model if held.coloured is None else held.coloured)
+        pose = self._object_pose(capture, model if held.colored is None else held.colored)
         perceived = perceive(
             capture,
             model,
-            coloured=held.coloured,
+            colored=held.colored,
             side=self.hand,
             task=self.task,
             table=plane,

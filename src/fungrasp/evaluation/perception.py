@@ -168,7 +168,7 @@ class _FixedHands:
     def __init__(self, hands: list[DetectedHand]):
         self._hands = hands
 
-    def detect(self, colour: np.ndarray, near: Box | None = None) -> list[DetectedHand]:
+    def detect(self, color: np.ndarray, near: Box | None = None) -> list[DetectedHand]:
         return self._hands
 
 
@@ -177,7 +177,7 @@ def measure_perception(
     model: ObjectModel,
     detector: HandDetector,
     other: ObjectModel | None = None,
-    coloured: trimesh.Trimesh | None = None,
+    colored: trimesh.Trimesh | None = None,
 ) -> CaptureResult:
     """Run perception on one capture, stage by stage.
 
@@ -186,9 +186,9 @@ def measure_perception(
         model: the object.
         detector: finds hands.
         other: another object, whose mesh must not be accepted; not tried if None.
-        coloured: the object's mesh with colours, if perception is to know them.
+        colored: the object's mesh with colours, if perception is to know them.
     """
-    capture, mesh = known.capture, model if coloured is None else coloured
+    capture, mesh = known.capture, model if colored is None else colored
     masked = capture.with_object(mask=known.object_mask) if known.object_mask.any() else capture
     points = np.asarray(trimesh.sample.sample_surface(model.mesh, 3000, seed=0)[0])
     hand = None

@@ -80,7 +80,7 @@ def perceive(
     capture: Capture,
     model: ObjectModel,
     *,
-    coloured: trimesh.Trimesh | None = None,
+    colored: trimesh.Trimesh | None = None,
     side: Side | None = None,
     task: str = "",
     table: np.ndarray | None = None,
@@ -95,7 +95,7 @@ def perceive(
     Args:
         capture: color and depth; its mask or box says where the object is.
         model: the object.
-        coloured: the same mesh with its colors, which tell apart the sides of a nearly symmetric object.
+        colored: the same mesh with its colors, which tell apart the sides of a nearly symmetric object.
         side: which hand it is, if known.
         task: what the grasp is for, see ``HumanGrasp``.
         table: plane ``[nx ny nz d]``, camera frame, shape [4], unit normal upwards; looked for if None.
@@ -111,7 +111,7 @@ def perceive(
             holds, or the hand models are not set up.
     """
     _check_size(model)
-    mesh = model if coloured is None else coloured
+    mesh = model if colored is None else colored
     # 1, 2: the hand in the image and in metres. Where it is open which of two hands is meant, both go on.
     hands = _hands(capture, model, object_estimate, side, detector) if hand is None else [_Hand(hand)]
     # 3, 4: the table and the object; the hand that holds the object more probably is the one.

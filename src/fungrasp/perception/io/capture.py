@@ -96,7 +96,7 @@ class Intrinsics:
 class Capture:
     """One colour image with the depth aligned to it, checked."""
 
-    colour: np.ndarray
+    color: np.ndarray
     """RGB, uint8, shape [H, W, 3]."""
     depth: np.ndarray
     """Distance along the optical axis [m], float32, shape [H, W]; 0: no measurement."""
@@ -109,7 +109,7 @@ class Capture:
 
     def __post_init__(self) -> None:
         height, width = self.intrinsics.height, self.intrinsics.width
-        _check_array("colour image", self.colour, np.uint8, (height, width, 3))
+        _check_array("colour image", self.color, np.uint8, (height, width, 3))
         _check_array("depth image", self.depth, np.float32, (height, width))
         if self.mask is not None:
             _check_array("object's mask", self.mask, np.bool_, (height, width))

@@ -52,14 +52,14 @@ def thinned(capture: Capture) -> Capture:
     step = -(-max(k.width, k.height) // WIDEST)
     if step == 1:
         return capture
-    colour, depth = capture.colour[::step, ::step], capture.depth[::step, ::step]
+    color, depth = capture.color[::step, ::step], capture.depth[::step, ::step]
     lens = Intrinsics(depth.shape[1], depth.shape[0], k.fx / step, k.fy / step, k.cx / step, k.cy / step)
     mask = None if capture.mask is None else capture.mask[::step, ::step]
     if mask is not None and not mask.any():
         return capture
     x0, y0, x1, y1 = np.array(capture.box or (0.0, 0.0, 1.0, 1.0)) / step
     box = None if capture.box is None else (float(x0), float(y0), float(x1), float(y1))
-    return Capture(colour, depth, lens, mask, box)
+    return Capture(color, depth, lens, mask, box)
 
 
 def view_of_object(

@@ -139,7 +139,7 @@ def pose_scorer(
     return PoseScorer(known, directions, depth, shown, mine, opaque, joints, step)
 
 
-def colour_agreement(
+def color_agreement(
     known: KnownObject, capture: Capture, poses: np.ndarray, allowed: np.ndarray
 ) -> np.ndarray:
     """Correlation of the mesh's colours with those of the image, over the visible surface samples and the
@@ -155,7 +155,7 @@ def colour_agreement(
         -1 to 1, shape [H]; 0 where the mesh has no colours or too little of it is seen.
     """
     result = np.zeros(len(poses))
-    if known.colours is None:
+    if known.colors is None:
         return result
     points = transform_points(poses, known.surface.samples)
     normals = known.normals @ rotation_matrix(poses[:, 3:]).swapaxes(-1, -2)
@@ -171,8 +171,8 @@ def colour_agreement(
     for i, shown in enumerate(seen):
         if shown.sum() < 30:
             continue
-        model = known.colours[shown]
-        image = capture.colour[v[i, shown], u[i, shown]] / 255.0
+        model = known.colors[shown]
+        image = capture.color[v[i, shown], u[i, shown]] / 255.0
         model, image = model - model.mean(axis=0), image - image.mean(axis=0)
         spread = float(np.sqrt(np.square(model).sum() * np.square(image).sum()))
         if spread > 1e-3 * len(model):
