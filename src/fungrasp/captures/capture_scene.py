@@ -79,11 +79,13 @@ class CaptureScene:
     """Surfaces to be seen, what they are, and the light."""
 
     surfaces: tuple[SurfaceMesh, ...]
+    """Surfaces to be seen, world frame."""
     labels: np.ndarray
     """``Label`` of each surface, shape [surfaces] uint8."""
     look: Look
+    """Lights, table top and backdrop."""
     arm_end: np.ndarray
-    """Where the arm ends [m], world frame, shape [3]: better not in the image."""
+    """End of the arm [m], world frame, shape [3]; views that show it are avoided."""
 
     def without(self, missing: Collection[Label]) -> CaptureScene:
         """The scene without some of its surfaces; a sleeve goes with its hand."""

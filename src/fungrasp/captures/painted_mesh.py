@@ -27,7 +27,7 @@ class PaintedMesh:
     """A triangle mesh with colours."""
 
     vertices: np.ndarray
-    """[m], shape [V, 3]."""
+    """Positions of the vertices [m], object frame, shape [V, 3]."""
     faces: np.ndarray
     """Counter-clockwise from outside, shape [T, 3]."""
     colors: np.ndarray

@@ -53,14 +53,14 @@ class CaptureSettings:
     object_seen: float = 0.012
     """Part of the image that must show the object, where a camera can be found that does."""
     hand_seen: float = 0.015
-    """Part of the image that must show the hand, likewise."""
+    """Part of the image that must show the hand, where a camera can be found that does."""
     missing: tuple[Label, ...] = ()
-    """What is taken out of the scene, once the camera has found its place: ``HAND`` (with its sleeve) or
-    ``OBJECT``, to see what perception makes of that."""
+    """Labels that are taken out of the scene once the camera has found its place, to see what perception
+    makes of that: ``HAND`` (with its sleeve) or ``OBJECT``."""
     depth_noise: DepthNoise | None = field(default_factory=DepthNoise)
-    """None for perfect depth."""
+    """Noise of the depth; None for perfect depth."""
     color_noise: ColorNoise | None = field(default_factory=ColorNoise)
-    """None for perfect colour."""
+    """Noise of the color image; None for perfect color."""
 
     def __post_init__(self) -> None:
         for name in ("distance", "elevation", "clutter"):
@@ -76,15 +76,15 @@ class SyntheticCapture:
     """A rendered capture and the truth about it."""
 
     capture: Capture
-    """Without mask and box."""
+    """The rendered image, its depth and intrinsics, without mask and box."""
     grasp: HumanGrasp
-    """What the person does, world frame."""
+    """The human grasp that is rendered, world frame."""
     pose_world_camera: np.ndarray
-    """Shape [7]."""
+    """Pose of the camera in the world frame, shape [7]."""
     labels: np.ndarray
     """What each pixel shows, see ``Label``, shape [H, W] uint8."""
     painted: PaintedMesh
-    """The object as it is coloured, object frame."""
+    """The object with its colors, object frame."""
 
     @property
     def pose_camera_object(self) -> np.ndarray:

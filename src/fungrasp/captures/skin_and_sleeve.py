@@ -164,11 +164,11 @@ class _Marks:
     """What the skin shows, per vertex, filled in place."""
 
     red: np.ndarray
-    """How flushed, 0 to 1."""
+    """Redness of the skin, 0 to 1."""
     pale: np.ndarray
-    """How pale, 0 to 1."""
+    """Paleness of the skin, 0 to 1."""
     swell: np.ndarray
-    """How far it stands out [m]."""
+    """Height above the smooth skin [m]."""
 
 
 def _marks(

@@ -56,9 +56,9 @@ class BenchPerception:
     """Robot hand of --chain."""
     policy: tuple[str, ...] = ()
     """What moves it, see `fungrasp evaluate`; with several, each is tried. By default the freely licensed
-    student of the hand, or the reference if there is none."""
+    student of the hand, or "reference" if there is none."""
     threads: int = 0
-    """Of --chain; 0 means all processors."""
+    """Threads of --chain; 0 means all processors."""
     json: Path | None = None
     """Write the numbers here (.json). Given again after an interruption, the command goes on."""
 

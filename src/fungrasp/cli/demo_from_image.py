@@ -51,15 +51,17 @@ class SeenGrasp:
     """What was seen in an image."""
 
     capture: Capture
+    """The image with its depth and intrinsics."""
     model: ObjectModel
-    """As it was seen."""
+    """The object in the image; see ``thing`` for the object of the grasp."""
     perceived: Perceived
+    """What ``perceive`` found in it."""
     source: str
-    """Where the image came from, for people."""
+    """Where the image came from, as text to print."""
     truth: Sequence[Quantity]
     """Errors, where the truth is known."""
     notes: tuple[str, ...] = ()
-    """What was assumed, for people."""
+    """Assumptions that were made, as sentences to print."""
 
     @property
     def human(self) -> HumanGraspSet:

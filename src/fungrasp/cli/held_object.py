@@ -21,10 +21,11 @@ class HeldObject:
     """An object, as a command was told of it."""
 
     model: ObjectModel
+    """Mesh, mass and inertia of the object."""
     colored: trimesh.Trimesh | None = None
     """The same with the colours of its mesh file, if it has any."""
     notes: tuple[str, ...] = ()
-    """What was assumed, for people."""
+    """Assumptions that were made, as sentences to print."""
 
 
 def held_object(mesh: str, mass: float | None) -> HeldObject:

@@ -58,9 +58,9 @@ class Perceived:
     pose_world_camera: np.ndarray
     """Camera in the world, shape [7], before any reflection; see ``world_frame`` for where the world is."""
     hand: HandEstimate
-    """As refined, camera frame, as it is seen."""
+    """The hand after refinement against the object, camera frame, not mirrored."""
     object: ObjectEstimate
-    """Camera frame, as it is seen."""
+    """The object, camera frame, not mirrored."""
     table: np.ndarray
     """Plane ``[nx ny nz d]``: ``n . x + d`` is the height of a point above it [m], camera frame, shape
     [4]."""
@@ -69,7 +69,7 @@ class Perceived:
     quality: PerceptionQuality
     """Residuals, penetration and scores."""
     warnings: tuple[PerceptionWarning, ...]
-    """What was uncertain; empty when nothing was."""
+    """What was uncertain; empty if nothing was."""
     confident: bool
     """Whether the scores of hand and object both pass their thresholds: the object's surface is then right to
     10 mm on average. A table that is only guessed gives a warning, but the hand on the object does not depend

@@ -31,11 +31,11 @@ class Views:
     """
 
     color: np.ndarray | None
-    """sRGB, shape [F, H, W, 3] uint8, or None if not asked for."""
+    """Pictures, sRGB, shape [F, H, W, 3] uint8, or None if not asked for."""
     depth: np.ndarray
-    """Along the camera's z [m], 0 where nothing is seen, shape [F, H, W] float32."""
+    """Distance along the camera's z [m], 0 where nothing is seen, shape [F, H, W] float32."""
     segmentation: np.ndarray
-    """Geom id, ``NOTHING`` (-1) or ``TABLE`` (-2), shape [F, H, W] int32."""
+    """Geom id, ``NOTHING`` (-1) or ``TABLE`` (-2) of each pixel, shape [F, H, W] int32."""
 
 
 def render(

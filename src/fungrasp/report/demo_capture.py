@@ -41,11 +41,13 @@ class DemoTruth:
     """What is known about the image because it was made."""
 
     object_name: str
+    """Name of the built-in object."""
     task: str
+    """What the grasp is for."""
     pose_camera_object: np.ndarray
-    """Shape [7]."""
+    """Pose of the object in the camera frame, shape [7]."""
     joints_camera: np.ndarray
-    """[m], camera frame, shape [21, 3]."""
+    """Joints of the hand [m], camera frame, shape [21, 3]."""
 
 
 def demo_truth() -> DemoTruth:

@@ -52,9 +52,9 @@ class CloseUp:
     """The part of an image that shows hand and object, and how it is enlarged."""
 
     left: float
-    """Edge [pixels of the image]."""
+    """Left edge of the view [pixels of the image]."""
     top: float
-    """Edge [pixels of the image]."""
+    """Top edge of the view [pixels of the image]."""
     scale: float
     """Pixels of the picture per pixel of the image."""
 

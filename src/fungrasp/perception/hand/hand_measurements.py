@@ -59,14 +59,15 @@ class HandMeasurements:
     """What was seen of a hand, in the mirror image if it is a left one."""
 
     pixels: np.ndarray
-    """Landmarks, shape [21, 2]."""
+    """Landmarks in the image [pixels], shape [21, 2]."""
     shape: np.ndarray
     """Joints about the hand's middle [m], camera frame, shape [21, 3], as the landmark model guesses."""
     directions: np.ndarray
     """Unit vectors of ``BONES`` in that shape, shape [20, 3]."""
     depth: np.ndarray
-    """[m], shape [H, W]; NaN: none."""
+    """Depth at the hand [m], shape [H, W]; NaN where it was not measured."""
     intrinsics: Intrinsics
+    """Intrinsics of the image, mirrored where the hand is a left one."""
     score: float
     """Probability that this is a hand."""
     spread: float | None = None
@@ -117,10 +118,11 @@ class HandView:
     """An image of a right hand with what is known about it; the mirror image if it is of a left one."""
 
     depth: np.ndarray
-    """[m], shape [H, W]; NaN: none."""
+    """Depth [m], shape [H, W]; NaN where it was not measured."""
     intrinsics: Intrinsics
+    """Intrinsics of the image, mirrored where the hand is a left one."""
     surroundings: HandSurroundings
-    """Object and table."""
+    """The object and the table, where they are known."""
     points: np.ndarray
     """Measured points that may show the hand or its arm [m], camera frame, shape [P, 3]."""
 

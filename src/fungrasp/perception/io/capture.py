@@ -101,11 +101,11 @@ class Capture:
     depth: np.ndarray
     """Distance along the optical axis [m], float32, shape [H, W]; 0: no measurement."""
     intrinsics: Intrinsics
-    """Of both images."""
+    """Intrinsics of the camera, the same for color and depth."""
     mask: np.ndarray | None = None
-    """Which pixels show the object, bool, shape [H, W], if somebody said so."""
+    """Which pixels show the object, bool, shape [H, W]; None if not given."""
     box: Box | None = None
-    """Box around the object in the image [pixels], if somebody said so."""
+    """Box around the object in the image [pixels]; None if not given."""
 
     def __post_init__(self) -> None:
         height, width = self.intrinsics.height, self.intrinsics.width

@@ -53,7 +53,7 @@ class PoseAnswers:
     poses: np.ndarray
     """Object in the camera frame, shape [H, 7]."""
     scores: PoseScores
-    """Of the H poses."""
+    """How well each of the H poses explains the image."""
     rival: np.ndarray
     """Quality of the best different answer to each, shape [H]."""
     masked: bool

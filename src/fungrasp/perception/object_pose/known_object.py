@@ -36,9 +36,11 @@ class KnownObject:
     """What the search needs to know of a mesh. ``known_object`` makes it."""
 
     surface: KnownSurface
+    """Signed distance and surface samples, for the fit."""
     normals: np.ndarray
-    """Outward, at the surface's samples, shape [M, 3]."""
+    """Outward unit normals at the surface's samples, shape [M, 3]."""
     rays: MeshRays
+    """The mesh for casting rays, for the score."""
     size: float
     """Diagonal of the box round the mesh, sides along its axes [m]."""
     symmetries: np.ndarray

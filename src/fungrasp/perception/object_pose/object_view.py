@@ -28,17 +28,19 @@ class ObjectView:
     """What an image says about the object. ``view_of_object`` makes it."""
 
     known: KnownObject
+    """The object that is looked for."""
     capture: Capture
+    """The image with its depth and intrinsics."""
     table: np.ndarray | None
     """Plane ``[nx ny nz d]``, camera frame, shape [4], if known."""
     joints: np.ndarray | None
-    """Of the hand [m], camera frame, shape [21, 3], if known."""
+    """Joints of the hand [m], camera frame, shape [21, 3]; None if not known."""
     support: np.ndarray
-    """How sure it is that a pixel shows a thing, not skin, table or room, 0 to 1, shape [H, W]."""
+    """Confidence that a pixel shows a thing, not skin, table or room, 0 to 1, shape [H, W]."""
     masks: tuple[np.ndarray, ...]
     """Proposals for the object's pixels, bool, shape [H, W] each."""
     evidence: tuple[ObjectEvidence, ...]
-    """Of each mask."""
+    """What the object must agree with under each of ``masks``."""
 
     def scorer(self, rays: int) -> PoseScorer:
         """Scores poses by about so many rays that meet a mask."""

@@ -54,21 +54,22 @@ class PoseScorer:
     """Rays through the image, to score poses with. ``pose_scorer`` makes it."""
 
     known: KnownObject
+    """The object whose poses are scored."""
     directions: np.ndarray
-    """With z = 1, camera frame, shape [R, 3]."""
+    """Directions of the rays, scaled to z = 1, camera frame, shape [R, 3]."""
     depth: np.ndarray
-    """Measured [m], shape [R]."""
+    """Depth measured at each ray [m], shape [R]."""
     support: np.ndarray
-    """How sure it is that the pixel shows a thing, not skin, table or room, shape [R]."""
+    """Confidence that the ray's pixel shows a thing, not skin, table or room, 0 to 1, shape [R]."""
     masks: np.ndarray
-    """How sure it is that the pixel shows the object if a mask is right, shape [N, R]."""
+    """Confidence that the ray's pixel shows the object if a mask is right, 0 to 1, shape [N, R]."""
     opaque: np.ndarray
-    """How sure it is that the object is not behind what the pixel shows, shape [R]: 1 for the table,
-    ``OCCLUDER`` for things, 0 for skin."""
+    """Confidence that the object is not behind what the pixel shows, shape [R]: 1 for the table, ``OCCLUDER``
+    for things, 0 for skin."""
     joints: np.ndarray | None
-    """Of the hand [m], camera frame, shape [21, 3]."""
+    """Joints of the hand [m], camera frame, shape [21, 3]; None if not known."""
     step: int
-    """Every so many rows and columns has rays."""
+    """Distance between the rays' rows and columns [pixels]."""
 
     def __call__(self, poses: np.ndarray, owner: np.ndarray) -> PoseScores:
         """Score poses of the object in the camera frame, shape [H, 7], each by the mask it was fitted to,
