@@ -26,7 +26,7 @@ def main() -> None:
     seen = perceive(capture, model, task=truth.task)
     over = drawn_over(capture, seen.hand, model, seen.object.pose_camera_object, seen.object.accepted)
     sides = grasp_from_four_sides(seen.grasp, model, seen.pose_world_camera, mirrored=False)
-    pictures = [np.asarray(Image.fromarray(image).resize(SIZE)) for image in (capture.colour, over, sides[0])]
+    pictures = [np.asarray(Image.fromarray(image).resize(SIZE)) for image in (capture.color, over, sides[0])]
     labels = ["the image, rendered", "hand and object found in it", "the human grasp, contacts orange"]
     sheet = grid(pictures, labels, columns=3, size=19)
     Image.fromarray(sheet).save(Path(__file__).parent / "perception.jpg", quality=86, optimize=True)

@@ -18,7 +18,7 @@ from fungrasp.perception import Intrinsics
 SHARED = Path(__file__).resolve().parents[2] / ".." / "shared"
 
 SMALL = CaptureSettings(intrinsics=Intrinsics(320, 240, 300, 300, 160, 119), intrinsics_spread=4.0)
-PERFECT = dataclasses.replace(SMALL, depth_noise=None, colour_noise=None)
+PERFECT = dataclasses.replace(SMALL, depth_noise=None, color_noise=None)
 
 
 def captures(count: int, seed: int, settings: CaptureSettings = SMALL):
@@ -85,16 +85,16 @@ def test_noise_is_that_of_a_depth_camera(perfect, noisy):
         error = depth[near] - true[near]
         assert abs(np.median(error)) < 1e-3
         assert 2e-4 < np.median(np.abs(error)) < 6e-3
-        assert not np.array_equal(clean.capture.colour, synthetic.capture.colour)
+        assert not np.array_equal(clean.capture.color, synthetic.capture.color)
 
 
 def test_the_same_seed_gives_the_same_bytes_whatever_the_count(noisy):
     again = captures(1, 4)[0]
     other = captures(1, 5)[0]
-    np.testing.assert_array_equal(again.capture.colour, noisy[0].capture.colour)
+    np.testing.assert_array_equal(again.capture.color, noisy[0].capture.color)
     np.testing.assert_array_equal(again.capture.depth, noisy[0].capture.depth)
     np.testing.assert_array_equal(again.labels, noisy[0].labels)
-    assert not np.array_equal(other.capture.colour, noisy[0].capture.colour)
+    assert not np.array_equal(other.capture.color, noisy[0].capture.color)
 
 
 def test_a_part_can_be_missing_from_the_same_scene(noisy):
@@ -123,15 +123,15 @@ def test_hand_and_object_are_both_to_be_seen(noisy):
     for synthetic in noisy:
         assert synthetic.object_mask.mean() > 0.005
         assert synthetic.hand_mask.mean() > 0.01
-        colour = synthetic.capture.colour[synthetic.hand_mask].astype(int)
-        assert (colour[:, 0] > colour[:, 2]).mean() > 0.9
+        color = synthetic.capture.color[synthetic.hand_mask].astype(int)
+        assert (color[:, 0] > color[:, 2]).mean() > 0.9
 
 
 def test_what_was_written_is_read_again(noisy, tmp_path):
     synthetic = noisy[0]
     write_capture(synthetic, tmp_path)
     read = read_synthetic_capture(tmp_path)
-    np.testing.assert_array_equal(read.capture.colour, synthetic.capture.colour)
+    np.testing.assert_array_equal(read.capture.color, synthetic.capture.color)
     np.testing.assert_allclose(read.capture.depth, synthetic.capture.depth, atol=1e-6)
     assert read.capture.intrinsics == synthetic.capture.intrinsics
     assert read.capture.mask is None
@@ -139,7 +139,7 @@ def test_what_was_written_is_read_again(noisy, tmp_path):
     np.testing.assert_allclose(read.pose_camera_object, synthetic.pose_camera_object, atol=1e-12)
     np.testing.assert_allclose(read.joints_camera, synthetic.joints_camera, atol=1e-12)
     np.testing.assert_allclose(read.painted.vertices, synthetic.painted.vertices, atol=1e-6)
-    np.testing.assert_allclose(read.painted.colours, synthetic.painted.colours, atol=0.003)
+    np.testing.assert_allclose(read.painted.colors, synthetic.painted.colors, atol=0.003)
     # The mesh that perception is given is the object itself.
     mesh = load_object(synthetic.grasp.object_name, 0.2, tmp_path)
     np.testing.assert_allclose(mesh.size, builtin_object(synthetic.grasp.object_name).size, atol=1e-6)

@@ -3,7 +3,7 @@ import pytest
 import trimesh
 from flat_hand import FLAT_HAND
 
-from fungrasp.captures.depth_noise import ColourNoise, DepthNoise, noisy_colour, noisy_depth
+from fungrasp.captures.depth_noise import ColorNoise, DepthNoise, noisy_color, noisy_depth
 from fungrasp.captures.painted_mesh import EDGE, PaintedMesh, painted_object
 from fungrasp.captures.render_capture import posed_rays
 from fungrasp.captures.skin_and_sleeve import CLEARANCE, FOREARM, SKIN_TONES, painted_hand, painted_sleeve
@@ -16,10 +16,10 @@ LENS = Intrinsics(80, 60, 70, 70, 39.5, 29.5)
 AT_ORIGIN = posed_rays(LENS, np.array([0, 0, 0, 1.0, 0, 0, 0]))
 
 
-def a_ball(radius=0.1, centre=(0, 0, 0.5), colour=(0.8, 0.2, 0.2)) -> PaintedMesh:
+def a_ball(radius=0.1, centre=(0, 0, 0.5), color=(0.8, 0.2, 0.2)) -> PaintedMesh:
     ball = trimesh.creation.icosphere(subdivisions=4, radius=radius)
     vertices = np.array(ball.vertices) + centre
-    return PaintedMesh(vertices, np.array(ball.faces), np.tile(colour, (len(vertices), 1)))
+    return PaintedMesh(vertices, np.array(ball.faces), np.tile(color, (len(vertices), 1)))
 
 
 def test_a_ball_is_seen_where_geometry_puts_it():
@@ -70,7 +70,7 @@ def test_a_hand_has_an_arm_above_the_table_and_features():
         assert np.linalg.norm(mesh.vertices - low[tip], axis=1).min() < 0.005
     # Nails: the back of a fingertip (this hand's palm is up) is paler than the back of the finger behind it.
     nail, behind = (part * low[8] + (1 - part) * low[7] for part in (0.7, 0.3))
-    pale, plain = (mesh.colours[_below(mesh.vertices, point)].mean(0)[2] for point in (nail, behind))
+    pale, plain = (mesh.colors[_below(mesh.vertices, point)].mean(0)[2] for point in (nail, behind))
     assert pale > plain + 0.02
 
 
@@ -98,11 +98,11 @@ def test_paint_is_fine_and_always_the_same():
     painted = painted_object(mug)
     edges = painted.vertices[painted.faces] - painted.vertices[np.roll(painted.faces, 1, axis=1)]
     assert np.linalg.norm(edges, axis=-1).max() <= EDGE + 1e-9
-    assert painted.colours.min() >= 0
-    assert painted.colours.max() <= 1
-    assert len(np.unique(np.round(painted.colours, 1), axis=0)) >= 3
+    assert painted.colors.min() >= 0
+    assert painted.colors.max() <= 1
+    assert len(np.unique(np.round(painted.colors, 1), axis=0)) >= 3
     painted_object.cache_clear()
-    np.testing.assert_array_equal(painted_object(mug).colours, painted.colours)
+    np.testing.assert_array_equal(painted_object(mug).colors, painted.colors)
 
 
 def test_depth_noise_grows_with_the_square_of_distance():
@@ -133,7 +133,7 @@ def test_holes_open_beside_steps_and_on_slopes():
     assert (noisy_depth(slanted, lens, DepthNoise(), np.random.default_rng(0)) == 0).mean() > 0.3
 
 
-def test_without_noise_colour_is_only_rounded():
+def test_without_noise_color_is_only_rounded():
     light = np.linspace(0, 1, 48).reshape(4, 4, 3)
-    clean = noisy_colour(light, ColourNoise(0.0, 0.0, 0.0), np.random.default_rng(0))
+    clean = noisy_color(light, ColorNoise(0.0, 0.0, 0.0), np.random.default_rng(0))
     np.testing.assert_allclose(clean, 255 * light ** (1 / 2.2), atol=0.51)

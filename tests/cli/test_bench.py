@@ -12,7 +12,7 @@ from grasp_files import run, some_grasps
 
 from fungrasp.captures.capture_files import write_capture
 from fungrasp.captures.render_capture import CaptureSettings, capture_at
-from fungrasp.cli.bench_perception import Perception
+from fungrasp.cli.bench_perception import BenchPerception
 from fungrasp.grasps import load_objects, save_human_grasps
 from fungrasp.perception import Intrinsics
 
@@ -51,7 +51,7 @@ def test_simulation_is_the_same_motion_in_all_three_ways(human, tmp_path, capsys
 class NoHands:
     """A detector without weights that finds nothing."""
 
-    def detect(self, colour, near=None):
+    def detect(self, color, near=None):
         return []
 
 
@@ -78,12 +78,12 @@ def test_perception_on_kept_captures(human, tmp_path, capsys, monkeypatch):
     path = tmp_path / "b.json"
     arguments = ("--grasps", human, "--captures", 2, "--seed", 7, "--keep", tmp_path / "kept", "--wrong")
     with monkeypatch.context() as patch:
-        patch.setattr(Perception, "_one", interrupted(Perception._one, after=1))
+        patch.setattr(BenchPerception, "_one", interrupted(BenchPerception._one, after=1))
         with pytest.raises(KeyboardInterrupt):
-            Perception(human, captures=2, seed=7, keep=tmp_path / "kept", wrong=True, json=path).run()
+            BenchPerception(human, captures=2, seed=7, keep=tmp_path / "kept", wrong=True, json=path).run()
     assert not path.exists()
     with monkeypatch.context() as patch:
-        patch.setattr(Perception, "_one", interrupted(Perception._one, after=1))
+        patch.setattr(BenchPerception, "_one", interrupted(BenchPerception._one, after=1))
         status, out, _ = run(capsys, "bench", "perception", *arguments, "--json", path)
     assert status == 0, "the first capture is not measured again"
     assert [file.name for file in tmp_path.iterdir() if file.is_file()] == ["b.json"]
@@ -108,10 +108,10 @@ def test_several_policies_try_the_same_chain(monkeypatch):
 
     monkeypatch.setattr("fungrasp.cli.retarget.retargeted", lambda human, *others: (human, None))
     monkeypatch.setattr("fungrasp.evaluation.evaluate", tried)
-    figures = Perception(policy=("poor", "good"))._chain(results, load_objects(some_grasps()))
+    figures = BenchPerception(policy=("poor", "good"))._chain(results, load_objects(some_grasps()))
     assert figures["policy"] == "poor" and figures["true"]["rate"] == 0 and figures["share"] is None
     assert figures["policies"]["good"]["share"] == 0.5
-    alone = Perception(policy=("good",))._chain(results, load_objects(some_grasps()))
+    alone = BenchPerception(policy=("good",))._chain(results, load_objects(some_grasps()))
     assert alone["perceived_where_sure"]["rate"] == 1 and "policies" not in alone
 
 

@@ -109,12 +109,12 @@ def test_a_file_in_the_way_of_the_folder(tmp_path: Path, capsys: pytest.CaptureF
 
 
 def test_an_interruption_leaves_no_half_written_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from fungrasp.report import episode_film as trial_film
+    from fungrasp.report import episode_film as film
 
     def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(trial_film, "captioned", interrupted)
+    monkeypatch.setattr(film, "captioned", interrupted)
     assert main(["demo", "--pick", "flashlight", "--refine", "0", "--out", str(tmp_path / "out")]) == 130
     assert list((tmp_path / "out").iterdir()) == []
 

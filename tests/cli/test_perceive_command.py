@@ -74,8 +74,8 @@ def found(monkeypatch) -> list[DetectedHand]:
     hands = [landmarks()]
 
     class StandIn:
-        def detect(self, colour, near=None):
-            scale = colour.shape[1] / LENS["width"]
+        def detect(self, color, near=None):
+            scale = color.shape[1] / LENS["width"]
             return [dataclasses.replace(hand, pixels=hand.pixels * scale) for hand in hands]
 
     monkeypatch.setattr(room, "MediaPipeHandDetector", StandIn)
@@ -148,7 +148,7 @@ def test_a_cameras_image_is_kept(folder, found, camera, tmp_path, capsys):
     assert status == 0, err
     assert f"the image: {kept}" in words and camera == [(None, None)]
     again, seen = read_folder(kept), read_folder(FOLDER)
-    np.testing.assert_array_equal(again.colour, seen.colour)
+    np.testing.assert_array_equal(again.color, seen.color)
     np.testing.assert_array_equal(again.depth, seen.depth)
     assert again.intrinsics == seen.intrinsics
 
@@ -216,7 +216,7 @@ def test_a_camera_without_its_package_is_told(folder, tmp_path, capsys, monkeypa
 
 def test_an_object_by_file_or_name(folder):
     held = held_object(NAME, None)
-    assert held.model.mass == builtin_object(NAME).mass and held.coloured is None and held.notes == ()
+    assert held.model.mass == builtin_object(NAME).mass and held.colored is None and held.notes == ()
     held = held_object(str(folder / "thing.obj"), None)
     volume = held.model.mesh.convex_hull.volume
     assert held.model.mass == pytest.approx(DENSITY * volume) and "was guessed" in held.notes[0]
@@ -289,8 +289,8 @@ def test_twenty_megapixels(folder, found, tmp_path, capsys):
     times = 8
     size = (LENS["width"] * times, LENS["height"] * times)
     assert size[0] * size[1] > 19e6
-    colour, depth = Image.open(folder / "rgb.png"), Image.open(folder / "depth.png")
-    colour.resize(size, Image.Resampling.NEAREST).save(tmp_path / "rgb.jpg", quality=85)
+    color, depth = Image.open(folder / "rgb.png"), Image.open(folder / "depth.png")
+    color.resize(size, Image.Resampling.NEAREST).save(tmp_path / "rgb.jpg", quality=85)
     metres = np.array(depth, np.float32) * LENS["depth_unit"]
     np.save(tmp_path / "depth.npy", metres.repeat(times, axis=0).repeat(times, axis=1))
     scaled = {name: times * LENS[name] for name in ("width", "height", "fx", "fy")}

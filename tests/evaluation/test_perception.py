@@ -46,7 +46,7 @@ class StandIn:
     def __init__(self, *hands):
         self.hands = list(hands)
 
-    def detect(self, colour, near=None):
+    def detect(self, color, near=None):
         return self.hands
 
 
@@ -115,13 +115,13 @@ def test_landmarks_that_are_true_but_for_noise():
     rng = np.random.default_rng(0)
     off = np.concatenate(
         [
-            TrueLandmarks(known.joints_camera, lens, 6.0, rng).detect(known.capture.colour)[0].pixels - pixels
+            TrueLandmarks(known.joints_camera, lens, 6.0, rng).detect(known.capture.color)[0].pixels - pixels
             for _ in range(40)
         ]
     )
     # The image is 160 wide.
     assert off.std() == pytest.approx(6.0 / 4, rel=0.1) and abs(off.mean()) < 0.1
-    (hand,) = TrueLandmarks(known.joints_camera, lens, 0.0, rng).detect(known.capture.colour)
+    (hand,) = TrueLandmarks(known.joints_camera, lens, 0.0, rng).detect(known.capture.color)
     np.testing.assert_allclose(hand.pixels, pixels)
     assert hand.side == "right" and measure_perception(
         known, MODEL, StandIn(hand)
@@ -171,7 +171,7 @@ def test_what_is_not_there_counts_as_wrong_where_it_is_accepted():
 
 def test_an_absent_object_is_looked_for_in_the_empty_hand():
     known = known_capture()
-    empty = Capture(known.capture.colour, np.full_like(known.capture.depth, 2.0), known.capture.intrinsics)
+    empty = Capture(known.capture.color, np.full_like(known.capture.depth, 2.0), known.capture.intrinsics)
     found = measure_absent(empty, empty, MODEL, StandIn())
     assert found.hand_score == 0 and not found.pose.accepted and found.pose.add_s_mm == np.inf
 

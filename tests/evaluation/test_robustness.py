@@ -6,10 +6,10 @@ from dataclasses import asdict, fields
 
 import numpy as np
 import pytest
+from fungrasp.evaluation.robustness import PUSHES
 
 from fungrasp.errors import FungraspError
 from fungrasp.evaluation import CONDITIONS, Disturbance, evaluate
-from fungrasp.evaluation.robustness import PUSHES
 from fungrasp.geometry.poses import compose, invert, rotation_vector, transform_points
 from fungrasp.simulation import build_scene
 from fungrasp.task import LiftTask

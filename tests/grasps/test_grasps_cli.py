@@ -85,8 +85,8 @@ def test_a_picture_shows_hand_and_object(tmp_path, capsys, human_grasps):
     assert status == 0 and f"picture: {picture}" in out
     with Image.open(picture) as image:
         assert image.size == (960, 720)
-        colours = np.asarray(image.convert("RGB")).reshape(-1, 3).astype(int)
-    blue, skin = colours[:, 2] - colours[:, 0] > 30, colours[:, 0] - colours[:, 2] > 30
+        colors = np.asarray(image.convert("RGB")).reshape(-1, 3).astype(int)
+    blue, skin = colors[:, 2] - colors[:, 0] > 30, colors[:, 0] - colors[:, 2] > 30
     assert blue.mean() > 0.02 and skin.mean() > 0.02
 
 

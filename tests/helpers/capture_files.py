@@ -20,19 +20,19 @@ OURS = {
 
 def scene() -> tuple[np.ndarray, np.ndarray]:
     """A box in front of a wall: RGB, and depth [m]; steps in depth are edges in colour."""
-    colour = np.full((HEIGHT, WIDTH, 3), (40, 90, 60), np.uint8)
+    color = np.full((HEIGHT, WIDTH, 3), (40, 90, 60), np.uint8)
     depth = np.full((HEIGHT, WIDTH), 0.9, np.float32)
-    colour[80:180, 100:220], depth[80:180, 100:220] = (210, 160, 130), 0.6
+    color[80:180, 100:220], depth[80:180, 100:220] = (210, 160, 130), 0.6
     depth[5:9, 5:9] = 0.0
-    return colour, depth
+    return color, depth
 
 
 def write_scene(folder: Path, lens=OURS, unit: float = 0.001) -> tuple[Path, Path, Path]:
     """Colour, depth and intrinsics as files."""
     folder.mkdir(parents=True, exist_ok=True)
-    colour, depth = scene()
+    color, depth = scene()
     paths = folder / "rgb.png", folder / "depth.png", folder / "K.json"
-    Image.fromarray(colour).save(paths[0])
+    Image.fromarray(color).save(paths[0])
     Image.fromarray(np.round(depth / unit).astype(np.uint16)).save(paths[1])
     paths[2].write_text(json.dumps(lens))
     return paths

@@ -60,8 +60,8 @@ def hand_scene(row: int, rng: np.random.Generator) -> HandScene:
     depth = _depth(joints, transform_points(pose, _surface(model, rng)), table)
     depth += rng.normal(size=depth.shape) * 0.0015
     depth[rng.random(depth.shape) < 0.02] = 0
-    colour = np.zeros((CAMERA.height, CAMERA.width, 3), dtype=np.uint8)
-    return HandScene(Capture(colour, depth.astype(np.float32), CAMERA), joints, model, pose, table)
+    color = np.zeros((CAMERA.height, CAMERA.width, 3), dtype=np.uint8)
+    return HandScene(Capture(color, depth.astype(np.float32), CAMERA), joints, model, pose, table)
 
 
 def _rotation(pose: np.ndarray) -> Rotation:

@@ -73,7 +73,7 @@ def scene(
     depth = np.minimum(np.minimum(thing, flesh), np.minimum(table, 3.0))
     mask = (thing == depth).reshape(240, 320)
     depth = depth + noise * rng.normal(size=depth.shape)
-    colour = np.full((240, 320, 3), 120, np.uint8)
+    color = np.full((240, 320, 3), 120, np.uint8)
     camera_joints = transform_points(camera_world, joints)
     hand = HandEstimate(
         camera_joints,
@@ -83,5 +83,5 @@ def scene(
         "right",
         0.9,
     )
-    capture = Capture(colour, depth.reshape(240, 320).astype(np.float32), CAMERA)
+    capture = Capture(color, depth.reshape(240, 320).astype(np.float32), CAMERA)
     return Scene(capture, mask, pose, plane, hand)

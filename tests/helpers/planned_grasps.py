@@ -6,12 +6,12 @@ from collections.abc import Mapping
 from functools import cache
 
 import numpy as np
+from fungrasp.planning.references import References
 
 from fungrasp.grasps import RobotGraspSet, builtin_grasps, load_objects
 from fungrasp.hands import Hand, load_hand
 from fungrasp.objects import ObjectModel
 from fungrasp.planning.grasp_motion import Motion
-from fungrasp.planning.references import References
 from fungrasp.policies.plan_tracking import Tracker
 from fungrasp.policies.scripted import planned
 from fungrasp.retarget import retarget

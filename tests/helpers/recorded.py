@@ -41,8 +41,8 @@ def made_capture(joints: np.ndarray, background: float = 1.2) -> Capture:
         rows, columns = np.indices(around.shape)
         inside = np.hypot(columns + left - u, rows + top - v) < radius
         around[inside] = np.minimum(around[inside], point[2] - FLESH)
-    colour = np.zeros((CAMERA.height, CAMERA.width, 3), np.uint8)
-    return Capture(colour, depth, CAMERA)
+    color = np.zeros((CAMERA.height, CAMERA.width, 3), np.uint8)
+    return Capture(color, depth, CAMERA)
 
 
 def made_up_camera(joints: np.ndarray, size: float = 1.0) -> tuple[np.ndarray, np.ndarray, float]:

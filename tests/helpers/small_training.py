@@ -7,12 +7,12 @@ from functools import cache
 from typing import Any
 
 import numpy as np
+from fungrasp.training.library import Library, Variety, build_library
 
 from fungrasp.grasps import RobotGraspSet, builtin_grasps, load_objects
 from fungrasp.hands import Hand, load_hand
 from fungrasp.retarget import retarget
 from fungrasp.training.environment import EnvironmentSettings, LiftEnvironment
-from fungrasp.training.library import Library, Variety, build_library
 from fungrasp.training.run import RunSettings, TrainingSet
 from fungrasp.training.settings import PpoSettings
 

@@ -34,12 +34,12 @@ class StandIn:
     def __init__(self, *hands: DetectedHand):
         self.hands = list(hands)
 
-    def detect(self, colour, near=None):
+    def detect(self, color, near=None):
         return self.hands
 
 
 class Forbidden:
-    def detect(self, colour, near=None):
+    def detect(self, color, near=None):
         raise AssertionError("nobody should look for hands")
 
 
@@ -162,7 +162,7 @@ def mirrored(
     """The scene in a mirror: a left hand."""
     capture, width = scene.capture, CAMERA.width - 1
     lens = dataclasses.replace(CAMERA, cx=width - CAMERA.cx)
-    image = Capture(capture.colour[:, ::-1].copy(), capture.depth[:, ::-1].copy(), lens)
+    image = Capture(capture.color[:, ::-1].copy(), capture.depth[:, ::-1].copy(), lens)
     model = ObjectModel(
         "gum", scene.model.mass, mirror_points(scene.model.vertices), scene.model.faces[:, ::-1].copy()
     )
@@ -281,7 +281,7 @@ def test_a_hand_without_depth():
     depth = scene.capture.depth.copy()
     low, high = detected.pixels.min(axis=0).astype(int) - 30, detected.pixels.max(axis=0).astype(int) + 30
     depth[low[1] : high[1], low[0] : high[0]] = 0
-    capture = Capture(scene.capture.colour, depth, CAMERA)
+    capture = Capture(scene.capture.color, depth, CAMERA)
     with pytest.raises(FungraspError, match="no depth where the hand is"):
         perceive(capture, scene.model, detector=StandIn(detected))
 
@@ -294,7 +294,7 @@ def test_holes_in_depth_do_little_harm():
         depth[v : v + 16, u : u + 16] = 0
     assert (depth == 0).mean() > 0.1
     perceived = perceive(
-        Capture(scene.capture.colour, depth, CAMERA, object_pixels()), scene.model, detector=StandIn(detected)
+        Capture(scene.capture.color, depth, CAMERA, object_pixels()), scene.model, detector=StandIn(detected)
     )
     error = add_s(scene.model.vertices, perceived.object.pose_camera_object, scene.pose_camera_object)
     assert error < 0.01 or not perceived.confident
@@ -342,7 +342,7 @@ def test_without_a_table_the_world_is_a_guess():
     heights = scene.capture.points() @ scene.table[:3] + scene.table[3]
     depth = np.where(heights > 0.004, scene.capture.depth, 0).astype(np.float32)
     perceived = perceive(
-        Capture(scene.capture.colour, depth, CAMERA),
+        Capture(scene.capture.color, depth, CAMERA),
         scene.model,
         detector=StandIn(detected),
         object_estimate=known(scene),
@@ -376,7 +376,7 @@ def test_a_wall_is_no_table():
     reach = np.where(slope < -1e-3, -wall[3] / np.minimum(slope, -1e-3), 9.0)
     depth = np.where(heights < 0.004, np.minimum(scene.capture.depth, reach), scene.capture.depth)
     depth[CAMERA.height * 3 // 4 :] = 0.0
-    walled = Capture(scene.capture.colour, depth.astype(np.float32), CAMERA)
+    walled = Capture(scene.capture.color, depth.astype(np.float32), CAMERA)
     seen = walled.points()[walled.measured]
     assert (np.abs(seen @ wall[:3] + wall[3]) < 1e-2).sum() > (
         np.abs(seen @ scene.table[:3] + scene.table[3]) < 1e-2
@@ -398,14 +398,14 @@ def test_moving_the_camera_does_not_move_the_hand_on_the_object():
     assert apart.mean() < 0.02
 
 
-def test_the_mesh_may_have_colours():
+def test_the_mesh_may_have_colors():
     scene, detected = mug()
     paint = np.random.default_rng(0).integers(0, 255, (len(scene.model.vertices), 3))
-    coloured = trimesh.Trimesh(scene.model.vertices, scene.model.faces, vertex_colors=paint, process=False)
+    colored = trimesh.Trimesh(scene.model.vertices, scene.model.faces, vertex_colors=paint, process=False)
     perceived = perceive(
         scene.capture.with_object(object_pixels()),
         scene.model,
-        coloured=coloured,
+        colored=colored,
         detector=StandIn(detected),
     )
     assert add_s(scene.model.vertices, perceived.object.pose_camera_object, scene.pose_camera_object) < 0.006

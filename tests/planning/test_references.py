@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import fields
 
 import numpy as np
+from fungrasp.planning.references import References, object_tables
 from planned_grasps import grasps_and_objects, hand, motion, references
 from scipy.spatial.transform import Rotation
 
 from fungrasp.geometry.poses import compose, transform_points
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.planning.grasp_motion import Motion
-from fungrasp.planning.references import References, object_tables
 
 
 def made_up(seed: int, count: int, steps: int) -> References:

@@ -44,7 +44,7 @@ def _geom(model, name):
 
 def test_silhouette_and_depth_of_a_sphere(model):
     camera = Camera((0.0, -0.6, 0.25), (0.0, 0.0, 0.05), fov_y=20, width=160, height=120)
-    views = Renderer(model).views(np.zeros(2), camera, colour=False)
+    views = Renderer(model).views(np.zeros(2), camera, color=False)
     seen = views.segmentation[0] == _geom(model, "ball")
     v, u = np.mgrid[:120, :160]
     rays = camera.directions(np.stack([u, v], -1).astype(float))
@@ -73,7 +73,7 @@ def test_primitives_have_their_shape(shape, size, heights):
     world = f'<worldbody><geom type="{shape}" size="{size}"/></worldbody>'
     model = mujoco.MjModel.from_xml_string(f"<mujoco>{world}</mujoco>")
     above = Camera((0, 0, 4.0), (0, 0, 0), up=(0, 1, 0), fov_y=2, width=141, height=141)
-    views = Renderer(model, ground=False).views(np.zeros(0), above, colour=False)
+    views = Renderer(model, ground=False).views(np.zeros(0), above, color=False)
     for x, height in zip((0.0, 0.012), heights, strict=True):
         u, v = np.round(above.project(np.array([x, 0.0, height]))[0]).astype(int)
         assert views.depth[0, v, u] == pytest.approx(4.0 - height, abs=4e-4)
@@ -83,7 +83,7 @@ def test_primitives_have_their_shape(shape, size, heights):
 
 
 def test_depth_of_the_table_is_its_distance_along_the_view(model, camera):
-    views = Renderer(model).views(np.zeros(2), camera, colour=False)
+    views = Renderer(model).views(np.zeros(2), camera, color=False)
     v, u = np.argwhere(views.segmentation[0] == TABLE)[-1]
     direction = camera.directions(np.array([u, v], float))
     point = np.asarray(camera.position) + direction * views.depth[0, v, u] / (
@@ -94,7 +94,7 @@ def test_depth_of_the_table_is_its_distance_along_the_view(model, camera):
 
 def test_sky_has_no_depth(model):
     camera = Camera((0, -0.6, 0.1), (0, 0, 0.2), width=20, height=16)
-    views = Renderer(model).views(np.zeros(2), camera, colour=False)
+    views = Renderer(model).views(np.zeros(2), camera, color=False)
     sky = views.segmentation == NOTHING
     assert sky.any()
     assert (views.depth[sky] == 0).all()
@@ -102,12 +102,12 @@ def test_sky_has_no_depth(model):
 
 
 def test_collision_groups_and_planes_are_not_drawn(model, camera):
-    seen = Renderer(model).views(np.zeros(2), camera, colour=False).segmentation
+    seen = Renderer(model).views(np.zeros(2), camera, color=False).segmentation
     assert set(np.unique(seen)) <= {NOTHING, TABLE, _geom(model, "ball"), _geom(model, "post")}
 
 
 def test_without_ground_the_models_plane_is_drawn(model, camera):
-    seen = Renderer(model, ground=False).views(np.zeros(2), camera, colour=False).segmentation
+    seen = Renderer(model, ground=False).views(np.zeros(2), camera, color=False).segmentation
     assert (seen == _geom(model, "floor")).any()
     assert not (seen == TABLE).any()
 
@@ -161,23 +161,23 @@ def test_antialiasing_comes_closer_to_a_large_picture(model, camera):
     assert fine < 0.4 * rough
 
 
-def test_each_frame_has_its_own_camera_colours_and_mocap_pose(model, camera):
+def test_each_frame_has_its_own_camera_colors_and_mocap_pose(model, camera):
     other = replace(camera, position=(0.5, 0.4, 0.3))
-    colours = np.stack([model.geom_rgba, model.geom_rgba])
-    colours[1, _geom(model, "ball")] = (0.1, 0.9, 0.1, 1)
-    colours[0, _geom(model, "post"), 3] = 0
+    colors = np.stack([model.geom_rgba, model.geom_rgba])
+    colors[1, _geom(model, "ball")] = (0.1, 0.9, 0.1, 1)
+    colors[0, _geom(model, "post"), 3] = 0
     mocap = np.array([[[0, 0, -1, 1, 0, 0, 0]], [[-0.1, 0, 0.1, 1, 0, 0, 0]]], float)
-    views = Renderer(model).views(np.zeros((2, 2)), [camera, other], mocap=mocap, geom_rgba=colours)
+    views = Renderer(model).views(np.zeros((2, 2)), [camera, other], mocap=mocap, geom_rgba=colors)
     ball, post, guide = (views.segmentation == _geom(model, n) for n in ("ball", "post", "guide"))
     assert not post[0].any()
     assert post[1].any()
     assert not guide[0].any()
     assert guide[1].any()
-    assert np.argmax(views.colour[0][ball[0]].mean(0)) == 2
-    assert np.argmax(views.colour[1][ball[1]].mean(0)) == 1
+    assert np.argmax(views.color[0][ball[0]].mean(0)) == 2
+    assert np.argmax(views.color[1][ball[1]].mean(0)) == 1
     look = Look(light=tuple(sun_direction(Look(), camera.rotation)))
-    alone = render(model, np.zeros(2), other, mocap=mocap[1], geom_rgba=colours[1], look=look)[0]
-    assert np.abs(views.colour[1].astype(int) - alone).max() <= 1
+    alone = render(model, np.zeros(2), other, mocap=mocap[1], geom_rgba=colors[1], look=look)[0]
+    assert np.abs(views.color[1].astype(int) - alone).max() <= 1
 
 
 def test_frames_come_one_by_one(model, camera):

@@ -11,7 +11,7 @@ from fungrasp.evaluation import Trajectory
 from fungrasp.hands import load_hand
 from fungrasp.objects import builtin_object
 from fungrasp.report import episode_film as module
-from fungrasp.report.episode_film import VERDICT_TIME, trial_film, trial_phases
+from fungrasp.report.episode_film import VERDICT_TIME, episode_film, episode_phases
 
 HAND = load_hand("allegro")
 BALL = builtin_object("tennis_ball")
@@ -48,12 +48,12 @@ def trajectory() -> Trajectory:
 
 
 def test_closing_begins_with_the_first_touch(trajectory: Trajectory) -> None:
-    assert trial_phases(trajectory) == [(0.0, "approach"), (1.0, "close"), (2.0, "lift"), (3.0, "hold")]
+    assert episode_phases(trajectory) == [(0.0, "approach"), (1.0, "close"), (2.0, "lift"), (3.0, "hold")]
 
 
 def test_without_touch_there_is_no_closing(trajectory: Trajectory) -> None:
     never = replace(trajectory, link_contacts=np.zeros_like(trajectory.link_contacts))
-    assert [name for _, name in trial_phases(never)] == ["approach", "lift", "hold"]
+    assert [name for _, name in episode_phases(never)] == ["approach", "lift", "hold"]
 
 
 def captions(monkeypatch: pytest.MonkeyPatch, trajectory: Trajectory) -> list[str]:
@@ -65,7 +65,7 @@ def captions(monkeypatch: pytest.MonkeyPatch, trajectory: Trajectory) -> list[st
 
     monkeypatch.setattr(module, "captioned", captioned)
     frames = list(
-        trial_film(trajectory, HAND, BALL, fps=FPS, speed=1.0, title="Ball", width=WIDTH, height=HEIGHT)
+        episode_film(trajectory, HAND, BALL, fps=FPS, speed=1.0, title="Ball", width=WIDTH, height=HEIGHT)
     )
     assert all(frame.shape == (HEIGHT, WIDTH, 3) for frame in frames)
     return words
@@ -104,9 +104,9 @@ def test_a_diverged_simulation_is_shown_until_then(
 def test_an_object_that_gets_away_does_not_shrink_the_picture(trajectory: Trajectory) -> None:
     pose = trajectory.object_pose.copy()
     pose[25:, 0] = np.linspace(0.0, 5.0, 26)
-    first = next(trial_film(trajectory, HAND, BALL, fps=FPS, width=WIDTH, height=HEIGHT))
+    first = next(episode_film(trajectory, HAND, BALL, fps=FPS, width=WIDTH, height=HEIGHT))
     other = next(
-        trial_film(replace(trajectory, object_pose=pose), HAND, BALL, fps=FPS, width=WIDTH, height=HEIGHT)
+        episode_film(replace(trajectory, object_pose=pose), HAND, BALL, fps=FPS, width=WIDTH, height=HEIGHT)
     )
     dark = [int((frame[:60].max(axis=-1) < 70).sum()) for frame in (first, other)]
     assert dark[1] > 0.3 * dark[0] > 0, "the hand is much smaller"
@@ -122,6 +122,6 @@ def test_still_frames_are_drawn_once(trajectory: Trajectory, monkeypatch: pytest
             return super().stream(qpos, camera, **others)
 
     monkeypatch.setattr(module, "Renderer", Counting)
-    count = len(list(trial_film(trajectory, HAND, BALL, fps=FPS, speed=1.0, width=WIDTH, height=HEIGHT)))
+    count = len(list(episode_film(trajectory, HAND, BALL, fps=FPS, speed=1.0, width=WIDTH, height=HEIGHT)))
     assert count == 26 + round(VERDICT_TIME * FPS)
     assert drawn <= 13, "the hand is still from 1 s to 2 s and from 3 s on"

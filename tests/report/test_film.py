@@ -66,8 +66,8 @@ def test_a_following_camera_keeps_the_body_in_the_middle(model, camera):
     assert len(still) == len(moving) == 11
 
     def redness(frame):
-        colour = frame.astype(int)
-        return (colour[..., 0] - colour[..., 2] > 60)[:, 18:30].sum()
+        color = frame.astype(int)
+        return (color[..., 0] - color[..., 2] > 60)[:, 18:30].sum()
 
     assert redness(still[-1]) == 0
     assert redness(moving[-1]) > 40

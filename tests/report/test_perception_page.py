@@ -25,12 +25,12 @@ from fungrasp.report.page_parts import Quantity
 from fungrasp.report.perception_alternatives import alternatives
 from fungrasp.report.perception_page import contact_words, perception_quantities, write_perception_page
 from fungrasp.report.perception_pictures import (
-    FINGER_COLOURS,
+    FINGER_COLORS,
     SHAPE,
     UNSURE_LINE,
     close_up,
     drawn_over,
-    false_colours,
+    false_colors,
     pose_over,
     whole_image,
 )
@@ -84,7 +84,7 @@ def no_pictures(monkeypatch):
     """Pictures take a second; not every test looks at them."""
     picture = np.zeros((3, 4, 3), np.uint8)
     monkeypatch.setattr(perception_page, "grasp_from_four_sides", lambda *_: [picture] * 4)
-    for name in ("drawn_over", "false_colours", "whole_image"):
+    for name in ("drawn_over", "false_colors", "whole_image"):
         monkeypatch.setattr(perception_page, name, lambda *_: picture)
 
 
@@ -223,7 +223,7 @@ def test_the_skeleton_is_drawn_where_the_joints_are():
     columns, rows = np.round(view.place(seen.hand.pixels)).astype(int).T
     nearest = np.argmin(TRUTH.joints_camera[:, 2])
     for joint, finger in ((4, "index"), (12, "ring"), (20, "thumb"), (18, "thumb")):
-        np.testing.assert_allclose(picture[rows[joint], columns[joint]], FINGER_COLOURS[finger], atol=12)
+        np.testing.assert_allclose(picture[rows[joint], columns[joint]], FINGER_COLORS[finger], atol=12)
     hollow = replace(seen.hand, confidence=np.zeros(21))
     drawn = drawn_over(CAPTURE, hollow, MODEL, pose, True)
     assert drawn[rows[nearest], columns[nearest]].max() < 60
@@ -231,7 +231,7 @@ def test_the_skeleton_is_drawn_where_the_joints_are():
 
 def test_the_close_up_shows_the_image_where_it_says():
     """A pixel of the image is found again where ``place`` puts it."""
-    marked = CAPTURE.colour.copy()
+    marked = CAPTURE.color.copy()
     marked[200:203, 300:303] = (0, 255, 0)
     seen = perceived()
     view = close_up(CAPTURE, seen.hand, MODEL, TRUTH.pose_camera_object)
@@ -262,9 +262,9 @@ def test_an_object_out_of_the_image_is_not_drawn():
         assert not np.any(np.abs(picture.astype(int) - UNSURE_LINE).max(axis=-1) < 10)
 
 
-def test_depth_has_colours_and_holes_are_black():
+def test_depth_has_colors_and_holes_are_black():
     seen = perceived()
-    picture = false_colours(CAPTURE, seen.hand, MODEL, TRUTH.pose_camera_object, True)
+    picture = false_colors(CAPTURE, seen.hand, MODEL, TRUTH.pose_camera_object, True)
     view = close_up(CAPTURE, seen.hand, MODEL, TRUTH.pose_camera_object)
     depth = view.cut(Image.fromarray(CAPTURE.depth))
     part = np.s_[:300]

@@ -11,7 +11,7 @@ from fungrasp.rendering import (
     human_grasp_scene,
     look_at_grasp,
     robot_grasp_scene,
-    robot_scene_colours,
+    robot_scene_colors,
     robot_scene_states,
 )
 from fungrasp.rendering.grasp_scenes import CONTACT, OBJECT_BODY
@@ -68,7 +68,7 @@ def test_a_caption_changes_only_the_lower_edge():
     assert (image == 230).all()
 
 
-def test_human_contacts_are_coloured():
+def test_human_contacts_are_colored():
     none, tips = np.zeros(16, bool), np.zeros(16, bool)
     tips[[3, 6, 9, 12, 15]] = True
     seen = {}
@@ -79,7 +79,7 @@ def test_human_contacts_are_coloured():
     assert _orange(seen["tips"]) > 20
 
 
-def test_a_touching_palm_is_coloured_only_near_the_object():
+def test_a_touching_palm_is_colored_only_near_the_object():
     contacts = np.zeros(16, bool)
     contacts[0] = True
     model = _human(contacts)
@@ -100,13 +100,13 @@ def test_the_robot_is_where_it_was_put(allegro):
         assert data.joint("robot/" + name).qpos[0] == value
 
 
-def test_robot_links_in_contact_are_coloured(allegro):
+def test_robot_links_in_contact_are_colored(allegro):
     contacts = np.zeros(len(allegro.links), bool)
     link = allegro.link_names.index("index_distal")
     contacts[link] = True
     _, _, (model, _) = _robot(allegro, contacts)
-    coloured = np.flatnonzero(np.all(np.isclose(model.geom_rgba[:, :3], CONTACT), axis=1))
-    bodies = {model.body(int(model.geom_bodyid[g])).name for g in coloured}
+    colored = np.flatnonzero(np.all(np.isclose(model.geom_rgba[:, :3], CONTACT), axis=1))
+    bodies = {model.body(int(model.geom_bodyid[g])).name for g in colored}
     assert bodies == {"robot/" + body for body in allegro.links[link]}
 
 
@@ -114,9 +114,9 @@ def test_links_light_up_along_a_motion(allegro):
     wrist, joints, (model, qpos) = _robot(allegro)
     contacts = np.zeros((3, len(allegro.links)), bool)
     contacts[2, 1:] = True
-    colours = robot_scene_colours(model, allegro, contacts)
-    np.testing.assert_array_equal(colours[0], colours[1])
-    assert np.isclose(colours[2, :, :3], CONTACT).all(-1).sum() > 10
+    colors = robot_scene_colors(model, allegro, contacts)
+    np.testing.assert_array_equal(colors[0], colors[1])
+    assert np.isclose(colors[2, :, :3], CONTACT).all(-1).sum() > 10
     states = robot_scene_states(
         model, allegro, np.tile(wrist, (3, 1)), np.tile(joints, (3, 1)), np.tile(POSE, (3, 1))
     )
@@ -127,7 +127,7 @@ def test_the_automatic_camera_sees_hand_and_object_from_above(allegro):
     _, _, (model, qpos) = _robot(allegro)
     camera = look_at_grasp(model, qpos, width=80, height=60)
     assert camera.position[2] > 0
-    seen = Renderer(model).views(qpos, camera, colour=False).segmentation[0]
+    seen = Renderer(model).views(qpos, camera, color=False).segmentation[0]
     of_object = [g for g in range(model.ngeom) if model.body(int(model.geom_bodyid[g])).name == OBJECT_BODY]
     assert np.isin(seen, of_object).sum() > 30
     assert ((seen >= 0) & ~np.isin(seen, of_object)).sum() > 300
@@ -141,7 +141,7 @@ def test_a_camera_for_a_motion_frames_all_of_it(allegro):
     wrists[:, 2] += np.linspace(0.3, 0, 5)
     states = robot_scene_states(model, allegro, wrists, np.tile(joints, (5, 1)), np.tile(POSE, (5, 1)))
     camera = look_at_grasp(model, states, width=80, height=60)
-    for seen in Renderer(model).views(states, camera, colour=False).segmentation:
+    for seen in Renderer(model).views(states, camera, color=False).segmentation:
         border = np.concatenate([seen[0], seen[-1], seen[:, 0], seen[:, -1]])
         assert (seen >= 0).any()
         assert (border < 0).all()

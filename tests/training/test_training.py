@@ -14,11 +14,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from fungrasp.planning.references import References
 from small_training import BATCH, PPO, environment, hand, library, run_settings, training_set, unusable
 
 from fungrasp.errors import FungraspError
 from fungrasp.hands import load_hand
-from fungrasp.planning.references import References
 from fungrasp.policies.checkpoint.card import Budget
 from fungrasp.policies.checkpoint.checkpoint_file import load_policy
 from fungrasp.training.checkpoint import check_environment, environment_state, read_checkpoint

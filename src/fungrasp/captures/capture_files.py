@@ -17,7 +17,7 @@ from fungrasp.errors import FungraspError
 from fungrasp.files import atomic_path
 from fungrasp.grasps import HumanGrasp
 from fungrasp.perception.io.image_files import read_capture
-from fungrasp.perception.io.scene_folders import COLOUR_FILE, DEPTH_FILE, LENS_FILE
+from fungrasp.perception.io.scene_folders import COLOR_FILE, DEPTH_FILE, LENS_FILE
 
 TRUTH_FILE, LABELS_FILE, OBJECT_MASK_FILE = "truth.json", "labels.png", "object_mask.png"
 """What a photograph's folder would not have."""
@@ -37,7 +37,7 @@ def write_capture(synthetic: SyntheticCapture, folder: str | Path) -> None:
     """
     folder, capture = Path(folder), synthetic.capture
     lens = capture.intrinsics
-    _save_image(folder / COLOUR_FILE, capture.colour)
+    _save_image(folder / COLOR_FILE, capture.color)
     _save_image(folder / DEPTH_FILE, np.round(capture.depth / DEPTH_UNIT).clip(0, 65535).astype(np.uint16))
     _save_image(folder / LABELS_FILE, synthetic.labels)
     _save_image(folder / OBJECT_MASK_FILE, np.where(synthetic.object_mask, 255, 0).astype(np.uint8))
@@ -65,8 +65,8 @@ def write_capture(synthetic: SyntheticCapture, folder: str | Path) -> None:
 
 def painted_mesh(painted: PaintedMesh) -> trimesh.Trimesh:
     """The same as a mesh with a colour per vertex."""
-    colours = np.round(255 * painted.colours).astype(np.uint8)
-    return trimesh.Trimesh(painted.vertices, painted.faces, vertex_colors=colours, process=False)
+    colors = np.round(255 * painted.colors).astype(np.uint8)
+    return trimesh.Trimesh(painted.vertices, painted.faces, vertex_colors=colors, process=False)
 
 
 def read_synthetic_capture(folder: str | Path) -> SyntheticCapture:
@@ -76,7 +76,7 @@ def read_synthetic_capture(folder: str | Path) -> SyntheticCapture:
         FungraspError: a file is missing or bad.
     """
     folder = Path(folder)
-    capture = read_capture(folder / COLOUR_FILE, folder / DEPTH_FILE, folder / LENS_FILE)
+    capture = read_capture(folder / COLOR_FILE, folder / DEPTH_FILE, folder / LENS_FILE)
     path = folder / TRUTH_FILE
     try:
         truth = json.loads(path.read_text())

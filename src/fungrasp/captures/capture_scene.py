@@ -14,7 +14,7 @@ from fungrasp.captures.skin_and_sleeve import painted_hand, painted_sleeve
 from fungrasp.geometry.poses import transform_points
 from fungrasp.grasps import HumanGrasp
 from fungrasp.objects import ObjectModel, builtin_object
-from fungrasp.rendering.shading import Colour, Look
+from fungrasp.rendering.shading import Color, Look
 from fungrasp.rendering.surfaces import SurfaceMesh
 
 
@@ -58,7 +58,7 @@ WALL_DISTANCE = (1.4, 2.6)
 
 _SPACE = 0.012
 _FLOOR = -0.72
-_SLEEVES: tuple[Colour, ...] = (
+_SLEEVES: tuple[Color, ...] = (
     (0.20, 0.26, 0.42),
     (0.72, 0.72, 0.74),
     (0.16, 0.16, 0.17),
@@ -66,12 +66,12 @@ _SLEEVES: tuple[Colour, ...] = (
     (0.30, 0.42, 0.34),
     (0.80, 0.76, 0.62),
 )
-_WOODS: tuple[tuple[Colour, Colour], ...] = (
+_WOODS: tuple[tuple[Color, Color], ...] = (
     ((0.72, 0.55, 0.38), (0.58, 0.41, 0.26)),
     ((0.50, 0.36, 0.25), (0.37, 0.25, 0.17)),
     ((0.84, 0.76, 0.64), (0.76, 0.66, 0.53)),
 )
-_PLAINS: tuple[Colour, ...] = ((0.86, 0.86, 0.85), (0.32, 0.33, 0.35), (0.60, 0.63, 0.64), (0.42, 0.52, 0.60))
+_PLAINS: tuple[Color, ...] = ((0.86, 0.86, 0.85), (0.32, 0.33, 0.35), (0.60, 0.63, 0.64), (0.42, 0.52, 0.60))
 
 
 @dataclass(frozen=True)
@@ -79,11 +79,13 @@ class CaptureScene:
     """Surfaces to be seen, what they are, and the light."""
 
     surfaces: tuple[SurfaceMesh, ...]
+    """Surfaces to be seen, world frame."""
     labels: np.ndarray
     """``Label`` of each surface, shape [surfaces] uint8."""
     look: Look
+    """Lights, table top and backdrop."""
     arm_end: np.ndarray
-    """Where the arm ends [m], world frame, shape [3]: better not in the image."""
+    """End of the arm [m], world frame, shape [3]; views that show it are avoided."""
 
     def without(self, missing: Collection[Label]) -> CaptureScene:
         """The scene without some of its surfaces; a sleeve goes with its hand."""
@@ -97,7 +99,7 @@ def capture_scene(
     painted: PaintedMesh,
     rng: np.random.Generator,
     *,
-    tones: Sequence[Colour],
+    tones: Sequence[Color],
     clutter: int,
     towards: float,
 ) -> CaptureScene:
@@ -200,10 +202,10 @@ def _room(centre: np.ndarray, rng: np.random.Generator) -> list[SurfaceMesh]:
     return things
 
 
-def _block(centre: np.ndarray, size: Sequence[float], colour: np.ndarray) -> SurfaceMesh:
+def _block(centre: np.ndarray, size: Sequence[float], color: np.ndarray) -> SurfaceMesh:
     box = trimesh.creation.box(size)
     vertices = np.array(box.vertices) + centre
-    return PaintedMesh(vertices, np.array(box.faces), np.tile(colour, (len(vertices), 1))).surface(0.0)
+    return PaintedMesh(vertices, np.array(box.faces), np.tile(color, (len(vertices), 1))).surface(0.0)
 
 
 def _look(rng: np.random.Generator) -> Look:

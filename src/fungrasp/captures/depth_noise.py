@@ -15,7 +15,7 @@ class DepthNoise:
     """Errors of an active stereo camera; the defaults are of the kind sold for robots (5 cm baseline)."""
 
     baseline: float = 0.05
-    """Between the two infrared cameras [m]; the second one's blind spots are holes."""
+    """Distance between the two infrared cameras [m]; what the second one can't see has no depth."""
     disparity: float = 0.08
     """Standard deviation of the disparity [pixels]: noise is depth^2 * disparity / (focal * baseline)."""
     blob: float = 1.2
@@ -25,7 +25,7 @@ class DepthNoise:
     dropout: float = 0.35
     """Part of the pixels beside a step in depth that give nothing."""
     step: float = 0.015
-    """What counts as a step in depth [m]."""
+    """Difference in depth between neighbouring pixels that counts as an edge [m]."""
     grazing: tuple[float, float] = (68.0, 86.0)
     """Angles between view and normal where pixels begin to give nothing, and where none is left [degrees]."""
     speckle: float = 0.002
@@ -37,7 +37,7 @@ class DepthNoise:
 
 
 @dataclass(frozen=True)
-class ColourNoise:
+class ColorNoise:
     """Errors of a small colour camera."""
 
     noise: float = 2.0
@@ -80,7 +80,7 @@ def noisy_depth(
     return np.where(lost, 0.0, measured).astype(np.float32)
 
 
-def noisy_colour(light: np.ndarray, noise: ColourNoise, rng: np.random.Generator) -> np.ndarray:
+def noisy_color(light: np.ndarray, noise: ColorNoise, rng: np.random.Generator) -> np.ndarray:
     """What a colour camera would make of linear light.
 
     Args:

@@ -27,16 +27,16 @@ class PaintedMesh:
     """A triangle mesh with colours."""
 
     vertices: np.ndarray
-    """[m], shape [V, 3]."""
+    """Positions of the vertices [m], object frame, shape [V, 3]."""
     faces: np.ndarray
     """Counter-clockwise from outside, shape [T, 3]."""
-    colours: np.ndarray
+    colors: np.ndarray
     """sRGB from 0 to 1, shape [V, 3]."""
 
     def surface(self, specular: float = 0.1, shininess: float = 10.0) -> SurfaceMesh:
         """The mesh as it is drawn. specular, shininess: strength and exponent of the highlight."""
         normals = fine_mesh_normals(self.vertices, self.faces)
-        return SurfaceMesh(self.vertices, self.faces, normals, linear(self.colours), specular, shininess)
+        return SurfaceMesh(self.vertices, self.faces, normals, linear(self.colors), specular, shininess)
 
     def moved(self, pose: np.ndarray) -> PaintedMesh:
         """The mesh at a pose, shape [7]."""
@@ -75,24 +75,24 @@ def painted_object(model: ObjectModel) -> PaintedMesh:
     rng = np.random.default_rng(zlib.crc32(model.name.encode()))
     vertices, faces, face_index = _fine(model)
     base, second, third = _palette(rng)
-    colours = np.tile(base, (len(vertices), 1))
+    colors = np.tile(base, (len(vertices), 1))
     parts = list(model.parts.values())
     if len(parts) > 1:
         for i, part in enumerate(parts):
-            colour = (base, second, third, 0.5 * (base + third))[i % 4]
-            colours[np.unique(faces[part[face_index]])] = colour
+            color = (base, second, third, 0.5 * (base + third))[i % 4]
+            colors[np.unique(faces[part[face_index]])] = color
     low, size = vertices.min(0), np.ptp(vertices, axis=0)
     unit = (vertices - low) / size
     axis = int(np.argmax(size))
     middle, width = rng.uniform(0.3, 0.7), rng.uniform(0.08, 0.2)
-    colours = mixed(colours, third, _step(width - np.abs(unit[:, axis] - middle), 0.02))
+    colors = mixed(colors, third, _step(width - np.abs(unit[:, axis] - middle), 0.02))
     label = np.stack([unit[:, axis] - middle, unit[:, (axis + 1) % 3] - rng.uniform(0.3, 0.7)], axis=-1)
     side = _step(unit[:, (axis + 2) % 3] - 0.5, 0.02)
     spot = _step(rng.uniform(0.10, 0.18) - np.linalg.norm(label * [1.0, 0.7], axis=1), 0.02) * side
-    colours = mixed(colours, second, spot)
+    colors = mixed(colors, second, spot)
     waves = rng.normal(size=(3, 3)) * 2 * np.pi / 0.02
     grain = np.prod(np.sin(vertices @ waves.T + rng.uniform(0, 6, 3)), axis=1)
-    return PaintedMesh(vertices, faces, np.clip(colours * (1 + 0.06 * grain[:, None]), 0.0, 1.0))
+    return PaintedMesh(vertices, faces, np.clip(colors * (1 + 0.06 * grain[:, None]), 0.0, 1.0))
 
 
 def _fine(model: ObjectModel) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -107,8 +107,8 @@ def _palette(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarr
     hue = rng.uniform(0, 1) + np.array([0.0, rng.uniform(0.25, 0.45), rng.uniform(0.55, 0.75)])
     saturation, value = rng.uniform(0.25, 0.85, 3), rng.uniform(0.3, 0.95, 3)
     phase = np.abs((hue[:, None] % 1.0 * 6 + [0, 4, 2]) % 6 - 3) - 1
-    colours = value[:, None] * (1 - saturation[:, None] * (1 - np.clip(phase, 0, 1)))
-    return colours[0], colours[1], colours[2]
+    colors = value[:, None] * (1 - saturation[:, None] * (1 - np.clip(phase, 0, 1)))
+    return colors[0], colors[1], colors[2]
 
 
 def _step(x: np.ndarray, width: float) -> np.ndarray:

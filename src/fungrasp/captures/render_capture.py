@@ -13,7 +13,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from fungrasp.captures.capture_scene import CaptureScene, Label, capture_scene
-from fungrasp.captures.depth_noise import ColourNoise, DepthNoise, noisy_colour, noisy_depth
+from fungrasp.captures.depth_noise import ColorNoise, DepthNoise, noisy_color, noisy_depth
 from fungrasp.captures.painted_mesh import PaintedMesh, painted_object
 from fungrasp.captures.skin_and_sleeve import SKIN_TONES
 from fungrasp.errors import FungraspError, UnknownNameError
@@ -23,7 +23,7 @@ from fungrasp.objects import ObjectModel
 from fungrasp.perception import Capture, Intrinsics
 from fungrasp.rendering.camera import orbit_camera
 from fungrasp.rendering.ray_tracing import NOTHING, PixelRays, RayTracer
-from fungrasp.rendering.shading import Colour
+from fungrasp.rendering.shading import Color
 
 TRIES = 24
 """Cameras that are tried before the best so far is taken."""
@@ -48,19 +48,19 @@ class CaptureSettings:
     """Range of elevations of the camera above the table, seen from the grasp [degrees]."""
     clutter: tuple[int, int] = (0, 5)
     """Fewest and most other objects on the table."""
-    skin: tuple[Colour, ...] = SKIN_TONES
+    skin: tuple[Color, ...] = SKIN_TONES
     """Tones of skin, sRGB; another colour makes a glove."""
     object_seen: float = 0.012
     """Part of the image that must show the object, where a camera can be found that does."""
     hand_seen: float = 0.015
-    """Part of the image that must show the hand, likewise."""
+    """Part of the image that must show the hand, where a camera can be found that does."""
     missing: tuple[Label, ...] = ()
-    """What is taken out of the scene, once the camera has found its place: ``HAND`` (with its sleeve) or
-    ``OBJECT``, to see what perception makes of that."""
+    """Labels that are taken out of the scene once the camera has found its place, to see what perception
+    makes of that: ``HAND`` (with its sleeve) or ``OBJECT``."""
     depth_noise: DepthNoise | None = field(default_factory=DepthNoise)
-    """None for perfect depth."""
-    colour_noise: ColourNoise | None = field(default_factory=ColourNoise)
-    """None for perfect colour."""
+    """Noise of the depth; None for perfect depth."""
+    color_noise: ColorNoise | None = field(default_factory=ColorNoise)
+    """Noise of the color image; None for perfect color."""
 
     def __post_init__(self) -> None:
         for name in ("distance", "elevation", "clutter"):
@@ -76,15 +76,15 @@ class SyntheticCapture:
     """A rendered capture and the truth about it."""
 
     capture: Capture
-    """Without mask and box."""
+    """The rendered image, its depth and intrinsics, without mask and box."""
     grasp: HumanGrasp
-    """What the person does, world frame."""
+    """The human grasp that is rendered, world frame."""
     pose_world_camera: np.ndarray
-    """Shape [7]."""
+    """Pose of the camera in the world frame, shape [7]."""
     labels: np.ndarray
     """What each pixel shows, see ``Label``, shape [H, W] uint8."""
     painted: PaintedMesh
-    """The object as it is coloured, object frame."""
+    """The object with its colors, object frame."""
 
     @property
     def pose_camera_object(self) -> np.ndarray:
@@ -181,12 +181,12 @@ def render_capture(
     points = tracer.see(rays)
     labels = np.append(scene.labels, np.uint8(Label.ROOM))[points.surface].reshape(shape)
     light = tracer.picture(rays, points)
-    colour = noisy_colour(light, settings.colour_noise or ColourNoise(0.0, 0.0, 0.0), rng)
+    color = noisy_color(light, settings.color_noise or ColorNoise(0.0, 0.0, 0.0), rng)
     distance = np.where(points.surface == NOTHING, 0.0, points.distance).reshape(shape)
     depth = (distance / np.linalg.norm(intrinsics.rays(), axis=-1)).astype(np.float32)
     if settings.depth_noise is not None:
         depth = noisy_depth(depth, intrinsics, settings.depth_noise, rng)
-    return SyntheticCapture(Capture(colour, depth, intrinsics), grasp, pose, labels, painted)
+    return SyntheticCapture(Capture(color, depth, intrinsics), grasp, pose, labels, painted)
 
 
 def posed_rays(intrinsics: Intrinsics, pose_world_camera: np.ndarray) -> PixelRays:

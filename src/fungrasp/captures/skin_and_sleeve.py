@@ -17,9 +17,9 @@ from fungrasp.rendering.hand_mesh import (
     THUMB_RADII,
     human_hand_mesh,
 )
-from fungrasp.rendering.shading import Colour
+from fungrasp.rendering.shading import Color
 
-SKIN_TONES: tuple[Colour, ...] = (
+SKIN_TONES: tuple[Color, ...] = (
     (0.92, 0.76, 0.67),
     (0.88, 0.70, 0.58),
     (0.80, 0.61, 0.48),
@@ -80,7 +80,7 @@ class Forearm:
         return np.stack([wide, wide * (1 + 0.3 * part**2)], axis=-1)
 
 
-def painted_hand(joints: np.ndarray, tone: Colour, rng: np.random.Generator) -> tuple[PaintedMesh, Forearm]:
+def painted_hand(joints: np.ndarray, tone: Color, rng: np.random.Generator) -> tuple[PaintedMesh, Forearm]:
     """The skin of a right hand with its forearm, which bends away from the table.
 
     Args:
@@ -98,19 +98,19 @@ def painted_hand(joints: np.ndarray, tone: Colour, rng: np.random.Generator) -> 
     skin = np.asarray(tone)
     flushed = skin * [0.93, 0.68, 0.62]
     light = 1.0 - (1.0 - skin) * [0.62, 0.70, 0.72]
-    colours = mixed(skin, flushed, red)
-    colours = mixed(colours, light, np.clip(marks.pale, 0, 1))
+    colors = mixed(skin, flushed, red)
+    colors = mixed(colors, light, np.clip(marks.pale, 0, 1))
     vertices, arm = _with_forearm(joints, hand.vertices + marks.swell[:, None] * normals, scale)
-    return PaintedMesh(vertices, hand.faces, colours), arm
+    return PaintedMesh(vertices, hand.faces, colors), arm
 
 
-def painted_sleeve(arm: Forearm, start: float, colour: Colour, rng: np.random.Generator) -> PaintedMesh:
+def painted_sleeve(arm: Forearm, start: float, color: Color, rng: np.random.Generator) -> PaintedMesh:
     """A sleeve round the forearm, with a hem.
 
     Args:
         arm: the forearm.
         start: where the sleeve begins, 0 at the wrist to 1 at the elbow.
-        colour: of the cloth, sRGB.
+        color: of the cloth, sRGB.
         rng: decides the folds.
     """
     rings, around = 64, 64
@@ -130,7 +130,7 @@ def painted_sleeve(arm: Forearm, start: float, colour: Colour, rng: np.random.Ge
     quads = np.stack([a, b, b + around, a + around], axis=-1).reshape(-1, 4)
     faces = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
     shade = 1.0 + 0.10 * folds.reshape(-1, 1)
-    return PaintedMesh(vertices, faces, np.clip(np.asarray(colour) * shade, 0.0, 1.0))
+    return PaintedMesh(vertices, faces, np.clip(np.asarray(color) * shade, 0.0, 1.0))
 
 
 def _with_forearm(joints: np.ndarray, vertices: np.ndarray, scale: float) -> tuple[np.ndarray, Forearm]:
@@ -164,11 +164,11 @@ class _Marks:
     """What the skin shows, per vertex, filled in place."""
 
     red: np.ndarray
-    """How flushed, 0 to 1."""
+    """Redness of the skin, 0 to 1."""
     pale: np.ndarray
-    """How pale, 0 to 1."""
+    """Paleness of the skin, 0 to 1."""
     swell: np.ndarray
-    """How far it stands out [m]."""
+    """Height above the smooth skin [m]."""
 
 
 def _marks(

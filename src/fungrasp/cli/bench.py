@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fungrasp.cli.bench_perception import Perception
+from fungrasp.cli.bench_perception import BenchPerception
 from fungrasp.cli.console import progress_bar, table, write_json
 
 if TYPE_CHECKING:
@@ -233,7 +233,7 @@ COMMAND = {
     "retarget": Retargeting,
     "simulation": Simulation,
     "training": Training,
-    "perception": Perception,
+    "perception": BenchPerception,
 }
 
 

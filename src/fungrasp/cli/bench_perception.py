@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Perception:
+class BenchPerception:
     """Measure perception on rendered captures of human grasps: hand, object with and without its mask, all
     together, and against the targets.
 
@@ -56,9 +56,9 @@ class Perception:
     """Robot hand of --chain."""
     policy: tuple[str, ...] = ()
     """What moves it, see `fungrasp evaluate`; with several, each is tried. By default the freely licensed
-    student of the hand, or the reference if there is none."""
+    student of the hand, or "reference" if there is none."""
     threads: int = 0
-    """Of --chain; 0 means all processors."""
+    """Threads of --chain; 0 means all processors."""
     json: Path | None = None
     """Write the numbers here (.json). Given again after an interruption, the command goes on."""
 

@@ -57,17 +57,17 @@ class Demo:
     mesh: str | None = None
     """The object in the folder's image: a mesh file [m], or the name of a built-in object."""
     mass: float | None = None
-    """Of that object [kg]; a built-in one has its own."""
+    """Mass of that object [kg]; a built-in one has its own."""
     task: str = ""
     """What the grasp in the folder's image is for: "drink", "hand over" ..."""
     policy: str | None = None
-    """What moves the hand: reference, or a policy (fungrasp policies list). By default the freely licensed
-    student of the hand, or the reference if there is none."""
+    """What moves the hand: "reference" (the planned motion, open loop) or a policy (`fungrasp policies
+    list`). By default the freely licensed student of the hand, or "reference" if there is none."""
     refine: int = 8
     """Under the reference, try this many variations of a grasp in simulation until one holds; 0: only the
     grasp as it is. A learned policy chooses among candidates by itself, in simulated rollouts."""
     seed: int = 0
-    """Of the variations."""
+    """Seed of the variations."""
     out: Path = Path("demo")
     """Folder for the film and the page."""
     threads: int = 0
@@ -224,7 +224,7 @@ class Demo:
     ) -> tuple[Path, list[Path]]:
         """The whole film, and its part for each grasp."""
         from fungrasp.report import write_video
-        from fungrasp.report.episode_film import trial_film
+        from fungrasp.report.episode_film import episode_film
         from fungrasp.report.grasp_demo import grasp_title
 
         clips: list[Path] = []
@@ -234,7 +234,7 @@ class Demo:
             done = 0
             for row, trajectory in enumerate(trajectories):
                 thing, clip = objects[trajectory.object_name], []
-                for frame in trial_film(
+                for frame in episode_film(
                     trajectory,
                     hand,
                     thing,

@@ -51,15 +51,17 @@ class SeenGrasp:
     """What was seen in an image."""
 
     capture: Capture
+    """The image with its depth and intrinsics."""
     model: ObjectModel
-    """As it was seen."""
+    """The object in the image; see ``thing`` for the object of the grasp."""
     perceived: Perceived
+    """What ``perceive`` found in it."""
     source: str
-    """Where the image came from, for people."""
+    """Where the image came from, as text to print."""
     truth: Sequence[Quantity]
     """Errors, where the truth is known."""
     notes: tuple[str, ...] = ()
-    """What was assumed, for people."""
+    """Assumptions that were made, as sentences to print."""
 
     @property
     def human(self) -> HumanGraspSet:
@@ -116,7 +118,7 @@ def seen_grasp(folder: str, mesh: str | None, mass: float | None, task: str, see
         )
     held = held_object(mesh, mass)
     capture = read_folder(folder)
-    perceived = perceive(capture, held.model, coloured=held.coloured, task=task, seed=seed)
+    perceived = perceive(capture, held.model, colored=held.colored, task=task, seed=seed)
     return SeenGrasp(capture, held.model, perceived, folder, (), held.notes)
 
 

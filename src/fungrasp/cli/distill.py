@@ -29,12 +29,13 @@ class Distill:
     objects: Path | None = None
     """Folder of meshes <name>.obj; where they were when the teacher was trained by default."""
     seed: int = 0
-    """Of everything that is random."""
+    """Seed of all random numbers."""
     threads: int = 0
-    """Of the simulation; 0 means all processors."""
+    """Threads of the simulation; 0 means all processors."""
     wandb: str | None = None
     """Log to this project of Weights & Biases too."""
     settings: DistillSettings = field(default_factory=DistillSettings)
+    """Settings of the learning."""
 
     def run(self) -> None:
         check_packages()

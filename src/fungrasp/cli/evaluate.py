@@ -35,14 +35,14 @@ class Evaluate:
     hand: str = "allegro"
     """Name of a hand, or the path of a hand's TOML file."""
     policy: str = "reference"
-    """What moves the hand: "reference", "student", "teacher", "plan" (the student's plan, played blindly),
-    one of `fungrasp policies list`, or a policy file (.onnx)."""
+    """What moves the hand: "reference" (one planned motion, open loop), "student", "teacher", "plan" (the
+    student's plan, open loop), one of `fungrasp policies list`, or a policy file (.onnx)."""
     refine: int = 0
     """First try this many variations of each grasp in simulation, and keep the best."""
     method: tuple[str, ...] = ("ours",)
     """How human grasps are retargeted: ours, angle-copy, dexgraspnet; several are compared."""
     seed: tuple[int, ...] = (0,)
-    """Of everything that is random; with several, each grasp is tried with each."""
+    """Seed of all random numbers; with several, each grasp is tried with each."""
     json: Path | None = None
     """Write every number here (.json). Given again after an interruption, the command goes on."""
     out: Path | None = None
@@ -55,13 +55,13 @@ class Evaluate:
     static: bool = False
     """Measure the static quality too (of retargeted human grasps), and run the six-direction test."""
     mass_scale: float = 1.0
-    """The object weighs this many times what the policy believes."""
+    """The object weighs this many times its nominal mass, which the policy assumes."""
     friction: float | None = None
     """Sliding friction of hand, object and table; 0.9 by default."""
     pose_noise: tuple[float, float] = (0.0, 0.0)
-    """The object is this far [m] and turned by this angle [degrees] from where the policy believes it is."""
+    """Difference of the object's true pose from the estimated one: shift [m] and turn [degrees]."""
     table_height: float = 0.0
-    """The table is this much higher than the policy believes [m]."""
+    """Height of the table top above the nominal one, which the policy assumes [m]."""
     latency: float = 0.0
     """Actions take effect this late [s], up to 0.1."""
     push: tuple[float, float] = (0.0, 0.2)
@@ -70,7 +70,7 @@ class Evaluate:
     """The object is moved this far on the table [m] after the policy has planned."""
     rollouts: bool = True
     """Policies that choose among candidate plans try the most promising in simulated rollouts first, in
-    worlds that differ from what is believed, and search further where none holds: 33 to 189 episodes for each
+    worlds that differ from the nominal one, and search further where none holds: 33 to 189 episodes for each
     grasp."""
     noslip: int = 0
     """Iterations that take the creep out of the solver's friction; 5 make physics 1.6 times as slow."""
@@ -83,8 +83,8 @@ class Evaluate:
     def run(self) -> None:
         from time import perf_counter
 
+        from fungrasp.cli.episode_tables import comparison, result_table, robustness_table, static_words
         from fungrasp.cli.retarget import draw_grasps
-        from fungrasp.cli.trial_tables import comparison, result_table, robustness_table, static_words
         from fungrasp.evaluation.lift_test import check_hand
         from fungrasp.evaluation.partial_results import PartialResults
         from fungrasp.grasps import RobotGraspSet, load_grasps, load_objects

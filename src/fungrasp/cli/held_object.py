@@ -21,10 +21,11 @@ class HeldObject:
     """An object, as a command was told of it."""
 
     model: ObjectModel
-    coloured: trimesh.Trimesh | None = None
+    """Mesh, mass and inertia of the object."""
+    colored: trimesh.Trimesh | None = None
     """The same with the colours of its mesh file, if it has any."""
     notes: tuple[str, ...] = ()
-    """What was assumed, for people."""
+    """Assumptions that were made, as sentences to print."""
 
 
 def held_object(mesh: str, mass: float | None) -> HeldObject:
@@ -38,7 +39,7 @@ def held_object(mesh: str, mass: float | None) -> HeldObject:
         FungraspError: there is no such file or object, the mesh is bad, or the mass.
     """
     from fungrasp.objects import builtin_object, object_from_file, object_names
-    from fungrasp.perception.object_pose.known_object import coloured_mesh
+    from fungrasp.perception.object_pose.known_object import colored_mesh
 
     is_file = Path(mesh).is_file()
     if not is_file and (mesh in object_names() or Path(mesh).name == mesh == Path(mesh).stem):
@@ -48,7 +49,7 @@ def held_object(mesh: str, mass: float | None) -> HeldObject:
         mass = DENSITY * float(object_from_file(mesh, 1.0).mesh.convex_hull.volume)
         notes = (f"the mass was guessed, {mass:.2f} kg: give --mass if you know it",)
     model = object_from_file(mesh, mass)
-    return HeldObject(model, coloured_mesh(mesh, model) if is_file else None, notes)
+    return HeldObject(model, colored_mesh(mesh, model) if is_file else None, notes)
 
 
 def mirrored_object(model: ObjectModel, name: str) -> ObjectModel:

@@ -36,6 +36,7 @@ class Perceive:
     out: Path
     """Grasp file to write (.npz)."""
     source: ImageSource = field(default_factory=ImageSource)
+    """Where the image comes from."""
     hand: Literal["right", "left"] | None = None
     """Which hand it is; by default it is recognised."""
     mass: float | None = None
@@ -55,7 +56,7 @@ class Perceive:
     hand_from: str | None = None
     """Let an estimator of another package find the hand: the name of its entry point."""
     object_pose_from: str | None = None
-    """The same for the object's pose."""
+    """Let an estimator of another package find the object's pose: the name of its entry point."""
     object_id: int | None = None
     """The object's number in BOP results of several objects."""
     seed: int = 0
@@ -78,11 +79,11 @@ class Perceive:
         capture = self.source.read()
         model = held.model
         hand = self._hand(capture)
-        pose = self._object_pose(capture, model if held.coloured is None else held.coloured)
+        pose = self._object_pose(capture, model if held.colored is None else held.colored)
         perceived = perceive(
             capture,
             model,
-            coloured=held.coloured,
+            colored=held.colored,
             side=self.hand,
             task=self.task,
             table=plane,

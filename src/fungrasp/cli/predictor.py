@@ -18,7 +18,7 @@ class TrainPredictor:
     """
 
     out: Path
-    """The critic's file (.onnx)."""
+    """The predictor's file (.onnx)."""
     grasps: tuple[str, ...] = ("builtin",)
     """Files of human grasps (they are retargeted first) or of robot grasps of --hand, or "builtin"; several
     are learned from together."""
@@ -32,14 +32,15 @@ class TrainPredictor:
     """Folder in which the episodes' outcomes are kept, so that an interrupted command goes on where it was,
     and more --attempts add to them; beside --out by default."""
     seed: int = 0
-    """Of everything that is random."""
+    """Seed of all random numbers."""
     threads: int = 0
-    """Of the simulation; 0 means all processors. The result does not depend on it."""
+    """Threads of the simulation; 0 means all processors. The result does not depend on it."""
     terms: tuple[str, ...] = ()
-    """Under what terms each of --grasps may be used, for the critic's card."""
+    """Under what terms each of --grasps may be used, for the predictor's card."""
     licence: str = ""
-    """Of the critic, for its card."""
+    """Licence of the predictor, for its card."""
     settings: PredictorSettings = field(default_factory=PredictorSettings)
+    """Settings of the episodes and of the learning."""
 
     def run(self) -> None:
         check_packages()

@@ -48,17 +48,17 @@ class Ablation:
     distill_steps: float | None = None
     """Control steps for which a student is distilled; a sixth of --steps by default."""
     seed: int = 0
-    """Of everything that is random."""
+    """Seed of all random numbers."""
     threads: int = 0
-    """Of the simulation; 0 means all processors."""
+    """Threads of the simulation; 0 means all processors."""
     environment: EnvironmentSettings = field(default_factory=EnvironmentSettings)
-    """Of the worlds that policies are trained in."""
+    """Settings of the worlds that policies are trained in."""
     ppo: PpoSettings = field(default_factory=PpoSettings)
-    """Of the training of every policy but the distilled student."""
+    """Settings of the training of every policy but the distilled student."""
     variety: Variety = field(default_factory=Variety)
     """How the grasps are varied that policies are trained on."""
     distill: DistillSettings = field(default_factory=DistillSettings)
-    """Of the distillation of the student."""
+    """Settings of the student's distillation."""
 
     def reproduce(self, name: str) -> None:
         """Make the table of this name."""

@@ -7,7 +7,7 @@ from pathlib import Path
 
 
 @dataclass(frozen=True)
-class Perception:
+class SetUpPerception:
     """Fetch the two hand models that ``perceive`` needs (8 MB, Apache-2.0) from the mediapipe wheel on the
     package index (36 MB), check them and keep them in the cache. Nothing is installed; later runs need no
     network."""
@@ -22,4 +22,4 @@ class Perception:
             print(path)
 
 
-COMMAND = {"perception": Perception}
+COMMAND = {"perception": SetUpPerception}

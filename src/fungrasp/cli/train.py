@@ -57,18 +57,21 @@ class Train:
     sees: Literal["contacts", "nothing", "history"] | None = None
     """Short for --ppo.sees."""
     seed: int = 0
-    """Of everything that is random."""
+    """Seed of all random numbers."""
     threads: int = 0
-    """Of the simulation; 0 means all processors. The result does not depend on it."""
+    """Threads of the simulation; 0 means all processors. The result does not depend on it."""
     terms: tuple[str, ...] = ()
     """Under what terms each of --grasps may be used, for the policy's card."""
     licence: str = ""
-    """Of the policy, for its card."""
+    """Licence of the policy, for its card."""
     wandb: str | None = None
     """Log to this project of Weights & Biases too."""
     environment: EnvironmentSettings = field(default_factory=EnvironmentSettings)
+    """Settings of the worlds that the policy is trained in."""
     ppo: PpoSettings = field(default_factory=PpoSettings)
+    """Settings of PPO."""
     variety: Variety = field(default_factory=Variety)
+    """How the grasps are varied that the policy is trained on."""
 
     def run(self) -> None:
         check_packages()

@@ -35,9 +35,9 @@ class Refinement:
     """Improves grasps before they are tried."""
 
     refine: Callable[[RobotGraspSet, int], RobotGraspSet]
-    """Takes grasps and a seed."""
+    """Function of grasps and a seed that returns refined grasps."""
     name: str
-    """Tells refinements apart, settings included."""
+    """Name of the refinement, settings included."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +53,7 @@ class LiftTestResult:
     physics: SceneSettings
     """Settings of the engine."""
     randomization: Randomization
-    """How worlds differed from what was believed."""
+    """How the worlds differed from the nominal ones that were planned for."""
     index: np.ndarray
     """Row of each episode's grasp in the set, shape [N]."""
     seed: np.ndarray
@@ -63,7 +63,7 @@ class LiftTestResult:
     task: np.ndarray
     """What each grasp is for, shape [N] str."""
     outcomes: Outcomes
-    """N of them."""
+    """Outcomes of the N episodes."""
     refined_tries: np.ndarray
     """Episodes that refining the grasp took, 1 if it was not refined, negative where none succeeded;
     shape [N]."""

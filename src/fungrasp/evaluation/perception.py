@@ -76,11 +76,11 @@ class HandResult:
     pixel_error: float = float("nan")
     """Median distance of the landmarks from the projected joints [pixels of an image 640 wide]."""
     joint_error_mm: float = float("nan")
-    """Mean over the joints, before the object is known."""
+    """Mean distance of the joints from the true ones [mm], before the object is known."""
     refined_joint_error_mm: float = float("nan")
-    """Mean over the joints, after refinement against the object."""
+    """Mean distance of the joints from the true ones [mm], after refinement against the object."""
     tip_error_mm: float = float("nan")
-    """Mean over the fingertips that truly touch the object, after refinement."""
+    """Mean error of the fingertips that truly touch the object [mm], after refinement."""
 
 
 @dataclass(frozen=True)
@@ -88,11 +88,14 @@ class PoseResult:
     """One answer to where the object is, against the truth."""
 
     add_s_mm: float
-    """Average distance of the true surface from the nearest point of the found one."""
+    """Average distance of the true surface from the nearest point of the found one (ADD-S) [mm]."""
     rotation_deg: float
-    """Angle between the two rotations; a symmetric object has several that are as good."""
+    """Angle between the found and the true rotation [degrees]; large where an equivalent rotation of a
+    symmetric object was found."""
     score: float
+    """Score of the estimate, 0 to 1."""
     accepted: bool
+    """Whether the score passes the threshold."""
     evidence: dict[str, float]
     """What the score is made of."""
 
@@ -117,8 +120,10 @@ class Seconds:
     """How long something took."""
 
     wall: float
+    """Wall time [s]."""
     cpu: float
-    """Of all threads together: less than ``wall`` where other programs had the processors."""
+    """Processor time of all threads together [s]; less than ``wall`` where other programs had the
+    processors."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,7 +131,9 @@ class CaptureResult:
     """What perception made of one capture."""
 
     object_name: str
+    """Name of the object."""
     hand: HandResult
+    """The hand that was found, against the truth."""
     masked: PoseResult
     """The object's pose with the true mask."""
     unmasked: PoseResult
@@ -134,17 +141,17 @@ class CaptureResult:
     wrong_mesh: PoseResult | None
     """An answer that can't be right: with the true mask and the mesh of another object."""
     absent: AbsentResult | None
-    """None where it was not tried."""
+    """Answers to the images that lack the hand or the object; None where it was not tried."""
     seconds: dict[str, Seconds]
-    """By stage: "mesh" (made ready, once for all images of it), "hand" (detection and metric fit),
+    """Time of each stage: "mesh" (made ready, once for all images of it), "hand" (detection and metric fit),
     "object_masked", "object_unmasked", "perceive" (all of ``perceive`` without a mask)."""
     grasp: HumanGrasp
-    """The truth, world frame."""
+    """The true grasp, world frame."""
     perceived: HumanGrasp | None
     """What ``perceive`` made of the image without a mask, in a world of its own; None where no hand was
     found."""
     sure: bool
-    """Whether perception was confident of that."""
+    """Whether ``perceive`` was confident of the grasp: ``Perceived.confident``."""
 
 
 class Stopwatch:
@@ -168,7 +175,7 @@ class _FixedHands:
     def __init__(self, hands: list[DetectedHand]):
         self._hands = hands
 
-    def detect(self, colour: np.ndarray, near: Box | None = None) -> list[DetectedHand]:
+    def detect(self, color: np.ndarray, near: Box | None = None) -> list[DetectedHand]:
         return self._hands
 
 
@@ -177,7 +184,7 @@ def measure_perception(
     model: ObjectModel,
     detector: HandDetector,
     other: ObjectModel | None = None,
-    coloured: trimesh.Trimesh | None = None,
+    colored: trimesh.Trimesh | None = None,
 ) -> CaptureResult:
     """Run perception on one capture, stage by stage.
 
@@ -186,9 +193,9 @@ def measure_perception(
         model: the object.
         detector: finds hands.
         other: another object, whose mesh must not be accepted; not tried if None.
-        coloured: the object's mesh with colours, if perception is to know them.
+        colored: the object's mesh with colours, if perception is to know them.
     """
-    capture, mesh = known.capture, model if coloured is None else coloured
+    capture, mesh = known.capture, model if colored is None else colored
     masked = capture.with_object(mask=known.object_mask) if known.object_mask.any() else capture
     points = np.asarray(trimesh.sample.sample_surface(model.mesh, 3000, seed=0)[0])
     hand = None

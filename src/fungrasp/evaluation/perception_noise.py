@@ -36,6 +36,6 @@ class TrueLandmarks:
             pixels, Rotation.from_rotvec(-axis).apply(shape), "right", 1.0, 1.0, spread=spread
         )
 
-    def detect(self, colour: np.ndarray, near: Box | None = None) -> list[DetectedHand]:
+    def detect(self, color: np.ndarray, near: Box | None = None) -> list[DetectedHand]:
         """The hand, whatever the image; see ``perceive.Detector``."""
         return [self._hand]

@@ -21,11 +21,15 @@ class Target:
     """What a figure is to reach."""
 
     words: str
+    """What the figure measures, as text to print."""
     path: tuple[str, ...]
     """Where in the figures it is."""
     bound: float
+    """The value to reach, in the unit of the figure."""
     at_least: bool
+    """Whether the figure must be at least the bound; else at most."""
     unit: str = ""
+    """Unit that is printed after the figure."""
 
     def value(self, figures: Mapping[str, Any]) -> float | None:
         """The figure, None where it was not measured."""

@@ -25,23 +25,23 @@ class StaticProtocol:
     """The numbers of the test, those of DexGraspBench's force-closure test."""
 
     mass: float = 0.1
-    """Of every object [kg]."""
+    """Mass of every object [kg]."""
     friction: float = 0.6
-    """Sliding friction."""
+    """Coefficient of sliding friction."""
     torsional_friction: float = 0.02
-    """[m]."""
+    """Coefficient of torsional friction [m]."""
     force_per_mass: float = 10.0
-    """[N/kg]."""
+    """Force of each push for each kilogram of the object [N/kg]."""
     close_time: float = 0.6
-    """From the grasp to the full squeeze [s]."""
+    """Time from the grasp to the full squeeze [s]."""
     pause: float = 0.2
-    """Before each push [s]."""
+    """Time before each push [s]."""
     push_time: float = 2.0
-    """[s]."""
+    """Duration of each push [s]."""
     distance_limit: float = 0.05
-    """An object that moves farther in the hand has been lost [m]."""
+    """Largest displacement in the hand of an object that is held [m]."""
     angle_limit: float = np.deg2rad(15.0)
-    """As has one that turns farther [rad]."""
+    """Largest turn in the hand of an object that is held [rad]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,12 +49,12 @@ class StaticResult:
     """Outcome for N grasps."""
 
     passed: np.ndarray
-    """All six pushes held, shape [N] bool."""
+    """Whether all six pushes held, shape [N] bool."""
     displacement_m: np.ndarray
-    """Of the object's centre of mass in the palm's frame at the end of each push, since before the squeeze,
-    shape [N, 6]."""
+    """Displacement of the object's centre of mass in the palm's frame, from before the squeeze to the end of
+    each push [m], shape [N, 6]."""
     angle_rad: np.ndarray
-    """Turn of the object in the palm's frame, shape [N, 6]."""
+    """Turn of the object in the palm's frame over the same time [rad], shape [N, 6]."""
 
 
 def six_direction_test(

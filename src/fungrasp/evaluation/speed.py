@@ -26,14 +26,15 @@ class SimulationSpeed:
     """Physics steps per second of wall time, all worlds together; the same motion in all three."""
 
     worlds: int
+    """Number of worlds."""
     steps: int
     """Physics steps of all worlds in one round."""
     environment: float
-    """``LiftTask.step``: speed limits, setpoints, contacts, when an episode has ended."""
+    """Steps per second of ``LiftTask.step``: speed limits, setpoints, contacts, when an episode has ended."""
     bare: float
-    """The same model in ``mujoco.batch``, fed with the same controls."""
+    """Steps per second of the same model in ``mujoco.batch``, fed with the same controls."""
     loop: float
-    """``mj_step`` in a Python loop, one world after the other."""
+    """Steps per second of ``mj_step`` in a Python loop, one world after the other."""
     identical: bool
     """Whether bare physics and loop ended where the environment did, to the last bit."""
 

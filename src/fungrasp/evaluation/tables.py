@@ -12,11 +12,11 @@ class PaperNumbers:
     """A row of the paper's table, by its own, laxer test (docs/evaluation.md)."""
 
     success: float
-    """Share of episodes."""
+    """Share of episodes that succeeded."""
     displacement: float
-    """SimD [mm per control step of 28.9 ms]."""
+    """Displacement of the object in simulation, SimD [mm per control step of 28.9 ms]."""
     contact_ratio: float
-    """Share of the wanted contacts."""
+    """Share of the wanted contacts that were made."""
 
 
 @dataclass(frozen=True)
@@ -24,9 +24,9 @@ class Variant:
     """What one row trains and tests."""
 
     name: str
-    """Of its files."""
+    """Stem of the names of its files."""
     title: str
-    """As the paper calls it."""
+    """Name of the variant in the paper."""
     method: Literal["ours", "dexgraspnet", "angle-copy"]
     """How grasps are retargeted, for training and test."""
     sees: Literal["contacts", "nothing", "history"]

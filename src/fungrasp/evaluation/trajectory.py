@@ -23,30 +23,33 @@ class Trajectory:
     """One trial, T states. World frame, z up, table top at z = 0."""
 
     hand: str
+    """Name of the hand."""
     object_name: str
+    """Name of the object."""
     object_mass: float
-    """[kg]."""
+    """Mass of the object [kg]."""
     index: int
     """Row of the grasp in its set."""
     success: bool
+    """Whether the object was lifted and held."""
     reason: str
-    """Why it failed, "" on success."""
+    """Why the episode failed, "" on success."""
     times: np.ndarray
-    """[s], shape [T]; 0 is when the hand starts."""
+    """Time of each state [s], shape [T]; 0 is when the hand starts."""
     qpos: np.ndarray
-    """Of the scene of ``fungrasp.simulation.build_scene``, shape [T, nq]."""
+    """Positions of the scene of ``fungrasp.simulation.build_scene``, shape [T, nq]."""
     wrist_reference: np.ndarray
     """Pose of the scene's mocap body, shape [7]."""
     object_pose: np.ndarray
-    """Shape [T, 7]."""
+    """Pose of the object, world frame, shape [T, 7]."""
     palm_pose: np.ndarray
-    """Shape [T, 7]."""
+    """Pose of the palm body, world frame, shape [T, 7]."""
     joint_positions: np.ndarray
-    """In the order of ``Hand.joint_names`` [rad], shape [T, M]."""
+    """Angles of the joints in the order of ``Hand.joint_names`` [rad], shape [T, M]."""
     link_contacts: np.ndarray
     """Which links touch the object, in the order of ``Hand.links``, shape [T, L] bool."""
     phase: np.ndarray
-    """Index into ``PHASES``, shape [T]."""
+    """Phase of each state as an index into ``PHASES``, shape [T]."""
     controls: np.ndarray | None = None
     """What the servos of the scene were told before each state: the wrist's six joints in its frame [m, rad],
     then the finger servos [rad]; shape [T, 6 + U]. None in recordings of earlier versions."""

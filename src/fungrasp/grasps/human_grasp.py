@@ -56,14 +56,21 @@ class HumanGraspSet(GraspSet[HumanGrasp]):
     """
 
     object_name: np.ndarray
+    """Names of the objects, shape [N] str."""
     object_mass: np.ndarray
+    """Masses of the objects [kg], shape [N]."""
     object_pose: np.ndarray
+    """Poses of the objects when grasped, world frame, shape [N, 7]."""
     object_rest_pose: np.ndarray
+    """Poses of the objects at rest on the table before the grasp, world frame, shape [N, 7]."""
     hand_joints: np.ndarray
+    """Joints [m] in the order of ``HUMAN_JOINTS``, world frame, shape [N, 21, 3]."""
     link_contacts: np.ndarray
+    """Which of ``HUMAN_LINKS`` touch the object, shape [N, 16] bool."""
     task: np.ndarray | None = None
     """Given as None it becomes N empty strings."""
     hand_qpos: np.ndarray | None = None
+    """Wrist position [m], wrist and 15 joint rotations as intrinsic XYZ Euler angles [rad], shape [N, 51]."""
 
     FIELDS: ClassVar = {
         "object_name": ArrayField("name", ("N",)),

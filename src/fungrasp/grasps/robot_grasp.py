@@ -58,16 +58,25 @@ class RobotGraspSet(GraspSet[RobotGrasp]):
     """
 
     hand: str
+    """Name of the hand, as ``fungrasp.hands.load_hand`` takes it."""
     object_name: np.ndarray
+    """Names of the objects, shape [N] str."""
     object_mass: np.ndarray
+    """Masses of the objects [kg], shape [N]."""
     object_pose: np.ndarray
+    """Poses of the objects when grasped, world frame, shape [N, 7]."""
     object_rest_pose: np.ndarray
+    """Poses of the objects at rest on the table before the grasp, world frame, shape [N, 7]."""
     wrist_pose: np.ndarray
+    """Poses of the palm body when the object is at ``object_pose``, world frame, shape [N, 7]."""
     joint_names: Sequence[str]
     """Kept as a tuple."""
     joint_positions: np.ndarray
+    """Angles of the joints [rad], in the order of ``joint_names``, shape [N, M]."""
     keypoints: np.ndarray
+    """The hand's key points [m], world frame, shape [N, K, 3]."""
     link_contacts: np.ndarray
+    """Which of the hand's links should touch the object, shape [N, L] bool."""
     task: np.ndarray | None = None
     """Given as None it becomes N empty strings."""
     extra: Mapping[str, np.ndarray] = field(default_factory=dict)

@@ -31,11 +31,11 @@ class HandEstimate:
     confidence: np.ndarray
     """How much each joint can be trusted, 0 to 1, shape [21]."""
     covariance: np.ndarray
-    """Of each joint's position [m^2], camera frame, shape [21, 3, 3]."""
+    """Covariance of each joint's position [m^2], camera frame, shape [21, 3, 3]."""
     side: Side
     """A left hand is given as it is seen, not mirrored."""
     score: float
-    """How sure it is that this is a hand in this posture, 0 to 1."""
+    """Confidence that this is a hand in this posture, 0 to 1."""
 
     def __post_init__(self) -> None:
         _check_shape("HandEstimate", "joints_camera", self.joints_camera, (JOINTS, 3))
@@ -54,7 +54,7 @@ class ObjectEstimate:
     pose_camera_object: np.ndarray
     """The best answer: pose of the mesh in the camera frame, shape [7]."""
     score: float
-    """How sure it is that the best answer is right, 0 to 1."""
+    """Confidence that the best answer is right, 0 to 1."""
     accepted: bool
     """Whether the score passes the threshold."""
     alternatives: tuple[tuple[np.ndarray, float], ...] = ()

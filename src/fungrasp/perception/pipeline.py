@@ -58,9 +58,9 @@ class Perceived:
     pose_world_camera: np.ndarray
     """Camera in the world, shape [7], before any reflection; see ``world_frame`` for where the world is."""
     hand: HandEstimate
-    """As refined, camera frame, as it is seen."""
+    """The hand after refinement against the object, camera frame, not mirrored."""
     object: ObjectEstimate
-    """Camera frame, as it is seen."""
+    """The object, camera frame, not mirrored."""
     table: np.ndarray
     """Plane ``[nx ny nz d]``: ``n . x + d`` is the height of a point above it [m], camera frame, shape
     [4]."""
@@ -69,7 +69,7 @@ class Perceived:
     quality: PerceptionQuality
     """Residuals, penetration and scores."""
     warnings: tuple[PerceptionWarning, ...]
-    """What was uncertain; empty when nothing was."""
+    """What was uncertain; empty if nothing was."""
     confident: bool
     """Whether the scores of hand and object both pass their thresholds: the object's surface is then right to
     10 mm on average. A table that is only guessed gives a warning, but the hand on the object does not depend
@@ -80,7 +80,7 @@ def perceive(
     capture: Capture,
     model: ObjectModel,
     *,
-    coloured: trimesh.Trimesh | None = None,
+    colored: trimesh.Trimesh | None = None,
     side: Side | None = None,
     task: str = "",
     table: np.ndarray | None = None,
@@ -95,7 +95,7 @@ def perceive(
     Args:
         capture: color and depth; its mask or box says where the object is.
         model: the object.
-        coloured: the same mesh with its colors, which tell apart the sides of a nearly symmetric object.
+        colored: the same mesh with its colors, which tell apart the sides of a nearly symmetric object.
         side: which hand it is, if known.
         task: what the grasp is for, see ``HumanGrasp``.
         table: plane ``[nx ny nz d]``, camera frame, shape [4], unit normal upwards; looked for if None.
@@ -111,7 +111,7 @@ def perceive(
             holds, or the hand models are not set up.
     """
     _check_size(model)
-    mesh = model if coloured is None else coloured
+    mesh = model if colored is None else colored
     # 1, 2: the hand in the image and in metres. Where it is open which of two hands is meant, both go on.
     hands = _hands(capture, model, object_estimate, side, detector) if hand is None else [_Hand(hand)]
     # 3, 4: the table and the object; the hand that holds the object more probably is the one.

@@ -41,9 +41,9 @@ class PerceptionQuality:
     penetration_m: float
     """How deep the hand is in the object at the deepest [m]; soft pads that press give a few mm."""
     hand_score: float
-    """How sure it is that the hand is right, 0 to 1."""
+    """Confidence that the hand is right, 0 to 1."""
     object_score: float
-    """How sure it is that the object's pose is right, 0 to 1."""
+    """Confidence that the object's pose is right, 0 to 1."""
 
 
 def measure_quality(

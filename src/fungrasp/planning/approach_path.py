@@ -50,7 +50,7 @@ class ApproachSettings:
     rotation_unit: float = 0.1
     """Turn of the wrist that counts as one unit [rad]."""
     iterations: int = 5
-    """Of the optimiser, per waypoint; twice as many for the first."""
+    """Iterations of the optimizer for each waypoint; twice as many for the first."""
 
 
 @dataclass(frozen=True)
@@ -58,9 +58,9 @@ class Approach:
     """Waypoints of N hands, nearest to the grasp first, K of them."""
 
     wrist_pose: np.ndarray
-    """Object frame, shape [N, K, 7]."""
+    """Poses of the palm body at the waypoints, object frame, shape [N, K, 7]."""
     fingers: np.ndarray
-    """Independent joints [rad], shape [N, K, U]."""
+    """Independent joints at the waypoints [rad], shape [N, K, U]."""
     collision: np.ndarray
     """Deepest intrusion into the margins over the waypoints [m], shape [N]."""
 

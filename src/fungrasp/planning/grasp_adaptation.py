@@ -36,15 +36,15 @@ class AdaptSettings:
     joint_unit: float = 0.3
     """Change of a joint that counts as one unit [rad]."""
     position_unit: float = 0.01
-    """[m]"""
+    """Shift of the wrist that counts as one unit [m]."""
     rotation_unit: float = 0.15
-    """[rad]"""
+    """Turn of the wrist that counts as one unit [rad]."""
     closure_unit: float = 0.06
     """Unbalanced part of contact forces that counts as one unit."""
     closure_friction: float = 0.2
     """Friction that the balance may count on."""
     iterations: int = 15
-    """Of the optimiser."""
+    """Iterations of the optimizer."""
     switch_penalty: float = 3.0
     """Decrease of the objective that moving to where the grasp was before the object rolled must bring."""
 

@@ -22,9 +22,9 @@ class TrackingState:
     """All that a network's inputs and the reward are made of, at one control step."""
 
     now: MeasuredState
-    """Measured at this step."""
+    """Measured state at this step."""
     before: MeasuredState
-    """Measured at the one before."""
+    """Measured state at the step before."""
     target: PlanTarget
     """What the plan asks for."""
     action: np.ndarray

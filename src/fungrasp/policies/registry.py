@@ -30,7 +30,7 @@ class PolicyFiles:
     """What a policy's name stands for."""
 
     network: Path | None
-    """File of the network that acts; None where the plan is followed blindly."""
+    """File of the network that acts; None where the plan is played open loop."""
     predictor: Path | None
     """File of the success predictor that candidates are chosen by; None where there is one motion for each
     grasp."""

@@ -16,11 +16,11 @@ class ResidualSettings:
     """How far an action may depart from the reference."""
 
     position: float = 0.03
-    """Of the wrist at an action of 1, along each axis [m]."""
+    """Shift of the wrist at an action of 1, along each axis [m]."""
     rotation: float = 0.15
-    """Of the wrist about each axis [rad]."""
+    """Turn of the wrist at an action of 1, about each axis [rad]."""
     fingers: float = 0.3
-    """Of each servo target [rad]."""
+    """Change of each servo target at an action of 1 [rad]."""
     smoothing: float = 0.5
     """Share of the last action that stays in the next."""
 

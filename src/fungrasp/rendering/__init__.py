@@ -4,7 +4,7 @@ from fungrasp.rendering.camera import Camera, fit_camera, orbit_camera
 from fungrasp.rendering.grasp_scenes import (
     human_grasp_scene,
     robot_grasp_scene,
-    robot_scene_colours,
+    robot_scene_colors,
     robot_scene_states,
 )
 from fungrasp.rendering.render import Renderer, Views, render
@@ -23,6 +23,6 @@ __all__ = [
     "orbit_camera",
     "render",
     "robot_grasp_scene",
-    "robot_scene_colours",
+    "robot_scene_colors",
     "robot_scene_states",
 ]

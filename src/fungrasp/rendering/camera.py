@@ -20,7 +20,7 @@ class Camera:
     """
 
     position: tuple[float, float, float]
-    """[m], world frame."""
+    """Position of the camera [m], world frame."""
     target: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Point in the middle of the picture [m], world frame."""
     up: tuple[float, float, float] = (0.0, 0.0, 1.0)
@@ -28,9 +28,9 @@ class Camera:
     fov_y: float = 35.0
     """Vertical field of view [degrees], between 0 and 180."""
     width: int = 640
-    """[pixels]"""
+    """Image width [pixels]."""
     height: int = 480
-    """[pixels]"""
+    """Image height [pixels]."""
 
     def __post_init__(self) -> None:
         numbers = np.asarray([*self.position, *self.target, *self.up, self.fov_y], dtype=float)

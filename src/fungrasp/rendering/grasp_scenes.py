@@ -45,7 +45,7 @@ def human_grasp_scene(
     object_pose: np.ndarray,
     link_contacts: np.ndarray,
     *,
-    object_colour: Sequence[float] = OBJECT,
+    object_color: Sequence[float] = OBJECT,
 ) -> mujoco.MjModel:
     """A human hand, its links in contact coloured, holding an object. The model has no joints.
 
@@ -55,7 +55,7 @@ def human_grasp_scene(
         faces: of the object, shape [T, 3].
         object_pose: world frame, shape [7].
         link_contacts: shape [16] bool.
-        object_colour: sRGB.
+        object_color: sRGB.
 
     Raises:
         FungraspError: an argument has the wrong shape or is not finite.
@@ -83,7 +83,7 @@ def human_grasp_scene(
     mesh.usertexcoord = np.stack([place, np.full_like(place, 0.5)], axis=-1).ravel()
     body = spec.worldbody.add_body(name=HAND_BODY)
     _add_mesh_geom(body, HAND_BODY, [1, 1, 1, 1]).material = "skin"
-    thing = _add_object(spec, vertices, faces, object_colour)
+    thing = _add_object(spec, vertices, faces, object_color)
     thing.pos, thing.quat = pose[:3], pose[3:]
     return _compiled(spec)
 
@@ -97,7 +97,7 @@ def robot_grasp_scene(
     object_pose: np.ndarray,
     link_contacts: np.ndarray | None = None,
     *,
-    object_colour: Sequence[float] = OBJECT,
+    object_color: Sequence[float] = OBJECT,
 ) -> tuple[mujoco.MjModel, np.ndarray]:
     """A robot hand, its links in contact coloured, holding an object. Hand and object can move freely.
 
@@ -108,7 +108,7 @@ def robot_grasp_scene(
         faces: of the object, shape [T, 3].
         object_pose: world frame, shape [7].
         link_contacts: in the order of ``hand.links``, shape [L] bool; None for none.
-        object_colour: sRGB.
+        object_color: sRGB.
 
     Returns:
         the model, and its qpos, shape [nq].
@@ -122,12 +122,12 @@ def robot_grasp_scene(
     body.explicitinertial = True
     body.add_freejoint(name=HAND_BODY)
     spec.attach(hand.spec(), prefix=_PREFIX, frame=body.add_frame())
-    _add_object(spec, vertices, faces, object_colour).add_freejoint(name=OBJECT_BODY)
+    _add_object(spec, vertices, faces, object_color).add_freejoint(name=OBJECT_BODY)
     model = _compiled(spec)
     if link_contacts is not None:
-        colours = robot_scene_colours(model, hand, np.asarray(link_contacts)[None])[0]
-        tinted = np.any(colours != model_materials(model).colours, axis=1)
-        model.geom_rgba[tinted], model.geom_matid[tinted] = colours[tinted], -1
+        colors = robot_scene_colors(model, hand, np.asarray(link_contacts)[None])[0]
+        tinted = np.any(colors != model_materials(model).colors, axis=1)
+        model.geom_rgba[tinted], model.geom_matid[tinted] = colors[tinted], -1
     pose, positions = np.asarray(wrist_pose, dtype=float), np.asarray(joint_positions, dtype=float)
     states = robot_scene_states(
         model, hand, pose[None], positions[None], np.asarray(object_pose, float)[None]
@@ -176,7 +176,7 @@ def robot_scene_states(
     return states
 
 
-def robot_scene_colours(model: mujoco.MjModel, hand: Hand, link_contacts: np.ndarray) -> np.ndarray:
+def robot_scene_colors(model: mujoco.MjModel, hand: Hand, link_contacts: np.ndarray) -> np.ndarray:
     """Colours of a ``robot_grasp_scene`` whose links light up while they touch, for a film.
 
     Args:
@@ -192,22 +192,22 @@ def robot_scene_colours(model: mujoco.MjModel, hand: Hand, link_contacts: np.nda
     contacts = np.asarray(link_contacts)
     if contacts.ndim != 2 or contacts.shape[1] != len(hand.links):
         raise FungraspError(f"link_contacts must have shape [T, {len(hand.links)}], not {contacts.shape}")
-    colours = np.tile(model_materials(model).colours, (len(contacts), 1, 1))
+    colors = np.tile(model_materials(model).colors, (len(contacts), 1, 1))
     owner = {_PREFIX + body: k for k, bodies in enumerate(hand.links) for body in bodies}
     for geom in range(model.ngeom):
         link = owner.get(model.body(int(model.geom_bodyid[geom])).name)
         if link is not None:
             tint = contacts[:, link, None] * (PALM_TINT if link == 0 else 1.0)
-            colours[:, geom, :3] += tint * (np.asarray(CONTACT) - colours[:, geom, :3])
-    return colours
+            colors[:, geom, :3] += tint * (np.asarray(CONTACT) - colors[:, geom, :3])
+    return colors
 
 
 def _add_object(
-    spec: mujoco.MjSpec, vertices: np.ndarray, faces: np.ndarray, colour: Sequence[float]
+    spec: mujoco.MjSpec, vertices: np.ndarray, faces: np.ndarray, color: Sequence[float]
 ) -> mujoco.MjsBody:
     _add_mesh(spec, OBJECT_BODY, vertices, faces)
     body = spec.worldbody.add_body(name=OBJECT_BODY)
-    _add_mesh_geom(body, OBJECT_BODY, [*colour, 1.0])
+    _add_mesh_geom(body, OBJECT_BODY, [*color, 1.0])
     return body
 
 

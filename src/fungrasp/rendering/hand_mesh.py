@@ -37,7 +37,7 @@ class HandMesh:
     """A closed surface; V vertices, T triangles."""
 
     vertices: np.ndarray
-    """[m], world frame, shape [V, 3]."""
+    """Positions of the vertices [m], world frame, shape [V, 3]."""
     faces: np.ndarray
     """Vertex indices, counter-clockwise from outside, shape [T, 3]."""
     links: np.ndarray

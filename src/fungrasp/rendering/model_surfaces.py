@@ -39,7 +39,7 @@ def geom_surface(model: mujoco.MjModel, geom: int, materials: Materials) -> Surf
         vertices,
         faces,
         corner_normals(vertices, faces),
-        linear(materials.colours[geom, :3]),
+        linear(materials.colors[geom, :3]),
         float(materials.specular[geom]),
         float(materials.shininess[geom]),
         texture,

@@ -52,15 +52,16 @@ class PixelRays:
     """What the ray tracer needs to know of a camera."""
 
     width: int
-    """[pixels]"""
+    """Image width [pixels]."""
     height: int
-    """[pixels]"""
+    """Image height [pixels]."""
     eye: np.ndarray
     """Where the rays begin [m], world frame, shape [3]."""
     focal: float
     """Focal length [pixels]."""
     directions: Callable[[np.ndarray], np.ndarray]
-    """From image points (u, v), shape [..., 2], to unit view directions, world frame, shape [..., 3]."""
+    """Function from image points (u, v), shape [..., 2], to unit view directions, world frame, shape
+    [..., 3]."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +69,7 @@ class SeenPoints:
     """Where the rays of a camera end; P rays."""
 
     distance: np.ndarray
-    """From the eye [m], infinite for the backdrop, shape [P]."""
+    """Distance from the eye [m], infinite for the backdrop, shape [P]."""
     surface: np.ndarray
     """Index of the surface, ``NOTHING`` or ``TABLE``, shape [P]."""
     normal: np.ndarray

@@ -30,12 +30,12 @@ class Views:
     centres.
     """
 
-    colour: np.ndarray | None
-    """sRGB, shape [F, H, W, 3] uint8, or None if not asked for."""
+    color: np.ndarray | None
+    """Pictures, sRGB, shape [F, H, W, 3] uint8, or None if not asked for."""
     depth: np.ndarray
-    """Along the camera's z [m], 0 where nothing is seen, shape [F, H, W] float32."""
+    """Distance along the camera's z [m], 0 where nothing is seen, shape [F, H, W] float32."""
     segmentation: np.ndarray
-    """Geom id, ``NOTHING`` (-1) or ``TABLE`` (-2), shape [F, H, W] int32."""
+    """Geom id, ``NOTHING`` (-1) or ``TABLE`` (-2) of each pixel, shape [F, H, W] int32."""
 
 
 def render(
@@ -134,17 +134,17 @@ class Renderer:
         *,
         mocap: np.ndarray | None = None,
         geom_rgba: np.ndarray | None = None,
-        colour: bool = True,
+        color: bool = True,
     ) -> Views:
         """Pictures with depth and segmentation. Arguments and errors as ``stream``.
 
         Args:
-            colour: False leaves out the colours, which take most of the time.
+            color: False leaves out the colours, which take most of the time.
         """
         frames = self._frames(qpos, camera, mocap, geom_rgba)
-        seen = list(self._each(lambda frame: self._view(frame, colour), frames))
+        seen = list(self._each(lambda frame: self._view(frame, color), frames))
         pictures, depths, segmentations = zip(*seen, strict=True)
-        return Views(np.stack(pictures) if colour else None, np.stack(depths), np.stack(segmentations))
+        return Views(np.stack(pictures) if color else None, np.stack(depths), np.stack(segmentations))
 
     def _light(self, frame: _Frame, points: SeenPoints | None = None) -> np.ndarray:
         """Linear light of a frame, shape [H, W, 3]."""
@@ -152,15 +152,15 @@ class Renderer:
         points = points or frame.tracer.see(rays)
         return frame.tracer.picture(rays, points, shadows=self._shadows, antialias=self._antialias)
 
-    def _view(self, frame: _Frame, colour: bool) -> tuple[np.ndarray | None, np.ndarray, np.ndarray]:
+    def _view(self, frame: _Frame, color: bool) -> tuple[np.ndarray | None, np.ndarray, np.ndarray]:
         """Picture, depth and segmentation of a frame."""
-        points, camera = frame.tracer.see(frame.camera.rays(), shaded=colour), frame.camera
+        points, camera = frame.tracer.see(frame.camera.rays(), shaded=color), frame.camera
         shape = (camera.height, camera.width)
         distance = np.where(points.surface == NOTHING, 0.0, points.distance)
         depth = (distance * (points.direction @ camera.rotation[:, 2])).astype(np.float32)
         # The last two of these are what NOTHING and TABLE take from the end of the array.
         ids = np.array([*frame.geoms, TABLE, NOTHING], np.int32)[points.surface]
-        picture = to_bytes(self._light(frame, points)) if colour else None
+        picture = to_bytes(self._light(frame, points)) if color else None
         return picture, depth.reshape(shape), ids.reshape(shape)
 
     def _frames(
@@ -186,16 +186,16 @@ class Renderer:
             mocap = np.asarray(mocap, dtype=float)
             mocap = np.broadcast_to(mocap, (count, *mocap.shape)) if mocap.ndim == 2 else mocap
             _check("mocap", mocap, (count, model.nmocap, 7))
-        colours = self._materials.colours if geom_rgba is None else np.asarray(geom_rgba, dtype=np.float32)
-        colours = np.broadcast_to(colours, (count, *colours.shape)) if colours.ndim == 2 else colours
-        _check("geom_rgba", colours, (count, model.ngeom, 4))
+        colors = self._materials.colors if geom_rgba is None else np.asarray(geom_rgba, dtype=np.float32)
+        colors = np.broadcast_to(colors, (count, *colors.shape)) if colors.ndim == 2 else colors
+        _check("geom_rgba", colors, (count, model.ngeom, 4))
         look = replace(self._look, light=sun_direction(self._look, cameras[0].rotation))
         center = np.asarray(cameras[0].target[:2]) if self._ground else None
 
         def frames() -> Iterator[_Frame]:
             data, before = mujoco.MjData(model), None
             for i, view in enumerate(cameras):
-                state = (qpos[i], colours[i], *(() if mocap is None else (mocap[i],)))
+                state = (qpos[i], colors[i], *(() if mocap is None else (mocap[i],)))
                 if before is None or not all(map(np.array_equal, state, before)):
                     geoms, surfaces = self._posed(data, *state)
                     tracer, before = RayTracer(surfaces, look, center), state
@@ -204,16 +204,16 @@ class Renderer:
         return frames()
 
     def _posed(
-        self, data: mujoco.MjData, qpos: np.ndarray, colours: np.ndarray, mocap: np.ndarray | None = None
+        self, data: mujoco.MjData, qpos: np.ndarray, colors: np.ndarray, mocap: np.ndarray | None = None
     ) -> tuple[list[int], list[SurfaceMesh]]:
         """Ids and surfaces of the geoms that are seen in a state."""
         data.qpos[:] = qpos
         if mocap is not None:
             data.mocap_pos[:], data.mocap_quat[:] = mocap[:, :3], mocap[:, 3:]
         mujoco.mj_kinematics(self.model, data)
-        geoms = [geom for geom in self._surfaces if colours[geom, 3] > 0]
+        geoms = [geom for geom in self._surfaces if colors[geom, 3] > 0]
         surfaces = [
-            replace(self._surfaces[g], color=linear(colours[g, :3])).moved(
+            replace(self._surfaces[g], color=linear(colors[g, :3])).moved(
                 data.geom_xpos[g], data.geom_xmat[g].reshape(3, 3)
             )
             for g in geoms

@@ -9,7 +9,7 @@ import numpy as np
 
 from fungrasp.errors import FungraspError
 
-Colour = tuple[float, float, float]
+Color = tuple[float, float, float]
 """sRGB, each from 0 to 1."""
 
 
@@ -17,13 +17,13 @@ Colour = tuple[float, float, float]
 class Look:
     """Light, table top and backdrop."""
 
-    backdrop_top: Colour = (0.78, 0.83, 0.88)
+    backdrop_top: Color = (0.78, 0.83, 0.88)
     """Colour overhead."""
-    backdrop_horizon: Colour = (0.955, 0.96, 0.965)
+    backdrop_horizon: Color = (0.955, 0.96, 0.965)
     """Colour at the horizon, into which the table top fades."""
-    table: Colour = (0.800, 0.812, 0.824)
+    table: Color = (0.800, 0.812, 0.824)
     """Colour of the light squares."""
-    table_dark: Colour = (0.752, 0.766, 0.780)
+    table_dark: Color = (0.752, 0.766, 0.780)
     """Colour of the dark squares."""
     square: float = 0.05
     """Side of a square of the table top [m]."""
@@ -44,8 +44,8 @@ class Look:
 
     def __post_init__(self) -> None:
         for name in ("backdrop_top", "backdrop_horizon", "table", "table_dark"):
-            colour = np.asarray(getattr(self, name), dtype=float)
-            if colour.shape != (3,) or not ((colour >= 0) & (colour <= 1)).all():
+            color = np.asarray(getattr(self, name), dtype=float)
+            if color.shape != (3,) or not ((color >= 0) & (color <= 1)).all():
                 raise FungraspError(f"{name} must be 3 numbers from 0 to 1, not {getattr(self, name)!r}")
         if self.light is not None and not (np.shape(self.light) == (3,) and np.linalg.norm(self.light) > 0):
             raise FungraspError(f"light must be a direction of 3 numbers, not {self.light!r}")
@@ -62,7 +62,7 @@ class Look:
 class Materials:
     """Colours and gloss of a model's geoms."""
 
-    colours: np.ndarray
+    colors: np.ndarray
     """sRGB and opacity, shape [ngeom, 4]."""
     specular: np.ndarray
     """Strength of the highlight, shape [ngeom]."""
@@ -74,22 +74,22 @@ def model_materials(model: mujoco.MjModel) -> Materials:
     """What the model says: a geom's own colour, or its material's if it has one and the geom's was left
     alone.
     """
-    colours = model.geom_rgba.astype(np.float32).copy()
+    colors = model.geom_rgba.astype(np.float32).copy()
     specular = np.full(model.ngeom, 0.35, np.float32)
     shininess = np.full(model.ngeom, 40.0, np.float32)
     material = model.geom_matid
     has = material >= 0
-    plain = has & np.all(np.abs(colours - [0.5, 0.5, 0.5, 1.0]) < 1e-6, axis=1)
-    colours[plain] = model.mat_rgba[material[plain]]
+    plain = has & np.all(np.abs(colors - [0.5, 0.5, 0.5, 1.0]) < 1e-6, axis=1)
+    colors[plain] = model.mat_rgba[material[plain]]
     specular[has] = model.mat_specular[material[has]]
     shininess[has] = np.maximum(128.0 * model.mat_shininess[material[has]], 1.0)
-    return Materials(colours, specular, shininess)
+    return Materials(colors, specular, shininess)
 
 
-def linear(colour: np.ndarray) -> np.ndarray:
+def linear(color: np.ndarray) -> np.ndarray:
     """sRGB to linear light; any shape, 0 to 1."""
-    colour = np.asarray(colour, dtype=np.float32)
-    return np.where(colour <= 0.04045, colour / 12.92, ((colour + 0.055) / 1.055) ** 2.4)
+    color = np.asarray(color, dtype=np.float32)
+    return np.where(color <= 0.04045, color / 12.92, ((color + 0.055) / 1.055) ** 2.4)
 
 
 def to_bytes(light: np.ndarray) -> np.ndarray:
@@ -175,14 +175,14 @@ def lit(
     facing = normals @ sun
     diffuse = np.maximum(facing, 0.0) * shadow
     up = 0.5 + 0.5 * normals[:, 2]
-    bounce_colour = linear(np.asarray(look.table)) * np.float32(look.fill * 0.42)
-    ambient = (up[:, None] * _sky_colour(look) + (1 - up[:, None]) * bounce_colour) * openness[:, None]
+    bounce_color = linear(np.asarray(look.table)) * np.float32(look.fill * 0.42)
+    ambient = (up[:, None] * _sky_color(look) + (1 - up[:, None]) * bounce_color) * openness[:, None]
     half = sun - views
     half /= np.sqrt(dot(half, half))[:, None]
     shine = np.maximum(dot(normals, half), 0.0) ** shininess * specular * diffuse * (shininess + 8) / 60.0
     grazing = (1.0 - np.clip(-dot(normals, views), 0.0, 1.0)) ** 4
     sheen = grazing * openness * (0.12 * up) * np.minimum(specular * 3, 1.0)
-    return albedo * (diffuse[:, None] * _key_colour(look) + ambient) + (0.5 * shine + sheen)[:, None]
+    return albedo * (diffuse[:, None] * _key_color(look) + ambient) + (0.5 * shine + sheen)[:, None]
 
 
 def lit_table(
@@ -190,7 +190,7 @@ def lit_table(
 ) -> np.ndarray:
     """As ``lit`` for a matt, level table top. Returns shape [P, 3]."""
     diffuse = np.float32(max(float(sun[2]), 0.0)) * shadow
-    return albedo * (diffuse[:, None] * _key_colour(look) + openness[:, None] * _sky_colour(look))
+    return albedo * (diffuse[:, None] * _key_color(look) + openness[:, None] * _sky_color(look))
 
 
 def table_fade(look: Look, points: np.ndarray, middle: np.ndarray) -> np.ndarray:
@@ -213,11 +213,11 @@ def sun_direction(look: Look, rotation: np.ndarray) -> tuple[float, float, float
     return x, y, z
 
 
-def _key_colour(look: Look) -> np.ndarray:
+def _key_color(look: Look) -> np.ndarray:
     return np.array([1.0, 0.965, 0.91], np.float32) * np.float32(look.key / np.pi)
 
 
-def _sky_colour(look: Look) -> np.ndarray:
+def _sky_color(look: Look) -> np.ndarray:
     return np.array([0.93, 0.97, 1.03], np.float32) * np.float32(look.fill * 0.62)
 
 

@@ -17,13 +17,13 @@ class SurfaceMesh:
     """A triangle mesh to be drawn; V vertices, T triangles."""
 
     vertices: np.ndarray
-    """[m], world frame, shape [V, 3]."""
+    """Positions of the vertices [m], world frame, shape [V, 3]."""
     faces: np.ndarray
     """Vertex indices, counter-clockwise from outside, shape [T, 3]."""
     corner_normals: np.ndarray
     """Unit normals at the triangles' corners, world frame, shape [T, 3, 3]."""
     color: np.ndarray
-    """Linear, of the whole mesh or of each vertex, shape [3] or [V, 3]."""
+    """Linear color of the whole mesh or of each vertex, shape [3] or [V, 3]."""
     specular: float = 0.1
     """Strength of the highlight."""
     shininess: float = 10.0

@@ -94,7 +94,7 @@ def frame_geoms(
     chosen = (
         np.isin(model.geom_group, VISIBLE_GROUPS) & (model.geom_rbound > 0) & (model.geom_rbound < _LARGEST)
     )
-    chosen &= model_materials(model).colours[:, 3] > 0
+    chosen &= model_materials(model).colors[:, 3] > 0
     if not chosen.any():
         raise FungraspError("there is nothing to look at: the model has no visible geom of a size to frame")
     corners = np.stack(np.meshgrid(*[(-1.0, 1.0)] * 3), axis=-1).reshape(8, 3)
@@ -128,6 +128,6 @@ def _shares(mask: np.ndarray) -> np.ndarray:
 def _touching(model: mujoco.MjModel, seen: Views) -> np.ndarray:
     whole = np.flatnonzero(np.all(np.abs(model.geom_rgba[:, :3] - np.asarray(CONTACT)) < 1e-3, axis=1))
     textured = np.flatnonzero(model.geom_matid >= 0)
-    assert seen.colour is not None
-    orange = seen.colour[..., 2] < 0.5 * seen.colour[..., 0]
+    assert seen.color is not None
+    orange = seen.color[..., 2] < 0.5 * seen.color[..., 0]
     return np.isin(seen.segmentation, whole) | (np.isin(seen.segmentation, textured) & orange)

@@ -12,12 +12,12 @@ import numpy as np
 import trimesh
 
 from fungrasp.captures.capture_files import TRUTH_FILE, write_capture
-from fungrasp.captures.depth_noise import ColourNoise
+from fungrasp.captures.depth_noise import ColorNoise
 from fungrasp.captures.render_capture import CaptureSettings, render_capture
 from fungrasp.files import atomic_path
 from fungrasp.grasps import builtin_grasps
 from fungrasp.objects import ObjectModel, builtin_object
-from fungrasp.perception.io.scene_folders import COLOUR_FILE, DEPTH_FILE, LENS_FILE
+from fungrasp.perception.io.scene_folders import COLOR_FILE, DEPTH_FILE, LENS_FILE
 from fungrasp.perception.object_pose.pose_error import add, rotation_error
 from fungrasp.perception.pipeline import Perceived
 from fungrasp.report.page_parts import Quantity
@@ -25,13 +25,13 @@ from fungrasp.report.page_parts import Quantity
 FOLDER = Path(__file__).parent / "demo_capture"
 """The image, its depth and its lens, as ``read_folder`` reads them; and the truth."""
 
-FILES = (COLOUR_FILE, DEPTH_FILE, LENS_FILE, TRUTH_FILE)
+FILES = (COLOR_FILE, DEPTH_FILE, LENS_FILE, TRUTH_FILE)
 
 ROW, SEED = 71, 0
 """The built-in grasp that is shown, and the dice of camera, room and noise."""
 
 SETTINGS = CaptureSettings(
-    distance=(0.42, 0.62), elevation=(22.0, 48.0), clutter=(1, 3), colour_noise=ColourNoise(noise=1.0)
+    distance=(0.42, 0.62), elevation=(22.0, 48.0), clutter=(1, 3), color_noise=ColorNoise(noise=1.0)
 )
 """A person's own view of a table, less grainy than usual, to be a small file."""
 
@@ -41,11 +41,13 @@ class DemoTruth:
     """What is known about the image because it was made."""
 
     object_name: str
+    """Name of the built-in object."""
     task: str
+    """What the grasp is for."""
     pose_camera_object: np.ndarray
-    """Shape [7]."""
+    """Pose of the object in the camera frame, shape [7]."""
     joints_camera: np.ndarray
-    """[m], camera frame, shape [21, 3]."""
+    """Joints of the hand [m], camera frame, shape [21, 3]."""
 
 
 def demo_truth() -> DemoTruth:

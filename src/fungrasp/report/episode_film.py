@@ -13,7 +13,7 @@ from fungrasp.evaluation import Trajectory
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
 from fungrasp.rendering.camera import Camera
-from fungrasp.rendering.grasp_scenes import robot_grasp_scene, robot_scene_colours, robot_scene_states
+from fungrasp.rendering.grasp_scenes import robot_grasp_scene, robot_scene_colors, robot_scene_states
 from fungrasp.rendering.render import Renderer
 from fungrasp.rendering.viewpoints import frame_geoms, look_at_grasp
 from fungrasp.report.film import frame_times, interpolate
@@ -35,7 +35,7 @@ STEADY = 0.1
 """Half of the time over which contacts are averaged, so that links don't flicker [s]."""
 
 
-def trial_film(
+def episode_film(
     trajectory: Trajectory,
     hand: Hand,
     thing: ObjectModel,
@@ -74,18 +74,18 @@ def trial_film(
     holding = trajectory.link_contacts[trajectory.phase == trajectory.phase.max()].mean(axis=0) > 0.5
     judged, _ = robot_grasp_scene(hand, wrist[0], joints[0], thing.vertices, thing.faces, things[0], holding)
     cameras = _cameras(judged, recorded, trajectory, at, width, height)
-    colours = robot_scene_colours(model, hand, _steady(trajectory.link_contacts, times, at))
+    colors = robot_scene_colors(model, hand, _steady(trajectory.link_contacts, times, at))
     drawn = _moving(model, states)
     drawn[1:] |= [a != b for a, b in pairwise(cameras)]
-    drawn[1:] |= np.any(colours[1:] != colours[:-1], axis=(1, 2))
+    drawn[1:] |= np.any(colors[1:] != colors[:-1], axis=(1, 2))
     which = np.flatnonzero(drawn)
     pictures = Renderer(model, threads=threads).stream(
-        states[which], [cameras[i] for i in which], geom_rgba=colours[which]
+        states[which], [cameras[i] for i in which], geom_rgba=colors[which]
     )
     picture, clock = np.empty(0), ""
     for fresh, time in zip(drawn, at, strict=True):
         picture = next(pictures) if fresh else picture
-        phase = [name for start, name in trial_phases(trajectory) if start <= time][-1]
+        phase = [name for start, name in episode_phases(trajectory) if start <= time][-1]
         clock = f"{time - at[0]:.1f} s"
         yield captioned(picture, " · ".join(filter(None, (title, phase))), clock)
     verdict = "lifted and held" if trajectory.success else f"failed: {trajectory.reason}"
@@ -93,7 +93,7 @@ def trial_film(
         yield captioned(picture, " · ".join(filter(None, (title, verdict))), clock)
 
 
-def trial_phases(trajectory: Trajectory) -> list[tuple[float, str]]:
+def episode_phases(trajectory: Trajectory) -> list[tuple[float, str]]:
     """Start [s] and name of each phase: as recorded, and "close" between the first touch and the lift."""
     touch = _first_touch(trajectory)
     if trajectory.phase[touch] > 0 or not trajectory.link_contacts[touch].any():

@@ -27,9 +27,11 @@ class Contact:
     """Whether a link of the robot's hand should touch the object, and does."""
 
     link: str
+    """Name of the link."""
     target: bool
+    """Whether the link should touch the object."""
     reached: bool | None = None
-    """None if it was not tried."""
+    """Whether the link touched the object; None if it was not tried."""
 
 
 @dataclass(frozen=True)
@@ -37,24 +39,27 @@ class GraspReport:
     """What the page says about one grasp. What is None or empty is left out."""
 
     title: str
-    """"Mug, to drink"."""
+    """Heading of the grasp, such as "Mug, to drink"."""
     task: str = ""
     """What the grasp is for."""
     object_name: str = ""
+    """Name of the object."""
     object_mass: float | None = None
-    """[kg]"""
+    """Mass of the object [kg]."""
     success: bool | None = None
     """Whether the object was lifted and held; None if it was not tried."""
     outcome: str = ""
     """What happened, in a sentence."""
     human_picture: np.ndarray | None = None
-    """sRGB, shape [H, W, 3] uint8."""
+    """Picture of the human grasp, sRGB, shape [H, W, 3] uint8; None if there is none."""
     robot_picture: np.ndarray | None = None
-    """sRGB, shape [H, W, 3] uint8."""
+    """Picture of the robot grasp, sRGB, shape [H, W, 3] uint8; None if there is none."""
     film: Path | bytes | None = None
-    """A file of a kind in ``MEDIA_TYPES``, or the bytes of an mp4 file."""
+    """Film of the episode: a file of a kind in ``MEDIA_TYPES``, or the bytes of an mp4 file."""
     contacts: Sequence[Contact] = ()
+    """Links that should touch, and whether they did."""
     quality: Sequence[Quantity] = ()
+    """Numbers for the quality of the grasp."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +67,9 @@ class Page:
     """All that a page says."""
 
     title: str
+    """Title of the page."""
     grasps: Sequence[GraspReport]
+    """The grasps, in the order of the page."""
     hand: str = ""
     """Title of the robot's hand."""
     introduction: str = ""

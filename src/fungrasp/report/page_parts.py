@@ -25,17 +25,17 @@ class Quantity:
     """A measured number."""
 
     name: str
-    """"Penetration of the object"."""
+    """Name of the quantity, such as "Penetration of the object"."""
     value: float | str
     """A number, or words."""
     unit: str = ""
-    """"mm"."""
+    """Unit of the value, such as "mm"."""
     meaning: str = ""
     """What it measures, in a sentence."""
     limit: float | None = None
-    """The number should not exceed it."""
+    """Largest good value; None for no limit."""
     least: float | None = None
-    """The number should not be below it."""
+    """Smallest good value; None for no limit."""
 
     @property
     def good(self) -> bool | None:

@@ -20,10 +20,10 @@ from fungrasp.report.page import Page, write_page
 from fungrasp.report.page_parts import Quantity, figure, quality_card
 from fungrasp.report.perception_alternatives import alternatives
 from fungrasp.report.perception_pictures import (
-    FINGER_COLOURS,
+    FINGER_COLORS,
     close_up,
     drawn_over,
-    false_colours,
+    false_colors,
     grasp_from_four_sides,
     whole_image,
 )
@@ -169,7 +169,7 @@ def _seen(capture: Capture, model: ObjectModel, perceived: Perceived) -> str:
     over = drawn_over(capture, hand, model, pose, perceived.object.accepted)
     view = close_up(capture, hand, model, pose)
     legend = "".join(
-        f'<li><i style="background:rgb{FINGER_COLOURS[finger]}"></i>{finger}</li>' for finger in HUMAN_FINGERS
+        f'<li><i style="background:rgb{FINGER_COLORS[finger]}"></i>{finger}</li>' for finger in HUMAN_FINGERS
     )
     words = (
         "The hand's skeleton, a colour for each finger, and the outline of the object's mesh, hidden parts "
@@ -180,7 +180,7 @@ def _seen(capture: Capture, model: ObjectModel, perceived: Perceived) -> str:
         whole_image(capture, view), "The whole image; the frame is what is enlarged.", photograph=True
     )
     small += figure(
-        false_colours(capture, hand, model, pose, perceived.object.accepted),
+        false_colors(capture, hand, model, pose, perceived.object.accepted),
         "The depth: near is yellow, far is violet, black was not measured. The same outline.",
     )
     return (

@@ -18,7 +18,7 @@ from fungrasp.perception.object_pose.mesh_rays import MeshRays
 from fungrasp.rendering.grasp_scenes import human_grasp_scene
 from fungrasp.report.pictures import four_views
 
-FINGER_COLOURS = {
+FINGER_COLORS = {
     "index": (255, 205, 40),
     "middle": (60, 214, 125),
     "ring": (50, 180, 255),
@@ -33,7 +33,7 @@ SURE_LINE, UNSURE_LINE = (255, 255, 255), (255, 90, 60)
 TRUSTED = 0.5
 """Joints of a lower confidence are drawn hollow."""
 
-DEPTH_COLOURS = np.array([(68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (253, 231, 37)])
+DEPTH_COLORS = np.array([(68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (253, 231, 37)])
 """From far to near: dark violet to yellow, brightness rising evenly; sRGB."""
 
 NO_DEPTH = (25, 25, 28)
@@ -52,9 +52,9 @@ class CloseUp:
     """The part of an image that shows hand and object, and how it is enlarged."""
 
     left: float
-    """Edge [pixels of the image]."""
+    """Left edge of the view [pixels of the image]."""
     top: float
-    """Edge [pixels of the image]."""
+    """Top edge of the view [pixels of the image]."""
     scale: float
     """Pixels of the picture per pixel of the image."""
 
@@ -118,7 +118,7 @@ def drawn_over(
         sRGB, shape [720, 960, 3] uint8.
     """
     view = close_up(capture, hand, model, pose)
-    picture = view.cut(Image.fromarray(capture.colour))
+    picture = view.cut(Image.fromarray(capture.color))
     picture = _outlined(picture, view, capture.intrinsics, model, pose, SURE_LINE if sure else UNSURE_LINE)
     return _with_skeleton(picture, view, capture.intrinsics, hand)
 
@@ -132,11 +132,11 @@ def pose_over(
     """
     view = close_up(capture, hand, model, pose)
     return _outlined(
-        view.cut(Image.fromarray(capture.colour)), view, capture.intrinsics, model, other, UNSURE_LINE
+        view.cut(Image.fromarray(capture.color)), view, capture.intrinsics, model, other, UNSURE_LINE
     )
 
 
-def false_colours(
+def false_colors(
     capture: Capture, hand: HandEstimate, model: ObjectModel, pose: np.ndarray, sure: bool
 ) -> np.ndarray:
     """The depth of the part that ``drawn_over`` shows: near is yellow, far violet, not measured black.
@@ -147,9 +147,9 @@ def false_colours(
     depth = view.cut(Image.fromarray(capture.depth))
     things = np.concatenate([hand.joints_camera, transform_points(pose, model.vertices)])[:, 2]
     near, far = max(float(things.min()) - 0.03, 0.0), float(things.max()) + 0.1
-    level = (len(DEPTH_COLOURS) - 1) * np.clip((far - depth) / (far - near), 0, 1)
-    steps = np.arange(len(DEPTH_COLOURS))
-    picture = np.stack([np.interp(level, steps, channel) for channel in DEPTH_COLOURS.T], axis=-1)
+    level = (len(DEPTH_COLORS) - 1) * np.clip((far - depth) / (far - near), 0, 1)
+    steps = np.arange(len(DEPTH_COLORS))
+    picture = np.stack([np.interp(level, steps, channel) for channel in DEPTH_COLORS.T], axis=-1)
     picture = np.where(depth[..., None] > 0, picture, NO_DEPTH).round().astype(np.uint8)
     picture = _outlined(picture, view, capture.intrinsics, model, pose, SURE_LINE if sure else UNSURE_LINE)
     return _with_scale(picture, near, far)
@@ -157,15 +157,15 @@ def false_colours(
 
 def whole_image(capture: Capture, view: CloseUp, width: int = 960) -> np.ndarray:
     """The colour image, smaller if it is wide, with a frame round the part that ``view`` enlarges."""
-    image = Image.fromarray(capture.colour)
+    image = Image.fromarray(capture.color)
     share = min(1.0, width / image.width)
     if share < 1:
         image = image.resize((width, round(share * image.height)), Image.Resampling.LANCZOS)
     corners = np.array([view.left, view.top, *(np.array(SHAPE) / view.scale + [view.left, view.top])])
     box = np.clip(corners * share, 1, np.array([*image.size, *image.size]) - 2)
     draw = ImageDraw.Draw(image)
-    for colour, line in ((_DARK, 4), (SURE_LINE, 2)):
-        draw.rectangle([float(edge) for edge in box], outline=colour, width=line)
+    for color, line in ((_DARK, 4), (SURE_LINE, 2)):
+        draw.rectangle([float(edge) for edge in box], outline=color, width=line)
     return np.asarray(image)
 
 
@@ -203,7 +203,7 @@ def _outlined(
     lens: Intrinsics,
     model: ObjectModel,
     pose: np.ndarray,
-    colour: tuple[int, int, int],
+    color: tuple[int, int, int],
 ) -> np.ndarray:
     """With the outline of the mesh, on a darker line that shows it on every ground."""
     corners = view.place(lens.project(transform_points(pose, model.vertices)))
@@ -223,7 +223,7 @@ def _outlined(
     away = np.asarray(ndimage.distance_transform_edt(inside)) - 0.5
     away += np.asarray(ndimage.distance_transform_edt(~inside))
     drawn = picture.astype(float)
-    for shade, half in ((_DARK, 3.2), (colour, 1.6)):
+    for shade, half in ((_DARK, 3.2), (color, 1.6)):
         part = np.clip(half + 0.5 - away, 0, 1)[..., None]
         drawn += part * (np.array(shade) - drawn)
     return drawn.round().astype(np.uint8)
@@ -235,27 +235,27 @@ def _with_skeleton(picture: np.ndarray, view: CloseUp, lens: Intrinsics, hand: H
     places = _FINE * view.place(lens.project(joints))
     spread = np.sqrt(np.trace(hand.covariance, axis1=1, axis2=2) / 3)
     radius = _FINE * view.scale * lens.fx * spread / np.maximum(joints[:, 2], 1e-3)
-    colours = [SURE_LINE, *(FINGER_COLOURS[HUMAN_FINGERS[joint // 4]] for joint in range(20))]
+    colors = [SURE_LINE, *(FINGER_COLORS[HUMAN_FINGERS[joint // 4]] for joint in range(20))]
     size = (_FINE * SHAPE[0], _FINE * SHAPE[1])
     sheet = Image.fromarray(picture).resize(size, Image.Resampling.BICUBIC)
     draw = ImageDraw.Draw(sheet, "RGBA")
     shown = np.all(np.isfinite(places), axis=1)
 
-    def disc(joint: int, size: float, colour: tuple[int, ...]) -> None:
+    def disc(joint: int, size: float, color: tuple[int, ...]) -> None:
         x, y = places[joint]
-        draw.ellipse([x - size, y - size, x + size, y + size], fill=colour)
+        draw.ellipse([x - size, y - size, x + size, y + size], fill=color)
 
     for joint in np.flatnonzero(shown).tolist():
-        disc(joint, min(float(radius[joint]), sheet.height), (*colours[joint], 56))
+        disc(joint, min(float(radius[joint]), sheet.height), (*colors[joint], 56))
     for near, far in sorted(BONES, key=lambda bone: -joints[list(bone), 2].mean()):
         if shown[near] and shown[far]:
             line = [tuple(places[near]), tuple(places[far])]
-            for colour, width in ((_DARK, 13), (colours[far], 8)):
-                draw.line(line, fill=colour, width=width)
+            for color, width in ((_DARK, 13), (colors[far], 8)):
+                draw.line(line, fill=color, width=width)
     for joint in np.argsort(-joints[:, 2]).tolist():
         if shown[joint]:
             disc(joint, 13, _DARK)
-            disc(joint, 10, colours[joint])
+            disc(joint, 10, colors[joint])
             if hand.confidence[joint] < TRUSTED:
                 disc(joint, 5.5, _DARK)
     return np.asarray(sheet.reduce(_FINE))
@@ -267,9 +267,9 @@ def _with_scale(picture: np.ndarray, near: float, far: float) -> np.ndarray:
     draw, font = ImageDraw.Draw(image), ImageFont.load_default(22)
     width, height = image.size
     draw.rectangle([0, height - 44, width, height], fill=_DARK)
-    bar = np.linspace(0, len(DEPTH_COLOURS) - 1, width // 2)
-    colours = np.stack([np.interp(bar, np.arange(len(DEPTH_COLOURS)), c) for c in DEPTH_COLOURS.T], axis=-1)
-    strip = np.tile(colours.round().astype(np.uint8), (18, 1, 1))
+    bar = np.linspace(0, len(DEPTH_COLORS) - 1, width // 2)
+    colors = np.stack([np.interp(bar, np.arange(len(DEPTH_COLORS)), c) for c in DEPTH_COLORS.T], axis=-1)
+    strip = np.tile(colors.round().astype(np.uint8), (18, 1, 1))
     image.paste(Image.fromarray(strip), (width // 4, height - 31))
     for words, x, anchor in (
         (f"{far:.2f} m", width / 4 - 12, "rm"),

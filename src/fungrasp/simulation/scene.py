@@ -44,19 +44,21 @@ class SceneSettings:
     friction: float = NOMINAL_FRICTION
     """Sliding friction of hand, object and table."""
     torsional_friction: float = 0.005
-    """[m]."""
+    """Coefficient of torsional friction of all contacts [m]."""
     impratio: float = 10.0
+    """Ratio of frictional to normal constraint impedance; above 1 it reduces slip (MuJoCo's ``impratio``)."""
     iterations: int = 10
-    """Newton iterations."""
+    """Largest number of Newton iterations per step."""
     noslip_iterations: int = 0
     """Iterations that take the creep out of friction after the solver: they slow physics down and change few
     outcomes (docs/simulation.md); the GPU engine has none."""
     wrist_stiffness: tuple[float, float] = (2000.0, 100.0)
-    """Of the wrist servo: [N/m] and [N m/rad]. A robot arm is stiffer; this keeps collisions soft."""
+    """Stiffness of the wrist servo for position [N/m] and rotation [N m/rad]. A robot arm is stiffer; this
+    keeps collisions soft."""
     wrist_damping: tuple[float, float] = (120.0, 5.0)
-    """[N s/m] and [N m s/rad]."""
+    """Damping of the wrist servo for position [N s/m] and rotation [N m s/rad]."""
     wrist_force: tuple[float, float] = (100.0, 15.0)
-    """Limits [N] and [N m]; a UR5e carries 5 kg."""
+    """Largest force [N] and torque [N m] of the wrist servo; a UR5e carries 5 kg."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,12 +68,15 @@ class Scene:
     object on table; hand on hand."""
 
     hand: Hand
+    """The robot hand."""
     model: mujoco.MjModel
+    """The compiled model, with the first object's fields."""
     objects: tuple[str, ...]
-    """Names; a world names its object by index."""
+    """Names of the objects; a world selects its object by index."""
     fields: Mapping[str, np.ndarray]
     """Model fields that differ between objects, shape [number of objects, ...]."""
     settings: SceneSettings
+    """Physics that the model was compiled with."""
     models: tuple[ObjectModel, ...]
     """The objects, in the order of ``objects``."""
 

@@ -49,19 +49,19 @@ class MeasuredState:
     """The measured state of W hands and their objects."""
 
     joints: Array
-    """Independent joints [rad], shape [W, U]."""
+    """Angles of the independent joints [rad], shape [W, U]."""
     joint_setpoints: Array
-    """What the joints' servos were last told [rad], shape [W, U]."""
+    """Last setpoints of the joints' servos [rad], shape [W, U]."""
     palm_pose: Array
-    """World frame, shape [W, 7]."""
+    """Measured pose of the palm body, world frame, shape [W, 7]."""
     palm_setpoint: Array
-    """Where the wrist was last told to be, world frame, shape [W, 7]."""
+    """Last setpoint of the palm, world frame, shape [W, 7]."""
     object_pose: Array
-    """As tracked, world frame, shape [W, 7]."""
+    """Tracked pose of the object, world frame, shape [W, 7]."""
     keypoints: Array
-    """Of the hand (``Hand.keypoint_names``), palm frame [m], shape [W, K, 3]."""
+    """Key points of the hand (``Hand.keypoint_names``), palm frame [m], shape [W, K, 3]."""
     surface_distance: Array
-    """Of the key points from the object's surface [m], shape [W, K]."""
+    """Signed distance of the key points from the object's surface [m], shape [W, K]."""
     surface_normal: Array
     """Direction away from the surface at the key points, object frame, shape [W, K, 3]."""
 
@@ -71,23 +71,23 @@ class PlanTarget:
     """What the plans ask for in W worlds."""
 
     palm_goal: Array
-    """For the coming control period, world frame, shape [W, 7]."""
+    """Goal of the palm for the coming control period, world frame, shape [W, 7]."""
     servo_targets: Array
-    """For the coming control period [rad], shape [W, U]."""
+    """Targets of the finger servos for the coming control period [rad], shape [W, U]."""
     palm_in_object: Array
-    """In the grasp, shape [W, 7]."""
+    """Pose of the palm in the planned grasp, object frame, shape [W, 7]."""
     keypoints: Array
-    """In the grasp, object frame [m], shape [W, K, 3]."""
+    """Key points of the hand in the planned grasp, object frame [m], shape [W, K, 3]."""
     surface_distance: Array
-    """Of those key points from the object's surface [m], shape [W, K]."""
+    """Signed distance of those key points from the object's surface [m], shape [W, K]."""
     surface_normal: Array
     """Direction away from the surface there, object frame, shape [W, K, 3]."""
     contacts: Array
     """Links that should touch, shape [W, L] bool."""
     settled_pose: Array
-    """Of the object when the trial began, world frame, shape [W, 7]."""
+    """Nominal pose of the object at rest that was planned for, world frame, shape [W, 7]."""
     mass: Array
-    """Of the object, as far as known [kg], shape [W]."""
+    """Nominal mass of the object [kg], shape [W]."""
     center: Array
     """Object's centre of mass, object frame [m], shape [W, 3]."""
     size: Array

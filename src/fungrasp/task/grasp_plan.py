@@ -40,7 +40,7 @@ class GraspPlan(BatchRecord):
     grasp_palm_pose: np.ndarray
     """Palm in the grasp, object frame, shape [N, 7]."""
     grasp_joints: np.ndarray
-    """Independent joints in the grasp [rad], shape [N, U]."""
+    """Angles of the independent joints in the grasp [rad], shape [N, U]."""
     palm_goal: np.ndarray
     """Goal of the palm at each step, without the lift, object frame, shape [N, T, 7]."""
     finger_targets: np.ndarray

@@ -23,11 +23,11 @@ class Observation(BatchRecord):
     joint_positions: np.ndarray
     """Measured independent joints [rad], shape [W, U]."""
     joint_setpoints: np.ndarray
-    """What the joints' servos were last told [rad], shape [W, U]."""
+    """Last setpoints of the joints' servos [rad], shape [W, U]."""
     palm_pose: np.ndarray
     """Measured pose of the palm body, world frame, shape [W, 7]."""
     palm_setpoint: np.ndarray
-    """Where the palm was last told to be, world frame, shape [W, 7]."""
+    """Last setpoint of the palm, world frame, shape [W, 7]."""
     object_pose: np.ndarray
     """Tracked pose of the object, world frame, shape [W, 7]."""
     object_pose_age: np.ndarray

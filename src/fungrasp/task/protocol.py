@@ -10,9 +10,9 @@ class LiftProtocol:
     """Start, motion limits, lift and hold."""
 
     settle_time: float = 1.0
-    """The object settles from its rest pose [s]."""
+    """Time in which the object settles from its rest pose [s]."""
     start_distance: float = 0.30
-    """Wrist to object centre at the start [m]."""
+    """Distance from the wrist to the object's centre at the start [m]."""
     start_closing: float = 0.5
     """Fingers at the start, as a fraction of their target angles."""
     control_period: float = 0.1

@@ -24,23 +24,23 @@ class RewardWeights:
     """How much each term counts; the names are those of the terms given to ``total``."""
 
     position: float = 0.3
-    """Of ``position_reward``, in [-1, 0]."""
+    """Weight of ``position_reward``, in [-1, 0]."""
     contact: float = 0.5
-    """Of ``contact_reward``, in [0, 2], times ``dynamic_contact_weight``."""
+    """Weight of ``contact_reward``, in [0, 2], times ``dynamic_contact_weight``."""
     safety: float = 0.3
-    """Of ``safety_reward``, in [-1, 0]."""
+    """Weight of ``safety_reward``, in [-1, 0]."""
     posture: float = 0.1
-    """Of ``posture_reward``, in [-2, 0]."""
+    """Weight of ``posture_reward``, in [-2, 0]."""
     lift: float = 1.0
-    """Of ``lift_reward``, in [0, 1]."""
+    """Weight of ``lift_reward``, in [0, 1]."""
     stability: float = 0.5
-    """Of ``stability_reward``, in [-1, 0]."""
+    """Weight of ``stability_reward``, in [-1, 0]."""
     action: float = 0.02
-    """Of ``action_reward``, in [-5, 0] for actions in [-1, 1]."""
+    """Weight of ``action_reward``, in [-5, 0] for actions in [-1, 1]."""
     success: float = 10.0
-    """Once, where the episode ends in success (term: 1 there, 0 elsewhere)."""
+    """Reward once, where the episode ends in success (term: 1 there, 0 elsewhere)."""
     drop: float = -3.0
-    """Once, where the episode ends with the object lost (term: 1 there, 0 elsewhere)."""
+    """Reward once, where the episode ends with the object lost (term: 1 there, 0 elsewhere)."""
 
     def __post_init__(self) -> None:
         for field in fields(self):

@@ -34,13 +34,13 @@ class DistillProgress:
     steps: int
     """Control steps so far."""
     seconds: float
-    """What they took."""
+    """Time that the training has taken so far [s]."""
     success: float
-    """Share of the last trials that succeeded."""
+    """Share of the last episodes that succeeded, 0 to 1."""
     imitation: float
-    """L_act."""
+    """Loss L_act: squared difference from the teacher's actions."""
     reconstruction: float
-    """L_re."""
+    """Loss L_re of the inferred contacts."""
 
 
 def make_student(environment: TrainingEnvironment, hidden: tuple[int, ...] = HIDDEN) -> StudentModel:
@@ -125,14 +125,19 @@ class Distillation:
     """Where a distillation stands, with all it needs to go on."""
 
     student: StudentModel
+    """The network that learns."""
     optimizer: torch.optim.Optimizer
+    """Optimizer of its weights."""
     schedule: torch.optim.lr_scheduler.LRScheduler
+    """Schedule of its learning rate, one step per round."""
     environment: TrainingEnvironment
+    """The worlds whose episodes are learned from."""
     recent: deque[bool]
-    """Whether the last trials succeeded."""
+    """Whether the last episodes succeeded."""
     rounds: int = 0
+    """Rounds of learning so far."""
     seconds: float = 0.0
-    """What they took."""
+    """Time of the rounds so far [s]."""
 
     @property
     def success(self) -> float:

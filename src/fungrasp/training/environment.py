@@ -41,7 +41,7 @@ class EnvironmentSettings:
     lift_goal: float = 0.14
     """Height of the object that is paid in full [m]; above the test's 0.1, as what swings hangs lower."""
     randomization: Randomization = MODERATE
-    """How worlds differ from what is believed, anew in each episode."""
+    """How worlds differ from the nominal ones, drawn anew in each episode."""
     history: bool = False
     """Whether observations hold a student's history."""
     residual: ResidualSettings = field(default_factory=ResidualSettings)
@@ -57,7 +57,7 @@ class NetworkInputs:
     robot: np.ndarray
     """What a robot has, shape [W, O]."""
     privileged: np.ndarray
-    """Contacts, shape [W, P]."""
+    """Contacts that only a simulation knows, shape [W, P]."""
     value: np.ndarray
     """What only the value network gets besides, shape [W, C]."""
     history: np.ndarray | None = None
@@ -69,14 +69,15 @@ class Step:
     """Outcome of a step in W worlds."""
 
     observations: NetworkInputs
+    """Inputs of the networks after the step; where ``done``, those of the next episode's beginning."""
     reward: np.ndarray
-    """Shape [W]."""
+    """Weighted sum of the reward terms, shape [W]."""
     done: np.ndarray
     """Episodes that ended, shape [W] bool; their observations are those of the next one's beginning."""
     success: np.ndarray
-    """Shape [W] bool, where done."""
+    """Whether an episode that ended succeeded, shape [W] bool."""
     terms: dict[str, float]
-    """Mean of each reward term."""
+    """Mean of each reward term over the worlds, by name."""
 
 
 class TrainingEnvironment:

@@ -14,7 +14,7 @@ from fungrasp.training.settings import Sees
 from fungrasp.training.student import StudentModel
 
 
-class ColouredGaussian(GaussianDistribution):
+class ColoredGaussian(GaussianDistribution):
     """Normal actions whose noise is correlated in time while the worlds are played, as in Eberhard et al.,
     "Colored Noise in PPO" (AAAI 2024); its probabilities are those of independent noise."""
 
@@ -60,7 +60,7 @@ def make_networks(
         **model,
         **own,
         distribution_cfg={
-            "class_name": ColouredGaussian,
+            "class_name": ColoredGaussian,
             "worlds": environment.settings.worlds,
             "correlation": correlation,
             "init_std": noise,

@@ -26,12 +26,12 @@ class Variety:
     """How many variations of a grasp there are, and how they differ."""
 
     copies: int = 8
-    """Of each grasp."""
+    """Perturbed copies of each grasp."""
     tries: int = 24
     """Variations that a success predictor chooses these copies from, if there is one; else the grasp as it
     is, and ``copies`` - 1 variations, are taken as they come."""
     spread: VariationSpread = field(default_factory=VariationSpread)
-    """How they differ."""
+    """How far the variations differ from the grasp."""
 
     def __post_init__(self) -> None:
         if self.copies < 1:
@@ -49,8 +49,9 @@ class PlanLibrary:
     """Plans to train on."""
 
     plans: GraspPlan
+    """The plans, N rows."""
     group: np.ndarray
-    """Which grasp each plan is a copy of, shape [N] int."""
+    """Row of the grasp that each plan is a copy of, shape [N] int."""
 
 
 def build_plan_library(

@@ -38,16 +38,19 @@ class Progress:
     steps: int
     """Control steps so far."""
     seconds: float
-    """What they took."""
+    """Time that the training has taken so far [s]."""
     success: float
-    """Share of the last trials that succeeded, exploration noise included."""
+    """Share of the last episodes that succeeded, exploration noise included."""
     reward: float
-    """Mean per control step."""
+    """Mean reward per control step."""
     noise: float
     """Mean standard deviation of the actions."""
     learning_rate: float
+    """Learning rate of the actor."""
     losses: dict[str, float]
+    """Losses of the last update, by name."""
     terms: dict[str, float]
+    """Mean of each reward term over the last batch, by name."""
 
 
 class Trainer:

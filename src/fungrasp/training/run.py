@@ -48,14 +48,15 @@ class TrainingSet:
     """Grasps to train on."""
 
     name: str
-    """For the policy's card."""
+    """Name of the data set, for the policy's card."""
     grasps: RobotGraspSet
+    """Robot grasps to train on."""
     objects: Mapping[str, ObjectModel]
-    """By name."""
+    """The grasps' objects, by name."""
     terms: str = "not stated"
     """Under what terms the grasps may be used."""
     folder: Path | None = None
-    """Of the objects' meshes."""
+    """Folder of the objects' meshes; None for built-in objects."""
 
     def about(self) -> dict[str, Any]:
         """What tells it from others."""
@@ -76,10 +77,13 @@ class RunSettings:
     """Of a teacher's training."""
 
     seed: int = 0
-    """Of everything random."""
+    """Seed of all random numbers."""
     variety: Variety = field(default_factory=Variety)
+    """How the grasps are varied."""
     environment: EnvironmentSettings = field(default_factory=EnvironmentSettings)
+    """How the worlds run."""
     ppo: PpoSettings = field(default_factory=PpoSettings)
+    """How the networks learn."""
 
 
 def train(

@@ -24,30 +24,30 @@ class PpoSettings:
     steps: int = 24
     """Control steps of each world between two updates."""
     epochs: int = 4
-    """Over each batch."""
+    """Passes over each batch."""
     minibatches: int = 4
-    """Of each epoch."""
+    """Minibatches of each epoch."""
     gamma: float = 0.99
     """Discount per control step."""
     lam: float = 0.95
-    """Of the generalised advantage estimate."""
+    """Decay lambda of the generalized advantage estimate."""
     clip: float = 0.2
-    """Of the ratio of probabilities."""
+    """Clipping range of the ratio of new to old action probabilities."""
     entropy: float = 0.001
-    """Weight of the entropy."""
+    """Weight of the entropy bonus."""
     kl: float = 0.02
     """Change of the policy per update that the actor's learning rate adapts to."""
     learning_rate: float = 1e-4
-    """Of the actor, to begin with."""
+    """Learning rate of the actor at the beginning."""
     value_learning_rate: float = 1e-3
-    """Of the value network; it stays the same."""
+    """Learning rate of the value network; it stays the same."""
     reward_scale: float = 0.1
-    """Makes returns of the order of one."""
+    """Factor on the reward, which makes returns of the order of one."""
     noise: float = 0.15
-    """Standard deviation of the actions, to begin with."""
+    """Standard deviation of the exploration noise at the beginning, in units of the action."""
     noise_correlation: float = 0.95
-    """Of the noise from one control step to the next. White noise shakes the object out of the hand; noise
-    that changes slowly tries out other grasps."""
+    """Correlation of the noise from one control step to the next. White noise shakes the object out of the
+    hand; noise that changes slowly tries out other grasps."""
     warm_up: int = 48
     """Control steps before learning, in which only the normalisation is learned."""
 
@@ -61,12 +61,13 @@ class DistillSettings:
     teacher_rounds: int = 3
     """Rounds at the beginning in which the teacher acts."""
     kept_rounds: int = 40
-    """Rounds whose trials are learned from."""
+    """Number of last rounds whose episodes are learned from."""
     minibatch: int = 1024
+    """Control steps in a minibatch."""
     updates: int = 60
     """Minibatches in each round."""
     learning_rate: float = 1e-3
-    """At the beginning; it falls to a tenth."""
+    """Learning rate at the beginning; it falls to a tenth."""
     reconstruction: float = 1.0
     """Weight of L_re against L_act."""
     noise: float = 0.05
@@ -92,8 +93,12 @@ class PredictorSettings:
     hidden: tuple[int, int] = (256, 128)
     """Units of a network's hidden layers."""
     dropout: float = 0.3
+    """Probability that a hidden unit is left out in training."""
     weight_decay: float = 0.02
+    """Weight decay of the optimizer (AdamW)."""
     learning_rate: float = 1e-3
-    """At the beginning; it falls to zero."""
+    """Learning rate at the beginning; it falls to zero."""
     epochs: int = 10
+    """Passes over the episodes."""
     minibatch: int = 256
+    """Episodes in a minibatch."""

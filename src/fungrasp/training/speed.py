@@ -35,12 +35,13 @@ class EnvironmentSpeed:
     """Steps per second of wall time, all worlds together."""
 
     worlds: int
+    """Number of worlds."""
     physics_steps: int
-    """Of one world in one control step."""
+    """Physics steps of one world in one control step."""
     environment: float
-    """Control steps: actions, set points, physics, observation, reward, new trials."""
+    """Control steps per second: actions, setpoints, physics, observation, reward, new episodes."""
     bare: float
-    """The same physics steps of the same worlds from the same states, by the engine alone."""
+    """Control steps per second of the same physics from the same states, by the engine alone."""
     identical: bool
     """Whether both environments ended in the same state, to the last bit."""
 
@@ -68,9 +69,9 @@ class ActingSpeed:
     count."""
 
     policy: float
-    """From what the sensors say to an action: observation, network, reference."""
+    """Time from the sensors to an action: observation, network, plan [ms]."""
     control: float
-    """From an action to all set points of the servos during the control step."""
+    """Time from an action to all setpoints of the servos during the control step [ms]."""
 
     @property
     def total(self) -> float:

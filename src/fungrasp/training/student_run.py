@@ -36,14 +36,19 @@ class TeacherRun:
     """A teacher's training, as found in its folder."""
 
     folder: RunFolder
+    """The training's folder."""
     hand: Hand
+    """The robot hand."""
     settings: RunSettings
+    """Settings of the teacher's training."""
     objects: Mapping[str, ObjectModel]
-    """By name."""
+    """Objects of the plans, by name."""
     library: PlanLibrary
+    """Plans that it was trained on."""
     data: tuple[TrainingData, ...]
     """What it was trained on."""
     licence: str
+    """Licence of the teacher's policy."""
     plans: str
     """Name of the success predictor whose plans it follows, a file beside it; none if empty."""
     shrink: float

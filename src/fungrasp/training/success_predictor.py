@@ -43,7 +43,7 @@ class PlanOutcomes:
     attempt: np.ndarray
     """Which variation, 0 for the grasp as it is, shape [N] int."""
     success: np.ndarray
-    """Shape [N] bool."""
+    """Whether the object was held, shape [N] bool."""
     contact_ratio: np.ndarray
     """During the hold, shape [N]."""
 

@@ -60,19 +60,20 @@ class Randomization:
     mass: Range = (1.0, 1.0)
     """Factor on the mass of the object."""
     friction: Range | None = None
-    """Sliding friction of hand, object and table; the believed one if None."""
+    """Sliding friction of hand, object and table; the nominal one if None."""
     table_height: Range = (0.0, 0.0)
-    """Height of the table top, and of what stands on it, above the believed one [m]."""
+    """Height of the table top, and of what stands on it, above the nominal one [m]."""
     joint_error: MeasurementError = MeasurementError()
-    """Of the measured finger joints [rad]."""
+    """Error of the measured finger joints [rad]."""
     palm_position_error: MeasurementError = MeasurementError()
-    """Of the measured palm position [m]."""
+    """Error of the measured palm position [m]."""
     palm_rotation_error: MeasurementError = MeasurementError()
-    """Of the measured palm rotation, as a rotation vector [rad]."""
+    """Error of the measured palm rotation, as a rotation vector [rad]."""
     object_position_error: MeasurementError = MeasurementError()
-    """Of the object's position [m], believed when planning and tracked later."""
+    """Error of the object's estimated and tracked position [m]."""
     object_rotation_error: MeasurementError = MeasurementError()
-    """Of the object's rotation, as a rotation vector [rad] about its centre of mass, likewise."""
+    """Error of the object's estimated and tracked rotation, as a rotation vector [rad] about its centre of
+    mass."""
     tracker_delay: Range = (0.0, 0.0)
     """Age of the tracked object pose when a policy sees it [s]."""
     tracker_dropout: float = 0.0
@@ -80,20 +81,20 @@ class Randomization:
     action_delay: Range = (0.0, 0.0)
     """Time from a policy's decision to the servos [s], at most ``LONGEST_DELAY``."""
     push_phase: Literal["lift", "hold"] = "hold"
-    """Beginning of which phase the times of the pushes count from."""
+    """Phase from whose beginning the times of the pushes count."""
     push_times: tuple[Range, ...] = ()
     """Time of each push on the object's centre of mass, from the beginning of that phase [s]."""
     push_force: Range = (0.0, 0.0)
     """Force of each push [N], in a random direction."""
     push_weights: Range = (0.0, 0.0)
-    """More force of each push, in multiples of the object's true weight."""
+    """Additional force of each push, in multiples of the object's true weight."""
     push_duration: float = 0.2
     """Duration of each push [s]."""
     object_shift: Range = (0.0, 0.0)
     """Distance by which the object is moved on the table after planning [m], in a random direction; drawn
     uniformly over the ring's area."""
     object_turn: float = 0.0
-    """Largest angle by which it is then turned about the vertical, either way [rad]."""
+    """Largest angle by which the object is then turned about the vertical, in either direction [rad]."""
 
     def __post_init__(self) -> None:
         """
@@ -143,40 +144,41 @@ class EpisodeSample(BatchRecord):
     """What was drawn for W episodes of a hand with M joints; P pushes."""
 
     joint_damping: np.ndarray
-    """Factor for each joint, shape [W, M]."""
+    """Factor on the damping of each joint, shape [W, M]."""
     servo_stiffness: np.ndarray
-    """Factor for the servo of each joint, shape [W, M]."""
+    """Factor on the stiffness of each joint's servo, shape [W, M]."""
     servo_damping: np.ndarray
-    """Factor for the servo of each joint, shape [W, M]."""
+    """Factor on the damping of each joint's servo, shape [W, M]."""
     wrist_stiffness: np.ndarray
-    """Factor, shape [W]."""
+    """Factor on stiffness and damping of the wrist's servos, shape [W]."""
     mass: np.ndarray
-    """Factor, shape [W]."""
+    """Factor on the mass of the object, shape [W]."""
     friction: np.ndarray | None
-    """Sliding friction, shape [W]; the believed one if None."""
+    """Sliding friction of hand, object and table, shape [W]; the nominal one if None."""
     table_height: np.ndarray
-    """Height of the table top above the believed one [m], shape [W]."""
+    """Height of the table top above the nominal one [m], shape [W]."""
     joint_bias: np.ndarray
     """Error of the measured joints [rad], shape [W, M]."""
     palm_bias: np.ndarray
     """Error of the measured palm: offset [m], world frame, and rotation vector [rad], shape [W, 6]."""
     object_bias: np.ndarray
-    """Error of the believed and tracked object: offset [m], world frame, and rotation vector [rad], shape
-    [W, 6]."""
+    """Error of the object's estimated and tracked pose: offset [m], world frame, and rotation vector [rad],
+    shape [W, 6]."""
     tracker_delay: np.ndarray
     """Age of the tracked object pose [s], shape [W]."""
     action_delay: np.ndarray
     """Time from a decision to the servos [s], shape [W]."""
     push_direction: np.ndarray
-    """Unit vectors, world frame, shape [W, P, 3]."""
+    """Directions of the pushes, unit vectors, world frame, shape [W, P, 3]."""
     push_force: np.ndarray
     """Force of each push [N], shape [W, P]."""
     push_weights: np.ndarray
-    """More of it in multiples of the object's true weight, shape [W, P]."""
+    """Additional force of each push in multiples of the object's true weight, shape [W, P]."""
     push_start: np.ndarray
-    """From the beginning of the phase [s], shape [W, P]."""
+    """Time of each push from the beginning of the phase [s], shape [W, P]."""
     object_shift: np.ndarray
-    """In the table's plane: x and y [m], and a turn about the vertical [rad], shape [W, 3]."""
+    """Displacement of the object in the table's plane after planning: x and y [m], and a turn about the
+    vertical [rad], shape [W, 3]."""
 
 
 def draw(randomization: Randomization, count: int, joints: int, rng: np.random.Generator) -> EpisodeSample:

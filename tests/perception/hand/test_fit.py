@@ -54,7 +54,7 @@ def test_a_left_hand_is_the_mirror_image_of_a_right_one(scenes):
     right = fit_hand(detected, scene.capture)
     mirror = np.array([-1.0, 1.0, 1.0])
     seen = Capture(
-        scene.capture.colour,
+        scene.capture.color,
         np.ascontiguousarray(scene.capture.depth[:, ::-1]),
         dataclasses.replace(CAMERA, cx=CAMERA.width - 1 - CAMERA.cx),
     )
@@ -87,14 +87,14 @@ def test_no_depth_at_the_hand_is_an_error(scenes):
     u, v = detected.pixels.mean(axis=0).astype(int)
     depth[max(v - 150, 0) : v + 150, max(u - 150, 0) : u + 150] = 0
     with pytest.raises(FungraspError, match="no depth where the hand is"):
-        fit_hand(detected, Capture(scene.capture.colour, depth, CAMERA))
+        fit_hand(detected, Capture(scene.capture.color, depth, CAMERA))
 
 
 def test_metres_come_from_depth_alone(scenes):
     """Scaling depth and nothing else moves the hand away; its size follows as far as anatomy allows."""
     scene, detected = scenes[2]
     near = fit_hand(detected, scene.capture)
-    far = fit_hand(detected, Capture(scene.capture.colour, scene.capture.depth * np.float32(1.06), CAMERA))
+    far = fit_hand(detected, Capture(scene.capture.color, scene.capture.depth * np.float32(1.06), CAMERA))
     assert far.joints_camera[0, 2] / near.joints_camera[0, 2] == pytest.approx(1.06, abs=0.025)
 
 

@@ -74,18 +74,18 @@ def test_points_of_the_hand_are_neither_object_nor_table(held):
     assert explained_part(aside, points) < 0.7
 
 
-def test_skin_colour_leaves_other_things_out(held):
+def test_skin_color_leaves_other_things_out(held):
     scene, surroundings = held
-    colour = np.full_like(scene.capture.colour, (200, 150, 120))
+    color = np.full_like(scene.capture.color, (200, 150, 120))
     distance = capsule_distances(
         scene.capture.points().reshape(-1, 3), *HAND_CAPSULES.ends(scene.joints), HAND_CAPSULES.radius
     )[0]
-    far = np.abs(distance).min(axis=1).reshape(colour.shape[:2]) > 0.012
-    colour[far | ~scene.capture.measured] = (40, 90, 200)
+    far = np.abs(distance).min(axis=1).reshape(color.shape[:2]) > 0.012
+    color[far | ~scene.capture.measured] = (40, 90, 200)
     whole = hand_view(scene.capture, surroundings, [scene.joints])
-    skin = hand_view(Capture(colour, scene.capture.depth, CAMERA), surroundings, [scene.joints])
+    skin = hand_view(Capture(color, scene.capture.depth, CAMERA), surroundings, [scene.joints])
     pixels = np.rint(CAMERA.project(skin.points)).astype(int)
-    assert (colour[pixels[:, 1], pixels[:, 0], 0] == 200).all()
+    assert (color[pixels[:, 1], pixels[:, 0], 0] == 200).all()
     assert len(skin.points) > 0.3 * len(whole.points)
 
 
@@ -139,7 +139,7 @@ def test_a_left_hand_is_the_mirror_image_of_a_right_one(held):
     mirror = np.array([-1.0, 1.0, 1.0])
     right = fit_held_hand(detected, scene.capture, surroundings, scene.joints)
     seen = Capture(
-        np.ascontiguousarray(scene.capture.colour[:, ::-1]),
+        np.ascontiguousarray(scene.capture.color[:, ::-1]),
         np.ascontiguousarray(scene.capture.depth[:, ::-1]),
         dataclasses.replace(CAMERA, cx=CAMERA.width - 1 - CAMERA.cx),
     )

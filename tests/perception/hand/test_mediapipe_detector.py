@@ -135,15 +135,15 @@ def picture():
 @needs_weights
 def test_a_rendered_hand_is_found_and_told_from_a_left_one(picture):
     pytest.importorskip("ai_edge_litert", reason="ai-edge-litert is not installed")
-    detector, colour = MediaPipeHandDetector(), picture.capture.colour
+    detector, color = MediaPipeHandDetector(), picture.capture.color
     truth = picture.capture.intrinsics.project(picture.joints_camera)
-    (hand,) = detector.detect(colour)
+    (hand,) = detector.detect(color)
     assert hand.side == "right" and np.median(np.linalg.norm(hand.pixels - truth, axis=1)) < 15
     assert joint_bends(hand.shape_camera)[0][:4].mean() > 0
-    (mirrored,) = detector.detect(np.ascontiguousarray(colour[:, ::-1]))
+    (mirrored,) = detector.detect(np.ascontiguousarray(color[:, ::-1]))
     assert mirrored.side == "left"
     assert joint_bends(mirrored.shape_camera)[0][:4].mean() < 0
-    turned = detector.detect(np.ascontiguousarray(np.rot90(colour)))
+    turned = detector.detect(np.ascontiguousarray(np.rot90(color)))
     assert len(turned) == 1 and turned[0].side == "right"
 
 
@@ -188,11 +188,11 @@ def test_depth_finds_a_hand_whose_palm_is_seen_at_a_wrong_place(picture):
     truth = capture.intrinsics.project(picture.joints_camera)
     lengths = hand_lengths(capture.depth, capture.intrinsics.fx)
     detector = MediaPipeHandDetector()
-    (hand,) = detector.detect_with_depth(capture.colour, lengths)
+    (hand,) = detector.detect_with_depth(capture.color, lengths)
     assert np.median(np.linalg.norm(hand.pixels - truth, axis=1)) < 15
     assert find_hands(detector, capture)[0].score == hand.score
     beside = Window((float(truth[:, 0].mean() + 45), float(truth[:, 1].mean())), 120.0)
-    image = Image.fromarray(capture.colour)
+    image = Image.fromarray(capture.color)
     again = detector._around_palm(image, beside, lengths)
     assert np.median(np.linalg.norm(again.pixels - truth, axis=1)) < 15
 

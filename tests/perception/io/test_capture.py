@@ -13,7 +13,7 @@ LENS = Intrinsics(64, 48, 60.0, 61.0, 31.0, 24.5)
 
 def a_capture(**changes) -> Capture:
     fields = {
-        "colour": np.zeros((48, 64, 3), np.uint8),
+        "color": np.zeros((48, 64, 3), np.uint8),
         "depth": np.full((48, 64), 0.7, np.float32),
         "intrinsics": LENS,
     }
@@ -59,8 +59,8 @@ def test_points_are_in_the_camera_frame_and_holes_are_nan():
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"colour": np.zeros((48, 60, 3), np.uint8)}, "colour image has shape"),
-        ({"colour": np.zeros((48, 64, 3), np.float32)}, "array of uint8, not float32"),
+        ({"color": np.zeros((48, 60, 3), np.uint8)}, "colour image has shape"),
+        ({"color": np.zeros((48, 64, 3), np.float32)}, "array of uint8, not float32"),
         ({"depth": np.ones((24, 32), np.float32)}, "depth image has shape"),
         ({"depth": np.ones((48, 64))}, "array of float32, not float64"),
         ({"depth": np.zeros((48, 64), np.float32)}, "empty"),

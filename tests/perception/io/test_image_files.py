@@ -16,8 +16,8 @@ from fungrasp.perception.io.image_files import parse_box, read_capture
 def test_files_become_a_capture_in_metres(tmp_path, caplog):
     with caplog.at_level(logging.WARNING):
         capture = read_capture(*write_scene(tmp_path), box=(100, 80, 220, 180))
-    colour, depth = scene()
-    np.testing.assert_array_equal(capture.colour, colour)
+    color, depth = scene()
+    np.testing.assert_array_equal(capture.color, color)
     np.testing.assert_allclose(capture.depth, depth, atol=5e-4)
     assert capture.intrinsics == Intrinsics(WIDTH, HEIGHT, 300, 301, 160, 119)
     assert capture.depth[6, 6] == 0
@@ -53,16 +53,16 @@ def test_masks_of_any_kind_of_image(tmp_path):
 
 
 def test_float_depth_is_metres(tmp_path):
-    colour, _, lens = write_scene(tmp_path)
+    color, _, lens = write_scene(tmp_path)
     depth = scene()[1]
     depth[0, 0] = np.nan
     np.save(tmp_path / "depth.npy", depth)
-    read = read_capture(colour, tmp_path / "depth.npy", lens).depth
+    read = read_capture(color, tmp_path / "depth.npy", lens).depth
     assert read[0, 0] == 0
     assert read[100, 150] == np.float32(0.6)
     np.save(tmp_path / "depth.npy", 1000 * depth)
     with pytest.raises(FungraspError, match=r"0\.9 m"):
-        read_capture(colour, tmp_path / "depth.npy", lens)
+        read_capture(color, tmp_path / "depth.npy", lens)
 
 
 def cut_short(path):
@@ -109,22 +109,22 @@ def test_usual_mistakes_are_named(tmp_path, which, mistake, message):
     assert "\n" not in str(error.value)
 
 
-def test_depth_given_as_colour_is_named(tmp_path):
-    colour, depth, lens = write_scene(tmp_path)
+def test_depth_given_as_color_is_named(tmp_path):
+    color, depth, lens = write_scene(tmp_path)
     with pytest.raises(FungraspError, match="is it the depth"):
-        read_capture(depth, colour, lens)
+        read_capture(depth, color, lens)
 
 
 def test_large_images_are_made_smaller_with_a_word(tmp_path, caplog):
-    colour, depth, lens = write_scene(tmp_path)
+    color, depth, lens = write_scene(tmp_path)
     factor = 16
-    for path in (colour, depth):
+    for path in (color, depth):
         pixels = np.array(Image.open(path))
         Image.fromarray(pixels.repeat(factor, 0).repeat(factor, 1)).save(path, compress_level=1)
     big = {name: value * factor for name, value in OURS.items()} | {"depth_unit": 0.001}
     lens.write_text(json.dumps(big))
     with caplog.at_level(logging.WARNING):
-        capture = read_capture(colour, depth, lens, box=(1600, 1280, 3520, 2880))
+        capture = read_capture(color, depth, lens, box=(1600, 1280, 3520, 2880))
     assert "5120 x 3840 pixels are made smaller: 1706 x 1280" in caplog.text
     assert capture.box is not None
     pixel = np.array([capture.box[0], capture.box[1]])
@@ -144,32 +144,32 @@ def test_an_enormous_image_is_refused_before_it_is_decoded(tmp_path):
         read_capture(*paths)
 
 
-def test_a_shift_between_depth_and_colour_is_seen():
-    colour, depth = scene()
+def test_a_shift_between_depth_and_color_is_seen():
+    color, depth = scene()
     lens = Intrinsics(WIDTH, HEIGHT, 300, 301, 160, 119)
-    assert check_alignment(Capture(colour, depth, lens)) is None
-    assert check_alignment(Capture(colour, np.roll(depth, (0, 16), (0, 1)), lens)) == (16, 0)
-    assert check_alignment(Capture(colour, np.roll(depth, (-12, 0), (0, 1)), lens)) == (0, -12)
+    assert check_alignment(Capture(color, depth, lens)) is None
+    assert check_alignment(Capture(color, np.roll(depth, (0, 16), (0, 1)), lens)) == (16, 0)
+    assert check_alignment(Capture(color, np.roll(depth, (-12, 0), (0, 1)), lens)) == (0, -12)
 
 
 def test_a_busy_background_is_not_taken_for_a_shift():
     """Stripes at the image's top, and noise that makes steps in far depth below them."""
-    colour, depth = scene()
+    color, depth = scene()
     rng = np.random.default_rng(0)
-    colour[:20] = np.where(np.arange(WIDTH)[None, :, None] // 6 % 2, 255, 0)
-    colour[40:70] = 20, 30, 25
+    color[:20] = np.where(np.arange(WIDTH)[None, :, None] // 6 % 2, 255, 0)
+    color[40:70] = 20, 30, 25
     depth[40:70] = 3.0 + 0.1 * rng.normal(size=(30, WIDTH)).astype(np.float32)
     lens = Intrinsics(WIDTH, HEIGHT, 300, 301, 160, 119)
-    assert check_alignment(Capture(colour, depth, lens)) is None
-    assert check_alignment(Capture(colour, np.roll(depth, (0, 16), (0, 1)), lens)) == (16, 0)
+    assert check_alignment(Capture(color, depth, lens)) is None
+    assert check_alignment(Capture(color, np.roll(depth, (0, 16), (0, 1)), lens)) == (16, 0)
 
 
-def test_swapped_colours_are_guessed_from_skin(tmp_path, caplog):
-    colour, _ = scene()
-    assert not looks_bgr(colour)
-    assert looks_bgr(np.ascontiguousarray(colour[..., ::-1]))
+def test_swapped_colors_are_guessed_from_skin(tmp_path, caplog):
+    color, _ = scene()
+    assert not looks_bgr(color)
+    assert looks_bgr(np.ascontiguousarray(color[..., ::-1]))
     paths = write_scene(tmp_path)
-    Image.fromarray(np.ascontiguousarray(colour[..., ::-1])).save(paths[0])
+    Image.fromarray(np.ascontiguousarray(color[..., ::-1])).save(paths[0])
     with caplog.at_level(logging.WARNING):
         read_capture(*paths)
     assert "BGR" in caplog.text

@@ -79,12 +79,12 @@ class FakeRealSense:
         )
         profile = SimpleNamespace(format=lambda: self.fmt, get_intrinsics=lambda: lens)
         profile.as_video_stream_profile = lambda: profile
-        colour = SimpleNamespace(get_data=lambda: pixels, profile=profile)
+        color = SimpleNamespace(get_data=lambda: pixels, profile=profile)
         return SimpleNamespace(
             get_depth_frame=lambda: (
                 None if self.missing == "depth" else SimpleNamespace(get_data=lambda: depth)
             ),
-            get_color_frame=lambda: None if self.missing == "colour" else colour,
+            get_color_frame=lambda: None if self.missing == "colour" else color,
         )
 
 
@@ -101,7 +101,7 @@ def realsense(monkeypatch):
 def test_a_camera_gives_a_capture_after_the_warm_up(realsense):
     fake = realsense()
     capture = capture_from_camera(warm_up=7)
-    assert capture.colour[0, 0].tolist() == [200, 7, 0]
+    assert capture.color[0, 0].tolist() == [200, 7, 0]
     assert capture.depth.dtype == np.float32 and np.allclose(capture.depth, 0.7)
     assert (capture.intrinsics.fx, capture.intrinsics.fy) == (60, 61)
     assert (capture.intrinsics.cx, capture.intrinsics.cy) == (31, 24)
@@ -115,7 +115,7 @@ def test_a_recording_is_played_once_and_in_its_own_format(realsense, tmp_path, f
     file.touch()
     fake = realsense(fmt=fmt, images=4)
     capture = capture_from_camera(file)
-    assert capture.colour[5, 5].tolist() == [200, 3, 0], "of a short recording the last image"
+    assert capture.color[5, 5].tolist() == [200, 3, 0], "of a short recording the last image"
     assert fake.played == (str(file), False) and fake.real_time is False and fake.stopped == 1
     assert fake.streams == [("depth",), ("color",)]
 
@@ -143,7 +143,7 @@ def test_an_image_of_a_recording_by_its_number(realsense, tmp_path):
     file = tmp_path / "recording.bag"
     file.touch()
     realsense(images=4)
-    assert capture_from_camera(file, image=2).colour[0, 0].tolist() == [200, 2, 0]
+    assert capture_from_camera(file, image=2).color[0, 0].tolist() == [200, 2, 0]
     realsense(images=4)
     with pytest.raises(FungraspError, match="has no image 4: its images are 0 to 3"):
         capture_from_camera(file, image=4)

@@ -19,10 +19,10 @@ def test_our_own_folder(tmp_path):
 
 
 def a_bop_scene(folder):
-    colour, depth = scene()
+    color, depth = scene()
     for name in ("rgb", "depth", "mask_visib"):
         (folder / name).mkdir(parents=True)
-    Image.fromarray(colour).save(folder / "rgb" / "000007.jpg", quality=95)
+    Image.fromarray(color).save(folder / "rgb" / "000007.jpg", quality=95)
     Image.fromarray(np.round(depth * 10000).astype(np.uint16)).save(folder / "depth" / "000007.png")
     mask = np.where(depth == np.float32(0.6), 255, 0).astype(np.uint8)
     Image.fromarray(mask).save(folder / "mask_visib" / "000007_000001.png")
@@ -33,21 +33,21 @@ def a_bop_scene(folder):
 
 
 def test_what_is_written_is_read_again(tmp_path):
-    (colour, depth), mask = scene(), np.zeros((HEIGHT, WIDTH), bool)
+    (color, depth), mask = scene(), np.zeros((HEIGHT, WIDTH), bool)
     mask[80:180, 100:220] = True
     lens = Intrinsics(WIDTH, HEIGHT, 301.5, 300.25, 160.5, 119.0)
-    capture = Capture(colour, depth + np.float32(0.00337), lens, mask)
+    capture = Capture(color, depth + np.float32(0.00337), lens, mask)
     write_folder(capture, tmp_path / "near")
     again = read_folder(tmp_path / "near")
-    np.testing.assert_array_equal(again.colour, capture.colour)
+    np.testing.assert_array_equal(again.color, capture.color)
     np.testing.assert_array_equal(again.mask, mask)
     np.testing.assert_allclose(again.depth, capture.depth, atol=0.51e-4)
     assert again.intrinsics == lens
     with pytest.raises(FungraspError, match="mask of another image"):
-        write_folder(Capture(colour, capture.depth, lens), tmp_path / "near")
+        write_folder(Capture(color, capture.depth, lens), tmp_path / "near")
     far = capture.depth.copy()
     far[0, :2] = 20.0, 100.0
-    write_folder(Capture(colour, far, lens), tmp_path / "far")
+    write_folder(Capture(color, far, lens), tmp_path / "far")
     again = read_folder(tmp_path / "far")
     assert again.mask is None and again.depth[0, :2].tolist() == pytest.approx([20.0, 0.0])
     np.testing.assert_allclose(again.depth[1:], far[1:], atol=0.51e-3)
@@ -65,12 +65,12 @@ def test_a_bop_scene(tmp_path):
 
 
 def a_dexycb_camera(root):
-    colour, depth = scene()
+    color, depth = scene()
     camera = root / "20200709-subject-01" / "20200709_141754" / "836212060125"
     calibration = root / "calibration" / "intrinsics"
     camera.mkdir(parents=True)
     calibration.mkdir(parents=True)
-    Image.fromarray(colour).save(camera / "color_000071.jpg", quality=95)
+    Image.fromarray(color).save(camera / "color_000071.jpg", quality=95)
     Image.fromarray(np.round(depth * 1000).astype(np.uint16)).save(
         camera / "aligned_depth_to_color_000071.png"
     )

@@ -96,17 +96,17 @@ def test_a_mesh_without_faces_is_an_error() -> None:
 
 
 @pytest.mark.parametrize("turn", [0.0, np.pi])
-def test_colour_tells_which_way_round(turn: float) -> None:
+def test_color_tells_which_way_round(turn: float) -> None:
     box = trimesh.creation.box((0.12, 0.07, 0.03)).subdivide().subdivide().subdivide()
     end = np.where(box.vertices[:, :1] > 0.02, [[220, 40, 40, 255]], [[40, 80, 200, 255]])
     painted = trimesh.Trimesh(box.vertices, box.faces, process=False, vertex_colors=end.astype(np.uint8))
     yaw = quaternion_from_rotation_vector(np.array([0.0, 0.0, 0.4 + turn]))
     there = scene(painted, np.concatenate([[0.0, 0.0, 0.015], yaw]), np.array([0.3, 0.0, 0.0]))
-    colour = there.capture.colour.copy()
+    color = there.capture.color.copy()
     across = there.capture.points()[there.mask] - there.pose[:3]
     along = across @ compose(there.pose, np.array([1.0, 0, 0, 1, 0, 0, 0]))[:3] - across @ there.pose[:3]
-    colour[there.mask] = np.where(along[:, None] > 0.02, [140, 30, 30], [30, 60, 130])
-    capture = Capture(colour, there.capture.depth, there.capture.intrinsics, there.mask)
+    color[there.mask] = np.where(along[:, None] > 0.02, [140, 30, 30], [30, 60, 130])
+    capture = Capture(color, there.capture.depth, there.capture.intrinsics, there.mask)
     found = estimate_object_pose(capture, painted)
     points = np.asarray(painted.vertices)
     assert add_s(points, found.pose_camera_object, there.pose) < 0.004
@@ -122,8 +122,8 @@ def test_a_large_image_gives_the_same_pose() -> None:
     k, times = CAMERA, 5
     lens = Intrinsics(k.width * times, k.height * times, *(times * v for v in (k.fx, k.fy, k.cx, k.cy)))
     enlarged = [np.kron(a, np.ones((times, times), a.dtype)) for a in (there.capture.depth, there.mask)]
-    colour = np.full((*enlarged[0].shape, 3), 120, np.uint8)
-    found = estimate_object_pose(Capture(colour, enlarged[0], lens, enlarged[1]), MUG)
+    color = np.full((*enlarged[0].shape, 3), 120, np.uint8)
+    found = estimate_object_pose(Capture(color, enlarged[0], lens, enlarged[1]), MUG)
     assert add_s(surface(MUG), found.pose_camera_object, there.pose) < 0.004
 
 

@@ -64,7 +64,7 @@ def test_alternatives_get_scores_and_a_better_one_is_told() -> None:
 def test_without_depth_at_the_object_it_is_not_sure() -> None:
     mask = np.zeros_like(SCENE.mask)
     mask[:3, :3] = True
-    capture = Capture(SCENE.capture.colour, SCENE.capture.depth, SCENE.capture.intrinsics, mask)
+    capture = Capture(SCENE.capture.color, SCENE.capture.depth, SCENE.capture.intrinsics, mask)
     judged = score_given_pose(said(), capture, MUG)
     assert not judged.accepted and judged.score == 0.0
     assert "can't be compared with the depth: the mask has only 9 pixels" in judged.note

@@ -26,7 +26,7 @@ def test_the_table_is_found() -> None:
 def test_no_table_among_scattered_points() -> None:
     rng = np.random.default_rng(1)
     depth = rng.uniform(0.3, 2.0, SCENE.capture.depth.shape).astype(np.float32)
-    scattered = Capture(SCENE.capture.colour, depth, SCENE.capture.intrinsics)
+    scattered = Capture(SCENE.capture.color, depth, SCENE.capture.intrinsics)
     assert largest_plane(scattered, np.random.default_rng(0)) is None
 
 

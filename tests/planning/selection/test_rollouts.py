@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from fungrasp.planning.references import References
 from planned_grasps import grasps_and_objects, hand, references
 from planned_grasps import start as begun
 
 import fungrasp.planning.selection.search as choose
 from fungrasp.errors import FungraspError
-from fungrasp.planning.references import References
 from fungrasp.planning.selection.candidates import STEP, Pool, Start
 from fungrasp.planning.selection.rollouts import Outcome, RehearsalSettings, Tally, blind, rehearse
 from fungrasp.planning.selection.search import ChoiceSettings, Planner, SearchSettings, choose_references

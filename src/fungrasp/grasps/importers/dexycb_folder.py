@@ -34,7 +34,9 @@ class Sequence:
     """One recording of one grasp."""
 
     folder: Path
+    """Folder of the recording."""
     frames: int
+    """Number of frames, F."""
     serials: tuple[str, ...]
     """Cameras that have labels."""
     object_number: int

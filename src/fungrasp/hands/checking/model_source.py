@@ -23,9 +23,11 @@ class ModelSource:
     """A model file, read."""
 
     path: Path
+    """The URDF or MJCF file."""
     spec: mujoco.MjSpec
     """Repaired: without missing meshes, static bodies not fused; compiles to ``model``."""
     model: mujoco.MjModel
+    """The compiled ``spec``."""
     fuses: bool
     """As written, bodies with no joint are merged into their parents."""
     urdf: ElementTree.Element | None

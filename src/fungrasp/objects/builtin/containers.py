@@ -20,6 +20,7 @@ class Can:
     """Height of the can [m]."""
 
     def parts(self) -> PartSolids:
+        """Convex solids of the parts "body" and "rim"."""
         r, h = self.radius, self.height
         return {
             "body": [lathe([(r - 0.008, 0), (r, 0.01), (r, h - 0.014), (r - 0.006, h - 0.003)], segments=48)],
@@ -35,6 +36,7 @@ class Carton:
     """Extents of the carton along x, y and z [m]."""
 
     def parts(self) -> PartSolids:
+        """Convex solids of the part "body"."""
         return {"body": [box(self.size, bevel=0.001)]}
 
 
@@ -48,6 +50,7 @@ class Bottle:
     """With the cap [m]."""
 
     def parts(self) -> PartSolids:
+        """Convex solids of the parts "body", "neck" and "cap"."""
         r, h = self.radius, self.height
         waist = r - 0.0035
         return {
@@ -83,6 +86,7 @@ class SprayBottle:
     """Height of the spray bottle [m]."""
 
     def parts(self) -> PartSolids:
+        """Convex solids of the parts "body", "neck", "head" and "trigger"."""
         a, b, s, h = self.length / 2, self.width / 2, self.body, self.height
         levels = [(0, 0.94), (0.005, 1.0), (s * 0.55, 1.0), (s * 0.8, 0.8), (s, 0.36)]
         sections = [

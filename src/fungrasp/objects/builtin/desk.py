@@ -24,6 +24,7 @@ class Scissors:
     """Half the thickness of the loops [m]."""
 
     def parts(self) -> PartSolids:
+        """Convex solids of the parts "loops" and "blades"."""
         blade, loop = self._half()
         return {
             "loops": [*loop, *(mirrored(s) for s in loop)],
@@ -57,6 +58,7 @@ class Marker:
     """Length of the marker [m]."""
 
     def parts(self) -> PartSolids:
+        """Convex solids of the parts "barrel" and "cap"."""
         r, n = self.radius, self.length
         joint = n * 0.62
         barrel = [lathe([(r - 0.003, 0), (r - 0.0005, 0.006), (r, 0.02), (r, joint)], segments=28)]
@@ -79,6 +81,7 @@ class Book:
     """Thickness of the cover [m]."""
 
     def parts(self) -> PartSolids:
+        """Convex solids of the parts "cover" and "pages"."""
         w, h, t = self.size
         b = self.board
         return {
@@ -99,6 +102,7 @@ class Ball:
     """Radius of the ball [m]."""
 
     def parts(self) -> PartSolids:
+        """Convex solids of the part "ball"."""
         angles = np.linspace(-np.pi / 2, np.pi / 2, 15)[1:-1]
         poles = np.array([(0, 0, self.radius), (0, 0, -self.radius)])
         rounds = lathe([(self.radius * np.cos(a), self.radius * np.sin(a)) for a in angles], segments=28)

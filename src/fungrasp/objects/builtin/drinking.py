@@ -26,6 +26,7 @@ class Mug:
     """From the wall to the middle line of the handle [m]."""
 
     def parts(self) -> PartSolids:
+        """Convex solids of the parts "body", "rim" and "handle"."""
         r, h, inside = self.radius, self.height, self.radius - self.wall
         floor, lip = 0.006, h - self.rim
         return {
@@ -52,6 +53,7 @@ class WineGlass:
     """Height of the underside of the bowl [m]."""
 
     def parts(self) -> PartSolids:
+        """Convex solids of the parts "base", "stem" and "bowl"."""
         r, s, h = self.radius, self.stem, self.height
         floor, widest = s + 0.012, s + 0.045
         return {
@@ -90,6 +92,7 @@ class Pitcher:
     """Thickness of the wall of the pitcher [m]."""
 
     def parts(self) -> PartSolids:
+        """Convex solids of the parts "body", "spout" and "handle"."""
         b, t, h, w = self.bottom, self.top, self.height, self.wall
         floor, neck = 0.006, h - 0.05
         inside = b + (t - b) * (neck - floor) / (h - floor) - w
@@ -135,6 +138,7 @@ class Teapot:
     """Up to the lid [m]."""
 
     def parts(self) -> PartSolids:
+        """Convex solids of the parts "body", "lid", "spout" and "handle"."""
         r, h = self.radius, self.height
         angles = np.linspace(-0.95, 1.05, 8)
         belly = [(r * np.cos(a), h * 0.46 + r * 0.68 * np.sin(a)) for a in angles]

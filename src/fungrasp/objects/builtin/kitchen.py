@@ -24,6 +24,7 @@ class Pan:
     """Length of the handle [m]."""
 
     def parts(self) -> PartSolids:
+        """Convex solids of the parts "body" and "handle"."""
         b, t, d = self.bottom, self.top, self.depth
         floor = 0.004
         start, end = t - 0.006, t + self.handle
@@ -61,6 +62,7 @@ class Knife:
     """Thickness of the blade at its back [m]."""
 
     def parts(self) -> PartSolids:
+        """Convex solids of the parts "handle" and "blade"."""
         length, w, thick = self.blade, self.width, self.spine
         back = 0.012
         spine = [(0.0, back), (length * 0.6, back - 0.001), (length, back - 0.018)]
@@ -95,6 +97,7 @@ class Bowl:
     """Thickness at the rim [m]."""
 
     def parts(self) -> PartSolids:
+        """Convex solids of the parts "body" and "rim"."""
         r, h, w = self.radius, self.height, self.wall
         foot, floor, middle, lip = 0.036, 0.008, 0.028, h - 0.01
         outer_middle, outer_lip = r * 0.87, r * 0.985
@@ -125,6 +128,7 @@ class Spatula:
     """Length of the blade [m]."""
 
     def parts(self) -> PartSolids:
+        """Convex solids of the parts "handle", "shaft" and "blade"."""
         bend = self.shaft + 0.01
         plate = [
             (bend, -0.02), (bend, 0.02), (bend + self.blade, -0.041), (bend + self.blade, 0.041),
@@ -160,6 +164,7 @@ class Brush:
     """Length of the bristles [m]."""
 
     def parts(self) -> PartSolids:
+        """Convex solids of the parts "handle", "head" and "bristles"."""
         back, length = self.bristles, self.head
         bar = [
             ellipse((x, 0, z), (0, a, 0), (0, 0, b), squareness=3)

@@ -26,14 +26,17 @@ class BopRow:
     """One estimate."""
 
     scene: int
+    """Number of the scene."""
     image: int
+    """Number of the image in the scene."""
     object_id: int
+    """Number of the object in the data set."""
     score: float
-    """The estimator's own, in any range."""
+    """The estimator's score, in any range."""
     rotation: np.ndarray
-    """Shape [3, 3]."""
+    """Rotation matrix of the object in the camera frame, shape [3, 3]."""
     translation: np.ndarray
-    """[m], shape [3]."""
+    """Origin of the object in the camera frame [m], shape [3]."""
     where: str
     """File and line, for messages."""
 

@@ -40,11 +40,11 @@ class HandFields:
     """A hand file."""
 
     where: str
-    """Its name, for messages."""
+    """Name of the file, for messages."""
     source: str
-    """One of ``SOURCES``."""
+    """The program that wrote it, one of ``SOURCES``."""
     values: Mapping[str, Any]
-    """By the names in the file."""
+    """Arrays and numbers by their names in the file."""
 
     def has(self, name: str) -> bool:
         """Whether the field is there, by one of its names."""

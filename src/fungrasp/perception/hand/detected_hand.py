@@ -79,7 +79,7 @@ class DetectedHand:
 class HandDetector(Protocol):
     """What finds hands in a color image; ``MediaPipeHandDetector`` is one."""
 
-    def detect(self, colour: np.ndarray, near: Box | None = None) -> list[DetectedHand]:
+    def detect(self, color: np.ndarray, near: Box | None = None) -> list[DetectedHand]:
         """All hands found in an RGB image, shape [H, W, 3]; near: a box beside or around the hand."""
         ...
 
@@ -89,7 +89,7 @@ class DepthHandDetector(HandDetector, Protocol):
     """A detector that makes use of how large hands are in the image."""
 
     def detect_with_depth(
-        self, colour: np.ndarray, lengths: np.ndarray, near: Box | None = None
+        self, color: np.ndarray, lengths: np.ndarray, near: Box | None = None
     ) -> list[DetectedHand]:
         """As ``detect``. lengths: ``hand_lengths`` of the image [pixels], shape [H, W]."""
         ...
@@ -99,8 +99,8 @@ def find_hands(detector: HandDetector, capture: Capture, near: Box | None = None
     """All hands found in an image by a detector, which may be one that depth helps."""
     if isinstance(detector, DepthHandDetector):
         lengths = hand_lengths(capture.depth, capture.intrinsics.fx)
-        return detector.detect_with_depth(capture.colour, lengths, near)
-    return detector.detect(capture.colour, near)
+        return detector.detect_with_depth(capture.color, lengths, near)
+    return detector.detect(capture.color, near)
 
 
 def hand_lengths(depth: np.ndarray, focal: float) -> np.ndarray:

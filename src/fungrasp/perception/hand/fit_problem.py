@@ -70,9 +70,9 @@ class HandFitSettings:
     background: float = 0.02
     """What is seen farther behind a part of the hand [m] is background to it."""
     background_levels: int = 3
-    """How many depths of the hand's parts are told apart for that."""
+    """Number of depth levels that the hand's parts are sorted into to find their background."""
     held_background_levels: int = 2
-    """The same where the object is known."""
+    """Number of depth levels where the object is known."""
     silhouette_spread: float = 3.0
     """Standard deviation of the silhouette [pixels]."""
     silhouette_outlier: float = 20.0
@@ -82,11 +82,11 @@ class HandFitSettings:
     direction_spread: float = 0.35
     """Standard deviation of the landmark model's bone directions [rad]."""
     turn_spread: float = 0.25
-    """Standard deviation of their turn as a whole [rad]."""
+    """Standard deviation of the turn of all bone directions together [rad]."""
     point_spread: tuple[float, float, float] = (0.004, 0.008, 0.025)
     """Standard deviation of a measured point's distance from the skin [m]: of fingers, palm and arm."""
     points_worth: float = 85.0
-    """All measured points count as so many: neighbours err alike."""
+    """Number of independent measurements that all measured points together count as: neighbours err alike."""
     front_spread: float = 0.016
     """Standard deviation of how far skin may be in front of what is seen there [m]."""
     front_outlier: float = 0.05
@@ -96,7 +96,7 @@ class HandFitSettings:
     overlap_spread: float = 0.002
     """Standard deviation of how deep fingers are in each other [m]."""
     contact: HandContactSettings = field(default_factory=HandContactSettings)
-    """What the object and the table are worth, where they are known."""
+    """Weights of what the object and the table say, where they are known."""
 
 
 @dataclass(frozen=True)
@@ -118,6 +118,7 @@ class HandParameters:
     """The unknowns."""
 
     skeleton: Skeleton
+    """Position, size, proportions and joint angles of the hand, camera frame."""
     turn: np.ndarray = field(default_factory=lambda: np.zeros(3))
     """Rotation vector of the landmark model's shape as a whole [rad], shape [3]."""
 

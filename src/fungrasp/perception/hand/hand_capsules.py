@@ -38,7 +38,7 @@ class HandCapsules:
     far: np.ndarray
     """Joint at the other end, shape [C]."""
     end: np.ndarray
-    """Where on the way to the far joint the line ends, shape [C]."""
+    """Where the line ends, as a part of the distance from the near to the far joint, shape [C]."""
     radius: np.ndarray
     """Radius at both ends, for a hand of mean size [m], shape [C, 2]."""
     finger: np.ndarray

@@ -47,10 +47,10 @@ LEAST_SKIN = 40
 MOST_SKIN = 400
 """From more points no more is learnt."""
 
-OTHER_COLOUR = 4.0
+OTHER_COLOR = 4.0
 """Colours farther from the skin's [standard deviations] are another thing's."""
 
-COLOUR_SPREAD = 0.04
+COLOR_SPREAD = 0.04
 """Least standard deviation of the skin's colour: logarithm of red over green, and blue over green."""
 
 
@@ -59,14 +59,15 @@ class HandMeasurements:
     """What was seen of a hand, in the mirror image if it is a left one."""
 
     pixels: np.ndarray
-    """Landmarks, shape [21, 2]."""
+    """Landmarks in the image [pixels], shape [21, 2]."""
     shape: np.ndarray
     """Joints about the hand's middle [m], camera frame, shape [21, 3], as the landmark model guesses."""
     directions: np.ndarray
     """Unit vectors of ``BONES`` in that shape, shape [20, 3]."""
     depth: np.ndarray
-    """[m], shape [H, W]; NaN: none."""
+    """Depth at the hand [m], shape [H, W]; NaN where it was not measured."""
     intrinsics: Intrinsics
+    """Intrinsics of the image, mirrored where the hand is a left one."""
     score: float
     """Probability that this is a hand."""
     spread: float | None = None
@@ -117,10 +118,11 @@ class HandView:
     """An image of a right hand with what is known about it; the mirror image if it is of a left one."""
 
     depth: np.ndarray
-    """[m], shape [H, W]; NaN: none."""
+    """Depth [m], shape [H, W]; NaN where it was not measured."""
     intrinsics: Intrinsics
+    """Intrinsics of the image, mirrored where the hand is a left one."""
     surroundings: HandSurroundings
-    """Object and table."""
+    """The object and the table, where they are known."""
     points: np.ndarray
     """Measured points that may show the hand or its arm [m], camera frame, shape [P, 3]."""
 
@@ -162,7 +164,7 @@ def hand_view(capture: Capture, surroundings: HandSurroundings, guesses: list[np
     step = max(1, len(rows) // (FEW * POINTS))
     rows, columns = rows[::step] + low[1], columns[::step] + low[0]
     points = lens.deproject(np.stack([columns, rows], axis=1), depth[rows, columns])
-    colour = capture.colour[rows, columns]
+    color = capture.color[rows, columns]
     near = np.zeros(len(points), dtype=bool)
     for guess in guesses:
         near |= np.linalg.norm(points[:, None] - guess[::2], axis=-1).min(axis=1) < REACH
@@ -170,10 +172,10 @@ def hand_view(capture: Capture, surroundings: HandSurroundings, guesses: list[np
     table = surroundings.table_distance(points)
     if table is not None:
         near &= table[0] > TABLE_NEAR
-    points, colour, seen = points[near], colour[near], np.stack([columns, rows], axis=1)[near]
+    points, color, seen = points[near], color[near], np.stack([columns, rows], axis=1)[near]
     bones = [lens.project(guess)[np.transpose(BONES)] for guess in guesses]
     reach = BONE * lens.fx / float(np.median(joints[:, 2]))
-    points = points[_skin_coloured(seen, colour, bones, reach)]
+    points = points[_skin_colored(seen, color, bones, reach)]
     every = max(1, len(points) // POINTS)
     return HandView(depth, lens, surroundings, points[::every])
 
@@ -189,14 +191,12 @@ def _edges(depth: np.ndarray) -> np.ndarray:
     return jumps
 
 
-def _skin_coloured(
-    pixels: np.ndarray, colour: np.ndarray, bones: list[np.ndarray], reach: float
-) -> np.ndarray:
+def _skin_colored(pixels: np.ndarray, color: np.ndarray, bones: list[np.ndarray], reach: float) -> np.ndarray:
     """Which pixels have the colour of the hand, bool, shape [P].
 
     Args:
         pixels: shape [P, 2].
-        colour: RGB, shape [P, 3].
+        color: RGB, shape [P, 3].
         bones: of each guess, pixels of both ends, shape [2, B, 2].
         reach: pixels nearer than this to a bone may show it.
     """
@@ -208,14 +208,14 @@ def _skin_coloured(
     if len(on) < LEAST_SKIN:
         return np.ones(len(pixels), dtype=bool)
     on = on[:: max(1, len(on) // MOST_SKIN)]
-    red, green, blue = np.log(colour.astype(float) + 8.0).T
+    red, green, blue = np.log(color.astype(float) + 8.0).T
     tone = np.stack([red - green, blue - green], axis=1)
-    apart = np.linalg.norm(tone[on, None] - tone[on], axis=-1) / COLOUR_SPREAD
+    apart = np.linalg.norm(tone[on, None] - tone[on], axis=-1) / COLOR_SPREAD
     middle = tone[on[(np.exp(-0.5 * apart**2) @ votes[on]).argmax()]]
-    alike = tone[on][np.linalg.norm(tone[on] - middle, axis=1) < OTHER_COLOUR * COLOUR_SPREAD]
+    alike = tone[on][np.linalg.norm(tone[on] - middle, axis=1) < OTHER_COLOR * COLOR_SPREAD]
     middle = np.median(alike, axis=0)
-    spread = np.maximum(1.48 * np.median(np.abs(alike - middle), axis=0), COLOUR_SPREAD)
-    return np.linalg.norm((tone - middle) / spread, axis=1) < OTHER_COLOUR
+    spread = np.maximum(1.48 * np.median(np.abs(alike - middle), axis=0), COLOR_SPREAD)
+    return np.linalg.norm((tone - middle) / spread, axis=1) < OTHER_COLOR
 
 
 def mirror_estimate(hand: HandEstimate, pixels: np.ndarray) -> HandEstimate:

@@ -24,11 +24,11 @@ class Window:
     """A square window of an image, which may reach beyond the image."""
 
     centre: tuple[float, float]
-    """Column and row [pixels]."""
+    """Column and row of the centre [pixels]."""
     size: float
-    """Edge [pixels]."""
+    """Length of an edge [pixels]."""
     angle: float = 0.0
-    """By which the window is turned, clockwise in the image [rad]."""
+    """Angle by which the window is turned, clockwise in the image [rad]."""
 
     def to_image(self, points: np.ndarray) -> np.ndarray:
         """Pixels of points in window coordinates. Both: shape [..., 2]."""

@@ -18,13 +18,13 @@ class HandEvidence:
     """One block of residuals, with their derivatives by the parameters."""
 
     residual: np.ndarray
-    """In standard deviations, shape [R]."""
+    """Residuals in standard deviations, shape [R]."""
     jacobian: np.ndarray
     """Derivatives by the parameters, shape [R, n]; n may be less than the number of parameters."""
     outlier: float | np.ndarray = np.inf
     """Residuals beyond this hardly count: one limit for all, or one per group, shape [R / group]."""
     group: int = 1
-    """So many residuals in a row are one measurement and are judged by their norm."""
+    """Number of consecutive residuals that are one measurement, judged by their norm."""
 
 
 def normal_equations(evidence: Iterable[HandEvidence], size: int) -> tuple[np.ndarray, np.ndarray]:

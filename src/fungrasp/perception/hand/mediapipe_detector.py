@@ -123,12 +123,12 @@ class MediaPipeHandDetector:
         self._palm = MediaPipeModel(weights["palm"], threads)
         self._landmarks = MediaPipeModel(weights["landmarks"], threads)
 
-    def detect(self, colour: np.ndarray, near: Box | None = None) -> list[DetectedHand]:
+    def detect(self, color: np.ndarray, near: Box | None = None) -> list[DetectedHand]:
         """All hands found; see ``detect_with_depth``, which finds more of them."""
-        return self.detect_with_depth(colour, None, near)
+        return self.detect_with_depth(color, None, near)
 
     def detect_with_depth(
-        self, colour: np.ndarray, lengths: np.ndarray | None, near: Box | None = None
+        self, color: np.ndarray, lengths: np.ndarray | None, near: Box | None = None
     ) -> list[DetectedHand]:
         """All hands found.
 
@@ -136,15 +136,15 @@ class MediaPipeHandDetector:
         turned; the first of these that shows a hand counts, or the best of all that may show one.
 
         Args:
-            colour: RGB, uint8, shape [H, W, 3].
+            color: RGB, uint8, shape [H, W, 3].
             lengths: ``hand_lengths`` of the image [pixels], shape [H, W]; None if depth is not known.
             near: a box beside or around the hand, searched before other parts.
 
         Returns:
             Most probable first; empty if there is none.
         """
-        image = Image.fromarray(colour)
-        height, width = colour.shape[:2]
+        image = Image.fromarray(color)
+        height, width = color.shape[:2]
         palms: list[tuple[float, Window]] = []
         for window in search_windows(width, height, near):
             seen = self._palms(image, window)

@@ -25,11 +25,11 @@ class Palm:
     """A detected palm; coordinates of the detector's window, 0 to 1."""
 
     box: np.ndarray
-    """``x0 y0 x1 y1``, shape [4]."""
+    """Corners ``x0 y0 x1 y1`` of the box round the palm, shape [4]."""
     points: np.ndarray
-    """Key points, shape [7, 2]."""
+    """Key points of the palm, shape [7, 2]."""
     score: float
-    """0 to 1."""
+    """Probability that this is a palm, 0 to 1."""
 
 
 def anchor_centres() -> np.ndarray:

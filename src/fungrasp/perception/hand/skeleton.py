@@ -103,7 +103,7 @@ class Skeleton:
     """One hand: the parameters."""
 
     position: np.ndarray
-    """Wrist [m], shape [3], camera frame."""
+    """Position of the wrist [m], camera frame, shape [3]."""
     turn: np.ndarray
     """Rotation of the palm frame, shape [3, 3]."""
     size: float
@@ -113,7 +113,7 @@ class Skeleton:
     bones: np.ndarray
     """Logarithm of the bones' lengths over the template's, shape [5, 3]."""
     angles: np.ndarray
-    """[rad], shape [5, 3, 3]: finger, joint, (deviation, flexion, twist)."""
+    """Joint angles [rad], shape [5, 3, 3]: finger, joint, (deviation, flexion, twist)."""
 
     @classmethod
     def usual(cls, position: np.ndarray, turn: np.ndarray, size: float = 0.0) -> Skeleton:

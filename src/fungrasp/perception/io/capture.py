@@ -96,20 +96,20 @@ class Intrinsics:
 class Capture:
     """One colour image with the depth aligned to it, checked."""
 
-    colour: np.ndarray
+    color: np.ndarray
     """RGB, uint8, shape [H, W, 3]."""
     depth: np.ndarray
     """Distance along the optical axis [m], float32, shape [H, W]; 0: no measurement."""
     intrinsics: Intrinsics
-    """Of both images."""
+    """Intrinsics of the camera, the same for color and depth."""
     mask: np.ndarray | None = None
-    """Which pixels show the object, bool, shape [H, W], if somebody said so."""
+    """Which pixels show the object, bool, shape [H, W]; None if not given."""
     box: Box | None = None
-    """Box around the object in the image [pixels], if somebody said so."""
+    """Box around the object in the image [pixels]; None if not given."""
 
     def __post_init__(self) -> None:
         height, width = self.intrinsics.height, self.intrinsics.width
-        _check_array("colour image", self.colour, np.uint8, (height, width, 3))
+        _check_array("colour image", self.color, np.uint8, (height, width, 3))
         _check_array("depth image", self.depth, np.float32, (height, width))
         if self.mask is not None:
             _check_array("object's mask", self.mask, np.bool_, (height, width))

@@ -86,7 +86,7 @@ def check_alignment(capture: Capture) -> tuple[int, int] | None:
     rows, columns = np.nonzero(steps)
     if len(rows) < LEAST_EDGE * scale:
         return None
-    grey = ndimage.gaussian_filter(capture.colour.mean(axis=-1), 1.5 * scale)
+    grey = ndimage.gaussian_filter(capture.color.mean(axis=-1), 1.5 * scale)
     edges = np.hypot(ndimage.sobel(grey, 0), ndimage.sobel(grey, 1))
     fit = np.array([[edges[rows + dy, columns + dx].mean() for dx in shifts] for dy in shifts])
     here = np.argmin(np.abs(shifts))
@@ -98,18 +98,18 @@ def check_alignment(capture: Capture) -> tuple[int, int] | None:
     return -int(shifts[across]), -int(shifts[down])
 
 
-def looks_bgr(colour: np.ndarray) -> bool:
+def looks_bgr(color: np.ndarray) -> bool:
     """Whether the image shows skin only once red and blue are swapped. A guess.
 
     Args:
-        colour: RGB, shape [H, W, 3] uint8.
+        color: RGB, shape [H, W, 3] uint8.
     """
-    return bool(_skin(colour) < SKIN_PART[0] and _skin(colour[..., ::-1]) > SKIN_PART[1])
+    return bool(_skin(color) < SKIN_PART[0] and _skin(color[..., ::-1]) > SKIN_PART[1])
 
 
-def _skin(colour: np.ndarray) -> float:
+def _skin(color: np.ndarray) -> float:
     """Part of the pixels that have the colour of skin, light or dark."""
-    red, green, blue = np.moveaxis(colour[::2, ::2].astype(np.float32), -1, 0)
+    red, green, blue = np.moveaxis(color[::2, ::2].astype(np.float32), -1, 0)
     total = red + green + blue + 1e-6
     r, g = red / total, green / total
     return float(np.mean((r > 0.37) & (r < 0.55) & (g > 0.26) & (g < 0.345) & (red > 50) & (red > green)))

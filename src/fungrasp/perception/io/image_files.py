@@ -25,7 +25,7 @@ _log = logging.getLogger(__name__)
 
 
 def read_capture(
-    colour: str | Path,
+    color: str | Path,
     depth: str | Path,
     intrinsics: str | Path | Intrinsics,
     *,
@@ -37,7 +37,7 @@ def read_capture(
     """Read a colour image, the depth aligned to it and the camera's intrinsics.
 
     Args:
-        colour: PNG or JPEG.
+        color: PNG or JPEG.
         depth: 16-bit PNG (or TIFF with 16-bit or float pixels, or ``.npy``), 0 where nothing was measured;
             floats are metres.
         intrinsics: JSON, see ``read_intrinsics``.
@@ -52,13 +52,13 @@ def read_capture(
     Raises:
         FungraspError: a file can't be read, or the files don't fit together; the message says how.
     """
-    picture = read_colour(colour)
+    picture = read_color(color)
     size = (picture.shape[1], picture.shape[0])
     if isinstance(intrinsics, Intrinsics):
         lens, unit = intrinsics, depth_unit
         if (lens.width, lens.height) != size:
             raise FungraspError(
-                f"the intrinsics are for an image of {lens.width} x {lens.height} pixels, but {colour} has "
+                f"the intrinsics are for an image of {lens.width} x {lens.height} pixels, but {color} has "
                 f"{size[0]} x {size[1]}"
             )
     else:
@@ -78,14 +78,14 @@ def read_capture(
             "%s looks shifted by %d, %d pixels against %s: is the depth aligned to the colour?",
             depth,
             *shift,
-            colour,
+            color,
         )
-    if looks_bgr(capture.colour):
-        _log.warning("%s shows skin only with red and blue swapped: was it written as BGR?", colour)
+    if looks_bgr(capture.color):
+        _log.warning("%s shows skin only with red and blue swapped: was it written as BGR?", color)
     return capture
 
 
-def read_colour(path: str | Path) -> np.ndarray:
+def read_color(path: str | Path) -> np.ndarray:
     """Read a PNG or JPEG.
 
     Returns:
@@ -218,10 +218,10 @@ def _not_too_large(capture: Capture) -> Capture:
     whole = np.s_[: size[1] * stride, : size[0] * stride]
     middle = np.s_[stride // 2 : size[1] * stride : stride, stride // 2 : size[0] * stride : stride]
     cropped = dataclasses.replace(capture.intrinsics, width=size[0] * stride, height=size[1] * stride)
-    colour = Image.fromarray(capture.colour[whole]).reduce(stride)
+    color = Image.fromarray(capture.color[whole]).reduce(stride)
     box = capture.box
     return Capture(
-        np.array(colour),
+        np.array(color),
         capture.depth[middle],
         cropped.resized(*size),
         None if capture.mask is None else capture.mask[middle],

@@ -32,6 +32,7 @@ class FileIntrinsics:
     """Intrinsics as a file gives them."""
 
     intrinsics: Intrinsics
+    """Image size, focal lengths and optical axis [pixels]."""
     depth_unit: float | None = None
     """Metres per unit of the depth image, if the file says."""
 

@@ -128,11 +128,11 @@ def _wait(pipeline: Any, warm_up: int, image: int | None, where: str) -> Any:
 
 
 def _capture(rs: Any, frames: Any, unit: float, where: str) -> Capture:
-    depth, colour = frames.get_depth_frame(), frames.get_color_frame()
-    if not depth or not colour:
+    depth, color = frames.get_depth_frame(), frames.get_color_frame()
+    if not depth or not color:
         missing = "colour" if depth else "depth"
         raise FungraspError(f"{where} has no {missing} image: both are needed, taken at the same time")
-    profile = colour.profile.as_video_stream_profile()
+    profile = color.profile.as_video_stream_profile()
     order = {getattr(rs.format, name): channels for name, channels in CHANNELS.items()}.get(profile.format())
     if order is None:
         raise FungraspError(
@@ -145,7 +145,7 @@ def _capture(rs: Any, frames: Any, unit: float, where: str) -> Capture:
     check_depth_range(metres, unit, where)
     return Capture(
         # A copy: the library's buffer is used again.
-        np.array(np.asarray(colour.get_data())[..., order], dtype=np.uint8),
+        np.array(np.asarray(color.get_data())[..., order], dtype=np.uint8),
         metres,
         Intrinsics(lens.width, lens.height, lens.fx, lens.fy, lens.ppx, lens.ppy),
     )

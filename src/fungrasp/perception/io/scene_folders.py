@@ -13,10 +13,10 @@ from fungrasp.errors import FungraspError
 from fungrasp.files import atomic_path
 from fungrasp.grasps.importers.yaml_file import read_yaml
 from fungrasp.perception.io.capture import Capture
-from fungrasp.perception.io.image_files import read_capture, read_colour
+from fungrasp.perception.io.image_files import read_capture, read_color
 from fungrasp.perception.io.intrinsics_files import MILLIMETRE, intrinsics_from
 
-COLOUR_FILE, DEPTH_FILE, LENS_FILE, MASK_FILE = "rgb.png", "depth.png", "K.json", "mask.png"
+COLOR_FILE, DEPTH_FILE, LENS_FILE, MASK_FILE = "rgb.png", "depth.png", "K.json", "mask.png"
 """Names of the files in a capture's own folder."""
 
 FINE, COARSE = 0.0001, 0.001
@@ -45,8 +45,8 @@ def read_folder(folder: str | Path, image: int | None = None) -> Capture:
         raise FungraspError(f"the folder {folder} does not exist")
     own = own_files(folder)
     if own is not None:
-        colour, depth, lens, mask = own
-        return read_capture(colour, depth, lens, mask=mask)
+        color, depth, lens, mask = own
+        return read_capture(color, depth, lens, mask=mask)
     if (folder / "scene_camera.json").is_file():
         return read_bop(folder, _numbers(folder, "depth")[0] if image is None else image)
     frames = sorted(folder.glob("aligned_depth_to_color_*.png"))
@@ -68,7 +68,7 @@ def own_files(folder: str | Path) -> tuple[Path, Path, Path, Path | None] | None
         return None
     mask = folder / MASK_FILE
     return (
-        folder / COLOUR_FILE,
+        folder / COLOR_FILE,
         folder / DEPTH_FILE,
         folder / LENS_FILE,
         mask if mask.is_file() else None,
@@ -90,7 +90,7 @@ def write_folder(capture: Capture, folder: str | Path) -> None:
     unit = FINE if largest < FINE * 65535 else COARSE
     depth = np.round(capture.depth / unit)
     depth = np.where(depth > 65535, 0, depth).astype(np.uint16)
-    images = {COLOUR_FILE: capture.colour, DEPTH_FILE: depth}
+    images = {COLOR_FILE: capture.color, DEPTH_FILE: depth}
     if capture.mask is not None:
         images[MASK_FILE] = np.where(capture.mask, 255, 0).astype(np.uint8)
     for name, pixels in images.items():
@@ -147,12 +147,12 @@ def read_dexycb(camera: str | Path, frame: int, *, with_mask: bool = False) -> C
         FungraspError: a file is missing or bad, or PyYAML is not installed.
     """
     camera = Path(camera).absolute()
-    colour = camera / f"color_{frame:06d}.jpg"
-    height, width = read_colour(colour).shape[:2]
+    color = camera / f"color_{frame:06d}.jpg"
+    height, width = read_color(color).shape[:2]
     calibration = camera.parents[2] / "calibration" / "intrinsics" / f"{camera.name}_{width}x{height}.yml"
     lens = intrinsics_from(read_yaml(calibration), (width, height), where=str(calibration))
     depth = camera / f"aligned_depth_to_color_{frame:06d}.png"
-    capture = read_capture(colour, depth, lens.intrinsics, depth_unit=MILLIMETRE)
+    capture = read_capture(color, depth, lens.intrinsics, depth_unit=MILLIMETRE)
     if not with_mask:
         return capture
     meta = read_yaml(camera.parent / "meta.yml")

@@ -20,7 +20,7 @@ from fungrasp.perception.object_pose.object_view import (
     thinned,
     view_of_object,
 )
-from fungrasp.perception.object_pose.scoring import PoseScores, colour_agreement
+from fungrasp.perception.object_pose.scoring import PoseScores, color_agreement
 from fungrasp.perception.object_pose.search import (
     PoseHypotheses,
     PoseSearchSettings,
@@ -39,7 +39,7 @@ SIZES = (0.01, 1.5)
 GOOD = (0.85, 0.6)
 """Quality of an answer that needs no second search, with and without a mask."""
 
-COLOUR_WEIGHT = 0.15
+COLOR_WEIGHT = 0.15
 """Quality that full agreement of colours is worth, as a part of the best pose's."""
 
 ANSWERS = 5
@@ -53,7 +53,7 @@ class PoseAnswers:
     poses: np.ndarray
     """Object in the camera frame, shape [H, 7]."""
     scores: PoseScores
-    """Of the H poses."""
+    """How well each of the H poses explains the image."""
     rival: np.ndarray
     """Quality of the best different answer to each, shape [H]."""
     masked: bool
@@ -120,8 +120,8 @@ def search_object_pose(
     view, problem = view_of_object(known, capture, joints, table, rng)
     if problem or view is None:
         return _nothing(capture, joints, PerceptionWarning.of("not_searched", problem=problem))
-    found, scores, colour = _answers(view, rng, settings or PoseSearchSettings())
-    order = np.argsort(-(scores.quality + COLOUR_WEIGHT * scores.quality.max() * colour))
+    found, scores, color = _answers(view, rng, settings or PoseSearchSettings())
+    order = np.argsort(-(scores.quality + COLOR_WEIGHT * scores.quality.max() * color))
     poses, scores = found.poses[order], scores.chosen(order)
     points = view.evidence[found.owner[order[0]]].points
     return PoseAnswers(
@@ -180,14 +180,14 @@ def _answers(
             found = PoseHypotheses(
                 np.concatenate([found.poses, poses]), np.concatenate([found.owner, found.owner[:3]])
             )
-    if known.colours is not None and len(known.symmetries):
+    if known.colors is not None and len(known.symmetries):
         found = refine_poses(
             known, evidence, with_symmetries(best_poses(found, known, many, 2), known), settings.rounds[3]
         )
         found = refine_poses(known, evidence, best_poses(found, known, many, 24), settings.rounds[4])
     found = best_poses(found, known, many, 24)
-    colour = colour_agreement(known, view.capture, found.poses, view.support > 0.25)
-    return found, many(found.poses, found.owner), colour
+    color = color_agreement(known, view.capture, found.poses, view.support > 0.25)
+    return found, many(found.poses, found.owner), color
 
 
 def _nothing(capture: Capture, joints: np.ndarray | None, why: PerceptionWarning) -> PoseAnswers:

@@ -32,8 +32,9 @@ class FreeSpace:
     """What the depth image and the table forbid to the object. ``free_space`` makes it."""
 
     intrinsics: Intrinsics
+    """Intrinsics of ``depth``."""
     depth: np.ndarray
-    """Behind which a surface may be [m], shape [H, W]; 0: anywhere."""
+    """Depth behind which a surface may be [m], shape [H, W]; 0: anywhere."""
     refuge: np.ndarray
     """Nearest pixel (row, column) that does not show something behind the object, shape [2, H, W]."""
     table: np.ndarray | None
@@ -78,7 +79,7 @@ class KnownSurface:
     """The known object, ready to be fitted; object frame."""
 
     distance: SignedDistanceBank
-    """Of one grid."""
+    """Signed distance grid of the mesh, the only one of the bank."""
     samples: np.ndarray
     """Points of the surface, each far from those before it [m], shape [M, 3]: any leading part is evenly
     spread too."""
@@ -94,9 +95,9 @@ class ObjectEvidence:
     """What the object must agree with; camera frame."""
 
     points: np.ndarray
-    """Measured on the object, in random order [m], shape [P, 3]."""
+    """Points measured on the object, in random order [m], shape [P, 3]."""
     free: FreeSpace
-    """Where the object is not."""
+    """Space that is known to be free of the object."""
 
 
 @dataclass(frozen=True)
@@ -104,16 +105,17 @@ class IcpSettings:
     """One round of the coarse-to-fine fit."""
 
     iterations: int
+    """Gauss-Newton steps."""
     points: int
-    """How many measured points are used."""
+    """Number of measured points that are used."""
     samples: int
-    """How many surface samples are used."""
+    """Number of surface samples that are used."""
     scale: float
     """Distance [m] at which a point's pull has fallen to a quarter."""
     free_weight: float = 1.0
     """Weight of a surface sample in free space, in that of a measured point."""
     free_scale: float = 0.02
-    """As ``scale``, for how far surface samples intrude into free space."""
+    """Intrusion of a surface sample into free space [m] at which its pull has fallen to a quarter."""
 
 
 def fit_poses(

@@ -27,7 +27,7 @@ from fungrasp.perception.object_pose.mesh_rays import MeshRays
 SAMPLES = 1000
 """Surface samples of a known object."""
 
-LEAST_COLOUR = 0.03
+LEAST_COLOR = 0.03
 """Colours that differ by less (standard deviation of a channel, 0 to 1) say nothing."""
 
 
@@ -36,14 +36,16 @@ class KnownObject:
     """What the search needs to know of a mesh. ``known_object`` makes it."""
 
     surface: KnownSurface
+    """Signed distance and surface samples, for the fit."""
     normals: np.ndarray
-    """Outward, at the surface's samples, shape [M, 3]."""
+    """Outward unit normals at the surface's samples, shape [M, 3]."""
     rays: MeshRays
+    """The mesh for casting rays, for the score."""
     size: float
     """Diagonal of the box round the mesh, sides along its axes [m]."""
     symmetries: np.ndarray
     """Poses, not the identity, that map the surface nearly onto itself, shape [S, 7]."""
-    colours: np.ndarray | None
+    colors: np.ndarray | None
     """RGB of the surface's samples, 0 to 1, shape [M, 3], if the mesh has colours that differ."""
 
 
@@ -60,7 +62,7 @@ def known_object(mesh: ObjectModel | trimesh.Trimesh) -> KnownObject:
         if len(mesh.faces) == 0:
             raise FungraspError("the object's mesh has no faces")
         model = _model(np.array(mesh.vertices, float).tobytes(), np.array(mesh.faces, np.int32).tobytes())
-        return replace(_known(model), colours=_colours(mesh, _known(model).surface.samples))
+        return replace(_known(model), colors=_colors(mesh, _known(model).surface.samples))
     return _known(mesh)
 
 
@@ -104,7 +106,7 @@ def _near_symmetries(points: np.ndarray) -> np.ndarray:
     return np.array(poses).reshape(-1, 7)
 
 
-def _colours(mesh: trimesh.Trimesh, points: np.ndarray) -> np.ndarray | None:
+def _colors(mesh: trimesh.Trimesh, points: np.ndarray) -> np.ndarray | None:
     """RGB at surface points, 0 to 1, shape [P, 3]; None where the mesh has no colours, or only one."""
     visual: Any = mesh.visual
     if visual is None:
@@ -115,12 +117,12 @@ def _colours(mesh: trimesh.Trimesh, points: np.ndarray) -> np.ndarray | None:
         return None
     nearest, faces = nearest_on_mesh(mesh, points)
     if visual.kind == "face":
-        colours = np.asarray(visual.face_colors)[faces, :3] / 255.0
+        colors = np.asarray(visual.face_colors)[faces, :3] / 255.0
     else:
         parts = trimesh.triangles.points_to_barycentric(mesh.triangles[faces], nearest)
         corners = np.asarray(visual.vertex_colors)[mesh.faces[faces], :3] / 255.0
-        colours = np.einsum("pc,pci->pi", parts, corners)
-    return colours if float(colours.std(axis=0).max()) > LEAST_COLOUR else None
+        colors = np.einsum("pc,pci->pi", parts, corners)
+    return colors if float(colors.std(axis=0).max()) > LEAST_COLOR else None
 
 
 def _even_samples(mesh: trimesh.Trimesh, count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -194,7 +196,7 @@ def _view_axes(point: np.ndarray) -> np.ndarray:
     return np.stack([forward, right, np.cross(forward, right)])
 
 
-def coloured_mesh(path: str | Path, model: ObjectModel) -> trimesh.Trimesh | None:
+def colored_mesh(path: str | Path, model: ObjectModel) -> trimesh.Trimesh | None:
     """The object with the colours of its mesh file, texture included.
 
     A mesh that had to be mended keeps its mended surface; each of its vertices takes the colour of the file's
@@ -219,11 +221,11 @@ def coloured_mesh(path: str | Path, model: ObjectModel) -> trimesh.Trimesh | Non
             return None
         if not model.repairs:
             return mesh
-        colours = (visual.to_color() if visual.kind == "texture" else visual).vertex_colors
+        colors = (visual.to_color() if visual.kind == "texture" else visual).vertex_colors
     except Exception as error:
         # trimesh fails in many ways on a texture that is missing or damaged.
         raise FungraspError(f"cannot read the colours of {path}: {' '.join(str(error).split())}") from error
     nearest = KDTree(np.asarray(mesh.vertices)).query(model.vertices)[1]
     return trimesh.Trimesh(
-        model.vertices, model.faces, vertex_colors=np.asarray(colours)[nearest], process=False
+        model.vertices, model.faces, vertex_colors=np.asarray(colors)[nearest], process=False
     )

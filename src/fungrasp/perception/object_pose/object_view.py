@@ -28,17 +28,19 @@ class ObjectView:
     """What an image says about the object. ``view_of_object`` makes it."""
 
     known: KnownObject
+    """The object that is looked for."""
     capture: Capture
+    """The image with its depth and intrinsics."""
     table: np.ndarray | None
     """Plane ``[nx ny nz d]``, camera frame, shape [4], if known."""
     joints: np.ndarray | None
-    """Of the hand [m], camera frame, shape [21, 3], if known."""
+    """Joints of the hand [m], camera frame, shape [21, 3]; None if not known."""
     support: np.ndarray
-    """How sure it is that a pixel shows a thing, not skin, table or room, 0 to 1, shape [H, W]."""
+    """Confidence that a pixel shows a thing, not skin, table or room, 0 to 1, shape [H, W]."""
     masks: tuple[np.ndarray, ...]
     """Proposals for the object's pixels, bool, shape [H, W] each."""
     evidence: tuple[ObjectEvidence, ...]
-    """Of each mask."""
+    """What the object must agree with under each of ``masks``."""
 
     def scorer(self, rays: int) -> PoseScorer:
         """Scores poses by about so many rays that meet a mask."""
@@ -52,14 +54,14 @@ def thinned(capture: Capture) -> Capture:
     step = -(-max(k.width, k.height) // WIDEST)
     if step == 1:
         return capture
-    colour, depth = capture.colour[::step, ::step], capture.depth[::step, ::step]
+    color, depth = capture.color[::step, ::step], capture.depth[::step, ::step]
     lens = Intrinsics(depth.shape[1], depth.shape[0], k.fx / step, k.fy / step, k.cx / step, k.cy / step)
     mask = None if capture.mask is None else capture.mask[::step, ::step]
     if mask is not None and not mask.any():
         return capture
     x0, y0, x1, y1 = np.array(capture.box or (0.0, 0.0, 1.0, 1.0)) / step
     box = None if capture.box is None else (float(x0), float(y0), float(x1), float(y1))
-    return Capture(colour, depth, lens, mask, box)
+    return Capture(color, depth, lens, mask, box)
 
 
 def view_of_object(

@@ -54,21 +54,22 @@ class PoseScorer:
     """Rays through the image, to score poses with. ``pose_scorer`` makes it."""
 
     known: KnownObject
+    """The object whose poses are scored."""
     directions: np.ndarray
-    """With z = 1, camera frame, shape [R, 3]."""
+    """Directions of the rays, scaled to z = 1, camera frame, shape [R, 3]."""
     depth: np.ndarray
-    """Measured [m], shape [R]."""
+    """Depth measured at each ray [m], shape [R]."""
     support: np.ndarray
-    """How sure it is that the pixel shows a thing, not skin, table or room, shape [R]."""
+    """Confidence that the ray's pixel shows a thing, not skin, table or room, 0 to 1, shape [R]."""
     masks: np.ndarray
-    """How sure it is that the pixel shows the object if a mask is right, shape [N, R]."""
+    """Confidence that the ray's pixel shows the object if a mask is right, 0 to 1, shape [N, R]."""
     opaque: np.ndarray
-    """How sure it is that the object is not behind what the pixel shows, shape [R]: 1 for the table,
-    ``OCCLUDER`` for things, 0 for skin."""
+    """Confidence that the object is not behind what the pixel shows, shape [R]: 1 for the table, ``OCCLUDER``
+    for things, 0 for skin."""
     joints: np.ndarray | None
-    """Of the hand [m], camera frame, shape [21, 3]."""
+    """Joints of the hand [m], camera frame, shape [21, 3]; None if not known."""
     step: int
-    """Every so many rows and columns has rays."""
+    """Distance between the rays' rows and columns [pixels]."""
 
     def __call__(self, poses: np.ndarray, owner: np.ndarray) -> PoseScores:
         """Score poses of the object in the camera frame, shape [H, 7], each by the mask it was fitted to,
@@ -139,7 +140,7 @@ def pose_scorer(
     return PoseScorer(known, directions, depth, shown, mine, opaque, joints, step)
 
 
-def colour_agreement(
+def color_agreement(
     known: KnownObject, capture: Capture, poses: np.ndarray, allowed: np.ndarray
 ) -> np.ndarray:
     """Correlation of the mesh's colours with those of the image, over the visible surface samples and the
@@ -155,7 +156,7 @@ def colour_agreement(
         -1 to 1, shape [H]; 0 where the mesh has no colours or too little of it is seen.
     """
     result = np.zeros(len(poses))
-    if known.colours is None:
+    if known.colors is None:
         return result
     points = transform_points(poses, known.surface.samples)
     normals = known.normals @ rotation_matrix(poses[:, 3:]).swapaxes(-1, -2)
@@ -171,8 +172,8 @@ def colour_agreement(
     for i, shown in enumerate(seen):
         if shown.sum() < 30:
             continue
-        model = known.colours[shown]
-        image = capture.colour[v[i, shown], u[i, shown]] / 255.0
+        model = known.colors[shown]
+        image = capture.color[v[i, shown], u[i, shown]] / 255.0
         model, image = model - model.mean(axis=0), image - image.mean(axis=0)
         spread = float(np.sqrt(np.square(model).sum() * np.square(image).sum()))
         if spread > 1e-3 * len(model):

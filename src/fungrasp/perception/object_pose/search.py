@@ -18,7 +18,7 @@ class PoseSearchSettings:
     """How much is tried."""
 
     rotations: int = 128
-    """Starts for the first mask; the others have half as many."""
+    """Starting rotations for the first mask; the others have half as many."""
     rounds: tuple[IcpSettings, IcpSettings, IcpSettings, IcpSettings, IcpSettings] = (
         IcpSettings(4, 40, 40, 0.045),
         IcpSettings(6, 60, 60, 0.045),
@@ -26,7 +26,8 @@ class PoseSearchSettings:
         IcpSettings(8, 300, 300, 0.006),
         IcpSettings(8, 1000, 800, 0.004),
     )
-    """From coarse to fine; the first three are for an object of ``TYPICAL_SIZE`` and grow with it."""
+    """Settings of the rounds from coarse to fine; the first three are for an object of ``TYPICAL_SIZE`` and
+    grow with it."""
     kept: tuple[int, int, int, int] = (256, 80, 20, 6)
     """Poses that go on from each round but the last; of the first mask in the first two, the others have half
     as many, and of all masks together in the other two."""
@@ -43,7 +44,7 @@ class PoseHypotheses:
     poses: np.ndarray
     """Object in the camera frame, not sorted, shape [H, 7]."""
     owner: np.ndarray
-    """Which evidence each was fitted to, shape [H] int."""
+    """Row of the evidence that each pose was fitted to, shape [H] int."""
 
 
 def search_poses(

@@ -52,8 +52,8 @@ class Segmentation:
     masks: tuple[np.ndarray, ...]
     """Different proposals, each bool, shape [H, W]; best guess first; none if nothing is there."""
     support: np.ndarray
-    """How sure it is that a pixel shows the object or another thing, not skin, table or room: 0 to 1,
-    shape [H, W]."""
+    """Confidence that a pixel shows the object or another thing, not skin, table or room: 0 to 1, shape
+    [H, W]."""
 
 
 def distance_from_hand(points: np.ndarray, joints: np.ndarray) -> np.ndarray:

@@ -20,15 +20,15 @@ class CandidateStatistics:
     """What is known of K candidates of each of G grasps; all arrays have the shape [K, G]."""
 
     expected: np.ndarray
-    """Success that the predictor expects."""
+    """Probability of success that the predictor expects."""
     prior: float
-    """Number of rollouts that its expectation stands for."""
+    """Number of rollouts that the predictor's expectation stands for."""
     tried: np.ndarray
-    """Number of rollouts."""
+    """Number of rollouts of each candidate."""
     held: np.ndarray
-    """Number of those that succeeded."""
+    """Number of rollouts that succeeded."""
     bonus: np.ndarray
-    """Sum over the rollouts of what counts besides success."""
+    """Sum over the rollouts of the weighted contact ratio less the weighted slip."""
 
     @classmethod
     def untried(cls, expected: np.ndarray, prior: float) -> CandidateStatistics:
@@ -78,13 +78,13 @@ class Candidates:
     is row k G + g."""
 
     grasps: RobotGraspSet
-    """As varied, K G of them."""
+    """The varied grasps, K G rows."""
     plans: GraspPlan
-    """K G of them."""
+    """Plans of the varied grasps, K G rows."""
     beliefs: Belief
-    """Of the grasps' scenes, G of them."""
+    """Nominal scenes that were planned for, G rows."""
     statistics: CandidateStatistics
-    """Shape [K, G]."""
+    """Expected and observed success of the candidates, arrays of shape [K, G]."""
 
     def best(self) -> tuple[GraspPlan, np.ndarray]:
         """The best plan of each grasp, and the success expected of it, shape [G]."""

@@ -28,7 +28,7 @@ class RolloutSettings:
     """How plans are tried."""
 
     randomization: Randomization = MODERATE
-    """How worlds differ from what is believed; the policy sees none of it."""
+    """How the worlds of rollouts differ from the nominal ones; the policy sees none of it."""
     timestep: float = 0.01
     """Physics step [s]."""
     hold_time: float = 2.0

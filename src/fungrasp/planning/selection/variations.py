@@ -18,15 +18,15 @@ class VariationSpread:
     """How much variations differ, one standard deviation unless said."""
 
     position: float = 0.008
-    """Of the wrist along each axis [m]."""
+    """Standard deviation of the wrist's shift along each axis [m]."""
     rotation: float = 0.08
-    """Of the wrist about each axis [rad]."""
+    """Standard deviation of the wrist's turn about each axis [rad]."""
     joints: float = 0.05
-    """Of each joint by itself [rad]."""
+    """Standard deviation of each joint by itself [rad]."""
     closing: float = 0.08
-    """Of all joints in proportion to their angle [fraction]."""
+    """Standard deviation of a change of all joints in proportion to their angle [fraction]."""
     force: float = 0.4
-    """Of the logarithm of the squeeze."""
+    """Standard deviation of the logarithm of the squeeze."""
     press: float = 0.012
     """Range of how far the wrist goes beyond its target [m]."""
 

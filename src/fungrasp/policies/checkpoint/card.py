@@ -41,7 +41,7 @@ class TrainingData(NamedTuple):
     """Grasps that a policy was trained on."""
 
     name: str
-    """Of the data set."""
+    """Name of the data set."""
     terms: str
     """Under what terms they may be used."""
     count: int
@@ -56,7 +56,7 @@ class Budget(NamedTuple):
     seconds: float
     """How long training took [s]."""
     machine: str
-    """What it ran on, in words."""
+    """The machine it ran on, in words."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ class PolicyCard:
     """
 
     name: str
-    """Of the policy; that of its file if it comes with the package."""
+    """Name of the policy; that of its file if it comes with the package."""
     kind: str
     """One of ``KINDS``: a teacher sees what only a simulation knows, a student what a robot has; a
     predictor judges plans."""
@@ -77,7 +77,7 @@ class PolicyCard:
     hand_digest: str
     """``hand_digest`` of the hand that it was trained for."""
     joint_names: tuple[str, ...]
-    """Independent joints, in the order of servos and of the action."""
+    """Names of the independent joints, in the order of servos and of the action."""
     gains: Mapping[str, tuple[float, float]]
     """Servo stiffness [N m/rad] and damping [N m s/rad], by joint."""
     rate_hz: float
@@ -102,7 +102,7 @@ class PolicyCard:
     git_revision: str = ""
     """The commit that trained it; empty if unknown."""
     seed: int = 0
-    """Of its training."""
+    """Seed of its training."""
     measured: Mapping[str, Any] = field(default_factory=dict)
     """Numbers and nested tables of numbers, by what was measured; a share of successes is called
     "success"."""
@@ -113,9 +113,9 @@ class PolicyCard:
     created: str = ""
     """Date or time, ISO 8601."""
     format_version: int = FORMAT_VERSION
-    """Of the card's format."""
+    """Version of the card's format."""
     sha256: str = ""
-    """Of the file, these 64 digits taken as zeros; given by saving and loading."""
+    """Digest of the file with these 64 digits taken as zeros; given by saving and loading."""
 
     def __post_init__(self) -> None:
         """
