@@ -13,7 +13,7 @@ from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
 from fungrasp.planning import MotionPlanner
 from fungrasp.policies import OpenLoopPolicy
-from fungrasp.simulation import build_scene
+from fungrasp.simulation import MujocoCpuEngine, build_scene
 from fungrasp.simulation.bare_stepping import recorded_steps, step_bare, step_in_loop
 from fungrasp.task import Action, LiftEnvironment, Observation, play
 
@@ -62,8 +62,9 @@ def simulation_speed(
         repeat: rounds, of which the fastest counts.
         progress: called with the share that is done.
     """
-    environment = LiftEnvironment(build_scene(hand, objects), len(grasps), threads=threads)
-    engine, task = environment.engine, environment.task
+    engine = MujocoCpuEngine(build_scene(hand, objects), len(grasps), threads)
+    environment = LiftEnvironment(engine.scene, len(grasps), engine=engine)
+    task = environment.task
     plan = MotionPlanner(hand, objects).plan(grasps, environment.settle(grasps))
     start = engine.get_state()
     actions: list[Action] = []

@@ -10,7 +10,7 @@ import numpy as np
 
 from fungrasp.geometry.poses import compose, relative
 from fungrasp.grasps import RobotGraspSet
-from fungrasp.simulation import MujocoCpuEngine, Scene
+from fungrasp.simulation import Engine, MujocoCpuEngine, Scene
 from fungrasp.task.action import Action
 from fungrasp.task.belief import Belief
 from fungrasp.task.grasp_plan import GraspPlan
@@ -35,6 +35,7 @@ class LiftEnvironment:
         protocol: LiftProtocol | None = None,
         rng: np.random.Generator | Sequence[np.random.Generator] | None = None,
         threads: int = 0,
+        engine: Engine | None = None,
     ):
         """
         Args:
@@ -44,9 +45,10 @@ class LiftEnvironment:
             protocol: the published one if None.
             rng: of the sensors' jitter, one for all worlds or one for each; seeded with zero if None.
             threads: 0 means all processors. Results do not depend on it.
+            engine: with W worlds of the scene; the CPU engine if None.
         """
         self.scene, self.randomization = scene, randomization
-        self.engine = MujocoCpuEngine(scene, count, threads)
+        self.engine: Engine = engine or MujocoCpuEngine(scene, count, threads)
         self.task = LiftTask(self.engine, protocol)
         self.sensors = SimulatedSensors(self.task, randomization, rng or np.random.default_rng(0))
         joints = len(scene.hand.joint_names)

@@ -18,7 +18,7 @@ from fungrasp.policies import StudentPolicy
 from fungrasp.policies.checkpoint.card import Budget
 from fungrasp.policies.checkpoint.checkpoint_file import load_policy
 from fungrasp.policies.checkpoint.network import PolicyNetwork
-from fungrasp.simulation import build_scene
+from fungrasp.simulation import MujocoCpuEngine, build_scene
 from fungrasp.simulation.bare_stepping import recorded_steps, step_bare
 from fungrasp.task import Action, LiftEnvironment
 from fungrasp.task.setpoints import SetpointSequence
@@ -106,8 +106,9 @@ def environment_speed(
     rng = np.random.default_rng(seed)
     seconds = {"environment": 0.0, "bare": 0.0}
     physics = 0
-    engine = timed.episodes.engine
-    with recorded_steps(told.episodes.engine) as calls:
+    engine, recorded = timed.episodes.engine, told.episodes.engine
+    assert isinstance(engine, MujocoCpuEngine) and isinstance(recorded, MujocoCpuEngine)
+    with recorded_steps(recorded) as calls:
         for step in range(steps):
             action = rng.normal(scale=0.15, size=(settings.worlds, told.actions))
             calls.clear()
