@@ -129,12 +129,12 @@ class Randomization:
     @property
     def is_random(self) -> bool:
         """Whether episodes depend on the seed."""
-        errors = [v for v in vars(self).values() if isinstance(v, MeasurementError)]
-        ranges = [v for v in vars(self).values() if isinstance(v, tuple) and len(v) == 2 and v[0] != v[1]]
+        values = {name: value for name, value in vars(self).items() if not name.startswith("push_")}
+        noisy = any(isinstance(v, MeasurementError) and v != MeasurementError() for v in values.values())
+        wide = any(isinstance(v, tuple) and v[0] != v[1] for v in values.values())
         pushed = max(*self.push_force, *self.push_weights) > 0 and bool(self.push_times)
         moved = self.object_shift[1] > 0 or self.object_turn > 0
-        noisy = any(e != MeasurementError() for e in errors) or self.tracker_dropout > 0
-        return noisy or pushed or moved or any(isinstance(r[0], float) for r in ranges)
+        return noisy or wide or pushed or moved or self.tracker_dropout > 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,8 +151,6 @@ class EpisodeSample(BatchRecord):
     """Factor, shape [W]."""
     mass: np.ndarray
     """Factor, shape [W]."""
-    friction: np.ndarray | None
-    """Sliding friction, shape [W]; the believed one if None."""
     table_height: np.ndarray
     """Height of the table top above the believed one [m], shape [W]."""
     joint_bias: np.ndarray
@@ -176,6 +174,8 @@ class EpisodeSample(BatchRecord):
     """From the beginning of the phase [s], shape [W, P]."""
     object_shift: np.ndarray
     """In the table's plane: x and y [m], and a turn about the vertical [rad], shape [W, 3]."""
+    friction: np.ndarray | None = None
+    """Sliding friction, shape [W]; the believed one if None."""
 
 
 def draw(randomization: Randomization, count: int, joints: int, rng: np.random.Generator) -> EpisodeSample:
