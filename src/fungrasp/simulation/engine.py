@@ -18,7 +18,8 @@ EngineState = Any
 
 
 class Engine(Protocol):
-    """W worlds of a scene: a hand on a floating wrist, an object, a table."""
+    """W worlds of a scene: a hand on a floating wrist, an object, a table. Ids of worlds are given in rising
+    order, each once."""
 
     scene: Scene
     object_index: np.ndarray
