@@ -449,7 +449,7 @@ class EngineContract:
             table_height=np.array([0.1, 0.0, -0.1]),
         )
         self.collide(used, np.arange(3), 4)
-        some = np.array([2, 0])
+        some = np.array([0, 2])
         used.set_parameters(
             some, object_index=index[some], object_mass=mass[some], friction=friction[some]
         )
@@ -500,9 +500,9 @@ class EngineContract:
         assert engine.object_on_table.all()
         np.testing.assert_allclose(engine.object_velocity, 0, atol=0.02)
 
-    def test_rows_of_parameters_follow_the_order_of_the_worlds(self):
+    def test_rows_of_parameters_are_of_the_worlds_that_are_given(self):
         engine = self.ready([CAN] * 3, height=0.8)
-        engine.set_parameters(np.array([2, 0]), table_height=np.array([0.05, -0.05]))
+        engine.set_parameters(np.array([0, 2]), table_height=np.array([-0.05, 0.05]))
         engine.set_state(object_pose=pose(3, 0.0, 0.0, 0.15))
         engine.step(still(engine), 300)
         height = engine.object_pose[:, 2]
@@ -512,7 +512,7 @@ class EngineContract:
         plain, mixed = self.ready([CAN] * 4), self.ready([CAN] * 4)
         rng = np.random.default_rng(0)
         mixed.set_parameters(
-            np.array([3, 1]),
+            np.array([1, 3]),
             object_mass=np.array([0.7, 0.2]),
             friction=np.array([0.3, 0.4]),
             table_height=np.array([-0.02, -0.01]),
