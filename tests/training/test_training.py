@@ -18,13 +18,11 @@ from small_training import BATCH, PPO, environment, hand, library, run_settings,
 
 from fungrasp.errors import FungraspError
 from fungrasp.hands import load_hand
-from fungrasp.planning.references import References
 from fungrasp.policies.checkpoint.card import Budget
 from fungrasp.policies.checkpoint.checkpoint_file import load_policy
 from fungrasp.training.checkpoint import check_environment, environment_state, read_checkpoint
 from fungrasp.training.distill import make_student
 from fungrasp.training.export import export_student, make_card
-from fungrasp.training.folder import kept_library
 from fungrasp.training.history import HISTORY
 from fungrasp.training.networks import ColouredGaussian
 from fungrasp.training.ppo import Trainer
@@ -32,40 +30,27 @@ from fungrasp.training.run import TrainingSet, train
 from fungrasp.training.student import StudentGraph
 
 
-def test_references_survive_a_file(tmp_path):
-    path = tmp_path / "references.npz"
-    kept_library(path, "key", library)
-    found = kept_library(path, "key", lambda: pytest.fail("planned again"))
-    assert np.array_equal(found.group, library().group)
-    for name, value in References.from_arrays(found.references.arrays()).arrays().items():
-        assert np.array_equal(value, library().references.arrays()[name]), name
-    again = []
-    kept_library(path, "another key", lambda: again.append(1) or library())
-    path.write_bytes(path.read_bytes()[:1000])
-    kept_library(path, "another key", lambda: again.append(2) or library())
-    assert again == [1, 2]
-
-
-def test_a_world_that_breaks_down_is_named_and_begins_anew(caplog):
+def test_a_world_that_diverges_is_named_and_begins_anew(caplog, monkeypatch, tmp_path):
+    # MuJoCo writes a log where it is.
+    monkeypatch.chdir(tmp_path)
     worlds = environment()
     row = int(worlds.tracker.rows[3])
-    engine = worlds.task.worlds.step
-
-    def broken(substeps, which=None):
-        engine(substeps, which)
-        worlds.task.worlds.qpos[3] = np.nan
-
-    worlds.task.worlds.step = broken
+    engine = worlds.episodes.engine
+    engine.set_state(np.array([3]), palm_velocity=np.full((1, 3), 1e12))
     with caplog.at_level(logging.WARNING):
         step = worlds.step(np.zeros((8, worlds.actions)))
     assert worlds.diverged == 1 and step.done[3] and not step.success[3]
-    assert str(library().references.object_name[row]) in caplog.text and f"reference {row}" in caplog.text
+    assert step.reward[3] == worlds.settings.reward.drop
+    assert str(library().plans.object_name[row]) in caplog.text and f"plan {row}" in caplog.text
     assert np.isfinite(step.reward).all()
-    for name in ("robot", "privileged", "critic"):
+    for name in ("robot", "privileged", "value"):
         assert np.isfinite(getattr(step.observations, name)).all(), name
+    assert not engine.diverged.any()
+    worlds.step(np.zeros((8, worlds.actions)))
+    assert worlds.diverged == 1
 
 
-def test_references_are_chosen_by_how_uncertain_their_success_is():
+def test_plans_are_chosen_by_how_uncertain_their_success_is():
     worlds = environment()
     worlds.success_of_group[:] = [0.5, 1.0]
     chosen = []
