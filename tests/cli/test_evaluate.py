@@ -10,8 +10,7 @@ import pytest
 from grasp_files import BAD, bad_inputs, run, some_grasps
 from PIL import Image
 
-from fungrasp.evaluation import lift_test
-from fungrasp.evaluation import replay
+from fungrasp.evaluation import lift_test, replay
 from fungrasp.grasps import save_human_grasps
 from fungrasp.transfer import NOMINAL, Randomization
 

@@ -261,7 +261,9 @@ def test_seeds_try_each_grasp_with_each(good, things, allegro, tmp_path):
     result = evaluate(some, things, allegro, seeds=(3, 8), randomization=noisy, record=tmp_path, chunk=1)
     assert result.seed.tolist() == [3, 3, 8, 8] and result.index.tolist() == [0, 1, 0, 1]
     names = sorted(path.name for path in tmp_path.iterdir())
-    assert names == [f"{row:04d}_{seed}_{name}.npz" for row, name in ((0, "can"), (1, "tennis_ball")) for seed in (3, 8)]
+    assert names == [
+        f"{row:04d}_{seed}_{name}.npz" for row, name in ((0, "can"), (1, "tennis_ball")) for seed in (3, 8)
+    ]
     places = {name: replay(tmp_path / name).object_pose[0, :2] for name in names}
     assert np.abs(places["0000_3_can.npz"] - places["0000_8_can.npz"]).max() > 1e-3
     alone = evaluate(some, things, allegro, seeds=(8,), randomization=noisy, threads=1)

@@ -174,9 +174,7 @@ def test_the_table_is_where_objects_rest(height):
     np.testing.assert_allclose(found, height, atol=0.001)
     near = raised(rest, np.array([0.2 * height, 0.1 * height]))
     assert table_under(names, near, zero, objects).tolist() == [0.0, 0.0]
-    higher = replace(
-        belief(), object_pose=raised(rest, found), palm_pose=raised(belief().palm_pose, found)
-    )
+    higher = replace(belief(), object_pose=raised(rest, found), palm_pose=raised(belief().palm_pose, found))
     for believed in (higher, replace(higher, table_height=found)):
         there = planned(believed)
         np.testing.assert_allclose(there.grasp_joints, plan().grasp_joints, atol=0.05)

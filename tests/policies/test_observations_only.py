@@ -141,5 +141,7 @@ def test_only_the_engine_steps_worlds_with_mujoco():
 def test_physics_is_behind_the_door(room):
     """Nobody steps a MuJoCo model but an engine."""
     for path in modules(room):
-        calls = {node.attr for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Attribute)}
+        calls = {
+            node.attr for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Attribute)
+        }
         assert not calls & {"mj_step", "mj_step1", "mj_step2", "Batch"}, path

@@ -56,9 +56,7 @@ def test_the_target_tells_the_time_to_closing_and_the_lift():
     target = at_work.state().target
     np.testing.assert_allclose(target.since_closing, -PERIOD * p.closing_step)
     np.testing.assert_array_equal(target.since_lift, -1.0)
-    after = replace(
-        seen, time=PERIOD * (p.lift_step + 3), time_since_lift=np.array([0.3, -1.0])
-    )
+    after = replace(seen, time=PERIOD * (p.lift_step + 3), time_since_lift=np.array([0.3, -1.0]))
     at_work.update(after)
     target = at_work.state().target
     np.testing.assert_allclose(target.since_closing, PERIOD * (p.lift_step + 3 - p.closing_step))

@@ -158,9 +158,7 @@ def test_a_hidden_shift_moves_the_object_and_not_the_plan():
     for environment in (shifted, usual):
         for _ in range(5):
             environment.step(still(environment))
-    np.testing.assert_allclose(
-        shifted.engine.object_pose - usual.engine.object_pose, shift, atol=1e-3
-    )
+    np.testing.assert_allclose(shifted.engine.object_pose - usual.engine.object_pose, shift, atol=1e-3)
     assert shifted.engine.object_on_table.all()
 
 
@@ -289,9 +287,7 @@ def pushed(r: Randomization, began: np.ndarray, first: float, number: int) -> np
 
 
 def test_pushes_are_forces_at_their_times_of_the_hold():
-    r = Randomization(
-        mass=(2.0, 2.0), push_times=THREE_PUSHES, push_weights=(1.5, 1.5), push_duration=0.1
-    )
+    r = Randomization(mass=(2.0, 2.0), push_times=THREE_PUSHES, push_weights=(1.5, 1.5), push_duration=0.1)
     force = pushed(r, np.array([0.0, np.inf]), 0.0, 145)
     times = 0.02 * np.arange(145)
     during = np.any([(times >= t - 1e-9) & (times < t + 0.1 - 1e-9) for t, _ in THREE_PUSHES], axis=0)
@@ -320,7 +316,9 @@ def test_pushes_come_once_the_lift_has_begun():
 
 def good_start(threads: int = 2) -> tuple[LiftEnvironment, Belief]:
     grasps = good_grasps()
-    environment = LiftEnvironment(build_scene(allegro_hand(), grasped_objects()), len(grasps), threads=threads)
+    environment = LiftEnvironment(
+        build_scene(allegro_hand(), grasped_objects()), len(grasps), threads=threads
+    )
     return environment, environment.settle(grasps)
 
 

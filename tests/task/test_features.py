@@ -241,7 +241,10 @@ def test_flattened_parts_keep_their_order(allegro):
         np.testing.assert_array_equal(flat[:, first : first + size], parts[name])
         first += size
     many = robot_features(
-        measured_state(rng, allegro, 4), measured_state(rng, allegro, 4), plan_target(rng, allegro, 4), action(rng, allegro, 4)
+        measured_state(rng, allegro, 4),
+        measured_state(rng, allegro, 4),
+        plan_target(rng, allegro, 4),
+        action(rng, allegro, 4),
     )
     assert np.isfinite(flatten(many)).all()
 

@@ -149,7 +149,9 @@ def test_a_bias_alone_is_constant():
     assert_same(environment.observe(), first)
     environment.step(still(environment))
     offset = environment.observe().object_pose - environment.engine.object_pose
-    np.testing.assert_allclose(offset[:, :3], (first.object_pose - environment.task.settled_pose)[:, :3], atol=1e-4)
+    np.testing.assert_allclose(
+        offset[:, :3], (first.object_pose - environment.task.settled_pose)[:, :3], atol=1e-4
+    )
 
 
 @pytest.mark.parametrize("late", [1, 2, 5])
@@ -215,7 +217,7 @@ def test_lateness_and_gaps_add_up():
     for step, observation in enumerate(seen[1:], start=2):
         for world in range(2):
             back = round(observation.object_pose_age[world] / 0.02)
-            assert back >= 2 and back % 5 == 2 or 5 * step - back <= 5
+            assert (back >= 2 and back % 5 == 2) or 5 * step - back <= 5
             np.testing.assert_array_equal(observation.object_pose[world], poses[5 * step - back][world])
 
 
@@ -259,9 +261,7 @@ def test_a_world_with_its_own_generator_does_not_depend_on_the_others():
         environment = LiftEnvironment(
             scene(), 2, r, rng=[np.random.default_rng([5, row]) for row in rows], threads=1
         )
-        environment.settle(
-            grasps.select(np.zeros(2, int)), draw_each(r, 5, rows, len(hand().joint_names))
-        )
+        environment.settle(grasps.select(np.zeros(2, int)), draw_each(r, 5, rows, len(hand().joint_names)))
         result = []
         for _ in range(8):
             environment.step(still(environment))

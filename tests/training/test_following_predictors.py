@@ -11,12 +11,12 @@ import torch
 from small_training import BATCH, PPO, WORLDS, hand, run_settings, training_set
 
 from fungrasp.errors import FungraspError
+from fungrasp.planning import MotionPlanner
 from fungrasp.policies import make_policy
 from fungrasp.policies.checkpoint.card import Budget
 from fungrasp.policies.checkpoint.checkpoint_file import load_policy, read_card
 from fungrasp.policies.residual_action import ResidualSettings
 from fungrasp.policies.success_predictor import NetworkPredictor
-from fungrasp.planning import MotionPlanner
 from fungrasp.simulation import build_scene
 from fungrasp.task import LiftEnvironment, play
 from fungrasp.training.checkpoint import read_checkpoint
@@ -46,7 +46,9 @@ def predictor(tmp_path_factory) -> Path:
         outcomes.contact_ratio,
     )
     path = tmp_path_factory.mktemp("predictor") / "liking.onnx"
-    card = make_card("liking", "predictor", hand(), names, (), ResidualSettings(), 10.0, Budget(4, 0.0, "test"))
+    card = make_card(
+        "liking", "predictor", hand(), names, (), ResidualSettings(), 10.0, Budget(4, 0.0, "test")
+    )
     export_predictor(fit_predictor(liked, SMALL), path, card)
     return path
 
@@ -58,14 +60,13 @@ def test_a_library_holds_what_the_predictor_likes_best(predictor):
     everything = build_plan_library(*arguments, Variety(copies=5), threads=1)
     few = build_plan_library(*arguments, Variety(copies=2, tries=5), threads=1, predictor=expect)
     for group in range(2):
-        expected = [
-            np.sort(expect(part.plans.select(part.group == group))) for part in (everything, few)
-        ]
+        expected = [np.sort(expect(part.plans.select(part.group == group))) for part in (everything, few)]
         np.testing.assert_allclose(expected[1], expected[0][-2:], atol=1e-6)
     with pytest.raises(FungraspError, match="can't be chosen from"):
         Variety(copies=3, tries=2)
 
 
+@pytest.mark.slow
 def test_student_follows_its_teachers_predictor_and_shrinks_as_it_does(predictor, tmp_path):
     one, settings = training_set(), replace(run_settings(), variety=Variety(copies=1, tries=2))
     teacher, student = tmp_path / "teacher", tmp_path / "student"
@@ -75,7 +76,9 @@ def test_student_follows_its_teachers_predictor_and_shrinks_as_it_does(predictor
     full = ResidualSettings()
     assert card.plans == "liking" and card.action[0].scale == 0.5 * full.position
     assert read_card(teacher / "liking.onnx").sha256 == read_card(predictor).sha256
-    card = train_student(teacher, student, WORLDS * 4, DistillSettings(steps=4), threads=1)
+    card = train_student(
+        teacher, student, WORLDS * 4, DistillSettings(steps=4, updates=2, minibatch=32), threads=1
+    )
     assert (card.kind, card.plans, card.privileged) == ("student", "liking", ())
     assert card.action[2].scale == 0.5 * full.fingers
     environment = LiftEnvironment(build_scene(hand(), one.objects), len(one.grasps), threads=1)

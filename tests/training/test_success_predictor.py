@@ -35,7 +35,9 @@ def tried() -> tuple[PlanOutcomes, tuple[tuple[str, int], ...]]:
 def made_up(count: int = 600) -> PlanOutcomes:
     """Plans that hold where their first feature is positive, six of each grasp."""
     features = np.random.default_rng(0).normal(size=(count, 5)).astype(np.float32)
-    return PlanOutcomes(features, np.arange(count) // 6, np.arange(count) % 6, features[:, 0] > 0, np.ones(count))
+    return PlanOutcomes(
+        features, np.arange(count) // 6, np.arange(count) % 6, features[:, 0] > 0, np.ones(count)
+    )
 
 
 def test_every_variation_is_tried_once_whatever_the_chunk():
@@ -72,6 +74,7 @@ def test_interrupted_episodes_go_on(tmp_path, monkeypatch):
     assert again == [2, 4, 2], "outcomes of other episodes don't count"
 
 
+@pytest.mark.slow
 def test_a_predictor_learns_what_makes_plans_hold():
     outcomes = made_up()
     settings = PredictorSettings(networks=2, hidden=(16, 8), epochs=60, minibatch=64, dropout=0.0)
@@ -97,6 +100,7 @@ def test_grasps_of_joined_outcomes_stay_apart():
     assert len(np.unique(both.grasp)) == 200 and len(both.success) == 1200
 
 
+@pytest.mark.slow
 def test_a_predictor_chooses_and_its_file_is_a_policy(tmp_path):
     outcomes, names = tried()
     one = training_set()

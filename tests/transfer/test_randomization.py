@@ -91,9 +91,7 @@ def test_offsets_have_their_lengths_in_any_direction():
 
 
 def test_shifts_are_spread_evenly_over_the_disc_and_over_a_ring():
-    distance = np.linalg.norm(
-        drawn(Randomization(object_shift=(0.0, 0.02))).object_shift[:, :2], axis=1
-    )
+    distance = np.linalg.norm(drawn(Randomization(object_shift=(0.0, 0.02))).object_shift[:, :2], axis=1)
     assert 0.0196 < distance.max() <= 0.02
     assert (distance < 0.01).mean() == pytest.approx(1 / 4, abs=0.03)
     shift = drawn(Randomization(object_shift=(0.01, 0.02))).object_shift

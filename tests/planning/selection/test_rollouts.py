@@ -23,9 +23,7 @@ PROMISED = np.array([[0.9, 0.9], [0.5, 0.5], [0.4, 0.4]])
 
 def proposals() -> GraspPlan:
     """Three plans of each of two grasps; only the second kind holds."""
-    opened, weak = (
-        replace(plan(), finger_targets=share * plan().finger_targets) for share in (0.0, 0.3)
-    )
+    opened, weak = (replace(plan(), finger_targets=share * plan().finger_targets) for share in (0.0, 0.3))
     return GraspPlan.join([opened, plan(), weak])
 
 
@@ -33,9 +31,7 @@ def candidates(plans: GraspPlan, expected: np.ndarray = PROMISED, beliefs=None) 
     grasps, _ = grasps_and_objects()
     beliefs = belief() if beliefs is None else beliefs
     rows = np.tile(np.arange(len(beliefs)), len(expected))
-    return Candidates(
-        grasps.select(rows), plans, beliefs, CandidateStatistics.untried(expected, PRIOR)
-    )
+    return Candidates(grasps.select(rows), plans, beliefs, CandidateStatistics.untried(expected, PRIOR))
 
 
 def tried(
@@ -147,8 +143,9 @@ def test_pose_errors_are_as_large_as_the_belief_says(monkeypatch):
     monkeypatch.setattr(
         rollouts,
         "roll_out",
-        lambda plans, rows, sample, *others: seen.append(sample)
-        or rollouts.RolloutResults(*np.zeros((3, len(plans)))),
+        lambda plans, rows, sample, *others: (
+            seen.append(sample) or rollouts.RolloutResults(*np.zeros((3, len(plans))))
+        ),
     )
     tried(pool, ((1, 4000),))
     errors = seen[0].object_bias.reshape(2, 4000, 6)
@@ -181,7 +178,9 @@ def test_a_policy_sees_the_believed_errors_in_rollouts_without_errors_of_their_o
     tried(pool, ((1, 4),), settings, Watching())
     true = np.repeat(belief().object_pose, 4, axis=0)
     off = seen[0].object_pose - true
-    assert (np.linalg.norm(off[:, :2], axis=1) > 1e-4).all() and off[:, :2].std() == pytest.approx(0.01, rel=0.7)
+    assert (np.linalg.norm(off[:, :2], axis=1) > 1e-4).all() and off[:, :2].std() == pytest.approx(
+        0.01, rel=0.7
+    )
 
 
 def test_rollouts_happen_in_the_hand_that_is_believed():
