@@ -126,7 +126,7 @@ def test_plans_are_for_the_pose_that_is_believed():
 
 
 def test_the_hand_starts_where_it_is_believed_to_be():
-    farther = replace(belief(), palm_pose=belief().palm_pose + [0, 0, 0.05, 0, 0, 0, 0])
+    farther = replace(belief(), palm_pose=belief().palm_pose + np.array([0, 0, 0.05, 0, 0, 0, 0]))
     p = planned(farther)
     np.testing.assert_allclose(compose(p.object_pose, p.palm_setpoint[:, 0]), farther.palm_pose, atol=1e-9)
     open_hand = replace(belief(), joint_positions=0.0 * belief().joint_positions)

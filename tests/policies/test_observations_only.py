@@ -1,5 +1,5 @@
-"""The rule: a policy sees observations and nothing else. It acts on recorded ones, far from any simulation, as
-it did in the simulation."""
+"""The rule: a policy sees observations and nothing else. It acts on recorded ones, far from any
+simulation, as it did in the simulation."""
 
 from __future__ import annotations
 

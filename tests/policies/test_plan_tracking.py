@@ -133,8 +133,8 @@ def test_what_is_measured_is_what_is_followed_and_what_is_seen():
     wrong = replace(
         seen,
         joint_positions=seen.joint_positions + 0.1,
-        palm_pose=seen.palm_pose + [0.01, 0, 0, 0, 0, 0, 0],
-        object_pose=seen.object_pose + [0, 0.02, 0, 0, 0, 0, 0],
+        palm_pose=seen.palm_pose + np.array([0.01, 0, 0, 0, 0, 0, 0]),
+        object_pose=seen.object_pose + np.array([0, 0.02, 0, 0, 0, 0, 0]),
     )
     both, goals = [], []
     for observation in (seen, wrong):

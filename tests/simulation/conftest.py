@@ -1,4 +1,4 @@
-"""The suite that every engine has to pass is a module of its own; its assertions are rewritten as tests' are."""
+"""The suite that every engine has to pass is a module of its own; pytest rewrites its assertions, too."""
 
 import pytest
 

@@ -1,7 +1,7 @@
 """What every engine has to do, told through the door alone.
 
-A test module of an engine subclasses ``EngineContract`` as ``Test...`` and says how the engine is made. Fields
-of a particular engine are the business of its own tests.
+A test module of an engine subclasses ``EngineContract`` as ``Test...`` and says how the engine is made.
+Fields of a particular engine are the business of its own tests.
 """
 
 from __future__ import annotations

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import fields, replace
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -396,7 +397,7 @@ def test_a_policy_is_reset_once_and_acts_once_in_each_control_period():
 
 def test_a_teacher_is_told_what_only_a_simulation_knows():
     class Teacher(Watching):
-        told: list[Privileged] = []
+        told: ClassVar[list[Privileged]] = []
 
         def act_privileged(self, observation: Observation, privileged: Privileged) -> Action:
             self.told.append(privileged)

@@ -234,7 +234,7 @@ def test_an_episode_that_begins_has_no_past():
     wander(environment, 3)
     before = environment.observe()
     task = environment.task
-    moved = task.settled_pose[1:] + [0.2, 0, 0, 0, 0, 0, 0]
+    moved = task.settled_pose[1:] + np.array([0.2, 0, 0, 0, 0, 0, 0])
     task.begin(
         np.array([1]),
         moved,

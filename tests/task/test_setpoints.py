@@ -62,7 +62,7 @@ def test_a_world_that_begins_anew_forgets_what_it_was_asked_for():
     task = ready([CUBE, CUBE])
     setpoints = task.setpoints
     setpoints.delay[:] = 0.1
-    goal = task.engine.wrist_frame + [0.0, 0.0, 0.1, 0, 0, 0, 0]
+    goal = task.engine.wrist_frame + np.array([0.0, 0.0, 0.1, 0, 0, 0, 0])
     task.step(Action(goal, setpoints.fingers + 0.3, np.zeros(2, bool)))
     pose, fingers = setpoints.wrist.pose[1:].copy(), setpoints.fingers[1:].copy()
     setpoints.begin(np.array([1]), pose, np.zeros((1, 3)), fingers)

@@ -1,4 +1,4 @@
-"""Teachers and students that follow the plans of a success predictor, and trainings that begin from others."""
+"""Teachers and students that follow a success predictor's plans, and trainings that begin from others."""
 
 from __future__ import annotations
 

@@ -29,8 +29,8 @@ class Engine(Protocol):
         """W, the number of worlds."""
         ...
 
-    # What is: current after ``set_state`` and ``step``. Contacts and their forces are those of the last physics
-    # step: ``reset`` clears them, ``set_state`` and ``restore`` leave them.
+    # What is: current after ``set_state`` and ``step``. Contacts and their forces are those of the last
+    # physics step: ``reset`` clears them, ``set_state`` and ``restore`` leave them.
 
     @property
     def object_pose(self) -> np.ndarray:
