@@ -39,7 +39,7 @@ def test_good_grasps_succeed_and_nothing_depends_on_threads_or_chunks(recorded, 
     done = []
     other = evaluate(good, things, allegro, threads=1, chunk=3, progress=done.append)
     assert same(result, other)
-    assert done == sorted(done) and done[-1] == 4 and 0 < done[0] < 3
+    assert done == sorted(done) and done[-1] == 4 and 0 <= done[0] < 3
 
 
 def test_the_json_has_every_number_and_they_agree(recorded):
@@ -137,7 +137,7 @@ def test_an_interrupted_test_goes_on_where_it_was(recorded, good, things, allegr
     seen.clear()
     changed = dataclasses.replace(good, object_mass=1.5 * good.object_mass)
     other = evaluate(changed, things, allegro, store=PartialResults(store), chunk=2, progress=seen.append)
-    assert 0 < seen[0] < 2 and not same(other, result), "what was kept is of other grasps"
+    assert 0 <= seen[0] < 2 and not same(other, result), "what was kept is of other grasps"
 
 
 def test_partial_results_survive_a_file_that_cannot_be_read(tmp_path):

@@ -120,7 +120,7 @@ def asked(monkeypatch) -> list[tuple[int, int]]:
     """Seeds and numbers of the grasps that are searched for; the plans are those that are known."""
     calls: list[tuple[int, int]] = []
 
-    def found(self, grasps, beliefs: Belief, seed: int) -> GraspPlan:
+    def found(self, grasps, beliefs: Belief, seed: int, *others) -> GraspPlan:
         calls.append((seed, len(grasps)))
         rows = rows_of(grasps.object_name.tolist())
         chosen = plan().select(rows)
