@@ -5,7 +5,7 @@ from __future__ import annotations
 import zipfile
 import zlib
 from collections.abc import Sequence
-from dataclasses import fields
+from dataclasses import MISSING, fields
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
@@ -41,18 +41,21 @@ class BatchRecord:
         Raises:
             FungraspError: a quantity is known in one of the two only.
         """
-        mine, theirs = self._rows(), other._rows()
-        if set(mine) != set(theirs):
-            names = ", ".join(sorted(set(mine) ^ set(theirs)))
-            raise FungraspError(f"{type(self).__name__}: {names} is given in one of the two records only")
-        arrays = {name: value.copy() for name, value in mine.items()}
-        for name, value in theirs.items():
+        self._check_same(other)
+        arrays = {name: value.copy() for name, value in self._rows().items()}
+        for name, value in other._rows().items():
             arrays[name][rows] = value
         return self._with(arrays)
 
     @classmethod
     def join(cls, parts: Sequence[Self]) -> Self:
-        """One batch after the other; shared scalars are those of the first."""
+        """One batch after the other; shared scalars are those of the first.
+
+        Raises:
+            FungraspError: a quantity is known in some of them only.
+        """
+        for part in parts[1:]:
+            parts[0]._check_same(part)
         rows = [part._rows() for part in parts]
         return parts[0]._with({name: np.concatenate([r[name] for r in rows]) for name in rows[0]})
 
@@ -92,10 +95,19 @@ class BatchRecord:
         Raises:
             KeyError: a quantity that has no default is missing.
         """
-        names = [f.name for f in fields(cls)]  # pyright: ignore[reportArgumentType]
-        given = {name: arrays[name] for name in names if name in arrays}
+        wanted = fields(cls)  # pyright: ignore[reportArgumentType]
+        missing = [f.name for f in wanted if f.default is MISSING and f.name not in arrays]
+        if missing:
+            raise KeyError(f"no {', '.join(missing)}")
+        given = {f.name: arrays[f.name] for f in wanted if f.name in arrays}
         values: dict[str, Any] = {n: v.item() if n in cls.SCALARS else v for n, v in given.items()}
         return cls(**values)
+
+    def _check_same(self, other: Self) -> None:
+        """Complain if a quantity is known in one of two records only."""
+        names = ", ".join(sorted(set(self._rows()) ^ set(other._rows())))
+        if names:
+            raise FungraspError(f"{type(self).__name__}: {names} is given in one of the two records only")
 
     def _rows(self) -> dict[str, np.ndarray]:
         """The arrays that have one row for each member of the batch."""

@@ -11,10 +11,9 @@ from fungrasp.grasps.files import builtin_grasps
 from grasp_files import BAD, bad_inputs, run, some_grasps
 from PIL import Image
 
-from fungrasp import evaluation
-from fungrasp.evaluation import lift_test as dynamic
-from fungrasp.evaluation import replay
+from fungrasp.evaluation import lift_test, replay
 from fungrasp.grasps import save_human_grasps
+from fungrasp.transfer import NOMINAL, Randomization
 
 
 @pytest.fixture(scope="module")
@@ -63,7 +62,7 @@ def test_human_and_robot_grasps_give_the_same_table_and_json(human, robot, tmp_p
     lines = out.splitlines()
     assert lines[0].split()[:3] == ["object", "episodes", "success"]
     assert [line.split()[0] for line in lines[1:5]] == ["can", "tennis_ball", "all", "mean"]
-    assert "95 % interval" in lines[0] and "2 trials in" in lines[-1]
+    assert "95 % interval" in lines[0] and "2 episodes in" in lines[-1]
     assert (
         run(capsys, "evaluate", "--grasps", robot, "--json", two, "--policy", "reference", "--threads", 1)[0]
         == 0
@@ -126,25 +125,31 @@ def test_refinement_mends_failures_and_leaves_successes_alone(tmp_path, capsys):
     assert any(after["success"] and not before["success"] for before, after in pairs)
 
 
-def test_disturbances_and_seeds(human, tmp_path, capsys):
+def test_conditions_and_seeds(human, tmp_path, capsys):
     path = tmp_path / "e.json"
     options = ("--mass-scale", 2, "--friction", 0.6, "--pose-noise", 0.01, 10, "--table-height", 0.02)
     options += ("--latency", 0.04, "--push", 0.5, 0.1, "--object-shift", 0.01)
     status, out, _ = run(capsys, "evaluate", "--grasps", human, "--seed", 0, 1, *options, "--json", path)
-    assert status == 0 and "4 trials" in out
+    assert status == 0 and "4 episodes" in out
     numbers = json.loads(path.read_text())
     assert numbers["seed"] == [0, 1]
-    disturbance = numbers["disturbance"]
-    assert disturbance.pop("rotation_noise") == pytest.approx(np.deg2rad(10))
-    assert disturbance == {
-        "mass_scale": 2.0,
-        "friction": 0.6,
-        "position_noise": 0.01,
-        "table_height": 0.02,
-        "latency": 0.04,
-        "push": 0.5,
+    told = {
+        name: value
+        for name, value in numbers["randomization"].items()
+        if value != json.loads(json.dumps(dataclasses.asdict(NOMINAL)))[name]
+    }
+    rotation = told.pop("object_rotation_error")
+    assert rotation == {"bias": 0.0, "jitter": 0.0, "offset": pytest.approx(np.deg2rad(10))}
+    assert told == {
+        "mass": [2.0, 2.0],
+        "friction": [0.6, 0.6],
+        "object_position_error": {"bias": 0.0, "jitter": 0.0, "offset": 0.01},
+        "table_height": [0.02, 0.02],
+        "action_delay": [0.04, 0.04],
+        "push_times": [[0.5, 0.5], [1.5, 1.5], [2.5, 2.5]],
+        "push_weights": [0.5, 0.5],
         "push_duration": 0.1,
-        "object_shift": 0.01,
+        "object_shift": [0.01, 0.01],
     }
     assert [(trial["index"], trial["seed"]) for trial in numbers["trials"]] == [
         (0, 0),
@@ -155,14 +160,14 @@ def test_disturbances_and_seeds(human, tmp_path, capsys):
 
 
 SOME = {
-    "nominal": evaluation.Disturbance(),
-    "light, moved": evaluation.Disturbance(mass_scale=0.7, object_shift=0.01),
-    "latency 60 ms": evaluation.Disturbance(latency=0.06),
+    "nominal": NOMINAL,
+    "light, moved": Randomization(mass=(0.7, 0.7), object_shift=(0.01, 0.01)),
+    "latency 60 ms": Randomization(action_delay=(0.06, 0.06)),
 }
 
 
 def test_robustness_tries_every_condition(human, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(evaluation, "CONDITIONS", SOME)
+    monkeypatch.setattr("fungrasp.transfer.ROBUSTNESS", SOME)
     path, plain, record = tmp_path / "r.json", tmp_path / "e.json", tmp_path / "trials"
     options = ("--grasps", human, "--seed", 0, 1, "--robustness", "--json", path, "--record", record)
     status, out, _ = run(capsys, "evaluate", *options)
@@ -179,8 +184,8 @@ def test_robustness_tries_every_condition(human, tmp_path, capsys, monkeypatch):
     assert list(conditions) == list(SOME)
     rates = [condition["success_rate"] for condition in conditions.values()]
     assert lines[4] == f"mean over the 2 disturbed conditions: {(rates[1] + rates[2]) / 2:.1%}"
-    assert "8 trials in" in lines[5]
-    assert conditions["light, moved"]["disturbance"]["object_shift"] == 0.01
+    assert "8 episodes in" in lines[5]
+    assert conditions["light, moved"]["randomization"]["object_shift"] == [0.01, 0.01]
     moved = conditions["light, moved"]["trials"]
     assert [(trial["index"], trial["seed"]) for trial in moved] == [(0, 0), (1, 0), (0, 1), (1, 1)]
     assert np.mean([trial["success"] for trial in moved]) == rates[1]
@@ -192,7 +197,7 @@ def test_robustness_tries_every_condition(human, tmp_path, capsys, monkeypatch):
 
 
 def test_grasps_are_refined_once_for_all_conditions(human, tmp_path, capsys, monkeypatch):
-    from fungrasp import policies
+    from fungrasp.planning.selection import refinement
 
     refined = []
 
@@ -200,8 +205,8 @@ def test_grasps_are_refined_once_for_all_conditions(human, tmp_path, capsys, mon
         refined.append(seed)
         return dataclasses.replace(grasps, extra={"refined_tries": np.full(len(grasps), 7)})
 
-    monkeypatch.setattr(policies, "refine", refine)
-    monkeypatch.setattr(evaluation, "CONDITIONS", dict(list(SOME.items())[:2]))
+    monkeypatch.setattr(refinement, "refine_grasps", refine)
+    monkeypatch.setattr("fungrasp.transfer.ROBUSTNESS", dict(list(SOME.items())[:2]))
     path = tmp_path / "r.json"
     options = ("--refine", 7, "--seed", 0, 1, "--robustness", "--json", path)
     assert run(capsys, "evaluate", "--grasps", human, *options)[0] == 0
@@ -213,8 +218,8 @@ def test_grasps_are_refined_once_for_all_conditions(human, tmp_path, capsys, mon
 
 def test_an_interrupted_run_goes_on_when_given_again(human, tmp_path, capsys, monkeypatch):
     path = tmp_path / "e.json"
-    monkeypatch.setattr(dynamic, "CHUNK", 1)
-    simulate, runs = dynamic._Test.run, []
+    monkeypatch.setattr(lift_test, "CHUNK", 1)
+    simulate, runs = lift_test._Test.run, []
 
     def interrupted(self, grasps, rows, *others):
         if runs:
@@ -222,7 +227,7 @@ def test_an_interrupted_run_goes_on_when_given_again(human, tmp_path, capsys, mo
         runs.append(rows)
         return simulate(self, grasps, rows, *others)
 
-    monkeypatch.setattr(dynamic._Test, "run", interrupted)
+    monkeypatch.setattr(lift_test._Test, "run", interrupted)
     status, _, err = run(capsys, "evaluate", "--grasps", human, "--json", path)
     assert status == 130 and err == "fungrasp: interrupted\n"
     assert [file.name for file in tmp_path.iterdir()] == ["e.json.partial"]
@@ -231,7 +236,7 @@ def test_an_interrupted_run_goes_on_when_given_again(human, tmp_path, capsys, mo
         runs.append(rows)
         return simulate(self, grasps, rows, *others)
 
-    monkeypatch.setattr(dynamic._Test, "run", counted)
+    monkeypatch.setattr(lift_test._Test, "run", counted)
     assert run(capsys, "evaluate", "--grasps", human, "--json", path)[0] == 0
     assert [rows.tolist() for rows in runs] == [[0], [1]]
     assert [file.name for file in tmp_path.iterdir()] == ["e.json"]
@@ -260,14 +265,14 @@ def test_bad_input_is_one_line_and_leaves_no_file(name, bad, tmp_path, capsys):
         (("--seed", 1, 1), "each once"),
         (("--seed", -1), "must not be negative"),
         (("--refine", -1), "must not be negative"),
-        (("--mass-scale", 0), "mass scale must be positive"),
-        (("--pose-noise", "nan", 0), "position noise must be finite"),
+        (("--mass-scale", 0), "mass must be positive"),
+        (("--pose-noise", "nan", 0), "object position error must be finite"),
         (("--friction", -0.5), "friction must be positive"),
-        (("--latency", 0.2), "latency must be 0 to 0.1 s"),
-        (("--push", -1, 0.2), "push must be finite"),
+        (("--latency", 0.2), "action delay must be 0 to 0.1 s"),
+        (("--push", -1, 0.2), "push weights must not be negative"),
         (("--push", 1, 0), "push duration must be positive"),
         (("--object-shift", "inf"), "object shift must be finite"),
-        (("--robustness", "--mass-scale", 2), "--robustness has disturbances of its own"),
+        (("--robustness", "--mass-scale", 2), "--robustness has conditions of its own"),
     ],
 )
 def test_options_that_cannot_be(arguments, words, robot, tmp_path, capsys):

@@ -1,4 +1,4 @@
-"""The dynamic test through its public door: results, records, resuming, disturbances."""
+"""The lift test through its public door: results, records, resuming, policies of one's own."""
 
 from __future__ import annotations
 
@@ -9,39 +9,44 @@ import numpy as np
 import pytest
 
 from fungrasp.errors import FungraspError, UnknownNameError
-from fungrasp.evaluation import DynamicResult, evaluate, replay, result_json
+from fungrasp.evaluation import LiftTestResult, evaluate, replay, result_json
 from fungrasp.evaluation.lift_test import Refinement
 from fungrasp.evaluation.partial_results import PartialResults
 from fungrasp.files import digest
+from fungrasp.geometry.poses import compose
 from fungrasp.hands import load_hand
+from fungrasp.planning import MotionPlanner
+from fungrasp.policies import OpenLoopPolicy
+from fungrasp.task import Action, GraspPlan, LiftProtocol, Observation
+from fungrasp.transfer import Randomization
 
 
 @pytest.fixture(scope="module")
 def recorded(good, things, allegro, tmp_path_factory):
-    """A result and the folder its trials were recorded to."""
+    """A result and the folder its episodes were recorded to."""
     folder = tmp_path_factory.mktemp("trials")
     return evaluate(good, things, allegro, record=folder), folder
 
 
-def same(a: DynamicResult, b: DynamicResult) -> bool:
-    names = [field.name for field in dataclasses.fields(a.trials)]
-    return all(np.array_equal(getattr(a.trials, name), getattr(b.trials, name)) for name in names)
+def same(a: LiftTestResult, b: LiftTestResult) -> bool:
+    ours, theirs = a.outcomes.arrays(), b.outcomes.arrays()
+    return all(np.array_equal(value, theirs[name]) for name, value in ours.items())
 
 
 def test_good_grasps_succeed_and_nothing_depends_on_threads_or_chunks(recorded, good, things, allegro):
     result, _ = recorded
-    assert result.trials.success.sum() >= 3
+    assert result.outcomes.success.sum() >= 3
     done = []
     other = evaluate(good, things, allegro, threads=1, chunk=3, progress=done.append)
     assert same(result, other)
-    assert done == sorted(done) and done[-1] == 4 and 0 < done[0] < 3
+    assert done == sorted(done) and done[-1] == 4 and 0 <= done[0] < 3
 
 
 def test_the_json_has_every_number_and_they_agree(recorded):
     result, _ = recorded
     numbers = json.loads(json.dumps(result_json(result), allow_nan=False))
     assert numbers["hand"] == "allegro" and numbers["policy"] == "reference" and numbers["seed"] == 0
-    assert numbers["protocol"]["hold_time"] == 3.0 and numbers["disturbance"]["mass_scale"] == 1.0
+    assert numbers["protocol"]["hold_time"] == 3.0 and numbers["randomization"]["mass"] == [1.0, 1.0]
     trials = numbers["trials"]
     assert [trial["index"] for trial in trials] == [0, 1, 2, 3]
     assert {"object", "task", "success", "lifted_height_m", "reason", "contact_f1", "refined_tries"} <= set(
@@ -70,7 +75,7 @@ def test_recorded_trials_can_be_replayed(recorded, good, things, allegro):
     for row, name in enumerate(names):
         trial = replay(folder / name)
         assert trial.index == row and trial.object_name == good.object_name[row] and trial.hand == "allegro"
-        assert trial.success == result.trials.success[row] and trial.reason == result.trials.reason[row]
+        assert trial.success == result.outcomes.success[row] and trial.reason == result.outcomes.reason[row]
         assert trial.times[0] == 0.0
         np.testing.assert_allclose(np.diff(trial.times), 0.02, atol=1e-6)
         assert [name for _, name in trial.phases] == ["approach", "lift", "hold"]
@@ -132,7 +137,7 @@ def test_an_interrupted_test_goes_on_where_it_was(recorded, good, things, allegr
     seen.clear()
     changed = dataclasses.replace(good, object_mass=1.5 * good.object_mass)
     other = evaluate(changed, things, allegro, store=PartialResults(store), chunk=2, progress=seen.append)
-    assert 0 < seen[0] < 2 and not same(other, result), "what was kept is of other grasps"
+    assert 0 <= seen[0] < 2 and not same(other, result), "what was kept is of other grasps"
 
 
 def test_partial_results_survive_a_file_that_cannot_be_read(tmp_path):
@@ -174,7 +179,7 @@ def test_a_refinement_is_applied_before_the_trials(good, things, allegro):
 
     result = evaluate(good.select([2]), things, allegro, seeds=(4, 5), refine=Refinement(away, "away"))
     assert seeds == [4, 5] and result.seed.tolist() == [4, 5]
-    assert not result.trials.success.any() and (result.refined_tries == -3).all()
+    assert not result.outcomes.success.any() and (result.refined_tries == -3).all()
     assert result_json(result)["seed"] == [4, 5]
 
 
@@ -185,3 +190,83 @@ def test_unknown_policies_and_other_hands(good, things, allegro):
         evaluate(good, things, load_hand("leap"))
     with pytest.raises(FungraspError, match="another version"):
         evaluate(dataclasses.replace(good, link_contacts=good.link_contacts[:, 1:]), things, allegro)
+
+
+class MyPolicy:
+    """What a user may write: follow the plan, ten millimetres higher."""
+
+    def reset(self, plan: GraspPlan, observation: Observation) -> None:
+        self.plan, self.object_pose = plan, observation.object_pose
+
+    def act(self, observation: Observation) -> Action:
+        step = np.rint(observation.time / self.plan.control_period).astype(int)
+        goal, fingers = self.plan.at(step)
+        palm = compose(self.object_pose, goal)
+        palm[:, 2] += 0.01
+        return Action(palm, fingers, step >= self.plan.lift_step)
+
+
+def test_a_policy_of_ones_own_is_played(good, things, allegro):
+    result = evaluate(good, things, allegro, MyPolicy(), chunk=3)
+    assert result.policy == "MyPolicy" and result.outcomes.success.any()
+    assert result_json(result)["policy"] == "MyPolicy"
+    assert result.rollouts.tolist() == [0] * 4
+
+
+def test_a_planner_of_ones_own_is_asked(good, things, allegro):
+    asked = []
+
+    class Planner(MotionPlanner):
+        def plan(self, grasps, belief, seed=0, progress=lambda done: None):
+            asked.append((len(grasps), seed))
+            plans = super().plan(grasps, belief, seed)
+            return dataclasses.replace(plans, rollouts=np.full(len(grasps), 5))
+
+    result = evaluate(
+        good, things, allegro, OpenLoopPolicy(), planner=Planner(allegro, things), chunk=3, seeds=(7,)
+    )
+    assert asked == [(3, 7), (1, 7)] and result.rollouts.tolist() == [5] * 4
+
+
+def test_results_are_kept_only_of_what_has_a_name(good, things, allegro, tmp_path):
+    store = PartialResults(tmp_path / "x.partial")
+    for policy, planner in ((MyPolicy(), None), ("reference", MotionPlanner(allegro, things))):
+        with pytest.raises(FungraspError, match="given by name"):
+            evaluate(good, things, allegro, policy, planner=planner, store=store)
+    assert not (tmp_path / "x.partial").exists()
+
+
+def test_a_protocol_is_kept_by_planner_and_episodes(good, things, allegro, tmp_path):
+    slow = LiftProtocol(wrist_speed=0.1, hold_time=0.5)
+    result = evaluate(good.select([0]), things, allegro, protocol=slow, record=tmp_path)
+    trial = replay(tmp_path / "0000_can.npz")
+    speed = np.linalg.norm(np.diff(trial.palm_pose[:, :3], axis=0), axis=1) / 0.02
+    assert speed.max() < 0.12 and result.protocol == slow
+    planned, episodes = [], []
+
+    class Watching(OpenLoopPolicy):
+        def act(self, observation: Observation) -> Action:
+            step = np.rint(observation.time / 0.1).astype(int)
+            if (step < self._plan.closing_step).all():
+                planned.append(compose(self._plan.object_pose, self._plan.palm_setpoint[[0], step]))
+                episodes.append(observation.palm_setpoint)
+            return super().act(observation)
+
+    evaluate(good.select([0]), things, allegro, Watching(), protocol=slow)
+    np.testing.assert_allclose(planned, episodes, atol=1e-9, err_msg="the plan knows the limits")
+
+
+def test_seeds_try_each_grasp_with_each(good, things, allegro, tmp_path):
+    some, noisy = good.select([0, 2]), Randomization(object_shift=(0.01, 0.01))
+    result = evaluate(some, things, allegro, seeds=(3, 8), randomization=noisy, record=tmp_path, chunk=1)
+    assert result.seed.tolist() == [3, 3, 8, 8] and result.index.tolist() == [0, 1, 0, 1]
+    names = sorted(path.name for path in tmp_path.iterdir())
+    assert names == [
+        f"{row:04d}_{seed}_{name}.npz" for row, name in ((0, "can"), (1, "tennis_ball")) for seed in (3, 8)
+    ]
+    places = {name: replay(tmp_path / name).object_pose[0, :2] for name in names}
+    assert np.abs(places["0000_3_can.npz"] - places["0000_8_can.npz"]).max() > 1e-3
+    alone = evaluate(some, things, allegro, seeds=(8,), randomization=noisy, threads=1)
+    for name, value in alone.outcomes.arrays().items():
+        np.testing.assert_array_equal(value, result.outcomes.arrays()[name][2:], err_msg=name)
+    assert [replay(tmp_path / name).index for name in names] == [0, 0, 1, 1]

@@ -1,23 +1,22 @@
-"""Grasps of a can and a ball, their motions, and tasks that are ready to play them."""
+"""Grasps of a can and a ball, their plans, and environments that are ready to play them."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import cache
+from typing import Any
 
 import numpy as np
-from fungrasp.planning.references import References
 
 from fungrasp.grasps import RobotGraspSet, builtin_grasps, load_objects
 from fungrasp.hands import Hand, load_hand
 from fungrasp.objects import ObjectModel
-from fungrasp.planning.grasp_motion import Motion
-from fungrasp.policies.plan_tracking import Tracker
-from fungrasp.policies.scripted import planned
+from fungrasp.planning import MotionPlanner
+from fungrasp.policies.plan_tracking import PlanTracker
 from fungrasp.retarget import retarget
-from fungrasp.simulation import Scene, Worlds, build_scene
-from fungrasp.task import LiftTask, Protocol
-from fungrasp.task.observation import layout, observe, privileged
+from fungrasp.simulation import Scene, build_scene
+from fungrasp.task import Belief, GraspPlan, LiftEnvironment
+from fungrasp.task.features import contact_features, layout
 
 
 @cache
@@ -31,7 +30,7 @@ def grasps_and_objects() -> tuple[RobotGraspSet, Mapping[str, ObjectModel]]:
     human = builtin_grasps()
     human = human.select([np.flatnonzero(human.object_name == name)[0] for name in ("can", "tennis_ball")])
     objects = load_objects(human)
-    return retarget(human, objects, hand()), objects
+    return retarget(human, objects, hand(), threads=1), objects
 
 
 @cache
@@ -39,39 +38,38 @@ def scene() -> Scene:
     return build_scene(hand(), grasps_and_objects()[1])
 
 
-def start(protocol: Protocol | None = None) -> LiftTask:
-    """A task that has been reset."""
-    grasps, _ = grasps_and_objects()
-    index = np.array([scene().objects.index(name) for name in grasps.object_name.tolist()])
-    task = LiftTask(scene(), grasps, Worlds(scene(), index, grasps.object_mass, threads=1), protocol)
-    task.reset()
-    return task
+def start(**options: Any) -> LiftEnvironment:
+    """An environment whose objects have settled. options: of ``LiftEnvironment``."""
+    environment = LiftEnvironment(scene(), 2, threads=1, **options)
+    environment.settle(grasps_and_objects()[0])
+    return environment
 
 
 @cache
-def motion() -> Motion:
+def belief() -> Belief:
+    """Of both scenes, all of it true."""
+    return LiftEnvironment(scene(), 2, threads=1).settle(grasps_and_objects()[0])
+
+
+@cache
+def plan() -> GraspPlan:
     """Of both grasps."""
-    return planned(start(), grasps_and_objects()[1])
+    grasps, objects = grasps_and_objects()
+    return MotionPlanner(hand(), objects).plan(grasps, belief())
 
 
-def references() -> References:
-    """Of both grasps."""
-    grasps, _ = grasps_and_objects()
-    return References.of(motion(), grasps, start().settled_pose, hand())
-
-
-def tracker(task: LiftTask | None = None, **options) -> Tracker:
-    """At its beginning, each world with its own grasp."""
-    result = Tracker(task or start(), grasps_and_objects()[1], references(), **options)
-    result.begin(np.arange(2), np.arange(2))
+def tracker(environment: LiftEnvironment | None = None, **options: Any) -> PlanTracker:
+    """At its beginning, each world with its own plan."""
+    result = PlanTracker(hand(), grasps_and_objects()[1], plan(), 2, **options)
+    both = np.arange(2)
+    result.begin(both, both, (environment or start()).observe())
     return result
 
 
+@cache
 def layouts() -> tuple[tuple[tuple[str, int], ...], tuple[tuple[str, int], ...]]:
-    """Of the observation and the privileged observation."""
-    at_work = tracker()
-    view, sensed = at_work.view(), at_work.sensed()
-    return (
-        layout(observe(view.now, view.before, view.wanted, view.action)),
-        layout(privileged(sensed.contacts, sensed.forces, view.wanted.contacts)),
-    )
+    """Of what a student sees, and of the contacts that a teacher sees besides."""
+    environment = start()
+    seen, privileged = tracker(environment).state(), environment.privileged()
+    contacts = contact_features(privileged.contacts, privileged.forces, seen.target.contacts)
+    return layout(seen.robot_features()), layout(contacts)

@@ -7,12 +7,12 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from fungrasp.training.library import Library, Variety, build_library
 
 from fungrasp.grasps import RobotGraspSet, builtin_grasps, load_objects
 from fungrasp.hands import Hand, load_hand
 from fungrasp.retarget import retarget
-from fungrasp.training.environment import EnvironmentSettings, LiftEnvironment
+from fungrasp.training.environment import EnvironmentSettings, TrainingEnvironment
+from fungrasp.training.plan_library import PlanLibrary, Variety, build_plan_library
 from fungrasp.training.run import RunSettings, TrainingSet
 from fungrasp.training.settings import PpoSettings
 
@@ -36,14 +36,14 @@ def training_set() -> TrainingSet:
 
 
 @cache
-def library() -> Library:
+def library() -> PlanLibrary:
     one = training_set()
-    return build_library(one.grasps, one.objects, hand(), Variety(copies=2), threads=1)
+    return build_plan_library(one.grasps, one.objects, hand(), Variety(copies=2), threads=1)
 
 
-def environment(seed: int = 0, **settings: Any) -> LiftEnvironment:
+def environment(seed: int = 0, **settings: Any) -> TrainingEnvironment:
     chosen = EnvironmentSettings(**({"worlds": WORLDS} | settings))
-    return LiftEnvironment(library(), training_set().objects, hand(), chosen, seed, threads=1)
+    return TrainingEnvironment(library(), training_set().objects, hand(), chosen, seed, threads=1)
 
 
 def run_settings(**ppo: Any) -> RunSettings:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cache
 
 import numpy as np
@@ -11,8 +11,9 @@ import trimesh
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand, load_hand
 from fungrasp.objects import ConvexPiece, ObjectModel
-from fungrasp.simulation import Worlds, build_scene
-from fungrasp.task import Action, LiftTask, Protocol
+from fungrasp.simulation import MujocoCpuEngine, build_scene
+from fungrasp.task import Action, LiftTask
+from fungrasp.task.protocol import LiftProtocol
 
 DOWN = np.array([0.0, 1.0, 0.0, 0.0])
 """A palm upside down: its z axis points at the table."""
@@ -51,17 +52,25 @@ def above(objects: Sequence[ObjectModel], height: float = 0.3) -> RobotGraspSet:
     )
 
 
-def ready(objects: Sequence[ObjectModel], protocol: Protocol | None = None, threads: int = 1) -> LiftTask:
-    """A task that has been reset, a hand 30 cm above each object."""
+def ready(objects: Sequence[ObjectModel], protocol: LiftProtocol | None = None, threads: int = 1) -> LiftTask:
+    """A task whose objects have settled, a hand 30 cm above each."""
     kinds = {thing.name: thing for thing in objects}
     scene = build_scene(hand(), kinds)
-    index = np.array([list(kinds).index(thing.name) for thing in objects])
-    task = LiftTask(scene, above(objects), Worlds(scene, index, threads=threads), protocol)
-    task.reset()
+    engine = MujocoCpuEngine(scene, len(objects), threads)
+    grasps = above(objects)
+    engine.set_parameters(object_index=scene.indices(grasps.object_name.tolist()))
+    task = LiftTask(engine, protocol)
+    task.settle(grasps)
     return task
 
 
 def stay(task: LiftTask, lift: bool | np.ndarray = False) -> Action:
     """Remain at the target, fingers as they are."""
-    lifts = np.broadcast_to(np.asarray(lift), len(task.worlds)).copy()
-    return Action(task.target_pose.copy(), task.finger_set_point.copy(), lifts)
+    lifts = np.broadcast_to(np.asarray(lift), len(task.engine)).copy()
+    return Action(task.engine.wrist_frame, task.setpoints.fingers.copy(), lifts)
+
+
+def run(task: LiftTask, lift_from: float = np.inf, after: Callable[[], None] = lambda: None) -> None:
+    """Stay until all episodes are over. lift_from: when the lift begins [s]; after: each setpoint."""
+    while not task.done.all():
+        task.step(stay(task, task.time >= lift_from - 1e-9), after=after)

@@ -1,24 +1,25 @@
-"""Planned motions: within the limits, to the end, and what the task then does."""
+"""Planned motions: within the limits, to the end, for what is believed, and what the task then does."""
 
 from __future__ import annotations
 
-from dataclasses import fields
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from planned_grasps import grasps_and_objects, hand, motion, start
+from planned_grasps import belief, grasps_and_objects, hand, plan, start
 
 from fungrasp.geometry.poses import compose
-from fungrasp.planning.grasp_motion import Motion, ReferenceSettings, plan_motion, raised, table_height
-from fungrasp.policies import ReferenceController
-from fungrasp.task import Protocol
+from fungrasp.planning import MotionPlanner
+from fungrasp.planning.grasp_motion import TABLE_TOLERANCE, MotionSettings, lowered, table_under
+from fungrasp.policies import OpenLoopPolicy
+from fungrasp.task import Belief, GraspPlan, LiftProtocol
 
-P, S = Protocol(), ReferenceSettings()
+P, S = LiftProtocol(), MotionSettings()
 
 
-@pytest.fixture(scope="module")
-def planned() -> Motion:
-    return motion()
+def planned(believed: Belief, **options) -> GraspPlan:
+    grasps, objects = grasps_and_objects()
+    return MotionPlanner(hand(), objects, **options).plan(grasps, believed)
 
 
 def turned(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -26,111 +27,173 @@ def turned(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return 2 * np.arccos(np.clip(np.abs(np.sum(a * b, axis=-1)), 0, 1))
 
 
-def test_the_wrist_keeps_its_limits(planned):
-    speed = np.linalg.norm(planned.velocity, axis=-1)
-    assert 0.1 < speed.max() <= P.wrist_speed + 1e-9
-    change = np.linalg.norm(np.diff(planned.velocity, axis=1), axis=-1)
-    assert change.max() <= P.control_period * P.wrist_acceleration + 1e-9
-    way = np.linalg.norm(np.diff(planned.set_point[..., :3], axis=1), axis=-1)
-    assert way.max() <= P.control_period * P.wrist_speed + 1e-9
-    turn = turned(planned.set_point[:, 1:, 3:], planned.set_point[:, :-1, 3:])
+def raised(pose: np.ndarray, height: float | np.ndarray) -> np.ndarray:
+    result = pose.copy()
+    result[:, 2] += height
+    return result
+
+
+@pytest.mark.parametrize("protocol", [P, LiftProtocol(wrist_speed=0.15, wrist_acceleration=0.2)])
+def test_the_wrist_keeps_its_limits(protocol):
+    p = plan() if protocol is P else planned(belief(), protocol=protocol)
+    speed = np.linalg.norm(p.palm_velocity, axis=-1)
+    assert 0.1 < speed.max() <= protocol.wrist_speed + 1e-9
+    change = np.linalg.norm(np.diff(p.palm_velocity, axis=1), axis=-1)
+    assert change.max() <= P.control_period * protocol.wrist_acceleration + 1e-9
+    way = np.linalg.norm(np.diff(p.palm_setpoint[..., :3], axis=1), axis=-1)
+    assert way.max() <= P.control_period * protocol.wrist_speed + 1e-9
+    turn = turned(p.palm_setpoint[:, 1:, 3:], p.palm_setpoint[:, :-1, 3:])
     assert turn.max() <= P.control_period * P.wrist_rotation_speed + 1e-6
 
 
-def test_it_comes_to_the_grasp_closes_and_then_lifts(planned):
+def test_it_comes_to_the_grasp_closes_and_then_lifts():
+    p = plan()
     steps = round((S.close_time + S.squeeze_time + S.pause) / P.control_period)
-    np.testing.assert_array_equal(planned.lift - planned.closing, steps)
-    assert planned.lift.max() == planned.wrist_goal.shape[1] - 1
-    assert (planned.closing > 5).all() and (planned.lift < P.approach_time / P.control_period).all()
-    assert (planned.collision < 0.01).all()
+    np.testing.assert_array_equal(p.lift_step - p.closing_step, steps)
+    assert p.lift_step.max() == p.palm_goal.shape[1] - 1
+    assert (p.closing_step > 5).all() and (p.lift_step < P.approach_time / P.control_period).all()
+    assert (p.path_collision < 0.01).all()
     rows = np.arange(2)
     # Pressed on by a little.
-    near = np.linalg.norm(planned.set_point[rows, planned.lift, :3] - planned.wrist[:, :3], axis=-1)
+    at_lift = p.palm_setpoint[rows, p.lift_step]
+    near = np.linalg.norm(at_lift[:, :3] - p.grasp_palm_pose[:, :3], axis=-1)
     assert (near < S.press_in + S.press_down + 1e-3).all()
-    assert turned(planned.set_point[rows, planned.lift, 3:], planned.wrist[:, 3:]).max() < 1e-3
-    offset = planned.finger_targets[rows, planned.lift] - planned.grasp
+    assert turned(at_lift[:, 3:], p.grasp_palm_pose[:, 3:]).max() < 1e-3
+    offset = p.finger_targets[rows, p.lift_step] - p.grasp_joints
     assert 0.02 < np.abs(offset).max() <= S.squeeze_limit + 1e-9
-    closed = planned.finger_targets[rows, planned.closing + round(S.close_time / P.control_period) - 1]
-    np.testing.assert_allclose(closed, planned.grasp, atol=1e-9)
+    closed = p.finger_targets[rows, p.closing_step + round(S.close_time / P.control_period) - 1]
+    np.testing.assert_allclose(closed, p.grasp_joints, atol=1e-9)
 
 
-def test_the_task_goes_where_it_was_planned_to_go(planned):
-    """The set points of a trial that follows the controller are those of the plan, to the lift."""
-    task = start()
-    controller = ReferenceController(task, grasps_and_objects()[1])
-    for step in range(int(planned.lift.min()) + 1):
+def test_the_task_goes_where_it_was_planned_to_go():
+    """The setpoints of an episode that follows the plan are those of the plan, to the lift."""
+    environment, policy, p = start(), OpenLoopPolicy(), plan()
+    task, low, high = environment.task, *environment.scene.servo_limits.T
+    policy.reset(p, environment.observe())
+    for step in range(int(p.lift_step.min()) + 1):
+        setpoint = task.setpoints.wrist
         np.testing.assert_allclose(
-            task.set_point.pose, compose(task.settled_pose, planned.set_point[:, step]), atol=1e-9
+            setpoint.pose, compose(task.settled_pose, p.palm_setpoint[:, step]), atol=1e-9
         )
-        np.testing.assert_allclose(task.set_point.velocity, planned.velocity[:, step], atol=1e-9)
-        action = controller.act()
+        np.testing.assert_allclose(setpoint.velocity, p.palm_velocity[:, step], atol=1e-9)
+        action = policy.act(environment.observe())
+        goal = compose(task.settled_pose, p.palm_goal[:, step])
+        np.testing.assert_allclose(action.palm_goal, goal, atol=1e-12)
+        np.testing.assert_array_equal(action.finger_targets, p.finger_targets[:, step])
+        np.testing.assert_array_equal(action.lift, step >= p.lift_step)
+        environment.step(action)
         np.testing.assert_allclose(
-            action.wrist_pose, compose(task.settled_pose, planned.wrist_goal[:, step]), atol=1e-12
+            task.setpoints.fingers, np.clip(action.finger_targets, low, high), atol=1e-9
         )
-        np.testing.assert_array_equal(action.finger_targets, planned.finger_targets[:, step])
-        np.testing.assert_array_equal(action.lift, step >= planned.lift)
-        task.step(action)
-        np.testing.assert_allclose(task.finger_set_point, clipped(task, action.finger_targets), atol=1e-9)
 
 
-def clipped(task, targets: np.ndarray) -> np.ndarray:
-    span = task.scene.model.actuator_ctrlrange[task.scene.finger_actuators]
-    return np.clip(targets, span[:, 0], span[:, 1])
-
-
-def test_a_grasp_is_planned_alone_as_among_others(planned):
+def test_a_grasp_is_planned_alone_as_among_others():
     grasps, objects = grasps_and_objects()
-    task, one = start(), np.array([1])
-    alone = plan_motion(
-        hand(),
-        grasps.select(one),
-        objects,
-        task.settled_pose[one],
-        task.set_point.pose[one],
-        task.finger_set_point[one],
-    )
-    length = alone.wrist_goal.shape[1]
-    assert length == planned.lift[1] + 1 and alone.lift[0] == planned.lift[1]
-    for name in ("wrist_goal", "finger_targets", "set_point", "velocity"):
+    one, p = np.array([1]), plan()
+    alone = MotionPlanner(hand(), objects).plan(grasps.select(one), belief().select(one))
+    length = alone.palm_goal.shape[1]
+    assert length == p.lift_step[1] + 1 and alone.lift_step[0] == p.lift_step[1]
+    for name in ("palm_goal", "finger_targets", "palm_setpoint", "palm_velocity"):
         np.testing.assert_allclose(
-            getattr(alone, name)[0], getattr(planned, name)[1, :length], atol=1e-6, err_msg=name
+            getattr(alone, name)[0], getattr(p, name)[1, :length], atol=1e-6, err_msg=name
         )
 
 
-def test_before_its_start_and_after_its_end_it_stays(planned):
-    steps = np.array([-3, 10_000])
-    goal, fingers = planned.at(steps)
-    np.testing.assert_array_equal(goal, np.stack([planned.wrist_goal[0, 0], planned.wrist_goal[1, -1]]))
-    np.testing.assert_array_equal(
-        fingers, np.stack([planned.finger_targets[0, 0], planned.finger_targets[1, -1]])
+def test_it_says_what_it_was_planned_for():
+    grasps, _ = grasps_and_objects()
+    p = plan()
+    assert p.hand == "allegro" and p.control_period == P.control_period
+    assert p.object_name.tolist() == grasps.object_name.tolist()
+    np.testing.assert_array_equal(p.object_pose, belief().object_pose)
+    np.testing.assert_array_equal(p.object_mass, belief().object_mass)
+    np.testing.assert_allclose(compose(p.object_pose, p.palm_setpoint[:, 0]), belief().palm_pose, atol=1e-9)
+    assert p.rollouts is None and p.expected_success is None
+
+
+# What is believed
+
+
+def test_plans_are_for_the_pose_that_is_believed():
+    """Nothing but the belief says where the object is."""
+    shift = np.array([0.05, -0.03, 0.0, 0, 0, 0, 0])
+    elsewhere = replace(
+        belief(), object_pose=belief().object_pose + shift, palm_pose=belief().palm_pose + shift
     )
+    there, here = planned(elsewhere), plan()
+    np.testing.assert_array_equal(there.object_pose, elsewhere.object_pose)
+    np.testing.assert_allclose(there.palm_goal, here.palm_goal, atol=1e-4)
+    np.testing.assert_allclose(there.finger_targets, here.finger_targets, atol=1e-3)
 
 
-def test_rows_can_be_picked_in_any_order(planned):
-    rows, steps = np.array([1, 0, 1]), np.array([3, 4, 5])
-    goal, fingers = planned.at(steps, rows)
-    np.testing.assert_array_equal(goal, planned.wrist_goal[rows, steps])
-    np.testing.assert_array_equal(fingers, planned.finger_targets[rows, steps])
-    some = planned.select(rows)
-    assert len(some) == 3
-    for field in fields(Motion):
-        np.testing.assert_array_equal(getattr(some, field.name), getattr(planned, field.name)[rows])
+def test_the_hand_starts_where_it_is_believed_to_be():
+    farther = replace(belief(), palm_pose=belief().palm_pose + np.array([0, 0, 0.05, 0, 0, 0, 0]))
+    p = planned(farther)
+    np.testing.assert_allclose(compose(p.object_pose, p.palm_setpoint[:, 0]), farther.palm_pose, atol=1e-9)
+    open_hand = replace(belief(), joint_positions=0.0 * belief().joint_positions)
+    first = planned(open_hand).finger_targets[:, 0]
+    assert np.abs(first - plan().finger_targets[:, 0]).max() > 0.1
+
+
+def squeeze(p: GraspPlan) -> np.ndarray:
+    """Offsets of the servo targets at the end [rad], shape [2, U]."""
+    return p.finger_targets[np.arange(2), p.lift_step] - p.grasp_joints
+
+
+def test_a_soft_hand_squeezes_farther_and_a_heavy_object_is_squeezed_harder():
+    nominal = squeeze(plan())
+    factors = np.random.default_rng(0).uniform(0.8, 1.6, (2, 16))
+    identified = squeeze(planned(replace(belief(), servo_stiffness=factors)))
+    free = np.abs(nominal / factors) < S.squeeze_limit - 1e-6
+    assert free.sum() > 16
+    np.testing.assert_allclose(identified[free], (nominal / factors)[free], atol=1e-9)
+    heavy = squeeze(planned(replace(belief(), object_mass=2 * belief().object_mass)))
+    mass = belief().object_mass
+    more = (S.force + S.force_per_kg * 2 * mass) / (S.force + S.force_per_kg * mass)
+    free = np.abs(nominal * more[:, None]) < S.squeeze_limit - 1e-6
+    np.testing.assert_allclose(heavy[free], (nominal * more[:, None])[free], atol=1e-9)
+
+
+def test_grasps_may_have_settings_of_their_own():
+    grasps, objects = grasps_and_objects()
+    extra = {"force_scale": np.array([0.5, 1.0]), "press_in": np.array([0.0, 0.008])}
+    p = MotionPlanner(hand(), objects).plan(replace(grasps, extra=extra), belief())
+    free = np.abs(squeeze(plan())[0]) < S.squeeze_limit - 1e-6
+    np.testing.assert_allclose(squeeze(p)[0, free], 0.5 * squeeze(plan())[0, free], atol=1e-9)
+    np.testing.assert_allclose(squeeze(p)[1], squeeze(plan())[1], atol=1e-9)
+    moved = np.linalg.norm(p.palm_goal[:, -1, :3] - plan().palm_goal[:, -1, :3], axis=1)
+    np.testing.assert_allclose(moved, [S.press_in, 0.0], atol=1e-6)
 
 
 @pytest.mark.parametrize("height", [-0.02, 0.02])
 def test_the_table_is_where_objects_rest(height):
     """Plans are the same wherever the table is; small errors of a pose don't move it."""
     grasps, objects = grasps_and_objects()
-    task = start()
-    names = grasps.object_name.tolist()
-    moved = raised(task.settled_pose, np.array([height, height]))
-    found = table_height(names, moved, objects)
+    names, zero = grasps.object_name.tolist(), np.zeros(2)
+    rest = belief().object_pose
+    found = table_under(names, raised(rest, height), zero, objects)
     np.testing.assert_allclose(found, height, atol=0.001)
-    near = raised(task.settled_pose, np.array([0.2 * height, 0.1 * height]))
-    assert table_height(names, near, objects).tolist() == [0.0, 0.0]
-    palm = raised(task.set_point.pose, found)
-    there = plan_motion(
-        hand(), grasps, objects, raised(task.settled_pose, found), palm, task.finger_set_point
-    )
-    np.testing.assert_allclose(there.grasp, motion().grasp, atol=0.05)
-    np.testing.assert_allclose(there.wrist, motion().wrist, atol=0.002)
+    near = raised(rest, np.array([0.2 * height, 0.1 * height]))
+    assert table_under(names, near, zero, objects).tolist() == [0.0, 0.0]
+    higher = replace(belief(), object_pose=raised(rest, found), palm_pose=raised(belief().palm_pose, found))
+    for believed in (higher, replace(higher, table_height=found)):
+        there = planned(believed)
+        np.testing.assert_allclose(there.grasp_joints, plan().grasp_joints, atol=0.05)
+        np.testing.assert_allclose(there.grasp_palm_pose, plan().grasp_palm_pose, atol=0.002)
+
+
+def test_a_believed_table_is_believed_within_the_tolerance():
+    grasps, objects = grasps_and_objects()
+    names, rest = grasps.object_name.tolist(), belief().object_pose
+    near = np.full(2, 0.8 * TABLE_TOLERANCE)
+    np.testing.assert_array_equal(table_under(names, rest, near, objects), near)
+    far = np.full(2, 2 * TABLE_TOLERANCE)
+    np.testing.assert_allclose(table_under(names, rest, far, objects), 0.0, atol=0.001)
+
+
+def test_what_is_lowered_onto_its_table_has_it_at_zero():
+    height = np.array([0.02, -0.01])
+    low = lowered(replace(belief(), table_height=np.array([0.02, 0.0])), height)
+    np.testing.assert_array_equal(low.table_height, 0.0)
+    np.testing.assert_allclose(raised(low.object_pose, height), belief().object_pose, atol=1e-12)
+    np.testing.assert_allclose(raised(low.palm_pose, height), belief().palm_pose, atol=1e-12)
+    np.testing.assert_array_equal(low.joint_positions, belief().joint_positions)

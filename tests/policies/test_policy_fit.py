@@ -10,7 +10,7 @@ from small_policies import OBSERVATION, allegro_card
 
 from fungrasp.errors import FungraspError
 from fungrasp.hands import load_hand
-from fungrasp.hands.hand import read_hand
+from fungrasp.hands.hand import read_hand_toml
 from fungrasp.policies.checkpoint.card import Part, PolicyCard
 from fungrasp.policies.checkpoint.checkpoint_file import (
     check_fits,
@@ -123,7 +123,7 @@ def test_a_hand_is_another_when_its_files_say_something_else(copy_of_allegro, fi
     text = path.read_text()
     assert old in text
     path.write_bytes(text.replace(old, new).encode())
-    changed = read_hand(copy_of_allegro)
+    changed = read_hand_toml(copy_of_allegro)
     assert (hand_digest(changed) == hand_digest(load_hand("allegro"))) is same
     if same:
         fits(allegro_card(), hand=changed)

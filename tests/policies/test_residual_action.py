@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from views import poses
+from measured_states import poses
 
 from fungrasp.errors import FungraspError
 from fungrasp.geometry.poses import compose, invert, rotation_vector
-from fungrasp.policies.residual_action import ResidualSettings, apply, smoothed
+from fungrasp.policies.residual_action import ResidualSettings, add_residual, smoothed
 
 SETTINGS = ResidualSettings(position=0.03, rotation=0.2, fingers=0.3, smoothing=0.75)
 
@@ -45,7 +45,7 @@ def test_a_residual_is_along_the_axes_of_the_palm(array):
     half = np.sqrt(0.5)
     goal, fingers = [[1.0, 2.0, 3.0, half, 0, 0, half]], [[0.5, 0.5]]
     action = [[1.0, 0, 0, 0.5, 0, 0, -1.0, 0.5]]
-    pose, targets = apply(array(goal), array(fingers), array(action), SETTINGS)
+    pose, targets = add_residual(array(goal), array(fingers), array(action), SETTINGS)
     np.testing.assert_allclose(np.asarray(pose)[0, :3], [1.0, 2.03, 3.0], atol=1e-12)
     turn = rotation_vector(compose(invert(np.array(goal)), np.asarray(pose))[:, 3:])
     np.testing.assert_allclose(turn, [[0.1, 0, 0]], atol=1e-12)
@@ -57,10 +57,10 @@ def test_a_residual_is_along_the_axes_of_the_palm(array):
 def test_no_action_changes_nothing_and_no_action_goes_too_far(seed):
     rng = np.random.default_rng(seed)
     goal, fingers = poses(rng, 4), rng.normal(size=(4, 16))
-    pose, targets = apply(goal, fingers, np.zeros((4, 22)), SETTINGS)
+    pose, targets = add_residual(goal, fingers, np.zeros((4, 22)), SETTINGS)
     np.testing.assert_array_equal(pose, goal)
     np.testing.assert_array_equal(targets, fingers)
-    pose, targets = apply(goal, fingers, rng.uniform(-1, 1, (4, 22)), SETTINGS)
+    pose, targets = add_residual(goal, fingers, rng.uniform(-1, 1, (4, 22)), SETTINGS)
     assert (np.abs(targets - fingers) <= SETTINGS.fingers).all()
     shift = compose(invert(goal), pose)
     assert (np.abs(shift[:, :3]) <= SETTINGS.position + 1e-9).all()

@@ -2,151 +2,134 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from onnx import helper
-from planned_grasps import grasps_and_objects, layouts, motion, start, tracker
-from small_policies import allegro_card, model
+from planned_grasps import grasps_and_objects, hand, layouts, plan, start, tracker
+from residual_policies import SETTINGS, SIZE, policy_file
 
 from fungrasp.errors import FungraspError
-from fungrasp.policies import ReferenceController, make_policy
-from fungrasp.policies import residual_policy as learned
+from fungrasp.policies import OpenLoopPolicy, StudentPolicy, TeacherPolicy, make_planner, make_policy
 from fungrasp.policies.checkpoint.card import ActionPart, Part
-from fungrasp.policies.checkpoint.checkpoint_file import load_policy, save_policy
-from fungrasp.policies.residual_action import ResidualSettings
-from fungrasp.policies.residual_policy import LearnedPolicy, residual_settings
-
-ACTION = (ActionPart("position", 3, 0.02), ActionPart("rotation", 3, 0.1), ActionPart("fingers", 16, 0.2))
-SIZE = 22
-SETTINGS = ResidualSettings(position=0.02, rotation=0.1, fingers=0.2, smoothing=0.5)
+from fungrasp.policies.checkpoint.checkpoint_file import load_policy
+from fungrasp.policies.residual_policy import residual_settings
+from fungrasp.task import Action, LiftEnvironment, Policy, PrivilegedPolicy
 
 
-@pytest.fixture(autouse=True)
-def planned_before(monkeypatch):
-    """The same motion for all, planned once."""
-    monkeypatch.setattr(learned, "planned", lambda task, objects: motion())
-
-
-def policy_file(
-    folder: Path, offset: np.ndarray | None = None, watch: tuple[str, float] | None = None, **card
-) -> Path:
-    """A policy with the action ``offset``; its first number follows the first of a part of the observation.
-
-    Args:
-        folder: for the file.
-        offset: shape [A], zero if None.
-        watch: name of that part and gain.
-        card: fields that differ.
-    """
-    seen, contacts = layouts()
-    kind = card.get("kind", "student")
-    values = {
-        "kind": kind,
-        "observation": tuple(Part(*part) for part in seen),
-        "privileged": tuple(Part(*part) for part in contacts) if kind == "teacher" else (),
-        "action": ACTION,
-        "action_smoothing": 0.5,
-    }
-    described = allegro_card(**(values | card))
-    matrix = np.zeros((described.input_size, described.action_size), np.float32)
-    if watch is not None:
-        names = [part.name for part in described.inputs]
-        at = names.index(watch[0])
-        matrix[sum(part.size for part in described.inputs[:at]), 0] = watch[1]
-    constant = np.zeros(described.action_size) if offset is None else offset
-    graph = model(
-        [helper.make_node("Gemm", ["observation", "matrix", "offset"], ["action"])],
-        {"observation": ["worlds", described.input_size]},
-        {"action": ["worlds", described.action_size]},
-        {"matrix": matrix, "offset": constant.astype(np.float32)},
-    )
-    path = folder / "p.onnx"
-    save_policy(path, graph, described)
-    return path
-
-
-def at_work(path: Path, task) -> LearnedPolicy:
-    policy = make_policy(str(path), task, grasps_and_objects()[1])
-    assert isinstance(policy, LearnedPolicy)
+def made(path) -> StudentPolicy | TeacherPolicy:
+    policy = make_policy(str(path), hand(), grasps_and_objects()[1])
+    assert isinstance(policy, StudentPolicy | TeacherPolicy)
     return policy
 
 
-def keep_in_place(task) -> None:
+def act(policy: StudentPolicy | TeacherPolicy, environment: LiftEnvironment) -> Action:
+    if isinstance(policy, TeacherPolicy):
+        return policy.act_privileged(environment.observe(), environment.privileged())
+    return policy.act(environment.observe())
+
+
+def keep_in_place(environment: LiftEnvironment) -> None:
     """Put the objects back: they are touched on the hand's way, and a policy follows them."""
-    task.worlds.object_pose = task.settled_pose
-    task.worlds.qvel[:, :6] = 0.0
-    task.worlds.forward()
+    engine = environment.engine
+    palm, joints = environment.task.setpoints.wrist, environment.task.setpoints.fingers
+    engine.set_state(
+        object_pose=environment.task.settled_pose,
+        palm_pose=palm.pose,
+        palm_velocity=palm.velocity,
+        joint_positions=hand().all_joints(joints),
+    )
 
 
 @pytest.mark.parametrize("kind", ["student", "teacher"])
-def test_a_policy_that_changes_nothing_is_the_reference_controller(tmp_path, kind):
-    task, other = start(), start()
-    policy = at_work(policy_file(tmp_path, kind=kind), task)
-    reference = ReferenceController(other, grasps_and_objects()[1])
-    while not (task.time >= 0.1 * (motion().lift.max() + 2)).all():
-        for one in (task, other):
+def test_a_policy_that_changes_nothing_plays_the_plan(tmp_path, kind):
+    environment, other = start(), start()
+    policy, reference = made(policy_file(tmp_path, kind=kind)), OpenLoopPolicy()
+    assert isinstance(policy, Policy) == (kind == "student")
+    assert isinstance(policy, PrivilegedPolicy) == (kind == "teacher")
+    policy.reset(plan(), environment.observe())
+    reference.reset(plan(), other.observe())
+    while not (environment.task.time >= 0.1 * (plan().lift_step.max() + 2)).all():
+        for one in (environment, other):
             keep_in_place(one)
-        ours, theirs = policy.act(), reference.act()
-        np.testing.assert_allclose(ours.wrist_pose, theirs.wrist_pose, atol=1e-9)
+        ours, theirs = act(policy, environment), reference.act(other.observe())
+        np.testing.assert_allclose(ours.palm_goal, theirs.palm_goal, atol=1e-9)
         np.testing.assert_array_equal(ours.finger_targets, theirs.finger_targets)
         np.testing.assert_array_equal(ours.lift, theirs.lift)
-        task.step(ours)
+        environment.step(ours)
         other.step(theirs)
-    np.testing.assert_array_equal(task.lift_time, other.lift_time)
-    assert np.isfinite(task.lift_time).all()
+    np.testing.assert_array_equal(environment.task.lift_time, other.task.lift_time)
+    assert np.isfinite(environment.task.lift_time).all()
 
 
 def test_a_networks_actions_are_residuals_of_the_cards_size(tmp_path):
     offset = np.linspace(-1.5, 1.5, SIZE)
-    task, other = start(), start()
-    policy = at_work(policy_file(tmp_path, offset), task)
-    follower = tracker(other, settings=SETTINGS)
-    for step in range(3):
-        if step:
-            follower.advance()
-        ours, theirs = policy.act(), follower.act(np.tile(offset, (2, 1)))
-        np.testing.assert_allclose(ours.wrist_pose, theirs.wrist_pose, atol=1e-7)
+    environment, other = start(), start()
+    policy, follower = made(policy_file(tmp_path, offset)), tracker(other, settings=SETTINGS)
+    policy.reset(plan(), environment.observe())
+    for _ in range(3):
+        follower.update(other.observe())
+        ours, theirs = act(policy, environment), follower.act(np.tile(offset, (2, 1)))
+        np.testing.assert_allclose(ours.palm_goal, theirs.palm_goal, atol=1e-7)
         np.testing.assert_allclose(ours.finger_targets, theirs.finger_targets, atol=1e-7)
-        task.step(ours)
+        environment.step(ours)
         other.step(theirs)
 
 
 def test_it_sees_what_happens_to_the_object_of_its_world(tmp_path):
-    path = policy_file(tmp_path, watch=("object_deviation", 0.1))
-    task, moved = start(), start()
-    pose = moved.worlds.object_pose
-    pose[1, :3] += [0.02, 0.02, 0.01]
-    moved.worlds.object_pose = pose
-    moved.worlds.forward()
+    """The first number of the action moves the palm along its x axis."""
+    path, seen = policy_file(tmp_path, watch=("object_deviation", 0.1)), start().observe()
+    moved = replace(seen, object_pose=seen.object_pose.copy())
+    moved.object_pose[1, :3] += [0.02, 0.02, 0.01]
     actions = []
-    for one in (task, moved):
-        policy = at_work(path, one)
-        policy.act()
-        actions.append(policy._tracker.action)
-    np.testing.assert_array_equal(actions[0][0], actions[1][0])
-    assert abs(actions[0][1, 0] - actions[1][1, 0]) > 0.01
+    for observation in (seen, moved):
+        policy = made(path)
+        policy.reset(plan(), seen)
+        actions.append(policy.act(observation))
+    np.testing.assert_array_equal(actions[0].palm_goal[0], actions[1].palm_goal[0])
+    nothing = tracker()
+    nothing.update(moved)
+    change = actions[1].palm_goal - nothing.act(np.zeros((2, SIZE))).palm_goal
+    before = actions[0].palm_goal - tracker().act(np.zeros((2, SIZE))).palm_goal
+    assert np.linalg.norm((change - before)[1, :3]) > 0.01 * SETTINGS.position
 
 
 def test_a_teacher_sees_contacts(tmp_path):
-    """As the first of them: whether the palm touches."""
-    policy = at_work(policy_file(tmp_path, watch=("contact_errors", 1.0), kind="teacher"), start())
-    policy.act()
+    """As the first of them: whether the palm should touch and does not."""
+    environment = start()
+    policy = made(policy_file(tmp_path, watch=("contact_errors", 1.0), kind="teacher"))
+    policy.reset(plan(), environment.observe())
+    moved = act(policy, environment).palm_goal - tracker().act(np.zeros((2, SIZE))).palm_goal
     wanted = grasps_and_objects()[0].link_contacts[:, 0]
-    np.testing.assert_allclose(policy._tracker.action[:, 0], 0.5 * wanted)
+    expected = 0.5 * SETTINGS.position * wanted
+    np.testing.assert_allclose(np.linalg.norm(moved[:, :3], axis=1), expected, atol=1e-9)
 
 
 def test_a_broken_world_does_not_stop_the_others(tmp_path):
-    path = policy_file(tmp_path, watch=("object_deviation", 0.1))
-    task, other = start(), start()
-    broken, whole = at_work(path, task), at_work(path, other)
+    path, seen = policy_file(tmp_path, watch=("object_deviation", 0.1)), start().observe()
+    broken, whole = made(path), made(path)
+    for policy in (broken, whole):
+        policy.reset(plan(), seen)
     for step in range(2):
+        bad = replace(seen, object_pose=seen.object_pose.copy(), palm_pose=seen.palm_pose.copy())
         if step:
-            task.worlds.qpos[1] = np.nan
-        ours, theirs = broken.act(), whole.act()
-        np.testing.assert_array_equal(ours.wrist_pose[0], theirs.wrist_pose[0])
+            bad.object_pose[1], bad.palm_pose[1] = np.nan, np.nan
+        ours, theirs = broken.act(bad), whole.act(seen)
+        np.testing.assert_array_equal(ours.palm_goal[0], theirs.palm_goal[0])
         np.testing.assert_array_equal(ours.finger_targets[0], theirs.finger_targets[0])
+
+
+def test_a_policy_may_be_reset_for_other_plans_and_another_number_of_worlds(tmp_path):
+    path, seen = policy_file(tmp_path, np.linspace(-1, 1, SIZE)), start().observe()
+    used, fresh, one = made(path), made(path), np.array([1])
+    used.reset(plan(), seen)
+    used.act(seen)
+    for policy in (used, fresh):
+        policy.reset(plan().select(one), seen.select(one))
+    for _ in range(2):
+        ours, theirs = used.act(seen.select(one)), fresh.act(seen.select(one))
+        np.testing.assert_array_equal(ours.palm_goal, theirs.palm_goal)
+        np.testing.assert_array_equal(ours.finger_targets, theirs.finger_targets)
 
 
 def reordered(parts: tuple[Part, ...]) -> tuple[Part, ...]:
@@ -166,16 +149,18 @@ def reordered(parts: tuple[Part, ...]) -> tuple[Part, ...]:
     ],
 )
 def test_policies_made_for_something_else_are_refused(change, words, tmp_path):
-    path = policy_file(tmp_path, **change)
+    """When they are made, or, where it takes a plan to know, when they are reset."""
+    path, seen = policy_file(tmp_path, **change), start().observe()
     with pytest.raises(FungraspError, match=words):
-        make_policy(str(path), start(), grasps_and_objects()[1])
+        make_policy(str(path), hand(), grasps_and_objects()[1]).reset(plan(), seen)
 
 
-def test_nothing_is_planned_for_a_policy_of_another_hand(tmp_path, monkeypatch):
-    monkeypatch.setattr(learned, "planned", lambda task, objects: pytest.fail("planned"))
-    path = policy_file(tmp_path, hand="leap")
+def test_no_planner_is_made_for_a_policy_of_another_hand(tmp_path):
+    """Before anything is planned."""
+    (tmp_path / "likes.onnx").write_bytes(policy_file(tmp_path).read_bytes())
+    path = policy_file(tmp_path, hand="leap", plans="likes")
     with pytest.raises(FungraspError, match="made for the hand 'leap'"):
-        make_policy(str(path), start(), grasps_and_objects()[1])
+        make_planner(str(path), hand(), grasps_and_objects()[1])
 
 
 def test_other_observations_are_refused(tmp_path):
@@ -188,8 +173,9 @@ def test_other_observations_are_refused(tmp_path):
         ({"observation": seen[1:]}, "observation lacks 'joints'"),
         ({"kind": "teacher", "privileged": contacts[:2]}, "privileged observation lacks 'contact_forces'"),
     ):
+        policy = made(policy_file(tmp_path, **changes))
         with pytest.raises(FungraspError, match=words):
-            make_policy(str(policy_file(tmp_path, **changes)), start(), grasps_and_objects()[1])
+            policy.reset(plan(), start().observe())
 
 
 def test_the_card_says_how_far_actions_go(tmp_path):

@@ -7,8 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from fungrasp.task import Protocol
-from fungrasp.task.wrist_limits import WristSetPoint
+from fungrasp.task import LiftProtocol
+from fungrasp.task.wrist_limits import WristSetpoint
 
 DT = 0.02
 
@@ -30,9 +30,9 @@ def turned(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 @settings(max_examples=25, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), reach=st.floats(0.005, 1.0), period=st.integers(1, 60))
 def test_speed_acceleration_and_rotation_stay_within_limits(seed, reach, period):
-    p = Protocol()
+    p = LiftProtocol()
     goals = poses(seed, 8, 4, reach)
-    point = WristSetPoint(goals[0], p)
+    point = WristSetpoint(goals[0], p)
     path, velocities = [point.pose.copy()], [point.velocity.copy()]
     for goal in goals[1:]:
         for _ in range(period):
@@ -50,9 +50,9 @@ def test_speed_acceleration_and_rotation_stay_within_limits(seed, reach, period)
 @settings(max_examples=20, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), reach=st.floats(0.005, 0.5))
 def test_a_goal_is_reached_without_going_past_it(seed, reach):
-    p = Protocol()
+    p = LiftProtocol()
     start, goal = poses(seed, 2, 5, reach)
-    point = WristSetPoint(start, p)
+    point = WristSetpoint(start, p)
     away = np.linalg.norm(goal[:, :3] - start[:, :3], axis=1)
     line = (goal[:, :3] - start[:, :3]) / away[:, None]
     longest = max(away.max() / p.wrist_speed + 2 * p.wrist_speed / p.wrist_acceleration, np.pi) + 1.0
@@ -68,7 +68,7 @@ def test_a_goal_is_reached_without_going_past_it(seed, reach):
 def test_several_steps_at_once_are_as_one_after_the_other(seed, reach, period):
     goals = poses(seed, 6, 4, reach)
     goals[3] = goals[2]
-    at_once, one_by_one = WristSetPoint(goals[0], Protocol()), WristSetPoint(goals[0], Protocol())
+    at_once, one_by_one = WristSetpoint(goals[0], LiftProtocol()), WristSetpoint(goals[0], LiftProtocol())
     for goal in goals[1:]:
         pose, velocity = at_once.advance(goal, DT, period)
         for step in range(period):
@@ -82,7 +82,7 @@ def test_the_lift_takes_as_long_as_the_acceleration_allows():
     """0.15 m from rest to rest at 0.3 m/s2: half of it up to 0.21 m/s, 2 sqrt(0.15 / 0.3) = 1.41 s."""
     start = np.array([[0.0, 0.0, 0.1, 1.0, 0.0, 0.0, 0.0]])
     goal = start + np.array([[0, 0, 0.15, 0, 0, 0, 0]])
-    point = WristSetPoint(start, Protocol())
+    point = WristSetpoint(start, LiftProtocol())
     times = []
     for step in range(100):
         point.advance(goal, DT)

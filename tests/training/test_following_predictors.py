@@ -1,4 +1,4 @@
-"""Teachers and students that follow the plans of a critic, and trainings that begin from others."""
+"""Teachers and students that follow a success predictor's plans, and trainings that begin from others."""
 
 from __future__ import annotations
 
@@ -8,82 +8,84 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from fungrasp.training.library import Variety, build_library
-from fungrasp.training.plans import Outcomes, fit_critic, try_plans
 from small_training import BATCH, PPO, WORLDS, hand, run_settings, training_set
 
 from fungrasp.errors import FungraspError
-from fungrasp.planning.selection.candidates import expect
-from fungrasp.policies import make_policy, play
+from fungrasp.planning import MotionPlanner
+from fungrasp.policies import make_policy
 from fungrasp.policies.checkpoint.card import Budget
 from fungrasp.policies.checkpoint.checkpoint_file import load_policy, read_card
 from fungrasp.policies.residual_action import ResidualSettings
-from fungrasp.simulation import Worlds, build_scene
-from fungrasp.task import LiftTask
+from fungrasp.policies.success_predictor import NetworkPredictor
+from fungrasp.simulation import build_scene
+from fungrasp.task import LiftEnvironment, play
 from fungrasp.training.checkpoint import read_checkpoint
-from fungrasp.training.export import export_critic, make_card
+from fungrasp.training.export import export_predictor, make_card
+from fungrasp.training.plan_library import Variety, build_plan_library
 from fungrasp.training.run import POLICY, train
-from fungrasp.training.settings import DistillSettings, PlanSettings
+from fungrasp.training.settings import DistillSettings, PredictorSettings
 from fungrasp.training.student_run import STUDENT, train_student
+from fungrasp.training.success_predictor import PlanOutcomes, fit_predictor, try_plans
 
-SMALL = PlanSettings(attempts=2, networks=1, hidden=(16, 8), epochs=100, dropout=0.0, hold_time=0.3)
+SMALL = PredictorSettings(attempts=2, networks=1, hidden=(16, 8), epochs=100, dropout=0.0, hold_time=0.3)
 
 
 @pytest.fixture(scope="module")
-def critic(tmp_path_factory) -> Path:
+def predictor(tmp_path_factory) -> Path:
     """One that likes heavy squeezing, whatever comes of it."""
     one = training_set()
     outcomes, names = try_plans(one.grasps, one.objects, hand(), SMALL, threads=1)
     start = [name for name, _ in names].index("squeeze")
     first = sum(size for _, size in names[:start])
     squeeze = np.abs(outcomes.features[:, first : first + names[start][1]]).mean(axis=1)
-    liked = Outcomes(
+    liked = PlanOutcomes(
         outcomes.features,
         outcomes.grasp,
         outcomes.attempt,
         squeeze > np.median(squeeze),
         outcomes.contact_ratio,
     )
-    path = tmp_path_factory.mktemp("critic") / "liking.onnx"
-    card = make_card("liking", "critic", hand(), names, (), ResidualSettings(), 10.0, Budget(4, 0.0, "test"))
-    export_critic(fit_critic(liked, SMALL), path, card)
+    path = tmp_path_factory.mktemp("predictor") / "liking.onnx"
+    card = make_card(
+        "liking", "predictor", hand(), names, (), ResidualSettings(), 10.0, Budget(4, 0.0, "test")
+    )
+    export_predictor(fit_predictor(liked, SMALL), path, card)
     return path
 
 
-def test_a_library_holds_what_the_critic_likes_best(critic):
-    one, network = training_set(), load_policy(critic)
+def test_a_library_holds_what_the_predictor_likes_best(predictor):
+    one = training_set()
+    expect = NetworkPredictor(load_policy(predictor), hand(), one.objects)
     arguments = (one.grasps, one.objects, hand())
-    everything = build_library(*arguments, Variety(copies=5), threads=1)
-    few = build_library(*arguments, Variety(copies=2, tries=5), threads=1, critic=network)
+    everything = build_plan_library(*arguments, Variety(copies=5), threads=1)
+    few = build_plan_library(*arguments, Variety(copies=2, tries=5), threads=1, predictor=expect)
     for group in range(2):
-        expected = [
-            np.sort(expect(network, hand(), part.references.select(part.group == group), one.objects, 10.0))
-            for part in (everything, few)
-        ]
+        expected = [np.sort(expect(part.plans.select(part.group == group))) for part in (everything, few)]
         np.testing.assert_allclose(expected[1], expected[0][-2:], atol=1e-6)
     with pytest.raises(FungraspError, match="can't be chosen from"):
         Variety(copies=3, tries=2)
 
 
-def test_student_follows_its_teachers_critic_and_shrinks_as_it_does(critic, tmp_path):
+@pytest.mark.slow
+def test_student_follows_its_teachers_predictor_and_shrinks_as_it_does(predictor, tmp_path):
     one, settings = training_set(), replace(run_settings(), variety=Variety(copies=1, tries=2))
     teacher, student = tmp_path / "teacher", tmp_path / "student"
     with pytest.raises(FungraspError, match="above 0 and at most 1"):
-        train(teacher, [one], hand(), settings, BATCH, threads=1, plans=critic, shrink=0.0)
-    card = train(teacher, [one], hand(), settings, BATCH, threads=1, plans=critic, shrink=0.5)
+        train(teacher, [one], hand(), settings, BATCH, threads=1, plans=predictor, shrink=0.0)
+    card = train(teacher, [one], hand(), settings, BATCH, threads=1, plans=predictor, shrink=0.5)
     full = ResidualSettings()
     assert card.plans == "liking" and card.action[0].scale == 0.5 * full.position
-    assert read_card(teacher / "liking.onnx").sha256 == read_card(critic).sha256
-    card = train_student(teacher, student, WORLDS * 4, DistillSettings(steps=4), threads=1)
+    assert read_card(teacher / "liking.onnx").sha256 == read_card(predictor).sha256
+    card = train_student(
+        teacher, student, WORLDS * 4, DistillSettings(steps=4, updates=2, minibatch=32), threads=1
+    )
     assert (card.kind, card.plans, card.privileged) == ("student", "liking", ())
     assert card.action[2].scale == 0.5 * full.fingers
-    scene = build_scene(hand(), one.objects)
-    index = scene.indices(one.grasps.object_name.tolist())
+    environment = LiftEnvironment(build_scene(hand(), one.objects), len(one.grasps), threads=1)
     for path in (teacher / POLICY, student / STUDENT):
-        task = LiftTask(scene, one.grasps, Worlds(scene, index, one.grasps.object_mass, threads=1))
-        task.reset()
-        trials = play(task, make_policy(str(path), task, one.objects))
-        assert trials.success.all(), "hardly trained, it plays the reference, which holds a can and a ball"
+        plan = MotionPlanner(hand(), one.objects).plan(one.grasps, environment.settle(one.grasps))
+        outcomes = play(environment, make_policy(str(path), hand(), one.objects), plan)
+        assert outcomes.success.all(), "hardly trained, it plays the plan, which holds a can and a ball"
 
 
 def test_a_training_begins_with_the_networks_of_another(tmp_path):
@@ -92,7 +94,7 @@ def test_a_training_begins_with_the_networks_of_another(tmp_path):
     with pytest.raises(FungraspError, match="no checkpoint"):
         train(second, [one], hand(), run_settings(), BATCH, threads=1, initial=first)
     train(first, [one], hand(), run_settings(), 3 * BATCH, threads=1)
-    frozen = run_settings(learning_rate=1e-12, critic_learning_rate=1e-12)
+    frozen = run_settings(learning_rate=1e-12, value_learning_rate=1e-12)
     card = train(second, [one], hand(), frozen, BATCH, threads=1, initial=first)
     assert card.budget.steps == BATCH
     weights = [read_checkpoint(folder / "checkpoint.pt")["actor_state_dict"] for folder in (first, second)]

@@ -118,17 +118,17 @@ def evaluate(
     """
     check_hand(grasps, hand)
     named = isinstance(policy, str)
-    if not named and store is not None:
-        raise FungraspError("partial results are kept only for policies that are given by name")
+    if store is not None and not (named and planner is None):
+        raise FungraspError("partial results are kept only for a policy and a planner that are given by name")
     if isinstance(policy, str):
         policy_key = (policy, *policy_files(policy, hand.name).digests())
     else:
         policy_key = (type(policy).__name__, "", "")
     if planner is None:
         planner = (
-            make_planner(policy, hand, objects, selection, threads=threads)
+            make_planner(policy, hand, objects, selection, protocol, threads)
             if isinstance(policy, str)
-            else MotionPlanner(hand, objects)
+            else MotionPlanner(hand, objects, protocol=protocol)
         )
     test = _Test(
         build_scene(hand, objects, physics),

@@ -78,14 +78,14 @@ def table_below(
 
 
 def lowered(belief: Belief, height: np.ndarray) -> Belief:
-    """What is believed, in a frame whose origin is higher. height: [m], shape [N]."""
+    """What is believed, in a frame whose origin is on the table. height: of the table [m], shape [N]."""
     down = np.zeros((len(belief), 7))
     down[:, 2] = height
     return replace(
         belief,
         object_pose=belief.object_pose - down,
         palm_pose=belief.palm_pose - down,
-        table_height=belief.table_height - height,
+        table_height=np.zeros(len(belief)),
     )
 
 

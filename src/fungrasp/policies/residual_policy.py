@@ -48,7 +48,8 @@ class _ResidualNetwork:
         self._tracker = PlanTracker(self._hand, self._objects, plan, len(everyone), self._settings)
         self._tracker.begin(everyone, everyone, observation)
         seen = layout(self._tracker.state().robot_features())
-        contacts = tuple((part.name, part.size) for part in self.network.card.privileged)
+        none = np.zeros(plan.link_contacts.shape)
+        contacts = layout(contact_features(none, none, plan.link_contacts))
         check_fits(self.network.card, self._hand, seen, contacts, 1 / plan.control_period)
         self._memory = self.network.initial_state(len(everyone))
 

@@ -18,7 +18,8 @@ EngineState = Any
 
 
 class Engine(Protocol):
-    """W worlds of a scene: a hand on a floating wrist, an object, a table."""
+    """W worlds of a scene: a hand on a floating wrist, an object, a table. Ids of worlds are given in rising
+    order, each once."""
 
     scene: Scene
     object_index: np.ndarray
@@ -28,7 +29,8 @@ class Engine(Protocol):
         """W, the number of worlds."""
         ...
 
-    # What is: current after ``set_state`` and ``step``.
+    # What is: current after ``set_state`` and ``step``. Contacts and their forces are those of the last
+    # physics step: ``reset`` clears them, ``set_state`` and ``restore`` leave them.
 
     @property
     def object_pose(self) -> np.ndarray:

@@ -204,6 +204,8 @@ class MujocoCpuEngine:
                 self.batch.expand(name)[ids] = table[object_index]
             if object_mass is None:
                 object_mass = self._nominal("body_mass", self.object_index[ids])[:, self._object]
+            if table_height is None:
+                table_height = np.zeros(len(ids))
         if object_mass is not None:
             self._set_mass(ids, np.asarray(object_mass, dtype=float))
         if friction is not None:

@@ -34,7 +34,7 @@ class SimulatedSensors:
         self._ring: list[np.ndarray] = []
         """Object poses at the last setpoints, the newest last; each of shape [W, 7]."""
         self._last: tuple[np.ndarray, np.ndarray] | None = None
-        """Object pose that was last seen, and its age."""
+        """Object poses that were last seen [W, 7], and when [s], shape [W]; NaN where nothing was yet."""
 
     def begin(self, ids: np.ndarray) -> None:
         """Forget the past of some worlds, whose episodes begin. ids: shape [I]."""
@@ -42,7 +42,7 @@ class SimulatedSensors:
         for pose in self._ring:
             pose[ids] = now[ids]
         if self._last is not None:
-            self._last[0][ids], self._last[1][ids] = now[ids], 0.0
+            self._last[1][ids] = np.nan
 
     def record(self) -> None:
         """Keep the objects' poses, after each setpoint: for trackers that are late."""
@@ -86,8 +86,7 @@ class SimulatedSensors:
             pose: where they are, world frame, shape [W, 7].
             sample: of the episodes.
         """
-        r = self._r
-        if all(e == MeasurementError() for e in (r.object_position_error, r.object_rotation_error)):
+        if not sample.object_bias.any():
             return pose
         return offset_pose(pose, sample.object_bias, self._center())
 
@@ -101,14 +100,16 @@ class SimulatedSensors:
             pose = np.stack(self._ring)[len(self._ring) - 1 - late, np.arange(len(late))]
             age = late * task.setpoints.period
         errors = (r.object_position_error, r.object_rotation_error)
-        if any(e != MeasurementError() for e in errors):
+        # The bias of a sample may be larger than the errors that are drawn: that of a belief, in rollouts.
+        if any(e != MeasurementError() for e in errors) or sample.object_bias.any():
             pose = offset_pose(pose, sample.object_bias + self._jitter(errors), self._center())
         if r.tracker_dropout > 0:
             if self._last is not None:
-                missing = self._uniform() < r.tracker_dropout
-                pose = np.where(missing[:, None], self._last[0], pose)
-                age = np.where(missing, self._last[1] + task.protocol.control_period, age)
-            self._last = pose.copy(), age.copy()
+                seen, when = self._last
+                missing = (self._uniform() < r.tracker_dropout) & np.isfinite(when)
+                pose = np.where(missing[:, None], seen, pose)
+                age = np.where(missing, task.time - when, age)
+            self._last = pose.copy(), task.time - age
         return pose, age
 
     def _center(self) -> np.ndarray:

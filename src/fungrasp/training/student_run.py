@@ -151,8 +151,8 @@ def train_student(
     environment = teacher.environment(seed, history=True, threads=threads)
     trainer = Trainer(environment, teacher.settings.ppo, seed)
     trainer.load(teacher.folder.checkpoint)
-    # The teacher's checkpoint holds its random numbers, too.
-    environment.rng = np.random.default_rng(seed)
+    # The teacher's checkpoint holds its random numbers, too; the sensors draw from the same generator.
+    environment.rng.bit_generator.state = np.random.default_rng(seed).bit_generator.state
     with SummaryWriter(str(folder)) as events:
 
         def report(p: DistillProgress) -> None:

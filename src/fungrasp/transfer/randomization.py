@@ -131,12 +131,12 @@ class Randomization:
     @property
     def is_random(self) -> bool:
         """Whether episodes depend on the seed."""
-        errors = [v for v in vars(self).values() if isinstance(v, MeasurementError)]
-        ranges = [v for v in vars(self).values() if isinstance(v, tuple) and len(v) == 2 and v[0] != v[1]]
+        values = {name: value for name, value in vars(self).items() if not name.startswith("push_")}
+        noisy = any(isinstance(v, MeasurementError) and v != MeasurementError() for v in values.values())
+        wide = any(isinstance(v, tuple) and v[0] != v[1] for v in values.values())
         pushed = max(*self.push_force, *self.push_weights) > 0 and bool(self.push_times)
         moved = self.object_shift[1] > 0 or self.object_turn > 0
-        noisy = any(e != MeasurementError() for e in errors) or self.tracker_dropout > 0
-        return noisy or pushed or moved or any(isinstance(r[0], float) for r in ranges)
+        return noisy or wide or pushed or moved or self.tracker_dropout > 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,8 +153,6 @@ class EpisodeSample(BatchRecord):
     """Factor on stiffness and damping of the wrist's servos, shape [W]."""
     mass: np.ndarray
     """Factor on the mass of the object, shape [W]."""
-    friction: np.ndarray | None
-    """Sliding friction of hand, object and table, shape [W]; the nominal one if None."""
     table_height: np.ndarray
     """Height of the table top above the nominal one [m], shape [W]."""
     joint_bias: np.ndarray
@@ -179,6 +177,8 @@ class EpisodeSample(BatchRecord):
     object_shift: np.ndarray
     """Displacement of the object in the table's plane after planning: x and y [m], and a turn about the
     vertical [rad], shape [W, 3]."""
+    friction: np.ndarray | None = None
+    """Sliding friction of hand, object and table, shape [W]; the nominal one if None."""
 
 
 def draw(randomization: Randomization, count: int, joints: int, rng: np.random.Generator) -> EpisodeSample:

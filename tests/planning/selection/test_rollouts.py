@@ -1,4 +1,4 @@
-"""Rehearsals decide between plans; planners remember what they have chosen."""
+"""Rollouts decide between plans, in worlds that differ from what is believed as much as the belief says."""
 
 from __future__ import annotations
 
@@ -6,177 +6,231 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from fungrasp.planning.references import References
-from planned_grasps import grasps_and_objects, hand, references
-from planned_grasps import start as begun
+from planned_grasps import belief, grasps_and_objects, hand, plan, scene
 
-import fungrasp.planning.selection.search as choose
-from fungrasp.errors import FungraspError
-from fungrasp.planning.selection.candidates import STEP, Pool, Start
-from fungrasp.planning.selection.rollouts import Outcome, RehearsalSettings, Tally, blind, rehearse
-from fungrasp.planning.selection.search import ChoiceSettings, Planner, SearchSettings, choose_references
-from fungrasp.transfer import MILD
+import fungrasp.planning.selection.rollouts as rollouts
+from fungrasp.planning.selection.candidates import Candidates, CandidateStatistics
+from fungrasp.planning.selection.rollouts import RolloutSettings, Rounds, roll_out, try_candidates
+from fungrasp.policies import OpenLoopPolicy
+from fungrasp.task import Action, GraspPlan, LiftEnvironment, Observation, play
+from fungrasp.transfer import MODERATE, NOMINAL, EpisodeSample, MeasurementError, Randomization, draw
 
-SHORT = RehearsalSettings(hold_time=0.3)
+SHORT = RolloutSettings(hold_time=0.3)
 ROUNDS, PRIOR = ((3, 1), (2, 2)), 4.0
 PROMISED = np.array([[0.9, 0.9], [0.5, 0.5], [0.4, 0.4]])
-"""Of an open hand, the reference, and a weak copy of it."""
+"""Of an open hand, the plan, and a weak copy of it."""
 
 
-def proposals() -> References:
+def proposals() -> GraspPlan:
     """Three plans of each of two grasps; only the second kind holds."""
-    good = references()
-    opened, weak = (
-        replace(good, motion=replace(good.motion, finger_targets=share * good.motion.finger_targets))
-        for share in (0.0, 0.3)
-    )
-    return References.join([opened, good, weak])
+    opened, weak = (replace(plan(), finger_targets=share * plan().finger_targets) for share in (0.0, 0.3))
+    return GraspPlan.join([opened, plan(), weak])
 
 
-def chosen(plans: References, expected: np.ndarray = PROMISED, rounds=ROUNDS, settings=SHORT, **options):
-    """The best of the plans of each grasp, and the success expected of it."""
-    tally = Tally.untried(expected, PRIOR)
-    rehearse(plans, tally, rounds, grasps_and_objects()[1], hand(), settings, threads=1, **options)
-    best = tally.order[0]
-    return best, tally.success[best, np.arange(len(best))]
+def candidates(plans: GraspPlan, expected: np.ndarray = PROMISED, beliefs=None) -> Candidates:
+    grasps, _ = grasps_and_objects()
+    beliefs = belief() if beliefs is None else beliefs
+    rows = np.tile(np.arange(len(beliefs)), len(expected))
+    return Candidates(grasps.select(rows), plans, beliefs, CandidateStatistics.untried(expected, PRIOR))
+
+
+def tried(
+    pool: Candidates, rounds: Rounds = ROUNDS, settings=SHORT, policy=None, seed=(0, 0), threads=1
+) -> tuple[np.ndarray, np.ndarray]:
+    """The best of the candidates of each grasp, and the success expected of it."""
+    objects = grasps_and_objects()[1]
+    try_candidates(pool, rounds, objects, hand(), policy or OpenLoopPolicy(), settings, seed, threads)
+    best = pool.statistics.order[0]
+    return best, pool.statistics.success[best, np.arange(len(best))]
 
 
 def test_what_holds_wins_over_what_was_promised():
-    best, value = chosen(proposals())
+    pool = candidates(proposals())
+    best, value = tried(pool)
     assert best.tolist() == [1, 1]
-    held_in_all = (3 + PRIOR * 0.5) / (3 + PRIOR)
-    np.testing.assert_allclose(value, held_in_all)
+    np.testing.assert_allclose(value, (3 + PRIOR * 0.5) / (3 + PRIOR))
+    assert pool.statistics.tried.sum(axis=0).tolist() == [3 + 4, 3 + 4]
+    chosen, expected = pool.best()
+    np.testing.assert_array_equal(chosen.finger_targets, plan().finger_targets)
+    np.testing.assert_array_equal(expected, value)
 
 
 def test_without_enough_places_the_promise_decides():
-    best, value = chosen(proposals(), rounds=((1, 1),))
+    best, value = tried(candidates(proposals()), rounds=((1, 1),))
     assert best.tolist() == [0, 0], "the others were not tried"
     np.testing.assert_allclose(value, PRIOR * 0.9 / (1 + PRIOR))
 
 
 def test_a_choice_depends_on_its_own_grasp_alone():
-    plans, (best, value) = proposals(), chosen(proposals(), seed=(3, 0))
-    one, alone = chosen(plans.select(np.array([1, 3, 5])), PROMISED[:, 1:], seed=(3, 0))
-    assert one[0] == best[1] and alone[0] == value[1]
-    parted = chosen(plans, settings=replace(SHORT, chunk=2), seed=(3, 0))
+    plans = proposals()
+    best, value = tried(candidates(plans), seed=(3, 0))
+    one = np.array([1])
+    alone = candidates(plans.select(np.array([1, 3, 5])), PROMISED[:, 1:], belief().select(one))
+    alone = replace(alone, grasps=grasps_and_objects()[0].select(np.array([1, 1, 1])))
+    its, expected = tried(alone, seed=(3, 0))
+    assert its[0] == best[1] and expected[0] == value[1]
+    parted = tried(candidates(plans), settings=replace(SHORT, chunk=2), seed=(3, 0), threads=3)
     np.testing.assert_array_equal(parted[0], best)
     np.testing.assert_array_equal(parted[1], value)
 
 
-def test_rehearsals_meet_other_worlds_than_they_are_told():
-    heavy = replace(SHORT, randomisation=replace(MILD, mass=(40.0, 50.0)))
-    _, value = chosen(proposals(), settings=heavy)
+def test_rollouts_meet_other_worlds_than_are_believed():
+    heavy = replace(SHORT, randomization=replace(MODERATE, mass=(40.0, 50.0)))
+    _, value = tried(candidates(proposals()), settings=heavy)
     nothing_held = PRIOR * PROMISED[0] / (3 + PRIOR)
     np.testing.assert_allclose(value, nothing_held, err_msg="no hand holds an object that is so heavy")
 
 
-@pytest.mark.parametrize("rounds", [(), ((0, 1),), ((2, 0),)])
-def test_empty_rehearsals_are_refused(rounds):
-    with pytest.raises(FungraspError, match="rounds"):
-        ChoiceSettings(rounds=rounds)
+def test_who_follows_the_plans_follows_them_in_rollouts():
+    """A policy that never closes its fingers loses every episode."""
 
-
-def test_who_follows_the_plans_rehearses_them():
-    """An actor that never closes its fingers loses every trial."""
-
-    def idle(task, plans, sensors):
-        act = blind(task, plans, sensors)
-
-        def opened():
-            asked = act()
+    class Idle(OpenLoopPolicy):
+        def act(self, observation: Observation) -> Action:
+            asked = super().act(observation)
             return replace(asked, finger_targets=0.0 * asked.finger_targets)
 
-        return opened
-
-    best, value = chosen(proposals(), actor=idle)
+    best, value = tried(candidates(proposals()), policy=Idle())
     assert best.tolist() == [0, 0]
     np.testing.assert_allclose(value, PRIOR * 0.9 / (3 + PRIOR))
 
 
 def test_slip_counts_against_a_plan():
-    good = references()
-    plans = References.join([good, good])
-    tally = Tally.untried(np.full((2, 2), 0.5), PRIOR)
-    rehearse(plans, tally, ((2, 1),), grasps_and_objects()[1], hand(), replace(SHORT, contact=0.0, slip=0.01))
-    assert (tally.held == 1).all()
-    assert (tally.bonus < 0).all() and (tally.bonus >= -0.1).all()
+    pool = candidates(GraspPlan.join([plan(), plan()]), np.full((2, 2), 0.5))
+    tried(pool, ((2, 1),), replace(SHORT, contact=0.0, slip=0.01))
+    statistics = pool.statistics
+    assert (statistics.held == 1).all()
+    assert (statistics.bonus < 0).all() and (statistics.bonus >= -0.1).all()
 
 
-def test_tallies_choose_by_trials_and_grow():
-    tally = Tally.untried(np.array([[0.9], [0.2]]), PRIOR)
-    assert tally.order[:, 0].tolist() == [0, 1]
-    outcome = Outcome(np.array([False, False, True, True]), np.zeros(4), np.zeros(4))
-    tally.add(np.array([[0], [1]]), outcome, np.zeros(4))
-    assert tally.order[:, 0].tolist() == [0, 1], "3.6 of 6 against 2.8 of 6"
-    tally.add(np.array([[0], [1]]), outcome, np.zeros(4))
-    assert tally.order[:, 0].tolist() == [1, 0], "3.6 of 8 against 4.8 of 8"
-    more = tally.select(np.array([[1]]), np.array([0])).join(Tally.untried(np.array([[0.7]]), PRIOR))
+def test_statistics_choose_by_episodes_and_grow():
+    statistics = CandidateStatistics.untried(np.array([[0.9], [0.2]]), PRIOR)
+    assert statistics.order[:, 0].tolist() == [0, 1]
+    success = np.array([False, False, True, True])
+    statistics.add(np.array([[0], [1]]), success, np.zeros(4))
+    assert statistics.order[:, 0].tolist() == [0, 1], "3.6 of 6 against 2.8 of 6"
+    statistics.add(np.array([[0], [1]]), success, np.zeros(4))
+    assert statistics.order[:, 0].tolist() == [1, 0], "3.6 of 8 against 4.8 of 8"
+    more = statistics.select(np.array([[1]]), np.array([0]))
+    more = more.join(CandidateStatistics.untried(np.array([[0.7]]), PRIOR))
     assert more.tried[:, 0].tolist() == [4, 0]
     np.testing.assert_allclose(more.success[:, 0], [0.6, 0.7])
 
 
-def test_where_nothing_holds_the_best_plans_are_varied_again(monkeypatch):
-    """The second search finds what holds, for the one grasp that needs it."""
-    asked: list[tuple[int, int]] = []
-    good = references()
-    opened = replace(good, motion=replace(good.motion, finger_targets=0.0 * good.motion.finger_targets))
-
-    def propose(start, grasps, attempts, search, spread, **options):
-        asked.append((search, len(start)))
-        known = good.object_name.tolist()
-        rows = np.array([known.index(name) for name in grasps.object_name.tolist()])
-        if search == 0:
-            plans = References.join([opened, good]).select(rows + 2 * (rows == 1))
-        else:
-            plans = (good if search == 2 else opened).select(rows)
-        tally = Tally.untried(np.full((len(rows) // len(start), len(start)), 0.5), options["prior"])
-        return Pool(grasps, plans, tally)
-
-    monkeypatch.setattr(choose, "propose", propose)
-    search = SearchSettings(rounds=((4, 1),), parents=2, enough=0.55)
-    settings = ChoiceSettings(2, SHORT, rounds=((2, 1),), search=search)
-    start, objects = Start.of(begun(), np.zeros(2)), grasps_and_objects()[1]
-    plans, value = choose_references(start, hand(), objects, _Critic(), settings, threads=1)  # type: ignore[arg-type]
-    assert asked == [(0, 2), (1, 1), (2, 1)]
-    assert (value > 0.55).all()
-    np.testing.assert_array_equal(plans.motion.finger_targets, good.motion.finger_targets)
+# What is believed
 
 
-def test_a_planner_remembers_each_grasp_and_seed(monkeypatch):
-    asked: list[tuple[int, str, int]] = []
+def drawn_in_rollouts(monkeypatch, beliefs, settings: RolloutSettings = SHORT) -> list[EpisodeSample]:
+    """What the rollouts of candidates were told to differ in, round by round."""
+    seen, roll = [], rollouts.roll_out
 
-    def plan(start, hand, objects, critic, settings, seed, threads, policy, protocol):
-        asked.append((seed, "alone" if policy is None else "followed", len(start)))
-        rows = [references().object_name.tolist().index(name) for name in start.grasps.object_name.tolist()]
-        return references().select(np.array(rows)), np.array(rows, dtype=float)
+    def spy(plans, rows, sample, *others):
+        seen.append(sample)
+        return roll(plans, rows, sample, *others)
 
-    monkeypatch.setattr(choose, "choose_references", plan)
-    objects, critic = grasps_and_objects()[1], _Critic()
-    planner, task = Planner(), begun()
-    for seed in (0, 0, 1, 0):
-        planner(task, objects, critic, seed)  # type: ignore[arg-type]
-    assert asked == [(0, "alone", 2), (1, "alone", 2)]
-    nearly, moved = begun(), begun()
-    nearly.settled_pose[:] = STEP * np.round(nearly.settled_pose / STEP) + 0.2 * STEP
-    moved.settled_pose[1, 0] += 0.01
-    planner(nearly, objects, critic)  # type: ignore[arg-type]
-    plans, value = planner(moved, objects, critic)  # type: ignore[arg-type]
-    assert asked[2:] == [(0, "alone", 1)], "only what lies elsewhere is planned anew"
-    assert plans.object_name.tolist() == references().object_name.tolist() and value.tolist() == [0, 1]
-    planner(task, objects, critic, 0, critic)  # type: ignore[arg-type]
-    assert asked[3:] == [(0, "followed", 2)], "who rehearses matters"
-    low = begun()
-    low.settled_pose[:, 2] -= 0.02
-    plans, _ = planner(low, objects, critic)  # type: ignore[arg-type]
-    sunk = plans.settled_pose[:, 2] - references().settled_pose[:, 2]
-    np.testing.assert_allclose(
-        sunk, -0.02, atol=0.001, err_msg="planned on a table at zero, played where it is"
+    monkeypatch.setattr(rollouts, "roll_out", spy)
+    tried(candidates(proposals(), beliefs=beliefs), settings=settings)
+    return seen
+
+
+def test_pose_errors_are_as_large_as_the_belief_says(monkeypatch):
+    rng = np.random.default_rng(0)
+    scale = np.array([0.003, 0.001, 0.0, 0.0, 0.0, 0.1])
+    mixed = scale[:, None] * rng.normal(size=(2, 6, 6))
+    covariance = mixed @ mixed.mT
+    beliefs = replace(belief(), object_pose_covariance=covariance)
+    pool = candidates(GraspPlan.join([plan()]), np.full((1, 2), 0.5), beliefs)
+    seen = []
+    monkeypatch.setattr(
+        rollouts,
+        "roll_out",
+        lambda plans, rows, sample, *others: (
+            seen.append(sample) or rollouts.RolloutResults(*np.zeros((3, len(plans))))
+        ),
+    )
+    tried(pool, ((1, 4000),))
+    errors = seen[0].object_bias.reshape(2, 4000, 6)
+    for grasp in range(2):
+        found = np.cov(errors[grasp].T)
+        np.testing.assert_allclose(found, covariance[grasp], atol=0.1 * covariance[grasp].max())
+        assert np.abs(errors[grasp, :, 2:5]).max() < 1e-4, "what is sure is not varied"
+
+
+def test_without_a_covariance_errors_are_those_of_the_rollouts(monkeypatch):
+    believed = drawn_in_rollouts(monkeypatch, belief())
+    spread = np.concatenate([sample.object_bias for sample in believed]).std(axis=0)
+    assert (spread[:3] > 0.0005).all() and (spread[:3] < 0.006).all()
+
+
+def test_a_policy_sees_the_believed_errors_in_rollouts_without_errors_of_their_own():
+    """The covariance counts even where the randomization knows no error of the object."""
+    seen: list[Observation] = []
+
+    class Watching(OpenLoopPolicy):
+        def act(self, observation: Observation) -> Action:
+            seen.append(observation)
+            return super().act(observation)
+
+    covariance = np.tile(np.diag([1e-4, 1e-4, 1e-12, 1e-12, 1e-12, 1e-12]), (2, 1, 1))
+    pool = candidates(
+        GraspPlan.join([plan()]), np.full((1, 2), 0.5), replace(belief(), object_pose_covariance=covariance)
+    )
+    settings = replace(SHORT, randomization=NOMINAL)
+    tried(pool, ((1, 4),), settings, Watching())
+    true = np.repeat(belief().object_pose, 4, axis=0)
+    off = seen[0].object_pose - true
+    assert (np.linalg.norm(off[:, :2], axis=1) > 1e-4).all() and off[:, :2].std() == pytest.approx(
+        0.01, rel=0.7
     )
 
 
-class _Card:
-    sha256 = "of a critic"
+def test_rollouts_happen_in_the_hand_that_is_believed():
+    """A hand whose servos are known to be limp holds nothing, and the world is slippery if it is believed to
+    be."""
+    some, nominal = plan(), draw(NOMINAL, 2, 16, np.random.default_rng(0))
+    settings = replace(SHORT, randomization=NOMINAL)
+
+    def held(**beliefs) -> list[bool]:
+        believed = replace(belief(), **beliefs)
+        found = roll_out(some, believed, nominal, scene(), OpenLoopPolicy(), settings, 1)
+        return found.success.tolist()
+
+    assert held() == [True, True]
+    assert held(servo_stiffness=np.full((2, 16), 0.05)) == [False, False]
+    assert held(friction=np.full(2, 0.05)) == [False, False]
+    assert held(servo_stiffness=np.stack([np.ones(16), np.full(16, 0.05)])) == [True, False]
 
 
-class _Critic:
-    card = _Card()
+def test_rollouts_have_no_jitter_and_no_gaps():
+    """So that they are the same whatever is tried beside them."""
+    noisy = Randomization(
+        joint_error=MeasurementError(0.0, 0.1),
+        object_position_error=MeasurementError(0.0, 0.1),
+        tracker_dropout=0.5,
+    )
+    seen: list[Observation] = []
+
+    class Watching(OpenLoopPolicy):
+        def act(self, observation: Observation) -> Action:
+            seen.append(observation)
+            return super().act(observation)
+
+    sample = draw(noisy, 2, 16, np.random.default_rng(0))
+    settings = replace(SHORT, randomization=noisy)
+    roll_out(plan(), belief(), sample, scene(), Watching(), settings, 1)
+    np.testing.assert_allclose(seen[0].object_pose, plan().object_pose, atol=1e-9)
+    assert all((observation.object_pose_age == 0).all() for observation in seen)
+
+
+def test_a_rollout_is_an_episode_of_the_lift_test():
+    """The same plan, from the same step, held as long."""
+    drawn = draw(NOMINAL, 2, 16, np.random.default_rng(0))
+    settings = replace(SHORT, randomization=NOMINAL, timestep=0.005)
+    found = roll_out(plan(), belief(), drawn, scene(), OpenLoopPolicy(), settings, 1)
+    environment = LiftEnvironment(
+        scene(), 2, protocol=replace(LiftEnvironment(scene(), 1).protocol, hold_time=0.3), threads=1
+    )
+    environment.begin(np.arange(2), plan(), plan().closing_step - settings.early, drawn)
+    outcomes = play(environment, OpenLoopPolicy(), plan())
+    np.testing.assert_array_equal(found.success, outcomes.success)
+    np.testing.assert_array_equal(found.contact_ratio, outcomes.contact_ratio)
+    np.testing.assert_array_equal(found.slip, outcomes.sim_distance_hand_mm_s)

@@ -1,4 +1,4 @@
-"""Random measurements for the tests of observations."""
+"""Random measurements for the tests of features."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from fungrasp.geometry.poses import compose
 from fungrasp.hands import Hand
-from fungrasp.task.observation import Readings, Sensed, Wanted
+from fungrasp.task.features import MeasuredState, PlanTarget
+from fungrasp.task.observation import Privileged
 
 
 def poses(rng: np.random.Generator, count: int) -> np.ndarray:
@@ -18,9 +19,9 @@ def poses(rng: np.random.Generator, count: int) -> np.ndarray:
     return np.concatenate([rng.normal(size=(count, 3)), turns], axis=1)
 
 
-def readings(rng: np.random.Generator, hand: Hand, count: int) -> Readings:
+def measured_state(rng: np.random.Generator, hand: Hand, count: int) -> MeasuredState:
     servos, points = len(hand.actuators), len(hand.keypoint_names)
-    return Readings(
+    return MeasuredState(
         rng.normal(size=(count, servos)),
         rng.normal(size=(count, servos)),
         poses(rng, count),
@@ -32,8 +33,8 @@ def readings(rng: np.random.Generator, hand: Hand, count: int) -> Readings:
     )
 
 
-def wanted(rng: np.random.Generator, hand: Hand, count: int) -> Wanted:
-    return Wanted(
+def plan_target(rng: np.random.Generator, hand: Hand, count: int) -> PlanTarget:
+    return PlanTarget(
         poses(rng, count),
         rng.normal(size=(count, len(hand.actuators))),
         poses(rng, count),
@@ -50,15 +51,18 @@ def wanted(rng: np.random.Generator, hand: Hand, count: int) -> Wanted:
     )
 
 
-def sensed(rng: np.random.Generator, hand: Hand, count: int) -> Sensed:
+def privileged(rng: np.random.Generator, hand: Hand, count: int) -> Privileged:
     links = len(hand.links)
-    return Sensed(
-        rng.random((count, links)) < 0.5,
-        rng.exponential(size=(count, links)),
-        rng.normal(size=(count, 6)),
-        rng.exponential(size=(count, links)),
-        rng.exponential(size=count),
-        rng.random(count) < 0.5,
+    return Privileged(
+        contacts=rng.random((count, links)) < 0.5,
+        forces=rng.exponential(size=(count, links)),
+        object_velocity=rng.normal(size=(count, 6)),
+        table_forces=rng.exponential(size=(count, links)),
+        self_force=rng.exponential(size=count),
+        object_on_table=rng.random(count) < 0.5,
+        object_mass=rng.uniform(0.05, 1.0, count),
+        friction=rng.uniform(0.5, 1.0, count),
+        lifted_height=rng.uniform(0.0, 0.2, count),
     )
 
 
@@ -66,9 +70,9 @@ def action(rng: np.random.Generator, hand: Hand, count: int) -> np.ndarray:
     return rng.uniform(-1, 1, (count, 6 + len(hand.actuators)))
 
 
-def moved(values: Readings | Wanted, motion: np.ndarray) -> Any:
+def moved(values: MeasuredState | PlanTarget, motion: np.ndarray) -> Any:
     """The same with all world poses carried along. motion: pose, shape [7]."""
-    carried = ("palm_pose", "palm_set_point", "object_pose", "palm_goal", "settled_pose")
+    carried = ("palm_pose", "palm_setpoint", "object_pose", "palm_goal", "settled_pose")
     names = [field.name for field in fields(values) if field.name in carried]
     return replace(values, **{name: compose(motion, getattr(values, name)) for name in names})
 

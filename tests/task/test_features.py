@@ -1,4 +1,4 @@
-"""What a policy sees: values computed by hand, and what must not matter."""
+"""What policy networks get: values computed by hand, and what must not matter."""
 
 from __future__ import annotations
 
@@ -8,20 +8,20 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from views import action, as_torch, moved, readings, sensed, wanted
+from measured_states import action, as_torch, measured_state, moved, plan_target, privileged
 
 from fungrasp.geometry.poses import compose, invert
 from fungrasp.hands import load_hand
-from fungrasp.task.observation import (
-    Readings,
-    Sensed,
-    Wanted,
-    critic,
+from fungrasp.task.features import (
+    MeasuredState,
+    PlanTarget,
+    contact_features,
     flatten,
     layout,
-    observe,
-    privileged,
+    robot_features,
+    value_features,
 )
+from fungrasp.task.observation import Privileged
 
 HALF = np.sqrt(0.5)
 LEFT = [HALF, 0, 0, HALF]
@@ -37,32 +37,32 @@ def pose(*position: float, turn: list[float] = LEFT) -> np.ndarray:
     return np.array([[*position, *turn]])
 
 
-def example() -> tuple[Readings, Readings, Wanted, np.ndarray]:
+def example() -> tuple[MeasuredState, MeasuredState, PlanTarget, np.ndarray]:
     """A palm 20 cm up; the object 10 cm before and below it, not turned: by -90 degrees in the palm's
     frame. Two joints, two key points, two links."""
     straight = [1.0, 0, 0, 0]
     one = np.ones((1, 2))
-    now = Readings(
+    now = MeasuredState(
         joints=0.3 * one,
-        servo_targets=0.4 * one,
+        joint_setpoints=0.4 * one,
         palm_pose=pose(0, 0, 0.2),
-        palm_set_point=pose(0, 0, 0.21),
+        palm_setpoint=pose(0, 0, 0.21),
         object_pose=pose(0, 0.1, 0.1, turn=straight),
         keypoints=np.array([[[0.1, 0, -0.1], [0.1, 0.02, -0.1]]]),
         surface_distance=np.array([[0.01, -1.0]]),
         surface_normal=np.array([[[1.0, 0, 0], [0, 0, 1.0]]]),
     )
-    before = Readings(
+    before = MeasuredState(
         joints=0.2 * one,
-        servo_targets=0.4 * one,
+        joint_setpoints=0.4 * one,
         palm_pose=pose(0, -0.02, 0.2),
-        palm_set_point=pose(0, 0, 0.2),
+        palm_setpoint=pose(0, 0, 0.2),
         object_pose=now.object_pose,
         keypoints=now.keypoints,
         surface_distance=now.surface_distance,
         surface_normal=now.surface_normal,
     )
-    goal = Wanted(
+    goal = PlanTarget(
         palm_goal=pose(0, 0.05, 0.2),
         servo_targets=0.5 * one,
         palm_in_object=invert(pose(0.1, 0, -0.15, turn=[HALF, 0, 0, -HALF])),
@@ -114,13 +114,13 @@ def check(parts: dict[str, Any], expected: dict[str, list[float]]) -> None:
 
 
 def test_every_part_of_an_observation_by_hand():
-    check(observe(*example()), EXPECTED)
+    check(robot_features(*example()), EXPECTED)
 
 
 def test_torch_sees_the_same():
     torch = pytest.importorskip("torch")
     now, before, goal, last = example()
-    parts = observe(as_torch(now), as_torch(before), as_torch(goal), torch.as_tensor(last))
+    parts = robot_features(as_torch(now), as_torch(before), as_torch(goal), torch.as_tensor(last))
     assert all(isinstance(value, torch.Tensor) for value in parts.values())
     check(parts, EXPECTED)
 
@@ -137,14 +137,14 @@ def test_torch_sees_the_same():
 def test_the_phase_is_bounded(closing, lift, expected):
     now, before, goal, last = example()
     goal.since_closing[:], goal.since_lift[:] = closing, lift
-    np.testing.assert_allclose(observe(now, before, goal, last)["phase"][0], expected)
+    np.testing.assert_allclose(robot_features(now, before, goal, last)["phase"][0], expected)
 
 
 def test_a_tilted_palm_knows_where_up_is():
     """Its x axis points up."""
     now, before, goal, last = example()
     now.palm_pose[0, 3:] = [HALF, 0, -HALF, 0]
-    np.testing.assert_allclose(observe(now, before, goal, last)["up"][0], [1, 0, 0], atol=1e-12)
+    np.testing.assert_allclose(robot_features(now, before, goal, last)["up"][0], [1, 0, 0], atol=1e-12)
 
 
 @settings(max_examples=25, deadline=None)
@@ -152,24 +152,24 @@ def test_a_tilted_palm_knows_where_up_is():
 def test_where_the_table_stands_does_not_matter(seed, angle, x, y):
     """Everything moved and turned about the vertical."""
     hand, rng = load_hand("allegro"), np.random.default_rng(seed)
-    now, before = readings(rng, hand, 3), readings(rng, hand, 3)
-    goal, last = wanted(rng, hand, 3), action(rng, hand, 3)
+    now, before = measured_state(rng, hand, 3), measured_state(rng, hand, 3)
+    goal, last = plan_target(rng, hand, 3), action(rng, hand, 3)
     motion = np.array([x, y, 0.0, np.cos(angle / 2), 0.0, 0.0, np.sin(angle / 2)])
-    here = observe(now, before, goal, last)
-    there = observe(moved(now, motion), moved(before, motion), moved(goal, motion), last)
+    here = robot_features(now, before, goal, last)
+    there = robot_features(moved(now, motion), moved(before, motion), moved(goal, motion), last)
     for name in here:
         np.testing.assert_allclose(here[name], there[name], atol=1e-6, err_msg=name)
 
 
 def test_height_and_tilt_matter(allegro):
     rng = np.random.default_rng(0)
-    now, before = readings(rng, allegro, 2), readings(rng, allegro, 2)
-    goal, last = wanted(rng, allegro, 2), action(rng, allegro, 2)
-    here = observe(now, before, goal, last)
+    now, before = measured_state(rng, allegro, 2), measured_state(rng, allegro, 2)
+    goal, last = plan_target(rng, allegro, 2), action(rng, allegro, 2)
+    here = robot_features(now, before, goal, last)
 
     def changed(motion: list[float]) -> set[str]:
         carried = [moved(values, np.array(motion)) for values in (now, before, goal)]
-        there = observe(*carried, last)
+        there = robot_features(*carried, last)
         return {name for name in here if not np.allclose(here[name], there[name], atol=1e-9)}
 
     assert changed([0, 0, 0.1, 1, 0, 0, 0]) == {"palm_height"}
@@ -178,24 +178,26 @@ def test_height_and_tilt_matter(allegro):
 
 def test_contacts_that_a_teacher_sees():
     contacts = np.array([[True, False, True]])
-    parts = privileged(contacts, np.array([[5.0, 0.0, 1e9]]), np.array([[True, True, False]]))
+    parts = contact_features(contacts, np.array([[5.0, 0.0, 1e9]]), np.array([[True, True, False]]))
     check(
         parts,
         {"contacts": [1, 0, 1], "contact_errors": [0, 1, -1], "contact_forces": [np.tanh(1.0), 0, 1]},
     )
-    guessed = privileged(np.array([[0.9, 0.2, 0.0]]), np.zeros((1, 3)), contacts)
+    guessed = contact_features(np.array([[0.9, 0.2, 0.0]]), np.zeros((1, 3)), contacts)
     np.testing.assert_allclose(guessed["contact_errors"][0], [0.1, -0.2, 1.0])
 
 
-def test_what_only_the_critic_sees():
-    now = example()[0]
-    seen = Sensed(
+def test_what_only_the_value_network_sees():
+    seen = Privileged(
         contacts=np.ones((1, 2), bool),
         forces=np.zeros((1, 2)),
         object_velocity=np.array([[0.0, 0.2, 0.0, 0.0, 0.0, 4.0]]),
         table_forces=np.array([[0.0, 5.0]]),
         self_force=np.array([10.0]),
         object_on_table=np.array([True]),
+        object_mass=np.array([0.3 / np.e]),
+        friction=np.array([0.7]),
+        lifted_height=np.zeros(1),
     )
     expected = {
         "object_velocity": [1, 0, 0],
@@ -206,15 +208,15 @@ def test_what_only_the_critic_sees():
         "friction": [0.7],
         "true_mass": [-1],
     }
-    check(critic(seen, now, np.array([0.7]), np.array([0.3 / np.e])), expected)
+    check(value_features(seen, example()[0].palm_pose), expected)
 
 
 @pytest.mark.parametrize("name", ["allegro", "inspire"])
 def test_layouts_follow_the_hand(name):
     hand, rng = load_hand(name), np.random.default_rng(0)
     servos, points, links = len(hand.actuators), len(hand.keypoint_names), len(hand.links)
-    now = readings(rng, hand, 2)
-    parts = observe(now, readings(rng, hand, 2), wanted(rng, hand, 2), action(rng, hand, 2))
+    now = measured_state(rng, hand, 2)
+    parts = robot_features(now, measured_state(rng, hand, 2), plan_target(rng, hand, 2), action(rng, hand, 2))
     sizes = dict(layout(parts))
     assert list(sizes) == list(EXPECTED)
     assert [sizes[key] for key in ("joints", "last_action")] == [servos, servos + 6]
@@ -224,22 +226,25 @@ def test_layouts_follow_the_hand(name):
     assert flatten(parts).shape == (2, sum(sizes.values()))
     if name == "allegro":
         assert sum(sizes.values()) == 334
-    truth = sensed(rng, hand, 2)
-    contacts = privileged(truth.contacts, truth.forces, truth.contacts)
+    truth = privileged(rng, hand, 2)
+    contacts = contact_features(truth.contacts, truth.forces, truth.contacts)
     assert layout(contacts) == (("contacts", links), ("contact_errors", links), ("contact_forces", links))
-    more = critic(truth, now, np.ones(2), np.ones(2))
+    more = value_features(truth, now.palm_pose)
     assert flatten(more).shape == (2, 3 + 3 + links + 4)
 
 
 def test_flattened_parts_keep_their_order(allegro):
     rng = np.random.default_rng(1)
-    parts = observe(*example())
+    parts = robot_features(*example())
     flat, first = flatten(parts), 0
     for name, size in layout(parts):
         np.testing.assert_array_equal(flat[:, first : first + size], parts[name])
         first += size
-    many = observe(
-        readings(rng, allegro, 4), readings(rng, allegro, 4), wanted(rng, allegro, 4), action(rng, allegro, 4)
+    many = robot_features(
+        measured_state(rng, allegro, 4),
+        measured_state(rng, allegro, 4),
+        plan_target(rng, allegro, 4),
+        action(rng, allegro, 4),
     )
     assert np.isfinite(flatten(many)).all()
 

@@ -1,0 +1,61 @@
+"""What differences between world and belief do to the lift test."""
+
+from __future__ import annotations
+
+import pytest
+
+from fungrasp.evaluation import evaluate
+from fungrasp.transfer import MeasurementError, Randomization
+from fungrasp.transfer.randomization import THREE_PUSHES
+
+
+def test_a_push_moves_what_is_held(good, things, allegro):
+    """A little in the hand when it is as strong as the weight; out of the hand when it is 60 times that."""
+    some = good.select([0, 2])
+    still, pushed, hit = (
+        evaluate(
+            some,
+            things,
+            allegro,
+            randomization=Randomization(push_times=THREE_PUSHES, push_weights=(weights, weights)),
+        ).outcomes
+        for weights in (0.0, 1.0, 60.0)
+    )
+    assert still.success.all() and pushed.success.all()
+    # An object that is hit from below is high above the table for the rest of the hold, far from the hand.
+    assert not (hit.success & (hit.sim_distance_hand_mm_s < 1000)).any()
+    assert (pushed.sim_distance_hand_mm_s > 1.2 * still.sim_distance_hand_mm_s).all()
+    assert (pushed.pushed_m == still.pushed_m).all()
+    assert set(hit.reason) <= {"", "dropped during the hold", "the object touched the table during the hold"}
+
+
+def test_a_policy_that_does_not_look_misses_an_object_that_was_moved(good, things, allegro):
+    """It goes where the object was when it was planned for; one that looks sees it where it is."""
+    some, moved = good.select([0, 2]), Randomization(object_shift=(0.1, 0.1))
+    assert not evaluate(some, things, allegro, randomization=moved).outcomes.success.any()
+
+
+def test_late_actions_still_lift(good, things, allegro):
+    late = Randomization(action_delay=(0.1, 0.1))
+    assert evaluate(good.select([0, 2]), things, allegro, randomization=late).outcomes.success.all()
+
+
+def test_a_policy_that_is_8_cm_wrong_about_the_object_fails(good, things, allegro):
+    wrong = Randomization(object_position_error=MeasurementError(offset=0.08))
+    result = evaluate(good.select([0, 2]), things, allegro, randomization=wrong, seeds=(3,))
+    assert not result.outcomes.success.all()
+
+
+@pytest.mark.parametrize("height", [-0.02, 0.02])
+def test_a_table_that_is_elsewhere_is_found_by_the_object_on_it(good, things, allegro, height):
+    elsewhere = Randomization(table_height=(height, height))
+    assert evaluate(good.select([0, 2]), things, allegro, randomization=elsewhere).outcomes.success.all()
+
+
+def test_errors_of_the_joints_that_are_not_looked_at_change_nothing(good, things, allegro):
+    """The open loop reads the clock alone."""
+    noisy = Randomization(joint_error=MeasurementError(0.3, 0.1), tracker_dropout=0.5)
+    some = good.select([0, 2])
+    same = [evaluate(some, things, allegro, randomization=r).outcomes for r in (noisy, Randomization())]
+    for name, value in same[0].arrays().items():
+        assert (value == same[1].arrays()[name]).all(), name

@@ -1,0 +1,137 @@
+"""What was kept of an interrupted test is used again only if all that it depends on is the same."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+from planned_grasps import grasps_and_objects, hand
+from residual_policies import policy_file, predictor_file
+
+from fungrasp.evaluation import LiftTestResult, evaluate
+from fungrasp.evaluation.lift_test import Refinement, _Test
+from fungrasp.evaluation.partial_results import PartialResults
+from fungrasp.planning.selection import SelectionSettings
+from fungrasp.task import LiftProtocol
+from fungrasp.transfer import Randomization
+
+SHORT = LiftProtocol(hold_time=0.2)
+PREDICTED = SelectionSettings(2, rollouts=None)
+
+
+@pytest.fixture
+def runs(monkeypatch) -> list[int]:
+    """Rows of the chunks that are simulated; the outcomes are made up."""
+    rows: list[int] = []
+    simulate = _Test.run
+    known: list[dict[str, np.ndarray]] = []
+
+    def run(self, grasps, which, *others):
+        rows.extend(which.tolist())
+        if not known:
+            known.append(simulate(self, grasps, which, *others))
+        return known[0]
+
+    monkeypatch.setattr(_Test, "run", run)
+    return rows
+
+
+@pytest.fixture
+def tried(tmp_path, runs):
+    """Tries one grasp, kept in the same file every time."""
+    store = tmp_path / "e.json.partial"
+
+    def call(policy: str = "reference", grasps=None, **options) -> LiftTestResult:
+        chosen, objects = grasps_and_objects()
+        chosen = (chosen if grasps is None else grasps).select(np.zeros(1, int))
+        options = {"protocol": SHORT, "threads": 1} | options
+        return evaluate(chosen, objects, hand(), policy, store=PartialResults(store), **options)
+
+    return call
+
+
+def test_the_same_is_not_simulated_again(tried, runs):
+    one, again = tried(), tried()
+    assert runs == [0]
+    for name, value in one.outcomes.arrays().items():
+        np.testing.assert_array_equal(value, again.outcomes.arrays()[name])
+    tried(threads=2)
+    assert runs == [0], "threads change nothing"
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"seeds": (1,)},
+        {"protocol": replace(SHORT, hold_time=0.3)},
+        {"randomization": Randomization(mass=(2.0, 2.0))},
+        {"refine": Refinement(lambda grasps, seed: grasps, "another")},
+    ],
+)
+def test_other_settings_are_tried_anew(tried, runs, change):
+    tried()
+    tried(**change)
+    tried(**change)
+    assert runs == [0, 0]
+
+
+def test_another_version_of_mujoco_is_tried_anew(tried, runs, monkeypatch):
+    tried()
+    monkeypatch.setattr(mujoco, "__version__", "0.0.0")
+    tried()
+    assert runs == [0, 0]
+
+
+def test_another_version_of_fungrasp_is_tried_anew(tried, runs, monkeypatch):
+    tried()
+    monkeypatch.setattr("fungrasp.evaluation.lift_test.__version__", "0.0.0")
+    tried()
+    assert runs == [0, 0]
+
+
+def test_other_grasps_are_tried_anew(tried, runs):
+    grasps, _ = grasps_and_objects()
+    tried()
+    tried(grasps=replace(grasps, joint_positions=grasps.joint_positions + 1e-9))
+    tried(grasps=replace(grasps, extra={"force_scale": np.full(2, 0.9)}))
+    assert runs == [0, 0, 0]
+
+
+def test_a_missing_record_is_made_again(tried, runs, tmp_path):
+    tried()
+    tried(record=tmp_path / "episodes")
+    tried(record=tmp_path / "episodes")
+    assert runs == [0, 0, 0], "the file is not there, as nothing was simulated for it"
+
+
+def test_another_network_in_the_same_file_is_tried_anew(tried, runs, tmp_path):
+    path = str(policy_file(tmp_path))
+    tried(path)
+    tried(path)
+    assert runs == [0]
+    policy_file(tmp_path, np.full(22, 0.1))
+    tried(path)
+    assert runs == [0, 0]
+
+
+@pytest.mark.parametrize("what", ["predictor", "policy"])
+def test_another_success_predictor_in_the_same_file_is_tried_anew(tried, runs, tmp_path, what):
+    """Given by itself, or beside the policy that follows its plans."""
+    path = predictor_file(tmp_path, "likes", 0.5)
+    if what == "policy":
+        path = policy_file(tmp_path, plans="likes")
+    for _ in range(2):
+        tried(str(path), selection=PREDICTED)
+    assert runs == [0]
+    predictor_file(tmp_path, "likes", 0.6)
+    tried(str(path), selection=PREDICTED)
+    assert runs == [0, 0]
+
+
+def test_other_settings_of_the_selection_are_tried_anew(tried, runs, tmp_path):
+    path = str(predictor_file(tmp_path, "likes", 0.5))
+    for settings in (PREDICTED, PREDICTED, replace(PREDICTED, candidates=3), replace(PREDICTED, prior=5.0)):
+        tried(path, selection=settings)
+    assert runs == [0, 0, 0]

@@ -1,0 +1,60 @@
+"""Plans to train on: variations that are usable, kept in a file."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from small_training import hand, library, training_set, unusable
+
+from fungrasp.errors import FungraspError
+from fungrasp.training.folder import kept_library
+from fungrasp.training.plan_library import Variety, build_plan_library
+
+
+def test_a_library_survives_a_file(tmp_path):
+    path = tmp_path / "plans.npz"
+    kept_library(path, "key", library)
+    found = kept_library(path, "key", lambda: pytest.fail("planned again"))
+    np.testing.assert_array_equal(found.group, library().group)
+    assert found.plans.arrays().keys() == library().plans.arrays().keys()
+    for name, value in library().plans.arrays().items():
+        np.testing.assert_array_equal(found.plans.arrays()[name], value, err_msg=name)
+
+
+def test_what_is_of_another_library_or_damaged_is_planned_again(tmp_path):
+    path, again = tmp_path / "plans.npz", []
+    kept_library(path, "key", library)
+    kept_library(path, "another key", lambda: again.append("key") or library())
+    path.write_bytes(path.read_bytes()[:1000])
+    kept_library(path, "another key", lambda: again.append("damaged") or library())
+    with np.load(path) as data:
+        arrays = dict(data)
+    del arrays["palm_goal"]
+    np.savez(path, **arrays)  # pyright: ignore[reportArgumentType]
+    kept_library(path, "another key", lambda: again.append("a field is missing") or library())
+    assert again == ["key", "damaged", "a field is missing"]
+
+
+def test_every_grasp_has_its_copies_and_the_first_is_the_grasp_itself():
+    one, plans = training_set(), library().plans
+    assert library().group.tolist() == [0, 0, 1, 1]
+    assert plans.object_name.tolist() == np.repeat(one.grasps.object_name, 2).tolist()
+    single = build_plan_library(one.grasps, one.objects, hand(), Variety(copies=1), threads=1).plans
+    length = single.palm_goal.shape[1]
+    np.testing.assert_allclose(single.palm_goal, plans.palm_goal[::2, :length], atol=1e-6)
+    assert (np.abs(plans.grasp_joints[::2] - plans.grasp_joints[1::2]).max(axis=1) > 0.01).all()
+
+
+def test_grasps_of_objects_that_do_not_settle_are_refused():
+    one = training_set()
+    with pytest.raises(FungraspError, match="none of the grasps can be trained on"):
+        build_plan_library(unusable(one.grasps), one.objects, hand(), Variety(copies=1), threads=1)
+
+
+@pytest.mark.parametrize(
+    ("variety", "words"),
+    [({"copies": 0}, "at least one copy"), ({"copies": 3, "tries": 2}, "can't be chosen from")],
+)
+def test_varieties_that_cannot_be(variety, words):
+    with pytest.raises(FungraspError, match=words):
+        Variety(**variety)
