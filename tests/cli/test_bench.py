@@ -104,7 +104,7 @@ def test_several_policies_try_the_same_chain(monkeypatch):
     ]
 
     def tried(robot, objects, hand, policy, **others):
-        return SimpleNamespace(trials=SimpleNamespace(success=np.full(len(robot), policy == "good")))
+        return SimpleNamespace(outcomes=SimpleNamespace(success=np.full(len(robot), policy == "good")))
 
     monkeypatch.setattr("fungrasp.cli.retarget.retargeted", lambda human, *others: (human, None))
     monkeypatch.setattr("fungrasp.evaluation.evaluate", tried)

@@ -52,7 +52,6 @@ class LiftEnvironment:
         joints = len(scene.hand.joint_names)
         self.sample: EpisodeSample = draw(randomization, count, joints, np.random.default_rng(0))
         """What was drawn for the episode in each world."""
-        self._nominal_mass = np.zeros(count)
         self._mass = np.zeros(count)
         self._friction = np.zeros(count)
         # Motors and joints are numbered by joint; those that have no servo are left out.
