@@ -67,7 +67,7 @@ print([name for name in {HEAVY!r} if name in sys.modules], status)
 
 
 def test_the_help_of_training_does_not_wait_for_torch():
-    modules = ("train", "distill", "critic", "reproduce")
+    modules = ("train", "distill", "predictor", "reproduce")
     program = f"""
 import importlib, sys
 for name in {modules!r}:
