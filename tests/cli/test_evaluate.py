@@ -7,7 +7,7 @@ import json
 
 import numpy as np
 import pytest
-from fungrasp.grasps.files import builtin_grasps
+from fungrasp.grasps.grasp_files import builtin_grasps
 from grasp_files import BAD, bad_inputs, run, some_grasps
 from PIL import Image
 

@@ -109,10 +109,10 @@ def test_what_is_no_recorded_trial(tmp_path):
     with pytest.raises(FungraspError, match="does not exist"):
         replay(tmp_path / "none.npz")
     (tmp_path / "text.npz").write_text("text")
-    with pytest.raises(FungraspError, match="no recorded trial"):
+    with pytest.raises(FungraspError, match="no recorded episode"):
         replay(tmp_path / "text.npz")
     np.savez(tmp_path / "other.npz", times=np.zeros(3))
-    with pytest.raises(FungraspError, match="no recorded trial"):
+    with pytest.raises(FungraspError, match="no recorded episode"):
         replay(tmp_path / "other.npz")
 
 

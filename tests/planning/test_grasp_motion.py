@@ -10,7 +10,7 @@ from planned_grasps import belief, grasps_and_objects, hand, plan, start
 
 from fungrasp.geometry.poses import compose
 from fungrasp.planning import MotionPlanner
-from fungrasp.planning.grasp_motion import TABLE_TOLERANCE, MotionSettings, lowered, table_under
+from fungrasp.planning.grasp_motion import TABLE_TOLERANCE, MotionSettings, lowered, table_below
 from fungrasp.policies import OpenLoopPolicy
 from fungrasp.task import Belief, GraspPlan, LiftProtocol
 
@@ -170,10 +170,10 @@ def test_the_table_is_where_objects_rest(height):
     grasps, objects = grasps_and_objects()
     names, zero = grasps.object_name.tolist(), np.zeros(2)
     rest = belief().object_pose
-    found = table_under(names, raised(rest, height), zero, objects)
+    found = table_below(names, raised(rest, height), zero, objects)
     np.testing.assert_allclose(found, height, atol=0.001)
     near = raised(rest, np.array([0.2 * height, 0.1 * height]))
-    assert table_under(names, near, zero, objects).tolist() == [0.0, 0.0]
+    assert table_below(names, near, zero, objects).tolist() == [0.0, 0.0]
     higher = replace(belief(), object_pose=raised(rest, found), palm_pose=raised(belief().palm_pose, found))
     for believed in (higher, replace(higher, table_height=found)):
         there = planned(believed)
@@ -185,9 +185,9 @@ def test_a_believed_table_is_believed_within_the_tolerance():
     grasps, objects = grasps_and_objects()
     names, rest = grasps.object_name.tolist(), belief().object_pose
     near = np.full(2, 0.8 * TABLE_TOLERANCE)
-    np.testing.assert_array_equal(table_under(names, rest, near, objects), near)
+    np.testing.assert_array_equal(table_below(names, rest, near, objects), near)
     far = np.full(2, 2 * TABLE_TOLERANCE)
-    np.testing.assert_allclose(table_under(names, rest, far, objects), 0.0, atol=0.001)
+    np.testing.assert_allclose(table_below(names, rest, far, objects), 0.0, atol=0.001)
 
 
 def test_what_is_lowered_onto_its_table_has_it_at_zero():

@@ -1,4 +1,4 @@
-"""Films of recorded trials: phases, frames drawn once, failures and diverged simulations."""
+"""Films of recorded episodes: phases, frames drawn once, failures and diverged simulations."""
 
 from __future__ import annotations
 

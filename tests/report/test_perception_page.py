@@ -26,8 +26,8 @@ from fungrasp.report.perception_alternatives import alternatives
 from fungrasp.report.perception_page import contact_words, perception_quantities, write_perception_page
 from fungrasp.report.perception_pictures import (
     FINGER_COLORS,
+    REJECTED_LINE,
     SHAPE,
-    UNSURE_LINE,
     close_up,
     drawn_over,
     false_colors,
@@ -246,7 +246,7 @@ def test_the_outline_is_that_of_the_object():
     pose = TRUTH.pose_camera_object
     view = close_up(CAPTURE, seen.hand, MODEL, pose)
     picture = pose_over(CAPTURE, seen.hand, MODEL, pose, pose)
-    red = np.argwhere(np.abs(picture.astype(int) - UNSURE_LINE).max(axis=-1) < 30)[:, ::-1]
+    red = np.argwhere(np.abs(picture.astype(int) - REJECTED_LINE).max(axis=-1) < 30)[:, ::-1]
     assert len(red) > 1000
     corners = view.place(CAPTURE.intrinsics.project(transform_points(pose, MODEL.vertices)))
     np.testing.assert_allclose(red.min(axis=0), corners.min(axis=0), atol=3)
@@ -259,7 +259,7 @@ def test_an_object_out_of_the_image_is_not_drawn():
     behind = TRUTH.pose_camera_object * np.array([1.0, 1, -1, 1, 1, 1, 1])
     for pose in (away, behind):
         picture = drawn_over(CAPTURE, seen.hand, MODEL, pose, False)
-        assert not np.any(np.abs(picture.astype(int) - UNSURE_LINE).max(axis=-1) < 10)
+        assert not np.any(np.abs(picture.astype(int) - REJECTED_LINE).max(axis=-1) < 10)
 
 
 def test_depth_has_colors_and_holes_are_black():

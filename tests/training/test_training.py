@@ -24,7 +24,7 @@ from fungrasp.training.checkpoint import check_environment, environment_state, r
 from fungrasp.training.distill import make_student
 from fungrasp.training.export import export_student, make_card
 from fungrasp.training.history import HISTORY
-from fungrasp.training.networks import ColouredGaussian
+from fungrasp.training.networks import ColoredGaussian
 from fungrasp.training.ppo import Trainer
 from fungrasp.training.run import TrainingSet, train
 from fungrasp.training.student import StudentGraph
@@ -62,7 +62,7 @@ def test_plans_are_chosen_by_how_uncertain_their_success_is():
 
 def test_noise_has_the_stated_correlation_and_spread():
     torch.manual_seed(0)
-    noise = ColouredGaussian(3, worlds=400, correlation=0.9, init_std=0.2, std_type="log")
+    noise = ColoredGaussian(3, worlds=400, correlation=0.9, init_std=0.2, std_type="log")
     noise.update(torch.zeros(400, 3))
     samples = torch.stack([noise.sample() for _ in range(30)])
     assert samples.std().item() == pytest.approx(0.2, rel=0.05)

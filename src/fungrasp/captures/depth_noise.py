@@ -57,7 +57,7 @@ def noisy_depth(
         depth: true depth [m], 0 where there is nothing, shape [H, W].
         intrinsics: of the image.
         noise: how bad the camera is.
-        rng: the dice.
+        rng: random numbers.
 
     Returns:
         [m], 0 where nothing was measured, shape [H, W] float32.
@@ -67,7 +67,7 @@ def noisy_depth(
     rows = np.clip(np.round(rows + noise.edge * _smooth(shape, 0.7, rng)).astype(int), 0, shape[0] - 1)
     columns = np.clip(np.round(columns + noise.edge * _smooth(shape, 0.7, rng)).astype(int), 0, shape[1] - 1)
     focal = 0.5 * (intrinsics.fx + intrinsics.fy)
-    lost = _blind(depth, focal * noise.baseline)
+    lost = _unseen_by_second(depth, focal * noise.baseline)
     lost |= rng.uniform(size=shape) < _grazing(depth, intrinsics, noise.grazing)
     lost |= _smooth(shape, 2.5, rng) > _normal_quantile(1 - noise.speckle)
     steps = ndimage.maximum_filter(depth, 3) - ndimage.minimum_filter(depth, 3) > noise.step
@@ -86,7 +86,7 @@ def noisy_color(light: np.ndarray, noise: ColorNoise, rng: np.random.Generator) 
     Args:
         light: shape [H, W, 3].
         noise: how bad the camera is.
-        rng: the dice.
+        rng: random numbers.
 
     Returns:
         sRGB, shape [H, W, 3] uint8.
@@ -110,8 +110,9 @@ def _normal_quantile(part: float) -> float:
     return float(ndtri(part))
 
 
-def _blind(depth: np.ndarray, disparity: float) -> np.ndarray:
+def _unseen_by_second(depth: np.ndarray, disparity: float) -> np.ndarray:
     """Pixels that the second camera, to the right of the first, can't see. disparity: of 1 m [pixels]."""
+    # A pixel is occluded for the second camera where another one to its right lands left of it there.
     place = np.arange(depth.shape[1]) - disparity / np.maximum(depth, 0.1)
     nearest = np.minimum.accumulate(place[:, ::-1], axis=1)[:, ::-1]
     ahead = np.concatenate([nearest[:, 1:], np.full((len(depth), 1), np.inf)], axis=1)

@@ -1,4 +1,4 @@
-"""Test captures made by ourselves: a human grasp as a depth camera would see it, and the truth about it.
+"""Rendered test captures: a human grasp as a depth camera would see it, and the truth about it.
 
 They are for tests and demonstrations: the skin, the paint of objects, the room and the camera's errors are
 made up. How well perception does on them says little about photographs.
@@ -88,12 +88,12 @@ class SyntheticCapture:
 
     @property
     def pose_camera_object(self) -> np.ndarray:
-        """Shape [7]."""
+        """Pose of the object in the camera frame, shape [7]."""
         return compose(invert(self.pose_world_camera), self.grasp.object_pose)
 
     @property
     def joints_camera(self) -> np.ndarray:
-        """[m], camera frame, shape [21, 3]."""
+        """Joints of the hand [m], camera frame, shape [21, 3]."""
         return inverse_transform_points(self.pose_world_camera, self.grasp.hand_joints)
 
     @property

@@ -124,6 +124,7 @@ def painted_sleeve(arm: Forearm, start: float, color: Color, rng: np.random.Gene
     half[0] -= 0.005
     half = half[:, None] + 0.003 * folds[..., None] * (part > start + 0.02)[:, None, None]
     rim = half * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    # Rings r, angles a: the section's two coordinates j along the rows of axes [rings, 3, 3].
     vertices = (point[:, None] + np.einsum("raj,rji->rai", rim, axes[:, :2])).reshape(-1, 3)
     row, column = np.mgrid[: rings - 1, :around]
     a, b = row * around + column, row * around + (column + 1) % around

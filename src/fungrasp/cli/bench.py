@@ -32,7 +32,7 @@ class Retargeting:
     repeat: int = 3
     """Rounds, of which the fastest counts."""
     threads: int = 0
-    """0 means all processors."""
+    """Number of threads; 0 means all processors."""
     json: Path | None = None
     """Write the numbers here (.json)."""
 
@@ -97,7 +97,7 @@ class Simulation:
     repeat: int = 3
     """Rounds, of which the fastest counts."""
     threads: int = 0
-    """0 means all processors."""
+    """Number of threads; 0 means all processors."""
     json: Path | None = None
     """Write the numbers here (.json)."""
 
@@ -124,7 +124,7 @@ class Simulation:
             about = {"hand": hand.name, "threads": self.threads, "machine": machine()}
             write_json(self.json, about | asdict(speed) | {"environment_over_bare": speed.share})
         rows = [
-            ("way", "steps/s", "ratio"),
+            ("stepping", "steps/s", "ratio"),
             ("environment", f"{speed.environment:,.0f}", "1.00"),
             ("bare mujoco.batch", f"{speed.bare:,.0f}", f"{speed.bare / speed.environment:.2f}"),
             ("Python loop over mj_step", f"{speed.loop:,.0f}", f"{speed.loop / speed.environment:.2f}"),
@@ -157,7 +157,7 @@ class Training:
     steps: int = 40
     """Control steps of the measurement against bare physics."""
     threads: int = 0
-    """0 means all processors."""
+    """Number of threads; 0 means all processors."""
     json: Path | None = None
     """Write the numbers here (.json)."""
 
@@ -192,7 +192,7 @@ class Training:
         objects = load_objects(human, self.objects)
         robot, _ = retargeted(human, objects, hand, "ours", self.threads)
         settings = EnvironmentSettings(worlds=self.worlds)
-        with progress_bar("planning references", len(robot)) as show:
+        with progress_bar("planning", len(robot)) as show:
             library = build_plan_library(robot, objects, hand, Variety(1), 0, self.threads, show)
         with progress_bar("stepping", self.steps) as show:
             stepping = environment_speed(library, objects, hand, settings, self.steps, 0, self.threads, show)
@@ -206,7 +206,7 @@ class Training:
             parts = {"stepping": asdict(stepping), "ppo": asdict(updating), "acting": asdict(acting)}
             write_json(self.json, about | parts | shares)
         rows = [
-            ("way", "control steps/s", "physics steps/s"),
+            ("stepping", "control steps/s", "physics steps/s"),
             *(
                 (name, f"{speed:,.0f}", f"{speed * stepping.physics_steps:,.0f}")
                 for name, speed in (
@@ -224,7 +224,7 @@ class Training:
         )
         print(
             f"one robot: {acting.total:.2f} ms for a control step, {acting.policy:.2f} for observation and "
-            f"policy, {acting.control:.2f} for set points"
+            f"policy, {acting.control:.2f} for setpoints"
         )
         print(f"{stepping.worlds} worlds of {hand.name}; {machine()}")
 

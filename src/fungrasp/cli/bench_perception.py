@@ -163,7 +163,7 @@ class BenchPerception:
         objects: Mapping[str, ObjectModel],
         detector: HandDetector | None,
     ) -> CaptureResult:
-        """detector: None for one that knows the truth but for ``landmarks_noise``."""
+        """One measured capture. detector: None for the true joints with ``landmarks_noise``."""
         from dataclasses import replace
 
         import numpy as np

@@ -32,7 +32,7 @@ FPS, SPEED = 15.0, 1.5
 
 INTRODUCTION = (
     "On the left of each pair, how a person holds the object for the task; on the right, the grasp that "
-    "the robot hand makes of it. The film is its trial in simulation: reach for the object on the table, "
+    "the robot hand makes of it. The film is the episode in simulation: reach for the object on the table, "
     f"close, lift by 15 cm and hold for 3 s. It runs {SPEED:g} times as fast."
 )
 
@@ -196,10 +196,10 @@ class Demo:
                 )
         with progress_bar("lifting", len(robot)) as show:
             result = evaluate(
-                robot, objects, hand, policy, threads=self.threads, record=folder / "trials", progress=show
+                robot, objects, hand, policy, threads=self.threads, record=folder / "episodes", progress=show
             )
-        trials = [replay(path) for path in (folder / "trials").iterdir()]
-        return result, sorted(trials, key=lambda trial: trial.index)
+        episodes = [replay(path) for path in (folder / "episodes").iterdir()]
+        return result, sorted(episodes, key=lambda episode: episode.index)
 
     def _policy(self, hand: Hand) -> str:
         """The name of what moves the hand.

@@ -123,14 +123,14 @@ def seen_grasp(folder: str, mesh: str | None, mass: float | None, task: str, see
 
 
 def image_title(seen: SeenGrasp) -> str:
-    """Of the page."""
+    """Title of the page."""
     from fungrasp.report.perception_page import perception_title
 
     return f"{perception_title(seen.perceived)}, taken over by a robot hand"
 
 
 def image_words(seen: SeenGrasp) -> str:
-    """Under the page's title."""
+    """Introduction under the page's title."""
     return INTRODUCTION + (RENDERED if seen.truth else "")
 
 

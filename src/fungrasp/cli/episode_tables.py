@@ -15,7 +15,7 @@ HEAD = ("episodes", "success", "95 % interval", "contacts", "slip [mm/s]", "push
 
 
 def result_table(result: LiftTestResult) -> str:
-    """Objects and their rates of success, and why trials failed."""
+    """Objects and their rates of success, and why episodes failed."""
     from collections import Counter
 
     from fungrasp.evaluation.results import result_json

@@ -12,13 +12,13 @@ if TYPE_CHECKING:
     from fungrasp.objects import ObjectModel
 
 DENSITY = 500.0
-"""Of everyday objects, by the volume of their convex hulls [kg/m^3]: the median of YCB's and the built-in
-ones is 540; eight of ten lie between 190 and 940."""
+"""Density of everyday objects by the volume of their convex hulls [kg/m^3]: the median of YCB's and the
+built-in ones is 540; eight of ten lie between 190 and 940."""
 
 
 @dataclass(frozen=True, eq=False)
 class HeldObject:
-    """An object, as a command was told of it."""
+    """An object that a command was given."""
 
     model: ObjectModel
     """Mesh, mass and inertia of the object."""

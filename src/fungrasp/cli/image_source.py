@@ -45,7 +45,7 @@ class ImageSource:
 
     @property
     def name(self) -> str:
-        """For people."""
+        """Name of the source, as text to print."""
         if _is_builtin(self.folder):
             return "the built-in one"
         return "the camera's" if self.camera else str(self.folder or self.recording or self.rgb)

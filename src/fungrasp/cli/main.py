@@ -46,8 +46,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         arguments: without the program's name; by default those of this process.
 
     Returns:
-        Exit status: 0 done; 2 bad input or no room (one line on stderr); 130 interrupted; 141 nobody reads
-        the output any more.
+        Exit status: 0 done; 2 bad input or no room (one line on stderr); 130 interrupted; 141 the
+        reader of the output has closed it.
 
     Raises:
         SystemExit: after help or a usage error was printed, or when a command ends with a status of its own.
@@ -63,7 +63,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print("fungrasp: interrupted", file=sys.stderr)
         return INTERRUPTED
     except BrokenPipeError:
-        # The interpreter flushes stdout once more on its way out.
+        # The interpreter flushes stdout once more when it exits.
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
         return BROKEN_PIPE
     except MemoryError as error:

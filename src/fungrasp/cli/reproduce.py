@@ -84,7 +84,7 @@ class Ablation:
         return self.steps / DISTILLED if self.distill_steps is None else self.distill_steps
 
     def _result(self, variant: Variant, hand: Hand) -> dict[str, Any]:
-        """Of a variant: from its file, or trained and tested now."""
+        """Result of a variant: from its file, or trained and tested now."""
         path = self.out / f"{variant.name}.json"
         budget = self._budget(variant)
         if path.is_file():
@@ -139,7 +139,7 @@ class Ablation:
         print(f"{variant.title}: training")
         sets = training_sets(self.grasps, self.objects, hand, variant.method, threads=self.threads)
         copies = sum(len(s.grasps) for s in sets) * self.variety.copies
-        with progress_bar("planning references", copies) as show:
+        with progress_bar("planning", copies) as show:
             train(
                 self.out / variant.name,
                 sets,
@@ -154,7 +154,7 @@ class Ablation:
         return self.out / variant.name / POLICY
 
     def _tested(self, variant: Variant, hand: Hand, policy: Path) -> dict[str, Any]:
-        """The dynamic test of a policy, as JSON can hold it."""
+        """The lift test of a policy, as JSON can hold it."""
         from fungrasp.evaluation import evaluate, result_json
 
         (test,) = training_sets((self.test,), self.objects, hand, variant.method, threads=self.threads)

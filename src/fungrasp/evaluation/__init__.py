@@ -1,4 +1,4 @@
-"""Protocols, metrics over many trials, the paper's tables."""
+"""Protocols, metrics over many episodes, the paper's tables."""
 
 from fungrasp.evaluation.grasp_quality import StaticQuality, static_quality
 from fungrasp.evaluation.lift_test import LiftTestResult, evaluate

@@ -104,7 +104,7 @@ def evaluate(
         threads: 0 means all processors. The result does not depend on it.
         protocol: the published one if None.
         physics: settings of the engine; the defaults if None.
-        randomization: how worlds differ from what is believed; not at all if left out.
+        randomization: how worlds differ from the nominal ones; not at all if left out.
         refine: applied to the grasps, chunk by chunk, before they are tried.
         record: folder for the recorded episodes, ``<row>_<object>.npz`` (``<row>_<seed>_<object>.npz`` with
             several seeds).
@@ -205,7 +205,7 @@ def _report(progress: Callable[[float], None], before: int, count: int, share: f
 
 @dataclass(frozen=True, eq=False)
 class _Test:
-    """What the chunks have in common."""
+    """Settings that all chunks share."""
 
     scene: Scene
     objects: Mapping[str, ObjectModel]

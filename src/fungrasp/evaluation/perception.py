@@ -39,22 +39,22 @@ class KnownCapture(Protocol):
 
     @property
     def capture(self) -> Capture:
-        """Without mask and box."""
+        """The image with its depth and intrinsics, without mask and box."""
         ...
 
     @property
     def grasp(self) -> HumanGrasp:
-        """World frame."""
+        """The true grasp, world frame."""
         ...
 
     @property
     def pose_camera_object(self) -> np.ndarray:
-        """Shape [7]."""
+        """True pose of the object in the camera frame, shape [7]."""
         ...
 
     @property
     def joints_camera(self) -> np.ndarray:
-        """[m], camera frame, shape [21, 3]."""
+        """True joints of the hand [m], camera frame, shape [21, 3]."""
         ...
 
     @property

@@ -1,4 +1,4 @@
-"""A detector of hands that knows the truth and errs at random, to see what the steps after it are worth.
+"""A detector of hands that gives the true joints with random errors, to measure the steps after it.
 
 How well hands are found in pictures is another question, which rendered hands hardly answer.
 """

@@ -66,9 +66,9 @@ def perception_figures(results: Sequence[CaptureResult]) -> dict[str, Any]:
     """Rates and errors over the captures.
 
     A hand that was not found counts in ``hand.found`` only; the object's pose without a mask is looked for
-    all the same. ``hand.sure`` has the errors of those that perception was sure of. ``accepted`` takes every
-    answer that was accepted: with mask, without, and those of wrong meshes and absent objects, which are
-    never right.
+    all the same. ``hand.sure`` has the errors of those that perception was confident of. ``accepted`` takes
+    every answer that was accepted: with mask, without, and those of wrong meshes and absent objects, which
+    are never right.
     """
     hands = [result.hand for result in results if result.hand.found]
     sure = [result.hand for result in results if result.hand.found and result.sure]
@@ -131,7 +131,7 @@ def _rate(flags: Sequence[bool]) -> dict[str, Any] | None:
 
 
 def _spread(values: Sequence[float]) -> dict[str, float] | None:
-    """Of the finite ones; None where there are none."""
+    """Mean, median, 90th percentile and maximum of the finite values; None where there are none."""
     known = np.array([value for value in values if np.isfinite(value)])
     if not len(known):
         return None
@@ -198,7 +198,7 @@ def chain_figures(
         true: whether each capture's true grasp lifts its object, shape [N] bool.
         perceived: the same of the perceived ones, shape [P] bool.
         rows: capture of each of those, shape [P]; captures without one have failed.
-        sure: whether perception was sure of a capture, shape [N] bool.
+        sure: whether perception was confident of a capture, shape [N] bool.
     """
     success = np.zeros(len(true), dtype=bool)
     success[rows] = perceived

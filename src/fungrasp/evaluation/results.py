@@ -1,4 +1,4 @@
-"""Results of the dynamic test as JSON-ready numbers (docs/evaluation.md)."""
+"""Results of the lift test as JSON-ready numbers (docs/evaluation.md)."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ MEANS = (
 
 
 def summary(result: LiftTestResult, which: np.ndarray | None = None) -> dict[str, Any]:
-    """Rates and means over the trials. which: shape [N] bool, all if None."""
+    """Rates and means over the episodes. which: shape [N] bool, all if None."""
     which = np.ones(len(result.index), dtype=bool) if which is None else which
     count, successes = int(which.sum()), int(result.outcomes.success[which].sum())
     values: dict[str, Any] = {
@@ -63,7 +63,7 @@ def result_json(result: LiftTestResult) -> dict[str, Any]:
     seeds = np.unique(result.seed).tolist()
     names = np.unique(result.object_name).tolist()
     columns = {field.name: getattr(result.outcomes, field.name) for field in fields(result.outcomes)}
-    trials = [
+    episodes = [
         {
             "index": int(result.index[i]),
             "object": str(result.object_name[i]),
@@ -87,13 +87,13 @@ def result_json(result: LiftTestResult) -> dict[str, Any]:
             **summary(result),
             "mean_over_objects": mean_over_objects(result),
             "by_object": {name: summary(result, result.object_name == name) for name in names},
-            "trials": trials,
+            "trials": episodes,
         }
     )
 
 
 def robustness_json(results: Mapping[str, LiftTestResult]) -> dict[str, Any]:
-    """Rates and means of a policy under each condition, and whether each trial succeeded.
+    """Rates and means of a policy under each condition, and whether each episode succeeded.
 
     Args:
         results: by condition, of the same policy and grasps.

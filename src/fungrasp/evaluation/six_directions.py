@@ -17,7 +17,7 @@ from fungrasp.simulation import Engine, MujocoCpuEngine, Scene, SceneSettings, b
 from fungrasp.task import Belief
 
 DIRECTIONS = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], dtype=float)
-"""Of the pushes, world frame, in the order of the results."""
+"""Directions of the pushes, world frame, in the order of the results, shape [6, 3]."""
 
 
 @dataclass(frozen=True)
@@ -69,8 +69,8 @@ def six_direction_test(
 ) -> StaticResult:
     """Close the hand around an object that floats without gravity, far from any table, and push the object.
 
-    The palm stands at the grasp, the fingers start at the grasp's joint positions and squeeze as the
-    reference controller does.
+    The palm stands at the grasp, the fingers start at the grasp's joint positions and squeeze as in
+    planned motions.
 
     Args:
         grasps: N grasps of ``hand``.

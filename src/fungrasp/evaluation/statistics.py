@@ -1,4 +1,4 @@
-"""Numbers over many trials."""
+"""Statistics over many episodes."""
 
 from __future__ import annotations
 
@@ -8,18 +8,18 @@ import numpy as np
 from scipy.stats import binomtest
 
 
-def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
-    """Two-sided 95 % confidence interval of a rate (Wilson, 1927): sound for few trials and for rates near 0
-    and 1.
+def wilson_interval(successes: int, episodes: int) -> tuple[float, float]:
+    """Two-sided 95 % confidence interval of a rate (Wilson, 1927): sound for few episodes and for rates near
+    0 and 1.
 
     Args:
-        successes: from 0 to ``trials``.
-        trials: at least 1.
+        successes: from 0 to ``episodes``.
+        episodes: at least 1.
 
     Returns:
         lower and upper end, within [0, 1].
     """
-    interval = binomtest(successes, trials).proportion_ci(0.95, "wilson")
+    interval = binomtest(successes, episodes).proportion_ci(0.95, "wilson")
     return float(interval.low), float(interval.high)
 
 

@@ -56,7 +56,7 @@ TABLES: Mapping[str, tuple[Variant, ...]] = {
         Variant("student", "Student (Ours)", "ours", "contacts", True, PaperNumbers(0.85, 1.6, 0.79)),
     ),
 }
-"""By name; variants of the same name are the same."""
+"""Variants by the name of the table; those of the same name are the same."""
 
 HEAD = (
     "policy",

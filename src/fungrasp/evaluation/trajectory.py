@@ -1,4 +1,4 @@
-"""Recorded trials: what moved how, in a file that can be shown again."""
+"""Recorded episodes: the states of a scene in a file that can be replayed."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from fungrasp.grasps import RobotGraspSet
 from fungrasp.task import LiftTask
 
 PHASES = ("approach", "lift", "hold")
-"""By number in ``Trajectory.phase``."""
+"""Names of the numbers in ``Trajectory.phase``."""
 
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """One trial, T states. World frame, z up, table top at z = 0."""
+    """One episode, T states. World frame, z up, table top at z = 0."""
 
     hand: str
     """Name of the hand."""
@@ -76,20 +76,20 @@ class Trajectory:
 
 
 def replay(path: str | Path) -> Trajectory:
-    """Read a recorded trial.
+    """Read a recorded episode.
 
     Raises:
-        FungraspError: no such file, or no recorded trial.
+        FungraspError: no such file, or no recorded episode.
     """
     path = Path(path)
     if not path.is_file():
-        raise FungraspError(f"the recorded trial {path} does not exist")
+        raise FungraspError(f"the recorded episode {path} does not exist")
     try:
         with np.load(path, allow_pickle=False) as data:
             names = [f.name for f in fields(Trajectory) if f.name in data or f.name != "controls"]
             arrays = {name: data[name] for name in names}
     except (OSError, ValueError, EOFError, KeyError, TypeError, zipfile.BadZipFile, zlib.error) as error:
-        raise FungraspError(f"{path} is no recorded trial: {' '.join(str(error).split())}") from error
+        raise FungraspError(f"{path} is no recorded episode: {' '.join(str(error).split())}") from error
     values = {name: value if value.ndim else value.item() for name, value in arrays.items()}
     return Trajectory(**values)
 
@@ -127,7 +127,7 @@ class Recorder:
         )
 
     def trajectories(self, rows: np.ndarray) -> list[Trajectory]:
-        """One per world, each until its trial was done. rows: of the grasps in their set, shape [W]."""
+        """One per world, each until its episode was done. rows: of the grasps in their set, shape [W]."""
         task = self._task
         outcomes, frame = task.outcomes(), task.engine.wrist_frame
         running, *states = (np.stack(column) for column in zip(*self._states, strict=True))

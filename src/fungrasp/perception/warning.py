@@ -1,4 +1,4 @@
-"""What makes a perceived grasp uncertain: a code and values for programs, a sentence for people."""
+"""What makes a perceived grasp uncertain: a code with values for programs, and a sentence."""
 
 from __future__ import annotations
 

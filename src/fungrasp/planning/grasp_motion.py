@@ -1,6 +1,6 @@
 """One motion for each grasp: where wrist and fingers should be at every control step.
 
-It depends on what is believed before acting, and on nothing that happens later.
+It depends on the belief before acting, and on nothing that happens later.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from fungrasp.task.setpoints import SETPOINT_PERIOD
 from fungrasp.task.wrist_limits import WristSetpoint
 
 TABLE_TOLERANCE = 0.005
-"""An object at rest that is farther from the believed table [m] says that the table is elsewhere."""
+"""The table is taken to be under an object at rest that is farther from the nominal table than this [m]."""
 
 
 @dataclass(frozen=True)
@@ -58,27 +58,27 @@ class MotionSettings:
 def table_below(
     names: Sequence[str],
     object_pose: np.ndarray,
-    believed_height: np.ndarray,
+    nominal_height: np.ndarray,
     objects: Mapping[str, ObjectModel],
 ) -> np.ndarray:
-    """How high the table must be on which objects rest, world frame [m], shape [N].
+    """Height of the table on which objects rest, world frame [m], shape [N].
 
-    It is as believed unless their lowest points say otherwise by more than ``TABLE_TOLERANCE``.
+    It is the nominal one unless their lowest points differ from it by more than ``TABLE_TOLERANCE``.
 
     Args:
         names: of the objects, length N.
         object_pose: of the objects at rest, world frame, shape [N, 7].
-        believed_height: of the table [m], shape [N].
+        nominal_height: of the table [m], shape [N].
         objects: by name.
     """
     up = rotate(invert(object_pose)[:, 3:], np.array([0.0, 0.0, 1.0]))
     lowest = np.array([np.min(objects[name].vertices @ u) for name, u in zip(names, up, strict=True)])
     height = object_pose[:, 2] + lowest
-    return np.where(np.abs(height - believed_height) > TABLE_TOLERANCE, height, believed_height)
+    return np.where(np.abs(height - nominal_height) > TABLE_TOLERANCE, height, nominal_height)
 
 
 def lowered(belief: Belief, height: np.ndarray) -> Belief:
-    """What is believed, in a frame whose origin is on the table. height: of the table [m], shape [N]."""
+    """The belief in a frame whose origin is on the table. height: of the table [m], shape [N]."""
     down = np.zeros((len(belief), 7))
     down[:, 2] = height
     return replace(

@@ -44,6 +44,7 @@ def squeeze_torques(
     points = HandPoints(HandKinematics(hand, len(around)))
     state = HandState(points, around, wrist_in_object, grasp)
     nearest = np.stack([m[np.argmin(state.clearance[:, m], axis=1)] for m in points.link_members], axis=1)
+    # nearest [N, L]: of each link the collision sphere that is nearest to the object.
     clearance = np.take_along_axis(state.clearance, nearest, axis=1)
     normal = np.take_along_axis(state.normals, nearest[..., None], axis=1)
     normal = normal / np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-9)
@@ -60,4 +61,5 @@ def squeeze_torques(
     force = balanced_forces(
         (place - centers[:, None]) / reach[:, None, None], -normal, used, friction, iterations=200
     )
+    # Virtual work: tau = sum over contacts of J^T f, with the columns of the joints alone, shape [N, U].
     return np.einsum("nci,nciu->nu", force, jacobian)

@@ -1,4 +1,4 @@
-"""What a planner is: from a robot grasp and a belief to a plan, in the open."""
+"""What a planner is: from a robot grasp and a belief to a plan that can be inspected."""
 
 from __future__ import annotations
 

@@ -74,7 +74,7 @@ class PlanTracker:
         """The last action, smoothed, shape [W, A]."""
         self._anchor = np.tile([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], (count, 1))
         self._goal: tuple[np.ndarray, np.ndarray] | None = None
-        """Of this control step, made when first asked for."""
+        """Palm goal and servo targets of this control step, made when first asked for."""
         self._now: MeasuredState | None = None
         self._before: MeasuredState | None = None
 
@@ -130,7 +130,8 @@ class PlanTracker:
         return Action(goal, fingers, self._step >= self._lift)
 
     def _planned(self) -> tuple[np.ndarray, np.ndarray]:
-        """Of the plan for this control step: palm, world frame, shape [W, 7]; servo targets, [W, U]."""
+        """Planned palm goal, world frame, shape [W, 7], and servo targets [rad], shape [W, U], of this
+        step."""
         if self._goal is None:
             goal, fingers = self.plans.at(self._step, self.rows)
             self._goal = compose(self._anchor, goal), fingers

@@ -18,9 +18,9 @@ from fungrasp.policies.success_predictor import NetworkPredictor
 from fungrasp.task import LiftProtocol, Policy, PrivilegedPolicy
 
 REFERENCE = "reference"
-"""Follows one planned motion blindly, without weights and without rollouts."""
+"""Name of the policy that plays one planned motion open loop, without a network and without rollouts."""
 PLAN = "plan"
-"""Follows the student's plan blindly: what the closed loop is worth is the difference."""
+"""Name of the policy that plays the student's plan open loop: the difference is the benefit of feedback."""
 KINDS = ("teacher", "student", "predictor")
 """Short for the policies ``<hand>-<kind>-free`` that come with the package."""
 
@@ -85,7 +85,7 @@ def _find(name: str, hand: str) -> Path:
 
 
 def default_policy(hand: str) -> str:
-    """The student of a hand, or the reference policy if none comes with the package. hand: its name."""
+    """The student of a hand, or "reference" if none comes with the package. hand: its name."""
     name = f"{hand}-student-free"
     return name if name in list_policies() else REFERENCE
 

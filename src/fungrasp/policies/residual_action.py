@@ -1,4 +1,4 @@
-"""Actions: changes of what the reference asks for."""
+"""Residual actions: changes of what the plan asks for."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ WRIST_ACTIONS = 6
 
 @dataclass(frozen=True)
 class ResidualSettings:
-    """How far an action may depart from the reference."""
+    """How far an action may depart from the plan."""
 
     position: float = 0.03
     """Shift of the wrist at an action of 1, along each axis [m]."""
@@ -47,8 +47,8 @@ def add_residual(
     """Palm goals [W, 7] and servo targets [W, U] with a residual.
 
     Args:
-        palm_goal: of the reference, shape [W, 7].
-        servo_targets: of the reference [rad], shape [W, U].
+        palm_goal: of the plan, world frame, shape [W, 7].
+        servo_targets: of the plan [rad], shape [W, U].
         action: smoothed, shape [W, 6 + U].
     """
     xp = array_namespace(action)

@@ -1,4 +1,4 @@
-"""Follows a plan blindly: it does what is planned, wherever the object is."""
+"""Open-loop playback of a plan: what the object does has no influence."""
 
 from __future__ import annotations
 

@@ -20,11 +20,11 @@ LINK_JOINTS = (
 """Joints at the near and far end of each of the 16 human links."""
 
 REFERENCE_PALM = 0.091
-"""From wrist to middle knuckle of the hand that the sizes here are of [m]; other hands are scaled."""
+"""Distance from wrist to middle knuckle of the hand that has the sizes here [m]; other hands are scaled."""
 
 FINGER_RADII = (0.0108, 0.0090, 0.0078, 0.0066)
-"""Of the drawn index finger at its joints, from knuckle to tip [m]. They taper and blend to look like skin;
-perception and contacts have their own, of simple capsules."""
+"""Radii of the drawn index finger at its joints, from knuckle to tip [m]. They taper and blend to look like
+skin; perception and contacts have their own, of simple capsules."""
 
 THUMB_RADII = (0.0150, 0.0118, 0.0100, 0.0082)
 """The same of the thumb [m]."""

@@ -170,6 +170,7 @@ class RayTracer:
         shadow[lit_rows] = free >= 0.999 * SHADOW_REACH
         rows = np.flatnonzero(samples)
         around = axes_along(points.normal[rows].astype(float))
+        # Samples about +z, turned into each point's frame [P, 3, 3], whose third column is the normal.
         lights = np.einsum("pij,pj->pi", around, hemisphere_sample(_image_points(rows, shape[1])))
         free = self._free_distance(points, rays.eye, rows, lights, look.occlusion_radius)
         openness[rows] = DARKEST + (1 - DARKEST) * free / look.occlusion_radius
@@ -259,7 +260,7 @@ def _edges(points: SeenPoints, shape: tuple[int, int]) -> np.ndarray:
 def _nearest_alike(
     around: SeenPoints, points: SeenPoints, pixel: np.ndarray, shape: tuple[int, int]
 ) -> np.ndarray:
-    """For points in pixels: which of the pixels beside sees the same surface at the nearest distance, [P]."""
+    """Index of the neighboring pixel that sees the same surface at the nearest distance, shape [P]."""
     row, column = np.divmod(pixel, shape[1])
     best, gap = pixel.copy(), np.full(len(pixel), np.inf)
     for dy, dx in ((0, 0), (0, 1), (0, -1), (1, 0), (-1, 0)):

@@ -1,4 +1,4 @@
-"""How surfaces look: lights, materials, the table top, the backdrop and the way to 8 bits."""
+"""How surfaces look: lights, materials, the table top, the backdrop and the conversion to 8 bits."""
 
 from __future__ import annotations
 
@@ -188,7 +188,7 @@ def lit(
 def lit_table(
     look: Look, albedo: np.ndarray, sun: np.ndarray, shadow: np.ndarray, openness: np.ndarray
 ) -> np.ndarray:
-    """As ``lit`` for a matt, level table top. Returns shape [P, 3]."""
+    """``lit`` for a matt, level table top. Returns shape [P, 3]."""
     diffuse = np.float32(max(float(sun[2]), 0.0)) * shadow
     return albedo * (diffuse[:, None] * _key_color(look) + openness[:, None] * _sky_color(look))
 

@@ -1,4 +1,4 @@
-"""A recorded trial as a film: the object's own mesh, links that light up, a camera that draws nearer."""
+"""A recorded episode as a film: the object's own mesh, links that light up, a camera that draws nearer."""
 
 from __future__ import annotations
 
@@ -50,12 +50,12 @@ def episode_film(
     """A recorded episode, with the object's own mesh; links light up while they touch.
 
     The camera draws nearer while the hand approaches. Where nothing moves, as in most of the hold, a frame is
-    drawn once. A trial whose simulation diverged is shown until then.
+    drawn once. An episode whose simulation diverged is shown until then.
 
     Args:
         trajectory: of ``hand`` and ``thing``.
         fps: frames per second.
-        speed: seconds of the trial in a second of the film.
+        speed: seconds of the episode in a second of the film.
         width: [pixels].
         height: [pixels].
         title: words before the phase.
@@ -110,8 +110,8 @@ def view_angles(camera: Camera) -> tuple[float, float]:
 def _cameras(
     model: mujoco.MjModel, states: np.ndarray, trajectory: Trajectory, at: np.ndarray, width: int, height: int
 ) -> list[Camera]:
-    """For each frame, from all of the motion to that from the first touch on; an object that gets away is not
-    followed. The model's links that touch during the hold are coloured, to be seen well."""
+    """Cameras of the frames, from all of the motion to that from the first touch on; an object that gets away
+    is not followed. The model's links that touch during the hold are coloured, to be seen well."""
     touch = _first_touch(trajectory)
     travel = np.linalg.norm(trajectory.object_pose[:, :3] - trajectory.object_pose[0, :3], axis=1)
     close = travel < FARTHEST

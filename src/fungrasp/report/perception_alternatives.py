@@ -17,7 +17,7 @@ SAME = 0.002
 """Poses whose surfaces are nearer than this on average (ADD-S [m]) look the same."""
 
 POINTS = 1500
-"""Of the object's surface, by which poses are compared."""
+"""Points of the object's surface by which poses are compared."""
 
 PICTURED = 2
 """Alternatives that get a picture."""

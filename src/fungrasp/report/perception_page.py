@@ -29,7 +29,7 @@ from fungrasp.report.perception_pictures import (
 )
 
 SIDES = ("From the camera's side", "From the right of that", "From behind", "From the left")
-"""Of the four pictures of the grasp."""
+"""Captions of the four pictures of the grasp."""
 
 REPROJECTION = 8.0
 """Landmarks farther than this from the fitted hand are poor, in an image of 640 columns [pixels]."""
@@ -99,13 +99,13 @@ def perception_quantities(capture: Capture, perceived: Perceived) -> list[Quanti
         Quantity(
             "Score of the hand",
             round(quality.hand_score, 2),
-            meaning="How sure it is that this is a hand, held like this; 1 is certain.",
+            meaning="Confidence that this is a hand in this posture; 1 is certain.",
             least=ACCEPTED_HAND,
         ),
         Quantity(
             "Score of the object's pose",
             round(quality.object_score, 2),
-            meaning="How sure it is that the mesh is there, turned like this; 1 is certain.",
+            meaning="Confidence that the mesh is in this pose; 1 is certain.",
             least=ACCEPT,
         ),
         Quantity(

@@ -25,16 +25,16 @@ FINGER_COLORS = {
     "pinky": (185, 130, 255),
     "thumb": (255, 80, 120),
 }
-"""sRGB, told apart by the colour-blind as well, and unlike the orange of contacts."""
+"""sRGB; distinct for color-blind readers as well, and unlike the orange of contacts."""
 
-SURE_LINE, UNSURE_LINE = (255, 255, 255), (255, 90, 60)
-"""Colour of the outline of an object whose pose is believed, and of one whose pose is not; sRGB."""
+ACCEPTED_LINE, REJECTED_LINE = (255, 255, 255), (255, 90, 60)
+"""Colour of the outline of an object whose pose is accepted, and of one whose pose is not; sRGB."""
 
 TRUSTED = 0.5
 """Joints of a lower confidence are drawn hollow."""
 
 DEPTH_COLORS = np.array([(68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (253, 231, 37)])
-"""From far to near: dark violet to yellow, brightness rising evenly; sRGB."""
+"""Colors from far to near: dark violet to yellow, brightness rising evenly; sRGB."""
 
 NO_DEPTH = (25, 25, 28)
 """Where the camera measured nothing; sRGB."""
@@ -59,11 +59,11 @@ class CloseUp:
     """Pixels of the picture per pixel of the image."""
 
     def place(self, pixels: np.ndarray) -> np.ndarray:
-        """Where pixels of the image, shape [..., 2], are in the picture."""
+        """Pixels of the image, shape [..., 2], in the picture's coordinates."""
         return (np.asarray(pixels, dtype=float) - [self.left, self.top]) * self.scale
 
     def directions(self, lens: Intrinsics, columns: slice, rows: slice) -> np.ndarray:
-        """From the camera, with z = 1, through pixels of the picture, shape [rows, columns, 3]."""
+        """Directions with z = 1, camera frame, through the picture's pixels, shape [rows, columns, 3]."""
         across, down = np.meshgrid(np.arange(SHAPE[0])[columns], np.arange(SHAPE[1])[rows])
         pixels = np.stack([across, down], axis=-1) / self.scale + [self.left, self.top]
         return lens.deproject(pixels, np.ones(pixels.shape[:2]))
@@ -100,7 +100,7 @@ def close_up(capture: Capture, hand: HandEstimate, model: ObjectModel, pose: np.
 
 
 def drawn_over(
-    capture: Capture, hand: HandEstimate, model: ObjectModel, pose: np.ndarray, sure: bool
+    capture: Capture, hand: HandEstimate, model: ObjectModel, pose: np.ndarray, accepted: bool
 ) -> np.ndarray:
     """The part of the colour image with hand and object, the hand's skeleton and the object's outline on it.
 
@@ -112,14 +112,16 @@ def drawn_over(
         hand: camera frame.
         model: the object.
         pose: of the object in the camera frame, shape [7].
-        sure: whether the pose is believed.
+        accepted: whether the pose is accepted.
 
     Returns:
         sRGB, shape [720, 960, 3] uint8.
     """
     view = close_up(capture, hand, model, pose)
     picture = view.cut(Image.fromarray(capture.color))
-    picture = _outlined(picture, view, capture.intrinsics, model, pose, SURE_LINE if sure else UNSURE_LINE)
+    picture = _outlined(
+        picture, view, capture.intrinsics, model, pose, ACCEPTED_LINE if accepted else REJECTED_LINE
+    )
     return _with_skeleton(picture, view, capture.intrinsics, hand)
 
 
@@ -132,12 +134,12 @@ def pose_over(
     """
     view = close_up(capture, hand, model, pose)
     return _outlined(
-        view.cut(Image.fromarray(capture.color)), view, capture.intrinsics, model, other, UNSURE_LINE
+        view.cut(Image.fromarray(capture.color)), view, capture.intrinsics, model, other, REJECTED_LINE
     )
 
 
 def false_colors(
-    capture: Capture, hand: HandEstimate, model: ObjectModel, pose: np.ndarray, sure: bool
+    capture: Capture, hand: HandEstimate, model: ObjectModel, pose: np.ndarray, accepted: bool
 ) -> np.ndarray:
     """The depth of the part that ``drawn_over`` shows: near is yellow, far violet, not measured black.
 
@@ -151,7 +153,9 @@ def false_colors(
     steps = np.arange(len(DEPTH_COLORS))
     picture = np.stack([np.interp(level, steps, channel) for channel in DEPTH_COLORS.T], axis=-1)
     picture = np.where(depth[..., None] > 0, picture, NO_DEPTH).round().astype(np.uint8)
-    picture = _outlined(picture, view, capture.intrinsics, model, pose, SURE_LINE if sure else UNSURE_LINE)
+    picture = _outlined(
+        picture, view, capture.intrinsics, model, pose, ACCEPTED_LINE if accepted else REJECTED_LINE
+    )
     return _with_scale(picture, near, far)
 
 
@@ -164,7 +168,7 @@ def whole_image(capture: Capture, view: CloseUp, width: int = 960) -> np.ndarray
     corners = np.array([view.left, view.top, *(np.array(SHAPE) / view.scale + [view.left, view.top])])
     box = np.clip(corners * share, 1, np.array([*image.size, *image.size]) - 2)
     draw = ImageDraw.Draw(image)
-    for color, line in ((_DARK, 4), (SURE_LINE, 2)):
+    for color, line in ((_DARK, 4), (ACCEPTED_LINE, 2)):
         draw.rectangle([float(edge) for edge in box], outline=color, width=line)
     return np.asarray(image)
 
@@ -205,7 +209,7 @@ def _outlined(
     pose: np.ndarray,
     color: tuple[int, int, int],
 ) -> np.ndarray:
-    """With the outline of the mesh, on a darker line that shows it on every ground."""
+    """The picture with the outline of the mesh, on a darker line that shows it on every ground."""
     corners = view.place(lens.project(transform_points(pose, model.vertices)))
     if not np.isfinite(corners).all():
         return picture
@@ -235,7 +239,7 @@ def _with_skeleton(picture: np.ndarray, view: CloseUp, lens: Intrinsics, hand: H
     places = _FINE * view.place(lens.project(joints))
     spread = np.sqrt(np.trace(hand.covariance, axis1=1, axis2=2) / 3)
     radius = _FINE * view.scale * lens.fx * spread / np.maximum(joints[:, 2], 1e-3)
-    colors = [SURE_LINE, *(FINGER_COLORS[HUMAN_FINGERS[joint // 4]] for joint in range(20))]
+    colors = [ACCEPTED_LINE, *(FINGER_COLORS[HUMAN_FINGERS[joint // 4]] for joint in range(20))]
     size = (_FINE * SHAPE[0], _FINE * SHAPE[1])
     sheet = Image.fromarray(picture).resize(size, Image.Resampling.BICUBIC)
     draw = ImageDraw.Draw(sheet, "RGBA")
@@ -262,7 +266,7 @@ def _with_skeleton(picture: np.ndarray, view: CloseUp, lens: Intrinsics, hand: H
 
 
 def _with_scale(picture: np.ndarray, near: float, far: float) -> np.ndarray:
-    """With a bar of the colours and the depths at its ends."""
+    """The picture with a bar of the colours and the depths at its ends."""
     image = Image.fromarray(picture)
     draw, font = ImageDraw.Draw(image), ImageFont.load_default(22)
     width, height = image.size
@@ -275,5 +279,5 @@ def _with_scale(picture: np.ndarray, near: float, far: float) -> np.ndarray:
         (f"{far:.2f} m", width / 4 - 12, "rm"),
         (f"{near:.2f} m", 0.75 * width + 12, "lm"),
     ):
-        draw.text((x, height - 22), words, fill=SURE_LINE, font=font, anchor=anchor)
+        draw.text((x, height - 22), words, fill=ACCEPTED_LINE, font=font, anchor=anchor)
     return np.asarray(image)

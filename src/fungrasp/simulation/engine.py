@@ -158,19 +158,19 @@ class Engine(Protocol):
         ...
 
     def push_object(self, force: np.ndarray) -> None:
-        """Pull at the objects' centres of mass until told otherwise or reset. force: [N], world frame, shape
-        [W, 3]."""
+        """Apply a force at the objects' centres of mass until the next call or reset. force: [N], world
+        frame, shape [W, 3]."""
         ...
 
     def controls(
         self, palm_pose: np.ndarray, palm_velocity: np.ndarray, finger_targets: np.ndarray
     ) -> np.ndarray:
-        """What the servos are told, for ``step``.
+        """Controls of the servos, for ``step``.
 
         Args:
             palm_pose: setpoint of the palm, world frame, shape [..., W, 7].
             palm_velocity: linear velocity of that setpoint, world frame [m/s], shape [..., W, 3]. A damped
-                servo trails behind a moving setpoint; it is told to be ahead by as much.
+                servo trails behind a moving setpoint; its control is ahead by as much.
             finger_targets: setpoints of the finger servos [rad], shape [..., W, U].
 
         Returns:

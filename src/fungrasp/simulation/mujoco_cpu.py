@@ -90,7 +90,7 @@ class MujocoCpuEngine:
 
     @property
     def center_of_mass(self) -> np.ndarray:
-        """Of the object [m], world frame, shape [W, 3]."""
+        """Centre of mass of the object [m], world frame, shape [W, 3]."""
         return self._xipos[:, self._object].copy()
 
     @property

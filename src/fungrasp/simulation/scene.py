@@ -22,7 +22,7 @@ WRIST_JOINTS = ("wrist_x", "wrist_y", "wrist_z", "wrist_roll", "wrist_pitch", "w
 """Three slides and three hinges between the wrist's reference frame (a mocap body) and the palm."""
 
 HAND_PREFIX = "hand/"
-"""In front of the names of the hand's bodies, joints and actuators."""
+"""Prefix of the names of the hand's bodies, joints and actuators."""
 
 GRAVITY = 9.81
 """Acceleration of free fall [m/s^2]."""
@@ -35,7 +35,7 @@ _DATA = mujoco.mjtConDataField
 
 @dataclass(frozen=True)
 class SceneSettings:
-    """Physics of the dynamic test (docs/evaluation.md)."""
+    """Physics of the lift test (docs/evaluation.md)."""
 
     timestep: float = 0.005
     """Physics step [s]."""

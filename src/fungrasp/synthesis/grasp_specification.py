@@ -250,4 +250,4 @@ GRASP_KINDS: dict[str, GraspKind] = {
         contacts=("index_distal", "middle_distal", "ring_distal", "thumb_distal"),
     ),
 }
-"""By name."""
+"""Kinds of grasps by name."""

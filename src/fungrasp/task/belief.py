@@ -12,7 +12,7 @@ from fungrasp.simulation.scene import NOMINAL_FRICTION
 
 @dataclass(frozen=True, eq=False)
 class Belief(BatchRecord):
-    """What is believed of N scenes when a grasp is planned. World frame: z up."""
+    """Nominal state and parameters of N scenes when a grasp is planned. World frame: z up."""
 
     object_pose: np.ndarray
     """Pose of the object at rest on the table, shape [N, 7]."""
@@ -44,7 +44,7 @@ class Belief(BatchRecord):
         palm_pose: np.ndarray,
         joint_positions: np.ndarray,
     ) -> Belief:
-        """With the nominal friction and a table at z = 0. Arguments: the fields of the same names."""
+        """Belief with the nominal friction and a table at z = 0. Arguments: the fields of the same names."""
         count = len(object_pose)
         friction, table = np.full(count, NOMINAL_FRICTION), np.zeros(count)
         return cls(object_pose, object_mass, palm_pose, joint_positions, friction, table)

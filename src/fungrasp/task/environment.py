@@ -1,4 +1,4 @@
-"""Episodes of the lift test as a policy meets them: worlds that differ from what is believed, seen by
+"""Episodes of the lift test as a policy meets them: worlds that differ from the nominal ones, seen by
 sensors."""
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class LiftEnvironment:
         Args:
             scene: with the hand and the objects.
             count: W.
-            randomization: how worlds may differ from what is believed, and sensors err.
+            randomization: how worlds may differ from the nominal ones, and sensors err.
             protocol: the published one if None.
             rng: of the sensors' jitter, one for all worlds or one for each; seeded with zero if None.
             threads: 0 means all processors. Results do not depend on it.
@@ -54,7 +54,6 @@ class LiftEnvironment:
         joints = len(scene.hand.joint_names)
         self.sample: EpisodeSample = draw(randomization, count, joints, np.random.default_rng(0))
         """What was drawn for the episode in each world."""
-        self._believed_mass = np.zeros(count)
         self._mass = np.zeros(count)
         self._friction = np.zeros(count)
         # Motors and joints are numbered by joint; those that have no servo are left out.
@@ -65,7 +64,7 @@ class LiftEnvironment:
 
     @property
     def protocol(self) -> LiftProtocol:
-        """Of the episodes."""
+        """Protocol of the episodes."""
         return self.task.protocol
 
     def settle(self, grasps: RobotGraspSet, sample: EpisodeSample | None = None) -> Belief:
@@ -73,10 +72,10 @@ class LiftEnvironment:
 
         Args:
             grasps: one per world.
-            sample: what differs from what is believed, W episodes; what was drawn before if None.
+            sample: what differs from the nominal worlds, W episodes; what was drawn before if None.
 
         Returns:
-            What is believed of the scenes.
+            Estimated state and nominal parameters of the scenes.
         """
         everyone = np.arange(len(self))
         self.sample = self.sample if sample is None else sample
@@ -85,7 +84,7 @@ class LiftEnvironment:
         rest[:, 2] += self.sample.table_height
         self.task.settle(replace(grasps, object_rest_pose=rest), self.sample.table_height)
         self.sensors.begin(everyone)
-        seen = self.sensors.believed_object_pose(self.task.settled_pose.copy(), self.sample)
+        seen = self.sensors.estimated_object_pose(self.task.settled_pose.copy(), self.sample)
         setpoints = self.task.setpoints
         return Belief.nominal(
             seen, grasps.object_mass.copy(), setpoints.wrist.pose.copy(), setpoints.fingers.copy()
@@ -127,8 +126,8 @@ class LiftEnvironment:
             ids: worlds, shape [I].
             plans: of these worlds, I of them.
             step: control step of the plan to begin at, shape [I] int.
-            sample: what differs from what is believed, I episodes.
-            belief: with the believed friction and joint dynamics, I rows; the scene's if None.
+            sample: what differs from the nominal worlds, I episodes.
+            belief: with the nominal friction and joint dynamics, I rows; the scene's if None.
             hand_followed: whether the hand has followed an object that was moved since it was planned for;
                 else it is where the plan has it.
         """
@@ -180,19 +179,17 @@ class LiftEnvironment:
         )
 
     def _set_parameters(
-        self, ids: np.ndarray, index: np.ndarray, mass: np.ndarray, believed: Belief | None = None
+        self, ids: np.ndarray, index: np.ndarray, mass: np.ndarray, belief: Belief | None = None
     ) -> None:
-        """The physics of some worlds: what is believed, times what was drawn."""
+        """The physics of some worlds: nominal parameters times the factors that were drawn."""
         s, nominal = self.sample.select(ids), self.scene.settings.friction
         friction = np.full(len(ids), nominal) if s.friction is None else s.friction
         damping, stiffness, servo = s.joint_damping, s.servo_stiffness, s.servo_damping
-        if believed is not None:
-            friction = friction * (believed.friction / nominal)
-            damping = damping if believed.joint_damping is None else damping * believed.joint_damping
-            stiffness = (
-                stiffness if believed.servo_stiffness is None else stiffness * believed.servo_stiffness
-            )
-            servo = servo if believed.servo_damping is None else servo * believed.servo_damping
+        if belief is not None:
+            friction = friction * (belief.friction / nominal)
+            damping = damping if belief.joint_damping is None else damping * belief.joint_damping
+            stiffness = stiffness if belief.servo_stiffness is None else stiffness * belief.servo_stiffness
+            servo = servo if belief.servo_damping is None else servo * belief.servo_damping
         self._mass[ids], self._friction[ids] = mass * s.mass, friction
         self.engine.set_parameters(
             ids,

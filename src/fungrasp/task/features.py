@@ -30,18 +30,19 @@ from fungrasp.geometry.poses import (
 from fungrasp.task.observation import Privileged
 
 POSITION_UNIT = 0.05
-"""[m]."""
+"""Unit of positions [m]."""
 FORCE_UNIT = 5.0
-"""[N]."""
+"""Unit of forces [N]."""
 SERVO_UNIT = 0.2
 """Difference between servo target and joint [rad]."""
 _MOTION_UNITS = np.repeat(
     [[[0.01, 0.05]], [[0.02, 0.1]], [[POSITION_UNIT, 0.3]], [[POSITION_UNIT, 0.3]], [[0.01, 0.1]]], 3, axis=-1
 )
-"""Of the palm from its set point, since the step before and to its goal, of the object from its place in the
-grasp and since the step before: shift [m] and turn [rad], shape [5, 1, 6]."""
+"""Units of shift [m] and turn [rad], shape [5, 1, 6], of five relative poses: of the palm to its setpoint, to
+where it was at the step before and to its goal; of the object to its place in the grasp and to where it
+was."""
 _PHASE_BEGINS, _PHASE_ENDS = np.array([-1.0, 0.0, 0.0, 0.0]), np.array([0.0, 2.0, 2.0, 2.0])
-"""Where time counts: before the fingers close, after, and twice since the lift began [s]."""
+"""Limits of the four numbers of ``_phase`` [s]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +106,7 @@ def robot_features(
 
     Args:
         now: measured at this control step.
-        before: measured at the one before (the same again at a trial's first).
+        before: measured at the one before (the same at an episode's first step).
         target: of the plan.
         action: the last action, shape [W, A].
     """
@@ -119,8 +120,9 @@ def robot_features(
     change = compose(stack(target.palm_in_object, from_object_before), object_in_palm)
     poses = xp.concat([seen[:3], change])
     motions = xp.concat([poses[..., :3], rotation_vector(poses[..., 3:])], axis=-1)
-    set_point, palm_before, goal, deviation, change = motions / like(motions, _MOTION_UNITS)
+    setpoint, palm_before, goal, deviation, change = motions / like(motions, _MOTION_UNITS)
     to_world, from_object = rotation_matrix(stack(now.palm_pose[:, 3:], object_in_palm[:, 3:]))
+    # As rows: v_palm = v_world R with R the palm's rotation, shape [W, 3].
     moved = xp.matmul((now.object_pose - target.settled_pose)[:, None, :3], to_world)[:, 0]
     extents = xp.matmul(xp.abs(from_object), target.size[..., None])[..., 0]
     count, number = now.surface_distance.shape
@@ -136,7 +138,7 @@ def robot_features(
         "joint_errors": (target.servo_targets - now.joints) / SERVO_UNIT,
         "servo_errors": (now.joint_setpoints - now.joints) / SERVO_UNIT,
         "joint_changes": (now.joints - before.joints) / SERVO_UNIT,
-        "palm_error": set_point,
+        "palm_error": setpoint,
         "palm_change": palm_before,
         "palm_goal": goal,
         "up": to_world[:, 2],
@@ -213,7 +215,8 @@ def layout(parts: Mapping[str, Array]) -> tuple[tuple[str, int], ...]:
 
 
 def _phase(since_closing: Array, since_lift: Array) -> Array:
-    """Where in the trial, shape [W, 4]."""
+    """Phase of the episode, shape [W, 4]: time before closing and after it [s], lift begun, time of the lift
+    [s]."""
     times = side_by_side(since_closing, since_closing, since_lift, since_lift)
     phase = clip(times, like(times, _PHASE_BEGINS), like(times, _PHASE_ENDS))
     phase[:, 2] = since_lift >= 0

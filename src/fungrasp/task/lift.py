@@ -20,7 +20,7 @@ PARKED = np.array([0.0, 0.0, 3.0, 1.0, 0.0, 0.0, 0.0])
 
 
 class LiftTask:
-    """W episodes of the lift test on an engine. Nothing here is random, and nothing is believed."""
+    """W episodes of the lift test on an engine. Nothing here is random, and nothing is estimated."""
 
     def __init__(self, engine: Engine, protocol: LiftProtocol | None = None):
         """

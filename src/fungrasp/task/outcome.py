@@ -64,8 +64,8 @@ class LiftMeasurements:
 
     @property
     def height(self) -> np.ndarray:
-        """Of the objects' centres of mass above where they settled [m], -1 where physics has broken down,
-        shape [W]."""
+        """Height of the objects' centres of mass above where they settled [m], -1 where physics has broken
+        down, shape [W]."""
         height = self._engine.center_of_mass[:, 2] - self.settled_height
         return np.where(np.isfinite(height) & ~self._engine.diverged, height, -1.0)
 

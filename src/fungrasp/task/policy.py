@@ -30,12 +30,13 @@ class Policy(Protocol):
 
 @runtime_checkable
 class PrivilegedPolicy(Protocol):
-    """A policy that is also told what only a simulation knows: a teacher."""
+    """A policy that also gets the privileged state, which only a simulation knows: a teacher."""
 
     def reset(self, plan: GraspPlan, observation: Observation) -> None:
-        """As ``Policy.reset``."""
+        """Begin new episodes, see ``Policy.reset``."""
         ...
 
     def act_privileged(self, observation: Observation, privileged: Privileged) -> Action:
-        """As ``Policy.act``. privileged: at the beginning of the control period."""
+        """What to do in the next control period, see ``Policy.act``. privileged: at the beginning of the
+        control period."""
         ...

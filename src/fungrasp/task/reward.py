@@ -1,4 +1,4 @@
-"""What a policy is paid for: one pure function per term, and their weighted sum.
+"""Reward of a policy: one pure function per term, and their weighted sum.
 
 The terms follow section IV.B of the paper (position, contact, safety, posture) and D-Grasp (force); lift,
 stability and action are additions. Every term is bounded, so that one bad world can't drown the others.
@@ -97,7 +97,7 @@ def dynamic_contact_weight(keypoints: Array, targets: Array, contacts: Array) ->
     depend on where the origin happens to lie; here positions count from the palm. Then the weight is about 1
     where the links that should touch reach as far as in the reference, less in a hand that has closed too
     far to hold the object there, and more in one that still reaches out. It knows distances but no
-    directions: those are the business of ``position_reward``. The printed ratio has no upper bound, and no
+    directions: ``position_reward`` accounts for those. The printed ratio has no upper bound, and no
     value without targets; here it is cut at 2, and 1 in a world without targets.
 
     Args:

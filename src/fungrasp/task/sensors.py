@@ -78,9 +78,9 @@ class SimulatedSensors:
             object_pose_age=age,
         )
 
-    def believed_object_pose(self, pose: np.ndarray, sample: EpisodeSample) -> np.ndarray:
-        """Where objects at rest are believed to be, world frame, shape [W, 7]: measurements are averaged, so
-        that the bias alone remains.
+    def estimated_object_pose(self, pose: np.ndarray, sample: EpisodeSample) -> np.ndarray:
+        """Estimated poses of objects at rest, world frame, shape [W, 7]: measurements are averaged, so that
+        the bias alone remains.
 
         Args:
             pose: where they are, world frame, shape [W, 7].
@@ -119,7 +119,7 @@ class SimulatedSensors:
         return inverse_transform_points(now, self._task.engine.center_of_mass[:, None])[:, 0]
 
     def _jitter(self, errors: tuple[MeasurementError, MeasurementError]) -> np.ndarray:
-        """Of position and rotation, shape [W, 6]."""
+        """Jitter of position [m] and rotation vector [rad], shape [W, 6]."""
         return self._normal(6) * np.repeat([e.jitter for e in errors], 3)
 
     def _normal(self, size: int) -> np.ndarray:

@@ -49,7 +49,7 @@ class SetpointGenerator:
         self.wrist = WristSetpoint(resting, protocol)
         self._lowest, self._highest = scene.servo_limits.T
         self.fingers = np.zeros((count, len(self._lowest)))
-        """Where the independent joints were last told to be [rad], shape [W, U]."""
+        """Last setpoints of the independent joints [rad], shape [W, U]."""
         self.delay = np.zeros(count)
         """Time until an action takes effect [s], at most a control period, rounded up to whole setpoint
         periods; shape [W]."""

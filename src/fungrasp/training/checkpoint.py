@@ -23,7 +23,7 @@ from fungrasp.training.environment import TrainingEnvironment
 MAGIC = b"fungrasp checkpoint 2\n"
 """Its number goes up when checkpoints change."""
 DIGITS = 64
-"""Of the digest, in hexadecimal."""
+"""Length of the digest in hexadecimal digits."""
 
 
 def write_checkpoint(path: Path, state: Mapping[str, Any]) -> None:
@@ -95,7 +95,7 @@ def check_environment(path: Path, state: Mapping[str, Any], environment: Trainin
 
 
 def restore_environment(state: Mapping[str, Any], environment: TrainingEnvironment) -> None:
-    """Go on with the success rates and random numbers of a checkpoint; trials begin anew."""
+    """Go on with the success rates and random numbers of a checkpoint; episodes begin anew."""
     rates = state["success_of_group"].numpy()
     if rates.shape == environment.success_of_group.shape:
         environment.success_of_group[:] = rates

@@ -1,4 +1,4 @@
-"""The student learns from its teacher on trials that it plays itself."""
+"""Distillation: the student imitates its teacher on episodes that it plays itself."""
 
 from __future__ import annotations
 
@@ -141,11 +141,11 @@ class Distillation:
 
     @property
     def success(self) -> float:
-        """Share of the last trials that succeeded; 0 before any has ended."""
+        """Share of the last episodes that succeeded; 0 before any has ended."""
         return float(np.mean(self.recent)) if self.recent else 0.0
 
     def save(self, path: Path) -> None:
-        """Keep everything but the trials that are learned from.
+        """Keep everything but the episodes that are learned from.
 
         Raises:
             FungraspError: the file can't be written.

@@ -1,4 +1,4 @@
-"""A training as a folder: what was asked for, planned references, checkpoint, progress."""
+"""A training as a folder: settings, plans, checkpoint, progress."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a student's encoder looks back on."""
+"""The history of observations that a student's encoder gets."""
 
 from __future__ import annotations
 
@@ -31,14 +31,15 @@ def columns(layout: Layout, names: tuple[str, ...]) -> np.ndarray:
 
 
 class History:
-    """The last observations of W worlds, zeros before a trial's first."""
+    """The last observations of W worlds, zeros before an episode's first."""
 
     def __init__(self, worlds: int, layout: Layout):
         self._columns = columns(layout, HISTORY_PARTS)
         self.window = np.zeros((worlds, HISTORY, len(self._columns)), dtype=np.float32)
 
     def push(self, observation: np.ndarray, begun: np.ndarray) -> np.ndarray:
-        """The windows with one more observation, shape [W, HISTORY, H]. begun: worlds whose trial is new."""
+        """The windows with one more observation, shape [W, HISTORY, H]. begun: worlds whose episode is
+        new."""
         self.window[begun] = 0.0
         self.window = np.concatenate([self.window[:, 1:], observation[:, None, self._columns]], axis=1)
         return self.window

@@ -1,4 +1,4 @@
-"""Actor and critic of a teacher, and the noise with which it explores."""
+"""Actor and value network of a teacher, and the noise with which it explores."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class ColoredGaussian(GaussianDistribution):
 def make_networks(
     environment: TrainingEnvironment, sees: Sees, hidden: tuple[int, ...], noise: float, correlation: float
 ) -> tuple[MLPModel, MLPModel]:
-    """Actor, which hardly changes the reference at first, and critic.
+    """Actor, whose actions hardly change the plan at first, and value network.
 
     Args:
         environment: that they are for.

@@ -85,7 +85,7 @@ class Trainer:
             schedule="fixed",
             max_grad_norm=0.5,
         )
-        # The actor's steps are small against those the critic needs.
+        # The actor's steps are small against those the value network needs.
         self.algorithm.optimizer = torch.optim.Adam(
             [
                 {"params": list(actor.parameters()), "lr": s.learning_rate},
@@ -108,7 +108,7 @@ class Trainer:
 
     @property
     def success(self) -> float:
-        """Share of the last trials that succeeded; 0 before any has ended."""
+        """Share of the last episodes that succeeded; 0 before any has ended."""
         return float(np.mean(self._recent)) if self._recent else 0.0
 
     def learn(
@@ -150,7 +150,7 @@ class Trainer:
                 self.save(checkpoint)
 
     def _warm_up(self) -> None:
-        """Play the reference, to know what observations are like."""
+        """Play the plans without a residual, to learn the normalization of observations."""
         still = np.zeros((self.environment.settings.worlds, self.environment.actions))
         for _ in range(self.settings.warm_up):
             observations = tensors(self.environment.step(still).observations)

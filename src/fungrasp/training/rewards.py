@@ -11,7 +11,7 @@ from fungrasp.task import reward
 from fungrasp.task.observation import Privileged
 
 TIP_WEIGHT, THUMB_TIP_WEIGHT = 4.0, 6.0
-"""Of fingertips among the key points; the others count 1 (the published set-up)."""
+"""Weights of fingertips among the key points; the others count 1 (the published set-up)."""
 
 
 class LiftReward:
@@ -37,11 +37,11 @@ class LiftReward:
     def terms(
         self, state: TrackingState, privileged: Privileged, previous_action: np.ndarray
     ) -> dict[str, np.ndarray]:
-        """By name, each of shape [W].
+        """Terms of the reward by name, each of shape [W].
 
         Args:
             state: after the step.
-            privileged: likewise.
+            privileged: after the step.
             previous_action: the one before the state's, shape [W, A].
         """
         now, target, p = state.now, state.target, privileged

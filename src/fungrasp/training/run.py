@@ -74,7 +74,7 @@ class TrainingSet:
 
 @dataclass(frozen=True)
 class RunSettings:
-    """Of a teacher's training."""
+    """Settings of a teacher's training."""
 
     seed: int = 0
     """Seed of all random numbers."""

@@ -14,7 +14,7 @@ HIDDEN = (256, 128)
 
 @dataclass(frozen=True)
 class PpoSettings:
-    """Of PPO."""
+    """Settings of PPO."""
 
     hidden: tuple[int, ...] = HIDDEN
     """Units of the hidden layers, of actor and value network."""
@@ -54,7 +54,7 @@ class PpoSettings:
 
 @dataclass(frozen=True)
 class DistillSettings:
-    """Of distillation."""
+    """Settings of distillation."""
 
     steps: int = 24
     """Control steps of each world between two rounds of learning."""
@@ -76,7 +76,7 @@ class DistillSettings:
 
 @dataclass(frozen=True)
 class PredictorSettings:
-    """Of the episodes that a success predictor learns from, and of its learning."""
+    """Settings of the episodes that a success predictor learns from, and of its learning."""
 
     attempts: int = 24
     """Variations of each grasp, the unchanged one included."""

@@ -53,7 +53,7 @@ class EnvironmentSpeed:
 
 @dataclass(frozen=True)
 class UpdateSpeed:
-    """Of PPO."""
+    """Speed of PPO."""
 
     steps: float
     """Control steps per second, learning included."""
@@ -75,7 +75,7 @@ class ActingSpeed:
 
     @property
     def total(self) -> float:
-        """[ms]."""
+        """Time from the sensors to the servos' setpoints [ms]."""
         return self.policy + self.control
 
 
@@ -89,30 +89,30 @@ def environment_speed(
     threads: int = 0,
     progress: Callable[[int], None] = lambda done: None,
 ) -> EnvironmentSpeed:
-    """Random actions in two equal environments: the one tells what the engine is asked for in a step; in the
-    other the engine gets just that, and from the same state the whole step is made.
+    """Random actions in two equal environments: in the one the engine's calls of a step are recorded; in the
+    other the engine makes just those, and then the whole step is made from the same state.
 
     Args:
-        library: of references.
+        library: of plans.
         objects: by name.
         hand: the robot hand.
         settings: of the environment.
         steps: control steps.
-        seed: of trials and actions.
+        seed: of episodes and actions.
         threads: 0 means all processors.
         progress: called with the control steps that are done.
     """
-    told, timed = (TrainingEnvironment(library, objects, hand, settings, seed, threads) for _ in range(2))
+    recorded, timed = (TrainingEnvironment(library, objects, hand, settings, seed, threads) for _ in range(2))
     rng = np.random.default_rng(seed)
     seconds = {"environment": 0.0, "bare": 0.0}
     physics = 0
-    engine, recorded = timed.episodes.engine, told.episodes.engine
-    assert isinstance(engine, MujocoCpuEngine) and isinstance(recorded, MujocoCpuEngine)
-    with recorded_steps(recorded) as calls:
+    engine, stepped = timed.episodes.engine, recorded.episodes.engine
+    assert isinstance(engine, MujocoCpuEngine) and isinstance(stepped, MujocoCpuEngine)
+    with recorded_steps(stepped) as calls:
         for step in range(steps):
-            action = rng.normal(scale=0.15, size=(settings.worlds, told.actions))
+            action = rng.normal(scale=0.15, size=(settings.worlds, recorded.actions))
             calls.clear()
-            told.step(action)
+            recorded.step(action)
             before = engine.get_state()
             seconds["bare"] += step_bare(engine, calls)
             engine.restore(before)
@@ -122,7 +122,7 @@ def environment_speed(
             physics = sum(number for _, number, _ in calls)
             progress(step + 1)
     count = steps * settings.worlds
-    same = np.array_equal(told.episodes.engine.positions, engine.positions)
+    same = np.array_equal(recorded.episodes.engine.positions, engine.positions)
     speeds = count / seconds["environment"], count / seconds["bare"]
     return EnvironmentSpeed(settings.worlds, physics, *speeds, identical=same)
 
@@ -156,7 +156,7 @@ def update_speed(environment: TrainingEnvironment, settings: PpoSettings, update
 def acting_speed(
     network: PolicyNetwork, grasp: RobotGraspSet, objects: Mapping[str, ObjectModel], hand: Hand
 ) -> ActingSpeed:
-    """One trial of one robot: what its computer would do in each control step. Physics does not count, nor
+    """One episode of one robot: what its computer would do in each control step. Physics does not count, nor
     what only the test does, such as to see whether the object is held.
 
     Args:

@@ -195,7 +195,7 @@ def _lost(folder: Path) -> PlanLibrary:
 
 def _objects(digests: Mapping[str, str], place: Path | None, folder: Path) -> dict[str, ObjectModel]:
     """Objects by name, if they still are what they were."""
-    # The mass is set in each trial.
+    # The mass is set in each episode.
     things = {name: load_object(name, 1.0, place) for name in digests}
     for name, thing in things.items():
         if thing.digest != digests[name]:

@@ -55,7 +55,7 @@ class PlanOutcomes:
         return cls(*(np.concatenate([getattr(part, f.name) for part in moved]) for f in fields(cls)))
 
     def select(self, rows: np.ndarray) -> PlanOutcomes:
-        """Some of them."""
+        """Some of the plans' outcomes."""
         return PlanOutcomes(*(getattr(self, f.name)[rows] for f in fields(self)))
 
 
@@ -194,7 +194,7 @@ class PredictorNetwork(torch.nn.Module):
         )
 
     def logits(self, features: torch.Tensor) -> torch.Tensor:
-        """Of each network, shape [networks, N, 1]. features: shape [N, D]."""
+        """Logits of each network, shape [networks, N, 1]. features: shape [N, D]."""
         normal = (features - self.mean) / self.spread
         return torch.stack([network(normal) for network in self.networks])
 

@@ -1,4 +1,4 @@
-"""From simulation to reality: worlds that differ from what is believed of them."""
+"""From simulation to reality: worlds that differ from the nominal ones."""
 
 from fungrasp.transfer.pose_noise import offset_pose, shift_on_table
 from fungrasp.transfer.randomization import (

@@ -1,4 +1,4 @@
-"""What may differ between a world and what is believed of it: one description, one sampler.
+"""What may differ between a world and the nominal one: one description, one sampler.
 
 Training, the rollouts of planning, single options of ``fungrasp evaluate`` and the robustness protocol all
 draw from a ``Randomization``. The paper (section IV.C.3) randomizes joint damping, servo gains, friction,
@@ -43,7 +43,7 @@ class MeasurementError:
 
 @dataclass(frozen=True)
 class Randomization:
-    """Ranges to draw from, anew for every episode. The default is none: the world is as believed.
+    """Ranges to draw from, anew for every episode. The default is none: the nominal world.
 
     Factors are drawn log-uniformly, so that half is as likely as double; other ranges uniformly.
     """
@@ -121,7 +121,7 @@ class Randomization:
                 raise FungraspError(f"{name} must not be negative, not {value}")
         if max(np.abs(self.table_height)) > 0.2:
             raise FungraspError(
-                f"table height must be within 0.2 m of the believed one, not {self.table_height}"
+                f"table height must be within 0.2 m of the nominal one, not {self.table_height}"
             )
         if self.action_delay[1] > LONGEST_DELAY:
             raise FungraspError(f"action delay must be 0 to {LONGEST_DELAY:g} s, not {self.action_delay}")
@@ -258,7 +258,7 @@ def _unit(v: np.ndarray) -> np.ndarray:
 
 
 NOMINAL = Randomization()
-"""Every world as believed."""
+"""Every world is the nominal one."""
 
 MODERATE = Randomization(
     joint_damping=(0.7, 1.4),

@@ -34,6 +34,7 @@ class Hammer:
     """Radius of the striking face [m]."""
 
     def parts(self) -> PartSolids:
+        """Convex solids of the parts "grip", "shaft" and "head"."""
         head = self.length - 0.014
         grip = [
             ellipse((x, 0, 0), (0, a, 0), (0, 0, b), squareness=2.4)
@@ -100,6 +101,7 @@ class Screwdriver:
     """Radius of the six-sided handle [m]."""
 
     def parts(self) -> PartSolids:
+        """Convex solids of the parts "handle" and "shaft"."""
         r, n = self.radius, self.handle
         profile = [
             (0.55, 0),
@@ -139,6 +141,7 @@ class Drill:
     """Radius of the motor housing [m]."""
 
     def parts(self) -> PartSolids:
+        """Convex solids of the parts "grip", "trigger", "body", "chuck" and "battery"."""
         axis = self.height - self.barrel
         r = self.barrel
         under = axis - r + 0.006
@@ -193,6 +196,7 @@ class Clamp:
     """Along z [m]."""
 
     def parts(self) -> PartSolids:
+        """Convex solids of the parts "jaws", "handles" and "pivot"."""
         t = self.thickness / 2
         side = {"jaws": self._jaw(t), "handles": self._handle(t)}
         both = {name: [*solids, *(mirrored(s) for s in solids)] for name, solids in side.items()}
@@ -255,6 +259,7 @@ class Flashlight:
     """Length of the flashlight [m]."""
 
     def parts(self) -> PartSolids:
+        """Convex solids of the parts "body", "head" and "switch"."""
         r, n = self.radius, self.length
         body = [
             lathe([(r - 0.002, 0), (r, 0.002), (r, 0.016)], segments=32),

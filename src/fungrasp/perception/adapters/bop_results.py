@@ -41,7 +41,7 @@ class BopRow:
     """File and line, for messages."""
 
     def pose(self) -> np.ndarray:
-        """Of the object in the camera frame, shape [7].
+        """Pose of the object in the camera frame, shape [7].
 
         Raises:
             FungraspError: no rotation, or not where a camera could see it.

@@ -13,7 +13,7 @@ import numpy as np
 from fungrasp.errors import FungraspError, UnknownNameError
 
 VERSION = 1
-"""Of the format."""
+"""Version of the file format."""
 
 SOURCES = ("hamer", "wilor", "metro", "mano", "joints")
 

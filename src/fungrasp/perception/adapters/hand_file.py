@@ -55,7 +55,7 @@ def read_hands(
 def hands_of(
     fields: HandFields, intrinsics: Intrinsics, mano: str | Path | None = None
 ) -> list[DetectedHand]:
-    """As ``read_hands``, of fields that have been read."""
+    """``read_hands`` on fields that have been read."""
     joints = _joints(fields, mano)
     count = len(joints)
     sides = _sides(fields, count)
@@ -77,7 +77,7 @@ def hands_of(
 
 
 def _joints(fields: HandFields, mano: str | Path | None) -> np.ndarray:
-    """Of each hand [m], axes of the camera, the file's translation not added, shape [hands, 21, 3]."""
+    """Joints of each hand [m], axes of the camera, the file's translation not added, shape [hands, 21, 3]."""
     if fields.has("joints"):
         order = joint_order(fields.text("order", "openpose"))
         return fields.numbers("joints", (21, 3))[:, order]

@@ -33,10 +33,10 @@ SEEN_THROUGH = 0.03
 """What is measured so far behind the skin [m] shows that no hand is there."""
 
 SAMPLE_WEIGHT = 0.5
-"""What one surface sample is worth that agrees [logarithm of likelihood]; neighbours err alike."""
+"""Weight of a surface sample that agrees [logarithm of likelihood]; neighbours err alike."""
 
 THROUGH_WEIGHT = 1.0
-"""What one sample is worth that is seen through, against."""
+"""Weight of a sample that is seen through, against the hand."""
 
 LEAST_AGREEING = 0.3
 """Part of the visible hand that must agree on a depth for full trust."""
@@ -48,7 +48,7 @@ SHAPE_SPREAD = 0.007
 """Standard deviation of a joint along the ray against the rest of the hand [m]."""
 
 HIDDEN = 1.4
-"""By so much are these larger for a joint where nothing agrees."""
+"""Factor on these for a joint where nothing agrees."""
 
 _log = logging.getLogger(__name__)
 
@@ -194,7 +194,8 @@ def _seen_joints(agreeing: np.ndarray) -> np.ndarray:
 
 
 def _covariance(joints: np.ndarray, seen: np.ndarray) -> np.ndarray:
-    """[m^2], shape [21, 3, 3]: of the landmarks across the rays, of the shape along them."""
+    """Covariances of the joints [m^2], shape [21, 3, 3]: of the landmarks across the rays, of the shape along
+    them."""
     extent = float(np.linalg.norm(np.ptp(joints, axis=0)))
     rays = joints / np.linalg.norm(joints, axis=1, keepdims=True)
     along = rays[:, :, None] * rays[:, None]

@@ -33,8 +33,8 @@ def read_object_pose(
 ) -> ObjectEstimate:
     """Read where an object is.
 
-    A pose maps the mesh's coordinates [m] to the camera frame (x right, y down, z forward) [m]. Told apart by
-    what the file is:
+    A pose maps the mesh's coordinates [m] to the camera frame (x right, y down, z forward) [m]. The kind
+    of the file decides:
 
     - a folder: FoundationPose's ``ob_in_cam``, one ``<image>.txt`` with a 4 x 4 matrix per image;
     - ``.txt``: a 4 x 4 matrix, or our 7 numbers ``x y z qw qx qy qz``, separated by spaces or commas;
@@ -95,7 +95,7 @@ def _from_bop(path: Path, image: int | None, object_id: int | None, scene: int |
 
 
 def _estimate(poses: list[np.ndarray], scores: list[float]) -> ObjectEstimate:
-    """Best first."""
+    """An estimate from poses, best first."""
     if not all(0 <= score <= 1 for score in scores):
         others = tuple((pose, 0.0) for pose in poses[1:])
         return ObjectEstimate(poses[0], ACCEPT, True, others, warnings=(FOREIGN_SCORE,), judged=False)

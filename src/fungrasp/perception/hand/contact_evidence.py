@@ -26,12 +26,12 @@ noise; with 5 mm for all links 0.71 and 0.75.
 """
 
 TOLERANCES = np.array([OTHER_TOLERANCE] + [OTHER_TOLERANCE, OTHER_TOLERANCE, FINGERTIP_TOLERANCE] * 5)
-"""In the order of ``HUMAN_LINKS``."""
+"""Largest gap at which each of ``HUMAN_LINKS`` counts as touching [m]."""
 
 
 @dataclass(frozen=True)
 class HandContactSettings:
-    """What contact is worth against the image."""
+    """Standard deviations and limits of the contact evidence."""
 
     spread: float = 0.004
     """Standard deviation of the gap between a touching finger's skin and the surface [m]."""
@@ -94,11 +94,12 @@ def contact_evidence(
     Args:
         hand, joints, jacobian: the skeleton, its joints and their derivatives.
         surroundings: object and table.
-        settings: what that is worth.
+        settings: weights of that.
     """
     points, slopes = SURFACE_SAMPLES.place(joints, jacobian)
     radius = SURFACE_SAMPLES.radius * np.exp(hand.size)
     distance, gradient = surroundings.object_distance(points)
+    # Change of each sample's signed distance by the n parameters, shape [P, n].
     by_step = np.einsum("pi,pin->pn", gradient, slopes)
     gap = distance - settings.pad * radius
     touching = np.array([samples[gap[samples].argmin()] for samples in FINGERTIP_SAMPLES])

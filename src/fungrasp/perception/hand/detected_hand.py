@@ -16,7 +16,7 @@ from fungrasp.perception.io.capture import Box, Capture
 from fungrasp.perception.warning import PerceptionWarning
 
 HAND_LENGTH = 0.19
-"""From wrist to fingertips of an adult [m]."""
+"""Length of an adult's hand from wrist to fingertips [m]."""
 
 UNDECIDED = 0.6
 """Below this part of its windows' votes the landmark model is overruled by how the fingers bend."""
@@ -25,7 +25,7 @@ BENT_BACK = np.radians(8.0)
 """Fingers bent back by more, on average over their joints, are those of the other hand [rad]."""
 
 IMPOSSIBLE = np.radians(20.0)
-"""If the landmark model is sure of the side, fingers bent back by more say that its landmarks are wrong
+"""If the landmark model is confident of the side, fingers bent back by more say that its landmarks are wrong
 [rad]."""
 
 DISTRUST = 0.5
@@ -91,7 +91,7 @@ class DepthHandDetector(HandDetector, Protocol):
     def detect_with_depth(
         self, color: np.ndarray, lengths: np.ndarray, near: Box | None = None
     ) -> list[DetectedHand]:
-        """As ``detect``. lengths: ``hand_lengths`` of the image [pixels], shape [H, W]."""
+        """``detect`` with known depth. lengths: ``hand_lengths`` of the image [pixels], shape [H, W]."""
         ...
 
 

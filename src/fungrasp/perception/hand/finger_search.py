@@ -29,7 +29,7 @@ TRIES = 256
 """Postures tried of each finger."""
 
 ORDER = (4, 0, 1, 2, 3)
-"""In which fingers are searched: the thumb first."""
+"""Order in which fingers are searched: the thumb first."""
 
 OPPOSED_NEAR = 0.025
 """Only fingertips so near to the object [m] say where others touch it."""
@@ -38,7 +38,7 @@ MOST_POINTS = 80
 """Measured points that a finger is compared with."""
 
 WIDE = 1.3
-"""By how much more than usual postures that are tried differ."""
+"""Factor on the usual spread of postures for those that are tried."""
 
 SAMPLED_PARTS = np.array([0.15, 0.5, 0.85])
 """Parts of each link that are looked at."""

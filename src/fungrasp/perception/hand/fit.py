@@ -40,13 +40,13 @@ from fungrasp.perception.hand.skeleton import BASES, SIZE, Skeleton
 from fungrasp.perception.io.capture import Capture
 
 FREE_STAGES = tuple(HandFitStage(outlier) for outlier in ((0.06, 0.06), (0.02, 0.04), (0.008, 0.03)))
-"""Of a fit without the object."""
+"""Stages of a fit without the object."""
 
 PALM_STAGES = (HandFitStage((0.06, 0.06), 0.05), HandFitStage((0.02, 0.04), 0.03))
-"""Of a fit with the object, before the fingers are searched."""
+"""Stages of a fit with the object, before the fingers are searched."""
 
 HELD_STAGES = tuple(HandFitStage((0.02, 0.03), far, contact=True, late=True) for far in (0.02, 0.015))
-"""The same afterwards."""
+"""Stages of a fit with the object, after the fingers are searched."""
 
 COMPARED = HandFitStage((0.02, 0.03), 0.02, contact=True, late=True)
 """How candidates are compared and the final estimate is judged."""
@@ -61,10 +61,10 @@ SAME_GUESS = 0.035
 """Detections whose landmarks differ by less, on average and as a part of the hand's extent, are one."""
 
 SEARCHED = 3
-"""So many candidates, the best before that, have their fingers searched."""
+"""Number of the best candidates whose fingers are searched."""
 
 MOST_GUESSES = 8
-"""So many detections are fitted at all."""
+"""Largest number of detections that are fitted."""
 
 FITTED_SPREAD = 0.004
 """How near a candidate begins to joints that are given [m]."""
@@ -92,7 +92,7 @@ def fit_hand(
     Args:
         detected: landmarks in the color image.
         capture: the same image with depth.
-        settings: what the measurements are worth.
+        settings: standard deviations and weights of the measurements.
 
     Returns:
         Joints in the camera frame; a left hand is not mirrored.
@@ -130,7 +130,7 @@ def fit_held_hand(
         joints: of the hand as it was fitted without them [m], camera frame, shape [21, 3].
         side: which hand it is, if that is known.
         seed: of the search of fingers.
-        settings: what the measurements are worth.
+        settings: standard deviations and weights of the measurements.
 
     Raises:
         FungraspError: there is no depth where the hand is.
@@ -169,7 +169,7 @@ def refine_hand(
     Args:
         hand: the estimate.
         surroundings: object and table.
-        settings: what contact is worth against the estimate.
+        settings: weights of contact against the estimate.
 
     Returns:
         The same hand with other joints, covariances and confidences.

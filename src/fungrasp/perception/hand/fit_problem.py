@@ -44,13 +44,13 @@ TRUSTED_ERROR = 0.015
 """A joint's confidence is the probability that its error is smaller than this [m]."""
 
 COVARIANCE_FACTOR = 1.3
-"""By which errors vary more than least squares believes: neighbouring measurements err alike. From made
-scenes with known truth."""
+"""Factor from the covariance of least squares to that of the errors: neighbouring measurements err alike.
+Measured on rendered scenes with known truth."""
 
 
 @dataclass(frozen=True)
 class HandFitSettings:
-    """What the measurements are worth."""
+    """Standard deviations and weights of the measurements."""
 
     landmark_spread: float = 0.03
     """Standard deviation of a landmark, as a part of the hand's extent in the image."""
@@ -110,7 +110,7 @@ class HandFitStage:
     contact: bool = False
     """Whether object and table are taken to be right for this hand."""
     late: bool = False
-    """Whether the fingers have been searched: landmarks of hidden joints are then worth less."""
+    """Whether the fingers have been searched: landmarks of hidden joints then weigh less."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,7 +141,7 @@ class HandFitProblem:
             view: what of the image shows the hand that holds a known object; needs ``seen``.
             estimate: joints with covariances from another estimator.
             surroundings: known object and table; by default those of ``view``.
-            settings: what the measurements are worth.
+            settings: standard deviations and weights of the measurements.
         """
         self.seen, self.view = seen, view
         self.settings = settings or HandFitSettings()
@@ -212,10 +212,10 @@ class HandFitProblem:
         pixels, pixel_slopes = project(points, slopes, lens)
         radius = SURFACE_SAMPLES.radius * np.exp(hand.size)
         measured = of_hand = seen.measured(pixels)
-        worth = settings.late_landmarks if stage.late else 1.0
+        weight = settings.late_landmarks if stage.late else 1.0
         landmark_spread = np.full(len(joints), self._landmark_spread)
         if stage.late and seen.spread is None:
-            landmark_spread /= worth * np.where(self._hidden, settings.hidden_landmarks, 1.0)
+            landmark_spread /= weight * np.where(self._hidden, settings.hidden_landmarks, 1.0)
         shown = []
         if self.view is not None:
             distance = self.view.surroundings.object_distance(lens.deproject(pixels, measured))[0]
@@ -248,7 +248,7 @@ class HandFitProblem:
                 settings.silhouette_spread,
                 settings.silhouette_outlier,
             ),
-            direction_evidence(joints, jacobian, directions, settings.direction_spread / worth),
+            direction_evidence(joints, jacobian, directions, settings.direction_spread / weight),
             HandEvidence(parameters.turn / settings.turn_spread, turn_columns),
         ]
 
@@ -281,7 +281,8 @@ class HandFitProblem:
 def _joint_evidence(
     estimate: HandEstimate, whitening: np.ndarray, joints: np.ndarray, jacobian: np.ndarray
 ) -> HandEvidence:
-    """The joints are where another estimator saw them, as well as its covariances say."""
+    """The joints are where another estimator saw them, within its covariances."""
+    # Each joint's three coordinates, whitened by its own covariance: unit variance, shape [21, 3].
     off = np.einsum("jab,jb->ja", whitening, joints - estimate.joints_camera)
     columns = (whitening @ jacobian).reshape(off.size, -1)
     return HandEvidence(off.ravel(), columns, outlier=6.0, group=3)

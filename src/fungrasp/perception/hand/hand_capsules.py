@@ -17,10 +17,10 @@ FAR_SIDE = 0.3
 for a capsule's."""
 
 FAR_SIDE_PENALTY = 0.02
-"""By which such a point counts as farther away [m]."""
+"""Distance that is added for such a point [m]."""
 
 ARM_LENGTH = 0.25
-"""Of the forearm as far as it is looked at [m]."""
+"""Length of the forearm that is looked at [m]."""
 
 EXPLAINED = 0.012
 """Measured points so near to the skin [m] are explained by the hand."""
@@ -70,14 +70,14 @@ HAND_CAPSULES = _capsules()
 def offsets_from_lines(
     points: np.ndarray, first: np.ndarray, last: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Where on lines the points nearest to some others are, and the way from there to them.
+    """Where on lines the points nearest to some others are, and the offsets from there to them.
 
     Args:
         points: shape [..., P, d].
         first, last: ends of the lines, shape [..., C, d].
 
     Returns:
-        0 to 1, shape [..., P, C]; shape [..., P, C, d].
+        Part of each line, 0 to 1, shape [..., P, C]; offsets, shape [..., P, C, d].
     """
     line = last - first
     square = np.maximum(np.sum(line**2, axis=-1), 1e-12)[..., None, :]

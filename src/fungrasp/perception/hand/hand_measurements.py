@@ -17,7 +17,7 @@ from fungrasp.perception.hand.image_evidence import FAR_BONES, NEAR_BONES
 from fungrasp.perception.io.capture import Capture, Intrinsics
 
 DEEPEST = 0.16
-"""From the nearest to the farthest joint of a hand [m]: now and then the landmark model says a quarter of a
+"""Largest depth of a hand, nearest to farthest joint [m]: now and then the landmark model says a quarter of a
 metre."""
 
 REACH = 0.12
@@ -36,16 +36,16 @@ POINTS = 400
 """Points of the hand that are looked at."""
 
 FEW = 12
-"""So many times as many are sorted: most show something else."""
+"""Factor on that number for the points that are sorted: most show something else."""
 
 BONE = 0.006
 """Points that are seen so near to a guessed hand's bones [m] show what colour it has."""
 
 LEAST_SKIN = 40
-"""From fewer points no colour is learnt."""
+"""Least number of points from which the color of the skin is learned."""
 
 MOST_SKIN = 400
-"""From more points no more is learnt."""
+"""Largest number of points from which the color of the skin is learned."""
 
 OTHER_COLOR = 4.0
 """Colours farther from the skin's [standard deviations] are another thing's."""
@@ -75,7 +75,7 @@ class HandMeasurements:
 
     @classmethod
     def of(cls, detected: DetectedHand, capture: Capture) -> HandMeasurements:
-        """Of a detected hand, mirrored if it is a left one."""
+        """Measurements of a detected hand, mirrored if it is a left one."""
         intrinsics, pixels, shape = capture.intrinsics, detected.pixels, detected.shape_camera
         depth = np.where(capture.depth > 0, capture.depth, np.nan)
         if detected.side == "left":

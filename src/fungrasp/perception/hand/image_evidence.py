@@ -32,7 +32,7 @@ NO_BACKGROUND = -1e3
 """Distance to the background of a level that has none [pixels]."""
 
 _KIND = np.append(np.where(HAND_CAPSULES.finger < 0, 1, 0), 2)
-"""Of every capsule and the arm: finger, palm, arm."""
+"""Kind of every capsule and of the arm: 0 finger, 1 palm, 2 arm."""
 
 _NEAR, _FAR, _END = (
     np.append(HAND_CAPSULES.near, 0),
@@ -135,6 +135,7 @@ def silhouette_evidence(
     distance, gradient = silhouettes.distance(pixels, depth)
     residual = distance + thickness
     out = (residual > 0) & gradient.any(axis=1)
+    # Chain rule: image gradient [P, 2] times derivatives of the pixels by the n parameters [P, 2, n].
     by_step = np.einsum("pi,pin->pn", gradient[out], slopes[out])
     return HandEvidence(residual[out] / spread, by_step / spread, outlier / spread)
 
@@ -148,13 +149,15 @@ def direction_evidence(
 
     Args:
         joints, jacobian: of the skeleton.
-        directions: unit vectors of ``BONES``, turned as believed so far, camera frame, shape [20, 3].
+        directions: unit vectors of ``BONES``, at the current estimate of the turn, camera frame, shape
+        [20, 3].
         spread: standard deviation of a direction [rad].
     """
     bones = joints[FAR_BONES] - joints[NEAR_BONES]
     lengths = np.linalg.norm(bones, axis=1)[:, None]
     units = bones / lengths
     slopes = jacobian[FAR_BONES] - jacobian[NEAR_BONES]
+    # A unit vector moves across the bone alone: d(b / |b|) = (I - u u^T) db / |b|, shape [20, 3, n].
     along = np.einsum("bi,bin->bn", units, slopes)
     slopes = (slopes - units[..., None] * along[:, None]) / lengths[..., None]
     by_turn = -np.cross(np.eye(3), directions[:, None]).transpose(0, 2, 1)
@@ -188,6 +191,7 @@ def point_evidence(
     distance, along, normal = distance[row, nearest], along[row, nearest], normal[row, nearest]
     kind = _KIND[nearest]
     part = np.where(kind == 2, 0.0, along * _END[nearest])[:, None]
+    # The nearest point of the bone is a mixture of its joints; the residual falls as it moves outward.
     by_step = np.einsum("pi,pin->pn", normal, jacobian[_NEAR[nearest]]) * (1 - part)
     by_step += np.einsum("pi,pin->pn", normal, jacobian[_FAR[nearest]]) * part
     width = np.asarray(spread)[kind]
@@ -222,7 +226,7 @@ class Silhouettes:
             depth: of the image [m], shape [H, W]; NaN: none, taken for anything.
             pixels: of the hand's parts, shape [P, 2].
             parts: their depths [m], shape [P].
-            levels: how many depths of parts are told apart.
+            levels: number of depth levels that parts are sorted into.
             behind: what is farther than a part by this [m] is background to it.
             margin: looked at around the parts [pixels].
         """

@@ -33,10 +33,10 @@ _TO_MODEL = np.argsort(FROM_MODEL)
 
 FINGER_BEYOND, THUMB_BEYOND, WRIST_BEYOND = (0.09, 0.13, -0.18), (0.08, 0.08, -0.16), 0.04
 """How far beyond the joints that data sets mean the models' landmarks are, after knuckles, as a part of the
-bone that ends there; the wrist's toward the middle finger's knuckle, as a part of that way. Landmarks of tips
-are on the nail, not at its end. From 178 rendered captures, whose visible landmarks it brings from 7.3 to 6.3
-pixels and from 8.1 to 7.1; at knuckles and middle joints taken smaller than measured, as a rendered hand may
-mislead."""
+bone that ends there; the wrist's toward the middle finger's knuckle, as a part of that distance. Landmarks of
+tips are on the nail, not at its end. From 178 rendered captures, whose visible landmarks it brings from 7.3
+to 6.3 pixels and from 8.1 to 7.1; at knuckles and middle joints taken smaller than measured, as a rendered
+hand may mislead."""
 
 
 def _joints_of_landmarks() -> np.ndarray:
@@ -78,7 +78,7 @@ WINDOW_LENGTHS = 1.16
 models were trained on, but one that was first seen at a wrong place is still inside."""
 
 WINDOW_TURNS = np.radians(np.arange(0, 360, 45))
-"""By how much such windows are turned [rad]."""
+"""Angles by which such windows are turned [rad]."""
 
 WINDOW_OFFSETS = ((0.0, 0.0), (0.25, 0.0), (-0.25, 0.0), (0.0, 0.25), (0.0, -0.25))
 """Where the middles of such windows are if only a palm of low score is known, from its own, in hand lengths;
@@ -88,7 +88,7 @@ CUT_AGAIN = 4
 """Around so many of the answers from such windows, the most probable ones, a window is cut, and mirrored."""
 
 MOST_VERIFIED = 2
-"""So many hands of an image are looked at in more windows."""
+"""Largest number of hands of an image that are looked at in more windows."""
 
 SAME_HAND = 0.5
 """Two answers whose boxes overlap by more than this part of their union are one hand."""

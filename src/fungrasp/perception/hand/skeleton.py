@@ -121,7 +121,8 @@ class Skeleton:
         return cls(position, turn, size, np.zeros((5, 3)), np.zeros((5, 3)), ANGLE_MEAN)
 
     def moved(self, step: np.ndarray) -> Skeleton:
-        """With every parameter changed by a step, shape [``SIZE``]; the turn is about the camera's axes."""
+        """The skeleton with every parameter changed by a step, shape [``SIZE``]; the turn is about the
+        camera's axes."""
         part = {name: step[where] for name, where in PARAMETERS.items()}
         return Skeleton(
             self.position + part["position"],

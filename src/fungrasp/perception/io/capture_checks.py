@@ -30,7 +30,7 @@ EDGES_WITHIN = 1.5
 """Only things nearer than this [m] count: farther away, noise makes steps where nothing ends."""
 
 LEAST_EDGE = 100
-"""With fewer pixels of edges [at 640 x 480] nothing can be told."""
+"""Least number of pixels of edges [at 640 x 480] for the alignment to be checked."""
 
 SKIN_PART = (0.003, 0.02)
 """Parts of the image: less skin than the first, and more than the second once red and blue are swapped, look
@@ -73,7 +73,7 @@ def check_alignment(capture: Capture) -> tuple[int, int] | None:
 
     Returns:
         Columns and rows by which the depth lies away from where it belongs [pixels], or None if all looks
-        well or nothing can be told.
+        well or there are too few edges.
     """
     depth = np.where(capture.measured, capture.depth, np.nan)
     scale = max(1.0, capture.intrinsics.width / 640)

@@ -40,7 +40,7 @@ class FileIntrinsics:
 def read_intrinsics(path: str | Path, size: tuple[int, int], *, image: int | None = None) -> FileIntrinsics:
     """Read intrinsics and check that they fit an image.
 
-    Layouts, told apart by their fields:
+    Layouts, recognized by their fields:
 
     - ours: ``width, height, fx, fy, cx, cy`` and, if wanted, ``depth_unit`` [m per unit];
     - RealSense: ``width, height, fx, fy, ppx, ppy``, maybe inside ``color``; ``depth_scale`` [m per unit];
@@ -69,7 +69,7 @@ def read_intrinsics(path: str | Path, size: tuple[int, int], *, image: int | Non
 def intrinsics_from(
     content: Any, size: tuple[int, int], *, where: str, image: int | None = None
 ) -> FileIntrinsics:
-    """As ``read_intrinsics`` for what the file held. where: name of the file, for messages."""
+    """``read_intrinsics`` from the contents of the file. where: name of the file, for messages."""
     if isinstance(content, list):
         return FileIntrinsics(_from_matrix(content, size, where))
     if not isinstance(content, Mapping):

@@ -18,10 +18,10 @@ from fungrasp.perception.io.capture import Capture, Intrinsics
 from fungrasp.perception.io.capture_checks import check_depth_range
 
 FIRST_WAIT = 5000
-"""So long [ms] the first images may take: a camera has to start."""
+"""Longest time that the first images may take [ms]: a camera has to start."""
 
 WAIT = 2000
-"""So long [ms] each further one may take; a recording that gives none is at its end."""
+"""Longest time that each further one may take [ms]; a recording that gives none is at its end."""
 
 CHANNELS = {"rgb8": [0, 1, 2], "bgr8": [2, 1, 0], "rgba8": [0, 1, 2], "bgra8": [2, 1, 0]}
 """Formats of colour that are understood, and where red, green and blue are in them."""

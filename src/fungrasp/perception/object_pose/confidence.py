@@ -37,7 +37,7 @@ SAME = 0.001
 """Poses whose surfaces are nearer than this on average [m] look the same: a symmetry."""
 
 COMPARED_POINTS = 300
-"""Of the object's surface, by which poses are compared."""
+"""Points of the object's surface by which poses are compared."""
 
 
 def features(scores: PoseScores) -> np.ndarray:

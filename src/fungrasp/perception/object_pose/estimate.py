@@ -40,7 +40,7 @@ GOOD = (0.85, 0.6)
 """Quality of an answer that needs no second search, with and without a mask."""
 
 COLOR_WEIGHT = 0.15
-"""Quality that full agreement of colours is worth, as a part of the best pose's."""
+"""Quality that full agreement of colors adds, as a part of the best pose's."""
 
 ANSWERS = 5
 """Most alternatives that are kept."""
@@ -134,7 +134,7 @@ def search_object_pose(
 
 
 def best_estimate(answers: PoseAnswers) -> ObjectEstimate:
-    """The best answer, how sure it is, and the others."""
+    """The best answer with its score, and the others."""
     poses = answers.poses
     if answers.problem is not None:
         return ObjectEstimate(poses[0], 0.0, False, warnings=(answers.problem,))

@@ -29,7 +29,7 @@ RAYS = 1000
 """About how many rays a pose is scored by; as many as our own answers."""
 
 ALLOWED = 0.25
-"""A pixel that shows a thing less surely than this is not the object's."""
+"""A pixel whose confidence to show a thing is below this is not the object's."""
 
 
 def score_given_pose(
@@ -44,7 +44,7 @@ def score_given_pose(
 ) -> ObjectEstimate:
     """The same answer with the score that the depth gives it, whatever score its program gave.
 
-    The score means what it means for our own answers: how sure it is that the mesh is within 10 mm (ADD-S) of
+    The score means what it means for our own answers: the confidence that the mesh is within 10 mm (ADD-S) of
     the pose. The best fit to the depth nearby is looked for; if it is within 10 mm, its score is the pose's.
 
     Args:

@@ -140,6 +140,7 @@ def fit_poses(
     for _ in range(settings.iterations):
         rotation, position = rotation_matrix(poses[:, 3:]), poses[:, None, :3]
         grid = np.zeros(len(poses), dtype=int)
+        # Rows are points: camera to object frame by (p - t) R, gradients back by g R^T, shape [H, P, 3].
         distance, slope = surface.distance.query(grid, (points - position) @ rotation)
         normal = slope @ rotation.swapaxes(-1, -2)
         arm = points - position

@@ -173,6 +173,7 @@ def starting_poses(known: KnownObject, points: np.ndarray, quaternions: np.ndarr
     samples = known.surface.samples[:300]
     seen = np.maximum(-(rotation @ known.normals[:300].T)[:, 0], 0.0)
     turned = samples @ rotation.swapaxes(-1, -2)
+    # Mean of the samples that face the camera, weighted by how squarely they do, shape [H, 3].
     side = np.einsum("hm,hmi->hi", seen, turned) / np.maximum(seen.sum(axis=1), 1e-9)[:, None]
     measured = points @ axes.T
     target = measured.mean(axis=0)

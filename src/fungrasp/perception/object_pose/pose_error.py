@@ -34,8 +34,8 @@ def add(points: np.ndarray, pose: np.ndarray, truth: np.ndarray) -> np.ndarray:
 
 
 def add_s(points: np.ndarray, pose: np.ndarray, truth: np.ndarray) -> np.ndarray:
-    """Average distance from the true points to the *nearest* estimated one [m]: blind to the object's
-    symmetries.
+    """Average distance from the true points to the *nearest* estimated one [m]: the same for
+    all poses that a symmetry of the object makes equal.
 
     ``ADD-S = mean over p of min over q of |T* p - T q|``.
 

@@ -17,7 +17,7 @@ UNSEEN = 0.1
 """Weight of a pixel of the mesh's silhouette that is hidden, in that of an explained one."""
 
 OCCLUDER = 0.25
-"""How sure it is that what seems to be a thing in front of the object is no unrecognised part of the arm."""
+"""Confidence that what seems to be a thing in front of the object is no unrecognised part of the arm."""
 
 CONTACT = 0.05
 """Fingertips as far from the surface as this [m] halve the quality."""
@@ -113,7 +113,7 @@ def pose_scorer(
     Args:
         known: the object.
         capture: the image.
-        support: how sure it is that a pixel shows a thing, not skin, table or room, shape [H, W].
+        support: confidence that a pixel shows a thing, not skin, table or room, shape [H, W].
         masks: proposals for the object's pixels, bool, shape [H, W] each.
         table: plane ``[nx ny nz d]``, camera frame, or None.
         joints: of the hand [m], camera frame, shape [21, 3], or None.
@@ -144,7 +144,7 @@ def color_agreement(
     known: KnownObject, capture: Capture, poses: np.ndarray, allowed: np.ndarray
 ) -> np.ndarray:
     """Correlation of the mesh's colours with those of the image, over the visible surface samples and the
-    three channels together: blind to the brightness and the tint of the light.
+    three channels together: it does not depend on the brightness and the tint of the light.
 
     Args:
         known: the object.
@@ -160,6 +160,7 @@ def color_agreement(
         return result
     points = transform_points(poses, known.surface.samples)
     normals = known.normals @ rotation_matrix(poses[:, 3:]).swapaxes(-1, -2)
+    # Samples seen at less than 73 degrees from their normal: the camera is at the origin.
     facing = -np.einsum("hmi,hmi->hm", normals, points) > 0.3 * np.linalg.norm(points, axis=-1)
     with np.errstate(invalid="ignore"):
         pixels = np.rint(np.nan_to_num(capture.intrinsics.project(points), nan=-1.0)).astype(np.int64)

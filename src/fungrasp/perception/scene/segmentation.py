@@ -71,7 +71,7 @@ def distance_from_hand(points: np.ndarray, joints: np.ndarray) -> np.ndarray:
 
 
 def distance_from_forearm(points: np.ndarray, joints: np.ndarray) -> np.ndarray:
-    """As ``distance_from_hand``, for a sleeved forearm that goes straight on."""
+    """``distance_from_hand`` for a sleeved forearm that goes straight on."""
     away = joints[0] - joints[[5, 9]].mean(axis=0)
     away = away / max(float(np.linalg.norm(away)), 1e-6)
     length, radius = FOREARM

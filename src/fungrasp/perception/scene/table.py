@@ -113,6 +113,7 @@ def planes_through(corners: np.ndarray) -> np.ndarray:
     """
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     length = np.linalg.norm(normal, axis=1, keepdims=True)
+    # Not yet divided by the length: (n, d) of n . x + d = 0 through the first corner.
     offset = -np.einsum("ti,ti->t", normal, corners[:, 0])[:, None]
     kept = length[:, 0] > 1e-6
     planes = np.concatenate([normal, offset], axis=1)[kept] / length[kept]

@@ -1,4 +1,4 @@
-"""Candidates: planned variations of grasps, and what is known of them."""
+"""Candidates: planned variations of grasps, and how likely each is to succeed."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from fungrasp.task import Belief, GraspPlan
 
 @dataclass(frozen=True, eq=False)
 class CandidateStatistics:
-    """What is known of K candidates of each of G grasps; all arrays have the shape [K, G]."""
+    """Expected and observed success of K candidates of each of G grasps; all arrays have the shape [K, G]."""
 
     expected: np.ndarray
     """Probability of success that the predictor expects."""
@@ -32,7 +32,7 @@ class CandidateStatistics:
 
     @classmethod
     def untried(cls, expected: np.ndarray, prior: float) -> CandidateStatistics:
-        """Before any rollout."""
+        """Statistics of candidates before any rollout. expected: shape [K, G]."""
         return cls(expected, prior, *(np.zeros(expected.shape) for _ in range(3)))
 
     @property
@@ -52,7 +52,7 @@ class CandidateStatistics:
         Args:
             candidates: of each grasp, shape [P, G].
             success: of as many rollouts of each, P G candidates in turn.
-            bonus: likewise.
+            bonus: weighted contact ratio less weighted slip of the same rollouts.
         """
         grasps = np.arange(candidates.shape[1])
         self.tried[candidates, grasps] += len(bonus) // candidates.size
@@ -60,15 +60,15 @@ class CandidateStatistics:
         self.bonus[candidates, grasps] += bonus.reshape(*candidates.shape, -1).sum(axis=2)
 
     def select(self, candidates: np.ndarray, grasps: np.ndarray) -> CandidateStatistics:
-        """Of candidates [P, S] of some grasps [S]."""
+        """Statistics of candidates, shape [P, S], of some grasps, shape [S]."""
         return self._each(lambda name: getattr(self, name)[candidates, grasps])
 
     def join(self, other: CandidateStatistics) -> CandidateStatistics:
-        """With more candidates of the same grasps."""
+        """These and more candidates of the same grasps."""
         return self._each(lambda name: np.concatenate([getattr(self, name), getattr(other, name)]))
 
     def _each(self, values: Callable[[str], np.ndarray]) -> CandidateStatistics:
-        """With another array in the place of each."""
+        """A copy with another array in the place of each."""
         return replace(self, **{name: values(name) for name in ("expected", "tried", "held", "bonus")})
 
 
@@ -104,7 +104,7 @@ class Candidates:
         )
 
     def join(self, other: Candidates) -> Candidates:
-        """With more candidates of the same grasps."""
+        """These and more candidates of the same grasps."""
         return Candidates(
             RobotGraspSet.concatenate([self.grasps, other.grasps]),
             GraspPlan.join([self.plans, other.plans]),

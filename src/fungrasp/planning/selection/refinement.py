@@ -33,7 +33,7 @@ def refine_grasps(
     spread: VariationSpread | None = None,
     progress: Callable[[int], None] = lambda count: None,
 ) -> RobotGraspSet:
-    """Try variations of each grasp in the dynamic test until one succeeds; keep the best.
+    """Try variations of each grasp in the lift test until one succeeds; keep the best.
 
     Variations change wrist, fingers, squeeze and the last press of the wrist. Half of them start from the
     grasp, half from the best variation so far. The result for a grasp depends on the seed and its index
@@ -44,7 +44,7 @@ def refine_grasps(
         objects: by name.
         hand: the robot hand.
         policy: what follows the plans.
-        tries: most trials per grasp, the unchanged grasp included.
+        tries: most episodes per grasp, the unchanged grasp included.
         seed: of the random numbers.
         threads: 0 means all processors.
         spread: of the variations; the default if None.
@@ -52,7 +52,7 @@ def refine_grasps(
 
     Returns:
         N grasps; ``extra`` has the controller's settings of each (``MotionPlanner``) and
-        ``refined_tries``, the number of trials it took, negative where none succeeded.
+        ``refined_tries``, the number of episodes it took, negative where none succeeded.
     """
     spread = spread or VariationSpread()
     scene = build_scene(hand, objects)

@@ -1,5 +1,5 @@
-"""Plans tried in simulation before one is followed, in worlds that differ from what is believed: those that
-hold in most of them are good plans, and not only lucky ones."""
+"""Rollouts of plans in simulation before one is followed, in worlds that differ from the nominal one: those
+that hold in most of them are good plans, and not only lucky ones."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from fungrasp.task import Belief, GraspPlan, LiftEnvironment, LiftProtocol, Poli
 from fungrasp.transfer import MODERATE, EpisodeSample, MeasurementError, Randomization, draw, random_stream
 
 Rounds = tuple[tuple[int, int], ...]
-"""In each round, how many candidates of a grasp are tried, the best so far, and how often each."""
+"""For each round, the number of the best candidates of a grasp that are tried, and of rollouts of each."""
 
 LARGEST_SLIP = 10.0
 """Slip beyond this counts no more [mm/s]."""
@@ -45,7 +45,7 @@ class RolloutSettings:
 
 @dataclass(frozen=True, eq=False)
 class RolloutResults(BatchRecord):
-    """Of R rollouts."""
+    """Outcomes of R rollouts."""
 
     success: np.ndarray
     """Whether the object was held, shape [R] bool."""
@@ -87,12 +87,13 @@ def try_candidates(
     pose_errors = random_stream("believed pose errors", *seed).normal(size=(number, 6))
     best, done = statistics.order, 0
     for most, each in rounds:
+        # Rows of ``best`` [K, G] are candidates; each round keeps the leading ones of the round before.
         best = np.take_along_axis(best, statistics.select(best, np.arange(count)).order, axis=0)[:most]
         # Candidates lie one variation after the other: candidate k of grasp g is row k G + g.
         flat = (best * count + np.arange(count)).ravel()
         rows, draws = np.repeat(flat, each), np.tile(done + np.arange(each), len(flat))
         beliefs = candidates.beliefs.select(rows % count)
-        drawn = _with_believed_errors(sample.select(draws), beliefs, pose_errors[draws])
+        drawn = _with_estimated_errors(sample.select(draws), beliefs, pose_errors[draws])
         found = roll_out(plans.select(rows), beliefs, drawn, scene, policy, s, threads)
         slip = np.minimum(found.slip, LARGEST_SLIP)
         statistics.add(best, found.success, s.contact * found.contact_ratio - s.slip * slip)
@@ -145,13 +146,13 @@ def _scene(plans: GraspPlan, objects: Mapping[str, ObjectModel], hand: Hand, tim
 
 
 def _without_jitter(randomization: Randomization) -> Randomization:
-    """So that a rollout does not depend on which others run beside it."""
+    """The randomization without jitter, so that a rollout does not depend on which others run beside it."""
     errors = {f.name: getattr(randomization, f.name) for f in fields(Randomization)}
     still = {n: replace(e, jitter=0.0) for n, e in errors.items() if isinstance(e, MeasurementError)}
     return replace(randomization, **still, tracker_dropout=0.0)
 
 
-def _with_believed_errors(sample: EpisodeSample, beliefs: Belief, z: np.ndarray) -> EpisodeSample:
+def _with_estimated_errors(sample: EpisodeSample, beliefs: Belief, z: np.ndarray) -> EpisodeSample:
     """Object pose errors as large as the belief says they may be: ``e = L z`` with ``L L^T`` its covariance.
 
     Args:

@@ -1,5 +1,5 @@
-"""Of many candidates of a grasp, the one that holds best: a learned predictor names the promising ones, and
-simulated rollouts decide between them."""
+"""The best of many candidates of a grasp: a learned predictor selects the promising ones, and simulated
+rollouts decide between them."""
 
 from __future__ import annotations
 
@@ -211,7 +211,7 @@ class SearchPlanner:
 
 
 def _rounded(belief: Belief) -> Belief:
-    """What is believed, in steps of ``RESOLUTION``."""
+    """The belief, rounded to steps of ``RESOLUTION``."""
 
     def steps(values: np.ndarray) -> np.ndarray:
         return RESOLUTION * np.round(values / RESOLUTION) + 0.0  # no -0.0, which has another digest

@@ -32,7 +32,7 @@ class VariationSpread:
 
 
 def with_settings(grasps: RobotGraspSet, settings: MotionSettings | None = None) -> RobotGraspSet:
-    """The grasps with the controller's settings written out in ``extra`` where they have none."""
+    """The grasps with the settings of their motion written out in ``extra`` where they have none."""
     s = settings or MotionSettings()
     count = len(grasps)
     defaults = {

@@ -162,7 +162,7 @@ class PolicyCard:
         return sum(part.size for part in self.action)
 
     def to_json(self) -> dict[str, Any]:
-        """As plain lists, tables, numbers and text."""
+        """The card as plain lists, tables, numbers and text."""
         values: dict[str, Any] = {}
         for name, value in asdict(self).items():
             if isinstance(value, Budget):

@@ -72,8 +72,8 @@ class PolicyNetwork:
                 raise FungraspError(f"the graph has an output '{name}' and no input '{name[5:]}'")
 
     def initial_state(self, worlds: int) -> State:
-        """What it remembers at the start of a trial: zeros, shape [worlds, ...] each. A policy without memory
-        has an empty one."""
+        """What it remembers at the start of an episode: zeros, shape [worlds, ...] each. A policy without
+        memory has an empty one."""
         return {name: np.zeros((worlds, *shape), kind) for name, (kind, shape) in self._states.items()}
 
     def __call__(
@@ -123,7 +123,7 @@ class PolicyNetwork:
         return f"policy '{self.card.name}'"
 
     def _checked(self, observation: np.ndarray) -> np.ndarray:
-        """As single precision, of the right shape, finite."""
+        """The array in single precision, after a check of its shape and that it is finite."""
         given = np.asarray(observation)
         if given.ndim != 2 or given.shape[1] != self._size:
             layout = ", ".join(f"{part.name} {part.size}" for part in self.card.inputs)
