@@ -184,6 +184,7 @@ class LiftEnvironment:
         """The physics of some worlds: nominal parameters times the factors that were drawn."""
         s, nominal = self.sample.select(ids), self.scene.settings.friction
         friction = np.full(len(ids), nominal) if s.friction is None else s.friction
+        table = s.table_height if believed is None else s.table_height + believed.table_height
         damping, stiffness, servo = s.joint_damping, s.servo_stiffness, s.servo_damping
         if belief is not None:
             friction = friction * (belief.friction / nominal)
@@ -196,7 +197,7 @@ class LiftEnvironment:
             object_index=index,
             object_mass=self._mass[ids],
             friction=friction,
-            table_height=s.table_height,
+            table_height=table,
             joint_damping=damping,
             servo_stiffness=stiffness[:, self._driven],
             servo_damping=servo[:, self._driven],

@@ -17,7 +17,8 @@ class Outcomes(BatchRecord):
     """Outcomes of W episodes, a number each, shape [W]."""
 
     success: np.ndarray
-    """Whether the object stayed up and touched nothing but the hand during the whole hold, bool."""
+    """Whether the object stayed up, in the hand, and touched nothing but the hand during the whole hold,
+    bool."""
     lifted_height_m: np.ndarray
     """Smallest height of the centre of mass above where it settled, during the hold [m]."""
     contact_ratio: np.ndarray
@@ -122,9 +123,11 @@ class LiftMeasurements:
         number = np.maximum(number, 1)
         high = self._lifted >= self._protocol.success_height
         diverged = self._lifted < -0.5
-        success = high & ~self._touched_table
+        # An object that was thrown up is not held.
+        in_hand = touching / number > 0.5
+        success = high & in_hand & ~self._touched_table
         reason = np.select(
-            [success, diverged, high, touching / number > 0.9, touching > 0],
+            [success, diverged, high & in_hand, touching / number > 0.9, touching > 0],
             [
                 "",
                 "the simulation diverged",
