@@ -7,12 +7,12 @@ import json
 
 import numpy as np
 import pytest
-from fungrasp.grasps.grasp_files import builtin_grasps
 from grasp_files import BAD, bad_inputs, run, some_grasps
 from PIL import Image
 
 from fungrasp.evaluation import lift_test, replay
 from fungrasp.grasps import save_human_grasps
+from fungrasp.grasps.grasp_files import builtin_grasps
 from fungrasp.transfer import NOMINAL, Randomization
 
 

@@ -184,7 +184,7 @@ class LiftEnvironment:
         """The physics of some worlds: nominal parameters times the factors that were drawn."""
         s, nominal = self.sample.select(ids), self.scene.settings.friction
         friction = np.full(len(ids), nominal) if s.friction is None else s.friction
-        table = s.table_height if believed is None else s.table_height + believed.table_height
+        table = s.table_height if belief is None else s.table_height + belief.table_height
         damping, stiffness, servo = s.joint_damping, s.servo_stiffness, s.servo_damping
         if belief is not None:
             friction = friction * (belief.friction / nominal)
