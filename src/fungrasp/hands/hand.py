@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 
 from fungrasp.errors import FungraspError, UnknownNameError
+from fungrasp.geometry.poses import invert
 
 FINGERS = ("index", "middle", "ring", "pinky", "thumb")
 """Names of fingers, in the order of the human joints and links (docs/conventions.md)."""
@@ -77,6 +78,7 @@ class Hand:
         """A fresh model of the bare hand, palm fixed at the world's origin, one position actuator per
         independent joint (named as its joint)."""
         spec = _parse(self.model_path)
+        _put_at_origin(spec, self.palm)
         for actuator in list(spec.actuators):
             spec.delete(actuator)
         for servo in self.actuators.values():
@@ -291,6 +293,24 @@ def _parse(path: Path) -> mujoco.MjSpec:
         return mujoco.MjSpec.from_file(str(path))
     except ValueError as error:
         raise FungraspError(f"cannot read the hand's model {path}: {_one_line(error)}") from error
+
+
+def _put_at_origin(spec: mujoco.MjSpec, palm: str) -> None:
+    """Move everything so that a body that stands still lies at the world's origin, without rotation."""
+    # A frame added to a compiled spec has no effect.
+    model = spec.copy().compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    pose = np.concatenate([data.body(palm).xpos, data.body(palm).xquat])
+    if np.array_equal(pose, [0, 0, 0, 1, 0, 0, 0]):
+        return
+    back = invert(pose)
+    world = spec.worldbody
+    parts = [*world.frames, *world.bodies, *world.geoms, *world.sites, *world.cameras, *world.lights]
+    outermost = [part for part in parts if part.frame is None]
+    frame = world.add_frame(pos=back[:3], quat=back[3:])
+    for part in outermost:
+        part.set_frame(frame)
 
 
 def _one_line(error: Exception) -> str:
