@@ -71,6 +71,8 @@ class Hand:
     """By name, in the order of ``FINGERS``."""
     actuators: Mapping[str, Actuator]
     """By joint name, in the model's joint order."""
+    side: str = "right"
+    """"right" or "left": which human hand it imitates."""
     source: str = ""
     """Where the model comes from."""
 
@@ -150,6 +152,12 @@ class Hand:
         """All joints [rad], shape [..., M], of independent ones [rad], shape [..., U]."""
         matrix, offset = self.coupling
         return independent @ matrix.T + offset
+
+    @property
+    def index_side(self) -> np.ndarray:
+        """Unit vector across the palm to the side of index finger and thumb, palm frame, shape [3]."""
+        across = np.cross(self.palm_fingers, self.palm_normal)
+        return across if self.side == "right" else -across
 
     @property
     def links(self) -> tuple[tuple[str, ...], ...]:
@@ -241,18 +249,49 @@ def read_hand_toml(path: Path) -> Hand:
     if len(fingers) < 2:
         raise FungraspError(f"{path}: a hand needs a thumb and at least one more finger")
     frame = data.get("palm_frame", {})
+    palm_fingers = _unit(path, "palm_frame.fingers", frame.get("fingers", (0, 0, 1)))
+    palm_normal = _unit(path, "palm_frame.normal", frame.get("normal", (1, 0, 0)))
+    palm = existing("body", data["palm"], bodies)
+    side = data.get("side", side_of(model, palm, fingers, np.cross(palm_fingers, palm_normal)))
+    if side not in ("right", "left"):
+        raise FungraspError(f"{path}: side must be \"right\" or \"left\", not {side!r}")
     return Hand(
         name=data["name"],
         title=data.get("title", data["name"]),
         path=path,
         model_path=model_path,
-        palm=existing("body", data["palm"], bodies),
-        palm_fingers=_unit(path, "palm_frame.fingers", frame.get("fingers", (0, 0, 1))),
-        palm_normal=_unit(path, "palm_frame.normal", frame.get("normal", (1, 0, 0))),
+        palm=palm,
+        palm_fingers=palm_fingers,
+        palm_normal=palm_normal,
         fingers=fingers,
         actuators=_actuators(path, data["actuators"], model),
+        side=side,
         source=data.get("source", ""),
     )
+
+
+def side_of(model: mujoco.MjModel, palm: str, fingers: Mapping[str, Finger], across: np.ndarray) -> str:
+    """Whether a hand is "right" or "left": on a right one the index finger lies farther than the others, or
+    where there is one finger the thumb farther than it, along the cross product of fingers and normal.
+
+    Args:
+        model: the hand.
+        palm: the palm body.
+        fingers: by name, in the order of ``FINGERS``.
+        across: that cross product, palm frame, shape [3].
+    """
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    direction = data.body(palm).xmat.reshape(3, 3) @ across
+
+    def base(finger: Finger) -> float:
+        site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, finger.joints[0])
+        place = data.site_xpos[site] if site >= 0 else data.body(finger.joints[0]).xpos
+        return float(place @ direction)
+
+    first, *others = (fingers[name] for name in fingers if name != "thumb")
+    difference = base(first) - base(others[-1]) if others else base(fingers["thumb"]) - base(first)
+    return "left" if difference < 0 else "right"
 
 
 def _actuators(path: Path, entry: Mapping[str, Any], model: mujoco.MjModel) -> dict[str, Actuator]:

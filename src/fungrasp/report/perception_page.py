@@ -12,7 +12,7 @@ import numpy as np
 
 from fungrasp.grasps import HUMAN_LINKS
 from fungrasp.grasps.human_hand import HUMAN_FINGERS
-from fungrasp.grasps.importers.dexycb import MIRRORED
+from fungrasp.objects import MIRRORED
 from fungrasp.objects import ObjectModel
 from fungrasp.perception import Capture
 from fungrasp.perception.object_pose.confidence import ACCEPT

@@ -26,9 +26,7 @@ from fungrasp.grasps.importers.dexycb_folder import (
 )
 from fungrasp.grasps.importers.mano import ManoHand
 from fungrasp.grasps.importers.ycb import YCB_MASSES, YCB_NAMES
-
-MIRRORED = "_mirrored"
-"""Ending of the names of objects in mirrored grasps: their meshes must be mirrored too."""
+from fungrasp.objects import MIRRORED
 
 MISFIT = 0.005
 """Largest distance between the wrist of the labels and that of the MANO model [m]."""
