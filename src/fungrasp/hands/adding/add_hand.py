@@ -65,12 +65,12 @@ def add_hand(
         raise FungraspError(f"{folder} holds a hand already; --force overwrites it")
     foreign = read_foreign(path)
     findings = foreign.findings
-    couplings = find_couplings(foreign.model, findings)
+    couplings = find_couplings(foreign.model, findings, answers.couplings)
     ends = far_ends(foreign)
     structure = find_structure(foreign.model, couplings, ends, answers)
     findings.append(_summary(structure, foreign.model))
     poses = Poses(foreign.model, couplings, structure.palm)
-    shapes = hand_shapes(foreign, structure, poses, ends, findings)
+    shapes = hand_shapes(foreign, structure, poses, ends, answers.radius, findings)
     physics = joint_physics(poses, structure, shapes.tips, findings)
     spec = new_model(foreign, structure, poses, shapes, couplings, physics, name, findings)
     text = self_contained_xml(spec)
@@ -92,6 +92,25 @@ def parse_fingers(entries: tuple[str, ...]) -> Mapping[str, str]:
         if "=" not in entry:
             raise FungraspError(f"--finger takes NAME=BODY, as in index=link_3, not '{entry}'")
     return dict(entry.split("=", 1) for entry in entries)
+
+
+def parse_couplings(entries: tuple[str, ...]) -> tuple[tuple[str, float, str], ...]:
+    """``JOINT=SLOPE*DRIVER`` ... as joint, slope, driver.
+
+    Raises:
+        FungraspError: an entry of another form.
+    """
+    found = []
+    for entry in entries:
+        match = re.fullmatch(r"([^=]+)=([-+.\deE]+)\*(.+)", entry)
+        try:
+            slope = float(match[2]) if match else np.nan
+        except ValueError:
+            slope = np.nan
+        if match is None or not np.isfinite(slope):
+            raise FungraspError(f"--couple takes JOINT=SLOPE*DRIVER, as in j2=1.0*j1, not '{entry}'")
+        found.append((match[1], slope, match[3]))
+    return tuple(found)
 
 
 def _summary(structure: HandStructure, model) -> Finding:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from fungrasp.errors import FungraspError, UnknownNameError
 from fungrasp.hands.checking.finding import Finding, note, warning
 from fungrasp.hands.checking.kinematic_tree import joint_name
 
@@ -24,8 +25,19 @@ class Coupling:
     slope: float
 
 
-def find_couplings(model: mujoco.MjModel, findings: list[Finding]) -> list[Coupling]:
-    """All linear couplings of a model, no joint driven twice and no loop."""
+def find_couplings(
+    model: mujoco.MjModel, findings: list[Finding], given: tuple[tuple[str, float, str], ...] = ()
+) -> list[Coupling]:
+    """All linear couplings of a model, no joint driven twice and no loop.
+
+    Args:
+        model: any.
+        findings: what is left out or assumed is added.
+        given: further couplings, joint, slope and driver, that come before the model's.
+
+    Raises:
+        FungraspError: a given coupling names a joint that does not exist, or closes a loop.
+    """
     found: dict[int, Coupling] = {}
 
     def add(joint: int, driver: int, constant: float, slope: float) -> bool:
@@ -37,6 +49,13 @@ def find_couplings(model: mujoco.MjModel, findings: list[Finding]) -> list[Coupl
         found[joint] = Coupling(joint, driver, constant, slope)
         return True
 
+    names = {joint_name(model, j): j for j in range(model.njnt)}
+    for joint, slope, driver in given:
+        for name in (joint, driver):
+            if name not in names:
+                raise FungraspError(f"--couple: {UnknownNameError('joint', name, names)}")
+        if not add(names[joint], names[driver], 0.0, slope):
+            raise FungraspError(f"--couple: '{joint}' is driven already, or drives '{driver}'")
     for e in range(model.neq):
         if model.eq_type[e] == mujoco.mjtEq.mjEQ_JOINT and model.eq_obj2id[e] >= 0 and model.eq_active0[e]:
             joint, driver = int(model.eq_obj1id[e]), int(model.eq_obj2id[e])

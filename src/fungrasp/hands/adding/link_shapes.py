@@ -83,9 +83,23 @@ def far_ends(foreign: ForeignModel) -> dict[int, np.ndarray]:
 
 
 def hand_shapes(
-    foreign: ForeignModel, structure: HandStructure, poses: Poses, ends: dict[int, np.ndarray], findings: list[Finding]
+    foreign: ForeignModel,
+    structure: HandStructure,
+    poses: Poses,
+    ends: dict[int, np.ndarray],
+    radius: float | None,
+    findings: list[Finding],
 ) -> HandShapes:
-    """Shapes of all links, joints and tips. The poses are left with straight fingers."""
+    """Shapes of all links, joints and tips. The poses are left with straight fingers.
+
+    Args:
+        foreign: the model as read.
+        structure: its parts.
+        poses: of it.
+        ends: of ``far_ends``.
+        radius: of fingers whose shapes are missing [m]; found if None.
+        findings: what was fitted and made up is added.
+    """
     model = foreign.model
     independent = np.linalg.pinv(poses.matrix) @ (structure.straight - poses.offset)
     poses.set(independent)
@@ -94,6 +108,8 @@ def hand_shapes(
     links = {b: LinkShapes(b, _members(model, b, structure.palm)) for b in order}
     result = HandShapes(links, {}, {})
     sizes = _radii(foreign, structure, poses, ends)
+    if radius is not None:
+        sizes = dict.fromkeys(sizes, radius)
     for name, chain in structure.fingers.items():
         _tip(foreign, poses, name, chain, ends, sizes[name], result)
         for body in chain.bodies:

@@ -52,6 +52,7 @@ def new_model(
     spec.compiler.degree = False
     bodies: dict[int, mujoco.MjsBody] = {}
     guessed = []
+    ranges = _ranges(poses)
     for body, link in shapes.links.items():
         if body == structure.palm:
             new = spec.worldbody.add_body(name=body_name(model, body))
@@ -59,7 +60,7 @@ def new_model(
             parent = _owner(shapes, int(model.body_parentid[body]))
             pos, quat = _relative(poses, body, parent)
             new = bodies[parent].add_body(name=body_name(model, body), pos=pos, quat=quat)
-            _add_joints(new, model, body, physics)
+            _add_joints(new, model, body, physics, ranges)
         bodies[body] = new
         _add_shapes(spec, new, foreign, poses, link)
         if not _add_mass(new, foreign, poses, link):
@@ -107,7 +108,15 @@ def _clean(values: np.ndarray) -> np.ndarray:
     return np.round(values, 9) + 0.0
 
 
-def _add_joints(new: mujoco.MjsBody, model: mujoco.MjModel, body: int, physics: JointPhysics) -> None:
+def _ranges(poses: Poses) -> np.ndarray:
+    """Limits of all joints such that couplings push none beyond its own [rad], shape [M, 2]."""
+    ends = poses.matrix @ np.stack([poses.low, poses.high], axis=1) + poses.offset[:, None]
+    return np.sort(ends, axis=1)
+
+
+def _add_joints(
+    new: mujoco.MjsBody, model: mujoco.MjModel, body: int, physics: JointPhysics, ranges: np.ndarray
+) -> None:
     for j in range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body]):
         joint = new.add_joint(
             name=joint_name(model, j),
@@ -120,7 +129,7 @@ def _add_joints(new: mujoco.MjsBody, model: mujoco.MjModel, body: int, physics: 
         # Angles count from the pose of the file; a reference other than zero is moved into the limits.
         reference = float(model.qpos0[model.jnt_qposadr[j]])
         joint.limited = mujoco.mjtLimited.mjLIMITED_TRUE
-        joint.range = _clean(model.jnt_range[j] - reference)
+        joint.range = _clean(ranges[j] - reference)
         joint.damping = _like(joint.damping, float(physics.damping[j]))
         joint.stiffness = _like(joint.stiffness, float(model.jnt_stiffness[j]))
         if model.jnt_stiffness[j] > 0:

@@ -104,6 +104,8 @@ def fit_capsule(points: np.ndarray, along: np.ndarray) -> Capsule:
     center = 0.5 * (points.min(axis=0) + points.max(axis=0))
     # Of the given direction and the longest one, the one that fits better.
     _, _, rows = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)
+    low, high = points.min(axis=0) - 1e-3, points.max(axis=0) + 1e-3
+    bounds = [*low, *low, 1e-3], [*high, *high, 0.5 * float(np.linalg.norm(high - low))]
     best, lowest = None, np.inf
     for direction in (along, rows[0]):
         t = (points - center) @ direction
@@ -116,10 +118,10 @@ def fit_capsule(points: np.ndarray, along: np.ndarray) -> Capsule:
         def residual(x: np.ndarray) -> np.ndarray:
             return Capsule(x[:3], x[3:6], x[6]).distance(points) / 1e-3
 
-        start = np.concatenate([first, last, [radius]])
-        found = least_squares(residual, start, loss="soft_l1", max_nfev=60)
+        start = np.clip(np.concatenate([first, last, [radius]]), *bounds)
+        found = least_squares(residual, start, loss="soft_l1", max_nfev=60, bounds=bounds)
         if found.cost < lowest:
-            best, lowest = Capsule(found.x[:3], found.x[3:6], abs(float(found.x[6]))), found.cost
+            best, lowest = Capsule(found.x[:3], found.x[3:6], float(found.x[6])), found.cost
     assert best is not None
     return best
 

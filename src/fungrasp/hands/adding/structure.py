@@ -58,13 +58,22 @@ class HandStructure:
 
 @dataclass(frozen=True)
 class Answers:
-    """What the user has said about the structure; None or empty where it is to be found."""
+    """What the user has said; None or empty where it is to be found."""
 
     palm: str | None = None
+    """Name of the palm body."""
     thumb: str | None = None
+    """Name of a body of the thumb."""
     side: str | None = None
+    """"right" or "left"."""
     normal: tuple[float, float, float] | None = None
+    """Out of the palm, frame of the palm body."""
     fingers: Mapping[str, str] | None = None
+    """A body of each finger that counts, by its name."""
+    couplings: tuple[tuple[str, float, str], ...] = ()
+    """Joints that move together: joint, slope, driver."""
+    radius: float | None = None
+    """Of fingers without shapes [m]."""
 
 
 class Poses:
