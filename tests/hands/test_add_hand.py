@@ -128,7 +128,7 @@ def test_same_bytes_and_no_overwriting(tmp_path: Path):
 def test_what_cannot_be_decided_is_asked_for(tmp_path: Path):
     with pytest.raises(FungraspError, match="--thumb BODY"):
         added(tmp_path, odd_hand(fingers=1))
-    hand, _ = added(tmp_path, odd_hand(fingers=1), thumb="z2")
+    hand, _ = added(tmp_path, odd_hand(fingers=1), thumb="z2", side="right")
     assert list(hand.fingers) == ["index", "thumb"]
     with pytest.raises(FungraspError, match="--palm"):
         added(tmp_path, odd_hand(), palm="q")

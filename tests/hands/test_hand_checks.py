@@ -172,7 +172,7 @@ MESH = '<collision><geometry><mesh filename="package://x/a.stl"/></geometry></co
         (
             PALM,
             '<body name="palm" pos="0 0 0.2" quat="0 1 0 0">',
-            "warning",
+            "note",
             "200.0 mm away and turned by 180.0",
         ),
         (PALM, PALM + '<joint name="wrist"/>', "error", "moves on the joint 'wrist'"),
@@ -250,7 +250,7 @@ def test_faults_of_an_mjcf(tmp_path, old, new, severity, pattern):
     ("old", "new", "severity", "pattern"),
     [
         ('palm = "palm"', 'palm = "plam"', "error", "unknown body of small.xml 'plam'. Did you mean 'palm'"),
-        ('tip = "index_tip"', 'tip = "index_top"', "error", "unknown site of small.xml 'index_top'"),
+        ('tip = "index_tip"', 'tip = "index_top"', "error", "unknown site or body of small.xml 'index_top'"),
         (
             'tip = "index_tip"',
             'tip = "thumb_tip"',

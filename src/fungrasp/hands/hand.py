@@ -32,7 +32,7 @@ class Finger:
     """Site or body at the joint at the near end of each link: the link's own body, unless the model's frames
     lie elsewhere."""
     tip: str
-    """Site at the center of the fingertip's round end."""
+    """Site or body at the center of the fingertip's round end."""
 
 
 @dataclass(frozen=True)
@@ -233,7 +233,7 @@ def read_hand_toml(path: Path) -> Hand:
         entry = data["fingers"][name]
         if not 1 <= len(entry.get("links", ())) <= 3 or "tip" not in entry:
             raise FungraspError(
-                f"{path}: finger '{name}' needs 'links' (one to three bodies, base to tip) and 'tip' (a site)"
+                f"{path}: finger '{name}' needs 'links' (one to three bodies, base to tip) and 'tip' (a site or body)"
             )
         links = tuple(existing("body", link, bodies) for link in entry["links"])
         joints = tuple(
@@ -243,7 +243,7 @@ def read_hand_toml(path: Path) -> Hand:
             raise FungraspError(
                 f"{path}: finger '{name}' has {len(links)} links and {len(joints)} joints; give one each"
             )
-        fingers[name] = Finger(name, links, joints, existing("site", entry["tip"], sites))
+        fingers[name] = Finger(name, links, joints, existing("site or body", entry["tip"], sites | bodies))
     if "thumb" not in fingers:
         raise FungraspError(f"{path}: a hand with no thumb can't imitate a human grasp; give [fingers.thumb]")
     if len(fingers) < 2:

@@ -60,7 +60,7 @@ class HandShapes:
 
 def far_ends(foreign: ForeignModel) -> dict[int, np.ndarray]:
     """By moving body: the end farthest from its joint of the shapes and frames that move with it, its own
-    frame [m]; for a bare last link, a point ahead at 0.7 times the length of the link before it."""
+    frame [m]; for a bare last link, a point as far ahead as the link before it is long."""
     model = foreign.model
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
@@ -76,7 +76,7 @@ def far_ends(foreign: ForeignModel) -> dict[int, np.ndarray]:
         cloud = np.concatenate([p.reshape(-1, 3) for p in points])
         if not len(cloud) or np.linalg.norm(cloud - anchor, axis=1).max() < NEARLY_NOTHING:
             before = anchor - _anchor_before(model, data, body)
-            cloud = (anchor + 0.7 * before)[None]
+            cloud = (anchor + before)[None]
         far = cloud[np.argmax(np.linalg.norm(cloud - anchor, axis=1))]
         ends[body] = turn.T @ (far - data.xpos[body])
     return ends
@@ -114,16 +114,19 @@ def hand_shapes(
         _tip(foreign, poses, name, chain, ends, sizes[name], result)
         for body in chain.bodies:
             result.joints[body] = _to_body(poses, body, _midline(poses, chain, body, result.tips[name]))
-    errors, made, simple = [], [], 0
+    errors, made = [], []
+    finger_links = {b for chain in structure.fingers.values() for b in chain.links}
     for body, link in links.items():
         if body == structure.palm:
             continue
-        kept, points = _known(foreign, poses, link)
+        kept, points = _known(foreign, poses, link, body in finger_links)
         if kept:
-            link.shapes, simple = list(kept), simple + 1
+            link.shapes = list(kept)
         elif points is not None:
             ahead = ends[body] - _first_anchor(model, body)
             capsule = fit_capsule(points, ahead if np.linalg.norm(ahead) > 1e-6 else np.array([0, 0, 1.0]))
+            if _inside_the_next(model, body, chain_of, capsule):
+                continue
             errors.append((body_name(model, body), np.abs(capsule.distance(points))))
             link.shapes = [capsule]
         elif body in chain_of:
@@ -153,6 +156,20 @@ def hand_shapes(
             )
         )
     return result
+
+
+def _inside_the_next(
+    model: mujoco.MjModel, body: int, chain_of: dict[int, tuple[str, Chain]], capsule: Capsule
+) -> bool:
+    """Whether a body is but the middle of a joint with several axes: shorter than it is thick, and its next
+    joint in the same place."""
+    if body not in chain_of or body == chain_of[body][1].bodies[-1]:
+        return False
+    bodies = chain_of[body][1].bodies
+    after = bodies[bodies.index(body) + 1]
+    gap = model.body_pos[after] + _first_anchor(model, after) - _first_anchor(model, body)
+    short = np.linalg.norm(capsule.end - capsule.start) < capsule.radius
+    return bool(short and np.linalg.norm(gap) < NEARLY_NOTHING)
 
 
 def _members(model: mujoco.MjModel, body: int, palm: int = -1) -> tuple[int, ...]:
@@ -199,16 +216,17 @@ def _primitives(model: mujoco.MjModel, body: int) -> list[int]:
 
 
 def _known(
-    foreign: ForeignModel, poses: Poses, link: LinkShapes
+    foreign: ForeignModel, poses: Poses, link: LinkShapes, in_finger: bool
 ) -> tuple[list[int], np.ndarray | None]:
-    """Round primitives to keep, or else points of the surface to fit to; neither if nothing is known."""
+    """Primitives to keep, which must be round ones where ``in_finger``, or else points of the surface to fit
+    to; neither if nothing is known."""
     model, kinds = foreign.model, mujoco.mjtGeom
     stripped = any(member in foreign.stripped for member in link.members)
     primitives = [geom for member in link.members for geom in _primitives(model, member)]
     meshes = [mesh for member in link.members for mesh in foreign.meshes.get(member, [])]
     solid = any(mesh.collides for mesh in meshes)
     is_round = [model.geom_type[geom] in (kinds.mjGEOM_SPHERE, kinds.mjGEOM_CAPSULE) for geom in primitives]
-    if primitives and all(is_round) and not solid and not stripped:
+    if primitives and (all(is_round) or not in_finger) and not solid and not stripped:
         return primitives, None
     if stripped and not meshes:
         return [], None

@@ -50,6 +50,10 @@ def joint_physics(
     model = poses.model
     proposed = np.maximum(TIP_FORCE * _levers(poses, structure, tips), LEAST_TORQUE)
     stated = _stated_limits(model)
+    for j, driver in enumerate(np.argmax(np.abs(poses.matrix) > 0, axis=1)):
+        # A motor may sit on a driven joint.
+        own = int(np.argmax(poses.matrix[:, driver] == 1.0))
+        stated[own] = min(stated[own], stated[j] * abs(poses.matrix[j, driver]))
     believed = (stated >= BELIEVABLE[0] * proposed) & (stated <= BELIEVABLE[1] * proposed)
     force = np.where(believed, stated, proposed)
     inside = np.array([_in_hand(model, structure.palm, j) for j in range(model.njnt)], dtype=bool)

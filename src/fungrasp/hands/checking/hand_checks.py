@@ -18,7 +18,7 @@ from fungrasp.hands.checking.finger_checks import check_fingers, check_palm_fram
 from fungrasp.hands.checking.joint_checks import check_actuators, check_couplings, check_joints
 from fungrasp.hands.checking.model_source import ModelSource, read_source
 from fungrasp.hands.checking.toml_draft import guess_parts, suggested_toml, with_tips
-from fungrasp.hands.hand import FINGERS, read_hand_toml
+from fungrasp.hands.hand import FINGERS, read_hand_toml, side_of
 from fungrasp.hands.self_contained_mjcf import self_contained_xml
 
 __all__ = ["Finding", "check_hand_files", "write_skeleton"]
@@ -136,7 +136,17 @@ def _check_toml(path: Path) -> list[Finding]:
             findings += _palm_frame(source.model, parts, data)
     if not any(finding.severity == "error" for finding in findings):
         try:
-            read_hand_toml(path).spec().compile()
+            hand = read_hand_toml(path)
+            hand.spec().compile()
+            across = np.cross(hand.palm_fingers, hand.palm_normal)
+            seen = side_of(hand.model, hand.palm, hand.fingers, across)
+            if seen != hand.side:
+                findings.append(
+                    warning(
+                        f"side is \"{hand.side}\", but by the order of its fingers, seen from the palm, this is a "
+                        f"{seen} hand"
+                    )
+                )
         except (FungraspError, ValueError) as problem:
             findings.append(error(" ".join(str(problem).split())))
     return findings
@@ -191,7 +201,7 @@ def _named_parts(
             )
             continue
         fingers[finger] = tuple(link for link in links if existing("body", link, bodies))
-        if existing("site", entry["tip"], sites):
+        if existing("site or body", entry["tip"], sites | bodies):
             tips[finger] = entry["tip"]
         if isinstance(entry.get("joints"), list):
             points = tuple(name for name in entry["joints"] if existing("site or body", name, sites | bodies))
