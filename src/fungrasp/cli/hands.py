@@ -93,21 +93,16 @@ class ShowHand:
 
 @dataclass(frozen=True)
 class CheckHand:
-    """Report what is wrong with a hand's files; exits with status 1 if the hand cannot be used as it is.
-
-    A bare URDF or MJCF also gets a TOML file to start from.
-    """
+    """Report what is wrong with a hand's files; exits with status 1 if the hand cannot be used as it is."""
 
     path: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="PATH")]
     """A hand's TOML file or folder, a URDF, an MJCF, or the name of a known hand."""
     json: bool = False
     """Print JSON and nothing else."""
-    out: Path | None = None
-    """For a bare URDF or MJCF: write a hand folder to start from, an MJCF with tip sites and a TOML."""
 
     def run(self) -> None:
         from fungrasp.hands import hand_files
-        from fungrasp.hands.checking.hand_checks import check_hand_files, write_skeleton
+        from fungrasp.hands.checking.hand_checks import check_hand_files
 
         findings = check_hand_files(hand_files().get(self.path, Path(self.path)))
         errors = sum(finding.severity == "error" for finding in findings)
@@ -118,9 +113,6 @@ class CheckHand:
                 print(f"{finding.severity}: {finding.message}")
             others = sum(finding.severity == "warning" for finding in findings)
             print(f"{self.path}: {_count(errors, 'error')}, {_count(others, 'warning')}")
-        if self.out is not None:
-            for path in write_skeleton(self.path, self.out):
-                print(f"wrote {path}", file=sys.stderr)
         if errors:
             raise SystemExit(1)
 

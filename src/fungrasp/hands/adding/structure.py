@@ -13,6 +13,7 @@ from fungrasp.errors import FungraspError, UnknownNameError
 from fungrasp.hands.adding.couplings import Coupling, coupling_matrix
 from fungrasp.hands.checking.finding import listed
 from fungrasp.hands.checking.kinematic_tree import ancestors, body_name, subtree
+from fungrasp.hands.checking.named_parts import finger_of
 from fungrasp.hands.hand import FINGERS
 
 PALM_SHARE = 0.8
@@ -319,11 +320,7 @@ def _thumb(
     if given is not None:
         return _chain_of(model, chains, given, "--thumb")
     if len(chains) == 2:
-        # Of two, the one with more joints, else the one that is asked for.
-        raise FungraspError(
-            "of two fingers the thumb can't be told; name a body of it with --thumb BODY: "
-            f"{_ends(model, chains)}"
-        )
+        return _named_thumb(model, chains)
 
     def disorder(members: list[int]) -> float:
         pairs = list(combinations(members, 2))
@@ -335,10 +332,20 @@ def _thumb(
     scores = [disorder([i for i in range(len(chains)) if i != out]) for out in range(len(chains))]
     order = np.argsort(scores, kind="stable")
     if scores[order[1]] - scores[order[0]] < 0.05:
+        return _named_thumb(model, chains)
+    return int(order[0])
+
+
+def _named_thumb(model: mujoco.MjModel, chains: list[Chain]) -> int:
+    """Where geometry does not tell the thumb: the one chain whose names do."""
+    named = [
+        i for i, chain in enumerate(chains) if any(finger_of(body_name(model, b)) == "thumb" for b in chain.bodies)
+    ]
+    if len(named) != 1:
         raise FungraspError(
             f"the thumb can't be told from the fingers; name a body of it with --thumb BODY: {_ends(model, chains)}"
         )
-    return int(order[0])
+    return named[0]
 
 
 def _names(

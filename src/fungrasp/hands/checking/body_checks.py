@@ -56,7 +56,7 @@ def check_palm(source: ModelSource, parts: HandParts) -> Iterator[Finding]:
         )
         yield error(
             f"the palm '{parts.palm}' is fused with the world when the file is read, so that it has no body "
-            f"of its own: {how}, or start from the MJCF that 'fungrasp hands check FILE --out FOLDER' writes"
+            f"of its own: {how}, or let 'fungrasp hands add FILE' write an MJCF"
         )
     above = ancestors(model, palm)[1:]
     if above:
