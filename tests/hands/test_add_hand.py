@@ -60,7 +60,10 @@ def test_parts_are_found_without_names(tmp_path: Path, case: str):
     count = options.get("fingers", 4)
     names = ("index", "middle", "ring", "pinky")[:count]
     links = {name: (f"{k}1", f"{k}2", f"{k}3") for name, k in zip(names, "abcd", strict=False)}
-    assert {name: finger.links for name, finger in hand.fingers.items()} == {**links, "thumb": ("z1", "z2", "z3")}
+    assert {name: finger.links for name, finger in hand.fingers.items()} == {
+        **links,
+        "thumb": ("z1", "z2", "z3"),
+    }
     assert hand.palm == "p"
     assert hand.side == ("left" if options.get("left") else "right")
     np.testing.assert_allclose(hand.palm_fingers, [0, 0, 1], atol=1e-6)
@@ -148,9 +151,12 @@ def test_meshes_are_fitted_and_kept_for_pictures(tmp_path: Path):
     text = odd_hand(collision=False).replace(
         "<worldbody>", '<asset><mesh name="link" file="link.stl"/></asset><worldbody>'
     )
-    text = text.replace('<compiler ', '<compiler meshdir="meshes" ')
+    text = text.replace("<compiler ", '<compiler meshdir="meshes" ')
     for body in ("a3", "b3", "c3", "d3", "z3"):
-        text = text.replace(f'<body name="{body}" pos="0 0 0.03">', f'<body name="{body}" pos="0 0 0.03"><geom type="mesh" mesh="link"/>')
+        text = text.replace(
+            f'<body name="{body}" pos="0 0 0.03">',
+            f'<body name="{body}" pos="0 0 0.03"><geom type="mesh" mesh="link"/>',
+        )
     hand, messages = added(tmp_path, text)
     assert any("5 links were fitted" in message for message in messages)
     geoms = [g for g in range(hand.model.ngeom) if hand.model.geom_bodyid[g] == hand.model.body("a3").id]
@@ -164,21 +170,23 @@ def test_urdf_with_mimic_and_package_paths(tmp_path: Path):
     (tmp_path / "my_hand" / "meshes").mkdir(parents=True)
     trimesh.creation.box((0.02, 0.09, 0.08)).export(tmp_path / "my_hand" / "meshes" / "palm.stl")
     (tmp_path / "my_hand" / "urdf").mkdir()
-    links, joints = ['<link name="p"><visual><geometry><mesh filename="package://my_hand/meshes/palm.stl"/></geometry></visual></link>'], []
+    mesh = '<mesh filename="package://my_hand/meshes/palm.stl"/>'
+    parts = [f'<link name="p"><visual><geometry>{mesh}</geometry></visual></link>']
+    limit = '<limit lower="0" upper="1.4" effort="0" velocity="1"/>'
     spots = {"a": (0.035, 0.0), "b": (0.0, 0.0), "c": (-0.035, 0.0), "z": (0.05, -0.06)}
     for letter, (y, z) in spots.items():
         for i in (1, 2, 3):
-            links.append(f'<link name="{letter}{i}"/>')
             parent = "p" if i == 1 else f"{letter}{i - 1}"
             turned = ' rpy="-0.9 0.4 -1.9"' if letter == "z" and i == 1 else ""
             place = f"0 {y} {0.05 + z}" if i == 1 else "0 0 0.035"
             mimic = f'<mimic joint="{letter}2_j" multiplier="1.1"/>' if i == 3 else ""
-            joints.append(
-                f'<joint name="{letter}{i}_j" type="revolute"><origin xyz="{place}"{turned}/><parent link="{parent}"/>'
-                f'<child link="{letter}{i}"/><axis xyz="0 1 0"/><limit lower="0" upper="1.4" effort="0" velocity="1"/>{mimic}</joint>'
+            parts.append(
+                f'<link name="{letter}{i}"/><joint name="{letter}{i}_j" type="revolute">'
+                f'<origin xyz="{place}"{turned}/><parent link="{parent}"/><child link="{letter}{i}"/>'
+                f'<axis xyz="0 1 0"/>{limit}{mimic}</joint>'
             )
     file = tmp_path / "my_hand" / "urdf" / "hand.urdf"
-    file.write_text(f'<robot name="h">{"".join(links + joints)}</robot>')
+    file.write_text(f'<robot name="h">{"".join(parts)}</robot>')
     path, findings = add_hand(file, tmp_path / "out")
     hand = load_hand(path)
     assert not any("no file is found" in finding.message for finding in findings)
@@ -204,12 +212,17 @@ def test_fitted_capsule_and_boxes():
     box = trimesh.creation.box((0.02, 0.06, 0.1))
     (found,) = fit_boxes(np.asarray(box.vertices), np.asarray(box.faces), np.eye(3))
     np.testing.assert_allclose(found.half, [0.01, 0.03, 0.05], atol=1e-6)
-    assert Box(np.zeros(3), np.ones(3), np.eye(3)).distance(np.array([[2.0, 0, 0], [0, 0, 0]])).tolist() == [1, -1]
+    assert Box(np.zeros(3), np.ones(3), np.eye(3)).distance(np.array([[2.0, 0, 0], [0, 0, 0]])).tolist() == [
+        1,
+        -1,
+    ]
     assert Capsule(np.zeros(3), np.zeros(3), 1.0).distance(np.array([[0.0, 0, 3]])).tolist() == [2]
 
 
 @pytest.mark.skipif(not FOLDER.is_dir(), reason=f"the reference hand models are not in {FOLDER}")
-@pytest.mark.parametrize("name", ["schunk_svh_right.urdf", "ability_right.urdf", "faive_hand.xml", "leap_right.urdf"])
+@pytest.mark.parametrize(
+    "name", ["schunk_svh_right.urdf", "ability_right.urdf", "faive_hand.xml", "leap_right.urdf"]
+)
 def test_reference_hands(tmp_path: Path, name: str):
     path, findings = add_hand(FOLDER / name, tmp_path / "out", "added")
     assert not [f.message for f in check_hand_files(path) if f.severity == "error"]

@@ -92,10 +92,10 @@ def test_mirrored_grasps_lift_as_well(left: Hand):
 
 
 def test_mixed_pairs_are_refused(left: Hand):
-    with pytest.raises(FungraspError, match="'allegro_left' is a left hand.*--mirror"):
+    with pytest.raises(FungraspError, match=r"'allegro_left' is a left hand.*--mirror"):
         retarget(human_grasps(), grasped_objects(), left)
     grasps = mirrored_grasps(human_grasps())
-    with pytest.raises(FungraspError, match="'allegro' is a right hand.*--mirror"):
+    with pytest.raises(FungraspError, match=r"'allegro' is a right hand.*--mirror"):
         retarget(grasps, load_objects(grasps), allegro_hand())
 
 

@@ -233,7 +233,8 @@ def read_hand_toml(path: Path) -> Hand:
         entry = data["fingers"][name]
         if not 1 <= len(entry.get("links", ())) <= 3 or "tip" not in entry:
             raise FungraspError(
-                f"{path}: finger '{name}' needs 'links' (one to three bodies, base to tip) and 'tip' (a site or body)"
+                f"{path}: finger '{name}' needs 'links' (one to three bodies, base to tip) and 'tip' (a site "
+                "or body)"
             )
         links = tuple(existing("body", link, bodies) for link in entry["links"])
         joints = tuple(
@@ -254,7 +255,7 @@ def read_hand_toml(path: Path) -> Hand:
     palm = existing("body", data["palm"], bodies)
     side = data.get("side", side_of(model, palm, fingers, np.cross(palm_fingers, palm_normal)))
     if side not in ("right", "left"):
-        raise FungraspError(f"{path}: side must be \"right\" or \"left\", not {side!r}")
+        raise FungraspError(f'{path}: side must be "right" or "left", not {side!r}')
     return Hand(
         name=data["name"],
         title=data.get("title", data["name"]),

@@ -17,8 +17,7 @@ from fungrasp.errors import FungraspError
 from fungrasp.geometry.poses import transform_points
 from fungrasp.grasps import HumanGrasp
 from fungrasp.grasps.human_hand import mirror_points, mirror_pose
-from fungrasp.objects import MIRRORED
-from fungrasp.objects import ObjectModel
+from fungrasp.objects import MIRRORED, ObjectModel
 from fungrasp.perception.estimates import HandEstimate, ObjectEstimate, Side
 from fungrasp.perception.hand.contact_flags import touching_links
 from fungrasp.perception.hand.detection import DetectedHand, hand_lengths

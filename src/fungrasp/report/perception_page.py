@@ -12,8 +12,7 @@ import numpy as np
 
 from fungrasp.grasps import HUMAN_LINKS
 from fungrasp.grasps.human_hand import HUMAN_FINGERS
-from fungrasp.objects import MIRRORED
-from fungrasp.objects import ObjectModel
+from fungrasp.objects import MIRRORED, ObjectModel
 from fungrasp.perception import Capture
 from fungrasp.perception.object_pose.confidence import ACCEPT
 from fungrasp.perception.pipeline import SURE_HAND, Perceived

@@ -12,17 +12,19 @@ import numpy as np
 from fungrasp.errors import FungraspError
 from fungrasp.files import atomic_path
 from fungrasp.hands.adding.couplings import find_couplings
-from fungrasp.hands.adding.link_shapes import HandShapes, far_ends, hand_shapes
+from fungrasp.hands.adding.link_points import far_ends
+from fungrasp.hands.adding.link_shapes import HandShapes, hand_shapes
 from fungrasp.hands.adding.model_file import read_foreign
 from fungrasp.hands.adding.new_model import new_model
+from fungrasp.hands.adding.poses import Poses
 from fungrasp.hands.adding.servos import (
     FULL_TORQUE_ERROR,
-    JointPhysics,
     TIP_FORCE,
+    JointPhysics,
     joint_physics,
     servo_entries,
 )
-from fungrasp.hands.adding.structure import Answers, HandStructure, Poses, find_structure
+from fungrasp.hands.adding.structure import Answers, HandStructure, find_structure
 from fungrasp.hands.checking.finding import Finding, note
 from fungrasp.hands.checking.kinematic_tree import body_name
 from fungrasp.hands.self_contained_mjcf import self_contained_xml
@@ -166,9 +168,10 @@ def _toml(
         "",
         "[actuators] # joint position servos",
         *common,
-        "source = " + json.dumps(
-            f"torque limits: the file's where they are within a factor of about three of those that press with "
-            f"{TIP_FORCE:g} N at a tip, else those; reached at {FULL_TORQUE_ERROR:g} rad from the target"
+        "source = "
+        + json.dumps(
+            f"torque limits: the file's where they are within a factor of about three of those that press "
+            f"with {TIP_FORCE:g} N at a tip, else those; reached at {FULL_TORQUE_ERROR:g} rad from the target"
         ),
     ]
     if special:

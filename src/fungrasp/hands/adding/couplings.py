@@ -1,7 +1,8 @@
-"""Joints of a foreign model that move together: joint equalities, mimic joints and tendons as one linear map."""
+"""Joints of a foreign model that move together: equalities, mimic joints and tendons as one linear map."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import mujoco
@@ -69,9 +70,11 @@ def find_couplings(
                 )
             elif np.abs(curve).max() > 1e-9:
                 findings.append(
-                    warning(f"joint '{joint_name(model, joint)}' follows by a curve: its straight part is kept")
+                    warning(
+                        f"joint '{joint_name(model, joint)}' follows by a curve: its straight part is kept"
+                    )
                 )
-        elif model.eq_type[e] in (mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD):
+        elif int(model.eq_type[e]) in (mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD):
             findings.append(
                 warning(
                     f"the closed loop '{model.equality(e).name or e}' is left open: joints behind it move "
@@ -83,7 +86,12 @@ def find_couplings(
     return [found[joint] for joint in sorted(found)]
 
 
-def _tendon(model: mujoco.MjModel, tendon: int, add, findings: list[Finding]) -> None:
+def _tendon(
+    model: mujoco.MjModel,
+    tendon: int,
+    add: Callable[[int, int, float, float], bool],
+    findings: list[Finding],
+) -> None:
     span = slice(model.tendon_adr[tendon], model.tendon_adr[tendon] + model.tendon_num[tendon])
     if not (model.wrap_type[span] == mujoco.mjtWrap.mjWRAP_JOINT).all() or model.tendon_num[tendon] < 2:
         return
@@ -96,7 +104,8 @@ def _tendon(model: mujoco.MjModel, tendon: int, add, findings: list[Finding]) ->
     name = model.tendon(tendon).name or f"tendon {tendon}"
     if rigid:
         (near, a), (far, b) = terms
-        add(far, near, 0.0, -a / b) or add(near, far, 0.0, -b / a)
+        if not add(far, near, 0.0, -a / b):
+            add(near, far, 0.0, -b / a)
         return
     near, sign = terms[0]
     for far, factor in terms[1:]:

@@ -1,5 +1,5 @@
-"""Collision shapes of every link: kept where they are simple, fitted where they are meshes, made up where they
-are missing."""
+"""Collision shapes of every link: kept where they are simple, fitted to meshes, made up where they are
+missing."""
 
 from __future__ import annotations
 
@@ -8,29 +8,28 @@ from dataclasses import dataclass, field
 import mujoco
 import numpy as np
 
+from fungrasp.hands.adding.finger_chains import Chain
+from fungrasp.hands.adding.link_points import (
+    NEARLY_NOTHING,
+    first_anchor,
+    members,
+    midline,
+    primitives,
+    surface_points,
+)
 from fungrasp.hands.adding.model_file import ForeignModel
-from fungrasp.hands.adding.shape_fitting import Box, Capsule, fit_boxes, fit_capsule, mesh_points, primitive_mesh
-from fungrasp.hands.adding.structure import Chain, HandStructure, Poses
+from fungrasp.hands.adding.poses import Poses
+from fungrasp.hands.adding.shape_fitting import (
+    Box,
+    Capsule,
+    fit_boxes,
+    fit_capsule,
+    mesh_points,
+)
+from fungrasp.hands.adding.structure import HandStructure
+from fungrasp.hands.adding.unknown_shapes import finger_radii, made_up_capsule, made_up_palm
 from fungrasp.hands.checking.finding import Finding, listed, note, warning
 from fungrasp.hands.checking.kinematic_tree import body_name, subtree
-
-FINGER_RADIUS = 0.085
-"""Radius of a finger of which nothing is known, as a share of its length: that of a human finger."""
-
-THUMB_WIDER = 1.15
-"""Factor for a thumb."""
-
-RADIUS_RANGE = (0.004, 0.014)
-"""Within which made-up radii stay [m]."""
-
-PALM_THICKNESS = 0.026
-"""Of a made-up palm [m]."""
-
-PALM_LENGTH = 0.06
-"""Least length of a made-up palm [m]."""
-
-NEARLY_NOTHING = 0.006
-"""Links shorter than this get no made-up shape [m]."""
 
 Shape = Capsule | Box | int
 """An ``int`` is the id of a primitive geom of the foreign model, kept as it is."""
@@ -53,33 +52,13 @@ class HandShapes:
     links: dict[int, LinkShapes]
     """By body id of the foreign model, parents first."""
     joints: dict[int, np.ndarray]
-    """By body of a finger: the point at its joint in the middle of the finger, its own frame [m], shape [3]."""
+    """By body of a finger: the point at its joint in the finger's middle, its own frame [m], shape [3]."""
     tips: dict[str, np.ndarray]
     """By finger: center of the tip's round end, frame of the last link [m], shape [3]."""
 
-
-def far_ends(foreign: ForeignModel) -> dict[int, np.ndarray]:
-    """By moving body: the end farthest from its joint of the shapes and frames that move with it, its own
-    frame [m]; for a bare last link, a point as far ahead as the link before it is long."""
-    model = foreign.model
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
-    ends = {}
-    for body in np.flatnonzero(model.body_jntnum > 0).tolist():
-        members = _members(model, body)
-        anchor, turn = data.xanchor[model.body_jntadr[body]], data.xmat[body].reshape(3, 3)
-        points = [data.xpos[c][None] for c in members[1:]]
-        points += [data.site_xpos[np.isin(model.site_bodyid, members)]]
-        for member in members:
-            local = _surface(foreign, member)
-            points.append(data.xpos[member] + local @ data.xmat[member].reshape(3, 3).T)
-        cloud = np.concatenate([p.reshape(-1, 3) for p in points])
-        if not len(cloud) or np.linalg.norm(cloud - anchor, axis=1).max() < NEARLY_NOTHING:
-            before = anchor - _anchor_before(model, data, body)
-            cloud = (anchor + before)[None]
-        far = cloud[np.argmax(np.linalg.norm(cloud - anchor, axis=1))]
-        ends[body] = turn.T @ (far - data.xpos[body])
-    return ends
+    def owner(self, body: int) -> int:
+        """The new body that a body of the foreign model is part of."""
+        return next(new for new, link in self.links.items() if body in link.members)
 
 
 def hand_shapes(
@@ -104,16 +83,21 @@ def hand_shapes(
     independent = np.linalg.pinv(poses.matrix) @ (structure.straight - poses.offset)
     poses.set(independent)
     chain_of = {b: (name, chain) for name, chain in structure.fingers.items() for b in chain.bodies}
-    order = [structure.palm, *(b for b in subtree(model, structure.palm) if model.body_jntnum[b] > 0 and b != structure.palm)]
-    links = {b: LinkShapes(b, _members(model, b, structure.palm)) for b in order}
+    order = [
+        structure.palm,
+        *(b for b in subtree(model, structure.palm) if model.body_jntnum[b] > 0 and b != structure.palm),
+    ]
+    links = {b: LinkShapes(b, members(model, b, structure.palm)) for b in order}
     result = HandShapes(links, {}, {})
-    sizes = _radii(foreign, structure, poses, ends)
+    sizes = finger_radii(foreign, structure, poses, ends)
     if radius is not None:
         sizes = dict.fromkeys(sizes, radius)
     for name, chain in structure.fingers.items():
         _tip(foreign, poses, name, chain, ends, sizes[name], result)
         for body in chain.bodies:
-            result.joints[body] = _to_body(poses, body, _midline(poses, chain, body, result.tips[name]))
+            result.joints[body] = poses.moved(
+                midline(poses, chain, body, result.tips[name]), poses.palm, body
+            )
     errors, made = [], []
     finger_links = {b for chain in structure.fingers.values() for b in chain.links}
     for body, link in links.items():
@@ -123,7 +107,7 @@ def hand_shapes(
         if kept:
             link.shapes = list(kept)
         elif points is not None:
-            ahead = ends[body] - _first_anchor(model, body)
+            ahead = ends[body] - first_anchor(model, body)
             capsule = fit_capsule(points, ahead if np.linalg.norm(ahead) > 1e-6 else np.array([0, 0, 1.0]))
             if _inside_the_next(model, body, chain_of, capsule):
                 continue
@@ -131,7 +115,7 @@ def hand_shapes(
             link.shapes = [capsule]
         elif body in chain_of:
             name, chain = chain_of[body]
-            capsule = _made_up(poses, chain, body, result, name, sizes[name])
+            capsule = made_up_capsule(poses, chain, body, result.joints, result.tips[name], sizes[name])
             if capsule is not None:
                 made.append(body_name(model, body))
                 link.shapes = [capsule]
@@ -143,8 +127,9 @@ def hand_shapes(
         worst, distances = max(errors, key=lambda error: error[1].max())
         findings.append(
             note(
-                f"the shapes of {len(errors)} links were fitted by capsules and boxes: {1e3 * cloud.mean():.1f} mm "
-                f"off their surfaces in the mean, at most {1e3 * distances.max():.1f} mm, at '{worst}'"
+                f"the shapes of {len(errors)} links were fitted by capsules and boxes: "
+                f"{1e3 * cloud.mean():.1f} mm off their surfaces in the mean, at most "
+                f"{1e3 * distances.max():.1f} mm, at '{worst}'"
             )
         )
     if made:
@@ -167,52 +152,9 @@ def _inside_the_next(
         return False
     bodies = chain_of[body][1].bodies
     after = bodies[bodies.index(body) + 1]
-    gap = model.body_pos[after] + _first_anchor(model, after) - _first_anchor(model, body)
+    gap = model.body_pos[after] + first_anchor(model, after) - first_anchor(model, body)
     short = np.linalg.norm(capsule.end - capsule.start) < capsule.radius
     return bool(short and np.linalg.norm(gap) < NEARLY_NOTHING)
-
-
-def _members(model: mujoco.MjModel, body: int, palm: int = -1) -> tuple[int, ...]:
-    """The body and all that are fixed to it; for the palm also what it is fixed to, but no moving link."""
-    weld = model.body_weldid
-    if body == palm:
-        group = np.flatnonzero((weld == weld[body]) & (model.body_jntnum == 0))
-        return (body, *(int(c) for c in group if c not in (0, body)))
-    return (body, *(c for c in subtree(model, body) if c != body and weld[c] == weld[body]))
-
-
-def _first_anchor(model: mujoco.MjModel, body: int) -> np.ndarray:
-    return model.jnt_pos[model.body_jntadr[body]]
-
-
-def _anchor_before(model: mujoco.MjModel, data: mujoco.MjData, body: int) -> np.ndarray:
-    here = data.xanchor[model.body_jntadr[body]]
-    above = int(model.body_parentid[body])
-    while above:
-        place = data.xanchor[model.body_jntadr[above]] if model.body_jntnum[above] else data.xpos[above]
-        if np.linalg.norm(place - here) > 2 * NEARLY_NOTHING:
-            return place
-        above = int(model.body_parentid[above])
-    return here - np.array([0.0, 0.0, 0.03])
-
-
-def _surface(foreign: ForeignModel, body: int, visual: bool = True) -> np.ndarray:
-    """Points of a body's shapes [m], shape [P, 3], its own frame: those that collide if there are any."""
-    model = foreign.model
-    meshes = foreign.meshes.get(body, [])
-    clouds = [mesh_points(m.vertices, m.faces) for m in meshes if m.collides]
-    clouds += [mesh_points(*primitive_mesh(model, geom)) for geom in _primitives(model, body)]
-    if not clouds and visual:
-        clouds = [mesh_points(m.vertices, m.faces) for m in meshes]
-    return np.concatenate(clouds) if clouds else np.zeros((0, 3))
-
-
-def _primitives(model: mujoco.MjModel, body: int) -> list[int]:
-    return [
-        g
-        for g in np.flatnonzero(model.geom_bodyid == body).tolist()
-        if model.geom_contype[g] or model.geom_conaffinity[g]
-    ]
 
 
 def _known(
@@ -222,59 +164,17 @@ def _known(
     to; neither if nothing is known."""
     model, kinds = foreign.model, mujoco.mjtGeom
     stripped = any(member in foreign.stripped for member in link.members)
-    primitives = [geom for member in link.members for geom in _primitives(model, member)]
+    simple = [geom for member in link.members for geom in primitives(model, member)]
     meshes = [mesh for member in link.members for mesh in foreign.meshes.get(member, [])]
     solid = any(mesh.collides for mesh in meshes)
-    is_round = [model.geom_type[geom] in (kinds.mjGEOM_SPHERE, kinds.mjGEOM_CAPSULE) for geom in primitives]
-    if primitives and (all(is_round) or not in_finger) and not solid and not stripped:
-        return primitives, None
+    is_round = [int(model.geom_type[geom]) in (kinds.mjGEOM_SPHERE, kinds.mjGEOM_CAPSULE) for geom in simple]
+    if simple and (all(is_round) or not in_finger) and not solid and not stripped:
+        return simple, None
     if stripped and not meshes:
         return [], None
-    clouds = [_moved(poses, member, link.body, _surface(foreign, member)) for member in link.members]
+    clouds = [poses.moved(surface_points(foreign, member), member, link.body) for member in link.members]
     points = np.concatenate(clouds)
     return [], points if len(points) >= 10 else None
-
-
-def _moved(poses: Poses, member: int, body: int, points: np.ndarray) -> np.ndarray:
-    """Points of one body's frame in another's."""
-    data = poses.data
-    world = data.xpos[member] + points @ data.xmat[member].reshape(3, 3).T
-    return (world - data.xpos[body]) @ data.xmat[body].reshape(3, 3)
-
-
-def _to_body(poses: Poses, body: int, point: np.ndarray) -> np.ndarray:
-    """A point of the palm's frame in a body's."""
-    return _moved(poses, poses.palm, body, point[None])[0]
-
-
-def _radii(
-    foreign: ForeignModel, structure: HandStructure, poses: Poses, ends: dict[int, np.ndarray]
-) -> dict[str, float]:
-    """Radius for made-up links by finger [m]: of round shapes of the hand, else of a human finger of that
-    length; so that neighbors don't touch."""
-    model = foreign.model
-    bases = {name: poses.anchor(chain.links[0]) for name, chain in structure.fingers.items()}
-    sizes = {}
-    long = [name for name in structure.fingers if name != "thumb"]
-    across = np.cross(structure.along, structure.normal)
-    for name, chain in structure.fingers.items():
-        tip = poses.of_body(chain.bodies[-1], ends[chain.bodies[-1]])
-        length = float(np.linalg.norm(tip - bases[name]))
-        size = FINGER_RADIUS * length * (THUMB_WIDER if name == "thumb" else 1.0)
-        group = {m for body in chain.bodies for m in _members(model, body)}
-        near = [
-            float(model.geom_size[g, 0])
-            for b in sorted(group)
-            for g in _primitives(model, b)
-            if model.geom_type[g] in (mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_CAPSULE)
-        ]
-        if near:
-            size = float(np.median(near))
-        gaps = [abs(float((bases[name] - bases[other]) @ across)) for other in long if other != name]
-        if name != "thumb" and gaps:
-            size = min(size, 0.5 * min(gaps) - 0.0005)
-        sizes[name] = float(np.clip(size, *RADIUS_RANGE))
-    return sizes
 
 
 def _tip(
@@ -288,39 +188,10 @@ def _tip(
 ) -> None:
     """Center of the tip where only its end is known: the round end's center is the radius before it."""
     body = chain.bodies[-1]
-    end, anchor = ends[body], _first_anchor(foreign.model, body)
+    end, anchor = ends[body], first_anchor(foreign.model, body)
     length = float(np.linalg.norm(end - anchor))
     inset = min(radius, max(0.0, length - 1.5 * radius))
     result.tips[name] = end - inset * (end - anchor) / max(length, 1e-9)
-
-
-def _midline(poses: Poses, chain: Chain, body: int, tip: np.ndarray) -> np.ndarray:
-    """The point on the axis of a body's joint that lies in the middle of the finger, palm frame [m]."""
-    model = poses.model
-    last = int(model.body_jntadr[chain.bodies[-1]])
-    joints = range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body])
-    bending = [j for j in joints if abs(poses.axis(j) @ poses.axis(last)) > 0.8]
-    joint = bending[0] if bending else joints[0]
-    anchor, axis = poses.points(poses.data.xanchor[joint]), poses.axis(joint)
-    if not bending:
-        return anchor
-    goal = poses.of_body(chain.bodies[-1], tip)
-    return anchor + ((goal - anchor) @ axis) * axis
-
-
-def _made_up(
-    poses: Poses, chain: Chain, body: int, result: HandShapes, name: str, radius: float
-) -> Capsule | None:
-    i = chain.bodies.index(body)
-    start = result.joints[body]
-    if i + 1 < len(chain.bodies):
-        after = chain.bodies[i + 1]
-        end = _moved(poses, after, body, result.joints[after][None])[0]
-    else:
-        end = result.tips[name]
-    if i + 1 < len(chain.bodies) and np.linalg.norm(end - start) < NEARLY_NOTHING:
-        return None
-    return Capsule(start, end, radius)
 
 
 def _palm_shapes(
@@ -334,11 +205,11 @@ def _palm_shapes(
 ) -> None:
     link, model = result.links[structure.palm], foreign.model
     axes = np.stack([structure.along, structure.normal, np.cross(structure.along, structure.normal)], axis=1)
-    link.shapes = [geom for member in link.members for geom in _primitives(model, member)]
+    link.shapes = [geom for member in link.members for geom in primitives(model, member)]
     meshes = [(member, mesh) for member in link.members for mesh in foreign.meshes.get(member, [])]
     solid = [(member, mesh) for member, mesh in meshes if mesh.collides]
     for member, mesh in solid or ([] if link.shapes else meshes):
-        vertices = _moved(poses, member, structure.palm, mesh.vertices)
+        vertices = poses.moved(mesh.vertices, member, structure.palm)
         boxes = fit_boxes(vertices, mesh.faces, axes)
         points = mesh_points(vertices, mesh.faces)
         distance = np.min([box.distance(points) for box in boxes], axis=0)
@@ -346,29 +217,13 @@ def _palm_shapes(
         link.shapes += boxes
     if link.shapes:
         return
-    bases = np.array(
-        [poses.of_body(c.links[0], result.joints[c.links[0]]) for n, c in structure.fingers.items() if n != "thumb"]
-    )
-    thumb = poses.anchor(structure.fingers["thumb"].bodies[0])
-    local = bases @ axes
-    top = float(local[:, 0].min()) - max(sizes.values())
-    bottom = min(top - PALM_LENGTH, float(thumb @ axes[:, 0]) - 0.01, max(0.0, top - 0.11))
-    side = max(sizes.values())
-    low = np.array([bottom, local[:, 1].mean() - 0.5 * PALM_THICKNESS, local[:, 2].min() - side])
-    high = np.array([top, local[:, 1].mean() + 0.5 * PALM_THICKNESS, local[:, 2].max() + side])
-    link.shapes = [Box(axes @ (0.5 * (low + high)), 0.5 * (high - low), axes)]
-    findings.append(
-        warning(
-            f"no shape of the palm '{body_name(model, structure.palm)}' is known: a box of "
-            f"{' x '.join(f'{1e3 * edge:.0f}' for edge in high - low)} mm below the fingers was made up"
-        )
-    )
+    link.shapes = [made_up_palm(structure, poses, result.joints, sizes, findings)]
 
 
 def _tip_of_shape(result: HandShapes, foreign: ForeignModel, name: str, chain: Chain) -> None:
     """The tip is the center of the round end of the last link's shape, where it has one."""
     model, body = foreign.model, chain.bodies[-1]
-    anchor = _first_anchor(model, body)
+    anchor = first_anchor(model, body)
     centers = []
     for shape in result.links[body].shapes:
         if isinstance(shape, Capsule):
@@ -376,7 +231,9 @@ def _tip_of_shape(result: HandShapes, foreign: ForeignModel, name: str, chain: C
         elif isinstance(shape, int) and model.geom_bodyid[shape] == body:
             rotation = np.empty(9)
             mujoco.mju_quat2Mat(rotation, model.geom_quat[shape])
-            half = model.geom_size[shape, 1] if model.geom_type[shape] == mujoco.mjtGeom.mjGEOM_CAPSULE else 0.0
+            half = (
+                model.geom_size[shape, 1] if model.geom_type[shape] == mujoco.mjtGeom.mjGEOM_CAPSULE else 0.0
+            )
             z = rotation.reshape(3, 3)[:, 2]
             centers += [model.geom_pos[shape] + sign * half * z for sign in (-1, 1)]
     if centers:

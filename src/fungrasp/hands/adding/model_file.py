@@ -227,7 +227,9 @@ def _load(mesh: mujoco.MjsMesh, base: Path, missing: list[str]) -> trimesh.Trime
         return None
     rotation = np.empty(9)
     mujoco.mju_quat2Mat(rotation, np.asarray(mesh.refquat))
-    placed = (np.asarray(shape.vertices) * np.asarray(mesh.scale) - np.asarray(mesh.refpos)) @ rotation.reshape(3, 3)
+    placed = (
+        np.asarray(shape.vertices) * np.asarray(mesh.scale) - np.asarray(mesh.refpos)
+    ) @ rotation.reshape(3, 3)
     faces = np.asarray(shape.faces)
     if np.prod(mesh.scale) < 0:
         faces = faces[:, ::-1]
@@ -253,7 +255,7 @@ def _read_mesh(path: Path) -> trimesh.Trimesh | None:
         if path.stat().st_size > MAX_MESH_BYTES:
             return None
         shape = trimesh.load(path, force="mesh", process=False)
-    except Exception:  # noqa: BLE001, readers of foreign formats raise anything
+    except Exception:
         return None
     return shape if isinstance(shape, trimesh.Trimesh) else None
 

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from itertools import combinations
-
 import mujoco
 import numpy as np
 
 from fungrasp.hands.adding.couplings import Coupling
+from fungrasp.hands.adding.exclusions import exclude_neighbors
 from fungrasp.hands.adding.link_shapes import HandShapes, LinkShapes
 from fungrasp.hands.adding.model_file import ForeignModel
+from fungrasp.hands.adding.poses import Poses
 from fungrasp.hands.adding.servos import JointPhysics
 from fungrasp.hands.adding.shape_fitting import Box, Capsule
-from fungrasp.hands.adding.structure import HandStructure, Poses
-from fungrasp.hands.checking.finding import Finding, listed, note, warning
+from fungrasp.hands.adding.structure import HandStructure
+from fungrasp.hands.checking.finding import Finding, listed, warning
 from fungrasp.hands.checking.kinematic_tree import body_name, joint_name
 
 DENSITY = 1000.0
@@ -24,12 +24,6 @@ VISUAL_GROUP, COLLISION_GROUP = 2, 3
 
 MAX_VISUAL_FACES = 4000
 """Of a mesh for pictures; finer ones are coarsened."""
-
-POSES = 200
-"""Random poses in which shapes that always touch are looked for."""
-
-ALWAYS = 0.6
-"""Share of the poses in which shapes that touch are said to touch always."""
 
 
 def new_model(
@@ -57,7 +51,7 @@ def new_model(
         if body == structure.palm:
             new = spec.worldbody.add_body(name=body_name(model, body))
         else:
-            parent = _owner(shapes, int(model.body_parentid[body]))
+            parent = shapes.owner(int(model.body_parentid[body]))
             pos, quat = _relative(poses, body, parent)
             new = bodies[parent].add_body(name=body_name(model, body), pos=pos, quat=quat)
             _add_joints(new, model, body, physics, ranges)
@@ -67,8 +61,12 @@ def new_model(
             guessed.append(body_name(model, body))
     for finger, chain in structure.fingers.items():
         for i, link in enumerate(chain.links):
-            bodies[link].add_site(name=f"{finger}_joint_{i + 1}", pos=shapes.joints[link], size=[0.002, 0, 0], group=4)
-        bodies[chain.bodies[-1]].add_site(name=f"{finger}_tip", pos=shapes.tips[finger], size=[0.002, 0, 0], group=4)
+            bodies[link].add_site(
+                name=f"{finger}_joint_{i + 1}", pos=shapes.joints[link], size=[0.002, 0, 0], group=4
+            )
+        bodies[chain.bodies[-1]].add_site(
+            name=f"{finger}_tip", pos=shapes.tips[finger], size=[0.002, 0, 0], group=4
+        )
     for coupling in couplings:
         ends = [int(model.jnt_bodyid[j]) for j in (coupling.joint, coupling.driver)]
         if not set(ends) <= set(shapes.links) - {structure.palm}:
@@ -84,15 +82,12 @@ def new_model(
         equality.solimp[:3] = [0.99, 0.999, 0.001]
     if guessed:
         findings.append(
-            warning(f"no mass of {listed(guessed)} is known: that of its shapes at {DENSITY:g} kg/m3 is taken")
+            warning(
+                f"no mass of {listed(guessed)} is known: that of its shapes at {DENSITY:g} kg/m3 is taken"
+            )
         )
-    _exclude(spec, foreign, structure, shapes, couplings, findings)
+    exclude_neighbors(spec, foreign, structure, shapes, couplings, findings)
     return spec
-
-
-def _owner(shapes: HandShapes, body: int) -> int:
-    """The new body that an old one is part of."""
-    return next(new for new, link in shapes.links.items() if body in link.members)
 
 
 def _relative(poses: Poses, body: int, parent: int) -> tuple[np.ndarray, np.ndarray]:
@@ -147,14 +142,16 @@ def _add_shapes(
     meshes = [(member, mesh) for member in link.members for mesh in foreign.meshes.get(member, [])]
     shown = [pair for pair in meshes if not pair[1].collides] or meshes
     for i, (member, mesh) in enumerate(shown):
-        vertices, faces = _coarse(_placed(poses, member, link.body, mesh.vertices), mesh.faces)
+        vertices, faces = _coarse(poses.moved(mesh.vertices, member, link.body), mesh.faces)
         if len(faces) < 4:
             continue
         asset = spec.add_mesh(name=f"{new.name}_{i}")
         asset.uservert, asset.userface = np.round(vertices, 6).ravel(), faces.ravel()
         # Thin or open surfaces have no volume; they weigh nothing here.
         asset.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
-        geom = new.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=asset.name, mass=0.0, group=VISUAL_GROUP)
+        geom = new.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_MESH, meshname=asset.name, mass=0.0, group=VISUAL_GROUP
+        )
         geom.contype, geom.conaffinity, geom.rgba = 0, 0, mesh.rgba
     group = COLLISION_GROUP if shown else 0
     for shape in link.shapes:
@@ -181,9 +178,7 @@ def _add_shapes(
         geom.group, geom.density = group, DENSITY
 
 
-def _kept(
-    new: mujoco.MjsBody, model: mujoco.MjModel, poses: Poses, body: int, geom: int
-) -> mujoco.MjsGeom:
+def _kept(new: mujoco.MjsBody, model: mujoco.MjModel, poses: Poses, body: int, geom: int) -> mujoco.MjsGeom:
     member = int(model.geom_bodyid[geom])
     pos, quat = _relative(poses, member, body)
     turned, place = np.zeros(4), np.zeros(3)
@@ -197,12 +192,6 @@ def _kept(
         quat=_clean(turned),
         rgba=model.geom_rgba[geom].astype(float),
     )
-
-
-def _placed(poses: Poses, member: int, body: int, points: np.ndarray) -> np.ndarray:
-    data = poses.data
-    world = data.xpos[member] + points @ data.xmat[member].reshape(3, 3).T
-    return (world - data.xpos[body]) @ data.xmat[body].reshape(3, 3)
 
 
 def _coarse(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -241,71 +230,3 @@ def _add_mass(new: mujoco.MjsBody, foreign: ForeignModel, poses: Poses, link: Li
     new.mass, new.ipos, new.explicitinertial = float(masses.sum()), _clean(center), True
     new.fullinertia = [total[0, 0], total[1, 1], total[2, 2], total[0, 1], total[0, 2], total[1, 2]]
     return True
-
-
-def _exclude(
-    spec: mujoco.MjSpec,
-    foreign: ForeignModel,
-    structure: HandStructure,
-    shapes: HandShapes,
-    couplings: list[Coupling],
-    findings: list[Finding],
-) -> None:
-    """Let neighbors, links of one finger, and shapes that always touch pass through each other."""
-    name = lambda body: body_name(foreign.model, body)  # noqa: E731
-    palm = name(structure.palm)
-    pairs: set[tuple[str, str]] = set()
-    for chain in structure.fingers.values():
-        members = [name(b) for b in chain.bodies]
-        pairs |= {tuple(sorted(pair)) for pair in combinations(members, 2)}
-    for body in shapes.links:
-        if body != structure.palm:
-            parent = _owner(shapes, int(foreign.model.body_parentid[body]))
-            pairs.add(tuple(sorted((name(body), name(parent)))))
-    for chain in structure.fingers.values():
-        # Joints in one place make the first shape of a finger a neighbor of the palm.
-        for body in chain.bodies:
-            pairs.add(tuple(sorted((palm, name(body)))))
-            if body == chain.links[0]:
-                break
-    touching = _touching(spec, couplings, foreign.model)
-    extra = sorted(set(touching) - pairs)
-    for first, second in sorted(pairs) + extra:
-        spec.add_exclude(bodyname1=first, bodyname2=second)
-    if extra:
-        shown = [f"{first} and {second}" for first, second in extra]
-        findings.append(note(f"these touch always or at zero, and may pass through each other: {listed(shown)}"))
-
-
-def _touching(
-    spec: mujoco.MjSpec, couplings: list[Coupling], old: mujoco.MjModel
-) -> list[tuple[str, str]]:
-    """Pairs of bodies whose shapes overlap at zero or in most of the random poses."""
-    model = spec.copy().compile()
-    data = mujoco.MjData(model)
-    rng = np.random.default_rng(0)
-    slopes = {joint_name(old, c.joint): (joint_name(old, c.driver), c.constant, c.slope) for c in couplings}
-
-    def overlaps(positions: np.ndarray) -> set[tuple[str, str]]:
-        for _ in range(len(slopes)):
-            for j in range(model.njnt):
-                if model.joint(j).name in slopes:
-                    driver, constant, slope = slopes[model.joint(j).name]
-                    positions[j] = constant + slope * positions[model.joint(driver).id]
-        data.qpos[:] = positions
-        mujoco.mj_kinematics(model, data)
-        mujoco.mj_comPos(model, data)
-        mujoco.mj_collision(model, data)
-        found = set()
-        for contact in data.contact:
-            if contact.dist < -5e-4:
-                bodies = [model.body(int(model.geom_bodyid[g])).name for g in contact.geom]
-                found.add(tuple(sorted(bodies)))
-        return found
-
-    zero = overlaps(np.clip(np.zeros(model.njnt), *model.jnt_range.T))
-    counts: dict[tuple[str, str], int] = {}
-    for _ in range(POSES):
-        for pair in overlaps(rng.uniform(*model.jnt_range.T)):
-            counts[pair] = counts.get(pair, 0) + 1
-    return sorted(zero | {pair for pair, count in counts.items() if count > ALWAYS * POSES})

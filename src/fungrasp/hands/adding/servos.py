@@ -1,4 +1,4 @@
-"""Torque limits, gains, armature and damping: the file's where they can be, else proposed with their reason."""
+"""Torque limits, gains, armature and damping: the file's where they can be, else proposed with a reason."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from fungrasp.hands.adding.structure import HandStructure, Poses
+from fungrasp.hands.adding.poses import Poses
+from fungrasp.hands.adding.structure import HandStructure
 from fungrasp.hands.checking.finding import Finding, listed, warning
 from fungrasp.hands.checking.kinematic_tree import ancestors, joint_name
 
@@ -145,10 +146,8 @@ def _named(model: mujoco.MjModel, mask: np.ndarray) -> str:
     return f"joint {listed([joint_name(model, j) for j in np.flatnonzero(mask)], limit=3)}"
 
 
-def servo_entries(
-    physics: JointPhysics, poses: Poses, joints: list[int]
-) -> tuple[list[str], list[str]]:
-    """Lines of a TOML's [actuators], what most independent joints have, and of [actuators.joints], the others.
+def servo_entries(physics: JointPhysics, poses: Poses, joints: list[int]) -> tuple[list[str], list[str]]:
+    """Lines of a TOML's [actuators], for most independent joints, and of [actuators.joints], for the others.
 
     joints: those of the hand, driven ones included.
     """
@@ -159,7 +158,11 @@ def servo_entries(
 
     entries = [entry(j) for j in joints]
     common = max(dict.fromkeys(entries), key=entries.count)
-    lines = [f"kp = {common[0]} # N m/rad", f"kd = {common[1]} # N m s/rad", f"force_limit = {common[2]} # N m"]
+    lines = [
+        f"kp = {common[0]} # N m/rad",
+        f"kd = {common[1]} # N m s/rad",
+        f"force_limit = {common[2]} # N m",
+    ]
     special = [
         f"{json.dumps(joint_name(poses.model, j))} = {{ kp = {kp}, kd = {kd}, force_limit = {force} }}"
         for j, (kp, kd, force) in zip(joints, entries, strict=True)

@@ -63,9 +63,12 @@ class Box:
 def mesh_points(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Evenly spread points of a surface [m], shape [P, 3], P at most about ``MAX_SAMPLES``."""
     triangles = vertices[faces]
-    area = 0.5 * np.linalg.norm(
-        np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]), axis=1
-    ).sum()
+    area = (
+        0.5
+        * np.linalg.norm(
+            np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]), axis=1
+        ).sum()
+    )
     gap = max(SAMPLE_GAP, float(np.sqrt(area / MAX_SAMPLES)))
     points = points_on_triangles(triangles, gap)[0] if len(faces) else vertices
     _, first = np.unique(np.round(points / gap).astype(int), axis=0, return_index=True)

@@ -97,8 +97,8 @@ def _check_toml(path: Path) -> list[Finding]:
             if seen != hand.side:
                 findings.append(
                     warning(
-                        f"side is \"{hand.side}\", but by the order of its fingers, seen from the palm, this is a "
-                        f"{seen} hand"
+                        f'side is "{hand.side}", but by the order of its fingers, seen from the palm, this '
+                        f"is a {seen} hand"
                     )
                 )
         except (FungraspError, ValueError) as problem:

@@ -32,7 +32,10 @@ def finger_of(name: str) -> str | None:
 
 
 def guess_parts(model: mujoco.MjModel) -> HandParts:
-    """Palm, fingers and tip sites, as far as names tell. A finger is the last three links of a chain that begins at the palm."""
+    """Palm, fingers and tip sites, as far as names tell.
+
+    A finger is the last three links of a chain that begins at the palm.
+    """
     moving = set(np.flatnonzero(model.body_jntnum > 0).tolist())
     ends = [body for body in moving if not moving & (set(subtree(model, body)) - {body})]
     palm = _common_ancestor(model, ends)
