@@ -14,8 +14,9 @@ from fungrasp.hands.adding.structure import HandStructure
 from fungrasp.hands.checking.finding import Finding, warning
 from fungrasp.hands.checking.kinematic_tree import body_name
 
-FINGER_RADIUS = 0.085
-"""Radius of a finger of which nothing is known, as a share of its length: that of a human finger."""
+FINGER_RADIUS = 0.09
+"""Radius of a finger of which nothing is known, as a share of its length from the knuckle: an adult index
+finger is 95 mm long and 16 to 20 mm wide."""
 
 THUMB_WIDER = 1.15
 """Factor for a thumb."""
