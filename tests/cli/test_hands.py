@@ -80,12 +80,14 @@ def test_check_of_a_broken_hand_ends_with_1(tmp_path: Path, capsys):
     assert any("none.xml does not exist" in finding["message"] for finding in findings)
 
 
-def test_check_writes_a_hand_to_start_from(tmp_path: Path, capsys):
+def test_add_makes_a_hand_of_an_exported_model(tmp_path: Path, capsys):
     model = tmp_path / "mine.xml"
     assert main(["hands", "export", "allegro", "--out", str(model)]) == 0
-    assert main(["hands", "check", str(model), "--out", str(tmp_path / "mine")]) == 0
-    assert "a hand.toml to start from" in capsys.readouterr().out
-    assert load_hand(tmp_path / "mine").fingers == load_hand("allegro").fingers
+    assert main(["hands", "add", str(model), "--out", str(tmp_path / "mine")]) == 0
+    assert "a right hand, palm 'palm'" in capsys.readouterr().out
+    mine, original = load_hand(tmp_path / "mine"), load_hand("allegro")
+    for name in ("index", "middle", "ring"):
+        assert mine.fingers[name].links == original.fingers[name].links
 
 
 @pytest.mark.parametrize(("arm", "actuators"), [([], 16), (["--arm", "ur5e"], 22)])

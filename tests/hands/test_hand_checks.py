@@ -5,12 +5,13 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from fungrasp.errors import FungraspError
 from fungrasp.hands import hand_files, load_hand
-from fungrasp.hands.checking.hand_checks import Finding, check_hand_files, write_skeleton
-from fungrasp.hands.checking.toml_draft import finger_of
+from fungrasp.hands.checking.hand_checks import Finding, check_hand_files
+from fungrasp.hands.checking.named_parts import finger_of
+from fungrasp.hands.kinematics import HandKinematics
 
 SHARED = Path(__file__).resolve().parents[2] / ".." / "shared"
 
@@ -110,16 +111,26 @@ def test_a_sound_hand_has_no_faults(tmp_path):
     assert load_hand(toml).name == "small"
 
 
-def test_a_sound_bare_model_gets_a_toml_that_works(tmp_path):
+def test_a_sound_bare_model_has_no_faults(tmp_path):
     (tmp_path / "small.xml").write_text(MJCF)
     findings = check_hand_files(tmp_path / "small.xml")
     assert faults(findings) == []
-    assert findings[-1].message.startswith("a hand.toml to start from")
-    (tmp_path / "hand.toml").write_text(findings[-1].message.split("\n\n", 1)[1])
+    assert "fungrasp hands add" in findings[-1].message
+
+
+def test_a_body_may_be_a_tip(tmp_path):
+    mjcf = changed(MJCF, '<site name="index_tip" pos="0 0 0.03"/>', '<body name="index_tip" pos="0 0 0.03"/>')
+    assert faults(check_hand_files(write(tmp_path, mjcf))) == []
     hand = load_hand(tmp_path)
-    assert hand.fingers == load_hand(write(tmp_path)).fingers
-    assert hand.palm == "palm"
-    assert hand.palm_fingers.tolist() == [0, 0, 1] and hand.palm_normal.tolist() == [1, 0, 0]
+    assert hand.fingers["index"].tip == "index_tip"
+    at = HandKinematics(hand, 1)
+    at.update(None, np.zeros((1, len(hand.actuators))))
+    np.testing.assert_allclose(at.points(at.body_points(("index_tip",)))[0, 0], [0, 0.03, 0.175], atol=1e-9)
+
+
+def test_a_side_against_the_order_of_the_fingers_is_mentioned(tmp_path):
+    findings = check_hand_files(write(tmp_path, toml='side = "right"\n' + TOML))
+    assert said(findings, "warning", "seen from the palm, this is a left hand")
 
 
 def test_a_sound_urdf_has_no_faults(tmp_path):
@@ -172,7 +183,7 @@ MESH = '<collision><geometry><mesh filename="package://x/a.stl"/></geometry></co
         (
             PALM,
             '<body name="palm" pos="0 0 0.2" quat="0 1 0 0">',
-            "warning",
+            "note",
             "200.0 mm away and turned by 180.0",
         ),
         (PALM, PALM + '<joint name="wrist"/>', "error", "moves on the joint 'wrist'"),
@@ -250,7 +261,7 @@ def test_faults_of_an_mjcf(tmp_path, old, new, severity, pattern):
     ("old", "new", "severity", "pattern"),
     [
         ('palm = "palm"', 'palm = "plam"', "error", "unknown body of small.xml 'plam'. Did you mean 'palm'"),
-        ('tip = "index_tip"', 'tip = "index_top"', "error", "unknown site of small.xml 'index_top'"),
+        ('tip = "index_tip"', 'tip = "index_top"', "error", "unknown site or body of small.xml 'index_top'"),
         (
             'tip = "index_tip"',
             'tip = "thumb_tip"',
@@ -375,18 +386,6 @@ def test_actuators_without_a_force_limit(tmp_path):
     assert said(check_hand_files(tmp_path / "small.xml"), "warning", "no force limit on the actuator 'push'")
 
 
-def test_a_skeleton_of_a_urdf_is_a_hand(tmp_path):
-    (tmp_path / "small.urdf").write_text(changed(URDF, '<mujoco><compiler fusestatic="false"/></mujoco>', ""))
-    toml, model = write_skeleton(tmp_path / "small.urdf", tmp_path / "out")
-    assert model.is_file()
-    assert faults(check_hand_files(toml)) == []
-    hand = load_hand(toml)
-    assert hand.fingers["index"].links == ("index_a", "index_b")
-    assert list(hand.fingers) == ["index", "thumb"]
-    with pytest.raises(FungraspError, match="exists already"):
-        write_skeleton(tmp_path / "small.urdf", tmp_path / "out")
-
-
 @pytest.mark.parametrize(
     ("name", "finger"),
     [
@@ -414,4 +413,4 @@ def test_models_of_others_are_read_to_the_end(name):
         pytest.skip(f"{path} is not here")
     findings = check_hand_files(path)
     assert said(findings, "error", "missing mesh")
-    assert said(findings, "note", "a hand.toml to start from")
+    assert said(findings, "note", "fungrasp hands add")

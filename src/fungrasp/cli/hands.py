@@ -1,4 +1,4 @@
-"""``fungrasp hands``: list, show, check and export robot hands."""
+"""``fungrasp hands``: list, show, add, check and export robot hands."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
@@ -94,21 +94,16 @@ class ShowHand:
 
 @dataclass(frozen=True)
 class CheckHand:
-    """Report what is wrong with a hand's files; exits with status 1 if the hand cannot be used as it is.
-
-    A bare URDF or MJCF also gets a TOML file to start from.
-    """
+    """Report what is wrong with a hand's files; exits with status 1 if the hand cannot be used as it is."""
 
     path: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="PATH")]
     """A hand's TOML file or folder, a URDF, an MJCF, or the name of a known hand."""
     json: bool = False
     """Print JSON and nothing else."""
-    out: Path | None = None
-    """For a bare URDF or MJCF: write a hand folder to start from, an MJCF with tip sites and a TOML."""
 
     def run(self) -> None:
         from fungrasp.hands import hand_files
-        from fungrasp.hands.checking.hand_checks import check_hand_files, write_skeleton
+        from fungrasp.hands.checking.hand_checks import check_hand_files
 
         findings = check_hand_files(hand_files().get(self.path, Path(self.path)))
         errors = sum(finding.severity == "error" for finding in findings)
@@ -119,11 +114,57 @@ class CheckHand:
                 print(f"{finding.severity}: {finding.message}")
             others = sum(finding.severity == "warning" for finding in findings)
             print(f"{self.path}: {_count(errors, 'error')}, {_count(others, 'warning')}")
-        if self.out is not None:
-            for path in write_skeleton(self.path, self.out):
-                print(f"wrote {path}", file=sys.stderr)
         if errors:
             raise SystemExit(1)
+
+
+@dataclass(frozen=True)
+class AddHand:
+    """Make a hand folder from any URDF or MJCF: one model and one TOML, ready for --hand.
+
+    Palm, fingers, thumb, tips and side are found from the tree of bodies and the geometry. What can't be
+    found is asked for by the name of an option.
+    """
+
+    path: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
+    """A URDF or an MJCF; its meshes are looked for where it says and in folders nearby."""
+    out: Path | None = None
+    """The folder to write; named as the hand if not given."""
+    name: str | None = None
+    """Name of the hand; that of the file if not given."""
+    palm: str | None = None
+    """The body that carries the fingers; what lies before it is cut off."""
+    thumb: str | None = None
+    """A body of the thumb."""
+    finger: tuple[str, ...] = ()
+    """Which finger is which, by a body of it: index=BODY middle=BODY ...; those not named are left out."""
+    side: Literal["right", "left"] | None = None
+    """Which human hand it imitates."""
+    normal: tuple[float, float, float] | None = None
+    """Direction out of the palm towards a held object, in the frame of the palm body."""
+    couple: tuple[str, ...] = ()
+    """Joints that move together, as JOINT=SLOPE*DRIVER."""
+    radius: float | None = None
+    """Of fingers whose shapes are missing [m]."""
+    force: bool = False
+    """Overwrite the hand in the folder."""
+
+    def run(self) -> None:
+        from fungrasp.hands.adding.add_hand import Answers, add_hand, parse_couplings, parse_fingers
+        from fungrasp.hands.checking.hand_checks import check_hand_files
+
+        fingers, couplings = parse_fingers(self.finger), parse_couplings(self.couple)
+        answers = Answers(self.palm, self.thumb, self.side, self.normal, fingers, couplings, self.radius)
+        path, findings = add_hand(self.path, self.out, self.name, answers, self.force)
+        findings = [*findings, *check_hand_files(path)]
+        errors = sum(finding.severity == "error" for finding in findings)
+        warnings = sum(finding.severity == "warning" for finding in findings)
+        for finding in findings:
+            print(f"{finding.severity}: {finding.message}")
+        print(f"{path}: {_count(errors, 'error')}, {_count(warnings, 'warning')}")
+        if errors:
+            raise SystemExit(1)
+        print(f"next: fungrasp retarget --hand {path} --out {path.parent.name}.npz")
 
 
 @dataclass(frozen=True)
@@ -148,7 +189,7 @@ class ExportHand:
         print(f"wrote {self.out}")
 
 
-COMMAND = {"list": ListHands, "show": ShowHand, "check": CheckHand, "export": ExportHand}
+COMMAND = {"list": ListHands, "show": ShowHand, "add": AddHand, "check": CheckHand, "export": ExportHand}
 
 
 def _draw(hand: Hand, path: Path) -> None:

@@ -38,6 +38,9 @@ class Retarget:
     """Folder of meshes <name>.obj; built-in objects need none."""
     hand: str = "allegro"
     """Name of a hand, or the path of a hand's TOML file."""
+    mirror: bool = False
+    """Mirror the grasps and their objects first: grasps of right hands for a left hand, or the other way
+    round. Mirrored objects are named <name>_mirrored."""
     method: str = "ours"
     """Retargeting method: ours, angle-copy or dexgraspnet."""
     quality: Path | None = None
@@ -50,11 +53,13 @@ class Retarget:
     def run(self) -> None:
         from fungrasp.evaluation import static_quality
         from fungrasp.evaluation.results import finite
-        from fungrasp.grasps import load_human_grasps, load_objects, save_robot_grasps
+        from fungrasp.grasps import load_human_grasps, load_objects, mirrored_grasps, save_robot_grasps
         from fungrasp.hands import load_hand
 
         hand = load_hand(self.hand)
         human = load_human_grasps(self.grasps)
+        if self.mirror:
+            human = mirrored_grasps(human)
         objects = load_objects(human, self.objects)
         robot, rate = retargeted(human, objects, hand, self.method, self.threads)
         quality = static_quality(robot, human, objects, hand)

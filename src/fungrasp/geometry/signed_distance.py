@@ -66,6 +66,12 @@ class SignedDistanceGrid:
         values = distance * _sign(mesh, points, distance, spacing)
         return cls(low, spacing, values.astype(np.float32))
 
+    def mirrored(self) -> SignedDistanceGrid:
+        """That of the surface reflected in the plane y = 0."""
+        last = self.origin[1] + self.spacing * (self.values.shape[1] - 1)
+        origin = np.array([self.origin[0], -last, self.origin[2]])
+        return SignedDistanceGrid(origin, self.spacing, np.ascontiguousarray(self.values[:, ::-1]))
+
     def save(self, path: str | Path) -> None:
         """Write to an ``.npz`` file, whole or not at all."""
         with atomic_path(path) as temporary:

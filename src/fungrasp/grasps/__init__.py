@@ -11,7 +11,15 @@ from fungrasp.grasps.grasp_files import (
 from fungrasp.grasps.grasp_objects import load_objects
 from fungrasp.grasps.grasp_set import GraspSet
 from fungrasp.grasps.human_grasp import HumanGrasp, HumanGraspSet
-from fungrasp.grasps.human_hand import BONES, HUMAN_JOINTS, HUMAN_LINKS, bone_lengths, finger_link_directions
+from fungrasp.grasps.human_hand import (
+    BONES,
+    HUMAN_JOINTS,
+    HUMAN_LINKS,
+    bone_lengths,
+    finger_link_directions,
+    hand_sides,
+)
+from fungrasp.grasps.mirroring import mirrored_grasps
 from fungrasp.grasps.robot_grasp import RobotGrasp, RobotGraspSet
 
 __all__ = [
@@ -26,10 +34,12 @@ __all__ = [
     "bone_lengths",
     "builtin_grasps",
     "finger_link_directions",
+    "hand_sides",
     "load_grasps",
     "load_human_grasps",
     "load_objects",
     "load_robot_grasps",
+    "mirrored_grasps",
     "save_human_grasps",
     "save_robot_grasps",
 ]

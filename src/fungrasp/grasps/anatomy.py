@@ -5,7 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from fungrasp.grasps.human_grasp import HumanGraspSet
-from fungrasp.grasps.human_hand import BONES, HUMAN_JOINTS, bone_lengths, finger_link_directions
+from fungrasp.grasps.human_hand import (
+    BONES,
+    HUMAN_JOINTS,
+    bone_lengths,
+    finger_link_directions,
+    hand_sides,
+    mirror_points,
+)
 
 ADULT_BONES = np.array(
     [
@@ -71,7 +78,8 @@ def check_anatomy(grasps: HumanGraspSet) -> list[str]:
     lengths = bone_lengths(grasps.hand_joints) * 1000
     shortest = ADULT_BONES[..., 0].ravel() * (1 - BONE_VARIATION)
     longest = ADULT_BONES[..., 1].ravel() * (1 + BONE_VARIATION)
-    flexion, deviation = joint_bends(grasps.hand_joints)
+    left = (hand_sides(grasps.hand_joints) == "left")[:, None, None]
+    flexion, deviation = joint_bends(np.where(left, mirror_points(grasps.hand_joints), grasps.hand_joints))
     low, high = FLEXION_RANGE[..., 0] - JOINT_RANGE_SLACK, FLEXION_RANGE[..., 1] + JOINT_RANGE_SLACK
     findings = []
     for row, name in enumerate(grasps.object_name):

@@ -48,7 +48,7 @@ class HumanGrasp:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class HumanGraspSet(GraspSet[HumanGrasp]):
-    """N human grasps of right hands: the fields of ``HumanGrasp`` with a leading axis N (float64, bool, str).
+    """N human grasps: the fields of ``HumanGrasp`` with a leading axis N (float64, bool, str).
 
     Raises:
         FungraspError: a field of wrong shape or type, not finite, a quaternion or mass that can't be, or

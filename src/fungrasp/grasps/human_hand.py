@@ -23,6 +23,9 @@ HUMAN_LINKS = ("palm", *(f"{finger}_{link}" for finger in HUMAN_FINGERS for link
 BONES = tuple((0 if joint % 4 == 1 else joint - 1, joint) for joint in range(1, 21))
 """The 20 bones as pairs of joint indices (near, far); four per finger, the first from the wrist."""
 
+FLAT_HAND = 0.01
+"""Height of the fingertips above the palm below which the side of a hand is not told [m]."""
+
 MIRROR = np.array([1.0, -1.0, 1.0])
 """Reflection in the plane y = 0, by coordinate."""
 
@@ -48,6 +51,26 @@ def finger_link_directions(hand_joints: np.ndarray) -> np.ndarray:
     fingers = hand_joints[..., 1:, :].reshape(*hand_joints.shape[:-2], 5, 4, 3)
     bones = fingers[..., 1:, :] - fingers[..., :-1, :]
     return bones / np.linalg.norm(bones, axis=-1, keepdims=True)
+
+
+def hand_sides(hand_joints: np.ndarray) -> np.ndarray:
+    """Whether hands are right or left, from the side to which fingers and thumb bend.
+
+    The palm of a right hand faces along the cross product of the directions from the wrist to the bases of
+    index and little finger. A hand that is as good as flat counts as right.
+
+    Args:
+        hand_joints: [m], shape [..., 21, 3], any frame.
+
+    Returns:
+        "right" or "left", shape [...].
+    """
+    from_wrist = hand_joints - hand_joints[..., :1, :]
+    normal = np.cross(from_wrist[..., 1, :], from_wrist[..., 13, :])
+    normal = normal / np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-9)
+    bases, tips = hand_joints[..., 1:17:4, :], hand_joints[..., 4:17:4, :]
+    heights = np.mean(tips - bases, axis=-2) + from_wrist[..., 20, :]
+    return np.where(np.sum(heights * normal, axis=-1) < -FLAT_HAND, "left", "right")
 
 
 def mirror_points(points: np.ndarray) -> np.ndarray:

@@ -9,7 +9,6 @@ import mujoco
 import numpy as np
 
 from fungrasp.errors import UnknownNameError
-from fungrasp.geometry.poses import compose, invert
 from fungrasp.hands.hand import Hand
 from fungrasp.hands.self_contained_mjcf import self_contained_xml
 
@@ -77,13 +76,9 @@ def mount(hand: Hand, arm: str = "ur5e") -> mujoco.MjSpec:
     palm = child.body(hand.palm)
     palm.gravcomp = 1.0
     palm.add_site(name=PALM_SITE, size=[0.001, 0, 0])
-    body = hand.model.body(hand.palm).id
-    data = mujoco.MjData(hand.model)
-    mujoco.mj_kinematics(hand.model, data)
-    pose_hand_palm = np.concatenate([data.xpos[body], data.xquat[body]])
-    pose_flange_hand = compose(mounting_pose(hand), invert(pose_hand_palm))
+    pose = mounting_pose(hand)
     flange = spec.site(FLANGE_SITE)
-    frame = flange.parent.add_frame(pos=pose_flange_hand[:3], quat=pose_flange_hand[3:])
+    frame = flange.parent.add_frame(pos=pose[:3], quat=pose[3:])
     spec.attach(child, prefix=_PREFIX, frame=frame)
     # Default classes keep the prefix, since both models have a class "main"; all else gets its name back.
     return mujoco.MjSpec.from_string(re.sub(f'(?<!class)="{_PREFIX}', '="', self_contained_xml(spec)))

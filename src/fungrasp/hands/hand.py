@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 
 from fungrasp.errors import FungraspError, UnknownNameError
+from fungrasp.geometry.poses import invert
 
 FINGERS = ("index", "middle", "ring", "pinky", "thumb")
 """Names of fingers, in the order of the human joints and links (docs/conventions.md)."""
@@ -31,7 +32,7 @@ class Finger:
     """Site or body at the joint at the near end of each link: the link's own body, unless the model's frames
     lie elsewhere."""
     tip: str
-    """Site at the center of the fingertip's round end."""
+    """Site or body at the center of the fingertip's round end."""
 
 
 @dataclass(frozen=True)
@@ -70,6 +71,8 @@ class Hand:
     """By name, in the order of ``FINGERS``."""
     actuators: Mapping[str, Actuator]
     """By joint name, in the model's joint order."""
+    side: str = "right"
+    """"right" or "left": which human hand it imitates."""
     source: str = ""
     """Where the model comes from."""
 
@@ -77,6 +80,7 @@ class Hand:
         """A fresh model of the bare hand, palm fixed at the world's origin, one position actuator per
         independent joint (named as its joint)."""
         spec = _parse(self.model_path)
+        _put_at_origin(spec, self.palm)
         for actuator in list(spec.actuators):
             spec.delete(actuator)
         for servo in self.actuators.values():
@@ -148,6 +152,12 @@ class Hand:
         """All joints [rad], shape [..., M], of independent ones [rad], shape [..., U]."""
         matrix, offset = self.coupling
         return independent @ matrix.T + offset
+
+    @property
+    def index_side(self) -> np.ndarray:
+        """Unit vector across the palm to the side of index finger and thumb, palm frame, shape [3]."""
+        across = np.cross(self.palm_fingers, self.palm_normal)
+        return across if self.side == "right" else -across
 
     @property
     def links(self) -> tuple[tuple[str, ...], ...]:
@@ -223,7 +233,8 @@ def read_hand_toml(path: Path) -> Hand:
         entry = data["fingers"][name]
         if not 1 <= len(entry.get("links", ())) <= 3 or "tip" not in entry:
             raise FungraspError(
-                f"{path}: finger '{name}' needs 'links' (one to three bodies, base to tip) and 'tip' (a site)"
+                f"{path}: finger '{name}' needs 'links' (one to three bodies, base to tip) and 'tip' (a site "
+                "or body)"
             )
         links = tuple(existing("body", link, bodies) for link in entry["links"])
         joints = tuple(
@@ -233,24 +244,55 @@ def read_hand_toml(path: Path) -> Hand:
             raise FungraspError(
                 f"{path}: finger '{name}' has {len(links)} links and {len(joints)} joints; give one each"
             )
-        fingers[name] = Finger(name, links, joints, existing("site", entry["tip"], sites))
+        fingers[name] = Finger(name, links, joints, existing("site or body", entry["tip"], sites | bodies))
     if "thumb" not in fingers:
         raise FungraspError(f"{path}: a hand with no thumb can't imitate a human grasp; give [fingers.thumb]")
     if len(fingers) < 2:
         raise FungraspError(f"{path}: a hand needs a thumb and at least one more finger")
     frame = data.get("palm_frame", {})
+    palm_fingers = _unit(path, "palm_frame.fingers", frame.get("fingers", (0, 0, 1)))
+    palm_normal = _unit(path, "palm_frame.normal", frame.get("normal", (1, 0, 0)))
+    palm = existing("body", data["palm"], bodies)
+    side = data.get("side", side_of(model, palm, fingers, np.cross(palm_fingers, palm_normal)))
+    if side not in ("right", "left"):
+        raise FungraspError(f'{path}: side must be "right" or "left", not {side!r}')
     return Hand(
         name=data["name"],
         title=data.get("title", data["name"]),
         path=path,
         model_path=model_path,
-        palm=existing("body", data["palm"], bodies),
-        palm_fingers=_unit(path, "palm_frame.fingers", frame.get("fingers", (0, 0, 1))),
-        palm_normal=_unit(path, "palm_frame.normal", frame.get("normal", (1, 0, 0))),
+        palm=palm,
+        palm_fingers=palm_fingers,
+        palm_normal=palm_normal,
         fingers=fingers,
         actuators=_actuators(path, data["actuators"], model),
+        side=side,
         source=data.get("source", ""),
     )
+
+
+def side_of(model: mujoco.MjModel, palm: str, fingers: Mapping[str, Finger], across: np.ndarray) -> str:
+    """Whether a hand is "right" or "left": on a right one the index finger lies farther than the others, or
+    where there is one finger the thumb farther than it, along the cross product of fingers and normal.
+
+    Args:
+        model: the hand.
+        palm: the palm body.
+        fingers: by name, in the order of ``FINGERS``.
+        across: that cross product, palm frame, shape [3].
+    """
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    direction = data.body(palm).xmat.reshape(3, 3) @ across
+
+    def base(finger: Finger) -> float:
+        site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, finger.joints[0])
+        place = data.site_xpos[site] if site >= 0 else data.body(finger.joints[0]).xpos
+        return float(place @ direction)
+
+    first, *others = (fingers[name] for name in fingers if name != "thumb")
+    difference = base(first) - base(others[-1]) if others else base(fingers["thumb"]) - base(first)
+    return "left" if difference < 0 else "right"
 
 
 def _actuators(path: Path, entry: Mapping[str, Any], model: mujoco.MjModel) -> dict[str, Actuator]:
@@ -291,6 +333,24 @@ def _parse(path: Path) -> mujoco.MjSpec:
         return mujoco.MjSpec.from_file(str(path))
     except ValueError as error:
         raise FungraspError(f"cannot read the hand's model {path}: {_one_line(error)}") from error
+
+
+def _put_at_origin(spec: mujoco.MjSpec, palm: str) -> None:
+    """Move everything so that a body that stands still lies at the world's origin, without rotation."""
+    # A frame added to a compiled spec has no effect.
+    model = spec.copy().compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    pose = np.concatenate([data.body(palm).xpos, data.body(palm).xquat])
+    if np.array_equal(pose, [0, 0, 0, 1, 0, 0, 0]):
+        return
+    back = invert(pose)
+    world = spec.worldbody
+    parts = [*world.frames, *world.bodies, *world.geoms, *world.sites, *world.cameras, *world.lights]
+    outermost = [part for part in parts if part.frame is None]
+    frame = world.add_frame(pos=back[:3], quat=back[3:])
+    for part in outermost:
+        part.set_frame(frame)
 
 
 def _one_line(error: Exception) -> str:

@@ -2,6 +2,7 @@
 
 from fungrasp.objects.convex_decomposition import ConvexPiece, convex_pieces
 from fungrasp.objects.mesh_file import load_mesh
+from fungrasp.objects.mirroring import MIRRORED, mirrored_name, mirrored_object
 from fungrasp.objects.object_model import ObjectModel
 from fungrasp.objects.object_registry import (
     builtin_object,
@@ -12,6 +13,7 @@ from fungrasp.objects.object_registry import (
 )
 
 __all__ = [
+    "MIRRORED",
     "ConvexPiece",
     "ObjectModel",
     "builtin_object",
@@ -19,6 +21,8 @@ __all__ = [
     "load_mesh",
     "load_object",
     "mesh_files",
+    "mirrored_name",
+    "mirrored_object",
     "object_from_file",
     "object_names",
 ]

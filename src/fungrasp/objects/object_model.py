@@ -41,6 +41,8 @@ class ObjectModel:
     """What was mended when the mesh was read."""
     source: str = ""
     """Where the mass and the size come from."""
+    mirror_image: ObjectModel | None = None
+    """The object of which this is the reflection in the plane y = 0."""
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.mass) and self.mass > 0):
@@ -58,11 +60,17 @@ class ObjectModel:
     @cached_property
     def pieces(self) -> tuple[ConvexPiece, ...]:
         """Convex pieces for physics: the construction of a built-in object, else CoACD's, cached on disk."""
+        if self.mirror_image is not None:
+            reflect = np.array([1.0, -1.0, 1.0])
+            pieces = self.mirror_image.pieces
+            return tuple(ConvexPiece(p.vertices * reflect, p.faces[:, ::-1].copy()) for p in pieces)
         return self.construction or convex_pieces(self.vertices, self.faces)
 
     @cached_property
     def signed_distance(self) -> SignedDistanceGrid:
         """Distance to the surface on a grid, computed once and cached on disk."""
+        if self.mirror_image is not None:
+            return self.mirror_image.signed_distance.mirrored()
         return cached_on_disk(
             "signed_distance",
             f"{GRID_FORMAT} {GRID_SPACING} {self.digest}",

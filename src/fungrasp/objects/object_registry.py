@@ -11,6 +11,7 @@ import numpy as np
 from fungrasp.errors import FungraspError, UnknownNameError
 from fungrasp.objects.builtin import BUILTINS, build_builtin
 from fungrasp.objects.mesh_file import MESH_SUFFIXES, load_mesh
+from fungrasp.objects.mirroring import MIRRORED, mirrored_object
 from fungrasp.objects.object_model import ObjectModel
 
 
@@ -36,7 +37,8 @@ def builtin_object(name: str, mass: float | None = None) -> ObjectModel:
 
 
 def load_object(name: str, mass: float | None = None, folder: str | Path | None = None) -> ObjectModel:
-    """By name: ``<name>.obj`` (.stl, .ply, .glb) in ``folder``, else built-in, else another package's.
+    """By name: ``<name>.obj`` (.stl, .ply, .glb) in ``folder``, else built-in, else another package's;
+    ``<name>_mirrored`` is the mirror image of one of them.
 
     Args:
         name: of the mesh file without suffix, or of a built-in object.
@@ -48,6 +50,8 @@ def load_object(name: str, mass: float | None = None, folder: str | Path | None 
     """
     files = mesh_files(folder)
     known = {**dict.fromkeys(BUILTINS), **files}
+    if name not in known and name.endswith(MIRRORED):
+        return mirrored_object(load_object(name.removesuffix(MIRRORED), mass, folder))
     if name not in known:
         raise UnknownNameError("object", name, known)
     path = known[name]

@@ -20,8 +20,8 @@ import trimesh
 from fungrasp.errors import FungraspError
 from fungrasp.geometry.poses import transform_points
 from fungrasp.grasps import HumanGrasp
-from fungrasp.grasps.human_hand import MIRRORED, mirror_points, mirror_pose
-from fungrasp.objects import ObjectModel
+from fungrasp.grasps.human_hand import mirror_points, mirror_pose
+from fungrasp.objects import MIRRORED, ObjectModel
 from fungrasp.perception.estimates import HandEstimate, ObjectEstimate, Side
 from fungrasp.perception.hand.contact_evidence import HandSurroundings, touching_links
 from fungrasp.perception.hand.detected_hand import (

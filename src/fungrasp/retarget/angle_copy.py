@@ -13,6 +13,7 @@ import numpy as np
 
 from fungrasp.geometry.poses import rotate
 from fungrasp.grasps.anatomy import joint_bends
+from fungrasp.grasps.human_hand import mirror_points
 from fungrasp.hands import FINGERS, Hand
 from fungrasp.hands.checking.kinematic_tree import ancestors
 from fungrasp.hands.correspondence import HUMAN_FINGER_JOINTS
@@ -82,7 +83,8 @@ def copied_angles(points: HandPoints, roles: JointRoles, joints: np.ndarray) -> 
         [rad], shape [N, U].
     """
     kinematics = points.kinematics
-    flexion, deviation = joint_bends(straightened(kinematics.hand, joints))
+    fingers = straightened(kinematics.hand, joints)
+    flexion, deviation = joint_bends(fingers if kinematics.hand.side == "right" else mirror_points(fingers))
     spread = deviation[..., 0] + np.cos(flexion[..., 0]) * (human_fan(kinematics.hand, joints) - roles.fan)
     angles = np.concatenate([flexion, spread[..., None]], axis=-1).reshape(len(joints), -1)
     matrix = roles.matrix.reshape(angles.shape[1], -1)
@@ -100,7 +102,7 @@ def human_fan(hand: Hand, joints: np.ndarray) -> np.ndarray:
     Returns:
         [rad], shape [N, 5].
     """
-    across = rotate(palm_alignment(hand, joints), np.cross(hand.palm_fingers, hand.palm_normal))
+    across = rotate(palm_alignment(hand, joints), hand.index_side)
     bones = joints[:, 1::4] - joints[:, :1]
     bones = bones / np.linalg.norm(bones, axis=-1, keepdims=True)
     return np.arcsin(np.clip(np.einsum("nfi,ni->nf", bones, across), -1.0, 1.0))
@@ -136,6 +138,8 @@ def joint_roles(hand: Hand) -> JointRoles:
     axes = rotate(to_palm, data.xaxis)
     across = np.cross(hand.palm_fingers, hand.palm_normal)
     sideways = hand.palm_fingers - hand.palm_normal
+    if hand.side == "left":
+        sideways = -sideways
     matrix, fan = np.zeros((len(FINGERS), 4, model.njnt)), np.zeros(len(FINGERS))
     in_thumb = np.zeros(model.njnt, dtype=bool)
     for finger, links in _moved_links(hand).items():
@@ -155,7 +159,7 @@ def joint_roles(hand: Hand) -> JointRoles:
             _position(data, name) for name in (*hand.fingers[finger].joints, hand.fingers[finger].tip)[:2]
         )
         direction = rotate(to_palm, far - near)
-        fan[row] = np.arcsin(direction @ across / np.linalg.norm(direction))
+        fan[row] = np.arcsin(direction @ hand.index_side / np.linalg.norm(direction))
     coupling = hand.coupling[0]
     has_role = np.any(matrix.reshape(-1, model.njnt) @ coupling, axis=0)
     return JointRoles(matrix, fan, np.any(coupling[in_thumb], axis=0) & ~has_role)

@@ -101,7 +101,7 @@ def palm_alignment(hand: Hand, joints: np.ndarray) -> np.ndarray:
     """Rotation that lays the robot's palm along the human's, wxyz, shape [N, 4].
 
     Args:
-        joints: human joints [m], any frame, shape [N, 21, 3].
+        joints: human joints of the same side [m], any frame, shape [N, 21, 3].
     """
     fingers = joints[:, 5] - joints[:, 0]
     fingers = fingers / np.linalg.norm(fingers, axis=1, keepdims=True)
@@ -109,6 +109,8 @@ def palm_alignment(hand: Hand, joints: np.ndarray) -> np.ndarray:
     normal = np.cross(joints[:, 1] - joints[:, 0], joints[:, 13] - joints[:, 0])
     normal -= np.sum(normal * fingers, axis=1, keepdims=True) * fingers
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    if hand.side == "left":
+        normal = -normal
     # Columns of both matrices are the same three axes of the palm, so that human = rotation @ robot.
     human = np.stack([fingers, normal, np.cross(fingers, normal)], axis=-1)
     robot = np.stack(

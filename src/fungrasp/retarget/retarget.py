@@ -6,9 +6,9 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from fungrasp.errors import UnknownNameError
+from fungrasp.errors import FungraspError, UnknownNameError
 from fungrasp.geometry.poses import compose, transform_points
-from fungrasp.grasps import HumanGraspSet, RobotGraspSet
+from fungrasp.grasps import HumanGraspSet, RobotGraspSet, hand_sides
 from fungrasp.hands import Hand
 from fungrasp.hands.correspondence import correspond
 from fungrasp.hands.kinematics import HandKinematics
@@ -51,10 +51,17 @@ def retarget(
         progress: called with the number of grasps that have just been finished.
 
     Raises:
-        FungraspError: no such method.
+        FungraspError: no such method, or a grasp of a left hand for a right one or the other way round.
     """
     if method not in METHODS:
         raise UnknownNameError("retargeting method", method, METHODS)
+    other = np.flatnonzero(hand_sides(grasps.hand_joints) != hand.side)
+    if len(other):
+        raise FungraspError(
+            f"'{hand.name}' is a {hand.side} hand, but {len(other)} of {len(grasps)} grasps are of the other "
+            f"hand (row {other[0]}, {grasps.object_name[other[0]]}); mirror the grasps and their objects: "
+            "--mirror, or fungrasp.grasps.mirrored_grasps"
+        )
     settings = settings or RetargetSettings()
     match = correspond(hand)
     problem = RetargetingProblem.from_grasps(grasps, objects, match)

@@ -56,7 +56,7 @@ def check_palm(source: ModelSource, parts: HandParts) -> Iterator[Finding]:
         )
         yield error(
             f"the palm '{parts.palm}' is fused with the world when the file is read, so that it has no body "
-            f"of its own: {how}, or start from the MJCF that 'fungrasp hands check FILE --out FOLDER' writes"
+            f"of its own: {how}, or let 'fungrasp hands add FILE' write an MJCF"
         )
     above = ancestors(model, palm)[1:]
     if above:
@@ -67,7 +67,7 @@ def check_palm(source: ModelSource, parts: HandParts) -> Iterator[Finding]:
     angle = 2 * np.arccos(min(1.0, abs(data.xquat[palm, 0])))
     shift = float(np.linalg.norm(data.xpos[palm]))
     if angle > 1e-3 or shift > 1e-4:
-        yield warning(
+        yield note(
             f"the palm '{parts.palm}' is not at the world's origin in its file: {1000 * shift:.1f} mm away "
             f"and turned by {np.degrees(angle):.1f} degrees; wrist poses are those of the palm body itself"
         )

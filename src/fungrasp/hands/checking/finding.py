@@ -15,7 +15,7 @@ class Finding:
     severity: Severity
     """Error: the hand can't be used, or not rightly. Warning: probably a mistake. Note: good to know."""
     message: str
-    """A sentence that names the body, joint or entry and the remedy; a drafted file may follow it."""
+    """A sentence that names the body, joint or entry and the remedy."""
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class HandParts:
     """Site or body at the near end of each link, by finger name: only where they are not the links
     themselves."""
     tips: dict[str, str] = field(default_factory=dict)
-    """Tip site by finger name."""
+    """Tip site or body by finger name."""
 
 
 def error(message: str) -> Finding:

@@ -26,19 +26,29 @@ def check_fingers(model: mujoco.MjModel, parts: HandParts) -> Iterator[Finding]:
         tip = parts.tips.get(finger)
         if tip is None or not links:
             continue
-        carrier = int(model.site(tip).bodyid[0])
+        carrier = carrier_of(model, tip)
         last = model.body(links[-1]).id
         if last not in ancestors(model, carrier):
             yield error(
-                f"finger '{finger}': the tip site '{tip}' is on the body '{body_name(model, carrier)}', not "
+                f"finger '{finger}': the tip '{tip}' is on the body '{body_name(model, carrier)}', not "
                 f"on the last link '{links[-1]}'"
             )
         elif model.body_weldid[carrier] != model.body_weldid[last]:
             yield error(
-                f"finger '{finger}': a joint moves the tip site '{tip}' against the last link '{links[-1]}'"
+                f"finger '{finger}': a joint moves the tip '{tip}' against the last link '{links[-1]}'"
             )
         else:
             yield from _lengths(model, finger, (*parts.joints.get(finger, links), tip))
+
+
+def is_site(model: mujoco.MjModel, name: str) -> bool:
+    """Whether a key point is a site; else it is a body."""
+    return mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, name) >= 0
+
+
+def carrier_of(model: mujoco.MjModel, name: str) -> int:
+    """Id of the body on which a site or body lies."""
+    return int(model.site(name).bodyid[0]) if is_site(model, name) else int(model.body(name).id)
 
 
 def check_palm_frame(
@@ -98,8 +108,7 @@ def _chain(model: mujoco.MjModel, palm: str | None, finger: str, links: tuple[st
 def _lengths(model: mujoco.MjModel, finger: str, names: tuple[str, ...]) -> Iterator[Finding]:
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    sites = {model.site(i).name for i in range(model.nsite)}
-    points = [data.site(name).xpos if name in sites else data.body(name).xpos for name in names]
+    points = [data.site(name).xpos if is_site(model, name) else data.body(name).xpos for name in names]
     for (near, a), (far, b) in pairwise(zip(names, points, strict=True)):
         if np.linalg.norm(b - a) < SHORTEST_LINK:
             yield error(
@@ -118,7 +127,8 @@ def _key_points(
     palm = model.body(parts.palm).id
     rotation = data.xmat[palm].reshape(3, 3)
     base = data.xpos[model.body(parts.fingers[finger][0]).id]
-    tip = data.site_xpos[model.site(parts.tips[finger]).id]
+    name = parts.tips[finger]
+    tip = data.site(name).xpos if is_site(model, name) else data.body(name).xpos
     return (base - data.xpos[palm]) @ rotation, (tip - data.xpos[palm]) @ rotation
 
 

@@ -1,4 +1,4 @@
-"""Check of a hand's files, and a hand folder drafted from a bare model."""
+"""Check of a hand's files."""
 
 from __future__ import annotations
 
@@ -11,17 +11,15 @@ import mujoco
 import numpy as np
 
 from fungrasp.errors import FungraspError, UnknownNameError
-from fungrasp.files import atomic_path
 from fungrasp.hands.checking.body_checks import check_masses, check_palm, check_shapes, check_size
-from fungrasp.hands.checking.finding import Finding, HandParts, error, listed, note, warning
+from fungrasp.hands.checking.finding import Finding, HandParts, error, note, warning
 from fungrasp.hands.checking.finger_checks import check_fingers, check_palm_frame
 from fungrasp.hands.checking.joint_checks import check_actuators, check_couplings, check_joints
 from fungrasp.hands.checking.model_source import ModelSource, read_source
-from fungrasp.hands.checking.toml_draft import guess_parts, suggested_toml, with_tips
-from fungrasp.hands.hand import FINGERS, read_hand_toml
-from fungrasp.hands.self_contained_mjcf import self_contained_xml
+from fungrasp.hands.checking.named_parts import guess_parts
+from fungrasp.hands.hand import FINGERS, read_hand_toml, side_of
 
-__all__ = ["Finding", "check_hand_files", "write_skeleton"]
+__all__ = ["Finding", "check_hand_files"]
 
 MODEL_SUFFIXES = (".urdf", ".xml", ".mjcf", ".xacro")
 
@@ -29,7 +27,7 @@ MODEL_SUFFIXES = (".urdf", ".xml", ".mjcf", ".xacro")
 def check_hand_files(path: str | Path) -> list[Finding]:
     """Everything found wrong with a hand, the worst first.
 
-    It goes on after a fault as far as it can. A bare model gets, as its last note, a TOML file to start from.
+    It goes on after a fault as far as it can.
 
     Args:
         path: a hand's TOML file or folder, a URDF or an MJCF.
@@ -52,61 +50,17 @@ def check_hand_files(path: str | Path) -> list[Finding]:
     return sorted(dict.fromkeys(findings), key=lambda finding: order.index(finding.severity))
 
 
-def write_skeleton(path: str | Path, folder: str | Path) -> tuple[Path, Path]:
-    """Write a hand folder to start from: the model as one MJCF with tip sites, and a guessed TOML.
-
-    Args:
-        path: a URDF or an MJCF.
-        folder: where ``hand.toml`` and the model go.
-
-    Returns:
-        The TOML and the MJCF file.
-
-    Raises:
-        FungraspError: the model can't be read or the folder can't be written to.
-    """
-    path, folder = Path(path), Path(folder)
-    findings: list[Finding] = []
-    source = read_source(path, findings)
-    if source is None:
-        raise FungraspError(findings[-1].message)
-    spec, guess = with_tips(source, guess_parts(source.model))
-    model_path, toml_path = folder / f"{path.stem}.xml", folder / "hand.toml"
-    if path.resolve() == model_path.resolve():
-        raise FungraspError(f"{path} would be overwritten; choose another folder than {folder}")
-    if toml_path.exists():
-        raise FungraspError(f"{toml_path} exists already; choose another folder")
-    with atomic_path(model_path) as temporary:
-        temporary.write_text(self_contained_xml(spec))
-    with atomic_path(toml_path) as temporary:
-        temporary.write_text(suggested_toml(source, guess, model_path.name))
-    return toml_path, model_path
-
-
 def _check_bare(path: Path) -> list[Finding]:
     findings: list[Finding] = []
     source = read_source(path, findings)
     if source is None:
         return findings
-    guess = guess_parts(source.model)
-    findings += _check_model(source, guess.parts)
+    parts = guess_parts(source.model)
+    findings += _check_model(source, parts)
     findings += check_actuators(source.model)
-    if "thumb" not in guess.parts.fingers:
-        findings.append(
-            warning(
-                "no thumb is seen in the names of the bodies; a hand needs one: name it in [fingers.thumb]"
-            )
-        )
-    if guess.missing_tips:
-        hint = (
-            "; a URDF can't hold sites: --out FOLDER writes an MJCF with them"
-            if source.urdf is not None
-            else ""
-        )
-        findings.append(
-            note(f"no site on the last link of the finger {listed(list(guess.missing_tips))}{hint}")
-        )
-    findings.append(note("a hand.toml to start from:\n\n" + suggested_toml(source, guess, path.name)))
+    if "thumb" not in parts.fingers:
+        findings.append(warning("no thumb is seen in the names of the bodies; a hand needs one"))
+    findings.append(note(f"'fungrasp hands add {path}' mends what it can and makes a hand folder of it"))
     return findings
 
 
@@ -136,7 +90,17 @@ def _check_toml(path: Path) -> list[Finding]:
             findings += _palm_frame(source.model, parts, data)
     if not any(finding.severity == "error" for finding in findings):
         try:
-            read_hand_toml(path).spec().compile()
+            hand = read_hand_toml(path)
+            hand.spec().compile()
+            across = np.cross(hand.palm_fingers, hand.palm_normal)
+            seen = side_of(hand.model, hand.palm, hand.fingers, across)
+            if seen != hand.side:
+                findings.append(
+                    warning(
+                        f'side is "{hand.side}", but by the order of its fingers, seen from the palm, this '
+                        f"is a {seen} hand"
+                    )
+                )
         except (FungraspError, ValueError) as problem:
             findings.append(error(" ".join(str(problem).split())))
     return findings
@@ -186,12 +150,12 @@ def _named_parts(
             findings.append(
                 error(
                     f"{path}: finger '{finger}' needs 'links' (one to three bodies, base to tip) and 'tip' "
-                    "(site)"
+                    "(site or body)"
                 )
             )
             continue
         fingers[finger] = tuple(link for link in links if existing("body", link, bodies))
-        if existing("site", entry["tip"], sites):
+        if existing("site or body", entry["tip"], sites | bodies):
             tips[finger] = entry["tip"]
         if isinstance(entry.get("joints"), list):
             points = tuple(name for name in entry["joints"] if existing("site or body", name, sites | bodies))

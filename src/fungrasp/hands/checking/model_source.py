@@ -38,13 +38,13 @@ class ModelSource:
 
 def read_source(path: Path, findings: list[Finding]) -> ModelSource | None:
     """Read a model file and add what is wrong to ``findings``. None if nothing beyond that can be checked."""
-    root = _parse(path, findings)
+    root = parse_xml(path, findings)
     if root is None:
         return None
     urdf = root if root.tag == "robot" else None
     if urdf is not None:
         findings.extend(check_urdf(urdf))
-    with _quiet():
+    with quiet():
         try:
             spec = mujoco.MjSpec.from_file(str(path))
         except ValueError as problem:
@@ -75,7 +75,10 @@ def one_line(problem: Exception) -> str:
     return " ".join(str(problem).split())
 
 
-def _parse(path: Path, findings: list[Finding]) -> ElementTree.Element | None:
+def parse_xml(
+    path: Path, findings: list[Finding], tags: tuple[str, ...] = ("robot", "mujoco")
+) -> ElementTree.Element | None:
+    """Root element of an XML file; None if it has none of ``tags``, which is added to ``findings``."""
     try:
         text = path.read_text()
     except (OSError, UnicodeDecodeError) as problem:
@@ -91,7 +94,7 @@ def _parse(path: Path, findings: list[Finding]) -> ElementTree.Element | None:
     except ElementTree.ParseError as problem:
         findings.append(error(f"{path} is not valid XML: {problem}"))
         return None
-    if root.tag not in ("robot", "mujoco"):
+    if root.tag not in tags:
         findings.append(
             error(f"{path} is neither a URDF (<robot>) nor an MJCF (<mujoco>): its root is <{root.tag}>")
         )
@@ -196,7 +199,7 @@ def _mend_inertias(spec: mujoco.MjSpec) -> Iterator[Finding]:
     for body in spec.bodies:
         if not body.explicitinertial:
             continue
-        moments = _principal_inertias(body)
+        moments = principal_inertias(body)
         if not body.mass > 0:
             if list(body.joints):
                 yield error(f"body '{body.name}' has mass {body.mass:g} kg; it must be positive")
@@ -225,7 +228,7 @@ def _mend_inertias(spec: mujoco.MjSpec) -> Iterator[Finding]:
         )
 
 
-def _principal_inertias(body: mujoco.MjsBody) -> np.ndarray:
+def principal_inertias(body: mujoco.MjsBody) -> np.ndarray:
     """In rising order [kg m2], shape [3]."""
     diagonal, full = np.asarray(body.inertia), np.asarray(body.fullinertia)
     return np.linalg.eigvalsh(np.diag(diagonal) if np.isnan(full[0]) else _symmetric(full))
@@ -242,7 +245,7 @@ def _numbers(values: np.ndarray) -> str:
 
 
 @contextlib.contextmanager
-def _quiet() -> Iterator[None]:
+def quiet() -> Iterator[None]:
     """Keep MuJoCo's own warnings from the terminal and from a log file: the findings say it better."""
     before = mujoco.get_mju_user_warning()
     mujoco.set_mju_user_warning(lambda _: None)

@@ -1,0 +1,184 @@
+"""From a foreign URDF or MJCF to a hand folder that is ready for use."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from fungrasp.errors import FungraspError
+from fungrasp.files import atomic_path
+from fungrasp.hands.adding.couplings import find_couplings
+from fungrasp.hands.adding.link_points import far_ends
+from fungrasp.hands.adding.link_shapes import HandShapes, hand_shapes
+from fungrasp.hands.adding.model_file import read_foreign
+from fungrasp.hands.adding.new_model import new_model
+from fungrasp.hands.adding.poses import Poses
+from fungrasp.hands.adding.servos import (
+    FULL_TORQUE_ERROR,
+    TIP_FORCE,
+    JointPhysics,
+    joint_physics,
+    servo_entries,
+)
+from fungrasp.hands.adding.structure import Answers, HandStructure, find_structure
+from fungrasp.hands.checking.finding import Finding, note
+from fungrasp.hands.checking.kinematic_tree import body_name
+from fungrasp.hands.self_contained_mjcf import self_contained_xml
+
+__all__ = ["Answers", "add_hand"]
+
+
+def add_hand(
+    path: str | Path,
+    folder: str | Path | None = None,
+    name: str | None = None,
+    answers: Answers | None = None,
+    force: bool = False,
+) -> tuple[Path, list[Finding]]:
+    """Write a hand folder: one MJCF that needs no other file, and ``hand.toml``.
+
+    The same file gives the same bytes.
+
+    Args:
+        path: a URDF or an MJCF, its meshes where it says.
+        folder: of the new hand; beside the current place, named as the hand, if None.
+        name: of the new hand; that of the file if None.
+        answers: what can't be found in the file, or is found wrongly.
+        force: overwrite the files of an earlier run.
+
+    Returns:
+        the TOML file, and what was found, changed and proposed.
+
+    Raises:
+        FungraspError: the file can't be read, something can't be decided (the message names the option that
+            does), or the folder holds a hand already.
+    """
+    path, answers = Path(path), answers or Answers()
+    name = name or re.sub(r"\W+", "_", path.stem).strip("_").lower() or "hand"
+    folder = Path(name) if folder is None else Path(folder)
+    toml_path, model_path = folder / "hand.toml", folder / f"{name}.xml"
+    if path.resolve() == model_path.resolve():
+        raise FungraspError(f"{path} would be overwritten; choose another folder than {folder}")
+    if not force and (toml_path.exists() or model_path.exists()):
+        raise FungraspError(f"{folder} holds a hand already; --force overwrites it")
+    foreign = read_foreign(path)
+    findings = foreign.findings
+    couplings = find_couplings(foreign.model, findings, answers.couplings)
+    ends = far_ends(foreign)
+    structure = find_structure(foreign.model, couplings, ends, answers)
+    findings.append(_summary(structure, foreign.model))
+    poses = Poses(foreign.model, couplings, structure.palm)
+    shapes = hand_shapes(foreign, structure, poses, ends, answers.radius, findings)
+    physics = joint_physics(poses, structure, shapes.tips, findings)
+    spec = new_model(foreign, structure, poses, shapes, couplings, physics, name, findings)
+    text = self_contained_xml(spec)
+    toml = _toml(name, path, foreign.model, structure, shapes, physics, poses)
+    with atomic_path(model_path) as temporary:
+        temporary.write_text(text)
+    with atomic_path(toml_path) as temporary:
+        temporary.write_text(toml)
+    return toml_path, findings
+
+
+def parse_fingers(entries: tuple[str, ...]) -> Mapping[str, str]:
+    """``index=BODY`` ... as a mapping.
+
+    Raises:
+        FungraspError: an entry without "=".
+    """
+    for entry in entries:
+        if "=" not in entry:
+            raise FungraspError(f"--finger takes NAME=BODY, as in index=link_3, not '{entry}'")
+    return dict(entry.split("=", 1) for entry in entries)
+
+
+def parse_couplings(entries: tuple[str, ...]) -> tuple[tuple[str, float, str], ...]:
+    """``JOINT=SLOPE*DRIVER`` ... as joint, slope, driver.
+
+    Raises:
+        FungraspError: an entry of another form.
+    """
+    found = []
+    for entry in entries:
+        match = re.fullmatch(r"([^=]+)=([-+.\deE]+)\*(.+)", entry)
+        try:
+            slope = float(match[2]) if match else np.nan
+        except ValueError:
+            slope = np.nan
+        if match is None or not np.isfinite(slope):
+            raise FungraspError(f"--couple takes JOINT=SLOPE*DRIVER, as in j2=1.0*j1, not '{entry}'")
+        found.append((match[1], slope, match[3]))
+    return tuple(found)
+
+
+def _summary(structure: HandStructure, model) -> Finding:
+    fingers = "; ".join(
+        f"{finger}: {' > '.join(body_name(model, b) for b in chain.links)}"
+        for finger, chain in structure.fingers.items()
+    )
+    return note(
+        f"a {structure.side} hand, palm '{body_name(model, structure.palm)}', fingers along "
+        f"{_vector(structure.along)}, palm faces {_vector(structure.normal)}; {fingers}"
+    )
+
+
+def _toml(
+    name: str,
+    path: Path,
+    model,
+    structure: HandStructure,
+    shapes: HandShapes,
+    physics: JointPhysics,
+    poses: Poses,
+) -> str:
+    lines = [
+        f"name = {json.dumps(name)}",
+        f"title = {json.dumps(name.replace('_', ' ').capitalize())}",
+        f"model = {json.dumps(name + '.xml')}",
+        f"palm = {json.dumps(body_name(model, structure.palm))}",
+        f'side = "{structure.side}"',
+        f"source = {json.dumps(path.name)}",
+        "",
+        "[palm_frame] # unit vectors in the palm body's frame",
+        f"fingers = {_vector(structure.along)}",
+        f"normal = {_vector(structure.normal)}",
+    ]
+    for finger, chain in structure.fingers.items():
+        links = [body_name(model, body) for body in chain.links]
+        joints = [f"{finger}_joint_{i + 1}" for i in range(len(links))]
+        lines += [
+            "",
+            f"[fingers.{finger}]",
+            f"links = {json.dumps(links)}",
+            f"joints = {json.dumps(joints)}",
+            f'tip = "{finger}_tip"',
+        ]
+    joints = [
+        j
+        for body in shapes.links
+        if body != structure.palm
+        for j in range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body])
+    ]
+    common, special = servo_entries(physics, poses, joints)
+    lines += [
+        "",
+        "[actuators] # joint position servos",
+        *common,
+        "source = "
+        + json.dumps(
+            f"torque limits: the file's where they are within a factor of about three of those that press "
+            f"with {TIP_FORCE:g} N at a tip, else those; reached at {FULL_TORQUE_ERROR:g} rad from the target"
+        ),
+    ]
+    if special:
+        lines += ["", "[actuators.joints]", *special]
+    return "\n".join([*lines, ""])
+
+
+def _vector(values: np.ndarray) -> str:
+    unit = np.round(values / np.linalg.norm(values), 6) + 0.0
+    return json.dumps(unit.tolist())

@@ -1,0 +1,141 @@
+"""Joints of a foreign model that move together: equalities, mimic joints and tendons as one linear map."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from fungrasp.errors import FungraspError, UnknownNameError
+from fungrasp.hands.checking.finding import Finding, note, warning
+from fungrasp.hands.checking.kinematic_tree import joint_name
+
+TIGHT_TENDON = 0.05
+"""A fixed tendon whose length may vary by less is a rigid coupling [rad]."""
+
+
+@dataclass(frozen=True)
+class Coupling:
+    """``joint = constant + slope * driver`` [rad]."""
+
+    joint: int
+    driver: int
+    constant: float
+    slope: float
+
+
+def find_couplings(
+    model: mujoco.MjModel, findings: list[Finding], given: tuple[tuple[str, float, str], ...] = ()
+) -> list[Coupling]:
+    """All linear couplings of a model, no joint driven twice and no loop.
+
+    Args:
+        model: any.
+        findings: what is left out or assumed is added.
+        given: further couplings, joint, slope and driver, that come before the model's.
+
+    Raises:
+        FungraspError: a given coupling names a joint that does not exist, or closes a loop.
+    """
+    found: dict[int, Coupling] = {}
+
+    def add(joint: int, driver: int, constant: float, slope: float) -> bool:
+        above, steps = driver, 0
+        while above in found and steps <= len(found):
+            above, steps = found[above].driver, steps + 1
+        if joint in found or above == joint or slope == 0.0:
+            return False
+        found[joint] = Coupling(joint, driver, constant, slope)
+        return True
+
+    names = {joint_name(model, j): j for j in range(model.njnt)}
+    for joint, slope, driver in given:
+        for name in (joint, driver):
+            if name not in names:
+                raise FungraspError(f"--couple: {UnknownNameError('joint', name, names)}")
+        if not add(names[joint], names[driver], 0.0, slope):
+            raise FungraspError(f"--couple: '{joint}' is driven already, or drives '{driver}'")
+    for e in range(model.neq):
+        if model.eq_type[e] == mujoco.mjtEq.mjEQ_JOINT and model.eq_obj2id[e] >= 0 and model.eq_active0[e]:
+            joint, driver = int(model.eq_obj1id[e]), int(model.eq_obj2id[e])
+            constant, slope, *curve = model.eq_data[e, :5]
+            if not add(joint, driver, float(constant), float(slope)):
+                findings.append(
+                    warning(
+                        f"the coupling of '{joint_name(model, joint)}' to '{joint_name(model, driver)}' "
+                        "repeats or contradicts another: left out"
+                    )
+                )
+            elif np.abs(curve).max() > 1e-9:
+                findings.append(
+                    warning(
+                        f"joint '{joint_name(model, joint)}' follows by a curve: its straight part is kept"
+                    )
+                )
+        elif int(model.eq_type[e]) in (mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD):
+            findings.append(
+                warning(
+                    f"the closed loop '{model.equality(e).name or e}' is left open: joints behind it move "
+                    "freely, unless --couple JOINT=SLOPE*DRIVER ties them"
+                )
+            )
+    for tendon in range(model.ntendon):
+        _tendon(model, tendon, add, findings)
+    return [found[joint] for joint in sorted(found)]
+
+
+def _tendon(
+    model: mujoco.MjModel,
+    tendon: int,
+    add: Callable[[int, int, float, float], bool],
+    findings: list[Finding],
+) -> None:
+    span = slice(model.tendon_adr[tendon], model.tendon_adr[tendon] + model.tendon_num[tendon])
+    if not (model.wrap_type[span] == mujoco.mjtWrap.mjWRAP_JOINT).all() or model.tendon_num[tendon] < 2:
+        return
+    terms = sorted(zip(model.wrap_objid[span].tolist(), model.wrap_prm[span].tolist(), strict=True))
+    low, high = model.tendon_range[tendon]
+    rigid = len(terms) == 2 and model.tendon_limited[tendon] and high - low < TIGHT_TENDON
+    rigid |= len(terms) == 2 and bool(
+        np.any((model.eq_type == mujoco.mjtEq.mjEQ_TENDON) & (model.eq_obj1id == tendon))
+    )
+    name = model.tendon(tendon).name or f"tendon {tendon}"
+    if rigid:
+        (near, a), (far, b) = terms
+        if not add(far, near, 0.0, -a / b):
+            add(near, far, 0.0, -b / a)
+        return
+    near, sign = terms[0]
+    for far, factor in terms[1:]:
+        # The joints of one motor are taken to reach the ends of their ranges together.
+        width = np.ptp(model.jnt_range[far]) / max(float(np.ptp(model.jnt_range[near])), 1e-6)
+        slope = float(np.sign(sign * factor)) * float(width)
+        if add(far, near, 0.0, slope):
+            findings.append(
+                note(
+                    f"the tendon '{name}' moves '{joint_name(model, near)}' and '{joint_name(model, far)}' "
+                    f"together: tied as {slope:.3g} * '{joint_name(model, near)}', so that both reach the "
+                    "ends of their ranges at once"
+                )
+            )
+
+
+def coupling_matrix(count: int, couplings: list[Coupling]) -> tuple[np.ndarray, np.ndarray]:
+    """``joints = matrix @ independent + offset``; matrix: shape [M, U], offset: [rad], shape [M]."""
+    driven = {coupling.joint: coupling for coupling in couplings}
+    free = [joint for joint in range(count) if joint not in driven]
+    matrix, offset = np.zeros((count, len(free))), np.zeros(count)
+    matrix[free, range(len(free))] = 1.0
+
+    def fill(joint: int) -> None:
+        if joint in driven:
+            coupling = driven.pop(joint)
+            fill(coupling.driver)
+            matrix[joint] = coupling.slope * matrix[coupling.driver]
+            offset[joint] = coupling.constant + coupling.slope * offset[coupling.driver]
+
+    for joint in range(count):
+        fill(joint)
+    return matrix, offset

@@ -1,0 +1,151 @@
+"""Palm and chains of bodies that are its fingers, found from the tree of bodies."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+
+import mujoco
+import numpy as np
+
+from fungrasp.errors import FungraspError, UnknownNameError
+from fungrasp.hands.adding.poses import Poses
+from fungrasp.hands.checking.finding import listed
+from fungrasp.hands.checking.kinematic_tree import ancestors, body_name, subtree
+
+PALM_SHARE = 0.8
+"""The palm is the last body that carries more than this share of the tree's ends."""
+
+SAME_PLACE = 0.13
+"""Joints nearer to each other than this make one joint, of several axes or rolling; share of the finger."""
+
+FLEXING = 0.8
+"""Cosine of the angle to a finger's last axis within which a joint bends the finger."""
+
+
+@dataclass(frozen=True)
+class Chain:
+    """One finger: bodies in order from the palm."""
+
+    bodies: tuple[int, ...]
+    """Every moving body of the finger, base to tip."""
+    links: tuple[int, ...]
+    """At most three, whose joints lie apart."""
+
+
+def find_palm(model: mujoco.MjModel, answer: str | None) -> int:
+    """Id of the palm: the body that is given, else the last that carries nearly all ends of the tree.
+
+    Raises:
+        FungraspError: no such body, or no body carries the fingers.
+    """
+    names = {model.body(b).name: b for b in range(1, model.nbody)}
+    if answer is not None:
+        if answer not in names:
+            raise FungraspError(f"--palm: {UnknownNameError('body', answer, names)}")
+        return names[answer]
+    moving = set(np.flatnonzero(model.body_jntnum > 0).tolist())
+    if not moving:
+        raise FungraspError("the model has no joints, so it is no hand")
+    ends = [body for body in moving if not moving & (set(subtree(model, body)) - {body})]
+    held = {body: sum(body in ancestors(model, end)[1:] for end in ends) for body in range(1, model.nbody)}
+    candidates = [body for body, count in held.items() if count > PALM_SHARE * len(ends) and count > 1]
+    if not candidates:
+        raise FungraspError(
+            f"the fingers {listed([body_name(model, end) for end in ends])} hang on no common body; name the "
+            "palm with --palm BODY (if they hang on the world, put the palm into a body of its own)"
+        )
+    return max(candidates, key=lambda body: len(ancestors(model, body)))
+
+
+def find_chains(
+    model: mujoco.MjModel, poses: Poses, palm: int, tips: Mapping[int, np.ndarray]
+) -> list[Chain]:
+    """The fingers on a palm.
+
+    Raises:
+        FungraspError: there are fewer than two.
+    """
+    below = [b for b in subtree(model, palm) if b != palm and model.body_jntnum[b] > 0]
+    ends = [b for b in below if not (set(below) & set(subtree(model, b)) - {b})]
+    chains = [[b for b in reversed(ancestors(model, end)) if b in below] for end in ends]
+    # A side branch shorter than half of the finger it hangs on is a part of its mechanism.
+    kept = []
+    for chain in chains:
+        rivals = [other for other in chains if other is not chain and other[0] == chain[0]]
+        shared = max((sum(a == b for a, b in zip(chain, o, strict=False)) for o in rivals), default=0)
+        own = len(chain) - shared
+        longest = max((len(o) - shared for o in rivals), default=0)
+        if shared == 0 or own >= 2 or longest < 2:
+            kept.append(chain)
+    result = [Chain(tuple(chain), _links(model, poses, chain, tips)) for chain in kept]
+    if len(result) < 2:
+        raise FungraspError(
+            f"only {len(result)} finger is found on '{body_name(model, palm)}'; a hand needs a thumb and one "
+            "more: name the palm with --palm BODY"
+        )
+    return result
+
+
+def _links(
+    model: mujoco.MjModel, poses: Poses, chain: list[int], tips: Mapping[int, np.ndarray]
+) -> tuple[int, ...]:
+    """The last three bodies whose joints lie apart; those that bend the finger come before those that spread
+    or turn it."""
+    bend = poses.axis(int(model.body_jntadr[chain[-1]] + model.body_jntnum[chain[-1]] - 1))
+
+    def joint(body: int) -> tuple[bool, int]:
+        joints = range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body])
+        flexing = [j for j in joints if abs(poses.axis(j) @ bend) > FLEXING]
+        return bool(flexing), flexing[0] if flexing else joints[0]
+
+    def gaps(bodies: list[int]) -> list[float]:
+        spots = [poses.points(poses.data.xanchor[joint(b)[1]]) for b in bodies]
+        spots.append(poses.of_body(chain[-1], tips[chain[-1]]))
+        return [float(np.linalg.norm(far - near)) for near, far in pairwise(spots)]
+
+    length = sum(gaps(chain))
+
+    def apart(bodies: list[int]) -> list[int]:
+        far = [gap > SAME_PLACE * length for gap in gaps(bodies)[:-1]]
+        return [body for body, kept in zip(bodies, [*far, True], strict=True) if kept]
+
+    flexing = apart([body for body in chain if joint(body)[0]])
+    return tuple((flexing if len(flexing) >= 3 else apart(chain))[-3:])
+
+
+def straight_fingers(
+    poses: Poses, chains: list[Chain], tips: Mapping[int, np.ndarray], start: np.ndarray
+) -> np.ndarray:
+    """Independent joints with every finger as long as it gets; those that don't lengthen it stay."""
+    best = start.copy()
+    for chain in chains:
+        poses.set(start)
+        moved = np.flatnonzero(np.abs(poses.matrix[flexing_joints(poses, chain)]).sum(axis=0))
+        for _ in range(3):
+            for u in moved[::-1]:
+                options = np.unique(np.append(np.linspace(poses.low[u], poses.high[u], 13), start[u]))
+                reaches = []
+                for value in options:
+                    trial = best.copy()
+                    trial[u] = value
+                    poses.set(trial)
+                    tip = poses.of_body(chain.bodies[-1], tips[chain.bodies[-1]])
+                    # Small bends hardly shorten a finger: the pose at zero is preferred to those.
+                    reaches.append(
+                        np.linalg.norm(tip - poses.anchor(chain.links[0])) - 2e-3 * abs(value - start[u])
+                    )
+                best[u] = options[int(np.argmax(reaches))]
+    return best
+
+
+def chain_joints(model: mujoco.MjModel, chain: Chain) -> list[int]:
+    """Joints of a finger, base to tip."""
+    return [j for j in range(model.njnt) if int(model.jnt_bodyid[j]) in chain.bodies]
+
+
+def flexing_joints(poses: Poses, chain: Chain) -> list[int]:
+    """Joints parallel to the finger's last one."""
+    joints = chain_joints(poses.model, chain)
+    return [j for j in joints if abs(poses.axis(j) @ poses.axis(joints[-1])) > FLEXING]

@@ -1,0 +1,94 @@
+"""Joints that a hand can't have, made hinges with limits; every change is reported."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from fungrasp.hands.checking.finding import Finding, listed, warning
+
+FINGER_RANGE = (-0.2, 1.6)
+"""Proposed for a hinge without limits [rad]: that of a human finger's joint, with some extension."""
+
+BALL_RANGE = 0.5
+"""Proposed to each side for a ball joint without limits [rad]."""
+
+BALL_TWIST = 0.05
+"""Of a ball joint about the line of its link, which rods and tendons keep from turning [rad]."""
+
+
+def repair_joints(spec: mujoco.MjSpec, findings: list[Finding]) -> None:
+    """Name every joint and body, make ball joints three hinges, and give every hinge limits that can be."""
+    kinds = mujoco.mjtJoint
+    for i, body in enumerate(spec.bodies[1:], start=1):
+        body.name = body.name or f"body_{i}"
+    for joint in list(spec.joints):
+        if joint.type == kinds.mjJNT_FREE:
+            spec.delete(joint)
+        elif joint.type == kinds.mjJNT_BALL:
+            findings.append(_three_hinges(spec, joint))
+    taken = {joint.name for joint in spec.joints}
+    for joint in spec.joints:
+        name = joint.name or f"{joint.parent.name}_joint"
+        while not joint.name and name in taken:
+            name += "_"
+        joint.name = name
+        taken.add(name)
+    _limits(spec, findings)
+
+
+def _three_hinges(spec: mujoco.MjSpec, ball: mujoco.MjsJoint) -> Finding:
+    body, name, place = ball.parent, ball.name or f"{ball.parent.name}_ball", np.array(ball.pos)
+    unit = np.pi / 180 if spec.compiler.degree else 1.0
+    limit = float(ball.range[1]) * unit
+    stated = limit > 0
+    if not stated:
+        limit = BALL_RANGE
+    friction, damping, armature = ball.frictionloss, np.array(ball.damping), ball.armature
+    spec.delete(ball)
+    # The link's own line is that to the next body.
+    ahead = [np.asarray(child.pos) - place for child in body.bodies]
+    along = int(np.argmax(np.abs(ahead[0]))) if ahead else 2
+    for axis, letter in enumerate("xyz"):
+        reach = min(limit, BALL_TWIST) if axis == along else limit
+        hinge = body.add_joint(name=f"{name}_{letter}", type=mujoco.mjtJoint.mjJNT_HINGE, pos=place)
+        hinge.axis, hinge.range = np.eye(3)[axis], np.array([-reach, reach]) / unit
+        hinge.frictionloss, hinge.damping, hinge.armature = friction, damping, armature
+    said = "within its cone" if stated else f"within {BALL_RANGE:g} rad, as it has no limit"
+    return warning(
+        f"the ball joint '{name}' became three hinges, {said}; its twist about the link stays within "
+        f"{BALL_TWIST:g} rad"
+    )
+
+
+def _limits(spec: mujoco.MjSpec, findings: list[Finding]) -> None:
+    unit = np.pi / 180 if spec.compiler.degree else 1.0
+    none, turned, degrees = [], [], []
+    driven = {equality.name1 for equality in spec.equalities if equality.name2}
+    for joint in spec.joints:
+        low, high = np.asarray(joint.range) * unit
+        hinge = joint.type == mujoco.mjtJoint.mjJNT_HINGE
+        if not np.isfinite([low, high]).all() or low == high:
+            # A driven joint takes its limits from its driver's.
+            if joint.name not in driven:
+                none.append(joint.name)
+            low, high = FINGER_RANGE if hinge else (0.0, 0.03)
+            if joint.name in driven:
+                low, high = -np.pi, np.pi
+        if low > high:
+            turned.append(joint.name)
+            low, high = high, low
+        if hinge and max(-low, high) > 2 * np.pi + 1e-6:
+            degrees.append(joint.name)
+            low, high = np.radians([low, high])
+        if hinge:
+            low, high = max(low, -np.pi), min(high, np.pi)
+        joint.limited = mujoco.mjtLimited.mjLIMITED_TRUE
+        joint.range = np.array([low, high]) / unit
+    for names, text in (
+        (none, f"has no limits; {FINGER_RANGE[0]:g} to {FINGER_RANGE[1]:g} rad are proposed"),
+        (turned, "has its limits in the wrong order; turned round"),
+        (degrees, "has limits beyond a full turn; taken as degrees"),
+    ):
+        if names:
+            findings.append(warning(f"the joint {listed(names)} {text}"))

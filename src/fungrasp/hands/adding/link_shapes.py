@@ -1,0 +1,240 @@
+"""Collision shapes of every link: kept where they are simple, fitted to meshes, made up where they are
+missing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import mujoco
+import numpy as np
+
+from fungrasp.hands.adding.finger_chains import Chain
+from fungrasp.hands.adding.link_points import (
+    NEARLY_NOTHING,
+    first_anchor,
+    members,
+    midline,
+    primitives,
+    surface_points,
+)
+from fungrasp.hands.adding.model_file import ForeignModel
+from fungrasp.hands.adding.poses import Poses
+from fungrasp.hands.adding.shape_fitting import (
+    Box,
+    Capsule,
+    fit_boxes,
+    fit_capsule,
+    mesh_points,
+)
+from fungrasp.hands.adding.structure import HandStructure
+from fungrasp.hands.adding.unknown_shapes import finger_radii, made_up_capsule, made_up_palm
+from fungrasp.hands.checking.finding import Finding, listed, note, warning
+from fungrasp.hands.checking.kinematic_tree import body_name, subtree
+
+Shape = Capsule | Box | int
+"""An ``int`` is the id of a primitive geom of the foreign model, kept as it is."""
+
+
+@dataclass
+class LinkShapes:
+    """Shapes of one body of the new model, frame of that body."""
+
+    body: int
+    members: tuple[int, ...]
+    """Bodies of the foreign model that move with it, itself first."""
+    shapes: list[Shape] = field(default_factory=list)
+
+
+@dataclass
+class HandShapes:
+    """Shapes of all bodies of the new model and the points that follow from them."""
+
+    links: dict[int, LinkShapes]
+    """By body id of the foreign model, parents first."""
+    joints: dict[int, np.ndarray]
+    """By body of a finger: the point at its joint in the finger's middle, its own frame [m], shape [3]."""
+    tips: dict[str, np.ndarray]
+    """By finger: center of the tip's round end, frame of the last link [m], shape [3]."""
+
+    def owner(self, body: int) -> int:
+        """The new body that a body of the foreign model is part of."""
+        return next(new for new, link in self.links.items() if body in link.members)
+
+
+def hand_shapes(
+    foreign: ForeignModel,
+    structure: HandStructure,
+    poses: Poses,
+    ends: dict[int, np.ndarray],
+    radius: float | None,
+    findings: list[Finding],
+) -> HandShapes:
+    """Shapes of all links, joints and tips. The poses are left with straight fingers.
+
+    Args:
+        foreign: the model as read.
+        structure: its parts.
+        poses: of it.
+        ends: of ``far_ends``.
+        radius: of fingers whose shapes are missing [m]; found if None.
+        findings: what was fitted and made up is added.
+    """
+    model = foreign.model
+    independent = np.linalg.pinv(poses.matrix) @ (structure.straight - poses.offset)
+    poses.set(independent)
+    chain_of = {b: (name, chain) for name, chain in structure.fingers.items() for b in chain.bodies}
+    order = [
+        structure.palm,
+        *(b for b in subtree(model, structure.palm) if model.body_jntnum[b] > 0 and b != structure.palm),
+    ]
+    links = {b: LinkShapes(b, members(model, b, structure.palm)) for b in order}
+    result = HandShapes(links, {}, {})
+    sizes = finger_radii(foreign, structure, poses, ends)
+    if radius is not None:
+        sizes = dict.fromkeys(sizes, radius)
+    for name, chain in structure.fingers.items():
+        _tip(foreign, poses, name, chain, ends, sizes[name], result)
+        for body in chain.bodies:
+            result.joints[body] = poses.moved(
+                midline(poses, chain, body, result.tips[name]), poses.palm, body
+            )
+    errors, made = [], []
+    finger_links = {b for chain in structure.fingers.values() for b in chain.links}
+    for body, link in links.items():
+        if body == structure.palm:
+            continue
+        kept, points = _known(foreign, poses, link, body in finger_links)
+        if kept:
+            link.shapes = list(kept)
+        elif points is not None:
+            ahead = ends[body] - first_anchor(model, body)
+            capsule = fit_capsule(points, ahead if np.linalg.norm(ahead) > 1e-6 else np.array([0, 0, 1.0]))
+            if _inside_the_next(model, body, chain_of, capsule):
+                continue
+            errors.append((body_name(model, body), np.abs(capsule.distance(points))))
+            link.shapes = [capsule]
+        elif body in chain_of:
+            name, chain = chain_of[body]
+            capsule = made_up_capsule(poses, chain, body, result.joints, result.tips[name], sizes[name])
+            if capsule is not None:
+                made.append(body_name(model, body))
+                link.shapes = [capsule]
+    _palm_shapes(foreign, structure, poses, result, sizes, errors, findings)
+    for name, chain in structure.fingers.items():
+        _tip_of_shape(result, foreign, name, chain)
+    if errors:
+        cloud = np.concatenate([distances for _, distances in errors])
+        worst, distances = max(errors, key=lambda error: error[1].max())
+        findings.append(
+            note(
+                f"the shapes of {len(errors)} links were fitted by capsules and boxes: "
+                f"{1e3 * cloud.mean():.1f} mm off their surfaces in the mean, at most "
+                f"{1e3 * distances.max():.1f} mm, at '{worst}'"
+            )
+        )
+    if made:
+        radii = ", ".join(f"{name} {1e3 * size:.1f} mm" for name, size in sizes.items())
+        findings.append(
+            warning(
+                f"no shape of the link {listed(made)} is known: capsules from joint to joint were made up, "
+                f"radius {radii}; give the mesh files, or --radius"
+            )
+        )
+    return result
+
+
+def _inside_the_next(
+    model: mujoco.MjModel, body: int, chain_of: dict[int, tuple[str, Chain]], capsule: Capsule
+) -> bool:
+    """Whether a body is but the middle of a joint with several axes: shorter than it is thick, and its next
+    joint in the same place."""
+    if body not in chain_of or body == chain_of[body][1].bodies[-1]:
+        return False
+    bodies = chain_of[body][1].bodies
+    after = bodies[bodies.index(body) + 1]
+    gap = model.body_pos[after] + first_anchor(model, after) - first_anchor(model, body)
+    short = np.linalg.norm(capsule.end - capsule.start) < capsule.radius
+    return bool(short and np.linalg.norm(gap) < NEARLY_NOTHING)
+
+
+def _known(
+    foreign: ForeignModel, poses: Poses, link: LinkShapes, in_finger: bool
+) -> tuple[list[int], np.ndarray | None]:
+    """Primitives to keep, which must be round ones where ``in_finger``, or else points of the surface to fit
+    to; neither if nothing is known."""
+    model, kinds = foreign.model, mujoco.mjtGeom
+    stripped = any(member in foreign.stripped for member in link.members)
+    simple = [geom for member in link.members for geom in primitives(model, member)]
+    meshes = [mesh for member in link.members for mesh in foreign.meshes.get(member, [])]
+    solid = any(mesh.collides for mesh in meshes)
+    is_round = [int(model.geom_type[geom]) in (kinds.mjGEOM_SPHERE, kinds.mjGEOM_CAPSULE) for geom in simple]
+    if simple and (all(is_round) or not in_finger) and not solid and not stripped:
+        return simple, None
+    if stripped and not meshes:
+        return [], None
+    clouds = [poses.moved(surface_points(foreign, member), member, link.body) for member in link.members]
+    points = np.concatenate(clouds)
+    return [], points if len(points) >= 10 else None
+
+
+def _tip(
+    foreign: ForeignModel,
+    poses: Poses,
+    name: str,
+    chain: Chain,
+    ends: dict[int, np.ndarray],
+    radius: float,
+    result: HandShapes,
+) -> None:
+    """Center of the tip where only its end is known: the round end's center is the radius before it."""
+    body = chain.bodies[-1]
+    end, anchor = ends[body], first_anchor(foreign.model, body)
+    length = float(np.linalg.norm(end - anchor))
+    inset = min(radius, max(0.0, length - 1.5 * radius))
+    result.tips[name] = end - inset * (end - anchor) / max(length, 1e-9)
+
+
+def _palm_shapes(
+    foreign: ForeignModel,
+    structure: HandStructure,
+    poses: Poses,
+    result: HandShapes,
+    sizes: dict[str, float],
+    errors: list[tuple[str, np.ndarray]],
+    findings: list[Finding],
+) -> None:
+    link, model = result.links[structure.palm], foreign.model
+    axes = np.stack([structure.along, structure.normal, np.cross(structure.along, structure.normal)], axis=1)
+    link.shapes = [geom for member in link.members for geom in primitives(model, member)]
+    meshes = [(member, mesh) for member in link.members for mesh in foreign.meshes.get(member, [])]
+    solid = [(member, mesh) for member, mesh in meshes if mesh.collides]
+    for member, mesh in solid or ([] if link.shapes else meshes):
+        vertices = poses.moved(mesh.vertices, member, structure.palm)
+        boxes = fit_boxes(vertices, mesh.faces, axes)
+        points = mesh_points(vertices, mesh.faces)
+        distance = np.min([box.distance(points) for box in boxes], axis=0)
+        errors.append((body_name(model, structure.palm), np.abs(distance)))
+        link.shapes += boxes
+    if link.shapes:
+        return
+    link.shapes = [made_up_palm(structure, poses, result.joints, sizes, findings)]
+
+
+def _tip_of_shape(result: HandShapes, foreign: ForeignModel, name: str, chain: Chain) -> None:
+    """The tip is the center of the round end of the last link's shape, where it has one."""
+    model, body = foreign.model, chain.bodies[-1]
+    anchor = first_anchor(model, body)
+    centers = []
+    for shape in result.links[body].shapes:
+        if isinstance(shape, Capsule):
+            centers += [shape.start, shape.end]
+        elif isinstance(shape, int) and model.geom_bodyid[shape] == body:
+            rotation = np.empty(9)
+            mujoco.mju_quat2Mat(rotation, model.geom_quat[shape])
+            half = (
+                model.geom_size[shape, 1] if model.geom_type[shape] == mujoco.mjtGeom.mjGEOM_CAPSULE else 0.0
+            )
+            z = rotation.reshape(3, 3)[:, 2]
+            centers += [model.geom_pos[shape] + sign * half * z for sign in (-1, 1)]
+    if centers:
+        result.tips[name] = max(centers, key=lambda c: float(np.linalg.norm(c - anchor)))

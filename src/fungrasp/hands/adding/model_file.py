@@ -1,0 +1,289 @@
+"""Reading a foreign URDF or MJCF with its meshes, whatever its state: what is mended is reported."""
+
+from __future__ import annotations
+
+import re
+import xml.etree.ElementTree as ElementTree
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import trimesh
+
+from fungrasp.errors import FungraspError
+from fungrasp.hands.adding.joint_repairs import repair_joints
+from fungrasp.hands.checking.finding import Finding, listed, note, warning
+from fungrasp.hands.checking.model_source import one_line, parse_xml, principal_inertias, quiet
+
+MAX_INCLUDES = 100
+"""Files that a model may include."""
+
+MAX_PARENTS = 4
+"""Folders above the model's in which the path of a mesh is tried."""
+
+MAX_MESH_BYTES = 200_000_000
+"""Larger mesh files are not read."""
+
+
+@dataclass(frozen=True)
+class MeshShape:
+    """A mesh of one geom."""
+
+    vertices: np.ndarray
+    """[m], shape [V, 3], frame of the geom's body."""
+    faces: np.ndarray
+    """Shape [F, 3]."""
+    collides: bool
+    """Whether it is a collision shape; else it is for pictures only."""
+    rgba: np.ndarray
+    """Shape [4]."""
+    density: float
+    """[kg/m^3]."""
+
+
+@dataclass(frozen=True)
+class ForeignModel:
+    """A model as read: its meshes are kept apart, their geoms are left out of ``model``."""
+
+    model: mujoco.MjModel
+    """Static bodies are not fused; every hinge has limits; primitive shapes only."""
+    meshes: dict[int, list[MeshShape]]
+    """By body id."""
+    stripped: frozenset[int]
+    """Ids of bodies that lost a collision mesh whose file is missing."""
+    massless: frozenset[int]
+    """Ids of bodies with neither an inertial that can be nor shapes that weigh something."""
+    findings: list[Finding] = field(default_factory=list)
+
+
+def read_foreign(path: Path) -> ForeignModel:
+    """Read a URDF or MJCF.
+
+    Raises:
+        FungraspError: it can't be read at all.
+    """
+    findings: list[Finding] = []
+    root = parse_xml(path, findings)
+    if root is None:
+        raise FungraspError(findings[-1].message)
+    if root.tag == "robot":
+        _keep_everything(root)
+    else:
+        _flatten(root, path.parent)
+    with quiet():
+        spec = _spec(path, root, findings)
+        carriers, stripped = _take_meshes(spec, path.parent, root.tag == "robot", findings)
+        repair_joints(spec, findings)
+        massless = _drop_bad_inertias(spec, findings)
+        for actuator in list(spec.actuators):
+            # Only the limits of actuators are of use, and actuators of foreign kinds may not compile alone.
+            if actuator.trntype not in (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_TENDON):
+                spec.delete(actuator)
+        for things in (spec.sensors, spec.keys, spec.cameras, spec.lights, spec.textures):
+            for thing in list(things):
+                spec.delete(thing)
+        for material in spec.materials:
+            material.textures = [""] * len(material.textures)
+        compiler = spec.compiler
+        compiler.fusestatic = compiler.discardvisual = False
+        compiler.balanceinertia, compiler.boundmass, compiler.boundinertia = True, 1e-9, 1e-12
+        try:
+            model = spec.compile()
+        except (ValueError, mujoco.FatalError) as problem:
+            raise FungraspError(f"{path} does not compile: {one_line(problem)}") from problem
+    meshes: dict[int, list[MeshShape]] = {}
+    for geom, (vertices, faces, collides, density) in carriers.items():
+        i = geom.id
+        rotation = np.empty(9)
+        mujoco.mju_quat2Mat(rotation, model.geom_quat[i])
+        placed = vertices @ rotation.reshape(3, 3).T + model.geom_pos[i]
+        rgba = model.geom_rgba[i].astype(float)
+        if model.geom_matid[i] >= 0:
+            rgba = model.mat_rgba[model.geom_matid[i]].astype(float)
+        shape = MeshShape(placed, faces, collides, rgba, density)
+        meshes.setdefault(int(model.geom_bodyid[i]), []).append(shape)
+
+    def ids(names: set[str]) -> frozenset[int]:
+        return frozenset(b for b in range(1, model.nbody) if model.body(b).name in names)
+
+    return ForeignModel(model, meshes, ids(stripped), ids(massless), findings)
+
+
+def _keep_everything(robot: ElementTree.Element) -> None:
+    """Make MuJoCo keep visual meshes, static links and paths of a URDF."""
+    for old in robot.findall("mujoco"):
+        robot.remove(old)
+    settings = {"discardvisual": "false", "fusestatic": "false", "strippath": "false"}
+    ElementTree.SubElement(ElementTree.SubElement(robot, "mujoco"), "compiler", settings)
+
+
+def _flatten(root: ElementTree.Element, folder: Path) -> None:
+    """Put included files in place of the ``<include>`` elements."""
+    read = 0
+    pending = [root]
+    while pending:
+        parent = pending.pop()
+        for i in range(len(parent) - 1, -1, -1):
+            child = parent[i]
+            if child.tag != "include":
+                pending.append(child)
+                continue
+            read += 1
+            file = folder / child.get("file", "")
+            if read > MAX_INCLUDES:
+                raise FungraspError(f"more than {MAX_INCLUDES} files are included")
+            findings: list[Finding] = []
+            included = parse_xml(file, findings, ("mujoco", "mujocoinclude"))
+            if included is None:
+                raise FungraspError(findings[-1].message)
+            parent.remove(child)
+            for offset, element in enumerate(included):
+                parent.insert(i + offset, element)
+            pending.append(parent)
+            break
+
+
+def _spec(path: Path, root: ElementTree.Element, findings: list[Finding]) -> mujoco.MjSpec:
+    """Parse, leaving out attributes that this version of MuJoCo does not know (it renames some)."""
+    dropped: list[str] = []
+    while True:
+        try:
+            spec = mujoco.MjSpec.from_string(ElementTree.tostring(root, encoding="unicode"))
+            break
+        except (ValueError, mujoco.FatalError) as problem:
+            text = one_line(problem)
+            found = re.search(r"unrecognized attribute: '(\w+)' Element '(\w+)'", text)
+            if found is None or len(dropped) > 20:
+                raise FungraspError(f"MuJoCo cannot read {path}: {text}") from problem
+            attribute, element = found.groups()
+            for holder in root.iter(element):
+                holder.attrib.pop(attribute, None)
+            dropped.append(f"{element} {attribute}")
+    if dropped:
+        findings.append(note(f"MuJoCo no longer knows the attribute {listed(dropped)}: left out"))
+    return spec
+
+
+def _take_meshes(
+    spec: mujoco.MjSpec, folder: Path, urdf: bool, findings: list[Finding]
+) -> tuple[dict[mujoco.MjsGeom, tuple[np.ndarray, np.ndarray, bool, float]], set[str]]:
+    """Replace mesh geoms by weightless points that carry their poses.
+
+    Returns:
+        by geom: vertices [m], faces, whether it collides, density; and names of bodies that lost a collision
+        mesh.
+    """
+    loaded: dict[str, trimesh.Trimesh | None] = {}
+    missing: list[str] = []
+    carriers = {}
+    stripped: set[str] = set()
+    base = folder if urdf else folder / spec.compiler.meshdir
+    by_name = {mesh.name or Path(mesh.file).stem: mesh for mesh in spec.meshes}
+    for geom in list(spec.geoms):
+        if geom.type == mujoco.mjtGeom.mjGEOM_HFIELD or geom.type == mujoco.mjtGeom.mjGEOM_PLANE:
+            spec.delete(geom)
+            continue
+        mesh = by_name.get(geom.meshname)
+        if mesh is None:
+            continue
+        collides = bool(geom.contype or geom.conaffinity)
+        if mesh.name not in loaded:
+            loaded[mesh.name] = _load(mesh, base, missing)
+        shape = loaded[mesh.name]
+        if shape is None:
+            if collides:
+                stripped.add(geom.parent.name)
+            spec.delete(geom)
+            continue
+        density = geom.density if np.isfinite(geom.density) and geom.density > 0 else 1000.0
+        carriers[geom] = np.asarray(shape.vertices, float), np.asarray(shape.faces), collides, density
+        geom.type, geom.meshname, geom.size = mujoco.mjtGeom.mjGEOM_SPHERE, "", [1e-3, 0, 0]
+        geom.mass, geom.contype, geom.conaffinity = 0.0, 0, 0
+    for mesh in list(spec.meshes):
+        spec.delete(mesh)
+    if missing:
+        findings.append(
+            warning(
+                f"no file is found for the mesh {listed(missing)}, looked for from {base} up; its shape is "
+                "left out"
+            )
+        )
+    return carriers, stripped
+
+
+def _load(mesh: mujoco.MjsMesh, base: Path, missing: list[str]) -> trimesh.Trimesh | None:
+    if not mesh.file:
+        vertices = np.asarray(mesh.uservert).reshape(-1, 3)
+        faces = np.asarray(mesh.userface).reshape(-1, 3)
+        shape = trimesh.Trimesh(vertices, faces, process=False)
+        if not len(faces) and len(vertices) > 3:
+            shape = trimesh.convex.convex_hull(vertices)
+    else:
+        path = find_mesh(mesh.file, base)
+        shape = None if path is None else _read_mesh(path)
+    if shape is None or len(shape.vertices) < 4 or not np.isfinite(shape.vertices).all():
+        missing.append(mesh.file or mesh.name)
+        return None
+    rotation = np.empty(9)
+    mujoco.mju_quat2Mat(rotation, np.asarray(mesh.refquat))
+    placed = (
+        np.asarray(shape.vertices) * np.asarray(mesh.scale) - np.asarray(mesh.refpos)
+    ) @ rotation.reshape(3, 3)
+    faces = np.asarray(shape.faces)
+    if np.prod(mesh.scale) < 0:
+        faces = faces[:, ::-1]
+    return trimesh.Trimesh(placed, faces, process=False)
+
+
+def find_mesh(name: str, base: Path) -> Path | None:
+    """The file of a mesh by its address: package:// and file:// prefixes, folders above the model's, and
+    addresses that lack the name of the package are tried."""
+    relative = re.sub(r"^(package|model|file)://", "", name).replace("\\", "/")
+    parts = [part for part in relative.split("/") if part]
+    tries = [Path(relative)] if relative.startswith("/") else []
+    folders = [base, *base.resolve().parents[:MAX_PARENTS]]
+    # With and without the leading parts, of which the first may be the name of a package.
+    for skip in range(min(3, len(parts))):
+        tries += [folder.joinpath(*parts[skip:]) for folder in folders]
+    tries += [base / "meshes" / parts[-1]] if parts else []
+    return next((path for path in tries if path.is_file()), None)
+
+
+def _read_mesh(path: Path) -> trimesh.Trimesh | None:
+    try:
+        if path.stat().st_size > MAX_MESH_BYTES:
+            return None
+        shape = trimesh.load(path, force="mesh", process=False)
+    except Exception:
+        return None
+    return shape if isinstance(shape, trimesh.Trimesh) else None
+
+
+def _drop_bad_inertias(spec: mujoco.MjSpec, findings: list[Finding]) -> set[str]:
+    """Leave out inertials that no mass can have; names of the bodies that are left without one."""
+    wrong, massless = [], set()
+    for body in spec.bodies[1:]:
+        if body.explicitinertial:
+            moments = principal_inertias(body)
+            radius = np.sqrt(max(moments[2], 0) / body.mass) if body.mass > 0 else np.inf
+            sound = moments[0] > 0 and moments[2] <= (moments[0] + moments[1]) * (1 + 1e-3)
+            if body.mass > 1e-6 and sound and 3e-4 < radius < 0.3:
+                continue
+            # A wrong inertia does not make the mass wrong.
+            if body.mass > 1e-6:
+                wrong.append(body.name)
+                body.fullinertia = [np.nan, 0, 0, 0, 0, 0]
+                body.inertia = [body.mass * 1e-4] * 3
+                continue
+            body.explicitinertial = False
+        if not any(geom.contype or geom.conaffinity for geom in body.geoms):
+            massless.add(body.name)
+    if wrong:
+        findings.append(
+            warning(
+                f"no mass has the inertia of the body {listed(wrong)}: replaced by that of a body with a "
+                "radius of gyration of 10 mm"
+            )
+        )
+    return massless

@@ -1,0 +1,232 @@
+"""The model of an added hand: palm at the origin, one body per moving link, simple collision shapes."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from fungrasp.hands.adding.couplings import Coupling
+from fungrasp.hands.adding.exclusions import exclude_neighbors
+from fungrasp.hands.adding.link_shapes import HandShapes, LinkShapes
+from fungrasp.hands.adding.model_file import ForeignModel
+from fungrasp.hands.adding.poses import Poses
+from fungrasp.hands.adding.servos import JointPhysics
+from fungrasp.hands.adding.shape_fitting import Box, Capsule
+from fungrasp.hands.adding.structure import HandStructure
+from fungrasp.hands.checking.finding import Finding, listed, warning
+from fungrasp.hands.checking.kinematic_tree import body_name, joint_name
+
+DENSITY = 1000.0
+"""Of links whose mass is not known [kg/m^3]."""
+
+VISUAL_GROUP, COLLISION_GROUP = 2, 3
+"""Geom groups, by MuJoCo's convention, where a link has meshes for pictures."""
+
+MAX_VISUAL_FACES = 4000
+"""Of a mesh for pictures; finer ones are coarsened."""
+
+
+def new_model(
+    foreign: ForeignModel,
+    structure: HandStructure,
+    poses: Poses,
+    shapes: HandShapes,
+    couplings: list[Coupling],
+    physics: JointPhysics,
+    name: str,
+    findings: list[Finding],
+) -> mujoco.MjSpec:
+    """Build the model; its palm stands still at the origin. Sites mark joints ("index_joint_1") and tips
+    ("index_tip")."""
+    model = foreign.model
+    poses.data.qpos[:] = 0.0
+    mujoco.mj_kinematics(model, poses.data)
+    spec = mujoco.MjSpec()
+    spec.modelname = name
+    spec.compiler.degree = False
+    bodies: dict[int, mujoco.MjsBody] = {}
+    guessed = []
+    ranges = _ranges(poses)
+    for body, link in shapes.links.items():
+        if body == structure.palm:
+            new = spec.worldbody.add_body(name=body_name(model, body))
+        else:
+            parent = shapes.owner(int(model.body_parentid[body]))
+            pos, quat = _relative(poses, body, parent)
+            new = bodies[parent].add_body(name=body_name(model, body), pos=pos, quat=quat)
+            _add_joints(new, model, body, physics, ranges)
+        bodies[body] = new
+        _add_shapes(spec, new, foreign, poses, link)
+        if not _add_mass(new, foreign, poses, link):
+            guessed.append(body_name(model, body))
+    for finger, chain in structure.fingers.items():
+        for i, link in enumerate(chain.links):
+            bodies[link].add_site(
+                name=f"{finger}_joint_{i + 1}", pos=shapes.joints[link], size=[0.002, 0, 0], group=4
+            )
+        bodies[chain.bodies[-1]].add_site(
+            name=f"{finger}_tip", pos=shapes.tips[finger], size=[0.002, 0, 0], group=4
+        )
+    for coupling in couplings:
+        ends = [int(model.jnt_bodyid[j]) for j in (coupling.joint, coupling.driver)]
+        if not set(ends) <= set(shapes.links) - {structure.palm}:
+            continue
+        equality = spec.add_equality(
+            type=mujoco.mjtEq.mjEQ_JOINT,
+            objtype=mujoco.mjtObj.mjOBJ_JOINT,
+            name1=joint_name(model, coupling.joint),
+            name2=joint_name(model, coupling.driver),
+        )
+        equality.data[:5] = [coupling.constant, coupling.slope, 0.0, 0.0, 0.0]
+        equality.solref[:2] = [0.01, 1.0]
+        equality.solimp[:3] = [0.99, 0.999, 0.001]
+    if guessed:
+        findings.append(
+            warning(
+                f"no mass of {listed(guessed)} is known: that of its shapes at {DENSITY:g} kg/m3 is taken"
+            )
+        )
+    exclude_neighbors(spec, foreign, structure, shapes, couplings, findings)
+    return spec
+
+
+def _relative(poses: Poses, body: int, parent: int) -> tuple[np.ndarray, np.ndarray]:
+    data, inverse, quat, pos = poses.data, np.zeros(4), np.zeros(4), np.zeros(3)
+    mujoco.mju_negQuat(inverse, data.xquat[parent])
+    mujoco.mju_mulQuat(quat, inverse, data.xquat[body])
+    mujoco.mju_rotVecQuat(pos, data.xpos[body] - data.xpos[parent], inverse)
+    return _clean(pos), _clean(quat)
+
+
+def _clean(values: np.ndarray) -> np.ndarray:
+    """Without the noise of rounding, which would make files differ for nothing."""
+    return np.round(values, 9) + 0.0
+
+
+def _ranges(poses: Poses) -> np.ndarray:
+    """Limits of all joints such that couplings push none beyond its own [rad], shape [M, 2]."""
+    ends = poses.matrix @ np.stack([poses.low, poses.high], axis=1) + poses.offset[:, None]
+    return np.sort(ends, axis=1)
+
+
+def _add_joints(
+    new: mujoco.MjsBody, model: mujoco.MjModel, body: int, physics: JointPhysics, ranges: np.ndarray
+) -> None:
+    for j in range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body]):
+        joint = new.add_joint(
+            name=joint_name(model, j),
+            type=mujoco.mjtJoint(model.jnt_type[j]),
+            pos=_clean(model.jnt_pos[j]),
+            axis=_clean(model.jnt_axis[j]),
+            armature=float(physics.armature[j]),
+            frictionloss=float(physics.frictionloss[j]),
+        )
+        # Angles count from the pose of the file; a reference other than zero is moved into the limits.
+        reference = float(model.qpos0[model.jnt_qposadr[j]])
+        joint.limited = mujoco.mjtLimited.mjLIMITED_TRUE
+        joint.range = _clean(ranges[j] - reference)
+        joint.damping = _like(joint.damping, float(physics.damping[j]))
+        joint.stiffness = _like(joint.stiffness, float(model.jnt_stiffness[j]))
+        if model.jnt_stiffness[j] > 0:
+            joint.springref = float(model.qpos_spring[model.jnt_qposadr[j]]) - reference
+
+
+def _like(old, value: float):
+    """A number, or the coefficients of a polynomial, as this version of MuJoCo has it."""
+    return value if np.ndim(old) == 0 else [value, *([0.0] * (len(old) - 1))]
+
+
+def _add_shapes(
+    spec: mujoco.MjSpec, new: mujoco.MjsBody, foreign: ForeignModel, poses: Poses, link: LinkShapes
+) -> None:
+    meshes = [(member, mesh) for member in link.members for mesh in foreign.meshes.get(member, [])]
+    shown = [pair for pair in meshes if not pair[1].collides] or meshes
+    for i, (member, mesh) in enumerate(shown):
+        vertices, faces = _coarse(poses.moved(mesh.vertices, member, link.body), mesh.faces)
+        if len(faces) < 4:
+            continue
+        asset = spec.add_mesh(name=f"{new.name}_{i}")
+        asset.uservert, asset.userface = np.round(vertices, 6).ravel(), faces.ravel()
+        # Thin or open surfaces have no volume; they weigh nothing here.
+        asset.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
+        geom = new.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_MESH, meshname=asset.name, mass=0.0, group=VISUAL_GROUP
+        )
+        geom.contype, geom.conaffinity, geom.rgba = 0, 0, mesh.rgba
+    group = COLLISION_GROUP if shown else 0
+    for shape in link.shapes:
+        if isinstance(shape, Capsule):
+            geom = new.add_geom(type=mujoco.mjtGeom.mjGEOM_CAPSULE, size=[round(shape.radius, 5), 0, 0])
+            ends = np.stack([shape.start, shape.end])
+            if np.linalg.norm(ends[1] - ends[0]) < 1e-3:
+                geom.type, geom.pos = mujoco.mjtGeom.mjGEOM_SPHERE, np.round(ends.mean(axis=0), 6)
+            else:
+                geom.fromto = np.round(ends, 6).ravel()
+        elif isinstance(shape, Box):
+            quat = np.zeros(4)
+            rotation = shape.rotation.copy()
+            rotation[:, 2] *= np.sign(np.linalg.det(rotation))
+            mujoco.mju_mat2Quat(quat, rotation.ravel())
+            geom = new.add_geom(
+                type=mujoco.mjtGeom.mjGEOM_BOX,
+                size=np.round(shape.half, 6),
+                pos=np.round(shape.center, 6),
+                quat=_clean(quat),
+            )
+        else:
+            geom = _kept(new, foreign.model, poses, link.body, shape)
+        geom.group, geom.density = group, DENSITY
+
+
+def _kept(new: mujoco.MjsBody, model: mujoco.MjModel, poses: Poses, body: int, geom: int) -> mujoco.MjsGeom:
+    member = int(model.geom_bodyid[geom])
+    pos, quat = _relative(poses, member, body)
+    turned, place = np.zeros(4), np.zeros(3)
+    mujoco.mju_mulQuat(turned, quat, model.geom_quat[geom])
+    mujoco.mju_rotVecQuat(place, model.geom_pos[geom], quat)
+    size = model.geom_size[geom].astype(float)
+    return new.add_geom(
+        type=mujoco.mjtGeom(model.geom_type[geom]),
+        size=size,
+        pos=_clean(place + pos),
+        quat=_clean(turned),
+        rgba=model.geom_rgba[geom].astype(float),
+    )
+
+
+def _coarse(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A surface of at most ``MAX_VISUAL_FACES``: vertices in one cell of a grid become one."""
+    cell = float(np.ptp(vertices, axis=0).max()) / 100
+    while len(faces) > MAX_VISUAL_FACES:
+        _, first, which = np.unique(
+            np.round(vertices / cell).astype(int), axis=0, return_index=True, return_inverse=True
+        )
+        vertices, faces = vertices[first], which.reshape(-1)[faces]
+        whole = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 0] != faces[:, 2])
+        faces, cell = faces[whole], 1.3 * cell
+    return vertices, faces
+
+
+def _add_mass(new: mujoco.MjsBody, foreign: ForeignModel, poses: Poses, link: LinkShapes) -> bool:
+    """Mass and inertia of all members in one; False where they are left to the shapes."""
+    model, data = foreign.model, poses.data
+    known = [m for m in link.members if m not in foreign.massless and model.body_mass[m] > 1e-6]
+    if not known:
+        if any(geom.contype for geom in new.geoms):
+            return False
+        # Joints of several axes have bodies of no size between them.
+        new.mass, new.inertia, new.explicitinertial = 1e-3, [1e-7] * 3, True
+        return True
+    masses = model.body_mass[known]
+    to_body = data.xmat[link.body].reshape(3, 3)
+    centers = (data.xipos[known] - data.xpos[link.body]) @ to_body
+    center = masses @ centers / masses.sum()
+    total = np.zeros((3, 3))
+    for member, mass, place in zip(known, masses, centers, strict=True):
+        axes = to_body.T @ data.ximat[member].reshape(3, 3)
+        arm = place - center
+        total += axes @ np.diag(model.body_inertia[member]) @ axes.T
+        total += mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+    new.mass, new.ipos, new.explicitinertial = float(masses.sum()), _clean(center), True
+    new.fullinertia = [total[0, 0], total[1, 1], total[2, 2], total[0, 1], total[0, 2], total[1, 2]]
+    return True

@@ -1,0 +1,171 @@
+"""Torque limits, gains, armature and damping: the file's where they can be, else proposed with a reason."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from fungrasp.hands.adding.poses import Poses
+from fungrasp.hands.adding.structure import HandStructure
+from fungrasp.hands.checking.finding import Finding, listed, warning
+from fungrasp.hands.checking.kinematic_tree import ancestors, joint_name
+
+TIP_FORCE = 10.0
+"""What a firm robot finger presses with at its tip [N]; the data sheets of Shadow and Inspire say so."""
+
+BELIEVABLE = (0.25, 3.0)
+"""A stated torque limit is believed within these multiples of the torque for ``TIP_FORCE``."""
+
+FULL_TORQUE_ERROR = 0.2
+"""Distance from the target at which a servo gives all its torque [rad]."""
+
+LEAST_TORQUE = 0.05
+"""Of a joint that moves no tip [N m]."""
+
+
+@dataclass(frozen=True)
+class JointPhysics:
+    """Of every joint of the new model, shape [M] each; servo values are used for independent joints only."""
+
+    force_limit: np.ndarray
+    """[N m]."""
+    kp: np.ndarray
+    """[N m/rad]."""
+    kd: np.ndarray
+    """[N m s/rad]."""
+    armature: np.ndarray
+    """[kg m^2]."""
+    damping: np.ndarray
+    """[N m s/rad]."""
+    frictionloss: np.ndarray
+    """[N m]."""
+
+
+def joint_physics(
+    poses: Poses, structure: HandStructure, tips: dict[str, np.ndarray], findings: list[Finding]
+) -> JointPhysics:
+    """Physics of the joints; every value that is not the file's is reported."""
+    model = poses.model
+    proposed = np.maximum(TIP_FORCE * _levers(poses, structure, tips), LEAST_TORQUE)
+    stated = _stated_limits(model)
+    for j, driver in enumerate(np.argmax(np.abs(poses.matrix) > 0, axis=1)):
+        # A motor may sit on a driven joint.
+        own = int(np.argmax(poses.matrix[:, driver] == 1.0))
+        stated[own] = min(stated[own], stated[j] * abs(poses.matrix[j, driver]))
+    believed = (stated >= BELIEVABLE[0] * proposed) & (stated <= BELIEVABLE[1] * proposed)
+    force = np.where(believed, stated, proposed)
+    inside = np.array([_in_hand(model, structure.palm, j) for j in range(model.njnt)], dtype=bool)
+    independent = inside & _own(poses.matrix)
+    unsaid, wrong = independent & ~np.isfinite(stated), independent & np.isfinite(stated) & ~believed
+    reason = f"the torque that presses with {TIP_FORCE:g} N at the tip of the half bent finger is proposed"
+    if unsaid.any():
+        findings.append(warning(f"no torque limit for {_named(model, unsaid)}: {reason}"))
+    if wrong.any():
+        findings.append(
+            warning(
+                f"the torque limit of {_named(model, wrong)} ({stated[wrong].min():g} to "
+                f"{stated[wrong].max():g} N m) is not that of a finger: {reason}"
+            )
+        )
+    kp = force / FULL_TORQUE_ERROR
+    armature, damping = model.dof_armature.copy(), model.dof_damping.copy()
+    friction = model.dof_frictionloss.copy()
+    # A servo that swings at 45 rad/s is stable at steps of 5 ms, and about critically damped.
+    light = inside & ((armature < 1e-4 * kp) | (armature > 0.01 * kp))
+    armature[light] = np.maximum(5e-4 * kp[light], 5e-4)
+    slack = inside & ((damping < 2e-3 * kp) | (damping > 0.2 * kp))
+    damping[slack] = 0.01 * kp[slack]
+    dry = inside & ((friction <= 0) | (friction > 0.2 * force))
+    friction[dry] = 0.01 * force[dry]
+    for name, mask, values, unit, why in (
+        ("armature", light, armature, "kg m2", "so that servos are stable at steps of 5 ms"),
+        ("damping", slack, damping, "N m s/rad", "a hundredth of the servo's stiffness"),
+        ("friction", dry, friction, "N m", "a hundredth of the torque limit"),
+    ):
+        if mask.any():
+            findings.append(
+                warning(
+                    f"{name} is zero or impossible for {_named(model, mask)}: "
+                    f"{values[mask].min():.2g} to {values[mask].max():.2g} {unit} are proposed, {why}"
+                )
+            )
+    return JointPhysics(force, kp, 0.03 * kp, armature, damping, friction)
+
+
+def _levers(poses: Poses, structure: HandStructure, tips: dict[str, np.ndarray]) -> np.ndarray:
+    """How far the tips move per radian of each joint, those it drives included, half bent [m], shape [M];
+    the farthest of the tips it moves. Of a driven joint, that of its driver."""
+    half = 0.5 * (np.clip(0.0, poses.low, poses.high) + poses.high)
+    poses.set(half)
+    at = {n: poses.of_body(c.bodies[-1], tips[n]) for n, c in structure.fingers.items()}
+    levers = np.zeros(poses.matrix.shape[1])
+    for u in range(len(levers)):
+        step = half.copy()
+        step[u] += 1e-4
+        poses.set(step)
+        for name, chain in structure.fingers.items():
+            moved = poses.of_body(chain.bodies[-1], tips[name]) - at[name]
+            levers[u] = max(levers[u], float(np.linalg.norm(moved)) / 1e-4)
+    drivers = np.argmax(np.abs(poses.matrix) > 0, axis=1)
+    return levers[drivers]
+
+
+def _own(matrix: np.ndarray) -> np.ndarray:
+    """Whether each joint is an independent one, shape [M]: the first with slope one in its column."""
+    own = np.zeros(len(matrix), dtype=bool)
+    for column in matrix.T:
+        own[int(np.argmax(column == 1.0))] = True
+    return own
+
+
+def _stated_limits(model: mujoco.MjModel) -> np.ndarray:
+    """The file's torque limits [N m], infinite where it states none, shape [M]."""
+    limits = np.full(model.njnt, np.inf)
+    given = model.jnt_actfrclimited.astype(bool) & (np.abs(model.jnt_actfrcrange).max(axis=1) > 0)
+    limits[given] = np.abs(model.jnt_actfrcrange[given]).max(axis=1)
+    for a in range(model.nu):
+        if not model.actuator_forcelimited[a]:
+            continue
+        force = float(np.abs(model.actuator_forcerange[a]).max() * abs(model.actuator_gear[a, 0]))
+        joints = [int(model.actuator_trnid[a, 0])]
+        if model.actuator_trntype[a] == mujoco.mjtTrn.mjTRN_TENDON:
+            start = model.tendon_adr[joints[0]]
+            joints = model.wrap_objid[start : start + model.tendon_num[joints[0]]].tolist()
+        limits[joints] = np.minimum(limits[joints], force)
+    return limits
+
+
+def _in_hand(model: mujoco.MjModel, palm: int, joint: int) -> bool:
+    return palm in ancestors(model, int(model.jnt_bodyid[joint]))[1:]
+
+
+def _named(model: mujoco.MjModel, mask: np.ndarray) -> str:
+    return f"joint {listed([joint_name(model, j) for j in np.flatnonzero(mask)], limit=3)}"
+
+
+def servo_entries(physics: JointPhysics, poses: Poses, joints: list[int]) -> tuple[list[str], list[str]]:
+    """Lines of a TOML's [actuators], for most independent joints, and of [actuators.joints], for the others.
+
+    joints: those of the hand, driven ones included.
+    """
+    joints = [j for j in joints if _own(poses.matrix)[j]]
+
+    def entry(j: int) -> tuple[str, str, str]:
+        return f"{physics.kp[j]:.3g}", f"{physics.kd[j]:.3g}", f"{physics.force_limit[j]:.3g}"
+
+    entries = [entry(j) for j in joints]
+    common = max(dict.fromkeys(entries), key=entries.count)
+    lines = [
+        f"kp = {common[0]} # N m/rad",
+        f"kd = {common[1]} # N m s/rad",
+        f"force_limit = {common[2]} # N m",
+    ]
+    special = [
+        f"{json.dumps(joint_name(poses.model, j))} = {{ kp = {kp}, kd = {kd}, force_limit = {force} }}"
+        for j, (kp, kd, force) in zip(joints, entries, strict=True)
+        if (kp, kd, force) != common
+    ]
+    return lines, special

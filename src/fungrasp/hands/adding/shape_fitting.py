@@ -1,0 +1,164 @@
+"""Capsules and boxes fitted to points of a surface."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+import trimesh
+from scipy.optimize import least_squares
+
+from fungrasp.geometry.signed_distance import points_on_triangles
+
+SAMPLE_GAP = 0.003
+"""Distance between sampled points of a surface [m]."""
+
+MAX_SAMPLES = 1500
+"""Points to which a shape is fitted."""
+
+FULL_ENOUGH = 0.8
+"""A box that is this full of its part's convex hull is not divided further."""
+
+MAX_BOXES = 4
+"""Boxes of one mesh."""
+
+
+@dataclass(frozen=True)
+class Capsule:
+    """All points within ``radius`` of a segment."""
+
+    start: np.ndarray
+    """[m], shape [3]."""
+    end: np.ndarray
+    """[m], shape [3]."""
+    radius: float
+    """[m]."""
+
+    def distance(self, points: np.ndarray) -> np.ndarray:
+        """Signed distance of points [m], shape [P]."""
+        along = self.end - self.start
+        part = np.clip((points - self.start) @ along / max(float(along @ along), 1e-12), 0.0, 1.0)
+        return np.linalg.norm(points - self.start - part[:, None] * along, axis=1) - self.radius
+
+
+@dataclass(frozen=True)
+class Box:
+    """A box in any direction."""
+
+    center: np.ndarray
+    """[m], shape [3]."""
+    half: np.ndarray
+    """Half edges [m], shape [3]."""
+    rotation: np.ndarray
+    """Its axes as columns, shape [3, 3]."""
+
+    def distance(self, points: np.ndarray) -> np.ndarray:
+        """Signed distance of points [m], shape [P]."""
+        beyond = np.abs((points - self.center) @ self.rotation) - self.half
+        outside = np.linalg.norm(np.maximum(beyond, 0.0), axis=1)
+        return outside + np.minimum(beyond.max(axis=1), 0.0)
+
+
+def mesh_points(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Evenly spread points of a surface [m], shape [P, 3], P at most about ``MAX_SAMPLES``."""
+    triangles = vertices[faces]
+    area = (
+        0.5
+        * np.linalg.norm(
+            np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]), axis=1
+        ).sum()
+    )
+    gap = max(SAMPLE_GAP, float(np.sqrt(area / MAX_SAMPLES)))
+    points = points_on_triangles(triangles, gap)[0] if len(faces) else vertices
+    _, first = np.unique(np.round(points / gap).astype(int), axis=0, return_index=True)
+    points = points[first]
+    return points[:: max(1, len(points) // MAX_SAMPLES)]
+
+
+def primitive_mesh(model: mujoco.MjModel, geom: int) -> tuple[np.ndarray, np.ndarray]:
+    """Surface of a primitive geom as vertices [m], in the frame of its body, and faces."""
+    size, kinds = model.geom_size[geom], mujoco.mjtGeom
+    kind = model.geom_type[geom]
+    if kind == kinds.mjGEOM_BOX:
+        mesh = trimesh.creation.box(2 * size)
+    elif kind == kinds.mjGEOM_CYLINDER:
+        mesh = trimesh.creation.cylinder(size[0], 2 * size[1], sections=24)
+    elif kind == kinds.mjGEOM_CAPSULE:
+        mesh = trimesh.creation.capsule(height=2 * size[1], radius=size[0], count=[16, 16])
+        mesh.apply_translation([0, 0, -float(mesh.bounds.mean(axis=0)[2])])
+    else:
+        mesh = trimesh.creation.icosphere(subdivisions=2)
+        mesh.apply_scale(size if kind == kinds.mjGEOM_ELLIPSOID else [size[0]] * 3)
+    rotation = np.empty(9)
+    mujoco.mju_quat2Mat(rotation, model.geom_quat[geom])
+    vertices = np.asarray(mesh.vertices) @ rotation.reshape(3, 3).T + model.geom_pos[geom]
+    return vertices, np.asarray(mesh.faces)
+
+
+def fit_capsule(points: np.ndarray, along: np.ndarray) -> Capsule:
+    """The capsule from whose surface the points lie least far, in the sense of least squares.
+
+    Args:
+        points: of a surface [m], shape [P, 3].
+        along: first guess of its direction, shape [3].
+    """
+    along = along / np.linalg.norm(along)
+    center = 0.5 * (points.min(axis=0) + points.max(axis=0))
+    # Of the given direction and the longest one, the one that fits better.
+    _, _, rows = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)
+    low, high = points.min(axis=0) - 1e-3, points.max(axis=0) + 1e-3
+    bounds = [*low, *low, 1e-3], [*high, *high, 0.5 * float(np.linalg.norm(high - low))]
+    best, lowest = None, np.inf
+    for direction in (along, rows[0]):
+        t = (points - center) @ direction
+        across = points - center - t[:, None] * direction
+        radius = float(np.median(np.linalg.norm(across - np.median(across, axis=0), axis=1)))
+        middle, half = 0.5 * (t.min() + t.max()), max(0.5 * float(np.ptp(t)) - radius, 1e-4)
+        first = center + np.median(across, axis=0) + (middle - half) * direction
+        last = first + 2 * half * direction
+
+        def residual(x: np.ndarray) -> np.ndarray:
+            return Capsule(x[:3], x[3:6], x[6]).distance(points) / 1e-3
+
+        start = np.clip(np.concatenate([first, last, [radius]]), *bounds)
+        found = least_squares(residual, start, loss="soft_l1", max_nfev=60, bounds=bounds)
+        if found.cost < lowest:
+            best, lowest = Capsule(found.x[:3], found.x[3:6], float(found.x[6])), found.cost
+    assert best is not None
+    return best
+
+
+def fit_boxes(vertices: np.ndarray, faces: np.ndarray, rotation: np.ndarray) -> list[Box]:
+    """Boxes with given axes that cover a mesh: it is cut along its longest edges until they are full enough.
+
+    Args:
+        vertices: [m], shape [V, 3].
+        faces: shape [F, 3].
+        rotation: the boxes' axes as columns, shape [3, 3].
+    """
+    parts = [mesh_points(vertices, faces) @ rotation]
+    done: list[np.ndarray] = []
+    while parts:
+        part = parts.pop(0)
+        low, high = part.min(axis=0), part.max(axis=0)
+        if len(parts) + len(done) + 2 > MAX_BOXES or len(part) < 40 or _fill(part) > FULL_ENOUGH:
+            done.append(part)
+            continue
+        axis = int(np.argmax(high - low))
+        upper = part[:, axis] > 0.5 * (low + high)[axis]
+        parts += [part[~upper], part[upper]]
+    boxes = []
+    for part in done:
+        low, high = part.min(axis=0), part.max(axis=0)
+        half = np.maximum(0.5 * (high - low), 1e-3)
+        boxes.append(Box(rotation @ (0.5 * (low + high)), half, rotation))
+    return boxes
+
+
+def _fill(points: np.ndarray) -> float:
+    """Volume of the convex hull of points as a share of their box."""
+    edges = np.ptp(points, axis=0)
+    if edges.min() < 1e-3:
+        return 1.0
+    return float(trimesh.convex.convex_hull(points).volume / np.prod(edges))

@@ -1,0 +1,242 @@
+"""Palm, fingers and thumb of a hand, found from its kinematic tree and geometry, whatever the names."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import combinations
+
+import mujoco
+import numpy as np
+
+from fungrasp.errors import FungraspError, UnknownNameError
+from fungrasp.hands.adding.couplings import Coupling
+from fungrasp.hands.adding.finger_chains import (
+    Chain,
+    chain_joints,
+    find_chains,
+    find_palm,
+    flexing_joints,
+    straight_fingers,
+)
+from fungrasp.hands.adding.poses import Poses
+from fungrasp.hands.checking.finding import listed
+from fungrasp.hands.checking.kinematic_tree import body_name
+from fungrasp.hands.checking.named_parts import finger_of
+from fungrasp.hands.hand import FINGERS
+
+SIDE_RATIO = 0.15
+"""The thumb's distance to the side below which the side is not certain, as a share of a finger's length."""
+
+
+@dataclass(frozen=True)
+class HandStructure:
+    """The parts of a hand; positions and directions are in the palm body's frame, with straight fingers."""
+
+    palm: int
+    """Body id."""
+    fingers: Mapping[str, Chain]
+    """By name, in the order of ``FINGERS``."""
+    along: np.ndarray
+    """Unit vector along the straight fingers, shape [3]."""
+    normal: np.ndarray
+    """Unit vector out of the palm, perpendicular to ``along``, shape [3]."""
+    side: str
+    """"right" or "left"."""
+    straight: np.ndarray
+    """Joint positions with straight fingers [rad], shape [M]."""
+
+
+@dataclass(frozen=True)
+class Answers:
+    """What the user has said; None or empty where it is to be found."""
+
+    palm: str | None = None
+    """Name of the palm body."""
+    thumb: str | None = None
+    """Name of a body of the thumb."""
+    side: str | None = None
+    """"right" or "left"."""
+    normal: tuple[float, float, float] | None = None
+    """Out of the palm, frame of the palm body."""
+    fingers: Mapping[str, str] | None = None
+    """A body of each finger that counts, by its name."""
+    couplings: tuple[tuple[str, float, str], ...] = ()
+    """Joints that move together: joint, slope, driver."""
+    radius: float | None = None
+    """Of fingers without shapes [m]."""
+
+
+def find_structure(
+    model: mujoco.MjModel, couplings: list[Coupling], tips: Mapping[int, np.ndarray], answers: Answers
+) -> HandStructure:
+    """Find the parts of a hand.
+
+    Args:
+        model: any hand, its bodies named.
+        couplings: of its joints.
+        tips: by moving body: the far end of the shapes and frames that move with it, its frame [m].
+        answers: what is known.
+
+    Raises:
+        FungraspError: something can't be decided; the message names the option that does.
+    """
+    palm = find_palm(model, answers.palm)
+    poses = Poses(model, couplings, palm)
+    start = np.clip(0.0, poses.low, poses.high)
+    poses.set(start)
+    chains = find_chains(model, poses, palm, tips)
+    straight = straight_fingers(poses, chains, tips, start)
+    joints = poses.set(straight)
+    features = [_features(poses, chain, tips, straight) for chain in chains]
+    poses.set(straight)
+    thumb = _thumb(model, chains, features, answers)
+    long = [i for i in range(len(chains)) if i != thumb]
+    along = _snapped(np.sum([features[i].direction for i in long], axis=0))
+    if answers.normal is None:
+        bend = np.sum([features[i].bend for i in long], axis=0)
+        if np.linalg.norm(bend) < 0.2 * len(long):
+            raise FungraspError(
+                "the fingers bend to no common side, so that the palm's normal can't be found; give it with "
+                f"--normal X Y Z in the frame of '{body_name(model, palm)}'"
+            )
+        normal = _snapped(bend - (bend @ along) * along)
+        normal = normal - (normal @ along) * along
+    else:
+        normal = np.array(answers.normal, dtype=float)
+        normal = normal - (normal @ along) * along
+    normal /= np.linalg.norm(normal)
+    names, side = _names(model, chains, features, thumb, np.cross(along, normal), answers)
+    fingers = {name: chains[names[name]] for name in FINGERS if name in names}
+    return HandStructure(palm, fingers, along, normal, side, joints)
+
+
+@dataclass(frozen=True)
+class _Features:
+    base: np.ndarray
+    direction: np.ndarray
+    """From the base to the tip of the straight finger."""
+    bend: np.ndarray
+    """Direction in which the tip moves as the finger bends."""
+    axis: np.ndarray
+    """Of its last joints, about which bending is positive."""
+    length: float
+    middle: np.ndarray
+    """Mean of the base and the tip, half bent."""
+
+
+def _features(poses: Poses, chain: Chain, tips: Mapping[int, np.ndarray], straight: np.ndarray) -> _Features:
+    end = chain.bodies[-1]
+    poses.set(straight)
+    hinge = poses.axis(chain_joints(poses.model, chain)[-1])
+    base, tip = poses.anchor(chain.links[0]), poses.of_body(end, tips[end])
+    moved = np.flatnonzero(np.abs(poses.matrix[flexing_joints(poses, chain)]).sum(axis=0))
+    room_up, room_down = poses.high - straight, straight - poses.low
+    bent = straight.copy()
+    for u in moved:
+        bent[u] += 0.5 * room_up[u] if room_up[u] >= room_down[u] else -0.5 * room_down[u]
+    poses.set(bent)
+    after = poses.of_body(end, tips[end])
+    direction = (tip - base) / max(float(np.linalg.norm(tip - base)), 1e-9)
+    # The axis is exact where shapes that stand out to the side move the tip off the finger's plane.
+    bend = np.cross(hinge, direction)
+    bend *= np.sign(bend @ (after - tip)) / max(float(np.linalg.norm(bend)), 1e-9)
+    axis = np.cross(direction, bend)
+    return _Features(base, direction, bend, axis, float(np.linalg.norm(tip - base)), 0.5 * (base + after))
+
+
+def _thumb(model: mujoco.MjModel, chains: list[Chain], features: list[_Features], answers: Answers) -> int:
+    """The chain without which the others bend most alike."""
+    given = answers.thumb or (answers.fingers or {}).get("thumb")
+    if given is not None:
+        return _chain_of(model, chains, given, "--thumb")
+    if len(chains) == 2:
+        return _named_thumb(model, chains)
+
+    def disorder(members: list[int]) -> float:
+        pairs = list(combinations(members, 2))
+        alike = [
+            features[a].axis @ features[b].axis + features[a].direction @ features[b].direction
+            for a, b in pairs
+        ]
+        return 2.0 - float(np.mean(alike))
+
+    scores = [disorder([i for i in range(len(chains)) if i != out]) for out in range(len(chains))]
+    order = np.argsort(scores, kind="stable")
+    if scores[order[1]] - scores[order[0]] < 0.05:
+        return _named_thumb(model, chains)
+    return int(order[0])
+
+
+def _named_thumb(model: mujoco.MjModel, chains: list[Chain]) -> int:
+    """Where geometry does not tell the thumb: the one chain whose names do."""
+    named = [
+        i
+        for i, chain in enumerate(chains)
+        if any(finger_of(body_name(model, b)) == "thumb" for b in chain.bodies)
+    ]
+    if len(named) != 1:
+        raise FungraspError(
+            "the thumb can't be told from the fingers; name a body of it with --thumb BODY: "
+            f"{_ends(model, chains)}"
+        )
+    return named[0]
+
+
+def _names(
+    model: mujoco.MjModel,
+    chains: list[Chain],
+    features: list[_Features],
+    thumb: int,
+    across: np.ndarray,
+    answers: Answers,
+) -> tuple[dict[str, int], str]:
+    """Chain of each finger, and the side. across: to the thumb's side of a right hand, shape [3]."""
+    long = [i for i in range(len(chains)) if i != thumb]
+    bases = np.array([features[i].base @ across for i in long])
+    offset = float(features[thumb].base @ across - bases.mean())
+    leaning = float(features[thumb].middle @ across - bases.mean())
+    length = float(np.mean([features[i].length for i in long]))
+    side = answers.side
+    if side is None:
+        distance = offset if abs(offset) > SIDE_RATIO * length else 0.5 * (offset + leaning)
+        if abs(distance) < 0.5 * SIDE_RATIO * length:
+            raise FungraspError(
+                "the thumb stands in the middle, so that a left hand can't be told from a right one: say "
+                "--side right or --side left"
+            )
+        side = "right" if distance > 0 else "left"
+    if answers.fingers:
+        names = {
+            name: _chain_of(model, chains, body, f"--finger {name}=")
+            for name, body in answers.fingers.items()
+        }
+        return {"thumb": thumb} | names, side
+    if len(long) > 4:
+        raise FungraspError(
+            f"{len(long)} fingers beside the thumb are found; name those that imitate human fingers with "
+            f"--finger index=BODY middle=BODY ...: {_ends(model, chains)}"
+        )
+    order = np.argsort(-bases if side == "right" else bases, kind="stable")
+    return {name: long[i] for name, i in zip(FINGERS, order, strict=False)} | {"thumb": thumb}, side
+
+
+def _chain_of(model: mujoco.MjModel, chains: list[Chain], body: str, option: str) -> int:
+    for i, chain in enumerate(chains):
+        if body in [body_name(model, b) for b in chain.bodies]:
+            return i
+    known = [body_name(model, b) for chain in chains for b in chain.bodies]
+    raise FungraspError(f"{option}: {UnknownNameError('body of a finger', body, known)}")
+
+
+def _ends(model: mujoco.MjModel, chains: list[Chain]) -> str:
+    return listed([body_name(model, chain.bodies[-1]) for chain in chains])
+
+
+def _snapped(vector: np.ndarray, within: float = np.radians(12.0)) -> np.ndarray:
+    """Unit vector; the axis of the frame where that is near."""
+    vector = vector / np.linalg.norm(vector)
+    longest = int(np.argmax(np.abs(vector)))
+    if abs(vector[longest]) > np.cos(within):
+        return np.sign(vector[longest]) * np.eye(3)[longest]
+    return vector

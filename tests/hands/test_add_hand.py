@@ -1,0 +1,231 @@
+"""``hands add``: hands with what foreign models lack or have too much of become hands that pass the check."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+import trimesh
+from hand_references import FOLDER
+from odd_hands import odd_hand
+
+from fungrasp.cli.main import main
+from fungrasp.errors import FungraspError
+from fungrasp.hands import Hand, load_hand
+from fungrasp.hands.adding.add_hand import Answers, add_hand
+from fungrasp.hands.adding.shape_fitting import Box, Capsule, fit_boxes, fit_capsule, mesh_points
+from fungrasp.hands.checking.hand_checks import check_hand_files
+from fungrasp.hands.collision_spheres import self_collision_depth
+
+CASES: dict[str, dict[str, Any]] = {
+    "plain": {},
+    "three fingers": {"fingers": 2},
+    "four fingers": {"fingers": 3},
+    "left": {"left": True},
+    "ball joints": {"ball": True},
+    "arm before the palm": {"arm": True},
+    "palm elsewhere": {"palm_place": 'pos="0.1 0.2 -0.3" euler="0.3 1 2"', "first_sibling": True},
+    "no collision": {"collision": False},
+    "no masses": {"mass": False},
+    "no limits": {"limits": False},
+    "equalities": {"coupled": "equality"},
+    "tendons": {"coupled": "tendon"},
+    "all at once": {
+        "left": True,
+        "arm": True,
+        "collision": False,
+        "mass": False,
+        "coupled": "tendon",
+        "palm_place": 'pos="0.1 0 0" euler="1 0 2"',
+    },
+}
+
+
+def added(folder: Path, text: str, suffix: str = ".xml", **answers: Any) -> tuple[Hand, list[str]]:
+    folder.mkdir(exist_ok=True)
+    (folder / f"odd{suffix}").write_text(text)
+    path, findings = add_hand(folder / f"odd{suffix}", folder / "out", answers=Answers(**answers), force=True)
+    errors = [f.message for f in check_hand_files(path) if f.severity == "error"]
+    assert not errors
+    return load_hand(path), [finding.message for finding in findings]
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_parts_are_found_without_names(tmp_path: Path, case: str):
+    options = CASES[case]
+    hand, _ = added(tmp_path, odd_hand(**{"fingers": 4, **options}))
+    count = options.get("fingers", 4)
+    names = ("index", "middle", "ring", "pinky")[:count]
+    links = {name: (f"{k}1", f"{k}2", f"{k}3") for name, k in zip(names, "abcd", strict=False)}
+    assert {name: finger.links for name, finger in hand.fingers.items()} == {
+        **links,
+        "thumb": ("z1", "z2", "z3"),
+    }
+    assert hand.palm == "p"
+    assert hand.side == ("left" if options.get("left") else "right")
+    np.testing.assert_allclose(hand.palm_fingers, [0, 0, 1], atol=1e-6)
+    np.testing.assert_allclose(hand.palm_normal, [1, 0, 0], atol=1e-6)
+    data = mujoco.MjData(hand.model)
+    mujoco.mj_kinematics(hand.model, data)
+    tip = data.site("index_tip").xpos
+    side = -1.0 if options.get("left") else 1.0
+    np.testing.assert_allclose(tip, [0, 0.035 * side, 0.09 + 0.045 + 0.03 + 0.019], atol=0.01)
+    assert not {"u", "v", "shoulder"} & {hand.model.body(i).name for i in range(hand.model.nbody)}
+    limits = hand.joint_limits
+    assert np.all(np.isfinite(limits)) and np.all(limits[:, 0] < limits[:, 1])
+    assert np.all(hand.model.dof_armature > 0) and np.all(hand.model.dof_damping > 0)
+    assert 0.1 < hand.model.body_mass.sum() < 2.0
+    middle = hand.all_joints(limits[[hand.joint_names.index(j) for j in hand.actuators]].mean(axis=1))
+    assert self_collision_depth(hand.model, middle[None])[0] < 0.005
+
+
+def test_ball_joints_become_three_hinges(tmp_path: Path):
+    hand, messages = added(tmp_path, odd_hand(ball=True))
+    assert {f"a_ball_{letter}" for letter in "xyz"} <= set(hand.joint_names)
+    assert any("ball joint 'a_ball' became three hinges" in message for message in messages)
+
+
+@pytest.mark.parametrize(("coupled", "slope", "constant"), [("equality", 0.8, 0.1), ("tendon", 1.0, 0.0)])
+def test_couplings_are_kept(tmp_path: Path, coupled: str, slope: float, constant: float):
+    hand, _ = added(tmp_path, odd_hand(coupled=coupled))
+    assert "a3_j" not in hand.actuators
+    matrix, offset = hand.coupling
+    row, column = hand.joint_names.index("a3_j"), list(hand.actuators).index("a2_j")
+    assert matrix[row, column] == pytest.approx(slope) and offset[row] == pytest.approx(constant)
+
+
+def test_coupling_by_option(tmp_path: Path):
+    hand, _ = added(tmp_path, odd_hand(), couplings=(("a3_j", 0.9, "a2_j"),))
+    assert "a3_j" not in hand.actuators
+    with pytest.raises(FungraspError, match="--couple: unknown joint"):
+        added(tmp_path, odd_hand(), couplings=(("a3_k", 0.9, "a2_j"),))
+
+
+def test_mirrored_file_gives_the_mirrored_hand(tmp_path: Path):
+    right, _ = added(tmp_path / "r", odd_hand())
+    left, _ = added(tmp_path / "l", odd_hand(left=True))
+    ends = []
+    for hand in (right, left):
+        data = mujoco.MjData(hand.model)
+        mujoco.mj_kinematics(hand.model, data)
+        ends.append(np.array([data.site(f"{name}_tip").xpos for name in hand.fingers]))
+    np.testing.assert_allclose(ends[1], ends[0] * [1, -1, 1], atol=1e-4)
+
+
+def test_same_bytes_and_no_overwriting(tmp_path: Path):
+    file = tmp_path / "odd.xml"
+    file.write_text(odd_hand(collision=False))
+    first, _ = add_hand(file, tmp_path / "a")
+    second, _ = add_hand(file, tmp_path / "b")
+    for name in ("hand.toml", "odd.xml"):
+        assert (first.parent / name).read_bytes() == (second.parent / name).read_bytes()
+    with pytest.raises(FungraspError, match="--force"):
+        add_hand(file, tmp_path / "a")
+    with pytest.raises(FungraspError, match="would be overwritten"):
+        add_hand(file, tmp_path, "odd", force=True)
+
+
+def test_what_cannot_be_decided_is_asked_for(tmp_path: Path):
+    with pytest.raises(FungraspError, match="--thumb BODY"):
+        added(tmp_path, odd_hand(fingers=1))
+    hand, _ = added(tmp_path, odd_hand(fingers=1), thumb="z2", side="right")
+    assert list(hand.fingers) == ["index", "thumb"]
+    with pytest.raises(FungraspError, match="--palm"):
+        added(tmp_path, odd_hand(), palm="q")
+    with pytest.raises(FungraspError, match="--thumb: unknown body"):
+        added(tmp_path, odd_hand(), thumb="zz")
+    hand, _ = added(tmp_path, odd_hand(), fingers={"index": "b1", "middle": "c1", "thumb": "z1"})
+    assert hand.fingers["index"].links[0] == "b1" and len(hand.fingers) == 3
+    hand, _ = added(tmp_path, odd_hand(), normal=(0.0, 0.2, 1.0), side="left")
+    assert hand.side == "left"
+
+
+def test_meshes_are_fitted_and_kept_for_pictures(tmp_path: Path):
+    (tmp_path / "meshes").mkdir()
+    capsule = trimesh.creation.capsule(height=0.03, radius=0.008)
+    capsule.apply_translation([0, 0, 0.02 - capsule.bounds.mean(axis=0)[2]])
+    capsule.export(tmp_path / "meshes" / "link.stl")
+    text = odd_hand(collision=False).replace(
+        "<worldbody>", '<asset><mesh name="link" file="link.stl"/></asset><worldbody>'
+    )
+    text = text.replace("<compiler ", '<compiler meshdir="meshes" ')
+    for body in ("a3", "b3", "c3", "d3", "z3"):
+        text = text.replace(
+            f'<body name="{body}" pos="0 0 0.03">',
+            f'<body name="{body}" pos="0 0 0.03"><geom type="mesh" mesh="link"/>',
+        )
+    hand, messages = added(tmp_path, text)
+    assert any("5 links were fitted" in message for message in messages)
+    geoms = [g for g in range(hand.model.ngeom) if hand.model.geom_bodyid[g] == hand.model.body("a3").id]
+    kinds = {int(hand.model.geom_type[g]): g for g in geoms}
+    assert set(kinds) == {mujoco.mjtGeom.mjGEOM_MESH, mujoco.mjtGeom.mjGEOM_CAPSULE}
+    assert hand.model.geom_size[kinds[mujoco.mjtGeom.mjGEOM_CAPSULE], 0] == pytest.approx(0.008, abs=5e-4)
+    assert hand.model.geom_contype[kinds[mujoco.mjtGeom.mjGEOM_MESH]] == 0
+
+
+def test_urdf_with_mimic_and_package_paths(tmp_path: Path):
+    (tmp_path / "my_hand" / "meshes").mkdir(parents=True)
+    trimesh.creation.box((0.02, 0.09, 0.08)).export(tmp_path / "my_hand" / "meshes" / "palm.stl")
+    (tmp_path / "my_hand" / "urdf").mkdir()
+    mesh = '<mesh filename="package://my_hand/meshes/palm.stl"/>'
+    parts = [f'<link name="p"><visual><geometry>{mesh}</geometry></visual></link>']
+    limit = '<limit lower="0" upper="1.4" effort="0" velocity="1"/>'
+    spots = {"a": (0.035, 0.0), "b": (0.0, 0.0), "c": (-0.035, 0.0), "z": (0.05, -0.06)}
+    for letter, (y, z) in spots.items():
+        for i in (1, 2, 3):
+            parent = "p" if i == 1 else f"{letter}{i - 1}"
+            turned = ' rpy="-0.9 0.4 -1.9"' if letter == "z" and i == 1 else ""
+            place = f"0 {y} {0.05 + z}" if i == 1 else "0 0 0.035"
+            mimic = f'<mimic joint="{letter}2_j" multiplier="1.1"/>' if i == 3 else ""
+            parts.append(
+                f'<link name="{letter}{i}"/><joint name="{letter}{i}_j" type="revolute">'
+                f'<origin xyz="{place}"{turned}/><parent link="{parent}"/><child link="{letter}{i}"/>'
+                f'<axis xyz="0 1 0"/>{limit}{mimic}</joint>'
+            )
+    file = tmp_path / "my_hand" / "urdf" / "hand.urdf"
+    file.write_text(f'<robot name="h">{"".join(parts)}</robot>')
+    path, findings = add_hand(file, tmp_path / "out")
+    hand = load_hand(path)
+    assert not any("no file is found" in finding.message for finding in findings)
+    assert len(hand.actuators) == 8 and len(hand.joint_names) == 12
+    assert hand.fingers["thumb"].links == ("z1", "z2", "z3")
+    assert hand.joint_limits[hand.joint_names.index("a3_j")][1] <= 1.4 + 1e-6
+
+
+def test_command_says_what_it_did_and_what_comes_next(tmp_path: Path, capfd: pytest.CaptureFixture[str]):
+    (tmp_path / "odd.xml").write_text(odd_hand(collision=False))
+    assert main(["hands", "add", str(tmp_path / "odd.xml"), "--out", str(tmp_path / "hand")]) == 0
+    out, err = capfd.readouterr()
+    assert "a right hand, palm 'p'" in out and "hand.toml: 0 errors" in out
+    assert "next: fungrasp retarget --hand" in out and err == ""
+    assert main(["hands", "add", str(tmp_path / "none.xml")]) == 2
+
+
+def test_fitted_capsule_and_boxes():
+    mesh = trimesh.creation.capsule(height=0.05, radius=0.01)
+    points = mesh_points(np.asarray(mesh.vertices), np.asarray(mesh.faces))
+    capsule = fit_capsule(points, np.array([0.3, 0.1, 1.0]))
+    assert np.abs(capsule.distance(points)).max() < 5e-4
+    box = trimesh.creation.box((0.02, 0.06, 0.1))
+    (found,) = fit_boxes(np.asarray(box.vertices), np.asarray(box.faces), np.eye(3))
+    np.testing.assert_allclose(found.half, [0.01, 0.03, 0.05], atol=1e-6)
+    assert Box(np.zeros(3), np.ones(3), np.eye(3)).distance(np.array([[2.0, 0, 0], [0, 0, 0]])).tolist() == [
+        1,
+        -1,
+    ]
+    assert Capsule(np.zeros(3), np.zeros(3), 1.0).distance(np.array([[0.0, 0, 3]])).tolist() == [2]
+
+
+@pytest.mark.skipif(not FOLDER.is_dir(), reason=f"the reference hand models are not in {FOLDER}")
+@pytest.mark.parametrize(
+    "name", ["schunk_svh_right.urdf", "ability_right.urdf", "faive_hand.xml", "leap_right.urdf"]
+)
+def test_reference_hands(tmp_path: Path, name: str):
+    path, findings = add_hand(FOLDER / name, tmp_path / "out", "added")
+    assert not [f.message for f in check_hand_files(path) if f.severity == "error"]
+    hand = load_hand(path)
+    assert hand.side == "right" and len(hand.fingers) == (4 if "leap" in name else 5)
+    assert any("no file is found" in finding.message for finding in findings)
