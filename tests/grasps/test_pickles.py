@@ -15,7 +15,7 @@ import pytest
 
 from fungrasp.errors import FungraspError
 from fungrasp.grasps.importers.dgrasp import import_dgrasp
-from fungrasp.grasps.importers.safe_pickle import load_arrays_pickle
+from fungrasp.formats.pickle_file import load_arrays_pickle
 
 JOBLIB = zlib.decompress(
     base64.b85decode(

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import logging
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import trimesh
 
 from fungrasp.errors import FungraspError
+from fungrasp.formats.mesh_file import read_mesh
 from fungrasp.objects.mesh_repair import SHELL_THICKNESS, consistent_winding, fill_holes, rebuild, unite
 
 MESH_SUFFIXES = (".obj", ".stl", ".ply", ".glb")
@@ -60,19 +60,7 @@ def load_mesh(path: str | Path, *, repair: bool = True) -> tuple[np.ndarray, np.
 
 
 def _read(path: Path) -> trimesh.Trimesh:
-    if not path.is_file():
-        raise FungraspError(f"the mesh file {path} does not exist")
-    try:
-        mesh: Any = trimesh.load(path, force="mesh", process=False)
-        vertices, faces = np.array(mesh.vertices, dtype=float), np.array(mesh.faces)
-    except Exception as error:
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise FungraspError(f"cannot read the mesh {path}: {reason}") from error
-    if len(faces) == 0:
-        raise FungraspError(f"{path}: the mesh has no faces")
-    bad = ~np.isfinite(vertices).all(axis=1)
-    if bad.any():
-        raise FungraspError(f"{path}: vertex {int(np.argmax(bad))} is not finite")
+    vertices, faces = read_mesh(path)
     merged = trimesh.Trimesh(vertices, faces, process=True)
     merged.update_faces(merged.nondegenerate_faces())
     merged.update_faces(merged.unique_faces())

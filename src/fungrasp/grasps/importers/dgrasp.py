@@ -19,8 +19,9 @@ from typing import Any
 import numpy as np
 
 from fungrasp.errors import FungraspError
+from fungrasp.formats.guarded import guarded
+from fungrasp.formats.pickle_file import load_arrays_pickle
 from fungrasp.grasps.human_grasp import HumanGraspSet
-from fungrasp.grasps.importers.safe_pickle import load_arrays_pickle
 from fungrasp.grasps.importers.ycb import YCB_NAMES
 
 TABLE_HEIGHT = 0.5
@@ -30,6 +31,7 @@ _SIZES = {"final_ee": 63, "final_contacts": 16, "final_obj_pos": 7, "obj_pose_re
 _NEEDED = ("final_ee", "final_contacts", "final_obj_pos", "obj_pose_reset", "obj_w_stacked")
 
 
+@guarded("label pickle")
 def import_dgrasp(path: str | Path, table_height: float = TABLE_HEIGHT) -> HumanGraspSet:
     """Read a label pickle. It may hold arrays only; nothing in it is run.
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,8 @@ import numpy as np
 
 from fungrasp.errors import FungraspError, UnknownNameError
 from fungrasp.files import atomic_path
+from fungrasp.formats.guarded import guarded
+from fungrasp.formats.toml_file import read_toml, type_faults
 from fungrasp.hands.checking.body_checks import check_masses, check_palm, check_shapes, check_size
 from fungrasp.hands.checking.finding import Finding, HandParts, error, listed, note, warning
 from fungrasp.hands.checking.finger_checks import check_fingers, check_palm_frame
@@ -19,6 +20,7 @@ from fungrasp.hands.checking.joint_checks import check_actuators, check_coupling
 from fungrasp.hands.checking.model_source import ModelSource, read_source
 from fungrasp.hands.checking.toml_draft import guess_parts, suggested_toml, with_tips
 from fungrasp.hands.hand import FINGERS, read_hand_toml
+from fungrasp.hands.hand_toml_schema import HAND_TOML
 from fungrasp.hands.self_contained_mjcf import self_contained_xml
 
 __all__ = ["Finding", "check_hand_files", "write_skeleton"]
@@ -26,6 +28,7 @@ __all__ = ["Finding", "check_hand_files", "write_skeleton"]
 MODEL_SUFFIXES = (".urdf", ".xml", ".mjcf", ".xacro")
 
 
+@guarded("hand")
 def check_hand_files(path: str | Path) -> list[Finding]:
     """Everything found wrong with a hand, the worst first.
 
@@ -52,6 +55,7 @@ def check_hand_files(path: str | Path) -> list[Finding]:
     return sorted(dict.fromkeys(findings), key=lambda finding: order.index(finding.severity))
 
 
+@guarded("hand's model")
 def write_skeleton(path: str | Path, folder: str | Path) -> tuple[Path, Path]:
     """Write a hand folder to start from: the model as one MJCF with tip sites, and a guessed TOML.
 
@@ -113,11 +117,12 @@ def _check_bare(path: Path) -> list[Finding]:
 def _check_toml(path: Path) -> list[Finding]:
     findings: list[Finding] = []
     try:
-        data = tomllib.loads(path.read_text())
-    except (OSError, UnicodeDecodeError) as problem:
-        return [error(f"cannot read {path}: {getattr(problem, 'strerror', None) or problem}")]
-    except tomllib.TOMLDecodeError as problem:
-        return [error(f"{path} is not valid TOML: {problem}")]
+        data = read_toml(path, "hand file")
+    except FungraspError as problem:
+        return [error(str(problem))]
+    faults = [error(f"{path}: {fault}") for fault in type_faults(data, HAND_TOML)]
+    if faults:
+        return faults
     findings += [error(f"{path}: the field '{key}' is missing") for key in _REQUIRED if key not in data]
     for key, kind in (("name", str), ("model", str), ("palm", str), ("actuators", Mapping)):
         if key in data and not isinstance(data[key], kind):

@@ -6,6 +6,7 @@ import logging
 from pathlib import Path
 
 from fungrasp.errors import FungraspError
+from fungrasp.formats.guarded import guarded
 from fungrasp.perception.adapters.hand_fields import read_fields
 from fungrasp.perception.adapters.hand_file import hands_of
 from fungrasp.perception.adapters.placing import place_hand
@@ -16,6 +17,7 @@ from fungrasp.perception.io.capture import Capture
 _log = logging.getLogger(__name__)
 
 
+@guarded("hand file")
 def read_hand(
     path: str | Path,
     capture: Capture,

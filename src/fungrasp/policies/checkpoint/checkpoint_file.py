@@ -18,10 +18,11 @@ from xml.etree import ElementTree
 
 from fungrasp.errors import FungraspError, UnknownNameError
 from fungrasp.files import atomic_path
+from fungrasp.formats.file_bytes import read_bytes
+from fungrasp.formats.onnx_file import LARGEST, check_harmless, metadata_entries, try_network, with_metadata
 from fungrasp.hands import Hand
 from fungrasp.policies.checkpoint.card import PolicyCard, card_from_text, card_text
 from fungrasp.policies.checkpoint.network import PolicyNetwork
-from fungrasp.policies.checkpoint.onnx_metadata import check_harmless, metadata_entries, with_metadata
 
 FOLDER = Path(__file__).parent / "weights"
 """Policies that come with the package, ``<name>.onnx``."""
@@ -221,15 +222,13 @@ def _path(path_or_name: str | Path) -> Path:
 
 
 def _read(path: Path) -> bytes:
-    try:
-        return path.read_bytes()
-    except OSError as error:
-        raise FungraspError(f"cannot read the policy {path}: {error.strerror or error}") from error
+    return read_bytes(path, "policy", LARGEST)
 
 
 def _network(data: bytes, threads: int) -> PolicyNetwork:
     card = _card(data)
     check_harmless(data)
+    try_network(data)
     return PolicyNetwork(data, card, threads)
 
 

@@ -7,16 +7,40 @@ the fields are those of the public schema, onnx.proto.
 
 from __future__ import annotations
 
+import hashlib
+import tempfile
 from collections.abc import Iterator
 from typing import NamedTuple
 
 from fungrasp.errors import FungraspError
+from fungrasp.formats.file_bytes import one_line
+from fungrasp.formats.sandbox import run_limited
 
 VARINT, FIXED64, BYTES, FIXED32 = 0, 1, 2, 5
 METADATA = 14
 """Of a model: one key with its value."""
 GRAPH, FUNCTION = 7, 25
 DEFAULT_DOMAINS = ("", "ai.onnx")
+
+LARGEST = 200_000_000
+"""Bytes of the largest model that is run."""
+
+MOST_MESSAGES = 20_000
+"""Most nodes, attributes and tensors of a model together."""
+
+OPERATORS = frozenset(
+    """
+    Abs Add And ArgMax ArgMin Cast Ceil Clip Concat Constant ConstantOfShape Cos Div Elu Equal Erf Exp Expand
+    Flatten Floor GRU Gather Gelu Gemm Greater GreaterOrEqual HardSigmoid HardSwish Identity LSTM
+    LayerNormalization LeakyRelu Less LessOrEqual Log LogSoftmax MatMul Max Mean Min Mish Mul Neg Not Or Pow
+    RNN Reciprocal ReduceMax ReduceMean ReduceMin ReduceSum Relu Reshape Round Selu Shape Sigmoid Sign Sin 
+    Slice Softmax Softplus Softsign Split Sqrt Squeeze Sub Sum Swish Tan Tanh Transpose Unsqueeze Where
+    """.split()  # noqa: SIM905
+)
+"""What a network that is run may be made of: no loops, no branches, no random numbers."""
+
+_tried: set[bytes] = set()
+"""Digests of the models that ``try_network`` has run."""
 
 CHILDREN: dict[str, dict[int, str]] = {
     "model": {GRAPH: "graph"},
@@ -115,16 +139,22 @@ def with_metadata(data: bytes, key: str, value: bytes) -> bytes:
 
 
 def check_harmless(data: bytes) -> None:
-    """Refuse a model that needs code or files other than itself.
+    """Refuse a model that is more than a network: the operators must be of ``OPERATORS``, so it has no loops.
 
     Raises:
-        FungraspError: these bytes are no ONNX model, it has functions or operators outside the default ONNX
-            domain, or tensors that lie in another file; the message names the first.
+        FungraspError: these bytes are no ONNX model, it has functions, other operators, operators outside the
+            default ONNX domain, too many of them, or tensors that lie in another file or declare other sizes
+            than they have; the message names the first.
     """
+    if len(data) > LARGEST:
+        raise FungraspError(f"it has {len(data) / 1e6:,.0f} MB; at most {LARGEST / 1e6:,.0f} are run")
     waiting = [("model", 0, len(data))]
-    graphs = 0
+    graphs = messages = 0
     while waiting:
         message, start, end = waiting.pop()
+        messages += 1
+        if messages > MOST_MESSAGES:
+            raise FungraspError(f"the model has more than {MOST_MESSAGES} nodes, attributes and tensors")
         fields = list(message_fields(data, start, end))
         if message == "node":
             _check_node(data, fields)
@@ -141,6 +171,25 @@ def check_harmless(data: bytes) -> None:
         ]
     if not graphs:
         raise FungraspError("not an ONNX file: it has no graph")
+    if graphs > 1:
+        raise FungraspError("the model has graphs inside its graph: loops or branches, which are not run")
+
+
+def try_network(data: bytes) -> None:
+    """Run a model once, in a child process with limits, for two worlds: what it computes between its weights
+    and its outputs may be large, however small the file.
+
+    Raises:
+        FungraspError: it can't be run in the time and memory there is.
+    """
+    name = hashlib.sha256(data).digest()
+    if name in _tried:
+        return
+    with tempfile.NamedTemporaryFile(suffix=".onnx") as file:
+        file.write(data)
+        file.flush()
+        run_limited("network", file.name, "network", len(data))
+    _tried.add(name)
 
 
 def _check_node(data: bytes, fields: list[Field]) -> None:
@@ -150,6 +199,11 @@ def _check_node(data: bytes, fields: list[Field]) -> None:
             operator = next((_text(data, other) for other in fields if other.number == OPERATOR), "")
             raise FungraspError(
                 f"the operator '{operator}' is of the domain '{domain}'; only standard ONNX operators are run"
+            )
+        if field.number == OPERATOR and _text(data, field) not in OPERATORS:
+            raise FungraspError(
+                f"the operator '{one_line(_text(data, field), 40)}' is not one of those of a policy: "
+                f"{', '.join(sorted(OPERATORS))}"
             )
 
 
