@@ -46,5 +46,7 @@ def read_image(path: str | Path, what: str) -> Image.Image:
         raise
     except Exception as error:
         # Pillow's decoders raise almost any exception on damaged files.
-        raise FungraspError(f"{where} can't be read: {one_line(error)}") from error
+        raise FungraspError(
+            f"{where} can't be read, it is damaged or cut short: {one_line(error)}"
+        ) from error
     return image

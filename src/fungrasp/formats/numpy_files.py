@@ -77,7 +77,7 @@ def read_npz(
     except OSError as error:
         raise cannot_read(path, error) from error
     except zipfile.BadZipFile as error:
-        raise FungraspError(f"{where} is not an .npz file, or is cut short: {one_line(error)}") from error
+        raise FungraspError(f"{where} can't be read: not an .npz file, or one that is cut short") from error
     except Exception as error:
         # A damaged archive makes zipfile and zlib raise almost any exception.
         raise FungraspError(f"{where} can't be read: {one_line(error)}") from error
@@ -145,7 +145,7 @@ def _header(stream: IO[bytes], where: str) -> tuple[tuple[int, ...], bool, np.dt
         shape, fortran, dtype = read(stream, max_header_size=LONGEST_HEADER)
     except Exception as error:
         # Python's own parser reads the header, which can raise almost any exception.
-        raise FungraspError(f"{where} is no array of NumPy: {one_line(error)}") from error
+        raise FungraspError(f"{where} can't be read: no array of NumPy, or a damaged one") from error
     if dtype.kind not in "biufSU" or dtype.subdtype is not None:
         raise FungraspError(f"{where} holds {one_line(dtype, 60)}; only numbers, flags and text are read")
     if len(shape) > MOST_AXES or any(type(size) is not int or not 0 <= size < 2**40 for size in shape):

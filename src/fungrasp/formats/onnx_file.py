@@ -33,7 +33,7 @@ OPERATORS = frozenset(
     Abs Add And ArgMax ArgMin Cast Ceil Clip Concat Constant ConstantOfShape Cos Div Elu Equal Erf Exp Expand
     Flatten Floor GRU Gather Gelu Gemm Greater GreaterOrEqual HardSigmoid HardSwish Identity LSTM
     LayerNormalization LeakyRelu Less LessOrEqual Log LogSoftmax MatMul Max Mean Min Mish Mul Neg Not Or Pow
-    RNN Reciprocal ReduceMax ReduceMean ReduceMin ReduceSum Relu Reshape Round Selu Shape Sigmoid Sign Sin 
+    RNN Reciprocal ReduceMax ReduceMean ReduceMin ReduceSum Relu Reshape Round Selu Shape Sigmoid Sign Sin
     Slice Softmax Softplus Softsign Split Sqrt Squeeze Sub Sum Swish Tan Tanh Transpose Unsqueeze Where
     """.split()  # noqa: SIM905
 )
@@ -201,9 +201,9 @@ def _check_node(data: bytes, fields: list[Field]) -> None:
                 f"the operator '{operator}' is of the domain '{domain}'; only standard ONNX operators are run"
             )
         if field.number == OPERATOR and _text(data, field) not in OPERATORS:
+            operator = one_line(_text(data, field), 40)
             raise FungraspError(
-                f"the operator '{one_line(_text(data, field), 40)}' is not one of those of a policy: "
-                f"{', '.join(sorted(OPERATORS))}"
+                f"the operator '{operator}' is none of the arithmetic, layers and recurrent cells that are run"
             )
 
 

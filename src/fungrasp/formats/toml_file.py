@@ -17,7 +17,7 @@ Schema = type | tuple[type, ...] | list[Any] | Mapping[str, Any]
 """Types that a value may have; ``[schema]``: a list of such values; a mapping: a table whose keys, if they
 are there, have such values, where the key "*" stands for all others."""
 
-_WORDS = {str: "text", float: "a number", int: "a whole number", bool: "true or false"}
+_WORDS = {str: "a text", float: "a number", int: "a whole number", bool: "true or false"}
 
 
 def read_toml(path: str | Path, what: str) -> dict[str, Any]:
@@ -42,7 +42,7 @@ def read_toml(path: str | Path, what: str) -> dict[str, Any]:
 
 
 def type_faults(value: Any, schema: Schema, name: str = "") -> Iterator[str]:
-    """What has another type than the schema says, one phrase each: "'palm' must be text, not 3"."""
+    """What has another type than the schema says, one phrase each: "'palm' must be a text, not 3"."""
     if isinstance(schema, Mapping):
         if not isinstance(value, Mapping):
             yield f"'{name}' must be a table, not {one_line(repr(value), 60)}"

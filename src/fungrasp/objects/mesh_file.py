@@ -10,7 +10,7 @@ import trimesh
 
 from fungrasp.errors import FungraspError
 from fungrasp.formats.mesh_file import read_mesh
-from fungrasp.objects.mesh_repair import SHELL_THICKNESS, consistent_winding, fill_holes, rebuild, unite
+from fungrasp.objects.mesh_repair import consistent_winding, fill_holes, rebuild, simplify, unite
 
 MESH_SUFFIXES = (".obj", ".stl", ".ply", ".glb")
 """File types looked up by an object's name, in this order."""
@@ -20,6 +20,15 @@ TABLE_SIDE = 1.5
 
 SHORTEST_OBJECT = 1e-3
 """Length of the shortest object [m]."""
+
+MOST_FACES = 100_000
+"""A mesh with more faces is simplified."""
+
+THINNEST = 1e-6
+"""A closed surface whose volume divided by its area is less [m] is loose triangles, each closed by itself."""
+
+MOST_LAYERS = 40.0
+"""An open surface of more than so many times the area of its bounding box is none of an object."""
 
 WIDEST_HOLE = 0.5
 """Widest hole that is filled, as a part of the object's longest side."""
@@ -50,6 +59,14 @@ def load_mesh(path: str | Path, *, repair: bool = True) -> tuple[np.ndarray, np.
         if not repair:
             raise FungraspError(f"{path}: the surface is not closed, or its faces don't all point outwards")
         mesh = _mend(path, mesh, repairs)
+    if len(mesh.faces) > MOST_FACES:
+        before = len(mesh.faces)
+        mesh, moved = simplify(mesh, MOST_FACES)
+        if len(mesh.faces) > 2 * MOST_FACES:
+            raise FungraspError(f"{path}: {before:,} faces that can't be made fewer: simplify the mesh first")
+        repairs.append(
+            f"simplified from {before:,} to {len(mesh.faces):,} faces, at most {moved * 1000:g} mm off"
+        )
     united = unite(mesh) if repair else None
     if united is not None:
         mesh = united
@@ -93,13 +110,19 @@ def _mend(path: Path, mesh: trimesh.Trimesh, repairs: list[str]) -> trimesh.Trim
         mesh, closed = fill_holes(mesh, WIDEST_HOLE * float(np.max(mesh.extents)))
         if closed:
             repairs.append(f"filled {closed} hole{'s' * (closed > 1)}")
-    if not _closed(mesh):
+    if not _closed(mesh) or abs(mesh.volume) < THINNEST * mesh.area:
+        size = mesh.extents
+        if mesh.area > MOST_LAYERS * 2 * (size[0] * size[1] + size[1] * size[2] + size[2] * size[0]):
+            length = float(np.max(size)) * 100
+            raise FungraspError(
+                f"{path}: loose triangles of {mesh.area:.3g} m2 within {length:.0f} cm are no surface"
+            )
         rebuilt = rebuild(mesh)
         if rebuilt is None:
             raise FungraspError(f"{path}: the surface is not closed and can't be mended")
-        mesh = rebuilt
+        mesh, thickness = rebuilt
         repairs[:] = [
-            f"rebuilt the open surface as a shell {SHELL_THICKNESS * 1000:g} mm thick, closed cavities filled"
+            f"rebuilt the open surface as a shell {thickness * 1000:.3g} mm thick, closed cavities filled"
         ]
     if mesh.volume < 0:
         mesh.invert()

@@ -207,7 +207,7 @@ def test_files_that_are_none(tmp_path, capture):
         read_hand(tmp_path / "missing.npz", capture)
     for name, content, words in (
         ("cut.npz", b"PK\x03\x04cut short", "can't be read"),
-        ("cut.json", b'{"version": 1, ', "can't be read"),
+        ("cut.json", b'{"version": 1, ', "not valid JSON"),
         ("list.json", b"[[0, 0, 0]]", "has named fields"),
         ("hand.pkl", b"", "a pickle can run anything"),
         ("h_3dkeypoints.npy", b"", "does not tell which hand"),
