@@ -203,7 +203,7 @@ def _check_node(data: bytes, fields: list[Field]) -> None:
         if field.number == OPERATOR and _text(data, field) not in OPERATORS:
             operator = one_line(_text(data, field), 40)
             raise FungraspError(
-                f"the operator '{operator}' is none of the arithmetic, layers and recurrent cells that are run"
+                f"the operator '{operator}' is none of the arithmetic, layers and cells that are run"
             )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TypeVar
@@ -13,6 +14,7 @@ from fungrasp.files import atomic_path
 from fungrasp.formats.file_bytes import one_line
 from fungrasp.formats.guarded import guarded
 from fungrasp.formats.numpy_files import npz_names, read_npz
+from fungrasp.grasps.diagnosis import hand_remarks, refuse_or_list, table_remarks
 from fungrasp.grasps.grasp_set import GraspSet
 from fungrasp.grasps.human_grasp import HumanGraspSet
 from fungrasp.grasps.robot_grasp import RobotGraspSet
@@ -30,6 +32,8 @@ EXTRA = "extra/"
 
 _KNOWN = {"version", "hand", "joint_names", *HumanGraspSet.FIELDS, *RobotGraspSet.FIELDS}
 """Names of all fields but the further numbers."""
+
+_log = logging.getLogger(__name__)
 
 Set = TypeVar("Set", bound=GraspSet[Any])
 
@@ -105,7 +109,31 @@ def _human(path: Path, arrays: Mapping[str, np.ndarray]) -> HumanGraspSet:
         raise FungraspError(
             f"{path} holds robot grasps (of the hand '{arrays['hand']}'), human grasps are needed here"
         )
+    joints = arrays.get("hand_joints", np.zeros(0))
+    readable = joints.ndim == 3 and joints.shape[1:] == (21, 3) and joints.dtype.kind == "f"
+    if readable and path != BUILTIN_PATH and np.isfinite(joints).all():
+        joints = joints.astype(np.float64)
+        for remark in refuse_or_list(hand_remarks(joints) + table_remarks(joints), len(joints), str(path)):
+            _log.warning("%s: %s", path, remark)
     return _build(path, HumanGraspSet, arrays, {})
+
+
+def read_fields(path: str | Path) -> dict[str, np.ndarray]:
+    """The fields of a grasp file by name, as they are: neither checked nor complete.
+
+    Raises:
+        FungraspError: no such file, or none that can be read.
+    """
+    return _read(path)
+
+
+def human_grasps_from_fields(arrays: Mapping[str, np.ndarray], where: str) -> HumanGraspSet:
+    """Human grasps from their fields; where: begins the messages.
+
+    Raises:
+        FungraspError: bad content; names field, shapes and row.
+    """
+    return _build(Path(where), HumanGraspSet, arrays, {})
 
 
 def _robot(path: Path, arrays: Mapping[str, np.ndarray]) -> RobotGraspSet:

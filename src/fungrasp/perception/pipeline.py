@@ -16,8 +16,8 @@ import trimesh
 from fungrasp.errors import FungraspError
 from fungrasp.geometry.poses import transform_points
 from fungrasp.grasps import HumanGrasp
+from fungrasp.grasps.conversion import MIRRORED
 from fungrasp.grasps.human_hand import mirror_points, mirror_pose
-from fungrasp.grasps.importers.dexycb import MIRRORED
 from fungrasp.objects import ObjectModel
 from fungrasp.perception.estimates import HandEstimate, ObjectEstimate, Side
 from fungrasp.perception.hand.contact_flags import touching_links

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from fungrasp.grasps import HUMAN_LINKS
+from fungrasp.grasps.conversion import MIRRORED
 from fungrasp.grasps.human_hand import HUMAN_FINGERS
-from fungrasp.grasps.importers.dexycb import MIRRORED
 from fungrasp.objects import ObjectModel
 from fungrasp.perception import Capture
 from fungrasp.perception.object_pose.confidence import ACCEPT

@@ -17,7 +17,7 @@ from recorded import (
 from fungrasp.errors import FungraspError
 from fungrasp.grasps import HUMAN_JOINTS
 from fungrasp.perception.adapters import read_hand, read_hands
-from fungrasp.perception.adapters.joint_orders import MANO, OPENPOSE
+from fungrasp.grasps.joint_orders import MANO, OPENPOSE
 from fungrasp.perception.adapters.placing import _common_factor
 
 JOINTS = true_hand()

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from fungrasp.errors import FungraspError
 from fungrasp.perception.adapters import read_hand
-from fungrasp.perception.adapters.joint_orders import MANO, TIP_VERTICES
+from fungrasp.grasps.joint_orders import MANO, TIP_VERTICES
 from fungrasp.perception.adapters.mano_model import rotation_vectors
 
 JOINTS = true_hand()

@@ -14,6 +14,7 @@ import numpy as np
 
 from fungrasp.errors import FungraspError
 from fungrasp.files import atomic_path
+from fungrasp.grasps.conversion import MIRRORED
 from fungrasp.grasps.human_grasp import HumanGraspSet
 from fungrasp.grasps.human_hand import mirror_points, mirror_pose
 from fungrasp.grasps.importers.contacts import TRACKED_CONTACT_GAP, link_contacts, surface_contacts
@@ -26,9 +27,6 @@ from fungrasp.grasps.importers.dexycb_folder import (
 )
 from fungrasp.grasps.importers.mano import ManoHand
 from fungrasp.grasps.importers.ycb import YCB_MASSES, YCB_NAMES
-
-MIRRORED = "_mirrored"
-"""Ending of the names of objects in mirrored grasps: their meshes must be mirrored too."""
 
 MISFIT = 0.005
 """Largest distance between the wrist of the labels and that of the MANO model [m]."""

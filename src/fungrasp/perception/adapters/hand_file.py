@@ -16,8 +16,8 @@ from fungrasp.errors import FungraspError
 from fungrasp.formats.guarded import guarded
 from fungrasp.grasps.anatomy import ADULT_BONES, joint_bends
 from fungrasp.grasps.human_hand import bone_lengths
+from fungrasp.grasps.joint_orders import joint_order
 from fungrasp.perception.adapters.hand_fields import HandFields, read_fields
-from fungrasp.perception.adapters.joint_orders import joint_order
 from fungrasp.perception.adapters.mano_model import ManoJoints
 from fungrasp.perception.estimates import Side
 from fungrasp.perception.hand.detection import DetectedHand
