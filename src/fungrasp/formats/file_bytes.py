@@ -11,7 +11,7 @@ from fungrasp.errors import FungraspError
 DEEPEST = 32
 """Most containers inside each other in JSON, TOML and YAML."""
 
-MOST_NODES = 4_000_000
+MOST_NODES = 2_000_000
 """Most values in JSON, TOML and YAML; a value referred to twice counts twice."""
 
 LARGEST_INTEGER = 2**63 - 1

@@ -97,7 +97,10 @@ class Hand:
     @cached_property
     def model(self) -> mujoco.MjModel:
         """The compiled bare hand, for names and limits; do not change it."""
-        return self.spec().compile()
+        try:
+            return self.spec().compile()
+        except ValueError as error:
+            raise FungraspError(f"hand '{self.name}' does not compile: {_one_line(error)}") from error
 
     @property
     def joint_names(self) -> tuple[str, ...]:

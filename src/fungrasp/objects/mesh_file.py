@@ -27,7 +27,7 @@ MOST_FACES = 100_000
 THINNEST = 1e-6
 """A closed surface whose volume divided by its area is less [m] is loose triangles, each closed by itself."""
 
-MOST_LAYERS = 40.0
+MOST_LAYERS = 10.0
 """An open surface of more than so many times the area of its bounding box is none of an object."""
 
 WIDEST_HOLE = 0.5

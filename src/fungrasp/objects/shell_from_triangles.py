@@ -11,10 +11,10 @@ from scipy.spatial import KDTree
 
 from fungrasp.geometry.signed_distance import points_on_triangles
 
-MOST_CORNERS = 6_000_000
+MOST_CORNERS = 4_000_000
 """Most corners of the grid."""
 
-MOST_CELLS = 300_000
+MOST_CELLS = 100_000
 """About how many cells of the grid the triangles pass through at most."""
 
 MOST_SAMPLES = 3_000_000
@@ -44,15 +44,15 @@ def shell_from_triangles(triangles: np.ndarray, thickness: float) -> tuple[np.nd
     """
     low, high = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
     area = 0.5 * np.linalg.norm(np.cross(*np.moveaxis(np.diff(triangles, axis=1), 1, 0)), axis=1).sum()
-    spacing = max(thickness / 3, float(np.sqrt(area / MOST_CELLS)))
-    thickness = 3 * spacing
+    spacing = max(thickness / 2, float(np.sqrt(area / MOST_CELLS)))
+    thickness = 2 * spacing
     for _ in range(100):
         border = 3 * spacing + thickness / 2
         shape = np.ceil((high - low + 2 * border) / spacing).astype(int) + 1
         if np.prod(shape, dtype=float) <= MOST_CORNERS:
             break
         spacing *= 1.05
-        thickness = 3 * spacing
+        thickness = 2 * spacing
     origin = low - border
     gap = max(spacing / 2, float(np.sqrt(area / MOST_SAMPLES)))
     points = points_on_triangles(triangles, gap)[0]

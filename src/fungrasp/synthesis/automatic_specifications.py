@@ -6,16 +6,17 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import trimesh
+from scipy import ndimage
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
 from fungrasp.errors import FungraspError
 from fungrasp.formats.json_file import read_json
-from fungrasp.geometry import SignedDistanceBank
 from fungrasp.objects import ObjectModel
 from fungrasp.objects.resting_pose import settled_up
 from fungrasp.synthesis.grasp_specification import WHOLE, GraspSpecification, Vector3
@@ -24,7 +25,7 @@ WIDEST_WRAP, WIDEST_SPAN = 0.085, 0.10
 """A hand reaches around objects, and spans objects between thumb and fingers, that are no wider [m]."""
 
 THIN = 0.016
-"""A part is thin where spheres inside it have no larger radius [m]."""
+"""A part is thin where balls inside it have no larger radius [m]."""
 
 SHORTEST_PART = 0.03
 """Length of the shortest thin part that is held [m]."""
@@ -55,7 +56,7 @@ def automatic_specifications(model: ObjectModel) -> list[GraspSpecification]:
             on_part = np.asarray(trimesh.sample.sample_surface(part, SAMPLES // 3, seed=0)[0])
             specs += _part(model.name, name, on_part, points, up)
     else:
-        for cluster in _thin_clusters(model, points):
+        for cluster in _thin_clusters(model, points, up):
             specs += _part(model.name, WHOLE, cluster, points, up)
     return [replace(spec, up=_vector(up)) for spec in specs]
 
@@ -86,7 +87,7 @@ def parts_from_boxes(model: ObjectModel, path: str | Path) -> ObjectModel:
 def _whole(name: str, points: np.ndarray, up: np.ndarray) -> list[GraspSpecification]:
     """From the sides, and from above."""
     long, short = _horizontal_axes(points, up)
-    across = {id(axis): float(np.ptp(points @ axis)) for axis in (long, short)}
+    length, width = (float(np.ptp(points @ axis)) for axis in (long, short))
     middle, height = _center(points), float(np.ptp(points @ up))
     top = middle + up * (float((points @ up).max()) - middle @ up)
     specs = []
@@ -96,17 +97,22 @@ def _whole(name: str, points: np.ndarray, up: np.ndarray) -> list[GraspSpecifica
             GraspSpecification(name, task, WHOLE, kind, _vector(at), _vector(palm), _vector(fingers))
         )
 
-    round_ = across[id(long)] < 1.25 * across[id(short)]
-    if across[id(short)] <= WIDEST_WRAP and height >= 0.05:
+    round_ = length < 1.25 * width
+    if width <= WIDEST_WRAP and height >= 0.05:
         for palm in (short, -short, *((long, -long) if round_ else ())):
             add("hold", "wrap", middle, palm, np.cross(palm, up))
-    if across[id(short)] <= WIDEST_SPAN:
+    if width <= WIDEST_SPAN:
         for sign in (1, -1):
-            kind = "disk" if round_ and across[id(short)] > 0.045 else "prism"
+            kind = "disk" if round_ and width > 0.045 else "prism"
             add("lift", kind, top - 0.25 * min(height, 0.06) * up, -up, sign * short)
-    if max(across.values()) <= WIDEST_SPAN and height <= WIDEST_SPAN:
+    if length <= WIDEST_SPAN and height <= WIDEST_SPAN:
         add("lift", "cover", top, -up, long)
-    if across[id(short)] <= 0.06:
+    if width > WIDEST_SPAN:
+        # Too wide to span: pinch what may be a wall or an edge, from above.
+        for outward in (long, -long, short, -short):
+            edge = top + outward * float(((points - middle) @ outward).max())
+            add("lift", "pinch", edge - 0.01 * up, -up, outward)
+    if width <= 0.06:
         for sign in (1, -1):
             add("lift", "pinch", top - 0.2 * min(height, 0.06) * up, -up, sign * short)
     return specs
@@ -142,15 +148,24 @@ def _part(
     ]
 
 
-def _thin_clusters(model: ObjectModel, points: np.ndarray, most: int = 3) -> list[np.ndarray]:
-    """Surface samples of the largest thin parts, [m], shape [P, 3] each."""
-    bank = SignedDistanceBank([model.signed_distance])
-    zero = np.zeros(1, dtype=int)
-    inward = -bank.query(zero, points[None])[1][0]
-    inward /= np.maximum(np.linalg.norm(inward, axis=1, keepdims=True), 1e-9)
-    depths = np.linspace(0.0, 2 * THIN, 17)
-    inside = -np.stack([bank.query(zero, (points + d * inward)[None])[0][0] for d in depths])
-    thin = points[inside.max(axis=0) < THIN]
+def _thin_clusters(model: ObjectModel, points: np.ndarray, up: np.ndarray, most: int = 3) -> list[np.ndarray]:
+    """Surface samples of the largest thin parts, [m], shape [P, 3] each.
+
+    Thin is what stands out from all that a ball of radius ``THIN`` reaches inside the object, its horizontal
+    sections filled.
+    """
+    grid = model.signed_distance
+    # A mug is as thick as it looks from the side.
+    sections = np.moveaxis(grid.values < 0, int(np.argmax(np.abs(up))), 0)
+    filled = np.stack([ndimage.binary_fill_holes(section) for section in sections])
+    core = _distance(filled) * grid.spacing > THIN
+    if core.any():
+        reached = _distance(~core) * grid.spacing <= THIN
+        # Edges and corners of a thick body lie within (sqrt(3) - 1) radii of what the ball reaches.
+        filled &= _distance(~reached) * grid.spacing > 0.75 * THIN
+    filled = np.moveaxis(ndimage.binary_dilation(filled), 0, int(np.argmax(np.abs(up))))
+    cells = np.round((points - grid.origin) / grid.spacing).astype(int)
+    thin = points[filled[tuple(cells.T)]]
     if len(thin) < 20:
         return []
     pairs = KDTree(thin).query_pairs(JOIN, output_type="ndarray")
@@ -158,6 +173,12 @@ def _thin_clusters(model: ObjectModel, points: np.ndarray, most: int = 3) -> lis
     label = connected_components(graph, directed=False)[1]
     clusters = sorted((thin[label == number] for number in np.unique(label)), key=len, reverse=True)
     return [c for c in clusters if len(c) >= 20 and np.ptp(c, axis=0).max() >= SHORTEST_PART][:most]
+
+
+def _distance(inside: np.ndarray) -> np.ndarray:
+    """Distance of each cell to the nearest that is not inside, in cells."""
+    transformed: Any = ndimage.distance_transform_edt(inside)
+    return transformed
 
 
 def _horizontal_axes(points: np.ndarray, up: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
