@@ -203,7 +203,7 @@ def spoil_label(root: Path, **fields: np.ndarray) -> None:
         ),
         (
             lambda root: (root / "models/003_cracker_box/textured_simple.obj").unlink(),
-            "needed to find contacts",
+            r"textured_simple\.obj does not exist",
         ),
     ],
 )

@@ -31,7 +31,10 @@ def read_yaml(path: Path) -> Mapping[str, Any]:
     class Loader(yaml.SafeLoader):
         """Plain data and tuples."""
 
-    Loader.add_constructor(TUPLE, lambda loader, node: loader.construct_sequence(node, deep=True))
+    def construct_list(loader: Any, node: Any) -> list[Any]:
+        return loader.construct_sequence(node, deep=True)
+
+    Loader.add_constructor(TUPLE, construct_list)
     text = read_text(path, "file", LARGEST)
     try:
         content = yaml.load(text, Loader)

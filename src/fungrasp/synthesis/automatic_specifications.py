@@ -157,13 +157,13 @@ def _thin_clusters(model: ObjectModel, points: np.ndarray, up: np.ndarray, most:
     grid = model.signed_distance
     # A mug is as thick as it looks from the side.
     sections = np.moveaxis(grid.values < 0, int(np.argmax(np.abs(up))), 0)
-    filled = np.stack([ndimage.binary_fill_holes(section) for section in sections])
+    filled = np.stack([np.asarray(ndimage.binary_fill_holes(section)) for section in sections])
     core = _distance(filled) * grid.spacing > THIN
     if core.any():
         reached = _distance(~core) * grid.spacing <= THIN
         # Edges and corners of a thick body lie within (sqrt(3) - 1) radii of what the ball reaches.
         filled &= _distance(~reached) * grid.spacing > 0.75 * THIN
-    filled = np.moveaxis(ndimage.binary_dilation(filled), 0, int(np.argmax(np.abs(up))))
+    filled = np.moveaxis(np.asarray(ndimage.binary_dilation(filled)), 0, int(np.argmax(np.abs(up))))
     cells = np.round((points - grid.origin) / grid.spacing).astype(int)
     thin = points[filled[tuple(cells.T)]]
     if len(thin) < 20:
