@@ -15,6 +15,8 @@ import numpy as np
 
 from fungrasp.errors import FungraspError
 
+MOVE_CACHE = "set FUNGRASP_CACHE to a folder that can be written to"
+
 
 @contextlib.contextmanager
 def atomic_path(path: str | Path) -> Iterator[Path]:
@@ -53,12 +55,16 @@ def cache_folder(kind: str) -> Path:
     """
     root = os.environ.get("FUNGRASP_CACHE")
     if root is None:
-        root = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "fungrasp"
+        try:
+            root = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "fungrasp"
+        except RuntimeError as error:
+            raise FungraspError(f"cannot find a home for the cache folder: {MOVE_CACHE}") from error
     folder = Path(root) / kind
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise FungraspError(f"cannot make the cache folder {folder}: {error.strerror or error}") from error
+        reason = error.strerror or error
+        raise FungraspError(f"cannot make the cache folder {folder}: {reason}; {MOVE_CACHE}") from error
     return folder
 
 

@@ -9,6 +9,8 @@ from typing import TypeVar
 
 import numpy as np
 
+from fungrasp.errors import FungraspError
+
 Result = TypeVar("Result")
 
 
@@ -22,7 +24,12 @@ def in_chunks(
         count: number of rows.
         threads: 0 means all processors.
         chunk: rows worked on together.
+
+    Raises:
+        FungraspError: a negative number of threads.
     """
+    if threads < 0:
+        raise FungraspError(f"the number of threads must be 0 (all processors) or more, not {threads}")
     rows = [np.arange(start, min(start + chunk, count)) for start in range(0, count, chunk)]
     with ThreadPoolExecutor(threads or os.cpu_count() or 1) as pool:
         return list(pool.map(work, rows))

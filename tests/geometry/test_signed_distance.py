@@ -10,7 +10,12 @@ import trimesh
 
 from fungrasp.errors import FungraspError
 from fungrasp.geometry import SignedDistanceBank, SignedDistanceGrid
-from fungrasp.geometry.signed_distance import mesh_signed_distance, nearest_on_mesh, winding_number
+from fungrasp.geometry.signed_distance import (
+    crossing_number,
+    mesh_signed_distance,
+    nearest_on_mesh,
+    winding_number,
+)
 
 HALF = np.array([0.03, 0.05, 0.02])
 RADIUS = 0.04
@@ -164,3 +169,13 @@ def test_saving_where_no_folder_can_be_says_so(tmp_path: Path, box_grid: SignedD
     (tmp_path / "file").write_text("")
     with pytest.raises(FungraspError, match="cannot write"):
         box_grid.save(tmp_path / "file" / "box.npz")
+
+
+def test_crossings_are_the_winding_number_of_closed_meshes(ball: trimesh.Trimesh, box: trimesh.Trimesh):
+    inner = ball.copy()
+    inner.apply_scale(0.5)
+    inner.invert()
+    for mesh in (ball, box, trimesh.util.concatenate([ball, inner])):
+        points = np.concatenate([cloud(2000, 0.06), [[0, 0, 0.001], [0, 0, 1.0], [9, 9, 9.0]]])
+        wound = np.round(winding_number(mesh, points)).astype(int)
+        np.testing.assert_array_equal(crossing_number(mesh, points), wound)

@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 
 from fungrasp.errors import FungraspError
+from fungrasp.formats.pickle_file import load_arrays_pickle
 from fungrasp.grasps.importers.dgrasp import import_dgrasp
-from fungrasp.grasps.importers.safe_pickle import load_arrays_pickle
 
 JOBLIB = zlib.decompress(
     base64.b85decode(
@@ -141,7 +141,7 @@ def test_broken_pickles_are_named(tmp_path, content):
     path.write_bytes(content)
     with pytest.raises(FungraspError, match=r"broken\.pkl is not a readable pickle"):
         load_arrays_pickle(path)
-    with pytest.raises(FungraspError, match=r"cannot read .*missing"):
+    with pytest.raises(FungraspError, match=r"missing does not exist"):
         load_arrays_pickle(tmp_path / "missing")
 
 
@@ -219,3 +219,21 @@ def test_other_pickles_are_no_labels(tmp_path):
     ):
         with pytest.raises(FungraspError, match=words):
             import_dgrasp(dump(tmp_path / "labels.pkl", content))
+
+
+def test_the_older_files_of_contactopt_and_grasptta(tmp_path, human_grasps):
+    grasps = human_grasps(2)
+    relative = grasps.object_pose[:, None, :3]
+    entry = {
+        "final_wpos": (grasps.hand_joints - relative).reshape(2, 63),
+        "final_obj": grasps.object_pose * ([0.0] * 3 + [1.0] * 4),
+        "final_contacts": grasps.link_contacts.astype(float),
+        "obj_w": grasps.object_mass[:, None],
+    }
+    (tmp_path / "old.pkl").write_bytes(pickle.dumps({4: entry}))
+    found = import_dgrasp(tmp_path / "old.pkl")
+    height = 0.05  # Of the can's middle.
+    np.testing.assert_allclose(found.hand_joints, grasps.hand_joints - relative + [0, 0, height], atol=1e-12)
+    np.testing.assert_allclose(found.object_pose[:, :3], [[0, 0, height]] * 2)
+    np.testing.assert_array_equal(found.object_rest_pose, found.object_pose)
+    assert set(found.object_name) == {"005_tomato_soup_can"}

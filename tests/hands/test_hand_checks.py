@@ -299,7 +299,7 @@ def test_faults_of_an_mjcf(tmp_path, old, new, severity, pattern):
             "error",
             "'actuators' must be a table|not valid",
         ),
-        ('links = ["index_a", "index_b"]', "links = [1, [2]]", "error", "unknown body of small.xml '1'"),
+        ('links = ["index_a", "index_b"]', "links = [1, [2]]", "error", "must be a text, not 1"),
         ("[fingers.index]", "[index]", "error", "a hand needs a thumb and at least one more finger"),
         ('name = "small"', "", "error", "the field 'name' is missing"),
         ('name = "small"', "name = small", "error", "not valid TOML"),

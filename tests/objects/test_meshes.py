@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import time
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +13,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fungrasp.errors import FungraspError
-from fungrasp.objects import load_mesh
+from fungrasp.objects import load_mesh, mesh_file
+from fungrasp.objects.disk_cache import cached_on_disk
 from fungrasp.objects.mesh_repair import consistent_winding, fill_holes
+from fungrasp.objects.shell_from_triangles import zero_surface
 
 SHARED = Path(__file__).resolve().parents[2] / ".." / "shared"
 
@@ -168,3 +172,50 @@ def test_a_wide_hole_stays_open():
 def test_ycb_meshes_need_no_repair():
     for path in sorted((SHARED / "data/ycb").glob("*.obj")):
         assert loaded(path)[1] == (), path.name
+
+
+def test_a_large_mesh_is_simplified_and_the_error_said(tmp_path, monkeypatch):
+    monkeypatch.setattr(mesh_file, "MOST_FACES", 2000)
+    mesh, repairs = loaded(saved(ball(5), tmp_path / "ball.ply"))
+    (phrase,) = repairs
+    assert re.fullmatch(r"simplified from 20,480 to [\d,]+ faces, at most [\d.]+ mm off", phrase)
+    assert len(mesh.faces) <= 2000
+    off = float(phrase.split()[-3]) / 1000
+    assert np.abs(np.linalg.norm(mesh.vertices, axis=1) - 0.05).max() <= off
+    assert mesh.volume == pytest.approx(ball(5).volume, rel=0.02)
+
+
+def test_loose_triangles_are_made_a_shell_or_refused_in_words(tmp_path):
+    random = np.random.default_rng(0)
+    corners = random.uniform(0, 0.2, (60, 1, 3)) + random.normal(size=(60, 3, 3)) * 0.02
+    loose = trimesh.Trimesh(corners.reshape(-1, 3), np.arange(180).reshape(-1, 3), process=False)
+    _, repairs = loaded(saved(loose, tmp_path / "loose.stl"))
+    assert "shell" in repairs[0]
+    corners = random.uniform(0, 0.2, (900, 3, 3))
+    soup = trimesh.Trimesh(corners.reshape(-1, 3), np.arange(2700).reshape(-1, 3), process=False)
+    with pytest.raises(FungraspError, match="are no surface"):
+        load_mesh(saved(soup, tmp_path / "soup.stl"))
+
+
+def test_the_zero_surface_of_a_ball_on_a_grid_is_closed():
+    axes = np.arange(30) - 14.3
+    values = np.linalg.norm(np.stack(np.meshgrid(axes, axes, axes, indexing="ij")), axis=0) - 10.0
+    vertices, faces = zero_surface(values)
+    mesh = trimesh.Trimesh(vertices, faces, process=False)
+    assert mesh.is_volume
+    assert mesh.volume == pytest.approx(4 / 3 * np.pi * 10**3, rel=0.01)
+
+
+@pytest.mark.slow
+def test_a_scan_of_over_a_million_faces(tmp_path):
+    start = time.process_time()
+    mesh, _ = loaded(saved(ball(8), tmp_path / "scan.ply"))
+    assert len(mesh.faces) <= 100_000 and time.process_time() - start < 60
+
+
+def test_results_are_kept_for_the_process_where_the_cache_can_not_be_written(tmp_path, monkeypatch, caplog):
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("FUNGRASP_CACHE", str(tmp_path / "file" / "cache"))
+    found = cached_on_disk("x", "key", Path.read_text, lambda path: Path(path).write_text("value") and None)
+    assert found == "value"
+    assert "set FUNGRASP_CACHE to a folder that can be written to" in caplog.text

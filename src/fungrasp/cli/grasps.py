@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
@@ -13,6 +13,7 @@ from fungrasp.cli.console import table
 
 if TYPE_CHECKING:
     from fungrasp.grasps import HumanGrasp, HumanGraspSet, RobotGrasp
+    from fungrasp.objects import ObjectModel
 
 GraspFile = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
 SourcePath = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SOURCE")]
@@ -157,48 +158,220 @@ class ImportGrasps:
 
 
 @dataclass(frozen=True)
+class CheckGrasps:
+    """Say what is probably wrong with human grasps: units, order of joints, side, quaternions, table."""
+
+    file: GraspFile
+    """A file of human grasps."""
+    objects: Path | None = None
+    """Folder of meshes <name>.obj; built-in objects need none."""
+
+    def run(self) -> None:
+        from fungrasp.errors import FungraspError
+        from fungrasp.grasps.anatomy import check_anatomy, grouped
+        from fungrasp.grasps.diagnosis import hand_remarks, pose_remarks, table_remarks
+        from fungrasp.grasps.grasp_files import human_grasps_from_fields, read_fields
+
+        fields = read_fields(self.file)
+        joints = fields.get("hand_joints")
+        if joints is None or joints.dtype.kind != "f" or joints.ndim != 3 or joints.shape[1:] != (21, 3):
+            human_grasps_from_fields(fields, self.file)
+            raise FungraspError(f"{self.file} holds no human grasps")
+        remarks = hand_remarks(joints.astype(float))
+        options = " ".join(dict.fromkeys(remark.remedy for remark in remarks if remark.remedy))
+        if not remarks:
+            remarks += table_remarks(joints.astype(float))
+            remarks += pose_remarks(fields, _known_objects(fields, self.objects))
+            options = " ".join(dict.fromkeys(remark.remedy for remark in remarks if remark.remedy))
+        for remark in remarks:
+            print(remark)
+        if options:
+            print(f"to convert: fungrasp grasps convert {self.file} {options} --out NEW.npz; then check that")
+            return
+        grasps = human_grasps_from_fields(fields, self.file)
+        for finding in grouped(check_anatomy(grasps)):
+            print(f"unusual anatomy: {finding}")
+        print(f"{self.file}: {len(grasps)} grasps that can be used")
+
+
+@dataclass(frozen=True)
+class ConvertGrasps:
+    """Bring a file of human grasps from other conventions into ours."""
+
+    file: GraspFile
+    """A file with the fields of human grasps."""
+    out: Path
+    """Grasp file to write (.npz)."""
+    joint_order: str = "fungrasp"
+    """Order of its joints: openpose (wrist, thumb, index, ...), mano or fungrasp."""
+    quaternion: Literal["wxyz", "xyzw"] = "wxyz"
+    """Order of the numbers of its quaternions."""
+    unit: Literal["m", "cm", "mm"] = "m"
+    """Unit of its positions."""
+    side: Literal["right", "left"] = "right"
+    """Left hands are mirrored with their objects, whose names then end in "_mirrored"."""
+    below_table: Literal["keep", "lift", "drop"] = "keep"
+    """Hands that reach below the table: keep them, lift them with their objects, or leave them out."""
+
+    def run(self) -> None:
+        from fungrasp.grasps.conversion import converted, mend_below_table
+        from fungrasp.grasps.grasp_files import human_grasps_from_fields, read_fields
+
+        fields = read_fields(self.file)
+        if "hand_joints" not in fields:
+            human_grasps_from_fields(fields, self.file)
+        fields = converted(fields, self.joint_order, self.quaternion, self.unit, self.side)
+        _save(self.out, mend_below_table(human_grasps_from_fields(fields, self.file), self.below_table))
+
+
+@dataclass(frozen=True)
+class SelectGrasps:
+    """Write some of the grasps of a file to another: of some objects or tasks, or the best."""
+
+    file: GraspFile
+    """A file of human or robot grasps, or "builtin"."""
+    out: Path
+    """Grasp file to write (.npz)."""
+    objects: tuple[str, ...] = ()
+    """Only grasps of these objects."""
+    tasks: tuple[str, ...] = ()
+    """Only grasps for these tasks."""
+    by: str = "force_closure_residual"
+    """The number by which robot grasps are compared, one of those that 'fungrasp grasps show' prints."""
+    best: float | None = None
+    """Keep this share of them, those with the smallest numbers: 0.75."""
+    at_most: float | None = None
+    """Keep those whose number is no larger."""
+
+    def run(self) -> None:
+        import numpy as np
+
+        from fungrasp.errors import FungraspError, UnknownNameError
+        from fungrasp.grasps import RobotGraspSet, load_grasps, save_human_grasps, save_robot_grasps
+
+        grasps = load_grasps(self.file)
+        assert grasps.task is not None
+        kept = np.ones(len(grasps), dtype=bool)
+        for wanted, names in ((self.objects, grasps.object_name), (self.tasks, grasps.task)):
+            for name in wanted:
+                if name not in names:
+                    raise UnknownNameError("object or task", name, set(names.tolist()))
+            if wanted:
+                kept &= np.isin(names, wanted)
+        if self.best is not None or self.at_most is not None:
+            if not isinstance(grasps, RobotGraspSet):
+                raise FungraspError("only robot grasps carry numbers to compare: give the file of 'retarget'")
+            if self.by not in grasps.extra or grasps.extra[self.by].ndim != 1:
+                raise UnknownNameError("number of the grasps", self.by, grasps.extra)
+            values = np.where(kept, grasps.extra[self.by].astype(float), np.nan)
+            if self.at_most is not None:
+                kept &= values <= self.at_most
+            if self.best is not None:
+                if not 0 < self.best <= 1:
+                    raise FungraspError(f"--best must be a share in (0, 1], not {self.best:g}")
+                kept &= values <= np.nanquantile(values, self.best) if np.isfinite(values).any() else False
+        if not kept.any():
+            raise FungraspError(f"none of the {len(grasps)} grasps of {self.file} is left")
+        chosen = grasps.select(kept)
+        if isinstance(chosen, RobotGraspSet):
+            save_robot_grasps(self.out, chosen)
+        else:
+            save_human_grasps(self.out, chosen)
+        print(f"{self.out}: {len(chosen)} of {len(grasps)} grasps")
+
+
+@dataclass(frozen=True)
 class MakeGrasps:
-    """Synthesize the human grasps of the built-in objects again."""
+    """Synthesize human grasps: those of the built-in objects again, or of any mesh."""
 
     out: Path
     """Grasp file to write (.npz)."""
     objects: tuple[str, ...] = ()
     """Only grasps of these built-in objects."""
+    mesh: Path | None = None
+    """Make grasps of this mesh instead: around the whole, from above, at handles and thin parts."""
+    mass: float | None = None
+    """Mass of the mesh's object [kg]."""
+    parts: Path | None = None
+    """JSON file of the mesh's parts to hold: {"handle": [[x, y, z], [x, y, z]]}, boxes in its frame [m]."""
     seed: int = 0
     """Seed of the random starts."""
 
     def run(self) -> None:
-        from rich.progress import Progress
-
-        from fungrasp.errors import UnknownNameError
+        from fungrasp.cli.console import progress_bar
+        from fungrasp.errors import FungraspError, UnknownNameError
+        from fungrasp.objects import object_from_file
         from fungrasp.synthesis import synthesize_grasps
+        from fungrasp.synthesis.automatic_specifications import automatic_specifications, parts_from_boxes
         from fungrasp.synthesis.builtin_specifications import BUILTIN_SPECIFICATIONS
+        from fungrasp.synthesis.synthesize import SynthesisSettings
 
-        known = {spec.object for spec in BUILTIN_SPECIFICATIONS}
-        for name in self.objects:
-            if name not in known:
-                raise UnknownNameError("object", name, sorted(known))
-        specs = [spec for spec in BUILTIN_SPECIFICATIONS if not self.objects or spec.object in self.objects]
-        with Progress(transient=True) as progress:
-            bar = progress.add_task("synthesizing grasps", total=len(specs))
-            grasps = synthesize_grasps(specs, self.seed, progress=lambda count: progress.advance(bar, count))
+        if self.mesh is None:
+            if self.mass is not None or self.parts is not None:
+                raise FungraspError("--mass and --parts are those of a mesh: give --mesh too")
+            known = {spec.object for spec in BUILTIN_SPECIFICATIONS}
+            for name in self.objects:
+                if name not in known:
+                    raise UnknownNameError("object", name, sorted(known))
+            specs = [
+                spec for spec in BUILTIN_SPECIFICATIONS if not self.objects or spec.object in self.objects
+            ]
+            models, settings = None, SynthesisSettings()
+        else:
+            model = object_from_file(self.mesh, self.mass)
+            if self.parts is not None:
+                model = parts_from_boxes(model, self.parts)
+            specs = automatic_specifications(model)
+            if not specs:
+                raise FungraspError(f"{self.mesh}: a hand can't reach around any part of it")
+            models, settings = {model.name: model}, SynthesisSettings(starts=3)
+        done = 0
+        with progress_bar("synthesizing grasps", len(specs)) as show:
+
+            def progress(count: int) -> None:
+                nonlocal done
+                done += count
+                show(done)
+
+            grasps = synthesize_grasps(specs, self.seed, settings, models, progress)
         _save(self.out, grasps)
         missing = len(specs) - len(grasps)
         if missing:
             print(f"left out: {missing} of {len(specs)} grasp specifications, which could not be met")
+        if self.mesh is not None:
+            print(f"use them with: --grasps {self.out} --objects {self.mesh.parent}")
 
 
-COMMAND = {"list": ListGrasps, "show": ShowGrasp, "import": ImportGrasps, "make": MakeGrasps}
+COMMAND = {
+    "list": ListGrasps,
+    "show": ShowGrasp,
+    "check": CheckGrasps,
+    "convert": ConvertGrasps,
+    "select": SelectGrasps,
+    "import": ImportGrasps,
+    "make": MakeGrasps,
+}
+
+
+def _known_objects(fields: Mapping[str, Any], folder: Path | None) -> dict[str, ObjectModel]:
+    """The objects of a file's grasps that can be found, by name; their mass does not matter here."""
+    from fungrasp.objects import load_object, mesh_files, object_names
+
+    known = {*object_names(), *mesh_files(folder)}
+    return {name: load_object(name, 1.0, folder) for name in set(fields["object_name"].tolist()) & known}
 
 
 def _save(path: Path, grasps: HumanGraspSet) -> None:
     from fungrasp.grasps import save_human_grasps
-    from fungrasp.grasps.anatomy import check_anatomy
+    from fungrasp.grasps.anatomy import check_anatomy, grouped
+    from fungrasp.grasps.diagnosis import table_remarks
 
     save_human_grasps(path, grasps)
     findings = check_anatomy(grasps)
     print(f"{path}: {len(grasps)} grasps of {len(set(grasps.object_name.tolist()))} objects")
-    for finding in findings:
+    for remark in table_remarks(grasps.hand_joints):
+        print(f"{remark}; 'fungrasp grasps convert --below-table lift' or 'drop' mends it")
+    for finding in grouped(findings):
         print(f"unusual anatomy: {finding}")
 
 

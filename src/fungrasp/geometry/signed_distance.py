@@ -14,6 +14,12 @@ from scipy.spatial import KDTree
 
 from fungrasp.files import atomic_path
 
+MOST_SAMPLES = 2_000_000
+"""Most surface samples of a mesh, and most pairs of a point and a triangle that are worked on together."""
+
+CHUNK = 50_000
+"""Points whose nearest surface points are sought together."""
+
 
 @dataclass(frozen=True)
 class SignedDistanceGrid:
@@ -159,7 +165,7 @@ def mesh_signed_distance(mesh: trimesh.Trimesh, points: np.ndarray) -> np.ndarra
     """
     nearest, _ = nearest_on_mesh(mesh, points)
     distance = np.linalg.norm(points - nearest, axis=-1)
-    return np.where(winding_number(mesh, points) > 0.5, -distance, distance)
+    return np.where(_inside(mesh, points), -distance, distance)
 
 
 def nearest_on_mesh(mesh: trimesh.Trimesh, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -174,7 +180,7 @@ def nearest_on_mesh(mesh: trimesh.Trimesh, points: np.ndarray) -> tuple[np.ndarr
     return _SurfaceSamples(mesh).nearest(points)
 
 
-def winding_number(mesh: trimesh.Trimesh, points: np.ndarray, chunk: int = 2048) -> np.ndarray:
+def winding_number(mesh: trimesh.Trimesh, points: np.ndarray) -> np.ndarray:
     """How often the surface winds around each point: 1 inside, 0 outside, in between near holes.
 
     Sum of the solid angles of all triangles (Van Oosterom and Strackee, 1983) over 4 pi.
@@ -187,6 +193,7 @@ def winding_number(mesh: trimesh.Trimesh, points: np.ndarray, chunk: int = 2048)
     """
     corners = np.ascontiguousarray(mesh.triangles, dtype=np.float32)
     result = np.empty(len(points))
+    chunk = max(1, min(2048, MOST_SAMPLES // len(corners)))
     for start in range(0, len(points), chunk):
         p = points[start : start + chunk, None, :].astype(np.float32)
         a, b, c = (corners[None, :, i] - p for i in range(3))
@@ -198,6 +205,78 @@ def winding_number(mesh: trimesh.Trimesh, points: np.ndarray, chunk: int = 2048)
         flat += np.einsum("pfi,pfi->pf", c, a) * lb
         result[start : start + chunk] = np.arctan2(volume, flat).sum(axis=1) / (2 * np.pi)
     return result
+
+
+def crossing_number(mesh: trimesh.Trimesh, points: np.ndarray) -> np.ndarray:
+    """How often the vertical ray up from each point leaves the mesh, less how often it enters it.
+
+    For a closed mesh it is the winding number, at a cost that hardly grows with the number of faces.
+
+    Args:
+        mesh: closed, faces outward.
+        points: [m], shape [P, 3].
+
+    Returns:
+        shape [P], integer.
+    """
+    result = np.zeros(len(points), dtype=np.int64)
+    corners = np.asarray(mesh.triangles)
+    flat = corners[..., :2]
+    low, high = flat.min(axis=(0, 1)), flat.max(axis=(0, 1))
+    size = np.maximum(high - low, 1e-9)
+    # Off the mesh's own edges by far less than anything measured, so that no ray meets an edge.
+    at = points[:, :2] + size * [1.1e-9, 1.7e-9]
+    over = np.flatnonzero(((at >= low) & (at <= high)).all(axis=1) & (points[:, 2] < corners[..., 2].max()))
+    # Cells of a grid in the plane, each with the triangles whose bounding boxes reach into it.
+    cells = int(np.clip(np.sqrt(len(corners)), 1, 512))
+    first = np.clip(((flat.min(axis=1) - low) / size * cells).astype(int), 0, cells - 1)
+    last = np.clip(((flat.max(axis=1) - low) / size * cells).astype(int), 0, cells - 1)
+    span = last - first + 1
+    count = span.prod(axis=1)
+    owner = np.repeat(np.arange(len(corners)), count)
+    row, column = np.divmod(_counted(count), span[owner, 1])
+    cell = (first[owner, 0] + row) * cells + first[owner, 1] + column
+    owner = owner[np.argsort(cell, kind="stable")]
+    held = np.bincount(cell, minlength=cells * cells)
+    start = np.cumsum(held) - held
+    own = np.clip(((at[over] - low) / size * cells).astype(int), 0, cells - 1) @ [cells, 1]
+    pairs = np.concatenate([[0], np.cumsum(held[own])])
+    done = 0
+    while done < len(over):
+        stop = max(done + 1, int(np.searchsorted(pairs, pairs[done] + MOST_SAMPLES, side="right")) - 1)
+        number = held[own[done:stop]]
+        point = np.repeat(over[done:stop], number)
+        face = owner[np.repeat(start[own[done:stop]], number) + _counted(number)]
+        result += _crossings(corners[face], at[point], points[point, 2], point, len(points))
+        done = stop
+    return result
+
+
+def _crossings(
+    triangles: np.ndarray, at: np.ndarray, height: np.ndarray, point: np.ndarray, count: int
+) -> np.ndarray:
+    """Sum by point of +1 for each triangle that faces up above it and -1 for each that faces down.
+
+    triangles: shape [Q, 3, 3]; at, height, point: of the point asked, shape [Q, 2], [Q], [Q].
+    """
+    a, b, c = (triangles[:, i, :2] - at for i in range(3))
+    opposite = np.stack([_cross(b, c), _cross(c, a), _cross(a, b)], axis=1)
+    turn = np.where((opposite > 0).all(axis=1), 1, np.where((opposite < 0).all(axis=1), -1, 0))
+    met = np.flatnonzero(turn)
+    weight = opposite[met]
+    above = np.sum(weight * triangles[met, :, 2], axis=1) / weight.sum(axis=1) > height[met]
+    return np.bincount(point[met], weights=turn[met] * above, minlength=count).astype(np.int64)
+
+
+def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+
+
+def _inside(mesh: trimesh.Trimesh, points: np.ndarray) -> np.ndarray:
+    """Which points a mesh encloses, shape [P]; by its winding number where it is not closed."""
+    if mesh.is_watertight and mesh.is_winding_consistent:
+        return crossing_number(mesh, points) > 0
+    return winding_number(mesh, points) > 0.5
 
 
 def points_on_triangles(triangles: np.ndarray, gap: float) -> tuple[np.ndarray, np.ndarray]:
@@ -225,16 +304,20 @@ def points_on_triangles(triangles: np.ndarray, gap: float) -> tuple[np.ndarray, 
 
 
 class _SurfaceSamples:
-    """A tree of surface samples at most 1 mm apart (or 1/200 of the mesh, if that is more), and their
-    faces."""
+    """A tree of surface samples and their faces. They are at most 1 mm apart, or 1/200 of the mesh, or so far
+    that they are not too many, if that is more."""
 
     def __init__(self, mesh: trimesh.Trimesh):
-        gap = max(0.001, float(mesh.extents.max()) / 200)
+        gap = max(0.001, float(mesh.extents.max()) / 200, float(np.sqrt(mesh.area / MOST_SAMPLES)))
         self.points, self._owners = points_on_triangles(np.asarray(mesh.triangles), gap)
         self._triangles = mesh.triangles
         self._tree = KDTree(self.points)
 
-    def nearest(self, points: np.ndarray, candidates: int = 6) -> tuple[np.ndarray, np.ndarray]:
+    def nearest(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        parts = [self._nearest(points[i : i + CHUNK]) for i in range(0, max(len(points), 1), CHUNK)]
+        return np.concatenate([part[0] for part in parts]), np.concatenate([part[1] for part in parts])
+
+    def _nearest(self, points: np.ndarray, candidates: int = 6) -> tuple[np.ndarray, np.ndarray]:
         found = self._tree.query(points, k=candidates, workers=-1)[1]
         faces = self._owners[found]
         flat = trimesh.triangles.closest_point(
@@ -264,7 +347,7 @@ def _sign(mesh: trimesh.Trimesh, points: np.ndarray, distance: np.ndarray, spaci
     order = np.argsort(distance.ravel())
     first[labels[order]] = order
     if count:
-        inside[1:] = winding_number(mesh, flat[first[1:]]) > 0.5
+        inside[1:] = _inside(mesh, flat[first[1:]])
     result = inside[components]
-    result[~clear] = winding_number(mesh, points[~clear]) > 0.5
+    result[~clear] = _inside(mesh, points[~clear])
     return np.where(result, -1.0, 1.0)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 
 from fungrasp.grasps.human_grasp import HumanGraspSet
@@ -104,6 +106,20 @@ def check_anatomy(grasps: HumanGraspSet) -> list[str]:
                 f"{grasp}: {_joint(finger, joint)} is bent {angle:.0f} degrees sideways, not {most:.0f}"
             )
     return findings
+
+
+def grouped(findings: list[str]) -> list[str]:
+    """Findings of ``check_anatomy`` that differ in grasp and number only, in one sentence each."""
+    groups: dict[str, list[str]] = {}
+    for finding in findings:
+        words = finding.partition(": ")[2]
+        groups.setdefault(re.sub(r"-?\d+", "#", words.partition(", not ")[0]), []).append(finding)
+    lines = []
+    for first, *others in groups.values():
+        also = ", ".join(finding.split()[1] for finding in others[:6])
+        more = f" and {len(others) - 6} more" if len(others) > 6 else ""
+        lines.append(f"{first}; likewise in grasps {also}{more}" if others else first)
+    return lines
 
 
 def _joint(finger: int, joint: int) -> str:

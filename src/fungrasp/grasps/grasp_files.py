@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import zipfile
-import zlib
+import logging
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TypeVar
@@ -12,6 +11,10 @@ import numpy as np
 
 from fungrasp.errors import FungraspError
 from fungrasp.files import atomic_path
+from fungrasp.formats.file_bytes import one_line
+from fungrasp.formats.guarded import guarded
+from fungrasp.formats.numpy_files import npz_names, read_npz
+from fungrasp.grasps.diagnosis import hand_remarks, refuse_or_list, table_remarks
 from fungrasp.grasps.grasp_set import GraspSet
 from fungrasp.grasps.human_grasp import HumanGraspSet
 from fungrasp.grasps.robot_grasp import RobotGraspSet
@@ -27,9 +30,15 @@ BUILTIN_PATH = Path(__file__).parent / "builtin" / "grasps.npz"
 EXTRA = "extra/"
 """What the names of a robot grasp set's further numbers begin with in the file."""
 
+_KNOWN = {"version", "hand", "joint_names", *HumanGraspSet.FIELDS, *RobotGraspSet.FIELDS}
+"""Names of all fields but the further numbers."""
+
+_log = logging.getLogger(__name__)
+
 Set = TypeVar("Set", bound=GraspSet[Any])
 
 
+@guarded("grasp file")
 def load_human_grasps(path: str | Path) -> HumanGraspSet:
     """Read human grasps from a file, or the built-in ones for "builtin".
 
@@ -41,6 +50,7 @@ def load_human_grasps(path: str | Path) -> HumanGraspSet:
     return _human(Path(path), _read(path))
 
 
+@guarded("grasp file")
 def load_robot_grasps(path: str | Path) -> RobotGraspSet:
     """Read robot grasps from a file.
 
@@ -50,6 +60,7 @@ def load_robot_grasps(path: str | Path) -> RobotGraspSet:
     return _robot(Path(path), _read(path))
 
 
+@guarded("grasp file")
 def load_grasps(path: str | Path) -> HumanGraspSet | RobotGraspSet:
     """Read a file of human or of robot grasps; "builtin" stands for the built-in human grasps.
 
@@ -98,7 +109,31 @@ def _human(path: Path, arrays: Mapping[str, np.ndarray]) -> HumanGraspSet:
         raise FungraspError(
             f"{path} holds robot grasps (of the hand '{arrays['hand']}'), human grasps are needed here"
         )
+    joints = arrays.get("hand_joints", np.zeros(0))
+    readable = joints.ndim == 3 and joints.shape[1:] == (21, 3) and joints.dtype.kind == "f"
+    if readable and path != BUILTIN_PATH and np.isfinite(joints).all():
+        joints = joints.astype(np.float64)
+        for remark in refuse_or_list(hand_remarks(joints) + table_remarks(joints), len(joints), str(path)):
+            _log.warning("%s: %s", path, remark)
     return _build(path, HumanGraspSet, arrays, {})
+
+
+def read_fields(path: str | Path) -> dict[str, np.ndarray]:
+    """The fields of a grasp file by name, as they are: neither checked nor complete.
+
+    Raises:
+        FungraspError: no such file, or none that can be read.
+    """
+    return _read(path)
+
+
+def human_grasps_from_fields(arrays: Mapping[str, np.ndarray], where: str) -> HumanGraspSet:
+    """Human grasps from their fields; where: begins the messages.
+
+    Raises:
+        FungraspError: bad content; names field, shapes and row.
+    """
+    return _build(Path(where), HumanGraspSet, arrays, {})
 
 
 def _robot(path: Path, arrays: Mapping[str, np.ndarray]) -> RobotGraspSet:
@@ -130,9 +165,8 @@ def _is_robot(arrays: Mapping[str, np.ndarray]) -> bool:
 def _build(path: Path, kind: type[Set], arrays: Mapping[str, np.ndarray], whole: Mapping[str, Any]) -> Set:
     missing = [name for name, field in kind.FIELDS.items() if name not in arrays and not field.optional]
     if missing:
-        raise FungraspError(
-            f"{path}: field '{missing[0]}' is missing; found: {', '.join(sorted(arrays)) or 'nothing'}"
-        )
+        found = ", ".join(sorted(npz_names(path, "grasp file"))) or "nothing"
+        raise FungraspError(f"{path}: field '{missing[0]}' is missing; found: {found}")
     try:
         grasps = kind(**whole, **{name: arrays.get(name) for name in kind.FIELDS})
     except FungraspError as error:
@@ -144,32 +178,12 @@ def _build(path: Path, kind: type[Set], arrays: Mapping[str, np.ndarray], whole:
 
 def _read(path: str | Path) -> dict[str, np.ndarray]:
     path = Path(path)
-    if not path.is_file():
-        raise FungraspError(f"the grasp file {path} {'is a folder' if path.is_dir() else 'does not exist'}")
-    arrays: dict[str, np.ndarray] = {}
-    name = ""
-    try:
-        with path.open("rb") as stream:
-            if not zipfile.is_zipfile(stream):
-                raise FungraspError(f"{path} is not a grasp set: not an .npz file, or one that is cut short")
-            stream.seek(0)
-            with np.load(stream, allow_pickle=False) as archive:
-                for name in archive.files:
-                    value = archive[name]
-                    if not isinstance(value, np.ndarray):
-                        raise FungraspError(f"{path}: field '{name}' is no array")
-                    arrays[name] = value
-    except OSError as error:
-        raise FungraspError(f"cannot read {path}: {error.strerror or error}") from error
-    except FungraspError:
-        raise
-    except (ValueError, EOFError, KeyError, NotImplementedError, zipfile.BadZipFile, zlib.error) as error:
-        where = f"field '{name}' " if name else ""
-        raise FungraspError(f"{path}: {where}cannot be read: {' '.join(str(error).split())}") from error
+    arrays = read_npz(path, "grasp file", lambda name: name in _KNOWN or name.startswith(EXTRA))
     version = arrays.pop("version", np.array(FILE_VERSION))
     if version.ndim or version.dtype.kind not in "iu" or not 1 <= version <= FILE_VERSION:
+        given = one_line(version, 60)
         raise FungraspError(
-            f"{path} is of file version {version}, this fungrasp reads versions up to {FILE_VERSION}"
+            f"{path} is of file version {given}, this fungrasp reads versions up to {FILE_VERSION}"
         )
     return arrays
 

@@ -29,9 +29,6 @@ FLAT_HAND = 0.01
 MIRROR = np.array([1.0, -1.0, 1.0])
 """Reflection in the plane y = 0, by coordinate."""
 
-MIRRORED = "_mirrored"
-"""Ending of the names of objects in mirrored grasps: their meshes must be mirrored too."""
-
 
 def bone_lengths(hand_joints: np.ndarray) -> np.ndarray:
     """Length of each of ``BONES`` [m], shape [..., 20]. hand_joints: [m], shape [..., 21, 3], any frame."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -13,7 +12,11 @@ import mujoco
 import numpy as np
 
 from fungrasp.errors import FungraspError, UnknownNameError
+from fungrasp.formats.guarded import guarded
+from fungrasp.formats.mujoco_model import read_model
+from fungrasp.formats.toml_file import read_toml, type_faults
 from fungrasp.geometry.poses import invert
+from fungrasp.hands.hand_toml_schema import HAND_TOML
 
 FINGERS = ("index", "middle", "ring", "pinky", "thumb")
 """Names of fingers, in the order of the human joints and links (docs/conventions.md)."""
@@ -98,7 +101,10 @@ class Hand:
     @cached_property
     def model(self) -> mujoco.MjModel:
         """The compiled bare hand, for names and limits; do not change it."""
-        return self.spec().compile()
+        try:
+            return self.spec().compile()
+        except ValueError as error:
+            raise FungraspError(f"hand '{self.name}' does not compile: {_one_line(error)}") from error
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -188,6 +194,7 @@ class Hand:
         return (self.palm, *(name for f in self.fingers.values() for name in (*f.joints, f.tip)))
 
 
+@guarded("hand file")
 def read_hand_toml(path: Path) -> Hand:
     """Read a hand's TOML and check that all it names exists in the model.
 
@@ -198,14 +205,9 @@ def read_hand_toml(path: Path) -> Hand:
         FungraspError: the file or its model is missing, unreadable or inconsistent; the message says which
             and why.
     """
-    try:
-        data = tomllib.loads(path.read_text())
-    except (OSError, UnicodeDecodeError) as error:
-        raise FungraspError(
-            f"cannot read the hand file {path}: {getattr(error, 'strerror', None) or error}"
-        ) from error
-    except tomllib.TOMLDecodeError as error:
-        raise FungraspError(f"{path} is not valid TOML: {error}") from error
+    data = read_toml(path, "hand file")
+    for fault in type_faults(data, HAND_TOML):
+        raise FungraspError(f"{path}: {fault}")
     for key in ("name", "model", "palm", "fingers", "actuators"):
         if key not in data:
             raise FungraspError(f"{path}: the field '{key}' is missing")
@@ -327,12 +329,7 @@ def _unit(path: Path, name: str, value: Any) -> np.ndarray:
 
 
 def _parse(path: Path) -> mujoco.MjSpec:
-    if not path.is_file():
-        raise FungraspError(f"the hand's model {path} does not exist")
-    try:
-        return mujoco.MjSpec.from_file(str(path))
-    except ValueError as error:
-        raise FungraspError(f"cannot read the hand's model {path}: {_one_line(error)}") from error
+    return read_model(path)
 
 
 def _put_at_origin(spec: mujoco.MjSpec, palm: str) -> None:

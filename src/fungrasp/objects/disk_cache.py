@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import atexit
 import contextlib
+import functools
 import hashlib
 import logging
+import os
+import shutil
+import tempfile
 import zipfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TypeVar
 
-from fungrasp.files import cache_folder
+from fungrasp.errors import FungraspError
+from fungrasp.files import MOVE_CACHE, cache_folder
 
 T = TypeVar("T")
 
@@ -24,10 +30,16 @@ def cached_on_disk(kind: str, key: str, read: Callable[[Path], T], write: Callab
         read: reads the file.
         write: computes the result and writes the file, whole or not at all.
 
-    Raises:
-        FungraspError: the cache folder can't be written to.
+    Where the cache folder can't be written to, results are kept for this process only.
     """
-    path = cache_folder(kind) / f"{hashlib.sha256(key.encode()).hexdigest()[:32]}.npz"
+    name = f"{hashlib.sha256(key.encode()).hexdigest()[:32]}.npz"
+    try:
+        path = cache_folder(kind) / name
+        reason = f"cannot write to the cache folder {path.parent}; {MOVE_CACHE}"
+        if not path.exists() and not os.access(path.parent, os.W_OK):
+            path = _temporary_folder(reason) / f"{kind}-{name}"
+    except FungraspError as error:
+        path = _temporary_folder(str(error)) / f"{kind}-{name}"
     found = _try_read(path, read)
     if found is not None:
         return found
@@ -37,6 +49,15 @@ def cached_on_disk(kind: str, key: str, read: Callable[[Path], T], write: Callab
             return found
         write(path)
         return read(path)
+
+
+@functools.cache
+def _temporary_folder(reason: str) -> Path:
+    """A folder that goes with this process."""
+    logging.getLogger(__name__).warning("%s: results are not kept", reason)
+    folder = tempfile.mkdtemp(prefix="fungrasp-")
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    return Path(folder)
 
 
 def _try_read(path: Path, read: Callable[[Path], T]) -> T | None:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import logging
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import trimesh
 
 from fungrasp.errors import FungraspError
-from fungrasp.objects.mesh_repair import SHELL_THICKNESS, consistent_winding, fill_holes, rebuild, unite
+from fungrasp.formats.mesh_file import read_mesh
+from fungrasp.objects.mesh_repair import consistent_winding, fill_holes, rebuild, simplify, unite
 
 MESH_SUFFIXES = (".obj", ".stl", ".ply", ".glb")
 """File types looked up by an object's name, in this order."""
@@ -20,6 +20,15 @@ TABLE_SIDE = 1.5
 
 SHORTEST_OBJECT = 1e-3
 """Length of the shortest object [m]."""
+
+MOST_FACES = 100_000
+"""A mesh with more faces is simplified."""
+
+THINNEST = 1e-6
+"""A closed surface whose volume divided by its area is less [m] is loose triangles, each closed by itself."""
+
+MOST_LAYERS = 10.0
+"""An open surface of more than so many times the area of its bounding box is none of an object."""
 
 WIDEST_HOLE = 0.5
 """Widest hole that is filled, as a part of the object's longest side."""
@@ -46,10 +55,18 @@ def load_mesh(path: str | Path, *, repair: bool = True) -> tuple[np.ndarray, np.
     mesh = _read(path)
     _check_size(path, float(np.max(mesh.extents)))
     repairs: list[str] = []
-    if not _closed(mesh) or mesh.volume <= 0:
+    if not _closed(mesh) or _volume(mesh) <= 0:
         if not repair:
             raise FungraspError(f"{path}: the surface is not closed, or its faces don't all point outwards")
         mesh = _mend(path, mesh, repairs)
+    if len(mesh.faces) > MOST_FACES:
+        before = len(mesh.faces)
+        mesh, moved = simplify(mesh, MOST_FACES)
+        if len(mesh.faces) > 2 * MOST_FACES:
+            raise FungraspError(f"{path}: {before:,} faces that can't be made fewer: simplify the mesh first")
+        repairs.append(
+            f"simplified from {before:,} to {len(mesh.faces):,} faces, at most {moved * 1000:g} mm off"
+        )
     united = unite(mesh) if repair else None
     if united is not None:
         mesh = united
@@ -60,19 +77,7 @@ def load_mesh(path: str | Path, *, repair: bool = True) -> tuple[np.ndarray, np.
 
 
 def _read(path: Path) -> trimesh.Trimesh:
-    if not path.is_file():
-        raise FungraspError(f"the mesh file {path} does not exist")
-    try:
-        mesh: Any = trimesh.load(path, force="mesh", process=False)
-        vertices, faces = np.array(mesh.vertices, dtype=float), np.array(mesh.faces)
-    except Exception as error:
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise FungraspError(f"cannot read the mesh {path}: {reason}") from error
-    if len(faces) == 0:
-        raise FungraspError(f"{path}: the mesh has no faces")
-    bad = ~np.isfinite(vertices).all(axis=1)
-    if bad.any():
-        raise FungraspError(f"{path}: vertex {int(np.argmax(bad))} is not finite")
+    vertices, faces = read_mesh(path)
     merged = trimesh.Trimesh(vertices, faces, process=True)
     merged.update_faces(merged.nondegenerate_faces())
     merged.update_faces(merged.unique_faces())
@@ -97,6 +102,12 @@ def _closed(mesh: trimesh.Trimesh) -> bool:
     return bool(mesh.is_watertight and mesh.is_winding_consistent)
 
 
+def _volume(mesh: trimesh.Trimesh) -> float:
+    """Enclosed by a closed mesh, negative if its faces point inwards [m3]; trimesh's warns if it is 0."""
+    a, b, c = np.moveaxis(np.asarray(mesh.triangles), 1, 0)
+    return float(np.sum(a * np.cross(b, c)) / 6)
+
+
 def _mend(path: Path, mesh: trimesh.Trimesh, repairs: list[str]) -> trimesh.Trimesh:
     if not mesh.is_winding_consistent:
         mesh = consistent_winding(mesh)
@@ -105,17 +116,23 @@ def _mend(path: Path, mesh: trimesh.Trimesh, repairs: list[str]) -> trimesh.Trim
         mesh, closed = fill_holes(mesh, WIDEST_HOLE * float(np.max(mesh.extents)))
         if closed:
             repairs.append(f"filled {closed} hole{'s' * (closed > 1)}")
-    if not _closed(mesh):
+    if not _closed(mesh) or abs(_volume(mesh)) < THINNEST * mesh.area:
+        size = mesh.extents
+        if mesh.area > MOST_LAYERS * 2 * (size[0] * size[1] + size[1] * size[2] + size[2] * size[0]):
+            length = float(np.max(size)) * 100
+            raise FungraspError(
+                f"{path}: loose triangles of {mesh.area:.3g} m2 within {length:.0f} cm are no surface"
+            )
         rebuilt = rebuild(mesh)
         if rebuilt is None:
             raise FungraspError(f"{path}: the surface is not closed and can't be mended")
-        mesh = rebuilt
+        mesh, thickness = rebuilt
         repairs[:] = [
-            f"rebuilt the open surface as a shell {SHELL_THICKNESS * 1000:g} mm thick, closed cavities filled"
+            f"rebuilt the open surface as a shell {thickness * 1000:.3g} mm thick, closed cavities filled"
         ]
-    if mesh.volume < 0:
+    if _volume(mesh) < 0:
         mesh.invert()
         repairs.append("turned the faces outwards")
-    if mesh.volume == 0:
+    if _volume(mesh) == 0:
         raise FungraspError(f"{path}: the surface encloses no volume")
     return mesh

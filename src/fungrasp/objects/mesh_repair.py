@@ -6,10 +6,18 @@ import manifold3d
 import numpy as np
 import trimesh
 from scipy.sparse import coo_array
-from scipy.sparse.csgraph import breadth_first_order, connected_components
+from scipy.sparse.csgraph import connected_components
+
+from fungrasp.objects.shell_from_triangles import shell_from_triangles
 
 SHELL_THICKNESS = 0.002
-"""Thickness of the shell that a surface beyond repair becomes [m]."""
+"""Thickness of the shell that a surface beyond repair becomes [m]; more for large ones."""
+
+MOST_BODIES = 1000
+"""A mesh of more closed bodies is not united."""
+
+SMALLEST_TOLERANCE, LARGEST_TOLERANCE = 0.0001, 0.005
+"""By how much simplifying may move a surface [m]: at first, and at most."""
 
 
 def vertex_components(faces: np.ndarray, count: int) -> tuple[int, np.ndarray]:
@@ -26,9 +34,13 @@ def vertex_components(faces: np.ndarray, count: int) -> tuple[int, np.ndarray]:
 
 def bodies(mesh: trimesh.Trimesh) -> list[trimesh.Trimesh]:
     """The connected surfaces of a mesh, each a mesh of its own."""
-    _, label = vertex_components(mesh.faces, len(mesh.vertices))
+    number, label = vertex_components(mesh.faces, len(mesh.vertices))
+    if number == 1:
+        return [mesh]
     of_face = label[mesh.faces[:, 0]]
-    return [_submesh(mesh, of_face == body) for body in np.unique(of_face)]
+    order = np.argsort(of_face, kind="stable")
+    starts = np.flatnonzero(np.diff(of_face[order])) + 1
+    return [_submesh(mesh, rows) for rows in np.split(order, starts)]
 
 
 def consistent_winding(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
@@ -36,18 +48,21 @@ def consistent_winding(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
     first, second = mesh.face_adjacency.T
     edges = mesh.face_adjacency_edges
     same_way = _runs_along(mesh.faces[first], edges) == _runs_along(mesh.faces[second], edges)
+    # Two nodes for each face, as it is and flipped; neighbours are joined where they agree.
     count = len(mesh.faces)
-    graph = coo_array((np.ones(len(first)), (first, second)), shape=(count, count)).tocsr()
-    disagree = coo_array((same_way.astype(float), (first, second)), shape=(count, count)).tocsr()
-    disagree = disagree + disagree.T
-    _, label = connected_components(graph, directed=False)
-    flipped = np.zeros(count, dtype=bool)
-    for start in np.unique(label, return_index=True)[1]:
-        order, parent = breadth_first_order(graph, start, directed=False)
-        for face in order[1:]:
-            flipped[face] = flipped[parent[face]] ^ bool(disagree[face, parent[face]])
+    ends = (
+        np.concatenate([first, first + count]),
+        np.concatenate(
+            [np.where(same_way, second + count, second), np.where(same_way, second, second + count)]
+        ),
+    )
+    joined = coo_array((np.ones(len(ends[0])), ends), shape=(2 * count, 2 * count))
+    label = connected_components(joined, directed=False)[1].reshape(2, count)
+    # The node of a face that is in the same component as the unflipped first face of its surface.
+    _, leader = np.unique(label.min(axis=0), return_index=True)
+    chosen = np.isin(label[0], label[0][leader])
     faces = mesh.faces.copy()
-    faces[flipped] = faces[flipped, ::-1]
+    faces[~chosen] = faces[~chosen, ::-1]
     return trimesh.Trimesh(mesh.vertices, faces, process=False)
 
 
@@ -76,7 +91,7 @@ def fill_holes(mesh: trimesh.Trimesh, widest: float) -> tuple[trimesh.Trimesh, i
 def unite(mesh: trimesh.Trimesh) -> trimesh.Trimesh | None:
     """The union of a mesh's closed bodies; None if they don't overlap, or can't be united."""
     parts = bodies(mesh)
-    if len(parts) < 2 or any(part.volume <= 0 for part in parts):
+    if not 2 <= len(parts) <= MOST_BODIES or any(part.volume <= 0 for part in parts):
         return None
     solids = [solid(part) for part in parts]
     if any(each.status() != manifold3d.Error.NoError for each in solids):
@@ -87,47 +102,68 @@ def unite(mesh: trimesh.Trimesh) -> trimesh.Trimesh | None:
     return _mesh(union)
 
 
-def rebuild(mesh: trimesh.Trimesh, thickness: float = SHELL_THICKNESS) -> trimesh.Trimesh | None:
-    """A closed surface around any triangles: the union of plates in their places, its cavities filled.
+def rebuild(
+    mesh: trimesh.Trimesh, thickness: float = SHELL_THICKNESS
+) -> tuple[trimesh.Trimesh, float] | None:
+    """A closed surface around any triangles, its cavities filled.
 
     Args:
         mesh: any triangles.
-        thickness: of the plates [m].
+        thickness: of the shell around them [m], at least.
 
     Returns:
-        the mesh, or None if there is nothing to build from.
+        the mesh and the shell's thickness [m], or None if there is nothing to build from.
     """
-    offsets = np.array(mesh.vertex_normals) * thickness / 2
-    sides = np.stack([mesh.vertices - offsets, mesh.vertices + offsets])
-    plates = [hull_solid(sides[:, face].reshape(-1, 3)) for face in mesh.faces]
-    union = manifold3d.Manifold.batch_boolean(plates, manifold3d.OpType.Add)
-    if union.is_empty():
-        return None
-    outer = [body for body in bodies(_mesh(union)) if body.volume > 0]
-    filled = manifold3d.Manifold.batch_boolean([solid(body) for body in outer], manifold3d.OpType.Add)
-    return None if filled.is_empty() else _mesh(filled.simplify(thickness / 20))
+    vertices, faces, thickness = shell_from_triangles(np.asarray(mesh.triangles), thickness)
+    shell = solid(trimesh.Trimesh(vertices, faces, process=False)).simplify(thickness / 20)
+    return None if shell.is_empty() else (_mesh(shell), thickness)
+
+
+def simplify(mesh: trimesh.Trimesh, most_faces: int) -> tuple[trimesh.Trimesh, float]:
+    """A closed mesh with fewer faces.
+
+    Args:
+        mesh: closed.
+        most_faces: the result has at most so many, if simplifying within 5 mm can do it.
+
+    Returns:
+        the mesh, and the most that its surface has moved [m].
+    """
+    tolerance, moved = SMALLEST_TOLERANCE, 0.0
+    shape = solid(mesh)
+    while shape.num_tri() > most_faces and tolerance < LARGEST_TOLERANCE:
+        shape = shape.simplify(tolerance)
+        moved += tolerance
+        tolerance *= 2
+    return (_mesh(shape), moved) if 0 < shape.num_tri() < len(mesh.faces) else (mesh, 0.0)
 
 
 def _holes(faces: np.ndarray) -> list[np.ndarray]:
     """Vertex loops along the open edges, in the direction of the faces; no vertex is twice in one."""
-    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-    present = {(int(a), int(b)) for a, b in edges}
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).astype(np.int64)
+    count = int(faces.max()) + 1
+    forth, back = edges @ [count, 1], edges @ [1, count]
     following: dict[int, list[int]] = {}
-    for a, b in sorted(present):
-        if (b, a) not in present:
-            following.setdefault(a, []).append(b)
+    for a, b in np.stack(np.divmod(np.setdiff1d(forth, back), count), axis=1).tolist():
+        following.setdefault(a, []).append(b)
     loops = []
     while following:
         path = [next(iter(following))]
+        place = {path[0]: 0}
         while path and path[-1] in following:
             at = path[-1]
-            path.append(following[at].pop())
+            to = following[at].pop()
             if not following[at]:
                 del following[at]
-            if path[-1] in path[:-1]:
-                first = path.index(path[-1])
-                loops.append(np.array(path[first:-1]))
+            if to in place:
+                first = place[to]
+                loops.append(np.array(path[first:]))
+                for vertex in path[first + 1 :]:
+                    del place[vertex]
                 del path[first + 1 :]
+            else:
+                place[to] = len(path)
+                path.append(to)
     return loops
 
 

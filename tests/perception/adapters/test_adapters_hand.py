@@ -16,9 +16,9 @@ from recorded import (
 
 from fungrasp.errors import FungraspError
 from fungrasp.grasps import HUMAN_JOINTS
+from fungrasp.grasps.joint_orders import MANO, OPENPOSE
 from fungrasp.perception.adapters import read_hand_estimate, read_hands
 from fungrasp.perception.adapters.hand_placement import _common_factor
-from fungrasp.perception.adapters.joint_orders import MANO, OPENPOSE
 
 JOINTS = true_hand()
 
@@ -209,7 +209,7 @@ def test_files_that_are_none(tmp_path, capture):
         read_hand_estimate(tmp_path / "missing.npz", capture)
     for name, content, words in (
         ("cut.npz", b"PK\x03\x04cut short", "can't be read"),
-        ("cut.json", b'{"version": 1, ', "can't be read"),
+        ("cut.json", b'{"version": 1, ', "not valid JSON"),
         ("list.json", b"[[0, 0, 0]]", "has named fields"),
         ("hand.pkl", b"", "a pickle can run anything"),
         ("h_3dkeypoints.npy", b"", "does not tell which hand"),

@@ -9,8 +9,8 @@ from recorded import CAMERA, hamer_fields, made_capture, made_up_camera, true_ha
 from scipy.spatial.transform import Rotation
 
 from fungrasp.errors import FungraspError
+from fungrasp.grasps.joint_orders import MANO, TIP_VERTICES
 from fungrasp.perception.adapters import read_hand_estimate
-from fungrasp.perception.adapters.joint_orders import MANO, TIP_VERTICES
 from fungrasp.perception.adapters.mano_model import rotation_vectors
 
 JOINTS = true_hand()

@@ -174,7 +174,7 @@ def test_files_that_are_none(tmp_path):
     for name, content, words in (
         ("pose.pkl", b"", "not '.pkl'"),
         ("cut.npy", b"\x93NUMPY cut", "can't be read"),
-        ("cut.json", b"[[1, 0", "can't be read"),
+        ("cut.json", b"[[1, 0", "not valid JSON"),
         ("empty.json", b"{}", "'pose' is missing"),
         ("text.txt", b"here it is", "can't be read"),
         ("ragged.txt", b"1 0 0 0\n0 1", "all rows of the same length"),

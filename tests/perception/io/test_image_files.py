@@ -96,7 +96,7 @@ def nothing_measured(path):
         (1, a_picture_of_depth, "picture of depth"),
         (1, nothing_measured, "no pixel has a measurement"),
         (0, lambda path: path.unlink(), "does not exist"),
-        (2, lambda path: path.unlink(), "No such file"),
+        (2, lambda path: path.unlink(), "does not exist"),
         (2, words, "not valid JSON"),
     ],
 )

@@ -91,7 +91,7 @@ def test_a_dexycb_camera(tmp_path):
     np.testing.assert_array_equal(capture.mask, scene()[1] == np.float32(0.6))
     assert read_folder(camera).mask is None
     (camera / "labels_000071.npz").write_bytes(b"cut short")
-    with pytest.raises(FungraspError, match="not a readable DexYCB label"):
+    with pytest.raises(FungraspError, match=r"DexYCB label .* cut short"):
         read_dexycb(camera, 71, with_mask=True)
     with pytest.raises(FungraspError, match="does not exist"):
         read_dexycb(camera, 3)

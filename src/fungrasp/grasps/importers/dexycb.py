@@ -14,6 +14,7 @@ import numpy as np
 
 from fungrasp.errors import FungraspError
 from fungrasp.files import atomic_path
+from fungrasp.formats.mesh_file import read_mesh
 from fungrasp.grasps.human_grasp import HumanGraspSet
 from fungrasp.grasps.human_hand import mirror_points, mirror_pose
 from fungrasp.grasps.importers.contacts import TRACKED_CONTACT_GAP, link_contacts, surface_contacts
@@ -230,15 +231,7 @@ def _poses(matrices: list[np.ndarray]) -> np.ndarray:
 
 
 def _mesh(root: Path, options: DexYCBOptions, name: str) -> tuple[np.ndarray, np.ndarray]:
-    import trimesh
-
     path = root / "models" / name / "textured_simple.obj"
     if options.objects is not None:
         path = options.objects / f"{name}.obj"
-    if not path.is_file():
-        raise FungraspError(f"the mesh {path} does not exist; it is needed to find contacts")
-    try:
-        mesh = trimesh.load(path, force="mesh", process=False)
-        return np.asarray(mesh.vertices), np.asarray(mesh.faces)  # pyright: ignore[reportAttributeAccessIssue]
-    except Exception as error:
-        raise FungraspError(f"cannot read the mesh {path}: {' '.join(str(error).split())}") from error
+    return read_mesh(path)

@@ -21,7 +21,8 @@ from typing import Any
 import numpy as np
 
 from fungrasp.errors import FungraspError
-from fungrasp.grasps.importers.yaml_file import read_yaml
+from fungrasp.formats.numpy_files import read_npz
+from fungrasp.formats.yaml_file import read_yaml
 
 TAG = "apriltag"
 
@@ -134,17 +135,11 @@ def read_track(sequence: Sequence, serial: str) -> Track:
 
 
 def _label(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    if not path.is_file():
-        raise FungraspError(f"the DexYCB label file {path} does not exist")
-    try:
-        with np.load(path, allow_pickle=False) as data:
-            found = {name: data[name].astype(np.float64) for name in ("pose_y", "joint_3d", "pose_m")}
-    except Exception as error:
-        # np.load fails in many ways on a file that is cut short or something else.
-        raise FungraspError(
-            f"{path} is not a readable DexYCB label: {' '.join(str(error).split())}"
-        ) from error
+    found = read_npz(path, "DexYCB label", ("pose_y", "joint_3d", "pose_m").__contains__)
     for name, shape in (("pose_y", (None, 3, 4)), ("joint_3d", (1, 21, 3)), ("pose_m", (1, 51))):
+        if name not in found or found[name].dtype.kind not in "fiu":
+            raise FungraspError(f"{path}: there is no field '{name}' of numbers")
+        found[name] = found[name].astype(np.float64)
         actual = found[name].shape
         if len(actual) != len(shape) or any(w not in (None, a) for w, a in zip(shape, actual, strict=True)):
             expected = str(shape).replace("None", "objects")

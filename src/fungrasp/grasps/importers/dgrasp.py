@@ -19,17 +19,24 @@ from typing import Any
 import numpy as np
 
 from fungrasp.errors import FungraspError
+from fungrasp.formats.guarded import guarded
+from fungrasp.formats.pickle_file import load_arrays_pickle
 from fungrasp.grasps.human_grasp import HumanGraspSet
-from fungrasp.grasps.importers.safe_pickle import load_arrays_pickle
-from fungrasp.grasps.importers.ycb import YCB_NAMES
+from fungrasp.grasps.importers.ycb import YCB_NAMES, YCB_REST_HEIGHTS
 
 TABLE_HEIGHT = 0.5
 """Height of D-Grasp's table top [m]."""
+
+_OLDER = {"final_wpos": "final_ee", "final_obj": "final_obj_pos", "obj_w": "obj_w_stacked"}
+"""Names in the older files, those of grasps by ContactOpt and GraspTTA, and in the others. The older files'
+positions are relative to the object's origin where it rests on the table; its height is added (D-Grasp's
+``runner_gtta.py``)."""
 
 _SIZES = {"final_ee": 63, "final_contacts": 16, "final_obj_pos": 7, "obj_pose_reset": 7, "final_qpos": 51}
 _NEEDED = ("final_ee", "final_contacts", "final_obj_pos", "obj_pose_reset", "obj_w_stacked")
 
 
+@guarded("label pickle")
 def import_dgrasp(path: str | Path, table_height: float = TABLE_HEIGHT) -> HumanGraspSet:
     """Read a label pickle. It may hold arrays only; nothing in it is run.
 
@@ -70,6 +77,12 @@ def _object_name(path: str | Path, key: Any) -> str:
 
 
 def _one_object(name: str, entry: Mapping[str, Any], table_height: float) -> HumanGraspSet:
+    if "final_wpos" in entry:
+        if name not in YCB_REST_HEIGHTS:
+            raise FungraspError("its positions are relative to the object, whose height at rest is not known")
+        entry = {_OLDER.get(field, field): value for field, value in entry.items()}
+        entry.setdefault("obj_pose_reset", entry.get("final_obj_pos"))
+        table_height = -YCB_REST_HEIGHTS[name]
     for field in _NEEDED:
         if field not in entry:
             raise FungraspError(f"field '{field}' is missing; found: {', '.join(sorted(map(str, entry)))}")

@@ -53,3 +53,28 @@ YCB_MASSES: Mapping[str, float] = {
     "061_foam_brick": 0.028,
 }
 """Mass by name [kg], full packages: Calli et al., "Benchmarking in Manipulation Research", 2015."""
+
+YCB_REST_HEIGHTS: Mapping[str, float] = {
+    "002_master_chef_can": 0.069,
+    "003_cracker_box": 0.105,
+    "004_sugar_box": 0.087,
+    "005_tomato_soup_can": 0.050,
+    "006_mustard_bottle": 0.083,
+    "007_tuna_fish_can": 0.016,
+    "008_pudding_box": 0.022,
+    "009_gelatin_box": 0.018,
+    "010_potted_meat_can": 0.052,
+    "011_banana": 0.052,
+    "019_pitcher_base": 0.1462,
+    "021_bleach_cleanser": 0.110,
+    "024_bowl": 0.025,
+    "025_mug": 0.039,
+    "035_power_drill": 0.039,
+    "036_wood_block": 0.1167,
+    "037_scissors": 0.0092,
+    "040_large_marker": 0.007,
+    "051_large_clamp": 0.008,
+    "052_extra_large_clamp": 0.017,
+    "061_foam_brick": 0.025,
+}
+"""Height of the origin of D-Grasp's mesh above the table while the object rests on it [m], by name."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -11,6 +10,8 @@ import mujoco
 import numpy as np
 
 from fungrasp.errors import FungraspError, UnknownNameError
+from fungrasp.formats.guarded import guarded
+from fungrasp.formats.toml_file import read_toml, type_faults
 from fungrasp.hands.checking.body_checks import check_masses, check_palm, check_shapes, check_size
 from fungrasp.hands.checking.finding import Finding, HandParts, error, note, warning
 from fungrasp.hands.checking.finger_checks import check_fingers, check_palm_frame
@@ -18,12 +19,14 @@ from fungrasp.hands.checking.joint_checks import check_actuators, check_coupling
 from fungrasp.hands.checking.model_source import ModelSource, read_source
 from fungrasp.hands.checking.named_parts import guess_parts
 from fungrasp.hands.hand import FINGERS, read_hand_toml, side_of
+from fungrasp.hands.hand_toml_schema import HAND_TOML
 
 __all__ = ["Finding", "check_hand_files"]
 
 MODEL_SUFFIXES = (".urdf", ".xml", ".mjcf", ".xacro")
 
 
+@guarded("hand")
 def check_hand_files(path: str | Path) -> list[Finding]:
     """Everything found wrong with a hand, the worst first.
 
@@ -67,11 +70,12 @@ def _check_bare(path: Path) -> list[Finding]:
 def _check_toml(path: Path) -> list[Finding]:
     findings: list[Finding] = []
     try:
-        data = tomllib.loads(path.read_text())
-    except (OSError, UnicodeDecodeError) as problem:
-        return [error(f"cannot read {path}: {getattr(problem, 'strerror', None) or problem}")]
-    except tomllib.TOMLDecodeError as problem:
-        return [error(f"{path} is not valid TOML: {problem}")]
+        data = read_toml(path, "hand file")
+    except FungraspError as problem:
+        return [error(str(problem))]
+    faults = [error(f"{path}: {fault}") for fault in type_faults(data, HAND_TOML)]
+    if faults:
+        return faults
     findings += [error(f"{path}: the field '{key}' is missing") for key in _REQUIRED if key not in data]
     for key, kind in (("name", str), ("model", str), ("palm", str), ("actuators", Mapping)):
         if key in data and not isinstance(data[key], kind):

@@ -12,6 +12,8 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+from fungrasp.errors import FungraspError
+from fungrasp.formats.mujoco_model import read_model, read_model_text
 from fungrasp.hands.checking.finding import Finding, error, listed, warning
 from fungrasp.hands.checking.urdf_checks import check_urdf
 
@@ -46,7 +48,7 @@ def read_source(path: Path, findings: list[Finding]) -> ModelSource | None:
         findings.extend(check_urdf(urdf))
     with quiet():
         try:
-            spec = mujoco.MjSpec.from_file(str(path))
+            spec = read_model(path)
         except ValueError as problem:
             findings.append(error(f"MuJoCo cannot read {path}: {one_line(problem)}"))
             return None
@@ -80,9 +82,9 @@ def parse_xml(
 ) -> ElementTree.Element | None:
     """Root element of an XML file; None if it has none of ``tags``, which is added to ``findings``."""
     try:
-        text = path.read_text()
-    except (OSError, UnicodeDecodeError) as problem:
-        findings.append(error(f"cannot read {path}: {getattr(problem, 'strerror', None) or problem}"))
+        text = read_model_text(path)
+    except FungraspError as problem:
+        findings.append(error(str(problem)))
         return None
     if path.suffix == ".xacro" or re.search(r"<xacro:|\$\{", text):
         findings.append(

@@ -10,12 +10,16 @@ from pathlib import Path
 import numpy as np
 
 from fungrasp.errors import FungraspError
+from fungrasp.formats.file_bytes import read_text
 from fungrasp.perception.adapters.rigid import pose_from_rotation
 from fungrasp.perception.io.capture import DEPTH_LIMIT
 
 COLUMNS = ("scene_id", "im_id", "obj_id", "score", "R", "t", "time")
 
 MILLIMETRE = 0.001
+
+LARGEST = 100_000_000
+"""Bytes of the largest file that is read."""
 
 LEAST_MILLIMETRES = 20.0
 """Translations shorter than this [mm] were meant in metres."""
@@ -59,11 +63,9 @@ def read_bop_results(path: str | Path) -> list[BopRow]:
     """
     path = Path(path)
     try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            lines = list(csv.reader(file))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        reason = getattr(error, "strerror", None) or str(error)
-        raise FungraspError(f"cannot read the results {path}: {reason}") from error
+        lines = list(csv.reader(read_text(path, "file of results", LARGEST).splitlines()))
+    except csv.Error as error:
+        raise FungraspError(f"cannot read the results {path}: {error}") from error
     rows = [
         _row(line, f"{path}, line {number}")
         for number, line in enumerate(lines, start=1)

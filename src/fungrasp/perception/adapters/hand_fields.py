@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +10,8 @@ from typing import Any
 import numpy as np
 
 from fungrasp.errors import FungraspError, UnknownNameError
+from fungrasp.formats.json_file import read_json
+from fungrasp.formats.numpy_files import read_npz
 
 VERSION = 1
 """Version of the file format."""
@@ -122,20 +123,13 @@ def read_fields(path: str | Path) -> HandFields:
 
 def _content(path: Path) -> Mapping[str, Any]:
     suffix = path.suffix.lower()
-    try:
-        if suffix == ".npz":
-            with np.load(path, allow_pickle=False) as data:
-                return {name: data[name] for name in data.files}
-        if suffix == ".json":
-            content = json.loads(path.read_text())
-            if not isinstance(content, dict):
-                raise FungraspError(f"{path}: a hand file has named fields, not {type(content).__name__}")
-            return content
-    except FungraspError:
-        raise
-    except Exception as error:
-        # np.load fails in many ways on a file that is cut short or something else.
-        raise FungraspError(f"the hand file {path} can't be read: {' '.join(str(error).split())}") from error
+    if suffix == ".npz":
+        return read_npz(path, "hand file")
+    if suffix == ".json":
+        content = read_json(path, "hand file")
+        if not isinstance(content, dict):
+            raise FungraspError(f"{path}: a hand file has named fields, not {type(content).__name__}")
+        return content
     lacks = {
         ".npy": "an array without names does not tell which hand it is and by which camera it was seen",
         ".pkl": "a pickle can run anything when it is opened",

@@ -13,10 +13,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from fungrasp.errors import FungraspError
+from fungrasp.formats.guarded import guarded
 from fungrasp.grasps.anatomy import ADULT_BONES, joint_bends
 from fungrasp.grasps.human_hand import bone_lengths
+from fungrasp.grasps.joint_orders import joint_order
 from fungrasp.perception.adapters.hand_fields import HandFields, read_fields
-from fungrasp.perception.adapters.joint_orders import joint_order
 from fungrasp.perception.adapters.mano_model import ManoJoints
 from fungrasp.perception.estimates import Side
 from fungrasp.perception.hand.detected_hand import MIRROR_X, DetectedHand
@@ -32,6 +33,7 @@ ASPECT = 0.02
 """Part by which the shapes of two images that are the same one may differ."""
 
 
+@guarded("hand file")
 def read_hands(
     path: str | Path, intrinsics: Intrinsics, mano: str | Path | None = None
 ) -> list[DetectedHand]:

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from fungrasp.errors import FungraspError
+from fungrasp.formats.guarded import guarded
 from fungrasp.perception.adapters.hand_fields import read_fields
 from fungrasp.perception.adapters.hand_file import hand_size, hands_of, turn_to
 from fungrasp.perception.estimates import HandEstimate, Side
@@ -53,6 +54,7 @@ HIDDEN = 1.4
 _log = logging.getLogger(__name__)
 
 
+@guarded("hand file")
 def read_hand_estimate(
     path: str | Path,
     capture: Capture,

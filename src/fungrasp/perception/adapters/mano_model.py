@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from fungrasp.errors import FungraspError
 from fungrasp.grasps.importers.mano import ManoHand
-from fungrasp.perception.adapters.joint_orders import MANO, TIP_VERTICES
+from fungrasp.grasps.joint_orders import MANO, TIP_VERTICES
 
 
 class ManoJoints(ManoHand):

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from fungrasp.errors import FungraspError
+from fungrasp.formats.file_bytes import read_text
+from fungrasp.formats.guarded import guarded
+from fungrasp.formats.json_file import read_json
+from fungrasp.formats.numpy_files import read_npy
 from fungrasp.perception.adapters.bop_results import read_bop_results, select_rows
 from fungrasp.perception.adapters.rigid import pose_from_numbers
 from fungrasp.perception.estimates import ObjectEstimate
@@ -24,6 +27,7 @@ NO_SCORE = PerceptionWarning.of("no_score", said="the file gives no score; the p
 FOREIGN_SCORE = PerceptionWarning.of("no_score", said="the estimator's scores are no probabilities")
 
 
+@guarded("object's pose")
 def read_object_pose(
     path: str | Path,
     *,
@@ -149,11 +153,14 @@ def _number(image: int | str | None) -> int | None:
 def _numbers(path: Path) -> Any:
     try:
         if path.suffix.lower() == ".json":
-            return json.loads(path.read_text())
+            return read_json(path, "object's pose")
         if path.suffix.lower() == ".npy":
-            return np.load(path, allow_pickle=False)
-        rows = [line.replace(",", " ").split() for line in path.read_text().splitlines()]
+            return read_npy(path, "object's pose")
+        text = read_text(path, "object's pose")
+        rows = [line.replace(",", " ").split() for line in text.splitlines()]
         return [[float(value) for value in row] for row in rows if row and not row[0].startswith("#")]
-    except (OSError, ValueError, EOFError) as error:
+    except FungraspError:
+        raise
+    except ValueError as error:
         reason = " ".join(str(error).split())
         raise FungraspError(f"the object's pose {path} can't be read: {reason}") from error

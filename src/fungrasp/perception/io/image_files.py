@@ -7,15 +7,15 @@ import logging
 from pathlib import Path
 
 import numpy as np
-from PIL import Image, UnidentifiedImageError
+from PIL import Image
 
 from fungrasp.errors import FungraspError
+from fungrasp.formats.guarded import guarded
+from fungrasp.formats.image_file import read_image
+from fungrasp.formats.numpy_files import read_npy
 from fungrasp.perception.io.capture import Box, Capture, Intrinsics
 from fungrasp.perception.io.capture_checks import check_alignment, check_depth_range, looks_bgr
 from fungrasp.perception.io.intrinsics_files import read_intrinsics
-
-LARGEST = 60_000_000
-"""Pixels of the largest image that is read."""
 
 LONGEST_SIDE = 1920
 """Images with a longer side [pixels] are made smaller: more pixels cost time and tell nothing more."""
@@ -85,6 +85,7 @@ def read_capture(
     return capture
 
 
+@guarded("color image")
 def read_color(path: str | Path) -> np.ndarray:
     """Read a PNG or JPEG.
 
@@ -94,7 +95,7 @@ def read_color(path: str | Path) -> np.ndarray:
     Raises:
         FungraspError: it is missing, cut short, no image, too large or has 16 bits per channel.
     """
-    image = _open(path, "colour image")
+    image = read_image(path, "colour image")
     if image.mode in ("1", "F", *_DEPTH_MODES):
         raise FungraspError(
             f"{path} is not a colour image (its pixels are of type '{image.mode}'): is it the depth?"
@@ -102,6 +103,7 @@ def read_color(path: str | Path) -> np.ndarray:
     return np.array(image.convert("RGB"))
 
 
+@guarded("depth image")
 def read_depth(path: str | Path, unit: float | None) -> np.ndarray:
     """Read a depth image.
 
@@ -116,7 +118,7 @@ def read_depth(path: str | Path, unit: float | None) -> np.ndarray:
         FungraspError: it can't be read, is no depth image, its unit is not given or can't be right.
     """
     path = Path(path)
-    raw = _load_array(path) if path.suffix.lower() == ".npy" else _depth_pixels(path)
+    raw = read_npy(path, "depth image") if path.suffix.lower() == ".npy" else _depth_pixels(path)
     if raw.ndim != 2 or raw.dtype.kind not in "uif":
         raise FungraspError(
             f"{path}: depth is an array of numbers [H, W], not {raw.dtype} of {list(raw.shape)}"
@@ -133,6 +135,7 @@ def read_depth(path: str | Path, unit: float | None) -> np.ndarray:
     return depth.astype(np.float32)
 
 
+@guarded("mask")
 def read_mask(path: str | Path, shape: tuple[int, ...]) -> np.ndarray:
     """Read an image that is not 0 where the object is.
 
@@ -146,7 +149,7 @@ def read_mask(path: str | Path, shape: tuple[int, ...]) -> np.ndarray:
     Raises:
         FungraspError: it can't be read or has another shape.
     """
-    mask = np.array(_open(path, "mask")) != 0
+    mask = np.array(read_image(path, "mask")) != 0
     mask = mask[..., :3].any(axis=-1) if mask.ndim == 3 else mask
     if mask.shape != shape:
         raise FungraspError(
@@ -169,43 +172,13 @@ def parse_box(text: str) -> Box:
     return x0, y0, x1, y1
 
 
-def _open(path: str | Path, what: str) -> Image.Image:
-    if not Path(path).is_file():
-        raise FungraspError(f"the {what} {path} does not exist")
-    try:
-        image = Image.open(path)
-        if image.width * image.height > LARGEST:
-            raise FungraspError(
-                f"the {what} {path} has {image.width} x {image.height} pixels; the largest allowed is "
-                f"{LARGEST // 1_000_000} million"
-            )
-        image.load()
-    except UnidentifiedImageError as error:
-        raise FungraspError(f"the {what} {path} is not an image") from error
-    except (OSError, SyntaxError, Image.DecompressionBombError) as error:
-        reason = " ".join(str(error).split())
-        raise FungraspError(
-            f"the {what} {path} can't be read, it is damaged or cut short: {reason}"
-        ) from error
-    return image
-
-
 def _depth_pixels(path: Path) -> np.ndarray:
-    image = _open(path, "depth image")
+    image = read_image(path, "depth image")
     if image.mode != "F" and image.mode not in _DEPTH_MODES:
         raise FungraspError(
             f"{path} has pixels of type '{image.mode}': a picture of depth; save depth as a 16-bit PNG"
         )
     return np.array(image)
-
-
-def _load_array(path: Path) -> np.ndarray:
-    try:
-        return np.load(path, allow_pickle=False)
-    except (OSError, ValueError, EOFError) as error:
-        raise FungraspError(
-            f"the depth image {path} can't be read: {' '.join(str(error).split())}"
-        ) from error
 
 
 def _not_too_large(capture: Capture) -> Capture:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import logging
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -12,6 +11,8 @@ from typing import Any
 import numpy as np
 
 from fungrasp.errors import FungraspError
+from fungrasp.formats.guarded import guarded
+from fungrasp.formats.json_file import read_json
 from fungrasp.perception.io.capture import Intrinsics
 
 OFF_CENTRE = 0.3
@@ -37,6 +38,7 @@ class FileIntrinsics:
     """Metres per unit of the depth image, if the file says."""
 
 
+@guarded("file of intrinsics")
 def read_intrinsics(path: str | Path, size: tuple[int, int], *, image: int | None = None) -> FileIntrinsics:
     """Read intrinsics and check that they fit an image.
 
@@ -56,13 +58,7 @@ def read_intrinsics(path: str | Path, size: tuple[int, int], *, image: int | Non
     Raises:
         FungraspError: the file can't be read, has none of these layouts, or is for another resolution.
     """
-    path = Path(path)
-    try:
-        content = json.loads(path.read_text())
-    except OSError as error:
-        raise FungraspError(f"cannot read the intrinsics {path}: {error.strerror or error}") from error
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise FungraspError(f"{path} is not valid JSON: {error}") from error
+    content = read_json(path, "file of intrinsics")
     return intrinsics_from(content, size, where=str(path), image=image)
 
 

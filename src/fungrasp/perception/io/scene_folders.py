@@ -11,7 +11,8 @@ from PIL import Image
 
 from fungrasp.errors import FungraspError
 from fungrasp.files import atomic_path
-from fungrasp.grasps.importers.yaml_file import read_yaml
+from fungrasp.formats.numpy_files import read_npz
+from fungrasp.formats.yaml_file import read_yaml
 from fungrasp.perception.io.capture import Capture
 from fungrasp.perception.io.image_files import read_capture, read_color
 from fungrasp.perception.io.intrinsics_files import MILLIMETRE, intrinsics_from
@@ -163,15 +164,10 @@ def read_dexycb(camera: str | Path, frame: int, *, with_mask: bool = False) -> C
             f"{camera.parent / 'meta.yml'}: ycb_ids and ycb_grasp_ind don't name an object"
         ) from error
     labels = camera / f"labels_{frame:06d}.npz"
-    try:
-        with np.load(labels, allow_pickle=False) as data:
-            mask = data["seg"] == number
-    except Exception as error:
-        # np.load fails in many ways on a file that is cut short or something else.
-        raise FungraspError(
-            f"{labels} is not a readable DexYCB label: {' '.join(str(error).split())}"
-        ) from error
-    return capture.with_object(mask=mask)
+    fields = read_npz(labels, "DexYCB label", "seg".__eq__)
+    if "seg" not in fields:
+        raise FungraspError(f"{labels}: the field 'seg' is missing")
+    return capture.with_object(mask=fields["seg"] == number)
 
 
 def _picture(folder: Path, image: int) -> Path:

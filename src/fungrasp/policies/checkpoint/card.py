@@ -10,6 +10,7 @@ from datetime import datetime
 from typing import Any, NamedTuple, get_args, get_origin, get_type_hints
 
 from fungrasp.errors import FungraspError
+from fungrasp.formats.json_file import parse_json
 
 FORMAT_VERSION = 1
 KINDS = ("teacher", "student", "predictor")
@@ -194,10 +195,7 @@ def card_from_text(text: str | bytes) -> PolicyCard:
     Raises:
         FungraspError: the text is no card, or one of a later format.
     """
-    try:
-        values = json.loads(text)
-    except ValueError as error:
-        raise FungraspError(f"its policy card is not valid JSON: {error}") from error
+    values = parse_json(text, "its policy card")
     if not isinstance(values, dict):
         raise FungraspError("its policy card is not a table")
     version = values.get("format_version")

@@ -19,6 +19,8 @@ from xml.etree import ElementTree
 
 from fungrasp.errors import FungraspError, UnknownNameError
 from fungrasp.files import atomic_path
+from fungrasp.formats.file_bytes import read_bytes
+from fungrasp.formats.onnx_file import LARGEST, check_harmless, try_network
 from fungrasp.hands import Hand
 from fungrasp.policies.checkpoint.card import PolicyCard, card_from_text, card_text
 from fungrasp.policies.checkpoint.network import PolicyNetwork, onnx_metadata
@@ -214,10 +216,7 @@ def _path(path_or_name: str | Path) -> Path:
 
 
 def _read(path: Path) -> bytes:
-    try:
-        return path.read_bytes()
-    except OSError as error:
-        raise FungraspError(f"cannot read the policy {path}: {error.strerror or error}") from error
+    return read_bytes(path, "policy", LARGEST)
 
 
 def _sealed(model: bytes | ModelProto, text: str) -> bytes:
@@ -244,7 +243,10 @@ def _sealed(model: bytes | ModelProto, text: str) -> bytes:
 
 
 def _network(data: bytes, threads: int) -> PolicyNetwork:
-    return PolicyNetwork(data, _card(data), threads)
+    card = _card(data)
+    check_harmless(data)
+    try_network(data)
+    return PolicyNetwork(data, card, threads)
 
 
 def _card(data: bytes) -> PolicyCard:

@@ -21,15 +21,21 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 
 from fungrasp.errors import FungraspError
+from fungrasp.formats.file_bytes import one_line, read_bytes
 
-_COMPRESSED: dict[bytes, Callable[[bytes], bytes]] = {
-    b"x": zlib.decompress,
-    b"\x1f\x8b": gzip.decompress,
-    b"BZ": bz2.decompress,
-    b"\xfd7zXZ": lzma.decompress,
-    b"]\x00": lzma.decompress,
+LARGEST = 1 << 28
+"""Bytes of the largest pickle that is read, unpacked; and of all its arrays together."""
+
+MOST_STEPS = 2_000_000
+"""Most steps of the program that a pickle is."""
+
+_COMPRESSED: dict[bytes, Callable[[io.BytesIO], Any]] = {
+    b"\x1f\x8b": lambda stream: gzip.GzipFile(fileobj=stream),
+    b"BZ": bz2.BZ2File,
+    b"\xfd7zXZ": lzma.LZMAFile,
+    b"]\x00": lzma.LZMAFile,
 }
-"""How joblib's compressed files begin."""
+"""How joblib's compressed files begin, but those of zlib."""
 
 
 def load_arrays_pickle(path: str | Path) -> Any:
@@ -41,23 +47,22 @@ def load_arrays_pickle(path: str | Path) -> Any:
     Raises:
         FungraspError: the file is missing, cut short, no pickle, or asks for anything else.
     """
-    path = Path(path)
+    data = read_bytes(path, "pickle", LARGEST)
     try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise FungraspError(f"cannot read {path}: {error.strerror or error}") from error
-    try:
-        for start, decompress in _COMPRESSED.items():
+        if data.startswith(b"x"):
+            data = zlib.decompressobj().decompress(data, LARGEST + 1)
+        for start, unpacked in _COMPRESSED.items():
             if data.startswith(start):
-                data = decompress(data)
+                data = unpacked(io.BytesIO(data)).read(LARGEST + 1)
                 break
-        return _finished(_ArraysUnpickler(io.BytesIO(data)).load())
+        if len(data) > LARGEST:
+            raise _RefusedError(f"unpacked it has more than {LARGEST >> 20} MB")
+        return _Finished().value(_ArraysUnpickler(io.BytesIO(data)).load())
     except _RefusedError as error:
         raise FungraspError(f"{path} was not read: {error}") from error
     except Exception as error:
         # Bytes that are no pickle make the unpickler raise any exception.
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise FungraspError(f"{path} is not a readable pickle of arrays: {reason}") from error
+        raise FungraspError(f"{path} is not a readable pickle of arrays: {one_line(error)}") from error
 
 
 class _RefusedError(Exception):
@@ -116,8 +121,9 @@ def _array(data: bytes | str, dtype: _DType, shape: tuple[int, ...], order: Any)
     if not isinstance(data, bytes | bytearray | str):
         raise _RefusedError(f"it holds an array of {type(data).__name__}, which is no plain data")
     raw = data.encode("latin1") if isinstance(data, str) else data
+    # Views, as long as the order of bytes allows: a program may name the same bytes many times.
     array = np.frombuffer(raw, dtype=plain).reshape(tuple(shape), order="F" if order == "F" else "C")
-    return array.astype(plain.newbyteorder("="))
+    return array.astype(plain.newbyteorder("="), copy=False)
 
 
 def _reconstruct(*_: Any) -> _Array:
@@ -148,6 +154,18 @@ def _no_bytes() -> bytes:
     return b""
 
 
+def _counted(step: Callable[[Any], None]) -> Callable[[Any], None]:
+    """One kind of step of the unpickler, refused after ``MOST_STEPS`` of all kinds."""
+
+    def run(unpickler: Any) -> None:
+        unpickler.steps += 1
+        if unpickler.steps > MOST_STEPS:
+            raise _RefusedError(f"it takes more than {MOST_STEPS} steps")
+        step(unpickler)
+
+    return run
+
+
 class _ArraysUnpickler(_PythonUnpickler):
     """The unpickler written in Python: the one in C can't stop to let joblib's array bytes be read."""
 
@@ -173,11 +191,10 @@ class _ArraysUnpickler(_PythonUnpickler):
         },
     }
 
-    dispatch: ClassVar[dict[int, Any]] = dict(_PythonUnpickler.dispatch)
-
     def __init__(self, stream: io.BytesIO):
         super().__init__(stream, encoding="latin1")
         self._stream = stream
+        self.steps = 0
 
     def find_class(self, module: str, name: str) -> Any:
         if (module, name) not in self.ALLOWED:
@@ -195,21 +212,31 @@ class _ArraysUnpickler(_PythonUnpickler):
         if isinstance(stack[-1], _JoblibArray):
             stack[-1] = stack[-1].read(self._stream)
 
-    dispatch[pickle.BUILD[0]] = load_build
+    dispatch: ClassVar[dict[int, Any]] = {
+        code: _counted(step)
+        for code, step in (_PythonUnpickler.dispatch | {pickle.BUILD[0]: load_build}).items()
+    }
 
 
-def _finished(value: Any) -> Any:
-    """The same with arrays in place of their stand-ins."""
-    if isinstance(value, _Array):
-        return value.value
-    if isinstance(value, dict):
-        return {key: _finished(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return type(value)(_finished(item) for item in value)
-    if value is None or isinstance(
-        value, bool | int | float | complex | str | bytes | bytearray | set | frozenset
-    ):
-        return value
-    if isinstance(value, np.generic):
-        return value
-    raise _RefusedError(f"it holds a {type(value).__name__.strip('_')}, which is no plain data")
+class _Finished:
+    """Puts arrays in the place of their stand-ins."""
+
+    def __init__(self) -> None:
+        self._size = 0
+
+    def value(self, value: Any) -> Any:
+        """The same, of plain data."""
+        self._size += max(value.value.size * 8, value.value.nbytes) if isinstance(value, _Array) else 64
+        if self._size > LARGEST:
+            raise _RefusedError(f"its values take more than {LARGEST >> 20} MB")
+        if isinstance(value, _Array):
+            return value.value
+        if isinstance(value, dict):
+            return {key: self.value(item) for key, item in value.items()}
+        if isinstance(value, list | tuple):
+            return type(value)(self.value(item) for item in value)
+        if value is None or isinstance(
+            value, bool | int | float | complex | str | bytes | bytearray | set | frozenset | np.generic
+        ):
+            return value
+        raise _RefusedError(f"it holds a {type(value).__name__.strip('_')}, which is no plain data")

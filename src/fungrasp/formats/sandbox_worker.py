@@ -1,0 +1,154 @@
+"""What runs in the child process of ``sandbox``: requests come in on stdin, a fork answers each."""
+
+from __future__ import annotations
+
+import importlib
+import io
+import json
+import os
+import signal
+import struct
+import sys
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any
+
+HEAD = struct.Struct("<BQ")
+"""Of an answer: its status, and how many bytes follow."""
+
+DONE, REFUSED, SLOW, LARGE, CRASHED = range(5)
+"""Status of an answer."""
+
+LONGEST_REASON = 300
+
+
+def read_triangles(path: str) -> bytes:
+    """Vertices [V, 3] and faces [F, 3] of a mesh file, as an ``.npz`` file."""
+    import numpy as np
+    import trimesh
+
+    mesh: Any = trimesh.load(path, force="mesh", process=False, skip_materials=True)
+    vertices = np.asarray(mesh.vertices, dtype=np.float64).reshape(-1, 3)
+    faces = np.asarray(mesh.faces, dtype=np.int64).reshape(-1, 3)
+    if len(faces) and not 0 <= faces.min() <= faces.max() < len(vertices):
+        raise ValueError("a face has a corner that does not exist")
+    result = io.BytesIO()
+    np.savez(result, vertices=vertices, faces=faces.astype(np.int32))
+    return result.getvalue()
+
+
+def compile_model(path: str) -> bytes:
+    """Nothing, if MuJoCo parses and compiles a model file in the time and memory there is."""
+    import mujoco
+
+    mujoco.set_mju_user_warning(lambda _: None)
+    try:
+        spec = mujoco.MjSpec.from_file(path)
+    except ValueError:
+        return b""  # The caller meets the same error, and can say more about it.
+    try:
+        mujoco.MjData(spec.compile())
+    except ValueError:
+        # The caller may go on without the meshes.
+        for geom in list(spec.geoms):
+            if geom.type == mujoco.mjtGeom.mjGEOM_MESH:
+                spec.delete(geom)
+        for mesh in list(spec.meshes):
+            spec.delete(mesh)
+        with suppress(ValueError):
+            mujoco.MjData(spec.compile())
+    return b""
+
+
+def run_network(path: str) -> bytes:
+    """Nothing, if ONNX Runtime runs a network for two worlds in the time and memory there is."""
+    import numpy as np
+    import onnxruntime
+
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    options.log_severity_level = 4
+    session = onnxruntime.InferenceSession(path, options, providers=["CPUExecutionProvider"])
+    kinds = {"tensor(float)": np.float32, "tensor(double)": np.float64, "tensor(int64)": np.int64}
+    kinds |= {"tensor(int32)": np.int32, "tensor(bool)": np.bool_}
+    feed = {
+        put.name: np.zeros([size if isinstance(size, int) else 2 for size in put.shape], kinds[put.type])
+        for put in session.get_inputs()
+        if put.type in kinds
+    }
+    session.run(None, feed)
+    return b""
+
+
+JOBS: dict[str, tuple[Callable[[str], bytes], tuple[str, ...]]] = {
+    "triangles": (read_triangles, ("numpy", "trimesh")),
+    "model": (compile_model, ("mujoco",)),
+    "network": (run_network, ("numpy", "onnxruntime")),
+}
+"""By name: the job and the modules that are imported once, before the fork."""
+
+
+def work(job: str, path: str) -> tuple[int, bytes]:
+    """Status and answer of a job."""
+    try:
+        return DONE, JOBS[job][0](path)
+    except MemoryError:
+        return LARGE, b""
+    except Exception as error:
+        if "bad_alloc" in str(error) or "bad allocation" in str(error) or "llocate memory" in str(error):
+            return LARGE, b""
+        reason = " ".join(str(error).split()) or type(error).__name__
+        return REFUSED, reason[:LONGEST_REASON].encode(errors="backslashreplace")
+
+
+def serve() -> None:
+    """Answer requests until stdin ends."""
+    answers = os.dup(1)
+    os.dup2(2, 1)
+    for line in sys.stdin.buffer:
+        request = json.loads(line)
+        for module in JOBS[request["job"]][1]:
+            importlib.import_module(module)
+        _send(answers, *_forked(request))
+
+
+def _forked(request: dict[str, Any]) -> tuple[int, bytes]:
+    here, there = os.pipe()
+    child = os.fork()
+    if child == 0:
+        os.close(here)
+        _limit(request["seconds"], request["memory"])
+        _send(there, *work(request["job"], request["path"]))
+        os._exit(0)
+    os.close(there)
+    with os.fdopen(here, "rb") as stream:
+        answer = stream.read()
+    code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    if code == 0 and len(answer) >= HEAD.size:
+        return answer[0], answer[HEAD.size :]
+    if code in (-signal.SIGXCPU, -signal.SIGALRM, -signal.SIGKILL):
+        return SLOW, b""
+    return CRASHED, (signal.Signals(-code).name if code < 0 else f"exit status {code}").encode()
+
+
+def _limit(seconds: float, memory: int) -> None:
+    import resource
+
+    signal.setitimer(signal.ITIMER_REAL, 1.6 * seconds)
+    resource.setrlimit(resource.RLIMIT_CPU, (int(seconds) + 1, int(seconds) + 1))
+    for name in ("RLIMIT_DATA", "RLIMIT_AS"):
+        with suppress(ValueError, OSError):
+            size = memory if name == "RLIMIT_DATA" else 2 * memory
+            resource.setrlimit(getattr(resource, name), (size, size))
+    for name in ("RLIMIT_FSIZE", "RLIMIT_CORE"):
+        resource.setrlimit(getattr(resource, name), (0, 0))
+
+
+def _send(to: int, status: int, answer: bytes) -> None:
+    with os.fdopen(os.dup(to), "wb") as stream:
+        stream.write(HEAD.pack(status, len(answer)))
+        stream.write(answer)
+
+
+if __name__ == "__main__":
+    serve()

@@ -1,0 +1,115 @@
+"""A closed surface around any triangles: all points within a distance of them, from a grid of distances."""
+
+from __future__ import annotations
+
+import itertools
+from typing import Any
+
+import numpy as np
+from scipy import ndimage
+from scipy.spatial import KDTree
+
+from fungrasp.geometry.signed_distance import points_on_triangles
+
+MOST_CORNERS = 4_000_000
+"""Most corners of the grid."""
+
+MOST_CELLS = 100_000
+"""About how many cells of the grid the triangles pass through at most."""
+
+MOST_SAMPLES = 3_000_000
+"""Most points on the triangles."""
+
+# The six tetrahedra of a cube about its diagonal, as offsets of their corners, shape [6, 4, 3].
+_TETRAHEDRA = np.array(
+    [
+        np.concatenate([np.zeros((1, 3)), np.cumsum(np.eye(3)[list(order)], axis=0)])
+        for order in itertools.permutations(range(3))
+    ],
+    dtype=int,
+)
+
+
+def shell_from_triangles(triangles: np.ndarray, thickness: float) -> tuple[np.ndarray, np.ndarray, float]:
+    """The surface of the points within half a thickness of the triangles, its cavities filled.
+
+    Args:
+        triangles: [m], shape [F, 3, 3].
+        thickness: of the shell around them [m]; larger where the grid would be too fine.
+
+    Returns:
+        vertices: [m], shape [V, 3].
+        faces: outward, shape [G, 3]; closed.
+        thickness: that of the shell [m].
+    """
+    low, high = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
+    area = 0.5 * np.linalg.norm(np.cross(*np.moveaxis(np.diff(triangles, axis=1), 1, 0)), axis=1).sum()
+    spacing = max(thickness / 2, float(np.sqrt(area / MOST_CELLS)))
+    thickness = 2 * spacing
+    for _ in range(100):
+        border = 3 * spacing + thickness / 2
+        shape = np.ceil((high - low + 2 * border) / spacing).astype(int) + 1
+        if np.prod(shape, dtype=float) <= MOST_CORNERS:
+            break
+        spacing *= 1.05
+        thickness = 2 * spacing
+    origin = low - border
+    gap = max(spacing / 2, float(np.sqrt(area / MOST_SAMPLES)))
+    points = points_on_triangles(triangles, gap)[0]
+    touched = np.zeros(shape, dtype=bool)
+    touched[tuple(np.round((points - origin) / spacing).astype(int).T)] = True
+    steps: Any = ndimage.distance_transform_edt(~touched)
+    band = np.flatnonzero(steps.ravel() <= thickness / 2 / spacing + 2.5)
+    values = np.full(steps.size, spacing)
+    corners = origin + spacing * np.stack(np.unravel_index(band, shape), axis=1)
+    values[band] = KDTree(points).query(corners, workers=-1)[0] - thickness / 2
+    values = values.reshape(shape)
+    # What the outside can't reach is filled.
+    parts: Any = ndimage.label(values > 0)
+    values = np.where((parts[0] > 0) & (parts[0] != parts[0][0, 0, 0]), -spacing, values)
+    vertices, faces = zero_surface(values)
+    return origin + spacing * vertices, faces, thickness
+
+
+def zero_surface(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The surface between negative and other values on a grid, by marching tetrahedra (Doi and Koide, 1991):
+    closed if no negative value is at the border.
+
+    Args:
+        values: at the corners of the grid, shape [X, Y, Z].
+
+    Returns:
+        vertices: in cells, shape [V, 3].
+        faces: the negative side behind them, shape [F, 3].
+    """
+    shape = np.array(values.shape)
+    stride = np.array([shape[1] * shape[2], shape[2], 1])
+    inside = values < 0
+    cubes = np.stack([inside[tuple(slice(o, s - 1 + o) for o, s in zip(corner, shape, strict=True))]
+                      for corner in np.ndindex(2, 2, 2)])  # fmt: skip
+    crossed = np.argwhere(cubes.any(axis=0) & ~cubes.all(axis=0)) @ stride
+    tetrahedra = (crossed[:, None, None] + _TETRAHEDRA @ stride).reshape(-1, 4)
+    flat = values.ravel()
+    # Corners of a tetrahedron with the inner ones first, and how many of them there are.
+    order = np.argsort(flat[tetrahedra] >= 0, axis=1, kind="stable")
+    sorted_corners = np.take_along_axis(tetrahedra, order, axis=1)
+    count = (flat[tetrahedra] < 0).sum(axis=1)
+    one, two, three = (sorted_corners[count == n] for n in (1, 2, 3))
+    edges = np.concatenate([
+        one[:, [[0, 1], [0, 2], [0, 3]]],
+        three[:, [[0, 3], [1, 3], [2, 3]]],
+        two[:, [[0, 2], [0, 3], [1, 3]]],
+        two[:, [[0, 2], [1, 3], [1, 2]]],
+    ])  # fmt: skip
+    # A tetrahedron's edge is known by its inner and outer corner.
+    codes, faces = np.unique(edges[..., 0] * flat.size + edges[..., 1], return_inverse=True)
+    faces = faces.reshape(-1, 3)
+    inner, outer = np.divmod(codes, flat.size)
+    part = flat[inner] / (flat[inner] - np.maximum(flat[outer], 1e-9))
+    inner_at, outer_at = (np.stack(np.unravel_index(i, values.shape), axis=1) for i in (inner, outer))
+    vertices = inner_at + np.clip(part, 1e-4, 1 - 1e-4)[:, None] * (outer_at - inner_at)
+    a, b, c = (vertices[faces[:, i]] for i in range(3))
+    ways = (outer_at - inner_at)[faces].sum(axis=1)
+    turned = np.sum(np.cross(b - a, c - a) * ways, axis=1) < 0
+    faces[turned] = faces[turned, ::-1]
+    return vertices, faces

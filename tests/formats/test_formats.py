@@ -1,0 +1,277 @@
+"""Readers of foreign files: what they take, and that they refuse the rest in words and within bounds."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import random
+import struct
+import time
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import onnx
+import pytest
+import trimesh
+from PIL import Image
+
+from fungrasp.errors import FungraspError
+from fungrasp.formats import sandbox
+from fungrasp.formats.file_bytes import read_bytes
+from fungrasp.formats.guarded import guarded
+from fungrasp.formats.image_file import read_image
+from fungrasp.formats.json_file import parse_json, read_json
+from fungrasp.formats.mesh_file import read_mesh
+from fungrasp.formats.mujoco_model import read_model
+from fungrasp.formats.numpy_files import read_npy, read_npz
+from fungrasp.formats.onnx_file import check_harmless, try_network
+from fungrasp.formats.pickle_file import load_arrays_pickle
+from fungrasp.formats.toml_file import read_toml, type_faults
+from fungrasp.formats.yaml_file import read_yaml
+
+MANY = '<replicate count="9000000" offset="1 0 0"><geom size="1"/></replicate>'
+SMALL = '<mujoco><worldbody><body><geom size="1"/></body></worldbody></mujoco>'
+
+
+def refused(read: Callable[[Path], Any], path: Path, content: bytes | str, words: str = ".") -> None:
+    path.write_bytes(content.encode() if isinstance(content, str) else content)
+    with pytest.raises(FungraspError, match=words) as caught:
+        read(path)
+    assert "\n" not in str(caught.value)
+
+
+def npy(header: str, body: bytes = b"") -> bytes:
+    return b"\x93NUMPY\x01\x00" + struct.pack("<H", len(header)) + header.encode() + body
+
+
+def test_arrays_come_back_as_they_were(tmp_path):
+    arrays = {"a": np.arange(6.0).reshape(2, 3), "b": np.array(["x", "yz"]), "c": np.array(True)}
+    arrays["d"] = np.asfortranarray(np.arange(6, dtype=">i4").reshape(2, 3))
+    np.savez_compressed(tmp_path / "x.npz", **arrays)
+    found = read_npz(tmp_path / "x.npz", "file")
+    for name, array in arrays.items():
+        np.testing.assert_array_equal(found[name], array)
+    assert list(read_npz(tmp_path / "x.npz", "file", "b".__eq__)) == ["b"]
+    np.save(tmp_path / "x.npy", arrays["a"])
+    found = read_npy(tmp_path / "x.npy", "file")
+    found += 1  # It can be written to.
+    np.testing.assert_array_equal(found, arrays["a"] + 1)
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        "{'descr': '<f8', 'fortran_order': False, 'shape': (1000000000000,), }",
+        "{'descr': '<f8', 'fortran_order': False, 'shape': (99999999999999999999,), }",
+        "{'descr': '<f8', 'fortran_order': False, 'shape': (-1,), }",
+        "{'descr': '<f8', 'fortran_order': False, 'shape': (True,), }",
+        "{'descr': '<U1000000000', 'fortran_order': False, 'shape': (), }",
+        "{'descr': '|O', 'fortran_order': False, 'shape': (1,), }",
+        "{'descr': [('a', '<f8')], 'fortran_order': False, 'shape': (1,), }",
+        "[" * 5000,
+        "{'descr",
+    ],
+)
+def test_headers_that_lie(tmp_path, header):
+    refused(lambda path: read_npy(path, "file"), tmp_path / "x.npy", npy(header, bytes(8)))
+
+
+def test_an_archive_that_unpacks_to_gigabytes_is_refused_at_once(tmp_path):
+    with (
+        zipfile.ZipFile(tmp_path / "bomb.npz", "w", zipfile.ZIP_DEFLATED) as archive,
+        archive.open("x.npy", "w", force_zip64=True) as stream,
+    ):
+        stream.write(npy("{'descr': '|b1', 'fortran_order': False, 'shape': (400000000,), }"))
+        for _ in range(400):
+            stream.write(bytes(1_000_000))
+    start = time.monotonic()
+    with pytest.raises(FungraspError, match="field 'x' declares bool of shape"):
+        read_npz(tmp_path / "bomb.npz", "file")
+    assert time.monotonic() - start < 2
+
+
+def test_json(tmp_path):
+    assert parse_json('{"a": [1, 2.5, null]}', "x") == {"a": [1, 2.5, None]}
+    for text, words in (
+        ("[" * 100_000, "nested too deeply"),
+        ("[" * 40 + "]" * 40, "nested more than"),
+        ("9" * 5000, "not valid JSON"),
+        ("9" * 30, "more than 64 bits"),
+        ('"\\ud800"', "half a character"),
+        ("{", "not valid JSON"),
+    ):
+        refused(lambda path: read_json(path, "file"), tmp_path / "x.json", text, words)
+
+
+def test_toml_and_types(tmp_path):
+    for text, words in (
+        ("x = " + "[" * 5000, "nested too deeply|not valid"),
+        ("a." * 5000 + "b = 1", "nested more than|nested too deeply"),
+        ("x = " + "9" * 5000, "not valid TOML"),
+        ("x = 0x" + "f" * 5000, "more than 64 bits"),
+        ("x = ", "not valid TOML"),
+    ):
+        refused(lambda path: read_toml(path, "file"), tmp_path / "x.toml", text, words)
+    schema = {"name": str, "n": float, "list": [str], "of": {"*": {"tip": str}}}
+    assert list(type_faults({"name": "x", "n": 1, "list": ["a"], "of": {"q": {"tip": "t"}}}, schema)) == []
+    wrong = {"name": 1, "n": True, "list": ["a", 2], "of": {"q": {"tip": []}}, "other": 3}
+    assert list(type_faults(wrong, schema)) == [
+        "'name' must be a text, not 1",
+        "'n' must be a number, not True",
+        "'list[1]' must be a text, not 2",
+        "'of.q.tip' must be a text, not []",
+    ]
+
+
+def test_yaml_takes_tuples_and_no_other_tag(tmp_path):
+    pytest.importorskip("yaml")
+    (tmp_path / "x.yml").write_text("a: !!python/tuple [1.0, 2.0]\n")
+    assert read_yaml(tmp_path / "x.yml") == {"a": [1.0, 2.0]}
+    bomb = "a0: &a0 [x, x, x, x, x, x, x, x, x, x]\n"
+    bomb += "".join(f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 10)}]\n" for i in range(1, 9))
+    for text in ("a: !!python/object/apply:os.system [ls]", bomb, "a: &a [*a]", "[" * 5000, "- 1"):
+        refused(read_yaml, tmp_path / "x.yml", text)
+
+
+def test_images(tmp_path):
+    header = b"\x89PNG\r\n\x1a\n" + struct.pack(">I4sII5B", 13, b"IHDR", 1 << 20, 1 << 20, 8, 2, 0, 0, 0)
+    for content in (b"", b"nonsense", header + bytes(100)):
+        refused(lambda path: read_image(path, "mask"), tmp_path / "x.png", content)
+    Image.new("L", (3, 2)).save(tmp_path / "x.png")
+    assert read_image(tmp_path / "x.png", "mask").size == (3, 2)
+
+
+def test_meshes(tmp_path):
+    trimesh.creation.box((0.1, 0.1, 0.1)).export(tmp_path / "box.obj")
+    vertices, faces = read_mesh(tmp_path / "box.obj")
+    assert vertices.shape == (8, 3) and faces.shape == (12, 3)
+    refused(read_mesh, tmp_path / "x.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 99\n", "cannot read|no faces")
+    ply = "ply\nformat ascii 1.0\nelement vertex 9\nproperty float x\nelement face 3000000\nend_header\n"
+    refused(read_mesh, tmp_path / "x.ply", ply, "3,000,000 faces; at most 2,000,000")
+    with pytest.raises(FungraspError, match="no regular file"):
+        read_mesh("/dev/zero")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        SMALL.replace("<worldbody>", '<size nuserdata="2000000000"/><worldbody>'),
+        SMALL.replace('<geom size="1"/>', MANY),
+        "<!DOCTYPE x [<!ENTITY a 'b'>]>" + SMALL,
+        "<mujoco>" * 5000,
+        "nonsense",
+    ],
+)  # fmt: skip
+def test_models(tmp_path, text):
+    (tmp_path / "good.xml").write_text(SMALL)
+    assert read_model(tmp_path / "good.xml").compile().nbody == 2
+    refused(read_model, tmp_path / "x.xml", text)
+
+
+def network(*nodes: onnx.NodeProto, weights: int = 1) -> bytes:
+    put = [onnx.helper.make_tensor_value_info(name, onnx.TensorProto.FLOAT, ["n", 1]) for name in "xy"]
+    row = onnx.numpy_helper.from_array(np.ones((1, weights), np.float32), "row")
+    column = onnx.numpy_helper.from_array(np.ones((weights, 1), np.float32), "column")
+    graph = onnx.helper.make_graph(list(nodes), "g", put[:1], put[1:], [row, column])
+    opset = onnx.helper.make_opsetid("", 17)
+    return onnx.helper.make_model(graph, opset_imports=[opset], ir_version=8).SerializeToString()
+
+
+def test_networks_are_walked_and_tried():
+    make = onnx.helper.make_node
+    good = network(make("Relu", ["x"], ["y"]))
+    check_harmless(good)
+    try_network(good)
+    with pytest.raises(FungraspError, match="'RandomUniformLike' is none of"):
+        check_harmless(network(make("RandomUniformLike", ["x"], ["y"])))
+    # A file of 1 MB that computes with a matrix of 60 GB.
+    outer = make("Mul", ["row", "column"], ["outer"]), make("ReduceMean", ["outer"], ["mean"], keepdims=1)
+    large = network(*outer, make("Add", ["x", "mean"], ["y"]), weights=120_000)
+    check_harmless(large)
+    with pytest.raises(FungraspError, match=r"memory|cannot read|more than"):
+        try_network(large)
+
+
+def test_pickles_that_take_too_many_steps(tmp_path):
+    refused(
+        load_arrays_pickle, tmp_path / "x.pkl", b"\x80\x04" + b"]" * 3_000_000 + b".", "more than .* steps"
+    )
+
+
+def test_the_child_process_ends_what_takes_too_long(tmp_path, monkeypatch):
+    monkeypatch.setattr(sandbox, "SECONDS", 0.2)
+    text = SMALL.replace('<geom size="1"/>', MANY)
+    (tmp_path / "x.xml").write_text(text)
+    with pytest.raises(FungraspError, match="was not read: it takes more than"):
+        sandbox.run_limited("model", tmp_path / "x.xml", "model")
+    monkeypatch.undo()
+    (tmp_path / "x.xml").write_text(SMALL)
+    assert sandbox.run_limited("model", tmp_path / "x.xml", "model") == b""
+
+
+def test_files_that_are_none(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    for path, words in (
+        (tmp_path, "is a folder"),
+        (tmp_path / "pipe", "no regular file"),
+        (tmp_path / "no", "not exist"),
+    ):
+        with pytest.raises(FungraspError, match=words):
+            read_bytes(path, "file", 10)
+    (tmp_path / "large").write_bytes(bytes(20))
+    with pytest.raises(FungraspError, match="at most 0 are read"):
+        read_bytes(tmp_path / "large", "file", 10)
+
+
+def test_what_readers_stumble_over_is_one_line():
+    @guarded("thing")
+    def read(path: str) -> None:
+        raise TypeError("two\nlines")
+
+    with pytest.raises(FungraspError, match=r"^the thing x makes no sense: two lines$"):
+        read("x")
+
+
+def seeds() -> dict[str, tuple[bytes, Callable[[Path], Any]]]:
+    """A good file of each format, and its reader."""
+    array, image = io.BytesIO(), io.BytesIO()
+    np.savez_compressed(array, a=np.arange(12.0).reshape(3, 4), b=np.array(["x", "y"]))
+    Image.new("RGB", (8, 8), (9, 99, 200)).save(image, "PNG")
+    plain = io.BytesIO()
+    np.save(plain, np.arange(6).reshape(2, 3))
+    box = trimesh.creation.box((0.1, 0.1, 0.1))
+    return {
+        "x.npz": (array.getvalue(), lambda path: read_npz(path, "file")),
+        "x.npy": (plain.getvalue(), lambda path: read_npy(path, "file")),
+        "x.json": (json.dumps({"a": [1, 2.5, {"b": "c"}]}).encode(), lambda path: read_json(path, "file")),
+        "x.toml": (b'a = 1\n[b]\nc = [1.5, "x"]\n', lambda path: read_toml(path, "file")),
+        "x.png": (image.getvalue(), lambda path: read_image(path, "image")),
+        "x.stl": (bytes(box.export(file_type="stl")), read_mesh),
+        "x.ply": (bytes(box.export(file_type="ply")), read_mesh),
+        "x.glb": (bytes(box.export(file_type="glb")), read_mesh),
+        "x.xml": (SMALL.encode(), read_model),
+    }
+
+
+@pytest.mark.parametrize("name", seeds())
+def test_damaged_files_are_read_or_refused(tmp_path, name):
+    good, read = seeds()[name]
+    for case in range(25):
+        chance = random.Random(f"{name} {case}")
+        data = bytearray(good)
+        for _ in range(chance.choice((1, 1, 2, 5))):
+            at = chance.randrange(len(data) + 1)
+            size = chance.choice((1, 2, 4, 30))
+            piece = chance.choice(
+                (b"", bytes(size), b"\xff" * size, chance.randbytes(size), data[:size], b"[" * 300, b"9" * 99)
+            )
+            data[at : at + chance.choice((0, size))] = piece
+        (tmp_path / name).write_bytes(data)
+        try:
+            read(tmp_path / name)
+        except FungraspError as error:
+            assert "\n" not in str(error) and str(error)
