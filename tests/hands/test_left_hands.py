@@ -9,9 +9,17 @@ import numpy as np
 import pytest
 from lifted_grasps import allegro_hand, good_grasps, grasped_objects, human_grasps
 
+from fungrasp.cli.main import main
 from fungrasp.errors import FungraspError
 from fungrasp.evaluation import evaluate
-from fungrasp.grasps import HumanGraspSet, hand_sides, load_objects, mirrored_grasps
+from fungrasp.grasps import (
+    HumanGraspSet,
+    hand_sides,
+    load_objects,
+    load_robot_grasps,
+    mirrored_grasps,
+    save_human_grasps,
+)
 from fungrasp.grasps.anatomy import check_anatomy
 from fungrasp.hands import FINGERS, Hand, hand_files, load_hand
 from fungrasp.objects import mirrored_object
@@ -120,3 +128,21 @@ def test_object_in_the_mirror():
     here, _ = bank.query(np.array([0]), points[None])
     there, _ = bank.query(np.array([1]), (points * FLIP)[None])
     np.testing.assert_allclose(there, here, atol=1e-7)
+
+
+def test_mirror_option(left: Hand, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    save_human_grasps(tmp_path / "human.npz", human_grasps())
+    arguments = [
+        "retarget",
+        "--grasps",
+        tmp_path / "human.npz",
+        "--hand",
+        left.path,
+        "--out",
+        tmp_path / "r.npz",
+    ]
+    assert main([str(a) for a in arguments]) == 2
+    assert "--mirror" in capsys.readouterr().err
+    assert main([str(a) for a in (*arguments, "--mirror")]) == 0
+    names = load_robot_grasps(tmp_path / "r.npz").object_name
+    assert set(names) == {"can_mirrored", "tennis_ball_mirrored"}

@@ -31,10 +31,12 @@ def far_ends(foreign: ForeignModel) -> dict[int, np.ndarray]:
             local = surface_points(foreign, member)
             points.append(data.xpos[member] + local @ data.xmat[member].reshape(3, 3).T)
         cloud = np.concatenate([p.reshape(-1, 3) for p in points])
+        before = _anchor_before(model, data, body)
         if not len(cloud) or np.linalg.norm(cloud - anchor, axis=1).max() < NEARLY_NOTHING:
-            before = anchor - _anchor_before(model, data, body)
-            cloud = (anchor + before)[None]
-        far = cloud[np.argmax(np.linalg.norm(cloud - anchor, axis=1))]
+            cloud = (2 * anchor - before)[None]
+        # Of two ends equally far from the joint, the one away from the link before is the tip.
+        reach = np.linalg.norm(cloud - anchor, axis=1) + np.linalg.norm(cloud - before, axis=1)
+        far = cloud[np.argmax(reach)]
         ends[body] = turn.T @ (far - data.xpos[body])
     return ends
 

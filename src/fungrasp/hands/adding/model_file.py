@@ -188,9 +188,9 @@ def _take_meshes(
         if mesh is None:
             continue
         collides = bool(geom.contype or geom.conaffinity)
-        if mesh.name not in loaded:
-            loaded[mesh.name] = _load(mesh, base, missing)
-        shape = loaded[mesh.name]
+        if geom.meshname not in loaded:
+            loaded[geom.meshname] = _load(mesh, base, missing)
+        shape = loaded[geom.meshname]
         if shape is None:
             if collides:
                 stripped.add(geom.parent.name)

@@ -45,7 +45,7 @@ def finger_radii(
         tip = poses.of_body(chain.bodies[-1], ends[chain.bodies[-1]])
         length = float(np.linalg.norm(tip - bases[name]))
         size = FINGER_RADIUS * length * (THUMB_WIDER if name == "thumb" else 1.0)
-        group = {m for body in chain.bodies for m in members(model, body)}
+        group = {m for body in chain.links for m in members(model, body)}
         near = [
             float(model.geom_size[g, 0])
             for b in sorted(group)
