@@ -17,8 +17,6 @@ from fungrasp.formats.file_bytes import one_line
 from fungrasp.formats.sandbox import run_limited
 
 VARINT, FIXED64, BYTES, FIXED32 = 0, 1, 2, 5
-METADATA = 14
-"""Of a model: one key with its value."""
 GRAPH, FUNCTION = 7, 25
 DEFAULT_DOMAINS = ("", "ai.onnx")
 
@@ -103,22 +101,6 @@ def message_fields(data: bytes, start: int = 0, end: int | None = None) -> Itera
             raise _broken(first)
         yield Field(number, kind, first, position, stop)
         position = stop
-
-
-def metadata_entries(data: bytes, key: str) -> list[tuple[Field, Field]]:
-    """Every metadata entry of a model with this key: the entry and its value.
-
-    Raises:
-        FungraspError: these bytes are no ONNX model.
-    """
-    entries = []
-    for entry in message_fields(data):
-        if entry.number != METADATA or entry.kind != BYTES:
-            continue
-        parts = {part.number: part for part in message_fields(data, entry.start, entry.end)}
-        if 1 in parts and 2 in parts and data[parts[1].start : parts[1].end] == key.encode():
-            entries.append((entry, parts[2]))
-    return entries
 
 
 def check_harmless(data: bytes) -> None:
@@ -212,16 +194,6 @@ def _varint(data: bytes, position: int, end: int) -> tuple[int, int]:
         if byte < 0x80:
             return value, position + shift // 7 + 1
     raise _broken(position)
-
-
-def _bytes_field(number: int, content: bytes) -> bytes:
-    header = bytearray()
-    for value in (number << 3 | BYTES, len(content)):
-        while value > 0x7F:
-            header.append(value & 0x7F | 0x80)
-            value >>= 7
-        header.append(value)
-    return bytes(header) + content
 
 
 def _broken(position: int) -> FungraspError:

@@ -13,6 +13,9 @@ from fungrasp.objects.shell_from_triangles import shell_from_triangles
 SHELL_THICKNESS = 0.002
 """Thickness of the shell that a surface beyond repair becomes [m]; more for large ones."""
 
+MOST_HOLES = 20_000
+"""A surface with more holes is loose triangles: none is filled."""
+
 MOST_BODIES = 1000
 """A mesh of more closed bodies is not united."""
 
@@ -77,7 +80,8 @@ def fill_holes(mesh: trimesh.Trimesh, widest: float) -> tuple[trimesh.Trimesh, i
         the mesh, and how many holes were closed.
     """
     vertices, faces, closed = [np.asarray(mesh.vertices)], [np.asarray(mesh.faces)], 0
-    for loop in _holes(mesh.faces):
+    loops = _holes(mesh.faces)
+    for loop in loops if len(loops) <= MOST_HOLES else ():
         corners = mesh.vertices[loop]
         if np.ptp(corners, axis=0).max() > widest:
             continue
@@ -147,23 +151,24 @@ def _holes(faces: np.ndarray) -> list[np.ndarray]:
     for a, b in np.stack(np.divmod(np.setdiff1d(forth, back), count), axis=1).tolist():
         following.setdefault(a, []).append(b)
     loops = []
-    while following:
-        path = [next(iter(following))]
-        place = {path[0]: 0}
-        while path and path[-1] in following:
-            at = path[-1]
-            to = following[at].pop()
-            if not following[at]:
-                del following[at]
-            if to in place:
-                first = place[to]
-                loops.append(np.array(path[first:]))
-                for vertex in path[first + 1 :]:
-                    del place[vertex]
-                del path[first + 1 :]
-            else:
-                place[to] = len(path)
-                path.append(to)
+    for start in list(following):
+        while start in following:
+            path = [start]
+            place = {path[0]: 0}
+            while path and path[-1] in following:
+                at = path[-1]
+                to = following[at].pop()
+                if not following[at]:
+                    del following[at]
+                if to in place:
+                    first = place[to]
+                    loops.append(np.array(path[first:]))
+                    for vertex in path[first + 1 :]:
+                        del place[vertex]
+                    del path[first + 1 :]
+                else:
+                    place[to] = len(path)
+                    path.append(to)
     return loops
 
 

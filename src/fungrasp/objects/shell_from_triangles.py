@@ -11,10 +11,10 @@ from scipy.spatial import KDTree
 
 from fungrasp.geometry.signed_distance import points_on_triangles
 
-MOST_CORNERS = 4_000_000
+MOST_CORNERS = 2_000_000
 """Most corners of the grid."""
 
-MOST_CELLS = 100_000
+MOST_CELLS = 50_000
 """About how many cells of the grid the triangles pass through at most."""
 
 MOST_SAMPLES = 3_000_000
