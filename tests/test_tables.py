@@ -34,7 +34,7 @@ def test_a_page_that_differs_is_found_and_mended(tmp_path: Path, monkeypatch: py
     assert tables.main([]) == 0 and tables.main(["--check"]) == 0
     text = page.read_text()
     assert "| Allegro | 4.6 | 0.12 |" in text and "99.9" not in text and text.endswith("And on.\n")
-    assert "Measured by `fungrasp retarget" in text and "hands.json" in text
+    assert "Measured by `fungrasp evaluate" in text and "hand-allegro.json" in text
 
 
 @pytest.mark.parametrize("path", RESULTS, ids=lambda path: path.stem)
