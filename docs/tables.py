@@ -37,7 +37,13 @@ class Table(NamedTuple):
     """Names of the result files."""
 
 
-HANDS = {"allegro": "Allegro", "shadow": "Shadow", "faive": "Faive P0", "inspire": "Inspire RH56", "leap": "LEAP"}
+HANDS = {
+    "allegro": "Allegro",
+    "shadow": "Shadow",
+    "faive": "Faive P0",
+    "inspire": "Inspire RH56",
+    "leap": "LEAP",
+}
 
 
 def hands() -> Table:

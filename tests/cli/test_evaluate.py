@@ -106,19 +106,20 @@ def test_methods_side_by_side(human, tmp_path, capsys):
 def test_refinement_mends_failures_and_leaves_successes_alone(tmp_path, capsys):
     builtin = builtin_grasps()
     rows = [
-        np.flatnonzero(builtin.object_name == name)[0] for name in ("box", "hammer", "marker", "scissors")
+        np.flatnonzero(builtin.object_name == name)[0]
+        for name in ("box", "can", "hammer", "marker", "scissors")
     ]
     save_human_grasps(tmp_path / "g.npz", builtin.select(np.array(rows)))
     plain, refined = tmp_path / "plain.json", tmp_path / "refined.json"
     assert run(capsys, "evaluate", "--grasps", tmp_path / "g.npz", "--json", plain)[0] == 0
-    assert run(capsys, "evaluate", "--grasps", tmp_path / "g.npz", "--refine", 4, "--json", refined)[0] == 0
+    assert run(capsys, "evaluate", "--grasps", tmp_path / "g.npz", "--refine", 8, "--json", refined)[0] == 0
     pairs = list(zip(trials(plain), trials(refined), strict=True))
     assert any(before["success"] for before, _ in pairs) and not all(b["success"] for b, _ in pairs)
     for before, after in pairs:
         if before["success"]:
             assert after == before
         else:
-            assert abs(after["refined_tries"]) in (2, 3, 4)
+            assert abs(after["refined_tries"]) in range(2, 9)
         assert after["success"] == (after["refined_tries"] > 0), (
             "the trial that counts agrees with the search"
         )

@@ -230,7 +230,11 @@ def test_a_planner_of_ones_own_is_asked(good, things, allegro):
 
 def test_results_are_kept_only_of_what_has_a_name(good, things, allegro, tmp_path):
     store = PartialResults(tmp_path / "x.partial")
-    for policy, planner in ((MyPolicy(), None), ("reference", MotionPlanner(allegro, things))):
+
+    class Nameless:
+        plan = MotionPlanner(allegro, things).plan
+
+    for policy, planner in ((MyPolicy(), None), ("reference", Nameless())):
         with pytest.raises(FungraspError, match="given by name"):
             evaluate(good, things, allegro, policy, planner=planner, store=store)
     assert not (tmp_path / "x.partial").exists()

@@ -66,7 +66,7 @@ def bad_inputs(folder: Path) -> dict[str, tuple[list[object], str]]:
     return {
         "no file": (["--grasps", folder / "none.npz"], "none.npz does not exist"),
         "a folder": (["--grasps", meshes], "is a folder"),
-        "no grasps": (["--grasps", folder / "text.npz"], "not a grasp set"),
+        "no grasps": (["--grasps", folder / "text.npz"], "not an .npz file"),
         "cut short": (["--grasps", folder / "short.npz"], "short.npz"),
         "shape": (
             ["--grasps", write_arrays(folder / "shape.npz", hand_joints=good.hand_joints[:, :20])],

@@ -73,10 +73,10 @@ class SeenGrasp:
     @property
     def thing(self) -> ObjectModel:
         """The object of the grasp: reflected if the hand was a left one."""
-        from fungrasp.cli.held_object import mirrored_object
+        from fungrasp.objects import mirrored_object
 
         name = self.perceived.grasp.object_name
-        return self.model if name == self.model.name else mirrored_object(self.model, name)
+        return self.model if name == self.model.name else mirrored_object(self.model)
 
     def opening(self) -> list[str]:
         """What the page says before the robot's grasp."""

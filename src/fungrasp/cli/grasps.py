@@ -170,9 +170,9 @@ class CheckGrasps:
         from fungrasp.errors import FungraspError
         from fungrasp.grasps.anatomy import check_anatomy, grouped
         from fungrasp.grasps.diagnosis import hand_remarks, pose_remarks, table_remarks
-        from fungrasp.grasps.grasp_files import human_grasps_from_fields, read_fields
+        from fungrasp.grasps.grasp_files import human_grasps_from_fields, read_grasp_fields
 
-        fields = read_fields(self.file)
+        fields = read_grasp_fields(self.file)
         joints = fields.get("hand_joints")
         if joints is None or joints.dtype.kind != "f" or joints.ndim != 3 or joints.shape[1:] != (21, 3):
             human_grasps_from_fields(fields, self.file)
@@ -215,9 +215,9 @@ class ConvertGrasps:
 
     def run(self) -> None:
         from fungrasp.grasps.conversion import converted, mend_below_table
-        from fungrasp.grasps.grasp_files import human_grasps_from_fields, read_fields
+        from fungrasp.grasps.grasp_files import human_grasps_from_fields, read_grasp_fields
 
-        fields = read_fields(self.file)
+        fields = read_grasp_fields(self.file)
         if "hand_joints" not in fields:
             human_grasps_from_fields(fields, self.file)
         fields = converted(fields, self.joint_order, self.quaternion, self.unit, self.side)

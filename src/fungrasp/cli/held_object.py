@@ -52,15 +52,6 @@ def held_object(mesh: str, mass: float | None) -> HeldObject:
     return HeldObject(model, colored_mesh(mesh, model) if is_file else None, notes)
 
 
-def mirrored_object(model: ObjectModel, name: str) -> ObjectModel:
-    """The object reflected in the plane y = 0 of its frame, under another name: right hands then hold it as
-    left ones held the other (see ``mirror_pose``)."""
-    from fungrasp.grasps.human_hand import mirror_points
-    from fungrasp.objects import ObjectModel
-
-    return ObjectModel(name, model.mass, mirror_points(model.vertices), model.faces[:, ::-1])
-
-
 def write_mesh(path: Path, model: ObjectModel) -> None:
     """Write the object's surface, in the format that the path's ending names.
 

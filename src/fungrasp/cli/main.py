@@ -25,7 +25,7 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
     "train": ("fungrasp.cli.train", "train a policy on grasps: a teacher that knows the contacts"),
     "distill": ("fungrasp.cli.distill", "train a student, that sees what a robot has, from a teacher"),
     "reproduce": ("fungrasp.cli.reproduce", "train and test what the paper's tables compare"),
-    "hands": ("fungrasp.cli.hands", "list, show, check and export robot hands"),
+    "hands": ("fungrasp.cli.hands", "list, show, check, add and export robot hands"),
     "objects": ("fungrasp.cli.objects", "list and show objects"),
     "grasps": ("fungrasp.cli.grasps", "list, show, import and make human grasps"),
     "setup": ("fungrasp.cli.setup", "fetch the hand models that perceiving images needs"),

@@ -138,9 +138,10 @@ class Perceive:
 
     def _write(self, perceived: Perceived, capture: Capture, model: ObjectModel, seconds: float) -> list[str]:
         """Write the files, the grasp last; what to say about them."""
-        from fungrasp.cli.held_object import mirrored_object, write_mesh
+        from fungrasp.cli.held_object import write_mesh
         from fungrasp.cli.provenance import page_provenance
         from fungrasp.grasps import save_human_grasps
+        from fungrasp.objects import mirrored_object
         from fungrasp.report.perception_page import write_perception_page
 
         notes: list[str] = []
@@ -153,7 +154,7 @@ class Perceive:
         if perceived.hand.side == "left":
             name = perceived.grasp.object_name
             path = self.out.parent / f"{name}.obj"
-            write_mesh(path, mirrored_object(model, name))
+            write_mesh(path, mirrored_object(model))
             notes.append(f"the scene was mirrored, as hands are right ones here; the object's mesh: {path}")
         save_human_grasps(self.out, one_grasp(perceived.grasp))
         return notes

@@ -117,9 +117,10 @@ def evaluate(
         FungraspError: an unknown policy, grasps of another hand, or a folder that can't be written to.
     """
     check_hand(grasps, hand)
-    named = isinstance(policy, str)
-    if store is not None and not (named and planner is None):
-        raise FungraspError("partial results are kept only for a policy and a planner that are given by name")
+    if store is not None and not (isinstance(policy, str) and (planner is None or hasattr(planner, "key"))):
+        raise FungraspError(
+            "partial results are kept only for a policy that is given by name and a planner that has a key"
+        )
     if isinstance(policy, str):
         policy_key = (policy, *policy_files(policy, hand.name).digests())
     else:
@@ -237,7 +238,7 @@ class _Test:
             grasps.extra,
             {name: self.objects[name].digest for name in names},
             self.policy_key,
-            getattr(self.planner, "settings", None),
+            getattr(self.planner, "key", ""),
             self.protocol,
             self.randomization,
             self.scene.settings,

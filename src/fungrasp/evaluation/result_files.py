@@ -142,6 +142,9 @@ def _flattened(row: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, A
 def _kind(values: Sequence[Any]) -> str:
     """The narrowest type that holds all values that are there."""
     kinds = {type(value) for value in values if value is not None}
+    # A carriage return would end a row of the table; JSON escapes it.
+    if any(isinstance(value, str) and "\r" in value for value in values):
+        return "json"
     for name, allowed in (("bool", {bool}), ("int", {int}), ("float", {int, float}), ("str", {str})):
         if kinds <= allowed:
             return name

@@ -66,6 +66,7 @@ class Field(NamedTuple):
     """One field of a message."""
 
     number: int
+    """Number of the field in the schema."""
     kind: int
     """``VARINT``, ``FIXED64``, ``BYTES`` or ``FIXED32``."""
     first: int

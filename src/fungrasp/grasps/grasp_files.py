@@ -118,7 +118,7 @@ def _human(path: Path, arrays: Mapping[str, np.ndarray]) -> HumanGraspSet:
     return _build(path, HumanGraspSet, arrays, {})
 
 
-def read_fields(path: str | Path) -> dict[str, np.ndarray]:
+def read_grasp_fields(path: str | Path) -> dict[str, np.ndarray]:
     """The fields of a grasp file by name, as they are: neither checked nor complete.
 
     Raises:

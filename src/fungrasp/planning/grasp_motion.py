@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from fungrasp.files import digest
 from fungrasp.geometry.poses import compose, invert, rotate
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
@@ -108,6 +109,8 @@ class MotionPlanner:
         """
         self.hand, self.objects = hand, objects
         self.settings, self.protocol = settings or MotionSettings(), protocol or LiftProtocol()
+        self.key = digest(self.settings, self.protocol)
+        """Digest of all that plans depend on besides hand, objects and the arguments of ``plan``."""
 
     def plan(
         self,

@@ -10,7 +10,8 @@ from fungrasp.task import Belief, GraspPlan
 
 
 class Planner(Protocol):
-    """Plans grasps of one hand."""
+    """Plans grasps of one hand. A planner whose plans depend on ``key`` and the arguments of ``plan`` alone
+    has that attribute, a str; only then partial results of an evaluation can be kept."""
 
     def plan(
         self,

@@ -77,8 +77,8 @@ def test_a_changed_weight_or_card_is_told_by_the_hash(saved: Path, tmp_path: Pat
         (b"PK\x03\x04 a zip file, perhaps a torch checkpoint", "not a policy file"),
         (b"\x80\x04\x95 a pickle", "not a policy file"),
         (feedforward().SerializeToString(), "not a policy file"),
-        (sealed(b"", ZEROS), "ONNX Runtime can't run it"),
-        (sealed(b"\xff" * 40, ZEROS), "ONNX Runtime can't run it"),
+        (sealed(b"", ZEROS), "not an ONNX file: it has no graph"),
+        (sealed(b"\xff" * 40, ZEROS), "not an ONNX file, or damaged"),
     ],
 )
 def test_files_that_are_something_else(tmp_path: Path, content: bytes, message: str) -> None:
@@ -192,13 +192,14 @@ def test_models_that_need_more_than_themselves(
     monkeypatch.chdir(tmp_path / "inner")
     for path in ("weights.bin", "../weights.bin"):
         Path(path).write_bytes(bytes(60))
-    with pytest.raises(FungraspError, match="ONNX Runtime can't run it"):
+    refused = "weights lie in another file|only standard ONNX operators are run|it has no graph"
+    with pytest.raises(FungraspError, match=refused):
         save_policy("x.onnx", proto, allegro_card())
     assert not Path("x.onnx").exists()
     card = next(entry.value for entry in onnx.load(saved).metadata_props)
     Path("y.onnx").write_bytes(sealed(proto.SerializeToString(), ZEROS + card[len(ZEROS) :]))
     for read in (read_card, load_policy):
-        with pytest.raises(FungraspError, match=r"y\.onnx: ONNX Runtime can't run it"):
+        with pytest.raises(FungraspError, match=rf"y\.onnx: .*({refused})"):
             read("y.onnx")
 
 
@@ -216,7 +217,6 @@ def test_a_file_that_would_grow_is_read_in_little_memory(saved: Path, tmp_path: 
     (tmp_path / "x.onnx").write_bytes(sealed(proto.SerializeToString(), ZEROS + card[len(ZEROS) :]))
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     assert read_card(tmp_path / "x.onnx").name == "small"
-    policy = load_policy(tmp_path / "x.onnx")
-    with pytest.raises(FungraspError, match="can't run"):
-        policy(np.zeros((1, 5)))
+    with pytest.raises(FungraspError, match="takes more than 1.6 GB of memory"):
+        load_policy(tmp_path / "x.onnx")
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 100_000

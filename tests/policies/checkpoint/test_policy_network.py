@@ -145,7 +145,7 @@ COPY = ("Identity", "observation", "action")
             ),
             "'state_h' has no fixed shape",
         ),
-        (graph(SEEN, DONE, [("NoSuchOperator", "observation", "action")]), "the operator 'NoSuchOperator'"),
+        (graph(SEEN, DONE, [("NoSuchOperator", "observation", "action")]), "NoSuchOperator"),
     ],
 )
 def test_graphs_that_are_not_as_the_card_says(tmp_path: Path, proto: onnx.ModelProto, message: str) -> None:

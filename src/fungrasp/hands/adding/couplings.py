@@ -21,9 +21,13 @@ class Coupling:
     """``joint = constant + slope * driver`` [rad]."""
 
     joint: int
+    """Id of the joint that is driven."""
     driver: int
+    """Id of the joint that drives it."""
     constant: float
+    """Position of the driven joint where the driver is at zero [rad]."""
     slope: float
+    """Change of the driven joint per change of the driver."""
 
 
 def find_couplings(

@@ -40,9 +40,11 @@ class LinkShapes:
     """Shapes of one body of the new model, frame of that body."""
 
     body: int
+    """Id of the body in the foreign model."""
     members: tuple[int, ...]
     """Bodies of the foreign model that move with it, itself first."""
     shapes: list[Shape] = field(default_factory=list)
+    """Capsules and boxes, frame of the body."""
 
 
 @dataclass

@@ -55,6 +55,7 @@ class ForeignModel:
     massless: frozenset[int]
     """Ids of bodies with neither an inertial that can be nor shapes that weigh something."""
     findings: list[Finding] = field(default_factory=list)
+    """What was found wrong or was assumed on the way."""
 
 
 def read_foreign(path: Path) -> ForeignModel:

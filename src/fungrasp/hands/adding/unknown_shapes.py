@@ -64,6 +64,8 @@ def finger_radii(
 def made_up_capsule(
     poses: Poses, chain: Chain, body: int, joints: dict[int, np.ndarray], tip: np.ndarray, radius: float
 ) -> Capsule | None:
+    """A capsule from a finger link's joint to the next, or to the tip, where no shape is known; None for a
+    link without length."""
     i = chain.bodies.index(body)
     start = joints[body]
     if i + 1 < len(chain.bodies):

@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 
 from fungrasp.errors import FungraspError
+from fungrasp.formats.file_bytes import one_line
 from fungrasp.formats.mujoco_model import read_model, read_model_text
 from fungrasp.hands.checking.finding import Finding, error, listed, warning
 from fungrasp.hands.checking.urdf_checks import check_urdf
@@ -70,11 +71,6 @@ def read_source(path: Path, findings: list[Finding]) -> ModelSource | None:
             findings.append(error(f"{path} does not compile: {one_line(problem)}"))
             return None
     return ModelSource(path, spec, model, fuses, urdf, stripped)
-
-
-def one_line(problem: Exception) -> str:
-    """The text of an exception in one line."""
-    return " ".join(str(problem).split())
 
 
 def parse_xml(

@@ -112,6 +112,8 @@ class SearchPlanner:
         self._hand, self._objects, self._threads = hand, objects, threads
         self._predictor, self._policy, self._policy_digest = predictor, policy, policy_digest
         self._single = MotionPlanner(hand, objects, protocol=protocol)
+        self.key = digest(predictor.digest, policy_digest, self.settings, self._single.key)
+        """Digest of all that plans depend on besides the arguments of ``plan``."""
         self._known: dict[str, GraspPlan] = {}
 
     def plan(
