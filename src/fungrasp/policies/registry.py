@@ -126,7 +126,8 @@ def make_planner(
     Raises:
         FungraspError: no such policy, or one for another hand.
     """
-    files = policy_files(name, hand.name)
+    # The student's own plans, selected by rollouts of the student, are what "plan" plays open loop.
+    files = policy_files("student" if name == PLAN else name, hand.name)
     if files.predictor is None:
         return MotionPlanner(hand, objects, protocol=protocol)
     predictor = NetworkPredictor(load_policy(files.predictor), hand, objects)
