@@ -33,3 +33,14 @@ def test_long_lines_are_folded_on_a_terminal_only(monkeypatch: pytest.MonkeyPatc
 def test_long_cells_are_folded_where_asked() -> None:
     lines = table([("name", "data"), ("a", "one two three")], left=None, widest=8).splitlines()
     assert lines == ["name  data", "a     one two", "      three"]
+
+
+def test_progress_off_a_terminal_is_a_line_now_and_then(capsys, monkeypatch):
+    from fungrasp.cli import console
+
+    now = iter([0.0, 10.0, 31.0, 31.0, 40.0])
+    monkeypatch.setattr(console, "monotonic", lambda: next(now))
+    with console.progress_bar("lifting", 8) as show:
+        for done in (1, 4, 5):
+            show(done)
+    assert capsys.readouterr().err == "lifting: 4 of 8\n"

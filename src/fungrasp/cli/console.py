@@ -8,7 +8,11 @@ import sys
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from time import monotonic
 from typing import Any
+
+LINE_PERIOD = 30.0
+"""Time between two lines of progress where there is no terminal [s]."""
 
 PIPE_WIDTH = 10_000
 """Width of a table that is not printed on a terminal [characters]."""
@@ -44,7 +48,7 @@ def table(
 
 @contextmanager
 def progress_bar(words: str, total: float) -> Iterator[Callable[[float], None]]:
-    """A bar on stderr while something takes long; nothing where stderr is no terminal.
+    """A bar on stderr while something takes long; where stderr is no terminal, a line now and then.
 
     Args:
         words: what is being done.
@@ -57,10 +61,26 @@ def progress_bar(words: str, total: float) -> Iterator[Callable[[float], None]]:
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
     console = Console(stderr=True)
+    if not console.is_terminal:
+        yield _plain_lines(words, total)
+        return
     columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+    with Progress(*columns, console=console, transient=True) as bar:
         task = bar.add_task(words, total=total)
         yield lambda done: bar.update(task, completed=done)
+
+
+def _plain_lines(words: str, total: float) -> Callable[[float], None]:
+    """Prints how much is done on stderr, a line every ``LINE_PERIOD`` seconds."""
+    last = monotonic()
+
+    def show(done: float) -> None:
+        nonlocal last
+        if monotonic() - last >= LINE_PERIOD:
+            last = monotonic()
+            print(f"{words}: {done:.0f} of {total:.0f}", file=sys.stderr, flush=True)
+
+    return show
 
 
 def write_json(path: Path, value: Any) -> None:

@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
+from fungrasp.errors import FungraspError
 from fungrasp.geometry.poses import euler_angles, invert, norm, relative, rotate
 from fungrasp.simulation.scene import HAND_PREFIX, WRIST_JOINTS, Scene
 
@@ -39,7 +40,12 @@ class MujocoCpuEngine:
             scene: the scene; all worlds hold its first object until ``set_parameters`` says otherwise.
             count: W, the number of worlds.
             threads: 0 means all processors.
+
+        Raises:
+            FungraspError: the number of threads is negative.
         """
+        if threads < 0:
+            raise FungraspError(f"the number of threads must not be negative, not {threads}")
         self.scene, self.model = scene, scene.model
         self.object_index = np.zeros(count, dtype=int)
         # Persistent: the stages that make sensors current after a step are not computed twice.
