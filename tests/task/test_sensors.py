@@ -10,7 +10,7 @@ import pytest
 from planned_grasps import grasps_and_objects, hand, scene
 from scipy.spatial.transform import Rotation
 
-from fungrasp.geometry.poses import invert, rotate, transform_points
+from fungrasp.geometry.poses import invert, quaternion_multiply, rotate, transform_points
 from fungrasp.task import Action, LiftEnvironment, Observation
 from fungrasp.transfer import (
     NOMINAL,
@@ -291,3 +291,25 @@ def test_a_sample_may_be_wrong_by_more_than_is_drawn():
     off = environment.observe().object_pose - environment.engine.object_pose
     np.testing.assert_allclose(off[0], [0.01, 0, 0, 0, 0, 0, 0], atol=1e-9)
     assert np.abs(off[1, 3:]).max() > 0.01
+
+
+def test_a_filtered_tracker_closes_a_share_of_the_gap_in_each_control_period():
+    environment = begun(Randomization(tracker_time_constant=0.2))
+    engine = environment.engine
+    first = environment.observe().object_pose
+    np.testing.assert_allclose(first, engine.object_pose, atol=1e-12)
+    moved = first.copy()
+    moved[:, 0] += 0.1
+    moved[:, 3:] = quaternion_multiply(first[:, 3:], np.array([np.cos(0.2), 0.0, 0.0, np.sin(0.2)]))
+    engine.set_state(object_pose=moved)
+    share = 1.0 - np.exp(-0.1 / 0.2)
+    for left in (1.0 - share, (1.0 - share) ** 2):
+        seen = environment.observe().object_pose
+        np.testing.assert_allclose(moved[:, 0] - seen[:, 0], 0.1 * left, atol=1e-9)
+        np.testing.assert_allclose(
+            np.linalg.norm(turned(seen[:, 3:], moved[:, 3:]), axis=1), 0.4 * left, atol=1e-6
+        )
+    environment.sensors.begin(np.array([1]))
+    seen = environment.observe().object_pose
+    np.testing.assert_allclose(seen[1], moved[1], atol=1e-12)
+    assert abs(seen[0, 0] - moved[0, 0]) > 0.01

@@ -6,7 +6,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from fungrasp.geometry.poses import inverse_transform_points
+from fungrasp.geometry.poses import (
+    inverse_transform_points,
+    quaternion_from_rotation_vector,
+    quaternion_multiply,
+    relative,
+    rotation_vector,
+)
 from fungrasp.task.lift import LiftTask
 from fungrasp.task.observation import Observation
 from fungrasp.transfer import EpisodeSample, MeasurementError, Randomization, offset_pose
@@ -31,6 +37,8 @@ class SimulatedSensors:
             rng: of those; one for all worlds, or one for each.
         """
         self._task, self._r, self._rng = task, randomization, rng
+        self._filtered = np.full((len(task.engine), 7), np.nan)
+        """Output of the tracker's filter, NaN before an episode's first measurement; shape [W, 7]."""
         self._ring: list[np.ndarray] = []
         """Object poses at the last setpoints, the newest last; each of shape [W, 7]."""
         self._last: tuple[np.ndarray, np.ndarray] | None = None
@@ -43,6 +51,7 @@ class SimulatedSensors:
             pose[ids] = now[ids]
         if self._last is not None:
             self._last[1][ids] = np.nan
+        self._filtered[ids] = np.nan
 
     def record(self) -> None:
         """Keep the objects' poses, after each setpoint: for trackers that are late."""
@@ -110,7 +119,20 @@ class SimulatedSensors:
                 pose = np.where(missing[:, None], seen, pose)
                 age = np.where(missing, task.time - when, age)
             self._last = pose.copy(), task.time - age
+        if r.tracker_time_constant > 0:
+            pose = self._low_pass(pose)
         return pose, age
+
+    def _low_pass(self, pose: np.ndarray) -> np.ndarray:
+        """Filtered poses: ``x += (1 - exp(-T / tau)) (measured - x)`` once in each control period T, on the
+        rotation along the shortest arc."""
+        share = 1.0 - np.exp(-self._task.protocol.control_period / self._r.tracker_time_constant)
+        before = np.where(np.isfinite(self._filtered), self._filtered, pose)
+        turn = rotation_vector(relative(before, pose)[:, 3:])
+        after = quaternion_multiply(before[:, 3:], quaternion_from_rotation_vector(share * turn))
+        position = before[:, :3] + share * (pose[:, :3] - before[:, :3])
+        self._filtered = np.concatenate([position, after], axis=1)
+        return self._filtered.copy()
 
     def _center(self) -> np.ndarray:
         """Centres of mass in the frames of objects [m], shape [W, 3]: a tracked object turns about its

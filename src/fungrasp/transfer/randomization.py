@@ -78,6 +78,9 @@ class Randomization:
     """Age of the tracked object pose when a policy sees it [s]."""
     tracker_dropout: float = 0.0
     """Probability that a frame of the tracker is missing; the policy then sees the last one."""
+    tracker_time_constant: float = 0.0
+    """Time constant of the tracker's low-pass filter [s], a first-order one on position and rotation; 0 for
+    none. A pose that moves steadily is seen late by as much."""
     action_delay: Range = (0.0, 0.0)
     """Time from a policy's decision to the servos [s], at most ``LONGEST_DELAY``."""
     push_phase: Literal["lift", "hold"] = "hold"
