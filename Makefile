@@ -9,7 +9,7 @@ JOBS ?= 2
 VENV := .venv
 BIN := $(VENV)/bin
 # Whether hands in images can be found; the models are fetched, as the repository does not hold them.
-SEES = $(BIN)/python -c 'import sys, ai_edge_litert; from fungrasp.perception.hand.model_weights import have_weights; \
+SEES = $(BIN)/python -c 'import sys, ai_edge_litert; from fungrasp.perception.hand.mediapipe_models import have_weights; \
 	sys.exit(not have_weights())' 2>/dev/null
 CHECKS := lint types imports docs unit
 # Tests that take seconds; with the checks before them, less than a minute on two cores.
