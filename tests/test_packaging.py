@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import re
 import subprocess
 import sys
@@ -161,3 +162,8 @@ def test_the_imported_packages_are_declared() -> None:
     third_party = imported - set(sys.stdlib_module_names) - {"fungrasp", "__future__"}
     assert {modules.get(name, name).lower() for name in third_party} <= names
     assert names - IMPORTED_ELSEWHERE <= {modules.get(name, name).lower() for name in third_party}
+
+
+def test_the_makefile_names_modules_that_exist() -> None:
+    modules = re.findall(r"from (fungrasp[\w.]*) import", (ROOT / "Makefile").read_text())
+    assert modules and all(importlib.util.find_spec(name) for name in modules)
