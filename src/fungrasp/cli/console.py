@@ -78,7 +78,7 @@ def _plain_lines(words: str, total: float) -> Callable[[float], None]:
         nonlocal last
         if monotonic() - last >= LINE_PERIOD:
             last = monotonic()
-            print(f"{words}: {done:.0f} of {total:.0f}", file=sys.stderr, flush=True)
+            print(f"{words}: {100 * done / total:.0f} %", file=sys.stderr, flush=True)
 
     return show
 
