@@ -37,7 +37,6 @@ class LiftTask:
         """Links that should touch, shape [W, L]."""
         self.setpoints = SetpointGenerator(self.scene, count, self.protocol)
         self.measurements = LiftMeasurements(engine, self.protocol)
-        self._start_poses = StartPoses(self.scene)
         self.controls = np.zeros((count, 6 + len(self.scene.hand.actuators)))
         """What the engine's servos were last told, as ``Engine.controls`` gives it, shape [W, 6 + U]."""
         self.time = np.zeros(count)
@@ -82,7 +81,7 @@ class LiftTask:
         away /= np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-9)
         start[:, :3] = settled[:, :3] + p.start_distance * away
         height = np.zeros(len(engine)) if table_height is None else table_height
-        start = self._start_poses.clear(engine.object_index, settled, start, fingers, height)
+        start = StartPoses(self.scene).clear(engine.object_index, settled, start, fingers, height)
         self.begin(np.arange(len(engine)), settled, target, start, fingers, grasps.link_contacts)
 
     def begin(
