@@ -1,0 +1,1 @@
+"""Robots: interface to arms, hands and object trackers; drivers, wire codecs, emulators, the twin."""
