@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from fungrasp.cli.console import progress_bar, write_json
 
@@ -58,6 +58,9 @@ class Evaluate:
     use: bool = False
     """After the hold, play the motion that the grasp's task needs (tilt, strike, stroke, press, hand over),
     and say how many objects stay in the hand and how many fingers lie where the person's did."""
+    protocol: Literal["nominal", "reality", "robustness"] = "nominal"
+    """How the world differs from what planner and policy believe: not at all; in everything at once, as a
+    robot's does, drawn anew for each episode; or in one thing at a time."""
     mass_scale: float = 1.0
     """The object weighs this many times its nominal mass, which the policy assumes."""
     friction: float | None = None
@@ -78,9 +81,6 @@ class Evaluate:
     grasp."""
     noslip: int = 0
     """Iterations that take the creep out of the solver's friction; 5 make physics 1.6 times as slow."""
-    robustness: bool = False
-    """Try the grasps under each condition of the robustness protocol: other masses, friction, table heights,
-    wrong poses, latency, pushes, moved objects."""
     threads: int = 0
     """0 means all processors; the result does not depend on it."""
 
@@ -102,7 +102,7 @@ class Evaluate:
         from fungrasp.hands import load_hand
         from fungrasp.planning.selection import SelectionSettings
         from fungrasp.policies import make_planner, policy_files
-        from fungrasp.transfer import ROBUSTNESS
+        from fungrasp.transfer import NOMINAL, protocol_conditions
 
         randomization = self._randomization()
         hand = load_hand(self.hand)
@@ -116,7 +116,9 @@ class Evaluate:
         store = None if file is None else PartialResults(file.with_name(f"{file.name}.partial"))
         start = perf_counter()
         sets = self._robot_grasps(grasps, objects, hand)
-        conditions = ROBUSTNESS if self.robustness else {"": randomization}
+        conditions = {"": randomization}
+        if randomization == NOMINAL:
+            conditions = protocol_conditions(self.protocol)
         refinement = self._refinement(objects, hand)
         selection = SelectionSettings() if self.rollouts else SelectionSettings(rollouts=None)
         # One planner for all conditions: what it has planned for one it knows for the others.
@@ -154,7 +156,7 @@ class Evaluate:
         for name, result in results.items():
             if len(results) > 1:
                 print(f"{name}:")
-            print(robustness_table(tried[name]) if self.robustness else result_table(result))
+            print(result_table(result) if len(tried[name]) == 1 else robustness_table(tried[name]))
             if self.use:
                 print(use_table(result))
             if name in static:
@@ -179,8 +181,8 @@ class Evaluate:
         jsons: dict[str, dict[str, Any]] = {}
         for name, those in tried.items():
             jsons[name] = result_json(next(iter(those.values()))) | static.get(name, {})
-            if self.robustness:
-                jsons[name]["robustness"] = robustness_json(those)
+            if len(those) > 1:
+                jsons[name] |= {"protocol": self.protocol, "robustness": robustness_json(those)}
         whole: dict[str, Any] = next(iter(jsons.values())) if len(jsons) == 1 else {"methods": jsons}
         whole = run_record(whole.get("seed", self.seed)) | whole | {"seconds": seconds}
         if self.json is not None:
@@ -191,8 +193,7 @@ class Evaluate:
     def _randomization(self) -> Randomization:
         from math import radians
 
-        from fungrasp.transfer import MeasurementError, Randomization
-        from fungrasp.transfer.randomization import THREE_PUSHES
+        from fungrasp.transfer import THREE_PUSHES, MeasurementError, Randomization
 
         distance, angle = self.pose_noise
         weights, duration = self.push
@@ -225,12 +226,15 @@ class Evaluate:
                 raise FungraspError(f"--{name} needs at least one value, and each once")
         if min(*self.seed, self.refine, self.threads, self.noslip) < 0:
             raise FungraspError("--seed, --refine, --noslip and --threads must not be negative")
-        if self.robustness and randomization != NOMINAL:
-            raise FungraspError("--robustness has conditions of its own: give it or single ones")
-        if len(self.seed) > 1 and not (self.robustness or self._is_random(randomization, hand)):
+        if self.protocol != "nominal" and randomization != NOMINAL:
+            raise FungraspError(
+                f"--protocol {self.protocol} says how worlds differ: give it or single options"
+            )
+        random = self.protocol != "nominal" or self._is_random(randomization, hand)
+        if len(self.seed) > 1 and not random:
             raise FungraspError(
                 "nothing is random here, so several seeds would only repeat the same episodes: give one "
-                "--seed, or something random (--pose-noise, --push, --object-shift, --robustness, --refine, "
+                "--seed, or something random (--protocol, --pose-noise, --push, --object-shift, --refine, "
                 "a learned policy that chooses plans)"
             )
 

@@ -18,7 +18,7 @@ from fungrasp.evaluation.use_test import UseTest
 from fungrasp.files import digest
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
-from fungrasp.objects import ObjectModel
+from fungrasp.objects import ObjectModel, with_sizes
 from fungrasp.planning import MotionPlanner, Planner
 from fungrasp.planning.selection import SearchPlanner, SelectionSettings
 from fungrasp.policies import make_planner, make_policy, policy_files
@@ -141,7 +141,7 @@ def evaluate(
             else MotionPlanner(hand, objects, protocol=protocol)
         )
     test = _Test(
-        build_scene(hand, objects, physics),
+        build_scene(hand, with_sizes(objects, randomization.object_scales), physics),
         objects,
         make_policy(policy, hand, objects) if isinstance(policy, str) else policy,
         planner,

@@ -14,6 +14,7 @@ from fungrasp.evaluation.lift_test import LiftTestResult
 from fungrasp.evaluation.six_directions import StaticResult
 from fungrasp.evaluation.statistics import mean_over_groups, wilson_interval
 from fungrasp.evaluation.use_test import use_json
+from fungrasp.transfer import protocol_name
 
 LEGACY_PERIOD = 0.0289
 """Control period of earlier published code, per which it counts the displacement [s]."""
@@ -84,7 +85,8 @@ def result_json(result: LiftTestResult) -> dict[str, Any]:
             "policy": result.policy,
             "rollouts_per_grasp": float(np.mean(result.rollouts)),
             "seed": seeds[0] if len(seeds) == 1 else seeds,
-            "protocol": asdict(result.protocol),
+            "protocol": protocol_name(result.randomization),
+            "lift_test": asdict(result.protocol),
             "physics": asdict(result.physics),
             "randomization": asdict(result.randomization),
             **summary(result),
