@@ -41,7 +41,11 @@ class Evaluate:
     refine: int = 0
     """First try this many variations of each grasp in simulation, and keep the best."""
     method: tuple[str, ...] = ("ours",)
-    """How human grasps are retargeted: ours, angle-copy, dexgraspnet; several are compared."""
+    """How human grasps are retargeted: ours, angle-copy, dexgraspnet; several are compared, with and without
+    adaptation of the grasps to the settled object."""
+    adapt: bool = True
+    """Fit the grasps to the object as it has settled: a little optimization by the planner, which also
+    repairs grasps that were retargeted badly."""
     seed: tuple[int, ...] = (0,)
     """Seed of all random numbers; with several, each grasp is tried with each."""
     json: Path | None = None
@@ -85,6 +89,7 @@ class Evaluate:
     """0 means all processors; the result does not depend on it."""
 
     def run(self) -> None:
+        from functools import partial
         from time import perf_counter
 
         from fungrasp.cli.episode_tables import (
@@ -100,6 +105,7 @@ class Evaluate:
         from fungrasp.evaluation.use_test import UseTest
         from fungrasp.grasps import RobotGraspSet, load_grasps, load_objects
         from fungrasp.hands import load_hand
+        from fungrasp.planning import MotionSettings
         from fungrasp.planning.selection import SelectionSettings
         from fungrasp.policies import make_planner, policy_files
         from fungrasp.transfer import NOMINAL, protocol_conditions
@@ -122,7 +128,9 @@ class Evaluate:
         refinement = self._refinement(objects, hand)
         selection = SelectionSettings() if self.rollouts else SelectionSettings(rollouts=None)
         # One planner for all conditions: what it has planned for one it knows for the others.
-        planner = make_planner(self.policy, hand, objects, selection, threads=self.threads)
+        make = partial(make_planner, self.policy, hand, objects, selection, threads=self.threads)
+        unadapted = MotionSettings(adapt=None)
+        planner = make(motions=None if self.adapt else unadapted)
         human = None if isinstance(grasps, RobotGraspSet) else grasps
         uses = {
             name: UseTest.of(human, robot, objects, hand) if self.use else None
@@ -138,6 +146,23 @@ class Evaluate:
             for name, robot in sets.items()
         }
         results = {name: next(iter(those.values())) for name, those in tried.items()}
+        without: dict[str, LiftTestResult] = {}
+        if len(sets) > 1 and self.adapt and len(conditions) == 1:
+            plain = make(motions=unadapted)
+            without = {
+                name: self._evaluate(
+                    (name, "without adaptation"),
+                    robot,
+                    objects,
+                    hand,
+                    next(iter(conditions.values())),
+                    refinement,
+                    plain,
+                    store,
+                    uses[name],
+                )
+                for name, robot in sets.items()
+            }
         seconds = perf_counter() - start
         static = {
             name: self._static(robot, None if robot is grasps else grasps, objects, hand)
@@ -145,7 +170,7 @@ class Evaluate:
             if self.static
         }
         if store is not None:
-            self._write(tried, static, seconds)
+            self._write(tried, without, static, seconds)
             store.remove()
         if self.picture is not None:
             name, robot = next(iter(sets.items()))
@@ -163,24 +188,31 @@ class Evaluate:
                 print(static_words(static[name]))
         if len(results) > 1:
             print(comparison(results))
+            if without:
+                print("without adaptation to the settled object:")
+                print(comparison(without))
         count = sum(len(result.index) for those in tried.values() for result in those.values())
+        count += sum(len(result.index) for result in without.values())
         print(f"{count} episodes in {seconds:.1f} s")
 
     def _write(
         self,
         tried: Mapping[str, Mapping[str, LiftTestResult]],
+        without: Mapping[str, LiftTestResult],
         static: Mapping[str, dict[str, Any]],
         seconds: float,
     ) -> None:
         """All results to --json and --out."""
         from fungrasp.evaluation import result_json, write_result
         from fungrasp.evaluation.result_files import split_rows
-        from fungrasp.evaluation.results import robustness_json
+        from fungrasp.evaluation.results import robustness_json, summary
         from fungrasp.provenance import run_record
 
         jsons: dict[str, dict[str, Any]] = {}
         for name, those in tried.items():
             jsons[name] = result_json(next(iter(those.values()))) | static.get(name, {})
+            if name in without:
+                jsons[name]["without_adaptation"] = summary(without[name])
             if len(those) > 1:
                 jsons[name] |= {"protocol": self.protocol, "robustness": robustness_json(those)}
         whole: dict[str, Any] = next(iter(jsons.values())) if len(jsons) == 1 else {"methods": jsons}

@@ -16,6 +16,7 @@ from fungrasp.training.plan_library import Variety
 from fungrasp.training.settings import DistillSettings, PpoSettings
 
 if TYPE_CHECKING:
+    from fungrasp.evaluation import LiftTestResult
     from fungrasp.evaluation.tables import Variant
     from fungrasp.hands import Hand
 
@@ -156,14 +157,24 @@ class Ablation:
     def _tested(self, variant: Variant, hand: Hand, policy: Path) -> dict[str, Any]:
         """The lift test of a policy, as JSON can hold it."""
         from fungrasp.evaluation import evaluate, result_json
+        from fungrasp.evaluation.results import summary
+        from fungrasp.planning import MotionSettings
+        from fungrasp.policies import make_planner
 
         (test,) = training_sets((self.test,), self.objects, hand, variant.method, threads=self.threads)
-        with progress_bar(f"testing {variant.title}", len(test.grasps)) as show:
-            result = evaluate(
-                test.grasps, test.objects, hand, str(policy), threads=self.threads, progress=show
-            )
+        grasps, objects = test.grasps, test.objects
+
+        def tested(words: str, motions: MotionSettings) -> LiftTestResult:
+            planner = make_planner(str(policy), hand, objects, threads=self.threads, motions=motions)
+            with progress_bar(f"testing {variant.title}{words}", len(grasps)) as show:
+                return evaluate(
+                    grasps, objects, hand, str(policy), planner=planner, threads=self.threads, progress=show
+                )
+
+        adapted = result_json(tested("", MotionSettings()))
+        without = summary(tested(" without adaptation", MotionSettings(adapt=None)))
         # The name in place of the path of the policy's file, which means nothing on another machine.
-        return result_json(result) | {"policy": variant.name}
+        return adapted | {"policy": variant.name, "without_adaptation": without}
 
 
 @dataclass(frozen=True)
