@@ -26,8 +26,8 @@ from fungrasp.training.success_predictor import PredictorNetwork
 OPSET = 18
 
 HALVED_FROM = 256
-"""Weights of at least so many numbers are stored in half precision. Biases and what observations are normalized
-by stay as they are: they decide more and take no room."""
+"""Matrices of at least so many numbers are stored in half precision. Biases and what observations are
+normalized by stay as they are: they decide more and take no room."""
 
 
 class Normalised(torch.nn.Module):
@@ -69,8 +69,8 @@ def graph(module: torch.nn.Module, inputs: dict[str, torch.Tensor], outputs: tup
 
 
 def halved(model: bytes) -> bytes:
-    """An ONNX model whose large weights are stored in half precision, which halves the file; it still computes
-    in single precision.
+    """An ONNX model whose large weights are stored in half precision, which halves the file; it still
+    computes in single precision.
 
     Where a weight is beyond the range of half precision, it stays as it is.
     """
