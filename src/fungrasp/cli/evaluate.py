@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from fungrasp.evaluation import LiftTestResult
     from fungrasp.evaluation.lift_test import Refinement
     from fungrasp.evaluation.partial_results import PartialResults
+    from fungrasp.evaluation.use_test import UseTest
     from fungrasp.grasps import HumanGraspSet, RobotGraspSet
     from fungrasp.hands import Hand
     from fungrasp.objects import ObjectModel
@@ -54,6 +55,9 @@ class Evaluate:
     """Draw some of the grasps, and whether they held, to this PNG file."""
     static: bool = False
     """Measure the static quality too (of retargeted human grasps), and run the six-direction test."""
+    use: bool = False
+    """After the hold, play the motion that the grasp's task needs (tilt, strike, stroke, press, hand over),
+    and say how many objects stay in the hand and how many fingers lie where the person's did."""
     mass_scale: float = 1.0
     """The object weighs this many times its nominal mass, which the policy assumes."""
     friction: float | None = None
@@ -83,10 +87,17 @@ class Evaluate:
     def run(self) -> None:
         from time import perf_counter
 
-        from fungrasp.cli.episode_tables import comparison, result_table, robustness_table, static_words
+        from fungrasp.cli.episode_tables import (
+            comparison,
+            result_table,
+            robustness_table,
+            static_words,
+            use_table,
+        )
         from fungrasp.cli.retarget import draw_grasps
         from fungrasp.evaluation.lift_test import check_hand
         from fungrasp.evaluation.partial_results import PartialResults
+        from fungrasp.evaluation.use_test import UseTest
         from fungrasp.grasps import RobotGraspSet, load_grasps, load_objects
         from fungrasp.hands import load_hand
         from fungrasp.planning.selection import SelectionSettings
@@ -110,10 +121,15 @@ class Evaluate:
         selection = SelectionSettings() if self.rollouts else SelectionSettings(rollouts=None)
         # One planner for all conditions: what it has planned for one it knows for the others.
         planner = make_planner(self.policy, hand, objects, selection, threads=self.threads)
+        human = None if isinstance(grasps, RobotGraspSet) else grasps
+        uses = {
+            name: UseTest.of(human, robot, objects, hand) if self.use else None
+            for name, robot in sets.items()
+        }
         tried = {
             name: {
                 condition: self._evaluate(
-                    (name, condition), robot, objects, hand, other, refinement, planner, store
+                    (name, condition), robot, objects, hand, other, refinement, planner, store, uses[name]
                 )
                 for condition, other in conditions.items()
             }
@@ -139,6 +155,8 @@ class Evaluate:
             if len(results) > 1:
                 print(f"{name}:")
             print(robustness_table(tried[name]) if self.robustness else result_table(result))
+            if self.use:
+                print(use_table(result))
             if name in static:
                 print(static_words(static[name]))
         if len(results) > 1:
@@ -246,6 +264,7 @@ class Evaluate:
         refinement: Refinement | None,
         planner: Planner,
         store: PartialResults | None,
+        use: UseTest | None,
     ) -> LiftTestResult:
         """names: of the method and the condition, "" for one that needs no name."""
         from fungrasp.evaluation import evaluate
@@ -272,6 +291,7 @@ class Evaluate:
                 randomization=randomization,
                 refine=refinement,
                 planner=planner,
+                use=use,
                 record=folder,
                 store=store,
                 chunk=SEARCHED_CHUNK if self.refine or self._searches(hand) else CHUNK,
