@@ -39,6 +39,8 @@ CONNECT_TIMEOUT = 15.0
 """A device that needs longer to connect is not there [s]; a UR controller may take seconds to start a program."""
 CLOSE_TIMEOUT = 3.0
 """After this a loop that doesn't end is killed [s]."""
+LOST_TIMEOUT = 0.5
+"""The same, where the device is lost already [s]."""
 
 
 @dataclass(frozen=True)
@@ -80,11 +82,12 @@ class LoopDriver:
     def connect(self) -> None:
         """See ``JointDriver.connect``. On a connected device it acknowledges a stop."""
         with self._lock:
-            if self._host is not None and not self._ended():
+            if self._host is not None and self._read().status is not DeviceStatus.DISCONNECTED:
                 self._tell(LoopMode.IDLE)
                 self._await_acknowledgement()
             else:
-                self._end()
+                # A loop that waits in a client library for a device that is gone is not waited for.
+                self._end(LOST_TIMEOUT)
                 self._start()
             self._stopped = None
 
@@ -162,10 +165,10 @@ class LoopDriver:
         raise RobotError(f"{self.name} did not answer within {CONNECT_TIMEOUT:.0f} s")
 
     def _await_acknowledgement(self) -> None:
-        order, deadline = int(self._goal["order"]), time.monotonic() + 1.0
+        order, deadline = int(self._goal["order"]), time.monotonic() + CONNECT_TIMEOUT
         while time.monotonic() < deadline:
-            state, seen = self._read(), self._seen_order()
-            if seen >= order:
+            seen, state = self._seen_order(), self._read()
+            if seen >= order or self._ended():
                 if state.status is not DeviceStatus.READY:
                     raise RobotError(f"{self.name} is not ready, {state.status}: {state.message}")
                 return
@@ -208,10 +211,10 @@ class LoopDriver:
         record = self._host.states.read()
         return not self._host.alive() or (record is not None and bool(record["phase"] == ENDED))
 
-    def _end(self) -> None:
+    def _end(self, patience: float = CLOSE_TIMEOUT) -> None:
         if self._host is not None:
             self._tell(LoopMode.CLOSE)
-            self._host.end()
+            self._host.end(patience)
             self._host = None
 
 
@@ -233,8 +236,8 @@ class _Thread:
     def last_words(self) -> str:
         return ""
 
-    def end(self) -> None:
-        self._thread.join(CLOSE_TIMEOUT)
+    def end(self, patience: float) -> None:
+        self._thread.join(patience)
 
 
 class _Process:
@@ -277,10 +280,10 @@ class _Process:
         self._reader.join(0.2)
         return f": {self._errors[-1]}" if self._errors else ""
 
-    def end(self) -> None:
+    def end(self, patience: float) -> None:
         assert self._child.stdin is not None
         try:
-            self._child.wait(CLOSE_TIMEOUT)
+            self._child.wait(patience)
         except subprocess.TimeoutExpired:
             self._child.kill()
             self._child.wait()

@@ -41,7 +41,6 @@ def run_device_loop(
             _follow(loop, goals, states, record, driver_timeout, abandoned)
         finally:
             loop.halt()
-            loop.close()
         message, status = "", DeviceStatus.DISCONNECTED
     except FungraspError as error:
         message, status = str(error), DeviceStatus.DISCONNECTED
@@ -50,6 +49,8 @@ def run_device_loop(
         message, status = f"{loop.name}: {type(error).__name__}: {error}", DeviceStatus.FAULT
     record["phase"], record["status"], record["message"] = ENDED, STATUSES.index(status), message.encode()
     states.write(record)
+    # Last: a client library may take long to let go of a device that does not answer.
+    loop.close()
 
 
 def _follow(

@@ -6,6 +6,7 @@ and the device is halted at once.
 
 from __future__ import annotations
 
+import os
 import pickle
 import signal
 import struct
@@ -42,6 +43,9 @@ def main() -> None:
     goals = Mailbox(memory[:first], goal_kind(count))
     states = Mailbox(memory[first:], state_kind(count))
     run_device_loop(loop, goals, states, driver_timeout, orphaned.is_set)
+    sys.stderr.flush()
+    # All is said and written. Some client libraries wait in their destructors for devices that are gone.
+    os._exit(0)
 
 
 if __name__ == "__main__":
