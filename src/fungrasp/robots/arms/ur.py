@@ -109,7 +109,9 @@ class URLoop:
             self._receive = receive.RTDEReceiveInterface(self.settings.address, -1.0, VARIABLES)
             self._control = control.RTDEControlInterface(self.settings.address)
         except RuntimeError as error:
-            raise RobotError(f"{self.name}: {_one_line(error)}; check address, power and remote control") from error
+            raise RobotError(
+                f"{self.name}: {_one_line(error)}; check address, power and remote control"
+            ) from error
         except ValueError as error:
             raise RobotError(f"{self.name}: {_one_line(error)}") from error
         if not self._receive.getActualQ():
@@ -166,10 +168,14 @@ class URLoop:
                 )
             safety = dashboard.safetystatus().rpartition(":")[2].strip()
             if safety not in ("NORMAL", "REDUCED"):
-                raise RobotError(f"{self.name} is in {safety}: find the cause, then acknowledge it on the pendant")
+                raise RobotError(
+                    f"{self.name} is in {safety}: find the cause, then acknowledge it on the pendant"
+                )
             mode = dashboard.robotmode().rpartition(":")[2].strip()
             if mode != "RUNNING":
-                raise RobotError(f"{self.name} is in mode {mode}: switch it on and release the brakes on the pendant")
+                raise RobotError(
+                    f"{self.name} is in mode {mode}: switch it on and release the brakes on the pendant"
+                )
         finally:
             dashboard.disconnect()
 
@@ -189,7 +195,9 @@ class URLoop:
     def _restart(self) -> None:
         self._lead = None
         if not self._control.reuploadScript():
-            raise RobotError(f"{self.name}: the program can't be started; check remote control on the pendant")
+            raise RobotError(
+                f"{self.name}: the program can't be started; check remote control on the pendant"
+            )
         deadline = time.monotonic() + 2.0
         while not self._control.isProgramRunning():
             if time.monotonic() > deadline:
@@ -245,7 +253,9 @@ class URLoop:
         s = self.settings
         moved = np.abs(np.subtract(step.new_position, lead.current_position)).max()
         if not moved <= 1.5 * s.velocity * self._period:
-            raise RobotError(f"{self.name}: a setpoint {moved:.3f} rad away was not sent: this is a fault of ours")
+            raise RobotError(
+                f"{self.name}: a setpoint {moved:.3f} rad away was not sent: this is a fault of ours"
+            )
         step.pass_to_input(lead)
         self._control.servoJ(step.new_position, 0.0, 0.0, self._period, s.lookahead, s.gain)
 

@@ -84,7 +84,9 @@ def _follow(
         if latched is not None:
             state = dataclasses.replace(state, status=latched.status, message=latched.message)
         elif goal.mode not in FOLLOWING:
-            message = f"no command for {driver_timeout} s" if late else f"told to stop: {goal.mode.name.lower()}"
+            message = (
+                f"no command for {driver_timeout} s" if late else f"told to stop: {goal.mode.name.lower()}"
+            )
             state = dataclasses.replace(state, status=DeviceStatus.STOPPED, message=message)
         put_state(record, state)
         record["order"] = order

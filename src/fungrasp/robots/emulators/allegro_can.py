@@ -140,7 +140,12 @@ class AllegroEmulator(Emulator):
         left = (self._side == "left") != wrong
         if code == codec.INFO:
             hardware = self._units.number << 8
-            self._send(code, codec.encode_info(codec.AllegroInfo(hardware, 0x0100, left, 35, self._servos_on, False, False)))
+            self._send(
+                code,
+                codec.encode_info(
+                    codec.AllegroInfo(hardware, 0x0100, left, 35, self._servos_on, False, False)
+                ),
+            )
         elif code == codec.SERIAL:
             self._send(code, b"50A" + (b"L" if left else b"R") + b"0001")
 
@@ -160,7 +165,9 @@ class AllegroEmulator(Emulator):
             return [(code, b"\xff\x7f" * 4) for code, _ in frames]
         chosen = self._rng.random(len(frames)) < 0.1
         if self.shows(Fault.CORRUPT):
-            frames = [(c, self._rng.bytes(8) if bad else d) for (c, d), bad in zip(frames, chosen, strict=True)]
+            frames = [
+                (c, self._rng.bytes(8) if bad else d) for (c, d), bad in zip(frames, chosen, strict=True)
+            ]
         if self.shows(Fault.LOST):
             frames = [frame for frame, bad in zip(frames, chosen, strict=True) if not bad]
         if self.shows(Fault.DOUBLED):

@@ -364,7 +364,9 @@ class URControllerEmulator(Emulator):
             "get serial number": lambda: self._serial,
             "is in remote control": lambda: "true",
             "robotmode": lambda: "Robotmode: RUNNING",
-            "programState": lambda: "PLAYING rtde_control" if self.program_running else "STOPPED rtde_control",
+            "programState": lambda: (
+                "PLAYING rtde_control" if self.program_running else "STOPPED rtde_control"
+            ),
             "running": lambda: f"Program running: {str(self.program_running).lower()}",
             "safetystatus": lambda: f"Safetystatus: {self._safety_status()}",
             "safetymode": lambda: f"Safetymode: {self._safety_status()}",

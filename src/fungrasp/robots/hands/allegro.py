@@ -91,7 +91,9 @@ class AllegroLoop:
             settings: how the hand is connected and controlled.
         """
         self.settings = settings
-        self.name = f"Allegro V{settings.generation} {settings.side} at {settings.interface}:{settings.channel}"
+        self.name = (
+            f"Allegro V{settings.generation} {settings.side} at {settings.interface}:{settings.channel}"
+        )
         self.stale_after = settings.stale_after
         self._units = codec.ALLEGRO_V4 if settings.generation == 4 else codec.ALLEGRO_V5
         lower, upper = hand_joint_limits(settings.hand, 16)
@@ -200,7 +202,9 @@ class AllegroLoop:
         try:
             self._bus.send(message, timeout=0.01)
         except (self._can.CanError, OSError) as error:
-            raise RobotError(f"{self.name}: the CAN bus takes no frames ({error}): check cable and power") from error
+            raise RobotError(
+                f"{self.name}: the CAN bus takes no frames ({error}): check cable and power"
+            ) from error
 
     def _receive(self, timeout: float) -> Any:
         """Take one frame; the fourth finger's positions of a set make a state."""
@@ -239,7 +243,9 @@ class AllegroLoop:
         if before is not None:
             elapsed = max(stamp - before.device_time, 1e-4)
             share = elapsed / (elapsed + self.settings.velocity_filter)
-            velocities = before.velocities + share * ((joints - before.positions) / elapsed - before.velocities)
+            velocities = before.velocities + share * (
+                (joints - before.positions) / elapsed - before.velocities
+            )
         self._state = JointState(joints, velocities, None, stamp, time.monotonic(), DeviceStatus.READY)
 
     def _take_info(self, info: codec.AllegroInfo) -> None:

@@ -22,7 +22,9 @@ def hand_joint_limits(name: str, count: int) -> tuple[np.ndarray, np.ndarray]:
 
     hand = load_hand(name)
     if len(hand.actuators) != count:
-        raise RobotError(f"hand '{hand.name}' has {len(hand.actuators)} independent joints, the device {count}")
+        raise RobotError(
+            f"hand '{hand.name}' has {len(hand.actuators)} independent joints, the device {count}"
+        )
     limits = [hand.joint_limits[hand.joint_names.index(joint)] for joint in hand.actuators]
     lower, upper = np.array(limits).T
     return lower, upper
