@@ -35,7 +35,9 @@ class LiftTask:
         """Where the objects rest as the episodes begin, world frame, shape [W, 7]."""
         self.target_contacts = np.zeros((count, links), dtype=bool)
         """Links that should touch, shape [W, L]."""
-        self.setpoints = SetpointGenerator(self.scene, count, self.protocol)
+        self.setpoints = SetpointGenerator(
+            self.scene.servo_limits, count, self.protocol, self.scene.settings.timestep
+        )
         self.measurements = LiftMeasurements(engine, self.protocol)
         self.controls = np.zeros((count, 6 + len(self.scene.hand.actuators)))
         """What the engine's servos were last told, as ``Engine.controls`` gives it, shape [W, 6 + U]."""
