@@ -59,15 +59,15 @@ class TrackerSettings(DeviceSettings):
 class Workspace:
     """Where the palm may be."""
 
-    lower: Vector = (-0.4, -0.4, 0.0)
+    lower: Vector = (-0.5, -0.5, 0.0)
     """Lowest corner of the box, world frame [m]."""
-    upper: Vector = (0.4, 0.4, 0.7)
+    upper: Vector = (0.5, 0.5, 0.9)
     """Highest corner of the box, world frame [m]."""
     table_clearance: float = 0.005
-    """Least distance of arm and palm from the table [m]."""
-    finger_depth: float = 0.01
-    """How far a finger's commanded position may lie below the table top [m]: fingers touch the table where
-    objects are thin, and the servo yields."""
+    """Least distance of the arm from the table [m]."""
+    hand_depth: float = 0.012
+    """How far the hand's commanded posture may reach below the table top [m]: hands touch the table where
+    objects are thin, and their servos yield."""
 
 
 @dataclass(frozen=True)
@@ -80,10 +80,13 @@ class MotionLimits:
     """Largest acceleration of the palm [m/s^2]."""
     palm_rotation_speed: float = 1.0
     """Largest rotation speed of the palm [rad/s]."""
-    arm_speed: float = 1.0
+    arm_speed: float = 2.0
     """Largest speed of an arm joint [rad/s]."""
-    arm_acceleration: float = 8.0
-    """Largest acceleration of an arm joint between setpoints [rad/s^2]."""
+    arm_acceleration: float = 2.0
+    """Largest acceleration of an arm joint on its way from posture to posture [rad/s^2]."""
+    setpoint_acceleration: float = 120.0
+    """A setpoint of an arm joint that asks for more is refused [rad/s^2]. Turns of the palm begin and end
+    without a ramp; the driver smooths them within the arm's own limits."""
     hand_speed: float = 6.0
     """Largest speed of a hand joint's setpoint [rad/s]."""
     arm_torque: float = 150.0
@@ -102,13 +105,10 @@ class Watchdog:
     """The arm stops where its time stamp has not advanced for so long [s]."""
     hand_silence: float = 0.1
     """The arm stops where the hand has been silent for so long [s]."""
-    pose_fresh: float = 0.15
-    """A tracked pose may be so old without consequence [s]."""
     pose_stale: float = 0.5
-    """Before contact, the arm waits where the pose is older than ``pose_fresh``, and gives up where it is older
-    than this [s]."""
+    """Before the fingers close, the arm stops where the tracked pose is older than this [s]."""
     pose_jump: float = 0.05
-    """Before contact, the arm gives up where the tracked object jumps farther than this between frames [m]."""
+    """Before the fingers close, the arm stops where the tracked object jumps farther than this [m]."""
     late_tick: float = 0.02
     """A tick that is later than this is counted [s]."""
     overrun: float = 0.25
@@ -200,8 +200,6 @@ def cell_faults(cell: RobotCell) -> list[str]:
             faults.append(f"'{name}' must be 3 metres and a unit quaternion wxyz, not {list(pose)}")
     if cell.arm.model not in arm_files():
         faults.append(str(UnknownNameError("arm", cell.arm.model, arm_files())))
-    if cell.watchdog.pose_stale <= cell.watchdog.pose_fresh:
-        faults.append("'watchdog.pose_stale' must be greater than 'watchdog.pose_fresh'")
     if cell.watchdog.late_tick >= cell.watchdog.overrun:
         faults.append("'watchdog.overrun' must be greater than 'watchdog.late_tick'")
     return faults

@@ -198,6 +198,12 @@ class Robot:
         self.setpoints.begin(np.array([0]), palm, np.zeros((1, 3)), fingers[None])
 
     @property
+    def palm_follower_joints(self) -> np.ndarray:
+        """Last setpoint of the arm's joints while it follows the palm [rad], shape [A]."""
+        assert self._follower is not None, "place_setpoints() comes first"
+        return self._follower.joints
+
+    @property
     def plan_time(self) -> float:
         """Time since the plan began [s]."""
         return self.clock.now() - self._began

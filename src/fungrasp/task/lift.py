@@ -13,7 +13,7 @@ from fungrasp.task.action import Action
 from fungrasp.task.outcome import LiftMeasurements, Outcomes
 from fungrasp.task.protocol import LiftProtocol
 from fungrasp.task.setpoints import SetpointGenerator, SetpointSequence
-from fungrasp.task.start_pose import StartPoses
+from fungrasp.task.start_pose import StartPoses, start_on_line
 
 PARKED = np.array([0.0, 0.0, 3.0, 1.0, 0.0, 0.0, 0.0])
 """Where the palm waits while objects settle, world frame."""
@@ -78,10 +78,7 @@ class LiftTask:
 
         settled = engine.object_pose
         target = compose(settled, compose(invert(grasps.object_pose), grasps.wrist_pose))
-        start = target.copy()
-        away = target[:, :3] - settled[:, :3]
-        away /= np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-9)
-        start[:, :3] = settled[:, :3] + p.start_distance * away
+        start = start_on_line(settled, target, p.start_distance)
         height = np.zeros(len(engine)) if table_height is None else table_height
         start = StartPoses(self.scene).clear(engine.object_index, settled, start, fingers, height)
         self.begin(np.arange(len(engine)), settled, target, start, fingers, grasps.link_contacts)

@@ -68,9 +68,9 @@ class Clearance:
     """Distances [m]: at most ``MARGIN``; negative where things overlap."""
 
     table: float
-    """From the arm and the palm to the table."""
-    fingers: float
-    """From the fingers to the table."""
+    """From the arm to the table."""
+    hand: float
+    """From the hand to the table."""
     itself: float
     """From the arm to itself and to the hand."""
 
@@ -88,6 +88,10 @@ class ClearanceModel:
         base = spec.worldbody.first_body()
         base.pos, base.quat = cell.arm.pose_world_base[:3], cell.arm.pose_world_base[3:]
         spec.worldbody.add_geom(name="table", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[2, 2, 0.1])
+        ball = spec.worldbody.add_body(name="ball", mocap=True)
+        ball.add_geom(
+            name="ball", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.1, 0, 0], contype=0, conaffinity=0
+        )
         for geom in spec.geoms:
             geom.margin = 0.5 * MARGIN
         # Base and shoulder stand where they stand.
@@ -100,16 +104,17 @@ class ClearanceModel:
         self._arm_qpos = np.array([model.joint(name).qposadr[0] for name in arm])
         self._hand_qpos = np.array([model.joint(name).qposadr[0] for name in hand.joint_names])
         kind = np.zeros(model.nbody, dtype=int)
-        palm = model.body(hand.palm).id
+        palm, ball_body = model.body(hand.palm).id, model.body("ball").id
         for body in range(1, model.nbody):
             kind[body] = 1
             above = body
             while above:
                 if above == palm:
-                    kind[body] = 2 if body == palm else 3
+                    kind[body] = 2
                 above = int(model.body_parentid[above])
+        kind[ball_body] = 0
         self._kind = kind[model.geom_bodyid]
-        """0 the table, 1 the arm, 2 the palm, 3 a finger; of each geom."""
+        """0 the table, 1 the arm, 2 the hand; of each geom."""
 
     def measure(self, arm: np.ndarray, fingers: np.ndarray) -> Clearance:
         """Distances in a posture. arm: [rad], shape [M]; fingers: independent joints [rad], shape [U]."""
@@ -127,6 +132,21 @@ class ClearanceModel:
             return float(min(MARGIN, distance[which].min(initial=MARGIN)))
 
         return Clearance(
-            table=least((low == 0) & (high <= 2)), fingers=least((low == 0) & (high == 3)), itself=least(low == 1)
+            table=least((low == 0) & (high == 1)), hand=least((low == 0) & (high == 2)), itself=least(low == 1)
         )
 
+    def distance_to_ball(self, ball: np.ndarray) -> float:
+        """Distance of arm and hand, in the posture last measured, to a ball [m], at most ``MARGIN``.
+
+        Args:
+            ball: centre and radius [m], world frame, shape [4].
+        """
+        m, d = self._model, self._data
+        geom = m.geom("ball").id
+        d.geom_xpos[geom], m.geom_size[geom, 0], m.geom_rbound[geom] = ball[:3], ball[3], ball[3]
+        near = np.linalg.norm(d.geom_xpos - ball[:3], axis=1) - m.geom_rbound - ball[3] < MARGIN
+        rows = np.flatnonzero(near & (self._kind >= 1))
+        return min(
+            (float(mujoco.mj_geomDistance(m, d, int(row), geom, MARGIN, None)) for row in rows),
+            default=MARGIN,
+        )
