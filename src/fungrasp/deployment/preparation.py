@@ -101,13 +101,16 @@ class GraspPreparer:
             wrist_speed=cell.limits.palm_speed, wrist_acceleration=cell.limits.palm_acceleration
         )
 
-    def prepare(self, grasp: RobotGraspSet, object_pose: np.ndarray, arm: np.ndarray) -> PreparedGrasp:
+    def prepare(
+        self, grasp: RobotGraspSet, object_pose: np.ndarray, arm: np.ndarray, *, advise: bool = True
+    ) -> PreparedGrasp:
         """Plan a grasp of the object where it is seen.
 
         Args:
             grasp: one.
             object_pose: at rest, world frame, shape [7].
             arm: joints of the arm now [rad], shape [A].
+            advise: whether a placement that would do is looked for where this one does not.
 
         Raises:
             UnreachableError: the arm can't follow the plan.
@@ -116,11 +119,11 @@ class GraspPreparer:
         # Before time is spent on planning: can the arm do about this?
         obstacle = self._reach.possible(self._straight(grasp, object_pose, start, fingers))
         if obstacle:
-            raise UnreachableError(self._advice(grasp, object_pose, obstacle))
+            raise UnreachableError(self._advice(grasp, object_pose, obstacle, advise))
         plan = self._planner.plan(grasp, self._belief(grasp, object_pose, start, fingers), self._seed)
         found, obstacle = self._reach.best(self._path(plan, start, fingers), arm)
         if not found:
-            raise UnreachableError(self._advice(grasp, object_pose, obstacle))
+            raise UnreachableError(self._advice(grasp, object_pose, obstacle, advise))
         ball = self._ball(object_pose)
         free = FreePath(self._kinematics, self._clearance, self._cell.workspace)
         for reach in found:
@@ -162,13 +165,12 @@ class GraspPreparer:
         rise = np.linspace(0.0, self._protocol.lift_height, 8)[1:]
         up = np.repeat(up, len(rise), axis=0)
         up[:, 2] += rise
+        # From closing on the object stops the fingers, about where the grasp has them.
         joints = np.concatenate([fingers[None], plan.finger_targets[0, :-1]])
-        last = np.repeat(plan.finger_targets[:1, -1], len(rise), axis=0)
-        low, high = self._hand.independent(self._hand.joint_limits.T)
+        joints[int(plan.closing_step[0]) + 1 :] = plan.grasp_joints[0]
+        last = np.repeat(plan.grasp_joints[:1], len(rise), axis=0)
         return PalmPath(
-            np.concatenate([start[None], palm[1:], up]),
-            np.clip(np.concatenate([joints, last]), np.minimum(low, high), np.maximum(low, high)),
-            plan.control_period,
+            np.concatenate([start[None], palm[1:], up]), np.concatenate([joints, last]), plan.control_period
         )
 
     def _straight(
@@ -218,9 +220,11 @@ class GraspPreparer:
                     "the vertical",
                 )
 
-    def _advice(self, grasp: RobotGraspSet, object_pose: np.ndarray, obstacle: str) -> str:
+    def _advice(self, grasp: RobotGraspSet, object_pose: np.ndarray, obstacle: str, advise: bool) -> str:
         """One line: what is in the way, and which placement would do."""
         said = f"the grasp of '{self._thing.name}' is not reachable: {obstacle}"
+        if not advise:
+            return said
         found = next(self.placements(grasp, object_pose), None)
         if found is None:
             return f"{said}; no placement nearby would do: take another grasp"

@@ -100,7 +100,7 @@ def check_setpoint(
         state: what the devices say.
         command: the setpoint.
         context: limits and the setpoints before.
-        clearance: of the robot in the posture of the setpoint.
+        clearance: of the robot with the arm as commanded and the fingers as measured.
     """
     c, limits, dog = context, context.cell.limits, context.cell.watchdog
     for values in (command.arm, command.hand, command.feedforward, command.palm):
@@ -244,8 +244,10 @@ class SafetyGuard:
             self._silence("hand", state.hand.device_time, state.time),
             self._moving,
         )
-        finite = np.isfinite(command.arm).all() and np.isfinite(command.hand).all()
-        gap = self._clearance(command.arm, command.hand) if finite else Clearance(0.0, 0.0, 0.0)
+        # Targets of squeezing fingers lie inside what they touch: where the fingers are is what counts.
+        fingers = state.hand.positions
+        finite = np.isfinite(command.arm).all() and np.isfinite(fingers).all()
+        gap = self._clearance(command.arm, fingers) if finite else Clearance(0.0, 0.0, 0.0)
         self.verdict = verdict = check_setpoint(state, command, context, gap)
         if verdict.reaction in (Reaction.HOLD, Reaction.OPEN):
             kind = StopKind.OPEN if verdict.reaction is Reaction.OPEN else StopKind.HOLD

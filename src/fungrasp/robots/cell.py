@@ -84,7 +84,7 @@ class MotionLimits:
     """Largest speed of an arm joint [rad/s]."""
     arm_acceleration: float = 2.0
     """Largest acceleration of an arm joint on its way from posture to posture [rad/s^2]."""
-    setpoint_acceleration: float = 120.0
+    setpoint_acceleration: float = 400.0
     """A setpoint of an arm joint that asks for more is refused [rad/s^2]. Turns of the palm begin and end
     without a ramp; the driver smooths them within the arm's own limits."""
     hand_speed: float = 6.0

@@ -3,6 +3,8 @@ around."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from fungrasp.robots.cell import MotionLimits, Workspace
@@ -56,7 +58,8 @@ def _largest(values: np.ndarray, order: int, whole: bool = False) -> float:
 
 
 class FreePath:
-    """Finds postures between two that are clear of the table, of the robot itself and of an object."""
+    """Finds postures between two that are clear of the table, of the robot itself and of an object: two trees
+    of random postures that grow towards each other (RRT-Connect, Kuffner and LaValle, ICRA 2000)."""
 
     def __init__(self, kinematics: ArmKinematics, clearance: ClearanceModel, workspace: Workspace):
         """
@@ -90,9 +93,9 @@ class FreePath:
         fingers: np.ndarray,
         ball: np.ndarray | None,
         rng: np.random.Generator,
-        tries: int = 60,
+        tries: int = 300,
     ) -> list[np.ndarray] | None:
-        """Corners of a path, ``start`` left out: straight if that is clear, else through one more posture.
+        """Corners of a path, ``start`` left out; None if none was found.
 
         Args:
             start: joints of the arm [rad], shape [M].
@@ -102,23 +105,71 @@ class FreePath:
             rng: of the postures that are tried.
             tries: how many.
         """
-        if self._leg_clear(start, end, fingers, ball):
+
+        def free(one: np.ndarray, other: np.ndarray) -> bool:
+            count = max(2, int(np.ceil(np.abs(other - one).max() / SPACING)) + 1)
+            return all(self.clear(q, fingers, ball) for q in np.linspace(one, other, count)[1:])
+
+        if not (self.clear(start, fingers, ball) and self.clear(end, fingers, ball)):
+            return None
+        if free(start, end):
             return [end]
-        middle = 0.5 * (start + end)
-        spread = random_starts(self._kinematics, tries, rng) / np.pi
-        for number, offset in enumerate(spread):
-            # Near the straight line first.
-            via = np.clip(
-                middle + (0.3 + 1.5 * number / tries) * offset, self._kinematics.lower, self._kinematics.upper
-            )
-            if not self.clear(via, fingers, ball):
+        # Each tree: postures and the row of each one's parent.
+        trees: tuple[_Tree, _Tree] = ([start], [-1]), ([end], [-1])
+        for number, goal in enumerate(random_starts(self._kinematics, tries, rng)):
+            # By turns each tree grows a step, and the other one follows as far as it can.
+            near, far = trees[number % 2], trees[1 - number % 2]
+            reached = _grow(near, goal, free)
+            if reached is None:
                 continue
-            if self._leg_clear(start, via, fingers, ball) and self._leg_clear(via, end, fingers, ball):
-                return [via, end]
+            while (met := _grow(far, reached, free)) is not None:
+                if np.array_equal(met, reached):
+                    first, second = (trees[0], trees[1])
+                    way = [*_branch(first, reached)[::-1], *_branch(second, reached)[1:]]
+                    return _shortcut(way, free)[1:]
         return None
 
-    def _leg_clear(
-        self, start: np.ndarray, end: np.ndarray, fingers: np.ndarray, ball: np.ndarray | None
-    ) -> bool:
-        count = max(2, int(np.ceil(np.abs(end - start).max() / SPACING)) + 1)
-        return all(self.clear(q, fingers, ball) for q in np.linspace(start, end, count))
+
+_Tree = tuple[list[np.ndarray], list[int]]
+
+_STEP = 0.4
+"""Length of a branch [rad]."""
+
+
+def _grow(
+    tree: _Tree, goal: np.ndarray, free: Callable[[np.ndarray, np.ndarray], bool]
+) -> np.ndarray | None:
+    """Add a posture to a tree, a step towards a goal; None if something is in the way."""
+    nodes, parents = tree
+    row = int(np.argmin(np.linalg.norm(np.array(nodes) - goal, axis=1)))
+    way = goal - nodes[row]
+    length = float(np.linalg.norm(way))
+    new = goal if length <= _STEP else nodes[row] + _STEP / length * way
+    if not free(nodes[row], new):
+        return None
+    nodes.append(new)
+    parents.append(row)
+    return new
+
+
+def _branch(tree: _Tree, posture: np.ndarray) -> list[np.ndarray]:
+    """From a posture of a tree to its root."""
+    nodes, parents = tree
+    row = next(i for i, node in enumerate(nodes) if np.array_equal(node, posture))
+    way = []
+    while row >= 0:
+        way.append(nodes[row])
+        row = parents[row]
+    return way
+
+
+def _shortcut(
+    way: list[np.ndarray], free: Callable[[np.ndarray, np.ndarray], bool]
+) -> list[np.ndarray]:
+    """Leave out corners that can be passed by."""
+    result, here = [way[0]], 0
+    while here < len(way) - 1:
+        there = next(i for i in range(len(way) - 1, here, -1) if i == here + 1 or free(way[here], way[i]))
+        result.append(way[there])
+        here = there
+    return result
