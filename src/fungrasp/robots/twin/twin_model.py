@@ -12,7 +12,12 @@ from fungrasp.geometry.poses import quaternion_from_rotation_vector
 from fungrasp.hands import Hand
 from fungrasp.hands.arm import arm_spec, mount
 from fungrasp.objects import ObjectModel
-from fungrasp.objects.convex_decomposition import ConvexPiece, DecompositionSettings, convex_hull, convex_pieces
+from fungrasp.objects.convex_decomposition import (
+    ConvexPiece,
+    DecompositionSettings,
+    convex_hull,
+    convex_pieces,
+)
 from fungrasp.robots.cell import RobotCell
 from fungrasp.robots.twin.parameters import TwinParameters
 from fungrasp.simulation.scene import GRAVITY
