@@ -28,3 +28,10 @@ def hand_joint_limits(name: str, count: int) -> tuple[np.ndarray, np.ndarray]:
     limits = [hand.joint_limits[hand.joint_names.index(joint)] for joint in hand.actuators]
     lower, upper = np.array(limits).T
     return lower, upper
+
+
+def hand_joint_names(name: str) -> tuple[str, ...]:
+    """Names of a hand's independent joints, in model order; name: of a hand model."""
+    from fungrasp.hands import load_hand
+
+    return tuple(load_hand(name).actuators)
