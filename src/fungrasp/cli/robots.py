@@ -75,6 +75,66 @@ class Check:
 
 
 @dataclass(frozen=True)
+class Emulate:
+    """Start emulators of a cell's devices on the loopback, with a twin behind them that stands ready for a grasp.
+
+    Then run `fungrasp deploy` with the same cell and grasp in another terminal. It ends with Ctrl-C."""
+
+    cell: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME|FILE")] = "ur5e-allegro-emulated"
+    """A cell whose addresses are on the loopback."""
+    grasp: str = "mug:drink"
+    """The grasp that the object is placed for: an object, object and task, or a row number."""
+    grasps: str = "builtin"
+    """A file of human grasps, or "builtin"."""
+    objects: Path | None = None
+    """Folder of meshes <name>.obj; built-in objects need none."""
+    twin: int = 0
+    """Which twin, 0, 1, 2 ... Its true parameters are hidden."""
+    seconds: float | None = None
+    """End after so long [s]; with Ctrl-C if not given."""
+
+    def run(self) -> None:
+        import time
+
+        from fungrasp.cli.demo import chosen_rows
+        from fungrasp.cli.retarget import retargeted
+        from fungrasp.deployment.twin_deployment import reachable_placement
+        from fungrasp.grasps import load_human_grasps, load_objects
+        from fungrasp.hands import load_hand
+        from fungrasp.robots.cell import load_cell
+        from fungrasp.robots.twin.emulation import CellEmulation
+        from fungrasp.robots.twin.parameters import draw_twin
+        from fungrasp.robots.twin.world import TwinWorld
+
+        cell = load_cell(self.cell)
+        hand = load_hand(cell.hand)
+        everything = load_human_grasps(self.grasps)
+        human = everything.select(chosen_rows(everything, (self.grasp,), 1))
+        objects = load_objects(human, self.objects)
+        robot, _ = retargeted(human, objects, hand, "ours", 1)
+        thing = objects[human.object_name[0]]
+        truth = draw_twin(self.twin, len(hand.joint_names), len(hand.actuators))
+        world = TwinWorld(cell, hand, thing, truth)
+        world.settle(reachable_placement(cell, hand, thing, robot))
+        rest = world.center_of_mass()[2]
+        with CellEmulation(cell, world, thing.name) as emulation:
+            print(f"{cell.name}: emulators are ready, with '{thing.name}' on the table", flush=True)
+            start, highest, up = time.monotonic(), 0.0, 0.0
+            try:
+                while self.seconds is None or time.monotonic() < start + self.seconds:
+                    time.sleep(0.05)
+                    height = float(world.center_of_mass()[2] - rest)
+                    lifted = height >= 0.1 and not world.look().on_table
+                    up = up + 0.05 if lifted else 0.0
+                    highest = max(highest, up)
+            except KeyboardInterrupt:
+                pass
+            print(f"the object was up by 10 cm and more for {highest:.1f} s at a stretch")
+            twin = emulation.twin
+            print(f"the twin was up to {1e3 * twin.latest:.0f} ms late and lost {1e3 * twin.lost:.0f} ms in all")
+
+
+@dataclass(frozen=True)
 class ShowLog:
     """Say what a log of `fungrasp deploy` holds, one that breaks off included; write a page of it."""
 
@@ -100,4 +160,4 @@ class ShowLog:
             print(f"page: {write_deployment_page(self.page, log)}")
 
 
-COMMAND = {"list": List, "check": Check, "log": ShowLog, "replay": ReplayLog}
+COMMAND = {"list": List, "check": Check, "emulate": Emulate, "log": ShowLog, "replay": ReplayLog}

@@ -16,7 +16,7 @@ from fungrasp.deployment.safety import SafetyGuard, check_pose
 from fungrasp.errors import FungraspError
 from fungrasp.geometry.poses import compose
 from fungrasp.grasps import RobotGraspSet
-from fungrasp.robots.device import RobotError, StopKind
+from fungrasp.robots.device import DeviceStatus, RobotError, StopKind
 from fungrasp.robots.kinematics.arm_model import ClearanceModel
 from fungrasp.robots.kinematics.joint_path import timed_leg
 from fungrasp.robots.robot import Robot, RobotCommand, RobotState, SafetyStop
@@ -199,8 +199,11 @@ class Deployment:
         deadline = robot.clock.now() + s.wait_time
         while state.tracked is None or not robot.ready:
             if robot.clock.now() > deadline:
-                what = "the tracker sees no object" if robot.ready else "arm or hand don't follow commands"
-                raise RobotError(f"{what} for {s.wait_time:g} s: look at the device, then start anew")
+                for name, joints in (("arm", state.arm), ("hand", state.hand)):
+                    if joints.status is not DeviceStatus.READY:
+                        said = f"{joints.status} {joints.message}".strip()
+                        raise RobotError(f"the {name} does not follow: {said}; start anew")
+                raise RobotError(f"the tracker sees no object for {s.wait_time:g} s: look where it looks")
             self._check_switch()
             robot.clock.sleep_until(robot.clock.now() + 0.02)
             state = robot.state()

@@ -124,16 +124,32 @@ def _inspire(values: Mapping[str, Any]) -> JointDriver:
     return inspire_driver(_settings(InspireSettings, "inspire-modbus", values))
 
 
+def _leap(values: Mapping[str, Any]) -> JointDriver:
+    from fungrasp.robots.hands.leap import LeapSettings, leap_driver
+
+    return leap_driver(_settings(LeapSettings, "leap-dynamixel", values, address="port"))
+
+
+def _stream(values: Mapping[str, Any]) -> PoseSource:
+    from fungrasp.robots.pose.stream import PoseStream
+
+    try:
+        return PoseStream(**values)
+    except TypeError as error:
+        raise FungraspError(f"options of the driver pose-stream make no sense: {error}") from error
+
+
 ARM_DRIVERS: dict[str, Callable[[Mapping[str, Any]], Any]] = {"ur-rtde": _ur}
 """Drivers of arms by name."""
 
 HAND_DRIVERS: dict[str, Callable[[Mapping[str, Any]], Any]] = {
     "allegro-can": _allegro,
     "inspire-modbus": _inspire,
+    "leap-dynamixel": _leap,
 }
 """Drivers of hands by name."""
 
-TRACKERS: dict[str, Callable[[Mapping[str, Any]], Any]] = {}
+TRACKERS: dict[str, Callable[[Mapping[str, Any]], Any]] = {"pose-stream": _stream}
 """Sources of object poses by name."""
 
 
