@@ -117,7 +117,7 @@ class Deploy:
             hand,
             thing,
             grasp,
-            reachable_placement(cell, hand, thing, grasp, self.seed),
+            reachable_placement(cell, hand, thing, grasp, self.seed)[0],
             policy,
             planner,
             truth,

@@ -115,7 +115,7 @@ class Emulate:
         thing = objects[human.object_name[0]]
         truth = draw_twin(self.twin, len(hand.joint_names), len(hand.actuators))
         world = TwinWorld(cell, hand, thing, truth)
-        world.settle(reachable_placement(cell, hand, thing, robot))
+        world.settle(reachable_placement(cell, hand, thing, robot)[0])
         rest = world.center_of_mass()[2]
         with CellEmulation(cell, world, thing.name) as emulation:
             print(f"{cell.name}: emulators are ready, with '{thing.name}' on the table", flush=True)
@@ -132,6 +132,85 @@ class Emulate:
             print(f"the object was up by 10 cm and more for {highest:.1f} s at a stretch")
             twin = emulation.twin
             print(f"the twin was up to {1e3 * twin.latest:.0f} ms late and lost {1e3 * twin.lost:.0f} ms in all")
+
+
+@dataclass(frozen=True)
+class Evaluate:
+    """Try grasps on twins, without a clock: what identification and gravity compensation are worth."""
+
+    out: Path
+    """Result to write, .json; it is written anew after every grasp."""
+    robot: str = "ur5e-allegro"
+    """A cell that is a twin."""
+    grasps: str = "builtin"
+    """A file of human grasps, or "builtin"."""
+    objects: Path | None = None
+    """Folder of meshes <name>.obj; built-in objects need none."""
+    rows: tuple[int, ...] = ()
+    """Rows of the grasps; all if none are given."""
+    twins: tuple[int, ...] = (0, 1, 2)
+    """Which twins."""
+    variants: tuple[str, ...] = ("no identification", "no gravity compensation", "ours")
+    """Ways to deploy."""
+    policy: str = "plan"
+    """What acts."""
+    threads: int = 0
+    """Of planning; 0 means all processors."""
+
+    def run(self) -> None:
+        from fungrasp.cli.console import table
+        from fungrasp.cli.retarget import retargeted
+        from fungrasp.errors import FungraspError, UnknownNameError
+        from fungrasp.evaluation.result_files import write_result
+        from fungrasp.evaluation.statistics import wilson_interval
+        from fungrasp.evaluation.twin_test import VARIANTS, episode_rows, told_dynamics, try_on_twins
+        from fungrasp.grasps import load_human_grasps, load_objects
+        from fungrasp.hands import load_hand
+        from fungrasp.policies import make_planner, make_policy
+        from fungrasp.provenance import run_record
+        from fungrasp.robots.cell import load_cell
+        from fungrasp.task import Policy
+
+        known = {variant.name: variant for variant in VARIANTS}
+        for name in self.variants:
+            if name not in known:
+                raise UnknownNameError("variant", name, known)
+        cell = load_cell(self.robot)
+        hand = load_hand(cell.hand)
+        human = load_human_grasps(self.grasps)
+        index = list(self.rows) or list(range(len(human)))
+        human = human.select(index)
+        objects = load_objects(human, self.objects)
+        robot, _ = retargeted(human, objects, hand, "ours", self.threads)
+        policy = make_policy(self.policy, hand, objects)
+        if not isinstance(policy, Policy):
+            raise FungraspError(f"the policy '{self.policy}' needs what only a simulation knows: take a student")
+        planner = make_planner(self.policy, hand, objects, threads=self.threads)
+        chosen = [known[name] for name in self.variants]
+        header = {"robot": self.robot, "policy": self.policy, "grasps": self.grasps, **run_record(0)}
+        header["identification"] = "the twin's own stiffness and damping (told, not identified)"
+        episodes = []
+        for episode in try_on_twins(
+            robot,
+            index,
+            objects,
+            hand,
+            cell,
+            policy,
+            planner,
+            self.twins,
+            chosen,
+            identify=told_dynamics(hand),
+        ):
+            episodes.append(episode)
+            write_result(self.out, header, episode_rows(episodes))
+        lines = [("variant", "episodes", "success", "95 % interval")]
+        for name in self.variants:
+            mine = [e.success for e in episodes if e.variant == name]
+            if mine:
+                low, high = wilson_interval(sum(mine), len(mine))
+                lines.append((name, str(len(mine)), f"{sum(mine) / len(mine):.0%}", f"{low:.0%} to {high:.0%}"))
+        print(table(lines, left=None))
 
 
 @dataclass(frozen=True)
@@ -160,4 +239,4 @@ class ShowLog:
             print(f"page: {write_deployment_page(self.page, log)}")
 
 
-COMMAND = {"list": List, "check": Check, "emulate": Emulate, "log": ShowLog, "replay": ReplayLog}
+COMMAND = {"list": List, "check": Check, "emulate": Emulate, "evaluate": Evaluate, "log": ShowLog, "replay": ReplayLog}

@@ -45,9 +45,9 @@ class TwinOutcome:
 
 def reachable_placement(
     cell: RobotCell, hand: Hand, thing: ObjectModel, grasp: RobotGraspSet, seed: int = 0
-) -> np.ndarray:
+) -> tuple[np.ndarray, np.ndarray]:
     """Where a person would put the object so that the arm can grasp it: the first placement for which one
-    planned motion can be followed, world frame, shape [7].
+    planned motion can be followed, world frame, shape [7]; and the arm's posture as it begins [rad], shape [A].
 
     Args:
         cell: the robot.
@@ -65,10 +65,10 @@ def reachable_placement(
         if tries >= 8:
             break
         try:
-            preparer.prepare(grasp, pose, home, advise=False)
+            prepared = preparer.prepare(grasp, pose, home, advise=False)
         except UnreachableError:
             continue
-        return pose
+        return pose, prepared.reach.start
     raise UnreachableError(
         f"no placement of '{thing.name}' was found from which the arm can grasp it: take another grasp"
     )
