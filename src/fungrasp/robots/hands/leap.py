@@ -94,16 +94,7 @@ class LeapLoop:
 
     def open(self) -> None:
         """See ``DeviceLoop.open``: all sixteen servos must answer."""
-        self._sdk = import_client("dynamixel_sdk", "leap", "a LEAP hand")
-        self._port = self._sdk.PortHandler(self.settings.port)
-        try:
-            if not self._port.setBaudRate(self.settings.baud):
-                raise RobotError(f"{self.name}: the port has no {self.settings.baud} bit/s")
-        except OSError as error:
-            raise RobotError(f"{self.name}: cannot open the port: {error}") from error
-        # The library polls without a pause; a read that may wait a little leaves the processor to others.
-        self._port.ser.timeout = 0.002
-        self._packets = self._sdk.PacketHandler(2.0)
+        self._open_port()
         self._reader = self._sdk.GroupSyncRead(
             self._port, self._packets, codec.PRESENT_CURRENT, codec.PRESENT.size
         )
@@ -159,6 +150,25 @@ class LeapLoop:
         """See ``DeviceLoop.close``."""
         with contextlib.suppress(Exception):
             self._port.closePort()
+
+    def rescue(self) -> None:
+        """See ``DeviceLoop.rescue``: torque off."""
+        with contextlib.suppress(Exception):
+            self._open_port()
+            self.halt()
+            self.close()
+
+    def _open_port(self) -> None:
+        self._sdk = import_client("dynamixel_sdk", "leap", "a LEAP hand")
+        self._port = self._sdk.PortHandler(self.settings.port)
+        try:
+            if not self._port.setBaudRate(self.settings.baud):
+                raise RobotError(f"{self.name}: the port has no {self.settings.baud} bit/s")
+        except OSError as error:
+            raise RobotError(f"{self.name}: cannot open the port: {error}") from error
+        # The library polls without a pause; a read that may wait a little leaves the processor to others.
+        self._port.ser.timeout = 0.002
+        self._packets = self._sdk.PacketHandler(2.0)
 
     def _move(self, goal: LoopGoal, state: JointState, elapsed: float) -> None:
         if goal.mode is LoopMode.POWER_OFF:
