@@ -89,8 +89,8 @@ class BenchFaults:
                 for trial in reaction_trials(EMULATED[name](self.patience), fault, self.trials, rng):
                     trials.append(trial)
                     show(float(len(trials)))
-        if self.json is not None:
-            write_result(self.json, run_record(self.seed), [asdict(trial) for trial in trials])
+                if self.json is not None:
+                    write_result(self.json, run_record(self.seed), [asdict(trial) for trial in trials])
         print(table(reaction_rows(trials)))
         print(f"against emulated devices, which share this machine; {machine()}")
 

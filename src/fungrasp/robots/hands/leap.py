@@ -100,8 +100,8 @@ class LeapLoop:
         )
         self._writer = self._sdk.GroupSyncWrite(self._port, self._packets, codec.GOAL_POSITION, 4)
         for servo in self._servos:
-            _, result, _ = self._packets.ping(self._port, servo)
-            if result != self._sdk.COMM_SUCCESS:
+            results = (self._packets.ping(self._port, servo)[1] for _ in range(3))
+            if self._sdk.COMM_SUCCESS not in results:
                 raise RobotError(
                     f"{self.name}: servo {servo} does not answer; check power, cable and baud rate"
                 )

@@ -45,9 +45,7 @@ def emulated_ur(patience: float = 1.0) -> EmulatedDevice:
     plant, settings = ServoPlant(home), _patient(URSettings(address), patience)
     emulator = URControllerEmulator(plant, address, release_time=0.0)
     emulator.start()
-    return EmulatedDevice(
-        "ur", ur_driver(settings), emulator, plant, home, home + 0.4, settings.stale_after
-    )
+    return EmulatedDevice("ur", ur_driver(settings), emulator, plant, home, home + 0.4, settings.stale_after)
 
 
 def emulated_allegro(generation: int, patience: float = 1.0) -> EmulatedDevice:

@@ -18,10 +18,10 @@ from fungrasp.robots.measuring.emulated_devices import EmulatedDevice
 
 PROCESS_KILLED = "driver's process killed"
 """Besides what emulators show."""
-CARRIED = (Fault.LOST, Fault.DOUBLED, Fault.LATE, Fault.CORRUPT)
-"""Disturbances that a driver may carry on with."""
 WATCHED = 1.0
-"""Longest time that is watched after a fault [s]."""
+"""Time that is watched after a fault that the driver carries [s]; longer where its limit of silence is."""
+AFTERWARDS = 0.4
+"""Time that is watched after a fault was detected [s]."""
 SETTLED = 1e-3
 """A joint that moves less in ``PAUSE`` stands [rad] ..."""
 PAUSE = 0.05
@@ -61,7 +61,12 @@ def reaction_trials(
     """
     try:
         for _ in range(count):
-            yield _trial(device, fault, rng)
+            try:
+                yield _trial(device, fault, rng)
+            except RobotError as error:
+                # Not connected again after the trial before, which says so.
+                device.driver.close()
+                yield ReactionTrial(device.name, f"none: {error}", None, None, "", 0.0, False)
     finally:
         device.driver.close()
         device.emulator.close()
@@ -70,7 +75,9 @@ def reaction_trials(
 def _trial(device: EmulatedDevice, fault: Fault | str, rng: np.random.Generator) -> ReactionTrial:
     _make_ready(device)
     driver = device.driver
-    goal = device.away if rng.random() < 0.5 else device.home
+    here = driver.read().positions
+    far = np.abs(here - device.away).max() > np.abs(here - device.home).max()
+    goal = device.away if far else device.home
     began = time.monotonic()
     before = rng.uniform(0.05, 0.25)
     while time.monotonic() - began < before:
@@ -79,7 +86,9 @@ def _trial(device: EmulatedDevice, fault: Fault | str, rng: np.random.Generator)
         time.sleep(0.005)
     if driver.read().status is not DeviceStatus.READY:
         # A machine that stopped the driver for too long: a reaction to no fault of the device.
-        return ReactionTrial(device.name, "none: false alarm", 0.0, None, driver.read().status.value, 0.0, True)
+        return ReactionTrial(
+            device.name, "none: false alarm", 0.0, None, driver.read().status.value, 0.0, True
+        )
     start = time.monotonic()
     if isinstance(fault, Fault):
         device.emulator.inject(fault)
@@ -87,7 +96,10 @@ def _trial(device: EmulatedDevice, fault: Fault | str, rng: np.random.Generator)
         os.kill(driver.process_id, signal.SIGKILL)
     detected, status = None, DeviceStatus.READY
     times, positions = [], []
-    while (now := time.monotonic()) - start < WATCHED:
+    longest = max(WATCHED, 2 * device.stale_after)
+    while (now := time.monotonic()) - start < longest:
+        if detected is not None and now - start > detected + AFTERWARDS:
+            break
         state = driver.read()
         if detected is None and state.status is not DeviceStatus.READY:
             detected, status = time.monotonic() - start, state.status
@@ -121,13 +133,15 @@ def _motion(times: np.ndarray, positions: np.ndarray, limits: np.ndarray) -> tup
 
 
 def _make_ready(device: EmulatedDevice) -> None:
-    for _ in range(5):
-        with contextlib.suppress(RobotError):
+    for attempt in range(5):
+        try:
             if device.driver.read().status is not DeviceStatus.READY:
                 device.driver.connect()
             device.driver.command(device.driver.read().positions)
             return
-    raise RobotError(f"{device.name} can't be connected for another trial")
+        except RobotError:
+            if attempt == 4:
+                raise
 
 
 def _restarts(device: EmulatedDevice) -> bool:
