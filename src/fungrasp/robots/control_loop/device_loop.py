@@ -78,3 +78,7 @@ class DeviceLoop(Protocol):
     def close(self) -> None:
         """End the connection. Never raises."""
         ...
+
+    def rescue(self) -> None:
+        """Take torque away from outside, where the process that ran this loop has died. Never raises."""
+        ...

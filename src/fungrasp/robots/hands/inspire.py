@@ -147,6 +147,9 @@ class InspireLoop:
         with contextlib.suppress(Exception):
             self._client.close()
 
+    def rescue(self) -> None:
+        """See ``DeviceLoop.rescue``: nothing to do, the drives hold without power."""
+
     def _move(self, goal: LoopGoal, state: JointState) -> None:
         if goal.mode is LoopMode.FOLLOW:
             if self._mode is LoopMode.OPEN:
