@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -59,6 +59,9 @@ def reachable_placement(
     Raises:
         UnreachableError: there is none nearby.
     """
+    # What is seen differs by millimetres from what is: more room than is needed.
+    roomy = replace(cell.workspace, table_clearance=3 * cell.workspace.table_clearance)
+    cell = replace(cell, workspace=roomy)
     preparer = GraspPreparer(cell, hand, thing, MotionPlanner(hand, {thing.name: thing}), seed=seed)
     home = np.asarray(cell.arm.home)
     for tries, (pose, _) in enumerate(preparer.placements(grasp, grasp.object_rest_pose[0])):
