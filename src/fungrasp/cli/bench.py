@@ -1,4 +1,4 @@
-"""``fungrasp bench``: the speed of retargeting, simulation, training and perception on this machine."""
+"""``fungrasp bench``: the speed of retargeting, simulation, training, perception and drivers on this machine."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from fungrasp.cli.bench_perception import BenchPerception
+from fungrasp.cli.bench_robot import BenchFaults, BenchRobot
 from fungrasp.cli.console import progress_bar, table, write_json
 
 if TYPE_CHECKING:
@@ -234,6 +235,8 @@ COMMAND = {
     "simulation": Simulation,
     "training": Training,
     "perception": BenchPerception,
+    "robot": BenchRobot,
+    "faults": BenchFaults,
 }
 
 

@@ -195,9 +195,7 @@ class GraspPreparer:
         center = compose(object_pose, np.concatenate([middle, [1.0, 0, 0, 0]]))[:3]
         return np.append(center, radius)
 
-    def placements(
-        self, grasp: RobotGraspSet, object_pose: np.ndarray
-    ) -> Iterator[tuple[np.ndarray, str]]:
+    def placements(self, grasp: RobotGraspSet, object_pose: np.ndarray) -> Iterator[tuple[np.ndarray, str]]:
         """Poses of the object on the table from which the arm can reach the grasp as it seems, the least move
         first, that as it stands included; each with the move in words.
 

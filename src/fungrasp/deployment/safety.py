@@ -170,9 +170,7 @@ def _clipped(command: RobotCommand, c: SafetyContext) -> Verdict:
     return Verdict(replace(command, **parts), Reaction.CLIP, f"{' and '.join(parts)} clipped to limits")
 
 
-def check_pose(
-    tracked: TrackedPose | None, reference: np.ndarray, time: float, cell: RobotCell
-) -> str:
+def check_pose(tracked: TrackedPose | None, reference: np.ndarray, time: float, cell: RobotCell) -> str:
     """What is wrong with the tracked pose before the fingers close, as a phrase; "" for nothing.
 
     Args:

@@ -84,6 +84,7 @@ class URLoop:
         self.settings = settings
         self.name = f"{settings.model} at {settings.address}"
         self.stale_after = settings.stale_after
+        self.takes_feedforward = False
         reach = np.full(JOINTS, settings.range)
         speed = np.full(JOINTS, settings.velocity)
         self.limits = JointLimits(-reach, reach, speed, np.array(settings.torque_limits))
@@ -154,6 +155,9 @@ class URLoop:
     def close(self) -> None:
         """See ``DeviceLoop.close``: the connections end with the process. Closing them takes ur_rtde a second
         where the controller answers, and for ever where it does not."""
+
+    def rescue(self) -> None:
+        """See ``DeviceLoop.rescue``: the controller's watchdog ends its program."""
 
     def _check(self, dashboard: Any) -> None:
         dashboard.connect(2000)

@@ -132,7 +132,9 @@ class ClearanceModel:
             return float(min(MARGIN, distance[which].min(initial=MARGIN)))
 
         return Clearance(
-            table=least((low == 0) & (high == 1)), hand=least((low == 0) & (high == 2)), itself=least(low == 1)
+            table=least((low == 0) & (high == 1)),
+            hand=least((low == 0) & (high == 2)),
+            itself=least(low == 1),
         )
 
     def distance_to_ball(self, ball: np.ndarray) -> float:

@@ -32,9 +32,7 @@ class PalmFollower:
         try:
             import mink
         except ImportError as error:
-            raise FungraspError(
-                "moving an arm needs mink and daqp: pip install 'fungrasp[ik]'"
-            ) from error
+            raise FungraspError("moving an arm needs mink and daqp: pip install 'fungrasp[ik]'") from error
         self._mink, self._kinematics = mink, kinematics
         model = kinematics.model
         self._configuration = mink.Configuration(model)

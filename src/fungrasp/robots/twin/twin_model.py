@@ -161,4 +161,3 @@ def _set_hand(model: mujoco.MjModel, hand: Hand, truth: TwinParameters) -> None:
         model.actuator_gainprm[actuator, 0] *= truth.stiffness[i]
         model.actuator_biasprm[actuator, 1:3] *= truth.stiffness[i]
         model.actuator_forcerange[actuator] *= truth.torque_limit[i]
-
