@@ -1,4 +1,4 @@
-"""``fungrasp bench``: the speed of retargeting, simulation, training, perception and drivers on this machine."""
+"""``fungrasp bench``: the speed of retargeting, simulation, training, perception and drivers here."""
 
 from __future__ import annotations
 
