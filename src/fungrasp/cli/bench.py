@@ -1,4 +1,4 @@
-"""``fungrasp bench``: the speed of retargeting, simulation, training, perception and drivers on this machine."""
+"""``fungrasp bench``: the speed of retargeting, simulation, training, perception and drivers here."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from fungrasp.cli.bench_identify import BenchIdentify
 from fungrasp.cli.bench_perception import BenchPerception
 from fungrasp.cli.bench_robot import BenchFaults, BenchRobot
 from fungrasp.cli.console import progress_bar, table, write_json
@@ -237,6 +238,7 @@ COMMAND = {
     "perception": BenchPerception,
     "robot": BenchRobot,
     "faults": BenchFaults,
+    "identify": BenchIdentify,
 }
 
 
