@@ -50,7 +50,9 @@ def near_cell() -> RobotCell:
     return replace(cell, arm=replace(cell.arm, home=tuple(placed()[1].tolist())))
 
 
-def deploy(*, put_down: bool = False, policy: Any = None, cell: RobotCell | None = None, **options: Any) -> TwinOutcome:
+def deploy(
+    *, put_down: bool = False, policy: Any = None, cell: RobotCell | None = None, **options: Any
+) -> TwinOutcome:
     """The built-in grasp on an ideal twin, without a clock."""
     _, hand = cell_and_hand()
     grasp, thing = grasp_and_object()

@@ -44,7 +44,7 @@ class Deploy:
     mass: float | None = None
     """Mass of that object [kg]; a built-in one has its own."""
     policy: str = "plan"
-    """What moves the hand: "plan" or "reference" (planned motions, open loop), "student", or a policy file."""
+    """What moves the hand: "plan", "reference" (planned motions, open loop), "student", or a policy file."""
     dry_run: bool = False
     """Read everything, decide everything, log everything, and send nothing."""
     no_gravity_compensation: bool = False
@@ -82,7 +82,9 @@ class Deploy:
         objects = {thing.name: thing}
         policy = make_policy(self.policy, hand, objects)
         if not isinstance(policy, Policy):
-            raise FungraspError(f"the policy '{self.policy}' needs what only a simulation knows: take a student")
+            raise FungraspError(
+                f"the policy '{self.policy}' needs what only a simulation knows: take a student"
+            )
         planner = make_planner(self.policy, hand, objects, threads=self.threads)
         with ExitStack() as stack:
             log = stack.enter_context(McapLog(self.log or Path(strftime("deploy-%Y%m%d-%H%M%S.mcap"))))
@@ -152,9 +154,7 @@ class Deploy:
         from fungrasp.robots.assembly import wired_robot
 
         dynamics: HandDynamics | None = None
-        robot = wired_robot(
-            cell, hand, compensate=not self.no_gravity_compensation, dry_run=self.dry_run
-        )
+        robot = wired_robot(cell, hand, compensate=not self.no_gravity_compensation, dry_run=self.dry_run)
         switch = stack.enter_context(StopSwitch(cell.stop_file, keyboard=True))
         stack.enter_context(robot)
         print("press Enter to stop", flush=True)

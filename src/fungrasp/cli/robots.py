@@ -76,7 +76,7 @@ class Check:
 
 @dataclass(frozen=True)
 class Emulate:
-    """Start emulators of a cell's devices on the loopback, with a twin behind them that stands ready for a grasp.
+    """Start emulators of a cell's devices on the loopback, with a twin behind them, ready for a grasp.
 
     Then run `fungrasp deploy` with the same cell and grasp in another terminal. It ends with Ctrl-C."""
 
@@ -131,7 +131,9 @@ class Emulate:
                 pass
             print(f"the object was up by 10 cm and more for {highest:.1f} s at a stretch")
             twin = emulation.twin
-            print(f"the twin was up to {1e3 * twin.latest:.0f} ms late and lost {1e3 * twin.lost:.0f} ms in all")
+            print(
+                f"the twin was up to {1e3 * twin.latest:.0f} ms late and lost {1e3 * twin.lost:.0f} ms in all"
+            )
 
 
 @dataclass(frozen=True)
@@ -184,7 +186,9 @@ class Evaluate:
         robot, _ = retargeted(human, objects, hand, "ours", self.threads)
         policy = make_policy(self.policy, hand, objects)
         if not isinstance(policy, Policy):
-            raise FungraspError(f"the policy '{self.policy}' needs what only a simulation knows: take a student")
+            raise FungraspError(
+                f"the policy '{self.policy}' needs what only a simulation knows: take a student"
+            )
         planner = make_planner(self.policy, hand, objects, threads=self.threads)
         chosen = [known[name] for name in self.variants]
         header = {"robot": self.robot, "policy": self.policy, "grasps": self.grasps, **run_record(0)}
@@ -209,7 +213,9 @@ class Evaluate:
             mine = [e.success for e in episodes if e.variant == name]
             if mine:
                 low, high = wilson_interval(sum(mine), len(mine))
-                lines.append((name, str(len(mine)), f"{sum(mine) / len(mine):.0%}", f"{low:.0%} to {high:.0%}"))
+                lines.append(
+                    (name, str(len(mine)), f"{sum(mine) / len(mine):.0%}", f"{low:.0%} to {high:.0%}")
+                )
         print(table(lines, left=None))
 
 
@@ -239,4 +245,11 @@ class ShowLog:
             print(f"page: {write_deployment_page(self.page, log)}")
 
 
-COMMAND = {"list": List, "check": Check, "emulate": Emulate, "evaluate": Evaluate, "log": ShowLog, "replay": ReplayLog}
+COMMAND = {
+    "list": List,
+    "check": Check,
+    "emulate": Emulate,
+    "evaluate": Evaluate,
+    "log": ShowLog,
+    "replay": ReplayLog,
+}

@@ -218,9 +218,7 @@ class Deployment:
             raise RobotError(f"{problem}: look at the tracker, then start anew")
         return _average(np.array(poses)), state
 
-    def _prepare(
-        self, grasp: RobotGraspSet, object_pose: np.ndarray, state: RobotState
-    ) -> PreparedGrasp:
+    def _prepare(self, grasp: RobotGraspSet, object_pose: np.ndarray, state: RobotState) -> PreparedGrasp:
         self._prepared = self._preparer.prepare(grasp, object_pose, state.arm.positions)
         self.log.begin(self._prepared.plan, {"cell": self.robot.cell.name, **self._about})
         return self._prepared
@@ -351,7 +349,6 @@ class Deployment:
         self._check_switch()
         self.log.setpoint(self.machine.phase, state, command)
         self._on_setpoint(self.machine.phase)
-
 
 
 def _average(poses: np.ndarray) -> np.ndarray:

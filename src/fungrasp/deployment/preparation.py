@@ -1,4 +1,4 @@
-"""From a grasp and a seen object to a plan that the arm can follow: everything that is decided before anything
+"""From a grasp and a seen object to a plan that the arm can follow: all that is decided before anything
 moves."""
 
 from __future__ import annotations
@@ -195,9 +195,7 @@ class GraspPreparer:
         center = compose(object_pose, np.concatenate([middle, [1.0, 0, 0, 0]]))[:3]
         return np.append(center, radius)
 
-    def placements(
-        self, grasp: RobotGraspSet, object_pose: np.ndarray
-    ) -> Iterator[tuple[np.ndarray, str]]:
+    def placements(self, grasp: RobotGraspSet, object_pose: np.ndarray) -> Iterator[tuple[np.ndarray, str]]:
         """Poses of the object on the table from which the arm can reach the grasp as it seems, the least move
         first, that as it stands included; each with the move in words.
 
@@ -216,8 +214,8 @@ class GraspPreparer:
             if not self._reach.possible(self._straight(grasp, moved, start, fingers)):
                 yield (
                     moved,
-                    f"moved by ({100 * x:g}, {100 * y:g}) cm and turned by {np.rad2deg(turn):.0f} degrees about "
-                    "the vertical",
+                    f"moved by ({100 * x:g}, {100 * y:g}) cm and turned by {np.rad2deg(turn):.0f} degrees "
+                    "about the vertical",
                 )
 
     def _advice(self, grasp: RobotGraspSet, object_pose: np.ndarray, obstacle: str, advise: bool) -> str:

@@ -84,10 +84,14 @@ def _hand(device: DeviceSettings, world: TwinWorld) -> Emulator:
 
         if options.get("interface") not in ("udp_multicast", "virtual"):
             raise FungraspError(
-                "an emulated Allegro hand needs the option interface = \"udp_multicast\": there is no CAN bus"
+                'an emulated Allegro hand needs the option interface = "udp_multicast": there is no CAN bus'
             )
         return AllegroEmulator(
-            plant, options["interface"], device.address, options.get("generation", 4), options.get("side", "right")
+            plant,
+            options["interface"],
+            device.address,
+            options.get("generation", 4),
+            options.get("side", "right"),
         )
     if device.driver == "inspire-modbus":
         from fungrasp.robots.emulators.inspire_modbus import InspireEmulator
@@ -100,7 +104,7 @@ def _loopback(device: DeviceSettings) -> str:
     """The address, if it is one of this machine's loopback: emulators never listen on a network."""
     if not device.address.startswith("127."):
         raise FungraspError(
-            f"emulators listen on the loopback only, and '{device.address}' is not on it: copy the cell's file "
-            "and give addresses such as 127.0.0.2"
+            f"emulators listen on the loopback only, and '{device.address}' is not on it: copy the cell's "
+            "file and give addresses such as 127.0.0.2"
         )
     return device.address
