@@ -32,7 +32,8 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
     "grasps": ("fungrasp.cli.grasps", "list, show, import and make human grasps"),
     "setup": ("fungrasp.cli.setup", "fetch the hand models that perceiving images needs"),
     "policies": ("fungrasp.cli.policies", "list and describe learned policies"),
-    "bench": ("fungrasp.cli.bench", "measure the speed of retargeting, simulation and training"),
+    "identify": ("fungrasp.cli.identify", "record a real hand's motion and fit the dynamics of its joints"),
+    "bench": ("fungrasp.cli.bench", "measure the speed of retargeting, simulation, training and drivers"),
 }
 """Module and summary of every command, in the order of the help."""
 
