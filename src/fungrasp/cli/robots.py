@@ -12,7 +12,7 @@ from fungrasp.cli.deploy import ReplayLog
 
 
 @dataclass(frozen=True)
-class List:
+class ListCells:
     """List the robot cells that come with fungrasp."""
 
     def run(self) -> None:
@@ -137,7 +137,7 @@ class Emulate:
 
 
 @dataclass(frozen=True)
-class Evaluate:
+class EvaluateOnTwins:
     """Try grasps on twins, without a clock: what identification and gravity compensation are worth."""
 
     out: Path
@@ -246,10 +246,10 @@ class ShowLog:
 
 
 COMMAND = {
-    "list": List,
+    "list": ListCells,
     "check": Check,
     "emulate": Emulate,
-    "evaluate": Evaluate,
+    "evaluate": EvaluateOnTwins,
     "log": ShowLog,
     "replay": ReplayLog,
 }

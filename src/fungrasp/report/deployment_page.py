@@ -92,7 +92,8 @@ def _chart(title: str, time: np.ndarray, values: np.ndarray) -> str:
         color = COLORS[k % len(COLORS)]
         lines.append(f'<polyline fill="none" stroke="{color}" stroke-width="1.5" points="{points}"/>')
     return (
-        f'<figure><svg viewBox="0 0 {WIDTH} {HEIGHT}" width="100%" role="img" aria-label="{escape(title)}">'
+        f'<figure><svg viewBox="0 0 {WIDTH} {HEIGHT}" width="100%" role="img" '
+        f'aria-label="{escape(title)}">'
         f"{''.join(lines)}</svg><figcaption>{escape(title)}: {low:.3g} to {high:.3g}, {end:.1f} s</figcaption>"
         "</figure>"
     )
