@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
+
+if TYPE_CHECKING:
+    from fungrasp.robots.twin.parameters import TwinParameters
 
 from fungrasp.cli.deploy import ReplayLog
 
@@ -156,12 +159,16 @@ class EvaluateOnTwins:
     """Ways to deploy."""
     policy: str = "plan"
     """What acts."""
+    told: bool = False
+    """Tell the dynamics of the twins' hands in place of identifying them: what identification could give."""
     threads: int = 0
     """Of planning; 0 means all processors."""
 
     def run(self) -> None:
         from fungrasp.cli.console import table
         from fungrasp.cli.retarget import retargeted
+        from fungrasp.deployment.preparation import HandDynamics
+        from fungrasp.deployment.twin_identification import identify_on_twin
         from fungrasp.errors import FungraspError, UnknownNameError
         from fungrasp.evaluation.result_files import write_result
         from fungrasp.evaluation.statistics import wilson_interval
@@ -192,7 +199,12 @@ class EvaluateOnTwins:
         planner = make_planner(self.policy, hand, objects, threads=self.threads)
         chosen = [known[name] for name in self.variants]
         header = {"robot": self.robot, "policy": self.policy, "grasps": self.grasps, **run_record(0)}
-        header["identification"] = "the twin's own stiffness and damping (told, not identified)"
+        header["identification"] = "told" if self.told else "identified on each twin"
+        thing = objects[human.object_name[0]]
+
+        def identify(truth: TwinParameters) -> HandDynamics:
+            return HandDynamics.of(hand, identify_on_twin(cell, hand, thing, truth).dynamics)
+
         episodes = []
         for episode in try_on_twins(
             robot,
@@ -204,7 +216,7 @@ class EvaluateOnTwins:
             planner,
             self.twins,
             chosen,
-            identify=told_dynamics(hand),
+            identify=told_dynamics(hand) if self.told else identify,
         ):
             episodes.append(episode)
             write_result(self.out, header, episode_rows(episodes))
