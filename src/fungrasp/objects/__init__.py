@@ -11,6 +11,8 @@ from fungrasp.objects.object_registry import (
     object_from_file,
     object_names,
 )
+from fungrasp.objects.object_variants import scaled_name, scaled_object, shifted_mass, with_sizes
+from fungrasp.objects.plain_shapes import is_plain_shape, plain_shape
 
 __all__ = [
     "MIRRORED",
@@ -18,6 +20,7 @@ __all__ = [
     "ObjectModel",
     "builtin_object",
     "convex_pieces",
+    "is_plain_shape",
     "load_mesh",
     "load_object",
     "mesh_files",
@@ -25,4 +28,9 @@ __all__ = [
     "mirrored_object",
     "object_from_file",
     "object_names",
+    "plain_shape",
+    "scaled_name",
+    "scaled_object",
+    "shifted_mass",
+    "with_sizes",
 ]

@@ -10,6 +10,7 @@ from fungrasp.geometry.poses import compose, invert
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.simulation import Engine
 from fungrasp.task.action import Action
+from fungrasp.task.actuation import Actuation
 from fungrasp.task.outcome import LiftMeasurements, Outcomes
 from fungrasp.task.protocol import LiftProtocol
 from fungrasp.task.setpoints import SetpointGenerator, SetpointSequence
@@ -38,6 +39,8 @@ class LiftTask:
         self.setpoints = SetpointGenerator(
             self.scene.servo_limits, count, self.protocol, self.scene.settings.timestep
         )
+        self.actuation = Actuation(count, len(self.scene.hand.actuators))
+        """What becomes of the setpoints on the way to the joints."""
         self.measurements = LiftMeasurements(engine, self.protocol)
         self.controls = np.zeros((count, 6 + len(self.scene.hand.actuators)))
         """What the engine's servos were last told, as ``Engine.controls`` gives it, shape [W, 6 + U]."""
@@ -101,7 +104,7 @@ class LiftTask:
             settled_pose: of the objects, world frame, shape [I, 7].
             target_pose: about where the palm will grasp, world frame, shape [I, 7].
             start_pose: of the palm, world frame, shape [I, 7].
-            start_fingers: independent joints and their setpoints [rad], shape [I, U].
+            start_fingers: setpoints of the independent joints, which are there [rad], shape [I, U].
             target_contacts: links that should touch, shape [I, L] bool.
             start_velocity: of the palm [m/s], shape [I, 3]; zero if None.
             start_time: where on the episode's clock to start [s], shape [I]; zero if None.
@@ -109,13 +112,14 @@ class LiftTask:
         velocity = np.zeros((len(ids), 3)) if start_velocity is None else start_velocity
         self.settled_pose[ids], self.target_contacts[ids] = settled_pose, target_contacts
         self.setpoints.begin(ids, start_pose, velocity, start_fingers)
+        palm, fingers = self.actuation.begin(ids, start_pose, velocity, start_fingers)
         self.engine.set_state(
             ids,
             object_pose=settled_pose,
             wrist_frame=target_pose,
-            palm_pose=start_pose,
+            palm_pose=palm,
             palm_velocity=velocity,
-            joint_positions=self.scene.hand.all_joints(start_fingers),
+            joint_positions=self.scene.hand.all_joints(fingers),
         )
         self.controls = self.engine.controls(
             self.setpoints.wrist.pose, self.setpoints.wrist.velocity, self.setpoints.fingers
@@ -140,7 +144,8 @@ class LiftTask:
         """
         p, setpoints = self.protocol, self.setpoints
         sequence = self.advance_setpoints(action)
-        controls = self.engine.controls(sequence.palm, sequence.palm_velocity, sequence.fingers)
+        followed = self.actuation.follow(sequence, setpoints.period)
+        controls = self.engine.controls(followed.palm, followed.palm_velocity, followed.fingers)
         active = np.flatnonzero(~self.done)
         for i in range(setpoints.number):
             setpoints.wrist.pose, setpoints.fingers = sequence.palm[i], sequence.fingers[i]

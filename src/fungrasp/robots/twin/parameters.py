@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fungrasp.geometry.poses import quaternion_from_rotation_vector
-from fungrasp.transfer.randomization import random_stream
+from fungrasp.transfer import random_stream
 
 
 @dataclass(frozen=True)
