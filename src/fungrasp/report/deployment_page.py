@@ -94,6 +94,6 @@ def _chart(title: str, time: np.ndarray, values: np.ndarray) -> str:
     return (
         f'<figure><svg viewBox="0 0 {WIDTH} {HEIGHT}" width="100%" role="img" '
         f'aria-label="{escape(title)}">'
-        f"{''.join(lines)}</svg><figcaption>{escape(title)}: {low:.3g} to {high:.3g}, {end:.1f} s</figcaption>"
-        "</figure>"
+        f"{''.join(lines)}</svg><figcaption>{escape(title)}: {low:.3g} to {high:.3g}, {end:.1f} s"
+        "</figcaption></figure>"
     )

@@ -18,8 +18,8 @@ _POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
 class LeRobotRobot:
     """Flat dictionaries of numbers in place of ``Observation`` and ``Action``.
 
-    ``send_action`` takes a control period less 20 ms, as it sends five setpoints: the loop around it waits for
-    the rest.
+    ``send_action`` takes a control period less 20 ms, as it sends five setpoints: the loop around it waits
+    for the rest.
     """
 
     name = "fungrasp"
