@@ -7,7 +7,7 @@ from robot_cells import cell_and_hand
 from fungrasp.geometry.poses import relative, rotation_vector
 from fungrasp.robots.kinematics.arm_model import ArmKinematics, ClearanceModel
 from fungrasp.robots.kinematics.joint_path import FreePath, timed_leg
-from fungrasp.robots.kinematics.solutions import postures, random_starts
+from fungrasp.robots.kinematics.solutions import arm_postures, random_starts
 
 POSTURE = np.array([0.2, -1.4, 1.6, -1.5, -1.5, 0.3])
 
@@ -28,7 +28,7 @@ def test_jacobian_is_the_derivative_of_the_pose(kinematics: ArmKinematics) -> No
 
 def test_a_ur_has_eight_postures_for_a_pose(kinematics: ArmKinematics) -> None:
     pose = kinematics.palm_pose(POSTURE)
-    found = postures(kinematics, pose, random_starts(kinematics, 48, np.random.default_rng(0)))
+    found = arm_postures(kinematics, pose, random_starts(kinematics, 48, np.random.default_rng(0)))
     assert len(found) == 8
     assert min(np.abs(found - POSTURE).max(axis=1)) < 1e-3
     for joints in found:
@@ -38,7 +38,7 @@ def test_a_ur_has_eight_postures_for_a_pose(kinematics: ArmKinematics) -> None:
 def test_no_posture_for_a_pose_out_of_reach(kinematics: ArmKinematics) -> None:
     pose = kinematics.palm_pose(POSTURE)
     pose[0] += 2.0
-    assert len(postures(kinematics, pose, random_starts(kinematics, 8, np.random.default_rng(0)))) == 0
+    assert len(arm_postures(kinematics, pose, random_starts(kinematics, 8, np.random.default_rng(0)))) == 0
 
 
 def test_the_palm_is_followed_on_one_branch(kinematics: ArmKinematics) -> None:

@@ -12,6 +12,8 @@ import tyro
 if TYPE_CHECKING:
     from contextlib import ExitStack
 
+    import numpy as np
+
     from fungrasp.deployment.deployment import DeploymentResult
     from fungrasp.deployment.log import DeploymentLog
     from fungrasp.deployment.preparation import HandDynamics
@@ -44,7 +46,9 @@ class Deploy:
     mass: float | None = None
     """Mass of that object [kg]; a built-in one has its own."""
     policy: str = "plan"
-    """What moves the hand: "plan" or "reference" (planned motions, open loop), "student", or a policy file."""
+    """What moves the hand: "plan", "reference" (planned motions, open loop), "student", or a policy file."""
+    hand_dynamics: Path | None = None
+    """Identified dynamics of the hand (`fungrasp identify fit`); by default those that the cell names."""
     dry_run: bool = False
     """Read everything, decide everything, log everything, and send nothing."""
     no_gravity_compensation: bool = False
@@ -124,6 +128,7 @@ class Deploy:
             planner,
             truth,
             wall_clock=not self.fast,
+            dynamics=self._dynamics(cell, hand)[0],
             compensate=not self.no_gravity_compensation,
             dry_run=self.dry_run,
             seed=self.seed,
@@ -153,8 +158,14 @@ class Deploy:
         from fungrasp.deployment.preparation import GraspPreparer
         from fungrasp.robots.assembly import wired_robot
 
-        dynamics: HandDynamics | None = None
-        robot = wired_robot(cell, hand, compensate=not self.no_gravity_compensation, dry_run=self.dry_run)
+        dynamics, stiffness = self._dynamics(cell, hand)
+        robot = wired_robot(
+            cell,
+            hand,
+            stiffness=stiffness,
+            compensate=not self.no_gravity_compensation,
+            dry_run=self.dry_run,
+        )
         switch = stack.enter_context(StopSwitch(cell.stop_file, keyboard=True))
         stack.enter_context(robot)
         print("press Enter to stop", flush=True)
@@ -169,6 +180,16 @@ class Deploy:
             on_phase=lambda phase: print(phase, flush=True),
         )
         return "done", deployment.run(grasp)
+
+    def _dynamics(self, cell: RobotCell, hand: Hand) -> tuple[HandDynamics | None, np.ndarray | None]:
+        """What was identified of the hand, and the stiffness of its servos [N m/rad], shape [U]."""
+        from fungrasp.deployment.preparation import HandDynamics
+        from fungrasp.transfer.joint_dynamics import load_dynamics
+
+        if self.hand_dynamics is None and not cell.hand_dynamics:
+            return None, None
+        dynamics = load_dynamics(self.hand_dynamics or cell.hand_dynamics, hand)
+        return HandDynamics.of(hand, dynamics), dynamics.stiffness
 
     def _about(self) -> dict[str, str]:
         from fungrasp import __version__

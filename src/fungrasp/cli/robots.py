@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
+
+if TYPE_CHECKING:
+    from fungrasp.robots.twin.parameters import TwinParameters
 
 from fungrasp.cli.deploy import ReplayLog
 
 
 @dataclass(frozen=True)
-class List:
+class ListCells:
     """List the robot cells that come with fungrasp."""
 
     def run(self) -> None:
@@ -76,7 +79,7 @@ class Check:
 
 @dataclass(frozen=True)
 class Emulate:
-    """Start emulators of a cell's devices on the loopback, with a twin behind them that stands ready for a grasp.
+    """Start emulators of a cell's devices on the loopback, with a twin behind them, ready for a grasp.
 
     Then run `fungrasp deploy` with the same cell and grasp in another terminal. It ends with Ctrl-C."""
 
@@ -137,7 +140,7 @@ class Emulate:
 
 
 @dataclass(frozen=True)
-class Evaluate:
+class EvaluateOnTwins:
     """Try grasps on twins, without a clock: what identification and gravity compensation are worth."""
 
     out: Path
@@ -156,12 +159,16 @@ class Evaluate:
     """Ways to deploy."""
     policy: str = "plan"
     """What acts."""
+    told: bool = False
+    """Tell the dynamics of the twins' hands in place of identifying them: what identification could give."""
     threads: int = 0
     """Of planning; 0 means all processors."""
 
     def run(self) -> None:
         from fungrasp.cli.console import table
         from fungrasp.cli.retarget import retargeted
+        from fungrasp.deployment.preparation import HandDynamics
+        from fungrasp.deployment.twin_identification import identify_on_twin
         from fungrasp.errors import FungraspError, UnknownNameError
         from fungrasp.evaluation.result_files import write_result
         from fungrasp.evaluation.statistics import wilson_interval
@@ -192,7 +199,12 @@ class Evaluate:
         planner = make_planner(self.policy, hand, objects, threads=self.threads)
         chosen = [known[name] for name in self.variants]
         header = {"robot": self.robot, "policy": self.policy, "grasps": self.grasps, **run_record(0)}
-        header["identification"] = "the twin's own stiffness and damping (told, not identified)"
+        header["identification"] = "told" if self.told else "identified on each twin"
+        thing = objects[human.object_name[0]]
+
+        def identify(truth: TwinParameters) -> HandDynamics:
+            return HandDynamics.of(hand, identify_on_twin(cell, hand, thing, truth).dynamics)
+
         episodes = []
         for episode in try_on_twins(
             robot,
@@ -204,7 +216,7 @@ class Evaluate:
             planner,
             self.twins,
             chosen,
-            identify=told_dynamics(hand),
+            identify=told_dynamics(hand) if self.told else identify,
         ):
             episodes.append(episode)
             write_result(self.out, header, episode_rows(episodes))
@@ -246,10 +258,10 @@ class ShowLog:
 
 
 COMMAND = {
-    "list": List,
+    "list": ListCells,
     "check": Check,
     "emulate": Emulate,
-    "evaluate": Evaluate,
+    "evaluate": EvaluateOnTwins,
     "log": ShowLog,
     "replay": ReplayLog,
 }

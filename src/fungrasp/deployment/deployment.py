@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -186,10 +188,8 @@ class Deployment:
         now = self.robot.clock.now()
         self._times.setdefault(Phase.FAULT, now)
         # The log may be what has failed.
-        try:
+        with suppress(OSError, ValueError):
             self.log.event(now, "fault", reason)
-        except (OSError, ValueError):
-            pass
         self._on_phase(Phase.FAULT)
 
     def _look(self) -> tuple[np.ndarray, RobotState]:
@@ -240,7 +240,7 @@ class Deployment:
         self._guard.reset()
         last = robot.hand_driver.read().positions
         when = robot.clock.now()
-        for start, end in zip(corners[:-1], corners[1:], strict=True):
+        for start, end in pairwise(corners):
             path = timed_leg(start, end, robot.kinematics, robot.cell.limits, period)
             reach = robot.cell.limits.hand_speed * 0.2 * period * len(path)
             goal = np.clip(fingers, last - reach, last + reach)

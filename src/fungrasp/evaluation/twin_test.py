@@ -1,5 +1,5 @@
-"""The lift test on twins, without a clock: what identification and gravity compensation are worth (Table VI of
-the paper)."""
+"""The lift test on twins, without a clock: what identification and gravity compensation are worth (Table VI
+of the paper)."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def try_on_twins(
     spread: TwinSpread | None = None,
     physics: TwinPhysics | None = None,
 ) -> Iterator[TwinEpisode]:
-    """Try each grasp once on each twin in each variant. A grasp that no placement makes reachable is left out.
+    """Try each grasp once on each twin in each variant. What no placement makes reachable is left out.
 
     The arm begins where the plan does, and the object is not put down afterwards; all else is as on a robot.
 

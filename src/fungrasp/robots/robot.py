@@ -78,7 +78,8 @@ Guard = Callable[[RobotState, RobotCommand], RobotCommand]
 class Robot:
     """Arm, hand and tracker behind the interface of a policy: observations in, actions out.
 
-    Setpoints advance as in simulation (``fungrasp.task.setpoints``), every 20 ms. All calls come from one thread.
+    Setpoints advance as in simulation (``fungrasp.task.setpoints``), every 20 ms. All calls come from one
+    thread.
     """
 
     def __init__(
@@ -123,7 +124,7 @@ class Robot:
         """Sees every command before it is sent."""
         self.watch: Callable[[RobotState, RobotCommand], None] = lambda state, command: None
         """Called after each command that was sent, to record."""
-        self.due: Callable[[float], None] = lambda planned: None
+        self.due: Callable[[float], object] = lambda planned: None
         """Called when a setpoint's turn has come, with the time at which it should have come."""
         self._follower: PalmFollower | None = None
         self._gravity = GravityCompensation(hand)
@@ -235,8 +236,8 @@ class Robot:
         )
 
     def send_action(self, action: Action, start: float | None = None) -> Action:
-        """Do what a policy asks: five setpoints, 20 ms apart. Returns when the last one is sent, 80 ms after the
-        first.
+        """Do what a policy asks: five setpoints, 20 ms apart. Returns when the last one is sent, 80 ms after
+        the first.
 
         Args:
             action: one row.

@@ -56,8 +56,8 @@ class ArmKinematics:
         return result
 
     def manipulability(self, joints: np.ndarray) -> float:
-        """Smallest singular value of the Jacobian, positions in units of half a metre: zero where the palm can't
-        move in every direction. joints: [rad], shape [M]."""
+        """Smallest singular value of the Jacobian, positions in units of half a metre: zero where the palm
+        can't move in every direction. joints: [rad], shape [M]."""
         jacobian = self.jacobian(joints)
         jacobian[:3] /= 0.5
         return float(np.linalg.svd(jacobian, compute_uv=False)[-1])

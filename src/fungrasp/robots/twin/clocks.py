@@ -12,13 +12,13 @@ WALL_STEP = 0.002
 """Time between two advances on the clock of the wall [s]."""
 
 LARGEST_LAG = 0.02
-"""A twin that is farther behind than this loses the time [s]: on a computer that is too slow or too busy it moves in
-slow motion, and does not jump."""
+"""A twin that is farther behind than this loses the time [s]: on a computer that is too slow or too busy it
+moves in slow motion, and does not jump."""
 
 
 class TwinClock:
-    """A clock that stands still while the robot's computer works: waiting advances the twin. Runs repeat to the
-    last bit."""
+    """A clock that stands still while the robot's computer works: waiting advances the twin. Runs repeat to
+    the last bit."""
 
     def __init__(self, world: TwinWorld):
         """world: that is advanced."""

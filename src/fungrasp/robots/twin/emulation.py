@@ -104,7 +104,7 @@ def _loopback(device: DeviceSettings) -> str:
     """The address, if it is one of this machine's loopback: emulators never listen on a network."""
     if not device.address.startswith("127."):
         raise FungraspError(
-            f"emulators listen on the loopback only, and '{device.address}' is not on it: copy the cell's file "
-            "and give addresses such as 127.0.0.2"
+            f"emulators listen on the loopback only, and '{device.address}' is not on it: copy the cell's "
+            "file and give addresses such as 127.0.0.2"
         )
     return device.address

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import mujoco
 import numpy as np
@@ -33,6 +33,10 @@ SERVO_LAG = 0.02
 late, as a UR10e follows servoj with the shortest lookahead (Universal_Robots_Client_Library, issue 86)."""
 
 
+OTHER_PIECES = DecompositionSettings(concavity=0.007, fine_concavity=0.004, max_pieces=16, seed=7)
+"""Fewer and coarser convex pieces than the planner's."""
+
+
 @dataclass(frozen=True)
 class TwinPhysics:
     """Physics of a twin. Each number differs from the planner's (``fungrasp.simulation.SceneSettings``)."""
@@ -47,9 +51,7 @@ class TwinPhysics:
     """Iterations that take the creep out of friction: it comes from the solver, not from fingers."""
     contact_time: float = 0.008
     """Time constant of contacts (MuJoCo's ``solref``) [s]."""
-    pieces: DecompositionSettings = DecompositionSettings(
-        concavity=0.007, fine_concavity=0.004, max_pieces=16, seed=7
-    )
+    pieces: DecompositionSettings = field(default_factory=lambda: OTHER_PIECES)
     """Convex pieces of objects."""
 
 
@@ -137,8 +139,8 @@ def _add_object(spec: mujoco.MjSpec, thing: ObjectModel, truth: TwinParameters, 
 def true_pieces(
     thing: ObjectModel, amplitude: float, settings: DecompositionSettings
 ) -> tuple[ConvexPiece, ...]:
-    """Convex pieces of the true surface: another decomposition than the planner's, displaced along its normals
-    by a smooth wave of an amplitude [m] and a length of about 4 cm."""
+    """Convex pieces of the true surface: another decomposition than the planner's, displaced along its
+    normals by a smooth wave of an amplitude [m] and a length of about 4 cm."""
     if amplitude <= 0.0:
         return convex_pieces(thing.vertices, thing.faces, settings)
     # The pieces of the believed surface are cached; the wave is applied to each.
