@@ -50,8 +50,8 @@ class TrackingState:
 class PlanTracker:
     """Follows plans for W robots, each from its own beginning.
 
-    Until the fingers close, the plan goes where the object goes, smoothly, as trackers jitter; from then on it
-    stays where it was.
+    Until the fingers close, the plan goes where the object goes, smoothly, as trackers jitter; from then on
+    it stays where it was.
     """
 
     def __init__(
