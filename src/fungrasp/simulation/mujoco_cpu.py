@@ -38,6 +38,9 @@ DIVERGENCE_WARNINGS = [
 ]
 """Warnings after which a world's motion means nothing."""
 
+_HARDEST = float(mujoco.mjMAXIMP)
+"""Largest constraint impedance."""
+
 _SAMEFRAME_NONE = int(mujoco.mjtSameFrame.mjSAMEFRAME_NONE)
 
 
@@ -235,8 +238,12 @@ class MujocoCpuEngine:
         if friction is not None:
             self.batch.expand("geom_friction")[ids, :, 0] = np.asarray(friction, dtype=float)[:, None]
         if joint_friction is not None:
-            own = self.model.dof_frictionloss[self._finger_dofs]
-            self.batch.expand("dof_frictionloss")[ids[:, None], self._finger_dofs] = own + joint_friction
+            dofs, dry = self._finger_dofs, np.asarray(joint_friction, dtype=float)
+            own = self.model.dof_frictionloss[dofs]
+            self.batch.expand("dof_frictionloss")[ids[:, None], dofs] = own + dry
+            # Soft friction lets a joint creep to its target; the hardest that MuJoCo has holds it.
+            impedance = np.where(dry[..., None] > 0, _HARDEST, self.model.dof_solimp[dofs, :2])
+            self.batch.expand("dof_solimp")[ids[:, None], dofs, :2] = impedance
         if joint_damping is not None:
             self._scale("dof_damping", ids, (self._finger_dofs,), joint_damping)
         # A position servo pulls with gain[0] * ctrl + bias[1] * angle + bias[2] * velocity.
