@@ -580,23 +580,23 @@ class EngineContract:
         fallen = angle(engine.object_pose[:, 3:], pose(2, 0, 0, 0)[:, 3:])
         assert fallen[0] < 0.1 and fallen[1] > 1.0
 
-    def test_a_joint_with_dry_friction_stops_short(self):
-        """It stays off its target by no more than its friction over its stiffness."""
+    def test_dry_friction_takes_from_the_torque_of_the_joint_it_belongs_to(self):
+        """A joint with more friction than its servo's torque hardly moves, and only until it is taken back.
+        Soft constraints let it creep."""
         engine = self.ready([CAN, CAN], height=0.8)
-        joint, servo = 5, list(engine.scene.hand.actuators.values())[5]
+        joint = 5
         friction = np.zeros((2, 16))
-        friction[1, joint] = 0.1 * servo.kp
+        friction[1, joint] = 0.3 * list(engine.scene.hand.actuators.values())[joint].kp
         engine.set_parameters(joint_friction=friction)
         start = engine.joint_positions
-        engine.step(still(engine, 0.5), 600)
-        missing = 0.5 - engine.joint_positions
-        assert abs(missing[0, joint]) < 0.02
-        assert 0.02 < missing[1, joint] <= 0.1 + 0.02
+        engine.step(still(engine, 0.5), 20)
+        moved = engine.joint_positions - start
+        assert moved[0, joint] > 0.1 > 0.05 > moved[1, joint] >= 0.0
         others = np.delete(np.arange(16), joint)
-        np.testing.assert_allclose(missing[1, others], missing[0, others], atol=0.02)
+        np.testing.assert_allclose(moved[1, others], moved[0, others], rtol=0.2)
         engine.set_parameters(joint_friction=np.zeros((2, 16)))
         engine.set_state(joint_positions=start)
-        engine.step(still(engine, 0.5), 600)
+        engine.step(still(engine, 0.5), 20)
         np.testing.assert_allclose(engine.joint_positions[1], engine.joint_positions[0], atol=1e-3)
 
     def test_rows_of_parameters_are_of_the_worlds_that_are_given(self):

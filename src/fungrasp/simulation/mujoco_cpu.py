@@ -38,9 +38,6 @@ DIVERGENCE_WARNINGS = [
 ]
 """Warnings after which a world's motion means nothing."""
 
-_HARDEST = float(mujoco.mjMAXIMP)
-"""Largest constraint impedance."""
-
 _SAMEFRAME_NONE = int(mujoco.mjtSameFrame.mjSAMEFRAME_NONE)
 
 
@@ -241,9 +238,6 @@ class MujocoCpuEngine:
             dofs, dry = self._finger_dofs, np.asarray(joint_friction, dtype=float)
             own = self.model.dof_frictionloss[dofs]
             self.batch.expand("dof_frictionloss")[ids[:, None], dofs] = own + dry
-            # Soft friction lets a joint creep to its target; the hardest that MuJoCo has holds it.
-            impedance = np.where(dry[..., None] > 0, _HARDEST, self.model.dof_solimp[dofs, :2])
-            self.batch.expand("dof_solimp")[ids[:, None], dofs, :2] = impedance
         if joint_damping is not None:
             self._scale("dof_damping", ids, (self._finger_dofs,), joint_damping)
         # A position servo pulls with gain[0] * ctrl + bias[1] * angle + bias[2] * velocity.
