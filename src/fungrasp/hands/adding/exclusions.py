@@ -69,7 +69,10 @@ def _touching(spec: mujoco.MjSpec, couplings: list[Coupling], old: mujoco.MjMode
     model = spec.copy().compile()
     data = mujoco.MjData(model)
     rng = np.random.default_rng(0)
-    slopes = {joint_name(old, c.joint): (joint_name(old, c.driver), c.constant, c.slope) for c in couplings}
+    slopes = {
+        joint_name(old, c.joint): (joint_name(old, c.driver), c.from_reference(old), c.slope)
+        for c in couplings
+    }
 
     def overlaps(positions: np.ndarray) -> set[tuple[str, str]]:
         for _ in range(len(slopes)):

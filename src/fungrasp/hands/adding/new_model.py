@@ -77,7 +77,7 @@ def new_model(
             name1=joint_name(model, coupling.joint),
             name2=joint_name(model, coupling.driver),
         )
-        equality.data[:5] = [coupling.constant, coupling.slope, 0.0, 0.0, 0.0]
+        equality.data[:5] = [coupling.from_reference(model), coupling.slope, 0.0, 0.0, 0.0]
         equality.solref[:2] = [0.01, 1.0]
         equality.solimp[:3] = [0.99, 0.999, 0.001]
     if guessed:
