@@ -86,7 +86,7 @@ def new_model(
                 f"no mass of {listed(guessed)} is known: that of its shapes at {DENSITY:g} kg/m3 is taken"
             )
         )
-    exclude_neighbors(spec, foreign, structure, shapes, couplings, findings)
+    exclude_neighbors(spec, foreign, structure, shapes, findings)
     return spec
 
 
