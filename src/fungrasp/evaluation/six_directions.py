@@ -69,8 +69,8 @@ def six_direction_test(
 ) -> StaticResult:
     """Close the hand around an object that floats without gravity, far from any table, and push the object.
 
-    The palm stands at the grasp, the fingers start at the grasp's joint positions and squeeze as in
-    planned motions.
+    The palm stands at the grasp, the fingers start at the grasp's joint positions and move to the grasp's own
+    ``squeeze_positions``; where it has none, they squeeze as in planned motions.
 
     Args:
         grasps: N grasps of ``hand``.
@@ -99,6 +99,13 @@ def six_direction_test(
     return StaticResult(np.all(held, axis=1), displacement, angle)
 
 
+def _own_squeeze(hand: Hand, grasps: RobotGraspSet) -> np.ndarray:
+    """Servo targets of the grasps' own squeeze within the joints' limits [rad], shape [W, U]; NaN where they have
+    none."""
+    low, high = hand.joint_limits.T
+    return hand.independent(np.clip(grasps.squeeze_positions, low, high))
+
+
 def _push(
     scene: Scene, grasps: RobotGraspSet, objects: Mapping[str, ObjectModel], p: StaticProtocol, threads: int
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -113,7 +120,11 @@ def _push(
     floating = replace(grasps, object_mass=np.full(count, p.mass))
     belief = Belief.nominal(grasps.object_pose, floating.object_mass, grasps.wrist_pose, closed)
     palm = compose(invert(grasps.object_pose), grasps.wrist_pose)
-    squeezed = closed + squeeze_offsets(hand, floating, objects, belief, palm, closed)
+    squeezed = _own_squeeze(hand, grasps)
+    missing = np.isnan(squeezed).any(axis=1)
+    if missing.any():
+        planned = closed + squeeze_offsets(hand, floating, objects, belief, palm, closed)
+        squeezed = np.where(missing[:, None], planned, squeezed)
     engine.reset()
     engine.set_state(
         object_pose=grasps.object_pose,
