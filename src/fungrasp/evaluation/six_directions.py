@@ -10,8 +10,8 @@ import numpy as np
 from fungrasp.evaluation.lift_test import CHUNK, check_hand
 from fungrasp.geometry.poses import compose, inverse_transform_points, invert, rotation_vector
 from fungrasp.grasps import RobotGraspSet
-from fungrasp.hands import Hand
-from fungrasp.objects import ObjectModel
+from fungrasp.hands import Hand, as_hand
+from fungrasp.objects import ObjectModel, check_objects
 from fungrasp.planning.grasp_motion import squeeze_offsets
 from fungrasp.simulation import Engine, MujocoCpuEngine, Scene, SceneSettings, build_scene
 from fungrasp.task import Belief
@@ -60,7 +60,7 @@ class StaticResult:
 def six_direction_test(
     grasps: RobotGraspSet,
     objects: Mapping[str, ObjectModel],
-    hand: Hand,
+    hand: Hand | str,
     *,
     protocol: StaticProtocol | None = None,
     threads: int = 0,
@@ -75,7 +75,7 @@ def six_direction_test(
     Args:
         grasps: N grasps of ``hand``.
         objects: by name.
-        hand: the robot hand.
+        hand: the robot hand, or its name.
         protocol: the published one if None.
         threads: 0 means all processors. The result does not depend on it.
         chunk: grasps simulated together.
@@ -84,7 +84,9 @@ def six_direction_test(
     Raises:
         FungraspError: grasps of another hand.
     """
+    hand = as_hand(hand)
     check_hand(grasps, hand)
+    check_objects(grasps.object_name.tolist(), objects)
     p = protocol or StaticProtocol()
     settings = SceneSettings(gravity=0.0, friction=p.friction, torsional_friction=p.torsional_friction)
     scene = build_scene(hand, objects, settings)

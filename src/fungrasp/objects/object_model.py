@@ -21,7 +21,7 @@ GRID_FORMAT = 2
 """Goes up when the same mesh should give another grid."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class ObjectModel:
     """An object. ``fungrasp.objects.load_object`` makes it."""
 
@@ -43,6 +43,9 @@ class ObjectModel:
     """Where the mass and the size come from."""
     mirror_image: ObjectModel | None = None
     """The object of which this is the reflection in the plane y = 0."""
+
+    def __repr__(self) -> str:
+        return f"<ObjectModel: {self.name!r}, {self.mass:g} kg, {len(self.faces)} triangles>"
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.mass) and self.mass > 0):
