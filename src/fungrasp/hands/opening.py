@@ -9,8 +9,9 @@ from fungrasp.hands.kinematics import HandKinematics
 BENT = 1.3
 """A finger that is shorter by this factor at both limits of a joint bends to both sides."""
 
-TOWARD = 0.5
-"""Cosine of the angle to the closing direction within which a tip's motion closes, or opens, its finger."""
+TOWARD = 0.35
+"""Cosine of the angle to the closing direction within which a tip moves as its finger bends: fingers a third of a turn
+apart have 0.5."""
 
 NEAR_ZERO = 0.25
 """A thumb's limit this much nearer to zero than the other is that of the open thumb."""
