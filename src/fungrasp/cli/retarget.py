@@ -55,6 +55,7 @@ class Retarget:
         from fungrasp.evaluation.results import finite
         from fungrasp.grasps import load_human_grasps, load_objects, mirrored_grasps, save_robot_grasps
         from fungrasp.hands import load_hand
+        from fungrasp.hands.self_contacts import self_contact_words
 
         hand = load_hand(self.hand)
         human = load_human_grasps(self.grasps)
@@ -67,11 +68,15 @@ class Retarget:
             robot, extra={**robot.extra, **{f.name: getattr(quality, f.name) for f in fields(quality)}}
         )
         save_robot_grasps(self.out, robot)
+        touching = self_contact_words(hand.model, robot.joint_positions)
         if self.quality is not None:
-            write_json(self.quality, finite(quality.summary()) | {"grasps_per_second": rate})
+            numbers = {"grasps_per_second": rate, "self_penetration_reasons": touching}
+            write_json(self.quality, finite(quality.summary()) | numbers)
         if self.picture is not None:
             draw_grasps(self.picture, robot, objects, hand, human)
         print(static_quality_table(quality.summary()))
+        for words in touching:
+            print(f"warning: {words}")
         print(f"{self.out}: {len(robot)} grasps of {len(objects)} objects, {rate:.0f} grasps/s")
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from fungrasp.files import digest
 from fungrasp.geometry.poses import compose, invert, rotate
 from fungrasp.grasps import RobotGraspSet
-from fungrasp.hands import Hand
+from fungrasp.hands import Hand, as_hand
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.objects import ObjectModel
 from fungrasp.optimization.collision_scene import CollisionScene
@@ -95,19 +95,19 @@ class MotionPlanner:
 
     def __init__(
         self,
-        hand: Hand,
+        hand: Hand | str,
         objects: Mapping[str, ObjectModel],
         settings: MotionSettings | None = None,
         protocol: LiftProtocol | None = None,
     ):
         """
         Args:
-            hand: the robot hand.
+            hand: the robot hand, or its name.
             objects: by name.
             settings: the defaults if None.
             protocol: with motion limits and control period; the published one if None.
         """
-        self.hand, self.objects = hand, objects
+        self.hand, self.objects = as_hand(hand), objects
         self.settings, self.protocol = settings or MotionSettings(), protocol or LiftProtocol()
         self.key = digest(self.settings, self.protocol)
         """Digest of all that plans depend on besides hand, objects and the arguments of ``plan``."""

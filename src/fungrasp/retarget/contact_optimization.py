@@ -10,6 +10,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from fungrasp.hands import Hand
+from fungrasp.hands.kinematics import HandKinematics
+from fungrasp.hands.opening import partly_closed
 from fungrasp.optimization import terms
 from fungrasp.optimization.hand_state import HandPoints
 from fungrasp.optimization.levenberg_marquardt import Term, minimize
@@ -88,7 +90,8 @@ def initial_pose(points: HandPoints, problem: RetargetingProblem) -> tuple[np.nd
     """Palms aligned by the directions wrist to middle finger and palm normal, fingers a quarter closed."""
     kinematics = points.kinematics
     rotation = palm_alignment(kinematics.hand, problem.joints)
-    independent = np.repeat((0.75 * kinematics.lower + 0.25 * kinematics.upper)[None], len(problem), axis=0)
+    quarter = partly_closed(HandKinematics(kinematics.hand, 5), 0.25)
+    independent = np.repeat(quarter[None], len(problem), axis=0)
     pose = np.concatenate([np.zeros((len(problem), 3)), rotation], axis=1)
     kinematics.update(pose, independent)
     tips = kinematics.points(points.keypoints)[:, points.match.far[points.match.is_last]]
