@@ -69,7 +69,12 @@ def _touching(spec: mujoco.MjSpec, couplings: list[Coupling], old: mujoco.MjMode
     model = spec.copy().compile()
     data = mujoco.MjData(model)
     rng = np.random.default_rng(0)
-    slopes = {joint_name(old, c.joint): (joint_name(old, c.driver), c.constant, c.slope) for c in couplings}
+    kept = {joint_name(model, j) for j in range(model.njnt)}
+    slopes = {
+        joint_name(old, c.joint): (joint_name(old, c.driver), c.constant, c.slope)
+        for c in couplings
+        if joint_name(old, c.driver) in kept
+    }
 
     def overlaps(positions: np.ndarray) -> set[tuple[str, str]]:
         for _ in range(len(slopes)):
