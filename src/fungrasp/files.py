@@ -4,8 +4,10 @@ them."""
 from __future__ import annotations
 
 import contextlib
+import glob
 import hashlib
 import os
+import platform
 import tempfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -16,6 +18,9 @@ import numpy as np
 from fungrasp.errors import FungraspError
 
 MOVE_CACHE = "set FUNGRASP_CACHE to a folder that can be written to"
+
+_HOST = hashlib.sha256(platform.node().encode()).hexdigest()[:6]
+"""Tells processes of this machine from those of others that share a folder."""
 
 
 @contextlib.contextmanager
@@ -30,7 +35,10 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
     path = Path(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(prefix=f".{path.stem}.", suffix=path.suffix, dir=path.parent)
+        remove_leftovers(path)
+        handle, name = tempfile.mkstemp(
+            prefix=f".{path.stem}.{_HOST}-{os.getpid()}-", suffix=path.suffix, dir=path.parent
+        )
         os.close(handle)
     except OSError as error:
         raise FungraspError(f"cannot write {path}: {error.strerror or error}") from error
@@ -43,6 +51,16 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
         raise FungraspError(f"cannot write {path}: {error.strerror or error}") from error
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def remove_leftovers(path: str | Path) -> None:
+    """Delete what processes of this machine that were killed left while they wrote ``path``."""
+    path = Path(path)
+    for left in path.parent.glob(f".{glob.escape(path.stem)}.{_HOST}-*{glob.escape(path.suffix)}"):
+        owner = left.name.removeprefix(f".{path.stem}.{_HOST}-").partition("-")[0]
+        if owner.isdigit() and not _alive(int(owner)):
+            with contextlib.suppress(OSError):
+                left.unlink()
 
 
 def cache_folder(kind: str) -> Path:
@@ -87,6 +105,16 @@ def digest(*things: Any) -> str:
     for thing in things:
         add(thing)
     return result.hexdigest()
+
+
+def _alive(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except OSError:
+        return True
+    return True
 
 
 def _umask() -> int:

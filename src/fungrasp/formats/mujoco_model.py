@@ -31,6 +31,9 @@ NUMBERS = {
 }
 """Fields of a compiled model that ``check_numbers`` looks at, by kind of element."""
 
+LENGTHS = ("pos", "ipos", "size")
+"""Those of them that are lengths [m]."""
+
 _PACKAGE = Path(__file__).parents[1]
 
 
@@ -89,8 +92,9 @@ def parse_model(text: str, where: str) -> mujoco.MjSpec:
     return spec
 
 
-def check_numbers(model: mujoco.MjModel, where: str) -> None:
-    """Refuse a model in which a place, direction, size, mass or limit is not finite.
+def check_numbers(model: mujoco.MjModel, where: str, longest: float = 1000.0) -> None:
+    """Refuse a model in which a place, direction, size, mass or limit is not finite, or a place or size is
+    beyond ``longest`` [m]: what samples surfaces takes time and memory in proportion.
 
     Raises:
         FungraspError: the message begins with ``where`` and names the first.
@@ -98,13 +102,14 @@ def check_numbers(model: mujoco.MjModel, where: str) -> None:
     for kind, fields in NUMBERS.items():
         for name in fields:
             values = np.asarray(getattr(model, f"{kind}_{name}"))
-            bad = ~np.isfinite(values).all(axis=tuple(range(1, values.ndim)))
+            largest = longest if name in LENGTHS else np.finfo(float).max
+            bad = ~(np.abs(values) <= largest).all(axis=tuple(range(1, values.ndim)))
             if bad.any():
                 i = int(np.argmax(bad))
                 title = {"jnt": "joint", "eq": "equality"}.get(kind, kind)
                 raise FungraspError(
                     f"{where}: {name} of {title} '{one_line(getattr(model, title)(i).name or i, 60)}' is "
-                    "not finite"
+                    f"not finite{'' if name not in LENGTHS else f', or beyond {longest:g} m'}"
                 )
 
 

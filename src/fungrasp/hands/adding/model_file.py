@@ -25,6 +25,10 @@ MAX_PARENTS = 4
 """Folders above the model's in which the path of a mesh is tried."""
 
 
+LONGEST = 10.0
+"""Largest coordinate or size [m] of a hand, with the arm that carries it."""
+
+
 @dataclass(frozen=True)
 class MeshShape:
     """A mesh of one geom."""
@@ -93,7 +97,7 @@ def read_foreign(path: Path) -> ForeignModel:
             model = spec.compile()
         except (ValueError, mujoco.FatalError) as problem:
             raise FungraspError(f"{path} does not compile: {one_line(problem)}") from problem
-    check_numbers(model, str(path))
+    check_numbers(model, str(path), LONGEST)
     meshes: dict[int, list[MeshShape]] = {}
     for geom, (vertices, faces, collides, density) in carriers.items():
         i = geom.id
