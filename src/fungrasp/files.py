@@ -63,26 +63,33 @@ def remove_leftovers(path: str | Path) -> None:
                 left.unlink()
 
 
-def cache_folder(kind: str) -> Path:
-    """Folder for computed things of one ``kind`` ("convex_pieces", ...), made if missing.
+def cache_path(kind: str) -> Path:
+    """Where computed things of one ``kind`` ("convex_pieces", ...) are kept, whether it exists or not.
 
-    ``$FUNGRASP_CACHE`` if set, else ``$XDG_CACHE_HOME/fungrasp``, else ``~/.cache/fungrasp``.
-
-    Raises:
-        FungraspError: the folder can't be made.
+    ``$FUNGRASP_CACHE`` if set, else ``$XDG_CACHE_HOME/fungrasp``, else ``~/.cache/fungrasp``; a folder that
+    can't be made where there is no home.
     """
     root = os.environ.get("FUNGRASP_CACHE")
     if root is None:
-        try:
+        with contextlib.suppress(RuntimeError):
             root = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "fungrasp"
-        except RuntimeError as error:
-            raise FungraspError(f"cannot find a home for the cache folder: {MOVE_CACHE}") from error
-    folder = Path(root) / kind
+    return Path(os.devnull if root is None else root) / kind
+
+
+def cache_folder(kind: str) -> Path:
+    """``cache_path`` for writing: the folder is made if missing.
+
+    Raises:
+        FungraspError: it can't be made or written to; the message names the variable that moves it.
+    """
+    folder = cache_path(kind)
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         reason = error.strerror or error
         raise FungraspError(f"cannot make the cache folder {folder}: {reason}; {MOVE_CACHE}") from error
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise FungraspError(f"cannot write to the cache folder {folder}; {MOVE_CACHE}")
     return folder
 
 
