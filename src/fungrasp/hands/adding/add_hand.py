@@ -11,6 +11,7 @@ import numpy as np
 
 from fungrasp.errors import FungraspError
 from fungrasp.files import atomic_path
+from fungrasp.formats.guarded import guarded
 from fungrasp.hands.adding.couplings import find_couplings
 from fungrasp.hands.adding.link_points import far_ends
 from fungrasp.hands.adding.link_shapes import HandShapes, hand_shapes
@@ -32,6 +33,7 @@ from fungrasp.hands.self_contained_mjcf import self_contained_xml
 __all__ = ["Answers", "add_hand"]
 
 
+@guarded("hand's model")
 def add_hand(
     path: str | Path,
     folder: str | Path | None = None,
