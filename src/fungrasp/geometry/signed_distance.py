@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import trimesh
@@ -90,6 +90,23 @@ class SignedDistanceGrid:
             return cls(data["origin"], float(data["spacing"]), data["values"])
 
 
+class GridArrays(NamedTuple):
+    """Several grids one behind the other, for compiled loops; O grids."""
+
+    values: np.ndarray
+    """All corners, shape [sum X Y Z], float32."""
+    start: np.ndarray
+    """First corner of each grid, shape [O]."""
+    stride: np.ndarray
+    """Corners between neighbors along each axis, shape [O, 3]."""
+    last: np.ndarray
+    """Just less than the last corner's index along each axis, shape [O, 3]."""
+    origin: np.ndarray
+    """First corner's place [m], shape [O, 3]."""
+    spacing: np.ndarray
+    """Edge of a cell [m], shape [O]."""
+
+
 class SignedDistanceBank:
     """The grids of several objects, looked up together: each row of a batch may ask another object."""
 
@@ -108,6 +125,17 @@ class SignedDistanceBank:
         self._last = (shape - 1.000001)[:, None]
         self._origin = np.array([grid.origin for grid in grids])[:, None]
         self._spacing = np.array([grid.spacing for grid in grids])[:, None, None]
+
+    @property
+    def arrays(self) -> GridArrays:
+        """What the bank holds."""
+        start, stride, last, origin = (
+            self._start[:, 0],
+            self._stride[:, 0],
+            self._last[:, 0],
+            self._origin[:, 0],
+        )
+        return GridArrays(self._values, start, stride, last, origin, self._spacing[:, 0, 0])
 
     def query(self, grid: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Trilinear signed distance and its exact gradient.

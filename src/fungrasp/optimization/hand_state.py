@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Generic, NamedTuple, TypeVar
+from functools import cached_property
+from typing import TYPE_CHECKING, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -11,6 +12,9 @@ from fungrasp.hands.collision_spheres import CollisionSpheres, collision_spheres
 from fungrasp.hands.correspondence import correspond
 from fungrasp.hands.kinematics import BodyPoints, HandKinematics
 from fungrasp.optimization.collision_scene import CollisionScene
+
+if TYPE_CHECKING:
+    from fungrasp.optimization.compiled.hand_arrays import HandArrays
 
 
 class HandPoints:
@@ -26,6 +30,13 @@ class HandPoints:
         self.far_radius = self._thickness()
         self.link_members = [np.flatnonzero(self.spheres.link == link) for link in range(len(hand.links))]
         self.self_pairs = _self_pairs(hand, self.spheres)
+
+    @cached_property
+    def arrays(self) -> HandArrays:
+        """The same for compiled loops."""
+        from fungrasp.optimization.compiled.hand_arrays import hand_arrays
+
+        return hand_arrays(self)
 
     def _thickness(self) -> np.ndarray:
         """Radius of the hand around the far key point of each finger link [m], shape [S]: of its nearest
