@@ -64,8 +64,8 @@ def balanced_forces(
 
 
 def largest_eigenvalue_bound(matrix: np.ndarray) -> np.ndarray:
-    """Largest eigenvalue of symmetric, positive semidefinite matrices, from above: the sixteenth root of the sum
-    of the sixteenth powers of all E eigenvalues, by at most E^(1/16) too large.
+    """Largest eigenvalue of symmetric, positive semidefinite matrices, from above: the sixteenth root of the
+    sum of the sixteenth powers of all E eigenvalues, by at most E^(1/16) too large.
 
     Args:
         matrix: shape [N, E, E].

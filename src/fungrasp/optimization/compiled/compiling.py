@@ -1,15 +1,49 @@
-"""How loops are compiled.
-
-Numba's cache beside the sources knows when a file has changed, but not when a function of another file has that its
-loops call: after a change of a loop that others call, remove ``__pycache__`` of this folder.
-"""
+"""How loops are compiled, and where machine code is kept."""
 
 from __future__ import annotations
 
+import hashlib
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any
+
 import numba
 
-# Sums may be reordered and multiplications joined to additions; NaN and infinity keep their meaning. The global
-# interpreter lock is not held, so that threads work side by side; machine code is kept in a cache on disk.
-compiled = numba.njit(
-    cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "contract", "nsz", "arcp"}
+from fungrasp.files import cache_folder
+
+SOURCES = (
+    "optimization/compiled/*.py",
+    "optimization/contact_forces.py",
+    "geometry/signed_distance.py",
 )
+"""Files that the loops are made from."""
+
+
+def compiled(function: Callable[..., Any]) -> Any:
+    """Compile a loop when it is first called with arguments of these types, or read it from the cache.
+
+    Sums may be reordered and multiplications joined to additions; NaN and infinity keep their meaning. The
+    global interpreter lock is not held, so that threads work side by side.
+    """
+    # Numba's own cache, beside the sources, knows when a function's file has changed, but not when one has
+    # that the function calls. Its place is read when a function is decorated.
+    place = numba.config.CACHE_DIR
+    numba.config.CACHE_DIR = str(_machine_code())
+    try:
+        return numba.njit(
+            cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "contract", "nsz", "arcp"}
+        )(function)
+    finally:
+        numba.config.CACHE_DIR = place
+
+
+@cache
+def _machine_code() -> Path:
+    """A folder of its own for each state of the sources."""
+    package = Path(__file__).parents[2]
+    digest = hashlib.sha256()
+    for pattern in SOURCES:
+        for path in sorted(package.glob(pattern)):
+            digest.update(path.read_bytes())
+    return cache_folder("compiled") / digest.hexdigest()[:16]

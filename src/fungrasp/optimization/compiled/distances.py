@@ -54,8 +54,8 @@ def signed_distance(grids: GridArrays, grid: int, point):
 def distance_bound(grids: GridArrays, grid: int, point) -> float:
     """A bound below the distance [m] of a point, from one corner of the grid.
 
-    A corner's value is too large by up to two half diagonals of a cell where it is that of a neighboring surface
-    point, and the point is up to half a diagonal away from the corner: 2.6 cells in all.
+    A corner's value is too large by up to two half diagonals of a cell where it is that of a neighboring
+    surface point, and the point is up to half a diagonal away from the corner: 2.6 cells in all.
     """
     h = grids.spacing[grid]
     ux = (point[0] - grids.origin[grid, 0]) / h

@@ -9,7 +9,7 @@ import numpy as np
 
 from fungrasp.optimization.collision_scene import CollisionScene
 from fungrasp.optimization.compiled.frames import Equations, Frames, move_hands
-from fungrasp.optimization.compiled.steps import StepState, StepRule, accept, clear, propose
+from fungrasp.optimization.compiled.steps import StepRule, StepState, accept, clear, propose
 from fungrasp.optimization.compiled.terms import compiled_term
 from fungrasp.optimization.hand_state import HandPoints, HandState
 
