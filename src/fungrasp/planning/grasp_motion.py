@@ -50,8 +50,8 @@ class MotionSettings:
     """How far it goes beyond its target along the palm's normal [m]."""
     lookahead: float = 0.06
     """How far ahead on its path the wrist aims [m]."""
-    adapt: AdaptSettings = AdaptSettings()
-    """How grasps are fitted to the settled object."""
+    adapt: AdaptSettings | None = AdaptSettings()
+    """How grasps are fitted to the settled object; None: they move along with it unchanged."""
     approach: ApproachSettings = ApproachSettings()
     """How clear the approach should be."""
 
@@ -133,10 +133,11 @@ class MotionPlanner:
         # Below, the table is at zero; what is planned is in the object's frame.
         b = lowered(belief, table_below(names, belief.object_pose, belief.table_height, objects))
         in_object = compose(invert(grasps.object_pose), grasps.wrist_pose)
-        given = hand.independent(grasps.joint_positions)
-        palm, joints = adapt_to_settled_object(
-            hand, grasps, objects, b.object_pose, in_object, given, s.adapt
-        )
+        palm, joints = in_object, hand.independent(grasps.joint_positions)
+        if s.adapt is not None:
+            palm, joints = adapt_to_settled_object(
+                hand, grasps, objects, b.object_pose, palm, joints, s.adapt
+            )
         approach = plan_approach(hand, names, b.object_pose, objects, palm, joints, s.approach)
         squeeze = squeeze_offsets(hand, grasps, objects, b, palm, joints, s)
         closing = compose(b.object_pose, palm)
