@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -210,7 +211,7 @@ def nearest_on_mesh(mesh: trimesh.Trimesh, points: np.ndarray) -> tuple[np.ndarr
     Returns:
         nearest points [m], shape [P, 3]; face indices, shape [P].
     """
-    return _SurfaceSamples(mesh).nearest(points)
+    return _surface_samples(mesh).nearest(points)
 
 
 def winding_number(mesh: trimesh.Trimesh, points: np.ndarray) -> np.ndarray:
@@ -359,6 +360,12 @@ class _SurfaceSamples:
         best = np.argmin(np.sum((flat - points[:, None]) ** 2, axis=-1), axis=1)
         rows = np.arange(len(points))
         return flat[rows, best], faces[rows, best]
+
+
+@lru_cache(maxsize=2)
+def _surface_samples(mesh: trimesh.Trimesh) -> _SurfaceSamples:
+    """Kept for a mesh that is asked several times in a row."""
+    return _SurfaceSamples(mesh)
 
 
 def _counted(numbers: np.ndarray) -> np.ndarray:

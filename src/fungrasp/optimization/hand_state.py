@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from copy import copy
 from functools import cached_property
-from typing import TYPE_CHECKING, Generic, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Generic, NamedTuple, Self, TypeVar
 
 import numpy as np
 
@@ -30,6 +31,13 @@ class HandPoints:
         self.far_radius = self._thickness()
         self.link_members = [np.flatnonzero(self.spheres.link == link) for link in range(len(hand.links))]
         self.self_pairs = _self_pairs(hand, self.spheres)
+
+    def for_hands(self, count: int) -> Self:
+        """The same points of ``count`` hands, for another thread: what does not move is shared."""
+        other = copy(self)
+        other.__dict__["arrays"] = self.arrays
+        other.kinematics = HandKinematics(self.kinematics.hand, count)
+        return other
 
     @cached_property
     def arrays(self) -> HandArrays:

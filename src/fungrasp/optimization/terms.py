@@ -25,6 +25,20 @@ def fingertip_position(state: HandState[RetargetingProblem], unit: float = 0.01)
     return _flat(residual, state.keypoint_jacobian(far) / unit)
 
 
+def keypoint_position(
+    state: HandState[CollisionScene], which: np.ndarray, target: np.ndarray, weight: np.ndarray
+) -> Residual:
+    """weight (p - target) for some key points p.
+
+    Args:
+        which: key points, shape [Q].
+        target: [m], shape [N, Q, 3].
+        weight: [1/m], shape [N, Q].
+    """
+    residual = weight[..., None] * (state.keypoints[:, which] - target)
+    return _flat(residual, weight[..., None, None] * state.keypoint_jacobian(which))
+
+
 def link_direction(
     state: HandState[RetargetingProblem], unit: float = 0.5, links: np.ndarray | slice = slice(None)
 ) -> Residual:

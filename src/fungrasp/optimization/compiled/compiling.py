@@ -12,12 +12,11 @@ import numba
 
 from fungrasp.files import cache_folder
 
-SOURCES = (
-    "optimization/compiled/*.py",
-    "optimization/contact_forces.py",
-    "geometry/signed_distance.py",
-)
-"""Files that the loops are made from."""
+NOT_COMPILED = ("__init__.py", "solver.py", "terms.py")
+"""Files of this folder that only call loops."""
+
+SOURCES = ("optimization/compiled/*.py", "optimization/contact_forces.py", "geometry/signed_distance.py")
+"""Files that the loops are made from, ``NOT_COMPILED`` left out."""
 
 
 def compiled(function: Callable[..., Any]) -> Any:
@@ -45,5 +44,6 @@ def _machine_code() -> Path:
     digest = hashlib.sha256()
     for pattern in SOURCES:
         for path in sorted(package.glob(pattern)):
-            digest.update(path.read_bytes())
+            if path.name not in NOT_COMPILED:
+                digest.update(path.read_bytes())
     return cache_folder("compiled") / digest.hexdigest()[:16]

@@ -56,6 +56,13 @@ def _fingertip_position(points: HandPoints, problem: Any, unit: float = 0.01) ->
     return lambda hand, frames, equations, *_: add_positions(hand, frames, equations, far, target, weight)
 
 
+def _keypoint_position(
+    points: HandPoints, problem: Any, which: np.ndarray, target: np.ndarray, weight: np.ndarray
+) -> Add:
+    target, weight = _plain(target, float), _plain(weight, float)
+    return lambda hand, frames, equations, *_: add_positions(hand, frames, equations, which, target, weight)
+
+
 def _link_direction(
     points: HandPoints, problem: Any, unit: float = 0.5, links: np.ndarray | slice = slice(None)
 ) -> Add:
@@ -136,6 +143,7 @@ def _stay_near(
 
 _MAKERS: Mapping[Callable[..., Any], Callable[..., Add]] = {
     terms.fingertip_position: _fingertip_position,
+    terms.keypoint_position: _keypoint_position,
     terms.link_direction: _link_direction,
     terms.contact_position: _contact_position,
     terms.contact_gap: _contact_gap,
