@@ -1,5 +1,5 @@
-"""Retargeting and judging of any number of grasps, a part at a time: memory does not grow with their number but for
-the result, and an interrupted run goes on where it was."""
+"""Retargeting and judging of any number of grasps, a part at a time: memory does not grow with their number
+but for the result, and an interrupted run goes on where it was."""
 
 from __future__ import annotations
 

@@ -9,7 +9,15 @@ from typing import NamedTuple
 import numpy as np
 
 from fungrasp.errors import FungraspError
-from fungrasp.geometry.poses import compose, invert, rotate, transform_points
+from fungrasp.geometry.poses import (
+    compose,
+    invert,
+    quaternion_conjugate,
+    quaternion_multiply,
+    rotate,
+    rotation_vector,
+    transform_points,
+)
 from fungrasp.hands import Hand
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.objects import ObjectModel
@@ -44,10 +52,19 @@ class RetargeterSettings:
     rotation_unit: float = 0.5
     """Change of the wrist's rotation in the object from one frame to the next [rad]."""
     near: float = 0.012
-    """Distance from the object at which a human joint touches it through the flesh [m]: its counterpart touches
-    the surface."""
+    """Distance from the object at which a human joint touches it through the flesh [m]: its counterpart
+    touches the surface."""
     far: float = 0.03
     """Distance beyond which the object does not draw a joint's counterpart from the joint's own place [m]."""
+    joint_step: float = 0.05
+    """Change of a joint in one frame that is allowed while the person stands still [rad]."""
+    joint_gain: float = 30.0
+    """More of it for each meter that the person moved, at any joint [rad/m]: more than twice what a finger of
+    8 cm turns."""
+    wrist_step: float = 0.005
+    """Change of the wrist's position in the object in one frame while the person stands still [m]."""
+    wrist_gain: float = 2.0
+    """More of it for each meter that the person moved [-]."""
     iterations: int = 8
     """Solver iterations of a frame."""
     first_iterations: int = 40
@@ -66,10 +83,10 @@ class FollowedPose(NamedTuple):
 class Retargeter:
     """Follows a human hand near one object, which may move as well.
 
-    Each frame starts from the last one's result and stays near it, so that a small motion of the person is a small
-    motion of the robot. Fingertips and joints go where the human's are; near the object, onto the surface where the
-    human's touch it. ``fungrasp.retarget.retarget`` takes more time over a single grasp, with wanted contacts and the
-    balance of forces.
+    Each frame starts from the last one's result and stays near it, and the change is bounded, so that a
+    small motion of the person is a small motion of the robot. Fingertips and joints go where the human's
+    are; near the object, onto the surface where the human's touch it. ``fungrasp.retarget.retarget`` takes
+    more time over a single grasp, with wanted contacts and the balance of forces.
     """
 
     def __init__(self, hand: Hand, model: ObjectModel, settings: RetargeterSettings | None = None):
@@ -85,6 +102,7 @@ class Retargeter:
             [model.name], np.array([[0, 0, 0, 1.0, 0, 0, 0]]), {model.name: model}
         )
         self._last: tuple[np.ndarray, np.ndarray] | None = None
+        self._joints = np.zeros((1, 21, 3))
 
     def reset(self) -> None:
         """Forget the last frame: the next one is solved anew."""
@@ -122,7 +140,10 @@ class Retargeter:
             *start,
             self._settings.first_iterations if first else self._settings.iterations,
         )
-        self._last = wrist, independent
+        if self._last is not None:
+            motion = float(np.linalg.norm(joints - self._joints, axis=-1).max())
+            wrist, independent = self._bounded(self._last, (wrist, independent), motion)
+        self._last, self._joints = (wrist, independent), joints
         return FollowedPose(compose(pose, wrist[0]), self._points.kinematics.hand.all_joints(independent[0]))
 
     def _problem(self, scene: CollisionScene, joints: np.ndarray) -> RetargetingProblem:
@@ -137,15 +158,32 @@ class Retargeter:
             extent=np.ones(1),
         )
 
+    def _bounded(
+        self, last: tuple[np.ndarray, np.ndarray], found: tuple[np.ndarray, np.ndarray], motion: float
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """As much of the way from the last frame as is allowed: where another posture has become better,
+        the hand gets there over several frames.
+
+        Args:
+            last, found: wrist pose [1, 7] and independent joints [1, U].
+            motion: of the person since the last frame, in the object's frame [m].
+        """
+        s, (pose, joints) = self._settings, last
+        turn = rotation_vector(quaternion_multiply(found[0][:, 3:], quaternion_conjugate(pose[:, 3:])))
+        tangent = np.concatenate([found[0][:, :3] - pose[:, :3], turn, found[1] - joints], axis=1)
+        joint_limit, wrist_limit = s.joint_step + s.joint_gain * motion, s.wrist_step + s.wrist_gain * motion
+        largest = max(
+            np.abs(tangent[0, 3:]).max() / joint_limit, np.linalg.norm(tangent[0, :3]) / wrist_limit
+        )
+        return found if largest <= 1 else self._points.kinematics.step(pose, joints, tangent / largest)
+
     def _objective(
         self, problem: RetargetingProblem, last: tuple[np.ndarray, np.ndarray] | None
     ) -> list[partial]:
         s, match = self._settings, self._points.match
         weight = np.where(match.is_last, 1.0, s.inner_weight)[None] / s.fingertip_unit
         objective = [
-            partial(
-                terms.keypoint_position, which=match.far, target=self._targets(problem), weight=weight
-            ),
+            partial(terms.keypoint_position, which=match.far, target=self._targets(problem), weight=weight),
             partial(terms.link_direction, unit=s.direction_unit),
             partial(terms.object_penetration, unit=s.object_unit),
             partial(terms.table_penetration, unit=s.table_unit),

@@ -1,5 +1,5 @@
-"""mink: differential inverse kinematics towards surface targets, with the model's convex pieces kept apart by its
-collision limit."""
+"""mink: differential inverse kinematics towards surface targets, with the model's convex pieces kept apart
+by its collision limit."""
 
 from __future__ import annotations
 

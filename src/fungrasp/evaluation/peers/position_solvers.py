@@ -1,5 +1,5 @@
-"""dex-retargeting and its port dexi-rs: fingertips and middle joints to the human's, by the published "position"
-configuration with a free wrist. They know neither object nor table."""
+"""dex-retargeting and its port dexi-rs: fingertips and middle joints to the human's, by the published
+"position" configuration with a free wrist. They know neither object nor table."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ from fungrasp.evaluation.peers.urdf import kinematic_urdf
 from fungrasp.grasps import RobotGraspSet
 
 CALLS = 5
-"""Calls for each grasp, each from the last one's result, as in a video that stands still; more change nothing."""
+"""Calls for each grasp, each from the last one's result, as in a video that stands still; more change
+nothing."""
 
 HUMAN_TIPS, HUMAN_MIDDLES = (
     {"thumb": 4, "index": 8, "middle": 12, "ring": 16, "pinky": 20},
@@ -31,7 +32,7 @@ def solve_dex_retargeting(problem: PeerProblem) -> tuple[RobotGraspSet, float]:
     """By dex-retargeting (Qin et al., "AnyTeleop", 2023). Returns the grasps and processor seconds."""
     from dex_retargeting.retargeting_config import RetargetingConfig  # pyright: ignore[reportMissingImports]
 
-    with _urdf(problem) as path:
+    with _UrdfFile(problem) as path:
         config = RetargetingConfig.from_dict(_configuration(problem), {"urdf_path": path})
         config.target_joint_names = list(problem.hand.actuators)
         solver = config.build()
@@ -59,7 +60,7 @@ def solve_dexi(problem: PeerProblem) -> tuple[RobotGraspSet, float]:
     configuration: dict[str, Any] = _configuration(problem) | {
         "target_joint_names": list(problem.hand.actuators)
     }
-    with _urdf(problem) as path:
+    with _UrdfFile(problem) as path:
         solver = dexi_rs.RetargetingConfig(urdf_path=path, **configuration).build()
     names, joints = list(solver.joint_names), _human(problem)
     start = np.zeros((len(joints), len(names)))
@@ -109,7 +110,7 @@ def _grasps(problem: PeerProblem, found: np.ndarray, names: list[str]) -> RobotG
     return problem.solved(np.concatenate([free[:, :3], turn], axis=1), joints)
 
 
-class _urdf:  # noqa: N801
+class _UrdfFile:
     """The hand's URDF as a file, for as long as it is read."""
 
     def __init__(self, problem: PeerProblem):

@@ -74,15 +74,13 @@ class PeerProblem:
         )
 
     def contact_points(self) -> np.ndarray:
-        """Where the far key points of links should be: on the surface where the human touches, else at the human
-        joint; world frame [m], shape [N, S, 3]."""
+        """Where the far key points of links should be: on the surface where the human touches, else at the
+        human joint; world frame [m], shape [N, S, 3]."""
         match, targets = self.points.match, self.targets
         human = match.human_far
         surface = targets.surface[:, human] + self.points.far_radius[:, None] * targets.normals[:, human]
         wanted = targets.contacts[:, 1:, None]
-        return transform_points(
-            self.human.object_pose, np.where(wanted, surface, targets.joints[:, human])
-        )
+        return transform_points(self.human.object_pose, np.where(wanted, surface, targets.joints[:, human]))
 
 
 @dataclass

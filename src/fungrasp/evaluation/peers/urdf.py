@@ -1,4 +1,5 @@
-"""A hand's kinematics as URDF, which other packages read: bodies, joints, couplings and key points, no shapes."""
+"""A hand's kinematics as URDF, which other packages read: bodies, joints, couplings and key points, no
+shapes."""
 
 from __future__ import annotations
 
@@ -14,8 +15,8 @@ from fungrasp.hands import Hand
 def kinematic_urdf(hand: Hand) -> str:
     """URDF text of a hand, the palm as its root.
 
-    Links are named as the model's bodies and sites, joints as its joints; a body that has several joints, or one
-    away from its origin, gets links between, "BODY/1" and so on.
+    Links are named as the model's bodies and sites, joints as its joints; a body that has several joints,
+    or one away from its origin, gets links between, "BODY/1" and so on.
     """
     model = hand.model
     robot = ElementTree.Element("robot", name=hand.name)
@@ -72,8 +73,7 @@ def kinematic_urdf(hand: Hand) -> str:
 def _link(robot: ElementTree.Element, name: str) -> None:
     inertial = ElementTree.SubElement(ElementTree.SubElement(robot, "link", name=name), "inertial")
     ElementTree.SubElement(inertial, "mass", value="0.01")
-    zero = {f"i{a}": "0" for a in ("xy", "xz", "yz")}
-    ElementTree.SubElement(inertial, "inertia", ixx="1e-6", iyy="1e-6", izz="1e-6", **zero)
+    ElementTree.SubElement(inertial, "inertia", ixx="1e-6", iyy="1e-6", izz="1e-6", ixy="0", ixz="0", iyz="0")
 
 
 def _joint(
@@ -108,7 +108,11 @@ def _moves(joint: ElementTree.Element, hand: Hand, number: int) -> None:
         source = int(np.abs(matrix[number]).argmax())
         slope = float(matrix[number, source])
         ElementTree.SubElement(
-            joint, "mimic", joint=independent[source], multiplier=repr(slope), offset=repr(float(offset[number]))
+            joint,
+            "mimic",
+            joint=independent[source],
+            multiplier=repr(slope),
+            offset=repr(float(offset[number])),
         )
 
 
