@@ -10,7 +10,6 @@ from fungrasp.errors import FungraspError, UnknownNameError
 from fungrasp.geometry.poses import compose, transform_points
 from fungrasp.grasps import HumanGraspSet, RobotGraspSet, hand_sides
 from fungrasp.hands import Hand, as_hand
-from fungrasp.hands.correspondence import correspond
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.objects import ObjectModel, check_objects
 from fungrasp.optimization.hand_state import HandPoints
@@ -69,13 +68,13 @@ def retarget(
             "--mirror, or fungrasp.grasps.mirrored_grasps"
         )
     settings = settings or RetargetSettings()
-    match = correspond(hand)
-    problem = RetargetingProblem.from_grasps(grasps, objects, match)
+    shared = HandPoints(HandKinematics(hand, min(chunk, len(grasps))))
+    problem = RetargetingProblem.from_grasps(grasps, objects, shared.match)
 
     def run(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         part = problem.rows(rows)
-        kinematics = HandKinematics(hand, len(part))
-        points = HandPoints(kinematics)
+        points = shared.for_hands(len(part))
+        kinematics = points.kinematics
         pose, independent = METHODS[method](points, part, settings)
         kinematics.update(pose, independent)
         progress(len(part))
