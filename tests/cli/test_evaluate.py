@@ -112,7 +112,15 @@ def test_without_adaptation_is_the_same_alone_and_in_a_comparison(human, tmp_pat
     alone = json.loads(path.read_text())
     assert "without_adaptation" not in alone
     status, _, _ = run(
-        capsys, "evaluate", "--grasps", human, "--method", "ours", "dexgraspnet", "--json", path.with_name("m.json")
+        capsys,
+        "evaluate",
+        "--grasps",
+        human,
+        "--method",
+        "ours",
+        "dexgraspnet",
+        "--json",
+        path.with_name("m.json"),
     )
     assert status == 0
     compared = json.loads(path.with_name("m.json").read_text())["methods"]["ours"]

@@ -11,7 +11,9 @@ UP = np.array([[0.0, 0.0, 1.0]])
 ONE = np.ones(1)
 
 
-def pinch(offset: float = 0.0, limit: float = 10.0, friction: float = 0.9, used=(True, True), weight: float = 2.0):
+def pinch(
+    offset: float = 0.0, limit: float = 10.0, friction: float = 0.9, used=(True, True), weight: float = 2.0
+):
     """Force and torque that two fingers cannot take, at y = +-1 cm, ``offset`` [m] beside the center along x.
     Each has three joints, which push it along x, y and z with a lever of 0.1 m."""
     place = np.array([[[offset, 0.01, 0.0], [offset, -0.01, 0.0]]])

@@ -33,7 +33,7 @@ def test_the_weaker_finger_limits_both(limits):
     force = pinch(20.0, limits)[:, 0]
     assert force[0] < 0 < force[1] and abs(force.sum()) < 1.5
     assert np.all(np.abs(force) < 0.7 * 10) and np.all(np.abs(force) > 3.0)
-    assert np.all(np.abs(pinch(20.0, (2.0, 2.0))) [:, 0] > 9.8)
+    assert np.all(np.abs(pinch(20.0, (2.0, 2.0)))[:, 0] > 9.8)
 
 
 def test_torques_of_grasps_grow_with_the_force_to_their_limits():

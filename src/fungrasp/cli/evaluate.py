@@ -133,7 +133,14 @@ class Evaluate:
             plain = make(motions=unadapted)
             without = {
                 name: self._evaluate(
-                    (name, "without adaptation"), robot, objects, hand, randomization, refinement, plain, store
+                    (name, "without adaptation"),
+                    robot,
+                    objects,
+                    hand,
+                    randomization,
+                    refinement,
+                    plain,
+                    store,
                 )
                 for name, robot in sets.items()
             }

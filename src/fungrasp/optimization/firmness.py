@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from fungrasp.geometry.poses import cross
 from fungrasp.hands import Hand
-from fungrasp.optimization.collision_scene import CollisionScene
 from fungrasp.optimization.contact_forces import CONTACT_DISTANCE, friction_cone_edges
 from fungrasp.optimization.hand_state import HandState
 from fungrasp.optimization.retargeting_problem import RetargetingProblem
@@ -33,7 +32,7 @@ class LinkContacts(NamedTuple):
     """Of the points with respect to the independent joints [m/rad], shape [N, L, 3, U]."""
 
 
-def link_contacts(state: HandState[CollisionScene]) -> LinkContacts:
+def link_contacts(state: HandState[Any]) -> LinkContacts:
     """The point of each link that is nearest to the object."""
     points = state.points
     nearest = np.stack([m[np.argmin(state.clearance[:, m], axis=1)] for m in points.link_members], axis=1)

@@ -32,7 +32,7 @@ def limited_forces(
     friction: float,
     iterations: int = 300,
 ) -> np.ndarray:
-    """Contact forces within friction cones, and about within torque limits, that balance [N], shape [N, C, 3].
+    """Balanced contact forces within friction cones and about within torque limits [N], shape [N, C, 3].
 
     Minimizes, over the weights w >= 0 of the cones' edges,
 
@@ -91,7 +91,7 @@ def squeeze_torques(
     friction: float = 0.6,
     near: float = 0.006,
 ) -> np.ndarray:
-    """Joint torques that squeeze [N m], shape [N, U]: those of balanced forces near or within the torque limits.
+    """Joint torques that squeeze [N m], shape [N, U]: of balanced forces about within the torque limits.
 
     Args:
         hand: the robot hand.
