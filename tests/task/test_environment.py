@@ -15,8 +15,15 @@ from fungrasp.planning import MotionPlanner
 from fungrasp.policies import OpenLoopPolicy
 from fungrasp.simulation import build_scene
 from fungrasp.task import Action, Belief, LiftEnvironment, LiftProtocol, Observation, Privileged, play
-from fungrasp.transfer import NOMINAL, WIDE, EpisodeSample, MeasurementError, Randomization, draw_each
-from fungrasp.transfer.randomization import THREE_PUSHES
+from fungrasp.transfer import (
+    NOMINAL,
+    THREE_PUSHES,
+    WIDE,
+    EpisodeSample,
+    MeasurementError,
+    Randomization,
+    draw_each,
+)
 
 BOTH = np.arange(2)
 

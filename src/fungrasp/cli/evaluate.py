@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from fungrasp.cli.console import progress_bar, write_json
 
@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from fungrasp.evaluation import LiftTestResult
     from fungrasp.evaluation.lift_test import Refinement
     from fungrasp.evaluation.partial_results import PartialResults
+    from fungrasp.evaluation.use_test import UseTest
     from fungrasp.grasps import HumanGraspSet, RobotGraspSet
     from fungrasp.hands import Hand
     from fungrasp.objects import ObjectModel
@@ -58,6 +59,12 @@ class Evaluate:
     """Draw some of the grasps, and whether they held, to this PNG file."""
     static: bool = False
     """Measure the static quality too (of retargeted human grasps), and run the six-direction test."""
+    use: bool = False
+    """After the hold, play the motion that the grasp's task needs (tilt, strike, stroke, press, hand over),
+    and say how many objects stay in the hand and how many fingers lie where the person's did."""
+    protocol: Literal["nominal", "reality", "robustness"] = "nominal"
+    """How the world differs from what planner and policy believe: not at all; in everything at once, as a
+    robot's does, drawn anew for each episode; or in one thing at a time."""
     mass_scale: float = 1.0
     """The object weighs this many times its nominal mass, which the policy assumes."""
     friction: float | None = None
@@ -78,9 +85,6 @@ class Evaluate:
     grasp."""
     noslip: int = 0
     """Iterations that take the creep out of the solver's friction; 5 make physics 1.6 times as slow."""
-    robustness: bool = False
-    """Try the grasps under each condition of the robustness protocol: other masses, friction, table heights,
-    wrong poses, latency, pushes, moved objects."""
     threads: int = 0
     """0 means all processors; the result does not depend on it."""
 
@@ -88,16 +92,23 @@ class Evaluate:
         from functools import partial
         from time import perf_counter
 
-        from fungrasp.cli.episode_tables import comparison, result_table, robustness_table, static_words
+        from fungrasp.cli.episode_tables import (
+            comparison,
+            result_table,
+            robustness_table,
+            static_words,
+            use_table,
+        )
         from fungrasp.cli.retarget import draw_grasps
         from fungrasp.evaluation.lift_test import check_hand
         from fungrasp.evaluation.partial_results import PartialResults
+        from fungrasp.evaluation.use_test import UseTest
         from fungrasp.grasps import RobotGraspSet, load_grasps, load_objects
         from fungrasp.hands import load_hand
         from fungrasp.planning import MotionSettings
         from fungrasp.planning.selection import SelectionSettings
         from fungrasp.policies import make_planner, policy_files
-        from fungrasp.transfer import ROBUSTNESS
+        from fungrasp.transfer import NOMINAL, protocol_conditions
 
         randomization = self._randomization()
         hand = load_hand(self.hand)
@@ -111,17 +122,24 @@ class Evaluate:
         store = None if file is None else PartialResults(file.with_name(f"{file.name}.partial"))
         start = perf_counter()
         sets = self._robot_grasps(grasps, objects, hand)
-        conditions = ROBUSTNESS if self.robustness else {"": randomization}
+        conditions = {"": randomization}
+        if randomization == NOMINAL:
+            conditions = protocol_conditions(self.protocol)
         refinement = self._refinement(objects, hand)
         selection = SelectionSettings() if self.rollouts else SelectionSettings(rollouts=None)
         # One planner for all conditions: what it has planned for one it knows for the others.
         make = partial(make_planner, self.policy, hand, objects, selection, threads=self.threads)
         unadapted = MotionSettings(adapt=None)
         planner = make(motions=None if self.adapt else unadapted)
+        human = None if isinstance(grasps, RobotGraspSet) else grasps
+        uses = {
+            name: UseTest.of(human, robot, objects, hand) if self.use else None
+            for name, robot in sets.items()
+        }
         tried = {
             name: {
                 condition: self._evaluate(
-                    (name, condition), robot, objects, hand, other, refinement, planner, store
+                    (name, condition), robot, objects, hand, other, refinement, planner, store, uses[name]
                 )
                 for condition, other in conditions.items()
             }
@@ -129,7 +147,7 @@ class Evaluate:
         }
         results = {name: next(iter(those.values())) for name, those in tried.items()}
         without: dict[str, LiftTestResult] = {}
-        if len(sets) > 1 and self.adapt and not self.robustness:
+        if len(sets) > 1 and self.adapt and len(conditions) == 1:
             plain = make(motions=unadapted)
             without = {
                 name: self._evaluate(
@@ -137,10 +155,11 @@ class Evaluate:
                     robot,
                     objects,
                     hand,
-                    randomization,
+                    next(iter(conditions.values())),
                     refinement,
                     plain,
                     store,
+                    uses[name],
                 )
                 for name, robot in sets.items()
             }
@@ -162,7 +181,9 @@ class Evaluate:
         for name, result in results.items():
             if len(results) > 1:
                 print(f"{name}:")
-            print(robustness_table(tried[name]) if self.robustness else result_table(result))
+            print(result_table(result) if len(tried[name]) == 1 else robustness_table(tried[name]))
+            if self.use:
+                print(use_table(result))
             if name in static:
                 print(static_words(static[name]))
         if len(results) > 1:
@@ -192,8 +213,8 @@ class Evaluate:
             jsons[name] = result_json(next(iter(those.values()))) | static.get(name, {})
             if name in without:
                 jsons[name]["without_adaptation"] = summary(without[name])
-            if self.robustness:
-                jsons[name]["robustness"] = robustness_json(those)
+            if len(those) > 1:
+                jsons[name] |= {"protocol": self.protocol, "robustness": robustness_json(those)}
         whole: dict[str, Any] = next(iter(jsons.values())) if len(jsons) == 1 else {"methods": jsons}
         whole = run_record(whole.get("seed", self.seed)) | whole | {"seconds": seconds}
         if self.json is not None:
@@ -204,8 +225,7 @@ class Evaluate:
     def _randomization(self) -> Randomization:
         from math import radians
 
-        from fungrasp.transfer import MeasurementError, Randomization
-        from fungrasp.transfer.randomization import THREE_PUSHES
+        from fungrasp.transfer import THREE_PUSHES, MeasurementError, Randomization
 
         distance, angle = self.pose_noise
         weights, duration = self.push
@@ -238,12 +258,15 @@ class Evaluate:
                 raise FungraspError(f"--{name} needs at least one value, and each once")
         if min(*self.seed, self.refine, self.threads, self.noslip) < 0:
             raise FungraspError("--seed, --refine, --noslip and --threads must not be negative")
-        if self.robustness and randomization != NOMINAL:
-            raise FungraspError("--robustness has conditions of its own: give it or single ones")
-        if len(self.seed) > 1 and not (self.robustness or self._is_random(randomization, hand)):
+        if self.protocol != "nominal" and randomization != NOMINAL:
+            raise FungraspError(
+                f"--protocol {self.protocol} says how worlds differ: give it or single options"
+            )
+        random = self.protocol != "nominal" or self._is_random(randomization, hand)
+        if len(self.seed) > 1 and not random:
             raise FungraspError(
                 "nothing is random here, so several seeds would only repeat the same episodes: give one "
-                "--seed, or something random (--pose-noise, --push, --object-shift, --robustness, --refine, "
+                "--seed, or something random (--protocol, --pose-noise, --push, --object-shift, --refine, "
                 "a learned policy that chooses plans)"
             )
 
@@ -277,6 +300,7 @@ class Evaluate:
         refinement: Refinement | None,
         planner: Planner,
         store: PartialResults | None,
+        use: UseTest | None,
     ) -> LiftTestResult:
         """names: of the method and the condition, "" for one that needs no name."""
         from fungrasp.evaluation import evaluate
@@ -303,6 +327,7 @@ class Evaluate:
                 randomization=randomization,
                 refine=refinement,
                 planner=planner,
+                use=use,
                 record=folder,
                 store=store,
                 chunk=SEARCHED_CHUNK if self.refine or self._searches(hand) else CHUNK,

@@ -24,7 +24,7 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
     "predictor": ("fungrasp.cli.predictor", "learn which variations of a grasp will hold"),
     "train": ("fungrasp.cli.train", "train a policy on grasps: a teacher that knows the contacts"),
     "distill": ("fungrasp.cli.distill", "train a student, that sees what a robot has, from a teacher"),
-    "reproduce": ("fungrasp.cli.reproduce", "train and test what the paper's tables compare"),
+    "reproduce": ("fungrasp.cli.reproduce", "the free policies of all hands, and the paper's tables"),
     "hands": ("fungrasp.cli.hands", "list, show, check, add and export robot hands"),
     "objects": ("fungrasp.cli.objects", "list and show objects"),
     "grasps": ("fungrasp.cli.grasps", "list, show, import and make human grasps"),

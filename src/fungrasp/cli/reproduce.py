@@ -1,4 +1,4 @@
-"""``fungrasp reproduce``: train and test what the paper's tables compare."""
+"""``fungrasp reproduce``: train and test what the paper's tables compare, and train the free policies."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from fungrasp.cli.console import progress_bar, table, write_json
+from fungrasp.cli.reproduce_policies import FreePolicies
 from fungrasp.cli.train import check_numbers, check_packages, progress_lines, training_sets
 from fungrasp.errors import FungraspError
 from fungrasp.provenance import run_record
@@ -219,4 +220,4 @@ def _identity(name: str) -> dict[str, str]:
         raise FungraspError(f"cannot read {path}: {error.strerror or error}") from error
 
 
-COMMAND = {"retargeting": RetargetingAblation, "privileged": PrivilegedAblation}
+COMMAND = {"retargeting": RetargetingAblation, "privileged": PrivilegedAblation, "policies": FreePolicies}

@@ -14,16 +14,21 @@ from fungrasp import __version__
 from fungrasp.errors import FungraspError
 from fungrasp.evaluation.partial_results import PartialResults
 from fungrasp.evaluation.trajectory import Recorder
+from fungrasp.evaluation.use_test import UseTest
 from fungrasp.files import digest
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
-from fungrasp.objects import ObjectModel
+from fungrasp.objects import ObjectModel, with_sizes
 from fungrasp.planning import MotionPlanner, Planner
 from fungrasp.planning.selection import SearchPlanner, SelectionSettings
 from fungrasp.policies import make_planner, make_policy, policy_files
 from fungrasp.simulation import Scene, SceneSettings, build_scene
 from fungrasp.task import LiftEnvironment, LiftProtocol, Outcomes, Policy, PrivilegedPolicy, play
+from fungrasp.task.use import UseOutcomes
 from fungrasp.transfer import NOMINAL, Randomization, draw_each, random_stream
+
+USE_PREFIX = "use."
+"""Before the names of the fields of ``UseOutcomes`` where they stand beside those of ``Outcomes``."""
 
 CHUNK = 128
 """Episodes simulated together. It bounds the memory, and an episode does not depend on the others of its
@@ -69,6 +74,8 @@ class LiftTestResult:
     shape [N]."""
     rollouts: np.ndarray
     """Episodes that were simulated to plan each grasp, shape [N] int."""
+    use: UseOutcomes | None = None
+    """Outcomes of the use tests that followed; None if there were none."""
 
 
 def evaluate(
@@ -85,6 +92,7 @@ def evaluate(
     physics: SceneSettings | None = None,
     randomization: Randomization = NOMINAL,
     refine: Refinement | None = None,
+    use: UseTest | None = None,
     record: Path | None = None,
     store: PartialResults | None = None,
     chunk: int = CHUNK,
@@ -106,6 +114,7 @@ def evaluate(
         physics: settings of the engine; the defaults if None.
         randomization: how worlds differ from the nominal ones; not at all if left out.
         refine: applied to the grasps, chunk by chunk, before they are tried.
+        use: the use test of the grasps, which then follows every lift test that is passed.
         record: folder for the recorded episodes, ``<row>_<object>.npz`` (``<row>_<seed>_<object>.npz`` with
             several seeds).
         store: keeps finished chunks, and knows those of an earlier run; only for a policy and a planner that
@@ -132,7 +141,7 @@ def evaluate(
             else MotionPlanner(hand, objects, protocol=protocol)
         )
     test = _Test(
-        build_scene(hand, objects, physics),
+        build_scene(hand, with_sizes(objects, randomization.object_scales), physics),
         objects,
         make_policy(policy, hand, objects) if isinstance(policy, str) else policy,
         planner,
@@ -140,6 +149,7 @@ def evaluate(
         protocol or LiftProtocol(),
         randomization,
         threads,
+        use,
     )
     parts: list[dict[str, np.ndarray]] = []
     for seed in seeds:
@@ -178,6 +188,7 @@ def evaluate(
         outcomes=Outcomes.from_arrays(merged),
         refined_tries=merged["refined_tries"],
         rollouts=merged["rollouts"],
+        use=None if use is None else UseOutcomes.from_arrays(_without(merged, USE_PREFIX)),
     )
 
 
@@ -200,6 +211,11 @@ def _file_name(grasps: RobotGraspSet, row: int, seed: int, several: bool) -> str
     return f"{row:04d}{label}_{grasps.object_name[row]}.npz"
 
 
+def _without(arrays: Mapping[str, np.ndarray], prefix: str) -> dict[str, np.ndarray]:
+    """Those arrays whose names have a prefix, without it."""
+    return {name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}
+
+
 def _report(progress: Callable[[float], None], before: int, count: int, share: float) -> None:
     progress(before + share * count)
 
@@ -217,6 +233,7 @@ class _Test:
     protocol: LiftProtocol
     randomization: Randomization
     threads: int
+    use: UseTest | None = None
 
     def key(
         self,
@@ -246,6 +263,7 @@ class _Test:
             seed,
             refine.name if refine is not None else "",
             [str(file.absolute()) for file in files],
+            "" if self.use is None else self.use.key(rows),
         )
 
     def run(
@@ -286,8 +304,17 @@ class _Test:
         if recorder is not None:
             for trajectory, file in zip(recorder.trajectories(rows), files, strict=True):
                 trajectory.save(file)
+        use = {}
+        if self.use is not None:
+            assert grasps.task is not None
+            tried = self.use.run(environment, rows, grasps.task.tolist(), outcomes.success)
+            use = {USE_PREFIX + name: values for name, values in tried.arrays().items()}
         none = np.zeros(len(rows), dtype=int)
-        return outcomes.arrays() | {
-            "refined_tries": grasps.extra.get("refined_tries", none + 1),
-            "rollouts": none if plan.rollouts is None else plan.rollouts,
-        }
+        return (
+            outcomes.arrays()
+            | use
+            | {
+                "refined_tries": grasps.extra.get("refined_tries", none + 1),
+                "rollouts": none if plan.rollouts is None else plan.rollouts,
+            }
+        )

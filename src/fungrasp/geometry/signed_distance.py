@@ -78,6 +78,11 @@ class SignedDistanceGrid:
         origin = np.array([self.origin[0], -last, self.origin[2]])
         return SignedDistanceGrid(origin, self.spacing, np.ascontiguousarray(self.values[:, ::-1]))
 
+    def scaled(self, factor: float) -> SignedDistanceGrid:
+        """That of the surface with all lengths times a factor."""
+        values = (factor * self.values).astype(self.values.dtype)
+        return SignedDistanceGrid(factor * self.origin, factor * self.spacing, values)
+
     def save(self, path: str | Path) -> None:
         """Write to an ``.npz`` file, whole or not at all."""
         with atomic_path(path) as temporary:

@@ -11,6 +11,7 @@ from fungrasp.objects.object_registry import (
     object_from_file,
     object_names,
 )
+from fungrasp.objects.object_variants import scaled_name, scaled_object, shifted_mass, with_sizes
 
 __all__ = [
     "MIRRORED",
@@ -25,4 +26,8 @@ __all__ = [
     "mirrored_object",
     "object_from_file",
     "object_names",
+    "scaled_name",
+    "scaled_object",
+    "shifted_mass",
+    "with_sizes",
 ]

@@ -43,6 +43,8 @@ class ObjectModel:
     """Where the mass and the size come from."""
     mirror_image: ObjectModel | None = None
     """The object of which this is the reflection in the plane y = 0."""
+    scaled_from: tuple[ObjectModel, float] | None = None
+    """The object that this is another size of, and the factor."""
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.mass) and self.mass > 0):
@@ -64,6 +66,9 @@ class ObjectModel:
             reflect = np.array([1.0, -1.0, 1.0])
             pieces = self.mirror_image.pieces
             return tuple(ConvexPiece(p.vertices * reflect, p.faces[:, ::-1].copy()) for p in pieces)
+        if self.scaled_from is not None:
+            model, factor = self.scaled_from
+            return tuple(ConvexPiece(factor * p.vertices, p.faces) for p in model.pieces)
         return self.construction or convex_pieces(self.vertices, self.faces)
 
     @cached_property
@@ -71,6 +76,9 @@ class ObjectModel:
         """Distance to the surface on a grid, computed once and cached on disk."""
         if self.mirror_image is not None:
             return self.mirror_image.signed_distance.mirrored()
+        if self.scaled_from is not None:
+            model, factor = self.scaled_from
+            return model.signed_distance.scaled(factor)
         return cached_on_disk(
             "signed_distance",
             f"{GRID_FORMAT} {GRID_SPACING} {self.digest}",

@@ -81,9 +81,17 @@ class Scene:
     """The objects, in the order of ``objects``."""
 
     def indices(self, names: Iterable[str]) -> np.ndarray:
-        """Index of each object named, shape [N] int: what an engine calls ``object_index``."""
+        """Index of each object named, shape [N] int: what an engine calls ``object_index``.
+
+        Raises:
+            FungraspError: an object that the scene does not hold.
+        """
         known = {name: i for i, name in enumerate(self.objects)}
-        return np.array([known[name] for name in names])
+        wanted = list(names)
+        unknown = sorted({name for name in wanted if name not in known})
+        if unknown:
+            raise FungraspError(f"the scene holds no {', '.join(unknown)}; it holds {', '.join(known)}")
+        return np.array([known[name] for name in wanted])
 
     @property
     def wrist_actuators(self) -> np.ndarray:

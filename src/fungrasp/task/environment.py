@@ -8,8 +8,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from fungrasp.geometry.poses import compose, relative
+from fungrasp.geometry.poses import compose, quaternion_from_rotation_vector, relative, rotate
 from fungrasp.grasps import RobotGraspSet
+from fungrasp.objects import scaled_name, shifted_mass
 from fungrasp.simulation import Engine, MujocoCpuEngine, Scene
 from fungrasp.task.action import Action
 from fungrasp.task.belief import Belief
@@ -20,7 +21,7 @@ from fungrasp.task.outcome import Outcomes
 from fungrasp.task.policy import Policy, PrivilegedPolicy
 from fungrasp.task.protocol import LiftProtocol
 from fungrasp.task.sensors import SimulatedSensors
-from fungrasp.transfer import NOMINAL, EpisodeSample, Randomization, draw, shift_on_table
+from fungrasp.transfer import NOMINAL, EpisodeSample, Randomization, draw, shift_on_table, tilt_on_table
 
 
 class LiftEnvironment:
@@ -39,7 +40,8 @@ class LiftEnvironment:
     ):
         """
         Args:
-            scene: with the hand and the objects.
+            scene: with the hand and the objects, in all sizes of the randomization
+                (``fungrasp.objects.with_sizes``).
             count: W.
             randomization: how worlds may differ from the nominal ones, and sensors err.
             protocol: the published one if None.
@@ -57,7 +59,10 @@ class LiftEnvironment:
         self._mass = np.zeros(count)
         self._friction = np.zeros(count)
         # Motors and joints are numbered by joint; those that have no servo are left out.
-        self._driven = np.array([scene.hand.joint_names.index(name) for name in scene.hand.actuators])
+        actuators = scene.hand.actuators
+        self._driven = np.array([scene.hand.joint_names.index(name) for name in actuators])
+        self._torque_limit = np.zeros(joints)
+        self._torque_limit[self._driven] = [servo.force_limit for servo in actuators.values()]
 
     def __len__(self) -> int:
         return len(self.engine)
@@ -79,16 +84,19 @@ class LiftEnvironment:
         """
         everyone = np.arange(len(self))
         self.sample = self.sample if sample is None else sample
-        self._set_parameters(everyone, self.scene.indices(grasps.object_name.tolist()), grasps.object_mass)
-        rest = grasps.object_rest_pose.copy()
-        rest[:, 2] += self.sample.table_height
+        rest = self._on_table(grasps.object_rest_pose, self.sample)
+        self._set_parameters(everyone, grasps.object_name, grasps.object_mass, rest)
         self.task.settle(replace(grasps, object_rest_pose=rest), self.sample.table_height)
         self.sensors.begin(everyone)
         seen = self.sensors.estimated_object_pose(self.task.settled_pose.copy(), self.sample)
         setpoints = self.task.setpoints
-        return Belief.nominal(
+        belief = Belief.nominal(
             seen, grasps.object_mass.copy(), setpoints.wrist.pose.copy(), setpoints.fingers.copy()
         )
+        covariance = self.randomization.object_pose_covariance
+        if not covariance.any():
+            return belief
+        return replace(belief, object_pose_covariance=np.tile(covariance, (len(self), 1, 1)))
 
     def move_objects(self) -> None:
         """Move the objects on the table as drawn: after planning, before the episodes are played."""
@@ -133,10 +141,8 @@ class LiftEnvironment:
         """
         self.engine.reset(ids)
         self.sample = self.sample.replaced(ids, sample)
-        index = self.scene.indices(plans.object_name.tolist())
-        self._set_parameters(ids, index, plans.object_mass, belief)
-        placed = shift_on_table(plans.object_pose, sample.object_shift)
-        placed[:, 2] += sample.table_height
+        placed = self._on_table(shift_on_table(plans.object_pose, sample.object_shift), sample, belief)
+        self._set_parameters(ids, plans.object_name, plans.object_mass, placed, belief)
         rows, origin = np.arange(len(ids)), placed if hand_followed else plans.object_pose
         self.task.begin(
             ids,
@@ -178,13 +184,34 @@ class LiftEnvironment:
             lifted_height=self.task.measurements.height,
         )
 
+    def _on_table(self, pose: np.ndarray, sample: EpisodeSample, belief: Belief | None = None) -> np.ndarray:
+        """Where objects are on tables that are higher and tilted. pose: of those on nominal ones, shape
+        [I, 7]."""
+        raised = pose.copy()
+        raised[:, 2] += sample.table_height
+        if not sample.table_tilt.any():
+            return raised
+        return tilt_on_table(raised, sample.table_tilt, _table_height(sample, belief))
+
     def _set_parameters(
-        self, ids: np.ndarray, index: np.ndarray, mass: np.ndarray, belief: Belief | None = None
+        self,
+        ids: np.ndarray,
+        names: np.ndarray,
+        mass: np.ndarray,
+        placed: np.ndarray,
+        belief: Belief | None = None,
     ) -> None:
-        """The physics of some worlds: nominal parameters times the factors that were drawn."""
+        """The physics of some worlds: nominal parameters and what was drawn.
+
+        Args:
+            ids: worlds, shape [I].
+            names: of their objects, shape [I] str.
+            mass: nominal one of these [kg], shape [I].
+            placed: where they are put, world frame, shape [I, 7].
+            belief: with the nominal friction, table and joint dynamics, I rows; the scene's if None.
+        """
         s, nominal = self.sample.select(ids), self.scene.settings.friction
         friction = np.full(len(ids), nominal) if s.friction is None else s.friction
-        table = s.table_height if belief is None else s.table_height + belief.table_height
         damping, stiffness, servo = s.joint_damping, s.servo_stiffness, s.servo_damping
         if belief is not None:
             friction = friction * (belief.friction / nominal)
@@ -192,18 +219,46 @@ class LiftEnvironment:
             stiffness = stiffness if belief.servo_stiffness is None else stiffness * belief.servo_stiffness
             servo = servo if belief.servo_damping is None else servo * belief.servo_damping
         self._mass[ids], self._friction[ids] = mass * s.mass, friction
+        sizes = zip(names.tolist(), s.object_scale.tolist(), strict=True)
+        index = self.scene.indices([scaled_name(name, factor) for name, factor in sizes])
+        center, inertia = self._mass_distribution(index, self._mass[ids], s.center_of_mass_shift)
         self.engine.set_parameters(
             ids,
             object_index=index,
             object_mass=self._mass[ids],
+            object_center=center,
+            object_inertia=inertia,
             friction=friction,
-            table_height=table,
+            table_height=_height_at_origin(_table_height(s, belief), s.table_tilt, placed),
+            table_tilt=s.table_tilt,
+            joint_friction=s.joint_friction * self._torque_limit,
             joint_damping=damping,
             servo_stiffness=stiffness[:, self._driven],
             servo_damping=servo[:, self._driven],
             wrist_stiffness=s.wrist_stiffness,
         )
         self.task.setpoints.delay[ids] = s.action_delay
+        actuation = self.task.actuation
+        actuation.wrist_lag[ids], actuation.wrist_offset[ids] = s.wrist_lag, s.wrist_offset
+        actuation.encoder_bias[ids] = s.encoder_bias[:, self._driven]
+        actuation.backlash[ids] = s.backlash[:, self._driven]
+
+    def _mass_distribution(
+        self, index: np.ndarray, mass: np.ndarray, shift: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray] | tuple[None, None]:
+        """Centers of mass [m], shape [I, 3], and inertias about them [kg m2], shape [I, 3, 3], where they are
+        not the objects' own."""
+        if not shift.any():
+            return None, None
+        models = [self.scene.models[i] for i in index]
+        inertia = np.array([model.inertia / model.mass for model in models])
+        return shifted_mass(
+            np.array([model.center_of_mass for model in models]),
+            mass[:, None, None] * inertia,
+            mass,
+            np.array([model.size for model in models]),
+            shift,
+        )
 
     def _push(self) -> None:
         """Push the objects as drawn."""
@@ -216,6 +271,24 @@ class LiftEnvironment:
         weight = self.scene.settings.gravity * self._mass[:, None]
         size = np.where(active, s.push_force + s.push_weights * weight, 0.0)
         self.engine.push_object((size[..., None] * s.push_direction).sum(axis=1))
+
+
+def _table_height(sample: EpisodeSample, belief: Belief | None) -> np.ndarray:
+    """Height of the table top under the objects [m], shape [I]."""
+    return sample.table_height if belief is None else sample.table_height + belief.table_height
+
+
+def _height_at_origin(height: np.ndarray, tilt: np.ndarray, placed: np.ndarray) -> np.ndarray:
+    """Height of tilted table tops at the world's origin [m], shape [I].
+
+    Args:
+        height: under the objects [m], shape [I].
+        tilt: rotation vector of the table tops, x and y [rad], shape [I, 2].
+        placed: where the objects are, world frame, shape [I, 7].
+    """
+    turn = quaternion_from_rotation_vector(np.concatenate([tilt, np.zeros((len(tilt), 1))], axis=1))
+    normal = rotate(turn, np.array([0.0, 0.0, 1.0]))
+    return height + np.sum(normal[:, :2] * placed[:, :2], axis=1) / normal[:, 2]
 
 
 def play(
