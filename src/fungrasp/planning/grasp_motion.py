@@ -257,10 +257,10 @@ def squeeze_offsets(
     names = grasps.object_name.tolist()
     around = CollisionScene.settled(names, belief.object_pose, objects)
     models = [objects[name] for name in names]
-    torques = squeeze_torques(hand, around, models, palm, joints, grasps.link_contacts)
     force = _setting(grasps, "force_scale", 1.0)[:, 0] * (s.force + s.force_per_kg * belief.object_mass)
+    torques = squeeze_torques(hand, around, models, palm, joints, grasps.link_contacts, force)
     stiffness = np.array([servo.kp for servo in hand.actuators.values()])
     if belief.servo_stiffness is not None:
         driven = [hand.joint_names.index(name) for name in hand.actuators]
         stiffness = stiffness * belief.servo_stiffness[:, driven]
-    return np.clip(force[:, None] * torques / stiffness, -s.squeeze_limit, s.squeeze_limit)
+    return np.clip(torques / stiffness, -s.squeeze_limit, s.squeeze_limit)
