@@ -28,7 +28,11 @@ def test_a_name_will_do_for_a_hand(human):
 
 @pytest.mark.parametrize(
     ("hand", "message"),
-    [("alegro", "Did you mean 'allegro'"), (None, "expected a hand, .* not NoneType"), (3, "expected a hand")],
+    [
+        ("alegro", "Did you mean 'allegro'"),
+        (None, "expected a hand, .* not NoneType"),
+        (3, "expected a hand"),
+    ],
 )
 def test_what_is_no_hand_is_said(human, hand, message):
     with pytest.raises(FungraspError, match=message):
