@@ -72,7 +72,9 @@ class LiftTestResult:
 
     def __repr__(self) -> str:
         held = int(np.sum(self.outcomes.success))
-        return f"<LiftTestResult: hand {self.hand!r}, policy {self.policy!r}, {held} of {len(self.index)} held>"
+        return (
+            f"<LiftTestResult: hand {self.hand!r}, policy {self.policy!r}, {held} of {len(self.index)} held>"
+        )
 
 
 def evaluate(

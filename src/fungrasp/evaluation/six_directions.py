@@ -102,8 +102,8 @@ def six_direction_test(
 
 
 def _own_squeeze(hand: Hand, grasps: RobotGraspSet) -> np.ndarray:
-    """Servo targets of the grasps' own squeeze within the joints' limits [rad], shape [W, U]; NaN where they have
-    none."""
+    """Servo targets of the grasps' own squeeze within the joints' limits [rad], shape [W, U]; NaN where they
+    have none."""
     low, high = hand.joint_limits.T
     return hand.independent(np.clip(grasps.squeeze_positions, low, high))
 
