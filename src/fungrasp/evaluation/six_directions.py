@@ -126,7 +126,7 @@ def _push(
     missing = np.isnan(squeezed).any(axis=1)
     if missing.any():
         planned = closed + squeeze_offsets(hand, floating, objects, belief, palm, closed)
-        squeezed = np.where(missing[:, None], planned, squeezed)
+        squeezed = np.where(np.expand_dims(missing, 1), planned, squeezed)
     engine.reset()
     engine.set_state(
         object_pose=grasps.object_pose,

@@ -126,8 +126,8 @@ class RobotGraspSet(GraspSet[RobotGrasp]):
 
     @property
     def squeeze_positions(self) -> np.ndarray:
-        """Targets of the joints that press on the object [rad], in the order of ``joint_names``, shape [N, M];
-        NaN where a grasp has none of its own."""
+        """Targets of the joints that press on the object [rad], in the order of ``joint_names``, shape
+        [N, M]; NaN where a grasp has none of its own."""
         own = self.extra.get(SQUEEZE)
         return np.full_like(self.joint_positions, np.nan) if own is None else own
 

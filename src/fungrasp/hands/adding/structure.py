@@ -153,7 +153,7 @@ def _features(
     # The axis is exact where shapes that stand out to the side move the tip off the finger's plane.
     bend = np.cross(hinge, direction)
     bend /= max(float(np.linalg.norm(bend)), 1e-9)
-    moved = np.flatnonzero(np.abs(poses.matrix[flexing_joints(poses, chain)]).sum(axis=0))
+    moved = np.flatnonzero(np.abs(poses.matrix[flexing_joints(poses, chain)]).sum(axis=0)).tolist()
     signs = {u: _tip_motion(poses, chain, tips, straight, u) @ bend for u in moved}
     # Range of the joints to the side of ``bend`` and to the other.
     up, down = poses.high - straight, straight - poses.low
