@@ -225,6 +225,8 @@ BUILDERS: dict[str, Callable[[], Table]] = {
     "experiments_hand_fit": recorded("experiments-hand-fit"),
     "experiments_policies": recorded("experiments-policies"),
     "experiments_left": recorded("experiments-left"),
+    "hands_added": recorded("hands-added"),
+    "select_by_quality": recorded("select-by-quality"),
     "experiments_rollouts": recorded("experiments-rollouts"),
 }
 """By the name in a page."""

@@ -41,9 +41,9 @@ def test_what_is_no_hand_is_said(human, hand, message):
 
 def test_missing_objects_and_wrong_kinds_are_named(human):
     objects = fungrasp.load_objects(human)
-    with pytest.raises(FungraspError, match="the object 'mug' .* given: none"):
+    with pytest.raises(FungraspError, match=r"the object 'mug' .* given: none"):
         retarget(human, {}, "allegro")
-    with pytest.raises(FungraspError, match="expected objects by name, .* not list"):
+    with pytest.raises(FungraspError, match=r"expected objects by name, .* not list"):
         retarget(human, list(objects.values()), "allegro")  # type: ignore[arg-type]
     with pytest.raises(FungraspError, match="the set is empty"):
         retarget(human[:0], objects, "allegro")

@@ -1,4 +1,4 @@
-"""``hands add``: fingers alike around a center, several hands in a file, angles without units, reference poses."""
+"""``hands add``: fingers alike around a center, several hands in a file, angles without units, references."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def test_one_of_several_hands_is_chosen(tmp_path: Path):
     one = odd_hand().split("<worldbody>")[1].split("</worldbody>")[0]
     other = one.replace('name="', 'name="other_')
     text = odd_hand().replace("</worldbody>", f"{other}</worldbody>")
-    with pytest.raises(FungraspError, match="several bodies carry fingers: 'p', 'other_p'.*--palm"):
+    with pytest.raises(FungraspError, match=r"several bodies carry fingers: 'p', 'other_p'.*--palm"):
         added(tmp_path, text)
     hand, _ = added(tmp_path, text, palm="other_p")
     assert hand.palm == "other_p" and len(hand.fingers) == 5

@@ -94,7 +94,8 @@ def self_contact_words(model: mujoco.MjModel, joint_positions: np.ndarray) -> li
         elif share > BY_SHAPE:
             reason = f"their shapes do so in {100 * share:.0f} % of all poses: " + _remedy(*pair)
         else:
-            reason = f"the shapes allow it in {100 * share:.0f} % of all poses: the pose of the grasp is the reason"
+            often = f"the shapes allow it in {100 * share:.0f} % of all poses"
+            reason = f"{often}: the pose of the grasp is the reason"
         words.append(
             f"'{pair[0]}' and '{pair[1]}' penetrate each other by up to {1e3 * contact.depth:.1f} mm in "
             f"{100 * contact.share:.0f} % of the grasps; {reason}"
