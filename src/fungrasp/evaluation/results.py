@@ -13,6 +13,8 @@ from fungrasp import __version__
 from fungrasp.evaluation.lift_test import LiftTestResult
 from fungrasp.evaluation.six_directions import StaticResult
 from fungrasp.evaluation.statistics import mean_over_groups, wilson_interval
+from fungrasp.evaluation.use_test import use_json
+from fungrasp.transfer import protocol_name
 
 LEGACY_PERIOD = 0.0289
 """Control period of earlier published code, per which it counts the displacement [s]."""
@@ -63,6 +65,7 @@ def result_json(result: LiftTestResult) -> dict[str, Any]:
     seeds = np.unique(result.seed).tolist()
     names = np.unique(result.object_name).tolist()
     columns = {field.name: getattr(result.outcomes, field.name) for field in fields(result.outcomes)}
+    use_columns = {} if result.use is None else result.use.arrays()
     episodes = [
         {
             "index": int(result.index[i]),
@@ -71,6 +74,7 @@ def result_json(result: LiftTestResult) -> dict[str, Any]:
             "seed": int(result.seed[i]),
             **{name: values[i] for name, values in columns.items()},
             "refined_tries": int(result.refined_tries[i]),
+            **{f"use_{name}": values[i] for name, values in use_columns.items()},
         }
         for i in range(len(result.index))
     ]
@@ -81,12 +85,14 @@ def result_json(result: LiftTestResult) -> dict[str, Any]:
             "policy": result.policy,
             "rollouts_per_grasp": float(np.mean(result.rollouts)),
             "seed": seeds[0] if len(seeds) == 1 else seeds,
-            "protocol": asdict(result.protocol),
+            "protocol": protocol_name(result.randomization),
+            "lift_test": asdict(result.protocol),
             "physics": asdict(result.physics),
             "randomization": asdict(result.randomization),
             **summary(result),
             "mean_over_objects": mean_over_objects(result),
             "by_object": {name: summary(result, result.object_name == name) for name in names},
+            **({} if result.use is None else {"use": use_json(result.use, result.task)}),
             "trials": episodes,
         }
     )

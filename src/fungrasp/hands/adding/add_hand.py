@@ -71,7 +71,7 @@ def add_hand(
     findings = foreign.findings
     couplings = find_couplings(foreign.model, findings, answers.couplings)
     ends = far_ends(foreign)
-    structure = find_structure(foreign.model, couplings, ends, answers)
+    structure = find_structure(foreign.model, couplings, ends, answers, findings)
     findings.append(_summary(structure, foreign.model))
     poses = Poses(foreign.model, couplings, structure.palm)
     shapes = hand_shapes(foreign, structure, poses, ends, answers.radius, findings)
