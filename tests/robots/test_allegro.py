@@ -184,16 +184,16 @@ def test_a_disturbed_bus_does_not_throw_the_hand(fault: Fault):
 def test_the_driver_takes_the_torque_away_when_its_process_has_died():
     channel = f"239.{os.getpid() % 200 + 1}.163.2"
     plant = TorquePlant(np.full(16, 0.5), load=0.05)
-    with AllegroEmulator(plant, "udp_multicast", channel) as emulator:
-        with allegro_driver(AllegroSettings("udp_multicast", channel, stale_after=1.0)) as driver:
-            driver.command(np.full(16, 0.4))
-            assert wait_for(lambda: emulator.servos_on and emulator.torques.any())
-            os.kill(driver.process_id, signal.SIGKILL)
-            assert wait_for(lambda: driver.read().status is DeviceStatus.DISCONNECTED)
-            assert wait_for(lambda: not emulator.servos_on and not emulator.torques.any())
-            driver.connect()
-            driver.command(np.full(16, 0.4))
-            assert wait_for(lambda: emulator.servos_on)
+    settings = AllegroSettings("udp_multicast", channel, stale_after=1.0)
+    with AllegroEmulator(plant, "udp_multicast", channel) as emulator, allegro_driver(settings) as driver:
+        driver.command(np.full(16, 0.4))
+        assert wait_for(lambda: emulator.servos_on and emulator.torques.any())
+        os.kill(driver.process_id, signal.SIGKILL)
+        assert wait_for(lambda: driver.read().status is DeviceStatus.DISCONNECTED)
+        assert wait_for(lambda: not emulator.servos_on and not emulator.torques.any())
+        driver.connect()
+        driver.command(np.full(16, 0.4))
+        assert wait_for(lambda: emulator.servos_on)
 
 
 def test_the_hand_loses_its_torque_when_the_process_of_the_policy_dies():

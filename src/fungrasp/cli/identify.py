@@ -120,7 +120,13 @@ class Fit:
         print(f"delay {1e3 * found.dynamics.delay:.1f} ms")
         head = ("method", "fitted RMS [rad]", "held-out RMS [rad]", "simulations", "seconds")
         rows = [
-            (m, f"{r.rms:.4f}", f"{self._held_out(hand, log, r, step):.4f}", str(r.simulations), f"{r.seconds:.1f}")
+            (
+                m,
+                f"{r.rms:.4f}",
+                f"{self._held_out(hand, log, r, step):.4f}",
+                str(r.simulations),
+                f"{r.seconds:.1f}",
+            )
             for m, r in results
         ]
         print(table([head, *rows]))

@@ -3,6 +3,7 @@
 from fungrasp.objects.convex_decomposition import ConvexPiece, convex_pieces
 from fungrasp.objects.mesh_file import load_mesh
 from fungrasp.objects.mirroring import MIRRORED, mirrored_name, mirrored_object
+from fungrasp.objects.object_choice import check_objects
 from fungrasp.objects.object_model import ObjectModel
 from fungrasp.objects.object_registry import (
     builtin_object,
@@ -19,6 +20,7 @@ __all__ = [
     "ConvexPiece",
     "ObjectModel",
     "builtin_object",
+    "check_objects",
     "convex_pieces",
     "is_plain_shape",
     "load_mesh",

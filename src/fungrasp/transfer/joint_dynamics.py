@@ -40,7 +40,9 @@ class JointDynamics:
         for name in QUANTITIES:
             values = getattr(self, name)
             if np.shape(values) != (len(self.joints),):
-                raise FungraspError(f"{name} of joint dynamics has shape {np.shape(values)}, not one per joint")
+                raise FungraspError(
+                    f"{name} of joint dynamics has shape {np.shape(values)}, not one per joint"
+                )
             if not np.isfinite(values).all() or np.min(values, initial=0.0) < 0:
                 raise FungraspError(f"{name} of joint dynamics must be finite and not negative")
         if not 0 <= self.delay <= 1:
@@ -108,7 +110,9 @@ def load_dynamics(path: str | Path, hand: Hand) -> JointDynamics:
             raise FungraspError(f"{path}: hand '{hand.name}' has no joint '{name}' that is driven")
         for quantity, value in entries.items():
             if quantity not in QUANTITIES or isinstance(value, bool) or not isinstance(value, (int, float)):
-                raise FungraspError(f"{path}: {name} takes numbers {', '.join(QUANTITIES)}, not {quantity} = {value!r}")
+                raise FungraspError(
+                    f"{path}: {name} takes numbers {', '.join(QUANTITIES)}, not {quantity} = {value!r}"
+                )
             values[quantity][model.joints.index(name)] = value
     delay = data.get("delay", 0.0)
     if isinstance(delay, bool) or not isinstance(delay, (int, float)):

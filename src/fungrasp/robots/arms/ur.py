@@ -172,9 +172,7 @@ class URLoop:
                 )
             safety = dashboard.safetystatus().rpartition(":")[2].strip()
             if safety not in ("NORMAL", "REDUCED"):
-                raise RobotError(
-                    f"{self.name} is in {safety}: find the cause, then acknowledge it on the pendant"
-                )
+                raise RobotError(f"{self.name} is in {safety}: find the cause, acknowledge it on the pendant")
             mode = dashboard.robotmode().rpartition(":")[2].strip()
             if mode != "RUNNING":
                 raise RobotError(
@@ -271,7 +269,7 @@ class URLoop:
         lead.max_velocity = [s.velocity] * JOINTS
         lead.max_acceleration = [s.acceleration] * JOINTS
         lead.max_jerk = [s.jerk] * JOINTS
-        # Joints arrive when they can; a common duration would slow small motions of one joint to those of all.
+        # Joints arrive when they can; a common duration would slow all joints to the slowest.
         lead.synchronization = self._ruckig.Synchronization.No
         return lead
 

@@ -37,7 +37,7 @@ STOP_MODES = {
     StopKind.POWER_OFF: LoopMode.POWER_OFF,
 }
 CONNECT_TIMEOUT = 15.0
-"""A device that needs longer to connect is not there [s]; a UR controller takes seconds to start a program."""
+"""A device that needs longer to connect is not there [s]; a UR controller starts a program in seconds."""
 CLOSE_TIMEOUT = 3.0
 """After this a loop that doesn't end is killed [s]."""
 LOST_TIMEOUT = 0.5

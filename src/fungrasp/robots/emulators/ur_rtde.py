@@ -393,6 +393,6 @@ class URControllerEmulator(Emulator):
 
     def _unlocked_by_dashboard(self) -> str:
         if time.monotonic() - self._stop_began < self._release_time:
-            return "Cannot unlock protective stop until 5s after occurrence. Always inspect cause of protective stop"
+            return "Cannot unlock protective stop until 5s after occurrence"
         self.unlock_protective_stop()
         return "Protective stop releasing"

@@ -29,7 +29,7 @@ LARGEST_JUMP = 0.2
 LARGEST_SPEED = 20.0
 """... plus this times the time between them [rad/s]: twice the speed of the hand without load."""
 JUMPS = 40
-"""So many frames beyond belief in a row, ten sets, are a fault of the hand, not of a frame or a time stamp."""
+"""So many frames beyond belief in a row, ten sets, are a fault of the hand, not of a frame."""
 OPEN_SPEED = 0.5
 """Of opening after a fault [rad/s]: full stroke in about 3 s, so that an object is let go, not thrown."""
 
@@ -78,7 +78,7 @@ class AllegroSettings:
 
 
 def allegro_driver(settings: AllegroSettings, process: bool = True) -> LoopDriver:
-    """Driver of an Allegro Hand; process: control it in a process of its own, not possible on a "virtual" bus."""
+    """Driver of an Allegro Hand; process: control it in a process of its own, not on a "virtual" bus."""
     return LoopDriver(AllegroLoop(settings), process=process)
 
 
@@ -284,8 +284,8 @@ class AllegroLoop:
         generation = info.hardware >> 8
         if generation != self.settings.generation:
             raise RobotError(
-                f"{self.name}: the hand says that it is a V{generation}, whose units differ; set generation = "
-                f"{generation}"
+                f"{self.name}: the hand says that it is a V{generation}, whose units differ; set "
+                f"generation = {generation}"
             )
         serial = answers.get(codec.SERIAL, b"").decode(errors="replace")
         left = info.left if generation == 4 else serial[3:4] != "R"

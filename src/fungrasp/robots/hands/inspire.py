@@ -235,7 +235,7 @@ class InspireLoop:
             return False
 
     def _reconnect(self) -> None:
-        """A connection that was reset is opened again; the age of the state decides whether that is in time."""
+        """A connection that was reset is opened again; the state's age says whether that was in time."""
         with contextlib.suppress(Exception):
             if not self._client.is_socket_open():
                 self._client.connect()

@@ -51,7 +51,9 @@ class FitSettings:
 
     def __post_init__(self) -> None:
         if self.method not in METHODS:
-            raise FungraspError(f"the method of identification is {' or '.join(METHODS)}, not '{self.method}'")
+            raise FungraspError(
+                f"the method of identification is {' or '.join(METHODS)}, not '{self.method}'"
+            )
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +63,7 @@ class IdentifiedDynamics:
     dynamics: JointDynamics
     """Of the joints of the log."""
     relative_error: dict[str, np.ndarray]
-    """Standard deviation of each quantity by name, relative to it, shape [J]; from the curvature of the fit."""
+    """Standard deviation by quantity, relative to it, shape [J], by the curvature; delay: [s]."""
     rms: float
     """Of positions on the log that was fitted [rad]."""
     simulations: int
@@ -75,8 +77,8 @@ def simulate_log(
 ) -> np.ndarray:
     """Positions of the log's joints at the log's times, shape [W, T, J], for W dynamics of those joints.
 
-    The delay shifts the response: the joints do not change with time, and the log begins at rest. Shifting the
-    commands would give a staircase in the delay, as a step of a command drives a servo to its force limit.
+    The delay shifts the response: the joints do not change with time, and the log begins at rest. Shifting
+    the commands would give a staircase in the delay, as a step drives a servo to its force limit.
 
     Args:
         hand: its model.
@@ -208,7 +210,9 @@ def _cma_es(problem: _Problem, start: np.ndarray) -> np.ndarray:
     try:
         import cma
     except ImportError as error:
-        raise FungraspError("the method cma-es needs the package cma: pip install 'fungrasp[sysid]'") from error
+        raise FungraspError(
+            "the method cma-es needs the package cma: pip install 'fungrasp[sysid]'"
+        ) from error
     settings = problem._settings
     options = {
         "bounds": [problem.lower.tolist(), problem.upper.tolist()],
@@ -217,7 +221,9 @@ def _cma_es(problem: _Problem, start: np.ndarray) -> np.ndarray:
         "verbose": -9,
         "verb_log": 0,
     }
-    search = cma.CMAEvolutionStrategy(np.clip(start, problem.lower + 1e-3, problem.upper - 1e-3), 0.5, options)
+    search = cma.CMAEvolutionStrategy(
+        np.clip(start, problem.lower + 1e-3, problem.upper - 1e-3), 0.5, options
+    )
     while not search.stop():
         tries = np.array(search.ask()).T
         search.tell(list(tries.T), ((problem.residuals(tries) ** 2).sum(axis=0)).tolist())

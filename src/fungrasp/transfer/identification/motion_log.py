@@ -36,7 +36,7 @@ class MotionLog:
         shape = (len(self.times), len(self.joints))
         if self.commands.shape != shape or self.positions.shape != shape or self.gravity.shape != (3,):
             raise FungraspError(
-                f"a motion log of {shape[1]} joints and {shape[0]} times needs commands and positions of that shape"
+                f"a motion log of {shape[1]} joints and {shape[0]} times needs as many commands and positions"
             )
         if not all(np.isfinite(a).all() for a in (self.times, self.commands, self.positions, self.gravity)):
             raise FungraspError("a motion log holds values that are not finite")
@@ -46,22 +46,28 @@ class MotionLog:
     def part(self, begin: float, end: float) -> MotionLog:
         """The rows between two shares of the duration, 0 to 1."""
         at = self.times[0] + np.array([begin, end]) * (self.times[-1] - self.times[0])
-        first, last = np.searchsorted(self.times, at + [0.0, 1e-9])
+        first, last = np.searchsorted(self.times, at + np.array([0.0, 1e-9]))
         return self.rows(np.arange(first, last))
 
     def rows(self, rows: np.ndarray) -> MotionLog:
         """Some rows, shape [R]."""
-        return MotionLog(self.joints, self.times[rows], self.commands[rows], self.positions[rows], self.gravity)
+        return MotionLog(
+            self.joints, self.times[rows], self.commands[rows], self.positions[rows], self.gravity
+        )
 
     def check_excitation(self) -> None:
         """Raises FungraspError: the log is too short, or a joint hardly moves."""
         duration = self.times[-1] - self.times[0]
         if duration < SHORTEST:
-            raise FungraspError(f"the motion log is {duration:.2f} s long; identification needs {SHORTEST} s at least")
+            raise FungraspError(
+                f"the motion log is {duration:.2f} s long; identification needs {SHORTEST} s at least"
+            )
         still = np.ptp(self.positions, axis=0) < LEAST_MOTION
         if still.any():
             name = self.joints[int(np.flatnonzero(still)[0])]
-            raise FungraspError(f"joint '{name}' moves less than {LEAST_MOTION} rad in the log; excite it more")
+            raise FungraspError(
+                f"joint '{name}' moves less than {LEAST_MOTION} rad in the log; excite it more"
+            )
 
 
 def save_motion_log(path: str | Path, log: MotionLog) -> None:
@@ -95,8 +101,8 @@ def load_motion_log(path: str | Path) -> MotionLog:
 
 
 def read_step_csv(path: str | Path, joint: str, open_position: float, closed_position: float) -> MotionLog:
-    """Log of one motor of an Inspire hand, with the columns time_s, target_value and measured_value in units of
-    1000 (open) to 0 (closed).
+    """Log of one motor of an Inspire hand: columns time_s, target_value and measured_value, the latter two
+    from 1000 (open) to 0 (closed).
 
     Args:
         path: the file.
