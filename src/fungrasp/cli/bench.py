@@ -1,4 +1,4 @@
-"""``fungrasp bench``: the speed of retargeting, simulation, training and perception on this machine."""
+"""``fungrasp bench``: the speed of retargeting, planning, simulation, training and perception on this machine."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from fungrasp.cli.bench_perception import BenchPerception
+from fungrasp.cli.bench_planning import BenchPlanning
 from fungrasp.cli.console import progress_bar, table, write_json
 
 if TYPE_CHECKING:
@@ -233,6 +234,7 @@ COMMAND = {
     "retarget": Retargeting,
     "simulation": Simulation,
     "training": Training,
+    "planning": BenchPlanning,
     "perception": BenchPerception,
 }
 

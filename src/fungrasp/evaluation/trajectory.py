@@ -13,6 +13,10 @@ from fungrasp.errors import FungraspError
 from fungrasp.files import atomic_path
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.task import LiftTask
+from fungrasp.transfer import NOMINAL, Randomization
+
+_ADDED = ("controls", "differs")
+"""Fields that recordings of earlier versions lack."""
 
 PHASES = ("approach", "lift", "hold")
 """Names of the numbers in ``Trajectory.phase``."""
@@ -53,6 +57,10 @@ class Trajectory:
     controls: np.ndarray | None = None
     """What the servos of the scene were told before each state: the wrist's six joints in its frame [m, rad],
     then the finger servos [rad]; shape [T, 6 + U]. None in recordings of earlier versions."""
+    differs: str = ""
+    """What may differ from the nominal world, as names of fields of ``Randomization`` with spaces between;
+    empty for a nominal one. The drawn values are not in a recording, and a replay of the controls in the
+    nominal scene departs from it."""
 
     def save(self, path: str | Path) -> None:
         """Write to an ``.npz`` file, whole or not at all; numbers as float32.
@@ -86,7 +94,7 @@ def replay(path: str | Path) -> Trajectory:
         raise FungraspError(f"the recorded episode {path} does not exist")
     try:
         with np.load(path, allow_pickle=False) as data:
-            names = [f.name for f in fields(Trajectory) if f.name in data or f.name != "controls"]
+            names = [f.name for f in fields(Trajectory) if f.name in data or f.name not in _ADDED]
             arrays = {name: data[name] for name in names}
     except (OSError, ValueError, EOFError, KeyError, TypeError, zipfile.BadZipFile, zlib.error) as error:
         raise FungraspError(f"{path} is no recorded episode: {' '.join(str(error).split())}") from error
@@ -97,13 +105,17 @@ def replay(path: str | Path) -> Trajectory:
 class Recorder:
     """Watches a task and keeps its states; hand it to ``LiftEnvironment.step``."""
 
-    def __init__(self, task: LiftTask, grasps: RobotGraspSet):
+    def __init__(self, task: LiftTask, grasps: RobotGraspSet, randomization: Randomization = NOMINAL):
         """
         Args:
             task: whose episodes have begun.
             grasps: one per world.
+            randomization: of the worlds.
         """
         self._task, self._grasps = task, grasps
+        other = (f.name for f in fields(randomization))
+        names = [name for name in other if getattr(randomization, name) != getattr(NOMINAL, name)]
+        self._differs = " ".join(names)
         self._states: list[tuple[np.ndarray, ...]] = []
         self._times: list[np.ndarray] = []
         self()
@@ -153,6 +165,7 @@ class Recorder:
                     link_contacts=contacts,
                     phase=phase,
                     controls=controls,
+                    differs=self._differs,
                 )
             )
         return result
