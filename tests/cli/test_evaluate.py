@@ -10,6 +10,7 @@ import pytest
 from grasp_files import BAD, bad_inputs, run, some_grasps
 from PIL import Image
 
+from fungrasp.cli import evaluate as evaluate_command
 from fungrasp.evaluation import lift_test, replay
 from fungrasp.grasps import save_human_grasps
 from fungrasp.grasps.grasp_files import builtin_grasps
@@ -100,7 +101,32 @@ def test_methods_side_by_side(human, tmp_path, capsys):
     assert out.count("six directions:") == 2 and out.count("contact gap") == 2
     methods = json.loads(path.read_text())["methods"]
     assert list(methods) == ["ours", "angle-copy"]
-    assert {"six_directions", "quality", "trials"} <= set(methods["ours"])
+    assert {"six_directions", "quality", "trials", "without_adaptation"} <= set(methods["ours"])
+    assert "without adaptation to the settled object:" in out
+    assert methods["ours"]["without_adaptation"]["count"] == len(methods["ours"]["trials"])
+
+
+def test_without_adaptation_is_the_same_alone_and_in_a_comparison(human, tmp_path, capsys):
+    path = tmp_path / "e.json"
+    status, _, _ = run(capsys, "evaluate", "--grasps", human, "--no-adapt", "--json", path)
+    assert status == 0
+    alone = json.loads(path.read_text())
+    assert "without_adaptation" not in alone
+    status, _, _ = run(
+        capsys,
+        "evaluate",
+        "--grasps",
+        human,
+        "--method",
+        "ours",
+        "dexgraspnet",
+        "--json",
+        path.with_name("m.json"),
+    )
+    assert status == 0
+    compared = json.loads(path.with_name("m.json").read_text())["methods"]["ours"]
+    assert compared["without_adaptation"]["contact_ratio"] == pytest.approx(alone["contact_ratio"])
+    assert compared["contact_ratio"] != pytest.approx(alone["contact_ratio"], abs=1e-6)
 
 
 def test_refinement_mends_failures_and_leaves_successes_alone(tmp_path, capsys):
@@ -222,7 +248,7 @@ def test_grasps_are_refined_once_for_all_conditions(human, tmp_path, capsys, mon
 
 def test_an_interrupted_run_goes_on_when_given_again(human, tmp_path, capsys, monkeypatch):
     path = tmp_path / "e.json"
-    monkeypatch.setattr(lift_test, "CHUNK", 1)
+    monkeypatch.setattr(evaluate_command, "CHUNKS", (1, 1))
     simulate, runs = lift_test._Test.run, []
 
     def interrupted(self, grasps, rows, *others):

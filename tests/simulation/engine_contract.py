@@ -424,6 +424,21 @@ class EngineContract:
         np.testing.assert_allclose(engine.object_velocity[:, 2], 0.1 * (20.0 / mass - 9.81), rtol=1e-3)
         np.testing.assert_allclose(engine.object_velocity[:, [0, 1, 3, 4, 5]], 0, atol=1e-6)
 
+    def test_a_torque_turns_the_object_about_its_center_of_mass(self):
+        engine = self.ready([CAN])
+        engine.set_state(object_pose=pose(1, 0.5, 0.0, 0.5))
+        center = engine.center_of_mass
+        weight = np.array([[0.0, 0.0, 9.81 * contract_objects()["can"].mass]])
+        engine.push_object(weight, np.array([[0.0, 0.0, 1e-3]]))
+        engine.step(still(engine), 20)
+        spin = 0.1 * 1e-3 / contract_objects()["can"].inertia[2, 2]
+        np.testing.assert_allclose(engine.object_velocity[0, 5], spin, rtol=1e-2)
+        np.testing.assert_allclose(engine.center_of_mass, center, atol=1e-5)
+        engine.push_object(weight)
+        before = engine.object_velocity[0, 5]
+        engine.step(still(engine), 20)
+        np.testing.assert_allclose(engine.object_velocity[0, 5], before, rtol=1e-2)
+
     def test_bodies_fall_alike_and_tip_over_alike_whatever_they_weigh(self):
         """As inertia scales along with mass, heavy and light boxes tip over in the same time."""
         engine = self.ready([BOX] * 3)

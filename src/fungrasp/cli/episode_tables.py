@@ -42,6 +42,36 @@ def contact_estimate_lines(estimate: Mapping[str, Any] | None) -> list[str]:
     ]
 
 
+def use_table(result: LiftTestResult) -> str:
+    """Tasks and how many of their held grasps passed the use test, and why the others failed."""
+    from collections import Counter
+
+    from fungrasp.evaluation.use_test import use_json
+
+    assert result.use is not None
+    numbers = use_json(result.use, result.task)
+    if not numbers["count"]:
+        return "no held grasp is for a task that has a use motion"
+    rows = [("task", "held", "used", "95 % interval", "functional contact", "shift [mm]", "turn [deg]")]
+    for name, part in (*numbers["by_task"].items(), ("all", numbers)):
+        low, high = part["success_interval"]
+        rows.append(
+            (
+                name,
+                str(part["count"]),
+                f"{part['success_rate']:.1%}",
+                f"{low:.1%} – {high:.1%}",
+                f"{part['functional_contact']:.2f}",
+                f"{part['shift_mm_median']:.1f}",
+                f"{part['turn_deg_median']:.1f}",
+            )
+        )
+    reasons = Counter(reason for reason in result.use.reason.tolist() if reason)
+    return "\n".join(
+        [table(rows), *(f"failed: {count:3d} {reason}" for reason, count in reasons.most_common())]
+    )
+
+
 def static_words(static: Mapping[str, Any]) -> str:
     """Outcome of the six-direction test, and the quality if it was measured."""
     from fungrasp.cli.retarget import static_quality_table

@@ -13,6 +13,7 @@ from fungrasp import __version__
 from fungrasp.evaluation.lift_test import LiftTestResult
 from fungrasp.evaluation.six_directions import StaticResult
 from fungrasp.evaluation.statistics import mean_over_groups, wilson_interval
+from fungrasp.evaluation.use_test import use_json
 from fungrasp.transfer import protocol_name
 
 LEGACY_PERIOD = 0.0289
@@ -65,6 +66,7 @@ def result_json(result: LiftTestResult) -> dict[str, Any]:
     seeds = np.unique(result.seed).tolist()
     names = np.unique(result.object_name).tolist()
     columns = {field.name: getattr(result.outcomes, field.name) for field in fields(result.outcomes)}
+    use_columns = {} if result.use is None else result.use.arrays()
     episodes = [
         {
             "index": int(result.index[i]),
@@ -73,6 +75,7 @@ def result_json(result: LiftTestResult) -> dict[str, Any]:
             "seed": int(result.seed[i]),
             **{name: values[i] for name, values in columns.items()},
             "refined_tries": int(result.refined_tries[i]),
+            **{f"use_{name}": values[i] for name, values in use_columns.items()},
         }
         for i in range(len(result.index))
     ]
@@ -90,6 +93,7 @@ def result_json(result: LiftTestResult) -> dict[str, Any]:
             **summary(result),
             "mean_over_objects": mean_over_objects(result),
             "by_object": {name: summary(result, result.object_name == name) for name in names},
+            **({} if result.use is None else {"use": use_json(result.use, result.task)}),
             "trials": episodes,
         }
     )

@@ -167,9 +167,13 @@ class Engine(Protocol):
         """
         ...
 
-    def push_object(self, force: np.ndarray) -> None:
-        """Apply a force at the objects' centres of mass until the next call or reset. force: [N], world
-        frame, shape [W, 3]."""
+    def push_object(self, force: np.ndarray, torque: np.ndarray | None = None) -> None:
+        """Apply forces to the objects until the next call or reset.
+
+        Args:
+            force: at the centres of mass, world frame [N], shape [W, 3].
+            torque: world frame [N m], shape [W, 3]; none if None.
+        """
         ...
 
     def controls(

@@ -261,9 +261,10 @@ class MujocoCpuEngine:
             # MuJoCo skips the pose of a geom that the compiler found at its body's origin.
             self.batch.expand("geom_sameframe")[ids, self._table] = _SAMEFRAME_NONE
 
-    def push_object(self, force: np.ndarray) -> None:
+    def push_object(self, force: np.ndarray, torque: np.ndarray | None = None) -> None:
         """See ``Engine.push_object``."""
         self._force[:, self._object, :3] = force
+        self._force[:, self._object, 3:] = 0.0 if torque is None else torque
 
     def controls(
         self, palm_pose: np.ndarray, palm_velocity: np.ndarray, finger_targets: np.ndarray

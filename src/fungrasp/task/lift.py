@@ -14,7 +14,7 @@ from fungrasp.task.actuation import Actuation
 from fungrasp.task.outcome import LiftMeasurements, Outcomes
 from fungrasp.task.protocol import LiftProtocol
 from fungrasp.task.setpoints import SetpointGenerator, SetpointSequence
-from fungrasp.task.start_pose import StartPoses
+from fungrasp.task.start_pose import StartPoses, start_on_line
 
 PARKED = np.array([0.0, 0.0, 3.0, 1.0, 0.0, 0.0, 0.0])
 """Where the palm waits while objects settle, world frame."""
@@ -36,7 +36,9 @@ class LiftTask:
         """Where the objects rest as the episodes begin, world frame, shape [W, 7]."""
         self.target_contacts = np.zeros((count, links), dtype=bool)
         """Links that should touch, shape [W, L]."""
-        self.setpoints = SetpointGenerator(self.scene, count, self.protocol)
+        self.setpoints = SetpointGenerator(
+            self.scene.servo_limits, count, self.protocol, self.scene.settings.timestep
+        )
         self.actuation = Actuation(count, len(self.scene.hand.actuators))
         """What becomes of the setpoints on the way to the joints."""
         self.measurements = LiftMeasurements(engine, self.protocol)
@@ -79,10 +81,7 @@ class LiftTask:
 
         settled = engine.object_pose
         target = compose(settled, compose(invert(grasps.object_pose), grasps.wrist_pose))
-        start = target.copy()
-        away = target[:, :3] - settled[:, :3]
-        away /= np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-9)
-        start[:, :3] = settled[:, :3] + p.start_distance * away
+        start = start_on_line(settled, target, p.start_distance)
         height = np.zeros(len(engine)) if table_height is None else table_height
         start = StartPoses(self.scene).clear(engine.object_index, settled, start, fingers, height)
         self.begin(np.arange(len(engine)), settled, target, start, fingers, grasps.link_contacts)

@@ -24,6 +24,24 @@ TURN_STEP = np.deg2rad(1.0)
 _LARGEST_TURN = np.pi / 2
 
 
+def start_on_line(object_pose: np.ndarray, target: np.ndarray, distance: float) -> np.ndarray:
+    """Palm poses on the line from objects to where palms will grasp, turned as they will be.
+
+    Args:
+        object_pose: world frame, shape [W, 7].
+        target: palm poses in the grasp, world frame, shape [W, 7].
+        distance: from the objects' origins [m].
+
+    Returns:
+        World frame, shape [W, 7].
+    """
+    start = target.copy()
+    away = target[:, :3] - object_pose[:, :3]
+    away /= np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-9)
+    start[:, :3] = object_pose[:, :3] + distance * away
+    return start
+
+
 class StartPoses:
     """Start poses of hands in W worlds of a scene."""
 

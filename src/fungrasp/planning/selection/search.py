@@ -14,7 +14,7 @@ from fungrasp.files import digest
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
-from fungrasp.planning.grasp_motion import MotionPlanner, lowered, table_below
+from fungrasp.planning.grasp_motion import MotionPlanner, MotionSettings, lowered, table_below
 from fungrasp.planning.selection.candidates import propose
 from fungrasp.planning.selection.rollouts import RolloutSettings, Rounds, try_candidates
 from fungrasp.planning.selection.success_predictor import SuccessPredictor
@@ -109,6 +109,7 @@ class SearchPlanner:
         settings: SelectionSettings | None = None,
         protocol: LiftProtocol | None = None,
         threads: int = 0,
+        motions: MotionSettings | None = None,
     ):
         """
         Args:
@@ -120,11 +121,12 @@ class SearchPlanner:
             settings: the defaults if None.
             protocol: of the motions; the published one if None.
             threads: of the rollouts; 0 means all processors. The choice does not depend on it.
+            motions: how candidates are approached, closed and lifted; the defaults if None.
         """
         self.settings = settings or SelectionSettings()
         self._hand, self._objects, self._threads = hand, objects, threads
         self._predictor, self._policy, self._policy_digest = predictor, policy, policy_digest
-        self._single = MotionPlanner(hand, objects, protocol=protocol)
+        self._single = MotionPlanner(hand, objects, motions, protocol)
         self.key = digest(predictor.digest, policy_digest, self.settings, self._single.key)
         """Digest of all that plans depend on besides the arguments of ``plan``."""
         self._known: dict[str, GraspPlan] = {}

@@ -1,0 +1,278 @@
+"""UR5 and UR5e over RTDE with the client library ur_rtde.
+
+Between goals the arm is led by setpoints at the controller's rate, 500 Hz (CB3: 125 Hz), that keep our
+limits of speed, acceleration and jerk (ruckig): ``servoj`` has none of its own. The controller stops the
+program when it hears nothing for 0.2 s. Success is never judged by what a call returns: after a controller
+has died, ur_rtde's calls go on returning true and its positions stay at their last values. Only a clock of
+the controller that advances counts.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from fungrasp.robots.control_loop.device_loop import LoopGoal, LoopMode
+from fungrasp.robots.control_loop.loop_driver import LoopDriver
+from fungrasp.robots.device import DeviceStatus, JointLimits, JointState, RobotError
+from fungrasp.robots.optional_packages import import_client
+
+VARIABLES = ["timestamp", "actual_q", "actual_qd", "runtime_state", "safety_status_bits", "robot_status_bits"]
+PLAYING = 2
+EMERGENCY_BITS = 1 << 5 | 1 << 6 | 1 << 7
+PROTECTIVE_BIT = 1 << 2
+SAFETY_FAULT_BITS = 1 << 3 | 1 << 4 | 1 << 8 | 1 << 9 | 1 << 10
+JOINTS = 6
+LARGEST_JUMP = 0.1
+"""A measured joint this far from the one before is not believed [rad]: 3.14 rad/s make 6 mrad in a period."""
+
+
+@dataclass(frozen=True)
+class URSettings:
+    """How a UR arm is connected and how fast it may move."""
+
+    address: str = "192.168.0.10"
+    """Address of the controller."""
+    model: str = "UR5"
+    """As the controller says it ("UR5" for UR5 and UR5e); another one is refused."""
+    serial: str = ""
+    """Serial number of the arm; another one is refused. Empty: any."""
+    velocity: float = 1.0
+    """Highest speed of each joint [rad/s]: a third of the arm's own."""
+    acceleration: float = 2.5
+    """Highest acceleration of each joint [rad/s^2]."""
+    jerk: float = 50.0
+    """Highest jerk of each joint [rad/s^3]."""
+    range: float = 2 * np.pi
+    """The joints turn so far to both sides [rad]."""
+    lookahead: float = 0.05
+    """Of servoj [s], 0.03 to 0.2: the arm follows so much later."""
+    gain: float = 300.0
+    """Of servoj, 100 to 2000."""
+    watchdog: float = 5.0
+    """The controller stops its program when it hears less often [Hz]."""
+    stale_after: float = 0.04
+    """A controller's clock that stands still so long is a lost connection [s]."""
+    torque_limits: tuple[float, ...] = field(default=(150.0, 150.0, 150.0, 28.0, 28.0, 28.0))
+    """Of the joints, from the data sheet [N m]; for reports only, the controller takes positions."""
+
+    def __post_init__(self) -> None:
+        if not 0.03 <= self.lookahead <= 0.2 or not 100 <= self.gain <= 2000:
+            raise RobotError("servoj takes a lookahead of 0.03 to 0.2 s and a gain of 100 to 2000")
+        if not 0 < self.velocity <= 3.14 or not 0 < self.acceleration <= 40 or self.jerk <= 0:
+            raise RobotError("a UR joint takes up to 3.14 rad/s and 40 rad/s^2, and a jerk above 0")
+
+
+def ur_driver(settings: URSettings) -> LoopDriver:
+    """Driver of a UR arm. Always in a process of its own: ur_rtde's calls may wait for seconds, and
+    connecting keeps Python's other threads waiting."""
+    return LoopDriver(URLoop(settings))
+
+
+class URLoop:
+    """``DeviceLoop`` of a UR arm."""
+
+    def __init__(self, settings: URSettings):
+        """
+        Args:
+            settings: how the arm is connected and how fast it may move.
+        """
+        self.settings = settings
+        self.name = f"{settings.model} at {settings.address}"
+        self.stale_after = settings.stale_after
+        self.takes_feedforward = False
+        reach = np.full(JOINTS, settings.range)
+        speed = np.full(JOINTS, settings.velocity)
+        self.limits = JointLimits(-reach, reach, speed, np.array(settings.torque_limits))
+        self._receive: Any = None
+        self._control: Any = None
+        self._ruckig: Any = None
+        self._path: Any = None
+        self._step: Any = None
+        self._period = 0.002
+        self._due = 0.0
+        self._advanced, self._clock = 0.0, -1.0
+        self._last: np.ndarray | None = None
+        self._lead: Any = None
+
+    def open(self) -> None:
+        """See ``DeviceLoop.open``: model, serial number and state of the controller are checked."""
+        dashboard = import_client("dashboard_client", "ur", "a UR arm")
+        receive = import_client("rtde_receive", "ur", "a UR arm")
+        control = import_client("rtde_control", "ur", "a UR arm")
+        self._ruckig = import_client("ruckig", "ur", "a UR arm")
+        try:
+            self._check(dashboard.DashboardClient(self.settings.address))
+            self._receive = receive.RTDEReceiveInterface(self.settings.address, -1.0, VARIABLES)
+            self._control = control.RTDEControlInterface(self.settings.address)
+        except RuntimeError as error:
+            raise RobotError(
+                f"{self.name}: {_one_line(error)}; check address, power and remote control"
+            ) from error
+        except ValueError as error:
+            raise RobotError(f"{self.name}: {_one_line(error)}") from error
+        if not self._receive.getActualQ():
+            raise RobotError(f"{self.name}: the controller sends no joint positions; restart it")
+        self._period = self._controller_period()
+        self._set_watchdog()
+        self._path = self._ruckig.Ruckig(JOINTS, self._period)
+        # Kept between steps: it holds the path that the steps are taken from.
+        self._step = self._ruckig.OutputParameter(JOINTS)
+        self._advanced = self._due = time.monotonic()
+
+    def step(self, goal: LoopGoal) -> JointState:
+        """See ``DeviceLoop.step``."""
+        self._wait()
+        now = time.monotonic()
+        clock = self._receive.getTimestamp()
+        if clock != self._clock:
+            self._advanced, self._clock = now, clock
+        elif now - self._advanced > self.settings.stale_after:
+            waited = 1e3 * (now - self._advanced)
+            raise RobotError(f"{self.name}: the controller's clock stands still for {waited:.0f} ms")
+        state = self._state()
+        if state.status is DeviceStatus.READY:
+            self._move(goal, state)
+        elif state.status is DeviceStatus.FAULT and goal.mode is LoopMode.IDLE:
+            # Somebody has connected anew after the program was stopped.
+            self._restart()
+            state = self._state()
+        return state
+
+    def halt(self) -> None:
+        """See ``DeviceLoop.halt``: where the controller still answers, brake and end its program. Where it
+        doesn't, its watchdog does so."""
+        if self._control is None or time.monotonic() - self._advanced > self.settings.stale_after:
+            return
+        with contextlib.suppress(Exception):
+            self._control.servoStop(self.settings.acceleration)
+            self._control.stopScript()
+
+    def close(self) -> None:
+        """See ``DeviceLoop.close``: the connections end with the process. Closing them takes ur_rtde a second
+        where the controller answers, and for ever where it does not."""
+
+    def rescue(self) -> None:
+        """See ``DeviceLoop.rescue``: the controller's watchdog ends its program."""
+
+    def _check(self, dashboard: Any) -> None:
+        dashboard.connect(2000)
+        try:
+            model = dashboard.getRobotModel()
+            if model.strip().upper() != self.settings.model.upper():
+                raise RobotError(f"{self.name}: the controller says that it is a {model}")
+            if self.settings.serial and dashboard.getSerialNumber() != self.settings.serial:
+                raise RobotError(
+                    f"{self.name}: the controller's serial number is {dashboard.getSerialNumber()}, not "
+                    f"{self.settings.serial}"
+                )
+            safety = dashboard.safetystatus().rpartition(":")[2].strip()
+            if safety not in ("NORMAL", "REDUCED"):
+                raise RobotError(f"{self.name} is in {safety}: find the cause, acknowledge it on the pendant")
+            mode = dashboard.robotmode().rpartition(":")[2].strip()
+            if mode != "RUNNING":
+                raise RobotError(
+                    f"{self.name} is in mode {mode}: switch it on and release the brakes on the pendant"
+                )
+        finally:
+            dashboard.disconnect()
+
+    def _controller_period(self) -> float:
+        """The least difference of the controller's time stamps says which series it is."""
+        stamps, begin = set(), time.monotonic()
+        while len(stamps) < 20 and time.monotonic() - begin < 1.0:
+            stamps.add(self._receive.getTimestamp())
+            time.sleep(0.0005)
+        steps = np.diff(sorted(stamps))
+        return 0.002 if len(steps) and steps.min() < 0.004 else 0.008
+
+    def _set_watchdog(self) -> None:
+        if not self._control.setWatchdog(self.settings.watchdog):
+            raise RobotError(f"{self.name}: the controller takes no watchdog; restart its program")
+
+    def _restart(self) -> None:
+        self._lead = None
+        if not self._control.reuploadScript():
+            raise RobotError(
+                f"{self.name}: the program can't be started; check remote control on the pendant"
+            )
+        deadline = time.monotonic() + 2.0
+        while not self._control.isProgramRunning():
+            if time.monotonic() > deadline:
+                raise RobotError(f"{self.name}: the program does not start; look at the pendant")
+            time.sleep(0.01)
+        self._set_watchdog()
+
+    def _wait(self) -> None:
+        self._due += self._period
+        rest = self._due - time.monotonic()
+        if rest > 0:
+            time.sleep(rest)
+        else:
+            self._due = time.monotonic()
+
+    def _state(self) -> JointState:
+        positions = np.array(self._receive.getActualQ())
+        velocities = np.array(self._receive.getActualQd())
+        safety = self._receive.getSafetyStatusBits()
+        running = self._receive.getRuntimeState() == PLAYING
+        sane = positions.shape == velocities.shape == (JOINTS,) and bool(np.isfinite(positions).all())
+        if sane and self._last is not None:
+            sane = bool(np.abs(positions - self._last).max() < LARGEST_JUMP)
+        if not sane:
+            raise RobotError(f"{self.name}: positions that can't be; check the cable to the controller")
+        self._last = positions
+        status, message = DeviceStatus.READY, ""
+        if safety & EMERGENCY_BITS:
+            status, message = DeviceStatus.EMERGENCY_STOP, "emergency stop: release it, then connect again"
+        elif safety & PROTECTIVE_BIT:
+            status, message = DeviceStatus.PROTECTIVE_STOP, "protective stop: acknowledge it on the pendant"
+        elif safety & SAFETY_FAULT_BITS:
+            status, message = DeviceStatus.FAULT, f"safety status {safety:#x}: look at the pendant"
+        elif not running:
+            status, message = DeviceStatus.FAULT, "the controller has stopped the program: connect again"
+        return JointState(positions, velocities, None, self._clock, self._advanced, status, message)
+
+    def _move(self, goal: LoopGoal, state: JointState) -> None:
+        if goal.mode is LoopMode.IDLE or (goal.mode is LoopMode.POWER_OFF and self._lead is None):
+            self._control.kickWatchdog()
+            return
+        if self._lead is None:
+            self._lead = self._new_lead(state.positions)
+        lead, step = self._lead, self._step
+        following = goal.mode is LoopMode.FOLLOW
+        interface = self._ruckig.ControlInterface
+        lead.control_interface = interface.Position if following else interface.Velocity
+        if following:
+            lead.target_position = goal.positions.tolist()
+        result = self._path.update(lead, step)
+        if result not in (self._ruckig.Result.Working, self._ruckig.Result.Finished):
+            raise RobotError(f"{self.name}: no path to the goal within the limits ({result})")
+        s = self.settings
+        moved = np.abs(np.subtract(step.new_position, lead.current_position)).max()
+        if not moved <= 1.5 * s.velocity * self._period:
+            raise RobotError(
+                f"{self.name}: a setpoint {moved:.3f} rad away was not sent: this is a fault of ours"
+            )
+        step.pass_to_input(lead)
+        self._control.servoJ(step.new_position, 0.0, 0.0, self._period, s.lookahead, s.gain)
+
+    def _new_lead(self, positions: np.ndarray) -> Any:
+        s, lead = self.settings, self._ruckig.InputParameter(JOINTS)
+        lead.current_position = positions.tolist()
+        lead.current_velocity = lead.current_acceleration = [0.0] * JOINTS
+        lead.target_velocity = lead.target_acceleration = [0.0] * JOINTS
+        lead.max_velocity = [s.velocity] * JOINTS
+        lead.max_acceleration = [s.acceleration] * JOINTS
+        lead.max_jerk = [s.jerk] * JOINTS
+        # Joints arrive when they can; a common duration would slow all joints to the slowest.
+        lead.synchronization = self._ruckig.Synchronization.No
+        return lead
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split())

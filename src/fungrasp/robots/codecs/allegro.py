@@ -1,0 +1,153 @@
+"""CAN frames of the Allegro Hand, generations 4 and 5.
+
+Both use the same identifiers, ``code << 2 | device``, and four little-endian int16 for the joints of a
+finger; their units differ, and a frame says nothing of its generation. Facts from the published drivers of
+Wonik Robotics (allegro_hand_ros_v4, allegro_hand_ros2_v5).
+
+| code | from | data |
+| --- | --- | --- |
+| 0x40, 0x41 | host | servos on, off |
+| 0x60 to 0x63 | host | torque of a finger: V4 pulse width, V5 current |
+| 0x81 | host | periods of position, IMU, temperature [ms], uint16 each |
+| 0x20 to 0x23 | hand | positions of a finger |
+| 0x80 | hand, on request | hardware and firmware version, side, temperature, status |
+| 0x88 | hand, on request | serial number; V5: third character type, fourth side |
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+
+import numpy as np
+
+SERVOS_ON, SERVOS_OFF = 0x40, 0x41
+TORQUE, POSITION, PERIODS = 0x60, 0x20, 0x81
+INFO, SERIAL = 0x80, 0x88
+FINGERS_ON_BUS = 4
+"""Index, middle, ring, thumb; four joints each, from the base to the tip."""
+
+_INT16X4 = struct.Struct("<4h")
+_PERIODS = struct.Struct("<3H")
+_INFO = struct.Struct("<HHBBB")
+
+
+@dataclass(frozen=True, eq=False)
+class AllegroGeneration:
+    """Units of a generation of the hand."""
+
+    number: int
+    """4 or 5, as in the high byte of the hardware version."""
+    radians_per_count: float
+    """Of positions [rad]."""
+    counts_per_torque: np.ndarray
+    """Of torques [1/(N m)], shape [16]."""
+    largest_count: np.ndarray
+    """Of torques, shape [16]."""
+
+    @property
+    def torque_limits(self) -> np.ndarray:
+        """Highest torques that can be sent [N m], shape [16]."""
+        return self.largest_count / self.counts_per_torque
+
+
+ALLEGRO_V4 = AllegroGeneration(
+    number=4,
+    radians_per_count=np.deg2rad(333.3 / 65536),
+    counts_per_torque=np.full(16, 1200.0),
+    # Pulse width per joint of the published driver at 12 V.
+    largest_count=np.array([375.0, 675.0, 450.0, 285.0] * 3 + [525.0, 405.0, 270.0, 270.0]),
+)
+ALLEGRO_V5 = AllegroGeneration(
+    number=5,
+    radians_per_count=np.deg2rad(0.088),
+    # 1.43 A per N m; milliamperes on the wire, clipped as in the published driver.
+    counts_per_torque=np.full(16, 1430.0),
+    largest_count=np.full(16, 240.0),
+)
+ALLEGRO_V5_GEARED = AllegroGeneration(
+    number=5,
+    radians_per_count=ALLEGRO_V5.radians_per_count,
+    # Hands whose serial number names another type than A: twice the gear ratio at the fingers' second joints.
+    counts_per_torque=np.where(np.isin(np.arange(16), (1, 5, 9)), 715.0, 1430.0),
+    largest_count=np.full(16, 240.0),
+)
+
+
+@dataclass(frozen=True)
+class AllegroInfo:
+    """What a hand says of itself."""
+
+    hardware: int
+    """Version; its high byte is the generation."""
+    firmware: int
+    """Version."""
+    left: bool
+    """Of the V4: a left hand. The V5 says its side in the serial number."""
+    temperature: int
+    """[°C]."""
+    servos_on: bool
+    """Servos have power."""
+    overheated: bool
+    """High temperature fault."""
+    communication_fault: bool
+    """Internal communication fault."""
+
+
+def identifier(code: int, device: int = 0) -> int:
+    """CAN identifier of a code; device: 0 to 3, the number set in the hand."""
+    return code << 2 | device
+
+
+def code_of(can_identifier: int) -> int:
+    """Code of a CAN identifier."""
+    return can_identifier >> 2
+
+
+def encode_finger_positions(generation: AllegroGeneration, positions: np.ndarray) -> bytes:
+    """Frame of a finger's positions [rad], shape [4]."""
+    return _pack_int16(positions / generation.radians_per_count)
+
+
+def decode_finger_positions(generation: AllegroGeneration, data: bytes) -> np.ndarray:
+    """A finger's positions [rad], shape [4]."""
+    return np.array(_INT16X4.unpack(data)) * generation.radians_per_count
+
+
+def encode_finger_torques(generation: AllegroGeneration, finger: int, torques: np.ndarray) -> bytes:
+    """Frame of a finger's torques [N m], shape [4], clipped to what the generation allows; finger: 0 to 3."""
+    joints = slice(4 * finger, 4 * finger + 4)
+    largest = generation.largest_count[joints]
+    return _pack_int16(np.clip(torques * generation.counts_per_torque[joints], -largest, largest))
+
+
+def decode_finger_torques(generation: AllegroGeneration, finger: int, data: bytes) -> np.ndarray:
+    """A finger's torques [N m], shape [4]; finger: 0 to 3."""
+    return np.array(_INT16X4.unpack(data)) / generation.counts_per_torque[4 * finger : 4 * finger + 4]
+
+
+def encode_periods(position: int, imu: int = 0, temperature: int = 0) -> bytes:
+    """Frame of the periods at which the hand sends [ms]; 0: never."""
+    return _PERIODS.pack(position, imu, temperature)
+
+
+def decode_periods(data: bytes) -> tuple[int, int, int]:
+    """Periods of position, IMU and temperature [ms]."""
+    return _PERIODS.unpack(data[: _PERIODS.size])
+
+
+def encode_info(info: AllegroInfo) -> bytes:
+    """Frame of what a hand says of itself."""
+    status = info.servos_on | info.overheated << 1 | info.communication_fault << 2
+    return _INFO.pack(info.hardware, info.firmware, info.left, info.temperature, status)
+
+
+def decode_info(data: bytes) -> AllegroInfo:
+    """What a hand says of itself."""
+    hardware, firmware, side, temperature, status = _INFO.unpack(data[: _INFO.size])
+    flags = (bool(status & bit) for bit in (1, 2, 4))
+    return AllegroInfo(hardware, firmware, side != 0, temperature, *flags)
+
+
+def _pack_int16(counts: np.ndarray) -> bytes:
+    return _INT16X4.pack(*(int(c) for c in np.clip(np.rint(counts), -32768, 32767)))

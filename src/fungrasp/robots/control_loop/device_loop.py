@@ -1,0 +1,84 @@
+"""What a device does at its own rate: the part of a driver that runs in a process of its own."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Protocol
+
+import numpy as np
+
+from fungrasp.robots.device import JointLimits, JointState
+
+
+class LoopMode(IntEnum):
+    """What a device is to do."""
+
+    IDLE = 0
+    """Connected, nothing commanded yet: no motion."""
+    FOLLOW = 1
+    """Move to the goal within the limits."""
+    HOLD = 2
+    """Brake within the limits, then keep the position."""
+    OPEN = 3
+    """Hands: open slowly. Arms: hold."""
+    POWER_OFF = 4
+    """No torque."""
+    CLOSE = 5
+    """End the loop."""
+
+
+@dataclass(frozen=True, eq=False)
+class LoopGoal:
+    """What the driver was last told."""
+
+    mode: LoopMode
+    """What to do."""
+    positions: np.ndarray
+    """Goal of ``FOLLOW`` [rad], shape [U]."""
+    feedforward: np.ndarray
+    """Torques to add [N m], shape [U]."""
+
+
+class DeviceLoop(Protocol):
+    """One device. Made, pickled and sent to the process that runs it before it is opened.
+
+    ``step`` is called again and again and sets the pace: it waits for the device's next state or for the
+    next period.
+    """
+
+    name: str
+    """Type and address of the device."""
+    limits: JointLimits
+    """What is accepted."""
+    takes_feedforward: bool
+    """Whether feed-forward torques have an effect."""
+    stale_after: float
+    """A state older than this is no state: the device counts as disconnected [s]."""
+
+    def open(self) -> None:
+        """Connect and verify the device; nothing moves. Raises: RobotError."""
+        ...
+
+    def step(self, goal: LoopGoal) -> JointState:
+        """Read the device, send what follows from the goal, return the state.
+
+        A state whose status is not ``READY`` is latched: from then on ``step`` is called with ``HOLD``
+        until somebody connects anew.
+
+        Raises:
+            RobotError: the connection is of no use any more; the loop ends.
+        """
+        ...
+
+    def halt(self) -> None:
+        """Take torque or motion away, on exit and on errors. Never raises."""
+        ...
+
+    def close(self) -> None:
+        """End the connection. Never raises."""
+        ...
+
+    def rescue(self) -> None:
+        """Take torque away from outside, where the process that ran this loop has died. Never raises."""
+        ...

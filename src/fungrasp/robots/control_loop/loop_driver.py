@@ -1,0 +1,324 @@
+"""A driver made of a device's loop: it tells goals and reads states, the loop runs beside it."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import os
+import pickle
+import subprocess
+import sys
+import threading
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+
+import fungrasp
+from fungrasp.robots.control_loop.device_loop import DeviceLoop, LoopMode
+from fungrasp.robots.control_loop.loop_runner import run_device_loop
+from fungrasp.robots.control_loop.loop_worker import LENGTH
+from fungrasp.robots.control_loop.mailbox import Mailbox, SharedMemoryFile, mailbox_size
+from fungrasp.robots.control_loop.records import (
+    ENDED,
+    STARTING,
+    goal_kind,
+    joint_state,
+    record_message,
+    state_kind,
+)
+from fungrasp.robots.device import DeviceStatus, JointLimits, JointState, RobotError, StopKind
+
+STOP_MODES = {
+    StopKind.HOLD: LoopMode.HOLD,
+    StopKind.OPEN: LoopMode.OPEN,
+    StopKind.POWER_OFF: LoopMode.POWER_OFF,
+}
+CONNECT_TIMEOUT = 15.0
+"""A device that needs longer to connect is not there [s]; a UR controller starts a program in seconds."""
+CLOSE_TIMEOUT = 3.0
+"""After this a loop that doesn't end is killed [s]."""
+LOST_TIMEOUT = 0.5
+"""The same, where the device is lost already [s]."""
+
+
+@dataclass(frozen=True)
+class LoopLoad:
+    """What a device's loop costs."""
+
+    steps: int
+    """Steps since connecting."""
+    busy: float
+    """Processor time of those steps [s], of the thread that makes them."""
+
+
+class LoopDriver:
+    """``JointDriver`` of a ``DeviceLoop``, in a process of its own or, for buses that live in one process
+    and for tests, in a thread.
+
+    The process takes torque away when this one dies, however it dies; a thread can't.
+    """
+
+    def __init__(self, loop: DeviceLoop, process: bool = True, driver_timeout: float = 0.5):
+        """
+        Args:
+            loop: the device, not opened.
+            process: run it in a process of its own.
+            driver_timeout: the device holds its position when neither ``command`` nor ``read`` was called
+                for so long [s].
+        """
+        self.name = loop.name
+        self.takes_feedforward = loop.takes_feedforward
+        self.limits: JointLimits = loop.limits
+        self._loop = loop
+        self._process = process
+        self._driver_timeout = driver_timeout
+        self._count = len(loop.limits.lower)
+        self._lock = threading.Lock()
+        self._host: _Process | _Thread | None = None
+        self._goal = np.zeros((), dtype=goal_kind(self._count))
+        self._stopped: str | None = None
+        self._rescued = False
+
+    def connect(self) -> None:
+        """See ``JointDriver.connect``. On a connected device it acknowledges a stop."""
+        with self._lock:
+            if self._host is not None and self._read().status is not DeviceStatus.DISCONNECTED:
+                self._tell(LoopMode.IDLE)
+                self._await_acknowledgement()
+            else:
+                # A loop that waits in a client library for a device that is gone is not waited for.
+                self._end(LOST_TIMEOUT)
+                self._start()
+            self._stopped = None
+
+    def read(self) -> JointState:
+        """See ``JointDriver.read``. A state older than the device's ``stale_after`` is disconnected."""
+        with self._lock:
+            return self._read()
+
+    def command(self, positions: np.ndarray, feedforward: np.ndarray | None = None) -> np.ndarray:
+        """See ``JointDriver.command``."""
+        positions = np.asarray(positions, dtype=float)
+        torques = np.zeros(self._count) if feedforward is None else np.asarray(feedforward, dtype=float)
+        for what, values in (("goal", positions), ("feed-forward torque", torques)):
+            if values.shape != (self._count,):
+                raise RobotError(f"{self.name}: the {what} has shape {values.shape}, not ({self._count},)")
+            if not np.isfinite(values).all():
+                raise RobotError(f"{self.name}: the {what} of joint {_first_bad(values)} is not finite")
+        with self._lock:
+            state = self._read()
+            if self._stopped is not None:
+                raise RobotError(f"{self.name} was stopped ({self._stopped}): call connect() first")
+            if state.status is not DeviceStatus.READY and not _waits_for_driver(state, self._goal):
+                raise RobotError(f"{self.name} takes no command, {state.status}: {state.message}")
+            sent = np.clip(positions, self.limits.lower, self.limits.upper)
+            self._goal["positions"] = sent
+            self._goal["feedforward"] = np.clip(torques, -self.limits.torque, self.limits.torque)
+            self._tell(LoopMode.FOLLOW)
+        return sent
+
+    def stop(self, kind: StopKind = StopKind.HOLD) -> None:
+        """See ``JointDriver.stop``."""
+        with self._lock:
+            self._stopped = kind.value
+            if self._host is not None:
+                self._tell(STOP_MODES[kind])
+
+    def close(self) -> None:
+        """See ``JointDriver.close``."""
+        with self._lock:
+            self._end()
+
+    @property
+    def process_id(self) -> int | None:
+        """Of the device's process; None where it runs in a thread or is not connected."""
+        return self._host.process_id if isinstance(self._host, _Process) else None
+
+    def load(self) -> LoopLoad:
+        """What the loop has cost since connecting."""
+        with self._lock:
+            record = None if self._host is None else self._host.states.read()
+        return LoopLoad(0, 0.0) if record is None else LoopLoad(int(record["steps"]), float(record["busy"]))
+
+    def __enter__(self) -> Self:
+        self.connect()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.stop()
+        self.close()
+
+    def _start(self) -> None:
+        host = _Process if self._process else _Thread
+        self._goal["mode"], self._goal["sent"] = LoopMode.IDLE, time.monotonic()
+        self._rescued = False
+        self._host = host(self._loop, self._goal, self._driver_timeout)
+        deadline = time.monotonic() + CONNECT_TIMEOUT
+        while time.monotonic() < deadline:
+            record = self._host.states.read()
+            if record is not None and record["phase"] != STARTING:
+                if record["phase"] != ENDED:
+                    return
+                message = record_message(record)
+                self._end()
+                raise RobotError(message)
+            if not self._host.alive() and self._host.states.read() is None:
+                message = self._host.last_words()
+                self._end()
+                raise RobotError(f"{self.name}: the driver's process ended while connecting{message}")
+            time.sleep(0.002)
+        self._end()
+        raise RobotError(f"{self.name} did not answer within {CONNECT_TIMEOUT:.0f} s")
+
+    def _await_acknowledgement(self) -> None:
+        order, deadline = int(self._goal["order"]), time.monotonic() + CONNECT_TIMEOUT
+        while time.monotonic() < deadline:
+            seen, state = self._seen_order(), self._read()
+            if seen >= order or self._ended():
+                if state.status is not DeviceStatus.READY:
+                    raise RobotError(f"{self.name} is not ready, {state.status}: {state.message}")
+                return
+            time.sleep(0.001)
+        raise RobotError(f"{self.name} does not answer")
+
+    def _seen_order(self) -> int:
+        record = self._host.states.read() if self._host is not None else None
+        return -1 if record is None else int(record["order"])
+
+    def _tell(self, mode: LoopMode) -> None:
+        assert self._host is not None
+        self._goal["mode"] = mode
+        self._goal["order"] += 1
+        self._goal["sent"] = time.monotonic()
+        self._host.goals.write(self._goal)
+
+    def _read(self) -> JointState:
+        record = None if self._host is None else self._host.states.read()
+        if self._host is None or record is None:
+            zeros, now = np.zeros(self._count), time.monotonic()
+            return JointState(zeros, zeros, None, 0.0, now, DeviceStatus.DISCONNECTED, "not connected")
+        now = time.monotonic()
+        self._goal["sent"] = now
+        self._host.goals.write(self._goal)
+        state = joint_state(record)
+        if record["phase"] == ENDED:
+            return state
+        age = now - state.received
+        if not self._host.alive():
+            if not self._rescued:
+                self._rescued = True
+                # A copy: this one stays as it was made, to be sent to the next process.
+                pickle.loads(pickle.dumps(self._loop)).rescue()
+            message = f"the driver's process has ended{self._host.last_words()}"
+            return dataclasses.replace(state, status=DeviceStatus.DISCONNECTED, message=message)
+        if age > self._loop.stale_after and state.status in (DeviceStatus.READY, DeviceStatus.STOPPED):
+            message = f"no new state for {1e3 * age:.0f} ms"
+            return dataclasses.replace(state, status=DeviceStatus.DISCONNECTED, message=message)
+        return state
+
+    def _ended(self) -> bool:
+        assert self._host is not None
+        record = self._host.states.read()
+        return not self._host.alive() or (record is not None and bool(record["phase"] == ENDED))
+
+    def _end(self, patience: float = CLOSE_TIMEOUT) -> None:
+        if self._host is not None:
+            self._tell(LoopMode.CLOSE)
+            self._host.end(patience)
+            self._host = None
+
+
+class _Thread:
+    def __init__(self, loop: DeviceLoop, goal: np.ndarray, driver_timeout: float):
+        count = len(loop.limits.lower)
+        self.goals = Mailbox(memoryview(bytearray(mailbox_size(goal_kind(count)))), goal_kind(count))
+        self.states = Mailbox(memoryview(bytearray(mailbox_size(state_kind(count)))), state_kind(count))
+        self.goals.write(goal)
+        # A copy, as a process would get one: a loop is opened once.
+        copy = pickle.loads(pickle.dumps(loop))
+        arguments = (copy, self.goals, self.states, driver_timeout)
+        self._thread = threading.Thread(target=run_device_loop, args=arguments, daemon=True, name=loop.name)
+        self._thread.start()
+
+    def alive(self) -> bool:
+        return self._thread.is_alive()
+
+    def last_words(self) -> str:
+        return ""
+
+    def end(self, patience: float) -> None:
+        self._thread.join(patience)
+
+
+class _Process:
+    def __init__(self, loop: DeviceLoop, goal: np.ndarray, driver_timeout: float):
+        count = len(loop.limits.lower)
+        first = mailbox_size(goal_kind(count))
+        self._memory = SharedMemoryFile(first + mailbox_size(state_kind(count)))
+        view = memoryview(self._memory.buffer)
+        self.goals = Mailbox(view[:first], goal_kind(count))
+        self.states = Mailbox(view[first:], state_kind(count))
+        self.goals.write(goal)
+        # The same package as here, wherever it was imported from; one thread is all that a loop needs.
+        paths = [str(Path(fungrasp.__file__).parents[1]), os.environ.get("PYTHONPATH", "")]
+        environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, paths))}
+        environment |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+        self._child = subprocess.Popen(
+            [sys.executable, "-m", "fungrasp.robots.control_loop.loop_worker"],
+            stdin=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            env=environment,
+            start_new_session=True,
+        )
+        self._errors: list[str] = []
+        self._reader = threading.Thread(target=self._collect, daemon=True)
+        self._reader.start()
+        data = pickle.dumps((loop, str(self._memory.path), driver_timeout))
+        assert self._child.stdin is not None
+        # Where it has ended already, who waits for its first state will see so.
+        with contextlib.suppress(BrokenPipeError):
+            self._child.stdin.write(LENGTH.pack(len(data)) + data)
+            self._child.stdin.flush()
+
+    @property
+    def process_id(self) -> int:
+        return self._child.pid
+
+    def alive(self) -> bool:
+        return self._child.poll() is None
+
+    def last_words(self) -> str:
+        """The last line that the process wrote to standard error."""
+        self._reader.join(0.2)
+        return f": {self._errors[-1]}" if self._errors else ""
+
+    def end(self, patience: float) -> None:
+        assert self._child.stdin is not None
+        try:
+            self._child.wait(patience)
+        except subprocess.TimeoutExpired:
+            self._child.kill()
+            self._child.wait()
+        with contextlib.suppress(BrokenPipeError):
+            self._child.stdin.close()
+        self._memory.remove()
+
+    def _collect(self) -> None:
+        assert self._child.stderr is not None
+        for line in self._child.stderr:
+            text = line.decode(errors="replace").strip()
+            if text:
+                self._errors = [*self._errors[-19:], text]
+
+
+def _waits_for_driver(state: JointState, goal: np.ndarray) -> bool:
+    """Whether the device holds only because the driver was not heard of."""
+    return state.status is DeviceStatus.STOPPED and goal["mode"] in (LoopMode.FOLLOW, LoopMode.IDLE)
+
+
+def _first_bad(values: np.ndarray) -> int:
+    return int(np.flatnonzero(~np.isfinite(values))[0])

@@ -1,0 +1,295 @@
+"""Allegro Hand V4 and V5 over CAN: torque control on the host, one step for each set of positions.
+
+torque = kp (setpoint - q) - kd v + feed-forward
+
+The setpoint runs to the goal at no more than the limit of speed; v is the difference of positions through a
+first-order low-pass. The hand sends positions every 3 ms by its own clock, so the loop runs at 333 Hz.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from fungrasp.robots.codecs import allegro as codec
+from fungrasp.robots.control_loop.device_loop import LoopGoal, LoopMode
+from fungrasp.robots.control_loop.loop_driver import LoopDriver
+from fungrasp.robots.device import DeviceStatus, JointLimits, JointState, RobotError
+from fungrasp.robots.hands.joint_order import hand_joint_limits
+from fungrasp.robots.optional_packages import import_client
+
+ANSWER_TIMEOUT = 1.0
+"""A hand that doesn't answer a request for so long does not [s]."""
+LARGEST_JUMP = 0.2
+"""A position this far from the one before is not believed [rad] ..."""
+LARGEST_SPEED = 20.0
+"""... plus this times the time between them [rad/s]: twice the speed of the hand without load."""
+JUMPS = 40
+"""So many frames beyond belief in a row, ten sets, are a fault of the hand, not of a frame."""
+OPEN_SPEED = 0.5
+"""Of opening after a fault [rad/s]: full stroke in about 3 s, so that an object is let go, not thrown."""
+
+
+@dataclass(frozen=True)
+class AllegroSettings:
+    """How an Allegro Hand is connected and controlled."""
+
+    interface: str = "socketcan"
+    """Bus of python-can: "socketcan", "pcan", "udp_multicast" (emulator), "virtual" (tests) ..."""
+    channel: str = "can0"
+    """Channel of the bus."""
+    generation: int = 4
+    """4 or 5: their units differ, the wrong one is refused."""
+    side: str = "right"
+    """"right" or "left"; the wrong one is refused."""
+    hand: str = "allegro"
+    """Model of the hand: order and limits of the joints."""
+    device: int = 0
+    """Number set in the hand, 0 to 3."""
+    period_ms: int = 3
+    """At which the hand sends positions [ms]."""
+    kp: float = 4.0
+    """Stiffness [N m/rad]: that of the model, which plans and policies were made with."""
+    kd: float = 0.15
+    """Damping [N m s/rad]: that of the model."""
+    velocity_filter: float = 0.01
+    """Time constant of the velocities' low-pass [s]: a count of the V5 is 0.5 rad/s in one period, which kd
+    would turn into half its torque."""
+    speed: float = 4.0
+    """Highest speed of the setpoints [rad/s]."""
+    torque_share: float = 1.0
+    """Share of the generation's highest torque that may be sent, 0 to 1."""
+    stale_after: float = 0.05
+    """Silence after which the hand counts as disconnected and its torques are taken away [s]."""
+    bitrate: int = 1_000_000
+    """Of the bus [bit/s]."""
+
+    def __post_init__(self) -> None:
+        if self.generation not in (4, 5):
+            raise RobotError(f"the generation of an Allegro Hand is 4 or 5, not {self.generation}")
+        if self.side not in ("right", "left"):
+            raise RobotError(f'the side of a hand is "right" or "left", not "{self.side}"')
+        if not 0 < self.torque_share <= 1:
+            raise RobotError(f"torque_share is above 0 and at most 1, not {self.torque_share}")
+
+
+def allegro_driver(settings: AllegroSettings, process: bool = True) -> LoopDriver:
+    """Driver of an Allegro Hand; process: control it in a process of its own, not on a "virtual" bus."""
+    return LoopDriver(AllegroLoop(settings), process=process)
+
+
+class AllegroLoop:
+    """``DeviceLoop`` of an Allegro Hand."""
+
+    def __init__(self, settings: AllegroSettings):
+        """
+        Args:
+            settings: how the hand is connected and controlled.
+        """
+        self.settings = settings
+        self.name = (
+            f"Allegro V{settings.generation} {settings.side} at {settings.interface}:{settings.channel}"
+        )
+        self.stale_after = settings.stale_after
+        self.takes_feedforward = True
+        self._units = codec.ALLEGRO_V4 if settings.generation == 4 else codec.ALLEGRO_V5
+        lower, upper = hand_joint_limits(settings.hand, 16)
+        torque = settings.torque_share * self._units.torque_limits
+        self.limits = JointLimits(lower, upper, np.full(16, settings.speed), torque)
+        self._bus: Any = None
+        self._can: Any = None
+        self._state: JointState | None = None
+        self._setpoint: np.ndarray | None = None
+        self._frames: dict[int, np.ndarray] = {}
+        self._jumps = 0
+        self._servos_on = False
+
+    def open(self) -> None:
+        """See ``DeviceLoop.open``: the hand must name the generation and side that are expected."""
+        self._open_bus()
+        self._send(codec.SERVOS_OFF)
+        self._verify()
+        self._send(codec.PERIODS, codec.encode_periods(self.settings.period_ms))
+        deadline = time.monotonic() + ANSWER_TIMEOUT
+        while self._state is None:
+            self._receive(deadline - time.monotonic())
+            if time.monotonic() > deadline:
+                raise RobotError(f"{self.name} names itself but sends no positions: switch it off and on")
+
+    def step(self, goal: LoopGoal) -> JointState:
+        """See ``DeviceLoop.step``."""
+        before = self._state
+        assert before is not None
+        deadline = time.monotonic() + self.settings.stale_after
+        while self._state is before and time.monotonic() < deadline:
+            self._receive(deadline - time.monotonic())
+        # After a pause of this process: older positions than the newest are of no use.
+        while self._receive(0.0) is not None:
+            pass
+        state = self._state
+        assert state is not None
+        if state is before:
+            self.halt()
+            raise RobotError(f"{self.name} is silent for {1e3 * self.settings.stale_after:.0f} ms")
+        if state.status is DeviceStatus.READY:
+            self._send_torques(self._torques(goal, state, state.received - before.received))
+        return state
+
+    def halt(self) -> None:
+        """See ``DeviceLoop.halt``: no torque, servos off."""
+        if self._bus is not None:
+            with contextlib.suppress(Exception):
+                self._send_torques(np.zeros(16))
+                self._send(codec.SERVOS_OFF)
+            self._servos_on = False
+
+    def close(self) -> None:
+        """See ``DeviceLoop.close``."""
+        if self._bus is not None:
+            with contextlib.suppress(Exception):
+                self._send(codec.PERIODS, codec.encode_periods(0))
+            with contextlib.suppress(Exception):
+                self._bus.shutdown()
+            self._bus = None
+
+    def rescue(self) -> None:
+        """See ``DeviceLoop.rescue``: the hand may keep the last torques it was sent."""
+        with contextlib.suppress(Exception):
+            self._open_bus()
+            self.halt()
+            self.close()
+
+    def _open_bus(self) -> None:
+        self._can = import_client("can", "allegro", "an Allegro Hand")
+        options = {"bitrate": self.settings.bitrate} if self.settings.interface in ("pcan", "kvaser") else {}
+        try:
+            self._bus = self._can.Bus(
+                interface=self.settings.interface, channel=self.settings.channel, **options
+            )
+        except (self._can.CanError, OSError, ValueError, NotImplementedError) as error:
+            raise RobotError(f"{self.name}: cannot open the CAN bus: {error}") from error
+
+    def _torques(self, goal: LoopGoal, state: JointState, elapsed: float) -> np.ndarray:
+        if goal.mode is LoopMode.POWER_OFF:
+            self._setpoint = None
+            if self._servos_on:
+                self.halt()
+            return np.zeros(16)
+        if self._setpoint is None:
+            if goal.mode is LoopMode.IDLE:
+                return np.zeros(16)
+            self._setpoint = np.clip(state.positions, self.limits.lower, self.limits.upper)
+        if not self._servos_on:
+            self._send(codec.SERVOS_ON)
+            self._servos_on = True
+        wanted, speed = self._setpoint, self.settings.speed
+        if goal.mode is LoopMode.FOLLOW:
+            wanted = goal.positions
+        elif goal.mode is LoopMode.OPEN:
+            # The flat hand; the thumb's first joint does not reach zero.
+            wanted, speed = np.clip(np.zeros(16), self.limits.lower, self.limits.upper), OPEN_SPEED
+        largest = speed * min(elapsed, 0.02)
+        self._setpoint = self._setpoint + np.clip(wanted - self._setpoint, -largest, largest)
+        spring = self.settings.kp * (self._setpoint - state.positions)
+        torques = spring - self.settings.kd * state.velocities + goal.feedforward
+        return np.clip(torques, -self.limits.torque, self.limits.torque)
+
+    def _send_torques(self, torques: np.ndarray) -> None:
+        for finger in range(codec.FINGERS_ON_BUS):
+            part = torques[4 * finger : 4 * finger + 4]
+            self._send(codec.TORQUE + finger, codec.encode_finger_torques(self._units, finger, part))
+
+    def _send(self, code: int, data: bytes = b"", request: bool = False) -> None:
+        message = self._can.Message(
+            arbitration_id=codec.identifier(code, self.settings.device),
+            data=data,
+            is_extended_id=False,
+            is_remote_frame=request,
+        )
+        try:
+            self._bus.send(message, timeout=0.01)
+        except (self._can.CanError, OSError) as error:
+            raise RobotError(
+                f"{self.name}: the CAN bus takes no frames ({error}): check cable and power"
+            ) from error
+
+    def _receive(self, timeout: float) -> Any:
+        """Take one frame; the fourth finger's positions of a set make a state."""
+        try:
+            message = self._bus.recv(max(timeout, 0.0))
+        except (self._can.CanError, OSError) as error:
+            raise RobotError(f"{self.name}: the CAN bus failed: {error}") from error
+        if message is None or message.arbitration_id & 3 != self.settings.device or message.is_remote_frame:
+            return None
+        code = codec.code_of(message.arbitration_id)
+        finger = code - codec.POSITION
+        if 0 <= finger < codec.FINGERS_ON_BUS and message.dlc == 8:
+            positions = codec.decode_finger_positions(self._units, bytes(message.data))
+            self._take_positions(finger, positions, message.timestamp)
+        elif code == codec.INFO and message.dlc >= 7:
+            self._take_info(codec.decode_info(bytes(message.data)))
+        return message
+
+    def _take_positions(self, finger: int, positions: np.ndarray, stamp: float) -> None:
+        before = self._state
+        if before is not None:
+            known = before.positions[4 * finger : 4 * finger + 4]
+            largest = LARGEST_JUMP + LARGEST_SPEED * max(stamp - before.device_time, 0.0)
+            if np.abs(positions - known).max() > largest:
+                self._jumps += 1
+                if self._jumps >= JUMPS:
+                    raise RobotError(f"{self.name}: positions jump; check the encoders and the generation")
+                return
+        self._frames[finger] = positions
+        if len(self._frames) < codec.FINGERS_ON_BUS:
+            return
+        joints = np.concatenate([self._frames[f] for f in range(codec.FINGERS_ON_BUS)])
+        self._frames.clear()
+        self._jumps = 0
+        velocities = np.zeros(16)
+        if before is not None:
+            elapsed = max(stamp - before.device_time, 1e-4)
+            share = elapsed / (elapsed + self.settings.velocity_filter)
+            velocities = before.velocities + share * (
+                (joints - before.positions) / elapsed - before.velocities
+            )
+        self._state = JointState(joints, velocities, None, stamp, time.monotonic(), DeviceStatus.READY)
+
+    def _take_info(self, info: codec.AllegroInfo) -> None:
+        if self._state is not None and (info.overheated or info.communication_fault):
+            what = "is too hot" if info.overheated else "has an internal communication fault"
+            raise RobotError(f"{self.name} {what} ({info.temperature} °C)")
+
+    def _verify(self) -> None:
+        answers: dict[int, bytes] = {}
+        deadline = time.monotonic() + ANSWER_TIMEOUT
+        asked = -np.inf
+        while time.monotonic() < deadline and not {codec.INFO, codec.SERIAL} <= set(answers):
+            if time.monotonic() - asked > ANSWER_TIMEOUT / 4:
+                self._send(codec.INFO, request=True)
+                self._send(codec.SERIAL, request=True)
+                asked = time.monotonic()
+            message = self._receive(0.02)
+            if message is not None:
+                answers[codec.code_of(message.arbitration_id)] = bytes(message.data)
+        self._state, self._jumps = None, 0
+        self._frames.clear()
+        if codec.INFO not in answers or (self.settings.generation == 5 and codec.SERIAL not in answers):
+            raise RobotError(f"{self.name}: no hand answers; check power, cable, bit rate and device number")
+        info = codec.decode_info(answers[codec.INFO])
+        generation = info.hardware >> 8
+        if generation != self.settings.generation:
+            raise RobotError(
+                f"{self.name}: the hand says that it is a V{generation}, whose units differ; set "
+                f"generation = {generation}"
+            )
+        serial = answers.get(codec.SERIAL, b"").decode(errors="replace")
+        left = info.left if generation == 4 else serial[3:4] != "R"
+        if left != (self.settings.side == "left"):
+            raise RobotError(f"{self.name}: the hand says that it is a {'left' if left else 'right'} one")
+        if generation == 5 and serial[2:3] != "A":
+            self._units = codec.ALLEGRO_V5_GEARED

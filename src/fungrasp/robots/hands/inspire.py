@@ -1,0 +1,244 @@
+"""Inspire RH56 over Modbus, TCP or a serial line.
+
+The hand has position servos of its own: a goal is written once, at the speed and force that were set on
+connecting. It begins to move about 66 ms after a command.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from fungrasp.robots.codecs import inspire as codec
+from fungrasp.robots.control_loop.device_loop import LoopGoal, LoopMode
+from fungrasp.robots.control_loop.loop_driver import LoopDriver
+from fungrasp.robots.device import DeviceStatus, JointLimits, JointState, RobotError
+from fungrasp.robots.hands.joint_order import hand_joint_limits
+from fungrasp.robots.optional_packages import import_client
+
+COMMAND_DELAY = 0.066
+"""From a command to the first motion, median over a real hand's steps [s]."""
+ERROR_INTERVAL = 0.2
+"""Errors are read so often [s]; they change slowly, and every read takes a real hand 6 ms."""
+OPEN_SPEED_SETTING = 250
+"""Of opening after a fault: full stroke in about 1.5 s."""
+ANGLE_TOLERANCE = 50
+"""Angles outside 0 to 1000 by more are not believed."""
+
+
+@dataclass(frozen=True)
+class InspireSettings:
+    """How an Inspire hand is connected and how fast and strong it may close."""
+
+    address: str = "192.168.11.210"
+    """Address of the hand, or a serial port ("/dev/ttyUSB0"). Hands are delivered with the same address."""
+    port: int = 6000
+    """Of TCP."""
+    baud: int = 115200
+    """Of a serial port."""
+    device: int = 1
+    """Number of the hand (its register HAND_ID); another one is refused."""
+    hand: str = "inspire"
+    """Model of the hand: limits of the joints. The hand does not say its side."""
+    speed: int = 500
+    """0 to 1000. At higher speeds the fingers overshoot the force that is set: 500 g peak at 1700 g."""
+    force: int = 500
+    """Highest force of a finger [g]."""
+    period: float = 0.02
+    """Between reads [s]; a real hand answers in 6 ms."""
+    answer_timeout: float = 0.1
+    """An answer that takes longer is lost [s]."""
+    stale_after: float = 0.25
+    """Silence after which the hand counts as disconnected [s]."""
+
+    def __post_init__(self) -> None:
+        for name, value in (("speed", self.speed), ("force", self.force)):
+            if not 0 < value <= 1000:
+                raise RobotError(f"{name} of an Inspire hand is 1 to 1000, not {value}")
+
+    @property
+    def serial(self) -> bool:
+        """Whether the address is a serial port."""
+        return self.address.startswith(("/", "COM"))
+
+
+def inspire_driver(settings: InspireSettings, process: bool = True) -> LoopDriver:
+    """Driver of an Inspire hand; process: talk to it from a process of its own."""
+    return LoopDriver(InspireLoop(settings), process=process)
+
+
+class InspireLoop:
+    """``DeviceLoop`` of an Inspire hand."""
+
+    def __init__(self, settings: InspireSettings):
+        """
+        Args:
+            settings: how the hand is connected.
+        """
+        self.settings = settings
+        self.name = f"Inspire RH56 at {settings.address}"
+        self.stale_after = settings.stale_after
+        self.takes_feedforward = False
+        lower, upper = hand_joint_limits(settings.hand, codec.MOTORS)
+        self._range = upper - lower
+        speed = codec.closing_speed(settings.speed) / codec.OPEN_ANGLE * self._range
+        # The hand takes no torques; what it can give is in the model.
+        self.limits = JointLimits(lower, upper, speed, np.zeros(codec.MOTORS))
+        self._client: Any = None
+        self._modbus: Any = None
+        self._state: JointState | None = None
+        self._sent: list[int] | None = None
+        self._due = self._errors_due = 0.0
+        self._mode = LoopMode.IDLE
+        self._fault = ""
+
+    def open(self) -> None:
+        """See ``DeviceLoop.open``."""
+        self._modbus = import_client("pymodbus.client", "inspire", "an Inspire hand")
+        s = self.settings
+        if s.serial:
+            import_client("serial", "inspire", "an Inspire hand on a serial port")
+            options = {"port": s.address, "baudrate": s.baud}
+            self._client = self._modbus.ModbusSerialClient(**options, timeout=s.answer_timeout, retries=0)
+        else:
+            options = {"port": s.port, "timeout": s.answer_timeout, "retries": 0}
+            self._client = self._modbus.ModbusTcpClient(s.address, **options)
+        with contextlib.redirect_stderr(None):
+            connected = self._client.connect()
+        if not connected:
+            raise RobotError(f"{self.name}: nobody answers; check power, cable and address")
+        number = self._first_answer(codec.HAND_ID, 1)[0] & 0xFF
+        if number != s.device:
+            raise RobotError(f"{self.name}: the hand says that it is number {number}, not {s.device}")
+        self._write(codec.CLEAR_ERRORS, [1])
+        self._write(codec.SPEED_SET, [s.speed] * codec.MOTORS)
+        self._write(codec.FORCE_SET, [s.force] * codec.MOTORS)
+        self._first_answer(codec.ANGLE_ACTUAL, codec.MOTORS)
+        self._due = time.monotonic()
+
+    def step(self, goal: LoopGoal) -> JointState:
+        """See ``DeviceLoop.step``."""
+        rest = self._due - time.monotonic()
+        if rest > 0:
+            time.sleep(rest)
+        self._due = max(self._due, time.monotonic() - self.settings.period) + self.settings.period
+        state = self._read_state()
+        if state.status is DeviceStatus.READY:
+            self._move(goal, state)
+        elif goal.mode is LoopMode.IDLE:
+            # Somebody has connected anew after a fault.
+            self._write(codec.CLEAR_ERRORS, [1])
+            self._fault, self._errors_due = "", 0.0
+        return state
+
+    def halt(self) -> None:
+        """See ``DeviceLoop.halt``: the fingers stay where they are; the drives hold without power."""
+        with contextlib.suppress(Exception):
+            if self._state is not None and self._client is not None:
+                self._hold(self._state)
+
+    def close(self) -> None:
+        """See ``DeviceLoop.close``."""
+        with contextlib.suppress(Exception):
+            self._client.close()
+
+    def rescue(self) -> None:
+        """See ``DeviceLoop.rescue``: nothing to do, the drives hold without power."""
+
+    def _move(self, goal: LoopGoal, state: JointState) -> None:
+        if goal.mode is LoopMode.FOLLOW:
+            if self._mode is LoopMode.OPEN:
+                self._write(codec.SPEED_SET, [self.settings.speed] * codec.MOTORS)
+            angles = codec.encode_angles(goal.positions, self.limits.lower, self.limits.upper)
+            if angles != self._sent and self._write(codec.ANGLE_SET, angles):
+                self._sent = angles
+        elif goal.mode is LoopMode.OPEN:
+            angles = [codec.OPEN_ANGLE] * codec.MOTORS
+            if angles != self._sent:
+                self._write(codec.SPEED_SET, [OPEN_SPEED_SETTING] * codec.MOTORS)
+                if self._write(codec.ANGLE_SET, angles):
+                    self._sent = angles
+        elif goal.mode in (LoopMode.HOLD, LoopMode.POWER_OFF) and self._mode is LoopMode.FOLLOW:
+            self._hold(state)
+        self._mode = goal.mode
+
+    def _hold(self, state: JointState) -> None:
+        self._sent = None
+        angles = codec.encode_angles(state.positions, self.limits.lower, self.limits.upper)
+        self._write(codec.ANGLE_SET, angles)
+
+    def _read_state(self) -> JointState:
+        registers = self._read(codec.ANGLE_ACTUAL, codec.MOTORS)
+        now, before = time.monotonic(), self._state
+        if registers is not None:
+            angles = codec.signed(registers)
+            if angles.min() < -ANGLE_TOLERANCE or angles.max() > codec.OPEN_ANGLE + ANGLE_TOLERANCE:
+                registers = None
+        if registers is None:
+            if before is None or now - before.received > self.settings.stale_after:
+                raise RobotError(f"{self.name}: no angles for {1e3 * self.settings.stale_after:.0f} ms")
+            return before
+        positions = codec.decode_angles(registers, self.limits.lower, self.limits.upper)
+        velocities = np.zeros(codec.MOTORS)
+        if before is not None:
+            velocities = (positions - before.positions) / max(now - before.received, 1e-3)
+        if now >= self._errors_due:
+            self._errors_due = now + ERROR_INTERVAL
+            # Over TCP a value has no checksum: a fault counts when it is read twice.
+            self._fault = self._read_faults() and self._read_faults()
+        status = DeviceStatus.FAULT if self._fault else DeviceStatus.READY
+        self._state = JointState(positions, velocities, None, now, now, status, self._fault)
+        return self._state
+
+    def _read_faults(self) -> str:
+        registers = self._read(codec.ERRORS, codec.MOTORS // 2)
+        if registers is None:
+            return ""
+        names = (
+            "little finger",
+            "ring finger",
+            "middle finger",
+            "index finger",
+            "thumb bend",
+            "thumb rotation",
+        )
+        for motor, bits in enumerate(codec.unpack_bytes(registers)):
+            for bit, what in codec.FAULTS.items():
+                if bits >> bit & 1:
+                    return f"{names[motor]}: {what}"
+        return ""
+
+    def _first_answer(self, address: int, count: int) -> Sequence[int]:
+        for _ in range(5):
+            registers = self._read(address, count)
+            if registers is not None:
+                return registers
+        raise RobotError(f"{self.name}: connected, but no answers; check device number and baud rate")
+
+    def _read(self, address: int, count: int) -> Sequence[int] | None:
+        try:
+            answer = self._client.read_holding_registers(address, count=count, device_id=self.settings.device)
+        except (self._modbus_error(), OSError):
+            return self._reconnect()
+        return None if answer.isError() or len(answer.registers) != count else answer.registers
+
+    def _write(self, address: int, values: list[int]) -> bool:
+        try:
+            return not self._client.write_registers(address, values, device_id=self.settings.device).isError()
+        except (self._modbus_error(), OSError):
+            self._reconnect()
+            return False
+
+    def _reconnect(self) -> None:
+        """A connection that was reset is opened again; the state's age says whether that was in time."""
+        with contextlib.suppress(Exception):
+            if not self._client.is_socket_open():
+                self._client.connect()
+
+    def _modbus_error(self) -> type[Exception]:
+        return import_client("pymodbus.exceptions", "inspire", "an Inspire hand").ModbusException

@@ -1,0 +1,1 @@
+"""Sources of the object's pose."""

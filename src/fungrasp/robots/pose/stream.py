@@ -1,0 +1,190 @@
+"""Object poses from another process, over ZeroMQ: the newest only."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+
+from fungrasp.robots.codecs.pose_message import PoseMessage, message_entries, read_message
+from fungrasp.robots.device import RobotError, TrackedPose, TrackingStatus
+from fungrasp.robots.optional_packages import import_client
+
+FUTURE = 0.005
+"""A capture this far ahead of our clock [s] was stamped by a clock that has jumped."""
+LONGEST_DELAY = 10.0
+"""A tracker that says it took longer [s] has a clock that has jumped."""
+
+
+class PoseStream:
+    """``PoseSource`` of a publisher. A message whose time stamps can't be is ignored, so that the pose before
+    it grows old: only the age of the capture says whether a pose may be used."""
+
+    def __init__(self, address: str, object_name: str = "", frame: str = "world", timeout: float = 2.0):
+        """
+        Args:
+            address: of the publisher, "tcp://127.0.0.1:5556".
+            object_name: of the object; another one is refused. Empty: any.
+            frame: that poses must be in.
+            timeout: to wait for the first message on connecting [s].
+        """
+        self.name = f"pose stream {address}"
+        self.ignored = 0
+        """Messages that could not be used."""
+        self._address, self._object, self._frame, self._timeout = address, object_name, frame, timeout
+        self._clock = clock_name()
+        self._socket: Any = None
+        self._zmq: Any = None
+        self._msgpack: Any = None
+        self._last: TrackedPose | None = None
+
+    def connect(self) -> None:
+        """See ``PoseSource.connect``."""
+        self._zmq = import_client("zmq", "pose", "a pose stream")
+        self._msgpack = import_client("msgpack", "pose", "a pose stream")
+        self.close()
+        self._socket = self._zmq.Context.instance().socket(self._zmq.SUB)
+        # Before connecting, or it has no effect: only the newest message is kept.
+        self._socket.setsockopt(self._zmq.CONFLATE, 1)
+        self._socket.setsockopt(self._zmq.LINGER, 0)
+        self._socket.setsockopt(self._zmq.SUBSCRIBE, b"")
+        try:
+            self._socket.connect(self._address)
+        except self._zmq.ZMQError as error:
+            self.close()
+            raise RobotError(f"{self.name}: {error}; an address is like tcp://127.0.0.1:5556") from error
+        if not self._socket.poll(1000 * self._timeout):
+            self.close()
+            raise RobotError(f"{self.name}: nothing came within {self._timeout} s; is the tracker running?")
+        self._take(strict=True)
+
+    def read(self) -> TrackedPose | None:
+        """See ``PoseSource.read``."""
+        if self._socket is not None:
+            self._take()
+        return self._last
+
+    def close(self) -> None:
+        """See ``PoseSource.close``."""
+        if self._socket is not None:
+            self._socket.close()
+            self._socket = None
+
+    def __enter__(self) -> Self:
+        self.connect()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+    def _take(self, strict: bool = False) -> None:
+        try:
+            data = self._socket.recv(self._zmq.NOBLOCK)
+        except self._zmq.Again:
+            return
+        now = time.monotonic()
+        try:
+            self._last = self._pose(data, now)
+        except RobotError as error:
+            self.ignored += 1
+            if strict:
+                self.close()
+                raise RobotError(f"{self.name}: {error}") from error
+
+    def _pose(self, data: bytes, now: float) -> TrackedPose:
+        try:
+            entries = self._msgpack.unpackb(data)
+        except Exception as error:
+            # The library raises errors of many kinds for bytes that are no MessagePack.
+            raise RobotError(f"a message is no MessagePack ({type(error).__name__})") from error
+        message = read_message(entries)
+        if self._object and message.object_name != self._object:
+            raise RobotError(f"the tracker follows '{message.object_name}', not '{self._object}'")
+        if message.frame != self._frame:
+            raise RobotError(f"the tracker's poses are in the frame '{message.frame}', not '{self._frame}'")
+        delay = message.sent - message.captured
+        if not 0 <= delay <= LONGEST_DELAY:
+            raise RobotError("the tracker's clock has jumped")
+        # Another machine's clock has another origin: there the way of the message is taken for instantaneous.
+        captured = message.captured if message.clock == self._clock else now - delay
+        if captured > now + FUTURE:
+            raise RobotError("the tracker's clock is ahead of ours")
+        return TrackedPose(np.array(message.pose), captured, message.score, message.status)
+
+
+class PosePublisher:
+    """The other end: what a tracker's process calls for each of its answers."""
+
+    def __init__(self, address: str, object_name: str, frame: str = "world"):
+        """
+        Args:
+            address: to publish on, "tcp://127.0.0.1:5556".
+            object_name: of the object.
+            frame: that poses are in.
+
+        Raises:
+            RobotError: the address is in use or is none.
+        """
+        zmq = import_client("zmq", "pose", "a pose publisher")
+        self._msgpack = import_client("msgpack", "pose", "a pose publisher")
+        self._object, self._frame, self._sequence = object_name, frame, 0
+        self._clock = clock_name()
+        self._socket = zmq.Context.instance().socket(zmq.PUB)
+        self._socket.setsockopt(zmq.LINGER, 0)
+        try:
+            self._socket.bind(address)
+        except zmq.ZMQError as error:
+            self._socket.close()
+            raise RobotError(f"cannot publish poses on {address}: {error}") from error
+
+    def publish(
+        self,
+        pose: np.ndarray,
+        captured: float,
+        score: float = 1.0,
+        status: TrackingStatus = TrackingStatus.TRACKING,
+    ) -> None:
+        """Send a pose.
+
+        Args:
+            pose: of the object, shape [7].
+            captured: when the image was taken, ``time.monotonic`` [s].
+            score: confidence, 0 to 1.
+            status: whether the pose may be used.
+        """
+        numbers = tuple(float(v) for v in pose)
+        message = PoseMessage(
+            self._sequence,
+            self._clock,
+            captured,
+            time.monotonic(),
+            self._object,
+            self._frame,
+            numbers,
+            score,
+            status,
+        )
+        self._sequence += 1
+        self.send_bytes(self._msgpack.packb(message_entries(message)))
+
+    def send_bytes(self, data: bytes) -> None:
+        """Send a message that is packed already."""
+        self._socket.send(data)
+
+    def close(self) -> None:
+        """Stop publishing."""
+        self._socket.close()
+
+
+def clock_name() -> str:
+    """Names the clock ``time.monotonic`` of this machine since it was started."""
+    boot = Path("/proc/sys/kernel/random/boot_id")
+    try:
+        return f"monotonic:{boot.read_text().strip()}"
+    except OSError:
+        import uuid
+
+        # Elsewhere: of this machine's network card; it does not change when the machine is restarted.
+        return f"monotonic:{uuid.getnode():x}"

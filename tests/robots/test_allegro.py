@@ -1,0 +1,218 @@
+"""Allegro Hand: frames against the protocol tables, the driver against an emulated hand."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import time
+import uuid
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from driver_contract import DeviceUnderTest, DriverContract, reach, wait_for
+
+from fungrasp.robots.codecs import allegro as codec
+from fungrasp.robots.device import DeviceStatus, RobotError, StopKind
+from fungrasp.robots.emulators.allegro_can import AllegroEmulator
+from fungrasp.robots.emulators.emulator import Fault
+from fungrasp.robots.emulators.plant import TorquePlant
+from fungrasp.robots.hands.allegro import AllegroSettings, allegro_driver
+
+pytest.importorskip("can")
+
+
+@contextlib.contextmanager
+def emulated(
+    generation: int = 4, friction: float = 0.01, load: float = 0.0, **settings
+) -> Iterator[DeviceUnderTest]:
+    channel = uuid.uuid4().hex
+    plant = TorquePlant(np.full(16, 0.5), friction=friction, load=load)
+    emulator = AllegroEmulator(plant, "virtual", channel, generation)
+    settings = {"stale_after": 1.0, "generation": generation} | settings
+    driver = allegro_driver(AllegroSettings("virtual", channel, **settings), process=False)
+    with emulator:
+        yield DeviceUnderTest(driver, emulator, plant, np.full(16, 0.4), 0.02)
+        driver.close()
+
+
+class TestAllegroV4(DriverContract):
+    def running(self):
+        return emulated(4)
+
+
+class TestAllegroV5(DriverContract):
+    def running(self):
+        return emulated(5)
+
+
+def test_frames_of_the_fourth_generation():
+    # 90° is 90 / (333.3 / 65536) = 17696.5 counts = 0x4520; 1 count is 0.005086°.
+    assert codec.identifier(0x20) == 0x80 and codec.code_of(0x18C) == 0x63
+    data = bytes.fromhex("2045e0ba01000000")
+    positions = np.rad2deg(codec.decode_finger_positions(codec.ALLEGRO_V4, data))
+    assert np.allclose(positions, [89.9976, -89.9976, 0.0050858, 0.0], atol=1e-4)
+    # 0.1 N m is 120 counts; the second joint of a finger is clipped at 675 = 0x2a3.
+    torques = np.array([0.1, 5.0, -0.1, 0.0])
+    assert codec.encode_finger_torques(codec.ALLEGRO_V4, 0, torques) == bytes.fromhex("7800a30288ff0000")
+    # The thumb's first joint is clipped at 525 = 0x20d.
+    assert codec.encode_finger_torques(codec.ALLEGRO_V4, 3, np.full(4, 5.0))[:2] == bytes.fromhex("0d02")
+
+
+def test_frames_of_the_fifth_generation():
+    # 90° is 1022.7 counts of 0.088°.
+    data = bytes.fromhex("ff0301fc01000000")
+    positions = np.rad2deg(codec.decode_finger_positions(codec.ALLEGRO_V5, data))
+    assert np.allclose(positions, [90.024, -90.024, 0.088, 0.0])
+    # 0.1 N m is 143 mA; 240 mA at most; geared joints take half.
+    torques = np.array([0.1, 0.1, 5.0, -5.0])
+    assert codec.encode_finger_torques(codec.ALLEGRO_V5, 0, torques) == bytes.fromhex("8f008f00f00010ff")
+    assert codec.encode_finger_torques(codec.ALLEGRO_V5_GEARED, 0, torques)[:4] == bytes.fromhex("8f004800")
+
+
+def test_frames_of_periods_and_information():
+    assert codec.encode_periods(3) == bytes.fromhex("030000000000")
+    info = codec.decode_info(bytes.fromhex("0004010001230300"))
+    assert info.hardware >> 8 == 4 and info.left and info.temperature == 0x23
+    assert info.servos_on and info.overheated and not info.communication_fault
+    assert codec.decode_info(codec.encode_info(info)) == info
+
+
+@pytest.mark.parametrize("generation", [codec.ALLEGRO_V4, codec.ALLEGRO_V5, codec.ALLEGRO_V5_GEARED])
+def test_frames_keep_what_they_carry(generation: codec.AllegroGeneration):
+    rng = np.random.default_rng(0)
+    positions = rng.uniform(-1.5, 1.5, 4)
+    back = codec.decode_finger_positions(generation, codec.encode_finger_positions(generation, positions))
+    assert np.abs(back - positions).max() <= generation.radians_per_count / 2 + 1e-12
+    torques = 0.9 * generation.torque_limits * rng.uniform(-1, 1, 16)
+    for finger in range(4):
+        part = torques[4 * finger : 4 * finger + 4]
+        data = codec.encode_finger_torques(generation, finger, part)
+        back = codec.decode_finger_torques(generation, finger, data)
+        assert np.abs(back - part).max() < 1e-3
+
+
+@pytest.mark.parametrize("generation", [4, 5])
+def test_another_generation_is_refused(generation: int):
+    with emulated(generation) as device:
+        other = device.driver._loop.settings
+        wrong = AllegroSettings(other.interface, other.channel, generation=9 - generation)
+        with pytest.raises(RobotError, match=f"V{generation}"):
+            allegro_driver(wrong, process=False).connect()
+
+
+@pytest.mark.parametrize("generation", [4, 5])
+def test_another_side_is_refused_before_anything_moves(generation: int):
+    with emulated(generation) as device:
+        device.emulator.inject(Fault.WRONG_DEVICE)
+        with pytest.raises(RobotError, match="left"):
+            device.driver.connect()
+        assert not device.emulator.servos_on
+
+
+def test_feedforward_carries_the_weight():
+    """Without it the servo sags by weight / kp; with it the goal is reached."""
+    with emulated(load=0.08, friction=0.0) as device:
+        device.driver.connect()
+        goal = np.full(16, 0.4)
+
+        def error(feedforward):
+            end = time.monotonic() + 1.0
+            while time.monotonic() < end:
+                device.driver.command(goal, feedforward)
+                time.sleep(0.02)
+            return np.abs(device.true_positions() - goal).max()
+
+        assert error(None) == pytest.approx(0.08 / 4.0, rel=0.1)
+        assert error(np.full(16, 0.08)) < 0.003
+
+
+def test_closing_takes_the_torque_away():
+    with emulated(load=0.05) as device:
+        device.driver.connect()
+        goal = np.full(16, 0.4)
+        for _ in range(20):
+            device.driver.command(goal)
+            time.sleep(0.01)
+        assert device.emulator.servos_on and np.abs(device.emulator.torques).max() > 0.02
+        device.driver.close()
+        assert wait_for(lambda: not device.emulator.servos_on)
+        assert not device.emulator.torques.any()
+
+
+def test_power_off_leaves_the_hand_limp():
+    with emulated() as device:
+        device.driver.connect()
+        reach(device, device.near)
+        device.driver.stop(StopKind.POWER_OFF)
+        assert wait_for(lambda: not device.emulator.servos_on)
+
+
+@pytest.mark.parametrize("fault", [Fault.STALLED, Fault.POWER_LOSS, Fault.SATURATED])
+def test_a_fault_latches_until_somebody_connects(fault: Fault):
+    with emulated() as device:
+        device.driver.connect()
+        reach(device, device.near)
+        device.emulator.inject(fault)
+        assert wait_for(lambda: device.driver.read().status is DeviceStatus.DISCONNECTED)
+        device.emulator.clear()
+        time.sleep(0.05)
+        with pytest.raises(RobotError):
+            device.driver.command(device.near)
+        device.driver.connect()
+        reach(device, device.near)
+
+
+@pytest.mark.parametrize("fault", [Fault.LOST, Fault.DOUBLED, Fault.LATE, Fault.CORRUPT])
+def test_a_disturbed_bus_does_not_throw_the_hand(fault: Fault):
+    with emulated() as device:
+        device.driver.connect()
+        device.emulator.inject(fault)
+        reach(device, device.near)
+        end = time.monotonic() + 0.5
+        while time.monotonic() < end:
+            assert device.driver.read().status is DeviceStatus.READY
+            # A busy machine stops the emulated hand and its driver for a while, too.
+            assert np.abs(device.true_positions() - device.near).max() < 0.25
+            device.driver.command(device.near)
+            time.sleep(0.01)
+
+
+def test_the_driver_takes_the_torque_away_when_its_process_has_died():
+    channel = f"239.{os.getpid() % 200 + 1}.163.2"
+    plant = TorquePlant(np.full(16, 0.5), load=0.05)
+    settings = AllegroSettings("udp_multicast", channel, stale_after=1.0)
+    with AllegroEmulator(plant, "udp_multicast", channel) as emulator, allegro_driver(settings) as driver:
+        driver.command(np.full(16, 0.4))
+        assert wait_for(lambda: emulator.servos_on and emulator.torques.any())
+        os.kill(driver.process_id, signal.SIGKILL)
+        assert wait_for(lambda: driver.read().status is DeviceStatus.DISCONNECTED)
+        assert wait_for(lambda: not emulator.servos_on and not emulator.torques.any())
+        driver.connect()
+        driver.command(np.full(16, 0.4))
+        assert wait_for(lambda: emulator.servos_on)
+
+
+def test_the_hand_loses_its_torque_when_the_process_of_the_policy_dies():
+    code = """
+import sys, time, numpy as np
+from fungrasp.robots.hands.allegro import AllegroSettings, allegro_driver
+driver = allegro_driver(AllegroSettings("udp_multicast", sys.argv[1], stale_after=1.0))
+driver.connect()
+driver.command(np.full(16, 0.4))
+print("moving", flush=True)
+while True:
+    driver.read()
+    time.sleep(0.01)
+"""
+    channel = f"239.{os.getpid() % 200 + 1}.163.3"
+    with AllegroEmulator(TorquePlant(np.full(16, 0.5), load=0.05), "udp_multicast", channel) as emulator:
+        child = subprocess.Popen([sys.executable, "-c", code, channel], stdout=subprocess.PIPE, text=True)
+        assert child.stdout is not None and child.stdout.readline() == "moving\n"
+        assert wait_for(lambda: emulator.servos_on and emulator.torques.any())
+        child.kill()
+        child.wait()
+        assert wait_for(lambda: not emulator.servos_on and not emulator.torques.any())

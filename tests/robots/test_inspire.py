@@ -1,0 +1,143 @@
+"""Inspire RH56: registers and frames, the driver against an emulated hand over TCP and a serial line."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from driver_contract import DeviceUnderTest, DriverContract, reach, wait_for
+
+from fungrasp.robots.codecs import inspire as codec
+from fungrasp.robots.codecs import modbus
+from fungrasp.robots.device import DeviceStatus, RobotError, StopKind
+from fungrasp.robots.emulators.emulator import Fault
+from fungrasp.robots.emulators.inspire_modbus import InspireEmulator
+from fungrasp.robots.emulators.plant import ServoPlant
+from fungrasp.robots.hands.inspire import InspireSettings, inspire_driver
+
+pytest.importorskip("pymodbus")
+
+
+@contextlib.contextmanager
+def emulated(serial: bool = False, **settings) -> Iterator[DeviceUnderTest]:
+    plant = ServoPlant(np.full(6, 0.2), time_constant=0.02, velocity=10.0)
+    with InspireEmulator(plant, port=0, serial=serial) as emulator:
+        options = {"stale_after": 1.0, "answer_timeout": 0.5} | settings
+        driver = inspire_driver(InspireSettings(emulator.address, emulator.port, **options), process=False)
+        yield DeviceUnderTest(driver, emulator, plant, np.full(6, 0.4), 0.01)
+        driver.close()
+
+
+class TestInspireTCP(DriverContract):
+    def running(self):
+        return emulated()
+
+
+def test_a_serial_line_carries_the_same():
+    with emulated(serial=True) as device:
+        device.driver.connect()
+        reach(device, device.near)
+        device.driver.stop(StopKind.OPEN)
+        assert wait_for(lambda: device.true_positions().max() < 0.01)
+
+
+def test_angles():
+    lower, upper = np.zeros(6), np.array([1.47, 1.47, 1.47, 1.47, 1.308, 0.6])
+    # Index half closed, pinky closed, thumb rotation a quarter, thumb bend open.
+    positions = np.array([0.735, 0.0, 0.0, 1.47, 0.327, 0.0])
+    angles = codec.encode_angles(positions, lower, upper)
+    assert angles == [0, 1000, 1000, 500, 1000, 750]
+    assert np.allclose(codec.decode_angles(angles, lower, upper), positions, atol=1e-3)
+    assert codec.encode_angles(np.full(6, 9.0), lower, upper) == [0] * 6
+    assert np.allclose(codec.decode_angles([65526] * 6, lower, upper), upper * 1.01)
+    assert codec.unpack_bytes(codec.pack_bytes([1, 2, 3, 4, 5, 6])) == [1, 2, 3, 4, 5, 6]
+    assert codec.closing_speed(375) == pytest.approx((706 + 1449) / 2)
+
+
+def test_modbus_frames():
+    # Read six registers from 1546 = 0x060a of device 1, and write 500 to one.
+    frame = bytes.fromhex("01 03 06 0a 00 06")
+    requests, rest = modbus.split_serial_requests(b"\xff" + frame + modbus.checksum(frame))
+    assert requests == [(1, frame[1:])] and rest == b""
+    request = modbus.decode_request(frame[1:])
+    assert request == modbus.RegisterRequest(modbus.READ, 1546, 6)
+    assert modbus.encode_answer(request, (1, 2)) == bytes.fromhex("030400010002")
+    write = modbus.decode_request(bytes.fromhex("10 05 ce 00 01 02 01 f4"))
+    assert write == modbus.RegisterRequest(modbus.WRITE, 1486, 1, (500,))
+    assert modbus.encode_answer(write) == bytes.fromhex("1005ce0001")
+    # The checksum of the standard's example.
+    assert modbus.checksum(bytes.fromhex("010300000001")) == bytes.fromhex("840a")
+    stream = bytes.fromhex("0007 0000 0006 01 03 060a 0006") + b"\x00"
+    assert modbus.split_tcp_requests(stream) == ([(7, 1, frame[1:])], b"\x00")
+
+
+def test_a_command_moves_after_its_delay_at_the_measured_speed():
+    with emulated(speed=250) as device:
+        device.driver.connect()
+        start, began = device.true_positions(), time.monotonic()
+        device.driver.command(np.full(6, 0.6))
+        assert wait_for(lambda: np.abs(device.true_positions() - start).max() > 1e-6)
+        assert time.monotonic() - began > 0.06
+        reach(device, np.full(6, 0.55))
+    expected = 706 / 1000 * 1.47
+    assert device.driver.limits.velocity[0] == pytest.approx(expected)
+
+
+def test_a_hand_with_another_number_is_refused():
+    with emulated() as device:
+        device.emulator.inject(Fault.WRONG_DEVICE)
+        with pytest.raises(RobotError, match="number 2"):
+            device.driver.connect()
+
+
+def test_a_fault_of_a_motor_latches_until_somebody_connects():
+    with emulated() as device:
+        device.driver.connect()
+        reach(device, device.near)
+        device.emulator.report_error(3, 0b00101)
+        time.sleep(0.5)
+        assert device.driver.read().status is DeviceStatus.READY, "stall and overcurrent belong to grasping"
+        device.emulator.report_error(3, 0b00010)
+        assert wait_for(lambda: device.driver.read().status is DeviceStatus.FAULT)
+        assert device.driver.read().message == "index finger: too hot"
+        with pytest.raises(RobotError, match="too hot"):
+            device.driver.command(device.near)
+
+
+@pytest.mark.parametrize("fault", [Fault.KILLED, Fault.STALLED, Fault.POWER_LOSS, Fault.SATURATED])
+def test_a_lost_hand_is_seen(fault: Fault):
+    with emulated(stale_after=0.5, answer_timeout=0.2) as device:
+        device.driver.connect()
+        reach(device, device.near)
+        device.emulator.inject(fault)
+        assert wait_for(lambda: device.driver.read().status is DeviceStatus.DISCONNECTED)
+        device.emulator.clear()
+        time.sleep(0.1)
+        device.driver.connect()
+        reach(device, device.near)
+
+
+@pytest.mark.parametrize("serial", [False, True])
+@pytest.mark.parametrize("fault", [Fault.LOST, Fault.LATE, Fault.CORRUPT])
+def test_a_disturbed_line_still_carries(fault: Fault, serial: bool):
+    with emulated(serial, answer_timeout=0.1) as device:
+        device.driver.connect()
+        device.emulator.inject(fault)
+        goal = np.full(6, 0.5)
+
+        def there() -> bool:
+            device.driver.command(goal)
+            return bool(np.abs(device.true_positions() - goal).max() < 0.02)
+
+        assert wait_for(there)
+
+
+def test_a_connection_that_was_reset_is_opened_again():
+    with emulated() as device:
+        device.driver.connect()
+        device.emulator.inject(Fault.RESET)
+        time.sleep(0.1)
+        reach(device, device.near)

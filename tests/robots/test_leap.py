@@ -1,0 +1,143 @@
+"""LEAP hand: packets of the protocol, the driver against emulated servos on a pseudo terminal."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from driver_contract import DeviceUnderTest, DriverContract, reach, wait_for
+from hypothesis import given
+from hypothesis import strategies as st
+
+from fungrasp.hands import load_hand
+from fungrasp.robots.codecs import dynamixel as codec
+from fungrasp.robots.device import DeviceStatus, RobotError, StopKind
+from fungrasp.robots.emulators.dynamixel import DynamixelEmulator
+from fungrasp.robots.emulators.emulator import Fault
+from fungrasp.robots.emulators.plant import ServoPlant
+from fungrasp.robots.hands.leap import LeapSettings, leap_driver
+
+pytest.importorskip("dynamixel_sdk")
+SERVOS = tuple(int(name) for name in load_hand("leap").actuators)
+
+
+@contextlib.contextmanager
+def emulated(**settings) -> Iterator[DeviceUnderTest]:
+    plant = ServoPlant(np.full(16, 0.1), time_constant=0.02, velocity=8.0)
+    with DynamixelEmulator(plant, SERVOS) as emulator:
+        driver = leap_driver(
+            LeapSettings(emulator.address, **({"stale_after": 1.0} | settings)), process=False
+        )
+        yield DeviceUnderTest(driver, emulator, plant, np.full(16, 0.3), 0.01)
+        driver.close()
+
+
+class TestLeap(DriverContract):
+    def running(self):
+        return emulated()
+
+
+def test_packets_of_the_manual():
+    # Examples of the e-Manual: ping of servo 1, and its answer by model 1030 with firmware 38.
+    ping = bytes.fromhex("fffffd00010300 01 194e")
+    assert codec.encode_packet(codec.ServoPacket(1, codec.PING, b"")) == ping
+    answer = bytes.fromhex("fffffd00010700 55 00 060426 655d")
+    packets, rest = codec.split_servo_packets(b"\x00" + ping + answer + b"\xff")
+    assert packets == [
+        codec.ServoPacket(1, codec.PING, b""),
+        codec.ServoPacket(1, codec.STATUS, b"\x00\x06\x04\x26"),
+    ]
+    assert rest == b"\xff"
+    # Read 4 bytes of the present position, 132 = 0x84, of servo 1.
+    read = codec.encode_packet(codec.ServoPacket(1, codec.READ, b"\x84\x00\x04\x00"))
+    assert read == bytes.fromhex("fffffd00010700 02 84000400 1d15")
+
+
+@given(st.binary(max_size=40), st.integers(0, 252))
+def test_any_parameters_come_back(parameters: bytes, device: int):
+    packet = codec.ServoPacket(device, codec.WRITE, parameters)
+    packets, rest = codec.split_servo_packets(codec.encode_packet(packet))
+    # A parameter string that holds the escape itself can't be told from an escaped one.
+    if b"\xff\xff\xfd\xfd" not in parameters:
+        assert packets == [packet] and rest == b""
+
+
+def test_units():
+    assert codec.position_counts(np.array([0.0, np.pi / 2, -np.pi])) == [2048, 3072, 0]
+    assert np.allclose(codec.joint_positions_of(np.array([2048, 3072])), [0, np.pi / 2])
+
+
+def test_the_order_of_the_model_is_kept():
+    with emulated() as device:
+        device.driver.connect()
+        goal = np.linspace(0.0, 0.3, 16)
+        reach(device, goal)
+        assert np.allclose(device.true_positions(), goal, atol=0.01)
+
+
+def test_torque_comes_with_the_first_goal_and_goes_with_closing():
+    with emulated() as device:
+        device.driver.connect()
+        assert not device.emulator.torque_on
+        reach(device, device.near)
+        assert device.emulator.torque_on
+        device.driver.close()
+        assert wait_for(lambda: not device.emulator.torque_on)
+
+
+def test_a_missing_servo_is_named():
+    with emulated() as device:
+        device.emulator.inject(Fault.WRONG_DEVICE)
+        with pytest.raises(RobotError, match=f"servo {SERVOS[-1]} "):
+            device.driver.connect()
+    with pytest.raises(RobotError, match="cannot open the port"):
+        leap_driver(LeapSettings("/dev/no-such-port"), process=False).connect()
+
+
+def test_a_hardware_error_is_a_fault():
+    with emulated() as device:
+        device.driver.connect()
+        device.emulator.report_error(5, 1 << 5)
+        assert wait_for(lambda: device.driver.read().status is DeviceStatus.FAULT)
+        assert "servo 5: overload" in device.driver.read().message
+
+
+@pytest.mark.parametrize("fault", [Fault.STALLED, Fault.POWER_LOSS, Fault.SATURATED])
+def test_a_lost_hand_is_seen(fault: Fault):
+    with emulated(stale_after=0.4) as device:
+        device.driver.connect()
+        reach(device, device.near)
+        device.emulator.inject(fault)
+        assert wait_for(lambda: device.driver.read().status is DeviceStatus.DISCONNECTED)
+        device.emulator.clear()
+        device.driver.connect()
+        reach(device, device.near)
+
+
+@pytest.mark.parametrize("fault", [Fault.LOST, Fault.DOUBLED, Fault.LATE, Fault.CORRUPT])
+def test_a_disturbed_line_still_carries(fault: Fault):
+    with emulated() as device:
+        device.driver.connect()
+        device.emulator.inject(fault)
+        goal = np.full(16, 0.4)
+
+        def there() -> bool:
+            device.driver.command(goal)
+            return bool(np.abs(device.true_positions() - goal).max() < 0.01)
+
+        assert wait_for(there)
+
+
+def test_power_off_and_open():
+    with emulated() as device:
+        device.driver.connect()
+        reach(device, device.near)
+        device.driver.stop(StopKind.OPEN)
+        assert wait_for(lambda: np.abs(device.true_positions()).max() < 0.4)
+        device.driver.stop(StopKind.POWER_OFF)
+        assert wait_for(lambda: not device.emulator.torque_on)
+        time.sleep(0.05)
+        assert device.driver.read().status is DeviceStatus.STOPPED

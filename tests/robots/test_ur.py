@@ -1,0 +1,199 @@
+"""UR arm: packages against the RTDE guide, the driver against an emulated controller."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import os
+import signal
+import socket
+import struct
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from driver_contract import DeviceUnderTest, DriverContract, reach, wait_for
+
+from fungrasp.robots.arms.ur import URSettings, ur_driver
+from fungrasp.robots.codecs import rtde as codec
+from fungrasp.robots.device import DeviceStatus, RobotError
+from fungrasp.robots.emulators.emulator import Fault
+from fungrasp.robots.emulators.plant import ServoPlant
+from fungrasp.robots.emulators.ur_rtde import DASHBOARD_PORT, URControllerEmulator
+
+for module in ("rtde_control", "ruckig"):
+    pytest.importorskip(module)
+
+HOME = np.array([0.0, -1.5, 1.5, -1.5, -1.5, 0.0])
+ADDRESSES = (f"127.0.{os.getpid() % 200 + 1}.{n}" for n in itertools.count(2))
+
+
+@contextlib.contextmanager
+def emulated(**settings) -> Iterator[DeviceUnderTest]:
+    address = next(ADDRESSES)
+    plant = ServoPlant(HOME, time_constant=0.02)
+    driver = ur_driver(URSettings(address, **({"stale_after": 1.0} | settings)))
+    with URControllerEmulator(plant, address, release_time=0.0) as emulator:
+        yield DeviceUnderTest(driver, emulator, plant, HOME + 0.1, 0.005)
+        driver.close()
+
+
+class TestUR(DriverContract):
+    def running(self):
+        return emulated()
+
+
+def test_packages():
+    assert codec.package(codec.PROTOCOL_VERSION, b"\x00\x02") == bytes.fromhex("0005560002")
+    recipe = codec.make_recipe("timestamp,runtime_state,actual_q,input_int_register_3,")
+    assert recipe.types == ("DOUBLE", "UINT32", "VECTOR6D", "INT32") and recipe.valid
+    data = codec.encode_values(recipe, 1, {"timestamp": 0.5, "runtime_state": 2, "input_int_register_3": -1})
+    assert data[:3] == struct.pack(">H", 3 + 1 + 8 + 4 + 48 + 4) + b"U"
+    assert data[3:16].hex() == "01" + "3fe0000000000000" + "00000002"
+    assert data[-4:].hex() == "ffffffff"
+    values = codec.decode_values(recipe, data[4:])
+    assert values["timestamp"] == 0.5 and values["actual_q"] == (0.0,) * 6
+    assert not codec.make_recipe("actual_q,no_such_thing").valid
+
+
+def test_packages_are_found_in_any_pieces():
+    stream = codec.package(b"V", b"\x00\x02") + codec.package(b"S") + codec.package(b"v", b"abc")
+    whole, rest = codec.split_packages(stream)
+    assert [kind for kind, _ in whole] == [b"V", b"S", b"v"] and rest == b""
+    pieces, left = [], b""
+    for byte in stream:
+        found, left = codec.split_packages(left + bytes([byte]))
+        pieces += found
+    assert pieces == whole
+
+
+def test_another_model_or_serial_number_is_refused():
+    with emulated() as device:
+        device.emulator.inject(Fault.WRONG_DEVICE)
+        with pytest.raises(RobotError, match="UR3"):
+            device.driver.connect()
+    with emulated(serial="1") as device, pytest.raises(RobotError, match="serial number"):
+        device.driver.connect()
+
+
+def test_impossible_limits_are_refused():
+    with pytest.raises(RobotError, match="rad/s"):
+        URSettings(velocity=10.0)
+    with pytest.raises(RobotError, match="lookahead"):
+        URSettings(lookahead=0.5)
+
+
+@pytest.mark.parametrize("fault", [Fault.PROTECTIVE_STOP, Fault.EMERGENCY_STOP])
+def test_a_safety_stop_latches_until_a_person_has_acknowledged_it(fault: Fault):
+    with emulated() as device:
+        device.driver.connect()
+        reach(device, device.near)
+        device.emulator.inject(fault)
+        expected = (
+            DeviceStatus.PROTECTIVE_STOP if fault is Fault.PROTECTIVE_STOP else DeviceStatus.EMERGENCY_STOP
+        )
+        assert wait_for(lambda: device.driver.read().status is expected)
+        with pytest.raises(RobotError):
+            device.driver.command(device.near)
+        with pytest.raises(RobotError):
+            device.driver.connect()
+        device.emulator.clear()
+        device.emulator.unlock_protective_stop()
+        time.sleep(0.1)
+        assert device.driver.read().status is expected
+        assert not device.emulator.program_running
+        device.driver.connect()
+        assert device.emulator.program_running
+        reach(device, device.near)
+
+
+def test_a_protective_stop_before_connecting_is_named():
+    with emulated() as device:
+        device.emulator.inject(Fault.PROTECTIVE_STOP)
+        with pytest.raises(RobotError, match="PROTECTIVE_STOP"):
+            device.driver.connect()
+
+
+@pytest.mark.parametrize("fault", [Fault.KILLED, Fault.STALLED, Fault.RESET, Fault.FROZEN])
+def test_a_lost_controller_is_seen_by_its_clock(fault: Fault):
+    with emulated(stale_after=0.5) as device:
+        device.driver.connect()
+        reach(device, device.near)
+        device.emulator.inject(fault)
+        assert wait_for(lambda: device.driver.read().status is DeviceStatus.DISCONNECTED)
+        with pytest.raises(RobotError):
+            device.driver.command(device.near)
+        device.emulator.clear()
+        time.sleep(0.1)
+        device.driver.connect()
+        reach(device, device.near)
+
+
+@pytest.mark.parametrize("fault", [Fault.LOST, Fault.DOUBLED, Fault.LATE])
+def test_a_disturbed_connection_still_carries(fault: Fault):
+    with emulated() as device:
+        device.driver.connect()
+        device.emulator.inject(fault)
+        reach(device, device.near)
+
+
+def test_random_bytes_are_not_believed():
+    with emulated() as device:
+        device.driver.connect()
+        device.emulator.inject(Fault.CORRUPT)
+        assert wait_for(lambda: device.driver.read().status is not DeviceStatus.READY)
+
+
+def test_the_controller_stops_when_its_client_dies():
+    """Killed without a chance to say anything: the watchdog on the controller ends the program."""
+    with emulated() as device:
+        device.driver.connect()
+        reach(device, device.near)
+        os.kill(device.driver.process_id, signal.SIGKILL)
+        began = time.monotonic()
+        assert wait_for(lambda: not device.emulator.program_running)
+        assert time.monotonic() - began < 1.0
+        assert device.driver.read().status is DeviceStatus.DISCONNECTED
+
+
+def test_the_arm_brakes_when_the_process_of_the_policy_dies():
+    code = """
+import sys, time, numpy as np
+from fungrasp.robots.arms.ur import URSettings, ur_driver
+driver = ur_driver(URSettings(sys.argv[1], stale_after=1.0))
+driver.connect()
+driver.command(np.full(6, 3.0))
+print("moving", flush=True)
+while True:
+    driver.read()
+    time.sleep(0.01)
+"""
+    with emulated() as device:
+        child = subprocess.Popen(
+            [sys.executable, "-c", code, device.emulator.address], stdout=subprocess.PIPE, text=True
+        )
+        assert child.stdout is not None and child.stdout.readline() == "moving\n"
+        time.sleep(0.3)
+        child.kill()
+        child.wait()
+        assert wait_for(lambda: not device.emulator.program_running)
+        time.sleep(0.1)
+        before = device.true_positions()
+        time.sleep(0.2)
+        assert np.allclose(device.true_positions(), before)
+
+
+def test_the_dashboard_answers_like_the_real_one():
+    with emulated() as device, socket.create_connection((device.emulator.address, DASHBOARD_PORT)) as client:
+        file = client.makefile("rw")
+        assert file.readline().startswith("Connected: Universal Robots Dashboard Server")
+        for line, answer in {
+            "robotmode": "Robotmode: RUNNING",
+            "nonsense": "could not understand: 'nonsense'",
+        }.items():
+            file.write(line + "\n")
+            file.flush()
+            assert file.readline().strip() == answer
