@@ -10,6 +10,7 @@ import pytest
 from grasp_files import BAD, bad_inputs, run, some_grasps
 from PIL import Image
 
+from fungrasp.cli import evaluate as evaluate_command
 from fungrasp.evaluation import lift_test, replay
 from fungrasp.grasps import save_human_grasps
 from fungrasp.grasps.grasp_files import builtin_grasps
@@ -112,7 +113,15 @@ def test_without_adaptation_is_the_same_alone_and_in_a_comparison(human, tmp_pat
     alone = json.loads(path.read_text())
     assert "without_adaptation" not in alone
     status, _, _ = run(
-        capsys, "evaluate", "--grasps", human, "--method", "ours", "dexgraspnet", "--json", path.with_name("m.json")
+        capsys,
+        "evaluate",
+        "--grasps",
+        human,
+        "--method",
+        "ours",
+        "dexgraspnet",
+        "--json",
+        path.with_name("m.json"),
     )
     assert status == 0
     compared = json.loads(path.with_name("m.json").read_text())["methods"]["ours"]
@@ -239,7 +248,7 @@ def test_grasps_are_refined_once_for_all_conditions(human, tmp_path, capsys, mon
 
 def test_an_interrupted_run_goes_on_when_given_again(human, tmp_path, capsys, monkeypatch):
     path = tmp_path / "e.json"
-    monkeypatch.setattr(lift_test, "CHUNK", 1)
+    monkeypatch.setattr(evaluate_command, "CHUNKS", (1, 1))
     simulate, runs = lift_test._Test.run, []
 
     def interrupted(self, grasps, rows, *others):

@@ -26,18 +26,19 @@ IDENTITY = np.array([0.1, 0.2, 0.3, 1.0, 0.0, 0.0, 0.0])
 MESSAGE = PoseMessage(
     3, "c", 1.0, 1.05, "mug", "world", (0.0,) * 3 + (1.0, 0, 0, 0), 0.9, TrackingStatus.TRACKING
 )
+QUICK = TrackerErrors(delay=0.02)
 ADDRESS = f"ipc:///tmp/fungrasp-test-pose-{os.getpid()}"
 
 
 @contextlib.contextmanager
 def tracked(
-    errors: TrackerErrors = TrackerErrors(delay=0.02),
+    errors: TrackerErrors = QUICK,
 ) -> Iterator[tuple[TrackerEmulator, PoseStream]]:
     pytest.importorskip("zmq")
     pytest.importorskip("msgpack")
-    with TrackerEmulator(lambda now: IDENTITY, ADDRESS, "mug", errors) as emulator:
-        with PoseStream(ADDRESS, "mug", timeout=10.0) as stream:
-            yield emulator, stream
+    emulated = TrackerEmulator(lambda now: IDENTITY, ADDRESS, "mug", errors)
+    with emulated as emulator, PoseStream(ADDRESS, "mug", timeout=10.0) as stream:
+        yield emulator, stream
 
 
 def test_a_message_comes_back():

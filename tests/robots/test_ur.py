@@ -152,7 +152,7 @@ def test_the_controller_stops_when_its_client_dies():
     with emulated() as device:
         device.driver.connect()
         reach(device, device.near)
-        os.kill(device.driver._host._child.pid, signal.SIGKILL)
+        os.kill(device.driver.process_id, signal.SIGKILL)
         began = time.monotonic()
         assert wait_for(lambda: not device.emulator.program_running)
         assert time.monotonic() - began < 1.0

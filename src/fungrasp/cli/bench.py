@@ -1,4 +1,4 @@
-"""``fungrasp bench``: the speed of retargeting, simulation, training and perception on this machine."""
+"""``fungrasp bench``: the speed of retargeting, simulation, training, perception and drivers here."""
 
 from __future__ import annotations
 
@@ -6,7 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from fungrasp.cli.bench_identify import BenchIdentify
 from fungrasp.cli.bench_perception import BenchPerception
+from fungrasp.cli.bench_robot import BenchFaults, BenchRobot
 from fungrasp.cli.console import progress_bar, table, write_json
 
 if TYPE_CHECKING:
@@ -245,6 +247,9 @@ COMMAND = {
     "simulation": Simulation,
     "training": Training,
     "perception": BenchPerception,
+    "robot": BenchRobot,
+    "faults": BenchFaults,
+    "identify": BenchIdentify,
 }
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -21,8 +22,14 @@ if TYPE_CHECKING:
     from fungrasp.planning import Planner
     from fungrasp.transfer import Randomization
 
-SEARCHED_CHUNK = 32
-"""Grasps refined, or planned by a policy, and tried together: what an interrupted run may lose."""
+CHUNKS = (8, 128)
+"""Fewest and most grasps tried together: what an interrupted run may lose."""
+
+SEARCHED_CHUNKS = (2, 32)
+"""The same where grasps are refined, or plans are searched for, which takes a hundred times as long."""
+
+PARTS = 8
+"""Parts of which an interrupted run loses one at most, where ``CHUNKS`` allows it."""
 
 
 @dataclass(frozen=True)
@@ -304,7 +311,6 @@ class Evaluate:
     ) -> LiftTestResult:
         """names: of the method and the condition, "" for one that needs no name."""
         from fungrasp.evaluation import evaluate
-        from fungrasp.evaluation.lift_test import CHUNK
         from fungrasp.simulation import SceneSettings
 
         method, condition = names
@@ -330,7 +336,7 @@ class Evaluate:
                 use=use,
                 record=folder,
                 store=store,
-                chunk=SEARCHED_CHUNK if self.refine or self._searches(hand) else CHUNK,
+                chunk=chunk_size(len(robot), bool(self.refine) or self._searches(hand)),
                 progress=show,
             )
 
@@ -378,6 +384,12 @@ class Evaluate:
             return done[key]
 
         return Refinement(improve, f"{self.refine} tries")
+
+
+def chunk_size(grasps: int, searched: bool) -> int:
+    """Grasps to try together. The result does not depend on it."""
+    fewest, most = SEARCHED_CHUNKS if searched else CHUNKS
+    return min(max(math.ceil(grasps / PARTS), fewest), most)
 
 
 COMMAND = Evaluate

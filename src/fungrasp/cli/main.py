@@ -25,12 +25,15 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
     "train": ("fungrasp.cli.train", "train a policy on grasps: a teacher that knows the contacts"),
     "distill": ("fungrasp.cli.distill", "train a student, that sees what a robot has, from a teacher"),
     "reproduce": ("fungrasp.cli.reproduce", "the free policies of all hands, and the paper's tables"),
+    "deploy": ("fungrasp.cli.deploy", "grasp an object with a robot or its twin"),
+    "robots": ("fungrasp.cli.robots", "list, check and emulate robot cells; read and replay their logs"),
     "hands": ("fungrasp.cli.hands", "list, show, check, add and export robot hands"),
     "objects": ("fungrasp.cli.objects", "list and show objects"),
     "grasps": ("fungrasp.cli.grasps", "list, show, import and make human grasps"),
     "setup": ("fungrasp.cli.setup", "fetch the hand models that perceiving images needs"),
     "policies": ("fungrasp.cli.policies", "list and describe learned policies"),
-    "bench": ("fungrasp.cli.bench", "measure the speed of retargeting, simulation and training"),
+    "identify": ("fungrasp.cli.identify", "record a real hand's motion and fit the dynamics of its joints"),
+    "bench": ("fungrasp.cli.bench", "measure the speed of retargeting, simulation, training and drivers"),
 }
 """Module and summary of every command, in the order of the help."""
 

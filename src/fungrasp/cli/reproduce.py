@@ -87,17 +87,20 @@ class Ablation:
 
     def _result(self, variant: Variant, hand: Hand) -> dict[str, Any]:
         """Result of a variant: from its file, or trained and tested now."""
+        from fungrasp.evaluation.result_files import LARGEST
+        from fungrasp.formats.json_file import read_json
+
         path = self.out / f"{variant.name}.json"
         budget = self._budget(variant)
         if path.is_file():
             try:
-                kept = json.loads(path.read_text())
-                same = kept["budget"] == json.loads(json.dumps(budget))
-            except (OSError, ValueError, KeyError, TypeError) as error:
+                kept = read_json(path, "result", LARGEST)
+                same, result = kept["budget"] == json.loads(json.dumps(budget)), kept["result"]
+            except (FungraspError, KeyError, TypeError) as error:
                 raise FungraspError(f"{path} is damaged: remove it to test again") from error
             if not same:
                 raise FungraspError(f"{path} was made with other settings: give another --out")
-            return kept["result"]
+            return result
         policy = self._trained(variant, hand)
         result = self._tested(variant, hand, policy)
         made = run_record(self.seed)

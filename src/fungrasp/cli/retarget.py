@@ -56,6 +56,7 @@ class Retarget:
         from fungrasp.evaluation.retarget_in_parts import remove_parts, retarget_in_parts
         from fungrasp.grasps import load_human_grasps, load_objects, mirrored_grasps, save_robot_grasps
         from fungrasp.hands import load_hand
+        from fungrasp.hands.self_contacts import self_contact_words
 
         hand = load_hand(self.hand)
         human = load_human_grasps(self.grasps)
@@ -75,13 +76,17 @@ class Retarget:
             result = retarget_in_parts(human, objects, hand, self.method, self.threads, parts, finished)
         robot, quality = result.robot, result.quality
         save_robot_grasps(self.out, robot)
+        touching = self_contact_words(hand.model, robot.joint_positions)
         remove_parts(parts)
         rate = result.solved / max(result.seconds, 1e-9)
         if self.quality is not None:
-            write_json(self.quality, finite(quality.summary()) | {"grasps_per_second": rate})
+            numbers = {"grasps_per_second": rate, "self_penetration_reasons": touching}
+            write_json(self.quality, finite(quality.summary()) | numbers)
         if self.picture is not None:
             draw_grasps(self.picture, robot, objects, hand, human)
         print(static_quality_table(quality.summary()))
+        for words in touching:
+            print(f"warning: {words}")
         print(f"{self.out}: {len(robot)} grasps of {len(objects)} objects, {rate:.0f} grasps/s")
 
 

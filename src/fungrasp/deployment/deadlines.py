@@ -51,6 +51,6 @@ class DeadlineMonitor:
             return "no tick"
         ms = 1e3 * np.array(self.lateness)
         return (
-            f"{len(ms)} ticks, late by {np.median(ms):.2f} ms (median), {np.percentile(ms, 99):.2f} ms (99 %), "
-            f"{ms.max():.2f} ms (largest); {self.late} later than {1e3 * self.late_tick:g} ms"
+            f"{len(ms)} ticks, late by {np.median(ms):.2f} ms (median), {np.percentile(ms, 99):.2f} ms "
+            f"(99 %), {ms.max():.2f} ms (largest); {self.late} later than {1e3 * self.late_tick:g} ms"
         )

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from typing import Any
+from itertools import pairwise
 
 import numpy as np
 
@@ -17,7 +18,7 @@ from fungrasp.deployment.safety import SafetyGuard, check_pose
 from fungrasp.errors import FungraspError
 from fungrasp.geometry.poses import compose
 from fungrasp.grasps import RobotGraspSet
-from fungrasp.robots.device import RobotError, StopKind
+from fungrasp.robots.device import DeviceStatus, RobotError, StopKind
 from fungrasp.robots.kinematics.arm_model import ClearanceModel
 from fungrasp.robots.kinematics.joint_path import timed_leg
 from fungrasp.robots.robot import Robot, RobotCommand, RobotState, SafetyStop
@@ -25,6 +26,10 @@ from fungrasp.task import Action, Policy
 
 ARRIVED = 2e-3
 """A setpoint is where it should be if it is this near [m]: the hold begins as in the lift test."""
+
+
+MOVED = 0.02
+"""A joint of the arm that is farther from where it was has moved [rad]."""
 
 
 @dataclass(frozen=True)
@@ -101,6 +106,7 @@ class Deployment:
         self.ticks, self.setpoint_ticks = DeadlineMonitor(late), DeadlineMonitor(late)
         self._times: dict[str, float] = {}
         self._prepared: PreparedGrasp | None = None
+        self._last_action: Action | None = None
         clearance = ClearanceModel(robot.cell, robot.hand)
         self._guard = SafetyGuard(
             robot.cell,
@@ -123,10 +129,12 @@ class Deployment:
         """
         robot = self.robot
         robot.guard, robot.watch = self._guard, self._watch
+        robot.due = lambda planned: self.setpoint_ticks.record(planned, robot.clock.now())
         try:
             self._times[Phase.IDLE] = robot.clock.now()
             object_pose, state = self._look()
             prepared = self._prepare(grasp, object_pose, state)
+            state = self._awake(state)
             self._begin(Phase.MOVE_TO_START)
             self._move([state.arm.positions, *prepared.corners], prepared.start_fingers)
             self._follow_policy(prepared, object_pose)
@@ -180,10 +188,8 @@ class Deployment:
         now = self.robot.clock.now()
         self._times.setdefault(Phase.FAULT, now)
         # The log may be what has failed.
-        try:
+        with suppress(OSError, ValueError):
             self.log.event(now, "fault", reason)
-        except (OSError, ValueError):
-            pass
         self._on_phase(Phase.FAULT)
 
     def _look(self) -> tuple[np.ndarray, RobotState]:
@@ -193,8 +199,11 @@ class Deployment:
         deadline = robot.clock.now() + s.wait_time
         while state.tracked is None or not robot.ready:
             if robot.clock.now() > deadline:
-                what = "the tracker sees no object" if robot.ready else "arm or hand don't follow commands"
-                raise RobotError(f"{what} for {s.wait_time:g} s: look at the device, then start anew")
+                for name, joints in (("arm", state.arm), ("hand", state.hand)):
+                    if joints.status is not DeviceStatus.READY:
+                        said = f"{joints.status} {joints.message}".strip()
+                        raise RobotError(f"the {name} does not follow: {said}; start anew")
+                raise RobotError(f"the tracker sees no object for {s.wait_time:g} s: look where it looks")
             self._check_switch()
             robot.clock.sleep_until(robot.clock.now() + 0.02)
             state = robot.state()
@@ -209,12 +218,21 @@ class Deployment:
             raise RobotError(f"{problem}: look at the tracker, then start anew")
         return _average(np.array(poses)), state
 
-    def _prepare(
-        self, grasp: RobotGraspSet, object_pose: np.ndarray, state: RobotState
-    ) -> PreparedGrasp:
+    def _prepare(self, grasp: RobotGraspSet, object_pose: np.ndarray, state: RobotState) -> PreparedGrasp:
         self._prepared = self._preparer.prepare(grasp, object_pose, state.arm.positions)
         self.log.begin(self._prepared.plan, {"cell": self.robot.cell.name, **self._about})
         return self._prepared
+
+    def _awake(self, state: RobotState) -> RobotState:
+        """The state after planning: drivers that heard nothing meanwhile hold, and are told to go on."""
+        robot = self.robot
+        if not robot.ready:
+            robot.arm.connect()
+            robot.hand_driver.connect()
+        now = robot.state()
+        if np.abs(now.arm.positions - state.arm.positions).max() > MOVED:
+            raise RobotError("the arm was moved while the grasp was planned: start anew")
+        return now
 
     def _move(self, corners: list[np.ndarray], fingers: np.ndarray) -> None:
         """Move the arm from posture to posture, and the fingers on the first leg."""
@@ -222,12 +240,12 @@ class Deployment:
         self._guard.reset()
         last = robot.hand_driver.read().positions
         when = robot.clock.now()
-        for start, end in zip(corners[:-1], corners[1:], strict=True):
+        for start, end in pairwise(corners):
             path = timed_leg(start, end, robot.kinematics, robot.cell.limits, period)
             reach = robot.cell.limits.hand_speed * 0.2 * period * len(path)
             goal = np.clip(fingers, last - reach, last + reach)
             for i, joints in enumerate(path):
-                robot.clock.sleep_until(when)
+                robot.wait(when)
                 self._check_switch()
                 robot.send(joints, last + (i + 1) / len(path) * (goal - last))
                 when += period
@@ -274,8 +292,8 @@ class Deployment:
         """Lower the object, open the hand, withdraw along the way that the palm came."""
         robot, plan, period = self.robot, prepared.plan, self.robot.protocol.control_period
         robot.begin(robot.state())
-        action = self._last_action
-        low = action.palm_goal
+        assert self._last_action is not None
+        low = self._last_action.palm_goal
         fingers = self.robot.setpoints.fingers.copy()
         start, step, opened = robot.clock.now(), 0, 0.0
         # The same goal until the object stands; then the hand opens.
@@ -331,8 +349,6 @@ class Deployment:
         self._check_switch()
         self.log.setpoint(self.machine.phase, state, command)
         self._on_setpoint(self.machine.phase)
-
-    _last_action: Any = None
 
 
 def _average(poses: np.ndarray) -> np.ndarray:

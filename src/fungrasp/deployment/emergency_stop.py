@@ -1,4 +1,4 @@
-"""The stop switch of software: a key, a file, or a call. It does not replace the emergency stop of the robot."""
+"""The stop switch of software: a key, a file, or a call. It does not replace the robot's emergency stop."""
 
 from __future__ import annotations
 

@@ -30,9 +30,7 @@ class Phase(StrEnum):
     """Stopped; a person has to look, and to start anew."""
 
 
-FOLLOWING: dict[Phase, Phase] = dict(
-    zip(list(Phase)[:-2], list(Phase)[1:-1], strict=True)
-)
+FOLLOWING: dict[Phase, Phase] = dict(zip(list(Phase)[:-2], list(Phase)[1:-1], strict=True))
 """The phase that follows each; FAULT may follow any, and nothing follows FAULT."""
 
 
@@ -52,7 +50,9 @@ class PhaseMachine:
             RobotError: it does not follow the present one, or that is FAULT.
         """
         if self.phase is Phase.FAULT:
-            raise RobotError(f"the robot is in the state of fault ({self.fault}): look at it, then start anew")
+            raise RobotError(
+                f"the robot is in the state of fault ({self.fault}): look at it, then start anew"
+            )
         if FOLLOWING.get(self.phase) is not phase:
             raise RobotError(f"the phase '{phase}' does not follow '{self.phase}'")
         self.phase = phase

@@ -1,4 +1,4 @@
-"""From a grasp and a seen object to a plan that the arm can follow: everything that is decided before anything
+"""From a grasp and a seen object to a plan that the arm can follow: all that is decided before anything
 moves."""
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ from fungrasp.robots.kinematics.reach import PalmPath, Reach, ReachChecker
 from fungrasp.simulation import build_scene
 from fungrasp.task import Belief, GraspPlan, LiftProtocol
 from fungrasp.task.start_pose import StartPoses, start_on_line
+from fungrasp.transfer.joint_dynamics import JointDynamics, model_dynamics
 
 SHIFTS = (0.0, -0.1, 0.1)
 """Displacements of the object along both axes that are tried where it can't be grasped as it stands [m]."""
@@ -49,6 +50,22 @@ class HandDynamics:
     """Stiffness of each joint's servo, shape [M]."""
     servo_damping: np.ndarray
     """Damping of each joint's servo, shape [M]."""
+
+    @classmethod
+    def of(cls, hand: Hand, dynamics: JointDynamics) -> HandDynamics:
+        """The factors of identified joints; those that were not identified are as in the model.
+
+        Args:
+            hand: with the model.
+            dynamics: of some or all of its independent joints.
+        """
+        model, factors = model_dynamics(hand), np.ones((2, len(hand.joint_names)))
+        for j, name in enumerate(dynamics.joints):
+            joint, row = hand.joint_names.index(name), model.joints.index(name)
+            factors[0, joint] = dynamics.stiffness[j] / model.stiffness[row]
+            # What is identified is the sum of both dampings.
+            factors[1, joint] = dynamics.damping[j] / max(model.damping[row], 1e-9)
+        return cls(factors[1], factors[0], factors[1].copy())
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,9 +212,7 @@ class GraspPreparer:
         center = compose(object_pose, np.concatenate([middle, [1.0, 0, 0, 0]]))[:3]
         return np.append(center, radius)
 
-    def placements(
-        self, grasp: RobotGraspSet, object_pose: np.ndarray
-    ) -> Iterator[tuple[np.ndarray, str]]:
+    def placements(self, grasp: RobotGraspSet, object_pose: np.ndarray) -> Iterator[tuple[np.ndarray, str]]:
         """Poses of the object on the table from which the arm can reach the grasp as it seems, the least move
         first, that as it stands included; each with the move in words.
 
@@ -216,8 +231,8 @@ class GraspPreparer:
             if not self._reach.possible(self._straight(grasp, moved, start, fingers)):
                 yield (
                     moved,
-                    f"moved by ({100 * x:g}, {100 * y:g}) cm and turned by {np.rad2deg(turn):.0f} degrees about "
-                    "the vertical",
+                    f"moved by ({100 * x:g}, {100 * y:g}) cm and turned by {np.rad2deg(turn):.0f} degrees "
+                    "about the vertical",
                 )
 
     def _advice(self, grasp: RobotGraspSet, object_pose: np.ndarray, obstacle: str, advise: bool) -> str:

@@ -35,7 +35,7 @@ import numpy as np
 from fungrasp.geometry.poses import relative
 from fungrasp.robots.cell import RobotCell
 from fungrasp.robots.device import DeviceStatus, JointLimits, StopKind, TrackedPose
-from fungrasp.robots.kinematics.arm_model import Clearance
+from fungrasp.robots.kinematics.arm_model import MARGIN, Clearance
 from fungrasp.robots.robot import RobotCommand, RobotState, SafetyStop
 
 TOLERANCE = 1.02
@@ -170,9 +170,7 @@ def _clipped(command: RobotCommand, c: SafetyContext) -> Verdict:
     return Verdict(replace(command, **parts), Reaction.CLIP, f"{' and '.join(parts)} clipped to limits")
 
 
-def check_pose(
-    tracked: TrackedPose | None, reference: np.ndarray, time: float, cell: RobotCell
-) -> str:
+def check_pose(tracked: TrackedPose | None, reference: np.ndarray, time: float, cell: RobotCell) -> str:
     """What is wrong with the tracked pose before the fingers close, as a phrase; "" for nothing.
 
     Args:
@@ -199,7 +197,7 @@ def _beyond(torques: np.ndarray | None, limit: float) -> bool:
 
 
 class SafetyGuard:
-    """Remembers what ``check_setpoint`` needs from one setpoint to the next; a ``fungrasp.robots.robot.Guard``."""
+    """A ``fungrasp.robots.robot.Guard`` that remembers what ``check_setpoint`` needs to know of the past."""
 
     def __init__(
         self,
@@ -248,6 +246,9 @@ class SafetyGuard:
         fingers = state.hand.positions
         finite = np.isfinite(command.arm).all() and np.isfinite(fingers).all()
         gap = self._clearance(command.arm, fingers) if finite else Clearance(0.0, 0.0, 0.0)
+        if not self._moving:
+            # In a dry run the fingers stay open, so that where the hand would be is not known.
+            gap = replace(gap, hand=MARGIN)
         self.verdict = verdict = check_setpoint(state, command, context, gap)
         if verdict.reaction in (Reaction.HOLD, Reaction.OPEN):
             kind = StopKind.OPEN if verdict.reaction is Reaction.OPEN else StopKind.HOLD

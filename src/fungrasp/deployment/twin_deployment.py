@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -45,9 +45,10 @@ class TwinOutcome:
 
 def reachable_placement(
     cell: RobotCell, hand: Hand, thing: ObjectModel, grasp: RobotGraspSet, seed: int = 0
-) -> np.ndarray:
-    """Where a person would put the object so that the arm can grasp it: the first placement for which one
-    planned motion can be followed, world frame, shape [7].
+) -> tuple[np.ndarray, np.ndarray]:
+    """Where a person would put the object so that the arm can grasp it.
+
+    It is the first placement for which one planned motion can be followed.
 
     Args:
         cell: the robot.
@@ -56,19 +57,25 @@ def reachable_placement(
         grasp: one.
         seed: of the postures that are tried.
 
+    Returns:
+        the object, world frame, shape [7]; the arm's posture as the motion begins [rad], shape [A].
+
     Raises:
         UnreachableError: there is none nearby.
     """
+    # What is seen differs by millimetres from what is: more room than is needed.
+    roomy = replace(cell.workspace, table_clearance=2 * cell.workspace.table_clearance)
+    cell = replace(cell, workspace=roomy)
     preparer = GraspPreparer(cell, hand, thing, MotionPlanner(hand, {thing.name: thing}), seed=seed)
     home = np.asarray(cell.arm.home)
     for tries, (pose, _) in enumerate(preparer.placements(grasp, grasp.object_rest_pose[0])):
-        if tries >= 8:
+        if tries >= 12:
             break
         try:
-            preparer.prepare(grasp, pose, home, advise=False)
+            prepared = preparer.prepare(grasp, pose, home, advise=False)
         except UnreachableError:
             continue
-        return pose
+        return pose, prepared.reach.start
     raise UnreachableError(
         f"no placement of '{thing.name}' was found from which the arm can grasp it: take another grasp"
     )

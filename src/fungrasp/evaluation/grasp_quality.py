@@ -14,11 +14,11 @@ from fungrasp.evaluation.penetration import exact_clearance, nearest_surface_poi
 from fungrasp.geometry import SignedDistanceBank
 from fungrasp.geometry.poses import compose, inverse_transform_points, invert, transform_points
 from fungrasp.grasps import HumanGraspSet, RobotGraspSet
-from fungrasp.hands import Hand
+from fungrasp.hands import Hand, as_hand
 from fungrasp.hands.collision_spheres import CollisionSpheres, collision_spheres, self_collision_depth
 from fungrasp.hands.correspondence import Correspondence, correspond
 from fungrasp.hands.kinematics import BodyPoints, HandKinematics
-from fungrasp.objects import ObjectModel
+from fungrasp.objects import ObjectModel, check_objects
 from fungrasp.optimization.collision_scene import project_to_surface
 from fungrasp.optimization.contact_forces import CONTACT_DISTANCE
 
@@ -70,7 +70,7 @@ def static_quality(
     robot: RobotGraspSet,
     human: HumanGraspSet,
     objects: Mapping[str, ObjectModel],
-    hand: Hand,
+    hand: Hand | str,
     spacing: float = 0.004,
 ) -> StaticQuality:
     """Judge robot grasps against the human ones they imitate.
@@ -79,11 +79,14 @@ def static_quality(
         robot: N grasps of ``hand``.
         human: the same N grasps, as the human did them.
         objects: by name.
+        hand: the robot hand, or its name.
         spacing: of the points that cover the hand's collision geometry [m].
 
     Raises:
         FungraspError: the sets don't belong together.
     """
+    hand = as_hand(hand)
+    check_objects(robot.object_name.tolist(), objects)
     if len(robot) != len(human) or np.any(robot.object_name != human.object_name):
         raise FungraspError(
             "the robot grasps and the human grasps are not of the same objects in the same order"

@@ -17,8 +17,8 @@ from fungrasp.evaluation.trajectory import Recorder
 from fungrasp.evaluation.use_test import UseTest
 from fungrasp.files import digest
 from fungrasp.grasps import RobotGraspSet
-from fungrasp.hands import Hand
-from fungrasp.objects import ObjectModel, with_sizes
+from fungrasp.hands import Hand, as_hand
+from fungrasp.objects import ObjectModel, check_objects, with_sizes
 from fungrasp.planning import MotionPlanner, Planner
 from fungrasp.planning.selection import SearchPlanner, SelectionSettings
 from fungrasp.policies import make_planner, make_policy, policy_files
@@ -45,7 +45,7 @@ class Refinement:
     """Name of the refinement, settings included."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class LiftTestResult:
     """Outcome of N episodes."""
 
@@ -77,11 +77,15 @@ class LiftTestResult:
     use: UseOutcomes | None = None
     """Outcomes of the use tests that followed; None if there were none."""
 
+    def __repr__(self) -> str:
+        held = int(np.sum(self.outcomes.success))
+        return f"<LiftTestResult: hand {self.hand!r}, policy {self.policy!r}, {held} of {len(self.index)} held>"
+
 
 def evaluate(
     grasps: RobotGraspSet,
     objects: Mapping[str, ObjectModel],
-    hand: Hand,
+    hand: Hand | str,
     policy: str | Policy | PrivilegedPolicy = "reference",
     *,
     planner: Planner | None = None,
@@ -103,7 +107,7 @@ def evaluate(
     Args:
         grasps: of ``hand``.
         objects: by name.
-        hand: the robot hand.
+        hand: the robot hand, or its name.
         policy: a policy, or the name or file of one (``fungrasp.policies.make_policy``).
         planner: whose plans it follows; the one that belongs to a policy's name, and ``MotionPlanner`` for a
             policy object, if None.
@@ -125,7 +129,9 @@ def evaluate(
     Raises:
         FungraspError: an unknown policy, grasps of another hand, or a folder that can't be written to.
     """
+    hand = as_hand(hand)
     check_hand(grasps, hand)
+    check_objects(grasps.object_name.tolist(), objects)
     if store is not None and not (isinstance(policy, str) and (planner is None or hasattr(planner, "key"))):
         raise FungraspError(
             "partial results are kept only for a policy that is given by name and a planner that has a key"
@@ -196,8 +202,12 @@ def check_hand(grasps: RobotGraspSet, hand: Hand) -> None:
     """Complain about grasps of another hand.
 
     Raises:
-        FungraspError: another name, other joints or other contact links.
+        FungraspError: human grasps, another name, other joints or other contact links.
     """
+    if not isinstance(grasps, RobotGraspSet):
+        raise FungraspError(
+            f"expected robot grasps, not a {type(grasps).__name__}: retarget them first (fungrasp.retarget.retarget)"
+        )
     if grasps.hand != hand.name:
         raise FungraspError(f"the grasps are of the hand '{grasps.hand}', not of '{hand.name}'")
     if grasps.joint_names != hand.joint_names or grasps.link_contacts.shape[1] != len(hand.links):

@@ -14,6 +14,7 @@ from scipy import ndimage
 from scipy.spatial import KDTree
 
 from fungrasp.files import atomic_path
+from fungrasp.formats.numpy_files import read_npz
 
 MOST_SAMPLES = 2_000_000
 """Most surface samples of a mesh, and most pairs of a point and a triangle that are worked on together."""
@@ -92,8 +93,8 @@ class SignedDistanceGrid:
     @classmethod
     def load(cls, path: str | Path) -> SignedDistanceGrid:
         """Read what ``save`` wrote."""
-        with np.load(path, allow_pickle=False) as data:
-            return cls(data["origin"], float(data["spacing"]), data["values"])
+        data = read_npz(path, "signed distances")
+        return cls(data["origin"], float(data["spacing"]), data["values"])
 
 
 class GridArrays(NamedTuple):

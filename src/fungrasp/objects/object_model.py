@@ -21,7 +21,7 @@ GRID_FORMAT = 2
 """Goes up when the same mesh should give another grid."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class ObjectModel:
     """An object. ``fungrasp.objects.load_object`` makes it."""
 
@@ -45,6 +45,9 @@ class ObjectModel:
     """The object of which this is the reflection in the plane y = 0."""
     scaled_from: tuple[ObjectModel, float] | None = None
     """The object that this is another size of, and the factor."""
+
+    def __repr__(self) -> str:
+        return f"<ObjectModel: {self.name!r}, {self.mass:g} kg, {len(self.faces)} triangles>"
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.mass) and self.mass > 0):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, is_dataclass
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any, get_type_hints
 
@@ -170,6 +170,7 @@ def load_cell(name: str | Path) -> RobotCell:
         dynamics = path.parent / cell.hand_dynamics
         if not dynamics.is_file():
             raise FungraspError(f"{path}: there is no file '{dynamics}': run 'fungrasp identify fit'")
+        cell = replace(cell, hand_dynamics=str(dynamics))
     return cell
 
 

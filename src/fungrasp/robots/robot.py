@@ -78,7 +78,8 @@ Guard = Callable[[RobotState, RobotCommand], RobotCommand]
 class Robot:
     """Arm, hand and tracker behind the interface of a policy: observations in, actions out.
 
-    Setpoints advance as in simulation (``fungrasp.task.setpoints``), every 20 ms. All calls come from one thread.
+    Setpoints advance as in simulation (``fungrasp.task.setpoints``), every 20 ms. All calls come from one
+    thread.
     """
 
     def __init__(
@@ -123,6 +124,8 @@ class Robot:
         """Sees every command before it is sent."""
         self.watch: Callable[[RobotState, RobotCommand], None] = lambda state, command: None
         """Called after each command that was sent, to record."""
+        self.due: Callable[[float], object] = lambda planned: None
+        """Called when a setpoint's turn has come, with the time at which it should have come."""
         self._follower: PalmFollower | None = None
         self._gravity = GravityCompensation(hand)
         servos = np.array([servo.kp for servo in hand.actuators.values()])
@@ -233,8 +236,8 @@ class Robot:
         )
 
     def send_action(self, action: Action, start: float | None = None) -> Action:
-        """Do what a policy asks: five setpoints, 20 ms apart. Returns when the last one is sent, 80 ms after the
-        first.
+        """Do what a policy asks: five setpoints, 20 ms apart. Returns when the last one is sent, 80 ms after
+        the first.
 
         Args:
             action: one row.
@@ -259,7 +262,7 @@ class Robot:
         assert self._follower is not None, "begin() comes first"
         sent = None
         for i in range(len(sequence.palm)):
-            self.clock.sleep_until(start + i * self.setpoints.period)
+            self.wait(start + i * self.setpoints.period)
             joints, place, turn = self._follower.follow(sequence.palm[i, 0], self.setpoints.period)
             if place > 0.02 or turn > 0.1:
                 self.stop()
@@ -272,6 +275,11 @@ class Robot:
             finger_targets=sent.hand[None],
             lift=np.array([np.isfinite(self.lift_time)]),
         )
+
+    def wait(self, when: float) -> None:
+        """Wait for a setpoint's turn. when: time of the robot's clock [s]."""
+        self.clock.sleep_until(when)
+        self.due(when)
 
     def send(self, arm: np.ndarray, fingers: np.ndarray) -> RobotCommand:
         """Send one setpoint to all servos.

@@ -235,8 +235,9 @@ class MujocoCpuEngine:
         if friction is not None:
             self.batch.expand("geom_friction")[ids, :, 0] = np.asarray(friction, dtype=float)[:, None]
         if joint_friction is not None:
-            own = self.model.dof_frictionloss[self._finger_dofs]
-            self.batch.expand("dof_frictionloss")[ids[:, None], self._finger_dofs] = own + joint_friction
+            dofs, dry = self._finger_dofs, np.asarray(joint_friction, dtype=float)
+            own = self.model.dof_frictionloss[dofs]
+            self.batch.expand("dof_frictionloss")[ids[:, None], dofs] = own + dry
         if joint_damping is not None:
             self._scale("dof_damping", ids, (self._finger_dofs,), joint_damping)
         # A position servo pulls with gain[0] * ctrl + bias[1] * angle + bias[2] * velocity.

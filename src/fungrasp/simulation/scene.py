@@ -15,7 +15,7 @@ import numpy as np
 from mujoco.batch import MODEL_FIELDS
 
 from fungrasp.errors import FungraspError
-from fungrasp.hands import Hand
+from fungrasp.hands import Hand, as_hand
 from fungrasp.objects import ObjectModel
 
 WRIST_JOINTS = ("wrist_x", "wrist_y", "wrist_z", "wrist_roll", "wrist_pitch", "wrist_yaw")
@@ -110,17 +110,18 @@ class Scene:
 
 
 def build_scene(
-    hand: Hand, objects: Mapping[str, ObjectModel], settings: SceneSettings | None = None
+    hand: Hand | str, objects: Mapping[str, ObjectModel], settings: SceneSettings | None = None
 ) -> Scene:
     """Compile the scene of a hand and the objects it may meet.
 
     Args:
-        hand: any hand.
+        hand: any hand, or its name.
         objects: by name.
 
     Raises:
         FungraspError: no object, or the scene does not compile.
     """
+    hand = as_hand(hand)
     if not objects:
         raise FungraspError("a scene needs at least one object")
     settings = settings or SceneSettings()

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from fungrasp.geometry.poses import compose, quaternion_from_rotation_vector, relative, rotate
+from fungrasp.geometry.poses import compose, relative
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.objects import scaled_name, shifted_mass
 from fungrasp.simulation import Engine, MujocoCpuEngine, Scene
@@ -16,12 +16,13 @@ from fungrasp.task.action import Action
 from fungrasp.task.belief import Belief
 from fungrasp.task.grasp_plan import GraspPlan
 from fungrasp.task.lift import LiftTask
+from fungrasp.task.object_placement import Placement, on_drawn_table, where_seen
 from fungrasp.task.observation import Observation, Privileged
 from fungrasp.task.outcome import Outcomes
 from fungrasp.task.policy import Policy, PrivilegedPolicy
 from fungrasp.task.protocol import LiftProtocol
 from fungrasp.task.sensors import SimulatedSensors
-from fungrasp.transfer import NOMINAL, EpisodeSample, Randomization, draw, shift_on_table, tilt_on_table
+from fungrasp.transfer import NOMINAL, EpisodeSample, Randomization, draw, shift_on_table
 
 
 class LiftEnvironment:
@@ -84,9 +85,10 @@ class LiftEnvironment:
         """
         everyone = np.arange(len(self))
         self.sample = self.sample if sample is None else sample
-        rest = self._on_table(grasps.object_rest_pose, self.sample)
-        self._set_parameters(everyone, grasps.object_name, grasps.object_mass, rest)
-        self.task.settle(replace(grasps, object_rest_pose=rest), self.sample.table_height)
+        rest = on_drawn_table(grasps.object_rest_pose, np.zeros(len(self)), self.sample)
+        index = self._object_index(grasps.object_name, self.sample)
+        self._set_parameters(everyone, index, grasps.object_mass, rest)
+        self.task.settle(replace(grasps, object_rest_pose=rest.object_pose), rest.table_height)
         self.sensors.begin(everyone)
         seen = self.sensors.estimated_object_pose(self.task.settled_pose.copy(), self.sample)
         setpoints = self.task.setpoints
@@ -128,7 +130,8 @@ class LiftEnvironment:
         *,
         hand_followed: bool = False,
     ) -> None:
-        """Begin episodes of some worlds in the midst of their plans, objects at rest.
+        """Begin episodes of some worlds in the midst of their plans, objects at rest where they are seen
+        where the plans have them.
 
         Args:
             ids: worlds, shape [I].
@@ -136,17 +139,24 @@ class LiftEnvironment:
             step: control step of the plan to begin at, shape [I] int.
             sample: what differs from the nominal worlds, I episodes.
             belief: with the nominal friction and joint dynamics, I rows; the scene's if None.
-            hand_followed: whether the hand has followed an object that was moved since it was planned for;
-                else it is where the plan has it.
+            hand_followed: whether the hand has followed an object that was moved since it was planned for,
+                to where it is seen; else it is where the plan has it.
         """
         self.engine.reset(ids)
         self.sample = self.sample.replaced(ids, sample)
-        placed = self._on_table(shift_on_table(plans.object_pose, sample.object_shift), sample, belief)
-        self._set_parameters(ids, plans.object_name, plans.object_mass, placed, belief)
-        rows, origin = np.arange(len(ids)), placed if hand_followed else plans.object_pose
+        seen = shift_on_table(plans.object_pose, sample.object_shift)
+        index = self._object_index(plans.object_name, sample)
+        height = np.zeros(len(ids)) if belief is None else belief.table_height
+        center = self._mass_distribution(index, plans.object_mass, sample.center_of_mass_shift)[0]
+        models = [self.scene.models[i] for i in index]
+        placed = where_seen(seen, height, sample, models, center)
+        self._set_parameters(ids, index, plans.object_mass, placed, belief)
+        rows, origin = np.arange(len(ids)), plans.object_pose
+        if hand_followed:
+            origin = on_drawn_table(seen, height, sample).object_pose
         self.task.begin(
             ids,
-            placed,
+            placed.object_pose,
             compose(origin, plans.grasp_palm_pose),
             compose(origin, plans.palm_setpoint[rows, step]),
             plans.finger_targets[rows, np.maximum(step - 1, 0)],
@@ -184,31 +194,27 @@ class LiftEnvironment:
             lifted_height=self.task.measurements.height,
         )
 
-    def _on_table(self, pose: np.ndarray, sample: EpisodeSample, belief: Belief | None = None) -> np.ndarray:
-        """Where objects are on tables that are higher and tilted. pose: of those on nominal ones, shape
-        [I, 7]."""
-        raised = pose.copy()
-        raised[:, 2] += sample.table_height
-        if not sample.table_tilt.any():
-            return raised
-        return tilt_on_table(raised, sample.table_tilt, _table_height(sample, belief))
+    def _object_index(self, names: np.ndarray, sample: EpisodeSample) -> np.ndarray:
+        """Index of each object in the size drawn, shape [I]. names: shape [I] str."""
+        sizes = zip(names.tolist(), sample.object_scale.tolist(), strict=True)
+        return self.scene.indices([scaled_name(name, factor) for name, factor in sizes])
 
     def _set_parameters(
         self,
         ids: np.ndarray,
-        names: np.ndarray,
+        index: np.ndarray,
         mass: np.ndarray,
-        placed: np.ndarray,
+        placed: Placement,
         belief: Belief | None = None,
     ) -> None:
         """The physics of some worlds: nominal parameters and what was drawn.
 
         Args:
             ids: worlds, shape [I].
-            names: of their objects, shape [I] str.
+            index: of their objects in the scene, shape [I].
             mass: nominal one of these [kg], shape [I].
-            placed: where they are put, world frame, shape [I, 7].
-            belief: with the nominal friction, table and joint dynamics, I rows; the scene's if None.
+            placed: where these and their tables are.
+            belief: with the nominal friction and joint dynamics, I rows; the scene's if None.
         """
         s, nominal = self.sample.select(ids), self.scene.settings.friction
         friction = np.full(len(ids), nominal) if s.friction is None else s.friction
@@ -219,18 +225,17 @@ class LiftEnvironment:
             stiffness = stiffness if belief.servo_stiffness is None else stiffness * belief.servo_stiffness
             servo = servo if belief.servo_damping is None else servo * belief.servo_damping
         self._mass[ids], self._friction[ids] = mass * s.mass, friction
-        sizes = zip(names.tolist(), s.object_scale.tolist(), strict=True)
-        index = self.scene.indices([scaled_name(name, factor) for name, factor in sizes])
         center, inertia = self._mass_distribution(index, self._mass[ids], s.center_of_mass_shift)
+        shifted = bool(s.center_of_mass_shift.any())
         self.engine.set_parameters(
             ids,
             object_index=index,
             object_mass=self._mass[ids],
-            object_center=center,
-            object_inertia=inertia,
+            object_center=center if shifted else None,
+            object_inertia=inertia if shifted else None,
             friction=friction,
-            table_height=_height_at_origin(_table_height(s, belief), s.table_tilt, placed),
-            table_tilt=s.table_tilt,
+            table_height=placed.height_at_origin,
+            table_tilt=placed.table_tilt,
             joint_friction=s.joint_friction * self._torque_limit,
             joint_damping=damping,
             servo_stiffness=stiffness[:, self._driven],
@@ -245,11 +250,9 @@ class LiftEnvironment:
 
     def _mass_distribution(
         self, index: np.ndarray, mass: np.ndarray, shift: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray] | tuple[None, None]:
-        """Centers of mass [m], shape [I, 3], and inertias about them [kg m2], shape [I, 3, 3], where they are
-        not the objects' own."""
-        if not shift.any():
-            return None, None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Centers of mass [m], object frame, shape [I, 3], and inertias about them [kg m2], shape
+        [I, 3, 3]."""
         models = [self.scene.models[i] for i in index]
         inertia = np.array([model.inertia / model.mass for model in models])
         return shifted_mass(
@@ -271,24 +274,6 @@ class LiftEnvironment:
         weight = self.scene.settings.gravity * self._mass[:, None]
         size = np.where(active, s.push_force + s.push_weights * weight, 0.0)
         self.engine.push_object((size[..., None] * s.push_direction).sum(axis=1))
-
-
-def _table_height(sample: EpisodeSample, belief: Belief | None) -> np.ndarray:
-    """Height of the table top under the objects [m], shape [I]."""
-    return sample.table_height if belief is None else sample.table_height + belief.table_height
-
-
-def _height_at_origin(height: np.ndarray, tilt: np.ndarray, placed: np.ndarray) -> np.ndarray:
-    """Height of tilted table tops at the world's origin [m], shape [I].
-
-    Args:
-        height: under the objects [m], shape [I].
-        tilt: rotation vector of the table tops, x and y [rad], shape [I, 2].
-        placed: where the objects are, world frame, shape [I, 7].
-    """
-    turn = quaternion_from_rotation_vector(np.concatenate([tilt, np.zeros((len(tilt), 1))], axis=1))
-    normal = rotate(turn, np.array([0.0, 0.0, 1.0]))
-    return height + np.sum(normal[:, :2] * placed[:, :2], axis=1) / normal[:, 2]
 
 
 def play(

@@ -162,6 +162,14 @@ class TrainingEnvironment:
             {name: float(np.nanmean(v)) for name, v in terms.items()},
         )
 
+    def restart(self) -> None:
+        """Begin new episodes in all worlds: what follows depends on the random numbers, the success rates and
+        the actions alone, so that it can be repeated from a checkpoint."""
+        everyone = np.arange(self.settings.worlds)
+        self.tracker.begin(everyone, self._begin(everyone), self.episodes.observe())
+        self._privileged = self.episodes.privileged()
+        self.observations = self._observe(everyone)
+
     def _report(self, diverged: np.ndarray) -> None:
         """Count and name worlds whose physics broke down."""
         self.diverged += len(diverged)

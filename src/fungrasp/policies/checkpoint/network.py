@@ -173,22 +173,11 @@ def onnx_runtime() -> ModuleType:
     return onnxruntime
 
 
-def onnx_metadata(model: bytes) -> dict[str, str]:
-    """The metadata entries of an ONNX file.
-
-    Raises:
-        FungraspError: ONNX Runtime is missing or refuses the file.
-    """
-    return _session(model, threads=1, optimized=False).get_modelmeta().custom_metadata_map
-
-
-def _session(model: bytes, threads: int, optimized: bool = True) -> Any:
+def _session(model: bytes, threads: int) -> Any:
     runtime = onnx_runtime()
     if threads < 1:
         raise FungraspError(f"a policy needs at least one thread, not {threads}")
     options = runtime.SessionOptions()
-    if not optimized:
-        options.graph_optimization_level = runtime.GraphOptimizationLevel.ORT_DISABLE_ALL
     options.intra_op_num_threads = threads
     options.inter_op_num_threads = 1
     options.log_severity_level = 4

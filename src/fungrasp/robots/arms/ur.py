@@ -84,6 +84,7 @@ class URLoop:
         self.settings = settings
         self.name = f"{settings.model} at {settings.address}"
         self.stale_after = settings.stale_after
+        self.takes_feedforward = False
         reach = np.full(JOINTS, settings.range)
         speed = np.full(JOINTS, settings.velocity)
         self.limits = JointLimits(-reach, reach, speed, np.array(settings.torque_limits))
@@ -155,6 +156,9 @@ class URLoop:
         """See ``DeviceLoop.close``: the connections end with the process. Closing them takes ur_rtde a second
         where the controller answers, and for ever where it does not."""
 
+    def rescue(self) -> None:
+        """See ``DeviceLoop.rescue``: the controller's watchdog ends its program."""
+
     def _check(self, dashboard: Any) -> None:
         dashboard.connect(2000)
         try:
@@ -168,9 +172,7 @@ class URLoop:
                 )
             safety = dashboard.safetystatus().rpartition(":")[2].strip()
             if safety not in ("NORMAL", "REDUCED"):
-                raise RobotError(
-                    f"{self.name} is in {safety}: find the cause, then acknowledge it on the pendant"
-                )
+                raise RobotError(f"{self.name} is in {safety}: find the cause, acknowledge it on the pendant")
             mode = dashboard.robotmode().rpartition(":")[2].strip()
             if mode != "RUNNING":
                 raise RobotError(
@@ -267,7 +269,7 @@ class URLoop:
         lead.max_velocity = [s.velocity] * JOINTS
         lead.max_acceleration = [s.acceleration] * JOINTS
         lead.max_jerk = [s.jerk] * JOINTS
-        # Joints arrive when they can; a common duration would slow small motions of one joint to those of all.
+        # Joints arrive when they can; a common duration would slow all joints to the slowest.
         lead.synchronization = self._ruckig.Synchronization.No
         return lead
 

@@ -2,8 +2,8 @@
 
     FF FF FD 00  id  length (2)  instruction  parameters  CRC-16 (2)
 
-Numbers are little endian. Where parameters hold the bytes FF FF FD, one more FD is sent. Facts from the maker's
-e-Manual. Drivers use dynamixel-sdk; the packets here are the other side's, of different make.
+Numbers are little endian. Where parameters hold the bytes FF FF FD, one more FD is sent. Facts from the
+maker's e-Manual. Drivers use dynamixel-sdk; the packets here are the other side's, of different make.
 """
 
 from __future__ import annotations

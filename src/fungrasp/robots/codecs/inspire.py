@@ -1,9 +1,10 @@
 """Registers and units of the Inspire RH56 hand.
 
-Six motors in the order little, ring, middle, index finger, thumb bend, thumb rotation. Angles are 0 (closed) to
-1000 (open), forces grams, speeds 0 to 1000. Register addresses count bytes, yet six motors are six registers
-in a row. Facts from the maker's examples (inspire_demos) and from a published characterization of the hand
-(correlllab, rh56_controller); how angles relate to radians between the two ends is not published: linear here.
+Six motors in the order little, ring, middle, index finger, thumb bend, thumb rotation. Angles are 0 (closed)
+to 1000 (open), forces grams, speeds 0 to 1000. Register addresses count bytes, yet six motors are six
+registers in a row. Facts from the maker's examples (inspire_demos) and from a published characterization of
+the hand (correlllab, rh56_controller); how angles relate to radians between the two ends is not published:
+linear here.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ OPEN_ANGLE = 1000
 LEAVE = 65535
 """Written to a motor's angle: leave as it is."""
 MODEL_ORDER = np.array([3, 2, 1, 0, 5, 4])
-"""Motor of each joint of the hand's model: index, middle, ring, pinky, thumb yaw, thumb pitch. Its own inverse."""
+"""Motor of each joint of the hand's model: index, middle, ring, pinky, thumb yaw, pitch. Its own inverse."""
 
 SPEED_SETTINGS = np.array([0.0, 25, 50, 100, 250, 500, 750, 1000])
 CLOSING_SPEEDS = np.array([0.0, 70, 141, 286, 706, 1449, 2049, 2342])
@@ -51,7 +52,7 @@ def encode_angles(positions: np.ndarray, lower: np.ndarray, upper: np.ndarray) -
 
 
 def decode_angles(registers: Sequence[int], lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
-    """Joints of the model [rad], shape [6]; registers: six, of the motors; lower, upper: see ``encode_angles``."""
+    """Joints of the model [rad], shape [6]; registers: six, of the motors; else as ``encode_angles``."""
     angles = signed(registers)[MODEL_ORDER]
     return upper - angles / OPEN_ANGLE * (upper - lower)
 

@@ -49,7 +49,7 @@ def encode_refusal(function: int, reason: int) -> bytes:
 
 
 def split_tcp_requests(stream: bytes) -> tuple[list[tuple[int, int, bytes]], bytes]:
-    """Whole requests at the start of a TCP stream, each with its transaction and its device, and what is left."""
+    """Whole requests at the start of a TCP stream, with their transactions and devices, and what is left."""
     requests = []
     while len(stream) >= 8:
         transaction, _, length, device = struct.unpack(">HHHB", stream[:7])

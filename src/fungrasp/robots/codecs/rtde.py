@@ -1,9 +1,10 @@
 """Packages of Universal Robots' Real-Time Data Exchange, protocol version 2, as the controller sends and
 takes them.
 
-A package is its length (uint16, the three bytes of the header included), a letter, and data; numbers are big
-endian. A client names the variables it wants (``O``) and those it will write (``I``), each list a recipe; data
-packages (``U``) carry the number of their recipe and its values. Facts from the RTDE guide of Universal Robots.
+A package is its length (uint16, the three bytes of the header included), a letter, and data; numbers are
+big endian. A client names the variables it wants (``O``) and those it will write (``I``), each list a recipe;
+data packages (``U``) carry the number of their recipe and its values. Facts from the RTDE guide of Universal
+Robots.
 """
 
 from __future__ import annotations

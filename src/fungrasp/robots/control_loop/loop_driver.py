@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import os
 import pickle
@@ -36,7 +37,7 @@ STOP_MODES = {
     StopKind.POWER_OFF: LoopMode.POWER_OFF,
 }
 CONNECT_TIMEOUT = 15.0
-"""A device that needs longer to connect is not there [s]; a UR controller may take seconds to start a program."""
+"""A device that needs longer to connect is not there [s]; a UR controller starts a program in seconds."""
 CLOSE_TIMEOUT = 3.0
 """After this a loop that doesn't end is killed [s]."""
 LOST_TIMEOUT = 0.5
@@ -69,6 +70,7 @@ class LoopDriver:
                 for so long [s].
         """
         self.name = loop.name
+        self.takes_feedforward = loop.takes_feedforward
         self.limits: JointLimits = loop.limits
         self._loop = loop
         self._process = process
@@ -78,6 +80,7 @@ class LoopDriver:
         self._host: _Process | _Thread | None = None
         self._goal = np.zeros((), dtype=goal_kind(self._count))
         self._stopped: str | None = None
+        self._rescued = False
 
     def connect(self) -> None:
         """See ``JointDriver.connect``. On a connected device it acknowledges a stop."""
@@ -129,6 +132,11 @@ class LoopDriver:
         with self._lock:
             self._end()
 
+    @property
+    def process_id(self) -> int | None:
+        """Of the device's process; None where it runs in a thread or is not connected."""
+        return self._host.process_id if isinstance(self._host, _Process) else None
+
     def load(self) -> LoopLoad:
         """What the loop has cost since connecting."""
         with self._lock:
@@ -146,6 +154,7 @@ class LoopDriver:
     def _start(self) -> None:
         host = _Process if self._process else _Thread
         self._goal["mode"], self._goal["sent"] = LoopMode.IDLE, time.monotonic()
+        self._rescued = False
         self._host = host(self._loop, self._goal, self._driver_timeout)
         deadline = time.monotonic() + CONNECT_TIMEOUT
         while time.monotonic() < deadline:
@@ -199,6 +208,10 @@ class LoopDriver:
             return state
         age = now - state.received
         if not self._host.alive():
+            if not self._rescued:
+                self._rescued = True
+                # A copy: this one stays as it was made, to be sent to the next process.
+                pickle.loads(pickle.dumps(self._loop)).rescue()
             message = f"the driver's process has ended{self._host.last_words()}"
             return dataclasses.replace(state, status=DeviceStatus.DISCONNECTED, message=message)
         if age > self._loop.stale_after and state.status in (DeviceStatus.READY, DeviceStatus.STOPPED):
@@ -266,11 +279,14 @@ class _Process:
         self._reader.start()
         data = pickle.dumps((loop, str(self._memory.path), driver_timeout))
         assert self._child.stdin is not None
-        try:
+        # Where it has ended already, who waits for its first state will see so.
+        with contextlib.suppress(BrokenPipeError):
             self._child.stdin.write(LENGTH.pack(len(data)) + data)
             self._child.stdin.flush()
-        except BrokenPipeError:
-            pass  # It has ended: who waits for its first state will see so.
+
+    @property
+    def process_id(self) -> int:
+        return self._child.pid
 
     def alive(self) -> bool:
         return self._child.poll() is None
@@ -287,10 +303,8 @@ class _Process:
         except subprocess.TimeoutExpired:
             self._child.kill()
             self._child.wait()
-        try:
+        with contextlib.suppress(BrokenPipeError):
             self._child.stdin.close()
-        except BrokenPipeError:
-            pass
         self._memory.remove()
 
     def _collect(self) -> None:

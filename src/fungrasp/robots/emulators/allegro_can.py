@@ -1,4 +1,4 @@
-"""An Allegro Hand on a CAN bus of python-can: "virtual" within a process, "udp_multicast" between processes."""
+"""An Allegro Hand on a CAN bus of python-can: "virtual" in a process, "udp_multicast" between processes."""
 
 from __future__ import annotations
 

@@ -234,7 +234,12 @@ class URControllerEmulator(Emulator):
         if client.kind == RTDE_PORT:
             packages, client.received = codec.split_packages(client.received)
             for kind, content in packages:
-                self._take_package(client, kind, content)
+                try:
+                    self._take_package(client, kind, content)
+                except (IndexError, KeyError, struct.error):
+                    # As a real controller does with what it can't read.
+                    self._drop(client)
+                    return
         elif client.kind == DASHBOARD_PORT:
             *lines, client.received = client.received.split(b"\n")
             for line in lines:
@@ -247,7 +252,8 @@ class URControllerEmulator(Emulator):
         try:
             client.socket.sendall(data)
         except OSError:
-            self._drop(client)
+            if client in self._clients:
+                self._drop(client)
 
     def _take_package(self, client: _Client, kind: bytes, content: bytes) -> None:
         if kind == codec.DATA:
@@ -387,6 +393,6 @@ class URControllerEmulator(Emulator):
 
     def _unlocked_by_dashboard(self) -> str:
         if time.monotonic() - self._stop_began < self._release_time:
-            return "Cannot unlock protective stop until 5s after occurrence. Always inspect cause of protective stop"
+            return "Cannot unlock protective stop until 5s after occurrence"
         self.unlock_protective_stop()
         return "Protective stop releasing"

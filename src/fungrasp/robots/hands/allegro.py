@@ -28,8 +28,8 @@ LARGEST_JUMP = 0.2
 """A position this far from the one before is not believed [rad] ..."""
 LARGEST_SPEED = 20.0
 """... plus this times the time between them [rad/s]: twice the speed of the hand without load."""
-JUMPS = 5
-"""So many frames beyond belief in a row are a fault of the hand, not of a frame."""
+JUMPS = 40
+"""So many frames beyond belief in a row, ten sets, are a fault of the hand, not of a frame."""
 OPEN_SPEED = 0.5
 """Of opening after a fault [rad/s]: full stroke in about 3 s, so that an object is let go, not thrown."""
 
@@ -78,7 +78,7 @@ class AllegroSettings:
 
 
 def allegro_driver(settings: AllegroSettings, process: bool = True) -> LoopDriver:
-    """Driver of an Allegro Hand; process: control it in a process of its own, not possible on a "virtual" bus."""
+    """Driver of an Allegro Hand; process: control it in a process of its own, not on a "virtual" bus."""
     return LoopDriver(AllegroLoop(settings), process=process)
 
 
@@ -95,6 +95,7 @@ class AllegroLoop:
             f"Allegro V{settings.generation} {settings.side} at {settings.interface}:{settings.channel}"
         )
         self.stale_after = settings.stale_after
+        self.takes_feedforward = True
         self._units = codec.ALLEGRO_V4 if settings.generation == 4 else codec.ALLEGRO_V5
         lower, upper = hand_joint_limits(settings.hand, 16)
         torque = settings.torque_share * self._units.torque_limits
@@ -109,14 +110,7 @@ class AllegroLoop:
 
     def open(self) -> None:
         """See ``DeviceLoop.open``: the hand must name the generation and side that are expected."""
-        self._can = import_client("can", "allegro", "an Allegro Hand")
-        options = {"bitrate": self.settings.bitrate} if self.settings.interface in ("pcan", "kvaser") else {}
-        try:
-            self._bus = self._can.Bus(
-                interface=self.settings.interface, channel=self.settings.channel, **options
-            )
-        except (self._can.CanError, OSError, ValueError, NotImplementedError) as error:
-            raise RobotError(f"{self.name}: cannot open the CAN bus: {error}") from error
+        self._open_bus()
         self._send(codec.SERVOS_OFF)
         self._verify()
         self._send(codec.PERIODS, codec.encode_periods(self.settings.period_ms))
@@ -161,6 +155,23 @@ class AllegroLoop:
             with contextlib.suppress(Exception):
                 self._bus.shutdown()
             self._bus = None
+
+    def rescue(self) -> None:
+        """See ``DeviceLoop.rescue``: the hand may keep the last torques it was sent."""
+        with contextlib.suppress(Exception):
+            self._open_bus()
+            self.halt()
+            self.close()
+
+    def _open_bus(self) -> None:
+        self._can = import_client("can", "allegro", "an Allegro Hand")
+        options = {"bitrate": self.settings.bitrate} if self.settings.interface in ("pcan", "kvaser") else {}
+        try:
+            self._bus = self._can.Bus(
+                interface=self.settings.interface, channel=self.settings.channel, **options
+            )
+        except (self._can.CanError, OSError, ValueError, NotImplementedError) as error:
+            raise RobotError(f"{self.name}: cannot open the CAN bus: {error}") from error
 
     def _torques(self, goal: LoopGoal, state: JointState, elapsed: float) -> np.ndarray:
         if goal.mode is LoopMode.POWER_OFF:
@@ -273,8 +284,8 @@ class AllegroLoop:
         generation = info.hardware >> 8
         if generation != self.settings.generation:
             raise RobotError(
-                f"{self.name}: the hand says that it is a V{generation}, whose units differ; set generation = "
-                f"{generation}"
+                f"{self.name}: the hand says that it is a V{generation}, whose units differ; set "
+                f"generation = {generation}"
             )
         serial = answers.get(codec.SERIAL, b"").decode(errors="replace")
         left = info.left if generation == 4 else serial[3:4] != "R"

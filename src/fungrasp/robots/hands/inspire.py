@@ -83,6 +83,7 @@ class InspireLoop:
         self.settings = settings
         self.name = f"Inspire RH56 at {settings.address}"
         self.stale_after = settings.stale_after
+        self.takes_feedforward = False
         lower, upper = hand_joint_limits(settings.hand, codec.MOTORS)
         self._range = upper - lower
         speed = codec.closing_speed(settings.speed) / codec.OPEN_ANGLE * self._range
@@ -145,6 +146,9 @@ class InspireLoop:
         """See ``DeviceLoop.close``."""
         with contextlib.suppress(Exception):
             self._client.close()
+
+    def rescue(self) -> None:
+        """See ``DeviceLoop.rescue``: nothing to do, the drives hold without power."""
 
     def _move(self, goal: LoopGoal, state: JointState) -> None:
         if goal.mode is LoopMode.FOLLOW:
@@ -231,7 +235,7 @@ class InspireLoop:
             return False
 
     def _reconnect(self) -> None:
-        """A connection that was reset is opened again; the age of the state decides whether that is in time."""
+        """A connection that was reset is opened again; the state's age says whether that was in time."""
         with contextlib.suppress(Exception):
             if not self._client.is_socket_open():
                 self._client.connect()

@@ -72,6 +72,7 @@ class LeapLoop:
         self.settings = settings
         self.name = f"LEAP hand at {settings.port}"
         self.stale_after = settings.stale_after
+        self.takes_feedforward = False
         lower, upper = hand_joint_limits(settings.hand, SERVOS)
         names = hand_joint_names(settings.hand)
         if sorted(names) != sorted(map(str, range(SERVOS))):
@@ -94,23 +95,14 @@ class LeapLoop:
 
     def open(self) -> None:
         """See ``DeviceLoop.open``: all sixteen servos must answer."""
-        self._sdk = import_client("dynamixel_sdk", "leap", "a LEAP hand")
-        self._port = self._sdk.PortHandler(self.settings.port)
-        try:
-            if not self._port.setBaudRate(self.settings.baud):
-                raise RobotError(f"{self.name}: the port has no {self.settings.baud} bit/s")
-        except OSError as error:
-            raise RobotError(f"{self.name}: cannot open the port: {error}") from error
-        # The library polls without a pause; a read that may wait a little leaves the processor to others.
-        self._port.ser.timeout = 0.002
-        self._packets = self._sdk.PacketHandler(2.0)
+        self._open_port()
         self._reader = self._sdk.GroupSyncRead(
             self._port, self._packets, codec.PRESENT_CURRENT, codec.PRESENT.size
         )
         self._writer = self._sdk.GroupSyncWrite(self._port, self._packets, codec.GOAL_POSITION, 4)
         for servo in self._servos:
-            _, result, _ = self._packets.ping(self._port, servo)
-            if result != self._sdk.COMM_SUCCESS:
+            results = (self._packets.ping(self._port, servo)[1] for _ in range(3))
+            if self._sdk.COMM_SUCCESS not in results:
                 raise RobotError(
                     f"{self.name}: servo {servo} does not answer; check power, cable and baud rate"
                 )
@@ -159,6 +151,25 @@ class LeapLoop:
         """See ``DeviceLoop.close``."""
         with contextlib.suppress(Exception):
             self._port.closePort()
+
+    def rescue(self) -> None:
+        """See ``DeviceLoop.rescue``: torque off."""
+        with contextlib.suppress(Exception):
+            self._open_port()
+            self.halt()
+            self.close()
+
+    def _open_port(self) -> None:
+        self._sdk = import_client("dynamixel_sdk", "leap", "a LEAP hand")
+        self._port = self._sdk.PortHandler(self.settings.port)
+        try:
+            if not self._port.setBaudRate(self.settings.baud):
+                raise RobotError(f"{self.name}: the port has no {self.settings.baud} bit/s")
+        except OSError as error:
+            raise RobotError(f"{self.name}: cannot open the port: {error}") from error
+        # The library polls without a pause; a read that may wait a little leaves the processor to others.
+        self._port.ser.timeout = 0.002
+        self._packets = self._sdk.PacketHandler(2.0)
 
     def _move(self, goal: LoopGoal, state: JointState, elapsed: float) -> None:
         if goal.mode is LoopMode.POWER_OFF:

@@ -56,8 +56,8 @@ class ArmKinematics:
         return result
 
     def manipulability(self, joints: np.ndarray) -> float:
-        """Smallest singular value of the Jacobian, positions in units of half a metre: zero where the palm can't
-        move in every direction. joints: [rad], shape [M]."""
+        """Smallest singular value of the Jacobian, positions in units of half a metre: zero where the palm
+        can't move in every direction. joints: [rad], shape [M]."""
         jacobian = self.jacobian(joints)
         jacobian[:3] /= 0.5
         return float(np.linalg.svd(jacobian, compute_uv=False)[-1])
@@ -132,7 +132,9 @@ class ClearanceModel:
             return float(min(MARGIN, distance[which].min(initial=MARGIN)))
 
         return Clearance(
-            table=least((low == 0) & (high == 1)), hand=least((low == 0) & (high == 2)), itself=least(low == 1)
+            table=least((low == 0) & (high == 1)),
+            hand=least((low == 0) & (high == 2)),
+            itself=least(low == 1),
         )
 
     def distance_to_ball(self, ball: np.ndarray) -> float:

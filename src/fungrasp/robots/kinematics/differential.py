@@ -17,8 +17,9 @@ ARRIVED = 1e-5
 
 
 class PalmFollower:
-    """Joints for one palm pose after another. Each step minimises ``|J dq - e|^2 + damping |dq|^2`` within the
-    limits of position and speed, e being the pose error; the damping keeps steps small near singularities."""
+    """Joints for one palm pose after another. Each step minimises ``|J dq - e|^2 + damping |dq|^2`` within
+    the limits of position and speed, e being the pose error; the damping keeps steps small near
+    singularities."""
 
     def __init__(self, kinematics: ArmKinematics, speed: float):
         """
@@ -32,9 +33,7 @@ class PalmFollower:
         try:
             import mink
         except ImportError as error:
-            raise FungraspError(
-                "moving an arm needs mink and daqp: pip install 'fungrasp[ik]'"
-            ) from error
+            raise FungraspError("moving an arm needs mink and daqp: pip install 'fungrasp[ik]'") from error
         self._mink, self._kinematics = mink, kinematics
         model = kinematics.model
         self._configuration = mink.Configuration(model)

@@ -136,9 +136,7 @@ _STEP = 0.4
 """Length of a branch [rad]."""
 
 
-def _grow(
-    tree: _Tree, goal: np.ndarray, free: Callable[[np.ndarray, np.ndarray], bool]
-) -> np.ndarray | None:
+def _grow(tree: _Tree, goal: np.ndarray, free: Callable[[np.ndarray, np.ndarray], bool]) -> np.ndarray | None:
     """Add a posture to a tree, a step towards a goal; None if something is in the way."""
     nodes, parents = tree
     row = int(np.argmin(np.linalg.norm(np.array(nodes) - goal, axis=1)))
@@ -163,9 +161,7 @@ def _branch(tree: _Tree, posture: np.ndarray) -> list[np.ndarray]:
     return way
 
 
-def _shortcut(
-    way: list[np.ndarray], free: Callable[[np.ndarray, np.ndarray], bool]
-) -> list[np.ndarray]:
+def _shortcut(way: list[np.ndarray], free: Callable[[np.ndarray, np.ndarray], bool]) -> list[np.ndarray]:
     """Leave out corners that can be passed by."""
     result, here = [way[0]], 0
     while here < len(way) - 1:

@@ -10,7 +10,7 @@ from fungrasp.robots.cell import RobotCell
 from fungrasp.robots.kinematics.arm_model import MARGIN, ArmKinematics, ClearanceModel
 from fungrasp.robots.kinematics.differential import PalmFollower
 from fungrasp.robots.kinematics.joint_path import CLEAR
-from fungrasp.robots.kinematics.solutions import postures, random_starts
+from fungrasp.robots.kinematics.solutions import arm_postures, random_starts
 
 STARTS = 48
 """Random postures from which the solutions of a pose are sought; 32 find all eight of a UR5e."""
@@ -72,7 +72,7 @@ class ReachChecker:
         if outside:
             return outside
         starts = random_starts(self._kinematics, STARTS // 2, self._rng)
-        found = postures(self._kinematics, path.palm[0], starts)
+        found = arm_postures(self._kinematics, path.palm[0], starts)
         nearest = Reach(np.zeros(0), np.zeros(0), -2.0, "the start is out of the arm's reach")
         for posture in found:
             reach = self.follow(path, posture, hand_matters=False)
@@ -95,7 +95,7 @@ class ReachChecker:
         if outside:
             return [], outside
         starts = np.concatenate([home[None], random_starts(self._kinematics, STARTS, self._rng)])
-        found = postures(self._kinematics, path.palm[0], starts)
+        found = arm_postures(self._kinematics, path.palm[0], starts)
         if not len(found):
             return [], "the start is out of the arm's reach"
         tried = [self.follow(path, posture) for posture in found]

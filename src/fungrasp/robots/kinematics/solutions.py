@@ -20,7 +20,7 @@ SAME = 0.05
 """Postures closer than this are the same [rad]."""
 
 
-def postures(
+def arm_postures(
     kinematics: ArmKinematics, pose: np.ndarray, starts: np.ndarray, tolerance: float = 1e-4
 ) -> np.ndarray:
     """Postures with the palm at a pose, by damped least squares from each start.

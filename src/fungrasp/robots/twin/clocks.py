@@ -11,10 +11,14 @@ from fungrasp.robots.twin.world import TwinWorld
 WALL_STEP = 0.002
 """Time between two advances on the clock of the wall [s]."""
 
+LARGEST_LAG = 0.02
+"""A twin that is farther behind than this loses the time [s]: on a computer that is too slow or too busy it
+moves in slow motion, and does not jump."""
+
 
 class TwinClock:
-    """A clock that stands still while the robot's computer works: waiting advances the twin. Runs repeat to the
-    last bit."""
+    """A clock that stands still while the robot's computer works: waiting advances the twin. Runs repeat to
+    the last bit."""
 
     def __init__(self, world: TwinWorld):
         """world: that is advanced."""
@@ -38,6 +42,8 @@ class RealTimeTwin:
         self._thread = Thread(target=self._run, name="twin", daemon=True)
         self.latest = 0.0
         """How far the twin has fallen behind the clock at worst [s]."""
+        self.lost = 0.0
+        """Time that it has lost in all [s]."""
 
     def __enter__(self) -> Self:
         with self._world.lock:
@@ -51,6 +57,11 @@ class RealTimeTwin:
 
     def _run(self) -> None:
         while not self._end.is_set():
-            self.latest = max(self.latest, time.monotonic() - self._world.time)
-            self._world.advance(time.monotonic())
+            with self._world.lock:
+                lag = time.monotonic() - self._world.time
+                self.latest = max(self.latest, lag)
+                if lag > LARGEST_LAG:
+                    self._world.offset += lag - LARGEST_LAG
+                    self.lost += lag - LARGEST_LAG
+            self._world.advance(self._world.time + min(lag, LARGEST_LAG))
             time.sleep(WALL_STEP)

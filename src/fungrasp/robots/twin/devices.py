@@ -106,7 +106,8 @@ class TwinArm(_TwinJoints):
         model = arm_spec(cell.arm.model).compile()
         speed = np.full(model.nu, cell.limits.arm_speed)
         self.name = f"twin of {cell.arm.model}"
-        self.limits = JointLimits(*model.jnt_range.T, speed, model.actuator_forcerange[:, 1])
+        low, high = model.jnt_range.T
+        self.limits = JointLimits(low, high, speed, model.actuator_forcerange[:, 1])
 
     def _measured(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         return self._world.arm_state()

@@ -1,4 +1,4 @@
-"""Whether a twin's object was lifted: the lift test's definition of success (docs/evaluation.md) on the truth."""
+"""Whether a twin's object was lifted: the lift test's definition of success (docs/evaluation.md)."""
 
 from __future__ import annotations
 

@@ -7,18 +7,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from fungrasp.geometry.poses import quaternion_from_rotation_vector
-from fungrasp.transfer.randomization import random_stream
+from fungrasp.transfer import random_stream
 
 
 @dataclass(frozen=True)
 class TwinSpread:
-    """Ranges that a twin's parameters are drawn from: uniformly, factors log-uniformly; angles are symmetric
-    about zero where one number is given.
+    """Ranges that a twin's parameters are drawn from: uniformly, factors log-uniformly; where one number is
+    given, from its negative to it.
 
-    Sources: the reality protocol (docs/evaluation.md) for object, table, tracker and calibration; a real RH56's
-    step responses (66 ms until it moves) for the hand's delay; the Allegro hand's dry friction of a few
-    hundredths of a newton metre and its torque constant, that differs by tens of per cent between joints, are
-    of the order that papers on its identification report.
+    Object, table, tracker and calibration: after the reality protocol (docs/evaluation.md). The hand: our
+    estimates, wide enough that a plan made for the model's nominal servos is wrong; no hand was measured.
     """
 
     stiffness: tuple[float, float] = (0.6, 1.1)

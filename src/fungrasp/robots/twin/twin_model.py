@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import mujoco
 import numpy as np
@@ -12,7 +12,12 @@ from fungrasp.geometry.poses import quaternion_from_rotation_vector
 from fungrasp.hands import Hand
 from fungrasp.hands.arm import arm_spec, mount
 from fungrasp.objects import ObjectModel
-from fungrasp.objects.convex_decomposition import ConvexPiece, DecompositionSettings, convex_hull, convex_pieces
+from fungrasp.objects.convex_decomposition import (
+    ConvexPiece,
+    DecompositionSettings,
+    convex_hull,
+    convex_pieces,
+)
 from fungrasp.robots.cell import RobotCell
 from fungrasp.robots.twin.parameters import TwinParameters
 from fungrasp.simulation.scene import GRAVITY
@@ -26,6 +31,10 @@ SERVO_LARGE, SERVO_WRIST = 10000.0, 1500.0
 SERVO_LAG = 0.02
 """Ratio of their damping to their stiffness [s]: with the delay of the link, targets are followed about 35 ms
 late, as a UR10e follows servoj with the shortest lookahead (Universal_Robots_Client_Library, issue 86)."""
+
+
+OTHER_PIECES = DecompositionSettings(concavity=0.007, fine_concavity=0.004, max_pieces=16, seed=7)
+"""Fewer and coarser convex pieces than the planner's."""
 
 
 @dataclass(frozen=True)
@@ -42,9 +51,7 @@ class TwinPhysics:
     """Iterations that take the creep out of friction: it comes from the solver, not from fingers."""
     contact_time: float = 0.008
     """Time constant of contacts (MuJoCo's ``solref``) [s]."""
-    pieces: DecompositionSettings = DecompositionSettings(
-        concavity=0.007, fine_concavity=0.004, max_pieces=16, seed=7
-    )
+    pieces: DecompositionSettings = field(default_factory=lambda: OTHER_PIECES)
     """Convex pieces of objects."""
 
 
@@ -132,8 +139,8 @@ def _add_object(spec: mujoco.MjSpec, thing: ObjectModel, truth: TwinParameters, 
 def true_pieces(
     thing: ObjectModel, amplitude: float, settings: DecompositionSettings
 ) -> tuple[ConvexPiece, ...]:
-    """Convex pieces of the true surface: another decomposition than the planner's, displaced along its normals
-    by a smooth wave of an amplitude [m] and a length of about 4 cm."""
+    """Convex pieces of the true surface: another decomposition than the planner's, displaced along its
+    normals by a smooth wave of an amplitude [m] and a length of about 4 cm."""
     if amplitude <= 0.0:
         return convex_pieces(thing.vertices, thing.faces, settings)
     # The pieces of the believed surface are cached; the wave is applied to each.
@@ -156,4 +163,3 @@ def _set_hand(model: mujoco.MjModel, hand: Hand, truth: TwinParameters) -> None:
         model.actuator_gainprm[actuator, 0] *= truth.stiffness[i]
         model.actuator_biasprm[actuator, 1:3] *= truth.stiffness[i]
         model.actuator_forcerange[actuator] *= truth.torque_limit[i]
-

@@ -17,7 +17,7 @@ from fungrasp.robots.cell import RobotCell
 from fungrasp.robots.device import TrackedPose, TrackingStatus
 from fungrasp.robots.twin.parameters import TwinParameters
 from fungrasp.robots.twin.twin_model import OBJECT, TABLE, TwinPhysics, twin_model
-from fungrasp.transfer.randomization import random_stream
+from fungrasp.transfer import random_stream
 
 FRICTION_INTERVAL = 4
 """Physics steps after which dry friction follows the speed of a joint."""

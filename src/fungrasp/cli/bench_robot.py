@@ -1,0 +1,134 @@
+"""``fungrasp bench robot`` and ``bench faults``: drivers of robots against emulated devices."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from fungrasp.cli.console import progress_bar, table
+from fungrasp.errors import FungraspError, UnknownNameError
+
+if TYPE_CHECKING:
+    from fungrasp.robots.measuring.reaction_times import ReactionTrial
+
+
+@dataclass(frozen=True)
+class BenchRobot:
+    """Measure what the drivers cost and how fast they answer, against emulated devices."""
+
+    devices: tuple[str, ...] = ()
+    """Devices to measure: ur, allegro-v4, allegro-v5, inspire, inspire-serial, leap; all by default."""
+    seconds: float = 5.0
+    """Of measuring each [s]."""
+    json: Path | None = None
+    """Write the numbers here (.json, with a .csv beside)."""
+
+    def run(self) -> None:
+        from fungrasp.evaluation.result_files import write_result
+        from fungrasp.provenance import machine, run_record
+        from fungrasp.robots.measuring.emulated_devices import EMULATED
+        from fungrasp.robots.measuring.throughput import driver_speed
+
+        speeds = [driver_speed(EMULATED[name](20.0), self.seconds) for name in _known(self.devices)]
+        if self.json is not None:
+            write_result(self.json, run_record(0), [asdict(speed) for speed in speeds])
+        head = ("device", "connect [s]", "steps/s", "of a core", "command [us]", "read [us]", "age [ms]")
+        rows = [
+            (
+                s.device,
+                f"{s.connect:.2f}",
+                f"{s.rate:.0f}",
+                f"{s.busy_share:.1%}",
+                f"{1e6 * s.command:.0f}",
+                f"{1e6 * s.read:.0f}",
+                f"{1e3 * s.age:.1f}",
+            )
+            for s in speeds
+        ]
+        print(table([head, *rows]))
+        print(f"against emulated devices, which share this machine; {machine()}")
+
+
+@dataclass(frozen=True)
+class BenchFaults:
+    """Measure how drivers react to faults of emulated devices, while the joints move."""
+
+    devices: tuple[str, ...] = ()
+    """Devices to measure: ur, allegro-v4, allegro-v5, inspire, inspire-serial, leap; all by default."""
+    trials: int = 50
+    """Of each fault."""
+    patience: float = 1.0
+    """Times the drivers' usual limits of silence: a machine with other work needs more."""
+    seed: int = 0
+    """Decides when the faults come."""
+    json: Path | None = None
+    """Write every trial here (.json, with a .csv beside)."""
+
+    def run(self) -> None:
+        import numpy as np
+
+        from fungrasp.evaluation.result_files import write_result
+        from fungrasp.provenance import machine, run_record
+        from fungrasp.robots.emulators.emulator import Fault
+        from fungrasp.robots.measuring.emulated_devices import EMULATED
+        from fungrasp.robots.measuring.reaction_times import PROCESS_KILLED, reaction_trials
+
+        if self.trials < 1:
+            raise FungraspError(f"--trials must be 1 or more, not {self.trials}")
+        rng = np.random.default_rng(self.seed)
+        trials: list[ReactionTrial] = []
+        plan = []
+        for name in _known(self.devices):
+            device = EMULATED[name](1.0)
+            device.emulator.close()
+            plan += [(name, fault) for fault in [*sorted(device.emulator.supported), PROCESS_KILLED]]
+        plan = [(name, fault) for name, fault in plan if fault != Fault.WRONG_DEVICE]
+        with progress_bar("faults", float(len(plan) * self.trials)) as show:
+            for name, fault in plan:
+                for trial in reaction_trials(EMULATED[name](self.patience), fault, self.trials, rng):
+                    trials.append(trial)
+                    show(float(len(trials)))
+                if self.json is not None:
+                    write_result(self.json, run_record(self.seed), [asdict(trial) for trial in trials])
+        print(table(reaction_rows(trials)))
+        print(f"against emulated devices, which share this machine; {machine()}")
+
+
+def reaction_rows(trials: list[ReactionTrial]) -> list[tuple[str, ...]]:
+    """Table of trials by device and fault, with its head."""
+    import numpy as np
+
+    def times(values: list[float | None]) -> str:
+        known = [1e3 * v for v in values if v is not None]
+        return f"{np.median(known):.0f} / {max(known):.0f}" if known else "–"
+
+    head = ("device", "fault", "trials", "detected", "median / max [ms]", "stopped", "median / max [ms]")
+    rows = [(*head, "speed / limit", "restarted")]
+    for device, fault in dict.fromkeys((t.device, t.fault) for t in trials):
+        group = [t for t in trials if (t.device, t.fault) == (device, fault)]
+        seen = [t.detected for t in group]
+        stopped = [t.stopped for t in group]
+        rows.append(
+            (
+                device,
+                fault,
+                str(len(group)),
+                str(sum(v is not None for v in seen)),
+                times(seen),
+                str(sum(v is not None for v in stopped)),
+                times(stopped),
+                f"{max(t.speed_share for t in group):.2f}",
+                str(sum(t.restarted for t in group)),
+            )
+        )
+    return rows
+
+
+def _known(names: tuple[str, ...]) -> tuple[str, ...]:
+    from fungrasp.robots.measuring.emulated_devices import EMULATED
+
+    for name in names:
+        if name not in EMULATED:
+            raise UnknownNameError("device", name, EMULATED)
+    return names or tuple(EMULATED)

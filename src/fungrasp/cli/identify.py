@@ -1,0 +1,150 @@
+"""``fungrasp identify``: how the joints of a real hand move."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from fungrasp.cli.console import table
+from fungrasp.errors import FungraspError
+from fungrasp.robots.hands.allegro import AllegroSettings
+from fungrasp.robots.hands.inspire import InspireSettings
+from fungrasp.robots.hands.leap import LeapSettings
+from fungrasp.transfer.identification.excitation import Excitation
+
+if TYPE_CHECKING:
+    from fungrasp.hands import Hand
+    from fungrasp.transfer.identification.fit import IdentifiedDynamics
+    from fungrasp.transfer.identification.motion_log import MotionLog
+
+HELD_OUT = 0.5
+"""The last part of a log is not fitted but predicted."""
+
+
+@dataclass(frozen=True)
+class Collect:
+    """Move every joint of a hand about its present place, within limits, and record it.
+
+    Keep the hand free of anything to touch, its palm still, and a hand on the emergency stop.
+    """
+
+    log: Path
+    """Write the log here (.npz)."""
+    device: AllegroSettings | InspireSettings | LeapSettings
+    """Which hand, and how it is connected."""
+    excitation: Excitation = field(default_factory=Excitation)
+    """How it is moved."""
+    gravity: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Gravity in the palm's frame [m/s^2]; zero leaves weight out of the fit."""
+    option_prefixes = True
+
+    def run(self) -> None:
+        import numpy as np
+
+        from fungrasp.robots.hands.allegro import allegro_driver
+        from fungrasp.robots.hands.inspire import inspire_driver
+        from fungrasp.robots.hands.joint_order import hand_joint_names
+        from fungrasp.robots.hands.leap import leap_driver
+        from fungrasp.robots.motion_recording import record_motion
+        from fungrasp.transfer.identification.excitation import excitation_commands
+        from fungrasp.transfer.identification.motion_log import save_motion_log
+
+        if isinstance(self.device, AllegroSettings):
+            driver = allegro_driver(self.device)
+        elif isinstance(self.device, InspireSettings):
+            driver = inspire_driver(self.device)
+        else:
+            driver = leap_driver(self.device)
+        joints = hand_joint_names(self.device.hand)
+        with driver:
+            rest = driver.read().positions
+            commands = excitation_commands(self.excitation, rest, driver.limits.lower, driver.limits.upper)
+            log = record_motion(driver, joints, commands, self.excitation.rate, np.array(self.gravity))
+        save_motion_log(self.log, log)
+        print(f"{len(log.times)} rows, {log.times[-1]:.1f} s, {len(joints)} joints -> {self.log}")
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Fit stiffness, damping, friction, armature and delay to the first half of a log, predict the second."""
+
+    log: Path
+    """Log of ``identify collect`` (.npz), or a step response of an Inspire hand (.csv)."""
+    hand: str = "allegro"
+    """Name of a hand, or the path of a hand's TOML file."""
+    out: Path | None = None
+    """Write the dynamics here (.toml)."""
+    joint: str = "index_proximal_joint"
+    """Joint of a .csv."""
+    method: tuple[str, ...] = ("gauss-newton",)
+    """gauss-newton, cma-es; the first one's result is written."""
+    fixed: tuple[str, ...] = ()
+    """Quantities that keep the model's values; stiffness, where the host computes the torques (Allegro)."""
+    evaluations: int = 3000
+    """Simulations of cma-es."""
+
+    def run(self) -> None:
+        import numpy as np
+
+        from fungrasp.hands import load_hand
+        from fungrasp.transfer.identification.fit import FitSettings, fit_dynamics
+        from fungrasp.transfer.identification.motion_log import load_motion_log, read_step_csv
+        from fungrasp.transfer.joint_dynamics import QUANTITIES, save_dynamics
+
+        for name in self.fixed:
+            if name not in QUANTITIES:
+                raise FungraspError(f"--fixed takes {', '.join(QUANTITIES)}, not '{name}'")
+        hand = load_hand(self.hand)
+        step = self.log.suffix == ".csv"
+        if step:
+            if self.joint not in hand.actuators:
+                raise FungraspError(f"hand '{hand.name}' has no driven joint '{self.joint}'; give --joint")
+            low, high = hand.joint_limits[hand.joint_names.index(self.joint)]
+            log = read_step_csv(self.log, self.joint, float(low), float(high))
+        else:
+            log = load_motion_log(self.log)
+        # A single step has no second half of its own: every other row is held out instead.
+        fitted = log.rows(np.r_[0 : len(log.times) : 2]) if step else log.part(0, 1 - HELD_OUT)
+        results = []
+        for method in self.method:
+            settings = FitSettings(method=method, fixed=self.fixed, evaluations=self.evaluations)
+            results.append((method, fit_dynamics(hand, fitted, settings)))
+        if self.out is not None:
+            save_dynamics(self.out, results[0][1].dynamics)
+        found = results[0][1]
+        rows = [("joint", *QUANTITIES)]
+        for j, joint in enumerate(found.dynamics.joints):
+            rows.append((joint, *(self._value(found, quantity, j) for quantity in QUANTITIES)))
+        print(table(rows))
+        print(f"delay {1e3 * found.dynamics.delay:.1f} ms")
+        head = ("method", "fitted RMS [rad]", "held-out RMS [rad]", "simulations", "seconds")
+        rows = [
+            (
+                m,
+                f"{r.rms:.4f}",
+                f"{self._held_out(hand, log, r, step):.4f}",
+                str(r.simulations),
+                f"{r.seconds:.1f}",
+            )
+            for m, r in results
+        ]
+        print(table([head, *rows]))
+
+    def _held_out(self, hand: Hand, log: MotionLog, found: IdentifiedDynamics, step: bool) -> float:
+        import numpy as np
+
+        from fungrasp.transfer.identification.fit import simulate_log
+
+        error = simulate_log(hand, log, [found.dynamics])[0] - log.positions
+        after = log.times > log.times[0] + (1 - HELD_OUT) * (log.times[-1] - log.times[0])
+        return float(np.sqrt(np.mean((error[1::2] if step else error[after]) ** 2)))
+
+    def _value(self, found: IdentifiedDynamics, quantity: str, joint: int) -> str:
+        value = getattr(found.dynamics, quantity)[joint]
+        if quantity in self.fixed:
+            return f"{value:.4g} (fixed)"
+        return f"{value:.4g} ± {found.relative_error[quantity][joint]:.0%}"
+
+
+COMMAND = {"collect": Collect, "fit": Fit}

@@ -1,0 +1,1 @@
+"""Measures drivers against emulated devices: reactions to faults, load, latency."""

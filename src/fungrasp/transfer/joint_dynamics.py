@@ -1,0 +1,123 @@
+"""How the joints of one particular hand move: what identification finds and a hand model takes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from fungrasp.errors import FungraspError
+from fungrasp.files import atomic_path
+from fungrasp.formats.toml_file import read_toml
+from fungrasp.hands import Hand
+
+QUANTITIES = ("stiffness", "damping", "friction", "armature")
+
+
+@dataclass(frozen=True, eq=False)
+class JointDynamics:
+    """Second-order joints with Coulomb friction behind position servos, with a delay common to all:
+
+    (inertia + armature) a = stiffness (u(t - delay) - q) - damping v - friction sign(v) - weight
+    """
+
+    joints: tuple[str, ...]
+    """Names of the joints, length J: independent joints of a hand."""
+    stiffness: np.ndarray
+    """Of the servos [N m/rad], shape [J]."""
+    damping: np.ndarray
+    """Of joint and servo together [N m s/rad], shape [J]."""
+    friction: np.ndarray
+    """[N m], shape [J]."""
+    armature: np.ndarray
+    """Inertia of the drives at the joints [kg m^2], shape [J]."""
+    delay: float
+    """From a command to its first effect [s]."""
+
+    def __post_init__(self) -> None:
+        for name in QUANTITIES:
+            values = getattr(self, name)
+            if np.shape(values) != (len(self.joints),):
+                raise FungraspError(
+                    f"{name} of joint dynamics has shape {np.shape(values)}, not one per joint"
+                )
+            if not np.isfinite(values).all() or np.min(values, initial=0.0) < 0:
+                raise FungraspError(f"{name} of joint dynamics must be finite and not negative")
+        if not 0 <= self.delay <= 1:
+            raise FungraspError(f"the delay of joint dynamics is 0 to 1 s, not {self.delay}")
+
+
+def model_dynamics(hand: Hand) -> JointDynamics:
+    """What the model of a hand assumes; no delay."""
+    model = hand.model
+    rows = [model.joint(name).dofadr[0] for name in hand.actuators]
+    servos = hand.actuators.values()
+    return JointDynamics(
+        tuple(hand.actuators),
+        np.array([servo.kp for servo in servos]),
+        np.array([servo.kd for servo in servos]) + model.dof_damping[rows],
+        model.dof_frictionloss[rows].copy(),
+        model.dof_armature[rows].copy(),
+        0.0,
+    )
+
+
+def set_dynamics(model: mujoco.MjModel, dynamics: JointDynamics) -> None:
+    """Change a compiled hand, or a scene with one, in place; joints and position servos are found by name.
+
+    The damping is the joint's; the servo's own becomes zero. The delay is not part of a model.
+    """
+    for j, name in enumerate(dynamics.joints):
+        dof = model.joint(name).dofadr[0]
+        model.dof_damping[dof] = dynamics.damping[j]
+        model.dof_frictionloss[dof] = dynamics.friction[j]
+        model.dof_armature[dof] = dynamics.armature[j]
+        servo = model.actuator(name).id
+        model.actuator_gainprm[servo, 0] = dynamics.stiffness[j]
+        model.actuator_biasprm[servo, 1] = -dynamics.stiffness[j]
+        model.actuator_biasprm[servo, 2] = 0.0
+
+
+def save_dynamics(path: str | Path, dynamics: JointDynamics) -> None:
+    """Write dynamics as TOML."""
+    lines = [f"delay = {dynamics.delay:.6g} # s", ""]
+    for j, name in enumerate(dynamics.joints):
+        lines.append(f'[joints."{name}"]')
+        lines += [f"{quantity} = {getattr(dynamics, quantity)[j]:.6g}" for quantity in QUANTITIES]
+        lines.append("")
+    with atomic_path(path) as temporary:
+        temporary.write_text("\n".join(lines))
+
+
+def load_dynamics(path: str | Path, hand: Hand) -> JointDynamics:
+    """Read what ``save_dynamics`` has written; joints that it lacks keep the model's values.
+
+    Raises:
+        FungraspError: the file can't be read, or names joints or quantities that there are not.
+    """
+    data, model = read_toml(Path(path), "hand dynamics"), model_dynamics(hand)
+    values = {quantity: getattr(model, quantity).copy() for quantity in QUANTITIES}
+    for key in data:
+        if key not in ("delay", "joints"):
+            raise FungraspError(f"{path}: unknown field '{key}'; known: delay, joints")
+    joints = data.get("joints", {})
+    if not isinstance(joints, dict):
+        raise FungraspError(f"{path}: 'joints' is a table of tables, [joints.NAME]")
+    for name, entries in joints.items():
+        if name not in model.joints or not isinstance(entries, dict):
+            raise FungraspError(f"{path}: hand '{hand.name}' has no joint '{name}' that is driven")
+        for quantity, value in entries.items():
+            if quantity not in QUANTITIES or isinstance(value, bool) or not isinstance(value, (int, float)):
+                raise FungraspError(
+                    f"{path}: {name} takes numbers {', '.join(QUANTITIES)}, not {quantity} = {value!r}"
+                )
+            values[quantity][model.joints.index(name)] = value
+    delay = data.get("delay", 0.0)
+    if isinstance(delay, bool) or not isinstance(delay, (int, float)):
+        raise FungraspError(f"{path}: delay is a number of seconds, not {delay!r}")
+    try:
+        return JointDynamics(model.joints, **values, delay=float(delay))
+    except FungraspError as error:
+        raise FungraspError(f"{path}: {error}") from error
