@@ -97,8 +97,7 @@ def retarget_by_contact_optimization(
     # All starts of all poor grasps at once, start after start.
     turns = np.repeat(np.array(settings.start_turns), len(poor), axis=0)
     rows = np.tile(poor, len(settings.start_turns))
-    hand = points.kinematics.hand
-    again = HandPoints(HandKinematics(hand, len(rows)))
+    again = points.for_hands(len(rows))
     near = (start[0][rows], start[1][rows])
     turned = (turned_about_fingertips(again, *near, turns), near[1])
     new_pose, new_independent, new_score = _touch(again, problem.rows(rows), settings, turned, near)
