@@ -23,7 +23,7 @@ from fungrasp.formats.guarded import guarded
 from fungrasp.formats.image_file import read_image
 from fungrasp.formats.json_file import parse_json, read_json
 from fungrasp.formats.mesh_file import read_colored_mesh, read_mesh
-from fungrasp.formats.mujoco_model import check_numbers, parse_model, read_model
+from fungrasp.formats.mujoco_model import check_model_numbers, parse_model, read_model
 from fungrasp.formats.numpy_files import read_npy, read_npz
 from fungrasp.formats.onnx_file import check_harmless, metadata, try_network
 from fungrasp.formats.pickle_file import load_arrays_pickle
@@ -225,8 +225,8 @@ def test_models_with_numbers_that_make_no_sense(tmp_path):
     for value, words in (("nan", "not finite"), ("1e11", "beyond 1000 m")):
         model = parse_model(shifted.format(value), "x").compile()
         with pytest.raises(FungraspError, match=f"x: pos of body 'b' is .*{words}"):
-            check_numbers(model, "x")
-    check_numbers(parse_model(shifted.format("1"), "x").compile(), "x")
+            check_model_numbers(model, "x")
+    check_model_numbers(parse_model(shifted.format("1"), "x").compile(), "x")
     with pytest.raises(FungraspError, match=r"^x was not read|^x declares|^cannot read x"):
         parse_model(SMALL.replace('<geom size="1"/>', MANY), "x")
 
