@@ -5,13 +5,15 @@ from __future__ import annotations
 import errno
 import os
 import stat
+import subprocess
+import sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 
 from fungrasp.errors import FungraspError
-from fungrasp.files import atomic_path, cache_folder
+from fungrasp.files import atomic_path, cache_folder, cache_path, remove_leftovers
 
 
 def contents(folder: Path) -> list[str]:
@@ -128,5 +130,41 @@ def test_cache_folder_obeys_the_environment(tmp_path: Path, monkeypatch: pytest.
 def test_cache_folder_that_cannot_be_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("FUNGRASP_CACHE", str(tmp_path / "file"))
-    with pytest.raises(FungraspError, match="cannot make the cache folder"):
+    assert cache_path("pieces") == tmp_path / "file" / "pieces"
+    with pytest.raises(FungraspError, match=r"cannot make the cache folder .*; set FUNGRASP_CACHE to"):
         cache_folder("pieces")
+
+
+def test_cache_folder_that_cannot_be_written_to(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("FUNGRASP_CACHE", str(tmp_path))
+    # Permissions mean nothing to root.
+    monkeypatch.setattr(os, "access", lambda path, mode: False)
+    with pytest.raises(FungraspError, match=r"cannot write to the cache folder .*; set FUNGRASP_CACHE to"):
+        cache_folder("pieces")
+
+
+def test_no_home_at_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    def no_home() -> Path:
+        raise RuntimeError("could not determine home directory")
+
+    for name in ("FUNGRASP_CACHE", "XDG_CACHE_HOME"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(Path, "home", no_home)
+    with pytest.raises(FungraspError, match="FUNGRASP_CACHE"):
+        cache_folder("pieces")
+
+
+def test_what_killed_processes_left_is_removed_when_the_file_is_written_again(tmp_path: Path):
+    target = tmp_path / "grasps.npz"
+    code = (
+        "import os, signal, sys; from fungrasp.files import atomic_path\n"
+        "with atomic_path(sys.argv[1]) as path:\n"
+        "    path.write_text('half'); os.kill(os.getpid(), signal.SIGKILL)"
+    )
+    for _ in range(2):
+        subprocess.run([sys.executable, "-c", code, str(target)], check=False)
+        assert len(contents(tmp_path)) == 1 and not target.exists()
+    with atomic_path(target) as mine:
+        remove_leftovers(target)
+        assert mine.exists(), "of a process that lives"
+    assert contents(tmp_path) == ["grasps.npz"]

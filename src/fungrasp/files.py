@@ -4,8 +4,10 @@ them."""
 from __future__ import annotations
 
 import contextlib
+import glob
 import hashlib
 import os
+import platform
 import tempfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -16,6 +18,9 @@ import numpy as np
 from fungrasp.errors import FungraspError
 
 MOVE_CACHE = "set FUNGRASP_CACHE to a folder that can be written to"
+
+_HOST = hashlib.sha256(platform.node().encode()).hexdigest()[:6]
+"""Tells processes of this machine from those of others that share a folder."""
 
 
 @contextlib.contextmanager
@@ -30,7 +35,10 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
     path = Path(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(prefix=f".{path.stem}.", suffix=path.suffix, dir=path.parent)
+        remove_leftovers(path)
+        handle, name = tempfile.mkstemp(
+            prefix=f".{path.stem}.{_HOST}-{os.getpid()}-", suffix=path.suffix, dir=path.parent
+        )
         os.close(handle)
     except OSError as error:
         raise FungraspError(f"cannot write {path}: {error.strerror or error}") from error
@@ -45,26 +53,43 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
 
 
-def cache_folder(kind: str) -> Path:
-    """Folder for computed things of one ``kind`` ("convex_pieces", ...), made if missing.
+def remove_leftovers(path: str | Path) -> None:
+    """Delete what processes of this machine that were killed left while they wrote ``path``."""
+    path = Path(path)
+    for left in path.parent.glob(f".{glob.escape(path.stem)}.{_HOST}-*{glob.escape(path.suffix)}"):
+        owner = left.name.removeprefix(f".{path.stem}.{_HOST}-").partition("-")[0]
+        if owner.isdigit() and not _alive(int(owner)):
+            with contextlib.suppress(OSError):
+                left.unlink()
 
-    ``$FUNGRASP_CACHE`` if set, else ``$XDG_CACHE_HOME/fungrasp``, else ``~/.cache/fungrasp``.
 
-    Raises:
-        FungraspError: the folder can't be made.
+def cache_path(kind: str) -> Path:
+    """Where computed things of one ``kind`` ("convex_pieces", ...) are kept, whether it exists or not.
+
+    ``$FUNGRASP_CACHE`` if set, else ``$XDG_CACHE_HOME/fungrasp``, else ``~/.cache/fungrasp``; a folder that
+    can't be made where there is no home.
     """
     root = os.environ.get("FUNGRASP_CACHE")
     if root is None:
-        try:
+        with contextlib.suppress(RuntimeError):
             root = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "fungrasp"
-        except RuntimeError as error:
-            raise FungraspError(f"cannot find a home for the cache folder: {MOVE_CACHE}") from error
-    folder = Path(root) / kind
+    return Path(os.devnull if root is None else root) / kind
+
+
+def cache_folder(kind: str) -> Path:
+    """``cache_path`` for writing: the folder is made if missing.
+
+    Raises:
+        FungraspError: it can't be made or written to; the message names the variable that moves it.
+    """
+    folder = cache_path(kind)
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         reason = error.strerror or error
         raise FungraspError(f"cannot make the cache folder {folder}: {reason}; {MOVE_CACHE}") from error
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise FungraspError(f"cannot write to the cache folder {folder}; {MOVE_CACHE}")
     return folder
 
 
@@ -87,6 +112,16 @@ def digest(*things: Any) -> str:
     for thing in things:
         add(thing)
     return result.hexdigest()
+
+
+def _alive(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except OSError:
+        return True
+    return True
 
 
 def _umask() -> int:

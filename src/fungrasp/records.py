@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
-import zlib
 from collections.abc import Sequence
 from dataclasses import MISSING, fields
 from pathlib import Path
@@ -13,6 +11,8 @@ import numpy as np
 
 from fungrasp.errors import FungraspError
 from fungrasp.files import atomic_path
+from fungrasp.formats.file_bytes import one_line
+from fungrasp.formats.numpy_files import read_npz
 
 
 class BatchRecord:
@@ -75,13 +75,11 @@ class BatchRecord:
         Raises:
             FungraspError: no such file, or it holds something else.
         """
+        arrays = read_npz(path, f"{cls.__name__} file")
         try:
-            with np.load(path, allow_pickle=False) as data:
-                return cls.from_arrays(dict(data))
-        except OSError as error:
-            raise FungraspError(f"cannot read {path}: {error.strerror or error}") from error
-        except (ValueError, EOFError, KeyError, TypeError, zipfile.BadZipFile, zlib.error) as error:
-            raise FungraspError(f"{path} holds no {cls.__name__}: {' '.join(str(error).split())}") from error
+            return cls.from_arrays(arrays)
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
+            raise FungraspError(f"{path} holds no {cls.__name__}: {one_line(error)}") from error
 
     def arrays(self) -> dict[str, np.ndarray]:
         """What is known, by name, to be kept in a file."""

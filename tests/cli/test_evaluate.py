@@ -10,10 +10,11 @@ import pytest
 from grasp_files import BAD, bad_inputs, run, some_grasps
 from PIL import Image
 
+from fungrasp.cli import evaluate as evaluate_command
 from fungrasp.evaluation import lift_test, replay
 from fungrasp.grasps import save_human_grasps
 from fungrasp.grasps.grasp_files import builtin_grasps
-from fungrasp.transfer import NOMINAL, Randomization
+from fungrasp.transfer import NOMINAL, MeasurementError, Randomization
 
 
 @pytest.fixture(scope="module")
@@ -100,7 +101,32 @@ def test_methods_side_by_side(human, tmp_path, capsys):
     assert out.count("six directions:") == 2 and out.count("contact gap") == 2
     methods = json.loads(path.read_text())["methods"]
     assert list(methods) == ["ours", "angle-copy"]
-    assert {"six_directions", "quality", "trials"} <= set(methods["ours"])
+    assert {"six_directions", "quality", "trials", "without_adaptation"} <= set(methods["ours"])
+    assert "without adaptation to the settled object:" in out
+    assert methods["ours"]["without_adaptation"]["count"] == len(methods["ours"]["trials"])
+
+
+def test_without_adaptation_is_the_same_alone_and_in_a_comparison(human, tmp_path, capsys):
+    path = tmp_path / "e.json"
+    status, _, _ = run(capsys, "evaluate", "--grasps", human, "--no-adapt", "--json", path)
+    assert status == 0
+    alone = json.loads(path.read_text())
+    assert "without_adaptation" not in alone
+    status, _, _ = run(
+        capsys,
+        "evaluate",
+        "--grasps",
+        human,
+        "--method",
+        "ours",
+        "dexgraspnet",
+        "--json",
+        path.with_name("m.json"),
+    )
+    assert status == 0
+    compared = json.loads(path.with_name("m.json").read_text())["methods"]["ours"]
+    assert compared["without_adaptation"]["contact_ratio"] == pytest.approx(alone["contact_ratio"])
+    assert compared["contact_ratio"] != pytest.approx(alone["contact_ratio"], abs=1e-6)
 
 
 def test_refinement_mends_failures_and_leaves_successes_alone(tmp_path, capsys):
@@ -139,12 +165,13 @@ def test_conditions_and_seeds(human, tmp_path, capsys):
         for name, value in numbers["randomization"].items()
         if value != json.loads(json.dumps(dataclasses.asdict(NOMINAL)))[name]
     }
+    none = dataclasses.asdict(MeasurementError())
     rotation = told.pop("object_rotation_error")
-    assert rotation == {"bias": 0.0, "jitter": 0.0, "offset": pytest.approx(np.deg2rad(10))}
+    assert rotation == none | {"offset": pytest.approx(np.deg2rad(10))}
     assert told == {
         "mass": [2.0, 2.0],
         "friction": [0.6, 0.6],
-        "object_position_error": {"bias": 0.0, "jitter": 0.0, "offset": 0.01},
+        "object_position_error": none | {"offset": 0.01},
         "table_height": [0.02, 0.02],
         "action_delay": [0.04, 0.04],
         "push_times": [[0.5, 0.5], [1.5, 1.5], [2.5, 2.5]],
@@ -168,9 +195,10 @@ SOME = {
 
 
 def test_robustness_tries_every_condition(human, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("fungrasp.transfer.ROBUSTNESS", SOME)
+    monkeypatch.setattr("fungrasp.transfer.presets.ROBUSTNESS", SOME)
     path, plain, record = tmp_path / "r.json", tmp_path / "e.json", tmp_path / "trials"
-    options = ("--grasps", human, "--seed", 0, 1, "--robustness", "--json", path, "--record", record)
+    options = ("--grasps", human, "--seed", 0, 1, "--protocol", "robustness")
+    options += ("--json", path, "--record", record)
     status, out, _ = run(capsys, "evaluate", *options)
     assert status == 0
     lines = out.splitlines()
@@ -182,6 +210,7 @@ def test_robustness_tries_every_condition(human, tmp_path, capsys, monkeypatch):
     )
     numbers = json.loads(path.read_text())
     conditions = numbers["robustness"]
+    assert numbers["protocol"] == "robustness"
     assert list(conditions) == list(SOME)
     rates = [condition["success_rate"] for condition in conditions.values()]
     assert lines[4] == f"mean over the 2 disturbed conditions: {(rates[1] + rates[2]) / 2:.1%}"
@@ -207,9 +236,9 @@ def test_grasps_are_refined_once_for_all_conditions(human, tmp_path, capsys, mon
         return dataclasses.replace(grasps, extra={"refined_tries": np.full(len(grasps), 7)})
 
     monkeypatch.setattr(refinement, "refine_grasps", refine)
-    monkeypatch.setattr("fungrasp.transfer.ROBUSTNESS", dict(list(SOME.items())[:2]))
+    monkeypatch.setattr("fungrasp.transfer.presets.ROBUSTNESS", dict(list(SOME.items())[:2]))
     path = tmp_path / "r.json"
-    options = ("--refine", 7, "--seed", 0, 1, "--robustness", "--json", path)
+    options = ("--refine", 7, "--seed", 0, 1, "--protocol", "robustness", "--json", path)
     assert run(capsys, "evaluate", "--grasps", human, *options)[0] == 0
     assert refined == [0, 1]
     numbers = json.loads(path.read_text())
@@ -219,7 +248,7 @@ def test_grasps_are_refined_once_for_all_conditions(human, tmp_path, capsys, mon
 
 def test_an_interrupted_run_goes_on_when_given_again(human, tmp_path, capsys, monkeypatch):
     path = tmp_path / "e.json"
-    monkeypatch.setattr(lift_test, "CHUNK", 1)
+    monkeypatch.setattr(evaluate_command, "CHUNKS", (1, 1))
     simulate, runs = lift_test._Test.run, []
 
     def interrupted(self, grasps, rows, *others):
@@ -273,7 +302,7 @@ def test_bad_input_is_one_line_and_leaves_no_file(name, bad, tmp_path, capsys):
         (("--push", -1, 0.2), "push weights must not be negative"),
         (("--push", 1, 0), "push duration must be positive"),
         (("--object-shift", "inf"), "object shift must be finite"),
-        (("--robustness", "--mass-scale", 2), "--robustness has conditions of its own"),
+        (("--protocol", "reality", "--mass-scale", 2), "--protocol reality says how worlds differ"),
     ],
 )
 def test_options_that_cannot_be(arguments, words, robot, tmp_path, capsys):

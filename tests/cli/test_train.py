@@ -7,6 +7,7 @@ import json
 import pytest
 from grasp_files import run, some_grasps
 
+from fungrasp.cli import reproduce_policies
 from fungrasp.grasps import save_human_grasps
 
 
@@ -21,6 +22,8 @@ from fungrasp.grasps import save_human_grasps
         (("train", "--grasps", "builtin", "builtin"), "each once"),
         (("train", "--terms", "a", "b"), "one text for each of the 1 --grasps, not 2"),
         (("distill", "--teacher", "nowhere"), "nowhere is not the folder of a training"),
+        (("reproduce", "policies", "--hands", "alegro"), "Did you mean 'allegro'?"),
+        (("reproduce", "policies", "--grasp-seeds", -1), "must not be negative"),
     ],
 )
 def test_mistakes_are_one_line(arguments, words, tmp_path, capsys):
@@ -51,3 +54,34 @@ def test_finished_variants_are_not_trained_again_unless_settings_differ(tmp_path
     (tmp_path / "dexgraspnet.json").write_text("{")
     status, _, err = run(capsys, "reproduce", "retargeting", *common)
     assert status == 2 and "is damaged" in err
+
+
+def test_free_policies_are_trained_in_turn_and_only_where_they_are_missing(tmp_path, capsys, monkeypatch):
+    pytest.importorskip("rsl_rl")
+    made = []
+
+    def stand_in(name, file):
+        def run_(command):
+            made.append(name)
+            path = command.out / file if file else command.out
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(name)
+
+        return run_
+
+    kinds = {"MakeGrasps": "", "TrainPredictor": "", "Train": "policy.onnx", "Distill": "student.onnx"}
+    for name, file in kinds.items():
+        monkeypatch.setattr(getattr(reproduce_policies, name), "run", stand_in(name, file))
+    command = ("reproduce", "policies", "--hands", "leap", "--grasp-seeds", 1, "--out", tmp_path)
+    status, _, err = run(capsys, *command)
+    assert status == 0, err
+    assert made == list(kinds)
+    files = {path.name: path.read_text() for path in (tmp_path / "policies").iterdir()}
+    assert files == {
+        "leap-predictor-free.onnx": "TrainPredictor",
+        "leap-teacher-free.onnx": "Train",
+        "leap-student-free.onnx": "Distill",
+    }
+    made.clear()
+    run(capsys, *command)
+    assert made == ["Train"], "which goes on by its checkpoint"

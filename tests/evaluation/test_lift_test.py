@@ -46,7 +46,11 @@ def test_the_json_has_every_number_and_they_agree(recorded):
     result, _ = recorded
     numbers = json.loads(json.dumps(result_json(result), allow_nan=False))
     assert numbers["hand"] == "allegro" and numbers["policy"] == "reference" and numbers["seed"] == 0
-    assert numbers["protocol"]["hold_time"] == 3.0 and numbers["randomization"]["mass"] == [1.0, 1.0]
+    assert (
+        numbers["lift_test"]["hold_time"] == 3.0
+        and numbers["protocol"] == "nominal"
+        and numbers["randomization"]["mass"] == [1.0, 1.0]
+    )
     trials = numbers["trials"]
     assert [trial["index"] for trial in trials] == [0, 1, 2, 3]
     assert {"object", "task", "success", "lifted_height_m", "reason", "contact_f1", "refined_tries"} <= set(

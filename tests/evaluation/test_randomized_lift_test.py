@@ -5,8 +5,7 @@ from __future__ import annotations
 import pytest
 
 from fungrasp.evaluation import evaluate
-from fungrasp.transfer import MeasurementError, Randomization
-from fungrasp.transfer.randomization import THREE_PUSHES
+from fungrasp.transfer import THREE_PUSHES, MeasurementError, Randomization
 
 
 def test_a_push_moves_what_is_held(good, things, allegro):

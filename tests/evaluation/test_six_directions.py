@@ -5,7 +5,9 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
+import pytest
 
+from fungrasp.errors import FungraspError
 from fungrasp.evaluation import six_direction_test
 from fungrasp.evaluation.results import static_json
 from fungrasp.evaluation.six_directions import StaticProtocol
@@ -43,6 +45,23 @@ def test_threads_and_chunks_do_not_matter(good, things, allegro):
     one = six_direction_test(some, things, allegro, threads=1)
     other = six_direction_test(some, things, allegro, threads=2, chunk=1)
     np.testing.assert_array_equal(one.displacement_m, other.displacement_m)
+
+
+def test_own_squeeze_targets_are_used(good, things, allegro):
+    """Targets that open the hand lose the object, those that close it hold it; others squeeze as planned."""
+    some = good.select([0, 1, 2, 3])
+    planned = six_direction_test(some, things, allegro)
+    own = np.full_like(some.joint_positions, np.nan)
+    own[1] = 0.0
+    own[2] = some.joint_positions[2] + 0.3
+    mixed = dataclasses.replace(some, extra={**some.extra, "squeeze_positions": own})
+    result = six_direction_test(mixed, things, allegro)
+    np.testing.assert_allclose(result.displacement_m[[0, 3]], planned.displacement_m[[0, 3]], atol=1e-9)
+    assert not result.passed[1]
+    assert result.displacement_m[2].max() != planned.displacement_m[2].max()
+    assert np.isnan(some.squeeze_positions).all()
+    with pytest.raises(FungraspError, match="extra/squeeze_positions"):
+        dataclasses.replace(some, extra={"squeeze_positions": own[:, :3]})
 
 
 def test_json(good, things, allegro):

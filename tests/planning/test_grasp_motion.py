@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from planned_grasps import belief, grasps_and_objects, hand, plan, start
 
-from fungrasp.geometry.poses import compose
+from fungrasp.geometry.poses import compose, invert
 from fungrasp.planning import MotionPlanner
 from fungrasp.planning.grasp_motion import TABLE_TOLERANCE, MotionSettings, lowered, table_below
 from fungrasp.policies import OpenLoopPolicy
@@ -197,3 +197,12 @@ def test_what_is_lowered_onto_its_table_has_it_at_zero():
     np.testing.assert_allclose(raised(low.object_pose, height), belief().object_pose, atol=1e-12)
     np.testing.assert_allclose(raised(low.palm_pose, height), belief().palm_pose, atol=1e-12)
     np.testing.assert_array_equal(low.joint_positions, belief().joint_positions)
+
+
+def test_without_adaptation_grasps_move_with_the_object_unchanged():
+    grasps, _ = grasps_and_objects()
+    p = planned(belief(), settings=MotionSettings(adapt=None))
+    in_object = compose(invert(grasps.object_pose), grasps.wrist_pose)
+    np.testing.assert_allclose(p.grasp_palm_pose, in_object, atol=1e-12)
+    np.testing.assert_allclose(p.grasp_joints, hand().independent(grasps.joint_positions), atol=1e-12)
+    assert np.abs(plan().grasp_joints - p.grasp_joints).max() > 1e-4

@@ -10,7 +10,7 @@ from planned_grasps import grasps_and_objects, hand, plan, start, tracker
 
 from fungrasp.geometry.poses import compose, transform_points
 from fungrasp.policies import OpenLoopPolicy
-from fungrasp.policies.plan_tracking import PlanTracker, link_directions_of
+from fungrasp.policies.plan_tracking import ANCHOR_SHARE, PlanTracker, link_directions_of, moved_towards
 from fungrasp.policies.residual_action import ResidualSettings, add_residual
 from fungrasp.task import LiftProtocol, Observation, play
 from fungrasp.task.features import MeasuredState, flatten
@@ -32,22 +32,41 @@ def later(seen: Observation, step: np.ndarray, shift: tuple[float, float, float]
 def test_the_plan_goes_where_the_object_goes_until_the_fingers_close():
     seen, p = start().observe(), plan()
     at_work = tracker()
+    pose = seen.object_pose.copy()
     for step, shift in ((np.zeros(2, int), (0.02, 0, 0)), (p.closing_step - 1, (0, 0.03, 0))):
         seen = later(seen, step, shift)
         at_work.update(seen)
+        pose[:, :3] += ANCHOR_SHARE * (seen.object_pose - pose)[:, :3]
         goal, fingers = p.at(step)
         action = at_work.act(nothing(at_work))
-        np.testing.assert_allclose(action.palm_goal, compose(seen.object_pose, goal), atol=1e-9)
+        np.testing.assert_allclose(action.palm_goal, compose(pose, goal), atol=1e-9)
         np.testing.assert_array_equal(action.finger_targets, fingers)
         wanted = at_work.state().target.palm_goal
-        np.testing.assert_allclose(wanted, compose(seen.object_pose, goal), atol=1e-9)
+        np.testing.assert_allclose(wanted, compose(pose, goal), atol=1e-9)
         assert not action.lift.any()
-    pose = seen.object_pose
     for step in (p.closing_step, p.lift_step):
         at_work.update(later(seen, step, (0.05, 0.05, 0)))
         action = at_work.act(nothing(at_work))
         np.testing.assert_allclose(action.palm_goal, compose(pose, p.at(step)[0]), atol=1e-9)
         np.testing.assert_array_equal(action.lift, step >= p.lift_step)
+
+
+def test_jitter_of_the_tracker_moves_the_plan_by_a_third_of_it():
+    random, anchor = np.random.default_rng(0), np.tile([0.4, 0.1, 0.0, 1.0, 0.0, 0.0, 0.0], (1000, 1))
+    truth = anchor.copy()
+    for _ in range(30):
+        jitter = np.concatenate([random.normal(0, 0.002, (1000, 3)), truth[:, 3:]], axis=1)
+        jitter[:, :2] += truth[:, :2]
+        anchor = moved_towards(anchor, jitter, np.full((1000, 1), ANCHOR_SHARE))
+    np.testing.assert_allclose((anchor - truth)[:, :3].std(), 0.002 / 3, rtol=0.05)
+
+
+def test_poses_are_moved_a_share_of_the_way():
+    quarter = np.sqrt(0.5)
+    goal = np.array([[0.1, 0.0, 0.0, quarter, 0.0, 0.0, quarter]])
+    half = moved_towards(np.array([[0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]]), goal, np.array([[0.5]]))
+    turn = np.deg2rad(45) / 2
+    np.testing.assert_allclose(half, [[0.05, 0, 0, np.cos(turn), 0, 0, np.sin(turn)]], atol=1e-12)
 
 
 def test_the_target_tells_the_time_to_closing_and_the_lift():

@@ -20,7 +20,7 @@ from fungrasp.simulation import Engine, Scene, build_scene
 
 OBJECTS = ("mug", "box", "tennis_ball", "can", "scissors", "drill")
 """Many pieces and one, centre of mass at the origin and away from it."""
-MUG, BOX, BALL, CAN = 0, 1, 2, 3
+MUG, BOX, BALL, CAN, DRILL = 0, 1, 2, 3, 5
 STEP = 0.005
 """Physics step of the scene [s]."""
 HALF = np.sqrt(0.5)
@@ -424,6 +424,21 @@ class EngineContract:
         np.testing.assert_allclose(engine.object_velocity[:, 2], 0.1 * (20.0 / mass - 9.81), rtol=1e-3)
         np.testing.assert_allclose(engine.object_velocity[:, [0, 1, 3, 4, 5]], 0, atol=1e-6)
 
+    def test_a_torque_turns_the_object_about_its_center_of_mass(self):
+        engine = self.ready([CAN])
+        engine.set_state(object_pose=pose(1, 0.5, 0.0, 0.5))
+        center = engine.center_of_mass
+        weight = np.array([[0.0, 0.0, 9.81 * contract_objects()["can"].mass]])
+        engine.push_object(weight, np.array([[0.0, 0.0, 1e-3]]))
+        engine.step(still(engine), 20)
+        spin = 0.1 * 1e-3 / contract_objects()["can"].inertia[2, 2]
+        np.testing.assert_allclose(engine.object_velocity[0, 5], spin, rtol=1e-2)
+        np.testing.assert_allclose(engine.center_of_mass, center, atol=1e-5)
+        engine.push_object(weight)
+        before = engine.object_velocity[0, 5]
+        engine.step(still(engine), 20)
+        np.testing.assert_allclose(engine.object_velocity[0, 5], before, rtol=1e-2)
+
     def test_bodies_fall_alike_and_tip_over_alike_whatever_they_weigh(self):
         """As inertia scales along with mass, heavy and light boxes tip over in the same time."""
         engine = self.ready([BOX] * 3)
@@ -459,8 +474,14 @@ class EngineContract:
             friction=np.array([1.2, 0.9, 0.3]),
             table_height=np.array([0.1, 0.0, -0.1]),
         )
-        self.collide(used, np.arange(3), 4)
         some = np.array([0, 2])
+        used.set_parameters(
+            some,
+            object_mass=np.array([0.9, 0.4]),
+            object_center=np.full((2, 3), 0.02),
+            object_inertia=np.tile(1e-3 * np.eye(3), (2, 1, 1)),
+        )
+        self.collide(used, np.arange(3), 4)
         used.set_parameters(some, object_index=index[some], object_mass=mass[some], friction=friction[some])
         assert used.object_index.tolist() == index.tolist()
         fresh = self.make(contract_scene(), 3)
@@ -509,6 +530,90 @@ class EngineContract:
         assert engine.object_on_table.all()
         np.testing.assert_allclose(engine.object_velocity, 0, atol=0.02)
 
+    def test_a_tilted_table_carries_the_object_leaning_and_a_slippery_one_lets_it_go(self):
+        """About the world's y axis by 0.1 rad: downhill is +x, and the top is lower there."""
+        engine = self.ready([BOX, BOX, BOX], height=0.8)
+        tilt = np.array([[0.0, 0.0], [0.0, 0.1], [0.0, 0.1]])
+        engine.set_parameters(table_tilt=tilt, friction=np.array([0.9, 0.9, 0.02]))
+        stood = standing(engine.object_index)
+        stood[:, 0], stood[:, 2] = 0.2, stood[:, 2] + 0.003
+        engine.set_state(object_pose=stood)
+        engine.step(still(engine), 120)
+        seen = engine.object_pose
+        np.testing.assert_allclose(angle(seen[:2, 3:], stood[:2, 3:]), [0.0, 0.1], atol=0.01)
+        assert seen[1, 2] - seen[0, 2] == pytest.approx(-0.2 * np.tan(0.1), abs=4e-3)
+        moved = seen[:, 0] - seen[0, 0]
+        assert abs(moved[1]) < 0.015 and moved[2] > 0.05
+
+    def test_a_given_mass_distribution_is_that_of_an_object_that_has_it(self):
+        """A can whose own fields are given by hand, with another mass."""
+        can = contract_objects()["can"]
+        told, own = self.ready([CAN]), self.ready([CAN])
+        mass = np.array([0.7])
+        told.set_parameters(
+            object_mass=mass,
+            object_center=can.center_of_mass[None],
+            object_inertia=(0.7 / can.mass * can.inertia)[None],
+        )
+        own.set_parameters(object_mass=mass)
+        one, other = (self.collide(engine, np.arange(1), 20) for engine in (told, own))
+        np.testing.assert_allclose(one, other, rtol=0, atol=1e-6)
+
+    def test_an_object_turns_about_the_center_of_mass_that_it_is_given(self):
+        """Pushed at that center, in free fall: it does not turn, and the center is where it was said."""
+        engine = self.ready([BOX, DRILL])
+        centers = np.array([[0.02, -0.01, 0.03], [-0.02, 0.03, 0.0]])
+        inertia = np.diag([1e-3, 2e-3, 2.5e-3]) + 2e-4 * (np.ones((3, 3)) - np.eye(3))
+        engine.set_parameters(
+            object_mass=np.full(2, 0.5), object_center=centers, object_inertia=np.tile(inertia, (2, 1, 1))
+        )
+        place = random_poses(0, 2)
+        place[:, :3] = [[0.6, 0.0, 1.0], [0.6, 0.2, 1.0]]
+        engine.set_state(object_pose=place)
+        expected = transform_points(place, centers[:, None])[:, 0]
+        np.testing.assert_allclose(engine.center_of_mass, expected, atol=1e-9)
+        engine.push_object(np.tile([3.0, 0.0, 9.81 * 0.5], (2, 1)))
+        engine.step(still(engine), 20)
+        np.testing.assert_allclose(engine.object_velocity[:, 3:], 0.0, atol=1e-6)
+        np.testing.assert_allclose(engine.center_of_mass[:, 0] - expected[:, 0], 0.03, rtol=0.1)
+
+    def test_a_top_heavy_box_tips_where_another_stands(self):
+        """Leaning within its base: it falls over only with the center of mass beyond the edge."""
+        engine = self.ready([BOX, BOX])
+        half, box = 0.5 * contract_objects()["box"].size, contract_objects()["box"]
+        lean = 0.5 * np.arctan2(half[0], half[2])
+        height = half[2] * np.cos(lean) + half[0] * np.sin(lean)
+        turn = np.array([np.cos(lean / 2), 0.0, np.sin(lean / 2), 0.0])
+        shift = np.array([[0.0, 0.0, 0.0], [0.9 * half[0], 0.0, 0.0]])
+        engine.set_parameters(
+            object_mass=np.full(2, box.mass),
+            object_center=box.center_of_mass + shift,
+            object_inertia=np.tile(box.inertia, (2, 1, 1)),
+        )
+        engine.set_state(object_pose=pose(2, 0.3, 0.0, height, turn=turn))
+        engine.step(still(engine), 300)
+        fallen = angle(engine.object_pose[:, 3:], pose(2, 0, 0, 0)[:, 3:])
+        assert fallen[0] < 0.1 and fallen[1] > 1.0
+
+    def test_dry_friction_takes_from_the_torque_of_the_joint_it_belongs_to(self):
+        """A joint with more friction than its servo's torque hardly moves, and only until it is taken back.
+        Soft constraints let it creep."""
+        engine = self.ready([CAN, CAN], height=0.8)
+        joint = 5
+        friction = np.zeros((2, 16))
+        friction[1, joint] = 0.3 * list(engine.scene.hand.actuators.values())[joint].kp
+        engine.set_parameters(joint_friction=friction)
+        start = engine.joint_positions
+        engine.step(still(engine, 0.5), 20)
+        moved = engine.joint_positions - start
+        assert moved[0, joint] > 0.1 > 0.05 > moved[1, joint] >= 0.0
+        others = np.delete(np.arange(16), joint)
+        np.testing.assert_allclose(moved[1, others], moved[0, others], rtol=0.2)
+        engine.set_parameters(joint_friction=np.zeros((2, 16)))
+        engine.set_state(joint_positions=start)
+        engine.step(still(engine, 0.5), 20)
+        np.testing.assert_allclose(engine.joint_positions[1], engine.joint_positions[0], atol=1e-3)
+
     def test_rows_of_parameters_are_of_the_worlds_that_are_given(self):
         engine = self.ready([CAN] * 3, height=0.8)
         engine.set_parameters(np.array([0, 2]), table_height=np.array([-0.05, 0.05]))
@@ -525,6 +630,10 @@ class EngineContract:
             object_mass=np.array([0.7, 0.2]),
             friction=np.array([0.3, 0.4]),
             table_height=np.array([-0.02, -0.01]),
+            table_tilt=np.array([[0.01, 0.0], [0.0, 0.02]]),
+            object_center=np.array([[0.01, 0.0, 0.06], [0.0, 0.01, 0.05]]),
+            object_inertia=np.tile(2e-4 * np.eye(3), (2, 1, 1)),
+            joint_friction=rng.uniform(0, 0.05, (2, 16)),
             joint_damping=rng.uniform(0.5, 2, (2, 16)),
             servo_stiffness=rng.uniform(0.5, 2, (2, 16)),
             servo_damping=rng.uniform(0.5, 2, (2, 16)),

@@ -10,13 +10,29 @@ import pytest
 from lifted_grasps import allegro_hand, good_grasps, grasped_objects
 from planned_grasps import belief, grasps_and_objects, hand, plan, scene, start
 
-from fungrasp.geometry.poses import compose, invert, relative, rotation_vector, transform_points
+from fungrasp.geometry.poses import (
+    compose,
+    inverse_transform_points,
+    invert,
+    relative,
+    rotation_vector,
+    transform_points,
+)
+from fungrasp.objects import with_sizes
 from fungrasp.planning import MotionPlanner
 from fungrasp.policies import OpenLoopPolicy
 from fungrasp.simulation import build_scene
 from fungrasp.task import Action, Belief, LiftEnvironment, LiftProtocol, Observation, Privileged, play
-from fungrasp.transfer import NOMINAL, WIDE, EpisodeSample, MeasurementError, Randomization, draw_each
-from fungrasp.transfer.randomization import THREE_PUSHES
+from fungrasp.transfer import (
+    NOMINAL,
+    REALITY,
+    THREE_PUSHES,
+    WIDE,
+    EpisodeSample,
+    MeasurementError,
+    Randomization,
+    draw_each,
+)
 
 BOTH = np.arange(2)
 
@@ -222,6 +238,53 @@ def test_objects_stand_on_the_table_that_was_drawn():
     environment.step(still(environment))
     assert environment.engine.object_on_table.all()
     np.testing.assert_allclose(environment.engine.object_pose[:, 2], placed[:, 2], atol=1e-3)
+
+
+def test_an_object_whose_pose_is_wrong_is_seen_where_the_plan_has_it():
+    """It stands on its table all the same: seen too high, the table is lower."""
+    r = Randomization(
+        object_position_error=MeasurementError(uniform=0.005),
+        object_rotation_error=MeasurementError(offset=0.01),
+    )
+    environment = begun(r, 4)
+    planned = np.concatenate([plan().object_pose] * 2)
+    truth, seen = environment.engine.object_pose, environment.observe().object_pose
+    off = environment.sample.object_bias
+    assert np.abs(off[:, :3]).min() > 0
+    np.testing.assert_allclose(seen[:, :3], planned[:, :3], atol=1.5e-3)
+    assert np.abs(truth[:, :2] - planned[:, :2] + off[:, :2]).max() < 1.5e-3
+    turned = rotation_vector(relative(planned, seen)[:, 3:])
+    np.testing.assert_allclose(turned, 0.0, atol=1e-6)
+    expected = compose(planned, np.concatenate([plan().palm_setpoint[:, 0]] * 2))
+    np.testing.assert_allclose(environment.engine.palm_pose[:, :3], expected[:, :3], atol=1e-9)
+    for _ in range(4):
+        environment.step(still(environment))
+    assert environment.engine.object_on_table.all()
+    np.testing.assert_allclose(environment.engine.object_pose[:, 2], planned[:, 2] - off[:, 2], atol=2.5e-3)
+
+
+def test_a_planner_is_told_how_wrong_a_pose_may_be():
+    r = Randomization(object_position_error=MeasurementError(bias=0.003))
+    covariance = settled(r)[1].object_pose_covariance
+    assert covariance is not None and covariance.shape == (2, 6, 6)
+    np.testing.assert_allclose(covariance[1], np.diag([9e-6] * 3 + [0.0] * 3))
+    assert settled(NOMINAL)[1].object_pose_covariance is None
+
+
+def test_a_world_of_the_reality_protocol_differs_in_everything_from_what_is_believed():
+    sizes = with_sizes(grasps_and_objects()[1], REALITY.object_scales)
+    drawn = sample(REALITY, 3, BOTH)
+    environment = LiftEnvironment(build_scene(hand(), sizes), 2, REALITY, threads=1)
+    believed = environment.settle(grasps_and_objects()[0], drawn)
+    engine, (grasps, objects) = environment.engine, grasps_and_objects()
+    center = inverse_transform_points(engine.object_pose, engine.center_of_mass[:, None])[:, 0]
+    for world, name in enumerate(grasps.object_name.tolist()):
+        model = engine.scene.models[engine.object_index[world]]
+        np.testing.assert_allclose(model.size, drawn.object_scale[world] * objects[name].size)
+        expected = model.center_of_mass + drawn.center_of_mass_shift[world] * model.size
+        np.testing.assert_allclose(center[world], expected, atol=1e-9)
+    apart = np.linalg.norm(believed.object_pose[:, :3] - engine.object_pose[:, :3], axis=1)
+    assert (apart > 1e-3).all() and (apart < 0.03).all()
 
 
 @pytest.mark.parametrize("followed", [True, False])

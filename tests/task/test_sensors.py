@@ -313,3 +313,39 @@ def test_a_filtered_tracker_closes_a_share_of_the_gap_in_each_control_period():
     seen = environment.observe().object_pose
     np.testing.assert_allclose(seen[1], moved[1], atol=1e-12)
     assert abs(seen[0, 0] - moved[0, 0]) > 0.01
+
+
+def test_a_tracker_loses_the_object_at_the_first_touch_where_it_was_drawn():
+    r = Randomization(tracker_freeze=0.5)
+    drawn = replace(draw(r, 2, 16, np.random.default_rng(0)), tracker_freezes=np.array([True, False]))
+    environment = begun(r, sample=drawn)
+    before = environment.observe()
+    touched = np.zeros((2, len(hand().links)), dtype=bool)
+    engine = environment.engine
+    _, (seen, *_) = wander(environment, 1)
+    np.testing.assert_array_equal(seen.object_pose, engine.object_pose)
+    touched[:, 3] = True
+    type(engine).link_contacts, real = property(lambda self: touched), type(engine).link_contacts
+    try:
+        _, (first,) = wander(environment, 1)
+        touched[:] = False
+        _, (later,) = wander(environment, 1)
+    finally:
+        type(engine).link_contacts = real
+    for moment, steps in ((first, 1), (later, 2)):
+        np.testing.assert_array_equal(moment.object_pose[0], seen.object_pose[0])
+        np.testing.assert_allclose(moment.object_pose_age, [0.1 * steps, 0.0])
+        assert np.abs(moment.object_pose[1] - before.object_pose[1]).max() > 0
+    np.testing.assert_array_equal(later.object_pose[1], engine.object_pose[1])
+
+
+def test_calibration_errors_do_not_show_in_what_a_robot_measures_of_itself():
+    r = Randomization(wrist_position_offset=0.003, wrist_rotation_offset=0.02, encoder_bias=0.01)
+    environment = begun(r)
+    seen, engine, task = environment.observe(), environment.engine, environment.task
+    np.testing.assert_allclose(seen.palm_pose[:, :3], task.setpoints.wrist.pose[:, :3], atol=1e-9)
+    np.testing.assert_allclose(seen.joint_positions, task.setpoints.fingers, atol=1e-9)
+    off = np.linalg.norm(engine.palm_pose[:, :3] - seen.palm_pose[:, :3], axis=1)
+    np.testing.assert_allclose(off, 0.003, atol=1e-9)
+    joints = hand().independent(engine.joint_positions) - seen.joint_positions
+    assert (np.abs(joints) > 0).all() and (np.abs(joints) <= 0.01 + 1e-9).all()

@@ -19,7 +19,7 @@ from fungrasp.policies.residual_action import ResidualSettings
 from fungrasp.policies.success_predictor import NetworkPredictor
 from fungrasp.simulation import build_scene
 from fungrasp.task import LiftEnvironment, play
-from fungrasp.training.export import export_predictor, make_card
+from fungrasp.training.export import export_predictor, halved, make_card
 from fungrasp.training.settings import PredictorSettings
 from fungrasp.training.success_predictor import PlanOutcomes, cross_validate, fit_predictor, try_plans
 
@@ -137,3 +137,27 @@ def test_a_predictor_chooses_and_its_file_is_a_policy(tmp_path):
     assert (wide.expected_success >= alone.expected_success - 1e-6).all() and len(alone) == 2
     outcome = play(environment, make_policy(str(path), hand(), one.objects), wide)
     assert np.isfinite(outcome.contact_ratio).all()
+
+
+def test_weights_in_half_precision_halve_the_file_and_change_little():
+    onnx = pytest.importorskip("onnx")
+    runtime = pytest.importorskip("onnxruntime")
+    numpy_helper, helper = onnx.numpy_helper, onnx.helper
+    random = np.random.default_rng(0)
+    weight = random.normal(size=(64, 32)).astype(np.float32)
+    bias = np.full(32, 1e5, dtype=np.float32)
+    nodes = [helper.make_node("Gemm", ["x", "w", "b"], ["y"])]
+    ends = [
+        helper.make_tensor_value_info(name, onnx.TensorProto.FLOAT, ["n", size])
+        for name, size in (("x", 64), ("y", 32))
+    ]
+    weights = [numpy_helper.from_array(weight, "w"), numpy_helper.from_array(bias, "b")]
+    graph = helper.make_graph(nodes, "linear", ends[:1], ends[1:], weights)
+    opset = [helper.make_opsetid("", 18)]
+    model = helper.make_model(graph, opset_imports=opset, ir_version=8).SerializeToString()
+    small = halved(model)
+    assert len(small) < 0.6 * len(model)
+    x = random.normal(size=(5, 64)).astype(np.float32)
+    one, other = (runtime.InferenceSession(m).run(None, {"x": x})[0] for m in (model, small))
+    np.testing.assert_allclose(one - bias, other - bias, atol=0.05)
+    assert not np.array_equal(one, other)

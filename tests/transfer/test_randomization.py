@@ -11,6 +11,7 @@ from fungrasp.errors import FungraspError
 from fungrasp.transfer import (
     MODERATE,
     NOMINAL,
+    REALITY,
     ROBUSTNESS,
     WIDE,
     EpisodeSample,
@@ -105,11 +106,68 @@ def test_shifts_are_spread_evenly_over_the_disc_and_over_a_ring():
 
 
 def test_the_same_seed_draws_the_same_sample():
-    a, b, c = drawn(WIDE, 5, 20), drawn(WIDE, 5, 20), drawn(WIDE, 6, 20)
-    assert_same(a, b)
-    for f in fields(EpisodeSample):
-        if f.name != "push_weights":
-            assert not np.array_equal(getattr(a, f.name), getattr(c, f.name)), f.name
+    changed = set()
+    for r in (WIDE, REALITY):
+        a, b, c = drawn(r, 5, 20), drawn(r, 5, 20), drawn(r, 6, 20)
+        assert_same(a, b)
+        changed |= {
+            f.name
+            for f in fields(EpisodeSample)
+            if not np.array_equal(getattr(a, f.name), getattr(c, f.name))
+        }
+    assert {f.name for f in fields(EpisodeSample)} - changed == {"push_weights", "backlash"}, "constants"
+
+
+def test_the_reality_protocol_draws_what_its_page_says():
+    sample, degree = drawn(REALITY), np.deg2rad(1)
+    for name, low, high in (("servo_stiffness", 0.85, 1.15), ("servo_damping", 0.7, 1.3), ("mass", 0.5, 2.0)):
+        assert_fills(getattr(sample, name), low, high)
+    assert np.median(sample.mass) == pytest.approx(1.0, rel=0.05), "half is as likely as double"
+    assert_fills(sample.friction, 0.5, 1.1)
+    assert_fills(sample.table_height, -0.01, 0.01)
+    assert_fills(np.linalg.norm(sample.table_tilt, axis=1), 0.0, degree)
+    assert_fills(sample.joint_friction, 0.0, 0.04)
+    assert_fills(sample.encoder_bias, -0.01, 0.01)
+    np.testing.assert_array_equal(sample.backlash, 0.01)
+    np.testing.assert_allclose(np.linalg.norm(sample.wrist_offset[:, :3], axis=1), 0.003)
+    np.testing.assert_allclose(np.linalg.norm(sample.wrist_offset[:, 3:], axis=1), degree)
+    assert_fills(sample.wrist_lag, 0.02, 0.06)
+    assert_fills(sample.action_delay, 0.03, 0.1)
+    assert_fills(sample.tracker_delay, 0.06, 0.12)
+    assert sample.tracker_freezes.mean() == pytest.approx(0.3, abs=0.03)
+    assert_fills(sample.center_of_mass_shift, -0.15, 0.15)
+    sizes, counts = np.unique(sample.object_scale, return_counts=True)
+    np.testing.assert_allclose(sizes, [0.99, 0.995, 1.0, 1.005, 1.01])
+    assert counts.min() > 0.17 * COUNT
+    moved = np.linalg.norm(sample.object_shift[:, :2], axis=1)
+    assert (moved > 0).mean() == pytest.approx(0.3, abs=0.03)
+    assert_fills(moved[moved > 0], 0.01, 0.02)
+    assert sample.push_weights.shape == (COUNT, 3) and (sample.push_weights == 0.5).all()
+    assert REALITY.tracker_dropout == 0.05 and REALITY.push_duration == 0.2
+    assert REALITY.object_position_error.jitter == 0.002
+    assert REALITY.object_rotation_error.jitter == degree
+
+
+def test_a_pose_error_has_the_covariance_that_a_planner_is_told():
+    """Uniform to 5 mm plus normal 3 mm on each axis; normal 3 degrees about a random axis."""
+    bias = drawn(REALITY).object_bias
+    np.testing.assert_allclose(np.cov(bias.T), REALITY.object_pose_covariance, atol=1.2e-4 * 0.9)
+    position = np.diag(REALITY.object_pose_covariance)[:3]
+    np.testing.assert_allclose(position, 0.005**2 / 3 + 0.003**2)
+    np.testing.assert_allclose(bias[:, :3].var(axis=0), position, rtol=0.08)
+    angle = np.linalg.norm(bias[:, 3:], axis=1)
+    assert np.sqrt((angle**2).mean()) == pytest.approx(np.deg2rad(3), rel=0.05)
+    # Half of the normal distribution lies within 0.674 standard deviations.
+    assert np.median(angle) == pytest.approx(0.674 * np.deg2rad(3), rel=0.06)
+    assert not NOMINAL.object_pose_covariance.any()
+
+
+def test_a_moved_object_is_neither_shifted_nor_turned_where_it_is_not_moved():
+    r = Randomization(object_shift=(0.01, 0.02), object_turn=0.5, shift_probability=0.5)
+    shift = drawn(r).object_shift
+    still = (shift == 0.0).all(axis=1)
+    assert still.mean() == pytest.approx(0.5, abs=0.04)
+    assert (shift[~still] != 0).all()
 
 
 def test_what_an_episode_gets_depends_on_seed_and_number_alone():
@@ -128,13 +186,17 @@ def test_nominal_worlds_are_as_believed():
     for name in FACTORS:
         assert (getattr(sample, name) == 1.0).all()
     assert sample.friction is None
+    assert (sample.object_scale == 1.0).all() and not sample.tracker_freezes.any()
+    added = ("joint_friction", "encoder_bias", "backlash", "wrist_offset", "wrist_lag")
+    for name in (*added, "center_of_mass_shift", "table_tilt"):
+        assert (getattr(sample, name) == 0.0).all(), name
     zero = ("table_height", "joint_bias", "palm_bias", "object_bias", "object_shift", "tracker_delay")
     for name in (*zero, "action_delay"):
         assert (getattr(sample, name) == 0.0).all(), name
     assert sample.push_force.shape == (5, 0)
 
 
-@pytest.mark.parametrize("r", [WIDE, NOMINAL])
+@pytest.mark.parametrize("r", [WIDE, REALITY, NOMINAL])
 def test_episodes_can_be_selected_replaced_and_kept(r, tmp_path):
     first, second = drawn(r, 1, 5), drawn(r, 2, 2)
     mixed = first.replaced(np.array([3, 0]), second)
@@ -176,6 +238,12 @@ def test_samples_with_and_without_friction_do_not_mix():
         ({"tracker_delay": (0.2, 0.1)}, "tracker delay must rise"),
         ({"tracker_dropout": 1.5}, "tracker dropout is a probability"),
         ({"tracker_dropout": -0.5}, "tracker dropout must not be negative"),
+        ({"tracker_freeze": 1.1}, "tracker freeze is a probability"),
+        ({"shift_probability": 2.0}, "shift probability is a probability"),
+        ({"object_scale": (0.0, 1.0)}, "object scale must be positive"),
+        ({"joint_friction": (-0.1, 0.0)}, "joint friction must not be negative"),
+        ({"center_of_mass_shift": 0.6}, "center of mass shift must be within half of the extent"),
+        ({"table_tilt": (0.0, 0.7)}, "table tilt must be at most"),
         ({"push_times": ((0.0, 1.0), (2.0, 1.5))}, "push times must rise"),
         ({"push_force": (-1.0, 1.0)}, "push force must not be negative"),
         ({"push_weights": (-1.0, 1.0)}, "push weights must not be negative"),
@@ -199,6 +267,12 @@ RANDOM: list[dict] = [
     {"object_position_error": MeasurementError(offset=0.01)},
     {"object_shift": (0.02, 0.02)},
     {"object_turn": 0.1},
+    {"table_tilt": (0.01, 0.01)},
+    {"wrist_position_offset": 0.003},
+    {"encoder_bias": 0.01},
+    {"center_of_mass_shift": 0.1},
+    {"object_scale": (0.99, 1.01)},
+    {"tracker_freeze": 0.3},
     {"push_times": ((1.0, 1.0),), "push_weights": (1.0, 1.0)},
 ]
 FIXED: list[dict] = [
@@ -210,6 +284,9 @@ FIXED: list[dict] = [
     {"tracker_delay": (0.05, 0.05)},
     {"push_times": ((0.0, 3.0), (1.0, 2.0))},
     {"push_force": (0.0, 1.0)},
+    {"object_scale": (1.01, 1.01)},
+    {"backlash": (0.01, 0.01)},
+    {"shift_probability": 0.3},
 ]
 
 

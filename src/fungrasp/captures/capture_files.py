@@ -15,6 +15,10 @@ from fungrasp.captures.painted_mesh import PaintedMesh
 from fungrasp.captures.render_capture import SyntheticCapture
 from fungrasp.errors import FungraspError
 from fungrasp.files import atomic_path
+from fungrasp.formats.file_bytes import one_line
+from fungrasp.formats.image_file import read_image
+from fungrasp.formats.json_file import read_json
+from fungrasp.formats.mesh_file import read_colored_mesh
 from fungrasp.grasps import HumanGrasp
 from fungrasp.perception.io.image_files import read_capture
 from fungrasp.perception.io.scene_folders import COLOR_FILE, DEPTH_FILE, LENS_FILE
@@ -79,7 +83,7 @@ def read_synthetic_capture(folder: str | Path) -> SyntheticCapture:
     capture = read_capture(folder / COLOR_FILE, folder / DEPTH_FILE, folder / LENS_FILE)
     path = folder / TRUTH_FILE
     try:
-        truth = json.loads(path.read_text())
+        truth = read_json(path, "truth of a capture")
         grasp = HumanGrasp(
             object_name=truth["object_name"],
             object_mass=truth["object_mass"],
@@ -90,14 +94,18 @@ def read_synthetic_capture(folder: str | Path) -> SyntheticCapture:
             task=truth["task"],
         )
         pose = np.array(truth["pose_world_camera"], dtype=float)
-        with Image.open(folder / LABELS_FILE) as image:
-            labels = np.array(image)
-        mesh: Any = trimesh.load(folder / f"{grasp.object_name}.ply", process=False)
+        labels = np.array(read_image(folder / LABELS_FILE, "labels of a capture"))
+        name = Path(f"{grasp.object_name}.ply").name
+        mesh: Any = read_colored_mesh(folder / name, "mesh of a capture")
+        if mesh is None:
+            raise FungraspError(f"{folder / name} has no colors")
         painted = PaintedMesh(
             np.array(mesh.vertices), np.array(mesh.faces), np.array(mesh.visual.vertex_colors)[:, :3] / 255
         )
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise FungraspError(f"{folder} is no rendered capture: {' '.join(str(error).split())}") from error
+    except FungraspError:
+        raise
+    except (OSError, ValueError, LookupError, TypeError, AttributeError) as error:
+        raise FungraspError(f"{folder} is no rendered capture: {one_line(error)}") from error
     return SyntheticCapture(capture, grasp, pose, labels, painted)
 
 

@@ -1,4 +1,4 @@
-"""``fungrasp bench``: the speed of retargeting, simulation, training, perception and drivers here."""
+"""``fungrasp bench``: the speed of retargeting, planning, simulation, training, perception and drivers."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from fungrasp.cli.bench_identify import BenchIdentify
 from fungrasp.cli.bench_perception import BenchPerception
+from fungrasp.cli.bench_planning import BenchPlanning
 from fungrasp.cli.bench_robot import BenchFaults, BenchRobot
 from fungrasp.cli.console import progress_bar, table, write_json
 
@@ -33,12 +34,23 @@ class Retargeting:
     """Methods to measure; all by default."""
     repeat: int = 3
     """Rounds, of which the fastest counts."""
+    peers: bool = False
+    """Compare with the other packages that are installed (dex-retargeting, dexi-rs, mink: extra "bench"), by
+    processor time on one thread, and write --json with one row per grasp."""
+    lift: bool = False
+    """With --peers: lift the objects too, by the reference controller, with and without adaptation of the
+    grasps to the settled object."""
     threads: int = 0
     """Number of threads; 0 means all processors."""
     json: Path | None = None
     """Write the numbers here (.json)."""
 
     def run(self) -> None:
+        if self.peers:
+            from fungrasp.cli.bench_peers import compare_with_peers
+
+            compare_with_peers(self)
+            return
         from fungrasp.errors import UnknownNameError
         from fungrasp.evaluation.results import finite
         from fungrasp.grasps import load_human_grasps, load_objects
@@ -235,6 +247,7 @@ COMMAND = {
     "retarget": Retargeting,
     "simulation": Simulation,
     "training": Training,
+    "planning": BenchPlanning,
     "perception": BenchPerception,
     "robot": BenchRobot,
     "faults": BenchFaults,

@@ -25,9 +25,51 @@ def result_table(result: LiftTestResult) -> str:
     rows += [_row(name, part) for name, part in numbers["by_object"].items()]
     rows.append(_row("all", numbers))
     rows.append(_row("mean over objects", numbers["mean_over_objects"]))
+    lines = contact_estimate_lines(numbers["contact_estimate"])
     reasons = Counter(reason for reason in result.outcomes.reason.tolist() if reason)
-    lines = [f"failed: {count:3d} {reason}" for reason, count in reasons.most_common()]
+    lines += [f"failed: {count:3d} {reason}" for reason, count in reasons.most_common()]
     return "\n".join([table(rows), *lines])
+
+
+def contact_estimate_lines(estimate: Mapping[str, Any] | None) -> list[str]:
+    """How well a student knew what it touched, a line, or none."""
+    if estimate is None:
+        return []
+    return [
+        f"estimated contacts: F1 {estimate['f1']:.2f} (precision {estimate['precision']:.2f}, "
+        f"recall {estimate['recall']:.2f}); forces off by {estimate['force_error_n']:.1f} N "
+        f"of {estimate['force_n']:.1f} N"
+    ]
+
+
+def use_table(result: LiftTestResult) -> str:
+    """Tasks and how many of their held grasps passed the use test, and why the others failed."""
+    from collections import Counter
+
+    from fungrasp.evaluation.use_test import use_json
+
+    assert result.use is not None
+    numbers = use_json(result.use, result.task)
+    if not numbers["count"]:
+        return "no held grasp is for a task that has a use motion"
+    rows = [("task", "held", "used", "95 % interval", "functional contact", "shift [mm]", "turn [deg]")]
+    for name, part in (*numbers["by_task"].items(), ("all", numbers)):
+        low, high = part["success_interval"]
+        rows.append(
+            (
+                name,
+                str(part["count"]),
+                f"{part['success_rate']:.1%}",
+                f"{low:.1%} – {high:.1%}",
+                f"{part['functional_contact']:.2f}",
+                f"{part['shift_mm_median']:.1f}",
+                f"{part['turn_deg_median']:.1f}",
+            )
+        )
+    reasons = Counter(reason for reason in result.use.reason.tolist() if reason)
+    return "\n".join(
+        [table(rows), *(f"failed: {count:3d} {reason}" for reason, count in reasons.most_common())]
+    )
 
 
 def static_words(static: Mapping[str, Any]) -> str:

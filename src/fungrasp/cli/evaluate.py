@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from fungrasp.cli.console import progress_bar, write_json
 
@@ -14,14 +15,21 @@ if TYPE_CHECKING:
     from fungrasp.evaluation import LiftTestResult
     from fungrasp.evaluation.lift_test import Refinement
     from fungrasp.evaluation.partial_results import PartialResults
+    from fungrasp.evaluation.use_test import UseTest
     from fungrasp.grasps import HumanGraspSet, RobotGraspSet
     from fungrasp.hands import Hand
     from fungrasp.objects import ObjectModel
     from fungrasp.planning import Planner
     from fungrasp.transfer import Randomization
 
-SEARCHED_CHUNK = 32
-"""Grasps refined, or planned by a policy, and tried together: what an interrupted run may lose."""
+CHUNKS = (8, 128)
+"""Fewest and most grasps tried together: what an interrupted run may lose."""
+
+SEARCHED_CHUNKS = (2, 32)
+"""The same where grasps are refined, or plans are searched for, which takes a hundred times as long."""
+
+PARTS = 8
+"""Parts of which an interrupted run loses one at most, where ``CHUNKS`` allows it."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +48,11 @@ class Evaluate:
     refine: int = 0
     """First try this many variations of each grasp in simulation, and keep the best."""
     method: tuple[str, ...] = ("ours",)
-    """How human grasps are retargeted: ours, angle-copy, dexgraspnet; several are compared."""
+    """How human grasps are retargeted: ours, angle-copy, dexgraspnet; several are compared, with and without
+    adaptation of the grasps to the settled object."""
+    adapt: bool = True
+    """Fit the grasps to the object as it has settled: a little optimization by the planner, which also
+    repairs grasps that were retargeted badly."""
     seed: tuple[int, ...] = (0,)
     """Seed of all random numbers; with several, each grasp is tried with each."""
     json: Path | None = None
@@ -54,6 +66,12 @@ class Evaluate:
     """Draw some of the grasps, and whether they held, to this PNG file."""
     static: bool = False
     """Measure the static quality too (of retargeted human grasps), and run the six-direction test."""
+    use: bool = False
+    """After the hold, play the motion that the grasp's task needs (tilt, strike, stroke, press, hand over),
+    and say how many objects stay in the hand and how many fingers lie where the person's did."""
+    protocol: Literal["nominal", "reality", "robustness"] = "nominal"
+    """How the world differs from what planner and policy believe: not at all; in everything at once, as a
+    robot's does, drawn anew for each episode; or in one thing at a time."""
     mass_scale: float = 1.0
     """The object weighs this many times its nominal mass, which the policy assumes."""
     friction: float | None = None
@@ -74,24 +92,30 @@ class Evaluate:
     grasp."""
     noslip: int = 0
     """Iterations that take the creep out of the solver's friction; 5 make physics 1.6 times as slow."""
-    robustness: bool = False
-    """Try the grasps under each condition of the robustness protocol: other masses, friction, table heights,
-    wrong poses, latency, pushes, moved objects."""
     threads: int = 0
     """0 means all processors; the result does not depend on it."""
 
     def run(self) -> None:
+        from functools import partial
         from time import perf_counter
 
-        from fungrasp.cli.episode_tables import comparison, result_table, robustness_table, static_words
+        from fungrasp.cli.episode_tables import (
+            comparison,
+            result_table,
+            robustness_table,
+            static_words,
+            use_table,
+        )
         from fungrasp.cli.retarget import draw_grasps
         from fungrasp.evaluation.lift_test import check_hand
         from fungrasp.evaluation.partial_results import PartialResults
+        from fungrasp.evaluation.use_test import UseTest
         from fungrasp.grasps import RobotGraspSet, load_grasps, load_objects
         from fungrasp.hands import load_hand
+        from fungrasp.planning import MotionSettings
         from fungrasp.planning.selection import SelectionSettings
         from fungrasp.policies import make_planner, policy_files
-        from fungrasp.transfer import ROBUSTNESS
+        from fungrasp.transfer import NOMINAL, protocol_conditions
 
         randomization = self._randomization()
         hand = load_hand(self.hand)
@@ -105,21 +129,47 @@ class Evaluate:
         store = None if file is None else PartialResults(file.with_name(f"{file.name}.partial"))
         start = perf_counter()
         sets = self._robot_grasps(grasps, objects, hand)
-        conditions = ROBUSTNESS if self.robustness else {"": randomization}
+        conditions = {"": randomization}
+        if randomization == NOMINAL:
+            conditions = protocol_conditions(self.protocol)
         refinement = self._refinement(objects, hand)
-        selection = SelectionSettings() if self.rollouts else SelectionSettings(rollouts=None)
+        selection = SelectionSettings.for_protocol(self.protocol, self.rollouts)
         # One planner for all conditions: what it has planned for one it knows for the others.
-        planner = make_planner(self.policy, hand, objects, selection, threads=self.threads)
+        make = partial(make_planner, self.policy, hand, objects, selection, threads=self.threads)
+        unadapted = MotionSettings(adapt=None)
+        planner = make(motions=None if self.adapt else unadapted)
+        human = None if isinstance(grasps, RobotGraspSet) else grasps
+        uses = {
+            name: UseTest.of(human, robot, objects, hand) if self.use else None
+            for name, robot in sets.items()
+        }
         tried = {
             name: {
                 condition: self._evaluate(
-                    (name, condition), robot, objects, hand, other, refinement, planner, store
+                    (name, condition), robot, objects, hand, other, refinement, planner, store, uses[name]
                 )
                 for condition, other in conditions.items()
             }
             for name, robot in sets.items()
         }
         results = {name: next(iter(those.values())) for name, those in tried.items()}
+        without: dict[str, LiftTestResult] = {}
+        if len(sets) > 1 and self.adapt and len(conditions) == 1:
+            plain = make(motions=unadapted)
+            without = {
+                name: self._evaluate(
+                    (name, "without adaptation"),
+                    robot,
+                    objects,
+                    hand,
+                    next(iter(conditions.values())),
+                    refinement,
+                    plain,
+                    store,
+                    uses[name],
+                )
+                for name, robot in sets.items()
+            }
         seconds = perf_counter() - start
         static = {
             name: self._static(robot, None if robot is grasps else grasps, objects, hand)
@@ -127,7 +177,7 @@ class Evaluate:
             if self.static
         }
         if store is not None:
-            self._write(tried, static, seconds)
+            self._write(tried, without, static, seconds)
             store.remove()
         if self.picture is not None:
             name, robot = next(iter(sets.items()))
@@ -138,31 +188,40 @@ class Evaluate:
         for name, result in results.items():
             if len(results) > 1:
                 print(f"{name}:")
-            print(robustness_table(tried[name]) if self.robustness else result_table(result))
+            print(result_table(result) if len(tried[name]) == 1 else robustness_table(tried[name]))
+            if self.use:
+                print(use_table(result))
             if name in static:
                 print(static_words(static[name]))
         if len(results) > 1:
             print(comparison(results))
+            if without:
+                print("without adaptation to the settled object:")
+                print(comparison(without))
         count = sum(len(result.index) for those in tried.values() for result in those.values())
+        count += sum(len(result.index) for result in without.values())
         print(f"{count} episodes in {seconds:.1f} s")
 
     def _write(
         self,
         tried: Mapping[str, Mapping[str, LiftTestResult]],
+        without: Mapping[str, LiftTestResult],
         static: Mapping[str, dict[str, Any]],
         seconds: float,
     ) -> None:
         """All results to --json and --out."""
         from fungrasp.evaluation import result_json, write_result
         from fungrasp.evaluation.result_files import split_rows
-        from fungrasp.evaluation.results import robustness_json
+        from fungrasp.evaluation.results import robustness_json, summary
         from fungrasp.provenance import run_record
 
         jsons: dict[str, dict[str, Any]] = {}
         for name, those in tried.items():
             jsons[name] = result_json(next(iter(those.values()))) | static.get(name, {})
-            if self.robustness:
-                jsons[name]["robustness"] = robustness_json(those)
+            if name in without:
+                jsons[name]["without_adaptation"] = summary(without[name])
+            if len(those) > 1:
+                jsons[name] |= {"protocol": self.protocol, "robustness": robustness_json(those)}
         whole: dict[str, Any] = next(iter(jsons.values())) if len(jsons) == 1 else {"methods": jsons}
         whole = run_record(whole.get("seed", self.seed)) | whole | {"seconds": seconds}
         if self.json is not None:
@@ -173,8 +232,7 @@ class Evaluate:
     def _randomization(self) -> Randomization:
         from math import radians
 
-        from fungrasp.transfer import MeasurementError, Randomization
-        from fungrasp.transfer.randomization import THREE_PUSHES
+        from fungrasp.transfer import THREE_PUSHES, MeasurementError, Randomization
 
         distance, angle = self.pose_noise
         weights, duration = self.push
@@ -207,12 +265,15 @@ class Evaluate:
                 raise FungraspError(f"--{name} needs at least one value, and each once")
         if min(*self.seed, self.refine, self.threads, self.noslip) < 0:
             raise FungraspError("--seed, --refine, --noslip and --threads must not be negative")
-        if self.robustness and randomization != NOMINAL:
-            raise FungraspError("--robustness has conditions of its own: give it or single ones")
-        if len(self.seed) > 1 and not (self.robustness or self._is_random(randomization, hand)):
+        if self.protocol != "nominal" and randomization != NOMINAL:
+            raise FungraspError(
+                f"--protocol {self.protocol} says how worlds differ: give it or single options"
+            )
+        random = self.protocol != "nominal" or self._is_random(randomization, hand)
+        if len(self.seed) > 1 and not random:
             raise FungraspError(
                 "nothing is random here, so several seeds would only repeat the same episodes: give one "
-                "--seed, or something random (--pose-noise, --push, --object-shift, --robustness, --refine, "
+                "--seed, or something random (--protocol, --pose-noise, --push, --object-shift, --refine, "
                 "a learned policy that chooses plans)"
             )
 
@@ -246,10 +307,10 @@ class Evaluate:
         refinement: Refinement | None,
         planner: Planner,
         store: PartialResults | None,
+        use: UseTest | None,
     ) -> LiftTestResult:
         """names: of the method and the condition, "" for one that needs no name."""
         from fungrasp.evaluation import evaluate
-        from fungrasp.evaluation.lift_test import CHUNK
         from fungrasp.simulation import SceneSettings
 
         method, condition = names
@@ -272,9 +333,10 @@ class Evaluate:
                 randomization=randomization,
                 refine=refinement,
                 planner=planner,
+                use=use,
                 record=folder,
                 store=store,
-                chunk=SEARCHED_CHUNK if self.refine or self._searches(hand) else CHUNK,
+                chunk=chunk_size(len(robot), bool(self.refine) or self._searches(hand)),
                 progress=show,
             )
 
@@ -322,6 +384,12 @@ class Evaluate:
             return done[key]
 
         return Refinement(improve, f"{self.refine} tries")
+
+
+def chunk_size(grasps: int, searched: bool) -> int:
+    """Grasps to try together. The result does not depend on it."""
+    fewest, most = SEARCHED_CHUNKS if searched else CHUNKS
+    return min(max(math.ceil(grasps / PARTS), fewest), most)
 
 
 COMMAND = Evaluate

@@ -289,7 +289,8 @@ class MakeGrasps:
     objects: tuple[str, ...] = ()
     """Only grasps of these built-in objects."""
     mesh: Path | None = None
-    """Make grasps of this mesh instead: around the whole, from above, at handles and thin parts."""
+    """Make grasps of this mesh, or of a shape like box:60x28x30, instead: around the whole, from above, at
+    handles and thin parts."""
     mass: float | None = None
     """Mass of the mesh's object [kg]."""
     parts: Path | None = None
@@ -300,7 +301,7 @@ class MakeGrasps:
     def run(self) -> None:
         from fungrasp.cli.console import progress_bar
         from fungrasp.errors import FungraspError, UnknownNameError
-        from fungrasp.objects import object_from_file
+        from fungrasp.objects import is_plain_shape, load_object, object_from_file
         from fungrasp.synthesis import synthesize_grasps
         from fungrasp.synthesis.automatic_specifications import automatic_specifications, parts_from_boxes
         from fungrasp.synthesis.builtin_specifications import BUILTIN_SPECIFICATIONS
@@ -318,7 +319,10 @@ class MakeGrasps:
             ]
             models, settings = None, SynthesisSettings()
         else:
-            model = object_from_file(self.mesh, self.mass)
+            shape = is_plain_shape(str(self.mesh)) and not self.mesh.is_file()
+            model = (
+                load_object(str(self.mesh), self.mass) if shape else object_from_file(self.mesh, self.mass)
+            )
             if self.parts is not None:
                 model = parts_from_boxes(model, self.parts)
             specs = automatic_specifications(model)
@@ -339,7 +343,8 @@ class MakeGrasps:
         if missing:
             print(f"left out: {missing} of {len(specs)} grasp specifications, which could not be met")
         if self.mesh is not None:
-            print(f"use them with: --grasps {self.out} --objects {self.mesh.parent}")
+            folder = "" if is_plain_shape(model.name) else f" --objects {self.mesh.parent}"
+            print(f"use them with: --grasps {self.out}{folder}")
 
 
 COMMAND = {

@@ -32,23 +32,26 @@ def held_object(mesh: str, mass: float | None) -> HeldObject:
     """The object by its mesh file or its name.
 
     Args:
-        mesh: a mesh file [m], or the name of a built-in object. A file of that name comes first.
+        mesh: a mesh file [m], the name of a built-in object, or a shape, "box:60x28x30". A file of that name
+            comes first.
         mass: [kg]; None takes a built-in object's own, or guesses it from the size of the mesh.
 
     Raises:
         FungraspError: there is no such file or object, the mesh is bad, or the mass.
     """
-    from fungrasp.objects import builtin_object, object_from_file, object_names
+    from fungrasp.objects import builtin_object, is_plain_shape, object_from_file, object_names, plain_shape
     from fungrasp.perception.object_pose.known_object import colored_mesh
 
     is_file = Path(mesh).is_file()
-    if not is_file and (mesh in object_names() or Path(mesh).name == mesh == Path(mesh).stem):
+    shape = not is_file and is_plain_shape(mesh)
+    if not is_file and not shape and (mesh in object_names() or Path(mesh).name == mesh == Path(mesh).stem):
         return HeldObject(builtin_object(mesh, mass))
     notes: tuple[str, ...] = ()
     if mass is None:
-        mass = DENSITY * float(object_from_file(mesh, 1.0).mesh.convex_hull.volume)
+        unit = plain_shape(mesh, 1.0) if shape else object_from_file(mesh, 1.0)
+        mass = DENSITY * float(unit.mesh.convex_hull.volume)
         notes = (f"the mass was guessed, {mass:.2f} kg: give --mass if you know it",)
-    model = object_from_file(mesh, mass)
+    model = plain_shape(mesh, mass) if shape else object_from_file(mesh, mass)
     return HeldObject(model, colored_mesh(mesh, model) if is_file else None, notes)
 
 

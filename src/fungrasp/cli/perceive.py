@@ -32,7 +32,8 @@ class Perceive:
     """
 
     mesh: str
-    """The object [m]: a mesh file, or the name of a built-in object."""
+    """The object: a mesh file [m], the name of a built-in object, or a shape in millimetres, box:60x28x30,
+    cylinder:66x115 (diameter, height) or sphere:67."""
     out: Path
     """Grasp file to write (.npz)."""
     source: ImageSource = field(default_factory=ImageSource)

@@ -1,4 +1,4 @@
-"""``fungrasp reproduce``: train and test what the paper's tables compare."""
+"""``fungrasp reproduce``: train and test what the paper's tables compare, and train the free policies."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from fungrasp.cli.console import progress_bar, table, write_json
+from fungrasp.cli.reproduce_policies import FreePolicies
 from fungrasp.cli.train import check_numbers, check_packages, progress_lines, training_sets
 from fungrasp.errors import FungraspError
 from fungrasp.provenance import run_record
@@ -16,6 +17,7 @@ from fungrasp.training.plan_library import Variety
 from fungrasp.training.settings import DistillSettings, PpoSettings
 
 if TYPE_CHECKING:
+    from fungrasp.evaluation import LiftTestResult
     from fungrasp.evaluation.tables import Variant
     from fungrasp.hands import Hand
 
@@ -85,17 +87,20 @@ class Ablation:
 
     def _result(self, variant: Variant, hand: Hand) -> dict[str, Any]:
         """Result of a variant: from its file, or trained and tested now."""
+        from fungrasp.evaluation.result_files import LARGEST
+        from fungrasp.formats.json_file import read_json
+
         path = self.out / f"{variant.name}.json"
         budget = self._budget(variant)
         if path.is_file():
             try:
-                kept = json.loads(path.read_text())
-                same = kept["budget"] == json.loads(json.dumps(budget))
-            except (OSError, ValueError, KeyError, TypeError) as error:
+                kept = read_json(path, "result", LARGEST)
+                same, result = kept["budget"] == json.loads(json.dumps(budget)), kept["result"]
+            except (FungraspError, KeyError, TypeError) as error:
                 raise FungraspError(f"{path} is damaged: remove it to test again") from error
             if not same:
                 raise FungraspError(f"{path} was made with other settings: give another --out")
-            return kept["result"]
+            return result
         policy = self._trained(variant, hand)
         result = self._tested(variant, hand, policy)
         made = run_record(self.seed)
@@ -156,14 +161,24 @@ class Ablation:
     def _tested(self, variant: Variant, hand: Hand, policy: Path) -> dict[str, Any]:
         """The lift test of a policy, as JSON can hold it."""
         from fungrasp.evaluation import evaluate, result_json
+        from fungrasp.evaluation.results import summary
+        from fungrasp.planning import MotionSettings
+        from fungrasp.policies import make_planner
 
         (test,) = training_sets((self.test,), self.objects, hand, variant.method, threads=self.threads)
-        with progress_bar(f"testing {variant.title}", len(test.grasps)) as show:
-            result = evaluate(
-                test.grasps, test.objects, hand, str(policy), threads=self.threads, progress=show
-            )
+        grasps, objects = test.grasps, test.objects
+
+        def tested(words: str, motions: MotionSettings) -> LiftTestResult:
+            planner = make_planner(str(policy), hand, objects, threads=self.threads, motions=motions)
+            with progress_bar(f"testing {variant.title}{words}", len(grasps)) as show:
+                return evaluate(
+                    grasps, objects, hand, str(policy), planner=planner, threads=self.threads, progress=show
+                )
+
+        adapted = result_json(tested("", MotionSettings()))
+        without = summary(tested(" without adaptation", MotionSettings(adapt=None)))
         # The name in place of the path of the policy's file, which means nothing on another machine.
-        return result_json(result) | {"policy": variant.name}
+        return adapted | {"policy": variant.name, "without_adaptation": without}
 
 
 @dataclass(frozen=True)
@@ -208,4 +223,4 @@ def _identity(name: str) -> dict[str, str]:
         raise FungraspError(f"cannot read {path}: {error.strerror or error}") from error
 
 
-COMMAND = {"retargeting": RetargetingAblation, "privileged": PrivilegedAblation}
+COMMAND = {"retargeting": RetargetingAblation, "privileged": PrivilegedAblation, "policies": FreePolicies}

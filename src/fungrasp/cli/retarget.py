@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -31,7 +31,8 @@ class Retarget:
     """Turn human grasps into grasps of a robot hand, and measure how good they are."""
 
     out: Path
-    """Grasp file to write (.npz)."""
+    """Grasp file to write (.npz). Of many grasps, finished parts lie in <out>.parts until all are done: the
+    same command goes on where an interrupted one was."""
     grasps: str = "builtin"
     """A file of human grasps, or "builtin"."""
     objects: Path | None = None
@@ -51,27 +52,41 @@ class Retarget:
     """Number of threads, 0 for all processors; the result does not depend on it."""
 
     def run(self) -> None:
-        from fungrasp.evaluation import static_quality
         from fungrasp.evaluation.results import finite
+        from fungrasp.evaluation.retarget_in_parts import remove_parts, retarget_in_parts
         from fungrasp.grasps import load_human_grasps, load_objects, mirrored_grasps, save_robot_grasps
         from fungrasp.hands import load_hand
+        from fungrasp.hands.self_contacts import self_contact_words
 
         hand = load_hand(self.hand)
         human = load_human_grasps(self.grasps)
         if self.mirror:
             human = mirrored_grasps(human)
         objects = load_objects(human, self.objects)
-        robot, rate = retargeted(human, objects, hand, self.method, self.threads)
-        quality = static_quality(robot, human, objects, hand)
-        robot = replace(
-            robot, extra={**robot.extra, **{f.name: getattr(quality, f.name) for f in fields(quality)}}
-        )
+        for model in objects.values():
+            _ = model.signed_distance
+        parts, done = self.out.with_name(f"{self.out.name}.parts"), 0
+        with progress_bar(f"retargeting to {hand.name} ({self.method})", len(human)) as show:
+
+            def finished(count: int) -> None:
+                nonlocal done
+                done += count
+                show(done)
+
+            result = retarget_in_parts(human, objects, hand, self.method, self.threads, parts, finished)
+        robot, quality = result.robot, result.quality
         save_robot_grasps(self.out, robot)
+        touching = self_contact_words(hand.model, robot.joint_positions)
+        remove_parts(parts)
+        rate = result.solved / max(result.seconds, 1e-9)
         if self.quality is not None:
-            write_json(self.quality, finite(quality.summary()) | {"grasps_per_second": rate})
+            numbers = {"grasps_per_second": rate, "self_penetration_reasons": touching}
+            write_json(self.quality, finite(quality.summary()) | numbers)
         if self.picture is not None:
             draw_grasps(self.picture, robot, objects, hand, human)
         print(static_quality_table(quality.summary()))
+        for words in touching:
+            print(f"warning: {words}")
         print(f"{self.out}: {len(robot)} grasps of {len(objects)} objects, {rate:.0f} grasps/s")
 
 

@@ -14,13 +14,16 @@ from fungrasp.evaluation.penetration import exact_clearance, nearest_surface_poi
 from fungrasp.geometry import SignedDistanceBank
 from fungrasp.geometry.poses import compose, inverse_transform_points, invert, transform_points
 from fungrasp.grasps import HumanGraspSet, RobotGraspSet
-from fungrasp.hands import Hand
+from fungrasp.hands import Hand, as_hand
 from fungrasp.hands.collision_spheres import CollisionSpheres, collision_spheres, self_collision_depth
-from fungrasp.hands.correspondence import correspond
+from fungrasp.hands.correspondence import Correspondence, correspond
 from fungrasp.hands.kinematics import BodyPoints, HandKinematics
-from fungrasp.objects import ObjectModel
+from fungrasp.objects import ObjectModel, check_objects
 from fungrasp.optimization.collision_scene import project_to_surface
 from fungrasp.optimization.contact_forces import CONTACT_DISTANCE
+
+PART = 128
+"""Grasps that are judged together."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +70,7 @@ def static_quality(
     robot: RobotGraspSet,
     human: HumanGraspSet,
     objects: Mapping[str, ObjectModel],
-    hand: Hand,
+    hand: Hand | str,
     spacing: float = 0.004,
 ) -> StaticQuality:
     """Judge robot grasps against the human ones they imitate.
@@ -76,11 +79,14 @@ def static_quality(
         robot: N grasps of ``hand``.
         human: the same N grasps, as the human did them.
         objects: by name.
+        hand: the robot hand, or its name.
         spacing: of the points that cover the hand's collision geometry [m].
 
     Raises:
         FungraspError: the sets don't belong together.
     """
+    hand = as_hand(hand)
+    check_objects(robot.object_name.tolist(), objects)
     if len(robot) != len(human) or np.any(robot.object_name != human.object_name):
         raise FungraspError(
             "the robot grasps and the human grasps are not of the same objects in the same order"
@@ -88,6 +94,29 @@ def static_quality(
     if tuple(robot.joint_names) != hand.joint_names:
         raise FungraspError(f"the robot grasps have other joints than hand '{hand.name}'")
     match = correspond(hand)
+    spheres = collision_spheres(hand, spacing)
+    # Grasps of one object after the other, a part at a time, so that memory does not grow with their number.
+    order = np.argsort(robot.object_name, kind="stable")
+    parts = [
+        _quality(robot.select(rows), human.select(rows), objects, hand, match, spheres)
+        for rows in np.split(order, np.arange(PART, len(order), PART))
+        if len(rows)
+    ]
+    back = np.argsort(order)
+    names = [field.name for field in fields(StaticQuality)]
+    return StaticQuality(
+        **{name: np.concatenate([getattr(part, name) for part in parts])[back] for name in names}
+    )
+
+
+def _quality(
+    robot: RobotGraspSet,
+    human: HumanGraspSet,
+    objects: Mapping[str, ObjectModel],
+    hand: Hand,
+    match: Correspondence,
+    spheres: CollisionSpheres,
+) -> StaticQuality:
     kinematics = HandKinematics(hand, len(robot))
     wrist = compose(invert(robot.object_pose), robot.wrist_pose)
     independent = (robot.joint_positions - kinematics.offset) @ np.linalg.pinv(kinematics.matrix).T
@@ -104,7 +133,6 @@ def static_quality(
     ours = nearest_surface_points(models, grid, keypoints[:, match.far], wanted)
     contact_error = _mean_where(np.linalg.norm(theirs - ours, axis=-1), wanted)
 
-    spheres = collision_spheres(hand, spacing)
     centers, clearance, heights = _clearances(kinematics, spheres, bank, grid, robot)
     clearance = exact_clearance(models, grid, centers, clearance, spheres.radius)
     nearest = [_nearest(clearance, spheres.link == link) for link in range(len(hand.links))]

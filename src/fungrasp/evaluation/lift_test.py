@@ -12,18 +12,24 @@ import numpy as np
 
 from fungrasp import __version__
 from fungrasp.errors import FungraspError
+from fungrasp.evaluation.contact_estimate import ContactEstimateMeter, ContactEstimates
 from fungrasp.evaluation.partial_results import PartialResults
 from fungrasp.evaluation.trajectory import Recorder
+from fungrasp.evaluation.use_test import UseTest
 from fungrasp.files import digest
 from fungrasp.grasps import RobotGraspSet
-from fungrasp.hands import Hand
-from fungrasp.objects import ObjectModel
+from fungrasp.hands import Hand, as_hand
+from fungrasp.objects import ObjectModel, check_objects, with_sizes
 from fungrasp.planning import MotionPlanner, Planner
 from fungrasp.planning.selection import SearchPlanner, SelectionSettings
-from fungrasp.policies import make_planner, make_policy, policy_files
+from fungrasp.policies import StudentPolicy, make_planner, make_policy, policy_files
 from fungrasp.simulation import Scene, SceneSettings, build_scene
 from fungrasp.task import LiftEnvironment, LiftProtocol, Outcomes, Policy, PrivilegedPolicy, play
+from fungrasp.task.use import UseOutcomes
 from fungrasp.transfer import NOMINAL, Randomization, draw_each, random_stream
+
+USE_PREFIX = "use."
+"""Before the names of the fields of ``UseOutcomes`` where they stand beside those of ``Outcomes``."""
 
 CHUNK = 128
 """Episodes simulated together. It bounds the memory, and an episode does not depend on the others of its
@@ -40,7 +46,7 @@ class Refinement:
     """Name of the refinement, settings included."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class LiftTestResult:
     """Outcome of N episodes."""
 
@@ -69,12 +75,22 @@ class LiftTestResult:
     shape [N]."""
     rollouts: np.ndarray
     """Episodes that were simulated to plan each grasp, shape [N] int."""
+    contact_estimates: ContactEstimates
+    """How well the policy knew what it touched, N rows."""
+    use: UseOutcomes | None = None
+    """Outcomes of the use tests that followed; None if there were none."""
+
+    def __repr__(self) -> str:
+        held = int(np.sum(self.outcomes.success))
+        return (
+            f"<LiftTestResult: hand {self.hand!r}, policy {self.policy!r}, {held} of {len(self.index)} held>"
+        )
 
 
 def evaluate(
     grasps: RobotGraspSet,
     objects: Mapping[str, ObjectModel],
-    hand: Hand,
+    hand: Hand | str,
     policy: str | Policy | PrivilegedPolicy = "reference",
     *,
     planner: Planner | None = None,
@@ -85,6 +101,7 @@ def evaluate(
     physics: SceneSettings | None = None,
     randomization: Randomization = NOMINAL,
     refine: Refinement | None = None,
+    use: UseTest | None = None,
     record: Path | None = None,
     store: PartialResults | None = None,
     chunk: int = CHUNK,
@@ -95,7 +112,7 @@ def evaluate(
     Args:
         grasps: of ``hand``.
         objects: by name.
-        hand: the robot hand.
+        hand: the robot hand, or its name.
         policy: a policy, or the name or file of one (``fungrasp.policies.make_policy``).
         planner: whose plans it follows; the one that belongs to a policy's name, and ``MotionPlanner`` for a
             policy object, if None.
@@ -106,6 +123,7 @@ def evaluate(
         physics: settings of the engine; the defaults if None.
         randomization: how worlds differ from the nominal ones; not at all if left out.
         refine: applied to the grasps, chunk by chunk, before they are tried.
+        use: the use test of the grasps, which then follows every lift test that is passed.
         record: folder for the recorded episodes, ``<row>_<object>.npz`` (``<row>_<seed>_<object>.npz`` with
             several seeds).
         store: keeps finished chunks, and knows those of an earlier run; only for a policy and a planner that
@@ -116,7 +134,9 @@ def evaluate(
     Raises:
         FungraspError: an unknown policy, grasps of another hand, or a folder that can't be written to.
     """
+    hand = as_hand(hand)
     check_hand(grasps, hand)
+    check_objects(grasps.object_name.tolist(), objects)
     if store is not None and not (isinstance(policy, str) and (planner is None or hasattr(planner, "key"))):
         raise FungraspError(
             "partial results are kept only for a policy that is given by name and a planner that has a key"
@@ -132,7 +152,7 @@ def evaluate(
             else MotionPlanner(hand, objects, protocol=protocol)
         )
     test = _Test(
-        build_scene(hand, objects, physics),
+        build_scene(hand, with_sizes(objects, randomization.object_scales), physics),
         objects,
         make_policy(policy, hand, objects) if isinstance(policy, str) else policy,
         planner,
@@ -140,6 +160,7 @@ def evaluate(
         protocol or LiftProtocol(),
         randomization,
         threads,
+        use,
     )
     parts: list[dict[str, np.ndarray]] = []
     for seed in seeds:
@@ -178,6 +199,8 @@ def evaluate(
         outcomes=Outcomes.from_arrays(merged),
         refined_tries=merged["refined_tries"],
         rollouts=merged["rollouts"],
+        contact_estimates=ContactEstimates.from_arrays(merged),
+        use=None if use is None else UseOutcomes.from_arrays(_without(merged, USE_PREFIX)),
     )
 
 
@@ -185,8 +208,13 @@ def check_hand(grasps: RobotGraspSet, hand: Hand) -> None:
     """Complain about grasps of another hand.
 
     Raises:
-        FungraspError: another name, other joints or other contact links.
+        FungraspError: human grasps, another name, other joints or other contact links.
     """
+    if not isinstance(grasps, RobotGraspSet):
+        raise FungraspError(
+            f"expected robot grasps, not a {type(grasps).__name__}: retarget them first "
+            "(fungrasp.retarget.retarget)"
+        )
     if grasps.hand != hand.name:
         raise FungraspError(f"the grasps are of the hand '{grasps.hand}', not of '{hand.name}'")
     if grasps.joint_names != hand.joint_names or grasps.link_contacts.shape[1] != len(hand.links):
@@ -198,6 +226,11 @@ def check_hand(grasps: RobotGraspSet, hand: Hand) -> None:
 def _file_name(grasps: RobotGraspSet, row: int, seed: int, several: bool) -> str:
     label = f"_{seed}" if several else ""
     return f"{row:04d}{label}_{grasps.object_name[row]}.npz"
+
+
+def _without(arrays: Mapping[str, np.ndarray], prefix: str) -> dict[str, np.ndarray]:
+    """Those arrays whose names have a prefix, without it."""
+    return {name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}
 
 
 def _report(progress: Callable[[float], None], before: int, count: int, share: float) -> None:
@@ -217,6 +250,7 @@ class _Test:
     protocol: LiftProtocol
     randomization: Randomization
     threads: int
+    use: UseTest | None = None
 
     def key(
         self,
@@ -246,6 +280,7 @@ class _Test:
             seed,
             refine.name if refine is not None else "",
             [str(file.absolute()) for file in files],
+            "" if self.use is None else self.use.key(rows),
         )
 
     def run(
@@ -256,7 +291,8 @@ class _Test:
         files: list[Path],
         progress: Callable[[float], None],
     ) -> dict[str, np.ndarray]:
-        """Fields of ``Outcomes``, ``refined_tries`` and ``rollouts``, each of shape [W].
+        """Fields of ``Outcomes`` and ``ContactEstimates``, ``refined_tries`` and ``rollouts``, each of shape
+        [W].
 
         Args:
             grasps: W grasps.
@@ -274,7 +310,7 @@ class _Test:
         half = 0.5 if isinstance(self.planner, SearchPlanner) else 0.0
         plan = self.planner.plan(grasps, belief, seed, lambda done: progress(half * done / len(rows)))
         environment.move_objects()
-        recorder = Recorder(environment.task, grasps) if files else None
+        recorder = Recorder(environment.task, grasps, r) if files else None
         longest = p.approach_time + p.hold_time + 1.2
 
         def watch() -> None:
@@ -282,12 +318,26 @@ class _Test:
             if recorder is not None:
                 recorder()
 
-        outcomes = play(environment, self.policy, plan, watch=watch)
+        policy, estimates = self.policy, ContactEstimates.none(len(rows))
+        if isinstance(policy, StudentPolicy) and policy.estimates_contacts:
+            policy = ContactEstimateMeter(policy, environment)
+            estimates = policy.estimates
+        outcomes = play(environment, policy, plan, watch=watch)
         if recorder is not None:
             for trajectory, file in zip(recorder.trajectories(rows), files, strict=True):
                 trajectory.save(file)
+        use = {}
+        if self.use is not None:
+            assert grasps.task is not None
+            tried = self.use.run(environment, rows, grasps.task.tolist(), outcomes.success)
+            use = {USE_PREFIX + name: values for name, values in tried.arrays().items()}
         none = np.zeros(len(rows), dtype=int)
-        return outcomes.arrays() | {
-            "refined_tries": grasps.extra.get("refined_tries", none + 1),
-            "rollouts": none if plan.rollouts is None else plan.rollouts,
-        }
+        return (
+            outcomes.arrays()
+            | estimates.arrays()
+            | use
+            | {
+                "refined_tries": grasps.extra.get("refined_tries", none + 1),
+                "rollouts": none if plan.rollouts is None else plan.rollouts,
+            }
+        )

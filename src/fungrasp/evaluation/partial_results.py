@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-import zipfile
-import zlib
+import contextlib
 from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 
-from fungrasp.files import atomic_path
+from fungrasp.errors import FungraspError
+from fungrasp.files import atomic_path, remove_leftovers
+from fungrasp.formats.numpy_files import read_npz
+
+MOST_ARRAYS = 1_000_000
 
 
 class PartialResults:
@@ -21,11 +24,9 @@ class PartialResults:
         self._path = Path(path)
         self._arrays: dict[str, np.ndarray] = {}
         if self._path.is_file():
-            try:
-                with np.load(self._path, allow_pickle=False) as data:
-                    self._arrays = dict(data)
-            except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile, zlib.error):
-                self._arrays = {}
+            # Many chunks hold many small arrays.
+            with contextlib.suppress(FungraspError):
+                self._arrays = read_npz(self._path, "partial result", most=MOST_ARRAYS)
 
     def load(self, key: str) -> dict[str, np.ndarray] | None:
         """The arrays of a part by name, None if it was not kept."""
@@ -45,3 +46,4 @@ class PartialResults:
     def remove(self) -> None:
         """Delete the file, if there is one."""
         self._path.unlink(missing_ok=True)
+        remove_leftovers(self._path)

@@ -9,8 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from fungrasp.errors import FungraspError
 from fungrasp.evaluation.perception import AbsentResult, CaptureResult, HandResult, PoseResult, Seconds
 from fungrasp.files import atomic_path
+from fungrasp.formats.json_file import read_json
 from fungrasp.grasps import HumanGrasp
 
 
@@ -27,9 +29,9 @@ class KeptCaptures:
         self._rows: dict[str, Any] = {}
         if self._path.is_file():
             try:
-                content = json.loads(self._path.read_text())
+                content = read_json(self._path, "kept results")
                 self._rows = content["rows"] if content["key"] == key else {}
-            except (OSError, ValueError, KeyError, TypeError):
+            except (FungraspError, KeyError, TypeError):
                 self._rows = {}
 
     def load(self, index: int) -> CaptureResult | None:

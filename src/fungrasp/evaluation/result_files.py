@@ -19,12 +19,17 @@ from typing import Any
 
 from fungrasp.errors import FungraspError
 from fungrasp.files import atomic_path
+from fungrasp.formats.file_bytes import one_line, read_bytes
+from fungrasp.formats.json_file import read_json
 
 ROW_LISTS = ("trials", "each")
 """Keys of a single JSON file under which its rows are."""
 PART = "part"
 """Column that says where in a single JSON file a row was, "robustness/nominal"; absent where all were in one
 place."""
+
+LARGEST = 64_000_000
+"""Bytes of the largest header or table that is read."""
 
 Row = dict[str, Any]
 """Values by column: bool, int, float, text, or None for what was not measured."""
@@ -82,22 +87,22 @@ def read_result(path: str | Path) -> ResultFile:
     """
     path = Path(path)
     try:
-        header = json.loads(path.read_text())
+        header = read_json(path, "result", LARGEST)
         if not isinstance(header, dict):
             raise ValueError("it is not a table")
         if not isinstance(header.get("columns"), dict):
             header, rows = split_rows(header)
             return ResultFile(header, rows)
         kinds, name, digest = header.pop("columns"), header.pop("rows"), header.pop("sha256")
-        table = (path.parent / Path(name).name).read_bytes()
+        table = read_bytes(path.parent / Path(name).name, "table", LARGEST)
         if hashlib.sha256(table).hexdigest() != digest:
             raise ValueError(f"{name} has changed since it was written")
         lines = csv.DictReader(io.StringIO(table.decode(), newline=""))
         rows = [{key: _value(line[key], kind) for key, kind in kinds.items()} for line in lines]
-    except OSError as error:
-        raise FungraspError(f"cannot read the result {path}: {error.strerror or error}") from error
-    except (ValueError, KeyError, TypeError) as error:
-        raise FungraspError(f"the result {path} is damaged: {error}") from error
+    except FungraspError:
+        raise
+    except (ValueError, LookupError, TypeError, AttributeError, RecursionError, csv.Error) as error:
+        raise FungraspError(f"the result {path} is damaged: {one_line(error)}") from error
     return ResultFile(header, rows)
 
 

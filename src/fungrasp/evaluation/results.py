@@ -13,6 +13,8 @@ from fungrasp import __version__
 from fungrasp.evaluation.lift_test import LiftTestResult
 from fungrasp.evaluation.six_directions import StaticResult
 from fungrasp.evaluation.statistics import mean_over_groups, wilson_interval
+from fungrasp.evaluation.use_test import use_json
+from fungrasp.transfer import protocol_name
 
 LEGACY_PERIOD = 0.0289
 """Control period of earlier published code, per which it counts the displacement [s]."""
@@ -42,6 +44,7 @@ def summary(result: LiftTestResult, which: np.ndarray | None = None) -> dict[str
     for name in ("sim_distance_world_mm_s", "sim_distance_hand_mm_s"):
         distance = getattr(result.outcomes, name)[held]
         values[f"{name}_held"] = float(np.mean(distance)) if len(distance) else None
+    values["contact_estimate"] = result.contact_estimates.summary(which)
     displacement = values["sim_distance_world_mm_s"] * LEGACY_PERIOD
     values["legacy"] = {
         "success_rate": float(np.mean(result.outcomes.legacy_success[which])),
@@ -63,6 +66,7 @@ def result_json(result: LiftTestResult) -> dict[str, Any]:
     seeds = np.unique(result.seed).tolist()
     names = np.unique(result.object_name).tolist()
     columns = {field.name: getattr(result.outcomes, field.name) for field in fields(result.outcomes)}
+    use_columns = {} if result.use is None else result.use.arrays()
     episodes = [
         {
             "index": int(result.index[i]),
@@ -71,6 +75,7 @@ def result_json(result: LiftTestResult) -> dict[str, Any]:
             "seed": int(result.seed[i]),
             **{name: values[i] for name, values in columns.items()},
             "refined_tries": int(result.refined_tries[i]),
+            **{f"use_{name}": values[i] for name, values in use_columns.items()},
         }
         for i in range(len(result.index))
     ]
@@ -81,12 +86,14 @@ def result_json(result: LiftTestResult) -> dict[str, Any]:
             "policy": result.policy,
             "rollouts_per_grasp": float(np.mean(result.rollouts)),
             "seed": seeds[0] if len(seeds) == 1 else seeds,
-            "protocol": asdict(result.protocol),
+            "protocol": protocol_name(result.randomization),
+            "lift_test": asdict(result.protocol),
             "physics": asdict(result.physics),
             "randomization": asdict(result.randomization),
             **summary(result),
             "mean_over_objects": mean_over_objects(result),
             "by_object": {name: summary(result, result.object_name == name) for name in names},
+            **({} if result.use is None else {"use": use_json(result.use, result.task)}),
             "trials": episodes,
         }
     )

@@ -10,8 +10,8 @@ import numpy as np
 from fungrasp.evaluation.lift_test import CHUNK, check_hand
 from fungrasp.geometry.poses import compose, inverse_transform_points, invert, rotation_vector
 from fungrasp.grasps import RobotGraspSet
-from fungrasp.hands import Hand
-from fungrasp.objects import ObjectModel
+from fungrasp.hands import Hand, as_hand
+from fungrasp.objects import ObjectModel, check_objects
 from fungrasp.planning.grasp_motion import squeeze_offsets
 from fungrasp.simulation import Engine, MujocoCpuEngine, Scene, SceneSettings, build_scene
 from fungrasp.task import Belief
@@ -60,7 +60,7 @@ class StaticResult:
 def six_direction_test(
     grasps: RobotGraspSet,
     objects: Mapping[str, ObjectModel],
-    hand: Hand,
+    hand: Hand | str,
     *,
     protocol: StaticProtocol | None = None,
     threads: int = 0,
@@ -69,13 +69,13 @@ def six_direction_test(
 ) -> StaticResult:
     """Close the hand around an object that floats without gravity, far from any table, and push the object.
 
-    The palm stands at the grasp, the fingers start at the grasp's joint positions and squeeze as in
-    planned motions.
+    The palm stands at the grasp, the fingers start at the grasp's joint positions and move to the grasp's own
+    ``squeeze_positions``; where it has none, they squeeze as in planned motions.
 
     Args:
         grasps: N grasps of ``hand``.
         objects: by name.
-        hand: the robot hand.
+        hand: the robot hand, or its name.
         protocol: the published one if None.
         threads: 0 means all processors. The result does not depend on it.
         chunk: grasps simulated together.
@@ -84,7 +84,9 @@ def six_direction_test(
     Raises:
         FungraspError: grasps of another hand.
     """
+    hand = as_hand(hand)
     check_hand(grasps, hand)
+    check_objects(grasps.object_name.tolist(), objects)
     p = protocol or StaticProtocol()
     settings = SceneSettings(gravity=0.0, friction=p.friction, torsional_friction=p.torsional_friction)
     scene = build_scene(hand, objects, settings)
@@ -97,6 +99,13 @@ def six_direction_test(
     # NaN, from a simulation that diverged, is not within the limits.
     held = (displacement < p.distance_limit) & (angle < p.angle_limit)
     return StaticResult(np.all(held, axis=1), displacement, angle)
+
+
+def _own_squeeze(hand: Hand, grasps: RobotGraspSet) -> np.ndarray:
+    """Servo targets of the grasps' own squeeze within the joints' limits [rad], shape [W, U]; NaN where they
+    have none."""
+    low, high = hand.joint_limits.T
+    return hand.independent(np.clip(grasps.squeeze_positions, low, high))
 
 
 def _push(
@@ -113,7 +122,11 @@ def _push(
     floating = replace(grasps, object_mass=np.full(count, p.mass))
     belief = Belief.nominal(grasps.object_pose, floating.object_mass, grasps.wrist_pose, closed)
     palm = compose(invert(grasps.object_pose), grasps.wrist_pose)
-    squeezed = closed + squeeze_offsets(hand, floating, objects, belief, palm, closed)
+    squeezed = _own_squeeze(hand, grasps)
+    missing = np.isnan(squeezed).any(axis=1)
+    if missing.any():
+        planned = closed + squeeze_offsets(hand, floating, objects, belief, palm, closed)
+        squeezed = np.where(np.expand_dims(missing, 1), planned, squeezed)
     engine.reset()
     engine.set_state(
         object_pose=grasps.object_pose,

@@ -61,6 +61,7 @@ TABLES: Mapping[str, tuple[Variant, ...]] = {
 HEAD = (
     "policy",
     "success",
+    "unadapted",
     "95 % interval",
     "paper",
     "contacts",
@@ -86,10 +87,12 @@ def comparison_rows(
 
 def _row(variant: Variant, result: Mapping[str, Any]) -> tuple[str, ...]:
     low, high = result["success_interval"]
+    without = result.get("without_adaptation")
     paper = variant.paper
     return (
         variant.title,
         f"{result['success_rate']:.1%}",
+        f"{without['success_rate']:.1%}" if without else "",
         f"{low:.1%} – {high:.1%}",
         f"{paper.success:.0%}",
         f"{result['contact_ratio']:.2f}",

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
-import zlib
 from dataclasses import dataclass, fields
 from pathlib import Path
 
@@ -11,8 +9,25 @@ import numpy as np
 
 from fungrasp.errors import FungraspError
 from fungrasp.files import atomic_path
+from fungrasp.formats.numpy_files import read_npz
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.task import LiftTask
+from fungrasp.transfer import NOMINAL, Randomization
+
+_ADDED = ("controls", "differs")
+"""Fields that recordings of earlier versions lack."""
+
+_SHAPES = {
+    **dict.fromkeys(("hand", "object_name", "reason", "differs"), ("U", 0)),
+    **dict.fromkeys(("object_mass",), ("f", 0)),
+    **dict.fromkeys(("index",), ("iu", 0)),
+    **dict.fromkeys(("success",), ("b", 0)),
+    **dict.fromkeys(("times", "wrist_reference"), ("f", 1)),
+    "phase": ("iu", 1),
+    "link_contacts": ("b", 2),
+    **dict.fromkeys(("qpos", "object_pose", "palm_pose", "joint_positions", "controls"), ("f", 2)),
+}
+"""Of each array of a file: kinds of numbers that it may hold, and how many axes it has."""
 
 PHASES = ("approach", "lift", "hold")
 """Names of the numbers in ``Trajectory.phase``."""
@@ -53,6 +68,10 @@ class Trajectory:
     controls: np.ndarray | None = None
     """What the servos of the scene were told before each state: the wrist's six joints in its frame [m, rad],
     then the finger servos [rad]; shape [T, 6 + U]. None in recordings of earlier versions."""
+    differs: str = ""
+    """What may differ from the nominal world, as names of fields of ``Randomization`` with spaces between;
+    empty for a nominal one. The drawn values are not in a recording, and a replay of the controls in the
+    nominal scene departs from it."""
 
     def save(self, path: str | Path) -> None:
         """Write to an ``.npz`` file, whole or not at all; numbers as float32.
@@ -81,15 +100,18 @@ def replay(path: str | Path) -> Trajectory:
     Raises:
         FungraspError: no such file, or no recorded episode.
     """
-    path = Path(path)
-    if not path.is_file():
-        raise FungraspError(f"the recorded episode {path} does not exist")
-    try:
-        with np.load(path, allow_pickle=False) as data:
-            names = [f.name for f in fields(Trajectory) if f.name in data or f.name != "controls"]
-            arrays = {name: data[name] for name in names}
-    except (OSError, ValueError, EOFError, KeyError, TypeError, zipfile.BadZipFile, zlib.error) as error:
-        raise FungraspError(f"{path} is no recorded episode: {' '.join(str(error).split())}") from error
+    names = {field.name for field in fields(Trajectory)}
+    arrays = read_npz(path, "recorded episode", names.__contains__)
+    missing = sorted(names - set(_ADDED) - set(arrays))
+    if missing:
+        raise FungraspError(f"{path} is no recorded episode: it lacks {', '.join(missing)}")
+    for name, (kinds, axes) in _SHAPES.items():
+        if name in arrays and (arrays[name].dtype.kind not in kinds or arrays[name].ndim != axes):
+            raise FungraspError(
+                f"{path} is no recorded episode: {name} is {arrays[name].dtype} of shape {arrays[name].shape}"
+            )
+    if len({len(array) for name, array in arrays.items() if array.ndim and name != "wrist_reference"}) > 1:
+        raise FungraspError(f"{path} is no recorded episode: its arrays are of different lengths")
     values = {name: value if value.ndim else value.item() for name, value in arrays.items()}
     return Trajectory(**values)
 
@@ -97,13 +119,17 @@ def replay(path: str | Path) -> Trajectory:
 class Recorder:
     """Watches a task and keeps its states; hand it to ``LiftEnvironment.step``."""
 
-    def __init__(self, task: LiftTask, grasps: RobotGraspSet):
+    def __init__(self, task: LiftTask, grasps: RobotGraspSet, randomization: Randomization = NOMINAL):
         """
         Args:
             task: whose episodes have begun.
             grasps: one per world.
+            randomization: of the worlds.
         """
         self._task, self._grasps = task, grasps
+        other = (f.name for f in fields(randomization))
+        names = [name for name in other if getattr(randomization, name) != getattr(NOMINAL, name)]
+        self._differs = " ".join(names)
         self._states: list[tuple[np.ndarray, ...]] = []
         self._times: list[np.ndarray] = []
         self()
@@ -153,6 +179,7 @@ class Recorder:
                     link_contacts=contacts,
                     phase=phase,
                     controls=controls,
+                    differs=self._differs,
                 )
             )
         return result

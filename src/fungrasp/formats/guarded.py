@@ -40,6 +40,8 @@ def guarded(what: str) -> Callable[[Reader], Reader]:
                 if "\n" in str(error):
                     raise FungraspError(one_line(error, 1000)) from error
                 raise
+            except OSError as error:
+                raise FungraspError(f"cannot read the {what} {one_line(path)}: {one_line(error)}") from error
             except _SENSELESS as error:
                 where = f"the {what} {one_line(path)}"
                 raise FungraspError(f"{where} makes no sense: {one_line(error)}") from error

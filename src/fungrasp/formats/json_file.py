@@ -13,17 +13,18 @@ LARGEST = 16_000_000
 """Bytes of the largest file that is read."""
 
 
-def read_json(path: str | Path, what: str) -> Any:
+def read_json(path: str | Path, what: str, largest: int = LARGEST) -> Any:
     """What a JSON file holds.
 
     Args:
         path: the file.
         what: it should be, for messages: "hand file".
+        largest: [bytes].
 
     Raises:
         FungraspError: it can't be read, is too large or is not valid JSON.
     """
-    return parse_json(read_bytes(path, what, LARGEST), f"the {what} {path}")
+    return parse_json(read_bytes(path, what, largest), f"the {what} {path}")
 
 
 def parse_json(text: str | bytes, where: str) -> Any:

@@ -6,6 +6,8 @@ import io
 from pathlib import Path
 
 import numpy as np
+import trimesh
+from PIL import Image
 
 from fungrasp.errors import FungraspError
 from fungrasp.formats.file_bytes import check_file, one_line
@@ -33,12 +35,45 @@ def read_mesh(path: str | Path, what: str = "mesh") -> tuple[np.ndarray, np.ndar
         FungraspError: it can't be read in the time and memory there is, has no faces, too many, or a vertex
             that is not finite.
     """
+    arrays = _arrays(path, what, "triangles")
+    return arrays["vertices"], arrays["faces"]
+
+
+def read_colored_mesh(path: str | Path, what: str = "mesh") -> trimesh.Trimesh | None:
+    """The triangles of a mesh file with its colors, of vertices or faces or in a texture.
+
+    Args:
+        path: the file.
+        what: it is, for messages.
+
+    Returns:
+        None where the file has no colors.
+
+    Raises:
+        FungraspError: see ``read_mesh``; or the colors or the texture can't be read.
+    """
+    arrays = _arrays(path, what, "colored triangles")
+    vertices, faces = arrays["vertices"], arrays["faces"]
+    if "vertex_colors" in arrays:
+        return trimesh.Trimesh(vertices, faces, vertex_colors=arrays["vertex_colors"], process=False)
+    if "face_colors" in arrays:
+        return trimesh.Trimesh(vertices, faces, face_colors=arrays["face_colors"], process=False)
+    if "texture" in arrays:
+        image = Image.fromarray(arrays["texture"])
+        visual = trimesh.visual.TextureVisuals(uv=arrays["uv"], image=image)
+        return trimesh.Trimesh(vertices, faces, visual=visual, process=False)
+    return None
+
+
+def _arrays(path: str | Path, what: str, job: str) -> dict[str, np.ndarray]:
+    """What a job of ``sandbox_worker`` finds in a mesh file, checked."""
     path = check_file(path, f"{what} file", LARGEST)
     counted = _declared_faces(path)
     if counted > MOST_FACES:
         raise _too_many(path, counted)
-    with np.load(io.BytesIO(run_limited("triangles", path, what, path.stat().st_size))) as arrays:
-        vertices, faces = arrays["vertices"], arrays["faces"]
+    with np.load(io.BytesIO(run_limited(job, path, what, path.stat().st_size))) as file:
+        arrays = dict(file)
+    vertices, faces = arrays["vertices"], arrays["faces"]
     if len(faces) == 0:
         raise FungraspError(f"{one_line(path)}: the mesh has no faces")
     if len(faces) > MOST_FACES:
@@ -46,7 +81,7 @@ def read_mesh(path: str | Path, what: str = "mesh") -> tuple[np.ndarray, np.ndar
     bad = ~np.isfinite(vertices).all(axis=1)
     if bad.any():
         raise FungraspError(f"{one_line(path)}: vertex {int(np.argmax(bad))} is not finite")
-    return vertices, faces
+    return arrays
 
 
 def _declared_faces(path: Path) -> int:

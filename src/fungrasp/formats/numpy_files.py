@@ -48,7 +48,11 @@ def read_npy(path: str | Path, what: str) -> np.ndarray:
 
 
 def read_npz(
-    path: str | Path, what: str, wanted: Callable[[str], bool] = lambda name: True
+    path: str | Path,
+    what: str,
+    wanted: Callable[[str], bool] = lambda name: True,
+    most: int = MOST_ARRAYS,
+    largest: int = LARGEST,
 ) -> dict[str, np.ndarray]:
     """The arrays in an ``.npz`` file by name: numbers, flags or text.
 
@@ -56,17 +60,19 @@ def read_npz(
         path: the file.
         what: it should be, for messages: "grasp file".
         wanted: which names are read; of others not even the headers are.
+        most: arrays that the file may hold.
+        largest: bytes that they may take together, eight for each number of fewer.
 
     Raises:
         FungraspError: it can't be read, is no such file, or what it declares is too large.
     """
     where = f"the {what} {one_line(path)}"
-    path = check_file(path, what, LARGEST + MOST_ARRAYS * _FIRST)
-    room = LARGEST
+    path = check_file(path, what, largest + most * _FIRST)
+    room = largest
     arrays: dict[str, np.ndarray] = {}
     try:
         with path.open("rb") as stream, zipfile.ZipFile(stream) as archive:
-            for name, member in _members(archive, where).items():
+            for name, member in _members(archive, where, most).items():
                 if not wanted(name):
                     continue
                 with archive.open(member) as content:
@@ -87,13 +93,13 @@ def read_npz(
 def npz_names(path: str | Path, what: str) -> list[str]:
     """The names of all arrays in an ``.npz`` file that ``read_npz`` can read."""
     with check_file(path, what, LARGEST * 2).open("rb") as stream, zipfile.ZipFile(stream) as archive:
-        return [one_line(name, 60) for name in _members(archive, str(path))]
+        return [one_line(name, 60) for name in _members(archive, str(path), MOST_ARRAYS)]
 
 
-def _members(archive: zipfile.ZipFile, where: str) -> dict[str, zipfile.ZipInfo]:
+def _members(archive: zipfile.ZipFile, where: str, most: int) -> dict[str, zipfile.ZipInfo]:
     members = archive.infolist()
-    if len(members) > MOST_ARRAYS:
-        raise FungraspError(f"{where} holds {len(members)} files; at most {MOST_ARRAYS} are read")
+    if len(members) > most:
+        raise FungraspError(f"{where} holds {len(members)} files; at most {most} are read")
     found: dict[str, zipfile.ZipInfo] = {}
     for member in members:
         name = member.filename.removesuffix(".npy")
@@ -118,7 +124,7 @@ def _array(stream: IO[bytes], length: int, room: int, where: str) -> np.ndarray:
     count = math.prod(shape)
     if count * max(dtype.itemsize, 8) > room:
         raise FungraspError(
-            f"{where} declares {dtype} of shape {shape}, which is more than fits into {LARGEST >> 20} MB"
+            f"{where} declares {dtype} of shape {shape}, which is more than fits into {room >> 20} MB"
         )
     size = count * dtype.itemsize
     if length - head.tell() < size:
@@ -130,11 +136,18 @@ def _array(stream: IO[bytes], length: int, room: int, where: str) -> np.ndarray:
     try:
         array = np.frombuffer(data, dtype, count).reshape(shape, order="F" if fortran else "C")
         array = array.astype(dtype.newbyteorder("="), copy=False)
-        if dtype.kind == "U":
-            np.char.encode(array, "utf-8")
     except ValueError as error:
         raise FungraspError(f"{where} can't be read: {one_line(error)}") from error
+    if dtype.kind == "U" and not _is_text(array):
+        raise FungraspError(f"{where} holds text with numbers that are no characters")
     return array
+
+
+def _is_text(array: np.ndarray) -> bool:
+    """Whether all code points of an array of text are characters: Python fails on others only when it uses
+    them."""
+    points = np.ascontiguousarray(array).reshape(-1).view(np.uint32)
+    return not ((points > 0x10FFFF) | ((points >= 0xD800) & (points < 0xE000))).any()
 
 
 def _header(stream: IO[bytes], where: str) -> tuple[tuple[int, ...], bool, np.dtype]:

@@ -17,7 +17,7 @@ from fungrasp.formats.file_bytes import one_line
 from fungrasp.formats.sandbox import run_limited
 
 VARINT, FIXED64, BYTES, FIXED32 = 0, 1, 2, 5
-GRAPH, FUNCTION = 7, 25
+GRAPH, METADATA, FUNCTION = 7, 14, 25
 DEFAULT_DOMAINS = ("", "ai.onnx")
 
 LARGEST = 200_000_000
@@ -139,6 +139,24 @@ def check_harmless(data: bytes) -> None:
         raise FungraspError("not an ONNX file: it has no graph")
     if graphs > 1:
         raise FungraspError("the model has graphs inside its graph: loops or branches, which are not run")
+
+
+def metadata(data: bytes) -> dict[str, str]:
+    """The metadata entries of an ONNX model.
+
+    Raises:
+        FungraspError: these bytes are no ONNX model, or an entry is no text.
+    """
+    found = {}
+    for field in message_fields(data):
+        if field.number == METADATA and field.kind == BYTES:
+            entry = {part.number: part for part in message_fields(data, field.start, field.end)}
+            key, value = (data[entry[i].start : entry[i].end] if i in entry else b"" for i in (1, 2))
+            try:
+                found[key.decode()] = value.decode()
+            except UnicodeDecodeError as error:
+                raise FungraspError(f"its metadata is no text in UTF-8: {error.reason}") from error
+    return found
 
 
 def try_network(data: bytes) -> None:

@@ -32,7 +32,7 @@ _lock = threading.Lock()
 _server: tuple[int, subprocess.Popen[bytes]] | None = None
 
 
-def run_limited(job: str, path: str | Path, what: str, size: int = 0) -> bytes:
+def run_limited(job: str, path: str | Path, what: str, size: int = 0, where: str | None = None) -> bytes:
     """What a job of ``sandbox_worker`` gives for a file.
 
     Args:
@@ -40,6 +40,7 @@ def run_limited(job: str, path: str | Path, what: str, size: int = 0) -> bytes:
         path: the file, its argument.
         what: it should be, for messages: "mesh".
         size: of all that is to be read [bytes].
+        where: begins the messages; "the WHAT PATH" if None.
 
     Raises:
         FungraspError: the job refused the file, took too much time or memory, or crashed.
@@ -49,7 +50,7 @@ def run_limited(job: str, path: str | Path, what: str, size: int = 0) -> bytes:
     status, answer = _ask(request) if hasattr(os, "fork") else sandbox_worker.work(job, str(path))
     if status == sandbox_worker.DONE:
         return answer
-    where = f"the {what} {path}"
+    where = where or f"the {what} {path}"
     raise FungraspError(
         {
             sandbox_worker.REFUSED: f"cannot read {where}: {answer.decode()}",

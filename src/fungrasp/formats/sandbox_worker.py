@@ -37,6 +37,39 @@ def read_triangles(path: str) -> bytes:
     return result.getvalue()
 
 
+def read_colored_triangles(path: str) -> bytes:
+    """The same with "vertex_colors" [V, 3] or "face_colors" [F, 3], or with "uv" [V, 2] and "texture"
+    [H, W, 3], where the file has colors; these are uint8."""
+    import numpy as np
+    import trimesh
+
+    mesh: Any = trimesh.load(path, force="mesh", process=False)
+    arrays = {"vertices": np.asarray(mesh.vertices, np.float64), "faces": np.asarray(mesh.faces, np.int32)}
+    visual = mesh.visual
+    if visual.kind == "face":
+        arrays["face_colors"] = np.asarray(visual.face_colors)[:, :3]
+    elif visual.kind == "vertex":
+        arrays["vertex_colors"] = np.asarray(visual.vertex_colors)[:, :3]
+    elif visual.kind == "texture" and visual.uv is not None:
+        material = visual.material
+        image = getattr(material, "image", None) or getattr(material, "baseColorTexture", None)
+        if image is None:
+            arrays["vertex_colors"] = np.asarray(visual.to_color().vertex_colors)[:, :3]
+        else:
+            arrays["uv"] = np.asarray(visual.uv, np.float64)
+            arrays["texture"] = np.asarray(image.convert("RGB"))
+    vertices, faces = len(arrays["vertices"]), len(arrays["faces"])
+    wanted = {"vertex_colors": (vertices, 3), "face_colors": (faces, 3), "uv": (vertices, 2)}
+    if any(name in arrays and arrays[name].shape != shape for name, shape in wanted.items()):
+        raise ValueError("its colors are not as many as its vertices or faces")
+    corners = arrays["faces"]
+    if faces and not 0 <= corners.min() <= corners.max() < vertices:
+        raise ValueError("a face has a corner that does not exist")
+    result = io.BytesIO()
+    np.savez(result, **arrays)  # pyright: ignore[reportArgumentType]
+    return result.getvalue()
+
+
 def compile_model(path: str) -> bytes:
     """Nothing, if MuJoCo parses and compiles a model file in the time and memory there is."""
     import mujoco
@@ -82,6 +115,7 @@ def run_network(path: str) -> bytes:
 
 JOBS: dict[str, tuple[Callable[[str], bytes], tuple[str, ...]]] = {
     "triangles": (read_triangles, ("numpy", "trimesh")),
+    "colored triangles": (read_colored_triangles, ("numpy", "trimesh")),
     "model": (compile_model, ("mujoco",)),
     "network": (run_network, ("numpy", "onnxruntime")),
 }

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 from fungrasp.errors import FungraspError
-from fungrasp.formats.file_bytes import check_tree, one_line, read_text
+from fungrasp.formats.file_bytes import DEEPEST, check_tree, one_line, read_text
 
 LARGEST = 250_000
 """Bytes of the largest file that is read."""
@@ -16,6 +17,10 @@ LARGEST = 250_000
 Schema = type | tuple[type, ...] | list[Any] | Mapping[str, Any]
 """Types that a value may have; ``[schema]``: a list of such values; a mapping: a table whose keys, if they
 are there, have such values, where the key "*" stands for all others."""
+
+_PART = r"""(?:"[^"\n]*"|'[^'\n]*'|[\w-]++)[ \t]*+"""
+_LONG_NAME = re.compile(rf"(?<![\w-])(?:{_PART}\.[ \t]*+){{{DEEPEST}}}")
+"""A dotted name with so many parts that the parser's time, which grows with their square, matters."""
 
 _WORDS = {str: "a text", float: "a number", int: "a whole number", bool: "true or false"}
 
@@ -31,6 +36,8 @@ def read_toml(path: str | Path, what: str) -> dict[str, Any]:
         FungraspError: it can't be read, is too large or is not valid TOML.
     """
     text = read_text(path, what, LARGEST)
+    if _LONG_NAME.search(text):
+        raise FungraspError(f"{path} holds a name of more than {DEEPEST} parts")
     try:
         tree = tomllib.loads(text)
     except RecursionError as error:

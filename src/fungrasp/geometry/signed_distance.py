@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import trimesh
@@ -13,6 +14,7 @@ from scipy import ndimage
 from scipy.spatial import KDTree
 
 from fungrasp.files import atomic_path
+from fungrasp.formats.numpy_files import read_npz
 
 MOST_SAMPLES = 2_000_000
 """Most surface samples of a mesh, and most pairs of a point and a triangle that are worked on together."""
@@ -78,6 +80,11 @@ class SignedDistanceGrid:
         origin = np.array([self.origin[0], -last, self.origin[2]])
         return SignedDistanceGrid(origin, self.spacing, np.ascontiguousarray(self.values[:, ::-1]))
 
+    def scaled(self, factor: float) -> SignedDistanceGrid:
+        """That of the surface with all lengths times a factor."""
+        values = (factor * self.values).astype(self.values.dtype)
+        return SignedDistanceGrid(factor * self.origin, factor * self.spacing, values)
+
     def save(self, path: str | Path) -> None:
         """Write to an ``.npz`` file, whole or not at all."""
         with atomic_path(path) as temporary:
@@ -86,8 +93,25 @@ class SignedDistanceGrid:
     @classmethod
     def load(cls, path: str | Path) -> SignedDistanceGrid:
         """Read what ``save`` wrote."""
-        with np.load(path, allow_pickle=False) as data:
-            return cls(data["origin"], float(data["spacing"]), data["values"])
+        data = read_npz(path, "signed distances")
+        return cls(data["origin"], float(data["spacing"]), data["values"])
+
+
+class GridArrays(NamedTuple):
+    """Several grids one behind the other, for compiled loops; O grids."""
+
+    values: np.ndarray
+    """All corners, shape [sum X Y Z], float32."""
+    start: np.ndarray
+    """First corner of each grid, shape [O]."""
+    stride: np.ndarray
+    """Corners between neighbors along each axis, shape [O, 3]."""
+    last: np.ndarray
+    """Just less than the last corner's index along each axis, shape [O, 3]."""
+    origin: np.ndarray
+    """First corner's place [m], shape [O, 3]."""
+    spacing: np.ndarray
+    """Edge of a cell [m], shape [O]."""
 
 
 class SignedDistanceBank:
@@ -108,6 +132,17 @@ class SignedDistanceBank:
         self._last = (shape - 1.000001)[:, None]
         self._origin = np.array([grid.origin for grid in grids])[:, None]
         self._spacing = np.array([grid.spacing for grid in grids])[:, None, None]
+
+    @property
+    def arrays(self) -> GridArrays:
+        """What the bank holds."""
+        start, stride, last, origin = (
+            self._start[:, 0],
+            self._stride[:, 0],
+            self._last[:, 0],
+            self._origin[:, 0],
+        )
+        return GridArrays(self._values, start, stride, last, origin, self._spacing[:, 0, 0])
 
     def query(self, grid: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Trilinear signed distance and its exact gradient.
@@ -177,7 +212,7 @@ def nearest_on_mesh(mesh: trimesh.Trimesh, points: np.ndarray) -> tuple[np.ndarr
     Returns:
         nearest points [m], shape [P, 3]; face indices, shape [P].
     """
-    return _SurfaceSamples(mesh).nearest(points)
+    return _surface_samples(mesh).nearest(points)
 
 
 def winding_number(mesh: trimesh.Trimesh, points: np.ndarray) -> np.ndarray:
@@ -326,6 +361,12 @@ class _SurfaceSamples:
         best = np.argmin(np.sum((flat - points[:, None]) ** 2, axis=-1), axis=1)
         rows = np.arange(len(points))
         return flat[rows, best], faces[rows, best]
+
+
+@lru_cache(maxsize=2)
+def _surface_samples(mesh: trimesh.Trimesh) -> _SurfaceSamples:
+    """Kept for a mesh that is asked several times in a row."""
+    return _SurfaceSamples(mesh)
 
 
 def _counted(numbers: np.ndarray) -> np.ndarray:

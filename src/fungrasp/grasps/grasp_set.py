@@ -40,9 +40,9 @@ class GraspSet(Generic[Grasp]):
     @overload
     def __getitem__(self, index: int) -> Grasp: ...
     @overload
-    def __getitem__(self, index: slice) -> Self: ...
-    def __getitem__(self, index: int | slice) -> Grasp | Self:
-        if isinstance(index, slice):
+    def __getitem__(self, index: slice | Sequence[int] | np.ndarray) -> Self: ...
+    def __getitem__(self, index: int | slice | Sequence[int] | np.ndarray) -> Grasp | Self:
+        if isinstance(index, slice | Sequence | np.ndarray):
             return self.select(index)
         row = range(len(self))[index]
         return self.GRASP(**self._whole_set(), **self._rows(row))

@@ -13,6 +13,9 @@ from fungrasp.grasps.field_checks import ArrayField, check_rows, checked_extra
 from fungrasp.grasps.grasp_set import GraspSet
 from fungrasp.grasps.human_grasp import MAX_HAND_DISTANCE
 
+SQUEEZE = "squeeze_positions"
+"""The name in ``extra`` of the grasps' own squeeze targets."""
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class RobotGrasp:
@@ -110,10 +113,23 @@ class RobotGraspSet(GraspSet[RobotGrasp]):
         if self.task is None:
             object.__setattr__(self, "task", np.full(len(self), ""))
         object.__setattr__(self, "extra", checked_extra(self.extra, len(self)))
+        squeeze = self.extra.get(SQUEEZE)
+        if squeeze is not None and squeeze.shape != self.joint_positions.shape:
+            raise FungraspError(
+                f"field 'extra/{SQUEEZE}' has shape {squeeze.shape}, expected {self.joint_positions.shape}, "
+                "that of joint_positions"
+            )
         distance = np.linalg.norm(self.wrist_pose[:, :3] - self.object_pose[:, :3], axis=-1)
         check_rows(
             "wrist_pose", distance <= MAX_HAND_DISTANCE, "is far from the object; the distance [m]", distance
         )
+
+    @property
+    def squeeze_positions(self) -> np.ndarray:
+        """Targets of the joints that press on the object [rad], in the order of ``joint_names``, shape
+        [N, M]; NaN where a grasp has none of its own."""
+        own = self.extra.get(SQUEEZE)
+        return np.full_like(self.joint_positions, np.nan) if own is None else own
 
     def _whole_set(self) -> dict[str, Any]:
         return {"hand": self.hand, "joint_names": self.joint_names}

@@ -52,7 +52,7 @@ class Actuator:
     """Largest torque [N m]."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Hand:
     """A hand folder, read and checked. ``fungrasp.hands.load_hand`` makes it."""
 
@@ -78,6 +78,10 @@ class Hand:
     """"right" or "left": which human hand it imitates."""
     source: str = ""
     """Where the model comes from."""
+
+    def __repr__(self) -> str:
+        counts = f"{len(self.fingers)} fingers, {len(self.actuators)} driven joints"
+        return f"<Hand: {self.name!r}, {self.side}, {counts}>"
 
     def spec(self) -> mujoco.MjSpec:
         """A fresh model of the bare hand, palm fixed at the world's origin, one position actuator per

@@ -37,5 +37,18 @@ def load_hand(name: str | Path) -> Hand:
     raise UnknownNameError("hand", text, hand_files())
 
 
+def as_hand(hand: Hand | str | Path) -> Hand:
+    """The hand itself, or the one of this name or path.
+
+    Raises:
+        FungraspError: no such hand, or something else.
+    """
+    if isinstance(hand, Hand):
+        return hand
+    if isinstance(hand, str | Path):
+        return load_hand(hand)
+    raise FungraspError(f"expected a hand, or the name or path of one, not {type(hand).__name__}")
+
+
 def _toml_in(path: Path) -> Path:
     return path / "hand.toml" if path.is_dir() else path

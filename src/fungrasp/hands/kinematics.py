@@ -45,7 +45,7 @@ class HandKinematics:
             count: N.
         """
         self.hand = hand
-        self.model = model = hand.spec().compile()
+        self.model = model = hand.model
         self.matrix, self.offset = hand.coupling
         limits = hand.joint_limits
         self.lower, self.upper = _independent_limits(self.matrix, self.offset, limits)
@@ -55,7 +55,7 @@ class HandKinematics:
             np.empty((count, *data.xmat.shape)),
         )
         self._anchor, self._axis = np.empty((2, count, *data.xanchor.shape))
-        self._moves = _moved_bodies(model)
+        self.moves = _moved_bodies(model)
         # The palm stands still in the model.
         mujoco.mj_kinematics(model, data)
         palm = model.body(hand.palm).id
@@ -118,7 +118,7 @@ class HandKinematics:
             self._joint_frames = self._map(self._anchor), self._axis @ self._rotation.mT
         anchor, axis = self._joint_frames
         lever = positions[:, :, None, :] - anchor[:, None]
-        columns = cross(axis[:, None], lever) * self._moves[bodies][..., None]
+        columns = cross(axis[:, None], lever) * self.moves[bodies][..., None]
         result[..., 6:] = np.swapaxes(columns, 2, 3) @ self.matrix
         return result
 

@@ -3,6 +3,7 @@
 from fungrasp.objects.convex_decomposition import ConvexPiece, convex_pieces
 from fungrasp.objects.mesh_file import load_mesh
 from fungrasp.objects.mirroring import MIRRORED, mirrored_name, mirrored_object
+from fungrasp.objects.object_choice import check_objects
 from fungrasp.objects.object_model import ObjectModel
 from fungrasp.objects.object_registry import (
     builtin_object,
@@ -11,13 +12,17 @@ from fungrasp.objects.object_registry import (
     object_from_file,
     object_names,
 )
+from fungrasp.objects.object_variants import scaled_name, scaled_object, shifted_mass, with_sizes
+from fungrasp.objects.plain_shapes import is_plain_shape, plain_shape
 
 __all__ = [
     "MIRRORED",
     "ConvexPiece",
     "ObjectModel",
     "builtin_object",
+    "check_objects",
     "convex_pieces",
+    "is_plain_shape",
     "load_mesh",
     "load_object",
     "mesh_files",
@@ -25,4 +30,9 @@ __all__ = [
     "mirrored_object",
     "object_from_file",
     "object_names",
+    "plain_shape",
+    "scaled_name",
+    "scaled_object",
+    "shifted_mass",
+    "with_sizes",
 ]

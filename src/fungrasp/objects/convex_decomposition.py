@@ -16,6 +16,7 @@ import trimesh
 from scipy.spatial import ConvexHull, QhullError
 
 from fungrasp.files import atomic_path
+from fungrasp.formats.numpy_files import read_npz
 from fungrasp.objects.disk_cache import cached_on_disk
 from fungrasp.objects.mesh_repair import hull_solid, solid
 
@@ -191,7 +192,7 @@ def _write(path: Path, pieces: tuple[ConvexPiece, ...]) -> None:
 
 
 def _read(path: Path) -> tuple[ConvexPiece, ...]:
-    with np.load(path, allow_pickle=False) as data:
-        vertices = np.split(data["vertices"], np.cumsum(data["vertex_counts"])[:-1])
-        faces = np.split(data["faces"], np.cumsum(data["face_counts"])[:-1])
+    data = read_npz(path, "convex pieces")
+    vertices = np.split(data["vertices"], np.cumsum(data["vertex_counts"])[:-1])
+    faces = np.split(data["faces"], np.cumsum(data["face_counts"])[:-1])
     return tuple(ConvexPiece(v, f) for v, f in zip(vertices, faces, strict=True))

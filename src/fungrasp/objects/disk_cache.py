@@ -7,16 +7,14 @@ import contextlib
 import functools
 import hashlib
 import logging
-import os
 import shutil
 import tempfile
-import zipfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TypeVar
 
 from fungrasp.errors import FungraspError
-from fungrasp.files import MOVE_CACHE, cache_folder
+from fungrasp.files import cache_folder, cache_path
 
 T = TypeVar("T")
 
@@ -33,16 +31,16 @@ def cached_on_disk(kind: str, key: str, read: Callable[[Path], T], write: Callab
     Where the cache folder can't be written to, results are kept for this process only.
     """
     name = f"{hashlib.sha256(key.encode()).hexdigest()[:32]}.npz"
-    try:
-        path = cache_folder(kind) / name
-        reason = f"cannot write to the cache folder {path.parent}; {MOVE_CACHE}"
-        if not path.exists() and not os.access(path.parent, os.W_OK):
-            path = _temporary_folder(reason) / f"{kind}-{name}"
-    except FungraspError as error:
-        path = _temporary_folder(str(error)) / f"{kind}-{name}"
-    found = _try_read(path, read)
+    found = _try_read(cache_path(kind) / name, read)
     if found is not None:
         return found
+    try:
+        path = cache_folder(kind) / name
+    except FungraspError as error:
+        path = _temporary_folder(str(error)) / f"{kind}-{name}"
+        found = _try_read(path, read)
+        if found is not None:
+            return found
     with _locked(path.with_suffix(".lock")):
         found = _try_read(path, read)
         if found is not None:
@@ -65,7 +63,7 @@ def _try_read(path: Path, read: Callable[[Path], T]) -> T | None:
         return None
     try:
         return read(path)
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+    except (OSError, ValueError, LookupError, TypeError) as error:
         logging.getLogger(__name__).warning("%s is unreadable (%s): computing it again", path, error)
         return None
 

@@ -21,7 +21,7 @@ GRID_FORMAT = 2
 """Goes up when the same mesh should give another grid."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class ObjectModel:
     """An object. ``fungrasp.objects.load_object`` makes it."""
 
@@ -43,6 +43,11 @@ class ObjectModel:
     """Where the mass and the size come from."""
     mirror_image: ObjectModel | None = None
     """The object of which this is the reflection in the plane y = 0."""
+    scaled_from: tuple[ObjectModel, float] | None = None
+    """The object that this is another size of, and the factor."""
+
+    def __repr__(self) -> str:
+        return f"<ObjectModel: {self.name!r}, {self.mass:g} kg, {len(self.faces)} triangles>"
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.mass) and self.mass > 0):
@@ -64,6 +69,9 @@ class ObjectModel:
             reflect = np.array([1.0, -1.0, 1.0])
             pieces = self.mirror_image.pieces
             return tuple(ConvexPiece(p.vertices * reflect, p.faces[:, ::-1].copy()) for p in pieces)
+        if self.scaled_from is not None:
+            model, factor = self.scaled_from
+            return tuple(ConvexPiece(factor * p.vertices, p.faces) for p in model.pieces)
         return self.construction or convex_pieces(self.vertices, self.faces)
 
     @cached_property
@@ -71,6 +79,9 @@ class ObjectModel:
         """Distance to the surface on a grid, computed once and cached on disk."""
         if self.mirror_image is not None:
             return self.mirror_image.signed_distance.mirrored()
+        if self.scaled_from is not None:
+            model, factor = self.scaled_from
+            return model.signed_distance.scaled(factor)
         return cached_on_disk(
             "signed_distance",
             f"{GRID_FORMAT} {GRID_SPACING} {self.digest}",

@@ -13,6 +13,7 @@ from fungrasp.objects.builtin import BUILTINS, build_builtin
 from fungrasp.objects.mesh_file import MESH_SUFFIXES, load_mesh
 from fungrasp.objects.mirroring import MIRRORED, mirrored_object
 from fungrasp.objects.object_model import ObjectModel
+from fungrasp.objects.plain_shapes import is_plain_shape, plain_shape
 
 
 def object_names() -> tuple[str, ...]:
@@ -38,11 +39,11 @@ def builtin_object(name: str, mass: float | None = None) -> ObjectModel:
 
 def load_object(name: str, mass: float | None = None, folder: str | Path | None = None) -> ObjectModel:
     """By name: ``<name>.obj`` (.stl, .ply, .glb) in ``folder``, else built-in, else another package's;
-    ``<name>_mirrored`` is the mirror image of one of them.
+    ``<name>_mirrored`` is the mirror image of one of them. A name like "box:60x28x30" is the shape itself.
 
     Args:
-        name: of the mesh file without suffix, or of a built-in object.
-        mass: [kg]; needed for a mesh, a built-in object has its own.
+        name: of the mesh file without suffix, of a built-in object, or of a shape (``plain_shape``).
+        mass: [kg]; needed for a mesh or a shape, a built-in object has its own.
         folder: of meshes.
 
     Raises:
@@ -52,6 +53,10 @@ def load_object(name: str, mass: float | None = None, folder: str | Path | None 
     known = {**dict.fromkeys(BUILTINS), **files}
     if name not in known and name.endswith(MIRRORED):
         return mirrored_object(load_object(name.removesuffix(MIRRORED), mass, folder))
+    if name not in known and is_plain_shape(name):
+        if mass is None:
+            raise FungraspError(f"object '{name}': a shape needs a mass [kg]")
+        return plain_shape(name, float(mass))
     if name not in known:
         raise UnknownNameError("object", name, known)
     path = known[name]

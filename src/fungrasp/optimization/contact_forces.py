@@ -10,9 +10,16 @@ CONTACT_DISTANCE = 0.003
 BALANCE_CONE_EDGES = 6
 """Edges of the pyramids that stand for friction cones in ``balanced_forces``."""
 
+BALANCE_ITERATIONS = 40
+"""Iterations of ``balanced_forces``."""
+
 
 def balanced_forces(
-    lever: np.ndarray, inward: np.ndarray, used: np.ndarray, friction: float, iterations: int = 40
+    lever: np.ndarray,
+    inward: np.ndarray,
+    used: np.ndarray,
+    friction: float,
+    iterations: int = BALANCE_ITERATIONS,
 ) -> np.ndarray:
     """Contact forces within friction cones whose sum and moment are as small as possible; their normal parts
     sum to one.
@@ -42,8 +49,7 @@ def balanced_forces(
     goal = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
     regular = 1e-3
     # The step is one over the largest eigenvalue of the objective's Hessian, the Lipschitz constant.
-    steepest = np.linalg.eigvalsh(np.swapaxes(matrix, 1, 2) @ matrix)[:, -1:]
-    step = 1.0 / (steepest + regular)
+    step = 1.0 / (largest_eigenvalue_bound(np.swapaxes(matrix, 1, 2) @ matrix)[:, None] + regular)
     weights = allowed / np.maximum(allowed.sum(axis=1, keepdims=True), 1)
     ahead, momentum = weights, 1.0
     for _ in range(iterations):
@@ -55,6 +61,23 @@ def balanced_forces(
         weights, momentum = moved, next_momentum
     weights = weights / np.maximum(weights.sum(axis=1, keepdims=True), 1e-9)
     return (weights.reshape(count, number, BALANCE_CONE_EDGES, 1) * edges).sum(axis=2)
+
+
+def largest_eigenvalue_bound(matrix: np.ndarray) -> np.ndarray:
+    """Largest eigenvalue of symmetric, positive semidefinite matrices, from above: the sixteenth root of the
+    sum of the sixteenth powers of all E eigenvalues, by at most E^(1/16) too large.
+
+    Args:
+        matrix: shape [N, E, E].
+
+    Returns:
+        shape [N].
+    """
+    trace = np.trace(matrix, axis1=1, axis2=2)
+    power = matrix / np.maximum(trace, 1e-300)[:, None, None]
+    for _ in range(3):
+        power = power @ power
+    return trace * np.sum(power**2, axis=(1, 2)) ** (1 / 16)
 
 
 def friction_cone_edges(normals: np.ndarray, friction: float, count: int) -> np.ndarray:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Generic, NamedTuple, TypeVar
+from copy import copy
+from functools import cached_property
+from typing import TYPE_CHECKING, Generic, NamedTuple, Self, TypeVar
 
 import numpy as np
 
@@ -11,6 +13,9 @@ from fungrasp.hands.collision_spheres import CollisionSpheres, collision_spheres
 from fungrasp.hands.correspondence import correspond
 from fungrasp.hands.kinematics import BodyPoints, HandKinematics
 from fungrasp.optimization.collision_scene import CollisionScene
+
+if TYPE_CHECKING:
+    from fungrasp.optimization.compiled.hand_arrays import HandArrays
 
 
 class HandPoints:
@@ -26,6 +31,20 @@ class HandPoints:
         self.far_radius = self._thickness()
         self.link_members = [np.flatnonzero(self.spheres.link == link) for link in range(len(hand.links))]
         self.self_pairs = _self_pairs(hand, self.spheres)
+
+    def for_hands(self, count: int) -> Self:
+        """The same points of ``count`` hands, for another thread: what does not move is shared."""
+        other = copy(self)
+        other.__dict__["arrays"] = self.arrays
+        other.kinematics = HandKinematics(self.kinematics.hand, count)
+        return other
+
+    @cached_property
+    def arrays(self) -> HandArrays:
+        """The same for compiled loops."""
+        from fungrasp.optimization.compiled.hand_arrays import hand_arrays
+
+        return hand_arrays(self)
 
     def _thickness(self) -> np.ndarray:
         """Radius of the hand around the far key point of each finger link [m], shape [S]: of its nearest

@@ -13,6 +13,9 @@ from fungrasp.hands.correspondence import Correspondence
 from fungrasp.objects import ObjectModel
 from fungrasp.optimization.collision_scene import CollisionScene, project_to_surface
 
+GRAVITY = 9.81
+"""[m/s^2]."""
+
 
 @dataclass(frozen=True)
 class RetargetingProblem(CollisionScene):
@@ -30,6 +33,8 @@ class RetargetingProblem(CollisionScene):
     """Center of mass of each object [m], shape [N, 3]."""
     extent: np.ndarray
     """Half of each object's diagonal [m], shape [N]: the unit of lever arms in force closure."""
+    weight: np.ndarray
+    """Weight of each object [N], shape [N]."""
 
     @classmethod
     def from_grasps(
@@ -54,4 +59,5 @@ class RetargetingProblem(CollisionScene):
             normals=normals,
             center=np.array([objects[name].center_of_mass for name in names]),
             extent=np.array([0.5 * np.linalg.norm(objects[name].size) for name in names]),
+            weight=GRAVITY * grasps.object_mass,
         )

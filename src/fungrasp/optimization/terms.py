@@ -11,7 +11,7 @@ import numpy as np
 from fungrasp.geometry.poses import cross, quaternion_conjugate, quaternion_multiply, rotation_vector
 from fungrasp.optimization.collision_scene import CollisionScene, gradient_derivative, project_to_surface
 from fungrasp.optimization.contact_forces import balanced_forces
-from fungrasp.optimization.hand_state import HandState
+from fungrasp.optimization.hand_state import HandPoints, HandState
 from fungrasp.optimization.retargeting_problem import RetargetingProblem
 
 Residual = tuple[np.ndarray, np.ndarray]
@@ -23,6 +23,20 @@ def fingertip_position(state: HandState[RetargetingProblem], unit: float = 0.01)
     far, human = match.far[match.is_last], match.human_far[match.is_last]
     residual = (state.keypoints[:, far] - state.problem.joints[:, human]) / unit
     return _flat(residual, state.keypoint_jacobian(far) / unit)
+
+
+def keypoint_position(
+    state: HandState[CollisionScene], which: np.ndarray, target: np.ndarray, weight: np.ndarray
+) -> Residual:
+    """weight (p - target) for some key points p.
+
+    Args:
+        which: key points, shape [Q].
+        target: [m], shape [N, Q, 3].
+        weight: [1/m], shape [N, Q].
+    """
+    residual = weight[..., None] * (state.keypoints[:, which] - target)
+    return _flat(residual, weight[..., None, None] * state.keypoint_jacobian(which))
 
 
 def link_direction(
@@ -60,12 +74,21 @@ def contact_position(
         unit: [m].
         inner_weight: factor for links that don't end in a fingertip.
     """
-    match, problem = state.points.match, state.problem
+    far = state.points.match.far
+    target, weight = contact_targets(state.points, state.problem, unit, inner_weight)
+    residual = weight[..., None] * (state.keypoints[:, far] - target)
+    return _flat(residual, weight[..., None, None] * state.keypoint_jacobian(far))
+
+
+def contact_targets(
+    points: HandPoints, problem: RetargetingProblem, unit: float, inner_weight: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Targets of ``contact_position`` [m], shape [N, S, 3], and factors of the distances from them [1/m],
+    shape [N, S]."""
+    match = points.match
     human = match.human_far
-    target = problem.surface[:, human] + state.points.far_radius[:, None] * problem.normals[:, human]
-    weight = problem.contacts[:, 1:] * np.where(match.is_last, 1.0, inner_weight) / unit
-    residual = weight[..., None] * (state.keypoints[:, match.far] - target)
-    return _flat(residual, weight[..., None, None] * state.keypoint_jacobian(match.far))
+    target = problem.surface[:, human] + points.far_radius[:, None] * problem.normals[:, human]
+    return target, problem.contacts[:, 1:] * np.where(match.is_last, 1.0, inner_weight) / unit
 
 
 def contact_gap(state: HandState[RetargetingProblem], unit: float = 0.003) -> Residual:

@@ -23,7 +23,7 @@ from fungrasp.optimization import terms
 from fungrasp.optimization.collision_scene import CollisionScene
 from fungrasp.optimization.hand_state import HandPoints
 from fungrasp.optimization.levenberg_marquardt import minimize
-from fungrasp.optimization.retargeting_problem import RetargetingProblem
+from fungrasp.optimization.retargeting_problem import GRAVITY, RetargetingProblem
 from fungrasp.parallel import in_chunks
 
 
@@ -81,6 +81,7 @@ def adapt_to_settled_object(
         normals=np.zeros((count, 21, 3)),
         center=np.array([objects[name].center_of_mass for name in names]),
         extent=np.array([0.5 * np.linalg.norm(objects[name].size) for name in names]),
+        weight=GRAVITY * grasps.object_mass,
     )
     before = np.concatenate([settled_pose[:, :3], grasps.object_rest_pose[:, 3:]], axis=1)
     unrolled = compose(invert(settled_pose), compose(before, wrist_in_object))

@@ -13,7 +13,7 @@ import numpy as np
 from fungrasp.files import digest
 from fungrasp.geometry.poses import compose, invert, rotate
 from fungrasp.grasps import RobotGraspSet
-from fungrasp.hands import Hand
+from fungrasp.hands import Hand, as_hand
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.objects import ObjectModel
 from fungrasp.optimization.collision_scene import CollisionScene
@@ -50,8 +50,8 @@ class MotionSettings:
     """How far it goes beyond its target along the palm's normal [m]."""
     lookahead: float = 0.06
     """How far ahead on its path the wrist aims [m]."""
-    adapt: AdaptSettings = AdaptSettings()
-    """How grasps are fitted to the settled object."""
+    adapt: AdaptSettings | None = AdaptSettings()
+    """How grasps are fitted to the settled object; None: they move along with it unchanged."""
     approach: ApproachSettings = ApproachSettings()
     """How clear the approach should be."""
 
@@ -95,19 +95,19 @@ class MotionPlanner:
 
     def __init__(
         self,
-        hand: Hand,
+        hand: Hand | str,
         objects: Mapping[str, ObjectModel],
         settings: MotionSettings | None = None,
         protocol: LiftProtocol | None = None,
     ):
         """
         Args:
-            hand: the robot hand.
+            hand: the robot hand, or its name.
             objects: by name.
             settings: the defaults if None.
             protocol: with motion limits and control period; the published one if None.
         """
-        self.hand, self.objects = hand, objects
+        self.hand, self.objects = as_hand(hand), objects
         self.settings, self.protocol = settings or MotionSettings(), protocol or LiftProtocol()
         self.key = digest(self.settings, self.protocol)
         """Digest of all that plans depend on besides hand, objects and the arguments of ``plan``."""
@@ -133,10 +133,11 @@ class MotionPlanner:
         # Below, the table is at zero; what is planned is in the object's frame.
         b = lowered(belief, table_below(names, belief.object_pose, belief.table_height, objects))
         in_object = compose(invert(grasps.object_pose), grasps.wrist_pose)
-        given = hand.independent(grasps.joint_positions)
-        palm, joints = adapt_to_settled_object(
-            hand, grasps, objects, b.object_pose, in_object, given, s.adapt
-        )
+        palm, joints = in_object, hand.independent(grasps.joint_positions)
+        if s.adapt is not None:
+            palm, joints = adapt_to_settled_object(
+                hand, grasps, objects, b.object_pose, palm, joints, s.adapt
+            )
         approach = plan_approach(hand, names, b.object_pose, objects, palm, joints, s.approach)
         squeeze = squeeze_offsets(hand, grasps, objects, b, palm, joints, s)
         closing = compose(b.object_pose, palm)
@@ -256,10 +257,10 @@ def squeeze_offsets(
     names = grasps.object_name.tolist()
     around = CollisionScene.settled(names, belief.object_pose, objects)
     models = [objects[name] for name in names]
-    torques = squeeze_torques(hand, around, models, palm, joints, grasps.link_contacts)
     force = _setting(grasps, "force_scale", 1.0)[:, 0] * (s.force + s.force_per_kg * belief.object_mass)
+    torques = squeeze_torques(hand, around, models, palm, joints, grasps.link_contacts, force)
     stiffness = np.array([servo.kp for servo in hand.actuators.values()])
     if belief.servo_stiffness is not None:
         driven = [hand.joint_names.index(name) for name in hand.actuators]
         stiffness = stiffness * belief.servo_stiffness[:, driven]
-    return np.clip(force[:, None] * torques / stiffness, -s.squeeze_limit, s.squeeze_limit)
+    return np.clip(torques / stiffness, -s.squeeze_limit, s.squeeze_limit)

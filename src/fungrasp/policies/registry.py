@@ -9,7 +9,7 @@ from pathlib import Path
 from fungrasp.errors import FungraspError, UnknownNameError
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
-from fungrasp.planning import MotionPlanner, Planner
+from fungrasp.planning import MotionPlanner, MotionSettings, Planner
 from fungrasp.planning.selection import SearchPlanner, SelectionSettings
 from fungrasp.policies.checkpoint.checkpoint_file import SUFFIX, list_policies, load_policy, read_card
 from fungrasp.policies.residual_policy import check_card, residual_policy
@@ -112,6 +112,7 @@ def make_planner(
     settings: SelectionSettings | None = None,
     protocol: LiftProtocol | None = None,
     threads: int = 0,
+    motions: MotionSettings | None = None,
 ) -> Planner:
     """The planner whose plans a policy follows.
 
@@ -122,6 +123,7 @@ def make_planner(
         settings: of the selection among candidates; the defaults if None.
         protocol: of the motions; the published one if None.
         threads: 0 means all processors. Plans do not depend on it.
+        motions: how grasps are adapted, approached, closed and lifted; the defaults if None.
 
     Raises:
         FungraspError: no such policy, or one for another hand.
@@ -129,11 +131,12 @@ def make_planner(
     # The student's own plans, selected by rollouts of the student, are what "plan" plays open loop.
     files = policy_files("student" if name == PLAN else name, hand.name)
     if files.predictor is None:
-        return MotionPlanner(hand, objects, protocol=protocol)
+        return MotionPlanner(hand, objects, motions, protocol)
     predictor = NetworkPredictor(load_policy(files.predictor), hand, objects)
     policy: Policy = OpenLoopPolicy()
     if files.network is not None:
         check_card(read_card(files.network), hand)
         made = residual_policy(load_policy(files.network), hand, objects)
         policy = made  # pyright: ignore[reportAssignmentType]
-    return SearchPlanner(hand, objects, predictor, policy, files.digests()[0], settings, protocol, threads)
+    digest = files.digests()[0]
+    return SearchPlanner(hand, objects, predictor, policy, digest, settings, protocol, threads, motions)

@@ -2,5 +2,6 @@
 
 from fungrasp.retarget.contact_optimization import RetargetSettings
 from fungrasp.retarget.retarget import METHODS, retarget
+from fungrasp.retarget.retargeter import FollowedPose, Retargeter, RetargeterSettings
 
-__all__ = ["METHODS", "RetargetSettings", "retarget"]
+__all__ = ["METHODS", "FollowedPose", "RetargetSettings", "Retargeter", "RetargeterSettings", "retarget"]

@@ -17,6 +17,8 @@ from fungrasp.grasps.human_hand import mirror_points
 from fungrasp.hands import FINGERS, Hand
 from fungrasp.hands.checking.kinematic_tree import ancestors
 from fungrasp.hands.correspondence import HUMAN_FINGER_JOINTS
+from fungrasp.hands.kinematics import HandKinematics
+from fungrasp.hands.opening import partly_closed
 from fungrasp.optimization.hand_state import HandPoints, HandState
 from fungrasp.optimization.levenberg_marquardt import minimize
 from fungrasp.optimization.retargeting_problem import RetargetingProblem
@@ -89,7 +91,7 @@ def copied_angles(points: HandPoints, roles: JointRoles, joints: np.ndarray) -> 
     angles = np.concatenate([flexion, spread[..., None]], axis=-1).reshape(len(joints), -1)
     matrix = roles.matrix.reshape(angles.shape[1], -1)
     wanted = (angles - matrix @ kinematics.offset) @ np.linalg.pinv(matrix @ kinematics.matrix).T
-    quarter = 0.75 * kinematics.lower + 0.25 * kinematics.upper
+    quarter = partly_closed(HandKinematics(kinematics.hand, 5), 0.25)
     return np.clip(np.where(roles.thumb_base, quarter, wanted), kinematics.lower, kinematics.upper)
 
 

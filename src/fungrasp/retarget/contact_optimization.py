@@ -9,11 +9,25 @@ from functools import partial
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from fungrasp.geometry.poses import (
+    compose,
+    inverse_transform_points,
+    quaternion_from_rotation_vector,
+    rotate,
+)
 from fungrasp.hands import Hand
+from fungrasp.hands.kinematics import HandKinematics
+from fungrasp.hands.opening import partly_closed
 from fungrasp.optimization import terms
-from fungrasp.optimization.hand_state import HandPoints
+from fungrasp.optimization.firmness import FIRMNESS_WEIGHT, unresisted_share
+from fungrasp.optimization.hand_state import HandPoints, HandState
 from fungrasp.optimization.levenberg_marquardt import Term, minimize
 from fungrasp.optimization.retargeting_problem import RetargetingProblem
+
+DENSE_SPACING = 0.006
+"""Distance of the collision spheres with which solutions are judged [m]."""
+LEAST_GAIN = 1.0
+"""Decrease of the objective that a turned start must bring: equal solutions differ by less."""
 
 
 @dataclass(frozen=True)
@@ -26,7 +40,7 @@ class RetargetSettings:
     """Difference of the unit vectors along a link, first stage [-]."""
     contact_unit: float = 0.0033
     """Distance of a contact from its target on the surface [m]."""
-    inner_contact_weight: float = 0.3
+    inner_contact_weight: float = 0.6
     """Factor for contacts of links that do not end in a fingertip [-]."""
     gap_unit: float = 0.002
     """Gap between a link that should touch and the object [m]."""
@@ -38,7 +52,7 @@ class RetargetSettings:
     """Distance to keep from the table [m]."""
     self_unit: float = 0.001
     """Penetration of the hand by itself [m]."""
-    closure_unit: float = 0.3
+    closure_unit: float = 0.1
     """Unbalanced part of contact forces that sum to one [-]."""
     closure_friction: float = 0.3
     """Friction coefficient that the balance may use; well below the nominal one [-]."""
@@ -48,6 +62,18 @@ class RetargetSettings:
     """Solver iterations of the first stage."""
     second_iterations: int = 30
     """Solver iterations of the second stage."""
+    firmness_weight: float = FIRMNESS_WEIGHT
+    """What a load of the object's weight that the contacts cannot take adds to the objective when solutions
+    are compared: how much likeness to the human grasp a firm grip is worth."""
+    good_enough: float = 8.0
+    """A solution whose objective, firmness included, is below this is kept; others are solved again."""
+    start_turns: tuple[tuple[float, float, float], ...] = (
+        (0.35, 0.0, 0.0),
+        (-0.35, 0.0, 0.0),
+        (0.0, 0.35, 0.0),
+        (0.0, -0.35, 0.0),
+    )
+    """Turns of the wrist about the mean fingertip, palm frame, from which they are solved again [rad]."""
 
 
 def retarget_by_contact_optimization(
@@ -55,40 +81,95 @@ def retarget_by_contact_optimization(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Wrist poses in the object's frame [N, 7] and independent joints [N, U]."""
     wrist_pose, independent = initial_pose(points, problem)
-    table = partial(terms.table_penetration, unit=settings.table_unit, margin=settings.table_margin)
-    itself = partial(terms.self_penetration, unit=settings.self_unit)
     first: list[Term] = [
         partial(terms.fingertip_position, unit=settings.fingertip_unit),
         partial(terms.link_direction, unit=settings.direction_unit),
-        partial(table, unit=0.005),
+        partial(terms.table_penetration, unit=0.005, margin=settings.table_margin),
     ]
     wrist_pose, independent, _ = minimize(
         points, problem, first, wrist_pose, independent, settings.first_iterations
     )
     start = (wrist_pose, independent)
-    second: list[Term] = [
-        partial(
-            terms.contact_position, unit=settings.contact_unit, inner_weight=settings.inner_contact_weight
-        ),
-        partial(terms.contact_gap, unit=settings.gap_unit),
-        partial(terms.object_penetration, unit=settings.object_unit),
-        partial(terms.link_direction, unit=settings.posture_unit),
-        partial(terms.force_closure, unit=settings.closure_unit, friction=settings.closure_friction),
-        partial(terms.stay_near, start=start, unit=3.0),
-        table,
-        itself,
-    ]
-    wrist_pose, independent, _ = minimize(
-        points, problem, second, wrist_pose, independent, settings.second_iterations
-    )
+    wrist_pose, independent, score = _touch(points, problem, settings, start, start)
+    poor = np.flatnonzero(score > settings.good_enough)
+    if not len(poor) or not settings.start_turns:
+        return wrist_pose, independent
+    # All starts of all poor grasps at once, start after start.
+    turns = np.repeat(np.array(settings.start_turns), len(poor), axis=0)
+    rows = np.tile(poor, len(settings.start_turns))
+    hand = points.kinematics.hand
+    again = HandPoints(HandKinematics(hand, len(rows)))
+    near = (start[0][rows], start[1][rows])
+    turned = (turned_about_fingertips(again, *near, turns), near[1])
+    new_pose, new_independent, new_score = _touch(again, problem.rows(rows), settings, turned, near)
+    # Index of each poor grasp's best new solution among those of all starts.
+    best = new_score.reshape(-1, len(poor)).argmin(axis=0) * len(poor) + np.arange(len(poor))
+    better = new_score[best] < score[poor] - LEAST_GAIN
+    wrist_pose[poor[better]] = new_pose[best[better]]
+    independent[poor[better]] = new_independent[best[better]]
     return wrist_pose, independent
+
+
+def _touch(
+    points: HandPoints,
+    problem: RetargetingProblem,
+    settings: RetargetSettings,
+    start: tuple[np.ndarray, np.ndarray],
+    near: tuple[np.ndarray, np.ndarray],
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The second stage: wrist poses [N, 7], independent joints [N, U], and the objective with the lack of
+    firmness added, shape [N].
+
+    Args:
+        points, problem: N grasps.
+        settings: of the terms.
+        start: wrist poses [N, 7] and independent joints [N, U] to start from.
+        near: the same, to stay near.
+    """
+    s = settings
+    second: list[Term] = [
+        partial(terms.contact_position, unit=s.contact_unit, inner_weight=s.inner_contact_weight),
+        partial(terms.contact_gap, unit=s.gap_unit),
+        partial(terms.object_penetration, unit=s.object_unit),
+        partial(terms.link_direction, unit=s.posture_unit),
+        partial(terms.force_closure, unit=s.closure_unit, friction=s.closure_friction),
+        partial(terms.stay_near, start=near, unit=3.0),
+        partial(terms.table_penetration, unit=s.table_unit, margin=s.table_margin),
+        partial(terms.self_penetration, unit=s.self_unit),
+    ]
+    pose, independent, cost = minimize(points, problem, second, *start, s.second_iterations)
+    # More spheres than the solver has: what lies between its own must not go into the object unseen.
+    dense = HandPoints(points.kinematics, spacing=DENSE_SPACING)
+    share = unresisted_share(points.kinematics.hand, HandState(dense, problem, pose, independent))
+    return pose, independent, cost + s.firmness_weight * share
+
+
+def turned_about_fingertips(
+    points: HandPoints, wrist_pose: np.ndarray, independent: np.ndarray, turns: np.ndarray
+) -> np.ndarray:
+    """Wrist poses turned about the mean of the hand's fingertips, shape [N, 7].
+
+    Args:
+        points: kinematics made for N hands.
+        wrist_pose: shape [N, 7].
+        independent: joints [rad], shape [N, U].
+        turns: rotation vectors, palm frame [rad], shape [N, 3].
+    """
+    points.kinematics.update(wrist_pose, independent)
+    tips = points.kinematics.points(points.keypoints)[:, points.match.far[points.match.is_last]]
+    center = inverse_transform_points(wrist_pose, tips.mean(axis=1, keepdims=True))[:, 0]
+    turn = quaternion_from_rotation_vector(turns)
+    # The center stays where it is: center = turn center + shift, in the palm's frame before the turn.
+    shift = center - rotate(turn, center)
+    return compose(wrist_pose, np.concatenate([shift, turn], axis=1))
 
 
 def initial_pose(points: HandPoints, problem: RetargetingProblem) -> tuple[np.ndarray, np.ndarray]:
     """Palms aligned by the directions wrist to middle finger and palm normal, fingers a quarter closed."""
     kinematics = points.kinematics
     rotation = palm_alignment(kinematics.hand, problem.joints)
-    independent = np.repeat((0.75 * kinematics.lower + 0.25 * kinematics.upper)[None], len(problem), axis=0)
+    quarter = partly_closed(HandKinematics(kinematics.hand, 5), 0.25)
+    independent = np.repeat(quarter[None], len(problem), axis=0)
     pose = np.concatenate([np.zeros((len(problem), 3)), rotation], axis=1)
     kinematics.update(pose, independent)
     tips = kinematics.points(points.keypoints)[:, points.match.far[points.match.is_last]]

@@ -9,10 +9,9 @@ import numpy as np
 from fungrasp.errors import FungraspError, UnknownNameError
 from fungrasp.geometry.poses import compose, transform_points
 from fungrasp.grasps import HumanGraspSet, RobotGraspSet, hand_sides
-from fungrasp.hands import Hand
-from fungrasp.hands.correspondence import correspond
+from fungrasp.hands import Hand, as_hand
 from fungrasp.hands.kinematics import HandKinematics
-from fungrasp.objects import ObjectModel
+from fungrasp.objects import ObjectModel, check_objects
 from fungrasp.optimization.hand_state import HandPoints
 from fungrasp.optimization.retargeting_problem import RetargetingProblem
 from fungrasp.parallel import in_chunks
@@ -31,7 +30,7 @@ METHODS: dict[str, Solver] = {
 def retarget(
     grasps: HumanGraspSet,
     objects: Mapping[str, ObjectModel],
-    hand: Hand,
+    hand: Hand | str,
     method: str = "ours",
     settings: RetargetSettings | None = None,
     threads: int = 0,
@@ -43,7 +42,7 @@ def retarget(
     Args:
         grasps: N human grasps.
         objects: each object of the grasps, by name.
-        hand: the robot hand.
+        hand: the robot hand, or its name.
         method: one of ``METHODS``.
         settings: weights and iterations; the defaults if None.
         threads: 0 means all processors. The result does not depend on it.
@@ -51,10 +50,17 @@ def retarget(
         progress: called with the number of grasps that have just been finished.
 
     Raises:
-        FungraspError: no such method, or a grasp of a left hand for a right one or the other way round.
+        FungraspError: no such method, no grasps, a missing object, or a grasp of a left hand for a right one
+            or the other way round.
     """
     if method not in METHODS:
         raise UnknownNameError("retargeting method", method, METHODS)
+    if not isinstance(grasps, HumanGraspSet):
+        raise FungraspError(f"only human grasps can be retargeted, not a {type(grasps).__name__}")
+    if not len(grasps):
+        raise FungraspError("there are no grasps to retarget: the set is empty")
+    hand = as_hand(hand)
+    check_objects(grasps.object_name.tolist(), objects)
     other = np.flatnonzero(hand_sides(grasps.hand_joints) != hand.side)
     if len(other):
         raise FungraspError(
@@ -63,13 +69,13 @@ def retarget(
             "--mirror, or fungrasp.grasps.mirrored_grasps"
         )
     settings = settings or RetargetSettings()
-    match = correspond(hand)
-    problem = RetargetingProblem.from_grasps(grasps, objects, match)
+    shared = HandPoints(HandKinematics(hand, min(chunk, len(grasps))))
+    problem = RetargetingProblem.from_grasps(grasps, objects, shared.match)
 
     def run(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         part = problem.rows(rows)
-        kinematics = HandKinematics(hand, len(part))
-        points = HandPoints(kinematics)
+        points = shared.for_hands(len(part))
+        kinematics = points.kinematics
         pose, independent = METHODS[method](points, part, settings)
         kinematics.update(pose, independent)
         progress(len(part))

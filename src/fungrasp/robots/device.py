@@ -90,6 +90,8 @@ class JointDriver(Protocol):
     """Type and address of the device, for messages and logs."""
     limits: JointLimits
     """What the driver accepts."""
+    takes_feedforward: bool
+    """Whether ``command`` uses feed-forward torques; a driver of position servos ignores them."""
 
     def connect(self) -> None:
         """Open the connection and verify type, generation and side of the device. Nothing moves.

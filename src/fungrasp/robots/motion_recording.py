@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 
 import numpy as np
 
+from fungrasp.robots.clock import Clock, WallClock
 from fungrasp.robots.device import DeviceStatus, JointDriver, RobotError
 from fungrasp.transfer.identification.motion_log import MotionLog
 
@@ -18,6 +18,7 @@ def record_motion(
     rate: float,
     gravity: np.ndarray,
     stopped: Callable[[], bool] = lambda: False,
+    clock: Clock | None = None,
 ) -> MotionLog:
     """Command goals at a rate and record what was sent and measured at each; stop when anything is wrong.
 
@@ -28,20 +29,20 @@ def record_motion(
         rate: [Hz].
         gravity: in the palm's frame [m/s^2], shape [3].
         stopped: whether to end early.
+        clock: of the device; that of the wall if None.
 
     Raises:
         RobotError: the device stopped.
     """
     times, sent, measured = [], [], []
-    began = time.monotonic()
+    clock = clock or WallClock()
+    began = clock.now()
     try:
         for row, goal in enumerate(commands):
-            rest = began + row / rate - time.monotonic()
-            if rest > 0:
-                time.sleep(rest)
+            clock.sleep_until(began + row / rate)
             if stopped():
                 break
-            now = time.monotonic()
+            now = clock.now()
             sent.append(driver.command(goal))
             state = driver.read()
             if state.status is not DeviceStatus.READY:

@@ -134,8 +134,12 @@ class Engine(Protocol):
         *,
         object_index: np.ndarray | None = None,
         object_mass: np.ndarray | None = None,
+        object_center: np.ndarray | None = None,
+        object_inertia: np.ndarray | None = None,
         friction: np.ndarray | None = None,
         table_height: np.ndarray | None = None,
+        table_tilt: np.ndarray | None = None,
+        joint_friction: np.ndarray | None = None,
         joint_damping: np.ndarray | None = None,
         servo_stiffness: np.ndarray | None = None,
         servo_damping: np.ndarray | None = None,
@@ -145,11 +149,17 @@ class Engine(Protocol):
 
         Args:
             worlds: ids, shape [I]; all if None.
-            object_index: which of ``scene.objects`` each world holds, shape [I]; mass and table become the
-                scene's unless given.
-            object_mass: mass of the object [kg], shape [I]; its inertia scales along.
+            object_index: which of ``scene.objects`` each world holds, shape [I]; its mass, center and inertia
+                and the table's height become the scene's unless given.
+            object_mass: mass of the object [kg], shape [I]; its inertia scales along, and its center of mass
+                is the scene's unless given.
+            object_center: center of mass [m], object frame, shape [I, 3]; given with ``object_mass`` and
+                ``object_inertia``.
+            object_inertia: inertia about that center, axes of the object frame [kg m2], shape [I, 3, 3].
             friction: sliding friction of hand, object and table, shape [I].
-            table_height: height of the table top [m], shape [I].
+            table_height: height of the table top at the world's origin [m], shape [I].
+            table_tilt: rotation vector of the table top, world frame x and y [rad], shape [I, 2].
+            joint_friction: dry friction of each joint of the hand, beyond the scene's [N m], shape [I, M].
             joint_damping: factor on the scene's damping of each joint, shape [I, M].
             servo_stiffness: factor on the scene's stiffness of each finger servo, shape [I, U].
             servo_damping: factor on the scene's damping of each finger servo, shape [I, U].
@@ -157,9 +167,13 @@ class Engine(Protocol):
         """
         ...
 
-    def push_object(self, force: np.ndarray) -> None:
-        """Apply a force at the objects' centres of mass until the next call or reset. force: [N], world
-        frame, shape [W, 3]."""
+    def push_object(self, force: np.ndarray, torque: np.ndarray | None = None) -> None:
+        """Apply forces to the objects until the next call or reset.
+
+        Args:
+            force: at the centres of mass, world frame [N], shape [W, 3].
+            torque: world frame [N m], shape [W, 3]; none if None.
+        """
         ...
 
     def controls(

@@ -7,18 +7,28 @@ import numpy as np
 from mujoco.batch import Batch
 
 from fungrasp.errors import FungraspError
-from fungrasp.geometry.poses import euler_angles, invert, norm, relative, rotate
+from fungrasp.geometry.poses import (
+    euler_angles,
+    invert,
+    norm,
+    quaternion_from_rotation_vector,
+    relative,
+    rotate,
+)
+from fungrasp.simulation.floating_body import floating_body_fields
 from fungrasp.simulation.scene import HAND_PREFIX, WRIST_JOINTS, Scene
 
 INERTIAL = (
     "body_mass",
     "body_subtreemass",
+    "body_ipos",
+    "body_iquat",
     "body_inertia",
     "body_invweight0",
     "dof_invweight0",
     "dof_M0",
 )
-"""Model fields that follow from the object's mass."""
+"""Model fields that follow from the object's mass and where it is."""
 
 DIVERGENCE_WARNINGS = [
     int(mujoco.mjtWarning.mjWARN_BADQPOS),
@@ -195,8 +205,12 @@ class MujocoCpuEngine:
         *,
         object_index: np.ndarray | None = None,
         object_mass: np.ndarray | None = None,
+        object_center: np.ndarray | None = None,
+        object_inertia: np.ndarray | None = None,
         friction: np.ndarray | None = None,
         table_height: np.ndarray | None = None,
+        table_tilt: np.ndarray | None = None,
+        joint_friction: np.ndarray | None = None,
         joint_damping: np.ndarray | None = None,
         servo_stiffness: np.ndarray | None = None,
         servo_damping: np.ndarray | None = None,
@@ -214,8 +228,16 @@ class MujocoCpuEngine:
                 table_height = np.zeros(len(ids))
         if object_mass is not None:
             self._set_mass(ids, np.asarray(object_mass, dtype=float))
+        if object_center is not None:
+            if object_mass is None or object_inertia is None:
+                raise FungraspError("a center of mass is given together with mass and inertia")
+            self._set_center(ids, np.asarray(object_mass, dtype=float), object_center, object_inertia)
         if friction is not None:
             self.batch.expand("geom_friction")[ids, :, 0] = np.asarray(friction, dtype=float)[:, None]
+        if joint_friction is not None:
+            dofs, dry = self._finger_dofs, np.asarray(joint_friction, dtype=float)
+            own = self.model.dof_frictionloss[dofs]
+            self.batch.expand("dof_frictionloss")[ids[:, None], dofs] = own + dry
         if joint_damping is not None:
             self._scale("dof_damping", ids, (self._finger_dofs,), joint_damping)
         # A position servo pulls with gain[0] * ctrl + bias[1] * angle + bias[2] * velocity.
@@ -232,12 +254,17 @@ class MujocoCpuEngine:
         if table_height is not None:
             top = self.model.geom_pos[self._table, 2] + np.asarray(table_height, dtype=float)
             self.batch.expand("geom_pos")[ids, self._table, 2] = top
-            # MuJoCo skips the position of a geom that the compiler found at its body's origin.
+        if table_tilt is not None:
+            turn = np.concatenate([table_tilt, np.zeros((len(ids), 1))], axis=1)
+            self.batch.expand("geom_quat")[ids, self._table] = quaternion_from_rotation_vector(turn)
+        if table_height is not None or table_tilt is not None:
+            # MuJoCo skips the pose of a geom that the compiler found at its body's origin.
             self.batch.expand("geom_sameframe")[ids, self._table] = _SAMEFRAME_NONE
 
-    def push_object(self, force: np.ndarray) -> None:
+    def push_object(self, force: np.ndarray, torque: np.ndarray | None = None) -> None:
         """See ``Engine.push_object``."""
         self._force[:, self._object, :3] = force
+        self._force[:, self._object, 3:] = 0.0 if torque is None else torque
 
     def controls(
         self, palm_pose: np.ndarray, palm_velocity: np.ndarray, finger_targets: np.ndarray
@@ -301,6 +328,16 @@ class MujocoCpuEngine:
         nominal["dof_M0"][:, first : first + 6] *= ratio
         for name, values in nominal.items():
             self.batch.expand(name)[ids] = values
+
+    def _set_center(self, ids: np.ndarray, mass: np.ndarray, center: np.ndarray, inertia: np.ndarray) -> None:
+        """Where the object's mass is, and its inertia about there; see ``Engine.set_parameters``."""
+        body, joint = floating_body_fields(mass, np.asarray(center, dtype=float), np.asarray(inertia))
+        for name, values in body.items():
+            self.batch.expand(name)[ids, self._object] = values
+        for name, values in joint.items():
+            self.batch.expand(name)[ids, self._object_qvel : self._object_qvel + 6] = values
+        # MuJoCo skips the frame of an inertia that the compiler found aligned with its body.
+        self.batch.expand("body_sameframe")[ids, self._object] = _SAMEFRAME_NONE
 
     def _nominal(self, name: str, object_index: np.ndarray) -> np.ndarray:
         """A model field with the objects' own masses, one row for each object index given."""

@@ -15,7 +15,7 @@ import numpy as np
 from mujoco.batch import MODEL_FIELDS
 
 from fungrasp.errors import FungraspError
-from fungrasp.hands import Hand
+from fungrasp.hands import Hand, as_hand
 from fungrasp.objects import ObjectModel
 
 WRIST_JOINTS = ("wrist_x", "wrist_y", "wrist_z", "wrist_roll", "wrist_pitch", "wrist_yaw")
@@ -81,9 +81,17 @@ class Scene:
     """The objects, in the order of ``objects``."""
 
     def indices(self, names: Iterable[str]) -> np.ndarray:
-        """Index of each object named, shape [N] int: what an engine calls ``object_index``."""
+        """Index of each object named, shape [N] int: what an engine calls ``object_index``.
+
+        Raises:
+            FungraspError: an object that the scene does not hold.
+        """
         known = {name: i for i, name in enumerate(self.objects)}
-        return np.array([known[name] for name in names])
+        wanted = list(names)
+        unknown = sorted({name for name in wanted if name not in known})
+        if unknown:
+            raise FungraspError(f"the scene holds no {', '.join(unknown)}; it holds {', '.join(known)}")
+        return np.array([known[name] for name in wanted])
 
     @property
     def wrist_actuators(self) -> np.ndarray:
@@ -102,17 +110,18 @@ class Scene:
 
 
 def build_scene(
-    hand: Hand, objects: Mapping[str, ObjectModel], settings: SceneSettings | None = None
+    hand: Hand | str, objects: Mapping[str, ObjectModel], settings: SceneSettings | None = None
 ) -> Scene:
     """Compile the scene of a hand and the objects it may meet.
 
     Args:
-        hand: any hand.
+        hand: any hand, or its name.
         objects: by name.
 
     Raises:
         FungraspError: no object, or the scene does not compile.
     """
+    hand = as_hand(hand)
     if not objects:
         raise FungraspError("a scene needs at least one object")
     settings = settings or SceneSettings()

@@ -25,7 +25,7 @@ from fungrasp.optimization import terms
 from fungrasp.optimization.collision_scene import CollisionScene, project_to_surface
 from fungrasp.optimization.hand_state import HandState
 from fungrasp.optimization.levenberg_marquardt import Term, minimize
-from fungrasp.optimization.retargeting_problem import RetargetingProblem
+from fungrasp.optimization.retargeting_problem import GRAVITY, RetargetingProblem
 from fungrasp.synthesis.grasp_candidates import GraspCandidates, check_candidates
 from fungrasp.synthesis.grasp_specification import GraspSpecification
 from fungrasp.synthesis.human_hand_terms import (
@@ -237,6 +237,7 @@ def _problem(
         normals=normals,
         center=np.array([objects[spec.object].center_of_mass for spec in specs]),
         extent=np.array([0.5 * np.linalg.norm(objects[spec.object].size) for spec in specs]),
+        weight=GRAVITY * np.array([objects[spec.object].mass for spec in specs]),
     )
 
 

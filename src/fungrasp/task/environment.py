@@ -10,11 +10,13 @@ import numpy as np
 
 from fungrasp.geometry.poses import compose, relative
 from fungrasp.grasps import RobotGraspSet
+from fungrasp.objects import scaled_name, shifted_mass
 from fungrasp.simulation import Engine, MujocoCpuEngine, Scene
 from fungrasp.task.action import Action
 from fungrasp.task.belief import Belief
 from fungrasp.task.grasp_plan import GraspPlan
 from fungrasp.task.lift import LiftTask
+from fungrasp.task.object_placement import Placement, on_drawn_table, where_seen
 from fungrasp.task.observation import Observation, Privileged
 from fungrasp.task.outcome import Outcomes
 from fungrasp.task.policy import Policy, PrivilegedPolicy
@@ -39,7 +41,8 @@ class LiftEnvironment:
     ):
         """
         Args:
-            scene: with the hand and the objects.
+            scene: with the hand and the objects, in all sizes of the randomization
+                (``fungrasp.objects.with_sizes``).
             count: W.
             randomization: how worlds may differ from the nominal ones, and sensors err.
             protocol: the published one if None.
@@ -57,7 +60,10 @@ class LiftEnvironment:
         self._mass = np.zeros(count)
         self._friction = np.zeros(count)
         # Motors and joints are numbered by joint; those that have no servo are left out.
-        self._driven = np.array([scene.hand.joint_names.index(name) for name in scene.hand.actuators])
+        actuators = scene.hand.actuators
+        self._driven = np.array([scene.hand.joint_names.index(name) for name in actuators])
+        self._torque_limit = np.zeros(joints)
+        self._torque_limit[self._driven] = [servo.force_limit for servo in actuators.values()]
 
     def __len__(self) -> int:
         return len(self.engine)
@@ -79,16 +85,20 @@ class LiftEnvironment:
         """
         everyone = np.arange(len(self))
         self.sample = self.sample if sample is None else sample
-        self._set_parameters(everyone, self.scene.indices(grasps.object_name.tolist()), grasps.object_mass)
-        rest = grasps.object_rest_pose.copy()
-        rest[:, 2] += self.sample.table_height
-        self.task.settle(replace(grasps, object_rest_pose=rest), self.sample.table_height)
+        rest = on_drawn_table(grasps.object_rest_pose, np.zeros(len(self)), self.sample)
+        index = self._object_index(grasps.object_name, self.sample)
+        self._set_parameters(everyone, index, grasps.object_mass, rest)
+        self.task.settle(replace(grasps, object_rest_pose=rest.object_pose), rest.table_height)
         self.sensors.begin(everyone)
         seen = self.sensors.estimated_object_pose(self.task.settled_pose.copy(), self.sample)
         setpoints = self.task.setpoints
-        return Belief.nominal(
+        belief = Belief.nominal(
             seen, grasps.object_mass.copy(), setpoints.wrist.pose.copy(), setpoints.fingers.copy()
         )
+        covariance = self.randomization.object_pose_covariance
+        if not covariance.any():
+            return belief
+        return replace(belief, object_pose_covariance=np.tile(covariance, (len(self), 1, 1)))
 
     def move_objects(self) -> None:
         """Move the objects on the table as drawn: after planning, before the episodes are played."""
@@ -120,7 +130,8 @@ class LiftEnvironment:
         *,
         hand_followed: bool = False,
     ) -> None:
-        """Begin episodes of some worlds in the midst of their plans, objects at rest.
+        """Begin episodes of some worlds in the midst of their plans, objects at rest where they are seen
+        where the plans have them.
 
         Args:
             ids: worlds, shape [I].
@@ -128,19 +139,24 @@ class LiftEnvironment:
             step: control step of the plan to begin at, shape [I] int.
             sample: what differs from the nominal worlds, I episodes.
             belief: with the nominal friction and joint dynamics, I rows; the scene's if None.
-            hand_followed: whether the hand has followed an object that was moved since it was planned for;
-                else it is where the plan has it.
+            hand_followed: whether the hand has followed an object that was moved since it was planned for,
+                to where it is seen; else it is where the plan has it.
         """
         self.engine.reset(ids)
         self.sample = self.sample.replaced(ids, sample)
-        index = self.scene.indices(plans.object_name.tolist())
-        self._set_parameters(ids, index, plans.object_mass, belief)
-        placed = shift_on_table(plans.object_pose, sample.object_shift)
-        placed[:, 2] += sample.table_height
-        rows, origin = np.arange(len(ids)), placed if hand_followed else plans.object_pose
+        seen = shift_on_table(plans.object_pose, sample.object_shift)
+        index = self._object_index(plans.object_name, sample)
+        height = np.zeros(len(ids)) if belief is None else belief.table_height
+        center = self._mass_distribution(index, plans.object_mass, sample.center_of_mass_shift)[0]
+        models = [self.scene.models[i] for i in index]
+        placed = where_seen(seen, height, sample, models, center)
+        self._set_parameters(ids, index, plans.object_mass, placed, belief)
+        rows, origin = np.arange(len(ids)), plans.object_pose
+        if hand_followed:
+            origin = on_drawn_table(seen, height, sample).object_pose
         self.task.begin(
             ids,
-            placed,
+            placed.object_pose,
             compose(origin, plans.grasp_palm_pose),
             compose(origin, plans.palm_setpoint[rows, step]),
             plans.finger_targets[rows, np.maximum(step - 1, 0)],
@@ -178,13 +194,30 @@ class LiftEnvironment:
             lifted_height=self.task.measurements.height,
         )
 
+    def _object_index(self, names: np.ndarray, sample: EpisodeSample) -> np.ndarray:
+        """Index of each object in the size drawn, shape [I]. names: shape [I] str."""
+        sizes = zip(names.tolist(), sample.object_scale.tolist(), strict=True)
+        return self.scene.indices([scaled_name(name, factor) for name, factor in sizes])
+
     def _set_parameters(
-        self, ids: np.ndarray, index: np.ndarray, mass: np.ndarray, belief: Belief | None = None
+        self,
+        ids: np.ndarray,
+        index: np.ndarray,
+        mass: np.ndarray,
+        placed: Placement,
+        belief: Belief | None = None,
     ) -> None:
-        """The physics of some worlds: nominal parameters times the factors that were drawn."""
+        """The physics of some worlds: nominal parameters and what was drawn.
+
+        Args:
+            ids: worlds, shape [I].
+            index: of their objects in the scene, shape [I].
+            mass: nominal one of these [kg], shape [I].
+            placed: where these and their tables are.
+            belief: with the nominal friction and joint dynamics, I rows; the scene's if None.
+        """
         s, nominal = self.sample.select(ids), self.scene.settings.friction
         friction = np.full(len(ids), nominal) if s.friction is None else s.friction
-        table = s.table_height if belief is None else s.table_height + belief.table_height
         damping, stiffness, servo = s.joint_damping, s.servo_stiffness, s.servo_damping
         if belief is not None:
             friction = friction * (belief.friction / nominal)
@@ -192,18 +225,43 @@ class LiftEnvironment:
             stiffness = stiffness if belief.servo_stiffness is None else stiffness * belief.servo_stiffness
             servo = servo if belief.servo_damping is None else servo * belief.servo_damping
         self._mass[ids], self._friction[ids] = mass * s.mass, friction
+        center, inertia = self._mass_distribution(index, self._mass[ids], s.center_of_mass_shift)
+        shifted = bool(s.center_of_mass_shift.any())
         self.engine.set_parameters(
             ids,
             object_index=index,
             object_mass=self._mass[ids],
+            object_center=center if shifted else None,
+            object_inertia=inertia if shifted else None,
             friction=friction,
-            table_height=table,
+            table_height=placed.height_at_origin,
+            table_tilt=placed.table_tilt,
+            joint_friction=s.joint_friction * self._torque_limit,
             joint_damping=damping,
             servo_stiffness=stiffness[:, self._driven],
             servo_damping=servo[:, self._driven],
             wrist_stiffness=s.wrist_stiffness,
         )
         self.task.setpoints.delay[ids] = s.action_delay
+        actuation = self.task.actuation
+        actuation.wrist_lag[ids], actuation.wrist_offset[ids] = s.wrist_lag, s.wrist_offset
+        actuation.encoder_bias[ids] = s.encoder_bias[:, self._driven]
+        actuation.backlash[ids] = s.backlash[:, self._driven]
+
+    def _mass_distribution(
+        self, index: np.ndarray, mass: np.ndarray, shift: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Centers of mass [m], object frame, shape [I, 3], and inertias about them [kg m2], shape
+        [I, 3, 3]."""
+        models = [self.scene.models[i] for i in index]
+        inertia = np.array([model.inertia / model.mass for model in models])
+        return shifted_mass(
+            np.array([model.center_of_mass for model in models]),
+            mass[:, None, None] * inertia,
+            mass,
+            np.array([model.size for model in models]),
+            shift,
+        )
 
     def _push(self) -> None:
         """Push the objects as drawn."""

@@ -10,10 +10,11 @@ from fungrasp.geometry.poses import compose, invert
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.simulation import Engine
 from fungrasp.task.action import Action
+from fungrasp.task.actuation import Actuation
 from fungrasp.task.outcome import LiftMeasurements, Outcomes
 from fungrasp.task.protocol import LiftProtocol
 from fungrasp.task.setpoints import SetpointGenerator, SetpointSequence
-from fungrasp.task.start_pose import StartPoses
+from fungrasp.task.start_pose import StartPoses, start_on_line
 
 PARKED = np.array([0.0, 0.0, 3.0, 1.0, 0.0, 0.0, 0.0])
 """Where the palm waits while objects settle, world frame."""
@@ -35,7 +36,11 @@ class LiftTask:
         """Where the objects rest as the episodes begin, world frame, shape [W, 7]."""
         self.target_contacts = np.zeros((count, links), dtype=bool)
         """Links that should touch, shape [W, L]."""
-        self.setpoints = SetpointGenerator(self.scene, count, self.protocol)
+        self.setpoints = SetpointGenerator(
+            self.scene.servo_limits, count, self.protocol, self.scene.settings.timestep
+        )
+        self.actuation = Actuation(count, len(self.scene.hand.actuators))
+        """What becomes of the setpoints on the way to the joints."""
         self.measurements = LiftMeasurements(engine, self.protocol)
         self.controls = np.zeros((count, 6 + len(self.scene.hand.actuators)))
         """What the engine's servos were last told, as ``Engine.controls`` gives it, shape [W, 6 + U]."""
@@ -76,10 +81,7 @@ class LiftTask:
 
         settled = engine.object_pose
         target = compose(settled, compose(invert(grasps.object_pose), grasps.wrist_pose))
-        start = target.copy()
-        away = target[:, :3] - settled[:, :3]
-        away /= np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-9)
-        start[:, :3] = settled[:, :3] + p.start_distance * away
+        start = start_on_line(settled, target, p.start_distance)
         height = np.zeros(len(engine)) if table_height is None else table_height
         start = StartPoses(self.scene).clear(engine.object_index, settled, start, fingers, height)
         self.begin(np.arange(len(engine)), settled, target, start, fingers, grasps.link_contacts)
@@ -102,7 +104,7 @@ class LiftTask:
             settled_pose: of the objects, world frame, shape [I, 7].
             target_pose: about where the palm will grasp, world frame, shape [I, 7].
             start_pose: of the palm, world frame, shape [I, 7].
-            start_fingers: independent joints and their setpoints [rad], shape [I, U].
+            start_fingers: setpoints of the independent joints, which are there [rad], shape [I, U].
             target_contacts: links that should touch, shape [I, L] bool.
             start_velocity: of the palm [m/s], shape [I, 3]; zero if None.
             start_time: where on the episode's clock to start [s], shape [I]; zero if None.
@@ -110,13 +112,14 @@ class LiftTask:
         velocity = np.zeros((len(ids), 3)) if start_velocity is None else start_velocity
         self.settled_pose[ids], self.target_contacts[ids] = settled_pose, target_contacts
         self.setpoints.begin(ids, start_pose, velocity, start_fingers)
+        palm, fingers = self.actuation.begin(ids, start_pose, velocity, start_fingers)
         self.engine.set_state(
             ids,
             object_pose=settled_pose,
             wrist_frame=target_pose,
-            palm_pose=start_pose,
+            palm_pose=palm,
             palm_velocity=velocity,
-            joint_positions=self.scene.hand.all_joints(start_fingers),
+            joint_positions=self.scene.hand.all_joints(fingers),
         )
         self.controls = self.engine.controls(
             self.setpoints.wrist.pose, self.setpoints.wrist.velocity, self.setpoints.fingers
@@ -141,7 +144,8 @@ class LiftTask:
         """
         p, setpoints = self.protocol, self.setpoints
         sequence = self.advance_setpoints(action)
-        controls = self.engine.controls(sequence.palm, sequence.palm_velocity, sequence.fingers)
+        followed = self.actuation.follow(sequence, setpoints.period)
+        controls = self.engine.controls(followed.palm, followed.palm_velocity, followed.fingers)
         active = np.flatnonzero(~self.done)
         for i in range(setpoints.number):
             setpoints.wrist.pose, setpoints.fingers = sequence.palm[i], sequence.fingers[i]

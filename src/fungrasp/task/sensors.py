@@ -41,6 +41,8 @@ class SimulatedSensors:
         """Output of the tracker's filter, NaN before an episode's first measurement; shape [W, 7]."""
         self._ring: list[np.ndarray] = []
         """Object poses at the last setpoints, the newest last; each of shape [W, 7]."""
+        self._touched = np.zeros(len(task.engine), dtype=bool)
+        """Worlds in which the hand has touched the object, shape [W]."""
         self._last: tuple[np.ndarray, np.ndarray] | None = None
         """Object poses that were last seen [W, 7], and when [s], shape [W]; NaN where nothing was yet."""
 
@@ -52,9 +54,13 @@ class SimulatedSensors:
         if self._last is not None:
             self._last[1][ids] = np.nan
         self._filtered[ids] = np.nan
+        self._touched[ids] = False
 
     def record(self) -> None:
-        """Keep the objects' poses, after each setpoint: for trackers that are late."""
+        """Keep the objects' poses and what has touched, after each setpoint: for trackers that are late or
+        lose the object."""
+        if self._r.tracker_freeze > 0:
+            self._touched |= self._task.engine.link_contacts.any(axis=1)
         if not self._r.tracker_delay[1]:
             return
         period = self._task.setpoints.period
@@ -67,11 +73,11 @@ class SimulatedSensors:
         since_lift = np.maximum(task.time - task.lift_time, NO_LIFT)
         hand, joints = task.scene.hand, task.engine.joint_positions
         if r.joint_error == MeasurementError():
-            joints = hand.independent(joints)
+            joints = hand.independent(joints) + task.actuation.encoder_bias
         else:
-            joints = hand.independent(joints + sample.joint_bias)
+            joints = hand.independent(joints + sample.joint_bias) + task.actuation.encoder_bias
             joints = joints + r.joint_error.jitter * self._normal(joints.shape[1])
-        palm = task.engine.palm_pose
+        palm = task.actuation.seen_palm(task.engine.palm_pose)
         if any(e != MeasurementError() for e in (r.palm_position_error, r.palm_rotation_error)):
             errors = (r.palm_position_error, r.palm_rotation_error)
             palm = offset_pose(palm, sample.palm_bias + self._jitter(errors))
@@ -112,10 +118,13 @@ class SimulatedSensors:
         # The bias of a sample may be larger than the errors that are drawn: that of a belief, in rollouts.
         if any(e != MeasurementError() for e in errors) or sample.object_bias.any():
             pose = offset_pose(pose, sample.object_bias + self._jitter(errors), self._center())
-        if r.tracker_dropout > 0:
+        if r.tracker_dropout > 0 or r.tracker_freeze > 0:
+            missing = sample.tracker_freezes & self._touched
+            if r.tracker_dropout > 0 and self._last is not None:
+                missing |= self._uniform() < r.tracker_dropout
             if self._last is not None:
                 seen, when = self._last
-                missing = (self._uniform() < r.tracker_dropout) & np.isfinite(when)
+                missing &= np.isfinite(when)
                 pose = np.where(missing[:, None], seen, pose)
                 age = np.where(missing, task.time - when, age)
             self._last = pose.copy(), task.time - age

@@ -7,7 +7,6 @@ from itertools import pairwise
 
 import numpy as np
 
-from fungrasp.simulation import Scene
 from fungrasp.task.protocol import LiftProtocol
 from fungrasp.task.wrist_limits import WristSetpoint
 
@@ -32,22 +31,23 @@ class SetpointSequence:
 class SetpointGenerator:
     """Setpoints of W worlds: they move on from where they are, late where actions are delayed."""
 
-    def __init__(self, scene: Scene, count: int, protocol: LiftProtocol):
+    def __init__(self, servo_limits: np.ndarray, count: int, protocol: LiftProtocol, timestep: float = 0.005):
         """
         Args:
-            scene: of the worlds.
+            servo_limits: lowest and highest setpoint of each independent joint [rad], shape [U, 2].
             count: W.
             protocol: with the limits of the wrist.
+            timestep: of the simulation that follows the setpoints [s]; setpoints are whole steps apart.
         """
-        self.substeps = round(SETPOINT_PERIOD / scene.settings.timestep)
+        self.substeps = round(SETPOINT_PERIOD / timestep)
         """Physics steps between two setpoints."""
-        self.period = self.substeps * scene.settings.timestep
+        self.period = self.substeps * timestep
         """Time that they take [s]."""
         self.number = round(protocol.control_period / self.period)
         """S, setpoints in a control period."""
         resting = np.tile([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], (count, 1))
         self.wrist = WristSetpoint(resting, protocol)
-        self._lowest, self._highest = scene.servo_limits.T
+        self._lowest, self._highest = servo_limits.T
         self.fingers = np.zeros((count, len(self._lowest)))
         """Last setpoints of the independent joints [rad], shape [W, U]."""
         self.delay = np.zeros(count)

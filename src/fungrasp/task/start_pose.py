@@ -24,6 +24,24 @@ TURN_STEP = np.deg2rad(1.0)
 _LARGEST_TURN = np.pi / 2
 
 
+def start_on_line(object_pose: np.ndarray, target: np.ndarray, distance: float) -> np.ndarray:
+    """Palm poses on the line from objects to where palms will grasp, turned as they will be.
+
+    Args:
+        object_pose: world frame, shape [W, 7].
+        target: palm poses in the grasp, world frame, shape [W, 7].
+        distance: from the objects' origins [m].
+
+    Returns:
+        World frame, shape [W, 7].
+    """
+    start = target.copy()
+    away = target[:, :3] - object_pose[:, :3]
+    away /= np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-9)
+    start[:, :3] = object_pose[:, :3] + distance * away
+    return start
+
+
 class StartPoses:
     """Start poses of hands in W worlds of a scene."""
 
@@ -31,7 +49,7 @@ class StartPoses:
         """scene: with the hand and the objects."""
         self._hand = scene.hand
         self._spheres = collision_spheres(scene.hand)
-        self._bank = SignedDistanceBank([model.signed_distance for model in scene.models])
+        self._models = scene.models
 
     def clear(
         self,
@@ -56,8 +74,10 @@ class StartPoses:
         Returns:
             Palm poses, world frame, shape [W, 7].
         """
+        present, index = np.unique(object_index, return_inverse=True)
+        bank = SignedDistanceBank([self._models[i].signed_distance for i in present])
         result = start_pose.copy()
-        best = self._clearance(object_index, object_pose, result, fingers, table_height)
+        best = self._clearance(bank, index, object_pose, result, fingers, table_height)
         away = start_pose[:, :3] - object_pose[:, :3]
         # About this axis, a small turn raises the palm on its sphere around the object.
         axis = np.cross(away, np.array([0.0, 0.0, 1.0]))
@@ -77,7 +97,7 @@ class StartPoses:
                 axis=1,
             )
             gap = self._clearance(
-                object_index[rows], object_pose[rows], turned, fingers[rows], table_height[rows]
+                bank, index[rows], object_pose[rows], turned, fingers[rows], table_height[rows]
             )
             better = gap > best[rows]
             result[rows[better]], best[rows[better]] = turned[better], gap[better]
@@ -86,7 +106,8 @@ class StartPoses:
 
     def _clearance(
         self,
-        object_index: np.ndarray,
+        bank: SignedDistanceBank,
+        index: np.ndarray,
         object_pose: np.ndarray,
         palm_pose: np.ndarray,
         fingers: np.ndarray,
@@ -97,5 +118,5 @@ class StartPoses:
         kinematics.update(palm_pose, fingers)
         centers, radius = kinematics.points(self._spheres.points), self._spheres.radius
         above = (centers[..., 2] - table_height[:, None] - radius).min(axis=1)
-        distance, _ = self._bank.query(object_index, inverse_transform_points(object_pose, centers))
+        distance, _ = bank.query(index, inverse_transform_points(object_pose, centers))
         return np.minimum(above, (distance - radius).min(axis=1))

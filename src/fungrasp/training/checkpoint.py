@@ -18,10 +18,13 @@ import torch
 
 from fungrasp.errors import FungraspError
 from fungrasp.files import atomic_path
+from fungrasp.formats.file_bytes import read_bytes
 from fungrasp.training.environment import TrainingEnvironment
 
 MAGIC = b"fungrasp checkpoint 2\n"
 """Its number goes up when checkpoints change."""
+LARGEST = 2_000_000_000
+"""Bytes of the largest file that is read."""
 DIGITS = 64
 """Length of the digest in hexadecimal digits."""
 
@@ -48,10 +51,7 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
     Raises:
         FungraspError: no such file, no checkpoint of this version, or one that is damaged.
     """
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise FungraspError(f"cannot read the checkpoint {path}: {error.strerror or error}") from error
+    data = read_bytes(path, "checkpoint", LARGEST)
     if not data.startswith(MAGIC):
         raise FungraspError(f"{path} is no checkpoint of this version of fungrasp")
     said, payload = data[len(MAGIC) : len(MAGIC) + DIGITS], data[len(MAGIC) + DIGITS + 1 :]
@@ -75,7 +75,8 @@ def environment_state(environment: TrainingEnvironment) -> dict[str, Any]:
     return {
         "hand": environment.hand.name,
         "layout": _layout(environment),
-        "success_of_group": torch.from_numpy(environment.success_of_group),
+        "success_of_group": torch.from_numpy(environment.success_of_group.copy()),
+        "diverged": environment.diverged,
         "random": json.dumps(environment.rng.bit_generator.state),
         "torch_random": torch.get_rng_state(),
     }
@@ -99,8 +100,10 @@ def restore_environment(state: Mapping[str, Any], environment: TrainingEnvironme
     rates = state["success_of_group"].numpy()
     if rates.shape == environment.success_of_group.shape:
         environment.success_of_group[:] = rates
+    environment.diverged = int(state.get("diverged", 0))
     environment.rng.bit_generator.state = json.loads(state["random"])
     torch.set_rng_state(state["torch_random"])
+    environment.restart()
 
 
 def _layout(environment: TrainingEnvironment) -> str:

@@ -22,9 +22,16 @@ from fungrasp.training.checkpoint import (
     write_checkpoint,
 )
 from fungrasp.training.environment import TrainingEnvironment
+from fungrasp.training.kept_rounds import KeptRounds, Round
 from fungrasp.training.networks import tensors
 from fungrasp.training.settings import HIDDEN, DistillSettings
 from fungrasp.training.student import StudentModel
+
+CHECKPOINT_ROUNDS = 10
+"""Rounds between two checkpoints."""
+
+ROUNDS = "rounds"
+"""Folder beside the checkpoint with the episodes that are learned from."""
 
 
 @dataclass(frozen=True)
@@ -93,17 +100,20 @@ def distill(
     optimizer = torch.optim.Adam(student.parameters(), lr=s.learning_rate)
     rounds = max(1, round(steps / (s.steps * environment.settings.worlds)))
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, rounds, 0.1 * s.learning_rate)
-    kept: deque[TensorDict] = deque(maxlen=s.kept_rounds)
+    kept = KeptRounds(
+        s.kept_rounds, None if checkpoint is None else checkpoint.with_name(ROUNDS), student.history_columns
+    )
     recent: deque[bool] = deque(maxlen=1000)
     state = Distillation(student, optimizer, schedule, environment, recent)
     if checkpoint is not None and checkpoint.exists():
         state.load(checkpoint)
+        if state.rounds < rounds:
+            kept.load(state.rounds)
     start = perf_counter() - state.seconds
     for index in range(state.rounds, rounds):
-        kept.append(
-            _collect(teacher if index < s.teacher_rounds else student, teacher, environment, s, recent)
-        )
-        imitation, reconstruction = _learn(student, optimizer, list(kept), s)
+        actor = teacher if index < s.teacher_rounds else student
+        kept.add(index, _collect(actor, teacher, environment, s, recent))
+        imitation, reconstruction = _learn(student, optimizer, list(kept.batches), s)
         schedule.step()
         state.rounds, state.seconds = index + 1, perf_counter() - start
         progress(
@@ -115,8 +125,13 @@ def distill(
                 reconstruction,
             )
         )
-        if checkpoint is not None and (index % 10 == 9 or index == rounds - 1):
-            state.save(checkpoint)
+        if index % CHECKPOINT_ROUNDS == CHECKPOINT_ROUNDS - 1 or index == rounds - 1:
+            if checkpoint is not None:
+                state.save(checkpoint)
+                kept.forget_before(state.rounds - s.kept_rounds)
+            # As a distillation that goes on from here does: it ends as one that was never interrupted.
+            environment.restart()
+    kept.remove()
     return state
 
 
@@ -145,7 +160,7 @@ class Distillation:
         return float(np.mean(self.recent)) if self.recent else 0.0
 
     def save(self, path: Path) -> None:
-        """Keep everything but the episodes that are learned from.
+        """Keep everything but the episodes that are learned from (see ``KeptRounds``).
 
         Raises:
             FungraspError: the file can't be written.
@@ -179,18 +194,19 @@ def _collect(
     environment: TrainingEnvironment,
     s: DistillSettings,
     recent: deque[bool],
-) -> TensorDict:
+) -> Round:
     """Let one act, and ask the teacher what it would have done."""
-    batches = []
+    batches, begun = [], [torch.zeros(environment.settings.worlds, dtype=torch.bool)]
     with torch.inference_mode():
         for _ in range(s.steps):
             observations = tensors(environment.observations)
             wanted = teacher(observations)
             action = wanted if actor is teacher else actor(observations)
-            batches.append(observations.clone().update({"action": wanted}))
+            batches.append(observations.exclude("value").clone().update({"action": wanted}))
             step = environment.step((action + s.noise * torch.randn_like(action)).numpy())
             recent.extend(step.success[step.done].tolist())
-    return torch.cat(batches)  # type: ignore[return-value]
+            begun.append(torch.from_numpy(step.done))
+    return Round(torch.cat(batches), torch.stack(begun[:-1]))  # type: ignore[arg-type]
 
 
 def _learn(

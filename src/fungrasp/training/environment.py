@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from fungrasp.hands import Hand
-from fungrasp.objects import ObjectModel
+from fungrasp.objects import ObjectModel, with_sizes
 from fungrasp.policies.plan_tracking import PlanTracker
 from fungrasp.policies.residual_action import ResidualSettings
 from fungrasp.simulation import SceneSettings, build_scene
@@ -105,7 +105,8 @@ class TrainingEnvironment:
         self.library, self.hand = library, hand
         self.rng = np.random.default_rng(seed)
         names = sorted(set(library.plans.object_name.tolist()))
-        scene = build_scene(hand, {name: objects[name] for name in names}, SceneSettings(timestep=s.timestep))
+        sizes = with_sizes({name: objects[name] for name in names}, s.randomization.object_scales)
+        scene = build_scene(hand, sizes, SceneSettings(timestep=s.timestep))
         self.protocol = replace(LiftProtocol(), hold_time=s.hold_time)
         self.episodes = LiftEnvironment(scene, s.worlds, s.randomization, self.protocol, self.rng, threads)
         self.tracker = PlanTracker(hand, objects, library.plans, s.worlds, s.residual)
@@ -160,6 +161,14 @@ class TrainingEnvironment:
             success,
             {name: float(np.nanmean(v)) for name, v in terms.items()},
         )
+
+    def restart(self) -> None:
+        """Begin new episodes in all worlds: what follows depends on the random numbers, the success rates and
+        the actions alone, so that it can be repeated from a checkpoint."""
+        everyone = np.arange(self.settings.worlds)
+        self.tracker.begin(everyone, self._begin(everyone), self.episodes.observe())
+        self._privileged = self.episodes.privileged()
+        self.observations = self._observe(everyone)
 
     def _report(self, diverged: np.ndarray) -> None:
         """Count and name worlds whose physics broke down."""

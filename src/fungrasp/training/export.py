@@ -10,6 +10,7 @@ from datetime import date
 from pathlib import Path
 from typing import Any, cast
 
+import numpy as np
 import torch
 from rsl_rl.models import MLPModel
 
@@ -23,6 +24,10 @@ from fungrasp.training.student import StudentGraph, StudentModel
 from fungrasp.training.success_predictor import PredictorNetwork
 
 OPSET = 18
+
+HALVED_FROM = 256
+"""Matrices of at least so many numbers are stored in half precision. Biases and what observations are
+normalized by stay as they are: they decide more and take no room."""
 
 
 class Normalised(torch.nn.Module):
@@ -60,7 +65,34 @@ def graph(module: torch.nn.Module, inputs: dict[str, torch.Tensor], outputs: tup
             opset_version=OPSET,
             dynamo=False,
         )
-    return buffer.getvalue()
+    return halved(buffer.getvalue())
+
+
+def halved(model: bytes) -> bytes:
+    """An ONNX model whose large weights are stored in half precision, which halves the file; it still
+    computes in single precision.
+
+    Where a weight is beyond the range of half precision, it stays as it is.
+    """
+    import onnx
+    from onnx import helper, numpy_helper
+
+    network = onnx.load_from_string(model)
+    casts = []
+    for number, weight in enumerate(list(network.graph.initializer)):
+        values = numpy_helper.to_array(weight)
+        if values.dtype != np.float32 or values.size < HALVED_FROM or values.ndim < 2:
+            continue
+        if np.abs(values).max() > np.finfo(np.float16).max:
+            continue
+        single, half = weight.name, f"{weight.name}_half"
+        network.graph.initializer[number].CopyFrom(numpy_helper.from_array(values.astype(np.float16), half))
+        casts.append(helper.make_node("Cast", [half], [single], to=onnx.TensorProto.FLOAT))
+    # A node comes after those whose outputs it takes.
+    nodes = [*casts, *network.graph.node]
+    del network.graph.node[:]
+    network.graph.node.extend(nodes)
+    return network.SerializeToString()
 
 
 def make_card(

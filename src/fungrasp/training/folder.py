@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import logging
-import zipfile
-import zlib
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -15,11 +14,18 @@ import numpy as np
 from fungrasp import __version__
 from fungrasp.errors import FungraspError
 from fungrasp.files import atomic_path
+from fungrasp.formats.file_bytes import read_bytes
+from fungrasp.formats.json_file import parse_json, read_json
+from fungrasp.formats.numpy_files import read_npz
 from fungrasp.provenance import git_revision, machine
 from fungrasp.task import GraspPlan
 from fungrasp.training.plan_library import PlanLibrary
 
 _log = logging.getLogger(__name__)
+
+LARGEST_PROGRESS = 1_000_000_000
+LARGEST_LIBRARY = 1 << 33
+"""Bytes of the largest files that are read; a library holds plans of up to tens of thousands of grasps."""
 
 NAMED = 5
 """Most differences to name in an error."""
@@ -71,16 +77,11 @@ class RunFolder:
         Raises:
             FungraspError: there is none, or it is damaged.
         """
-        try:
-            config = json.loads(self.config.read_text())
-            if isinstance(config["settings"], dict):
-                return config
-        except OSError as error:
-            raise FungraspError(
-                f"{self.path} is not the folder of a training: cannot read {self.config.name}"
-            ) from error
-        except (ValueError, KeyError, TypeError):
-            pass
+        if not self.config.is_file():
+            raise FungraspError(f"{self.path} is not the folder of a training: it has no {self.config.name}")
+        config = read_json(self.config, "settings of a training")
+        if isinstance(config, dict) and isinstance(config.get("settings"), dict):
+            return config
         raise FungraspError(f"{self.config} is damaged, or not of a training")
 
     def forget_progress_after(self, steps: int) -> None:
@@ -92,12 +93,11 @@ class RunFolder:
         if not self.progress.is_file():
             return
         kept = []
-        for line in self.progress.read_text().splitlines(keepends=True):
-            try:
-                if json.loads(line)["steps"] <= steps:
+        text = read_bytes(self.progress, "progress of a training", LARGEST_PROGRESS).decode(errors="replace")
+        for line in text.splitlines(keepends=True):
+            with contextlib.suppress(FungraspError, KeyError, TypeError):
+                if parse_json(line, str(self.progress))["steps"] <= steps:
                     kept.append(line)
-            except (ValueError, KeyError, TypeError):
-                continue
         with atomic_path(self.progress) as part:
             part.write_text("".join(kept))
 
@@ -128,13 +128,12 @@ def kept_library(path: Path, key: str, plan: Callable[[], PlanLibrary]) -> PlanL
     """
     if path.is_file():
         try:
-            with np.load(path, allow_pickle=False) as data:
-                arrays = dict(data)
+            arrays = read_npz(path, "plan library", largest=LARGEST_LIBRARY)
             if str(arrays.pop("key")) == key:
                 group = arrays.pop("group")
                 return PlanLibrary(GraspPlan.from_arrays(arrays), group)
             _log.warning("%s belongs to other grasps or settings: planning again", path)
-        except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile, zlib.error) as error:
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
             _log.warning("%s is unreadable (%s): planning again", path, error)
     library = plan()
     with atomic_path(path) as part, part.open("wb") as stream:

@@ -23,6 +23,10 @@ class ColoredGaussian(GaussianDistribution):
         self._correlation, self._fresh = correlation, (1.0 - correlation**2) ** 0.5
         self._noise = torch.randn(worlds, output_dim)
 
+    def restart(self) -> None:
+        """Forget the noise so far."""
+        self._noise = torch.randn_like(self._noise)
+
     def sample(self) -> torch.Tensor:
         """Shape [W, A]; independent where the batch is not that of the worlds."""
         if len(self.mean) != len(self._noise):

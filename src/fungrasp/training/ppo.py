@@ -26,7 +26,7 @@ from fungrasp.training.checkpoint import (
     write_checkpoint,
 )
 from fungrasp.training.environment import TrainingEnvironment
-from fungrasp.training.networks import make_networks, tensors
+from fungrasp.training.networks import ColoredGaussian, make_networks, tensors
 from fungrasp.training.settings import PpoSettings
 from fungrasp.training.student import StudentModel
 
@@ -107,6 +107,11 @@ class Trainer:
         return self.algorithm.get_policy()
 
     @property
+    def _batch(self) -> int:
+        """Control steps of an update."""
+        return self.settings.steps * self.environment.settings.worlds
+
+    @property
     def success(self) -> float:
         """Share of the last episodes that succeeded; 0 before any has ended."""
         return float(np.mean(self._recent)) if self._recent else 0.0
@@ -124,15 +129,15 @@ class Trainer:
             steps: since the beginning, earlier runs included.
             progress: called after each update.
             checkpoint: where to keep the state, written atomically.
-            every: updates between two checkpoints.
+            every: updates between two checkpoints, at which all episodes begin anew: a training that goes on
+            from one ends as if it had never been interrupted.
         """
-        start, update, before = perf_counter(), 0, self.seconds
+        start, before = perf_counter(), self.seconds
         self.algorithm.train_mode()
         if self.steps == 0 and not self._begun:
             self._warm_up()
         while self.steps < steps:
             report = self._update()
-            update += 1
             self.seconds = before + perf_counter() - start
             progress(
                 Progress(
@@ -146,8 +151,22 @@ class Trainer:
                     report["terms"],
                 )
             )
-            if checkpoint is not None and (update % every == 0 or self.steps >= steps):
+            if self.steps // self._batch % every == 0:
+                if checkpoint is not None:
+                    self.save(checkpoint)
+                self._restart()
+            elif checkpoint is not None and self.steps >= steps:
                 self.save(checkpoint)
+
+    def _restart(self) -> None:
+        """Begin new episodes with new noise."""
+        self.environment.restart()
+        self._restart_noise()
+
+    def _restart_noise(self) -> None:
+        noise = self.actor.distribution
+        if isinstance(noise, ColoredGaussian):
+            noise.restart()
 
     def _warm_up(self) -> None:
         """Play the plans without a residual, to learn the normalization of observations."""
@@ -179,7 +198,7 @@ class Trainer:
         losses["kl"] = self._adapt(observations, before)
         if isinstance(self.actor, StudentModel):
             losses["reconstruction"] = self._reconstruct(self.actor)
-        self.steps += self.settings.steps * environment.settings.worlds
+        self.steps += self._batch
         return {
             "reward": float(np.mean(rewards)),
             "losses": losses,
@@ -252,6 +271,7 @@ class Trainer:
             if isinstance(self.actor, StudentModel):
                 self._encoder_optimizer.load_state_dict(state["encoder_optimizer_state_dict"])
             restore_environment(state, self.environment)
+            self._restart_noise()
             self.steps, self.seconds = int(state["steps"]), float(state["seconds"])
             self._recent.extend(state["recent"].bool().tolist())
 

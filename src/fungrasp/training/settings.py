@@ -86,8 +86,8 @@ class PredictorSettings:
     """Time that the object has to be held [s]; the lift test has 3."""
     early: int = 5
     """Control steps before the fingers close at which episodes begin."""
-    chunk: int = 512
-    """Episodes simulated together."""
+    chunk: int = 128
+    """Episodes simulated together: what an interrupted command may lose."""
     networks: int = 4
     """Networks whose mean is the predictor."""
     hidden: tuple[int, int] = (256, 128)

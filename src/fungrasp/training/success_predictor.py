@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import zipfile
-import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -15,6 +13,8 @@ import torch
 from fungrasp import __version__
 from fungrasp.errors import FungraspError
 from fungrasp.files import atomic_path, digest
+from fungrasp.formats.json_file import parse_json
+from fungrasp.formats.numpy_files import read_npz
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
@@ -136,12 +136,12 @@ def _key(
 def _kept(path: Path, key: str) -> tuple[PlanOutcomes, Layout] | None:
     """Outcomes from a file; None if there is none, it is damaged, or of other episodes."""
     try:
-        with np.load(path, allow_pickle=False) as data:
-            if str(data["key"]) != key:
-                return None
-            names = tuple((str(n), int(size)) for n, size in json.loads(str(data["layout"])))
-            return PlanOutcomes(*(data[f.name] for f in fields(PlanOutcomes))), names
-    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile, zlib.error):
+        data = read_npz(path, "kept episodes", largest=LARGEST)
+        if str(data["key"]) != key:
+            return None
+        names = tuple((str(n), int(size)) for n, size in parse_json(str(data["layout"]), str(path)))
+        return PlanOutcomes(*(data[f.name] for f in fields(PlanOutcomes))), names
+    except (ValueError, KeyError, TypeError):
         return None
 
 
@@ -167,6 +167,10 @@ def _try(
     outcomes = play(environment, OpenLoopPolicy(), plans, end_lost=True)
     lost = outcomes.reason == "lost before the hold"
     return plans, outcomes.success, np.where(lost, 0.0, np.nan_to_num(outcomes.contact_ratio))
+
+
+LARGEST = 1 << 33
+"""Bytes of the largest file of outcomes that is read."""
 
 
 class PredictorNetwork(torch.nn.Module):

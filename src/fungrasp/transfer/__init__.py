@@ -1,32 +1,40 @@
 """From simulation to reality: worlds that differ from the nominal ones."""
 
-from fungrasp.transfer.pose_noise import offset_pose, shift_on_table
-from fungrasp.transfer.randomization import (
+from fungrasp.transfer.episode_sample import EpisodeSample, draw, draw_each, random_stream
+from fungrasp.transfer.pose_noise import offset_pose, shift_on_table, tilt_on_table
+from fungrasp.transfer.presets import (
     MODERATE,
     NOMINAL,
+    REALITY,
+    REALITY_ROLLOUTS,
     ROBUSTNESS,
+    THREE_PUSHES,
     WIDE,
-    EpisodeSample,
-    MeasurementError,
-    Randomization,
-    Range,
-    draw,
-    draw_each,
-    random_stream,
+    ProtocolName,
+    protocol_conditions,
+    protocol_name,
 )
+from fungrasp.transfer.randomization import MeasurementError, Randomization, Range
 
 __all__ = [
     "MODERATE",
     "NOMINAL",
+    "REALITY",
+    "REALITY_ROLLOUTS",
     "ROBUSTNESS",
+    "THREE_PUSHES",
     "WIDE",
     "EpisodeSample",
     "MeasurementError",
+    "ProtocolName",
     "Randomization",
     "Range",
     "draw",
     "draw_each",
     "offset_pose",
+    "protocol_conditions",
+    "protocol_name",
     "random_stream",
     "shift_on_table",
+    "tilt_on_table",
 ]

@@ -46,3 +46,22 @@ def shift_on_table(pose: Array, shift: Array, center: Array | None = None) -> Ar
     if center is not None:
         position = position + rotate(before, center) - rotate(after, center)
     return xp.concat([position, after], axis=-1)
+
+
+def tilt_on_table(pose: Array, tilt: Array, height: Array) -> Array:
+    """Objects whose table tilts about the point of its top that is below their origin.
+
+    Args:
+        pose: world frame, shape [..., 7].
+        tilt: rotation vector of the table, world frame x and y [rad], shape [..., 2].
+        height: of the table top there [m], shape [...].
+
+    Returns:
+        Shape [..., 7].
+    """
+    xp = array_namespace(pose, tilt)
+    zero = xp.zeros_like(pose[..., :1])
+    turn = quaternion_from_rotation_vector(xp.concat([tilt, zero], axis=-1))
+    up = xp.concat([zero, zero, pose[..., 2:3] - height[..., None]], axis=-1)
+    position = pose[..., :3] - up + rotate(turn, up)
+    return xp.concat([position, quaternion_multiply(turn, pose[..., 3:])], axis=-1)

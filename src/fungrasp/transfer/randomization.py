@@ -1,22 +1,19 @@
 """What may differ between a world and the nominal one: one description, one sampler.
 
 Training, the rollouts of planning, single options of ``fungrasp evaluate`` and the robustness protocol all
-draw from a ``Randomization``. The paper (section IV.C.3) randomizes joint damping, servo gains, friction,
-object mass, table height and the observed state of the hand; the tracked object, delays, pushes and an object
-that was moved after planning are additions.
+draw from a ``Randomization`` (``fungrasp.transfer.presets``). The paper (section IV.C.3) randomizes joint
+damping, servo gains, friction, object mass, table height and the observed state of the hand; the rest is
+added.
 """
 
 from __future__ import annotations
 
-import zlib
-from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Literal
 
 import numpy as np
 
 from fungrasp.errors import FungraspError
-from fungrasp.records import BatchRecord
 
 Range = tuple[float, float]
 """Smallest and largest value; equal ones are a constant."""
@@ -24,9 +21,13 @@ Range = tuple[float, float]
 LONGEST_DELAY = 0.1
 """Longest delay from a decision to the servos [s]: one control period."""
 
-_FACTORS = ("joint_damping", "servo_stiffness", "servo_damping", "wrist_stiffness", "mass")
+_FACTORS = ("joint_damping", "servo_stiffness", "servo_damping", "wrist_stiffness", "mass", "object_scale")
 _POSITIVE = (*_FACTORS, "friction", "push_duration")
 _SIGNED = ("table_height",)
+_PROBABILITIES = ("tracker_dropout", "tracker_freeze", "shift_probability")
+
+OBJECT_SCALES = 5
+"""Number of sizes that ``Randomization.object_scale`` is drawn from: a scene holds a mesh for each."""
 
 
 @dataclass(frozen=True)
@@ -39,6 +40,15 @@ class MeasurementError:
     """Standard deviation of the normal part that is new at every measurement."""
     offset: float = 0.0
     """Length of a part that stays the same during an episode, in a uniformly random direction."""
+    offset_deviation: float = 0.0
+    """Standard deviation of that length."""
+    uniform: float = 0.0
+    """Largest size of a uniform part that stays the same during an episode."""
+
+    @property
+    def variance(self) -> float:
+        """Of what stays the same during an episode, per coordinate of three."""
+        return self.bias**2 + (self.offset**2 + self.offset_deviation**2) / 3 + self.uniform**2 / 3
 
 
 @dataclass(frozen=True)
@@ -57,12 +67,34 @@ class Randomization:
     wrist_stiffness: Range = (1.0, 1.0)
     """Factor on stiffness and damping of the wrist's servos, the same for all six, so that the wrist keeps up
     with its moving setpoint as before."""
+    joint_friction: Range = (0.0, 0.0)
+    """Dry friction of each finger joint, as a fraction of its servo's torque limit."""
+    encoder_bias: float = 0.0
+    """Largest error of each finger joint's encoder, either way, the same during an episode [rad]. Servos work
+    on what encoders say: the joint comes to rest off by as much."""
+    backlash: Range = (0.0, 0.0)
+    """How far each finger joint can be from where its motor has it, either way [rad]."""
+    wrist_position_offset: float = 0.0
+    """Distance of the palm from where the arm believes to have it (calibration) [m], in a random direction,
+    the same during an episode."""
+    wrist_rotation_offset: float = 0.0
+    """Angle of the palm from how the arm believes to hold it [rad], about a random axis, the same during an
+    episode."""
+    wrist_lag: Range = (0.0, 0.0)
+    """Time constant with which the wrist follows its setpoints [s], a first-order lag."""
     mass: Range = (1.0, 1.0)
     """Factor on the mass of the object."""
+    center_of_mass_shift: float = 0.0
+    """Largest displacement of the object's center of mass along each axis of its frame, either way, as a
+    fraction of its extent there."""
+    object_scale: Range = (1.0, 1.0)
+    """Factor on the size of the object, one of ``object_scales``; its mass stays."""
     friction: Range | None = None
     """Sliding friction of hand, object and table; the nominal one if None."""
     table_height: Range = (0.0, 0.0)
     """Height of the table top, and of what stands on it, above the nominal one [m]."""
+    table_tilt: Range = (0.0, 0.0)
+    """Slope of the table top [rad], in a random direction."""
     joint_error: MeasurementError = MeasurementError()
     """Error of the measured finger joints [rad]."""
     palm_position_error: MeasurementError = MeasurementError()
@@ -78,6 +110,9 @@ class Randomization:
     """Age of the tracked object pose when a policy sees it [s]."""
     tracker_dropout: float = 0.0
     """Probability that a frame of the tracker is missing; the policy then sees the last one."""
+    tracker_freeze: float = 0.0
+    """Probability that an episode's tracker loses the object when the hand first touches it: the policy then
+    sees the last frame."""
     tracker_time_constant: float = 0.0
     """Time constant of the tracker's low-pass filter [s], a first-order one on position and rotation; 0 for
     none. A pose that moves steadily is seen late by as much."""
@@ -96,6 +131,8 @@ class Randomization:
     object_shift: Range = (0.0, 0.0)
     """Distance by which the object is moved on the table after planning [m], in a random direction; drawn
     uniformly over the ring's area."""
+    shift_probability: float = 1.0
+    """Probability that an episode's object is moved or turned at all."""
     object_turn: float = 0.0
     """Largest angle by which the object is then turned about the vertical, in either direction [rad]."""
 
@@ -107,7 +144,7 @@ class Randomization:
         for f in fields(self):
             value = getattr(self, f.name)
             if isinstance(value, MeasurementError):
-                numbers = np.array([value.bias, value.jitter, value.offset])
+                numbers = np.array(list(vars(value).values()))
             elif value is None or isinstance(value, str):
                 continue
             else:
@@ -126,10 +163,18 @@ class Randomization:
             raise FungraspError(
                 f"table height must be within 0.2 m of the nominal one, not {self.table_height}"
             )
+        if self.table_tilt[1] > 0.5:
+            raise FungraspError(f"table tilt must be at most 0.5 rad, not {self.table_tilt}")
+        if self.center_of_mass_shift > 0.5:
+            raise FungraspError(
+                "center of mass shift must be within half of the extent, not "
+                f"{self.center_of_mass_shift} of it"
+            )
         if self.action_delay[1] > LONGEST_DELAY:
             raise FungraspError(f"action delay must be 0 to {LONGEST_DELAY:g} s, not {self.action_delay}")
-        if self.tracker_dropout > 1:
-            raise FungraspError(f"tracker dropout is a probability, not {self.tracker_dropout}")
+        for name in _PROBABILITIES:
+            if getattr(self, name) > 1:
+                raise FungraspError(f"{name.replace('_', ' ')} is a probability, not {getattr(self, name)}")
 
     @property
     def is_random(self) -> bool:
@@ -138,194 +183,25 @@ class Randomization:
         noisy = any(isinstance(v, MeasurementError) and v != MeasurementError() for v in values.values())
         wide = any(isinstance(v, tuple) and v[0] != v[1] for v in values.values())
         pushed = max(*self.push_force, *self.push_weights) > 0 and bool(self.push_times)
-        moved = self.object_shift[1] > 0 or self.object_turn > 0
-        return noisy or wide or pushed or moved or self.tracker_dropout > 0
+        directions = (
+            self.object_shift[1],
+            self.object_turn,
+            self.table_tilt[1],
+            self.wrist_position_offset,
+            self.wrist_rotation_offset,
+        )
+        chances = (self.tracker_dropout, self.tracker_freeze, self.encoder_bias, self.center_of_mass_shift)
+        return noisy or wide or pushed or max(directions) > 0 or max(chances) > 0
 
+    @property
+    def object_scales(self) -> tuple[float, ...]:
+        """The factors that ``object_scale`` may be, rising: ``OBJECT_SCALES`` of them, or a single one."""
+        low, high = self.object_scale
+        return (low,) if low == high else tuple(np.linspace(low, high, OBJECT_SCALES).round(6).tolist())
 
-@dataclass(frozen=True, eq=False)
-class EpisodeSample(BatchRecord):
-    """What was drawn for W episodes of a hand with M joints; P pushes."""
-
-    joint_damping: np.ndarray
-    """Factor on the damping of each joint, shape [W, M]."""
-    servo_stiffness: np.ndarray
-    """Factor on the stiffness of each joint's servo, shape [W, M]."""
-    servo_damping: np.ndarray
-    """Factor on the damping of each joint's servo, shape [W, M]."""
-    wrist_stiffness: np.ndarray
-    """Factor on stiffness and damping of the wrist's servos, shape [W]."""
-    mass: np.ndarray
-    """Factor on the mass of the object, shape [W]."""
-    table_height: np.ndarray
-    """Height of the table top above the nominal one [m], shape [W]."""
-    joint_bias: np.ndarray
-    """Error of the measured joints [rad], shape [W, M]."""
-    palm_bias: np.ndarray
-    """Error of the measured palm: offset [m], world frame, and rotation vector [rad], shape [W, 6]."""
-    object_bias: np.ndarray
-    """Error of the object's estimated and tracked pose: offset [m], world frame, and rotation vector [rad],
-    shape [W, 6]."""
-    tracker_delay: np.ndarray
-    """Age of the tracked object pose [s], shape [W]."""
-    action_delay: np.ndarray
-    """Time from a decision to the servos [s], shape [W]."""
-    push_direction: np.ndarray
-    """Directions of the pushes, unit vectors, world frame, shape [W, P, 3]."""
-    push_force: np.ndarray
-    """Force of each push [N], shape [W, P]."""
-    push_weights: np.ndarray
-    """Additional force of each push in multiples of the object's true weight, shape [W, P]."""
-    push_start: np.ndarray
-    """Time of each push from the beginning of the phase [s], shape [W, P]."""
-    object_shift: np.ndarray
-    """Displacement of the object in the table's plane after planning: x and y [m], and a turn about the
-    vertical [rad], shape [W, 3]."""
-    friction: np.ndarray | None = None
-    """Sliding friction of hand, object and table, shape [W]; the nominal one if None."""
-
-
-def draw(randomization: Randomization, count: int, joints: int, rng: np.random.Generator) -> EpisodeSample:
-    """Draw what differs in some episodes.
-
-    Args:
-        randomization: what to draw from.
-        count: W, number of episodes.
-        joints: M, number of the hand's joints, coupled ones included.
-        rng: the same state gives the same sample.
-    """
-    r, pushes = randomization, len(randomization.push_times)
-
-    def factor(bounds: Range, *shape: int) -> np.ndarray:
-        return np.exp(rng.uniform(*np.log(bounds), size=(count, *shape)))
-
-    def bias(position: MeasurementError, rotation: MeasurementError) -> np.ndarray:
-        errors = (position, rotation)
-        normal = rng.normal(size=(count, 6)) * np.repeat([e.bias for e in errors], 3)
-        if any(e.offset for e in errors):
-            unit = _unit(rng.normal(size=(count, 2, 3)))
-            normal += (unit * np.array([[e.offset] for e in errors])).reshape(count, 6)
-        return normal
-
-    direction = _unit(rng.normal(size=(count, pushes, 3)))
-    around = rng.uniform(0.0, 2 * np.pi, count)
-    # Uniform over the area of a ring: the square of the radius is uniform.
-    low, high = r.object_shift
-    inner = (low / high) ** 2 if high else 0.0
-    distance = high * np.sqrt(inner + (1.0 - inner) * rng.uniform(size=count))
-    turn = rng.uniform(-r.object_turn, r.object_turn, count)
-    starts = np.array(r.push_times, dtype=float).reshape(pushes, 2)
-    return EpisodeSample(
-        joint_damping=factor(r.joint_damping, joints),
-        servo_stiffness=factor(r.servo_stiffness, joints),
-        servo_damping=factor(r.servo_damping, joints),
-        wrist_stiffness=factor(r.wrist_stiffness),
-        mass=factor(r.mass),
-        friction=None if r.friction is None else rng.uniform(*r.friction, size=count),
-        table_height=rng.uniform(*r.table_height, size=count),
-        joint_bias=rng.normal(size=(count, joints)) * r.joint_error.bias,
-        palm_bias=bias(r.palm_position_error, r.palm_rotation_error),
-        object_bias=bias(r.object_position_error, r.object_rotation_error),
-        tracker_delay=rng.uniform(*r.tracker_delay, size=count),
-        action_delay=rng.uniform(*r.action_delay, size=count),
-        push_direction=direction,
-        push_force=rng.uniform(*r.push_force, size=(count, pushes)),
-        push_start=rng.uniform(*starts.T, size=(count, pushes)),
-        push_weights=rng.uniform(*r.push_weights, size=(count, pushes)),
-        object_shift=np.stack([distance * np.cos(around), distance * np.sin(around), turn], axis=1),
-    )
-
-
-def random_stream(purpose: str, *numbers: int) -> np.random.Generator:
-    """A generator of its own for each purpose and numbers (seed, episode, ...): streams of different purposes
-    have nothing in common."""
-    return np.random.default_rng([zlib.crc32(purpose.encode()), *numbers])
-
-
-def draw_each(
-    randomization: Randomization, seed: int, numbers: Sequence[int] | np.ndarray, joints: int
-) -> EpisodeSample:
-    """Draw for episodes by their numbers, so that what one gets does not depend on the others.
-
-    Args:
-        randomization: what to draw from.
-        seed: of everything random.
-        numbers: of the episodes, length W.
-        joints: M, number of the hand's joints.
-    """
-    generators = [random_stream("episode", seed, int(number)) for number in numbers]
-    return EpisodeSample.join([draw(randomization, 1, joints, rng) for rng in generators])
-
-
-def _unit(v: np.ndarray) -> np.ndarray:
-    return v / np.linalg.norm(v, axis=-1, keepdims=True)
-
-
-NOMINAL = Randomization()
-"""Every world is the nominal one."""
-
-MODERATE = Randomization(
-    joint_damping=(0.7, 1.4),
-    servo_stiffness=(0.85, 1.18),
-    servo_damping=(0.85, 1.18),
-    wrist_stiffness=(0.85, 1.18),
-    mass=(0.7, 1.4),
-    friction=(0.7, 1.0),
-    table_height=(-0.005, 0.005),
-    joint_error=MeasurementError(0.01, 0.003),
-    palm_position_error=MeasurementError(0.001, 0.0005),
-    palm_rotation_error=MeasurementError(0.005, 0.002),
-    object_position_error=MeasurementError(0.002, 0.001),
-    object_rotation_error=MeasurementError(0.02, 0.01),
-    tracker_delay=(0.0, 0.02),
-    action_delay=(0.0, 0.02),
-    push_phase="lift",
-    push_times=((0.0, 3.0),),
-    push_force=(0.0, 1.0),
-    object_shift=(0.0, 0.005),
-    object_turn=0.05,
-)
-"""What a good policy can overcome without learning to expect the worst: for training and rollouts."""
-
-WIDE = Randomization(
-    joint_damping=(0.5, 2.0),
-    servo_stiffness=(0.75, 1.33),
-    servo_damping=(0.75, 1.33),
-    wrist_stiffness=(0.7, 1.4),
-    mass=(0.5, 2.0),
-    friction=(0.5, 1.1),
-    table_height=(-0.01, 0.01),
-    joint_error=MeasurementError(0.02, 0.005),
-    palm_position_error=MeasurementError(0.003, 0.0005),
-    palm_rotation_error=MeasurementError(0.01, 0.002),
-    object_position_error=MeasurementError(0.004, 0.002),
-    object_rotation_error=MeasurementError(0.05, 0.02),
-    tracker_delay=(0.0, 0.1),
-    action_delay=(0.0, 0.1),
-    push_phase="lift",
-    push_times=((0.0, 3.0),),
-    push_force=(0.0, 2.0),
-    object_shift=(0.0, 0.01),
-    object_turn=0.1,
-)
-"""About what separates simulations from robots (section IV.C.3 of the paper)."""
-
-THREE_PUSHES: tuple[Range, ...] = ((0.5, 0.5), (1.5, 1.5), (2.5, 2.5))
-"""When the robustness protocol pushes the object, from the beginning of the hold [s]."""
-
-ROBUSTNESS: dict[str, Randomization] = {
-    "nominal": NOMINAL,
-    "mass x0.5": Randomization(mass=(0.5, 0.5)),
-    "mass x2": Randomization(mass=(2.0, 2.0)),
-    "friction 0.6": Randomization(friction=(0.6, 0.6)),
-    "table +2 cm": Randomization(table_height=(0.02, 0.02)),
-    "table -2 cm": Randomization(table_height=(-0.02, -0.02)),
-    "pose noise 1 cm, 10 deg": Randomization(
-        object_position_error=MeasurementError(offset=0.01),
-        object_rotation_error=MeasurementError(offset=float(np.deg2rad(10))),
-    ),
-    "latency 50 ms": Randomization(action_delay=(0.05, 0.05)),
-    "latency 100 ms": Randomization(action_delay=(0.1, 0.1)),
-    "pushes": Randomization(push_times=THREE_PUSHES, push_weights=(1.0, 1.0)),
-    "hidden shift 2 cm": Randomization(object_shift=(0.02, 0.02)),
-}
-"""The robustness protocol: one thing at a time, by name (docs/evaluation.md)."""
+    @property
+    def object_pose_covariance(self) -> np.ndarray:
+        """Covariance of what stays the same of the object's pose error: position [m] and rotation vector
+        [rad], shape [6, 6]."""
+        errors = (self.object_position_error, self.object_rotation_error)
+        return np.diag(np.repeat([e.variance for e in errors], 3))

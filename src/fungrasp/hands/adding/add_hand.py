@@ -11,6 +11,7 @@ import numpy as np
 
 from fungrasp.errors import FungraspError
 from fungrasp.files import atomic_path
+from fungrasp.formats.guarded import guarded
 from fungrasp.hands.adding.couplings import find_couplings
 from fungrasp.hands.adding.link_points import far_ends
 from fungrasp.hands.adding.link_shapes import HandShapes, hand_shapes
@@ -32,6 +33,7 @@ from fungrasp.hands.self_contained_mjcf import self_contained_xml
 __all__ = ["Answers", "add_hand"]
 
 
+@guarded("hand's model")
 def add_hand(
     path: str | Path,
     folder: str | Path | None = None,
@@ -69,7 +71,7 @@ def add_hand(
     findings = foreign.findings
     couplings = find_couplings(foreign.model, findings, answers.couplings)
     ends = far_ends(foreign)
-    structure = find_structure(foreign.model, couplings, ends, answers)
+    structure = find_structure(foreign.model, couplings, ends, answers, findings)
     findings.append(_summary(structure, foreign.model))
     poses = Poses(foreign.model, couplings, structure.palm)
     shapes = hand_shapes(foreign, structure, poses, ends, answers.radius, findings)

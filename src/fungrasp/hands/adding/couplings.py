@@ -12,13 +12,16 @@ from fungrasp.errors import FungraspError, UnknownNameError
 from fungrasp.hands.checking.finding import Finding, note, warning
 from fungrasp.hands.checking.kinematic_tree import joint_name
 
+LEAST_ROOM = 0.1
+"""A coupling that leaves less of its driver's range can't be meant."""
+
 TIGHT_TENDON = 0.05
 """A fixed tendon whose length may vary by less is a rigid coupling [rad]."""
 
 
 @dataclass(frozen=True)
 class Coupling:
-    """``joint = constant + slope * driver`` [rad]."""
+    """``joint = constant + slope * driver`` [rad], positions as the model counts them."""
 
     joint: int
     """Id of the joint that is driven."""
@@ -28,6 +31,11 @@ class Coupling:
     """Position of the driven joint where the driver is at zero [rad]."""
     slope: float
     """Change of the driven joint per change of the driver."""
+
+    def from_reference(self, model: mujoco.MjModel) -> float:
+        """The constant where positions count from the model's reference pose [rad]."""
+        reference = model.qpos0[model.jnt_qposadr]
+        return float(self.constant - reference[self.joint] + self.slope * reference[self.driver])
 
 
 def find_couplings(
@@ -54,6 +62,12 @@ def find_couplings(
         found[joint] = Coupling(joint, driver, constant, slope)
         return True
 
+    def tie(joint: int, driver: int, change: float, slope: float) -> bool:
+        """MuJoCo couples changes from the reference pose; ``change`` is that of the joint where the driver's
+        is zero."""
+        reference = model.qpos0[model.jnt_qposadr]
+        return add(joint, driver, change + float(reference[joint] - slope * reference[driver]), slope)
+
     names = {joint_name(model, j): j for j in range(model.njnt)}
     for joint, slope, driver in given:
         for name in (joint, driver):
@@ -65,7 +79,7 @@ def find_couplings(
         if model.eq_type[e] == mujoco.mjtEq.mjEQ_JOINT and model.eq_obj2id[e] >= 0 and model.eq_active0[e]:
             joint, driver = int(model.eq_obj1id[e]), int(model.eq_obj2id[e])
             constant, slope, *curve = model.eq_data[e, :5]
-            if not add(joint, driver, float(constant), float(slope)):
+            if not tie(joint, driver, float(constant), float(slope)):
                 findings.append(
                     warning(
                         f"the coupling of '{joint_name(model, joint)}' to '{joint_name(model, driver)}' "
@@ -86,13 +100,14 @@ def find_couplings(
                 )
             )
     for tendon in range(model.ntendon):
-        _tendon(model, tendon, add, findings)
+        _tendon(model, tendon, tie, add, findings)
     return [found[joint] for joint in sorted(found)]
 
 
 def _tendon(
     model: mujoco.MjModel,
     tendon: int,
+    tie: Callable[[int, int, float, float], bool],
     add: Callable[[int, int, float, float], bool],
     findings: list[Finding],
 ) -> None:
@@ -108,15 +123,24 @@ def _tendon(
     name = model.tendon(tendon).name or f"tendon {tendon}"
     if rigid:
         (near, a), (far, b) = terms
-        if not add(far, near, 0.0, -a / b):
-            add(near, far, 0.0, -b / a)
-        return
+        # Where limits leave such a coupling no room, it is read as two joints of one motor.
+        if _room(model, far, near, -a / b) > LEAST_ROOM:
+            if not tie(far, near, 0.0, -a / b):
+                tie(near, far, 0.0, -b / a)
+            return
+        findings.append(
+            warning(
+                f"the tendon '{name}' and the limits leave '{joint_name(model, near)}' and "
+                f"'{joint_name(model, far)}' nowhere to go"
+            )
+        )
     near, sign = terms[0]
     for far, factor in terms[1:]:
         # The joints of one motor are taken to reach the ends of their ranges together.
         width = np.ptp(model.jnt_range[far]) / max(float(np.ptp(model.jnt_range[near])), 1e-6)
-        slope = float(np.sign(sign * factor)) * float(width)
-        if add(far, near, 0.0, slope):
+        slope = float(width) if rigid else float(np.sign(sign * factor)) * float(width)
+        start = float(model.jnt_range[far, 0] - slope * model.jnt_range[near, 0]) if rigid else 0.0
+        if add(far, near, start, slope):
             findings.append(
                 note(
                     f"the tendon '{name}' moves '{joint_name(model, near)}' and '{joint_name(model, far)}' "
@@ -124,6 +148,14 @@ def _tendon(
                     "ends of their ranges at once"
                 )
             )
+
+
+def _room(model: mujoco.MjModel, joint: int, driver: int, slope: float) -> float:
+    """Share of a driver's range in which the joint it drives keeps its own."""
+    reference = model.qpos0[model.jnt_qposadr]
+    ends = np.sort((model.jnt_range[joint] - reference[joint]) / slope + reference[driver])
+    low, high = model.jnt_range[driver]
+    return float((min(high, ends[1]) - max(low, ends[0])) / max(high - low, 1e-9))
 
 
 def coupling_matrix(count: int, couplings: list[Coupling]) -> tuple[np.ndarray, np.ndarray]:

@@ -17,6 +17,9 @@ from fungrasp.hands.checking.kinematic_tree import ancestors, body_name, subtree
 PALM_SHARE = 0.8
 """The palm is the last body that carries more than this share of the tree's ends."""
 
+MIN_BRANCHES = 3
+"""Several bodies from which so many branches go out are the palms of several hands."""
+
 SAME_PLACE = 0.13
 """Joints nearer to each other than this make one joint, of several axes or rolling; share of the finger."""
 
@@ -48,7 +51,17 @@ def find_palm(model: mujoco.MjModel, answer: str | None) -> int:
     moving = set(np.flatnonzero(model.body_jntnum > 0).tolist())
     if not moving:
         raise FungraspError("the model has no joints, so it is no hand")
-    ends = [body for body in moving if not moving & (set(subtree(model, body)) - {body})]
+    hands = _palms(model, moving)
+    if len(hands) > 1:
+        raise FungraspError(
+            f"several bodies carry fingers: {listed([body_name(model, body) for body in hands])}; choose the "
+            "palm with --palm BODY"
+        )
+    ends = _ends(model, moving)
+    # A scene may hold things beside the hand: the tree with most ends is the hand's.
+    roots = [ancestors(model, end)[-1] for end in ends]
+    root = max(dict.fromkeys(roots), key=roots.count)
+    ends = [end for end, top in zip(ends, roots, strict=True) if top == root]
     held = {body: sum(body in ancestors(model, end)[1:] for end in ends) for body in range(1, model.nbody)}
     candidates = [body for body, count in held.items() if count > PALM_SHARE * len(ends) and count > 1]
     if not candidates:
@@ -57,6 +70,20 @@ def find_palm(model: mujoco.MjModel, answer: str | None) -> int:
             "palm with --palm BODY (if they hang on the world, put the palm into a body of its own)"
         )
     return max(candidates, key=lambda body: len(ancestors(model, body)))
+
+
+def _ends(model: mujoco.MjModel, moving: set[int]) -> list[int]:
+    """Moving bodies that carry no other."""
+    return [body for body in sorted(moving) if not moving & (set(subtree(model, body)) - {body})]
+
+
+def _palms(model: mujoco.MjModel, moving: set[int]) -> list[int]:
+    """Bodies on which at least three moving branches begin, and no other such body."""
+    branches = np.zeros(model.nbody, dtype=int)
+    for body in range(1, model.nbody):
+        branches[model.body_parentid[body]] += bool(moving & set(subtree(model, body)))
+    wide = {body for body in range(1, model.nbody) if branches[body] >= MIN_BRANCHES}
+    return [body for body in sorted(wide) if not wide & (set(subtree(model, body)) - {body})]
 
 
 def find_chains(
@@ -68,7 +95,7 @@ def find_chains(
         FungraspError: there are fewer than two.
     """
     below = [b for b in subtree(model, palm) if b != palm and model.body_jntnum[b] > 0]
-    ends = [b for b in below if not (set(below) & set(subtree(model, b)) - {b})]
+    ends = _ends(model, set(below))
     chains = [[b for b in reversed(ancestors(model, end)) if b in below] for end in ends]
     # A side branch shorter than half of the finger it hangs on is a part of its mechanism.
     kept = []

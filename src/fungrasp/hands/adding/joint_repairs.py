@@ -10,6 +10,9 @@ from fungrasp.hands.checking.finding import Finding, listed, warning
 FINGER_RANGE = (-0.2, 1.6)
 """Proposed for a hinge without limits [rad]: that of a human finger's joint, with some extension."""
 
+LARGEST_RADIANS = 6.4
+"""Where no limit is larger, limits that are written as degrees are radians: about a full turn."""
+
 BALL_RANGE = 0.5
 """Proposed to each side for a ball joint without limits [rad]."""
 
@@ -20,6 +23,15 @@ BALL_TWIST = 0.05
 def repair_joints(spec: mujoco.MjSpec, findings: list[Finding]) -> None:
     """Name every joint and body, make ball joints three hinges, and give every hinge limits that can be."""
     kinds = mujoco.mjtJoint
+    hinges = [np.abs(j.range).max() for j in spec.joints if j.type == kinds.mjJNT_HINGE and np.any(j.range)]
+    if spec.compiler.degree and hinges and max(hinges) < LARGEST_RADIANS:
+        spec.compiler.degree = False
+        findings.append(
+            warning(
+                f"no hinge turns further than {max(hinges):.3g} degrees as the file is written: its angles "
+                'are taken as radians (a <compiler angle="radian"/> is missing)'
+            )
+        )
     for i, body in enumerate(spec.bodies[1:], start=1):
         body.name = body.name or f"body_{i}"
     for joint in list(spec.joints):

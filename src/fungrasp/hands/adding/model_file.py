@@ -12,6 +12,8 @@ import numpy as np
 import trimesh
 
 from fungrasp.errors import FungraspError
+from fungrasp.formats.mesh_file import read_mesh
+from fungrasp.formats.mujoco_model import check_numbers, parse_model
 from fungrasp.hands.adding.joint_repairs import repair_joints
 from fungrasp.hands.checking.finding import Finding, listed, note, warning
 from fungrasp.hands.checking.model_source import one_line, parse_xml, principal_inertias, quiet
@@ -22,8 +24,9 @@ MAX_INCLUDES = 100
 MAX_PARENTS = 4
 """Folders above the model's in which the path of a mesh is tried."""
 
-MAX_MESH_BYTES = 200_000_000
-"""Larger mesh files are not read."""
+
+LONGEST = 10.0
+"""Largest coordinate or size [m] of a hand, with the arm that carries it."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +84,8 @@ def read_foreign(path: Path) -> ForeignModel:
             # Only the limits of actuators are of use, and actuators of foreign kinds may not compile alone.
             if actuator.trntype not in (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_TENDON):
                 spec.delete(actuator)
-        for things in (spec.sensors, spec.keys, spec.cameras, spec.lights, spec.textures):
+        things_to_see = (spec.cameras, spec.lights, spec.textures, spec.hfields, spec.skins)
+        for things in (spec.sensors, spec.keys, *things_to_see):
             for thing in list(things):
                 spec.delete(thing)
         for material in spec.materials:
@@ -93,6 +97,7 @@ def read_foreign(path: Path) -> ForeignModel:
             model = spec.compile()
         except (ValueError, mujoco.FatalError) as problem:
             raise FungraspError(f"{path} does not compile: {one_line(problem)}") from problem
+    check_numbers(model, str(path), LONGEST)
     meshes: dict[int, list[MeshShape]] = {}
     for geom, (vertices, faces, collides, density) in carriers.items():
         i = geom.id
@@ -150,7 +155,7 @@ def _spec(path: Path, root: ElementTree.Element, findings: list[Finding]) -> muj
     dropped: list[str] = []
     while True:
         try:
-            spec = mujoco.MjSpec.from_string(ElementTree.tostring(root, encoding="unicode"))
+            spec = parse_model(ElementTree.tostring(root, encoding="unicode"), str(path))
             break
         except (ValueError, mujoco.FatalError) as problem:
             text = one_line(problem)
@@ -253,12 +258,10 @@ def find_mesh(name: str, base: Path) -> Path | None:
 
 def _read_mesh(path: Path) -> trimesh.Trimesh | None:
     try:
-        if path.stat().st_size > MAX_MESH_BYTES:
-            return None
-        shape = trimesh.load(path, force="mesh", process=False)
-    except Exception:
+        vertices, faces = read_mesh(path)
+    except FungraspError:
         return None
-    return shape if isinstance(shape, trimesh.Trimesh) else None
+    return trimesh.Trimesh(vertices, faces, process=False)
 
 
 def _drop_bad_inertias(spec: mujoco.MjSpec, findings: list[Finding]) -> set[str]:

@@ -77,7 +77,7 @@ def new_model(
             name1=joint_name(model, coupling.joint),
             name2=joint_name(model, coupling.driver),
         )
-        equality.data[:5] = [coupling.constant, coupling.slope, 0.0, 0.0, 0.0]
+        equality.data[:5] = [coupling.from_reference(model), coupling.slope, 0.0, 0.0, 0.0]
         equality.solref[:2] = [0.01, 1.0]
         equality.solimp[:3] = [0.99, 0.999, 0.001]
     if guessed:
@@ -86,7 +86,7 @@ def new_model(
                 f"no mass of {listed(guessed)} is known: that of its shapes at {DENSITY:g} kg/m3 is taken"
             )
         )
-    exclude_neighbors(spec, foreign, structure, shapes, couplings, findings)
+    exclude_neighbors(spec, foreign, structure, shapes, findings)
     return spec
 
 

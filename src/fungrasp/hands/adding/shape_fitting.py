@@ -69,7 +69,7 @@ def mesh_points(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
             np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]), axis=1
         ).sum()
     )
-    gap = max(SAMPLE_GAP, float(np.sqrt(area / MAX_SAMPLES)))
+    gap = max(SAMPLE_GAP, float(np.sqrt(area / MAX_SAMPLES)), float(np.ptp(vertices, axis=0).max()) / 1000)
     points = points_on_triangles(triangles, gap)[0] if len(faces) else vertices
     _, first = np.unique(np.round(points / gap).astype(int), axis=0, return_index=True)
     points = points[first]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import combinations
@@ -20,13 +21,22 @@ from fungrasp.hands.adding.finger_chains import (
     straight_fingers,
 )
 from fungrasp.hands.adding.poses import Poses
-from fungrasp.hands.checking.finding import listed
+from fungrasp.hands.checking.finding import Finding, listed, warning
 from fungrasp.hands.checking.kinematic_tree import body_name
 from fungrasp.hands.checking.named_parts import finger_of
 from fungrasp.hands.hand import FINGERS
 
 SIDE_RATIO = 0.15
 """The thumb's distance to the side below which the side is not certain, as a share of a finger's length."""
+
+ALIKE = 1.2
+"""Fingers whose lengths differ by less than this factor may be copies of one another."""
+
+SIDES = {"right": {"right", "rh", "r"}, "left": {"left", "lh", "l"}}
+"""Parts of names that tell the side of a hand."""
+
+ONE_SIDED = 1.5
+"""Joints with this many times more range to one side bend the finger to that side."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +78,11 @@ class Answers:
 
 
 def find_structure(
-    model: mujoco.MjModel, couplings: list[Coupling], tips: Mapping[int, np.ndarray], answers: Answers
+    model: mujoco.MjModel,
+    couplings: list[Coupling],
+    tips: Mapping[int, np.ndarray],
+    answers: Answers,
+    findings: list[Finding],
 ) -> HandStructure:
     """Find the parts of a hand.
 
@@ -77,6 +91,7 @@ def find_structure(
         couplings: of its joints.
         tips: by moving body: the far end of the shapes and frames that move with it, its frame [m].
         answers: what is known.
+        findings: what was decided without certainty is added.
 
     Raises:
         FungraspError: something can't be decided; the message names the option that does.
@@ -88,9 +103,10 @@ def find_structure(
     chains = find_chains(model, poses, palm, tips)
     straight = straight_fingers(poses, chains, tips, start)
     joints = poses.set(straight)
-    features = [_features(poses, chain, tips, straight) for chain in chains]
+    middle = np.mean([poses.of_body(chain.bodies[-1], tips[chain.bodies[-1]]) for chain in chains], axis=0)
+    features = [_features(poses, chain, tips, straight, middle) for chain in chains]
     poses.set(straight)
-    thumb = _thumb(model, chains, features, answers)
+    thumb = _thumb(model, chains, features, answers, findings)
     long = [i for i in range(len(chains)) if i != thumb]
     along = _snapped(np.sum([features[i].direction for i in long], axis=0))
     if answers.normal is None:
@@ -106,7 +122,7 @@ def find_structure(
         normal = np.array(answers.normal, dtype=float)
         normal = normal - (normal @ along) * along
     normal /= np.linalg.norm(normal)
-    names, side = _names(model, chains, features, thumb, np.cross(along, normal), answers)
+    names, side = _names(model, chains, features, thumb, np.cross(along, normal), answers, findings)
     fingers = {name: chains[names[name]] for name in FINGERS if name in names}
     return HandStructure(palm, fingers, along, normal, side, joints)
 
@@ -125,28 +141,61 @@ class _Features:
     """Mean of the base and the tip, half bent."""
 
 
-def _features(poses: Poses, chain: Chain, tips: Mapping[int, np.ndarray], straight: np.ndarray) -> _Features:
+def _features(
+    poses: Poses, chain: Chain, tips: Mapping[int, np.ndarray], straight: np.ndarray, middle: np.ndarray
+) -> _Features:
+    """middle: of all tips with straight fingers [m], shape [3]."""
     end = chain.bodies[-1]
     poses.set(straight)
     hinge = poses.axis(chain_joints(poses.model, chain)[-1])
     base, tip = poses.anchor(chain.links[0]), poses.of_body(end, tips[end])
-    moved = np.flatnonzero(np.abs(poses.matrix[flexing_joints(poses, chain)]).sum(axis=0))
-    room_up, room_down = poses.high - straight, straight - poses.low
-    bent = straight.copy()
-    for u in moved:
-        bent[u] += 0.5 * room_up[u] if room_up[u] >= room_down[u] else -0.5 * room_down[u]
-    poses.set(bent)
-    after = poses.of_body(end, tips[end])
     direction = (tip - base) / max(float(np.linalg.norm(tip - base)), 1e-9)
     # The axis is exact where shapes that stand out to the side move the tip off the finger's plane.
     bend = np.cross(hinge, direction)
-    bend *= np.sign(bend @ (after - tip)) / max(float(np.linalg.norm(bend)), 1e-9)
+    bend /= max(float(np.linalg.norm(bend)), 1e-9)
+    moved = np.flatnonzero(np.abs(poses.matrix[flexing_joints(poses, chain)]).sum(axis=0)).tolist()
+    signs = {u: _tip_motion(poses, chain, tips, straight, u) @ bend for u in moved}
+    # Range of the joints to the side of ``bend`` and to the other.
+    up, down = poses.high - straight, straight - poses.low
+    toward = sum(up[u] if sign > 0 else down[u] for u, sign in signs.items())
+    away = sum(down[u] if sign > 0 else up[u] for u, sign in signs.items())
+    if toward > ONE_SIDED * away or away > ONE_SIDED * toward:
+        turn = 1.0 if toward > away else -1.0
+    else:
+        # Fingers that bend both ways grasp what is between them.
+        turn = 1.0 if (middle - tip) @ bend >= 0 else -1.0
+    bend *= turn
+    bent = straight.copy()
+    for u, sign in signs.items():
+        bent[u] += 0.5 * up[u] if sign * turn > 0 else -0.5 * down[u]
+    poses.set(bent)
+    after = poses.of_body(end, tips[end])
     axis = np.cross(direction, bend)
     return _Features(base, direction, bend, axis, float(np.linalg.norm(tip - base)), 0.5 * (base + after))
 
 
-def _thumb(model: mujoco.MjModel, chains: list[Chain], features: list[_Features], answers: Answers) -> int:
-    """The chain without which the others bend most alike."""
+def _tip_motion(
+    poses: Poses, chain: Chain, tips: Mapping[int, np.ndarray], straight: np.ndarray, joint: int
+) -> np.ndarray:
+    """Motion of the tip per radian of an independent joint [m/rad], shape [3]."""
+    end, step = chain.bodies[-1], 1e-4
+    places = []
+    for offset in (step, -step):
+        trial = straight.copy()
+        trial[joint] += offset
+        poses.set(trial)
+        places.append(poses.of_body(end, tips[end]))
+    return (places[0] - places[1]) / (2 * step)
+
+
+def _thumb(
+    model: mujoco.MjModel,
+    chains: list[Chain],
+    features: list[_Features],
+    answers: Answers,
+    findings: list[Finding],
+) -> int:
+    """The chain without which the others bend most alike; of copies around a center, any."""
     given = answers.thumb or (answers.fingers or {}).get("thumb")
     if given is not None:
         return _chain_of(model, chains, given, "--thumb")
@@ -163,24 +212,38 @@ def _thumb(model: mujoco.MjModel, chains: list[Chain], features: list[_Features]
 
     scores = [disorder([i for i in range(len(chains)) if i != out]) for out in range(len(chains))]
     order = np.argsort(scores, kind="stable")
-    if scores[order[1]] - scores[order[0]] < 0.05:
+    if scores[order[1]] - scores[order[0]] >= 0.05:
+        return int(order[0])
+    lengths = [feature.length for feature in features]
+    if _thumbs_by_name(model, chains) or max(lengths) > ALIKE * min(lengths) or max(scores) < 0.5:
         return _named_thumb(model, chains)
-    return int(order[0])
+    first = body_name(model, chains[0].bodies[0])
+    findings.append(
+        warning(
+            f"the {len(chains)} fingers are alike and stand around a center: '{first}' "
+            "is taken as the thumb; another one by --thumb BODY"
+        )
+    )
+    return 0
 
 
 def _named_thumb(model: mujoco.MjModel, chains: list[Chain]) -> int:
     """Where geometry does not tell the thumb: the one chain whose names do."""
-    named = [
-        i
-        for i, chain in enumerate(chains)
-        if any(finger_of(body_name(model, b)) == "thumb" for b in chain.bodies)
-    ]
+    named = _thumbs_by_name(model, chains)
     if len(named) != 1:
         raise FungraspError(
             "the thumb can't be told from the fingers; name a body of it with --thumb BODY: "
             f"{_ends(model, chains)}"
         )
     return named[0]
+
+
+def _thumbs_by_name(model: mujoco.MjModel, chains: list[Chain]) -> list[int]:
+    return [
+        i
+        for i, chain in enumerate(chains)
+        if any(finger_of(body_name(model, b)) == "thumb" for b in chain.bodies)
+    ]
 
 
 def _names(
@@ -190,6 +253,7 @@ def _names(
     thumb: int,
     across: np.ndarray,
     answers: Answers,
+    findings: list[Finding],
 ) -> tuple[dict[str, int], str]:
     """Chain of each finger, and the side. across: to the thumb's side of a right hand, shape [3]."""
     long = [i for i in range(len(chains)) if i != thumb]
@@ -200,12 +264,30 @@ def _names(
     side = answers.side
     if side is None:
         distance = offset if abs(offset) > SIDE_RATIO * length else 0.5 * (offset + leaning)
-        if abs(distance) < 0.5 * SIDE_RATIO * length:
+        named = _named_side(model)
+        if abs(distance) >= 0.5 * SIDE_RATIO * length:
+            side = "right" if distance > 0 else "left"
+            if named not in (None, side):
+                findings.append(
+                    warning(
+                        f"the names say {named} hand, the thumb stands where that of a {side} one does: "
+                        f"taken as a {side} hand; --side {named} changes it"
+                    )
+                )
+        elif named is not None or len(long) <= 2:
+            # Two fingers and a thumb in the middle are their own mirror image.
+            side = named or "right"
+            findings.append(
+                warning(
+                    f"the thumb stands in the middle: taken as a {side} hand, "
+                    f"{'as its names say' if named else 'as it would do for either'}; --side changes it"
+                )
+            )
+        else:
             raise FungraspError(
                 "the thumb stands in the middle, so that a left hand can't be told from a right one: say "
                 "--side right or --side left"
             )
-        side = "right" if distance > 0 else "left"
     if answers.fingers:
         names = {
             name: _chain_of(model, chains, body, f"--finger {name}=")
@@ -219,6 +301,15 @@ def _names(
         )
     order = np.argsort(-bases if side == "right" else bases, kind="stable")
     return {name: long[i] for name, i in zip(FINGERS, order, strict=False)} | {"thumb": thumb}, side
+
+
+def _named_side(model: mujoco.MjModel) -> str | None:
+    """The side that the names of most bodies say."""
+    words = [set(re.split(r"[^a-z]+", body_name(model, b).lower())) for b in range(1, model.nbody)]
+    for side, signs in SIDES.items():
+        if sum(bool(signs & parts) for parts in words) > 0.5 * len(words):
+            return side
+    return None
 
 
 def _chain_of(model: mujoco.MjModel, chains: list[Chain], body: str, option: str) -> int:

@@ -16,6 +16,7 @@ from fungrasp.hands.checking.kinematic_tree import (
     subtree,
 )
 from fungrasp.hands.checking.model_source import ModelSource
+from fungrasp.hands.self_contacts import BY_SHAPE, self_contacts, zero_and_random_poses
 
 LEAST_OVERLAP = 5e-4
 """Overlap of collision shapes that is mentioned [m]."""
@@ -89,7 +90,7 @@ def check_masses(source: ModelSource) -> Iterator[Finding]:
 
 
 def check_shapes(source: ModelSource, parts: HandParts) -> Iterator[Finding]:
-    """Links with nothing to touch with, and shapes that overlap at the zero or the middle pose."""
+    """Links with nothing to touch with, and shapes that overlap at the zero or the middle pose or in many."""
     model = source.model
     collides = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
     links = [body for chain in parts.fingers.values() for body in chain]
@@ -118,6 +119,17 @@ def check_shapes(source: ModelSource, parts: HandParts) -> Iterator[Finding]:
                 f'them, or if they may, write <contact><exclude body1="{pair[0]}" '
                 f'body2="{pair[1]}"/></contact>'
             )
+    if not source.stripped and model.nq == model.njnt and np.all(model.jnt_limited):
+        for contact in self_contacts(model, zero_and_random_poses(model)[1:]):
+            pair = contact.first, contact.second
+            if contact.share > BY_SHAPE and pair not in reported:
+                yield warning(
+                    f"the shapes of '{pair[0]}' and '{pair[1]}' penetrate each other by up to "
+                    f"{1000 * contact.depth:.1f} mm in {100 * contact.share:.0f} % of all poses, "
+                    "so that they will in grasps; shrink them, or if they may, write "
+                    f'<contact><exclude body1="{pair[0]}" '
+                    f'body2="{pair[1]}"/></contact>'
+                )
 
 
 def overlapping_shapes(model: mujoco.MjModel, positions: np.ndarray) -> dict[tuple[str, str], float]:

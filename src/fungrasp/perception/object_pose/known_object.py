@@ -12,6 +12,7 @@ import trimesh
 from scipy.spatial import KDTree
 
 from fungrasp.errors import FungraspError
+from fungrasp.formats.mesh_file import read_colored_mesh
 from fungrasp.geometry.poses import (
     quaternion_from_rotation_vector,
     quaternion_multiply,
@@ -213,19 +214,11 @@ def colored_mesh(path: str | Path, model: ObjectModel) -> trimesh.Trimesh | None
     Raises:
         FungraspError: the file can't be read.
     """
-    try:
-        mesh: Any = trimesh.load(path, force="mesh", process=False)
-        visual = mesh.visual
-        if visual.kind == "texture" and visual.uv is None:
-            return None
-        if visual.kind not in ("texture", "vertex", "face"):
-            return None
-        if not model.repairs:
-            return mesh
-        colors = (visual.to_color() if visual.kind == "texture" else visual).vertex_colors
-    except Exception as error:
-        # trimesh fails in many ways on a texture that is missing or damaged.
-        raise FungraspError(f"cannot read the colours of {path}: {' '.join(str(error).split())}") from error
+    mesh = read_colored_mesh(path)
+    if mesh is None or not model.repairs:
+        return mesh
+    visual: Any = mesh.visual
+    colors = (visual.to_color() if visual.kind == "texture" else visual).vertex_colors
     nearest = KDTree(np.asarray(mesh.vertices)).query(model.vertices)[1]
     return trimesh.Trimesh(
         model.vertices, model.faces, vertex_colors=np.asarray(colors)[nearest], process=False

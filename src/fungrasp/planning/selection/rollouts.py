@@ -9,7 +9,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from fungrasp.hands import Hand
-from fungrasp.objects import ObjectModel
+from fungrasp.objects import ObjectModel, with_sizes
 from fungrasp.planning.selection.candidates import Candidates
 from fungrasp.records import BatchRecord
 from fungrasp.simulation import Scene, SceneSettings, build_scene
@@ -81,7 +81,7 @@ def try_candidates(
     """
     s, plans, statistics = settings, candidates.plans, candidates.statistics
     count = statistics.expected.shape[1]
-    scene = _scene(plans, objects, hand, s.timestep)
+    scene = _scene(plans, objects, hand, s)
     number = sum(each for _, each in rounds)
     sample = draw(s.randomization, number, len(hand.joint_names), random_stream("rollouts", *seed))
     pose_errors = random_stream("believed pose errors", *seed).normal(size=(number, 6))
@@ -140,9 +140,12 @@ def roll_out(
     return RolloutResults.join(results)
 
 
-def _scene(plans: GraspPlan, objects: Mapping[str, ObjectModel], hand: Hand, timestep: float) -> Scene:
-    names = sorted(set(plans.object_name.tolist()))
-    return build_scene(hand, {name: objects[name] for name in names}, SceneSettings(timestep=timestep))
+def _scene(
+    plans: GraspPlan, objects: Mapping[str, ObjectModel], hand: Hand, settings: RolloutSettings
+) -> Scene:
+    present = {name: objects[name] for name in sorted(set(plans.object_name.tolist()))}
+    sizes = with_sizes(present, settings.randomization.object_scales)
+    return build_scene(hand, sizes, SceneSettings(timestep=settings.timestep))
 
 
 def _without_jitter(randomization: Randomization) -> Randomization:

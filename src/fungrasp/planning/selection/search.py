@@ -14,12 +14,13 @@ from fungrasp.files import digest
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
-from fungrasp.planning.grasp_motion import MotionPlanner, lowered, table_below
+from fungrasp.planning.grasp_motion import MotionPlanner, MotionSettings, lowered, table_below
 from fungrasp.planning.selection.candidates import propose
 from fungrasp.planning.selection.rollouts import RolloutSettings, Rounds, try_candidates
 from fungrasp.planning.selection.success_predictor import SuccessPredictor
 from fungrasp.planning.selection.variations import VariationSpread, with_settings
 from fungrasp.task import Belief, GraspPlan, LiftProtocol, Policy
+from fungrasp.transfer import REALITY_ROLLOUTS, ProtocolName
 
 WIDE_SPREAD = VariationSpread(position=0.015, rotation=0.2, joints=0.1, closing=0.15, force=0.5, press=0.02)
 RESOLUTION = 1e-4
@@ -70,6 +71,18 @@ class SelectionSettings:
             if not rounds or min(number for pair in rounds for number in pair) < 1:
                 raise FungraspError(f"rollouts need rounds of at least one plan and episode, not {rounds}")
 
+    @classmethod
+    def for_protocol(cls, protocol: ProtocolName, rollouts: bool = True) -> SelectionSettings:
+        """Rollouts that know how far worlds may be from what is believed, and nothing of what was drawn.
+
+        Args:
+            protocol: of the evaluation; that of robustness tries what was not expected.
+            rollouts: whether there are any.
+        """
+        if not rollouts:
+            return cls(rollouts=None)
+        return cls(rollouts=RolloutSettings(REALITY_ROLLOUTS)) if protocol == "reality" else cls()
+
     @property
     def rollouts_per_grasp(self) -> tuple[int, int]:
         """Fewest and most episodes that are simulated to plan one grasp."""
@@ -96,6 +109,7 @@ class SearchPlanner:
         settings: SelectionSettings | None = None,
         protocol: LiftProtocol | None = None,
         threads: int = 0,
+        motions: MotionSettings | None = None,
     ):
         """
         Args:
@@ -107,11 +121,12 @@ class SearchPlanner:
             settings: the defaults if None.
             protocol: of the motions; the published one if None.
             threads: of the rollouts; 0 means all processors. The choice does not depend on it.
+            motions: how candidates are approached, closed and lifted; the defaults if None.
         """
         self.settings = settings or SelectionSettings()
         self._hand, self._objects, self._threads = hand, objects, threads
         self._predictor, self._policy, self._policy_digest = predictor, policy, policy_digest
-        self._single = MotionPlanner(hand, objects, protocol=protocol)
+        self._single = MotionPlanner(hand, objects, motions, protocol)
         self.key = digest(predictor.digest, policy_digest, self.settings, self._single.key)
         """Digest of all that plans depend on besides the arguments of ``plan``."""
         self._known: dict[str, GraspPlan] = {}

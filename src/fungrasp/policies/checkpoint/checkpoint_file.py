@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -20,10 +19,13 @@ from xml.etree import ElementTree
 from fungrasp.errors import FungraspError, UnknownNameError
 from fungrasp.files import atomic_path
 from fungrasp.formats.file_bytes import read_bytes
-from fungrasp.formats.onnx_file import LARGEST, check_harmless, try_network
+from fungrasp.formats.guarded import guarded
+from fungrasp.formats.mujoco_model import read_model_text
+from fungrasp.formats.onnx_file import LARGEST, check_harmless, metadata, try_network
+from fungrasp.formats.toml_file import read_toml
 from fungrasp.hands import Hand
 from fungrasp.policies.checkpoint.card import PolicyCard, card_from_text, card_text
-from fungrasp.policies.checkpoint.network import PolicyNetwork, onnx_metadata
+from fungrasp.policies.checkpoint.network import PolicyNetwork
 
 if TYPE_CHECKING:
     from onnx import ModelProto
@@ -68,6 +70,7 @@ def save_policy(path: str | Path, model: bytes | ModelProto, card: PolicyCard) -
     return saved
 
 
+@guarded("policy")
 def load_policy(path_or_name: str | Path, threads: int = 1) -> PolicyNetwork:
     """A policy, ready to run.
 
@@ -87,6 +90,7 @@ def load_policy(path_or_name: str | Path, threads: int = 1) -> PolicyNetwork:
         raise FungraspError(f"{path}: {error}") from error
 
 
+@guarded("policy")
 def read_card(path_or_name: str | Path) -> PolicyCard:
     """The card of a policy; the file is checked for damage, and not run.
 
@@ -133,9 +137,9 @@ def hand_digest(hand: Hand) -> str:
         FungraspError: a file can't be read.
     """
     try:
-        table = tomllib.loads(hand.path.read_text())
-        model = ElementTree.canonicalize(from_file=str(hand.model_path), strip_text=True)
-    except (OSError, ValueError, ElementTree.ParseError) as error:
+        table = read_toml(hand.path, "hand file")
+        model = ElementTree.canonicalize(read_model_text(hand.model_path), strip_text=True)
+    except FungraspError as error:
         raise FungraspError(f"cannot read the files of hand '{hand.name}': {error}") from error
     for key in ("title", "source"):
         table.pop(key, None)
@@ -259,7 +263,7 @@ def _card(data: bytes) -> PolicyCard:
         )
     # ONNX Runtime sees only what has been walked: no loops, functions, foreign operators or other files.
     check_harmless(data)
-    text = onnx_metadata(data).get(KEY, "")
+    text = metadata(data).get(KEY, "")
     if not text.startswith(HEAD + found):
         raise FungraspError("its policy card is damaged")
     return replace(card_from_text(text), sha256=found)

@@ -71,6 +71,11 @@ class PolicyNetwork:
             if name.startswith(NEXT_STATE) and name.removeprefix(NEXT_STATE) not in self._states:
                 raise FungraspError(f"the graph has an output '{name}' and no input '{name[5:]}'")
 
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """Names of what the graph says besides the action and the next state."""
+        return tuple(name for name in self._outputs if name != ACTION and not name.startswith(NEXT_STATE))
+
     def initial_state(self, worlds: int) -> State:
         """What it remembers at the start of an episode: zeros, shape [worlds, ...] each. A policy without
         memory has an empty one."""
@@ -173,22 +178,11 @@ def onnx_runtime() -> ModuleType:
     return onnxruntime
 
 
-def onnx_metadata(model: bytes) -> dict[str, str]:
-    """The metadata entries of an ONNX file.
-
-    Raises:
-        FungraspError: ONNX Runtime is missing or refuses the file.
-    """
-    return _session(model, threads=1, optimized=False).get_modelmeta().custom_metadata_map
-
-
-def _session(model: bytes, threads: int, optimized: bool = True) -> Any:
+def _session(model: bytes, threads: int) -> Any:
     runtime = onnx_runtime()
     if threads < 1:
         raise FungraspError(f"a policy needs at least one thread, not {threads}")
     options = runtime.SessionOptions()
-    if not optimized:
-        options.graph_optimization_level = runtime.GraphOptimizationLevel.ORT_DISABLE_ALL
     options.intra_op_num_threads = threads
     options.inter_op_num_threads = 1
     options.log_severity_level = 4

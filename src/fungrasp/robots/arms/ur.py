@@ -86,6 +86,7 @@ class URLoop:
         self.settings = settings
         self.name = f"{settings.model} at {settings.address}"
         self.stale_after = settings.stale_after
+        self.takes_feedforward = False
         reach = np.full(JOINTS, settings.range)
         speed = np.full(JOINTS, settings.velocity)
         self.limits = JointLimits(-reach, reach, speed, np.array(settings.torque_limits))

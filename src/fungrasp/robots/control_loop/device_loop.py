@@ -51,6 +51,8 @@ class DeviceLoop(Protocol):
     """Type and address of the device."""
     limits: JointLimits
     """What is accepted."""
+    takes_feedforward: bool
+    """Whether feed-forward torques have an effect."""
     stale_after: float
     """A state older than this is no state: the device counts as disconnected [s]."""
 

@@ -70,6 +70,7 @@ class LoopDriver:
                 for so long [s].
         """
         self.name = loop.name
+        self.takes_feedforward = loop.takes_feedforward
         self.limits: JointLimits = loop.limits
         self._loop = loop
         self._process = process

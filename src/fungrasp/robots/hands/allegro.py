@@ -96,6 +96,7 @@ class AllegroLoop:
             f"Allegro V{settings.generation} {settings.side} at {settings.interface}:{settings.channel}"
         )
         self.stale_after = settings.stale_after
+        self.takes_feedforward = True
         self._units = codec.ALLEGRO_V4 if settings.generation == 4 else codec.ALLEGRO_V5
         lower, upper = hand_joint_limits(settings.hand, 16)
         torque = settings.torque_share * self._units.torque_limits

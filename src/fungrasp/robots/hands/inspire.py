@@ -83,6 +83,7 @@ class InspireLoop:
         self.settings = settings
         self.name = f"Inspire RH56 at {settings.address}"
         self.stale_after = settings.stale_after
+        self.takes_feedforward = False
         lower, upper = hand_joint_limits(settings.hand, codec.MOTORS)
         self._range = upper - lower
         speed = codec.closing_speed(settings.speed) / codec.OPEN_ANGLE * self._range

@@ -72,6 +72,7 @@ class LeapLoop:
         self.settings = settings
         self.name = f"LEAP hand at {settings.port}"
         self.stale_after = settings.stale_after
+        self.takes_feedforward = False
         lower, upper = hand_joint_limits(settings.hand, SERVOS)
         names = hand_joint_names(settings.hand)
         if sorted(names) != sorted(map(str, range(SERVOS))):

@@ -1,0 +1,256 @@
+"""``fungrasp deploy``: one grasp on a robot, or on its twin."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+if TYPE_CHECKING:
+    from contextlib import ExitStack
+
+    import numpy as np
+
+    from fungrasp.deployment.deployment import DeploymentResult
+    from fungrasp.deployment.log import DeploymentLog
+    from fungrasp.deployment.preparation import HandDynamics
+    from fungrasp.grasps import HumanGraspSet, RobotGraspSet
+    from fungrasp.hands import Hand
+    from fungrasp.objects import ObjectModel
+    from fungrasp.planning import Planner
+    from fungrasp.robots.cell import RobotCell
+    from fungrasp.task import Policy
+
+
+@dataclass(frozen=True)
+class Deploy:
+    """Grasp an object with a robot: look, plan, move to the start, grasp, lift, hold, put down, go home."""
+
+    robot: str = "ur5e-allegro"
+    """A robot cell: one that comes with the package (`fungrasp robots list`), or a TOML file."""
+    hand: str = ""
+    """The hand that you expect on the robot; another one is refused. Empty: whatever the cell says."""
+    grasp: str = "mug:drink"
+    """Which grasp: an object ("mug"), object and task ("mug:drink") or a row number."""
+    grasps: str = "builtin"
+    """A file of human grasps, or "builtin"."""
+    objects: Path | None = None
+    """Folder of meshes <name>.obj; built-in objects need none."""
+    image: str | None = None
+    """Take the grasp from an image with depth instead: a folder with rgb.png, depth.png and K.json."""
+    mesh: str | None = None
+    """The object in that image: a mesh file [m], or the name of a built-in object."""
+    mass: float | None = None
+    """Mass of that object [kg]; a built-in one has its own."""
+    policy: str = "plan"
+    """What moves the hand: "plan", "reference" (planned motions, open loop), "student", or a policy file."""
+    hand_dynamics: Path | None = None
+    """Identified dynamics of the hand (`fungrasp identify fit`); by default those that the cell names."""
+    dry_run: bool = False
+    """Read everything, decide everything, log everything, and send nothing."""
+    no_gravity_compensation: bool = False
+    """Let the hand sag under its own weight."""
+    stay: bool = False
+    """End after the hold, with the object held: it is not put down."""
+    log: Path | None = None
+    """MCAP file to write; it must not exist. By default deploy-<time>.mcap."""
+    seed: int = 0
+    """Seed of the plan."""
+    twin: int = 0
+    """For a twin: which one, 0, 1, 2 ... Its true parameters are hidden."""
+    fast: bool = False
+    """For a twin: run as fast as the machine goes, not on the clock of the wall."""
+    threads: int = 0
+    """Of planning; 0 means all processors."""
+
+    def run(self) -> None:
+        from contextlib import ExitStack
+        from time import strftime
+
+        from fungrasp.deployment.log import McapLog
+        from fungrasp.errors import FungraspError
+        from fungrasp.hands import load_hand
+        from fungrasp.policies import make_planner, make_policy
+        from fungrasp.robots.assembly import is_twin
+        from fungrasp.robots.cell import load_cell
+        from fungrasp.task import Policy
+
+        cell = load_cell(self.robot)
+        hand = load_hand(cell.hand)
+        if self.hand and load_hand(self.hand).name != hand.name:
+            raise FungraspError(f"robot cell '{cell.name}' carries the hand '{hand.name}', not '{self.hand}'")
+        grasp, thing = self._grasp(hand)
+        objects = {thing.name: thing}
+        policy = make_policy(self.policy, hand, objects)
+        if not isinstance(policy, Policy):
+            raise FungraspError(
+                f"the policy '{self.policy}' needs what only a simulation knows: take a student"
+            )
+        planner = make_planner(self.policy, hand, objects, threads=self.threads)
+        with ExitStack() as stack:
+            log = stack.enter_context(McapLog(self.log or Path(strftime("deploy-%Y%m%d-%H%M%S.mcap"))))
+            run = self._on_twin if is_twin(cell) else self._on_robot
+            success, result = run(stack, cell, hand, thing, grasp, policy, planner, log)
+        print(f"10 Hz: {result.ticks.summary()}")
+        print(f"50 Hz: {result.setpoints.summary()}")
+        print(f"log: {log.path}")
+        if result.fault:
+            raise FungraspError(f"fault: {result.fault}")
+        print(success)
+
+    def _on_twin(
+        self,
+        stack: ExitStack,
+        cell: RobotCell,
+        hand: Hand,
+        thing: ObjectModel,
+        grasp: RobotGraspSet,
+        policy: Policy,
+        planner: Planner,
+        log: DeploymentLog,
+    ) -> tuple[str, DeploymentResult]:
+        from fungrasp.deployment.deployment import DeploymentSettings
+        from fungrasp.deployment.emergency_stop import StopSwitch
+        from fungrasp.deployment.twin_deployment import deploy_on_twin, reachable_placement
+        from fungrasp.robots.twin.parameters import draw_twin
+
+        truth = draw_twin(self.twin, len(hand.joint_names), len(hand.actuators))
+        outcome = deploy_on_twin(
+            cell,
+            hand,
+            thing,
+            grasp,
+            reachable_placement(cell, hand, thing, grasp, self.seed)[0],
+            policy,
+            planner,
+            truth,
+            wall_clock=not self.fast,
+            dynamics=self._dynamics(cell, hand)[0],
+            compensate=not self.no_gravity_compensation,
+            dry_run=self.dry_run,
+            seed=self.seed,
+            log=log,
+            switch=stack.enter_context(StopSwitch(cell.stop_file, keyboard=True)),
+            settings=DeploymentSettings(put_down=not self.stay),
+            about=self._about(),
+            on_phase=lambda phase: print(phase, flush=True),
+        )
+        if outcome.success:
+            return f"lifted and held at {100 * outcome.height:.1f} cm (twin {self.twin})", outcome.result
+        return f"not lifted (twin {self.twin})", outcome.result
+
+    def _on_robot(
+        self,
+        stack: ExitStack,
+        cell: RobotCell,
+        hand: Hand,
+        thing: ObjectModel,
+        grasp: RobotGraspSet,
+        policy: Policy,
+        planner: Planner,
+        log: DeploymentLog,
+    ) -> tuple[str, DeploymentResult]:
+        from fungrasp.deployment.deployment import Deployment, DeploymentSettings
+        from fungrasp.deployment.emergency_stop import StopSwitch
+        from fungrasp.deployment.preparation import GraspPreparer
+        from fungrasp.robots.assembly import wired_robot
+
+        dynamics, stiffness = self._dynamics(cell, hand)
+        robot = wired_robot(
+            cell,
+            hand,
+            stiffness=stiffness,
+            compensate=not self.no_gravity_compensation,
+            dry_run=self.dry_run,
+        )
+        switch = stack.enter_context(StopSwitch(cell.stop_file, keyboard=True))
+        stack.enter_context(robot)
+        print("press Enter to stop", flush=True)
+        deployment = Deployment(
+            robot,
+            policy,
+            GraspPreparer(cell, hand, thing, planner, dynamics, self.seed),
+            log=log,
+            switch=switch,
+            settings=DeploymentSettings(put_down=not self.stay),
+            about=self._about(),
+            on_phase=lambda phase: print(phase, flush=True),
+        )
+        return "done", deployment.run(grasp)
+
+    def _dynamics(self, cell: RobotCell, hand: Hand) -> tuple[HandDynamics | None, np.ndarray | None]:
+        """What was identified of the hand, and the stiffness of its servos [N m/rad], shape [U]."""
+        from fungrasp.deployment.preparation import HandDynamics
+        from fungrasp.transfer.joint_dynamics import load_dynamics
+
+        if self.hand_dynamics is None and not cell.hand_dynamics:
+            return None, None
+        dynamics = load_dynamics(self.hand_dynamics or cell.hand_dynamics, hand)
+        return HandDynamics.of(hand, dynamics), dynamics.stiffness
+
+    def _about(self) -> dict[str, str]:
+        from fungrasp import __version__
+
+        return {"version": __version__, "robot": self.robot, "policy": self.policy, "grasp": self.grasp}
+
+    def _grasp(self, hand: Hand) -> tuple[RobotGraspSet, ObjectModel]:
+        """The robot grasp and its object."""
+        from fungrasp.cli.demo import chosen_rows
+        from fungrasp.cli.retarget import retargeted
+        from fungrasp.grasps import load_human_grasps, load_objects
+
+        human: HumanGraspSet
+        objects: Mapping[str, ObjectModel]
+        if self.image is not None:
+            from fungrasp.cli.demo_from_image import seen_grasp
+
+            seen = seen_grasp(self.image, self.mesh, self.mass, "", self.seed)
+            human, objects = seen.human, {seen.thing.name: seen.thing}
+        else:
+            everything = load_human_grasps(self.grasps)
+            human = everything.select(chosen_rows(everything, (self.grasp,), 1))
+            objects = load_objects(human, self.objects)
+        robot, _ = retargeted(human, objects, hand, "ours", self.threads)
+        return robot, objects[robot.object_name[0]]
+
+
+@dataclass(frozen=True)
+class ReplayLog:
+    """Show the observations of a log to a policy again: it must act as it did."""
+
+    log: Annotated[Path, tyro.conf.Positional]
+    """An MCAP file of `fungrasp deploy`."""
+    objects: Path | None = None
+    """Folder of meshes <name>.obj; built-in objects need none."""
+    policy: str = ""
+    """Another policy than the one that is named in the log."""
+
+    def run(self) -> None:
+        from fungrasp.deployment.log import read_log
+        from fungrasp.deployment.replay import replay_log
+        from fungrasp.errors import FungraspError
+        from fungrasp.hands import load_hand
+        from fungrasp.objects import load_object
+        from fungrasp.policies import make_policy
+        from fungrasp.task import Policy
+
+        log = read_log(self.log)
+        if log.plan is None:
+            raise FungraspError(f"{self.log} ends before a plan was made: nothing to replay")
+        name, mass = str(log.plan.object_name[0]), float(log.plan.object_mass[0])
+        objects = {name: load_object(name, mass, self.objects)}
+        policy = make_policy(self.policy or log.about["policy"], load_hand(log.plan.hand), objects)
+        if not isinstance(policy, Policy):
+            raise FungraspError("this policy needs what only a simulation knows")
+        result = replay_log(log, policy)
+        if result.different:
+            raise FungraspError(
+                f"{result.different} of {result.steps} actions differ, by {result.largest:.3g} at most"
+            )
+        print(f"{result.steps} actions, all the same")
+
+
+COMMAND = Deploy

@@ -1,0 +1,267 @@
+"""``fungrasp robots``: list and check robot cells, emulate them, read logs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+if TYPE_CHECKING:
+    from fungrasp.robots.twin.parameters import TwinParameters
+
+from fungrasp.cli.deploy import ReplayLog
+
+
+@dataclass(frozen=True)
+class ListCells:
+    """List the robot cells that come with fungrasp."""
+
+    def run(self) -> None:
+        from fungrasp.cli.console import table
+        from fungrasp.robots.cell import cell_files, load_cell
+
+        rows = [("name", "hand", "arm", "arm driver", "hand driver", "tracker")]
+        for name in cell_files():
+            cell = load_cell(name)
+            devices = cell.arm.driver, cell.hand_device.driver, cell.tracker.driver
+            rows.append((name, cell.hand, cell.arm.model, *devices))
+        print(table(rows, left=None))
+
+
+@dataclass(frozen=True)
+class Check:
+    """Check a robot cell's file. Nothing is connected."""
+
+    cell: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME|FILE")]
+    """A cell that comes with fungrasp, or a TOML file."""
+
+    def run(self) -> None:
+        import numpy as np
+
+        from fungrasp.errors import FungraspError
+        from fungrasp.hands import load_hand
+        from fungrasp.robots.assembly import arm_driver, hand_driver, is_twin, pose_source
+        from fungrasp.robots.cell import load_cell
+        from fungrasp.robots.kinematics.arm_model import ArmKinematics, ClearanceModel
+        from fungrasp.robots.kinematics.joint_path import FreePath
+
+        cell = load_cell(self.cell)
+        hand = load_hand(cell.hand)
+        kinematics = ArmKinematics(cell, hand)
+        home = np.array(cell.arm.home)
+        if home.shape != kinematics.lower.shape:
+            raise FungraspError(f"'arm.home' must have {len(kinematics.lower)} joints, not {len(home)}")
+        if (home < kinematics.lower).any() or (home > kinematics.upper).any():
+            raise FungraspError(f"'arm.home' is beyond the joint limits of the {cell.arm.model}")
+        fingers = hand.independent(np.clip(np.zeros(len(hand.joint_names)), *hand.joint_limits.T))
+        clearance = ClearanceModel(cell, hand)
+        if not FreePath(kinematics, clearance, cell.workspace).clear(home, fingers, None):
+            raise FungraspError(
+                "at 'arm.home' the robot touches the table or itself, or the palm is outside the workspace"
+            )
+        palm = ", ".join(f"{x:.2f}" for x in kinematics.palm_pose(home)[:3])
+        print(f"{cell.name}: {hand.title} on a {cell.arm.model}; palm at home: {palm} m")
+        if is_twin(cell):
+            print("a twin in the same process")
+        else:
+            for device in (arm_driver(cell), hand_driver(cell, hand), pose_source(cell)):
+                print(f"device: {device.name}")
+            if cell.tracker.calibration_residual < 0:
+                raise FungraspError(
+                    "no calibration: measure the camera's pose, then give 'tracker.pose_world_camera' and "
+                    "'tracker.calibration_residual'"
+                )
+        limits = cell.limits
+        print(f"palm: up to {limits.palm_speed:g} m/s, {limits.palm_acceleration:g} m/s^2")
+
+
+@dataclass(frozen=True)
+class Emulate:
+    """Start emulators of a cell's devices on the loopback, with a twin behind them, ready for a grasp.
+
+    Then run `fungrasp deploy` with the same cell and grasp in another terminal. It ends with Ctrl-C."""
+
+    cell: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME|FILE")] = "ur5e-allegro-emulated"
+    """A cell whose addresses are on the loopback."""
+    grasp: str = "mug:drink"
+    """The grasp that the object is placed for: an object, object and task, or a row number."""
+    grasps: str = "builtin"
+    """A file of human grasps, or "builtin"."""
+    objects: Path | None = None
+    """Folder of meshes <name>.obj; built-in objects need none."""
+    twin: int = 0
+    """Which twin, 0, 1, 2 ... Its true parameters are hidden."""
+    seconds: float | None = None
+    """End after so long [s]; with Ctrl-C if not given."""
+
+    def run(self) -> None:
+        import time
+
+        from fungrasp.cli.demo import chosen_rows
+        from fungrasp.cli.retarget import retargeted
+        from fungrasp.deployment.twin_deployment import reachable_placement
+        from fungrasp.grasps import load_human_grasps, load_objects
+        from fungrasp.hands import load_hand
+        from fungrasp.robots.cell import load_cell
+        from fungrasp.robots.twin.emulation import CellEmulation
+        from fungrasp.robots.twin.parameters import draw_twin
+        from fungrasp.robots.twin.world import TwinWorld
+
+        cell = load_cell(self.cell)
+        hand = load_hand(cell.hand)
+        everything = load_human_grasps(self.grasps)
+        human = everything.select(chosen_rows(everything, (self.grasp,), 1))
+        objects = load_objects(human, self.objects)
+        robot, _ = retargeted(human, objects, hand, "ours", 1)
+        thing = objects[human.object_name[0]]
+        truth = draw_twin(self.twin, len(hand.joint_names), len(hand.actuators))
+        world = TwinWorld(cell, hand, thing, truth)
+        world.settle(reachable_placement(cell, hand, thing, robot)[0])
+        rest = world.center_of_mass()[2]
+        with CellEmulation(cell, world, thing.name) as emulation:
+            print(f"{cell.name}: emulators are ready, with '{thing.name}' on the table", flush=True)
+            start, highest, up = time.monotonic(), 0.0, 0.0
+            try:
+                while self.seconds is None or time.monotonic() < start + self.seconds:
+                    time.sleep(0.05)
+                    height = float(world.center_of_mass()[2] - rest)
+                    lifted = height >= 0.1 and not world.look().on_table
+                    up = up + 0.05 if lifted else 0.0
+                    highest = max(highest, up)
+            except KeyboardInterrupt:
+                pass
+            print(f"the object was up by 10 cm and more for {highest:.1f} s at a stretch")
+            twin = emulation.twin
+            print(
+                f"the twin was up to {1e3 * twin.latest:.0f} ms late and lost {1e3 * twin.lost:.0f} ms in all"
+            )
+
+
+@dataclass(frozen=True)
+class EvaluateOnTwins:
+    """Try grasps on twins, without a clock: what identification and gravity compensation are worth."""
+
+    out: Path
+    """Result to write, .json; it is written anew after every grasp."""
+    robot: str = "ur5e-allegro"
+    """A cell that is a twin."""
+    grasps: str = "builtin"
+    """A file of human grasps, or "builtin"."""
+    objects: Path | None = None
+    """Folder of meshes <name>.obj; built-in objects need none."""
+    rows: tuple[int, ...] = ()
+    """Rows of the grasps; all if none are given."""
+    twins: tuple[int, ...] = (0, 1, 2)
+    """Which twins."""
+    variants: tuple[str, ...] = ("no identification", "no gravity compensation", "ours")
+    """Ways to deploy."""
+    policy: str = "plan"
+    """What acts."""
+    told: bool = False
+    """Tell the dynamics of the twins' hands in place of identifying them: what identification could give."""
+    threads: int = 0
+    """Of planning; 0 means all processors."""
+
+    def run(self) -> None:
+        from fungrasp.cli.console import table
+        from fungrasp.cli.retarget import retargeted
+        from fungrasp.deployment.preparation import HandDynamics
+        from fungrasp.deployment.twin_identification import identify_on_twin
+        from fungrasp.errors import FungraspError, UnknownNameError
+        from fungrasp.evaluation.result_files import write_result
+        from fungrasp.evaluation.statistics import wilson_interval
+        from fungrasp.evaluation.twin_test import VARIANTS, episode_rows, told_dynamics, try_on_twins
+        from fungrasp.grasps import load_human_grasps, load_objects
+        from fungrasp.hands import load_hand
+        from fungrasp.policies import make_planner, make_policy
+        from fungrasp.provenance import run_record
+        from fungrasp.robots.cell import load_cell
+        from fungrasp.task import Policy
+
+        known = {variant.name: variant for variant in VARIANTS}
+        for name in self.variants:
+            if name not in known:
+                raise UnknownNameError("variant", name, known)
+        cell = load_cell(self.robot)
+        hand = load_hand(cell.hand)
+        human = load_human_grasps(self.grasps)
+        index = list(self.rows) or list(range(len(human)))
+        human = human.select(index)
+        objects = load_objects(human, self.objects)
+        robot, _ = retargeted(human, objects, hand, "ours", self.threads)
+        policy = make_policy(self.policy, hand, objects)
+        if not isinstance(policy, Policy):
+            raise FungraspError(
+                f"the policy '{self.policy}' needs what only a simulation knows: take a student"
+            )
+        planner = make_planner(self.policy, hand, objects, threads=self.threads)
+        chosen = [known[name] for name in self.variants]
+        header = {"robot": self.robot, "policy": self.policy, "grasps": self.grasps, **run_record(0)}
+        header["identification"] = "told" if self.told else "identified on each twin"
+        thing = objects[human.object_name[0]]
+
+        def identify(truth: TwinParameters) -> HandDynamics:
+            return HandDynamics.of(hand, identify_on_twin(cell, hand, thing, truth).dynamics)
+
+        episodes = []
+        for episode in try_on_twins(
+            robot,
+            index,
+            objects,
+            hand,
+            cell,
+            policy,
+            planner,
+            self.twins,
+            chosen,
+            identify=told_dynamics(hand) if self.told else identify,
+        ):
+            episodes.append(episode)
+            write_result(self.out, header, episode_rows(episodes))
+        lines = [("variant", "episodes", "success", "95 % interval")]
+        for name in self.variants:
+            mine = [e.success for e in episodes if e.variant == name]
+            if mine:
+                low, high = wilson_interval(sum(mine), len(mine))
+                lines.append(
+                    (name, str(len(mine)), f"{sum(mine) / len(mine):.0%}", f"{low:.0%} to {high:.0%}")
+                )
+        print(table(lines, left=None))
+
+
+@dataclass(frozen=True)
+class ShowLog:
+    """Say what a log of `fungrasp deploy` holds, one that breaks off included; write a page of it."""
+
+    log: Annotated[Path, tyro.conf.Positional]
+    """An MCAP file."""
+    page: Path | None = None
+    """HTML file to write."""
+
+    def run(self) -> None:
+        from fungrasp.deployment.log import read_log
+
+        log = read_log(self.log)
+        print("complete" if log.complete else "breaks off: its writer was killed, or the disk was full")
+        for name, value in log.about.items():
+            print(f"{name}: {value}")
+        for event in log.messages["/event"]:
+            print(f"{event['time']:.2f} s  {event['what']}: {event['text']}")
+        steps, setpoints = len(log.messages["/step"]), len(log.messages["/setpoint"])
+        print(f"{steps} control steps, {setpoints} setpoints")
+        if self.page is not None:
+            from fungrasp.report.deployment_page import write_deployment_page
+
+            print(f"page: {write_deployment_page(self.page, log)}")
+
+
+COMMAND = {
+    "list": ListCells,
+    "check": Check,
+    "emulate": Emulate,
+    "evaluate": EvaluateOnTwins,
+    "log": ShowLog,
+    "replay": ReplayLog,
+}

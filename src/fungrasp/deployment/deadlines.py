@@ -1,0 +1,56 @@
+"""Whether the loop keeps its time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+EDGES_MS = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0)
+"""Edges of the histogram of lateness [ms]."""
+
+
+@dataclass
+class DeadlineMonitor:
+    """Collects how late ticks begin."""
+
+    late_tick: float
+    """A tick that is later than this counts as late [s]."""
+    lateness: list[float] = field(default_factory=list)
+    """Of each tick [s]."""
+
+    def record(self, planned: float, now: float) -> float:
+        """A tick begins.
+
+        Args:
+            planned: when it should have begun [s].
+            now: [s].
+
+        Returns:
+            how late it is [s].
+        """
+        late = max(0.0, now - planned)
+        self.lateness.append(late)
+        return late
+
+    @property
+    def late(self) -> int:
+        """Number of ticks that were late."""
+        return int(np.sum(np.array(self.lateness) > self.late_tick))
+
+    def histogram(self) -> dict[str, int]:
+        """Number of ticks by lateness: "<= 0.1 ms", ..., "> 50 ms"."""
+        ms = 1e3 * np.array(self.lateness)
+        place = np.searchsorted(EDGES_MS, ms)
+        names = [f"<= {edge:g} ms" for edge in EDGES_MS] + [f"> {EDGES_MS[-1]:g} ms"]
+        return {name: int(np.sum(place == i)) for i, name in enumerate(names)}
+
+    def summary(self) -> str:
+        """One line."""
+        if not self.lateness:
+            return "no tick"
+        ms = 1e3 * np.array(self.lateness)
+        return (
+            f"{len(ms)} ticks, late by {np.median(ms):.2f} ms (median), {np.percentile(ms, 99):.2f} ms "
+            f"(99 %), {ms.max():.2f} ms (largest); {self.late} later than {1e3 * self.late_tick:g} ms"
+        )

@@ -1,0 +1,358 @@
+"""One grasp on a robot, from idle to home: the 10 Hz loop and the phases around it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+
+import numpy as np
+
+from fungrasp.deployment.deadlines import DeadlineMonitor
+from fungrasp.deployment.emergency_stop import StopSwitch
+from fungrasp.deployment.log import DeploymentLog, NoLog
+from fungrasp.deployment.phases import Phase, PhaseMachine
+from fungrasp.deployment.preparation import GraspPreparer, PreparedGrasp
+from fungrasp.deployment.safety import SafetyGuard, check_pose
+from fungrasp.errors import FungraspError
+from fungrasp.geometry.poses import compose
+from fungrasp.grasps import RobotGraspSet
+from fungrasp.robots.device import DeviceStatus, RobotError, StopKind
+from fungrasp.robots.kinematics.arm_model import ClearanceModel
+from fungrasp.robots.kinematics.joint_path import timed_leg
+from fungrasp.robots.robot import Robot, RobotCommand, RobotState, SafetyStop
+from fungrasp.task import Action, Policy
+
+ARRIVED = 2e-3
+"""A setpoint is where it should be if it is this near [m]: the hold begins as in the lift test."""
+
+
+MOVED = 0.02
+"""A joint of the arm that is farther from where it was has moved [rad]."""
+
+
+@dataclass(frozen=True)
+class DeploymentSettings:
+    """Times of a deployment."""
+
+    look_time: float = 1.0
+    """Time in which poses of the object are collected before planning [s]."""
+    wait_time: float = 10.0
+    """Longest wait for the first of them [s]."""
+    put_down: bool = True
+    """Whether the object is put down again, and the arm goes home."""
+    open_time: float = 1.5
+    """Time in which the hand opens to let go [s]."""
+    longest_phase: float = 30.0
+    """A phase that takes longer has failed [s]."""
+
+
+@dataclass(frozen=True, eq=False)
+class DeploymentResult:
+    """How a deployment went."""
+
+    phase: Phase
+    """DONE, or FAULT."""
+    fault: str
+    """Why it is FAULT, as a phrase; "" otherwise."""
+    prepared: PreparedGrasp | None
+    """What was planned; None where it did not come to that."""
+    ticks: DeadlineMonitor
+    """Lateness of the 10 Hz ticks."""
+    setpoints: DeadlineMonitor
+    """Lateness of the 50 Hz setpoints."""
+    times: dict[str, float] = field(default_factory=dict)
+    """When each phase began, on the robot's clock [s]."""
+
+
+class Deployment:
+    """Carries one grasp through all phases. Whatever goes wrong ends in FAULT with the robot stopped."""
+
+    def __init__(
+        self,
+        robot: Robot,
+        policy: Policy,
+        preparer: GraspPreparer,
+        *,
+        log: DeploymentLog | None = None,
+        switch: StopSwitch | None = None,
+        settings: DeploymentSettings | None = None,
+        about: dict[str, str] | None = None,
+        on_phase: Callable[[Phase], None] = lambda phase: None,
+        on_setpoint: Callable[[Phase], None] = lambda phase: None,
+    ):
+        """
+        Args:
+            robot: connected.
+            policy: what acts.
+            preparer: plans.
+            log: of every tick; none if None.
+            switch: stops the robot; none if None.
+            settings: the defaults if None.
+            about: what the log says of it.
+            on_phase: called as a phase begins.
+            on_setpoint: called after each setpoint.
+        """
+        self.robot, self.policy, self._preparer = robot, policy, preparer
+        self.log: DeploymentLog = log or NoLog()
+        self._switch = switch or StopSwitch()
+        self.settings = settings or DeploymentSettings()
+        self._about = about or {}
+        self._on_phase, self._on_setpoint = on_phase, on_setpoint
+        self.machine = PhaseMachine()
+        """Phase and fault."""
+        late = robot.cell.watchdog.late_tick
+        self.ticks, self.setpoint_ticks = DeadlineMonitor(late), DeadlineMonitor(late)
+        self._times: dict[str, float] = {}
+        self._prepared: PreparedGrasp | None = None
+        self._last_action: Action | None = None
+        clearance = ClearanceModel(robot.cell, robot.hand)
+        self._guard = SafetyGuard(
+            robot.cell,
+            robot.arm.limits,
+            robot.hand_driver.limits,
+            clearance.measure,
+            robot.setpoints.period,
+            moving=not robot.dry_run,
+        )
+        self._home = np.asarray(robot.cell.arm.home)
+
+    def run(self, grasp: RobotGraspSet) -> DeploymentResult:
+        """Grasp, lift, hold, put down, go home. Never raises for what goes wrong with the robot.
+
+        Args:
+            grasp: one.
+
+        Raises:
+            FungraspError: the grasp can't be planned or reached; nothing has moved.
+        """
+        robot = self.robot
+        robot.guard, robot.watch = self._guard, self._watch
+        robot.due = lambda planned: self.setpoint_ticks.record(planned, robot.clock.now())
+        try:
+            self._times[Phase.IDLE] = robot.clock.now()
+            object_pose, state = self._look()
+            prepared = self._prepare(grasp, object_pose, state)
+            state = self._awake(state)
+            self._begin(Phase.MOVE_TO_START)
+            self._move([state.arm.positions, *prepared.corners], prepared.start_fingers)
+            self._follow_policy(prepared, object_pose)
+            if self.settings.put_down:
+                self._begin(Phase.PUT_DOWN)
+                self._put_down(prepared)
+                self._begin(Phase.HOME)
+                back = [robot.palm_follower_joints, *prepared.corners[-2::-1], state.arm.positions]
+                self._move(back, prepared.start_fingers)
+                self._begin(Phase.DONE)
+            else:
+                robot.stop()
+                self.machine.phase = Phase.DONE
+        except SafetyStop as stop:
+            self._fail(stop.reason, stop.kind)
+        except RobotError as error:
+            self._fail(str(error), StopKind.HOLD)
+        except FungraspError:
+            # Planning says so before anything has moved; afterwards it is a fault like any other.
+            if self.machine.phase is Phase.IDLE:
+                raise
+            self._fail("an unexpected error", StopKind.HOLD)
+            raise
+        except OSError as error:
+            self._fail(f"the log can't be written: {error.strerror or error}", StopKind.HOLD)
+        except BaseException as error:
+            # Interrupted by the keyboard, or a mistake of ours: the robot stops before anybody hears of it.
+            self._fail(f"{type(error).__name__}: {error}", StopKind.HOLD)
+            if not isinstance(error, KeyboardInterrupt):
+                raise
+        return DeploymentResult(
+            self.machine.phase,
+            self.machine.fault,
+            self._prepared,
+            self.ticks,
+            self.setpoint_ticks,
+            dict(self._times),
+        )
+
+    # Phases.
+
+    def _begin(self, phase: Phase) -> None:
+        self.machine.go(phase)
+        self._times[phase] = self.robot.clock.now()
+        self.log.event(self._times[phase], "phase", phase)
+        self._on_phase(phase)
+
+    def _fail(self, reason: str, kind: StopKind) -> None:
+        self.robot.stop(kind)
+        self.machine.fail(reason)
+        now = self.robot.clock.now()
+        self._times.setdefault(Phase.FAULT, now)
+        # The log may be what has failed.
+        with suppress(OSError, ValueError):
+            self.log.event(now, "fault", reason)
+        self._on_phase(Phase.FAULT)
+
+    def _look(self) -> tuple[np.ndarray, RobotState]:
+        """Where the object rests, world frame [7]: the average of what the tracker says; and the state."""
+        robot, s = self.robot, self.settings
+        state = robot.state()
+        deadline = robot.clock.now() + s.wait_time
+        while state.tracked is None or not robot.ready:
+            if robot.clock.now() > deadline:
+                for name, joints in (("arm", state.arm), ("hand", state.hand)):
+                    if joints.status is not DeviceStatus.READY:
+                        said = f"{joints.status} {joints.message}".strip()
+                        raise RobotError(f"the {name} does not follow: {said}; start anew")
+                raise RobotError(f"the tracker sees no object for {s.wait_time:g} s: look where it looks")
+            self._check_switch()
+            robot.clock.sleep_until(robot.clock.now() + 0.02)
+            state = robot.state()
+        poses, end = [], robot.clock.now() + s.look_time
+        while robot.clock.now() < end:
+            robot.clock.sleep_until(robot.clock.now() + 0.02)
+            state = robot.state()
+            assert state.tracked is not None
+            poses.append(state.tracked.pose_world_object)
+        problem = check_pose(state.tracked, _average(np.array(poses)), robot.clock.now(), robot.cell)
+        if problem:
+            raise RobotError(f"{problem}: look at the tracker, then start anew")
+        return _average(np.array(poses)), state
+
+    def _prepare(self, grasp: RobotGraspSet, object_pose: np.ndarray, state: RobotState) -> PreparedGrasp:
+        self._prepared = self._preparer.prepare(grasp, object_pose, state.arm.positions)
+        self.log.begin(self._prepared.plan, {"cell": self.robot.cell.name, **self._about})
+        return self._prepared
+
+    def _awake(self, state: RobotState) -> RobotState:
+        """The state after planning: drivers that heard nothing meanwhile hold, and are told to go on."""
+        robot = self.robot
+        if not robot.ready:
+            robot.arm.connect()
+            robot.hand_driver.connect()
+        now = robot.state()
+        if np.abs(now.arm.positions - state.arm.positions).max() > MOVED:
+            raise RobotError("the arm was moved while the grasp was planned: start anew")
+        return now
+
+    def _move(self, corners: list[np.ndarray], fingers: np.ndarray) -> None:
+        """Move the arm from posture to posture, and the fingers on the first leg."""
+        robot, period = self.robot, self.robot.setpoints.period
+        self._guard.reset()
+        last = robot.hand_driver.read().positions
+        when = robot.clock.now()
+        for start, end in pairwise(corners):
+            path = timed_leg(start, end, robot.kinematics, robot.cell.limits, period)
+            reach = robot.cell.limits.hand_speed * 0.2 * period * len(path)
+            goal = np.clip(fingers, last - reach, last + reach)
+            for i, joints in enumerate(path):
+                robot.wait(when)
+                self._check_switch()
+                robot.send(joints, last + (i + 1) / len(path) * (goal - last))
+                when += period
+            last = goal
+        robot.place_setpoints(corners[-1], last)
+
+    def _follow_policy(self, prepared: PreparedGrasp, object_pose: np.ndarray) -> None:
+        """Grasp, lift and hold, as the policy says."""
+        robot, p, plan = self.robot, self.robot.protocol, prepared.plan
+        self._begin(Phase.GRASP)
+        state = robot.state()
+        robot.begin(state, p.lift_height)
+        start, step, held_since = state.time, 0, np.inf
+        closing = float(plan.closing_step[0]) * plan.control_period
+        while True:
+            now = self._wait_for_tick(start, step)
+            if now - held_since >= p.hold_time - 1e-6:
+                return
+            if step:
+                state = robot.state()
+            if state.time - start < closing:
+                problem = check_pose(state.tracked, object_pose, state.time, robot.cell)
+                if problem:
+                    raise SafetyStop(problem, StopKind.HOLD)
+            observation = robot.observation(state)
+            if not step:
+                self.policy.reset(plan, observation)
+            action = self.policy.act(observation)
+            forced = action.lift | (observation.time >= p.approach_time - 1e-9)
+            sent = robot.send_action(replace(action, lift=forced), start + step * p.control_period)
+            late = self.ticks.lateness[-1]
+            self.log.step(state.time, self.machine.phase, observation, action, sent, late)
+            if self.machine.phase is Phase.GRASP and np.isfinite(robot.lift_time):
+                self._begin(Phase.LIFT)
+            if self.machine.phase is Phase.LIFT and self._arrived(action.palm_goal, p.lift_height):
+                self._begin(Phase.HOLD)
+                held_since = robot.clock.now()
+            self._last_action = action
+            step += 1
+            if step * p.control_period > self.settings.longest_phase:
+                raise SafetyStop("the grasp takes too long", StopKind.HOLD)
+
+    def _put_down(self, prepared: PreparedGrasp) -> None:
+        """Lower the object, open the hand, withdraw along the way that the palm came."""
+        robot, plan, period = self.robot, prepared.plan, self.robot.protocol.control_period
+        robot.begin(robot.state())
+        assert self._last_action is not None
+        low = self._last_action.palm_goal
+        fingers = self.robot.setpoints.fingers.copy()
+        start, step, opened = robot.clock.now(), 0, 0.0
+        # The same goal until the object stands; then the hand opens.
+        while opened < 1.0:
+            if self._arrived(low, 0.0):
+                opened = min(1.0, opened + period / self.settings.open_time)
+            targets = fingers + opened * (prepared.start_fingers - fingers)
+            self._scripted(start, step, Action(low, targets, np.array([False])))
+            step += 1
+        # Backwards along the approach, as fast as it allows.
+        back = compose(plan.object_pose, plan.palm_setpoint[0, : int(plan.closing_step[0]) + 1][::-1])
+        for pose in back:
+            targets = prepared.start_fingers[None]
+            self._scripted(start, step, Action(pose[None], targets, np.array([False])))
+            step += 1
+        while not self._arrived(back[-1:], 0.0):
+            self._scripted(start, step, Action(back[-1:], prepared.start_fingers[None], np.array([False])))
+            step += 1
+
+    def _scripted(self, start: float, step: int, action: Action) -> None:
+        """One control step that no policy has a say in."""
+        period = self.robot.protocol.control_period
+        self._wait_for_tick(start, step)
+        self.robot.send_action(action, start + step * period)
+        if step * period > self.settings.longest_phase:
+            raise SafetyStop(f"the phase '{self.machine.phase}' takes too long", StopKind.HOLD)
+
+    # What every tick does.
+
+    def _wait_for_tick(self, start: float, step: int) -> float:
+        """Wait for a control step; the time."""
+        robot = self.robot
+        planned = start + step * robot.protocol.control_period
+        robot.clock.sleep_until(planned)
+        now = robot.clock.now()
+        late = self.ticks.record(planned, now)
+        if late > robot.cell.watchdog.overrun:
+            raise SafetyStop(f"the control period was overrun by {1e3 * late:.0f} ms", StopKind.HOLD)
+        self._check_switch()
+        return now
+
+    def _check_switch(self) -> None:
+        if self._switch.reason:
+            raise SafetyStop(self._switch.reason, StopKind.HOLD)
+
+    def _arrived(self, goal: np.ndarray, above: float) -> bool:
+        """Whether the palm's setpoint is at a goal [1, 7], raised by a height [m]."""
+        apart = goal[0, :3] + np.array([0.0, 0.0, above]) - self.robot.setpoints.wrist.pose[0, :3]
+        return float(np.linalg.norm(apart)) < ARRIVED
+
+    def _watch(self, state: RobotState, command: RobotCommand) -> None:
+        """After each setpoint."""
+        self._check_switch()
+        self.log.setpoint(self.machine.phase, state, command)
+        self._on_setpoint(self.machine.phase)
+
+
+def _average(poses: np.ndarray) -> np.ndarray:
+    """Mean of poses that are near one another, shape [7]. poses: shape [N, 7]."""
+    turns = poses[:, 3:] * np.sign(poses[:, 3:] @ poses[0, 3:])[:, None]
+    turn = turns.mean(axis=0)
+    return np.concatenate([np.median(poses[:, :3], axis=0), turn / np.linalg.norm(turn)])

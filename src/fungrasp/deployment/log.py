@@ -1,0 +1,245 @@
+"""The log of a deployment: every tick in an MCAP file, which Foxglove and Rerun open.
+
+Records are written as they come and flushed at every control step, not compressed, so that a file whose
+writer was killed can be read up to there. Numbers are JSON with all their digits: a policy that is shown the
+logged observations again must answer with the logged actions, to the last bit.
+
+| topic | message |
+| --- | --- |
+| ``/setpoint`` | every 20 ms: time, phase, state of arm and hand, command that was sent |
+| ``/step`` | every control step: observation, the policy's action, the action that was sent, lateness |
+| ``/event`` | phases, faults, notes |
+
+The plan, the robot cell and the policy's name are attachments and metadata at the beginning.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol, Self
+
+import numpy as np
+
+from fungrasp.errors import FungraspError
+from fungrasp.robots.robot import RobotCommand, RobotState
+from fungrasp.task import Action, GraspPlan, Observation
+
+TOPICS = ("/setpoint", "/step", "/event")
+"""Topics of a log."""
+
+_MISSING = "logs are MCAP files: pip install 'fungrasp[deploy]'"
+
+
+class DeploymentLog(Protocol):
+    """What a deployment tells."""
+
+    def begin(self, plan: GraspPlan, about: Mapping[str, str]) -> None:
+        """The plan that is followed, and what else there is to know."""
+        ...
+
+    def setpoint(self, phase: str, state: RobotState, command: RobotCommand) -> None:
+        """A setpoint was sent."""
+        ...
+
+    def step(
+        self, time: float, phase: str, observation: Observation, action: Action, sent: Action, late: float
+    ) -> None:
+        """A control step was made. late: by how much it began late [s]."""
+        ...
+
+    def event(self, time: float, what: str, text: str) -> None:
+        """Something happened. what: "phase", "fault" or "note"."""
+        ...
+
+
+class NoLog:
+    """Keeps nothing."""
+
+    def begin(self, plan: GraspPlan, about: Mapping[str, str]) -> None:
+        """See ``DeploymentLog.begin``."""
+
+    def setpoint(self, phase: str, state: RobotState, command: RobotCommand) -> None:
+        """See ``DeploymentLog.setpoint``."""
+
+    def step(
+        self, time: float, phase: str, observation: Observation, action: Action, sent: Action, late: float
+    ) -> None:
+        """See ``DeploymentLog.step``."""
+
+    def event(self, time: float, what: str, text: str) -> None:
+        """See ``DeploymentLog.event``."""
+
+
+class McapLog:
+    """Writes a log file; a context manager. A file that is there already is not touched."""
+
+    def __init__(self, path: str | Path):
+        """
+        Args:
+            path: the file.
+
+        Raises:
+            FungraspError: mcap is not installed, the file exists, or it can't be written.
+        """
+        try:
+            from mcap.writer import Writer
+        except ImportError as error:
+            raise FungraspError(_MISSING) from error
+        self.path = Path(path)
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            self._stream = self.path.open("xb")
+        except FileExistsError as error:
+            raise FungraspError(f"the log {path} exists already: give another name") from error
+        except OSError as error:
+            raise FungraspError(f"cannot write {path}: {error.strerror or error}") from error
+        self._writer = Writer(self._stream, use_chunking=False)
+        self._writer.start(profile="", library="fungrasp")
+        schema = self._writer.register_schema("object", "jsonschema", b'{"type": "object"}')
+        self._channels = {t: self._writer.register_channel(t, "json", schema) for t in TOPICS}
+        self._number = 0
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Finish the file. Without it, it still can be read up to the last control step."""
+        if self._stream.closed:
+            return
+        try:
+            self._writer.finish()
+        finally:
+            self._stream.close()
+
+    def begin(self, plan: GraspPlan, about: Mapping[str, str]) -> None:
+        """See ``DeploymentLog.begin``."""
+        stream = io.BytesIO()
+        np.savez_compressed(stream, **plan.arrays())  # pyright: ignore[reportArgumentType]
+        self._writer.add_attachment(0, 0, "plan.npz", "application/octet-stream", stream.getvalue())
+        self._writer.add_metadata("about", dict(about))
+        self._stream.flush()
+
+    def setpoint(self, phase: str, state: RobotState, command: RobotCommand) -> None:
+        """See ``DeploymentLog.setpoint``."""
+        tracked = state.tracked
+        self._write(
+            "/setpoint",
+            state.time,
+            {
+                "phase": phase,
+                "arm": _joints(state.arm),
+                "hand": _joints(state.hand),
+                "object": None if tracked is None else tracked.pose_world_object.tolist(),
+                "object_captured": None if tracked is None else tracked.captured,
+                "sent": {name: value.tolist() for name, value in vars(command).items()},
+            },
+        )
+
+    def step(
+        self, time: float, phase: str, observation: Observation, action: Action, sent: Action, late: float
+    ) -> None:
+        """See ``DeploymentLog.step``."""
+        records = {"observation": observation, "action": action, "sent": sent}
+        message = {name: {k: v[0].tolist() for k, v in r.arrays().items()} for name, r in records.items()}
+        self._write("/step", time, {"phase": phase, "late": late, **message})
+        self._stream.flush()
+
+    def event(self, time: float, what: str, text: str) -> None:
+        """See ``DeploymentLog.event``."""
+        self._write("/event", time, {"what": what, "text": text})
+        self._stream.flush()
+
+    def _write(self, topic: str, time: float, message: Mapping[str, Any]) -> None:
+        data = json.dumps({"time": time, **message}, separators=(",", ":")).encode()
+        stamp = round(time * 1e9)
+        self._writer.add_message(self._channels[topic], stamp, data, stamp, self._number)
+        self._number += 1
+
+
+@dataclass(frozen=True, eq=False)
+class RecordedDeployment:
+    """What a log holds."""
+
+    plan: GraspPlan | None
+    """The plan; None where the log ends before it."""
+    about: Mapping[str, str]
+    """What else there was to know."""
+    messages: Mapping[str, list[dict[str, Any]]]
+    """By topic, in the order of time."""
+    complete: bool
+    """Whether the log was closed; else its writer died."""
+    observations: list[Observation] = field(default_factory=list)
+    """Of each control step, one row each."""
+    actions: list[Action] = field(default_factory=list)
+    """What the policy answered, one row each."""
+
+
+def read_log(path: str | Path) -> RecordedDeployment:
+    """Read a log, that of a deployment that died included.
+
+    Raises:
+        FungraspError: mcap is not installed, there is no such file, or it is no log.
+    """
+    try:
+        from mcap.records import Attachment, Channel, DataEnd, Message, Metadata
+    except ImportError as error:
+        raise FungraspError(_MISSING) from error
+    topics: dict[int, str] = {}
+    messages: dict[str, list[dict[str, Any]]] = {topic: [] for topic in TOPICS}
+    plan, about, complete = None, {}, False
+    for record in _records(Path(path)):
+        if isinstance(record, Channel):
+            topics[record.id] = record.topic
+        elif isinstance(record, Message) and topics.get(record.channel_id) in messages:
+            messages[topics[record.channel_id]].append(json.loads(record.data))
+        elif isinstance(record, Attachment) and record.name == "plan.npz":
+            with np.load(io.BytesIO(record.data), allow_pickle=False) as data:
+                plan = GraspPlan.from_arrays(dict(data))
+        elif isinstance(record, Metadata) and record.name == "about":
+            about = record.metadata
+        elif isinstance(record, DataEnd):
+            complete = True
+    steps = messages["/step"]
+    observations = [_row(Observation, step["observation"]) for step in steps]
+    actions = [_row(Action, step["action"]) for step in steps]
+    return RecordedDeployment(plan, about, messages, complete, observations, actions)
+
+
+def _records(path: Path) -> Iterator[Any]:
+    """Records of a file, up to where it breaks off."""
+    from mcap.exceptions import McapError
+    from mcap.stream_reader import StreamReader
+
+    try:
+        with path.open("rb") as stream:
+            if stream.read(8) != b"\x89MCAP0\r\n":
+                raise FungraspError(f"{path} is no MCAP file")
+            stream.seek(0)
+            # What a killed writer has left ends within a record.
+            try:
+                yield from StreamReader(stream, record_size_limit=64_000_000).records
+            except (McapError, EOFError, ValueError, OSError):
+                return
+    except OSError as error:
+        raise FungraspError(f"cannot read {path}: {error.strerror or error}") from error
+
+
+def _row(kind: type[Any], values: Mapping[str, Any]) -> Any:
+    return kind.from_arrays({name: np.asarray(value)[None] for name, value in values.items()})
+
+
+def _joints(state: Any) -> dict[str, Any]:
+    return {
+        "positions": state.positions.tolist(),
+        "velocities": state.velocities.tolist(),
+        "torques": None if state.torques is None else state.torques.tolist(),
+        "device_time": state.device_time,
+        "status": str(state.status),
+    }

@@ -1,0 +1,63 @@
+"""The states of a deployment."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+
+from fungrasp.robots.device import RobotError
+
+
+class Phase(StrEnum):
+    """What a deployment is doing."""
+
+    IDLE = "idle"
+    """Connected; looks for the object and plans. Nothing moves."""
+    MOVE_TO_START = "move to start"
+    """The arm goes to the start of the plan."""
+    GRASP = "grasp"
+    """The policy approaches and closes the hand."""
+    LIFT = "lift"
+    """The palm rises."""
+    HOLD = "hold"
+    """The object is held."""
+    PUT_DOWN = "put down"
+    """The object is lowered, let go of, and the palm withdraws."""
+    HOME = "home"
+    """The arm goes back to where it was."""
+    DONE = "done"
+    """The end."""
+    FAULT = "fault"
+    """Stopped; a person has to look, and to start anew."""
+
+
+FOLLOWING: dict[Phase, Phase] = dict(zip(list(Phase)[:-2], list(Phase)[1:-1], strict=True))
+"""The phase that follows each; FAULT may follow any, and nothing follows FAULT."""
+
+
+class PhaseMachine:
+    """The present phase. FAULT is latched."""
+
+    def __init__(self) -> None:
+        self.phase = Phase.IDLE
+        """The present phase."""
+        self.fault = ""
+        """Why it is FAULT, as a phrase."""
+
+    def go(self, phase: Phase) -> None:
+        """Go on to a phase.
+
+        Raises:
+            RobotError: it does not follow the present one, or that is FAULT.
+        """
+        if self.phase is Phase.FAULT:
+            raise RobotError(
+                f"the robot is in the state of fault ({self.fault}): look at it, then start anew"
+            )
+        if FOLLOWING.get(self.phase) is not phase:
+            raise RobotError(f"the phase '{phase}' does not follow '{self.phase}'")
+        self.phase = phase
+
+    def fail(self, reason: str) -> None:
+        """Go to FAULT. reason: a phrase; the first one stays."""
+        self.fault = self.fault or reason
+        self.phase = Phase.FAULT

@@ -1,0 +1,252 @@
+"""From a grasp and a seen object to a plan that the arm can follow: all that is decided before anything
+moves."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fungrasp.errors import FungraspError
+from fungrasp.geometry.poses import (
+    compose,
+    invert,
+    quaternion_conjugate,
+    quaternion_from_rotation_vector,
+    quaternion_multiply,
+    rotation_vector,
+)
+from fungrasp.grasps import RobotGraspSet
+from fungrasp.hands import Hand
+from fungrasp.objects import ObjectModel
+from fungrasp.planning import Planner
+from fungrasp.robots.cell import RobotCell
+from fungrasp.robots.kinematics.arm_model import ArmKinematics, ClearanceModel
+from fungrasp.robots.kinematics.joint_path import FreePath
+from fungrasp.robots.kinematics.reach import PalmPath, Reach, ReachChecker
+from fungrasp.simulation import build_scene
+from fungrasp.task import Belief, GraspPlan, LiftProtocol
+from fungrasp.task.start_pose import StartPoses, start_on_line
+from fungrasp.transfer.joint_dynamics import JointDynamics, model_dynamics
+
+SHIFTS = (0.0, -0.1, 0.1)
+"""Displacements of the object along both axes that are tried where it can't be grasped as it stands [m]."""
+
+PLACEMENTS = 60
+"""How many of them are tried, the smallest first."""
+
+TURNS = np.deg2rad([0, 30, -30, 60, -60, 90, -90, 120, -120, 150, -150, 180])
+"""Turns of the object about the vertical that are tried [rad]."""
+
+
+@dataclass(frozen=True, eq=False)
+class HandDynamics:
+    """Identified dynamics of a hand, as factors on the model's."""
+
+    joint_damping: np.ndarray
+    """Damping of each joint, shape [M]."""
+    servo_stiffness: np.ndarray
+    """Stiffness of each joint's servo, shape [M]."""
+    servo_damping: np.ndarray
+    """Damping of each joint's servo, shape [M]."""
+
+    @classmethod
+    def of(cls, hand: Hand, dynamics: JointDynamics) -> HandDynamics:
+        """The factors of identified joints; those that were not identified are as in the model.
+
+        Args:
+            hand: with the model.
+            dynamics: of some or all of its independent joints.
+        """
+        model, factors = model_dynamics(hand), np.ones((2, len(hand.joint_names)))
+        for j, name in enumerate(dynamics.joints):
+            joint, row = hand.joint_names.index(name), model.joints.index(name)
+            factors[0, joint] = dynamics.stiffness[j] / model.stiffness[row]
+            # What is identified is the sum of both dampings.
+            factors[1, joint] = dynamics.damping[j] / max(model.damping[row], 1e-9)
+        return cls(factors[1], factors[0], factors[1].copy())
+
+
+@dataclass(frozen=True, eq=False)
+class PreparedGrasp:
+    """A plan and the postures of the arm that go with it."""
+
+    plan: GraspPlan
+    """One plan, in the world of the cell."""
+    start_fingers: np.ndarray
+    """Independent joints at the start [rad], shape [U]."""
+    reach: Reach
+    """How the arm follows it."""
+    corners: tuple[np.ndarray, ...]
+    """Postures between where the arm is and the start of the plan, the start included [rad], each of shape
+    [A]."""
+
+
+class UnreachableError(FungraspError):
+    """The arm can't follow the plan. Says which placement of the object would do, if one was found."""
+
+
+class GraspPreparer:
+    """Prepares grasps for one robot."""
+
+    def __init__(
+        self,
+        cell: RobotCell,
+        hand: Hand,
+        thing: ObjectModel,
+        planner: Planner,
+        dynamics: HandDynamics | None = None,
+        seed: int = 0,
+    ):
+        """
+        Args:
+            cell: the robot.
+            hand: on its arm.
+            thing: the object.
+            planner: of the policy.
+            dynamics: identified; the model's if None.
+            seed: of everything that is drawn.
+        """
+        self._cell, self._hand, self._thing, self._planner = cell, hand, thing, planner
+        self._dynamics, self._seed = dynamics, seed
+        self._kinematics, self._clearance = ArmKinematics(cell, hand), ClearanceModel(cell, hand)
+        self._rng = np.random.default_rng(seed)
+        self._reach = ReachChecker(cell, self._kinematics, self._clearance, self._rng)
+        self._starts = StartPoses(build_scene(hand, {thing.name: thing}))
+        self._protocol = LiftProtocol(
+            wrist_speed=cell.limits.palm_speed, wrist_acceleration=cell.limits.palm_acceleration
+        )
+
+    def prepare(
+        self, grasp: RobotGraspSet, object_pose: np.ndarray, arm: np.ndarray, *, advise: bool = True
+    ) -> PreparedGrasp:
+        """Plan a grasp of the object where it is seen.
+
+        Args:
+            grasp: one.
+            object_pose: at rest, world frame, shape [7].
+            arm: joints of the arm now [rad], shape [A].
+            advise: whether a placement that would do is looked for where this one does not.
+
+        Raises:
+            UnreachableError: the arm can't follow the plan.
+        """
+        start, fingers = self._start(grasp, object_pose)
+        # Before time is spent on planning: can the arm do about this?
+        obstacle = self._reach.possible(self._straight(grasp, object_pose, start, fingers))
+        if obstacle:
+            raise UnreachableError(self._advice(grasp, object_pose, obstacle, advise))
+        plan = self._planner.plan(grasp, self._belief(grasp, object_pose, start, fingers), self._seed)
+        found, obstacle = self._reach.best(self._path(plan, start, fingers), arm)
+        if not found:
+            raise UnreachableError(self._advice(grasp, object_pose, obstacle, advise))
+        ball = self._ball(object_pose)
+        free = FreePath(self._kinematics, self._clearance, self._cell.workspace)
+        for reach in found:
+            corners = free.find(arm, reach.start, fingers, ball, self._rng)
+            if corners is not None:
+                return PreparedGrasp(plan, fingers, reach, tuple(corners))
+        raise UnreachableError(
+            f"the arm finds no free way from where it is to the start of '{self._thing.name}': "
+            "move it by hand to a higher place"
+        )
+
+    def _start(self, grasp: RobotGraspSet, object_pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Palm pose [7] and fingers [U] at the start, as the lift test has them."""
+        hand, p = self._hand, self._protocol
+        fingers = hand.independent(np.clip(p.start_closing * grasp.joint_positions, *hand.joint_limits.T))
+        target = compose(object_pose[None], compose(invert(grasp.object_pose), grasp.wrist_pose))
+        line = start_on_line(object_pose[None], target, p.start_distance)
+        start = self._starts.clear(np.array([0]), object_pose[None], line, fingers, np.zeros(1))
+        return start[0], fingers[0]
+
+    def _belief(
+        self, grasp: RobotGraspSet, object_pose: np.ndarray, start: np.ndarray, fingers: np.ndarray
+    ) -> Belief:
+        belief = Belief.nominal(object_pose[None], grasp.object_mass.copy(), start[None], fingers[None])
+        d = self._dynamics
+        if d is None:
+            return belief
+        return replace(
+            belief,
+            joint_damping=d.joint_damping[None],
+            servo_stiffness=d.servo_stiffness[None],
+            servo_damping=d.servo_damping[None],
+        )
+
+    def _path(self, plan: GraspPlan, start: np.ndarray, fingers: np.ndarray) -> PalmPath:
+        """The plan's motion with the lift."""
+        palm = compose(plan.object_pose[:1, None], plan.palm_setpoint[:1])[0]
+        up = palm[-1:].copy()
+        rise = np.linspace(0.0, self._protocol.lift_height, 8)[1:]
+        up = np.repeat(up, len(rise), axis=0)
+        up[:, 2] += rise
+        # From closing on the object stops the fingers, about where the grasp has them.
+        joints = np.concatenate([fingers[None], plan.finger_targets[0, :-1]])
+        joints[int(plan.closing_step[0]) + 1 :] = plan.grasp_joints[0]
+        last = np.repeat(plan.grasp_joints[:1], len(rise), axis=0)
+        return PalmPath(
+            np.concatenate([start[None], palm[1:], up]), np.concatenate([joints, last]), plan.control_period
+        )
+
+    def _straight(
+        self, grasp: RobotGraspSet, object_pose: np.ndarray, start: np.ndarray, fingers: np.ndarray
+    ) -> PalmPath:
+        """About the motion that a plan will have: straight to the grasp, then up."""
+        target = compose(object_pose[None], compose(invert(grasp.object_pose), grasp.wrist_pose))[0]
+        share = np.linspace(0.0, 1.0, 9)[:, None]
+        # A start that was turned upwards turns back on the way.
+        turned = _between(start[3:], target[3:], share[:, 0])
+        there = np.concatenate([start[:3] + share * (target[:3] - start[:3]), turned], axis=1)
+        up = np.repeat(there[-1:], 4, axis=0)
+        up[:, 2] += np.linspace(0.0, self._protocol.lift_height, 5)[1:]
+        palm = np.concatenate([there, up])
+        return PalmPath(palm, np.tile(fingers, (len(palm), 1)), 0.3)
+
+    def _ball(self, object_pose: np.ndarray) -> np.ndarray:
+        """A ball around the object: centre and radius [m], shape [4]."""
+        vertices = self._thing.vertices
+        middle = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
+        radius = np.linalg.norm(vertices - middle, axis=1).max()
+        center = compose(object_pose, np.concatenate([middle, [1.0, 0, 0, 0]]))[:3]
+        return np.append(center, radius)
+
+    def placements(self, grasp: RobotGraspSet, object_pose: np.ndarray) -> Iterator[tuple[np.ndarray, str]]:
+        """Poses of the object on the table from which the arm can reach the grasp as it seems, the least move
+        first, that as it stands included; each with the move in words.
+
+        Args:
+            grasp: one.
+            object_pose: at rest, world frame, shape [7].
+        """
+        moves = [(x, y, turn) for turn in TURNS for x in SHIFTS for y in SHIFTS]
+        moves.sort(key=lambda move: abs(move[0]) + abs(move[1]) + 0.1 * abs(move[2]))
+        for x, y, turn in moves[:PLACEMENTS]:
+            moved = object_pose.copy()
+            moved[:2] += x, y
+            rotation = quaternion_from_rotation_vector(np.array([0.0, 0.0, turn]))
+            moved[3:] = quaternion_multiply(rotation, moved[3:])
+            start, fingers = self._start(grasp, moved)
+            if not self._reach.possible(self._straight(grasp, moved, start, fingers)):
+                yield (
+                    moved,
+                    f"moved by ({100 * x:g}, {100 * y:g}) cm and turned by {np.rad2deg(turn):.0f} degrees "
+                    "about the vertical",
+                )
+
+    def _advice(self, grasp: RobotGraspSet, object_pose: np.ndarray, obstacle: str, advise: bool) -> str:
+        """One line: what is in the way, and which placement would do."""
+        said = f"the grasp of '{self._thing.name}' is not reachable: {obstacle}"
+        if not advise:
+            return said
+        found = next(self.placements(grasp, object_pose), None)
+        if found is None:
+            return f"{said}; no placement nearby would do: take another grasp"
+        return f"{said}; it would be with the object {found[1]}"
+
+
+def _between(start: np.ndarray, end: np.ndarray, share: np.ndarray) -> np.ndarray:
+    """Rotations between two, shape [S, 4]. share: of the way, shape [S]."""
+    turn = rotation_vector(quaternion_multiply(end, quaternion_conjugate(start)))
+    return quaternion_multiply(quaternion_from_rotation_vector(share[:, None] * turn), start)

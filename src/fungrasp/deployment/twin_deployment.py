@@ -1,0 +1,171 @@
+"""Deployments on a twin without a wire: on the clock of the wall, or as fast as they go."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fungrasp.deployment.deployment import Deployment, DeploymentResult, DeploymentSettings
+from fungrasp.deployment.emergency_stop import StopSwitch
+from fungrasp.deployment.log import DeploymentLog
+from fungrasp.deployment.phases import Phase
+from fungrasp.deployment.preparation import GraspPreparer, HandDynamics, UnreachableError
+from fungrasp.grasps import RobotGraspSet
+from fungrasp.hands import Hand
+from fungrasp.objects import ObjectModel
+from fungrasp.planning import MotionPlanner, Planner
+from fungrasp.robots.cell import RobotCell
+from fungrasp.robots.clock import Clock, WallClock
+from fungrasp.robots.robot import Robot
+from fungrasp.robots.twin.clocks import RealTimeTwin, TwinClock
+from fungrasp.robots.twin.devices import TwinArm, TwinHand, TwinTracker
+from fungrasp.robots.twin.judge import TwinJudge
+from fungrasp.robots.twin.parameters import TwinParameters
+from fungrasp.robots.twin.twin_model import TwinPhysics
+from fungrasp.robots.twin.world import TwinWorld
+from fungrasp.task import Policy
+
+
+@dataclass(frozen=True, eq=False)
+class TwinOutcome:
+    """How a deployment on a twin went."""
+
+    result: DeploymentResult
+    """What the robot's computer knows of it."""
+    success: bool
+    """Whether the object was lifted and held, in truth."""
+    height: float
+    """Least height of its centre of mass during the hold [m]; infinite where there was none."""
+    twin_latest: float
+    """How far the twin has fallen behind the clock of the wall at worst [s]; zero on its own clock."""
+
+
+def reachable_placement(
+    cell: RobotCell, hand: Hand, thing: ObjectModel, grasp: RobotGraspSet, seed: int = 0
+) -> tuple[np.ndarray, np.ndarray]:
+    """Where a person would put the object so that the arm can grasp it.
+
+    It is the first placement for which one planned motion can be followed.
+
+    Args:
+        cell: the robot.
+        hand: on its arm.
+        thing: the object.
+        grasp: one.
+        seed: of the postures that are tried.
+
+    Returns:
+        the object, world frame, shape [7]; the arm's posture as the motion begins [rad], shape [A].
+
+    Raises:
+        UnreachableError: there is none nearby.
+    """
+    # What is seen differs by millimetres from what is: more room than is needed.
+    roomy = replace(cell.workspace, table_clearance=2 * cell.workspace.table_clearance)
+    cell = replace(cell, workspace=roomy)
+    preparer = GraspPreparer(cell, hand, thing, MotionPlanner(hand, {thing.name: thing}), seed=seed)
+    home = np.asarray(cell.arm.home)
+    for tries, (pose, _) in enumerate(preparer.placements(grasp, grasp.object_rest_pose[0])):
+        if tries >= 12:
+            break
+        try:
+            prepared = preparer.prepare(grasp, pose, home, advise=False)
+        except UnreachableError:
+            continue
+        return pose, prepared.reach.start
+    raise UnreachableError(
+        f"no placement of '{thing.name}' was found from which the arm can grasp it: take another grasp"
+    )
+
+
+def deploy_on_twin(
+    cell: RobotCell,
+    hand: Hand,
+    thing: ObjectModel,
+    grasp: RobotGraspSet,
+    placement: np.ndarray,
+    policy: Policy,
+    planner: Planner,
+    truth: TwinParameters,
+    *,
+    wall_clock: bool = False,
+    dynamics: HandDynamics | None = None,
+    compensate: bool = True,
+    dry_run: bool = False,
+    seed: int = 0,
+    physics: TwinPhysics | None = None,
+    log: DeploymentLog | None = None,
+    switch: StopSwitch | None = None,
+    settings: DeploymentSettings | None = None,
+    about: dict[str, str] | None = None,
+    on_phase: Callable[[Phase], None] = lambda phase: None,
+    prepare_world: Callable[[TwinWorld], None] = lambda world: None,
+) -> TwinOutcome:
+    """Deploy one grasp on a fresh twin.
+
+    Args:
+        cell: the robot.
+        hand: on its arm.
+        thing: the object as it is believed.
+        grasp: one.
+        placement: where the object is put, world frame, shape [7]; it settles.
+        policy: what acts.
+        planner: of the policy.
+        truth: what is true of the twin.
+        wall_clock: run in real time; else as fast as it goes, the same to the last bit.
+        dynamics: identified; the model's if None.
+        compensate: whether the hand's weight is carried.
+        dry_run: read everything, send nothing.
+        seed: of the plan and of the tracker's noise.
+        physics: of the twin; the default if None.
+        log: of every tick; none if None.
+        switch: stops the robot; none if None.
+        settings: times; the defaults if None.
+        about: what the log says of it.
+        on_phase: called as a phase begins.
+        prepare_world: called with the twin after the object has settled, to spoil it.
+
+    Raises:
+        FungraspError: the grasp can't be planned or reached.
+    """
+    world = TwinWorld(cell, hand, thing, truth, seed=seed, physics=physics)
+    world.settle(placement)
+    judge = TwinJudge(world)
+    prepare_world(world)
+    stiffness = np.array([servo.kp for servo in hand.actuators.values()])
+    if dynamics is not None:
+        driven = [hand.joint_names.index(name) for name in hand.actuators]
+        stiffness = stiffness * dynamics.servo_stiffness[driven]
+    with ExitStack() as stack:
+        real_time = stack.enter_context(RealTimeTwin(world)) if wall_clock else None
+        clock: Clock = WallClock() if wall_clock else TwinClock(world)
+        arm, fingers, tracker = TwinArm(world, cell), TwinHand(world, cell, hand), TwinTracker(world)
+        robot = Robot(
+            cell,
+            hand,
+            arm,
+            fingers,
+            tracker,
+            clock,
+            stiffness=stiffness,
+            compensate=compensate,
+            dry_run=dry_run,
+        )
+        stack.enter_context(robot)
+        deployment = Deployment(
+            robot,
+            policy,
+            GraspPreparer(cell, hand, thing, planner, dynamics, seed),
+            log=log,
+            switch=switch,
+            settings=settings,
+            about=about,
+            on_phase=on_phase,
+            on_setpoint=lambda phase: judge.watch(phase is Phase.HOLD),
+        )
+        result = deployment.run(grasp)
+        latest = 0.0 if real_time is None else real_time.latest
+    return TwinOutcome(result, judge.success, float(judge.height), latest)

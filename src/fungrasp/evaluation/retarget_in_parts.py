@@ -1,0 +1,129 @@
+"""Retargeting and judging of any number of grasps, a part at a time: memory does not grow with their number
+but for the result, and an interrupted run goes on where it was."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from threading import Lock
+from time import perf_counter
+
+import numpy as np
+
+from fungrasp import __version__
+from fungrasp.errors import FungraspError
+from fungrasp.evaluation.grasp_quality import StaticQuality, static_quality
+from fungrasp.files import digest
+from fungrasp.grasps import HumanGraspSet, RobotGraspSet, load_robot_grasps, save_robot_grasps
+from fungrasp.hands import Hand
+from fungrasp.objects import ObjectModel
+from fungrasp.retarget import retarget
+
+GRASPS_PER_PART = 1024
+"""Grasps that are solved, judged and written together."""
+
+
+@dataclass(frozen=True)
+class RetargetedGrasps:
+    """Robot grasps and how they were made."""
+
+    robot: RobotGraspSet
+    """The numbers of ``StaticQuality`` are in ``extra``."""
+    solved: int
+    """How many of them were not there already from an interrupted run."""
+    seconds: float
+    """Time that was spent on solving those, judging not counted."""
+
+    @property
+    def quality(self) -> StaticQuality:
+        """Of all grasps."""
+        return StaticQuality(**{f.name: self.robot.extra[f.name] for f in fields(StaticQuality)})
+
+
+def retarget_in_parts(
+    human: HumanGraspSet,
+    objects: Mapping[str, ObjectModel],
+    hand: Hand,
+    method: str,
+    threads: int,
+    folder: Path,
+    progress: Callable[[int], None] = lambda count: None,
+) -> RetargetedGrasps:
+    """Retarget and judge grasps.
+
+    Args:
+        human: N human grasps.
+        objects: by name.
+        hand: the robot hand.
+        method: one of ``fungrasp.retarget.METHODS``.
+        threads: 0 means all processors.
+        folder: for finished parts, where there are several; the caller removes it (``remove_parts``).
+        progress: called with the number of grasps that have just been solved or read.
+
+    Raises:
+        FungraspError: as ``retarget``, or a part can't be written.
+    """
+    parts, solved, seconds = [], 0, 0.0
+    for start in range(0, max(len(human), 1), GRASPS_PER_PART):
+        part = human.select(slice(start, start + GRASPS_PER_PART))
+        file = folder / f"{_key(part, hand, method)}.npz"
+        robot = _finished(file, len(part))
+        if robot is not None:
+            progress(len(part))
+        else:
+            began = perf_counter()
+            robot = retarget(part, objects, hand, method, threads=threads, progress=_one_at_a_time(progress))
+            seconds += perf_counter() - began
+            solved += len(part)
+            quality = static_quality(robot, part, objects, hand)
+            numbers = {f.name: getattr(quality, f.name) for f in fields(quality)}
+            robot = replace(robot, extra={**robot.extra, **numbers})
+            if len(human) > GRASPS_PER_PART:
+                folder.mkdir(parents=True, exist_ok=True)
+                save_robot_grasps(file, robot)
+        parts.append(robot)
+    return RetargetedGrasps(RobotGraspSet.concatenate(parts), solved, seconds)
+
+
+def remove_parts(folder: Path) -> None:
+    """Delete what ``retarget_in_parts`` kept."""
+    for file in folder.glob("*.npz") if folder.is_dir() else ():
+        file.unlink()
+    if folder.is_dir():
+        folder.rmdir()
+
+
+def _finished(file: Path, count: int) -> RobotGraspSet | None:
+    """A part that is there already and whole."""
+    if not file.is_file():
+        return None
+    try:
+        robot = load_robot_grasps(file)
+    except FungraspError:
+        return None
+    has_quality = all(f.name in robot.extra for f in fields(StaticQuality))
+    return robot if len(robot) == count and has_quality else None
+
+
+def _key(human: HumanGraspSet, hand: Hand, method: str) -> str:
+    """Digest of what a part's grasps depend on."""
+    arrays = dict(_arrays(human))
+    return digest(__version__, hand.path.read_bytes(), hand.model_path.read_bytes(), method, arrays)[:24]
+
+
+def _arrays(human: HumanGraspSet) -> Iterator[tuple[str, np.ndarray]]:
+    for name in human.FIELDS:
+        value = getattr(human, name)
+        if value is not None:
+            yield name, value
+
+
+def _one_at_a_time(progress: Callable[[int], None]) -> Callable[[int], None]:
+    lock = Lock()
+
+    def finished(count: int) -> None:
+        with lock:
+            progress(count)
+
+    return finished

@@ -1,0 +1,102 @@
+"""The use test on many grasps: what is tried after the hold, and how its numbers are summarized."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from fungrasp.evaluation.held_parts import held_parts
+from fungrasp.evaluation.statistics import wilson_interval
+from fungrasp.files import digest
+from fungrasp.grasps import HumanGraspSet, RobotGraspSet
+from fungrasp.hands import Hand
+from fungrasp.objects import ObjectModel
+from fungrasp.task import LiftEnvironment
+from fungrasp.task.use import UseMotion, UseOutcomes, load_use_motions, motion_of, play_use
+
+
+@dataclass(frozen=True, eq=False)
+class UseTest:
+    """What is tried with N grasps after their lift tests."""
+
+    motions: Mapping[str, UseMotion]
+    """Motions by name."""
+    held_parts: Sequence[tuple[frozenset[str], ...]]
+    """Parts of the object that the person touches with what each contact link stands for, N x L; empty sets
+    where that is not known."""
+
+    @classmethod
+    def of(
+        cls,
+        human: HumanGraspSet | None,
+        robot: RobotGraspSet,
+        objects: Mapping[str, ObjectModel],
+        hand: Hand,
+        motions: Mapping[str, UseMotion] | None = None,
+    ) -> UseTest:
+        """The use test of some grasps.
+
+        Args:
+            human: as the person did them; None if that is not known: any part then counts as the one held.
+            robot: N grasps.
+            objects: by name.
+            hand: the robot hand.
+            motions: those that come with the package if None.
+        """
+        unknown = [(frozenset[str](),) * len(hand.links)] * len(robot)
+        parts = unknown if human is None else held_parts(human, objects, hand)
+        return cls(load_use_motions() if motions is None else motions, parts)
+
+    def key(self, rows: np.ndarray) -> str:
+        """Digest of all that outcomes of some rows depend on. rows: of the grasps, shape [W]."""
+        parts = [[sorted(names) for names in self.held_parts[row]] for row in rows]
+        return digest({name: str(motion) for name, motion in self.motions.items()}, str(parts))
+
+    def run(
+        self, environment: LiftEnvironment, rows: np.ndarray, tasks: Sequence[str], held: np.ndarray
+    ) -> UseOutcomes:
+        """Try W grasps whose lift tests have just ended.
+
+        Args:
+            environment: with the worlds.
+            rows: of the grasps in their set, shape [W].
+            tasks: what the grasps are for, length W.
+            held: whether the lift test was passed, shape [W] bool.
+        """
+        motions = [motion_of(task, self.motions.values()) for task in tasks]
+        return play_use(environment, motions, held, [self.held_parts[row] for row in rows])
+
+
+def use_json(use: UseOutcomes, task: np.ndarray) -> dict[str, Any]:
+    """Rates over the grasps that were held and whose task has a motion: all, and by task.
+
+    Args:
+        use: N outcomes.
+        task: what each grasp is for, shape [N] str.
+    """
+    tested = use.motion != ""
+    names = np.unique(task[tested]).tolist()
+    return {
+        **_rates(use, tested),
+        "by_task": {name: _rates(use, tested & (task == name)) for name in names},
+        "functional_contact": float(np.nanmean(use.functional_contact))
+        if np.isfinite(use.functional_contact).any()
+        else None,
+    }
+
+
+def _rates(use: UseOutcomes, which: np.ndarray) -> dict[str, Any]:
+    count, passed = int(which.sum()), int(use.success[which].sum())
+    if not count:
+        return {"count": 0, "success_rate": None}
+    return {
+        "count": count,
+        "success_rate": passed / count,
+        "success_interval": list(wilson_interval(passed, count)),
+        "functional_contact": float(np.mean(use.functional_contact[which])),
+        "shift_mm_median": 1e3 * float(np.median(use.shift_m[which])),
+        "turn_deg_median": float(np.rad2deg(np.median(use.turn_rad[which]))),
+    }

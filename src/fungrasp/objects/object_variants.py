@@ -1,0 +1,77 @@
+"""Objects that differ a little from a known one: in size, or in where their mass is."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from fungrasp.objects.object_model import ObjectModel
+
+
+def scaled_name(name: str, factor: float) -> str:
+    """Name of an object of another size; the object's own for a factor of 1."""
+    return name if factor == 1.0 else f"{name} x{factor:g}"
+
+
+def scaled_object(model: ObjectModel, factor: float) -> ObjectModel:
+    """The same object, all lengths times a factor, of the same mass.
+
+    Args:
+        model: any object.
+        factor: on its size, positive.
+    """
+    if factor == 1.0:
+        return model
+    return replace(
+        model,
+        name=scaled_name(model.name, factor),
+        vertices=factor * model.vertices,
+        construction=(),
+        mirror_image=None,
+        scaled_from=(model, factor),
+    )
+
+
+def with_sizes(objects: Mapping[str, ObjectModel], factors: Iterable[float]) -> dict[str, ObjectModel]:
+    """Each object in several sizes, by ``scaled_name``.
+
+    Args:
+        objects: by name.
+        factors: on their sizes; 1 is always among the results.
+    """
+    return {
+        scaled_name(name, factor): scaled_object(model, factor)
+        for factor in (1.0, *(f for f in factors if f != 1.0))
+        for name, model in objects.items()
+    }
+
+
+def shifted_mass(
+    center: np.ndarray, inertia: np.ndarray, mass: np.ndarray, extents: np.ndarray, shift: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Center of mass and inertia of objects that carry a part of their mass at a wall.
+
+    A share w of the mass m is taken evenly from everywhere and put at one point: at d / w from the center, in
+    the direction of the shift d, with w the largest ratio of d to half the extent along an axis. The point is
+    then on the box that bounds the object. About the new center,
+    ``J = (1 - w) J0 + m (1 - w) / w (|d|^2 E - d d^T)``: always that of a possible body, and the given one
+    without a shift.
+
+    Args:
+        center: of mass [m], object frame, shape [I, 3].
+        inertia: about it, axes of the object frame [kg m2], shape [I, 3, 3].
+        mass: [kg], shape [I].
+        extents: along the axes of the object frame [m], shape [I, 3].
+        shift: of the center as a fraction of the extents, within half of them, shape [I, 3].
+
+    Returns:
+        center [m], shape [I, 3]; inertia about it [kg m2], shape [I, 3, 3].
+    """
+    moved = shift * extents
+    share = (2.0 * np.abs(shift)).max(axis=1)
+    square = np.sum(moved**2, axis=1)[:, None, None] * np.eye(3) - moved[:, :, None] * moved[:, None, :]
+    # Of a shift of zero, the second term is zero, whatever the share.
+    weight = mass * (1.0 - share) / np.where(share > 0, share, 1.0)
+    return center + moved, (1.0 - share)[:, None, None] * inertia + weight[:, None, None] * square

@@ -1,0 +1,69 @@
+"""Objects without a mesh file: boxes, cylinders and spheres, which their names describe."""
+
+from __future__ import annotations
+
+import re
+from functools import lru_cache
+
+import numpy as np
+
+from fungrasp.errors import FungraspError
+from fungrasp.objects.builtin.shapes import box, lathe
+from fungrasp.objects.convex_decomposition import convex_hull
+from fungrasp.objects.object_model import ObjectModel
+
+SHAPES = {"box": ("length", "width", "height"), "cylinder": ("diameter", "height"), "sphere": ("diameter",)}
+"""Sizes of each shape, in the order of its name: "box:60x28x30", "cylinder:66x115", "sphere:67"."""
+
+SMALLEST, LARGEST = 1.0, 1500.0
+"""Limits of a size [mm]."""
+
+_SEGMENTS = 48
+"""Flat sides of a cylinder, and of a sphere around its axis."""
+
+
+def is_plain_shape(name: str) -> bool:
+    """Whether a name describes a shape: "box:...", "cylinder:..." or "sphere:..."."""
+    return name.split(":", 1)[0] in SHAPES and ":" in name
+
+
+@lru_cache(maxsize=256)
+def plain_shape(name: str, mass: float) -> ObjectModel:
+    """The object that a name describes, its centre at the origin, a cylinder's axis along z.
+
+    Args:
+        name: "box:LENGTHxWIDTHxHEIGHT", "cylinder:DIAMETERxHEIGHT" or "sphere:DIAMETER", in millimetres.
+        mass: [kg].
+
+    Raises:
+        FungraspError: the name describes no shape, or a size is impossible.
+    """
+    sizes = _sizes(name)
+    kind = name.split(":", 1)[0]
+    if kind == "box":
+        points = box(sizes)
+    elif kind == "cylinder":
+        radius, height = 0.5 * sizes[0], 0.5 * sizes[1]
+        points = lathe([(radius, -height), (radius, height)], _SEGMENTS)
+    else:
+        angles = np.linspace(0.0, np.pi, _SEGMENTS // 2 + 1)
+        radius = 0.5 * sizes[0]
+        points = lathe([(radius * np.sin(a), -radius * np.cos(a)) for a in angles], _SEGMENTS)
+    hull = convex_hull(points)
+    return ObjectModel(
+        name, mass, hull.vertices, hull.faces.astype(np.int32), construction=(hull,), source="its name"
+    )
+
+
+def _sizes(name: str) -> list[float]:
+    """The sizes that a name says [m]."""
+    kind, _, text = name.partition(":")
+    wanted = SHAPES.get(kind, ())
+    example = f"{kind}:{'x'.join(size.upper() for size in wanted)}" if wanted else "box:60x28x30"
+    parts = text.split("x")
+    if len(parts) != len(wanted) or not all(re.fullmatch(r"\d{1,4}(\.\d{1,6})?", part) for part in parts):
+        raise FungraspError(f"'{name[:60]}' is no shape: write {example}, sizes in millimetres")
+    sizes = [float(part) for part in parts]
+    if not SMALLEST <= min(sizes) <= max(sizes) <= LARGEST:
+        raise FungraspError(f"'{name}': sizes must be {SMALLEST:g} to {LARGEST:g} mm")
+    return [1e-3 * size for size in sizes]

@@ -1,0 +1,92 @@
+"""Signed distances of single points, as ``SignedDistanceBank.query`` for many."""
+
+from __future__ import annotations
+
+import math
+
+from fungrasp.geometry.signed_distance import GridArrays
+from fungrasp.optimization.compiled.compiling import compiled
+
+
+@compiled
+def signed_distance(grids: GridArrays, grid: int, point):
+    """Distance [m] and its gradient (x, y, z)."""
+    h = grids.spacing[grid]
+    ux = (point[0] - grids.origin[grid, 0]) / h
+    uy = (point[1] - grids.origin[grid, 1]) / h
+    uz = (point[2] - grids.origin[grid, 2]) / h
+    if not math.isfinite(ux + uy + uz):
+        return math.nan, math.nan, math.nan, math.nan
+    lx, ly, lz = grids.last[grid, 0], grids.last[grid, 1], grids.last[grid, 2]
+    ix, iy, iz = min(max(ux, 0.0), lx), min(max(uy, 0.0), ly), min(max(uz, 0.0), lz)
+    cx, cy, cz = int(ix), int(iy), int(iz)
+    fx, fy, fz = ix - cx, iy - cy, iz - cz
+    sx, sy = grids.stride[grid, 0], grids.stride[grid, 1]
+    at = grids.start[grid] + cx * sx + cy * sy + cz
+    v = grids.values
+    c000, c001, c010, c011 = v[at], v[at + 1], v[at + sy], v[at + sy + 1]
+    at += sx
+    c100, c101, c110, c111 = v[at], v[at + 1], v[at + sy], v[at + sy + 1]
+    # Along x on the four edges of the cell, then along y, then along z.
+    d00, d01, d10, d11 = c100 - c000, c101 - c001, c110 - c010, c111 - c011
+    e00, e01, e10, e11 = c000 + fx * d00, c001 + fx * d01, c010 + fx * d10, c011 + fx * d11
+    near, far = e00 + fy * (e10 - e00), e01 + fy * (e11 - e01)
+    x_near, x_far = d00 + fy * (d10 - d00), d01 + fy * (d11 - d01)
+    y_near, y_far = e10 - e00, e11 - e01
+    distance = near + fz * (far - near)
+    gx = (x_near + fz * (x_far - x_near)) / h
+    gy = (y_near + fz * (y_far - y_near)) / h
+    gz = (far - near) / h
+    bx, by, bz = (ux - ix) * h, (uy - iy) * h, (uz - iz) * h
+    away = math.sqrt(bx * bx + by * by + bz * bz)
+    if away > 0:
+        distance += away
+        if bx != 0:
+            gx = bx / away
+        if by != 0:
+            gy = by / away
+        if bz != 0:
+            gz = bz / away
+    return distance, gx, gy, gz
+
+
+@compiled
+def distance_bound(grids: GridArrays, grid: int, point) -> float:
+    """A bound below the distance [m] of a point, from one corner of the grid.
+
+    A corner's value is too large by up to two half diagonals of a cell where it is that of a neighboring
+    surface point, and the point is up to half a diagonal away from the corner: 2.6 cells in all.
+    """
+    h = grids.spacing[grid]
+    ux = (point[0] - grids.origin[grid, 0]) / h
+    uy = (point[1] - grids.origin[grid, 1]) / h
+    uz = (point[2] - grids.origin[grid, 2]) / h
+    if not math.isfinite(ux + uy + uz):
+        return math.nan
+    ix = min(max(ux, 0.0), grids.last[grid, 0])
+    iy = min(max(uy, 0.0), grids.last[grid, 1])
+    iz = min(max(uz, 0.0), grids.last[grid, 2])
+    at = int(ix + 0.5) * grids.stride[grid, 0] + int(iy + 0.5) * grids.stride[grid, 1] + int(iz + 0.5)
+    distance = grids.values[grids.start[grid] + at] - 3 * h
+    away = h * math.sqrt((ux - ix) ** 2 + (uy - iy) ** 2 + (uz - iz) ** 2)
+    # The object lies within the grid: it is at least as far as the border.
+    return max(away - h, distance - away) if away > 0 else distance
+
+
+@compiled
+def unit_vector(x: float, y: float, z: float):
+    """A vector over its length."""
+    length = max(math.sqrt(x * x + y * y + z * z), 1e-9)
+    return x / length, y / length, z / length
+
+
+@compiled
+def nearest_surface(grids: GridArrays, grid: int, point, iterations: int):
+    """Surface point [m] and outward normal nearest to a point, as ``project_to_surface``."""
+    x, y, z = point
+    for _ in range(iterations):
+        distance, gx, gy, gz = signed_distance(grids, grid, (x, y, z))
+        nx, ny, nz = unit_vector(gx, gy, gz)
+        x, y, z = x - distance * nx, y - distance * ny, z - distance * nz
+    _, gx, gy, gz = signed_distance(grids, grid, (x, y, z))
+    return (x, y, z), unit_vector(gx, gy, gz)

@@ -1,0 +1,220 @@
+"""Where a hand's bodies and joints are, and rows of Jacobians of points that ride on them."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from fungrasp.optimization.compiled.compiling import compiled
+from fungrasp.optimization.compiled.hand_arrays import Tree
+
+
+class Frames(NamedTuple):
+    """N hands, each at one wrist pose and joint positions, in the reference frame of the wrist poses."""
+
+    position: np.ndarray
+    """Of bodies [m], shape [N, B, 3]."""
+    rotation: np.ndarray
+    """Of bodies, shape [N, B, 3, 3]."""
+    anchor: np.ndarray
+    """Of joints [m], shape [N, M, 3]."""
+    axis: np.ndarray
+    """Of joints, shape [N, M, 3]."""
+    wrist: np.ndarray
+    """Positions of the palms [m], shape [N, 3]."""
+
+
+class Equations(NamedTuple):
+    """Normal equations of N problems of D unknowns; what terms add to."""
+
+    cost: np.ndarray
+    """Half the sum of squares, shape [N]."""
+    hessian: np.ndarray
+    """J^T J, its lower triangle, shape [N, D, D]."""
+    gradient: np.ndarray
+    """J^T r, shape [N, D]."""
+    active: np.ndarray
+    """Which problems are still being solved, shape [N] bool; others are passed over."""
+
+
+class Row(NamedTuple):
+    """One row of a Jacobian that is mostly zero; a row's first six columns, of the wrist, always count."""
+
+    values: np.ndarray
+    """Shape [D]."""
+    columns: np.ndarray
+    """Columns that may differ from zero, shape [D]; the first ``count``."""
+    used: np.ndarray
+    """Whether a column is among them, shape [D] bool."""
+    count: np.ndarray
+    """Shape [1]."""
+
+
+@compiled
+def empty_row(size: int) -> Row:
+    """A row of zeros."""
+    used = np.zeros(size, dtype=np.bool_)
+    used[:6] = True
+    return Row(np.zeros(size), np.arange(size), used, np.full(1, 6))
+
+
+@compiled
+def add_point(row: Row, tree: Tree, frames: Frames, i: int, body: int, point, direction) -> None:
+    """Add ``direction . d point / d tangent`` for a point [m] that rides on a body of hand ``i``."""
+    x, y, z = point
+    a, b, c = direction
+    v = row.values
+    v[0] += a
+    v[1] += b
+    v[2] += c
+    rx, ry, rz = x - frames.wrist[i, 0], y - frames.wrist[i, 1], z - frames.wrist[i, 2]
+    v[3] += ry * c - rz * b
+    v[4] += rz * a - rx * c
+    v[5] += rx * b - ry * a
+    for entry in range(tree.chain_start[body], tree.chain_start[body + 1]):
+        joint, column = tree.chain_joint[entry], tree.chain_column[entry]
+        rx, ry, rz = (
+            x - frames.anchor[i, joint, 0],
+            y - frames.anchor[i, joint, 1],
+            z - frames.anchor[i, joint, 2],
+        )
+        ux, uy, uz = frames.axis[i, joint, 0], frames.axis[i, joint, 1], frames.axis[i, joint, 2]
+        # direction . (axis x lever) = axis . (lever x direction)
+        turn = ux * (ry * c - rz * b) + uy * (rz * a - rx * c) + uz * (rx * b - ry * a)
+        v[column] += tree.chain_factor[entry] * turn
+        if not row.used[column]:
+            row.used[column] = True
+            row.columns[row.count[0]] = column
+            row.count[0] += 1
+
+
+@compiled
+def finish_row(row: Row, equations: Equations, i: int, residual: float) -> None:
+    """Add a residual and its row to the normal equations of problem ``i``, and empty the row."""
+    v, columns, number = row.values, row.columns, row.count[0]
+    hessian, gradient = equations.hessian[i], equations.gradient[i]
+    equations.cost[i] += 0.5 * residual * residual
+    for m in range(number):
+        p = columns[m]
+        gradient[p] += residual * v[p]
+        for n in range(m + 1):
+            q = columns[n]
+            if p >= q:
+                hessian[p, q] += v[p] * v[q]
+            else:
+                hessian[q, p] += v[p] * v[q]
+    for m in range(number):
+        v[columns[m]] = 0.0
+    for m in range(6, number):
+        row.used[columns[m]] = False
+    row.count[0] = 6
+
+
+@compiled
+def place(frames: Frames, i: int, body: int, offset):
+    """Position [m] of a point of hand ``i`` from that in its body, shape [3]."""
+    p, r = frames.position[i, body], frames.rotation[i, body]
+    x, y, z = offset[0], offset[1], offset[2]
+    return (
+        p[0] + r[0, 0] * x + r[0, 1] * y + r[0, 2] * z,
+        p[1] + r[1, 0] * x + r[1, 1] * y + r[1, 2] * z,
+        p[2] + r[2, 0] * x + r[2, 1] * y + r[2, 2] * z,
+    )
+
+
+@compiled
+def move_hands(
+    tree: Tree, pose: np.ndarray, independent: np.ndarray, active: np.ndarray, frames: Frames
+) -> None:
+    """Forward kinematics of the active hands into ``frames``, as MuJoCo's.
+
+    Args:
+        tree: bodies and joints.
+        pose: of the wrists, shape [N, 7].
+        independent: joint positions [rad], shape [N, U].
+        active: shape [N] bool.
+        frames: written.
+    """
+    joints = np.empty(len(tree.zero))
+    part = np.empty((3, 3))
+    for i in range(len(pose)):
+        if not active[i]:
+            continue
+        for m in range(len(joints)):
+            angle = tree.offset[m] - tree.zero[m]
+            for u in range(independent.shape[1]):
+                angle += tree.coupling[m, u] * independent[i, u]
+            joints[m] = angle
+        _place_model(tree, pose[i], frames.position[i, 0], frames.rotation[i, 0], part)
+        frames.wrist[i] = pose[i, :3]
+        for body in range(1, len(tree.parent)):
+            parent = tree.parent[body]
+            p, r = frames.position[i, body], frames.rotation[i, body]
+            _carry(frames.position[i, parent], frames.rotation[i, parent], tree.position[body], p)
+            _product(frames.rotation[i, parent], tree.rotation[body], r)
+            for m in range(tree.first_joint[body], tree.first_joint[body + 1]):
+                anchor = frames.anchor[i, m]
+                _carry(p, r, tree.anchor[m], anchor)
+                for k in range(3):
+                    frames.axis[i, m, k] = (
+                        r[k, 0] * tree.axis[m, 0] + r[k, 1] * tree.axis[m, 1] + r[k, 2] * tree.axis[m, 2]
+                    )
+                _turn(r, tree.axis[m], joints[m], part)
+                # The anchor stays where it is.
+                for k in range(3):
+                    p[k] = anchor[k] - (
+                        r[k, 0] * tree.anchor[m, 0]
+                        + r[k, 1] * tree.anchor[m, 1]
+                        + r[k, 2] * tree.anchor[m, 2]
+                    )
+
+
+@compiled
+def _place_model(tree: Tree, pose, position, rotation, part) -> None:
+    """Frame of the model from that of the palm."""
+    w, x, y, z = pose[3], pose[4], pose[5], pose[6]
+    part[0, 0], part[0, 1], part[0, 2] = 1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)
+    part[1, 0], part[1, 1], part[1, 2] = 2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)
+    part[2, 0], part[2, 1], part[2, 2] = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
+    for k in range(3):
+        for n in range(3):
+            rotation[k, n] = 0.0
+            for m in range(3):
+                rotation[k, n] += part[k, m] * tree.palm_rotation[n, m]
+    for k in range(3):
+        position[k] = pose[k]
+        for m in range(3):
+            position[k] -= rotation[k, m] * tree.palm_position[m]
+
+
+@compiled
+def _carry(position, rotation, offset, result) -> None:
+    for k in range(3):
+        result[k] = (
+            position[k] + rotation[k, 0] * offset[0] + rotation[k, 1] * offset[1] + rotation[k, 2] * offset[2]
+        )
+
+
+@compiled
+def _product(a, b, result) -> None:
+    for k in range(3):
+        for n in range(3):
+            result[k, n] = a[k, 0] * b[0, n] + a[k, 1] * b[1, n] + a[k, 2] * b[2, n]
+
+
+@compiled
+def _turn(rotation, axis, angle: float, part) -> None:
+    """``rotation`` times the rotation about an axis (Rodrigues), in place."""
+    s, c = math.sin(angle), math.cos(angle)
+    x, y, z = axis[0], axis[1], axis[2]
+    t = 1 - c
+    for k in range(3):
+        a, b, d = rotation[k, 0], rotation[k, 1], rotation[k, 2]
+        part[k, 0] = a * (t * x * x + c) + b * (t * x * y + s * z) + d * (t * x * z - s * y)
+        part[k, 1] = a * (t * x * y - s * z) + b * (t * y * y + c) + d * (t * y * z + s * x)
+        part[k, 2] = a * (t * x * z + s * y) + b * (t * y * z - s * x) + d * (t * z * z + c)
+    for k in range(3):
+        for n in range(3):
+            rotation[k, n] = part[k, n]

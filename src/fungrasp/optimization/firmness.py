@@ -1,0 +1,147 @@
+"""How firmly a hand could hold: the load that its contacts cannot take within friction and torque limits."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from fungrasp.geometry.poses import cross
+from fungrasp.hands import Hand
+from fungrasp.optimization.contact_forces import CONTACT_DISTANCE, friction_cone_edges
+from fungrasp.optimization.hand_state import HandState
+from fungrasp.optimization.retargeting_problem import RetargetingProblem
+
+LOAD_CONE_EDGES = 6
+"""Edges of the pyramids that stand for friction cones."""
+LIMIT_WEIGHT = 5.0
+"""Weight of a torque at twice its limit against an unresisted load of the object's weight; large, as a servo
+cannot exceed its limit."""
+
+
+FIRMNESS_WEIGHT = 40.0
+"""What a load of the object's weight that the contacts cannot take adds to the objective where solutions are
+compared: how much likeness to the given grasp a firm grip is worth."""
+
+DEEPEST = 0.001
+"""A hand that goes farther into the object than this has no grip, however firm it would be [m]."""
+NO_GRIP = 1.5
+"""Share of the weight that is unresisted without any contact: the weight, and half of it pulling down."""
+
+
+class LinkContacts(NamedTuple):
+    """Where the L links of N hands touch, or would, object frame."""
+
+    place: np.ndarray
+    """Point of each link's surface that is nearest to the object [m], shape [N, L, 3]."""
+    inward: np.ndarray
+    """Unit normals into the object, shape [N, L, 3]."""
+    clearance: np.ndarray
+    """Distance from the object [m], shape [N, L]."""
+    jacobian: np.ndarray
+    """Of the points with respect to the independent joints [m/rad], shape [N, L, 3, U]."""
+
+
+def link_contacts(state: HandState[Any]) -> LinkContacts:
+    """The point of each link that is nearest to the object."""
+    points = state.points
+    nearest = np.stack([m[np.argmin(state.clearance[:, m], axis=1)] for m in points.link_members], axis=1)
+    clearance = np.take_along_axis(state.clearance, nearest, axis=1)
+    normal = np.take_along_axis(state.normals, nearest[..., None], axis=1)
+    normal = normal / np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-9)
+    centers = np.take_along_axis(state.spheres, nearest[..., None], axis=1)
+    place = centers - points.spheres.radius[nearest][..., None] * normal
+    jacobian = points.kinematics.jacobian(points.spheres.points.bodies[nearest], place)[..., 6:]
+    return LinkContacts(place, -normal, clearance, jacobian)
+
+
+def unresisted_load(
+    contacts: LinkContacts,
+    used: np.ndarray,
+    center: np.ndarray,
+    reach: np.ndarray,
+    weight: np.ndarray,
+    up: np.ndarray,
+    torque_limit: np.ndarray,
+    friction: float = 0.9,
+    disturbance: float = 0.5,
+    iterations: int = 100,
+) -> tuple[np.ndarray, np.ndarray]:
+    """The force [N] and torque [N m] that the contacts cannot take of the worst of six loads, shape [N] each.
+
+    A load is the object's weight at its center of mass and a disturbance of ``disturbance`` times the weight
+    there, up, down or in one of four horizontal directions. The acceleration of the lift is small against it.
+    The contact forces f within their friction cones minimize
+
+        |sum f + load|^2 + |sum (x - center) x f|^2 / reach^2
+        + sum_j (LIMIT_WEIGHT weight max(0, |tau_j| / torque_limit_j - 1))^2,   tau = sum J^T f.
+
+    What is left of the first two terms is what they cannot take. Both are zero for a firm grasp.
+
+    Args:
+        contacts: of N hands.
+        used: which links touch, shape [N, L] bool.
+        center: center of mass [m], object frame, shape [N, 3].
+        reach: lever arm at which a torque counts like a force [m], shape [N].
+        weight: of the object [N], shape [N].
+        up: unit vector against gravity, object frame, shape [N, 3].
+        torque_limit: of the independent joints [N m], shape [U].
+        friction: coefficient.
+        disturbance: in weights.
+        iterations: of the accelerated projected gradient descent.
+    """
+    count = len(weight)
+    edges = friction_cone_edges(contacts.inward, friction, LOAD_CONE_EDGES)
+    lever = (contacts.place - center[:, None]) / reach[:, None, None]
+    allowed = np.repeat(used, LOAD_CONE_EDGES, axis=1)[..., None]
+    wrench = np.concatenate([edges, cross(lever[:, :, None], edges)], axis=-1).reshape(count, -1, 6) * allowed
+    torque = (edges @ contacts.jacobian).reshape(count, wrench.shape[1], -1) * allowed
+    # In units of the weight: forces over the weight, torques over what a joint can do.
+    torque = torque * (LIMIT_WEIGHT * weight[:, None, None] / torque_limit)
+    both = np.concatenate([wrench, torque], axis=2)
+    step = 1.0 / (np.linalg.eigvalsh(np.swapaxes(both, 1, 2) @ both)[:, -1, None, None] + 1e-3)
+    goal = np.zeros((count, 6, both.shape[2]))
+    goal[..., :3] = up[:, None] - disturbance * _directions(up)
+    weights = np.zeros((count, 6, wrench.shape[1]))
+    ahead, momentum = weights, 1.0
+    for _ in range(iterations):
+        error = ahead @ both
+        load = error[..., 6:]
+        error[..., 6:] = load - np.clip(load, -LIMIT_WEIGHT, LIMIT_WEIGHT)
+        error[..., :6] -= goal[..., :6]
+        moved = np.maximum(ahead - step * (error @ np.swapaxes(both, 1, 2) + 1e-3 * ahead), 0.0)
+        next_momentum = 0.5 * (1 + np.sqrt(1 + 4 * momentum**2))
+        ahead = moved + (momentum - 1) / next_momentum * (moved - weights)
+        weights, momentum = moved, next_momentum
+    left = weights @ wrench - goal[..., :6]
+    worst = np.argmax(np.sum(left**2, axis=-1), axis=1)
+    left = left[np.arange(count), worst] * weight[:, None]
+    return np.linalg.norm(left[:, :3], axis=1), np.linalg.norm(left[:, 3:], axis=1) * reach
+
+
+def unresisted_share(hand: Hand, state: HandState[RetargetingProblem]) -> np.ndarray:
+    """``unresisted_load`` of the links in contact as a share of the objects' weight, shape [N]: force and
+    torque over the object's extent together; zero for a firm grasp, ``NO_GRIP`` without contacts and where
+    the hand goes into the object by more than ``DEEPEST``."""
+    problem, contacts = state.problem, link_contacts(state)
+    limits = np.array([servo.force_limit for servo in hand.actuators.values()])
+    force, torque = unresisted_load(
+        contacts,
+        contacts.clearance < CONTACT_DISTANCE,
+        problem.center,
+        problem.extent,
+        problem.weight,
+        problem.up[:, -1],
+        limits,
+    )
+    share = np.hypot(force, torque / problem.extent) / problem.weight
+    return np.where(state.clearance.min(axis=1) < -DEEPEST, NO_GRIP, share)
+
+
+def _directions(up: np.ndarray) -> np.ndarray:
+    """Up, down and four horizontal directions, unit vectors, shape [N, 6, 3]. up: shape [N, 3]."""
+    helper = np.where(np.abs(up[:, :1]) < 0.9, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]])
+    first = cross(up, helper)
+    first = first / np.linalg.norm(first, axis=1, keepdims=True)
+    second = cross(up, first)
+    return np.stack([up, -up, first, -first, second, -second], axis=1)

@@ -1,0 +1,172 @@
+"""A robot from its cell file: which driver stands for which name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+
+from fungrasp.errors import FungraspError, UnknownNameError
+from fungrasp.hands import Hand
+from fungrasp.robots.cell import DeviceSettings, RobotCell
+from fungrasp.robots.clock import WallClock
+from fungrasp.robots.device import JointDriver, PoseSource
+from fungrasp.robots.robot import Robot
+
+TWIN = "twin"
+"""Driver of a device of a twin in the same process."""
+
+
+def is_twin(cell: RobotCell) -> bool:
+    """Whether a cell is a twin in the same process.
+
+    Raises:
+        FungraspError: some of its devices are, others are not.
+    """
+    drivers = {"arm": cell.arm.driver, "hand_device": cell.hand_device.driver, "tracker": cell.tracker.driver}
+    twins = [name for name, driver in drivers.items() if driver == TWIN]
+    if twins and len(twins) < len(drivers):
+        raise FungraspError(
+            f"cell '{cell.name}': {', '.join(twins)} can't be a twin while the others are not; "
+            "use emulators for the others ('fungrasp robots emulate')"
+        )
+    return bool(twins)
+
+
+def arm_driver(cell: RobotCell) -> JointDriver:
+    """The driver of a cell's arm.
+
+    Raises:
+        FungraspError: no such driver, or bad options.
+    """
+    return _make("arm", cell.arm, ARM_DRIVERS)
+
+
+def hand_driver(cell: RobotCell, hand: Hand) -> JointDriver:
+    """The driver of a cell's hand.
+
+    Args:
+        cell: the robot.
+        hand: the model of its hand.
+
+    Raises:
+        FungraspError: no such driver, bad options, or a driver of another hand.
+    """
+    driver = _make("hand", cell.hand_device, HAND_DRIVERS)
+    joints = len(driver.limits.lower)
+    if joints != len(hand.actuators):
+        raise FungraspError(
+            f"cell '{cell.name}': hand '{hand.name}' has {len(hand.actuators)} servos, but the driver "
+            f"'{cell.hand_device.driver}' moves {joints}: one of the two is wrong"
+        )
+    return driver
+
+
+def pose_source(cell: RobotCell) -> PoseSource:
+    """The source of a cell's object poses.
+
+    Raises:
+        FungraspError: no such driver, or bad options.
+    """
+    return _make("tracker", cell.tracker, TRACKERS)
+
+
+def wired_robot(
+    cell: RobotCell,
+    hand: Hand,
+    *,
+    stiffness: np.ndarray | None = None,
+    compensate: bool = True,
+    dry_run: bool = False,
+) -> Robot:
+    """The robot of a cell, not connected.
+
+    Args:
+        cell: the robot; no twin.
+        hand: the model of its hand.
+        stiffness: identified stiffness of the hand's servos [N m/rad], shape [U]; the model's if None.
+        compensate: whether the hand's own weight is carried.
+        dry_run: read everything, send nothing.
+
+    Raises:
+        FungraspError: an unknown driver, bad options, or another hand.
+    """
+    return Robot(
+        cell,
+        hand,
+        arm_driver(cell),
+        hand_driver(cell, hand),
+        pose_source(cell),
+        WallClock(),
+        stiffness=stiffness,
+        compensate=compensate,
+        dry_run=dry_run,
+    )
+
+
+def _ur(values: Mapping[str, Any]) -> JointDriver:
+    from fungrasp.robots.arms.ur import URSettings, ur_driver
+
+    return ur_driver(_settings(URSettings, "ur-rtde", values))
+
+
+def _allegro(values: Mapping[str, Any]) -> JointDriver:
+    from fungrasp.robots.hands.allegro import AllegroSettings, allegro_driver
+
+    return allegro_driver(_settings(AllegroSettings, "allegro-can", values, address="channel"))
+
+
+def _inspire(values: Mapping[str, Any]) -> JointDriver:
+    from fungrasp.robots.hands.inspire import InspireSettings, inspire_driver
+
+    return inspire_driver(_settings(InspireSettings, "inspire-modbus", values))
+
+
+def _leap(values: Mapping[str, Any]) -> JointDriver:
+    from fungrasp.robots.hands.leap import LeapSettings, leap_driver
+
+    return leap_driver(_settings(LeapSettings, "leap-dynamixel", values, address="port"))
+
+
+def _stream(values: Mapping[str, Any]) -> PoseSource:
+    from fungrasp.robots.pose.stream import PoseStream
+
+    try:
+        return PoseStream(**values)
+    except TypeError as error:
+        raise FungraspError(f"options of the driver pose-stream make no sense: {error}") from error
+
+
+ARM_DRIVERS: dict[str, Callable[[Mapping[str, Any]], Any]] = {"ur-rtde": _ur}
+"""Drivers of arms by name."""
+
+HAND_DRIVERS: dict[str, Callable[[Mapping[str, Any]], Any]] = {
+    "allegro-can": _allegro,
+    "inspire-modbus": _inspire,
+    "leap-dynamixel": _leap,
+}
+"""Drivers of hands by name."""
+
+TRACKERS: dict[str, Callable[[Mapping[str, Any]], Any]] = {"pose-stream": _stream}
+"""Sources of object poses by name."""
+
+
+def _make(kind: str, device: DeviceSettings, known: Mapping[str, Callable[[Mapping[str, Any]], Any]]) -> Any:
+    if device.driver not in known:
+        raise UnknownNameError(f"driver of a {kind}", device.driver, [*known, TWIN])
+    return known[device.driver]({"address": device.address, **device.options})
+
+
+def _settings(kind: type, driver: str, values: Mapping[str, Any], address: str = "address") -> Any:
+    """Settings of a driver from the address and the options of a cell. address: its field's name."""
+    given = {address if name == "address" else name: value for name, value in values.items() if value != ""}
+    known = [f.name for f in fields(kind)]
+    for name in given:
+        if name not in known:
+            raise UnknownNameError(f"option of the driver {driver}", name, known)
+    try:
+        return kind(**given)
+    except TypeError as error:
+        raise FungraspError(f"options of the driver {driver} make no sense: {error}") from error

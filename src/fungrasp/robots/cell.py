@@ -1,0 +1,245 @@
+"""A robot cell: one typed TOML file with its devices, where they stand, and the limits of their motion."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, is_dataclass, replace
+from pathlib import Path
+from typing import Any, get_type_hints
+
+import numpy as np
+
+from fungrasp.errors import FungraspError, UnknownNameError
+from fungrasp.formats.guarded import guarded
+from fungrasp.formats.toml_file import read_toml
+from fungrasp.hands.arm import arm_files
+
+Vector = tuple[float, ...]
+"""Numbers as a TOML file gives them."""
+
+SHIPPED = Path(__file__).parent / "cells"
+"""Folder of the cells that come with the package."""
+
+
+@dataclass(frozen=True)
+class DeviceSettings:
+    """How a device is reached."""
+
+    driver: str = "twin"
+    """Name of the driver (``fungrasp.robots.assembly.DRIVERS``)."""
+    address: str = ""
+    """Host name, CAN channel or serial port; what the driver calls its address."""
+    options: Mapping[str, Any] = field(default_factory=dict)
+    """Further arguments of the driver."""
+
+
+@dataclass(frozen=True)
+class ArmSettings(DeviceSettings):
+    """The arm."""
+
+    model: str = "ur5e"
+    """Name of the arm's model."""
+    pose_world_base: Vector = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+    """Pose of the arm's base in the world: metres and a quaternion wxyz; the table top is z = 0."""
+    home: Vector = (0.0, -1.5708, 1.5708, -1.5708, -1.5708, 0.0)
+    """Joints where the arm waits [rad]."""
+
+
+@dataclass(frozen=True)
+class TrackerSettings(DeviceSettings):
+    """The tracker of the object's pose."""
+
+    pose_world_camera: Vector = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+    """Pose of the camera in the world, from calibration."""
+    calibration_residual: float = -1.0
+    """Residual of that calibration [m]; negative: there was none."""
+
+
+@dataclass(frozen=True)
+class Workspace:
+    """Where the palm may be."""
+
+    lower: Vector = (-0.5, -0.5, 0.0)
+    """Lowest corner of the box, world frame [m]."""
+    upper: Vector = (0.5, 0.5, 0.9)
+    """Highest corner of the box, world frame [m]."""
+    table_clearance: float = 0.005
+    """Least distance of the arm from the table [m]."""
+    hand_depth: float = 0.012
+    """How far the hand's commanded posture may reach below the table top [m]: hands touch the table where
+    objects are thin, and their servos yield."""
+
+
+@dataclass(frozen=True)
+class MotionLimits:
+    """Limits of every motion; what is commanded is within them."""
+
+    palm_speed: float = 0.25
+    """Largest speed of the palm [m/s] (section V.A of the paper)."""
+    palm_acceleration: float = 0.3
+    """Largest acceleration of the palm [m/s^2]."""
+    palm_rotation_speed: float = 1.0
+    """Largest rotation speed of the palm [rad/s]."""
+    arm_speed: float = 2.0
+    """Largest speed of an arm joint [rad/s]."""
+    arm_acceleration: float = 2.0
+    """Largest acceleration of an arm joint on its way from posture to posture [rad/s^2]."""
+    setpoint_acceleration: float = 400.0
+    """A setpoint of an arm joint that asks for more is refused [rad/s^2]. Turns of the palm begin and end
+    without a ramp; the driver smooths them within the arm's own limits."""
+    hand_speed: float = 6.0
+    """Largest speed of a hand joint's setpoint [rad/s]."""
+    arm_torque: float = 150.0
+    """Largest measured torque of an arm joint [N m]."""
+    hand_torque: float = 3.0
+    """Largest measured torque of a hand joint [N m]."""
+    setpoint_lead: float = 0.35
+    """Largest difference between an arm's setpoint and its measured joints [rad]."""
+
+
+@dataclass(frozen=True)
+class Watchdog:
+    """When a robot is no longer trusted, each with its reaction (``fungrasp.deployment.safety``)."""
+
+    arm_silence: float = 0.04
+    """The arm stops where its time stamp has not advanced for so long [s]."""
+    hand_silence: float = 0.1
+    """The arm stops where the hand has been silent for so long [s]."""
+    pose_stale: float = 0.5
+    """Before the fingers close, the arm stops where the tracked pose is older than this [s]."""
+    pose_jump: float = 0.05
+    """Before the fingers close, the arm stops where the tracked object jumps farther than this [m]."""
+    late_tick: float = 0.02
+    """A tick that is later than this is counted [s]."""
+    overrun: float = 0.25
+    """The arm stops where a control period took this long [s]."""
+
+
+@dataclass(frozen=True)
+class RobotCell:
+    """A robot cell. World frame: z up, the table top is z = 0."""
+
+    hand: str
+    """Name of the hand, or the path of its TOML file."""
+    name: str = "cell"
+    """Name for logs and messages."""
+    arm: ArmSettings = field(default_factory=ArmSettings)
+    """The arm."""
+    hand_device: DeviceSettings = field(default_factory=DeviceSettings)
+    """The hand's device."""
+    tracker: TrackerSettings = field(default_factory=TrackerSettings)
+    """The tracker."""
+    workspace: Workspace = field(default_factory=Workspace)
+    """Where the palm may be."""
+    limits: MotionLimits = field(default_factory=MotionLimits)
+    """Limits of every motion."""
+    watchdog: Watchdog = field(default_factory=Watchdog)
+    """When the robot is no longer trusted."""
+    hand_dynamics: str = ""
+    """File of the hand's identified dynamics (``fungrasp identify fit``), relative to the cell's file; "" for
+    none."""
+    stop_file: str = ""
+    """The robot stops as soon as this file exists; "" for none."""
+
+
+def cell_files() -> dict[str, Path]:
+    """The cells that come with the package, by name."""
+    return {path.stem: path for path in sorted(SHIPPED.glob("*.toml"))}
+
+
+@guarded("cell file")
+def load_cell(name: str | Path) -> RobotCell:
+    """Read a cell and check it.
+
+    Args:
+        name: of a cell that comes with the package, or a TOML file.
+
+    Raises:
+        FungraspError: no such cell, or one that can't be: the message says what and what is allowed.
+    """
+    path = Path(name)
+    if path.suffix != ".toml":
+        if str(name) not in cell_files():
+            raise UnknownNameError("robot cell", str(name), cell_files())
+        path = cell_files()[str(name)]
+    tree = read_toml(path, "cell file")
+    cell = _build(RobotCell, tree, str(path), "")
+    for fault in cell_faults(cell):
+        raise FungraspError(f"{path}: {fault}")
+    if cell.hand_dynamics:
+        dynamics = path.parent / cell.hand_dynamics
+        if not dynamics.is_file():
+            raise FungraspError(f"{path}: there is no file '{dynamics}': run 'fungrasp identify fit'")
+        cell = replace(cell, hand_dynamics=str(dynamics))
+    return cell
+
+
+def cell_faults(cell: RobotCell) -> list[str]:
+    """What can't be in a cell, one phrase each."""
+    faults = []
+    for section in (cell.limits, cell.watchdog):
+        for f in fields(section):
+            value = getattr(section, f.name)
+            if not (np.isfinite(value) and value > 0):
+                faults.append(f"'{f.name}' must be positive, not {value:g}")
+    # Limits above what the paper and the data sheets allow are refused, not clipped silently.
+    most = {"palm_speed": 0.25, "palm_acceleration": 0.3, "palm_rotation_speed": 1.0, "arm_speed": 3.14}
+    for name, largest in most.items():
+        value = getattr(cell.limits, name)
+        if value > largest:
+            faults.append(f"'{name}' may be at most {largest:g}, not {value:g}")
+    for name in ("lower", "upper"):
+        if len(getattr(cell.workspace, name)) != 3:
+            faults.append(f"'workspace.{name}' must have 3 numbers")
+    if not faults and not all(a < b for a, b in zip(cell.workspace.lower, cell.workspace.upper, strict=True)):
+        faults.append("'workspace.lower' must be below 'workspace.upper' along all axes")
+    for name, pose in (
+        ("arm.pose_world_base", cell.arm.pose_world_base),
+        ("tracker.pose_world_camera", cell.tracker.pose_world_camera),
+    ):
+        if len(pose) != 7 or not np.isclose(np.linalg.norm(pose[3:]), 1.0, atol=1e-3):
+            faults.append(f"'{name}' must be 3 metres and a unit quaternion wxyz, not {list(pose)}")
+    if cell.arm.model not in arm_files():
+        faults.append(str(UnknownNameError("arm", cell.arm.model, arm_files())))
+    if cell.watchdog.late_tick >= cell.watchdog.overrun:
+        faults.append("'watchdog.overrun' must be greater than 'watchdog.late_tick'")
+    return faults
+
+
+def _build(kind: type, tree: Mapping[str, Any], path: str, where: str) -> Any:
+    """A dataclass from a table: unknown keys and wrong types are refused."""
+    hints = get_type_hints(kind)
+    values: dict[str, Any] = {}
+    for key, value in tree.items():
+        name = f"{where}{key}"
+        if key not in hints:
+            raise FungraspError(f"{path}: {UnknownNameError('field', name, (where + k for k in hints))}")
+        hint = hints[key]
+        if is_dataclass(hint):
+            if not isinstance(value, Mapping):
+                raise FungraspError(f"{path}: '{name}' must be a table")
+            values[key] = _build(hint, value, path, f"{name}.")  # pyright: ignore[reportArgumentType]
+        elif hint is float:
+            values[key] = _number(value, path, name)
+        elif hint is str:
+            if not isinstance(value, str):
+                raise FungraspError(f"{path}: '{name}' must be a text, not {value!r}")
+            values[key] = value
+        elif hint == Vector:
+            if not isinstance(value, list):
+                raise FungraspError(f"{path}: '{name}' must be a list of numbers, not {value!r}")
+            values[key] = tuple(_number(v, path, name) for v in value)
+        else:
+            if not isinstance(value, Mapping):
+                raise FungraspError(f"{path}: '{name}' must be a table, not {value!r}")
+            values[key] = dict(value)
+    missing = [f.name for f in fields(kind) if f.name == "hand" and "hand" not in values]
+    if missing:
+        raise FungraspError(f"{path}: the field 'hand' is missing")
+    return kind(**values)
+
+
+def _number(value: Any, path: str, name: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
+        raise FungraspError(f"{path}: '{name}' must be a finite number, not {value!r}")
+    return float(value)

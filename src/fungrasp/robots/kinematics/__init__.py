@@ -1,0 +1,1 @@
+"""From poses of the palm to joints of an arm."""

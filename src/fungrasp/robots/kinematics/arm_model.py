@@ -1,0 +1,154 @@
+"""Forward kinematics of an arm that carries a hand, and its distances to the table and to itself."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from fungrasp.hands import Hand
+from fungrasp.hands.arm import FLANGE_SITE, PALM_SITE, arm_spec, mount, mounting_pose
+from fungrasp.robots.cell import RobotCell
+
+MARGIN = 0.03
+"""Distances beyond this are not told apart [m]."""
+
+
+class ArmKinematics:
+    """The arm of a cell with the palm on its flange, without fingers: M joints."""
+
+    def __init__(self, cell: RobotCell, hand: Hand):
+        """
+        Args:
+            cell: with the arm and its base.
+            hand: whose palm is on the flange.
+        """
+        spec = arm_spec(cell.arm.model)
+        base = spec.worldbody.first_body()
+        base.pos, base.quat = cell.arm.pose_world_base[:3], cell.arm.pose_world_base[3:]
+        flange, pose = spec.site(FLANGE_SITE), mounting_pose(hand)
+        flange.parent.add_site(name=PALM_SITE, pos=pose[:3], quat=pose[3:])
+        self.model = spec.compile()
+        """The compiled arm in the world of the cell."""
+        self._data = mujoco.MjData(self.model)
+        self._site = self.model.site(PALM_SITE).id
+        self.lower, self.upper = self.model.jnt_range.T
+
+    def palm_pose(self, joints: np.ndarray) -> np.ndarray:
+        """Pose of the palm, world frame, shape [7]. joints: [rad], shape [M]."""
+        d = self._data
+        d.qpos[:] = joints
+        mujoco.mj_kinematics(self.model, d)
+        quaternion = np.zeros(4)
+        mujoco.mju_mat2Quat(quaternion, d.site_xmat[self._site])
+        return np.concatenate([d.site_xpos[self._site], quaternion])
+
+    def jacobian(self, joints: np.ndarray) -> np.ndarray:
+        """Derivative of the palm's position [m] and rotation vector [rad], world frame, by the joints, shape
+        [6, M]. joints: [rad], shape [M]."""
+        m, d = self.model, self._data
+        d.qpos[:] = joints
+        mujoco.mj_kinematics(m, d)
+        mujoco.mj_comPos(m, d)
+        result = np.zeros((6, m.nv))
+        mujoco.mj_jacSite(m, d, result[:3], result[3:], self._site)
+        return result
+
+    def manipulability(self, joints: np.ndarray) -> float:
+        """Smallest singular value of the Jacobian, positions in units of half a metre: zero where the palm
+        can't move in every direction. joints: [rad], shape [M]."""
+        jacobian = self.jacobian(joints)
+        jacobian[:3] /= 0.5
+        return float(np.linalg.svd(jacobian, compute_uv=False)[-1])
+
+
+@dataclass(frozen=True)
+class Clearance:
+    """Distances [m]: at most ``MARGIN``; negative where things overlap."""
+
+    table: float
+    """From the arm to the table."""
+    hand: float
+    """From the hand to the table."""
+    itself: float
+    """From the arm to itself and to the hand."""
+
+
+class ClearanceModel:
+    """Distances of the whole robot to the table and to itself."""
+
+    def __init__(self, cell: RobotCell, hand: Hand):
+        """
+        Args:
+            cell: with the arm and its base.
+            hand: on the arm.
+        """
+        spec = mount(hand, cell.arm.model)
+        base = spec.worldbody.first_body()
+        base.pos, base.quat = cell.arm.pose_world_base[:3], cell.arm.pose_world_base[3:]
+        spec.worldbody.add_geom(name="table", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[2, 2, 0.1])
+        ball = spec.worldbody.add_body(name="ball", mocap=True)
+        ball.add_geom(
+            name="ball", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.1, 0, 0], contype=0, conaffinity=0
+        )
+        for geom in spec.geoms:
+            geom.margin = 0.5 * MARGIN
+        # Base and shoulder stand where they stand.
+        for body in ("base_link", "base_link_inertia", "shoulder_link"):
+            spec.add_exclude(bodyname1="world", bodyname2=body)
+        self._model = model = spec.compile()
+        self._data = mujoco.MjData(model)
+        self._hand = hand
+        arm = [actuator.name for actuator in arm_spec(cell.arm.model).actuators]
+        self._arm_qpos = np.array([model.joint(name).qposadr[0] for name in arm])
+        self._hand_qpos = np.array([model.joint(name).qposadr[0] for name in hand.joint_names])
+        kind = np.zeros(model.nbody, dtype=int)
+        palm, ball_body = model.body(hand.palm).id, model.body("ball").id
+        for body in range(1, model.nbody):
+            kind[body] = 1
+            above = body
+            while above:
+                if above == palm:
+                    kind[body] = 2
+                above = int(model.body_parentid[above])
+        kind[ball_body] = 0
+        self._kind = kind[model.geom_bodyid]
+        """0 the table, 1 the arm, 2 the hand; of each geom."""
+
+    def measure(self, arm: np.ndarray, fingers: np.ndarray) -> Clearance:
+        """Distances in a posture. arm: [rad], shape [M]; fingers: independent joints [rad], shape [U]."""
+        m, d = self._model, self._data
+        d.qpos[self._arm_qpos] = arm
+        d.qpos[self._hand_qpos] = self._hand.all_joints(fingers)
+        mujoco.mj_kinematics(m, d)
+        mujoco.mj_collision(m, d)
+        if not d.ncon:
+            return Clearance(MARGIN, MARGIN, MARGIN)
+        distance = d.contact.dist
+        low, high = np.sort(self._kind[d.contact.geom], axis=1).T
+
+        def least(which: np.ndarray) -> float:
+            return float(min(MARGIN, distance[which].min(initial=MARGIN)))
+
+        return Clearance(
+            table=least((low == 0) & (high == 1)),
+            hand=least((low == 0) & (high == 2)),
+            itself=least(low == 1),
+        )
+
+    def distance_to_ball(self, ball: np.ndarray) -> float:
+        """Distance of arm and hand, in the posture last measured, to a ball [m], at most ``MARGIN``.
+
+        Args:
+            ball: centre and radius [m], world frame, shape [4].
+        """
+        m, d = self._model, self._data
+        geom = m.geom("ball").id
+        d.geom_xpos[geom], m.geom_size[geom, 0], m.geom_rbound[geom] = ball[:3], ball[3], ball[3]
+        near = np.linalg.norm(d.geom_xpos - ball[:3], axis=1) - m.geom_rbound - ball[3] < MARGIN
+        rows = np.flatnonzero(near & (self._kind >= 1))
+        return min(
+            (float(mujoco.mj_geomDistance(m, d, int(row), geom, MARGIN, None)) for row in rows),
+            default=MARGIN,
+        )

@@ -1,0 +1,144 @@
+"""Whether an arm can carry the palm along a path, and with which posture it should begin."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fungrasp.robots.cell import RobotCell
+from fungrasp.robots.kinematics.arm_model import MARGIN, ArmKinematics, ClearanceModel
+from fungrasp.robots.kinematics.differential import PalmFollower
+from fungrasp.robots.kinematics.joint_path import CLEAR
+from fungrasp.robots.kinematics.solutions import arm_postures, random_starts
+
+STARTS = 48
+"""Random postures from which the solutions of a pose are sought; 32 find all eight of a UR5e."""
+
+LEAST_MANIPULABILITY = 0.04
+"""Nearer to a singularity the arm is not taken."""
+
+LARGEST_ERROR = 0.002
+"""Error of the palm on the path beyond which it does not follow [m, and rad for ten times as much]."""
+
+
+@dataclass(frozen=True, eq=False)
+class PalmPath:
+    """Where palm and fingers are to be, T steps."""
+
+    palm: np.ndarray
+    """Poses of the palm, world frame, shape [T, 7]."""
+    fingers: np.ndarray
+    """Independent joints [rad], shape [T, U]."""
+    period: float
+    """Time between two steps [s]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Reach:
+    """How well an arm follows a path from one posture."""
+
+    start: np.ndarray
+    """Posture at the beginning [rad], shape [M]."""
+    end: np.ndarray
+    """Posture at the end [rad], shape [M]."""
+    margin: float
+    """Least of clearance, manipulability and distance from the joints' limits on the way, each as a share of
+    what is plenty."""
+    obstacle: str
+    """What is in the way, as a phrase; "" for nothing."""
+
+
+class ReachChecker:
+    """Checks paths of one robot."""
+
+    def __init__(
+        self, cell: RobotCell, kinematics: ArmKinematics, clearance: ClearanceModel, rng: np.random.Generator
+    ):
+        """
+        Args:
+            cell: with workspace and limits.
+            kinematics: of the arm.
+            clearance: of the whole robot.
+            rng: of the postures that solutions are sought from.
+        """
+        self._cell, self._kinematics, self._clearance, self._rng = cell, kinematics, clearance, rng
+        self._follower = PalmFollower(kinematics, cell.limits.arm_speed)
+
+    def possible(self, path: PalmPath) -> str:
+        """What is in the way of a path from every posture, whatever the hand does to the table, as a phrase;
+        "" if it can be followed from some posture. Quicker than ``best``."""
+        outside = self._outside(path.palm)
+        if outside:
+            return outside
+        starts = random_starts(self._kinematics, STARTS // 2, self._rng)
+        found = arm_postures(self._kinematics, path.palm[0], starts)
+        nearest = Reach(np.zeros(0), np.zeros(0), -2.0, "the start is out of the arm's reach")
+        for posture in found:
+            reach = self.follow(path, posture, hand_matters=False)
+            if not reach.obstacle:
+                return ""
+            nearest = max(nearest, reach, key=lambda r: r.margin)
+        return nearest.obstacle
+
+    def best(self, path: PalmPath, home: np.ndarray) -> tuple[list[Reach], str]:
+        """The postures from which the path can be followed, the best first.
+
+        Args:
+            path: of the palm.
+            home: where the arm is now [rad], shape [M]; of two that do as well, the nearer is better.
+
+        Returns:
+            Those that can, and what is in the way of the best of the others, "" if some can.
+        """
+        outside = self._outside(path.palm)
+        if outside:
+            return [], outside
+        starts = np.concatenate([home[None], random_starts(self._kinematics, STARTS, self._rng)])
+        found = arm_postures(self._kinematics, path.palm[0], starts)
+        if not len(found):
+            return [], "the start is out of the arm's reach"
+        tried = [self.follow(path, posture) for posture in found]
+        free = [reach for reach in tried if not reach.obstacle]
+        free.sort(key=lambda r: min(r.margin, 0.5) - 0.05 * float(np.abs(r.start - home).max()), reverse=True)
+        if free:
+            return free, ""
+        return [], max(tried, key=lambda reach: reach.margin).obstacle
+
+    def follow(self, path: PalmPath, posture: np.ndarray, hand_matters: bool = True) -> Reach:
+        """Follow a path from a posture.
+
+        Args:
+            path: of the palm.
+            posture: at its beginning [rad], shape [M].
+            hand_matters: whether the hand must not press into the table.
+        """
+        k, workspace = self._kinematics, self._cell.workspace
+        follower, margin, joints = self._follower, np.inf, posture
+        follower.begin(posture)
+        for step, (palm, fingers) in enumerate(zip(path.palm, path.fingers, strict=True)):
+            joints, place, turn = follower.follow(palm, path.period)
+            gap = self._clearance.measure(joints, fingers)
+            share = k.manipulability(joints)
+            ends = float(np.minimum(joints - k.lower, k.upper - joints).min())
+            obstacle = ""
+            if place > LARGEST_ERROR or turn > 10 * LARGEST_ERROR:
+                obstacle = "the arm doesn't reach so far, or would have to move too fast"
+            elif gap.itself < CLEAR:
+                obstacle = "the arm or the hand would touch the arm"
+            elif gap.table < workspace.table_clearance:
+                obstacle = "the arm would touch the table"
+            elif hand_matters and gap.hand < -workspace.hand_depth:
+                obstacle = "the hand would press into the table"
+            elif share < LEAST_MANIPULABILITY:
+                obstacle = "the arm would be singular"
+            if obstacle:
+                return Reach(posture, joints, step / len(path.palm) - 1.0, obstacle)
+            margin = min(margin, gap.itself / MARGIN, share / 0.2, ends / 0.5)
+        return Reach(posture, joints, margin, "")
+
+    def _outside(self, palm: np.ndarray) -> str:
+        w = self._cell.workspace
+        if (palm[:, :3] < w.lower).any() or (palm[:, :3] > w.upper).any():
+            return "the palm would leave the workspace box"
+        return ""

@@ -1,0 +1,72 @@
+"""All postures of an arm that put the palm somewhere: found from many starts."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fungrasp.geometry.poses import norm, quaternion_conjugate, quaternion_multiply, rotation_vector
+from fungrasp.robots.kinematics.arm_model import ArmKinematics
+
+DAMPING = 0.02
+"""Of the least-squares steps, in units of the Jacobian's."""
+
+LARGEST_STEP = 0.5
+"""Longest change of a joint in one step [rad]."""
+
+STEPS = 40
+"""Steps from each start; those that reach a pose do so in about ten."""
+
+SAME = 0.05
+"""Postures closer than this are the same [rad]."""
+
+
+def arm_postures(
+    kinematics: ArmKinematics, pose: np.ndarray, starts: np.ndarray, tolerance: float = 1e-4
+) -> np.ndarray:
+    """Postures with the palm at a pose, by damped least squares from each start.
+
+    Args:
+        kinematics: of the arm.
+        pose: of the palm, world frame, shape [7].
+        starts: joints to start from [rad], shape [S, M].
+        tolerance: largest error [m, rad].
+
+    Returns:
+        Different postures within the joint limits [rad], shape [P, M], all joints within a half turn of zero
+        where the limits allow it.
+    """
+    found: list[np.ndarray] = []
+    for start in starts:
+        joints = start.copy()
+        for _ in range(STEPS):
+            error = _error(kinematics.palm_pose(joints), pose)
+            if np.abs(error).max() < 0.1 * tolerance:
+                break
+            jacobian = kinematics.jacobian(joints)
+            normal = jacobian @ jacobian.T + DAMPING**2 * min(1.0, float(error @ error)) * np.eye(6)
+            step = jacobian.T @ np.linalg.solve(normal + 1e-9 * np.eye(6), error)
+            joints = joints + step * min(1.0, LARGEST_STEP / max(float(np.abs(step).max()), 1e-12))
+        joints = _unwound(joints, kinematics)
+        if np.abs(_error(kinematics.palm_pose(joints), pose)).max() > tolerance:
+            continue
+        if not any(np.abs(joints - other).max() < SAME for other in found):
+            found.append(joints)
+    return np.reshape(found, (-1, len(kinematics.lower)))
+
+
+def random_starts(kinematics: ArmKinematics, count: int, rng: np.random.Generator) -> np.ndarray:
+    """Postures to start from [rad], shape [count, M]: uniform within a half turn and the joint limits."""
+    low, high = np.maximum(kinematics.lower, -np.pi), np.minimum(kinematics.upper, np.pi)
+    return rng.uniform(low, high, (count, len(low)))
+
+
+def _error(pose: np.ndarray, goal: np.ndarray) -> np.ndarray:
+    """From a pose to a goal: translation [m] and rotation vector [rad], world frame, shape [6]."""
+    turn = quaternion_multiply(goal[3:], quaternion_conjugate(pose[3:]))
+    return np.concatenate([goal[:3] - pose[:3], rotation_vector(turn / norm(turn))])
+
+
+def _unwound(joints: np.ndarray, kinematics: ArmKinematics) -> np.ndarray:
+    """The same posture within a half turn of zero, and within the limits as far as that is possible."""
+    turned = (joints + np.pi) % (2 * np.pi) - np.pi
+    return np.clip(turned, kinematics.lower, kinematics.upper)

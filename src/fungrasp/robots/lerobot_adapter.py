@@ -1,0 +1,85 @@
+"""A robot in the shape of LeRobot's ``Robot``; LeRobot itself is not needed.
+
+LeRobot finds robots in packages whose names begin with ``lerobot_robot_``: docs/robots says how to make one.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from fungrasp.robots.robot import Robot
+from fungrasp.task import Action
+
+_POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
+
+
+class LeRobotRobot:
+    """Flat dictionaries of numbers in place of ``Observation`` and ``Action``.
+
+    ``send_action`` takes a control period less 20 ms, as it sends five setpoints: the loop around it waits
+    for the rest.
+    """
+
+    name = "fungrasp"
+    """Type of the robot."""
+
+    def __init__(self, robot: Robot):
+        """robot: not connected."""
+        self._robot = robot
+        self._joints = tuple(robot.hand.actuators)
+        self.is_connected = False
+        """Whether ``connect`` was called."""
+
+    @property
+    def observation_features(self) -> dict[str, type]:
+        """Names of the observation's numbers."""
+        places = [f"{what}.{part}" for what in ("palm", "object") for part in _POSE]
+        joints = [f"{joint}.pos" for joint in self._joints]
+        return dict.fromkeys([*places, "object.age", *joints], float)
+
+    @property
+    def action_features(self) -> dict[str, type]:
+        """Names of the action's numbers; ``lift`` begins the lift where it is above a half."""
+        return dict.fromkeys(
+            [*(f"palm.{part}" for part in _POSE), *(f"{joint}.pos" for joint in self._joints), "lift"], float
+        )
+
+    @property
+    def is_calibrated(self) -> bool:
+        """Nothing is calibrated here: the cell's file holds what was measured."""
+        return True
+
+    def calibrate(self) -> None:
+        """Nothing to do."""
+
+    def configure(self) -> None:
+        """Nothing to do."""
+
+    def connect(self, calibrate: bool = True) -> None:
+        """Connect to all devices; setpoints begin where the robot stands. Nothing moves."""
+        robot = self._robot
+        robot.connect()
+        state = robot.state()
+        robot.place_setpoints(state.arm.positions, state.hand.positions)
+        robot.begin(state)
+        self.is_connected = True
+
+    def get_observation(self) -> dict[str, Any]:
+        """What the sensors say now."""
+        seen = self._robot.get_observation()
+        numbers = [*seen.palm_pose[0], *seen.object_pose[0], *seen.object_pose_age, *seen.joint_positions[0]]
+        return dict(zip(self.observation_features, map(float, numbers), strict=True))
+
+    def send_action(self, action: dict[str, Any]) -> dict[str, Any]:
+        """Do what is asked. Returns what was really sent."""
+        values = np.array([float(action[name]) for name in self.action_features])[None]
+        sent = self._robot.send_action(Action(values[:, :7], values[:, 7:-1], values[:, -1] > 0.5))
+        numbers = [*sent.palm_goal[0], *sent.finger_targets[0], *sent.lift]
+        return dict(zip(self.action_features, map(float, numbers), strict=True))
+
+    def disconnect(self) -> None:
+        """Stop and end all connections."""
+        self._robot.close()
+        self.is_connected = False

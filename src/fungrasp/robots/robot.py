@@ -1,0 +1,319 @@
+"""A robot made of an arm, a hand and an object tracker, as a policy meets it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+
+from fungrasp.errors import FungraspError
+from fungrasp.hands import Hand
+from fungrasp.robots.cell import RobotCell
+from fungrasp.robots.clock import Clock
+from fungrasp.robots.device import (
+    DeviceStatus,
+    JointDriver,
+    JointState,
+    PoseSource,
+    RobotError,
+    StopKind,
+    TrackedPose,
+    TrackingStatus,
+)
+from fungrasp.robots.kinematics.arm_model import ArmKinematics
+from fungrasp.robots.kinematics.differential import PalmFollower
+from fungrasp.task import Action, LiftProtocol, Observation
+from fungrasp.task.sensors import NO_LIFT
+from fungrasp.task.setpoints import SetpointGenerator
+from fungrasp.transfer.gravity_compensation import GravityCompensation, setpoint_offset
+
+
+@dataclass(frozen=True, eq=False)
+class RobotState:
+    """What all devices said last."""
+
+    time: float
+    """Time of the robot's clock [s]."""
+    arm: JointState
+    """Of the arm."""
+    hand: JointState
+    """Of the hand."""
+    tracked: TrackedPose | None
+    """Of the tracker; None before its first pose."""
+
+
+@dataclass(frozen=True, eq=False)
+class RobotCommand:
+    """Setpoints of all servos."""
+
+    arm: np.ndarray
+    """Joints of the arm [rad], shape [A]."""
+    hand: np.ndarray
+    """Independent joints of the hand [rad], shape [U]; without any offset against gravity."""
+    feedforward: np.ndarray
+    """Torques that carry the hand's weight [N m], shape [U]."""
+    palm: np.ndarray
+    """Pose of the palm that the arm's joints stand for, world frame, shape [7]."""
+
+
+class SafetyStop(RobotError):
+    """The robot was stopped by its guard."""
+
+    def __init__(self, reason: str, kind: StopKind):
+        """
+        Args:
+            reason: what was wrong, as a phrase.
+            kind: how motion ended.
+        """
+        super().__init__(f"the robot was stopped ({kind}): {reason}")
+        self.reason, self.kind = reason, kind
+
+
+Guard = Callable[[RobotState, RobotCommand], RobotCommand]
+"""Sees every command before it is sent and returns what may be sent; raises ``SafetyStop``."""
+
+
+class Robot:
+    """Arm, hand and tracker behind the interface of a policy: observations in, actions out.
+
+    Setpoints advance as in simulation (``fungrasp.task.setpoints``), every 20 ms. All calls come from one
+    thread.
+    """
+
+    def __init__(
+        self,
+        cell: RobotCell,
+        hand: Hand,
+        arm: JointDriver,
+        hand_driver: JointDriver,
+        tracker: PoseSource,
+        clock: Clock,
+        *,
+        stiffness: np.ndarray | None = None,
+        compensate: bool = True,
+        dry_run: bool = False,
+    ):
+        """
+        Args:
+            cell: limits, and what stands where.
+            hand: the model of the hand.
+            arm: driver of the arm.
+            hand_driver: driver of the hand.
+            tracker: source of the object's pose.
+            clock: of the devices.
+            stiffness: identified stiffness of the hand's servos [N m/rad], shape [U]; the model's if None.
+            compensate: whether the hand's own weight is carried.
+            dry_run: read everything, send nothing.
+        """
+        self.cell, self.hand, self.clock = cell, hand, clock
+        self.arm, self.hand_driver, self.tracker = arm, hand_driver, tracker
+        self.dry_run, self.compensate = dry_run, compensate
+        self.kinematics = ArmKinematics(cell, hand)
+        limits = cell.limits
+        self.protocol = LiftProtocol(
+            wrist_speed=limits.palm_speed,
+            wrist_acceleration=limits.palm_acceleration,
+            wrist_rotation_speed=limits.palm_rotation_speed,
+        )
+        """Limits of the palm's motion, and the numbers of the task."""
+        servo_limits = np.stack([hand_driver.limits.lower, hand_driver.limits.upper], axis=1)
+        self.setpoints = SetpointGenerator(servo_limits, 1, self.protocol)
+        self.guard: Guard = lambda state, command: command
+        """Sees every command before it is sent."""
+        self.watch: Callable[[RobotState, RobotCommand], None] = lambda state, command: None
+        """Called after each command that was sent, to record."""
+        self.due: Callable[[float], object] = lambda planned: None
+        """Called when a setpoint's turn has come, with the time at which it should have come."""
+        self._follower: PalmFollower | None = None
+        self._gravity = GravityCompensation(hand)
+        servos = np.array([servo.kp for servo in hand.actuators.values()])
+        self._stiffness = servos if stiffness is None else stiffness
+        self._seen: TrackedPose | None = None
+        self._began = 0.0
+        self.lift_time = np.inf
+        """When the lift began, on the plan's clock [s]; infinite before."""
+        self.lift_height = 0.0
+        """How much higher than asked the palm goes once the lift has begun [m]."""
+
+    def connect(self) -> None:
+        """Connect to all devices. Nothing moves.
+
+        Raises:
+            RobotError: one of them is not there or not the one configured; the others are closed again.
+        """
+        opened: list[JointDriver | PoseSource] = []
+        try:
+            for device in (self.arm, self.hand_driver, self.tracker):
+                device.connect()
+                opened.append(device)
+        except FungraspError:
+            for device in reversed(opened):
+                device.close()
+            raise
+
+    def close(self) -> None:
+        """Stop and end all connections. May be called twice."""
+        for device in (self.arm, self.hand_driver, self.tracker):
+            device.close()
+
+    def __enter__(self) -> Self:
+        self.connect()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+    def stop(self, kind: StopKind = StopKind.HOLD) -> None:
+        """End motion: the arm brakes and holds, the hand does as asked. Never raises."""
+        self.arm.stop(StopKind.HOLD)
+        self.hand_driver.stop(kind)
+
+    def state(self) -> RobotState:
+        """What all devices say now, without waiting."""
+        seen = self.tracker.read()
+        if seen is not None and seen.status is TrackingStatus.TRACKING:
+            self._seen = seen
+        return RobotState(self.clock.now(), self.arm.read(), self.hand_driver.read(), self._seen)
+
+    def begin(self, state: RobotState, lift_height: float = 0.0) -> None:
+        """Begin a plan where the robot stands: its clock is zero from now on.
+
+        Args:
+            state: as it is now.
+            lift_height: by how much the palm's goal rises once an action lifts [m].
+        """
+        self._began = state.time
+        self.lift_time, self.lift_height = np.inf, lift_height
+
+    def place_setpoints(self, arm: np.ndarray, fingers: np.ndarray) -> None:
+        """Setpoints are at rest here, as after a motion of joints.
+
+        Args:
+            arm: joints of the arm [rad], shape [A].
+            fingers: independent joints of the hand [rad], shape [U].
+        """
+        if self._follower is None:
+            self._follower = PalmFollower(self.kinematics, self.cell.limits.arm_speed)
+        self._follower.begin(arm)
+        palm = self.kinematics.palm_pose(arm)[None]
+        self.setpoints.begin(np.array([0]), palm, np.zeros((1, 3)), fingers[None])
+
+    @property
+    def palm_follower_joints(self) -> np.ndarray:
+        """Last setpoint of the arm's joints while it follows the palm [rad], shape [A]."""
+        assert self._follower is not None, "place_setpoints() comes first"
+        return self._follower.joints
+
+    @property
+    def plan_time(self) -> float:
+        """Time since the plan began [s]."""
+        return self.clock.now() - self._began
+
+    def get_observation(self) -> Observation:
+        """What the robot's sensors say now, as a policy sees it: one row.
+
+        Raises:
+            RobotError: the tracker has not seen the object yet.
+        """
+        return self.observation(self.state())
+
+    def observation(self, state: RobotState) -> Observation:
+        """What a policy sees of a state: one row."""
+        if state.tracked is None:
+            raise RobotError(f"{self.tracker.name} has not seen the object yet: look where the camera points")
+        time = state.time - self._began
+        return Observation(
+            time=np.array([time]),
+            time_since_lift=np.array([max(time - self.lift_time, NO_LIFT)]),
+            joint_positions=state.hand.positions[None].copy(),
+            joint_setpoints=self.setpoints.fingers.copy(),
+            palm_pose=self.kinematics.palm_pose(state.arm.positions)[None],
+            palm_setpoint=self.setpoints.wrist.pose.copy(),
+            object_pose=state.tracked.pose_world_object[None].copy(),
+            object_pose_age=np.array([state.time - state.tracked.captured]),
+        )
+
+    def send_action(self, action: Action, start: float | None = None) -> Action:
+        """Do what a policy asks: five setpoints, 20 ms apart. Returns when the last one is sent, 80 ms after
+        the first.
+
+        Args:
+            action: one row.
+            start: time of the robot's clock at which the control period begins [s]; now if None.
+
+        Returns:
+            what was really sent: the palm's last setpoint, the fingers' last setpoint, and whether the lift
+            has begun.
+
+        Raises:
+            SafetyStop: the guard stopped the robot.
+            RobotError: a device follows no more, or a value is not finite.
+        """
+        if not all(np.isfinite(v).all() for v in (action.palm_goal, action.finger_targets)):
+            raise RobotError("the policy's action is not finite: its file may be damaged")
+        start = self.clock.now() if start is None else start
+        if action.lift[0] and not np.isfinite(self.lift_time):
+            self.lift_time = start - self._began
+        goal = action.palm_goal.copy()
+        goal[:, 2] += self.lift_height * np.isfinite(self.lift_time)
+        sequence = self.setpoints.advance(goal, action.finger_targets)
+        assert self._follower is not None, "begin() comes first"
+        sent = None
+        for i in range(len(sequence.palm)):
+            self.wait(start + i * self.setpoints.period)
+            joints, place, turn = self._follower.follow(sequence.palm[i, 0], self.setpoints.period)
+            if place > 0.02 or turn > 0.1:
+                self.stop()
+                raise SafetyStop("the arm can't reach the palm's setpoint", StopKind.HOLD)
+            sent = self.send(joints, sequence.fingers[i, 0])
+        assert sent is not None
+        return replace(
+            action,
+            palm_goal=sent.palm[None],
+            finger_targets=sent.hand[None],
+            lift=np.array([np.isfinite(self.lift_time)]),
+        )
+
+    def wait(self, when: float) -> None:
+        """Wait for a setpoint's turn. when: time of the robot's clock [s]."""
+        self.clock.sleep_until(when)
+        self.due(when)
+
+    def send(self, arm: np.ndarray, fingers: np.ndarray) -> RobotCommand:
+        """Send one setpoint to all servos.
+
+        Args:
+            arm: joints of the arm [rad], shape [A].
+            fingers: independent joints of the hand [rad], shape [U].
+
+        Returns:
+            what was really sent.
+
+        Raises:
+            SafetyStop: the guard stopped the robot.
+            RobotError: a device follows no more.
+        """
+        state = self.state()
+        palm = self.kinematics.palm_pose(arm)
+        torques = np.zeros(len(fingers))
+        if self.compensate:
+            rotation = self.kinematics.palm_pose(state.arm.positions)[3:]
+            torques = self._gravity.torques(rotation, state.hand.positions)
+        command = self.guard(state, RobotCommand(arm, fingers, torques, palm))
+        if not self.dry_run:
+            sent_arm = self.arm.command(command.arm)
+            if self.hand_driver.takes_feedforward:
+                sent_hand = self.hand_driver.command(command.hand, command.feedforward)
+            else:
+                offset = setpoint_offset(command.feedforward, self._stiffness)
+                sent_hand = self.hand_driver.command(command.hand + offset) - offset
+            command = replace(command, arm=sent_arm, hand=sent_hand)
+        self.watch(state, command)
+        return command
+
+    @property
+    def ready(self) -> bool:
+        """Whether both arm and hand follow commands."""
+        return all(d.read().status is DeviceStatus.READY for d in (self.arm, self.hand_driver))

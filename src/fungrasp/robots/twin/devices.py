@@ -1,0 +1,186 @@
+"""Devices of a twin in the same process: no wire, but its delays and errors."""
+
+from __future__ import annotations
+
+from typing import Self
+
+import numpy as np
+
+from fungrasp.hands import Hand
+from fungrasp.hands.arm import arm_spec
+from fungrasp.robots.cell import RobotCell
+from fungrasp.robots.device import (
+    DeviceStatus,
+    JointLimits,
+    JointState,
+    RobotError,
+    StopKind,
+    TrackedPose,
+)
+from fungrasp.robots.twin.world import TwinWorld
+
+
+class _TwinJoints:
+    """What the twin's arm and hand share."""
+
+    name: str
+    limits: JointLimits
+    takes_feedforward = False
+
+    def __init__(self, world: TwinWorld):
+        self._world = world
+        self._status = DeviceStatus.DISCONNECTED
+        self._last: np.ndarray | None = None
+        self.fault = ""
+        """What the device complains about: set by tests of faults."""
+        self.frozen = False
+        """Whether its time stamp no longer advances: set by tests of faults."""
+        self._frozen_at: JointState | None = None
+
+    def connect(self) -> None:
+        """See ``JointDriver.connect``."""
+        self._status, self._last = DeviceStatus.READY, None
+
+    def read(self) -> JointState:
+        """See ``JointDriver.read``."""
+        if self.frozen and self._frozen_at is not None:
+            return self._frozen_at
+        with self._world.lock:
+            now = self._world.time
+            q, v, torque = self._measured()
+        status = DeviceStatus.FAULT if self.fault else self._status
+        self._frozen_at = JointState(q, v, torque, now, now, status, self.fault)
+        return self._frozen_at
+
+    def command(self, positions: np.ndarray, feedforward: np.ndarray | None = None) -> np.ndarray:
+        """See ``JointDriver.command``."""
+        if self._status is not DeviceStatus.READY or self.fault:
+            state = self.fault or self._status
+            raise RobotError(f"{self.name} follows no commands ({state}): connect to it again")
+        if not np.isfinite(positions).all():
+            raise RobotError(f"{self.name}: a goal is not finite")
+        sent = np.clip(positions, self.limits.lower, self.limits.upper)
+        self._last = sent
+        self._send(sent, feedforward)
+        return sent
+
+    def stop(self, kind: StopKind = StopKind.HOLD) -> None:
+        """See ``JointDriver.stop``."""
+        if self._status is DeviceStatus.READY:
+            self._status = DeviceStatus.STOPPED
+        self._end_motion(kind)
+
+    def close(self) -> None:
+        """See ``JointDriver.close``."""
+        if self._status is not DeviceStatus.DISCONNECTED:
+            self.stop()
+        self._status = DeviceStatus.DISCONNECTED
+
+    def __enter__(self) -> Self:
+        self.connect()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+    def _measured(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        raise NotImplementedError
+
+    def _send(self, positions: np.ndarray, feedforward: np.ndarray | None) -> None:
+        raise NotImplementedError
+
+    def _end_motion(self, kind: StopKind) -> None:
+        raise NotImplementedError
+
+
+class TwinArm(_TwinJoints):
+    """The twin's arm."""
+
+    def __init__(self, world: TwinWorld, cell: RobotCell):
+        """
+        Args:
+            world: the twin.
+            cell: with the arm's model and limits.
+        """
+        super().__init__(world)
+        model = arm_spec(cell.arm.model).compile()
+        speed = np.full(model.nu, cell.limits.arm_speed)
+        self.name = f"twin of {cell.arm.model}"
+        low, high = model.jnt_range.T
+        self.limits = JointLimits(low, high, speed, model.actuator_forcerange[:, 1])
+
+    def _measured(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        return self._world.arm_state()
+
+    def _send(self, positions: np.ndarray, feedforward: np.ndarray | None) -> None:
+        self._world.command_arm(positions)
+
+    def _end_motion(self, kind: StopKind) -> None:
+        # The servos brake: the position shortly ahead is where a joint can come to rest.
+        q, v, _ = self._world.arm_state()
+        self._world.command_arm(q + 0.05 * v)
+
+
+class TwinHand(_TwinJoints):
+    """The twin's hand."""
+
+    def __init__(self, world: TwinWorld, cell: RobotCell, hand: Hand):
+        """
+        Args:
+            world: the twin.
+            cell: with its limits.
+            hand: which one it is.
+        """
+        super().__init__(world)
+        self.name = f"twin of {hand.name}"
+        # Most hands take positions only.
+        self.takes_feedforward = bool(cell.hand_device.options.get("torque", False))
+        rows = [hand.joint_names.index(name) for name in hand.actuators]
+        low, high = hand.joint_limits[rows].T
+        torque = np.array([servo.force_limit for servo in hand.actuators.values()])
+        self.limits = JointLimits(low, high, np.full(len(rows), cell.limits.hand_speed), torque)
+        self._open = hand.independent(np.clip(np.zeros(len(hand.joint_names)), *hand.joint_limits.T))
+
+    def connect(self) -> None:
+        """See ``JointDriver.connect``."""
+        super().connect()
+        self._world.powered = True
+
+    def _measured(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        return self._world.hand_state()
+
+    def _send(self, positions: np.ndarray, feedforward: np.ndarray | None) -> None:
+        self._world.command_hand(positions, feedforward)
+
+    def _end_motion(self, kind: StopKind) -> None:
+        if kind is StopKind.POWER_OFF:
+            self._world.powered = False
+        elif kind is StopKind.OPEN:
+            self._world.command_hand(self._open)
+        # To hold, the servos keep their last targets: an object that is held stays held.
+
+
+class TwinTracker:
+    """The twin's tracker."""
+
+    name = "twin's tracker"
+
+    def __init__(self, world: TwinWorld):
+        """world: the twin."""
+        self._world = world
+
+    def connect(self) -> None:
+        """See ``PoseSource.connect``."""
+
+    def read(self) -> TrackedPose | None:
+        """See ``PoseSource.read``."""
+        return self._world.tracked()
+
+    def close(self) -> None:
+        """See ``PoseSource.close``."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()

@@ -1,0 +1,110 @@
+"""A robot cell on the loopback: the emulators of its wires, with one twin behind them."""
+
+from __future__ import annotations
+
+import threading
+from contextlib import ExitStack
+from typing import Any, Self
+
+from fungrasp.errors import FungraspError
+from fungrasp.robots.cell import DeviceSettings, RobotCell
+from fungrasp.robots.emulators.emulator import Emulator
+from fungrasp.robots.pose.stream import PosePublisher
+from fungrasp.robots.twin.clocks import RealTimeTwin
+from fungrasp.robots.twin.plants import TwinArmPlant, TwinHandPlant
+from fungrasp.robots.twin.world import TwinWorld
+
+POLL = 0.005
+"""Time between two looks for a new frame of the tracker [s]."""
+
+
+class CellEmulation:
+    """Starts what a cell's drivers look for; a context manager."""
+
+    def __init__(self, cell: RobotCell, world: TwinWorld, object_name: str):
+        """
+        Args:
+            cell: whose drivers and addresses are emulated, all of them on this machine.
+            world: the twin.
+            object_name: what the tracker says it follows.
+
+        Raises:
+            FungraspError: a driver that can't be emulated.
+        """
+        self._cell, self._world, self._object = cell, world, object_name
+        self.arm: Emulator = _arm(cell.arm, world)
+        """Emulator of the arm, for faults."""
+        self.hand: Emulator = _hand(cell.hand_device, world)
+        """Emulator of the hand, for faults."""
+        if cell.tracker.driver != "pose-stream":
+            raise FungraspError(f"a tracker with the driver '{cell.tracker.driver}' can't be emulated")
+        self._end = threading.Event()
+        self._stack = ExitStack()
+        self.twin = RealTimeTwin(world)
+        """What advances the twin."""
+
+    def __enter__(self) -> Self:
+        stack = self._stack
+        stack.enter_context(self.twin)
+        publisher = PosePublisher(self._cell.tracker.address, self._object)
+        stack.callback(publisher.close)
+        thread = threading.Thread(target=self._publish, args=(publisher,), daemon=True)
+        thread.start()
+        stack.callback(thread.join)
+        stack.callback(self._end.set)
+        stack.enter_context(self.arm)
+        stack.enter_context(self.hand)
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._stack.close()
+
+    def _publish(self, publisher: PosePublisher) -> None:
+        """Every frame that the tracker delivers, once."""
+        last: Any = None
+        while not self._end.wait(POLL):
+            frame = self._world.tracked()
+            if frame is not None and frame is not last:
+                publisher.publish(frame.pose_world_object, frame.captured, frame.score, frame.status)
+                last = frame
+
+
+def _arm(device: DeviceSettings, world: TwinWorld) -> Emulator:
+    if device.driver != "ur-rtde":
+        raise FungraspError(f"an arm with the driver '{device.driver}' can't be emulated")
+    from fungrasp.robots.emulators.ur_rtde import URControllerEmulator
+
+    return URControllerEmulator(TwinArmPlant(world), _loopback(device))
+
+
+def _hand(device: DeviceSettings, world: TwinWorld) -> Emulator:
+    plant, options = TwinHandPlant(world), device.options
+    if device.driver == "allegro-can":
+        from fungrasp.robots.emulators.allegro_can import AllegroEmulator
+
+        if options.get("interface") not in ("udp_multicast", "virtual"):
+            raise FungraspError(
+                'an emulated Allegro hand needs the option interface = "udp_multicast": there is no CAN bus'
+            )
+        return AllegroEmulator(
+            plant,
+            options["interface"],
+            device.address,
+            options.get("generation", 4),
+            options.get("side", "right"),
+        )
+    if device.driver == "inspire-modbus":
+        from fungrasp.robots.emulators.inspire_modbus import InspireEmulator
+
+        return InspireEmulator(plant, _loopback(device), options.get("port", 6000))
+    raise FungraspError(f"a hand with the driver '{device.driver}' can't be emulated")
+
+
+def _loopback(device: DeviceSettings) -> str:
+    """The address, if it is one of this machine's loopback: emulators never listen on a network."""
+    if not device.address.startswith("127."):
+        raise FungraspError(
+            f"emulators listen on the loopback only, and '{device.address}' is not on it: copy the cell's "
+            "file and give addresses such as 127.0.0.2"
+        )
+    return device.address

@@ -1,0 +1,193 @@
+"""What is true of a twin and hidden from planner, policy and drivers: drawn from a seed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fungrasp.geometry.poses import quaternion_from_rotation_vector
+from fungrasp.transfer import random_stream
+
+
+@dataclass(frozen=True)
+class TwinSpread:
+    """Ranges that a twin's parameters are drawn from: uniformly, factors log-uniformly; where one number is
+    given, from its negative to it.
+
+    Object, table, tracker and calibration: after the reality protocol (docs/evaluation.md). The hand: our
+    estimates, wide enough that a plan made for the model's nominal servos is wrong; no hand was measured.
+    """
+
+    stiffness: tuple[float, float] = (0.6, 1.1)
+    """Factor on the torque that a hand's servo makes of an error of position: its torque constant."""
+    damping: tuple[float, float] = (0.7, 2.0)
+    """Factor on the damping of the hand's joints."""
+    friction: tuple[float, float] = (0.02, 0.06)
+    """Dry friction of the hand's joints at rest, as a share of the torque limit."""
+    sliding: tuple[float, float] = (0.6, 0.9)
+    """Dry friction of a moving joint, as a share of that at rest (Stribeck)."""
+    stribeck_speed: float = 0.1
+    """Speed at which most of the difference is gone [rad/s]."""
+    torque_limit: tuple[float, float] = (0.85, 1.0)
+    """Factor on the largest torque of the hand's servos."""
+    armature: tuple[float, float] = (0.7, 1.5)
+    """Factor on the rotor inertia of the hand's joints."""
+    backlash: float = 0.01
+    """Largest lost motion of a hand joint's drive, to each side [rad]."""
+    encoder_bias: float = 0.01
+    """Largest error of a hand joint's encoder [rad]."""
+    encoder_step: float = 0.0015
+    """Resolution of a hand joint's encoder [rad]: 0.088 degrees."""
+    hand_delay: tuple[float, float] = (0.005, 0.03)
+    """Time until a setpoint reaches the hand's servos [s]."""
+    arm_delay: tuple[float, float] = (0.01, 0.03)
+    """Time until a setpoint reaches the arm's servos [s]."""
+    camera_position: float = 0.003
+    """Error of the calibration between camera and base, per axis [m]."""
+    camera_rotation: float = 0.017
+    """Error of that calibration, about a random axis [rad]."""
+    tracker_noise: tuple[float, float] = (0.001, 0.01)
+    """Standard deviation of the tracker's white noise: position per axis [m] and rotation [rad]."""
+    tracker_delay: tuple[float, float] = (0.06, 0.12)
+    """Age of a tracked pose when it is delivered [s]."""
+    tracker_rate: float = 30.0
+    """Frames per second."""
+    tracker_dropout: float = 0.05
+    """Share of the frames that are missing."""
+    mass: tuple[float, float] = (0.8, 1.25)
+    """Factor on the object's mass."""
+    center_of_mass: float = 0.1
+    """Displacement of the centre of mass along each axis, as a share of the object's size."""
+    object_friction: tuple[float, float] = (0.7, 1.0)
+    """Sliding friction of hand, object and table."""
+    surface: float = 0.001
+    """Largest error of the mesh's surface [m]."""
+    table_tilt: float = 0.0087
+    """Largest tilt of the table [rad]."""
+    table_height: float = 0.003
+    """Largest error of the table's height [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class TwinParameters:
+    """The truth of one twin. M joints of the hand, coupled ones included; U independent ones."""
+
+    stiffness: np.ndarray
+    """Factor on each servo's torque, shape [U]."""
+    damping: np.ndarray
+    """Factor on each joint's damping, shape [M]."""
+    armature: np.ndarray
+    """Factor on each joint's rotor inertia, shape [M]."""
+    friction: np.ndarray
+    """Dry friction of each driven joint at rest, as a share of its torque limit, shape [U]."""
+    sliding: np.ndarray
+    """Share of it that is left while moving, shape [U]."""
+    stribeck_speed: float
+    """Speed at which most of the difference is gone [rad/s]."""
+    torque_limit: np.ndarray
+    """Factor on each servo's largest torque, shape [U]."""
+    backlash: np.ndarray
+    """Lost motion of each drive to each side [rad], shape [U]."""
+    encoder_bias: np.ndarray
+    """Error of each encoder [rad], shape [U]."""
+    encoder_step: float
+    """Resolution of the encoders [rad]."""
+    hand_delay: float
+    """Time until a setpoint reaches the hand's servos [s]."""
+    arm_delay: float
+    """Time until a setpoint reaches the arm's servos [s]."""
+    camera_error: np.ndarray
+    """What is seen of the world: pose of the true world in the believed one, shape [7]."""
+    tracker_noise: tuple[float, float]
+    """Standard deviation of the tracker's noise [m], [rad]."""
+    tracker_delay: float
+    """Age of a tracked pose when it is delivered [s]."""
+    tracker_period: float
+    """Time between frames [s]."""
+    tracker_dropout: float
+    """Share of the frames that are missing."""
+    mass: float
+    """Factor on the object's mass."""
+    center_of_mass: np.ndarray
+    """Displacement of the centre of mass, as a share of the object's size, shape [3]."""
+    object_friction: float
+    """Sliding friction of hand, object and table."""
+    surface_amplitude: float
+    """Largest error of the mesh's surface [m]."""
+    table_tilt: np.ndarray
+    """Rotation vector of the table, world frame [rad], shape [3]."""
+    table_height: float
+    """Height of the table top at the origin [m]."""
+
+
+def draw_twin(seed: int, joints: int, driven: int, spread: TwinSpread | None = None) -> TwinParameters:
+    """The truth of the twin with a seed.
+
+    Args:
+        seed: names the twin.
+        joints: M of its hand.
+        driven: U of its hand.
+        spread: the ranges; the default if None.
+    """
+    s, rng = spread or TwinSpread(), random_stream("twin", seed)
+
+    def factor(bounds: tuple[float, float], *shape: int) -> np.ndarray:
+        return np.exp(rng.uniform(*np.log(bounds), size=shape))
+
+    direction = rng.normal(size=3)
+    turn = rng.uniform(-s.camera_rotation, s.camera_rotation) * direction / np.linalg.norm(direction)
+    tilt, around = rng.uniform(0, s.table_tilt), rng.uniform(0, 2 * np.pi)
+    offset = rng.uniform(-s.camera_position, s.camera_position, 3)
+    return TwinParameters(
+        stiffness=factor(s.stiffness, driven),
+        damping=factor(s.damping, joints),
+        armature=factor(s.armature, joints),
+        friction=rng.uniform(*s.friction, driven),
+        sliding=rng.uniform(*s.sliding, driven),
+        stribeck_speed=s.stribeck_speed,
+        torque_limit=factor(s.torque_limit, driven),
+        backlash=rng.uniform(0, s.backlash, driven),
+        encoder_bias=rng.uniform(-s.encoder_bias, s.encoder_bias, driven),
+        encoder_step=s.encoder_step,
+        hand_delay=float(rng.uniform(*s.hand_delay)),
+        arm_delay=float(rng.uniform(*s.arm_delay)),
+        camera_error=np.concatenate([offset, quaternion_from_rotation_vector(turn)]),
+        tracker_noise=s.tracker_noise,
+        tracker_delay=float(rng.uniform(*s.tracker_delay)),
+        tracker_period=1.0 / s.tracker_rate,
+        tracker_dropout=s.tracker_dropout,
+        mass=float(factor(s.mass)),
+        center_of_mass=rng.uniform(-s.center_of_mass, s.center_of_mass, 3),
+        object_friction=float(rng.uniform(*s.object_friction)),
+        surface_amplitude=s.surface,
+        table_tilt=tilt * np.array([np.cos(around), np.sin(around), 0.0]),
+        table_height=float(rng.uniform(-s.table_height, s.table_height)),
+    )
+
+
+IDEAL = TwinSpread(
+    stiffness=(1, 1),
+    damping=(1, 1),
+    friction=(0, 0),
+    sliding=(1, 1),
+    torque_limit=(1, 1),
+    armature=(1, 1),
+    backlash=0,
+    encoder_bias=0,
+    encoder_step=1e-6,
+    hand_delay=(0, 0),
+    arm_delay=(0, 0),
+    camera_position=0,
+    camera_rotation=0,
+    tracker_noise=(0, 0),
+    tracker_delay=(0, 0),
+    tracker_dropout=0,
+    mass=(1, 1),
+    center_of_mass=0,
+    object_friction=(0.9, 0.9),
+    surface=0,
+    table_tilt=0,
+    table_height=0,
+)
+"""A twin without imperfections: what is left are its other contact model and the dynamics of the arm."""

@@ -1,0 +1,279 @@
+"""A twin that moves: physics, servos with their imperfections, and what its tracker sees."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+from threading import RLock
+
+import mujoco
+import numpy as np
+
+from fungrasp.geometry.poses import compose, quaternion_from_rotation_vector, quaternion_multiply
+from fungrasp.hands import Hand
+from fungrasp.hands.arm import PALM_SITE, arm_spec
+from fungrasp.objects import ObjectModel
+from fungrasp.robots.cell import RobotCell
+from fungrasp.robots.device import TrackedPose, TrackingStatus
+from fungrasp.robots.twin.parameters import TwinParameters
+from fungrasp.robots.twin.twin_model import OBJECT, TABLE, TwinPhysics, twin_model
+from fungrasp.transfer import random_stream
+
+FRICTION_INTERVAL = 4
+"""Physics steps after which dry friction follows the speed of a joint."""
+
+
+@dataclass(frozen=True, eq=False)
+class TwinTruth:
+    """What only a twin knows."""
+
+    object_pose: np.ndarray
+    """Pose of the object, world frame, shape [7]."""
+    palm_pose: np.ndarray
+    """Pose of the palm, world frame, shape [7]."""
+    on_table: bool
+    """Whether the object touches the table, the arm or its base."""
+    in_hand: bool
+    """Whether the object touches the hand."""
+
+
+class TwinWorld:
+    """One cell. Every method may be called from any thread."""
+
+    def __init__(
+        self,
+        cell: RobotCell,
+        hand: Hand,
+        thing: ObjectModel,
+        truth: TwinParameters,
+        *,
+        seed: int = 0,
+        physics: TwinPhysics | None = None,
+    ):
+        """
+        Args:
+            cell: what stands where.
+            hand: on the arm.
+            thing: the object as it is believed.
+            truth: what is true.
+            seed: of the tracker's noise.
+            physics: the default if None.
+        """
+        self.hand, self.truth = hand, truth
+        self.model = model = twin_model(cell, hand, thing, truth, physics)
+        self.data = data = mujoco.MjData(model)
+        self.lock = RLock()
+        """Held while the world is read or changed."""
+        arm = [actuator.name for actuator in arm_spec(cell.arm.model).actuators]
+        fingers = list(hand.actuators)
+        self._arm = np.array([model.actuator(name).id for name in arm])
+        self._fingers = np.array([model.actuator(name).id for name in fingers])
+        self._arm_qpos = np.array([model.joint(name).qposadr[0] for name in arm])
+        self._arm_dofs = np.array([model.joint(name).dofadr[0] for name in arm])
+        self._finger_qpos = np.array([model.joint(name).qposadr[0] for name in fingers])
+        self._finger_dofs = np.array([model.joint(name).dofadr[0] for name in fingers])
+        self._all_qpos = np.array([model.joint(name).qposadr[0] for name in hand.joint_names])
+        self._object_qpos = int(model.joint(OBJECT).qposadr[0])
+        self._palm = model.site(PALM_SITE).id
+        self._object, self._table = model.body(OBJECT).id, model.geom(TABLE).id
+        palm_body = model.site_bodyid[self._palm]
+        self._is_hand = np.array([_within(model, body, palm_body) for body in range(model.nbody)])
+        torque = np.array([hand.actuators[name].force_limit for name in fingers])
+        self._kp = np.array([hand.actuators[name].kp for name in fingers])
+        self._static_friction = truth.friction * torque
+        self._steps = 0
+        self._rng = random_stream("twin tracker", seed)
+        self._pending: deque[tuple[float, str, np.ndarray]] = deque()
+        self._frames: deque[TrackedPose] = deque()
+        self._delivered: TrackedPose | None = None
+        self._next_frame = 0.0
+        self._play = np.zeros(len(fingers))
+        self._torque: np.ndarray | None = None
+        self.powered = True
+        """Whether the hand's servos have torque."""
+        self.tracking = True
+        """Whether the tracker delivers frames: to test what happens without."""
+        self.offset = 0.0
+        """The world's time is that of the robot's clock less this [s]."""
+        data.qpos[self._arm_qpos] = cell.arm.home
+        data.ctrl[self._arm] = cell.arm.home
+        open_hand = hand.independent(np.clip(np.zeros(len(hand.joint_names)), *hand.joint_limits.T))
+        data.qpos[self._all_qpos] = hand.all_joints(open_hand)
+        self._finger_target = open_hand.copy()
+        self._feedforward = np.zeros(len(fingers))
+        self._play = open_hand.copy()
+        self._update_friction()
+
+    @property
+    def time(self) -> float:
+        """Time of the robot's clock [s]."""
+        return self.data.time + self.offset
+
+    def settle(self, object_pose: np.ndarray, seconds: float = 1.0) -> np.ndarray:
+        """Put the object somewhere and let it settle; the arm holds still. Time does not advance.
+
+        Args:
+            object_pose: world frame, shape [7].
+            seconds: of physics.
+
+        Returns:
+            Where it rests, world frame, shape [7].
+        """
+        with self.lock:
+            before = self.data.time
+            self.data.qpos[self._object_qpos : self._object_qpos + 7] = object_pose
+            self.data.qvel[:] = 0.0
+            mujoco.mj_forward(self.model, self.data)
+            self._clear_table()
+            for _ in range(round(seconds / self.model.opt.timestep)):
+                self._step()
+            self.data.time, self._next_frame = before, before
+            self._frames.clear()
+            return self.data.qpos[self._object_qpos : self._object_qpos + 7].copy()
+
+    def _clear_table(self) -> None:
+        """Raise the object out of the tilted table."""
+        depth = min(
+            (c.dist for c in self.data.contact if self._object in self.model.geom_bodyid[[c.geom1, c.geom2]]),
+            default=0.0,
+        )
+        self.data.qpos[self._object_qpos + 2] -= min(depth, 0.0)
+
+    # What devices ask.
+
+    def command_arm(self, positions: np.ndarray) -> None:
+        """Targets of the arm's servos [rad], shape [6]; they take effect after the delay of the link."""
+        self._post("arm", self.truth.arm_delay, positions)
+
+    def command_hand(self, positions: np.ndarray, feedforward: np.ndarray | None = None) -> None:
+        """Targets of the hand's servos [rad], shape [U], and torques added to them [N m], shape [U]."""
+        if feedforward is None:
+            feedforward = np.zeros(len(positions))
+        self._post("hand", self.truth.hand_delay, np.stack([positions, feedforward]))
+
+    def command_torques(self, torques: np.ndarray) -> None:
+        """Torques of the hand's motors in place of its position servos [N m], shape [U]."""
+        self._post("torque", self.truth.hand_delay, torques)
+
+    def arm_state(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Positions [rad], velocities [rad/s] and torques [N m] of the arm, each of shape [6]."""
+        with self.lock:
+            d = self.data
+            return d.qpos[self._arm_qpos], d.qvel[self._arm_dofs], d.actuator_force[self._arm]
+
+    def hand_state(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """What the hand's encoders say, as ``arm_state``; each of shape [U]."""
+        with self.lock:
+            d, t = self.data, self.truth
+            measured = d.qpos[self._finger_qpos] + t.encoder_bias
+            measured = t.encoder_step * np.round(measured / t.encoder_step)
+            return measured, d.qvel[self._finger_dofs], d.actuator_force[self._fingers]
+
+    def tracked(self) -> TrackedPose | None:
+        """The newest frame of the tracker that has been delivered."""
+        with self.lock:
+            while self._frames and self._frames[0].captured + self.truth.tracker_delay <= self.time:
+                self._delivered = self._frames.popleft()
+            return self._delivered
+
+    def look(self) -> TwinTruth:
+        """The truth, for judges."""
+        with self.lock:
+            d = self.data
+            palm = np.zeros(4)
+            mujoco.mju_mat2Quat(palm, d.site_xmat[self._palm])
+            others = [self._touching(c) for c in d.contact]
+            bodies = [body for body in others if body is not None]
+            return TwinTruth(
+                object_pose=d.qpos[self._object_qpos : self._object_qpos + 7].copy(),
+                palm_pose=np.concatenate([d.site_xpos[self._palm], palm]),
+                on_table=any(not self._is_hand[body] for body in bodies),
+                in_hand=any(self._is_hand[body] for body in bodies),
+            )
+
+    def center_of_mass(self) -> np.ndarray:
+        """True centre of mass of the object, world frame [m], shape [3]."""
+        with self.lock:
+            return self.data.xipos[self._object].copy()
+
+    def advance(self, until: float) -> None:
+        """Simulate until a time of the robot's clock [s]."""
+        while True:
+            with self.lock:
+                if self.time >= until - 0.5 * self.model.opt.timestep:
+                    return
+                self._step()
+
+    def _touching(self, contact) -> int | None:  # type: ignore[no-untyped-def]
+        """The body that touches the object at a contact."""
+        one, two = self.model.geom_bodyid[[contact.geom1, contact.geom2]]
+        if self._object not in (one, two) or contact.dist > 0:
+            return None
+        return int(two if one == self._object else one)
+
+    def _post(self, what: str, delay: float, values: np.ndarray) -> None:
+        with self.lock:
+            self._pending.append((self.time + delay, what, values.copy()))
+
+    def _step(self) -> None:
+        m, d, now = self.model, self.data, self.time
+        # Delays differ between devices: what is due may lie behind what is not.
+        for _ in range(len(self._pending)):
+            due, what, values = self._pending.popleft()
+            if due > now + 1e-9:
+                self._pending.append((due, what, values))
+            elif what == "arm":
+                d.ctrl[self._arm] = values
+            elif what == "hand":
+                (self._finger_target, self._feedforward), self._torque = values, None
+            else:
+                self._torque = values
+        self._drive_fingers()
+        if self._steps % FRICTION_INTERVAL == 0:
+            self._update_friction()
+        mujoco.mj_step(m, d)
+        self._steps += 1
+        if now >= self._next_frame:
+            self._next_frame = now + self.truth.tracker_period
+            self._track()
+
+    def _drive_fingers(self) -> None:
+        """Controls of the hand's servos: lost motion of the drive, feed-forward as a shift of the target."""
+        d, slack = self.data, self.truth.backlash
+        q, v = d.qpos[self._finger_qpos], d.qvel[self._finger_dofs]
+        if not self.powered:
+            wanted = np.zeros(len(q))
+        elif self._torque is not None:
+            wanted = self._torque
+        else:
+            self._play = np.clip(self._play, self._finger_target - slack, self._finger_target + slack)
+            d.ctrl[self._fingers] = self._play + self._feedforward / self._kp
+            return
+        # A servo makes gain (ctrl - q) + bias v; this control makes it pull with a torque alone.
+        gain, bias = self.model.actuator_gainprm[self._fingers, 0], self.model.actuator_biasprm[self._fingers]
+        d.ctrl[self._fingers] = q + (self.truth.stiffness * wanted - bias[:, 2] * v) / gain
+
+    def _update_friction(self) -> None:
+        """Dry friction of the fingers: that at rest falls to that of sliding as a joint moves (Stribeck)."""
+        t = self.truth
+        speed = self.data.qvel[self._finger_dofs] / t.stribeck_speed
+        share = t.sliding + (1.0 - t.sliding) * np.exp(-(speed**2))
+        self.model.dof_frictionloss[self._finger_dofs] = share * self._static_friction
+
+    def _track(self) -> None:
+        """A frame of the tracker, unless it is missing."""
+        t, rng = self.truth, self._rng
+        noise = rng.normal(size=6) * np.repeat(t.tracker_noise, 3)
+        if not self.tracking or rng.random() < t.tracker_dropout:
+            return
+        seen = compose(t.camera_error, self.data.qpos[self._object_qpos : self._object_qpos + 7])
+        seen[:3] += noise[:3]
+        seen[3:] = quaternion_multiply(quaternion_from_rotation_vector(noise[3:]), seen[3:])
+        self._frames.append(TrackedPose(seen, self.time, 1.0, TrackingStatus.TRACKING))
+
+
+def _within(model: mujoco.MjModel, body: int, ancestor: int) -> bool:
+    """Whether a body is another or hangs on it."""
+    while body not in (ancestor, 0):
+        body = int(model.body_parentid[body])
+    return body == ancestor

@@ -1,0 +1,113 @@
+"""Imperfect servos: what becomes of setpoints on the way to the joints."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from fungrasp.geometry.poses import (
+    quaternion_from_rotation_vector,
+    quaternion_multiply,
+    relative,
+    rotation_vector,
+)
+from fungrasp.task.setpoints import SetpointSequence
+from fungrasp.transfer import offset_pose
+
+
+class Actuation:
+    """Servos of W worlds that lag, are badly calibrated and have play. Perfect ones until told otherwise.
+
+    The robot's own sensors see none of the calibration's errors: ``seen_palm`` and ``encoder_bias`` are what
+    sensors add.
+    """
+
+    def __init__(self, count: int, joints: int):
+        """
+        Args:
+            count: W.
+            joints: U, independent joints of the hand.
+        """
+        self.wrist_lag = np.zeros(count)
+        """Time constant with which the wrist follows its setpoints [s], shape [W]."""
+        self.wrist_offset = np.zeros((count, 6))
+        """Where the palm is, from where the arm believes it: offset [m], world frame, and rotation vector
+        [rad], palm frame, shape [W, 6]."""
+        self.encoder_bias = np.zeros((count, joints))
+        """What encoders say beyond where the joints are [rad], shape [W, U]."""
+        self.backlash = np.zeros((count, joints))
+        """How far a joint can be from where its motor has it [rad], shape [W, U]."""
+        self._pose = np.tile([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], (count, 1))
+        self._velocity = np.zeros((count, 3))
+        self._fingers = np.zeros((count, joints))
+
+    def begin(
+        self, ids: np.ndarray, palm_pose: np.ndarray, velocity: np.ndarray, fingers: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Start where the setpoints are, in some worlds, I of them.
+
+        Args:
+            ids: worlds, shape [I].
+            palm_pose: setpoint of the palm, world frame, shape [I, 7].
+            velocity: of that setpoint [m/s], shape [I, 3].
+            fingers: setpoints of the independent joints [rad], shape [I, U].
+
+        Returns:
+            Where the palm is, shape [I, 7], and the independent joints [rad], shape [I, U].
+        """
+        self._pose[ids], self._velocity[ids], self._fingers[ids] = palm_pose, velocity, fingers
+        return self._palm(palm_pose, ids), fingers - self.encoder_bias[ids]
+
+    def follow(self, sequence: SetpointSequence, period: float) -> SetpointSequence:
+        """What the servos work towards.
+
+        Args:
+            sequence: what they are told, S setpoints.
+            period: time between two of them [s].
+        """
+        palm, velocity, fingers = sequence.palm, sequence.palm_velocity, sequence.fingers
+        if self.wrist_lag.any():
+            palm, velocity = self._lagging(palm, velocity, period)
+        if self.backlash.any():
+            fingers = self._with_play(fingers)
+        if self.wrist_offset.any():
+            palm = self._palm(palm)
+        if self.encoder_bias.any():
+            fingers = fingers - self.encoder_bias
+        return replace(sequence, palm=palm, palm_velocity=velocity, fingers=fingers)
+
+    def seen_palm(self, pose: np.ndarray) -> np.ndarray:
+        """Where the arm believes the palm to be. pose: where it is, world frame, shape [W, 7]."""
+        return offset_pose(pose, -self.wrist_offset) if self.wrist_offset.any() else pose
+
+    def _palm(self, pose: np.ndarray, ids: np.ndarray | slice = slice(None)) -> np.ndarray:
+        """Where the palm is, of where the arm believes it."""
+        offset = self.wrist_offset[ids]
+        return offset_pose(pose, np.broadcast_to(offset, (*pose.shape[:-1], 6))) if offset.any() else pose
+
+    def _lagging(
+        self, palm: np.ndarray, velocity: np.ndarray, period: float
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """A first-order lag: each period the wrist makes the share ``1 - exp(-period / time constant)`` of
+        what is left to its setpoint, on the rotation along the shortest arc."""
+        with np.errstate(divide="ignore"):
+            share = (1.0 - np.exp(-period / self.wrist_lag))[:, None]
+        poses, velocities = [], []
+        for goal, speed in zip(palm, velocity, strict=True):
+            turn = share * rotation_vector(relative(self._pose, goal)[:, 3:])
+            position = self._pose[:, :3] + share * (goal[:, :3] - self._pose[:, :3])
+            rotation = quaternion_multiply(self._pose[:, 3:], quaternion_from_rotation_vector(turn))
+            self._pose = np.concatenate([position, rotation], axis=1)
+            self._velocity = self._velocity + share * (speed - self._velocity)
+            poses.append(self._pose)
+            velocities.append(self._velocity)
+        return np.stack(poses), np.stack(velocities)
+
+    def _with_play(self, fingers: np.ndarray) -> np.ndarray:
+        """The play operator: a joint stays until its motor has taken up the play, then follows behind it."""
+        result = []
+        for motor in fingers:
+            self._fingers = np.clip(self._fingers, motor - self.backlash, motor + self.backlash)
+            result.append(self._fingers)
+        return np.stack(result)

@@ -1,0 +1,7 @@
+"""The use test: after the hold, the motion that the grasp's task needs, and what it asks of the hand."""
+
+from fungrasp.task.use.episode import play_use
+from fungrasp.task.use.motion import USE_MOTIONS, UseMotion, load_use_motions, motion_of
+from fungrasp.task.use.outcome import UseOutcomes
+
+__all__ = ["USE_MOTIONS", "UseMotion", "UseOutcomes", "load_use_motions", "motion_of", "play_use"]

@@ -1,0 +1,74 @@
+"""Directions of a use motion, as they follow from how an object is held."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from fungrasp.geometry.poses import inverse_transform_points, rotate, rotation_matrix
+from fungrasp.hands import Hand
+from fungrasp.objects import ObjectModel
+
+_UP = np.array([0.0, 0.0, 1.0])
+
+
+def far_end(model: ObjectModel, object_pose: np.ndarray, palm_pose: np.ndarray) -> np.ndarray:
+    """Point of an object's surface that is farthest from the palm, object frame [m], shape [3].
+
+    Args:
+        model: the object.
+        object_pose: world frame, shape [7].
+        palm_pose: world frame, shape [7].
+    """
+    palm = inverse_transform_points(object_pose[None], palm_pose[None, None, :3])[0, 0]
+    return model.vertices[np.argmax(np.linalg.norm(model.vertices - palm, axis=1))]
+
+
+def horizontal(direction: np.ndarray, otherwise: np.ndarray) -> np.ndarray:
+    """Unit vector along the horizontal part of a direction, or of another one where the first is within 30
+    degrees of the vertical. Both: unit vectors, world frame, shape [3]."""
+    for vector in (direction, otherwise, np.array([1.0, 0.0, 0.0])):
+        flat = vector * [1.0, 1.0, 0.0]
+        if np.linalg.norm(flat) > 0.5:
+            return flat / np.linalg.norm(flat)
+    raise AssertionError("the last one is horizontal")
+
+
+def turn_axis(kind: str, hand: Hand, palm_pose: np.ndarray, end: np.ndarray) -> np.ndarray:
+    """Axis about which the palm turns, unit vector, world frame, shape [3].
+
+    Args:
+        kind: "tilt" or "swing".
+        hand: the robot hand.
+        palm_pose: world frame, shape [7].
+        end: the object's far end, world frame [m], shape [3].
+    """
+    facing, ahead = (rotate(palm_pose[3:], v) for v in (hand.palm_normal, hand.palm_fingers))
+    if kind == "tilt":
+        return np.cross(_UP, horizontal(facing, ahead))
+    reach = (end - palm_pose[:3]) / np.linalg.norm(end - palm_pose[:3])
+    return np.cross(_UP, horizontal(reach, facing))
+
+
+def turning_frame(axis: np.ndarray, palm_pose: np.ndarray) -> np.ndarray:
+    """Frame in which the wrist's joints count while it turns about an axis; shape [7], world frame. In it the
+    wrist's three hinges stay away from where two of them coincide.
+
+    The hinges are x, y, z from the frame outwards, and the first and the last coincide where the palm's z is
+    along the frame's x. A turn about an axis far from the palm's z goes to the first hinge, whose axis it
+    then is; one about an axis near it goes to the last.
+
+    Args:
+        axis: unit vector, world frame, shape [3].
+        palm_pose: where the turn begins, world frame, shape [7].
+    """
+    x, _, z = rotation_matrix(palm_pose[3:]).T
+    if abs(axis @ z) < np.sqrt(0.5):
+        first, second = axis, np.cross(z, axis)
+    else:
+        third = axis * np.sign(axis @ z)
+        first = x - (x @ third) * third
+        second = np.cross(third, first)
+    first, second = (v / np.linalg.norm(v) for v in (first, second))
+    rotation = np.stack([first, second, np.cross(first, second)], axis=1)
+    return np.concatenate([palm_pose[:3], Rotation.from_matrix(rotation).as_quat(scalar_first=True)])

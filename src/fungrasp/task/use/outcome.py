@@ -1,0 +1,36 @@
+"""Whether an object could be used, and where the hand touched it (docs/evaluation.md)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fungrasp.records import BatchRecord
+
+LARGEST_SHIFT = 0.01
+"""Largest displacement of the object's centre of mass in the palm [m]."""
+
+LARGEST_TURN = np.deg2rad(10.0)
+"""Largest turn of the object in the palm [rad]."""
+
+
+@dataclass(frozen=True, eq=False)
+class UseOutcomes(BatchRecord):
+    """Outcomes of W use tests, shape [W] each; NaN and "" where nothing was tested."""
+
+    motion: np.ndarray
+    """Name of the motion, "" where the task has none or the object was not held, str."""
+    success: np.ndarray
+    """Whether the object stayed in the palm and did what it is for, bool."""
+    shift_m: np.ndarray
+    """Largest displacement of the object's centre of mass in the palm during the motion [m]."""
+    turn_rad: np.ndarray
+    """Largest turn of the object in the palm during the motion [rad]."""
+    trigger_force_n: np.ndarray
+    """Force between the pressing finger and the object at the end [N]; NaN without a trigger."""
+    functional_contact: np.ndarray
+    """Share of the links that should touch that touch the part which the person held there, when the motion
+    begins."""
+    reason: np.ndarray
+    """Why the test failed, "" on success, str."""

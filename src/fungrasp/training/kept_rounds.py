@@ -1,0 +1,111 @@
+"""The episodes that a distillation learns from, one file for each round, so that it can go on with them."""
+
+from __future__ import annotations
+
+import logging
+import shutil
+from collections import deque
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from tensordict import TensorDict
+
+from fungrasp.training.checkpoint import read_checkpoint, write_checkpoint
+from fungrasp.training.history import HISTORY
+
+_log = logging.getLogger(__name__)
+
+GROUPS = ("robot", "privileged", "action")
+"""What is kept as it is; of the history, which is ten times as large, what it can be made from again."""
+
+
+@dataclass(frozen=True)
+class Round:
+    """S control steps of W worlds."""
+
+    batch: TensorDict
+    """What the student learns from, shape [S W]; the groups "robot", "privileged", "history", "action"."""
+    begun: torch.Tensor
+    """Whether a world's episode was new, shape [S, W] bool."""
+
+
+class KeptRounds:
+    """The last rounds, in memory and in a folder."""
+
+    def __init__(self, most: int, folder: Path | None, columns: torch.Tensor):
+        """
+        Args:
+            most: rounds that are kept.
+            folder: for their files; in memory only if None.
+            columns: of the robot's observation that the history holds, shape [H].
+        """
+        self.batches: deque[TensorDict] = deque(maxlen=most)
+        """The rounds, the last one last."""
+        self._folder, self._columns = folder, columns
+
+    def add(self, number: int, one: Round) -> None:
+        """One more round. number: counted from 0.
+
+        Raises:
+            FungraspError: its file can't be written.
+        """
+        self.batches.append(one.batch)
+        if self._folder is not None:
+            steps, worlds = one.begun.shape
+            parts = {name: one.batch[name].unflatten(0, (steps, worlds)) for name in GROUPS}
+            first = one.batch["history"][:worlds]
+            write_checkpoint(self._path(number), parts | {"begun": one.begun, "first": first})
+
+    def load(self, rounds: int) -> None:
+        """Read the last of so many rounds back.
+
+        Raises:
+            FungraspError: a file is damaged.
+        """
+        assert self._folder is not None
+        for number in range(max(0, rounds - (self.batches.maxlen or 0)), rounds):
+            if not self._path(number).is_file():
+                _log.warning("%s is missing: going on without these episodes", self._path(number))
+                continue
+            state = read_checkpoint(self._path(number))
+            windows = _windows(state["robot"], state["begun"], state["first"], self._columns)
+            groups = {name: state[name].flatten(0, 1) for name in GROUPS}
+            groups["history"] = windows.flatten(0, 1)
+            self.batches.append(TensorDict(groups, batch_size=[len(groups["robot"])]))
+
+    def forget_before(self, number: int) -> None:
+        """Delete files of earlier rounds."""
+        if self._folder is not None:
+            for path in self._folder.glob("*.pt"):
+                if path.stem.isdigit() and int(path.stem) < number:
+                    path.unlink(missing_ok=True)
+
+    def remove(self) -> None:
+        """Delete all files."""
+        if self._folder is not None:
+            shutil.rmtree(self._folder, ignore_errors=True)
+
+    def _path(self, number: int) -> Path:
+        assert self._folder is not None
+        return self._folder / f"{number:06d}.pt"
+
+
+def _windows(
+    robot: torch.Tensor, begun: torch.Tensor, first: torch.Tensor, columns: torch.Tensor
+) -> torch.Tensor:
+    """The histories of a round, shape [S, W, HISTORY H], as ``History`` made them.
+
+    Args:
+        robot: observations, shape [S, W, R].
+        begun: shape [S, W] bool.
+        first: the histories at the first step, shape [W, HISTORY H].
+        columns: shape [H].
+    """
+    window = first.unflatten(1, (HISTORY, -1))
+    windows = [window]
+    for seen, new in zip(robot[1:], begun[1:], strict=True):
+        window = torch.where(new[:, None, None], 0.0, window)
+        window = torch.cat([window[:, 1:], seen[:, None, columns]], dim=1)
+        windows.append(window)
+    return torch.stack(windows).flatten(2)

@@ -1,0 +1,250 @@
+"""Deployments on a twin: phases, faults and their reactions, the log."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from robot_cells import cell_and_hand, deploy, grasp_and_object, near_cell, placed
+
+from fungrasp.deployment.emergency_stop import StopSwitch
+from fungrasp.deployment.log import McapLog, read_log
+from fungrasp.deployment.phases import Phase, PhaseMachine
+from fungrasp.deployment.preparation import GraspPreparer, UnreachableError
+from fungrasp.deployment.replay import replay_log
+from fungrasp.errors import FungraspError
+from fungrasp.planning import MotionPlanner
+from fungrasp.policies import OpenLoopPolicy
+from fungrasp.robots.device import RobotError
+from fungrasp.robots.twin.devices import TwinArm, TwinHand
+from fungrasp.task import Action, Observation
+
+pytest.importorskip("mink")
+
+
+class Spoiled(OpenLoopPolicy):
+    """A policy that does something else at a step."""
+
+    def __init__(self, step: int, change: Any):
+        self._step, self._change = step, change
+
+    def act(self, observation: Observation) -> Action:
+        action = super().act(observation)
+        if round(float(observation.time[0]) / 0.1) >= self._step:
+            self._change(action)
+        return action
+
+
+@pytest.fixture(scope="module")
+def lifted(tmp_path_factory: pytest.TempPathFactory) -> tuple[Any, Path]:
+    pytest.importorskip("mcap")
+    path = tmp_path_factory.mktemp("log") / "log.mcap"
+    with McapLog(path) as log:
+        return deploy(log=log, put_down=True, about={"policy": "reference"}), path
+
+
+def test_a_grasp_is_lifted_put_down_and_the_arm_goes_home(lifted: tuple[Any, Path]) -> None:
+    outcome, path = lifted
+    assert outcome.result.fault == ""
+    assert outcome.result.phase is Phase.DONE
+    assert outcome.success and outcome.height > 0.1
+    phases = [e["text"] for e in read_log(path).messages["/event"] if e["what"] == "phase"]
+    assert phases == [p.value for p in list(Phase)[1:-1]]
+    # Without a wall clock no tick is late.
+    assert max(outcome.result.ticks.lateness) < 0.003
+
+
+def test_every_setpoint_keeps_the_limits(lifted: tuple[Any, Path]) -> None:
+    cell, _ = cell_and_hand()
+    setpoints = read_log(lifted[1]).messages["/setpoint"]
+    times = np.array([s["time"] for s in setpoints])
+    palm = np.array([s["sent"]["palm"][:3] for s in setpoints])
+    arm = np.array([s["sent"]["arm"] for s in setpoints])
+    together = np.abs(np.diff(times) - 0.02) < 0.003
+    assert together.mean() > 0.95
+    speed = np.linalg.norm(np.diff(palm, axis=0), axis=1)[together] / 0.02
+    assert speed.max() <= 1.02 * cell.limits.palm_speed
+    assert (np.abs(np.diff(arm, axis=0))[together] / 0.02).max() <= 1.02 * cell.limits.arm_speed
+
+
+def test_the_log_replays_to_the_same_actions(lifted: tuple[Any, Path]) -> None:
+    log = read_log(lifted[1])
+    assert log.complete and log.about["policy"] == "reference"
+    result = replay_log(log, OpenLoopPolicy())
+    assert (result.different, result.largest) == (0, 0.0)
+    assert result.steps > 50
+    assert replay_log(log, Spoiled(3, lambda a: a.finger_targets.__iadd__(0.1))).different > 0
+
+
+def test_a_log_that_breaks_off_is_read_up_to_there(lifted: tuple[Any, Path], tmp_path: Path) -> None:
+    whole = lifted[1].read_bytes()
+    steps = len(read_log(lifted[1]).observations)
+    for share in (0.999, 0.5, 0.1):
+        torn = tmp_path / "torn.mcap"
+        torn.write_bytes(whole[: int(share * len(whole))])
+        log = read_log(torn)
+        assert not log.complete
+        assert len(log.messages["/setpoint"]) > 0
+        assert len(log.observations) <= steps
+    (tmp_path / "no.mcap").write_bytes(b"nothing")
+    with pytest.raises(FungraspError, match="is no MCAP file"):
+        read_log(tmp_path / "no.mcap")
+
+
+def test_a_log_is_not_overwritten(lifted: tuple[Any, Path]) -> None:
+    with pytest.raises(FungraspError, match="exists already"):
+        McapLog(lifted[1])
+
+
+def test_the_same_twin_does_the_same_again() -> None:
+    one, two = deploy(), deploy()
+    assert one.height == two.height
+    assert one.result.times == two.result.times
+
+
+def spoil_tracker(world: Any) -> None:
+    """The tracker stops delivering after the object was found."""
+    original = world._track
+
+    def track() -> None:
+        if world.time < 0.5:
+            original()
+
+    world._track = track
+
+
+def jump_tracker(world: Any) -> None:
+    original = world._track
+
+    def track() -> None:
+        original()
+        if world.time > 0.6 and world._frames:
+            world._frames[-1].pose_world_object[0] += 0.1
+
+    world._track = track
+
+
+@pytest.mark.parametrize(
+    ("spoil", "said"),
+    [(spoil_tracker, "the tracked pose is"), (jump_tracker, "the tracked object has jumped")],
+)
+def test_a_tracker_that_fails_before_the_hand_closes_stops_the_arm(spoil: Any, said: str) -> None:
+    result = deploy(prepare_world=spoil).result
+    assert result.phase is Phase.FAULT
+    assert said in result.fault
+    assert "lift" not in result.times
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda a: a.palm_goal.__setitem__((0, 0), np.nan), "not finite"),
+        (lambda a: a.finger_targets.__setitem__((0, 2), np.inf), "not finite"),
+        (lambda a: a.palm_goal.__setitem__((0, 1), 3.0), "workspace box"),
+        (lambda a: a.palm_goal.__setitem__((0, 2), -0.3), "table"),
+    ],
+)
+def test_a_policy_gone_wrong_stops_the_robot(change: Any, said: str) -> None:
+    result = deploy(policy=Spoiled(5, change)).result
+    assert result.phase is Phase.FAULT
+    assert said in result.fault
+
+
+@pytest.mark.parametrize(("device", "said"), [(TwinArm, "the arm"), (TwinHand, "the hand")])
+@pytest.mark.parametrize("how", ["fault", "frozen"])
+def test_a_device_that_fails_stops_the_robot(
+    monkeypatch: pytest.MonkeyPatch, device: Any, said: str, how: str
+) -> None:
+    read = device.read
+
+    def failing(self: Any) -> Any:
+        if self._world.time > 1.5 and self.name.startswith("twin"):
+            setattr(self, how, "motor hot" if how == "fault" else True)
+        return read(self)
+
+    monkeypatch.setattr(device, "read", failing)
+    result = deploy().result
+    assert result.phase is Phase.FAULT
+    assert said in result.fault
+    assert ("silent" if how == "frozen" else "motor hot") in result.fault
+    watchdog = cell_and_hand()[0].watchdog
+    limit = 0.02 if how == "fault" else 0.02 + max(watchdog.arm_silence, watchdog.hand_silence)
+    assert result.times["fault"] - 1.5 <= limit + 0.021
+
+
+def test_the_stop_file_stops_the_arm_and_it_comes_to_rest(tmp_path: Path) -> None:
+    file = tmp_path / "stop"
+    switch = StopSwitch(file)
+    seen = {}
+
+    def keep(world: Any) -> None:
+        seen["world"] = world
+
+    def phase(now: Phase) -> None:
+        if now is Phase.LIFT:
+            file.touch()
+
+    result = deploy(switch=switch, prepare_world=keep, on_phase=phase).result
+    assert result.phase is Phase.FAULT
+    assert "stop file" in result.fault
+    world = seen["world"]
+    world.advance(world.time + 0.3)
+    assert np.abs(world.arm_state()[1]).max() < 0.02
+
+
+def test_a_full_disk_stops_the_robot() -> None:
+    from fungrasp.deployment.log import NoLog
+
+    class Full(NoLog):
+        count = 0
+
+        def step(self, *given: Any) -> None:
+            self.count += 1
+            if self.count > 10:
+                raise OSError(28, "No space left on device")
+
+    result = deploy(log=Full()).result
+    assert result.phase is Phase.FAULT
+    assert "No space left" in result.fault
+
+
+def test_a_dry_run_moves_nothing() -> None:
+    seen = {}
+
+    def keep(world: Any) -> None:
+        seen["world"], seen["before"] = world, world.arm_state()[0].copy()
+
+    outcome = deploy(dry_run=True, prepare_world=keep)
+    assert outcome.result.fault == ""
+    assert not outcome.success
+    assert np.abs(seen["world"].arm_state()[0] - seen["before"]).max() < 0.01
+
+
+def test_a_grasp_out_of_reach_is_said_before_anything_moves() -> None:
+    cell, hand = cell_and_hand()
+    grasp, thing = grasp_and_object()
+    preparer = GraspPreparer(cell, hand, thing, MotionPlanner(hand, {thing.name: thing}))
+    far = placed()[0].copy()
+    far[0] += 1.5
+    with pytest.raises(UnreachableError) as error:
+        preparer.prepare(grasp, far, np.array(near_cell().arm.home))
+    assert "not reachable" in str(error.value) and "\n" not in str(error.value)
+    aside = placed()[0].copy()
+    aside[0] += 0.45
+    with pytest.raises(UnreachableError, match=r"it would be with the object moved by|no placement nearby"):
+        preparer.prepare(grasp, aside, np.array(near_cell().arm.home))
+
+
+def test_fault_is_latched() -> None:
+    machine = PhaseMachine()
+    machine.go(Phase.MOVE_TO_START)
+    with pytest.raises(RobotError, match="does not follow"):
+        machine.go(Phase.HOLD)
+    machine.fail("first")
+    machine.fail("second")
+    assert machine.fault == "first"
+    for phase in Phase:
+        with pytest.raises(RobotError, match="state of fault"):
+            machine.go(phase)

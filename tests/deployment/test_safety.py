@@ -1,0 +1,211 @@
+"""The safety filter: nothing that it lets through is beyond a limit."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
+
+from fungrasp.deployment.safety import (
+    TOLERANCE,
+    Reaction,
+    SafetyContext,
+    SafetyGuard,
+    check_pose,
+    check_setpoint,
+)
+from fungrasp.robots.cell import RobotCell
+from fungrasp.robots.device import (
+    DeviceStatus,
+    JointLimits,
+    JointState,
+    StopKind,
+    TrackedPose,
+    TrackingStatus,
+)
+from fungrasp.robots.kinematics.arm_model import Clearance
+from fungrasp.robots.robot import RobotCommand, RobotState, SafetyStop
+
+CELL = RobotCell("allegro")
+ARM = JointLimits(np.full(6, -3.0), np.full(6, 3.0), np.full(6, 1.5), np.full(6, 100.0))
+HAND = JointLimits(np.full(4, -0.5), np.full(4, 1.5), np.full(4, 6.0), np.full(4, 1.0))
+FREE = Clearance(0.03, 0.03, 0.03)
+PERIOD = 0.02
+
+numbers = st.floats(-10, 10) | st.sampled_from([np.nan, np.inf, -np.inf, 1e300])
+arms = arrays.arrays(float, 6, elements=numbers)
+hands = arrays.arrays(float, 4, elements=numbers)
+palms = arrays.arrays(float, 7, elements=st.floats(-1, 1) | st.sampled_from([np.nan, np.inf]))
+near = arrays.arrays(float, 6, elements=st.floats(-0.05, 0.05))
+gaps = st.builds(Clearance, *[st.floats(-0.05, 0.03)] * 3)
+
+
+def joints(count: int, **changes) -> JointState:
+    zeros = np.zeros(count)
+    return replace(JointState(zeros, zeros, zeros, 1.0, 1.0, DeviceStatus.READY), **changes)
+
+
+def state(**changes) -> RobotState:
+    return replace(RobotState(1.0, joints(6), joints(4), None), **changes)
+
+
+def command(arm=None, hand=None, palm=None) -> RobotCommand:
+    return RobotCommand(
+        np.zeros(6) if arm is None else arm,
+        np.zeros(4) if hand is None else hand,
+        np.zeros(4),
+        np.array([0.0, 0.0, 0.3, 1.0, 0, 0, 0]) if palm is None else palm,
+    )
+
+
+def context(**changes) -> SafetyContext:
+    return replace(SafetyContext(CELL, ARM, HAND, command(), command(), PERIOD), **changes)
+
+
+@settings(max_examples=300, deadline=None)
+@given(arms | near, hands, palms, near, gaps, st.booleans())
+def test_what_is_let_through_is_within_every_limit(arm, hand, palm, previous, gap, first) -> None:
+    asked = command(arm, hand, palm)
+    last = None if first else command(previous)
+    verdict = check_setpoint(state(), asked, context(previous=last, before=last), gap)
+    if verdict.reaction in (Reaction.HOLD, Reaction.OPEN):
+        assert verdict.reason
+        return
+    sent = verdict.command
+    assert np.isfinite(sent.arm).all() and np.isfinite(sent.hand).all()
+    assert (sent.palm[:3] >= CELL.workspace.lower).all() and (sent.palm[:3] <= CELL.workspace.upper).all()
+    assert gap.table >= CELL.workspace.table_clearance and gap.itself >= 0
+    assert gap.hand >= -CELL.workspace.hand_depth
+    assert np.abs(sent.arm - state().arm.positions).max() <= CELL.limits.setpoint_lead + 0.1
+    if last is None:
+        assert (sent.arm >= ARM.lower).all() and (sent.arm <= ARM.upper).all()
+        assert (sent.hand >= HAND.lower).all() and (sent.hand <= HAND.upper).all()
+    else:
+        assert np.abs(sent.arm - last.arm).max() <= ARM.velocity[0] * PERIOD * TOLERANCE + 1e-12
+        assert np.abs(sent.hand - last.hand).max() <= HAND.velocity[0] * PERIOD * TOLERANCE + 1e-12
+        step = np.linalg.norm(sent.palm[:3] - last.palm[:3])
+        assert step <= CELL.limits.palm_speed * PERIOD * TOLERANCE + 1e-12
+    if verdict.reaction is Reaction.SEND:
+        np.testing.assert_array_equal(sent.arm, asked.arm)
+
+
+@settings(max_examples=50, deadline=None)
+@given(arms, hands, palms)
+def test_it_is_a_pure_function(arm, hand, palm) -> None:
+    asked = command(arm.copy(), hand.copy(), palm.copy())
+    one = check_setpoint(state(), asked, context(), FREE)
+    np.testing.assert_array_equal(asked.arm, arm)
+    two = check_setpoint(state(), asked, context(), FREE)
+    assert (one.reaction, one.reason) == (two.reaction, two.reason)
+
+
+CASES = {
+    "finite": (state(), command(arm=np.array([np.nan, 0, 0, 0, 0, 0])), context(), FREE, Reaction.HOLD),
+    "arm does not follow": (
+        state(arm=joints(6, status=DeviceStatus.PROTECTIVE_STOP)),
+        command(),
+        context(),
+        FREE,
+        Reaction.HOLD,
+    ),
+    "hand does not follow": (
+        state(hand=joints(4, status=DeviceStatus.FAULT)),
+        command(),
+        context(),
+        FREE,
+        Reaction.HOLD,
+    ),
+    "arm has been silent": (state(), command(), context(arm_silence=0.041), FREE, Reaction.HOLD),
+    "hand has been silent": (state(), command(), context(hand_silence=0.11), FREE, Reaction.HOLD),
+    "torque of an arm": (
+        state(arm=joints(6, torques=np.full(6, 151.0))),
+        command(),
+        context(),
+        FREE,
+        Reaction.HOLD,
+    ),
+    "torque of a hand": (
+        state(hand=joints(4, torques=np.full(4, -3.1))),
+        command(),
+        context(),
+        FREE,
+        Reaction.OPEN,
+    ),
+    "far from where": (
+        state(arm=joints(6, positions=np.full(6, 0.36))),
+        command(),
+        context(),
+        FREE,
+        Reaction.HOLD,
+    ),
+    "workspace": (
+        state(),
+        command(palm=np.array([0.0, 0.6, 0.3, 1, 0, 0, 0])),
+        context(previous=None),
+        FREE,
+        Reaction.HOLD,
+    ),
+    "arm would touch the table": (state(), command(), context(), Clearance(0.004, 0.03, 0.03), Reaction.HOLD),
+    "press into the table": (state(), command(), context(), Clearance(0.03, -0.013, 0.03), Reaction.HOLD),
+    "touch the arm": (state(), command(), context(), Clearance(0.03, 0.03, -0.001), Reaction.HOLD),
+    "palm would move": (
+        state(),
+        command(palm=np.array([0.0, 0.006, 0.3, 1, 0, 0, 0])),
+        context(),
+        FREE,
+        Reaction.HOLD,
+    ),
+    "accelerate": (
+        state(),
+        command(arm=np.full(6, 0.02)),
+        context(before=command(arm=np.full(6, 0.16))),
+        FREE,
+        Reaction.HOLD,
+    ),
+    "hand clipped": (state(), command(hand=np.full(4, 2.0)), context(), FREE, Reaction.CLIP),
+    "arm clipped": (state(), command(arm=np.full(6, 0.1)), context(), FREE, Reaction.CLIP),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_each_check_has_its_reaction(name: str) -> None:
+    at, asked, around, gap, reaction = CASES[name]
+    verdict = check_setpoint(at, asked, around, gap)
+    assert verdict.reaction is reaction
+    assert name.split()[-1] in verdict.reason and name.split()[0] in verdict.reason
+    assert check_setpoint(state(), command(), context(), FREE).reaction is Reaction.SEND
+
+
+def test_a_time_stamp_that_stands_still_stops_the_arm() -> None:
+    guard = SafetyGuard(CELL, ARM, HAND, lambda arm, fingers: FREE, PERIOD)
+    for tick in range(10):
+        now = 1.0 + tick * PERIOD
+        stamp = min(now, 1.04)
+        seen = state(time=now, arm=joints(6, device_time=stamp), hand=joints(4, device_time=now))
+        try:
+            guard(seen, command())
+        except SafetyStop as stop:
+            assert "silent" in stop.reason and stop.kind is StopKind.HOLD
+            # The first tick at which 40 ms have passed.
+            assert now == pytest.approx(1.09, abs=0.011)
+            return
+    raise AssertionError("not noticed")
+
+
+@pytest.mark.parametrize(
+    ("pose", "age", "said"),
+    [
+        (None, 0.0, "not seen"),
+        (np.array([0.0, 0, 0.1, 1, 0, 0, 0]), 0.6, "600 ms old"),
+        (np.array([0.06, 0, 0.1, 1, 0, 0, 0]), 0.1, "jumped by 6.0 cm"),
+        (np.array([np.nan, 0, 0.1, 1, 0, 0, 0]), 0.1, "not finite"),
+        (np.array([0.04, 0, 0.1, 1, 0, 0, 0]), 0.4, ""),
+    ],
+)
+def test_poses(pose, age, said) -> None:
+    reference = np.array([0.0, 0, 0.1, 1, 0, 0, 0])
+    tracked = None if pose is None else TrackedPose(pose, 2.0 - age, 1.0, TrackingStatus.TRACKING)
+    found = check_pose(tracked, reference, 2.0, CELL)
+    assert said in found and bool(said) == bool(found)

@@ -1,0 +1,66 @@
+"""The use test on grasps: which parts people hold, and how outcomes are summarized."""
+
+from __future__ import annotations
+
+import numpy as np
+from lifted_grasps import allegro_hand, good_grasps, grasped_objects, human_grasps
+
+from fungrasp.evaluation import evaluate
+from fungrasp.evaluation.held_parts import held_parts
+from fungrasp.evaluation.results import result_json
+from fungrasp.evaluation.use_test import UseTest, use_json
+from fungrasp.grasps import builtin_grasps, load_objects
+from fungrasp.task.use import UseOutcomes
+
+
+def test_people_hold_what_their_specification_says():
+    grasps = builtin_grasps()
+    rows = [
+        int(np.flatnonzero((grasps.object_name == name) & (grasps.task == task))[0])
+        for name, task in (("mug", "drink"), ("hammer", "hammer"), ("screwdriver", "drive"))
+    ]
+    human = grasps.select(rows)
+    parts = held_parts(human, load_objects(human), allegro_hand())
+    for touched, part in zip(parts, ("handle", "grip", "handle"), strict=True):
+        distal = [names for names in touched[1:] if names]
+        assert distal and sum(part in names for names in distal) >= 0.7 * len(distal)
+
+
+def test_the_trigger_is_held_by_the_index_finger():
+    grasps = builtin_grasps()
+    human = grasps.select(np.flatnonzero(grasps.task == "drill")[:1])
+    (touched,) = held_parts(human, load_objects(human), allegro_hand())
+    index = allegro_hand().link_names.index("index_distal")
+    assert "trigger" in touched[index]
+
+
+def test_evaluate_adds_the_use_test():
+    hand, objects = allegro_hand(), grasped_objects()
+    use = UseTest.of(human_grasps(), good_grasps(), objects, hand)
+    result = evaluate(good_grasps(), objects, hand, use=use, threads=1)
+    assert result.use is not None
+    tested = result.use.motion != ""
+    assert tested.any() and not (tested & ~result.outcomes.success).any()
+    whole = result_json(result)
+    assert whole["use"]["count"] == tested.sum()
+    assert {trial["use_motion"] for trial in whole["trials"]} == set(result.use.motion.tolist())
+    plain = evaluate(good_grasps(), objects, hand, threads=1)
+    assert plain.use is None and "use" not in result_json(plain)
+    np.testing.assert_array_equal(plain.outcomes.lifted_height_m, result.outcomes.lifted_height_m)
+
+
+def test_rates_are_over_the_grasps_that_were_tested():
+    nan = np.nan
+    use = UseOutcomes(
+        motion=np.array(["pour", "pour", "", "screw"]),
+        success=np.array([True, False, False, True]),
+        shift_m=np.array([0.001, 0.02, nan, 0.0]),
+        turn_rad=np.array([0.0, 0.1, nan, 0.0]),
+        trigger_force_n=np.full(4, nan),
+        functional_contact=np.array([1.0, 0.5, nan, 0.75]),
+        reason=np.array(["", "the object slipped in the palm", "", ""]),
+    )
+    numbers = use_json(use, np.array(["drink", "drink", "drink", "drive"]))
+    assert (numbers["count"], numbers["success_rate"]) == (3, 2 / 3)
+    assert numbers["by_task"]["drink"]["success_rate"] == 0.5
+    assert numbers["functional_contact"] == 0.75

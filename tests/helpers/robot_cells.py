@@ -1,0 +1,71 @@
+"""Small twins for the tests of robots and deployment."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from fungrasp.deployment.deployment import DeploymentSettings
+from fungrasp.deployment.twin_deployment import TwinOutcome, deploy_on_twin, reachable_placement
+from fungrasp.grasps import RobotGraspSet, builtin_grasps, load_objects
+from fungrasp.hands import Hand, load_hand
+from fungrasp.objects import ObjectModel
+from fungrasp.planning import MotionPlanner
+from fungrasp.policies import OpenLoopPolicy
+from fungrasp.retarget import retarget
+from fungrasp.robots.cell import RobotCell, load_cell
+from fungrasp.robots.twin.parameters import IDEAL, draw_twin
+
+ROW = 10
+"""A built-in grasp that an ideal twin lifts: the wine glass."""
+
+
+@cache
+def cell_and_hand() -> tuple[RobotCell, Hand]:
+    cell = load_cell("ur5e-allegro")
+    return cell, load_hand(cell.hand)
+
+
+@cache
+def grasp_and_object() -> tuple[RobotGraspSet, ObjectModel]:
+    human = builtin_grasps().select(np.array([ROW]))
+    objects = load_objects(human)
+    robot = retarget(human, objects, cell_and_hand()[1])
+    return robot, objects[human.object_name[0]]
+
+
+@cache
+def placed() -> tuple[np.ndarray, np.ndarray]:
+    cell, hand = cell_and_hand()
+    grasp, thing = grasp_and_object()
+    return reachable_placement(cell, hand, thing, grasp)
+
+
+def near_cell() -> RobotCell:
+    """The cell with the arm where the plan begins: less to simulate."""
+    cell, _ = cell_and_hand()
+    return replace(cell, arm=replace(cell.arm, home=tuple(placed()[1].tolist())))
+
+
+def deploy(
+    *, put_down: bool = False, policy: Any = None, cell: RobotCell | None = None, **options: Any
+) -> TwinOutcome:
+    """The built-in grasp on an ideal twin, without a clock."""
+    _, hand = cell_and_hand()
+    grasp, thing = grasp_and_object()
+    truth = draw_twin(0, len(hand.joint_names), len(hand.actuators), IDEAL)
+    return deploy_on_twin(
+        cell or near_cell(),
+        hand,
+        thing,
+        grasp,
+        placed()[0],
+        policy or OpenLoopPolicy(),
+        MotionPlanner(hand, {thing.name: thing}),
+        truth,
+        settings=DeploymentSettings(look_time=0.3, put_down=put_down),
+        **options,
+    )

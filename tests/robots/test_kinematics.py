@@ -1,0 +1,109 @@
+"""From poses of the palm to joints of the arm."""
+
+import numpy as np
+import pytest
+from robot_cells import cell_and_hand
+
+from fungrasp.geometry.poses import relative, rotation_vector
+from fungrasp.robots.kinematics.arm_model import ArmKinematics, ClearanceModel
+from fungrasp.robots.kinematics.joint_path import FreePath, timed_leg
+from fungrasp.robots.kinematics.solutions import arm_postures, random_starts
+
+POSTURE = np.array([0.2, -1.4, 1.6, -1.5, -1.5, 0.3])
+
+
+@pytest.fixture(scope="module")
+def kinematics() -> ArmKinematics:
+    return ArmKinematics(*cell_and_hand())
+
+
+def test_jacobian_is_the_derivative_of_the_pose(kinematics: ArmKinematics) -> None:
+    jacobian, step = kinematics.jacobian(POSTURE), 1e-6
+    for joint in range(6):
+        moved = POSTURE.copy()
+        moved[joint] += step
+        difference = kinematics.palm_pose(moved)[:3] - kinematics.palm_pose(POSTURE)[:3]
+        np.testing.assert_allclose(difference / step, jacobian[:3, joint], atol=1e-5)
+
+
+def test_a_ur_has_eight_postures_for_a_pose(kinematics: ArmKinematics) -> None:
+    pose = kinematics.palm_pose(POSTURE)
+    found = arm_postures(kinematics, pose, random_starts(kinematics, 48, np.random.default_rng(0)))
+    assert len(found) == 8
+    assert min(np.abs(found - POSTURE).max(axis=1)) < 1e-3
+    for joints in found:
+        np.testing.assert_allclose(kinematics.palm_pose(joints)[:3], pose[:3], atol=1e-4)
+
+
+def test_no_posture_for_a_pose_out_of_reach(kinematics: ArmKinematics) -> None:
+    pose = kinematics.palm_pose(POSTURE)
+    pose[0] += 2.0
+    assert len(arm_postures(kinematics, pose, random_starts(kinematics, 8, np.random.default_rng(0)))) == 0
+
+
+def test_the_palm_is_followed_on_one_branch(kinematics: ArmKinematics) -> None:
+    pytest.importorskip("mink")
+    from fungrasp.robots.kinematics.differential import PalmFollower
+
+    follower = PalmFollower(kinematics, 2.0)
+    follower.begin(POSTURE)
+    pose, before = kinematics.palm_pose(POSTURE), POSTURE
+    for _ in range(40):
+        pose[0] += 0.004
+        joints, place, turn = follower.follow(pose, 0.02)
+        assert max(place, turn) < 1e-4
+        assert np.abs(joints - before).max() <= 2.0 * 0.02 * 1.001
+        before = joints
+    error = relative(kinematics.palm_pose(before), pose)
+    assert np.linalg.norm(error[:3]) < 1e-4
+    assert np.linalg.norm(rotation_vector(error[3:])) < 1e-4
+
+
+def test_a_follower_keeps_the_joint_speed_where_the_palm_jumps(kinematics: ArmKinematics) -> None:
+    pytest.importorskip("mink")
+    from fungrasp.robots.kinematics.differential import PalmFollower
+
+    follower = PalmFollower(kinematics, 0.5)
+    follower.begin(POSTURE)
+    pose = kinematics.palm_pose(POSTURE)
+    pose[1] += 0.2
+    joints, place, _ = follower.follow(pose, 0.02)
+    assert np.abs(joints - POSTURE).max() <= 0.5 * 0.02 * 1.001
+    assert place > 0.1
+
+
+def test_legs_keep_the_limits_of_joints_and_palm(kinematics: ArmKinematics) -> None:
+    cell, _ = cell_and_hand()
+    end = POSTURE + np.array([1.0, 0.2, -0.4, 0.5, 0.3, -1.2])
+    path = timed_leg(POSTURE, end, kinematics, cell.limits, 0.02)
+    np.testing.assert_array_equal(path[-1], end)
+    joints = np.concatenate([POSTURE[None], path])
+    palm = np.array([kinematics.palm_pose(q)[:3] for q in joints])
+    assert np.abs(np.diff(joints, axis=0)).max() / 0.02 <= cell.limits.arm_speed
+    assert np.linalg.norm(np.diff(palm, axis=0), axis=1).max() / 0.02 <= cell.limits.palm_speed
+    assert np.linalg.norm(np.diff(palm, 2, axis=0), axis=1).max() / 4e-4 <= cell.limits.palm_acceleration
+
+
+def test_clearance_sees_table_and_arm() -> None:
+    cell, hand = cell_and_hand()
+    model, fingers = ClearanceModel(cell, hand), np.zeros(16)
+    home = model.measure(np.array(cell.arm.home), fingers)
+    assert min(home.table, home.hand, home.itself) > 0.0
+    assert model.measure(np.array([0.0, 0.6, 0.1, 0, 0, 0]), fingers).table < 0.0
+    assert model.measure(np.array([0.0, -1.57, 2.9, -1.57, -1.57, 0.0]), fingers).itself < 0.0
+
+
+def test_a_way_around_a_ball(kinematics: ArmKinematics) -> None:
+    cell, hand = cell_and_hand()
+    free = FreePath(kinematics, ClearanceModel(cell, hand), cell.workspace)
+    fingers, rng = np.zeros(16), np.random.default_rng(0)
+    start = np.array(cell.arm.home)
+    end = start + np.array([1.0, 0, 0, 0, 0, 0])
+    middle = kinematics.palm_pose(0.5 * (start + end))[:3]
+    ball = np.append(middle - [0, 0, 0.12], 0.08)
+    assert free.find(start, end, fingers, None, rng) is not None
+    way = free.find(start, end, fingers, ball, rng)
+    assert way is not None
+    np.testing.assert_array_equal(way[-1], end)
+    for one, other in zip([start, *way[:-1]], way, strict=True):
+        assert all(free.clear(q, fingers, ball) for q in np.linspace(one, other, 12))

@@ -1,0 +1,111 @@
+"""The composite robot, its shape for LeRobot, and the twin behind it."""
+
+import numpy as np
+import pytest
+from robot_cells import cell_and_hand, grasp_and_object, placed
+
+from fungrasp.geometry.poses import relative
+from fungrasp.robots.device import DeviceStatus, RobotError, StopKind
+from fungrasp.robots.lerobot_adapter import LeRobotRobot
+from fungrasp.robots.robot import Robot
+from fungrasp.robots.twin.clocks import TwinClock
+from fungrasp.robots.twin.devices import TwinArm, TwinHand, TwinTracker
+from fungrasp.robots.twin.parameters import IDEAL, TwinSpread, draw_twin
+from fungrasp.robots.twin.world import TwinWorld
+from fungrasp.task import Action
+
+pytest.importorskip("mink")
+
+
+def robot_on_twin(spread: TwinSpread | None = IDEAL) -> tuple[Robot, TwinWorld]:
+    cell, hand = cell_and_hand()
+    _, thing = grasp_and_object()
+    truth = draw_twin(0, len(hand.joint_names), len(hand.actuators), spread)
+    world = TwinWorld(cell, hand, thing, truth)
+    world.settle(placed()[0])
+    devices = TwinArm(world, cell), TwinHand(world, cell, hand), TwinTracker(world)
+    return Robot(cell, hand, *devices, TwinClock(world)), world
+
+
+def test_actions_move_the_palm_and_say_what_was_sent() -> None:
+    robot, world = robot_on_twin()
+    with robot:
+        world.advance(world.time + 0.2)
+        state = robot.state()
+        robot.place_setpoints(state.arm.positions, state.hand.positions)
+        robot.begin(state)
+        seen = robot.get_observation()
+        assert len(seen) == 1
+        np.testing.assert_allclose(relative(world.look().object_pose, seen.object_pose[0])[:3], 0, atol=1e-3)
+        goal = seen.palm_pose.copy()
+        goal[:, 1] += 0.05
+        for tick in range(15):
+            sent = robot.send_action(Action(goal, seen.joint_setpoints, np.array([False])), 0.2 + 0.1 * tick)
+        assert not sent.lift[0]
+        np.testing.assert_allclose(sent.palm_goal[0, :3], goal[0, :3], atol=1e-3)
+        world.advance(world.time + 0.5)
+        np.testing.assert_allclose(world.look().palm_pose[:3], goal[0, :3], atol=5e-3)
+        with pytest.raises(RobotError, match="not finite"):
+            robot.send_action(Action(goal * np.nan, seen.joint_setpoints, np.array([False])))
+
+
+def test_a_stopped_device_takes_no_command_until_it_is_connected_again() -> None:
+    robot, _ = robot_on_twin()
+    with robot:
+        arm = robot.state().arm.positions
+        robot.stop(StopKind.HOLD)
+        assert robot.state().arm.status is DeviceStatus.STOPPED
+        with pytest.raises(RobotError, match="connect to it again"):
+            robot.arm.command(arm)
+        robot.arm.connect()
+        robot.arm.command(arm)
+
+
+def test_the_shape_of_lerobot() -> None:
+    robot, world = robot_on_twin()
+    adapter = LeRobotRobot(robot)
+    adapter.connect()
+    world.advance(world.time + 0.2)
+    seen = adapter.get_observation()
+    assert set(seen) == set(adapter.observation_features)
+    action = {name: seen[name] for name in adapter.action_features if name in seen} | {"lift": 0.0}
+    sent = adapter.send_action(action)
+    assert set(sent) == set(adapter.action_features)
+    assert sent["palm.x"] == pytest.approx(seen["palm.x"], abs=0.01)
+    adapter.disconnect()
+    assert not adapter.is_connected
+
+
+def test_twins_differ_and_repeat() -> None:
+    one, again, two = (draw_twin(seed, 16, 16) for seed in (1, 1, 2))
+    np.testing.assert_array_equal(one.stiffness, again.stiffness)
+    assert np.abs(one.stiffness - two.stiffness).min() > 1e-6
+
+
+def test_the_twins_encoders_are_off_and_its_setpoints_late() -> None:
+    robot, world = robot_on_twin(None)
+    truth = world.truth
+    with robot:
+        measured = robot.state().hand.positions
+        steps = measured / truth.encoder_step
+        np.testing.assert_allclose(steps, np.round(steps), atol=1e-6)
+        target = measured + 0.2
+        before = world.hand_state()[0]
+        robot.hand_driver.command(target)
+        world.advance(world.time + 0.9 * truth.hand_delay)
+        np.testing.assert_allclose(world.hand_state()[0], before, atol=2.1 * truth.encoder_step)
+        world.advance(world.time + 0.5)
+        assert np.abs(world.hand_state()[0] - before).max() > 0.1
+
+
+def test_the_twins_physics_is_not_the_planners() -> None:
+    from fungrasp.objects.convex_decomposition import DecompositionSettings
+    from fungrasp.robots.twin.twin_model import TwinPhysics
+    from fungrasp.simulation import SceneSettings
+
+    twin, planner = TwinPhysics(), SceneSettings()
+    assert twin.timestep != planner.timestep
+    assert twin.cone != "elliptic"
+    assert twin.impratio != planner.impratio
+    assert twin.contact_time != 0.02
+    assert twin.pieces != DecompositionSettings()

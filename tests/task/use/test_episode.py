@@ -1,0 +1,139 @@
+"""Use tests: what is held firmly stays, what is held loosely does not, and where fingers are."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from planned_grasps import grasps_and_objects, plan, scene
+
+from fungrasp.geometry.poses import compose, euler_angles, invert, quaternion_from_rotation_vector, relative
+from fungrasp.policies import OpenLoopPolicy
+from fungrasp.task import LiftEnvironment, play
+from fungrasp.task.use import UseMotion, load_use_motions, play_use
+from fungrasp.task.use.functional_contact import functional_contact
+from fungrasp.task.use.geometry import far_end, turning_frame
+from fungrasp.task.use.motion import TriggerPress
+
+ANY = [(frozenset(),) * 13] * 2
+
+
+@cache
+def _lifted() -> tuple[LiftEnvironment, object, np.ndarray]:
+    environment = LiftEnvironment(scene(), 2, threads=1)
+    environment.settle(grasps_and_objects()[0])
+    outcomes = play(environment, OpenLoopPolicy(), plan())
+    return environment, environment.engine.get_state(), outcomes.success
+
+
+def lifted() -> tuple[LiftEnvironment, np.ndarray]:
+    """A can and a ball, held up at the end of their lift tests."""
+    environment, state, held = _lifted()
+    environment.engine.restore(state)
+    environment.engine.set_parameters(table_height=np.zeros(2))
+    assert held.all()
+    return environment, held
+
+
+def still(duration: float = 0.4, **options) -> UseMotion:
+    return UseMotion("still", ("wait",), duration, **options)
+
+
+def test_what_is_only_held_stays_in_the_palm():
+    environment, held = lifted()
+    use = play_use(environment, [still()] * 2, held, ANY)
+    assert use.success.all() and use.motion.tolist() == ["still"] * 2
+    assert (use.shift_m < 2e-3).all() and (use.turn_rad < np.deg2rad(3)).all()
+
+
+def test_a_pull_that_no_hand_withstands_takes_the_object_out():
+    environment, held = lifted()
+    use = play_use(environment, [still(pull=10.0), still(pull=200.0)], held, ANY)
+    assert use.shift_m[1] > 0.01 and use.shift_m[1] > use.shift_m[0]
+    assert use.reason[1] == "the object slipped in the palm"
+
+
+def test_a_torque_turns_what_is_held_loosely():
+    held = lifted()[1]
+    weak, strong = (
+        play_use(lifted()[0], [still(torque=torque)] * 2, held, ANY).turn_rad for torque in (0.01, 2.0)
+    )
+    assert (strong > weak).all() and (strong > np.deg2rad(10)).any()
+
+
+def test_the_palm_turns_as_the_motion_says():
+    environment, held = lifted()
+    before = environment.engine.palm_pose
+    half = UseMotion("tip", ("tip",), 1.0, turn="tilt", segments=((np.deg2rad(60), 1.0, 0.2),))
+    poses = []
+    play_use(environment, [half] * 2, held, ANY, lambda: poses.append(environment.engine.palm_pose))
+    turned = compose(poses[-1], invert(before))
+    angle = 2 * np.arccos(np.clip(np.abs(turned[:, 3]), 0, 1))
+    np.testing.assert_allclose(np.rad2deg(angle), 60, atol=4)
+    np.testing.assert_allclose(poses[-1][:, :3], before[:, :3], atol=6e-3)
+
+
+def test_worlds_that_were_not_held_and_tasks_without_motion_are_not_tested():
+    environment, _ = lifted()
+    use = play_use(environment, [still(), None], np.array([False, True]), ANY)
+    assert use.motion.tolist() == ["", ""] and not use.success.any()
+    assert np.isnan(use.shift_m).all() and np.isnan(use.functional_contact[0])
+
+
+def test_a_finger_presses_with_the_force_it_is_asked_for():
+    environment, held = lifted()
+    soft = play_use(environment, [still(1.0, trigger=TriggerPress("index", "", 0.5))] * 2, held, ANY)
+    environment, held = lifted()
+    hard = play_use(environment, [still(1.0, trigger=TriggerPress("index", "", 5.0))] * 2, held, ANY)
+    assert (hard.trigger_force_n > soft.trigger_force_n).any()
+    environment, held = lifted()
+    missing = play_use(environment, [still(trigger=TriggerPress("pinky", "", 5.0))] * 2, held, ANY)
+    assert missing.reason.tolist() == ["the hand has no pinky finger"] * 2
+
+
+def test_functional_contact_counts_the_fingers_on_the_part_that_the_person_held():
+    environment, held = lifted()
+    share, parts = functional_contact(environment, ANY)
+    touching = environment.engine.link_contacts & environment.task.target_contacts
+    np.testing.assert_allclose(share, touching.sum(1) / environment.task.target_contacts.sum(1))
+    assert set(parts[0]) == {"body"}, "a can has one part"
+    elsewhere = [(frozenset({"lid"}),) * 13] * 2
+    assert (functional_contact(environment, elsewhere)[0] == 0).all()
+    use = play_use(environment, [still()] * 2, held, elsewhere)
+    assert use.reason.tolist() == ["no finger touches the part that the person held"] * 2
+
+
+def test_hinges_stay_away_from_where_two_coincide():
+    rng = np.random.default_rng(0)
+    for _ in range(200):
+        axis = rng.normal(size=3)
+        axis /= np.linalg.norm(axis)
+        pose = np.array([0, 0, 0, *rng.normal(size=4)])
+        pose[3:] /= np.linalg.norm(pose[3:])
+        frame = turning_frame(axis, pose)
+        angles = []
+        for angle in np.linspace(-np.deg2rad(100), np.deg2rad(100), 41):
+            turned = compose(np.array([0, 0, 0, *quaternion_from_rotation_vector(angle * axis)]), pose)
+            angles.append(euler_angles(relative(frame, turned)[3:]))
+        angles = np.array(angles)
+        assert np.abs(angles[:, 1]).max() < np.deg2rad(46)
+        assert np.abs(np.diff(angles, axis=0)).max() < 0.5, "none of them jumps"
+
+
+def test_the_far_end_is_the_farthest_point_of_the_surface():
+    objects = grasps_and_objects()[1]
+    can = objects["can"]
+    identity = np.array([0, 0, 0, 1.0, 0, 0, 0])
+    above = np.array([0, 0, 1.0, 1.0, 0, 0, 0])
+    assert far_end(can, identity, above)[2] == pytest.approx(can.vertices[:, 2].min())
+
+
+def test_same_state_same_outcome():
+    runs = []
+    for _ in range(2):
+        environment, held = lifted()
+        runs.append(play_use(environment, [load_use_motions()["pour"]] * 2, held, ANY))
+    np.testing.assert_array_equal(runs[0].shift_m, runs[1].shift_m)
+    assert replace(runs[0]).success.tolist() == runs[1].success.tolist()

@@ -1,0 +1,69 @@
+"""Mistakes in Python are answered as on the command line: in one line that names the thing and what to do."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import fungrasp
+from fungrasp.errors import FungraspError
+from fungrasp.retarget import retarget
+
+
+@pytest.fixture(scope="module")
+def human():
+    return fungrasp.builtin_grasps()[:2]
+
+
+def test_a_name_will_do_for_a_hand(human):
+    objects = fungrasp.load_objects(human)
+    robot = retarget(human, objects, "allegro")
+    again = retarget(human, objects, fungrasp.load_hand("allegro"))
+    np.testing.assert_array_equal(robot.joint_positions, again.joint_positions)
+    by_name = fungrasp.static_quality(robot, human, objects, "allegro")
+    assert len(by_name.contact_error_mm) == 2
+    assert fungrasp.build_scene("allegro", objects).hand.name == "allegro"
+    assert fungrasp.MotionPlanner("allegro", objects).hand.name == "allegro"
+
+
+@pytest.mark.parametrize(
+    ("hand", "message"),
+    [
+        ("alegro", "Did you mean 'allegro'"),
+        (None, "expected a hand, .* not NoneType"),
+        (3, "expected a hand"),
+    ],
+)
+def test_what_is_no_hand_is_said(human, hand, message):
+    with pytest.raises(FungraspError, match=message):
+        retarget(human, fungrasp.load_objects(human), hand)
+
+
+def test_missing_objects_and_wrong_kinds_are_named(human):
+    objects = fungrasp.load_objects(human)
+    with pytest.raises(FungraspError, match=r"the object 'mug' .* given: none"):
+        retarget(human, {}, "allegro")
+    with pytest.raises(FungraspError, match=r"expected objects by name, .* not list"):
+        retarget(human, list(objects.values()), "allegro")  # type: ignore[arg-type]
+    with pytest.raises(FungraspError, match="the set is empty"):
+        retarget(human[:0], objects, "allegro")
+    with pytest.raises(FungraspError, match="retarget them first"):
+        fungrasp.evaluate(human, objects, "allegro")  # type: ignore[arg-type]
+    with pytest.raises(FungraspError, match="only human grasps"):
+        retarget(retarget(human, objects, "allegro"), objects, "allegro")  # type: ignore[arg-type]
+
+
+def test_sets_are_indexed_by_slices_lists_and_masks():
+    grasps = fungrasp.builtin_grasps()
+    first = grasps.object_name == grasps.object_name[0]
+    for part in (grasps[:3], grasps[[0, 1, 2]], grasps[np.arange(3)]):
+        np.testing.assert_array_equal(part.hand_joints, grasps.hand_joints[:3])
+    assert len(grasps[first]) == first.sum()
+    with pytest.raises(FungraspError, match="outside the set"):
+        grasps[[1000]]
+
+
+def test_reprs_are_short(human):
+    objects = fungrasp.load_objects(human)
+    for thing in (human, human[0], objects["mug"], fungrasp.load_hand("allegro")):
+        assert len(repr(thing)) < 100
