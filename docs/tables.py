@@ -216,6 +216,81 @@ def chain() -> Table:
     return Table(head, rows, ["perception-chain"])
 
 
+def driver_faults() -> Table:
+    """How drivers react to faults of emulated devices."""
+    names = ("driver-faults-ur", "driver-faults-allegro", "driver-faults-inspire")
+    trials = [row for name in names for row in _read(name).rows if not row["fault"].startswith("none")]
+    head = (
+        "device",
+        "fault",
+        "trials",
+        "seen",
+        "after, median / 95 % [ms]",
+        "stands after, median / 95 % [ms]",
+    )
+    rows = []
+    for device, fault in dict.fromkeys((t["device"], t["fault"]) for t in trials):
+        group = [t for t in trials if (t["device"], t["fault"]) == (device, fault)]
+        seen, stopped = ([t[key] for t in group if t[key] is not None] for key in ("detected", "stopped"))
+        restarted = sum(t["restarted"] for t in group)
+        cells = (device, fault, str(len(group)), f"{len(seen)}", _milliseconds(seen), _milliseconds(stopped))
+        rows.append((*cells, f"{restarted}"))
+    return Table((*head, "restarted"), rows, names)
+
+
+def _milliseconds(seconds: Sequence[float]) -> str:
+    if not seconds:
+        return NONE
+    return f"{1e3 * np.median(seconds):.0f} / {1e3 * np.percentile(seconds, 95):.0f}"
+
+
+def driver_speed() -> Table:
+    """What drivers cost against emulated devices."""
+    head = ("device", "steps/s", "processor time of a step [µs]", "`command` [µs]", "`read` [µs]")
+    rows = []
+    for r in _read("driver-speed").rows:
+        step = 1e6 * r["busy_share"] / r["rate"]
+        times = (f"{step:.0f}", f"{1e6 * r['command']:.0f}", f"{1e6 * r['read']:.0f}")
+        rows.append((r["device"], f"{r['rate']:.0f}", *times))
+    return Table(head, rows, ["driver-speed"])
+
+
+def identification() -> Table:
+    """Identified dynamics against known ones, by method."""
+    head = (
+        "method",
+        "truths",
+        "median error",
+        "largest",
+        "delay error [ms]",
+        "held-out RMS [rad]",
+        "time [s]",
+    )
+    results = [row for row in _read("identification").rows if row["log"] == "known truth"]
+    rows = []
+    for method in dict.fromkeys(row["method"] for row in results):
+        group = [row for row in results if row["method"] == method]
+        keys = ("median_error", "held_out_rms", "seconds")
+        median = {key: float(np.median([row[key] for row in group])) for key in keys}
+        largest = max(row["largest_error"] for row in group)
+        delay = 1e3 * max(abs(row["delay_error"]) for row in group)
+        errors = (_percent(median["median_error"]), _percent(largest), f"{delay:.2f}")
+        fit = (f"{median['held_out_rms']:.4f}", f"{median['seconds']:.0f}")
+        rows.append((method, str(len(group)), *errors, *fit))
+    return Table(head, rows, ["identification"])
+
+
+def identification_step() -> Table:
+    """A real hand's step, measured and predicted on rows that were held out."""
+    head = ("method", "delay, measured / predicted [ms]", "rise time, measured / predicted [ms]")
+    rows = []
+    for r in _read("identification").rows:
+        if r["log"] == "real step":
+            delay, rise = (f"{1e3 * r[k]:.1f} / {1e3 * r[f'{k}_predicted']:.1f}" for k in ("delay", "rise"))
+            rows.append((r["method"], delay, rise, f"{r['held_out_rms']:.4f}"))
+    return Table((*head, "held-out RMS [rad]"), rows, ["identification"])
+
+
 def limits() -> Table:
     """What is read of each format, from the constants that the readers use."""
     plain = f"{MOST_NODES / 1e6:g} million values, {DEEPEST} levels, integers of 64 bits"
@@ -310,6 +385,10 @@ BUILDERS: dict[str, Callable[[], Table]] = {
     "ablations": ablations,
     "perception": perception,
     "chain": chain,
+    "driver_faults": driver_faults,
+    "driver_speed": driver_speed,
+    "identification": identification,
+    "identification_step": identification_step,
     "limits": limits,
     "fuzz": fuzz,
     "kills": kills,
