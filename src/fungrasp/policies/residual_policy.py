@@ -78,6 +78,11 @@ class StudentPolicy(_ResidualNetwork):
 
     outputs: Mapping[str, np.ndarray]
 
+    @property
+    def estimates_contacts(self) -> bool:
+        """Whether the network says which links touch, and how hard."""
+        return {"contacts", "forces"} <= set(self.network.outputs)
+
     def reset(self, plan: GraspPlan, observation: Observation) -> None:
         """See ``Policy.reset``."""
         super().reset(plan, observation)
