@@ -78,6 +78,20 @@ def test_without_time_for_another_attempt_there_is_no_test(late):
     assert attempts.lifting.all() == (late > 0)
 
 
+def test_a_long_object_that_tilts_is_caught():
+    """Its origin, 20 cm from the palm, stays on the table."""
+    attempts, origin = GraspAttempts(2), np.array([-0.2, 0.0, 0.0])
+    attempts.begin(np.arange(2), np.zeros(2, dtype=int))
+    for clock in range(31 + S.test_steps):
+        height = S.rise * np.clip((clock - 30) / S.test_steps, 0, 1)
+        half = -0.5 * np.arcsin(height / 0.2)
+        tilt = np.array([*origin, np.cos(half), 0.0, np.sin(half), 0.0])
+        observation = seen(clock, palm_height=np.full(2, height))
+        observation = replace(observation, object_pose=np.tile(tilt, (2, 1)))
+        attempts.update(observation, np.full(2, clock), CLOSING, LIFT)
+    assert attempts.lifting.all()
+
+
 def test_new_episodes_know_nothing_of_those_before():
     attempts = played(30 + S.test_steps)
     attempts.begin(np.array([1]), np.array([0, 5]))

@@ -212,7 +212,8 @@ def check_hand(grasps: RobotGraspSet, hand: Hand) -> None:
     """
     if not isinstance(grasps, RobotGraspSet):
         raise FungraspError(
-            f"expected robot grasps, not a {type(grasps).__name__}: retarget them first (fungrasp.retarget.retarget)"
+            f"expected robot grasps, not a {type(grasps).__name__}: retarget them first "
+            "(fungrasp.retarget.retarget)"
         )
     if grasps.hand != hand.name:
         raise FungraspError(f"the grasps are of the hand '{grasps.hand}', not of '{hand.name}'")

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fungrasp.geometry.poses import compose, relative
 from fungrasp.task import LiftProtocol, Observation
 
 
@@ -18,7 +19,8 @@ class AttemptSettings:
     test_steps: int = 7
     """Control steps of the test: the wrist takes 0.63 s to rise by 3 cm and stop, and a tracker is late."""
     share: float = 0.4
-    """Share of the palm's rise by which a caught object has risen at least."""
+    """Share of the palm's rise by which a caught object has risen at least, where the palm is: a long object
+    first tilts."""
     open_steps: int = 4
     """Control steps in which fingers open and the palm goes back."""
     back: int = 2
@@ -57,7 +59,10 @@ class GraspAttempts:
         """Control steps since the plan's origin has begun to follow the object, shape [W]."""
         self._behind = np.zeros(count, dtype=int)
         self._began = np.full(count, -1)
-        self._heights = np.zeros((count, 2))
+        self._height = np.zeros(count)
+        """Height of the palm as the test began [m], shape [W]."""
+        self._palm_in_object = np.tile([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], (count, 1))
+        """Where it was then, object frame, shape [W, 7]."""
 
     def begin(self, ids: np.ndarray, clock: np.ndarray) -> None:
         """New episodes in some worlds.
@@ -92,7 +97,7 @@ class GraspAttempts:
         start = closing_step - s.back
         self.step = np.where(self.failed, np.maximum(clock - self._behind, start), clock)
         self.followed += 1
-        heights = np.stack([observation.object_pose[:, 2], observation.palm_pose[:, 2]], axis=1)
+        palm, thing = observation.palm_pose, observation.object_pose
         lost_sight = observation.object_pose_age > s.stale
         known = ~lost_sight if touching is None else np.ones(len(clock), dtype=bool)
         last = round(LiftProtocol.approach_time / LiftProtocol.control_period)
@@ -100,10 +105,11 @@ class GraspAttempts:
         arrived = ~self.lifting & (self._began < 0) & (self.step >= lift_step)
         tests = arrived & known & ~self.failed & (clock + need <= last)
         self._began = np.where(tests, clock, self._began)
-        self._heights = np.where(tests[:, None], heights, self._heights)
+        self._height = np.where(tests, palm[:, 2], self._height)
+        self._palm_in_object = np.where(tests[:, None], relative(thing, palm), self._palm_in_object)
         over = (self._began >= 0) & (clock - self._began >= s.test_steps)
-        rise = heights - self._heights
-        caught = rise[:, 0] > s.share * rise[:, 1]
+        carried = compose(thing, self._palm_in_object)[:, 2]
+        caught = carried - self._height > s.share * (palm[:, 2] - self._height)
         if touching is not None:
             caught = np.where(lost_sight, touching >= s.links, caught)
         else:
