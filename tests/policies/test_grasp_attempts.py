@@ -67,29 +67,29 @@ def test_an_object_that_is_not_seen_is_held_where_links_touch_it():
     end = 30 + S.test_steps
     blind = played(end, held=(False, False), age=1.0)
     np.testing.assert_array_equal(blind.lifting, [True, True])
-    felt = played(end, held=(False, False), age=1.0, touching=np.array([2, 1]))
+    felt = played(end, held=(False, False), age=1.0, touching=np.array([1, 0]))
     np.testing.assert_array_equal(felt.lifting, [True, False])
     np.testing.assert_array_equal(felt.failed, [False, True])
 
 
-@pytest.mark.parametrize("late", [0, 8])
+@pytest.mark.parametrize("late", [0, 6])
 def test_without_time_for_another_attempt_there_is_no_test(late):
     attempts = played(30 + late, late=late)
     assert attempts.lifting.all() == (late > 0)
 
 
-def test_a_long_object_that_tilts_is_caught():
-    """Its origin, 20 cm from the palm, stays on the table."""
-    attempts, origin = GraspAttempts(2), np.array([-0.2, 0.0, 0.0])
-    attempts.begin(np.arange(2), np.zeros(2, dtype=int))
-    for clock in range(31 + S.test_steps):
-        height = S.rise * np.clip((clock - 30) / S.test_steps, 0, 1)
-        half = -0.5 * np.arcsin(height / 0.2)
-        tilt = np.array([*origin, np.cos(half), 0.0, np.sin(half), 0.0])
-        observation = seen(clock, palm_height=np.full(2, height))
-        observation = replace(observation, object_pose=np.tile(tilt, (2, 1)))
-        attempts.update(observation, np.full(2, clock), CLOSING, LIFT)
-    assert attempts.lifting.all()
+def test_a_jittering_tracker_is_believed_in_the_mean():
+    random = np.random.default_rng(0)
+    wrong = 0
+    for _ in range(200):
+        attempts = GraspAttempts(2)
+        attempts.begin(np.arange(2), np.zeros(2, dtype=int))
+        for clock in range(31 + S.test_steps):
+            height = S.rise * np.clip((clock - 30) / S.test_steps, 0, 1)
+            thing = height * np.array([1.0, 0.0]) + random.normal(0, 0.002, 2)
+            attempts.update(seen(clock, thing, np.full(2, height)), np.full(2, clock), CLOSING, LIFT)
+        wrong += int(attempts.failed[0]) + int(not attempts.failed[1])
+    assert wrong < 4
 
 
 def test_new_episodes_know_nothing_of_those_before():

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fungrasp.geometry.poses import compose, relative
 from fungrasp.task import LiftProtocol, Observation
 
 
@@ -16,11 +15,13 @@ class AttemptSettings:
 
     rise: float = 0.03
     """Height by which the palm rises for the test [m]."""
-    test_steps: int = 7
+    test_steps: int = 8
     """Control steps of the test: the wrist takes 0.63 s to rise by 3 cm and stop, and a tracker is late."""
-    share: float = 0.4
-    """Share of the palm's rise by which a caught object has risen at least, where the palm is: a long object
-    first tilts."""
+    share: float = 0.25
+    """Share of the palm's rise by which a caught object has risen at least; a long one first tilts, and what
+    is seen is late."""
+    frames: int = 3
+    """Tracked heights whose mean is compared, before the test and at its end, as trackers jitter."""
     open_steps: int = 4
     """Control steps in which fingers open and the palm goes back."""
     back: int = 2
@@ -28,16 +29,17 @@ class AttemptSettings:
     stale: float = 0.25
     """Age from which a tracked pose tells nothing about the lift [s]: two missing frames and the longest
     delay make less."""
-    links: int = 2
+    links: int = 1
     """Links in touch with the object from which it is held, where the tracker tells nothing."""
 
 
 class GraspAttempts:
     """How far W robots are in their plans, which have one test of the lift and one more attempt.
 
-    The hand rises a little before the lift. If the tracked object has risen with it (or, where the tracker
-    has lost it, enough links touch it), the lift begins. If not, and there is time, the plan is taken back to
-    shortly before the fingers close: its origin then goes to where the object is seen now.
+    The hand rises a little before the lift. If the tracked object has risen with it, the lift begins. Where
+    the tracker has lost the object, contacts decide, if they are known, else it is lifted. If the object has
+    stayed behind, and there is time, the plan is taken back to shortly before the fingers close: its origin
+    then goes to where the object is seen now.
     """
 
     def __init__(self, count: int, settings: AttemptSettings | None = None):
@@ -59,10 +61,10 @@ class GraspAttempts:
         """Control steps since the plan's origin has begun to follow the object, shape [W]."""
         self._behind = np.zeros(count, dtype=int)
         self._began = np.full(count, -1)
-        self._height = np.zeros(count)
-        """Height of the palm as the test began [m], shape [W]."""
-        self._palm_in_object = np.tile([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], (count, 1))
-        """Where it was then, object frame, shape [W, 7]."""
+        self._height = np.zeros((2, count))
+        """Heights of object and palm before the test [m], shape [2, W]."""
+        self._seen = np.full((self.settings.frames, count), np.nan)
+        """Last heights of the tracked object [m], the newest last, shape [frames, W]; NaN where none was."""
 
     def begin(self, ids: np.ndarray, clock: np.ndarray) -> None:
         """New episodes in some worlds.
@@ -71,7 +73,7 @@ class GraspAttempts:
             ids: worlds, shape [I].
             clock: control step at which they begin, shape [W] int.
         """
-        self.step[ids], self._began[ids] = clock[ids], -1
+        self.step[ids], self._began[ids], self._seen[:, ids] = clock[ids], -1, np.nan
         for values in (self.raised, self.lifting, self.failed, self.followed, self._behind):
             values[ids] = 0
 
@@ -97,7 +99,7 @@ class GraspAttempts:
         start = closing_step - s.back
         self.step = np.where(self.failed, np.maximum(clock - self._behind, start), clock)
         self.followed += 1
-        palm, thing = observation.palm_pose, observation.object_pose
+        self._seen = np.concatenate([self._seen[1:], observation.object_pose[None, :, 2]])
         lost_sight = observation.object_pose_age > s.stale
         known = ~lost_sight if touching is None else np.ones(len(clock), dtype=bool)
         last = round(LiftProtocol.approach_time / LiftProtocol.control_period)
@@ -105,11 +107,12 @@ class GraspAttempts:
         arrived = ~self.lifting & (self._began < 0) & (self.step >= lift_step)
         tests = arrived & known & ~self.failed & (clock + need <= last)
         self._began = np.where(tests, clock, self._began)
-        self._height = np.where(tests, palm[:, 2], self._height)
-        self._palm_in_object = np.where(tests[:, None], relative(thing, palm), self._palm_in_object)
+        # Plans are longer than the frames: none is missing by the time of the test.
+        heights = np.stack([self._seen.mean(axis=0), observation.palm_pose[:, 2]])
+        self._height = np.where(tests, heights, self._height)
         over = (self._began >= 0) & (clock - self._began >= s.test_steps)
-        carried = compose(thing, self._palm_in_object)[:, 2]
-        caught = carried - self._height > s.share * (palm[:, 2] - self._height)
+        thing, palm = heights - self._height
+        caught = thing > s.share * palm
         if touching is not None:
             caught = np.where(lost_sight, touching >= s.links, caught)
         else:

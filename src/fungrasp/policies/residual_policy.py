@@ -78,15 +78,10 @@ class StudentPolicy(_ResidualNetwork):
 
     outputs: Mapping[str, np.ndarray]
 
-    def reset(self, plan: GraspPlan, observation: Observation) -> None:
-        """See ``Policy.reset``."""
-        super().reset(plan, observation)
-        self.outputs = {}
-
     def act(self, observation: Observation) -> Action:
         """See ``Policy.act``."""
-        inferred = self.outputs.get("contacts")
-        return self._act(observation, {}, None if inferred is None else inferred > 0.5)
+        # Inferred contacts are not sure enough to tell an object that was missed.
+        return self._act(observation, {}, None)
 
 
 class TeacherPolicy(_ResidualNetwork):
