@@ -2,9 +2,12 @@
 # make test   all checks and tests
 # make check  those of them that take less than a minute
 # make tables writes the tables of README and docs from docs/results
+# make fuzz   CASES=1000 SEED=1 damaged files of each kind for the readers
 # They set up what they need in .venv, once. PYTHON=... chooses the Python (3.11 or newer) it is made with.
 
 PYTHON ?= python3
+CASES ?= 100
+SEED ?= 0
 JOBS ?= 2
 VENV := .venv
 BIN := $(VENV)/bin
@@ -23,11 +26,11 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export NO_MKDOCS_2_WARNING := 1
 export PYRIGHT_PYTHON_IGNORE_WARNINGS := 1
 
-.PHONY: help demo test check quick tables format clean $(CHECKS)
+.PHONY: help demo test check quick tables format fuzz clean $(CHECKS)
 .DELETE_ON_ERROR:
 
 help:
-	@sed -n '1,5s/^# //p' Makefile
+	@sed -n '1,6s/^# //p' Makefile
 
 demo: $(VENV)/.installed
 	$(BIN)/fungrasp demo $(ARGS)
@@ -64,6 +67,9 @@ unit: $(VENV)/.installed-dev
 
 quick: $(VENV)/.installed-dev
 	$(BIN)/pytest $(QUICK)
+
+fuzz: $(VENV)/.installed-dev
+	$(BIN)/python tests/formats/fuzz.py --cases $(CASES) --seed $(SEED)
 
 format: $(VENV)/.installed-dev
 	$(BIN)/ruff check --fix

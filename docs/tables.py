@@ -18,6 +18,20 @@ import numpy as np
 from perception_table import SOURCES, perception_rows
 
 from fungrasp.evaluation.result_files import ResultFile, read_result
+from fungrasp.formats import (
+    image_file,
+    json_file,
+    mesh_file,
+    mujoco_model,
+    numpy_files,
+    onnx_file,
+    pickle_file,
+    sandbox,
+    toml_file,
+    yaml_file,
+)
+from fungrasp.formats.file_bytes import DEEPEST, MOST_NODES
+from fungrasp.formats.xml_file import DEEPEST_ELEMENT
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "docs" / "results"
@@ -202,6 +216,156 @@ def chain() -> Table:
     return Table(head, rows, ["perception-chain"])
 
 
+def driver_faults() -> Table:
+    """How drivers react to faults of emulated devices."""
+    names = ("driver-faults-ur", "driver-faults-allegro", "driver-faults-inspire")
+    trials = [row for name in names for row in _read(name).rows if not row["fault"].startswith("none")]
+    head = (
+        "device",
+        "fault",
+        "trials",
+        "seen",
+        "after, median / 95 % [ms]",
+        "stands after, median / 95 % [ms]",
+    )
+    rows = []
+    for device, fault in dict.fromkeys((t["device"], t["fault"]) for t in trials):
+        group = [t for t in trials if (t["device"], t["fault"]) == (device, fault)]
+        seen, stopped = ([t[key] for t in group if t[key] is not None] for key in ("detected", "stopped"))
+        restarted = sum(t["restarted"] for t in group)
+        cells = (device, fault, str(len(group)), f"{len(seen)}", _milliseconds(seen), _milliseconds(stopped))
+        rows.append((*cells, f"{restarted}"))
+    return Table((*head, "restarted"), rows, names)
+
+
+def _milliseconds(seconds: Sequence[float]) -> str:
+    if not seconds:
+        return NONE
+    return f"{1e3 * np.median(seconds):.0f} / {1e3 * np.percentile(seconds, 95):.0f}"
+
+
+def driver_speed() -> Table:
+    """What drivers cost against emulated devices."""
+    head = ("device", "steps/s", "processor time of a step [µs]", "`command` [µs]", "`read` [µs]")
+    rows = []
+    for r in _read("driver-speed").rows:
+        step = 1e6 * r["busy_share"] / r["rate"]
+        times = (f"{step:.0f}", f"{1e6 * r['command']:.0f}", f"{1e6 * r['read']:.0f}")
+        rows.append((r["device"], f"{r['rate']:.0f}", *times))
+    return Table(head, rows, ["driver-speed"])
+
+
+def identification() -> Table:
+    """Identified dynamics against known ones, by method."""
+    head = (
+        "method",
+        "truths",
+        "median error",
+        "largest",
+        "delay error [ms]",
+        "held-out RMS [rad]",
+        "time [s]",
+    )
+    results = [row for row in _read("identification").rows if row["log"] == "known truth"]
+    rows = []
+    for method in dict.fromkeys(row["method"] for row in results):
+        group = [row for row in results if row["method"] == method]
+        keys = ("median_error", "held_out_rms", "seconds")
+        median = {key: float(np.median([row[key] for row in group])) for key in keys}
+        largest = max(row["largest_error"] for row in group)
+        delay = 1e3 * max(abs(row["delay_error"]) for row in group)
+        errors = (_percent(median["median_error"]), _percent(largest), f"{delay:.2f}")
+        fit = (f"{median['held_out_rms']:.4f}", f"{median['seconds']:.0f}")
+        rows.append((method, str(len(group)), *errors, *fit))
+    return Table(head, rows, ["identification"])
+
+
+def identification_step() -> Table:
+    """A real hand's step, measured and predicted on rows that were held out."""
+    head = ("method", "delay, measured / predicted [ms]", "rise time, measured / predicted [ms]")
+    rows = []
+    for r in _read("identification").rows:
+        if r["log"] == "real step":
+            delay, rise = (f"{1e3 * r[k]:.1f} / {1e3 * r[f'{k}_predicted']:.1f}" for k in ("delay", "rise"))
+            rows.append((r["method"], delay, rise, f"{r['held_out_rms']:.4f}"))
+    return Table((*head, "held-out RMS [rad]"), rows, ["identification"])
+
+
+def limits() -> Table:
+    """What is read of each format, from the constants that the readers use."""
+    plain = f"{MOST_NODES / 1e6:g} million values, {DEEPEST} levels, integers of 64 bits"
+    child = f"{sandbox.SECONDS:g} s and 1 s for each {sandbox.BYTES_PER_SECOND / 1e6:g} MB"
+    child += f"; {sandbox.MEMORY / 1e9:g} GB"
+    kept = f"{numpy_files.LARGEST >> 20} MB of arrays, {numpy_files.MOST_ARRAYS} arrays, "
+    kept += f"{numpy_files.MOST_AXES} axes"
+    rows = [
+        ("NumPy (`.npz`, `.npy`)", _megabytes(numpy_files.LARGEST), f"{kept}; numbers, flags, text", NONE),
+        ("JSON", _megabytes(json_file.LARGEST), plain, NONE),
+        ("TOML", _megabytes(toml_file.LARGEST), plain, NONE),
+        ("YAML", _megabytes(yaml_file.LARGEST), plain, NONE),
+        (
+            "pickle",
+            _megabytes(pickle_file.LARGEST),
+            f"{pickle_file.MOST_STEPS / 1e6:g} million steps; arrays",
+            NONE,
+        ),
+        (
+            f"images ({', '.join(image_file.FORMATS)})",
+            _megabytes(image_file.LARGEST),
+            f"{image_file.LARGEST_PIXELS / 1e6:g} million pixels",
+            NONE,
+        ),
+        ("meshes", _megabytes(mesh_file.LARGEST), f"{mesh_file.MOST_FACES / 1e6:g} million faces", child),
+        (
+            "MJCF, URDF",
+            _megabytes(mujoco_model.LARGEST),
+            f"{DEEPEST_ELEMENT} levels, no entities, declared sizes up to {mujoco_model.LARGEST_SIZE:,}",
+            child,
+        ),
+        (
+            "ONNX",
+            _megabytes(onnx_file.LARGEST),
+            f"{onnx_file.MOST_MESSAGES:,} nodes, attributes, tensors; {len(onnx_file.OPERATORS)} operators",
+            child,
+        ),
+    ]
+    return Table(
+        ("format", "largest file", "what it may hold", "processor time; memory to parse it"), rows, []
+    )
+
+
+def _megabytes(size: int) -> str:
+    return f"{size / 1e6:,.3g} MB"
+
+
+def fuzz() -> Table:
+    """Damaged files by kind."""
+    result = _read("fuzz")
+    rows = [
+        (
+            row["kind"],
+            f"{row['cases']:,}",
+            f"{row['taken']:,}",
+            f"{row['refused']:,}",
+            str(row["unclean"]),
+            f"{row['slowest_s']:.1f}",
+            f"{row['memory_mb']:.0f}",
+        )
+        for row in result.rows
+    ]
+    head = ("kind", "cases", "taken", "refused", "not clean", "slowest [s]", "largest memory [MB]")
+    return Table(head, rows, ["fuzz"])
+
+
+def kills() -> Table:
+    """Long work that was killed and went on."""
+    rows = [
+        (f"`{row['what']}`", str(row["kills"]), str(row["finished"]), str(row["found"]))
+        for row in _read("kills").rows
+    ]
+    return Table(("work", "killed", "came to its end", "other result, or something left"), rows, ["kills"])
+
+
 def recorded(name: str) -> Callable[[], Table]:
     """A table whose cells are kept as they were written down, with their head in the header."""
 
@@ -221,10 +385,19 @@ BUILDERS: dict[str, Callable[[], Table]] = {
     "ablations": ablations,
     "perception": perception,
     "chain": chain,
+    "driver_faults": driver_faults,
+    "driver_speed": driver_speed,
+    "identification": identification,
+    "identification_step": identification_step,
+    "limits": limits,
+    "fuzz": fuzz,
+    "kills": kills,
     "adapters": recorded("adapters"),
     "experiments_hand_fit": recorded("experiments-hand-fit"),
     "experiments_policies": recorded("experiments-policies"),
     "experiments_left": recorded("experiments-left"),
+    "hands_added": recorded("hands-added"),
+    "select_by_quality": recorded("select-by-quality"),
     "experiments_rollouts": recorded("experiments-rollouts"),
 }
 """By the name in a page."""
@@ -270,6 +443,8 @@ def _read(name: str) -> ResultFile:
 
 def _sources(names: Sequence[str], page: Path) -> Iterator[str]:
     """What made the numbers, and links to the files."""
+    if not names:
+        return
     commands = dict.fromkeys(_read(name).header["command"] for name in names)
     for command in [command for command in commands if command][:1]:
         more = " and its like, which the files name" if len(commands) > 1 else ""

@@ -1,4 +1,4 @@
-"""Replays a recorded episode in plain MuJoCo, from what the servos were told."""
+"""Replays a recorded episode of a nominal world in plain MuJoCo, from what the servos were told."""
 
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -22,7 +22,7 @@ model = build_scene(hand, objects).model
 data = mujoco.MjData(model)
 data.qpos[:] = episode.qpos[0]
 data.mocap_pos[0], data.mocap_quat[0] = episode.wrist_reference[:3], episode.wrist_reference[3:]
-assert episode.controls is not None
+assert episode.controls is not None and not episode.differs
 spans = zip(episode.times, episode.times[1:], episode.controls[1:], strict=False)
 for before, after, controls in spans:
     data.ctrl[:] = controls

@@ -131,7 +131,7 @@ def test_cache_folder_that_cannot_be_made(tmp_path: Path, monkeypatch: pytest.Mo
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("FUNGRASP_CACHE", str(tmp_path / "file"))
     assert cache_path("pieces") == tmp_path / "file" / "pieces"
-    with pytest.raises(FungraspError, match="cannot make the cache folder .*; set FUNGRASP_CACHE to"):
+    with pytest.raises(FungraspError, match=r"cannot make the cache folder .*; set FUNGRASP_CACHE to"):
         cache_folder("pieces")
 
 
@@ -139,7 +139,7 @@ def test_cache_folder_that_cannot_be_written_to(tmp_path: Path, monkeypatch: pyt
     monkeypatch.setenv("FUNGRASP_CACHE", str(tmp_path))
     # Permissions mean nothing to root.
     monkeypatch.setattr(os, "access", lambda path, mode: False)
-    with pytest.raises(FungraspError, match="cannot write to the cache folder .*; set FUNGRASP_CACHE to"):
+    with pytest.raises(FungraspError, match=r"cannot write to the cache folder .*; set FUNGRASP_CACHE to"):
         cache_folder("pieces")
 
 

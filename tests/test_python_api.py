@@ -28,7 +28,11 @@ def test_a_name_will_do_for_a_hand(human):
 
 @pytest.mark.parametrize(
     ("hand", "message"),
-    [("alegro", "Did you mean 'allegro'"), (None, "expected a hand, .* not NoneType"), (3, "expected a hand")],
+    [
+        ("alegro", "Did you mean 'allegro'"),
+        (None, "expected a hand, .* not NoneType"),
+        (3, "expected a hand"),
+    ],
 )
 def test_what_is_no_hand_is_said(human, hand, message):
     with pytest.raises(FungraspError, match=message):
@@ -37,9 +41,9 @@ def test_what_is_no_hand_is_said(human, hand, message):
 
 def test_missing_objects_and_wrong_kinds_are_named(human):
     objects = fungrasp.load_objects(human)
-    with pytest.raises(FungraspError, match="the object 'mug' .* given: none"):
+    with pytest.raises(FungraspError, match=r"the object 'mug' .* given: none"):
         retarget(human, {}, "allegro")
-    with pytest.raises(FungraspError, match="expected objects by name, .* not list"):
+    with pytest.raises(FungraspError, match=r"expected objects by name, .* not list"):
         retarget(human, list(objects.values()), "allegro")  # type: ignore[arg-type]
     with pytest.raises(FungraspError, match="the set is empty"):
         retarget(human[:0], objects, "allegro")

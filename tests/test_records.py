@@ -143,7 +143,7 @@ def test_a_file_of_something_else_is_named(tmp_path):
         with pytest.raises(FungraspError, match=r"r\.npz"):
             Observation.load(path)
     np.save(tmp_path / "one.npy", np.zeros(3))
-    with pytest.raises(FungraspError, match="holds no Action"):
+    with pytest.raises(FungraspError, match=r"one\.npy can't be read"):
         Action.load(tmp_path / "one.npy")
     with pytest.raises(KeyError, match="finger_targets"):
         Action.from_arrays({"palm_goal": np.zeros((1, 7)), "lift": np.zeros(1)})
@@ -163,7 +163,7 @@ def test_python_is_not_run_by_reading(tmp_path):
     path = tmp_path / "r.npz"
     arrays = made_up(Action, 0, 1).arrays() | {"lift": np.array([Path("x")], dtype=object)}
     np.savez(path, allow_pickle=True, **arrays)  # pyright: ignore[reportArgumentType]
-    with pytest.raises(FungraspError, match="holds no Action"):
+    with pytest.raises(FungraspError, match="only numbers, flags and text are read"):
         Action.load(path)
 
 

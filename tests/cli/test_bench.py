@@ -15,6 +15,8 @@ from fungrasp.captures.render_capture import CaptureSettings, capture_at
 from fungrasp.cli.bench_perception import BenchPerception
 from fungrasp.grasps import load_objects, save_human_grasps
 from fungrasp.perception import Intrinsics
+from fungrasp.planning.selection import SelectionSettings
+from fungrasp.planning.selection.search import FurtherSearch
 
 
 @pytest.fixture(scope="module")
@@ -46,6 +48,25 @@ def test_simulation_is_the_same_motion_in_all_three_ways(human, tmp_path, capsys
     assert numbers["worlds"] == 4 and numbers["steps"] > 4 * 1000
     assert min(numbers[way] for way in ("environment", "bare", "loop")) > 0
     assert numbers["environment_over_bare"] == pytest.approx(numbers["environment"] / numbers["bare"])
+
+
+def test_planning_counts_core_seconds_with_and_without_rollouts(human, tmp_path, capsys, monkeypatch):
+    def few(protocol, rollouts=True):
+        small = SelectionSettings(candidates=2, rounds=((2, 1),), search=FurtherSearch(most=0))
+        return small if rollouts else SelectionSettings(candidates=2, rollouts=None)
+
+    monkeypatch.setattr(SelectionSettings, "for_protocol", few)
+    path = tmp_path / "b.json"
+    options = ("--grasps", human, "--number", 1, "--protocol", "reality", "--json", path)
+    status, out, _ = run(capsys, "bench", "planning", *options)
+    assert status == 0 and "core seconds per grasp" in out
+    planning = json.loads(path.read_text())["planning"]
+    assert planning["with rollouts"]["rollouts_per_grasp"] == 2
+    assert planning["predictor alone"]["rollouts_per_grasp"] == 0
+    assert (
+        planning["with rollouts"]["seconds_per_grasp"] > planning["predictor alone"]["seconds_per_grasp"] > 0
+    )
+    assert 0 < planning["with rollouts"]["expected_success"] < 1
 
 
 class NoHands:

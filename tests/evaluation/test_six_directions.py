@@ -48,7 +48,7 @@ def test_threads_and_chunks_do_not_matter(good, things, allegro):
 
 
 def test_own_squeeze_targets_are_used(good, things, allegro):
-    """Targets that open the hand lose the object, those that close it hold it; rows without any squeeze as planned."""
+    """Targets that open the hand lose the object, those that close it hold it; others squeeze as planned."""
     some = good.select([0, 1, 2, 3])
     planned = six_direction_test(some, things, allegro)
     own = np.full_like(some.joint_positions, np.nan)

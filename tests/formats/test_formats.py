@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import io
-import json
 import os
-import random
 import struct
 import time
 import zipfile
@@ -25,12 +22,13 @@ from fungrasp.formats.file_bytes import read_bytes
 from fungrasp.formats.guarded import guarded
 from fungrasp.formats.image_file import read_image
 from fungrasp.formats.json_file import parse_json, read_json
-from fungrasp.formats.mesh_file import read_mesh
-from fungrasp.formats.mujoco_model import read_model
+from fungrasp.formats.mesh_file import read_colored_mesh, read_mesh
+from fungrasp.formats.mujoco_model import check_model_numbers, parse_model, read_model
 from fungrasp.formats.numpy_files import read_npy, read_npz
-from fungrasp.formats.onnx_file import check_harmless, try_network
+from fungrasp.formats.onnx_file import check_harmless, metadata, try_network
 from fungrasp.formats.pickle_file import load_arrays_pickle
 from fungrasp.formats.toml_file import read_toml, type_faults
+from fungrasp.formats.xml_file import parse_xml_text
 from fungrasp.formats.yaml_file import read_yaml
 
 MANY = '<replicate count="9000000" offset="1 0 0"><geom size="1"/></replicate>'
@@ -78,6 +76,14 @@ def test_arrays_come_back_as_they_were(tmp_path):
 )
 def test_headers_that_lie(tmp_path, header):
     refused(lambda path: read_npy(path, "file"), tmp_path / "x.npy", npy(header, bytes(8)))
+
+
+@pytest.mark.parametrize("point", [0x110000, 0xD800, 0xFFFFFFFF])
+def test_text_of_what_is_no_character(tmp_path, point):
+    for order in "<>":
+        header = f"{{'descr': '{order}U2', 'fortran_order': False, 'shape': (), }}"
+        body = struct.pack(f"{order}2I", ord("r"), point)
+        refused(lambda path: read_npy(path, "file"), tmp_path / "x.npy", npy(header, body), "no characters")
 
 
 def test_an_archive_that_unpacks_to_gigabytes_is_refused_at_once(tmp_path):
@@ -214,6 +220,56 @@ def test_the_child_process_ends_what_takes_too_long(tmp_path, monkeypatch):
     assert sandbox.run_limited("model", tmp_path / "x.xml", "model") == b""
 
 
+def test_models_with_numbers_that_make_no_sense(tmp_path):
+    shifted = SMALL.replace("<body>", '<body name="b" pos="{} 0 0">')
+    for value, words in (("nan", "not finite"), ("1e11", "beyond 1000 m")):
+        model = parse_model(shifted.format(value), "x").compile()
+        with pytest.raises(FungraspError, match=f"x: pos of body 'b' is .*{words}"):
+            check_model_numbers(model, "x")
+    check_model_numbers(parse_model(shifted.format("1"), "x").compile(), "x")
+    with pytest.raises(FungraspError, match=r"^x was not read|^x declares|^cannot read x"):
+        parse_model(SMALL.replace('<geom size="1"/>', MANY), "x")
+
+
+def test_xml_that_is_nested_too_deeply():
+    assert parse_xml_text("<a><b/></a>", "x").tag == "a"
+    for text, words in (
+        ("<a>" * 300 + "</a>" * 300, "nested more than"),
+        ("<a>" * 100_000, "nested more than"),
+        ("<a>", "not valid XML"),
+        ("", "not valid XML"),
+        ("<!DOCTYPE x [<!ENTITY a 'b'>]><x>&a;</x>", "entities"),
+    ):
+        with pytest.raises(FungraspError, match=words):
+            parse_xml_text(text, "x")
+
+
+def test_metadata_of_networks_is_read_without_running_anything():
+    model = onnx.load_from_string(network(onnx.helper.make_node("Relu", ["x"], ["y"])))
+    onnx.helper.set_model_props(model, {"a": "1", "b": "é"})
+    assert metadata(model.SerializeToString()) == {"a": "1", "b": "é"}
+    with pytest.raises(FungraspError, match="no text in UTF-8"):
+        metadata(model.SerializeToString().replace("é".encode(), b"\xff\xff"))
+
+
+def test_colors_of_meshes(tmp_path):
+    box = trimesh.creation.box((0.1, 0.1, 0.1))
+    box.export(tmp_path / "plain.ply")
+    assert read_colored_mesh(tmp_path / "plain.ply") is None
+    colors = np.random.default_rng(0).integers(0, 255, (8, 4), dtype=np.uint8)
+    box.visual.vertex_colors = colors
+    box.export(tmp_path / "box.ply")
+    found = read_colored_mesh(tmp_path / "box.ply")
+    np.testing.assert_array_equal(found.visual.vertex_colors[:, :3], colors[:, :3])
+    image = Image.fromarray(np.arange(48, dtype=np.uint8).reshape(4, 4, 3))
+    uv = np.random.default_rng(0).random((8, 2))
+    box.visual = trimesh.visual.TextureVisuals(uv=uv, image=image)
+    box.export(tmp_path / "box.glb")
+    found = read_colored_mesh(tmp_path / "box.glb")
+    assert found.visual.kind == "texture" and len(found.vertices) == len(found.visual.uv)
+    refused(read_colored_mesh, tmp_path / "x.glb", (tmp_path / "box.glb").read_bytes()[:-200])
+
+
 def test_files_that_are_none(tmp_path):
     os.mkfifo(tmp_path / "pipe")
     for path, words in (
@@ -235,44 +291,3 @@ def test_what_readers_stumble_over_is_one_line():
 
     with pytest.raises(FungraspError, match=r"^the thing x makes no sense: two lines$"):
         read("x")
-
-
-def seeds() -> dict[str, tuple[bytes, Callable[[Path], Any]]]:
-    """A good file of each format, and its reader."""
-    array, image = io.BytesIO(), io.BytesIO()
-    np.savez_compressed(array, a=np.arange(12.0).reshape(3, 4), b=np.array(["x", "y"]))
-    Image.new("RGB", (8, 8), (9, 99, 200)).save(image, "PNG")
-    plain = io.BytesIO()
-    np.save(plain, np.arange(6).reshape(2, 3))
-    box = trimesh.creation.box((0.1, 0.1, 0.1))
-    return {
-        "x.npz": (array.getvalue(), lambda path: read_npz(path, "file")),
-        "x.npy": (plain.getvalue(), lambda path: read_npy(path, "file")),
-        "x.json": (json.dumps({"a": [1, 2.5, {"b": "c"}]}).encode(), lambda path: read_json(path, "file")),
-        "x.toml": (b'a = 1\n[b]\nc = [1.5, "x"]\n', lambda path: read_toml(path, "file")),
-        "x.png": (image.getvalue(), lambda path: read_image(path, "image")),
-        "x.stl": (bytes(box.export(file_type="stl")), read_mesh),
-        "x.ply": (bytes(box.export(file_type="ply")), read_mesh),
-        "x.glb": (bytes(box.export(file_type="glb")), read_mesh),
-        "x.xml": (SMALL.encode(), read_model),
-    }
-
-
-@pytest.mark.parametrize("name", seeds())
-def test_damaged_files_are_read_or_refused(tmp_path, name):
-    good, read = seeds()[name]
-    for case in range(25):
-        chance = random.Random(f"{name} {case}")
-        data = bytearray(good)
-        for _ in range(chance.choice((1, 1, 2, 5))):
-            at = chance.randrange(len(data) + 1)
-            size = chance.choice((1, 2, 4, 30))
-            piece = chance.choice(
-                (b"", bytes(size), b"\xff" * size, chance.randbytes(size), data[:size], b"[" * 300, b"9" * 99)
-            )
-            data[at : at + chance.choice((0, size))] = piece
-        (tmp_path / name).write_bytes(data)
-        try:
-            read(tmp_path / name)
-        except FungraspError as error:
-            assert "\n" not in str(error) and str(error)

@@ -1,4 +1,4 @@
-"""``hands add``: fingers alike around a center, several hands in a file, angles without units, reference poses."""
+"""``hands add``: fingers alike around a center, several hands in a file, angles without units, references."""
 
 from __future__ import annotations
 
@@ -45,11 +45,15 @@ def test_a_symmetric_claw_needs_no_answer(tmp_path: Path, turns: str):
     assert chosen.fingers["thumb"].links == ("f1a", "f1b")
 
 
-@pytest.mark.parametrize(("low", "high", "turns"), [(-1.5, 1.5, "1 -1 1"), (0, 1.5, "1 1 1"), (-1.5, 0, "-1 -1 -1")])
+@pytest.mark.parametrize(
+    ("low", "high", "turns"), [(-1.5, 1.5, "1 -1 1"), (0, 1.5, "1 1 1"), (-1.5, 0, "-1 -1 -1")]
+)
 def test_hands_start_partly_closed_towards_the_object(tmp_path: Path, low: float, high: float, turns: str):
     hand, _ = added(tmp_path, claw(low=low, high=high, turns=turns))
     kinematics = HandKinematics(hand, 5)
-    spread = [np.ptp(tips(hand, partly_closed(kinematics, share)), axis=0)[:2].max() for share in (0, 0.1, 0.2)]
+    spread = [
+        np.ptp(tips(hand, partly_closed(kinematics, share)), axis=0)[:2].max() for share in (0, 0.1, 0.2)
+    ]
     assert spread[0] > spread[1] > spread[2]
 
 
@@ -63,7 +67,7 @@ def test_one_of_several_hands_is_chosen(tmp_path: Path):
     one = odd_hand().split("<worldbody>")[1].split("</worldbody>")[0]
     other = one.replace('name="', 'name="other_')
     text = odd_hand().replace("</worldbody>", f"{other}</worldbody>")
-    with pytest.raises(FungraspError, match="several bodies carry fingers: 'p', 'other_p'.*--palm"):
+    with pytest.raises(FungraspError, match=r"several bodies carry fingers: 'p', 'other_p'.*--palm"):
         added(tmp_path, text)
     hand, _ = added(tmp_path, text, palm="other_p")
     assert hand.palm == "other_p" and len(hand.fingers) == 5
@@ -79,7 +83,7 @@ def test_things_beside_the_hand_are_left_out(tmp_path: Path):
 
 def test_couplings_count_from_the_reference_pose(tmp_path: Path):
     """Both joints stand at 0.4 in the file: MuJoCo couples what is beyond that."""
-    text = claw(low=0, high=1.5, turns="1 1 1").replace("_j\"", "_j\" ref=\"0.4\"")
+    text = claw(low=0, high=1.5, turns="1 1 1").replace('_j"', '_j" ref="0.4"')
     ties = "".join(f'<joint joint1="f{k}b_j" joint2="f{k}a_j" polycoef="0 0.5 0 0 0"/>' for k in range(3))
     hand, _ = added(tmp_path, text.replace("</mujoco>", f"<equality>{ties}</equality></mujoco>"))
     matrix, offset = hand.coupling

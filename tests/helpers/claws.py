@@ -8,7 +8,9 @@ RADIUS = 0.05
 """Distance of the fingers' bases from the center [m]."""
 
 
-def claw(count: int = 3, low: float = -1.5, high: float = 1.5, turns: str = "1 -1 1", degrees: bool = False) -> str:
+def claw(
+    count: int = 3, low: float = -1.5, high: float = 1.5, turns: str = "1 -1 1", degrees: bool = False
+) -> str:
     """MJCF of ``count`` fingers of two links along z around the body "base".
 
     Args:

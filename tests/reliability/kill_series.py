@@ -119,8 +119,8 @@ def predictor(scratch: Path) -> tuple[Work, Result]:
     grasps = robot_file(scratch)
 
     def work(folder: Path) -> None:
-        small = ("--settings.attempts", 3, "--settings.chunk", 6, "--settings.hold-time", 0.3)
-        small += ("--settings.networks", 2, "--settings.hidden", 16, 8, "--settings.epochs", 2)
+        small = ("--attempts", 3, "--chunk", 6, "--hold-time", 0.3)
+        small += ("--networks", 2, "--hidden", 16, 8, "--epochs", 2)
         run("predictor", "--grasps", grasps, "--out", folder / "p.onnx", "--threads", 1, *small)
 
     return work, lambda folder: weights(folder / "p.onnx")

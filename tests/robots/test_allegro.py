@@ -182,7 +182,7 @@ def test_a_disturbed_bus_does_not_throw_the_hand(fault: Fault):
 
 
 def test_the_driver_takes_the_torque_away_when_its_process_has_died():
-    channel = f"239.{os.getpid() % 200 + 1}.163.2"
+    channel = f"239.74.163.2:{20000 + os.getpid() % 10000}"
     plant = TorquePlant(np.full(16, 0.5), load=0.05)
     settings = AllegroSettings("udp_multicast", channel, stale_after=1.0)
     with AllegroEmulator(plant, "udp_multicast", channel) as emulator, allegro_driver(settings) as driver:
@@ -208,7 +208,7 @@ while True:
     driver.read()
     time.sleep(0.01)
 """
-    channel = f"239.{os.getpid() % 200 + 1}.163.3"
+    channel = f"239.74.163.2:{30000 + os.getpid() % 10000}"
     with AllegroEmulator(TorquePlant(np.full(16, 0.5), load=0.05), "udp_multicast", channel) as emulator:
         child = subprocess.Popen([sys.executable, "-c", code, channel], stdout=subprocess.PIPE, text=True)
         assert child.stdout is not None and child.stdout.readline() == "moving\n"

@@ -141,3 +141,14 @@ def test_power_off_and_open():
         assert wait_for(lambda: not device.emulator.torque_on)
         time.sleep(0.05)
         assert device.driver.read().status is DeviceStatus.STOPPED
+
+
+def test_a_loop_that_ended_with_an_error_of_a_library_is_started_again(monkeypatch: pytest.MonkeyPatch):
+    with emulated() as device:
+        device.driver.connect()
+        monkeypatch.setattr(codec, "joint_positions_of", lambda counts: 1 / 0)
+        assert wait_for(lambda: device.driver.read().status is DeviceStatus.FAULT)
+        assert "ZeroDivisionError" in device.driver.read().message
+        monkeypatch.undo()
+        device.driver.connect()
+        reach(device, device.near)

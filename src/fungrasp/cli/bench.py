@@ -1,4 +1,4 @@
-"""``fungrasp bench``: the speed of retargeting, simulation, training, perception and drivers here."""
+"""``fungrasp bench``: the speed of retargeting, planning, simulation, training, perception and drivers."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from fungrasp.cli.bench_identify import BenchIdentify
 from fungrasp.cli.bench_perception import BenchPerception
+from fungrasp.cli.bench_planning import BenchPlanning
 from fungrasp.cli.bench_robot import BenchFaults, BenchRobot
 from fungrasp.cli.console import progress_bar, table, write_json
 
@@ -246,6 +247,7 @@ COMMAND = {
     "retarget": Retargeting,
     "simulation": Simulation,
     "training": Training,
+    "planning": BenchPlanning,
     "perception": BenchPerception,
     "robot": BenchRobot,
     "faults": BenchFaults,

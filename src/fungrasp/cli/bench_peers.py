@@ -54,7 +54,11 @@ def compare_with_peers(options: Retargeting) -> None:
         if name in PEERS and name not in there:
             print(f"{name} is not installed: pip install 'fungrasp[bench]'", file=sys.stderr)
             continue
-        results[name] = compare_method(name, human, objects, hand, options.lift, options.threads)
+        try:
+            results[name] = compare_method(name, human, objects, hand, options.lift, options.threads)
+        except ImportError as error:
+            print(f"{name} is installed, but can't be imported: {error}", file=sys.stderr)
+            continue
         print(f"{name}: {results[name].grasps_per_cpu_second:.1f} grasps per CPU second", file=sys.stderr)
         if options.json is not None:
             _write(options.json, results, {"hand": hand.name, "grasps": len(human), "machine": machine()})

@@ -25,9 +25,21 @@ def result_table(result: LiftTestResult) -> str:
     rows += [_row(name, part) for name, part in numbers["by_object"].items()]
     rows.append(_row("all", numbers))
     rows.append(_row("mean over objects", numbers["mean_over_objects"]))
+    lines = contact_estimate_lines(numbers["contact_estimate"])
     reasons = Counter(reason for reason in result.outcomes.reason.tolist() if reason)
-    lines = [f"failed: {count:3d} {reason}" for reason, count in reasons.most_common()]
+    lines += [f"failed: {count:3d} {reason}" for reason, count in reasons.most_common()]
     return "\n".join([table(rows), *lines])
+
+
+def contact_estimate_lines(estimate: Mapping[str, Any] | None) -> list[str]:
+    """How well a student knew what it touched, a line, or none."""
+    if estimate is None:
+        return []
+    return [
+        f"estimated contacts: F1 {estimate['f1']:.2f} (precision {estimate['precision']:.2f}, "
+        f"recall {estimate['recall']:.2f}); forces off by {estimate['force_error_n']:.1f} N "
+        f"of {estimate['force_n']:.1f} N"
+    ]
 
 
 def use_table(result: LiftTestResult) -> str:

@@ -133,7 +133,7 @@ class Evaluate:
         if randomization == NOMINAL:
             conditions = protocol_conditions(self.protocol)
         refinement = self._refinement(objects, hand)
-        selection = SelectionSettings() if self.rollouts else SelectionSettings(rollouts=None)
+        selection = SelectionSettings.for_protocol(self.protocol, self.rollouts)
         # One planner for all conditions: what it has planned for one it knows for the others.
         make = partial(make_planner, self.policy, hand, objects, selection, threads=self.threads)
         unadapted = MotionSettings(adapt=None)

@@ -4,21 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 
 from fungrasp.deployment.deadlines import DeadlineMonitor
+from fungrasp.deployment.deployment_result import DeploymentResult, DeploymentSettings
 from fungrasp.deployment.emergency_stop import StopSwitch
 from fungrasp.deployment.log import DeploymentLog, NoLog
+from fungrasp.deployment.looking import look_for_object
 from fungrasp.deployment.phases import Phase, PhaseMachine
 from fungrasp.deployment.preparation import GraspPreparer, PreparedGrasp
 from fungrasp.deployment.safety import SafetyGuard, check_pose
 from fungrasp.errors import FungraspError
 from fungrasp.geometry.poses import compose
 from fungrasp.grasps import RobotGraspSet
-from fungrasp.robots.device import DeviceStatus, RobotError, StopKind
+from fungrasp.robots.device import RobotError, StopKind
 from fungrasp.robots.kinematics.arm_model import ClearanceModel
 from fungrasp.robots.kinematics.joint_path import timed_leg
 from fungrasp.robots.robot import Robot, RobotCommand, RobotState, SafetyStop
@@ -30,40 +32,6 @@ ARRIVED = 2e-3
 
 MOVED = 0.02
 """A joint of the arm that is farther from where it was has moved [rad]."""
-
-
-@dataclass(frozen=True)
-class DeploymentSettings:
-    """Times of a deployment."""
-
-    look_time: float = 1.0
-    """Time in which poses of the object are collected before planning [s]."""
-    wait_time: float = 10.0
-    """Longest wait for the first of them [s]."""
-    put_down: bool = True
-    """Whether the object is put down again, and the arm goes home."""
-    open_time: float = 1.5
-    """Time in which the hand opens to let go [s]."""
-    longest_phase: float = 30.0
-    """A phase that takes longer has failed [s]."""
-
-
-@dataclass(frozen=True, eq=False)
-class DeploymentResult:
-    """How a deployment went."""
-
-    phase: Phase
-    """DONE, or FAULT."""
-    fault: str
-    """Why it is FAULT, as a phrase; "" otherwise."""
-    prepared: PreparedGrasp | None
-    """What was planned; None where it did not come to that."""
-    ticks: DeadlineMonitor
-    """Lateness of the 10 Hz ticks."""
-    setpoints: DeadlineMonitor
-    """Lateness of the 50 Hz setpoints."""
-    times: dict[str, float] = field(default_factory=dict)
-    """When each phase began, on the robot's clock [s]."""
 
 
 class Deployment:
@@ -116,7 +84,6 @@ class Deployment:
             robot.setpoints.period,
             moving=not robot.dry_run,
         )
-        self._home = np.asarray(robot.cell.arm.home)
 
     def run(self, grasp: RobotGraspSet) -> DeploymentResult:
         """Grasp, lift, hold, put down, go home. Never raises for what goes wrong with the robot.
@@ -132,7 +99,7 @@ class Deployment:
         robot.due = lambda planned: self.setpoint_ticks.record(planned, robot.clock.now())
         try:
             self._times[Phase.IDLE] = robot.clock.now()
-            object_pose, state = self._look()
+            object_pose, state = look_for_object(robot, self.settings, self._check_switch)
             prepared = self._prepare(grasp, object_pose, state)
             state = self._awake(state)
             self._begin(Phase.MOVE_TO_START)
@@ -191,32 +158,6 @@ class Deployment:
         with suppress(OSError, ValueError):
             self.log.event(now, "fault", reason)
         self._on_phase(Phase.FAULT)
-
-    def _look(self) -> tuple[np.ndarray, RobotState]:
-        """Where the object rests, world frame [7]: the average of what the tracker says; and the state."""
-        robot, s = self.robot, self.settings
-        state = robot.state()
-        deadline = robot.clock.now() + s.wait_time
-        while state.tracked is None or not robot.ready:
-            if robot.clock.now() > deadline:
-                for name, joints in (("arm", state.arm), ("hand", state.hand)):
-                    if joints.status is not DeviceStatus.READY:
-                        said = f"{joints.status} {joints.message}".strip()
-                        raise RobotError(f"the {name} does not follow: {said}; start anew")
-                raise RobotError(f"the tracker sees no object for {s.wait_time:g} s: look where it looks")
-            self._check_switch()
-            robot.clock.sleep_until(robot.clock.now() + 0.02)
-            state = robot.state()
-        poses, end = [], robot.clock.now() + s.look_time
-        while robot.clock.now() < end:
-            robot.clock.sleep_until(robot.clock.now() + 0.02)
-            state = robot.state()
-            assert state.tracked is not None
-            poses.append(state.tracked.pose_world_object)
-        problem = check_pose(state.tracked, _average(np.array(poses)), robot.clock.now(), robot.cell)
-        if problem:
-            raise RobotError(f"{problem}: look at the tracker, then start anew")
-        return _average(np.array(poses)), state
 
     def _prepare(self, grasp: RobotGraspSet, object_pose: np.ndarray, state: RobotState) -> PreparedGrasp:
         self._prepared = self._preparer.prepare(grasp, object_pose, state.arm.positions)
@@ -349,10 +290,3 @@ class Deployment:
         self._check_switch()
         self.log.setpoint(self.machine.phase, state, command)
         self._on_setpoint(self.machine.phase)
-
-
-def _average(poses: np.ndarray) -> np.ndarray:
-    """Mean of poses that are near one another, shape [7]. poses: shape [N, 7]."""
-    turns = poses[:, 3:] * np.sign(poses[:, 3:] @ poses[0, 3:])[:, None]
-    turn = turns.mean(axis=0)
-    return np.concatenate([np.median(poses[:, :3], axis=0), turn / np.linalg.norm(turn)])

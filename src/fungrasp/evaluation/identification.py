@@ -44,7 +44,7 @@ class KnownTruthFit:
 
 
 def known_truth_fit(hand: Hand, finger: str, method: str, seed: int, evaluations: int) -> KnownTruthFit:
-    """Fit a finger's dynamics to 6 s of motion of a truth drawn from a seed: half of it fitted, half held out.
+    """Fit a finger to 6 s of motion of a truth drawn from a seed: half of it fitted, half held out.
 
     Stiffness is given, as where a host computes torques; positions come in counts of 0.088°.
 

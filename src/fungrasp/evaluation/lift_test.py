@@ -12,6 +12,7 @@ import numpy as np
 
 from fungrasp import __version__
 from fungrasp.errors import FungraspError
+from fungrasp.evaluation.contact_estimate import ContactEstimateMeter, ContactEstimates
 from fungrasp.evaluation.partial_results import PartialResults
 from fungrasp.evaluation.trajectory import Recorder
 from fungrasp.evaluation.use_test import UseTest
@@ -21,7 +22,7 @@ from fungrasp.hands import Hand, as_hand
 from fungrasp.objects import ObjectModel, check_objects, with_sizes
 from fungrasp.planning import MotionPlanner, Planner
 from fungrasp.planning.selection import SearchPlanner, SelectionSettings
-from fungrasp.policies import make_planner, make_policy, policy_files
+from fungrasp.policies import StudentPolicy, make_planner, make_policy, policy_files
 from fungrasp.simulation import Scene, SceneSettings, build_scene
 from fungrasp.task import LiftEnvironment, LiftProtocol, Outcomes, Policy, PrivilegedPolicy, play
 from fungrasp.task.use import UseOutcomes
@@ -74,12 +75,16 @@ class LiftTestResult:
     shape [N]."""
     rollouts: np.ndarray
     """Episodes that were simulated to plan each grasp, shape [N] int."""
+    contact_estimates: ContactEstimates
+    """How well the policy knew what it touched, N rows."""
     use: UseOutcomes | None = None
     """Outcomes of the use tests that followed; None if there were none."""
 
     def __repr__(self) -> str:
         held = int(np.sum(self.outcomes.success))
-        return f"<LiftTestResult: hand {self.hand!r}, policy {self.policy!r}, {held} of {len(self.index)} held>"
+        return (
+            f"<LiftTestResult: hand {self.hand!r}, policy {self.policy!r}, {held} of {len(self.index)} held>"
+        )
 
 
 def evaluate(
@@ -194,6 +199,7 @@ def evaluate(
         outcomes=Outcomes.from_arrays(merged),
         refined_tries=merged["refined_tries"],
         rollouts=merged["rollouts"],
+        contact_estimates=ContactEstimates.from_arrays(merged),
         use=None if use is None else UseOutcomes.from_arrays(_without(merged, USE_PREFIX)),
     )
 
@@ -206,7 +212,8 @@ def check_hand(grasps: RobotGraspSet, hand: Hand) -> None:
     """
     if not isinstance(grasps, RobotGraspSet):
         raise FungraspError(
-            f"expected robot grasps, not a {type(grasps).__name__}: retarget them first (fungrasp.retarget.retarget)"
+            f"expected robot grasps, not a {type(grasps).__name__}: retarget them first "
+            "(fungrasp.retarget.retarget)"
         )
     if grasps.hand != hand.name:
         raise FungraspError(f"the grasps are of the hand '{grasps.hand}', not of '{hand.name}'")
@@ -284,7 +291,8 @@ class _Test:
         files: list[Path],
         progress: Callable[[float], None],
     ) -> dict[str, np.ndarray]:
-        """Fields of ``Outcomes``, ``refined_tries`` and ``rollouts``, each of shape [W].
+        """Fields of ``Outcomes`` and ``ContactEstimates``, ``refined_tries`` and ``rollouts``, each of shape
+        [W].
 
         Args:
             grasps: W grasps.
@@ -302,7 +310,7 @@ class _Test:
         half = 0.5 if isinstance(self.planner, SearchPlanner) else 0.0
         plan = self.planner.plan(grasps, belief, seed, lambda done: progress(half * done / len(rows)))
         environment.move_objects()
-        recorder = Recorder(environment.task, grasps) if files else None
+        recorder = Recorder(environment.task, grasps, r) if files else None
         longest = p.approach_time + p.hold_time + 1.2
 
         def watch() -> None:
@@ -310,7 +318,11 @@ class _Test:
             if recorder is not None:
                 recorder()
 
-        outcomes = play(environment, self.policy, plan, watch=watch)
+        policy, estimates = self.policy, ContactEstimates.none(len(rows))
+        if isinstance(policy, StudentPolicy) and policy.estimates_contacts:
+            policy = ContactEstimateMeter(policy, environment)
+            estimates = policy.estimates
+        outcomes = play(environment, policy, plan, watch=watch)
         if recorder is not None:
             for trajectory, file in zip(recorder.trajectories(rows), files, strict=True):
                 trajectory.save(file)
@@ -322,6 +334,7 @@ class _Test:
         none = np.zeros(len(rows), dtype=int)
         return (
             outcomes.arrays()
+            | estimates.arrays()
             | use
             | {
                 "refined_tries": grasps.extra.get("refined_tries", none + 1),

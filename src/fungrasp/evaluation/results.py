@@ -44,6 +44,7 @@ def summary(result: LiftTestResult, which: np.ndarray | None = None) -> dict[str
     for name in ("sim_distance_world_mm_s", "sim_distance_hand_mm_s"):
         distance = getattr(result.outcomes, name)[held]
         values[f"{name}_held"] = float(np.mean(distance)) if len(distance) else None
+    values["contact_estimate"] = result.contact_estimates.summary(which)
     displacement = values["sim_distance_world_mm_s"] * LEGACY_PERIOD
     values["legacy"] = {
         "success_rate": float(np.mean(result.outcomes.legacy_success[which])),

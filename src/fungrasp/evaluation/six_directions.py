@@ -102,8 +102,8 @@ def six_direction_test(
 
 
 def _own_squeeze(hand: Hand, grasps: RobotGraspSet) -> np.ndarray:
-    """Servo targets of the grasps' own squeeze within the joints' limits [rad], shape [W, U]; NaN where they have
-    none."""
+    """Servo targets of the grasps' own squeeze within the joints' limits [rad], shape [W, U]; NaN where they
+    have none."""
     low, high = hand.joint_limits.T
     return hand.independent(np.clip(grasps.squeeze_positions, low, high))
 
@@ -126,7 +126,7 @@ def _push(
     missing = np.isnan(squeezed).any(axis=1)
     if missing.any():
         planned = closed + squeeze_offsets(hand, floating, objects, belief, palm, closed)
-        squeezed = np.where(missing[:, None], planned, squeezed)
+        squeezed = np.where(np.expand_dims(missing, 1), planned, squeezed)
     engine.reset()
     engine.set_state(
         object_pose=grasps.object_pose,

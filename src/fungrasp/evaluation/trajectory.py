@@ -12,9 +12,13 @@ from fungrasp.files import atomic_path
 from fungrasp.formats.numpy_files import read_npz
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.task import LiftTask
+from fungrasp.transfer import NOMINAL, Randomization
+
+_ADDED = ("controls", "differs")
+"""Fields that recordings of earlier versions lack."""
 
 _SHAPES = {
-    **dict.fromkeys(("hand", "object_name", "reason"), ("U", 0)),
+    **dict.fromkeys(("hand", "object_name", "reason", "differs"), ("U", 0)),
     **dict.fromkeys(("object_mass",), ("f", 0)),
     **dict.fromkeys(("index",), ("iu", 0)),
     **dict.fromkeys(("success",), ("b", 0)),
@@ -64,6 +68,10 @@ class Trajectory:
     controls: np.ndarray | None = None
     """What the servos of the scene were told before each state: the wrist's six joints in its frame [m, rad],
     then the finger servos [rad]; shape [T, 6 + U]. None in recordings of earlier versions."""
+    differs: str = ""
+    """What may differ from the nominal world, as names of fields of ``Randomization`` with spaces between;
+    empty for a nominal one. The drawn values are not in a recording, and a replay of the controls in the
+    nominal scene departs from it."""
 
     def save(self, path: str | Path) -> None:
         """Write to an ``.npz`` file, whole or not at all; numbers as float32.
@@ -94,7 +102,7 @@ def replay(path: str | Path) -> Trajectory:
     """
     names = {field.name for field in fields(Trajectory)}
     arrays = read_npz(path, "recorded episode", names.__contains__)
-    missing = sorted(names - {"controls"} - set(arrays))
+    missing = sorted(names - set(_ADDED) - set(arrays))
     if missing:
         raise FungraspError(f"{path} is no recorded episode: it lacks {', '.join(missing)}")
     for name, (kinds, axes) in _SHAPES.items():
@@ -111,13 +119,17 @@ def replay(path: str | Path) -> Trajectory:
 class Recorder:
     """Watches a task and keeps its states; hand it to ``LiftEnvironment.step``."""
 
-    def __init__(self, task: LiftTask, grasps: RobotGraspSet):
+    def __init__(self, task: LiftTask, grasps: RobotGraspSet, randomization: Randomization = NOMINAL):
         """
         Args:
             task: whose episodes have begun.
             grasps: one per world.
+            randomization: of the worlds.
         """
         self._task, self._grasps = task, grasps
+        other = (f.name for f in fields(randomization))
+        names = [name for name in other if getattr(randomization, name) != getattr(NOMINAL, name)]
+        self._differs = " ".join(names)
         self._states: list[tuple[np.ndarray, ...]] = []
         self._times: list[np.ndarray] = []
         self()
@@ -167,6 +179,7 @@ class Recorder:
                     link_contacts=contacts,
                     phase=phase,
                     controls=controls,
+                    differs=self._differs,
                 )
             )
         return result

@@ -29,7 +29,7 @@ NUMBERS = {
     "site": ("pos", "quat"),
     "eq": ("data",),
 }
-"""Fields of a compiled model that ``check_numbers`` looks at, by kind of element."""
+"""Fields of a compiled model that ``check_model_numbers`` looks at, by kind of element."""
 
 LENGTHS = ("pos", "ipos", "size")
 """Those of them that are lengths [m]."""
@@ -92,7 +92,7 @@ def parse_model(text: str, where: str) -> mujoco.MjSpec:
     return spec
 
 
-def check_numbers(model: mujoco.MjModel, where: str, longest: float = 1000.0) -> None:
+def check_model_numbers(model: mujoco.MjModel, where: str, longest: float = 1000.0) -> None:
     """Refuse a model in which a place, direction, size, mass or limit is not finite, or a place or size is
     beyond ``longest`` [m]: what samples surfaces takes time and memory in proportion.
 

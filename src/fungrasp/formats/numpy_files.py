@@ -136,11 +136,18 @@ def _array(stream: IO[bytes], length: int, room: int, where: str) -> np.ndarray:
     try:
         array = np.frombuffer(data, dtype, count).reshape(shape, order="F" if fortran else "C")
         array = array.astype(dtype.newbyteorder("="), copy=False)
-        if dtype.kind == "U":
-            np.char.encode(array, "utf-8")
     except ValueError as error:
         raise FungraspError(f"{where} can't be read: {one_line(error)}") from error
+    if dtype.kind == "U" and not _is_text(array):
+        raise FungraspError(f"{where} holds text with numbers that are no characters")
     return array
+
+
+def _is_text(array: np.ndarray) -> bool:
+    """Whether all code points of an array of text are characters: Python fails on others only when it uses
+    them."""
+    points = np.ascontiguousarray(array).reshape(-1).view(np.uint32)
+    return not ((points > 0x10FFFF) | ((points >= 0xD800) & (points < 0xE000))).any()
 
 
 def _header(stream: IO[bytes], where: str) -> tuple[tuple[int, ...], bool, np.dtype]:

@@ -116,8 +116,8 @@ class RobotGraspSet(GraspSet[RobotGrasp]):
         squeeze = self.extra.get(SQUEEZE)
         if squeeze is not None and squeeze.shape != self.joint_positions.shape:
             raise FungraspError(
-                f"field 'extra/{SQUEEZE}' has shape {squeeze.shape}, expected {self.joint_positions.shape}, that of "
-                "joint_positions"
+                f"field 'extra/{SQUEEZE}' has shape {squeeze.shape}, expected {self.joint_positions.shape}, "
+                "that of joint_positions"
             )
         distance = np.linalg.norm(self.wrist_pose[:, :3] - self.object_pose[:, :3], axis=-1)
         check_rows(
@@ -126,8 +126,8 @@ class RobotGraspSet(GraspSet[RobotGrasp]):
 
     @property
     def squeeze_positions(self) -> np.ndarray:
-        """Targets of the joints that press on the object [rad], in the order of ``joint_names``, shape [N, M]; NaN
-        where a grasp has none of its own."""
+        """Targets of the joints that press on the object [rad], in the order of ``joint_names``, shape
+        [N, M]; NaN where a grasp has none of its own."""
         own = self.extra.get(SQUEEZE)
         return np.full_like(self.joint_positions, np.nan) if own is None else own
 

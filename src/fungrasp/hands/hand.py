@@ -80,7 +80,8 @@ class Hand:
     """Where the model comes from."""
 
     def __repr__(self) -> str:
-        return f"<Hand: {self.name!r}, {self.side}, {len(self.fingers)} fingers, {len(self.actuators)} driven joints>"
+        counts = f"{len(self.fingers)} fingers, {len(self.actuators)} driven joints"
+        return f"<Hand: {self.name!r}, {self.side}, {counts}>"
 
     def spec(self) -> mujoco.MjSpec:
         """A fresh model of the bare hand, palm fixed at the world's origin, one position actuator per

@@ -10,8 +10,8 @@ BENT = 1.3
 """A finger that is shorter by this factor at both limits of a joint bends to both sides."""
 
 TOWARD = 0.35
-"""Cosine of the angle to the closing direction within which a tip moves as its finger bends: fingers a third of a turn
-apart have 0.5."""
+"""Cosine of the angle to the closing direction within which a tip moves as its finger bends: fingers a third
+of a turn apart have 0.5."""
 
 NEAR_ZERO = 0.25
 """A thumb's limit this much nearer to zero than the other is that of the open thumb."""
@@ -23,9 +23,9 @@ STEP = 1e-3
 def partly_closed(kinematics: HandKinematics, share: float) -> np.ndarray:
     """Independent joints that have gone a share of their way from open to closed [rad], shape [U].
 
-    A joint closes towards the limit to which its fingertip moves out of the palm, a thumb's joint away from zero;
-    joints that do neither are taken to close towards their upper limits. A finger that bends to both sides is open
-    where it is straight, and its thumb closes towards the other tips.
+    A joint closes towards the limit to which its fingertip moves out of the palm, a thumb's joint away from
+    zero; joints that do neither are taken to close towards their upper limits. A finger that bends to both
+    sides is open where it is straight, and its thumb closes towards the other tips.
 
     Args:
         kinematics: of 5 copies of any hand; they are moved.

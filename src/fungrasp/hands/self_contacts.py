@@ -33,7 +33,9 @@ class SelfContact:
     """Share of the poses in which they penetrate each other."""
 
 
-def self_contacts(model: mujoco.MjModel, joint_positions: np.ndarray, depth: float = DEEP) -> list[SelfContact]:
+def self_contacts(
+    model: mujoco.MjModel, joint_positions: np.ndarray, depth: float = DEEP
+) -> list[SelfContact]:
     """Pairs of links that penetrate each other, most frequent first.
 
     Args:
@@ -65,7 +67,9 @@ def zero_and_random_poses(model: mujoco.MjModel) -> np.ndarray:
     shape [1 + POSES, M]. model: with limited joints only."""
     low, high = model.jnt_range.T
     random = np.random.default_rng(0).uniform(low, high, (POSES, model.njnt))
-    return np.stack([coupled_positions(model, p) for p in (np.clip(np.zeros(model.njnt), low, high), *random)])
+    return np.stack(
+        [coupled_positions(model, p) for p in (np.clip(np.zeros(model.njnt), low, high), *random)]
+    )
 
 
 def self_contact_words(model: mujoco.MjModel, joint_positions: np.ndarray) -> list[str]:
@@ -90,7 +94,8 @@ def self_contact_words(model: mujoco.MjModel, joint_positions: np.ndarray) -> li
         elif share > BY_SHAPE:
             reason = f"their shapes do so in {100 * share:.0f} % of all poses: " + _remedy(*pair)
         else:
-            reason = f"the shapes allow it in {100 * share:.0f} % of all poses: the pose of the grasp is the reason"
+            often = f"the shapes allow it in {100 * share:.0f} % of all poses"
+            reason = f"{often}: the pose of the grasp is the reason"
         words.append(
             f"'{pair[0]}' and '{pair[1]}' penetrate each other by up to {1e3 * contact.depth:.1f} mm in "
             f"{100 * contact.share:.0f} % of the grasps; {reason}"

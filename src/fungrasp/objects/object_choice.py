@@ -26,6 +26,6 @@ def check_objects(names: Iterable[str], objects: Mapping[str, ObjectModel]) -> N
     if missing:
         given = ", ".join(sorted(objects)) or "none"
         raise FungraspError(
-            f"the object '{missing[0]}' of the grasps is not given; given: {given}. fungrasp.load_objects(grasps) "
-            "loads them"
+            f"the object '{missing[0]}' of the grasps is not given; given: {given}. "
+            "fungrasp.load_objects(grasps) loads them"
         )

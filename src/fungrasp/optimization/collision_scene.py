@@ -58,10 +58,11 @@ class CollisionScene:
         Args: as for ``settled``.
         """
         measured = cls.settled(names, pose, objects)
-        up = np.array(
-            [settled_up(objects[name], u) for name, u in zip(names, measured.up[:, 0], strict=True)]
-        )
-        height = -np.array([np.min(objects[name].vertices @ u) for name, u in zip(names, up, strict=True)])
+        up, height = np.empty((len(measured), 3)), np.empty(len(measured))
+        for number, name in enumerate(sorted(set(names))):
+            rows = measured.grid == number
+            up[rows] = settled_up(objects[name], measured.up[rows, 0])
+            height[rows] = -np.min(up[rows] @ objects[name].vertices.T, axis=1)
         return replace(
             measured,
             up=np.stack([measured.up[:, 0], up], axis=1),

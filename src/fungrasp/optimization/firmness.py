@@ -19,6 +19,16 @@ LIMIT_WEIGHT = 5.0
 cannot exceed its limit."""
 
 
+FIRMNESS_WEIGHT = 40.0
+"""What a load of the object's weight that the contacts cannot take adds to the objective where solutions are
+compared: how much likeness to the given grasp a firm grip is worth."""
+
+DEEPEST = 0.001
+"""A hand that goes farther into the object than this has no grip, however firm it would be [m]."""
+NO_GRIP = 1.5
+"""Share of the weight that is unresisted without any contact: the weight, and half of it pulling down."""
+
+
 class LinkContacts(NamedTuple):
     """Where the L links of N hands touch, or would, object frame."""
 
@@ -111,7 +121,8 @@ def unresisted_load(
 
 def unresisted_share(hand: Hand, state: HandState[RetargetingProblem]) -> np.ndarray:
     """``unresisted_load`` of the links in contact as a share of the objects' weight, shape [N]: force and
-    torque over the object's extent together; zero for a firm grasp, 1.5 for none."""
+    torque over the object's extent together; zero for a firm grasp, ``NO_GRIP`` without contacts and where
+    the hand goes into the object by more than ``DEEPEST``."""
     problem, contacts = state.problem, link_contacts(state)
     limits = np.array([servo.force_limit for servo in hand.actuators.values()])
     force, torque = unresisted_load(
@@ -123,7 +134,8 @@ def unresisted_share(hand: Hand, state: HandState[RetargetingProblem]) -> np.nda
         problem.up[:, -1],
         limits,
     )
-    return np.hypot(force, torque / problem.extent) / problem.weight
+    share = np.hypot(force, torque / problem.extent) / problem.weight
+    return np.where(state.clearance.min(axis=1) < -DEEPEST, NO_GRIP, share)
 
 
 def _directions(up: np.ndarray) -> np.ndarray:

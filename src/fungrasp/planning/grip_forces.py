@@ -19,7 +19,7 @@ SQUEEZE_WEIGHT = 0.3
 grip."""
 LIMIT_WEIGHT = 2.0
 """Weight of a torque at twice its limit against an unbalanced newton. A servo stops at its limit by itself;
-ten times as much costs contacts (docs/decisions/0032-firm-grasps.md)."""
+ten times as much costs contacts (docs/decisions/0035-firm-grasps.md)."""
 
 
 def limited_forces(

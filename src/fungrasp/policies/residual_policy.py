@@ -68,6 +68,11 @@ class StudentPolicy(_ResidualNetwork):
 
     outputs: Mapping[str, np.ndarray]
 
+    @property
+    def estimates_contacts(self) -> bool:
+        """Whether the network says which links touch, and how hard."""
+        return {"contacts", "forces"} <= set(self.network.outputs)
+
     def act(self, observation: Observation) -> Action:
         """See ``Policy.act``."""
         return self._act(observation, {})

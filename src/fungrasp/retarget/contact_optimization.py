@@ -19,11 +19,13 @@ from fungrasp.hands import Hand
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.hands.opening import partly_closed
 from fungrasp.optimization import terms
-from fungrasp.optimization.firmness import unresisted_share
+from fungrasp.optimization.firmness import FIRMNESS_WEIGHT, unresisted_share
 from fungrasp.optimization.hand_state import HandPoints, HandState
 from fungrasp.optimization.levenberg_marquardt import Term, minimize
 from fungrasp.optimization.retargeting_problem import RetargetingProblem
 
+DENSE_SPACING = 0.006
+"""Distance of the collision spheres with which solutions are judged [m]."""
 LEAST_GAIN = 1.0
 """Decrease of the objective that a turned start must bring: equal solutions differ by less."""
 
@@ -60,7 +62,7 @@ class RetargetSettings:
     """Solver iterations of the first stage."""
     second_iterations: int = 30
     """Solver iterations of the second stage."""
-    firmness_weight: float = 40.0
+    firmness_weight: float = FIRMNESS_WEIGHT
     """What a load of the object's weight that the contacts cannot take adds to the objective when solutions
     are compared: how much likeness to the human grasp a firm grip is worth."""
     good_enough: float = 8.0
@@ -95,8 +97,7 @@ def retarget_by_contact_optimization(
     # All starts of all poor grasps at once, start after start.
     turns = np.repeat(np.array(settings.start_turns), len(poor), axis=0)
     rows = np.tile(poor, len(settings.start_turns))
-    hand = points.kinematics.hand
-    again = HandPoints(HandKinematics(hand, len(rows)))
+    again = points.for_hands(len(rows))
     near = (start[0][rows], start[1][rows])
     turned = (turned_about_fingertips(again, *near, turns), near[1])
     new_pose, new_independent, new_score = _touch(again, problem.rows(rows), settings, turned, near)
@@ -136,7 +137,9 @@ def _touch(
         partial(terms.self_penetration, unit=s.self_unit),
     ]
     pose, independent, cost = minimize(points, problem, second, *start, s.second_iterations)
-    share = unresisted_share(points.kinematics.hand, HandState(points, problem, pose, independent))
+    # More spheres than the solver has: what lies between its own must not go into the object unseen.
+    dense = HandPoints(points.kinematics, spacing=DENSE_SPACING)
+    share = unresisted_share(points.kinematics.hand, HandState(dense, problem, pose, independent))
     return pose, independent, cost + s.firmness_weight * share
 
 

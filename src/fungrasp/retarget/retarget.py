@@ -50,7 +50,8 @@ def retarget(
         progress: called with the number of grasps that have just been finished.
 
     Raises:
-        FungraspError: no such method, no grasps, a missing object, or a grasp of a left hand for a right one or the other way round.
+        FungraspError: no such method, no grasps, a missing object, or a grasp of a left hand for a right one
+            or the other way round.
     """
     if method not in METHODS:
         raise UnknownNameError("retargeting method", method, METHODS)

@@ -183,6 +183,12 @@ def scaled_forces(forces: Array) -> Array:
     return array_namespace(forces).tanh(forces / FORCE_UNIT)
 
 
+def unscaled_forces(scaled: np.ndarray) -> np.ndarray:
+    """Forces [N] from scaled ones, the inverse of ``scaled_forces``, at most three times ``FORCE_UNIT``:
+    beyond that, scaled forces hardly differ."""
+    return FORCE_UNIT * np.arctanh(np.clip(scaled, 0.0, np.tanh(3.0)))
+
+
 def value_features(privileged: Privileged, palm_pose: Array) -> dict[str, Array]:
     """What only PPO's value network gets besides, by name.
 

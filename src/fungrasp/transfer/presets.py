@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -92,6 +93,12 @@ REALITY = Randomization(
 )
 """The reality protocol: everything at once, as on a robot whose belief is the nominal world. Where each range
 comes from: docs/evaluation.md."""
+
+REALITY_ROLLOUTS = replace(REALITY, table_height=(0.0, 0.0), object_scale=(1.0, 1.0), object_shift=(0.0, 0.0))
+"""What the rollouts of planning draw from where worlds are those of the reality protocol. The table's height
+is seen with the object that stands on it, so that the error of its pose covers it; where the object is moved
+after planning, the hand follows before rollouts begin; a percent of the size is less than the pose's error,
+and would take a mesh for each size."""
 
 ROBUSTNESS: dict[str, Randomization] = {
     "nominal": NOMINAL,

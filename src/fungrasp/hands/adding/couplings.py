@@ -63,8 +63,8 @@ def find_couplings(
         return True
 
     def tie(joint: int, driver: int, change: float, slope: float) -> bool:
-        """MuJoCo couples changes from the reference pose; ``change`` is that of the joint where the driver's is
-        zero."""
+        """MuJoCo couples changes from the reference pose; ``change`` is that of the joint where the driver's
+        is zero."""
         reference = model.qpos0[model.jnt_qposadr]
         return add(joint, driver, change + float(reference[joint] - slope * reference[driver]), slope)
 

@@ -17,8 +17,8 @@ ALWAYS = 0.6
 """Share of the poses in which shapes that touch are said to touch always."""
 
 OFTEN = 0.03
-"""The palm and a link before a fingertip that touch in more poses than this may pass through each other: limits of
-joints keep the true ones apart."""
+"""The palm and a link before a fingertip that touch in more poses than this may pass through each other:
+limits of joints keep the true ones apart."""
 
 TOUCH = 5e-4
 """Overlap of shapes that counts [m]."""

@@ -28,8 +28,8 @@ def repair_joints(spec: mujoco.MjSpec, findings: list[Finding]) -> None:
         spec.compiler.degree = False
         findings.append(
             warning(
-                f"no hinge turns further than {max(hinges):.3g} degrees as the file is written: its angles are "
-                'taken as radians (a <compiler angle="radian"/> is missing)'
+                f"no hinge turns further than {max(hinges):.3g} degrees as the file is written: its angles "
+                'are taken as radians (a <compiler angle="radian"/> is missing)'
             )
         )
     for i, body in enumerate(spec.bodies[1:], start=1):

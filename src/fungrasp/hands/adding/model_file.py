@@ -13,7 +13,7 @@ import trimesh
 
 from fungrasp.errors import FungraspError
 from fungrasp.formats.mesh_file import read_mesh
-from fungrasp.formats.mujoco_model import check_numbers, parse_model
+from fungrasp.formats.mujoco_model import check_model_numbers, parse_model
 from fungrasp.hands.adding.joint_repairs import repair_joints
 from fungrasp.hands.checking.finding import Finding, listed, note, warning
 from fungrasp.hands.checking.model_source import one_line, parse_xml, principal_inertias, quiet
@@ -97,7 +97,7 @@ def read_foreign(path: Path) -> ForeignModel:
             model = spec.compile()
         except (ValueError, mujoco.FatalError) as problem:
             raise FungraspError(f"{path} does not compile: {one_line(problem)}") from problem
-    check_numbers(model, str(path), LONGEST)
+    check_model_numbers(model, str(path), LONGEST)
     meshes: dict[int, list[MeshShape]] = {}
     for geom, (vertices, faces, collides, density) in carriers.items():
         i = geom.id

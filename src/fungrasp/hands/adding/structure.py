@@ -153,7 +153,7 @@ def _features(
     # The axis is exact where shapes that stand out to the side move the tip off the finger's plane.
     bend = np.cross(hinge, direction)
     bend /= max(float(np.linalg.norm(bend)), 1e-9)
-    moved = np.flatnonzero(np.abs(poses.matrix[flexing_joints(poses, chain)]).sum(axis=0))
+    moved = np.flatnonzero(np.abs(poses.matrix[flexing_joints(poses, chain)]).sum(axis=0)).tolist()
     signs = {u: _tip_motion(poses, chain, tips, straight, u) @ bend for u in moved}
     # Range of the joints to the side of ``bend`` and to the other.
     up, down = poses.high - straight, straight - poses.low
@@ -217,9 +217,10 @@ def _thumb(
     lengths = [feature.length for feature in features]
     if _thumbs_by_name(model, chains) or max(lengths) > ALIKE * min(lengths) or max(scores) < 0.5:
         return _named_thumb(model, chains)
+    first = body_name(model, chains[0].bodies[0])
     findings.append(
         warning(
-            f"the {len(chains)} fingers are alike and stand around a center: '{body_name(model, chains[0].bodies[0])}' "
+            f"the {len(chains)} fingers are alike and stand around a center: '{first}' "
             "is taken as the thumb; another one by --thumb BODY"
         )
     )
@@ -269,8 +270,8 @@ def _names(
             if named not in (None, side):
                 findings.append(
                     warning(
-                        f"the names say {named} hand, the thumb stands where that of a {side} one does: taken as "
-                        f"a {side} hand; --side {named} changes it"
+                        f"the names say {named} hand, the thumb stands where that of a {side} one does: "
+                        f"taken as a {side} hand; --side {named} changes it"
                     )
                 )
         elif named is not None or len(long) <= 2:

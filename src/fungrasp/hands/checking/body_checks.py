@@ -125,8 +125,9 @@ def check_shapes(source: ModelSource, parts: HandParts) -> Iterator[Finding]:
             if contact.share > BY_SHAPE and pair not in reported:
                 yield warning(
                     f"the shapes of '{pair[0]}' and '{pair[1]}' penetrate each other by up to "
-                    f"{1000 * contact.depth:.1f} mm in {100 * contact.share:.0f} % of all poses, so that they will "
-                    f'in grasps; shrink them, or if they may, write <contact><exclude body1="{pair[0]}" '
+                    f"{1000 * contact.depth:.1f} mm in {100 * contact.share:.0f} % of all poses, "
+                    "so that they will in grasps; shrink them, or if they may, write "
+                    f'<contact><exclude body1="{pair[0]}" '
                     f'body2="{pair[1]}"/></contact>'
                 )
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from fungrasp.errors import FungraspError
 from fungrasp.formats.file_bytes import one_line
-from fungrasp.formats.mujoco_model import check_numbers, read_model, read_model_text
+from fungrasp.formats.mujoco_model import check_model_numbers, read_model, read_model_text
 from fungrasp.formats.xml_file import parse_xml_text
 from fungrasp.hands.checking.finding import Finding, error, listed, warning
 from fungrasp.hands.checking.urdf_checks import check_urdf
@@ -72,7 +72,7 @@ def read_source(path: Path, findings: list[Finding]) -> ModelSource | None:
             findings.append(error(f"{path} does not compile: {one_line(problem)}"))
             return None
         try:
-            check_numbers(model, str(path))
+            check_model_numbers(model, str(path))
         except FungraspError as problem:
             findings.append(error(str(problem)))
             return None

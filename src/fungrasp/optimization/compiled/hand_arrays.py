@@ -198,9 +198,8 @@ def _pairs(points: HandPoints, groups: Groups) -> Pairs:
     given = points.self_pairs
     apart = np.zeros((len(groups.members), len(groups.members)), dtype=bool)
     apart[np.ix_(given.first, given.second)] = given.apart
-    sets = [groups.members[a:b] for a, b in zip(groups.start[:-1], groups.start[1:], strict=True)]
-    found = [
-        (a, b) for a in range(len(sets)) for b in range(len(sets)) if apart[np.ix_(sets[a], sets[b])].any()
-    ]
-    first, second = np.array(found, dtype=np.int64).reshape(-1, 2).T
-    return Pairs(first.copy(), second.copy(), apart)
+    # Whether any sphere of a group counts with any of another, shape [G, G].
+    owner = np.zeros((len(groups.reach), len(groups.members)))
+    owner[np.repeat(np.arange(len(groups.reach)), np.diff(groups.start)), groups.members] = 1.0
+    first, second = np.nonzero(owner @ apart @ owner.T > 0)
+    return Pairs(first, second, apart)

@@ -132,7 +132,8 @@ def read_depth(path: str | Path, unit: float | None) -> np.ndarray:
     else:
         depth = raw * float(unit)
     check_depth_range(depth, unit, str(path))
-    return depth.astype(np.float32)
+    # Single numbers may be as wrong as they like.
+    return np.clip(depth, -1e6, 1e6).astype(np.float32)
 
 
 @guarded("mask")

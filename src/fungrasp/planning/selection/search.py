@@ -20,6 +20,7 @@ from fungrasp.planning.selection.rollouts import RolloutSettings, Rounds, try_ca
 from fungrasp.planning.selection.success_predictor import SuccessPredictor
 from fungrasp.planning.selection.variations import VariationSpread, with_settings
 from fungrasp.task import Belief, GraspPlan, LiftProtocol, Policy
+from fungrasp.transfer import REALITY_ROLLOUTS, ProtocolName
 
 WIDE_SPREAD = VariationSpread(position=0.015, rotation=0.2, joints=0.1, closing=0.15, force=0.5, press=0.02)
 RESOLUTION = 1e-4
@@ -69,6 +70,18 @@ class SelectionSettings:
         for rounds in (self.rounds, self.search.rounds):
             if not rounds or min(number for pair in rounds for number in pair) < 1:
                 raise FungraspError(f"rollouts need rounds of at least one plan and episode, not {rounds}")
+
+    @classmethod
+    def for_protocol(cls, protocol: ProtocolName, rollouts: bool = True) -> SelectionSettings:
+        """Rollouts that know how far worlds may be from what is believed, and nothing of what was drawn.
+
+        Args:
+            protocol: of the evaluation; that of robustness tries what was not expected.
+            rollouts: whether there are any.
+        """
+        if not rollouts:
+            return cls(rollouts=None)
+        return cls(rollouts=RolloutSettings(REALITY_ROLLOUTS)) if protocol == "reality" else cls()
 
     @property
     def rollouts_per_grasp(self) -> tuple[int, int]:

@@ -71,6 +71,11 @@ class PolicyNetwork:
             if name.startswith(NEXT_STATE) and name.removeprefix(NEXT_STATE) not in self._states:
                 raise FungraspError(f"the graph has an output '{name}' and no input '{name[5:]}'")
 
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """Names of what the graph says besides the action and the next state."""
+        return tuple(name for name in self._outputs if name != ACTION and not name.startswith(NEXT_STATE))
+
     def initial_state(self, worlds: int) -> State:
         """What it remembers at the start of an episode: zeros, shape [worlds, ...] each. A policy without
         memory has an empty one."""

@@ -28,7 +28,9 @@ PROTECTIVE_BIT = 1 << 2
 SAFETY_FAULT_BITS = 1 << 3 | 1 << 4 | 1 << 8 | 1 << 9 | 1 << 10
 JOINTS = 6
 LARGEST_JUMP = 0.1
-"""A measured joint this far from the one before is not believed [rad]: 3.14 rad/s make 6 mrad in a period."""
+"""A measured joint this far from the one before is not believed [rad] ..."""
+LARGEST_SPEED = 6.3
+"""... plus this times the controller's time between them [rad/s]: twice the speed of a UR's joints."""
 
 
 @dataclass(frozen=True)
@@ -97,6 +99,7 @@ class URLoop:
         self._due = 0.0
         self._advanced, self._clock = 0.0, -1.0
         self._last: np.ndarray | None = None
+        self._last_clock = 0.0
         self._lead: Any = None
 
     def open(self) -> None:
@@ -222,10 +225,11 @@ class URLoop:
         running = self._receive.getRuntimeState() == PLAYING
         sane = positions.shape == velocities.shape == (JOINTS,) and bool(np.isfinite(positions).all())
         if sane and self._last is not None:
-            sane = bool(np.abs(positions - self._last).max() < LARGEST_JUMP)
+            elapsed = max(self._clock - self._last_clock, 0.0)
+            sane = bool(np.abs(positions - self._last).max() < LARGEST_JUMP + LARGEST_SPEED * elapsed)
         if not sane:
             raise RobotError(f"{self.name}: positions that can't be; check the cable to the controller")
-        self._last = positions
+        self._last, self._last_clock = positions, self._clock
         status, message = DeviceStatus.READY, ""
         if safety & EMERGENCY_BITS:
             status, message = DeviceStatus.EMERGENCY_STOP, "emergency stop: release it, then connect again"

@@ -85,7 +85,8 @@ class LoopDriver:
     def connect(self) -> None:
         """See ``JointDriver.connect``. On a connected device it acknowledges a stop."""
         with self._lock:
-            if self._host is not None and self._read().status is not DeviceStatus.DISCONNECTED:
+            lost = self._host is None or self._ended() or self._read().status is DeviceStatus.DISCONNECTED
+            if not lost:
                 self._tell(LoopMode.IDLE)
                 self._await_acknowledgement()
             else:

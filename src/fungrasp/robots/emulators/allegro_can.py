@@ -7,13 +7,14 @@ from typing import Any
 
 import numpy as np
 
+from fungrasp.robots.can_bus import open_can_bus
 from fungrasp.robots.codecs import allegro as codec
 from fungrasp.robots.emulators.emulator import Emulator, Fault
 from fungrasp.robots.emulators.plant import Plant, PlantCommand
 from fungrasp.robots.optional_packages import import_client
 
 MULTICAST_GROUP = "239.74.163.2"
-"""Default channel of "udp_multicast" on IPv4."""
+"""Default channel of "udp_multicast"; a second hand needs a port of its own, "239.74.163.2:43114"."""
 HOT = 85
 """Temperature at which the hand reports a fault [°C]."""
 
@@ -80,7 +81,7 @@ class AllegroEmulator(Emulator):
     def start(self) -> None:
         """See ``Emulator.start``."""
         self._can = import_client("can", "allegro", "the Allegro emulator")
-        self._bus = self._can.Bus(interface=self._interface, channel=self._channel)
+        self._bus = open_can_bus(self._interface, self._channel)
         self._ended.clear()
         self._run(self._serve)
 

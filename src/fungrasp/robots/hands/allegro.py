@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from fungrasp.robots.can_bus import open_can_bus
 from fungrasp.robots.codecs import allegro as codec
 from fungrasp.robots.control_loop.device_loop import LoopGoal, LoopMode
 from fungrasp.robots.control_loop.loop_driver import LoopDriver
@@ -165,13 +166,8 @@ class AllegroLoop:
 
     def _open_bus(self) -> None:
         self._can = import_client("can", "allegro", "an Allegro Hand")
-        options = {"bitrate": self.settings.bitrate} if self.settings.interface in ("pcan", "kvaser") else {}
-        try:
-            self._bus = self._can.Bus(
-                interface=self.settings.interface, channel=self.settings.channel, **options
-            )
-        except (self._can.CanError, OSError, ValueError, NotImplementedError) as error:
-            raise RobotError(f"{self.name}: cannot open the CAN bus: {error}") from error
+        s = self.settings
+        self._bus = open_can_bus(s.interface, s.channel, s.bitrate)
 
     def _torques(self, goal: LoopGoal, state: JointState, elapsed: float) -> np.ndarray:
         if goal.mode is LoopMode.POWER_OFF:

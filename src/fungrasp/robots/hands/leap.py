@@ -203,11 +203,13 @@ class LeapLoop:
         except (OSError, TypeError) as error:
             # pyserial raises TypeError where its port was closed under it.
             raise RobotError(f"{self.name}: the port is gone: {error}") from error
-        if result != self._sdk.COMM_SUCCESS:
+        data = [bytes(self._reader.data_dict[servo]) for servo in self._servos]
+        # The library calls an answer of another length a success, too.
+        if result != self._sdk.COMM_SUCCESS or any(len(d) != codec.PRESENT.size for d in data):
             with contextlib.suppress(OSError):
                 self._port.clearPort()
             return None
-        rows = [codec.PRESENT.unpack(bytes(self._reader.data_dict[servo])) for servo in self._servos]
+        rows = [codec.PRESENT.unpack(d) for d in data]
         current, velocity, counts = np.array(rows, dtype=float).T
         positions, now, before = codec.joint_positions_of(counts), time.monotonic(), self._state
         if before is not None:

@@ -54,7 +54,8 @@ def emulated_allegro(generation: int, patience: float = 1.0) -> EmulatedDevice:
     from fungrasp.robots.hands.allegro import AllegroSettings, allegro_driver
 
     home, bus = np.full(16, 0.4), "udp_multicast"
-    channel = f"239.{os.getpid() % 200 + 1}.163.{generation}"
+    # A port of its own: buses of one port hear each other, whatever their groups.
+    channel = f"239.74.163.2:{20000 + os.getpid() % 10000 + 10000 * (generation - 4)}"
     plant = TorquePlant(home, friction=0.01, damping=0.1)
     settings = _patient(AllegroSettings(bus, channel, generation), patience)
     emulator = AllegroEmulator(plant, bus, channel, generation)

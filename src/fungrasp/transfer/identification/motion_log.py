@@ -9,10 +9,13 @@ import numpy as np
 
 from fungrasp.errors import FungraspError
 from fungrasp.files import atomic_path
+from fungrasp.formats.file_bytes import check_file
 from fungrasp.formats.numpy_files import read_npz
 
 SHORTEST = 0.5
 """Of a log [s]."""
+LARGEST_TEXT = 50_000_000
+"""Of a step response [bytes]."""
 LEAST_MOTION = 0.05
 """A joint that moves less is not identified [rad]."""
 
@@ -110,6 +113,7 @@ def read_step_csv(path: str | Path, joint: str, open_position: float, closed_pos
         open_position: of the joint at 1000 [rad].
         closed_position: at 0 [rad].
     """
+    path = check_file(path, "step response", LARGEST_TEXT)
     try:
         table = np.genfromtxt(path, delimiter=",", names=True, max_rows=1_000_000)
         times, targets, measured = (table[c] for c in ("time_s", "target_value", "measured_value"))

@@ -1,0 +1,43 @@
+"""Times of a deployment, and how it went."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from fungrasp.deployment.deadlines import DeadlineMonitor
+from fungrasp.deployment.phases import Phase
+from fungrasp.deployment.preparation import PreparedGrasp
+
+
+@dataclass(frozen=True)
+class DeploymentSettings:
+    """Times of a deployment."""
+
+    look_time: float = 1.0
+    """Time in which poses of the object are collected before planning [s]."""
+    wait_time: float = 10.0
+    """Longest wait for the first of them [s]."""
+    put_down: bool = True
+    """Whether the object is put down again, and the arm goes home."""
+    open_time: float = 1.5
+    """Time in which the hand opens to let go [s]."""
+    longest_phase: float = 30.0
+    """A phase that takes longer has failed [s]."""
+
+
+@dataclass(frozen=True, eq=False)
+class DeploymentResult:
+    """How a deployment went."""
+
+    phase: Phase
+    """DONE, or FAULT."""
+    fault: str
+    """Why it is FAULT, as a phrase; "" otherwise."""
+    prepared: PreparedGrasp | None
+    """What was planned; None where it did not come to that."""
+    ticks: DeadlineMonitor
+    """Lateness of the 10 Hz ticks."""
+    setpoints: DeadlineMonitor
+    """Lateness of the 50 Hz setpoints."""
+    times: dict[str, float] = field(default_factory=dict)
+    """When each phase began, on the robot's clock [s]."""
