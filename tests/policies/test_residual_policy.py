@@ -13,9 +13,8 @@ from fungrasp.errors import FungraspError
 from fungrasp.policies import OpenLoopPolicy, StudentPolicy, TeacherPolicy, make_planner, make_policy
 from fungrasp.policies.checkpoint.card import ActionPart, Part
 from fungrasp.policies.checkpoint.checkpoint_file import load_policy
-from fungrasp.policies.grasp_attempts import AttemptSettings
 from fungrasp.policies.residual_policy import residual_settings
-from fungrasp.task import Action, LiftEnvironment, LiftProtocol, Policy, PrivilegedPolicy, play
+from fungrasp.task import Action, LiftEnvironment, Policy, PrivilegedPolicy
 
 
 def made(path) -> StudentPolicy | TeacherPolicy:
@@ -43,15 +42,14 @@ def keep_in_place(environment: LiftEnvironment) -> None:
 
 
 @pytest.mark.parametrize("kind", ["student", "teacher"])
-def test_a_policy_that_changes_nothing_plays_the_plan_and_tests_the_lift(tmp_path, kind):
-    short = LiftProtocol(hold_time=0.5)
-    environment, other = start(protocol=short), start(protocol=short)
+def test_a_policy_that_changes_nothing_plays_the_plan(tmp_path, kind):
+    environment, other = start(), start()
     policy, reference = made(policy_file(tmp_path, kind=kind)), OpenLoopPolicy()
     assert isinstance(policy, Policy) == (kind == "student")
     assert isinstance(policy, PrivilegedPolicy) == (kind == "teacher")
     policy.reset(plan(), environment.observe())
     reference.reset(plan(), other.observe())
-    while not (environment.task.time >= 0.1 * (plan().lift_step.min() - 1)).all():
+    while not (environment.task.time >= 0.1 * (plan().lift_step.max() + 2)).all():
         for one in (environment, other):
             keep_in_place(one)
         ours, theirs = act(policy, environment), reference.act(other.observe())
@@ -60,16 +58,8 @@ def test_a_policy_that_changes_nothing_plays_the_plan_and_tests_the_lift(tmp_pat
         np.testing.assert_array_equal(ours.lift, theirs.lift)
         environment.step(ours)
         other.step(theirs)
-
-
-@pytest.mark.parametrize("kind", ["student", "teacher"])
-def test_a_caught_object_is_lifted_after_the_test(tmp_path, kind):
-    short = LiftProtocol(hold_time=0.5)
-    environment = start(protocol=short)
-    outcomes = play(environment, made(policy_file(tmp_path, kind=kind)), plan())
-    assert outcomes.success.all()
-    late = environment.task.lift_time / 0.1 - plan().lift_step
-    np.testing.assert_allclose(late, AttemptSettings().test_steps, atol=1e-6)
+    np.testing.assert_array_equal(environment.task.lift_time, other.task.lift_time)
+    assert np.isfinite(environment.task.lift_time).all()
 
 
 def test_a_networks_actions_are_residuals_of_the_cards_size(tmp_path):

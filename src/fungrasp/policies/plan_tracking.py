@@ -19,7 +19,6 @@ from fungrasp.geometry.poses import (
 from fungrasp.hands import Hand
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.objects import ObjectModel
-from fungrasp.policies.grasp_attempts import GraspAttempts
 from fungrasp.policies.residual_action import WRIST_ACTIONS, ResidualSettings, add_residual, smoothed
 from fungrasp.task import Action, GraspPlan, LiftProtocol, Observation
 from fungrasp.task.features import MeasuredState, PlanTarget, robot_features
@@ -52,7 +51,7 @@ class PlanTracker:
     """Follows plans for W robots, each from its own beginning.
 
     Until the fingers close, the plan goes where the object goes, smoothly, as trackers jitter; from then on
-    it stays where it was. Where attempts are given, they decide how far a plan is.
+    it stays where it was.
     """
 
     def __init__(
@@ -62,7 +61,6 @@ class PlanTracker:
         plans: GraspPlan,
         count: int,
         settings: ResidualSettings | None = None,
-        attempts: GraspAttempts | None = None,
     ):
         """
         Args:
@@ -71,10 +69,8 @@ class PlanTracker:
             plans: to choose from, N of them.
             count: W, number of robots.
             settings: of the actions; the defaults if None.
-            attempts: of the W robots; plans are followed by the clock if None.
         """
         self.plans, self.settings = plans, settings or ResidualSettings()
-        self._attempts = attempts
         self._hand, self._kinematics = hand, HandKinematics(hand, count)
         self._keypoints = self._kinematics.body_points(hand.keypoint_names)
         names = sorted(set(plans.object_name.tolist()))
@@ -107,8 +103,6 @@ class PlanTracker:
         self.action[ids] = 0.0
         self._choose()
         self._read(observation)
-        if self._attempts is not None:
-            self._attempts.begin(ids, self._clock(observation))
         fresh = self._measure(observation)
         self._anchor[ids] = fresh.object_pose[ids]
         if self._now is None or self._before is None:
@@ -118,25 +112,11 @@ class PlanTracker:
             for field in fields(MeasuredState):
                 getattr(kept, field.name)[ids] = getattr(fresh, field.name)[ids]
 
-    def update(self, observation: Observation, touching: np.ndarray | None = None) -> None:
-        """See what has become of the worlds, once in each control step.
-
-        Args:
-            observation: of all W worlds.
-            touching: number of links that touch the object, for the attempts, shape [W]; None if nothing is
-                known.
-        """
+    def update(self, observation: Observation) -> None:
+        """See what has become of the worlds, once in each control step. observation: of all W worlds."""
         self._read(observation)
-        share = ANCHOR_SHARE
-        if self._attempts is not None:
-            self._attempts.update(observation, self._clock(observation), self._closing, self._lift, touching)
-            self._step = self._attempts.step
-            # A plan that is taken back goes to where the object is seen now, at once.
-            share = np.where(
-                self._attempts.failed, np.maximum(1.0 / (1.0 + self._attempts.followed), share), share
-            )
         self._before, self._now = self._now, self._measure(observation)
-        share = np.where(self._step < self._closing, share, 0.0)
+        share = np.where(self._step < self._closing, ANCHOR_SHARE, 0.0)
         self._anchor = moved_towards(self._anchor, self._now.object_pose, share[:, None])
 
     def state(self) -> TrackingState:
@@ -160,18 +140,14 @@ class PlanTracker:
         """What the robots are asked for. action: of the network, shape [W, A]."""
         self.action = smoothed(action, self.action, self.settings)
         goal, fingers = add_residual(*self._planned(), self.action, self.settings)
-        ready = self._step >= self._lift if self._attempts is None else self._attempts.lifting
-        return Action(goal, fingers, ready)
+        return Action(goal, fingers, self._step >= self._lift)
 
     def _planned(self) -> tuple[np.ndarray, np.ndarray]:
         """Planned palm goal, world frame, shape [W, 7], and servo targets [rad], shape [W, U], of this
         step."""
         if self._goal is None:
             goal, fingers = self.plans.at(self._step, self.rows)
-            goal = compose(self._anchor, goal)
-            if self._attempts is not None:
-                goal[:, 2] += self._attempts.raised
-            self._goal = goal, fingers
+            self._goal = compose(self._anchor, goal), fingers
         return self._goal
 
     def _choose(self) -> None:
@@ -194,12 +170,8 @@ class PlanTracker:
 
     def _read(self, observation: Observation) -> None:
         self._goal = None
-        self._step = self._clock(observation)
+        self._step = np.rint(observation.time / self.plans.control_period).astype(int)
         self._since_lift = observation.time_since_lift
-
-    def _clock(self, observation: Observation) -> np.ndarray:
-        """Control steps since the plans began, shape [W] int."""
-        return np.rint(observation.time / self.plans.control_period).astype(int)
 
     def _measure(self, observation: Observation) -> MeasuredState:
         palm, thing = observation.palm_pose, observation.object_pose

@@ -12,7 +12,6 @@ from fungrasp.objects import ObjectModel
 from fungrasp.policies.checkpoint.card import PolicyCard
 from fungrasp.policies.checkpoint.checkpoint_file import check_fits
 from fungrasp.policies.checkpoint.network import PolicyNetwork
-from fungrasp.policies.grasp_attempts import GraspAttempts
 from fungrasp.policies.plan_tracking import PlanTracker
 from fungrasp.policies.residual_action import ResidualSettings
 from fungrasp.task import Action, GraspPlan, Observation, Privileged
@@ -46,9 +45,7 @@ class _ResidualNetwork:
             FungraspError: the network was made for other observations or another rate.
         """
         everyone = np.arange(len(observation))
-        attempts = GraspAttempts(len(everyone))
-        self._tracker = PlanTracker(self._hand, self._objects, plan, len(everyone), self._settings, attempts)
-        self._targets = plan.link_contacts
+        self._tracker = PlanTracker(self._hand, self._objects, plan, len(everyone), self._settings)
         self._tracker.begin(everyone, everyone, observation)
         seen = layout(self._tracker.state().robot_features())
         none = np.zeros(plan.link_contacts.shape)
@@ -56,15 +53,8 @@ class _ResidualNetwork:
         check_fits(self.network.card, self._hand, seen, contacts, 1 / plan.control_period)
         self._memory = self.network.initial_state(len(everyone))
 
-    def _act(
-        self,
-        observation: Observation,
-        contacts: Mapping[str, np.ndarray],
-        touching: np.ndarray | None,
-    ) -> Action:
-        """contacts: ``contact_features``, or none. touching: whether each link touches, shape [W, L]."""
-        number = None if touching is None else (touching & self._targets).sum(axis=1)
-        self._tracker.update(observation, number)
+    def _act(self, observation: Observation, contacts: Mapping[str, np.ndarray]) -> Action:
+        self._tracker.update(observation)
         seen = flatten({**self._tracker.state().robot_features(), **contacts})
         # A finished or diverged world may hold anything; its action is not used.
         finite = np.where(np.isfinite(seen), seen, 0.0).astype(np.float32)
@@ -83,15 +73,9 @@ class StudentPolicy(_ResidualNetwork):
         """Whether the network says which links touch, and how hard."""
         return {"contacts", "forces"} <= set(self.network.outputs)
 
-    def reset(self, plan: GraspPlan, observation: Observation) -> None:
-        """See ``Policy.reset``."""
-        super().reset(plan, observation)
-        self.outputs = {}
-
     def act(self, observation: Observation) -> Action:
         """See ``Policy.act``."""
-        inferred = self.outputs.get("contacts")
-        return self._act(observation, {}, None if inferred is None else inferred > 0.5)
+        return self._act(observation, {})
 
 
 class TeacherPolicy(_ResidualNetwork):
@@ -100,8 +84,7 @@ class TeacherPolicy(_ResidualNetwork):
     def act_privileged(self, observation: Observation, privileged: Privileged) -> Action:
         """See ``PrivilegedPolicy.act_privileged``."""
         targets = self._tracker.plans.link_contacts
-        seen = contact_features(privileged.contacts, privileged.forces, targets)
-        return self._act(observation, seen, privileged.contacts)
+        return self._act(observation, contact_features(privileged.contacts, privileged.forces, targets))
 
 
 def residual_policy(
