@@ -14,9 +14,20 @@ from fungrasp.errors import FungraspError
 from fungrasp.planning.selection.rollouts import RolloutResults
 from fungrasp.records import BatchRecord
 from fungrasp.task import Action, Belief, GraspPlan, Observation, Outcomes, Privileged
+from fungrasp.task.use import UseOutcomes
 from fungrasp.transfer import EpisodeSample
 
-KINDS = (Action, Belief, EpisodeSample, GraspPlan, Observation, Outcomes, Privileged, RolloutResults)
+KINDS = (
+    Action,
+    Belief,
+    EpisodeSample,
+    GraspPlan,
+    Observation,
+    Outcomes,
+    Privileged,
+    RolloutResults,
+    UseOutcomes,
+)
 """Every kind of record."""
 STEPPED = ("palm_goal", "finger_targets", "palm_setpoint", "palm_velocity")
 """Fields of a plan with an axis of steps."""
@@ -38,7 +49,7 @@ def made_up(
             values[f.name] = "allegro" if "str" in str(f.type) else 0.1
         elif f.name in optional(kind) and f.name not in known:
             values[f.name] = None
-        elif f.name in ("object_name", "reason"):
+        elif f.name in ("object_name", "reason", "motion"):
             values[f.name] = np.array([f"it {seed} {i}" for i in range(count)])
         elif f.name in STEPPED:
             values[f.name] = rng.normal(size=(count, steps, 7))

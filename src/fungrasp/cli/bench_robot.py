@@ -104,7 +104,7 @@ def reaction_rows(trials: list[ReactionTrial]) -> list[tuple[str, ...]]:
         return f"{np.median(known):.0f} / {max(known):.0f}" if known else "–"
 
     head = ("device", "fault", "trials", "detected", "median / max [ms]", "stopped", "median / max [ms]")
-    rows = [(*head, "speed / limit", "restarted")]
+    rows: list[tuple[str, ...]] = [(*head, "speed / limit", "restarted")]
     for device, fault in dict.fromkeys((t.device, t.fault) for t in trials):
         group = [t for t in trials if (t.device, t.fault) == (device, fault)]
         seen = [t.detected for t in group]

@@ -113,7 +113,7 @@ class Fit:
         if self.out is not None:
             save_dynamics(self.out, results[0][1].dynamics)
         found = results[0][1]
-        rows = [("joint", *QUANTITIES)]
+        rows: list[tuple[str, ...]] = [("joint", *QUANTITIES)]
         for j, joint in enumerate(found.dynamics.joints):
             rows.append((joint, *(self._value(found, quantity, j) for quantity in QUANTITIES)))
         print(table(rows))

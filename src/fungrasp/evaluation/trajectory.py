@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -112,7 +113,7 @@ def replay(path: str | Path) -> Trajectory:
             )
     if len({len(array) for name, array in arrays.items() if array.ndim and name != "wrist_reference"}) > 1:
         raise FungraspError(f"{path} is no recorded episode: its arrays are of different lengths")
-    values = {name: value if value.ndim else value.item() for name, value in arrays.items()}
+    values: dict[str, Any] = {name: value if value.ndim else value.item() for name, value in arrays.items()}
     return Trajectory(**values)
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import trimesh
 from PIL import Image
+from trimesh.visual import TextureVisuals
 
 from fungrasp.errors import FungraspError
 from fungrasp.formats.file_bytes import check_file, one_line
@@ -60,7 +61,7 @@ def read_colored_mesh(path: str | Path, what: str = "mesh") -> trimesh.Trimesh |
         return trimesh.Trimesh(vertices, faces, face_colors=arrays["face_colors"], process=False)
     if "texture" in arrays:
         image = Image.fromarray(arrays["texture"])
-        visual = trimesh.visual.TextureVisuals(uv=arrays["uv"], image=image)
+        visual = TextureVisuals(uv=arrays["uv"], image=image)
         return trimesh.Trimesh(vertices, faces, visual=visual, process=False)
     return None
 

@@ -42,7 +42,7 @@ class LinkContacts(NamedTuple):
     """Of the points with respect to the independent joints [m/rad], shape [N, L, 3, U]."""
 
 
-def link_contacts(state: HandState[Any]) -> LinkContacts:
+def contacts_of_links(state: HandState[Any]) -> LinkContacts:
     """The point of each link that is nearest to the object."""
     points = state.points
     nearest = np.stack([m[np.argmin(state.clearance[:, m], axis=1)] for m in points.link_members], axis=1)
@@ -123,7 +123,7 @@ def unresisted_share(hand: Hand, state: HandState[RetargetingProblem]) -> np.nda
     """``unresisted_load`` of the links in contact as a share of the objects' weight, shape [N]: force and
     torque over the object's extent together; zero for a firm grasp, ``NO_GRIP`` without contacts and where
     the hand goes into the object by more than ``DEEPEST``."""
-    problem, contacts = state.problem, link_contacts(state)
+    problem, contacts = state.problem, contacts_of_links(state)
     limits = np.array([servo.force_limit for servo in hand.actuators.values()])
     force, torque = unresisted_load(
         contacts,

@@ -36,7 +36,7 @@ FAULTS = {1: "too hot", 3: "motor fault", 4: "communication fault"}
 
 def closing_speed(setting: np.ndarray | float) -> np.ndarray:
     """Speed of a motor [1/s] at a setting of 0 to 1000."""
-    return np.interp(setting, SPEED_SETTINGS, CLOSING_SPEEDS)
+    return np.asarray(np.interp(setting, SPEED_SETTINGS, CLOSING_SPEEDS))
 
 
 def encode_angles(positions: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> list[int]:

@@ -21,7 +21,7 @@ from fungrasp.robots.control_loop.records import goal_kind, state_kind
 LENGTH = struct.Struct("<I")
 
 
-def main() -> None:
+def run_worker() -> None:
     """Run the loop that stands on standard input."""
     source = sys.stdin.buffer
     size = LENGTH.unpack(source.read(LENGTH.size))[0]
@@ -49,4 +49,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run_worker()

@@ -159,7 +159,7 @@ class InspireEmulator(Emulator):
                     self.plant.apply(command, due)
             wait = min(self._pending[0][0] - now if self._pending else 0.01, 0.01)
             for key, _ in self._selector.select(max(wait, 0.0)):
-                if key.fileobj is self._server:
+                if self._server is not None and key.fileobj is self._server:
                     client, _ = self._server.accept()
                     client.settimeout(0.2)
                     self._clients[client] = b""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -75,7 +76,7 @@ class MotionLog:
 
 def save_motion_log(path: str | Path, log: MotionLog) -> None:
     """Write a log as ``.npz``."""
-    arrays = {
+    arrays: dict[str, Any] = {
         "joints": np.array(log.joints),
         "times": log.times,
         "commands": log.commands,
