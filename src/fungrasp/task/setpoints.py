@@ -83,7 +83,7 @@ class SetpointGenerator:
         due = np.minimum(np.ceil(self.delay / self.period - 1e-9), self.number)
         times = set(due.tolist())
         parts: list[tuple[np.ndarray, ...]] = []
-        # One by one where any action is late, so that rounding in one world does not depend on when the others'
+        # One by one where any action is late: rounding in one world must not depend on when the others'
         # actions take effect.
         ends = range(self.number + 1) if due.any() else (0, self.number)
         for begin, end in pairwise(ends):
