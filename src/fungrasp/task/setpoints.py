@@ -83,10 +83,13 @@ class SetpointGenerator:
         due = np.minimum(np.ceil(self.delay / self.period - 1e-9), self.number)
         times = set(due.tolist())
         parts: list[tuple[np.ndarray, ...]] = []
-        for begin, end in pairwise(sorted({0, *times, self.number})):
+        # One by one where any action is late: rounding in one world must not depend on when the others'
+        # actions take effect.
+        ends = range(self.number + 1) if due.any() else (0, self.number)
+        for begin, end in pairwise(ends):
             if begin in times:
                 self._take(due == begin, goal, fingers)
-            parts.append(self._move(int(end - begin)))
+            parts.append(self._move(end - begin))
         if self.number in times:
             self._take(due == self.number, goal, fingers)
         palm, velocity, joints = parts[0]
