@@ -398,6 +398,7 @@ BUILDERS: dict[str, Callable[[], Table]] = {
     "experiments_left": recorded("experiments-left"),
     "hands_added": recorded("hands-added"),
     "select_by_quality": recorded("select-by-quality"),
+    "experiments_reality": recorded("experiments-reality"),
     "experiments_rollouts": recorded("experiments-rollouts"),
 }
 """By the name in a page."""
