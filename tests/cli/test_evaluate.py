@@ -259,7 +259,7 @@ def test_an_interrupted_run_goes_on_when_given_again(human, tmp_path, capsys, mo
 
     monkeypatch.setattr(lift_test._Test, "run", interrupted)
     status, _, err = run(capsys, "evaluate", "--grasps", human, "--json", path)
-    assert status == 130 and err == "fungrasp: interrupted\n"
+    assert status == 130 and err.endswith("fungrasp: interrupted\n")
     assert [file.name for file in tmp_path.iterdir()] == ["e.json.partial"]
 
     def counted(self, grasps, rows, *others):

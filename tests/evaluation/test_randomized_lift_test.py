@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from fungrasp.evaluation import evaluate
-from fungrasp.transfer import THREE_PUSHES, MeasurementError, Randomization
+from fungrasp.evaluation import evaluate, replay, result_json
+from fungrasp.transfer import REALITY, THREE_PUSHES, MeasurementError, Randomization
 
 
 def test_a_push_moves_what_is_held(good, things, allegro):
@@ -58,3 +58,14 @@ def test_errors_of_the_joints_that_are_not_looked_at_change_nothing(good, things
     same = [evaluate(some, things, allegro, randomization=r).outcomes for r in (noisy, Randomization())]
     for name, value in same[0].arrays().items():
         assert (value == same[1].arrays()[name]).all(), name
+
+
+def test_an_episode_of_the_reality_protocol_does_not_depend_on_the_others(good, things, allegro, tmp_path):
+    some = good.select([0, 2])
+    together = evaluate(some, things, allegro, randomization=REALITY, record=tmp_path)
+    apart = evaluate(some, things, allegro, randomization=REALITY, chunk=1, threads=1)
+    for name, value in together.outcomes.arrays().items():
+        assert value.tolist() == pytest.approx(apart.outcomes.arrays()[name].tolist(), nan_ok=True), name
+    assert result_json(together)["protocol"] == "reality"
+    recorded = replay(next(tmp_path.iterdir()))
+    assert {"mass", "table_tilt", "wrist_lag", "shift_probability"} <= set(recorded.differs.split())
