@@ -106,6 +106,26 @@ def policies() -> Table:
     return Table(head, rows, used)
 
 
+def students() -> Table:
+    """Success of the free student of each hand, with and without rollouts."""
+    rows, used = [], []
+    for name in HANDS:
+        cells: list[str] = []
+        for file in (f"{name}-student-free-held-out", f"{name}-student-free-no-rollouts"):
+            if not (RESULTS / f"{file}.json").is_file():
+                cells += [NONE] * 3
+                continue
+            header = _read(file).header
+            low, high = header["success_interval"]
+            interval = f"{100 * low:.0f} – {100 * high:.0f} %"
+            cells += [_percent(header["success_rate"]), interval, f"{header['contact_ratio']:.2f}"]
+            used.append(file)
+        if set(cells) != {NONE}:
+            rows.append((f"`{name}`", *cells))
+    head = ("hand", "with rollouts: success", "95 % interval", "contact ratio")
+    return Table((*head, "without: success", *head[2:]), rows, used)
+
+
 def policies_in_full() -> Table:
     """Success, contacts and slip of every policy, with and without rollouts."""
     names = ("reference", "allegro-critic-free", "allegro-student-free", "allegro-critic")
@@ -380,6 +400,7 @@ BUILDERS: dict[str, Callable[[], Table]] = {
     "hands": hands,
     "policies": policies,
     "policies_in_full": policies_in_full,
+    "students": students,
     "methods": methods,
     "robustness": robustness,
     "ablations": ablations,
@@ -398,6 +419,7 @@ BUILDERS: dict[str, Callable[[], Table]] = {
     "experiments_left": recorded("experiments-left"),
     "hands_added": recorded("hands-added"),
     "select_by_quality": recorded("select-by-quality"),
+    "experiments_reality": recorded("experiments-reality"),
     "experiments_rollouts": recorded("experiments-rollouts"),
 }
 """By the name in a page."""

@@ -101,7 +101,7 @@ def test_the_student_file_does_what_torch_does(tmp_path):
         with torch.inference_mode():
             wanted, contacts, forces, window = graph(torch.from_numpy(seen), window)
         for ours, theirs in ((action, wanted), (more["contacts"], contacts), (more["forces"], forces)):
-            assert np.abs(ours - theirs.numpy()).max() < 3e-4
+            assert np.abs(ours - theirs.numpy()).max() < 1e-3, "weights are stored in half precision"
     assert np.abs(state["history"] - window.numpy()).max() < 1e-6 and window.abs().max() > 0
 
 

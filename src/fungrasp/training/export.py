@@ -25,6 +25,9 @@ from fungrasp.training.success_predictor import PredictorNetwork
 
 OPSET = 18
 
+IN_SIMULATION = "Trained in simulation only."
+"""What the card of every policy says about its limits."""
+
 HALVED_FROM = 256
 """Matrices of at least so many numbers are stored in half precision. Biases and what observations are
 normalized by stay as they are: they decide more and take no room."""
@@ -121,6 +124,7 @@ def make_card(
     """
     gains = servo_gains(hand)
     sizes = (3, WRIST_ACTIONS - 3, len(gains))
+    more["limits"] = (*more.get("limits", ()), IN_SIMULATION)
     scales = (residual.position, residual.rotation, residual.fingers)
     return PolicyCard(
         name=name,
