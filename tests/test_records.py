@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fungrasp.errors import FungraspError
+from fungrasp.evaluation.contact_estimate import ContactEstimates
 from fungrasp.planning.selection.rollouts import RolloutResults
 from fungrasp.records import BatchRecord
 from fungrasp.task import Action, Belief, GraspPlan, Observation, Outcomes, Privileged
@@ -20,6 +21,7 @@ from fungrasp.transfer import EpisodeSample
 KINDS = (
     Action,
     Belief,
+    ContactEstimates,
     EpisodeSample,
     GraspPlan,
     Observation,

@@ -35,8 +35,7 @@ def parse_xml_text(text: str, where: str) -> ElementTree.Element:
         # In pieces, so that a document that is nested too deeply is not read to its end.
         for start in range(0, len(text), _PIECE):
             parser.feed(text[start : start + _PIECE])
-            for happened in parser.read_events():
-                event, element = happened[0], happened[1]
+            for event, element in parser.read_events():  # pyright: ignore[reportAssignmentType]
                 assert isinstance(element, ElementTree.Element)
                 root = element if root is None else root
                 depth += 1 if event == "start" else -1
