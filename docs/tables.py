@@ -238,7 +238,7 @@ def chain() -> Table:
 
 def driver_faults() -> Table:
     """How drivers react to faults of emulated devices."""
-    names = ("driver-faults-ur", "driver-faults-allegro", "driver-faults-inspire")
+    names = ("driver-faults-ur", "driver-faults-inspire", "driver-faults-leap-allegro")
     trials = [row for name in names for row in _read(name).rows if not row["fault"].startswith("none")]
     head = (
         "device",
