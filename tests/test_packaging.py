@@ -20,15 +20,43 @@ from fungrasp.policies.checkpoint.checkpoint_file import read_card
 ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "fungrasp"
 
-EXTRAS = ("dexycb", "learning", "mano", "perception", "wandb")
+EXTRAS = (
+    "allegro",
+    "bench",
+    "deploy",
+    "dexycb",
+    "fast",
+    "ik",
+    "inspire",
+    "leap",
+    "learning",
+    "mano",
+    "perception",
+    "pose",
+    "sysid",
+    "ur",
+    "wandb",
+)
 """Of the product, not of its development."""
 
 FREE = "Apache-2.0"
 FOREIGN = re.compile(r"(mano_|dex-?ycb|research)(?!.*\.(py|md)$)", re.IGNORECASE)
 """Parts of the names of files (other than code and pages) and data sets that may not be shipped."""
 
-IMPORTED_ELSEWHERE = {"ai_edge_litert", "tensorboard"}
-"""Declared, but imported by name at run time, or by torch."""
+IMPORTED_ELSEWHERE = {
+    "ai_edge_litert",
+    "daqp",
+    "dynamixel_sdk",
+    "msgpack",
+    "pymodbus",
+    "pyserial",
+    "python_can",
+    "pyzmq",
+    "ruckig",
+    "tensorboard",
+    "ur_rtde",
+}
+"""Declared, but imported by name at run time, or by torch or mink."""
 
 
 @pytest.fixture(scope="module")
@@ -158,7 +186,8 @@ def test_the_imported_packages_are_declared() -> None:
     modules = {"mujoco": "mujoco_core", "PIL": "pillow", "rsl_rl": "rsl_rl_lib", "yaml": "pyyaml"}
     imported: set[str] = set()
     for path in SOURCE.rglob("*.py"):
-        imported |= set(re.findall(r"^\s*(?:import|from) (\w+)", path.read_text(), re.MULTILINE))
+        found = re.findall(r"^\s*(?:import (\w+)|from (\w+)[\w.]* import)", path.read_text(), re.MULTILINE)
+        imported |= {name for names in found for name in names if name}
     third_party = imported - set(sys.stdlib_module_names) - {"fungrasp", "__future__"}
     assert {modules.get(name, name).lower() for name in third_party} <= names
     assert names - IMPORTED_ELSEWHERE <= {modules.get(name, name).lower() for name in third_party}

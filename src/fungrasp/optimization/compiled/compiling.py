@@ -13,9 +13,6 @@ from numba.core import config
 
 from fungrasp.files import cache_folder
 
-FASTMATH = ("reassoc", "contract", "nsz", "arcp")
-"""Sums may be reordered and multiplications joined to additions; NaN and infinity keep their meaning."""
-
 NOT_COMPILED = ("__init__.py", "compiling.py", "solver.py", "terms.py")
 """Files of this folder without loops."""
 
@@ -26,7 +23,9 @@ SOURCES = ("optimization/compiled/*.py", "optimization/contact_forces.py", "geom
 def compiled(function: Callable[..., Any]) -> Any:
     """Compile a loop when it is first called with arguments of these types, or read it from the cache.
 
-    It does not hold the global interpreter lock, so that threads work side by side.
+    It does not hold the global interpreter lock, so that threads work side by side. Sums keep their order
+    (no fast math): what has just been compiled and what is read from the cache is optimized differently, and
+    would otherwise not give the same bits.
     """
     # Numba's own cache, beside the sources, knows when a function's file has changed, but not when one has
     # that the function calls. Its place is read when a function is decorated.
@@ -34,7 +33,7 @@ def compiled(function: Callable[..., Any]) -> Any:
     place = settings.CACHE_DIR
     settings.CACHE_DIR = str(_machine_code())
     try:
-        return numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=set(FASTMATH))(function)
+        return numba.njit(cache=True, nogil=True, error_model="numpy")(function)
     finally:
         settings.CACHE_DIR = place
 
@@ -43,7 +42,7 @@ def compiled(function: Callable[..., Any]) -> Any:
 def _machine_code() -> Path:
     """A folder of its own for each state of the sources."""
     package = Path(__file__).parents[2]
-    digest = hashlib.sha256(repr(FASTMATH).encode())
+    digest = hashlib.sha256()
     for pattern in SOURCES:
         for path in sorted(package.glob(pattern)):
             if path.name not in NOT_COMPILED:
