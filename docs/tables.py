@@ -63,7 +63,7 @@ HANDS = {
 def hands() -> Table:
     """Static quality and success of each hand."""
     head = ("hand", "contact error [mm]", "contact gap [mm]", "link direction [°]")
-    head += ("object penetration, mean / p95 [mm]", "success", "contact ratio")
+    head += ("object penetration, mean / p95 [mm]", "success", "contact ratio", "success, not adapted")
     rows = []
     for name, title in HANDS.items():
         header = _read(f"hand-{name}").header
@@ -77,9 +77,11 @@ def hands() -> Table:
                 f"{q['object_penetration_mm']['mean']:.1f} / {q['object_penetration_mm']['p95']:.1f}",
                 _percent(header["success_rate"]),
                 f"{header['contact_ratio']:.2f}",
+                _percent(_read(f"hand-{name}-unadapted").header["success_rate"]),
             )
         )
-    return Table(head, rows, [f"hand-{name}" for name in HANDS])
+    files = [file for name in HANDS for file in (f"hand-{name}", f"hand-{name}-unadapted")]
+    return Table(head, rows, files)
 
 
 def policies() -> Table:
