@@ -88,6 +88,10 @@ def test_a_log_that_breaks_off_is_read_up_to_there(lifted: tuple[Any, Path], tmp
         assert not log.complete
         assert len(log.messages["/setpoint"]) > 0
         assert len(log.observations) <= steps
+    for cut in range(1, 60):
+        # Also within the length of a record.
+        (tmp_path / "torn.mcap").write_bytes(whole[: len(whole) // 3 - cut])
+        assert not read_log(tmp_path / "torn.mcap").complete
     (tmp_path / "no.mcap").write_bytes(b"nothing")
     with pytest.raises(FungraspError, match="is no MCAP file"):
         read_log(tmp_path / "no.mcap")

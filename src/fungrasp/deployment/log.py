@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import io
 import json
+import struct
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -225,7 +226,7 @@ def _records(path: Path) -> Iterator[Any]:
             # What a killed writer has left ends within a record.
             try:
                 yield from StreamReader(stream, record_size_limit=64_000_000).records
-            except (McapError, EOFError, ValueError, OSError):
+            except (McapError, EOFError, struct.error, ValueError, OSError):
                 return
     except OSError as error:
         raise FungraspError(f"cannot read {path}: {error.strerror or error}") from error
