@@ -19,9 +19,9 @@ from fungrasp.transfer.identification.fit import FitSettings, IdentifiedDynamics
 from fungrasp.transfer.identification.motion_log import MotionLog
 
 SMALL_STEPS = Excitation(reach=0.1)
-"""Steps so small that servos hardly reach their torque limit: beyond it, a servo whose damping counts towards
-the limit moves otherwise than the fitted model (stiffness 3 % off at the median where 30 % of a joint's range
-gave 39 %, on an Allegro twin without imperfections)."""
+"""Steps so small that servos hardly reach their torque limit. On an Allegro twin without imperfections the
+stiffness is then 3 % off at the median, where 30 % of a joint's range gave 39 %; the probable reason is that
+the fitted model does not count damping towards that limit. Not tried on twins with drawn parameters."""
 
 ASIDE = np.array([0.0, 0.45, 0.1, 1.0, 0.0, 0.0, 0.0])
 """Where the object lies meanwhile, world frame."""

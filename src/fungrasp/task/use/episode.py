@@ -158,7 +158,8 @@ def play_use(
     fingers = task.setpoints.fingers.copy()
     opened = np.clip(0.0, *environment.scene.servo_limits.T)
     period, substeps = task.setpoints.period, task.setpoints.substeps
-    ends = np.array([use.motion.duration + OPENING_TIME * (use.motion.pull > 0) for use in uses])
+    durations = np.array([use.motion.duration for use in uses])
+    ends = durations + OPENING_TIME * np.array([use.motion.pull > 0 for use in uses])
     shift, turn = np.zeros(len(uses)), np.zeros(len(uses))
     force, torque = np.zeros((len(engine), 3)), np.zeros((len(engine), 3))
     weight = environment.scene.settings.gravity * environment.privileged().object_mass
@@ -176,7 +177,7 @@ def play_use(
         engine.step(engine.controls(palms, velocity, fingers), substeps, worlds[active])
         watch()
         # What has let go may move; until then the object is to stay.
-        holding = active & (time < np.array([use.motion.duration for use in uses]) - 1e-9)
+        holding = active & (time < durations - 1e-9)
         moved, turned = _difference(start, _in_palm(environment, worlds))
         shift = np.where(holding, np.maximum(shift, moved), shift)
         turn = np.where(holding, np.maximum(turn, turned), turn)
