@@ -78,6 +78,14 @@ def test_a_name_is_not_a_path(folder, name):
         load_object(name, 1.0, folder)
 
 
+def test_a_path_is_loaded(folder):
+    brick = load_object(folder / "brick.stl", 1.0)
+    assert brick.name == "brick"
+    assert np.array_equal(brick.vertices, load_object("brick", 1.0, folder).vertices)
+    with pytest.raises(FungraspError, match=r"nothing\.stl"):
+        load_object(folder / "nothing.stl", 1.0)
+
+
 def test_a_mesh_needs_a_mass(folder):
     with pytest.raises(FungraspError, match="'brick': a mesh needs a mass"):
         load_object("brick", None, folder)

@@ -37,18 +37,21 @@ def builtin_object(name: str, mass: float | None = None) -> ObjectModel:
     return build_builtin(name, mass)
 
 
-def load_object(name: str, mass: float | None = None, folder: str | Path | None = None) -> ObjectModel:
+def load_object(name: str | Path, mass: float | None = None, folder: str | Path | None = None) -> ObjectModel:
     """By name: ``<name>.obj`` (.stl, .ply, .glb) in ``folder``, else built-in, else another package's;
     ``<name>_mirrored`` is the mirror image of one of them. A name like "box:60x28x30" is the shape itself.
 
     Args:
-        name: of the mesh file without suffix, of a built-in object, or of a shape (``plain_shape``).
+        name: of the mesh file without suffix, of a built-in object, or of a shape (``plain_shape``); or a
+            ``Path``, of a mesh file (``object_from_file``). A string is never a path: names come from files.
         mass: [kg]; needed for a mesh or a shape, a built-in object has its own.
         folder: of meshes.
 
     Raises:
         FungraspError: no such folder or object, a bad mesh, or a missing or bad mass.
     """
+    if isinstance(name, Path):
+        return object_from_file(name, mass)
     files = mesh_files(folder)
     known = {**dict.fromkeys(BUILTINS), **files}
     if name not in known and name.endswith(MIRRORED):

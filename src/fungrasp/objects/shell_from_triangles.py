@@ -20,6 +20,9 @@ MOST_CELLS = 50_000
 MOST_SAMPLES = 3_000_000
 """Most points on the triangles."""
 
+AT_ONCE = 200_000
+"""Triangles from which points are taken at a time; it bounds the memory."""
+
 # The six tetrahedra of a cube about its diagonal, as offsets of their corners, shape [6, 4, 3].
 _TETRAHEDRA = np.array(
     [
@@ -55,7 +58,18 @@ def shell_from_triangles(triangles: np.ndarray, thickness: float) -> tuple[np.nd
         thickness = 2 * spacing
     origin = low - border
     gap = max(spacing / 2, float(np.sqrt(area / MOST_SAMPLES)))
-    points = points_on_triangles(triangles, gap)[0]
+    points = (
+        _thinned(
+            np.concatenate(
+                [
+                    _thinned(points_on_triangles(triangles[i : i + AT_ONCE], gap)[0] - origin, gap / 2)
+                    for i in range(0, len(triangles), AT_ONCE)
+                ]
+            ),
+            gap / 2,
+        )
+        + origin
+    )
     touched = np.zeros(shape, dtype=bool)
     touched[tuple(np.round((points - origin) / spacing).astype(int).T)] = True
     steps: Any = ndimage.distance_transform_edt(~touched)
@@ -69,6 +83,15 @@ def shell_from_triangles(triangles: np.ndarray, thickness: float) -> tuple[np.nd
     values = np.where((parts[0] > 0) & (parts[0] != parts[0][0, 0, 0]), -spacing, values)
     vertices, faces = zero_surface(values)
     return origin + spacing * vertices, faces, thickness
+
+
+def _thinned(points: np.ndarray, width: float) -> np.ndarray:
+    """One of the points, shape [N, 3], in each cube of a width [m]; small triangles have one each."""
+    cells = (points / width).astype(np.int64)
+    sides = cells.max(axis=0) + 1
+    codes = (cells[:, 0] * sides[1] + cells[:, 1]) * sides[2] + cells[:, 2]
+    order = np.argsort(codes)
+    return points[order[np.append(True, np.diff(codes[order]) > 0)]]
 
 
 def zero_surface(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
