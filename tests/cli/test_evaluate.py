@@ -11,7 +11,7 @@ from grasp_files import BAD, bad_inputs, run, some_grasps
 from PIL import Image
 
 from fungrasp.cli import evaluate as evaluate_command
-from fungrasp.evaluation import lift_test, replay
+from fungrasp.evaluation import lift_test_chunks, replay
 from fungrasp.grasps import save_human_grasps
 from fungrasp.grasps.grasp_files import builtin_grasps
 from fungrasp.transfer import NOMINAL, MeasurementError, Randomization
@@ -249,24 +249,24 @@ def test_grasps_are_refined_once_for_all_conditions(human, tmp_path, capsys, mon
 def test_an_interrupted_run_goes_on_when_given_again(human, tmp_path, capsys, monkeypatch):
     path = tmp_path / "e.json"
     monkeypatch.setattr(evaluate_command, "CHUNKS", (1, 1))
-    simulate, runs = lift_test._Test.run, []
+    simulate, runs = lift_test_chunks.LiftTest.run, []
 
-    def interrupted(self, grasps, rows, *others):
+    def interrupted(self, chunk, progress):
         if runs:
             raise KeyboardInterrupt
-        runs.append(rows)
-        return simulate(self, grasps, rows, *others)
+        runs.append(chunk.rows)
+        return simulate(self, chunk, progress)
 
-    monkeypatch.setattr(lift_test._Test, "run", interrupted)
+    monkeypatch.setattr(lift_test_chunks.LiftTest, "run", interrupted)
     status, _, err = run(capsys, "evaluate", "--grasps", human, "--json", path)
     assert status == 130 and err.endswith("fungrasp: interrupted\n")
     assert [file.name for file in tmp_path.iterdir()] == ["e.json.partial"]
 
-    def counted(self, grasps, rows, *others):
-        runs.append(rows)
-        return simulate(self, grasps, rows, *others)
+    def counted(self, chunk, progress):
+        runs.append(chunk.rows)
+        return simulate(self, chunk, progress)
 
-    monkeypatch.setattr(lift_test._Test, "run", counted)
+    monkeypatch.setattr(lift_test_chunks.LiftTest, "run", counted)
     assert run(capsys, "evaluate", "--grasps", human, "--json", path)[0] == 0
     assert [rows.tolist() for rows in runs] == [[0], [1]]
     assert [file.name for file in tmp_path.iterdir()] == ["e.json"]

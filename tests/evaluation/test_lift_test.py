@@ -10,7 +10,7 @@ import pytest
 
 from fungrasp.errors import FungraspError, UnknownNameError
 from fungrasp.evaluation import LiftTestResult, evaluate, replay, result_json
-from fungrasp.evaluation.lift_test import Refinement
+from fungrasp.evaluation.lift_test_chunks import Refinement
 from fungrasp.evaluation.partial_results import PartialResults
 from fungrasp.files import digest
 from fungrasp.geometry.poses import compose
@@ -133,7 +133,7 @@ def test_an_interrupted_test_goes_on_where_it_was(recorded, good, things, allegr
 
     with pytest.raises(Interrupted):
         evaluate(good, things, allegro, store=PartialResults(store), chunk=2, progress=interrupt)
-    assert store.is_file()
+    assert len(list(store.iterdir())) == 1
     seen: list[float] = []
     result = evaluate(good, things, allegro, store=PartialResults(store), chunk=2, progress=seen.append)
     assert seen[0] == 2, "the first chunk was not simulated again"
@@ -144,9 +144,11 @@ def test_an_interrupted_test_goes_on_where_it_was(recorded, good, things, allegr
     assert 0 <= seen[0] < 2 and not same(other, result), "what was kept is of other grasps"
 
 
-def test_partial_results_survive_a_file_that_cannot_be_read(tmp_path):
+@pytest.mark.parametrize("damaged", ["x.partial", "x.partial/a.npz"])
+def test_partial_results_survive_a_file_that_cannot_be_read(tmp_path, damaged):
     path = tmp_path / "x.partial"
-    path.write_bytes(b"PK\x03\x04 cut short")
+    (tmp_path / damaged).parent.mkdir(exist_ok=True)
+    (tmp_path / damaged).write_bytes(b"PK\x03\x04 cut short")
     store = PartialResults(path)
     assert store.load("a") is None
     store.save("a", {"x": np.arange(3), "reason": np.array(["", "lost"])})

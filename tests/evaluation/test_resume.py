@@ -11,7 +11,7 @@ from planned_grasps import grasps_and_objects, hand
 from residual_policies import policy_file, predictor_file
 
 from fungrasp.evaluation import LiftTestResult, evaluate
-from fungrasp.evaluation.lift_test import Refinement, _Test
+from fungrasp.evaluation.lift_test_chunks import LiftTest, Refinement
 from fungrasp.evaluation.partial_results import PartialResults
 from fungrasp.planning.selection import SelectionSettings
 from fungrasp.task import LiftProtocol
@@ -25,16 +25,16 @@ PREDICTED = SelectionSettings(2, rollouts=None)
 def runs(monkeypatch) -> list[int]:
     """Rows of the chunks that are simulated; the outcomes are made up."""
     rows: list[int] = []
-    simulate = _Test.run
+    simulate = LiftTest.run
     known: list[dict[str, np.ndarray]] = []
 
-    def run(self, grasps, which, *others):
-        rows.extend(which.tolist())
+    def run(self, chunk, progress):
+        rows.extend(chunk.rows.tolist())
         if not known:
-            known.append(simulate(self, grasps, which, *others))
+            known.append(simulate(self, chunk, progress))
         return known[0]
 
-    monkeypatch.setattr(_Test, "run", run)
+    monkeypatch.setattr(LiftTest, "run", run)
     return rows
 
 
@@ -86,7 +86,7 @@ def test_another_version_of_mujoco_is_tried_anew(tried, runs, monkeypatch):
 
 def test_another_version_of_fungrasp_is_tried_anew(tried, runs, monkeypatch):
     tried()
-    monkeypatch.setattr("fungrasp.evaluation.lift_test.__version__", "0.0.0")
+    monkeypatch.setattr("fungrasp.evaluation.lift_test_chunks.__version__", "0.0.0")
     tried()
     assert runs == [0, 0]
 

@@ -256,9 +256,9 @@ def _table(folder: Path) -> tuple[str, bytes, Reader]:
 
 
 def _partial(folder: Path) -> tuple[str, bytes, Reader]:
-    store = PartialResults(folder / "x.npz")
-    store.save("key", {"success": np.ones(3, bool), "reason": np.array(["", "", "x"])})
-    return "x.npz", (folder / "x.npz").read_bytes(), lambda path: PartialResults(path).load("key")
+    store = PartialResults(folder)
+    store.save("x", {"success": np.ones(3, bool), "reason": np.array(["", "", "x"])})
+    return "x.npz", (folder / "x.npz").read_bytes(), lambda path: PartialResults(path.parent).load("x")
 
 
 def _record(folder: Path) -> tuple[str, bytes, Reader]:

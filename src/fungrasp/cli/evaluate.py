@@ -13,13 +13,11 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from fungrasp.evaluation import LiftTestResult
-    from fungrasp.evaluation.lift_test import Refinement
+    from fungrasp.evaluation.lift_test_chunks import LiftTest, Refinement
     from fungrasp.evaluation.partial_results import PartialResults
-    from fungrasp.evaluation.use_test import UseTest
     from fungrasp.grasps import HumanGraspSet, RobotGraspSet
     from fungrasp.hands import Hand
     from fungrasp.objects import ObjectModel
-    from fungrasp.planning import Planner
     from fungrasp.transfer import Randomization
 
 CHUNKS = (8, 128)
@@ -27,6 +25,9 @@ CHUNKS = (8, 128)
 
 SEARCHED_CHUNKS = (2, 32)
 """The same where grasps are refined, or plans are searched for, which takes a hundred times as long."""
+
+WITHOUT = "without adaptation"
+"""Condition in which methods of retargeting are compared a second time."""
 
 PARTS = 8
 """Parts of which an interrupted run loses one at most, where ``CHUNKS`` allows it."""
@@ -94,9 +95,12 @@ class Evaluate:
     """Iterations that take the creep out of the solver's friction; 5 make physics 1.6 times as slow."""
     threads: int = 0
     """0 means all processors; the result does not depend on it."""
+    ray: tuple[str, ...] | None = None
+    """Plan and play on a Ray cluster: on that of this address ("auto": the one that this machine is part of),
+    or on all processors of this machine where none is given. Same results. Every machine must see the files
+    under the same names."""
 
     def run(self) -> None:
-        from functools import partial
         from time import perf_counter
 
         from fungrasp.cli.episode_tables import (
@@ -106,16 +110,14 @@ class Evaluate:
             static_words,
             use_table,
         )
+        from fungrasp.cli.on_cluster import test_on_cluster
         from fungrasp.cli.retarget import draw_grasps
-        from fungrasp.evaluation.lift_test import check_hand
+        from fungrasp.errors import FungraspError
+        from fungrasp.evaluation.lift_test_chunks import check_hand
         from fungrasp.evaluation.partial_results import PartialResults
-        from fungrasp.evaluation.use_test import UseTest
         from fungrasp.grasps import RobotGraspSet, load_grasps, load_objects
         from fungrasp.hands import load_hand
-        from fungrasp.planning import MotionSettings
-        from fungrasp.planning.selection import SelectionSettings
-        from fungrasp.policies import make_planner, policy_files
-        from fungrasp.transfer import NOMINAL, protocol_conditions
+        from fungrasp.policies import policy_files
 
         randomization = self._randomization()
         hand = load_hand(self.hand)
@@ -127,49 +129,20 @@ class Evaluate:
         objects = load_objects(grasps, self.objects)
         file = self.json or self.out
         store = None if file is None else PartialResults(file.with_name(f"{file.name}.partial"))
+        if self.ray is not None and store is None:
+            raise FungraspError("--ray keeps finished parts beside the result: give --json or --out too")
         start = perf_counter()
         sets = self._robot_grasps(grasps, objects, hand)
-        conditions = {"": randomization}
-        if randomization == NOMINAL:
-            conditions = protocol_conditions(self.protocol)
-        refinement = self._refinement(objects, hand)
-        selection = SelectionSettings.for_protocol(self.protocol, self.rollouts)
-        # One planner for all conditions: what it has planned for one it knows for the others.
-        make = partial(make_planner, self.policy, hand, objects, selection, threads=self.threads)
-        unadapted = MotionSettings(adapt=None)
-        planner = make(motions=None if self.adapt else unadapted)
-        human = None if isinstance(grasps, RobotGraspSet) else grasps
-        uses = {
-            name: UseTest.of(human, robot, objects, hand) if self.use else None
-            for name, robot in sets.items()
-        }
+        tests = self.lift_tests(grasps, sets, objects)
+        if self.ray is not None and store is not None:
+            test_on_cluster(self, grasps, sets, objects, tests, store)
+        done = {names: self._run(names, test, store) for names, test in tests.items()}
+        without = {method: each for (method, other), each in done.items() if other == WITHOUT}
         tried = {
-            name: {
-                condition: self._evaluate(
-                    (name, condition), robot, objects, hand, other, refinement, planner, store, uses[name]
-                )
-                for condition, other in conditions.items()
-            }
-            for name, robot in sets.items()
+            method: {other: done[m, other] for m, other in done if m == method and other != WITHOUT}
+            for method in sets
         }
         results = {name: next(iter(those.values())) for name, those in tried.items()}
-        without: dict[str, LiftTestResult] = {}
-        if len(sets) > 1 and self.adapt and len(conditions) == 1:
-            plain = make(motions=unadapted)
-            without = {
-                name: self._evaluate(
-                    (name, "without adaptation"),
-                    robot,
-                    objects,
-                    hand,
-                    next(iter(conditions.values())),
-                    refinement,
-                    plain,
-                    store,
-                    uses[name],
-                )
-                for name, robot in sets.items()
-            }
         seconds = perf_counter() - start
         static = {
             name: self._static(robot, None if robot is grasps else grasps, objects, hand)
@@ -198,9 +171,91 @@ class Evaluate:
             if without:
                 print("without adaptation to the settled object:")
                 print(comparison(without))
-        count = sum(len(result.index) for those in tried.values() for result in those.values())
-        count += sum(len(result.index) for result in without.values())
+        count = sum(len(result.index) for result in done.values())
         print(f"{count} episodes in {seconds:.1f} s")
+
+    def lift_tests(
+        self,
+        grasps: HumanGraspSet | RobotGraspSet,
+        sets: Mapping[str, RobotGraspSet],
+        objects: Mapping[str, ObjectModel],
+    ) -> dict[tuple[str, str], LiftTest]:
+        """All tests by the names of retargeting method and condition.
+
+        Args:
+            grasps: that were given.
+            sets: robot grasps by the name of the method.
+            objects: by name.
+        """
+        from functools import partial
+
+        from fungrasp.evaluation.lift_test import make_lift_test
+        from fungrasp.evaluation.use_test import UseTest
+        from fungrasp.grasps import RobotGraspSet
+        from fungrasp.hands import load_hand
+        from fungrasp.planning import MotionSettings
+        from fungrasp.planning.selection import SelectionSettings
+        from fungrasp.policies import make_planner
+        from fungrasp.simulation import SceneSettings
+        from fungrasp.transfer import NOMINAL, protocol_conditions
+
+        hand, randomization = load_hand(self.hand), self._randomization()
+        conditions = {"": randomization}
+        if randomization == NOMINAL:
+            conditions = protocol_conditions(self.protocol)
+        selection = SelectionSettings.for_protocol(self.protocol, self.rollouts)
+        # One planner for all conditions: what it has planned for one it knows for the others.
+        make = partial(make_planner, self.policy, hand, objects, selection, threads=self.threads)
+        unadapted = MotionSettings(adapt=None)
+        planner = make(motions=None if self.adapt else unadapted)
+        each = [(method, name, other, planner) for method in sets for name, other in conditions.items()]
+        if len(sets) > 1 and self.adapt and len(conditions) == 1:
+            plain = make(motions=unadapted)
+            each += [(method, WITHOUT, next(iter(conditions.values())), plain) for method in sets]
+        human = None if isinstance(grasps, RobotGraspSet) else grasps
+        uses = {
+            method: UseTest.of(human, robot, objects, hand) if self.use else None
+            for method, robot in sets.items()
+        }
+        refinement = self._refinement(objects, hand)
+        return {
+            (method, name): make_lift_test(
+                sets[method],
+                objects,
+                hand,
+                self.policy,
+                seeds=self.seed if self._is_random(other, hand) else self.seed[:1],
+                threads=self.threads,
+                physics=SceneSettings(noslip_iterations=self.noslip),
+                randomization=other,
+                refine=refinement,
+                planner=its,
+                use=uses[method],
+                record=self._record_folder(method, name),
+            )
+            for method, name, other, its in each
+        }
+
+    def chunk_size(self, test: LiftTest) -> int:
+        """Grasps to try together. The result does not depend on it."""
+        searched = bool(self.refine) or self._searches(test.scene.hand)
+        fewest, most = SEARCHED_CHUNKS if searched else CHUNKS
+        return min(max(math.ceil(len(test.grasps) / PARTS), fewest), most)
+
+    def _run(self, names: tuple[str, str], test: LiftTest, store: PartialResults | None) -> LiftTestResult:
+        from fungrasp.evaluation.lift_test import run_lift_test
+
+        words = ", ".join(word for word in (test.scene.hand.name, *names) if word)
+        with progress_bar(words, len(test.grasps) * len(test.seeds)) as show:
+            return run_lift_test(test, store, self.chunk_size(test), show)
+
+    def _record_folder(self, method: str, condition: str) -> Path | None:
+        folder = self.record
+        if folder is not None and len(self.method) > 1:
+            folder = folder / method
+        if folder is not None and condition:
+            folder = folder / condition.replace(",", "").replace(" ", "-")
+        return folder
 
     def _write(
         self,
@@ -297,49 +352,6 @@ class Evaluate:
             return {hand.name: grasps}
         return {method: retargeted(grasps, objects, hand, method, self.threads)[0] for method in self.method}
 
-    def _evaluate(
-        self,
-        names: tuple[str, str],
-        robot: RobotGraspSet,
-        objects: Mapping[str, ObjectModel],
-        hand: Hand,
-        randomization: Randomization,
-        refinement: Refinement | None,
-        planner: Planner,
-        store: PartialResults | None,
-        use: UseTest | None,
-    ) -> LiftTestResult:
-        """names: of the method and the condition, "" for one that needs no name."""
-        from fungrasp.evaluation import evaluate
-        from fungrasp.simulation import SceneSettings
-
-        method, condition = names
-        folder = self.record
-        if folder is not None and len(self.method) > 1:
-            folder = folder / method
-        if folder is not None and condition:
-            folder = folder / condition.replace(",", "").replace(" ", "-")
-        seeds = self.seed if self._is_random(randomization, hand) else self.seed[:1]
-        words = ", ".join(word for word in (hand.name, method, condition) if word)
-        with progress_bar(words, len(robot) * len(seeds)) as show:
-            return evaluate(
-                robot,
-                objects,
-                hand,
-                self.policy,
-                seeds=seeds,
-                threads=self.threads,
-                physics=SceneSettings(noslip_iterations=self.noslip),
-                randomization=randomization,
-                refine=refinement,
-                planner=planner,
-                use=use,
-                record=folder,
-                store=store,
-                chunk=chunk_size(len(robot), bool(self.refine) or self._searches(hand)),
-                progress=show,
-            )
-
     def _static(
         self,
         robot: RobotGraspSet,
@@ -361,7 +373,7 @@ class Evaluate:
     def _refinement(self, objects: Mapping[str, ObjectModel], hand: Hand) -> Refinement | None:
         if not self.refine:
             return None
-        from fungrasp.evaluation.lift_test import Refinement
+        from fungrasp.evaluation.lift_test_chunks import Refinement
         from fungrasp.files import digest
         from fungrasp.planning.selection.refinement import refine_grasps
         from fungrasp.policies import OpenLoopPolicy
@@ -384,12 +396,6 @@ class Evaluate:
             return done[key]
 
         return Refinement(improve, f"{self.refine} tries")
-
-
-def chunk_size(grasps: int, searched: bool) -> int:
-    """Grasps to try together. The result does not depend on it."""
-    fewest, most = SEARCHED_CHUNKS if searched else CHUNKS
-    return min(max(math.ceil(grasps / PARTS), fewest), most)
 
 
 COMMAND = Evaluate

@@ -50,10 +50,14 @@ class Retarget:
     """Draw some of the grasps, human and robot side by side, to this PNG file."""
     threads: int = 0
     """Number of threads, 0 for all processors; the result does not depend on it."""
+    ray: tuple[str, ...] | None = None
+    """Work on a Ray cluster: on that of this address ("auto": the one that this machine is part of), or on
+    all processors of this machine where none is given. Same grasps."""
 
     def run(self) -> None:
+        from fungrasp.cli.on_cluster import CLUSTER_PART, retarget_on_cluster
         from fungrasp.evaluation.results import finite
-        from fungrasp.evaluation.retarget_in_parts import remove_parts, retarget_in_parts
+        from fungrasp.evaluation.retarget_in_parts import GRASPS_PER_PART, remove_parts, retarget_in_parts
         from fungrasp.grasps import load_human_grasps, load_objects, mirrored_grasps, save_robot_grasps
         from fungrasp.hands import load_hand
         from fungrasp.hands.self_contacts import self_contact_words
@@ -66,6 +70,10 @@ class Retarget:
         for model in objects.values():
             _ = model.signed_distance
         parts, done = self.out.with_name(f"{self.out.name}.parts"), 0
+        size = GRASPS_PER_PART
+        if self.ray is not None:
+            size = CLUSTER_PART
+            retarget_on_cluster(self, human, objects, hand, parts)
         with progress_bar(f"retargeting to {hand.name} ({self.method})", len(human)) as show:
 
             def finished(count: int) -> None:
@@ -73,7 +81,7 @@ class Retarget:
                 done += count
                 show(done)
 
-            result = retarget_in_parts(human, objects, hand, self.method, self.threads, parts, finished)
+            result = retarget_in_parts(human, objects, hand, self.method, self.threads, parts, finished, size)
         robot, quality = result.robot, result.quality
         save_robot_grasps(self.out, robot)
         touching = self_contact_words(hand.model, robot.joint_positions)

@@ -58,6 +58,12 @@ class Train:
     """Short for --ppo.sees."""
     seed: int = 0
     """Seed of all random numbers."""
+    seeds: tuple[int, ...] = ()
+    """Several trainings, one with each of these seeds, in <out>/seed-<N>."""
+    ray: tuple[str, ...] | None = None
+    """The trainings of --seeds at the same time on a Ray cluster: on that of this address ("auto": the one
+    that this machine is part of), or on all processors of this machine where none is given. Every machine
+    must see the same files."""
     threads: int = 0
     """Threads of the simulation; 0 means all processors. The result does not depend on it."""
     terms: tuple[str, ...] = ()
@@ -75,6 +81,11 @@ class Train:
 
     def run(self) -> None:
         check_packages()
+        if self.seeds:
+            self._run_seeds()
+            return
+        if self.ray is not None:
+            raise FungraspError("--ray spreads several trainings over a cluster: give their --seeds")
         import torch
 
         from fungrasp.cli.console import progress_bar
@@ -111,6 +122,24 @@ class Train:
             f"{self.out / POLICY}: {card.kind} of {card.hand}, {card.budget.steps:,} steps in "
             f"{seconds / 60:.1f} min"
         )
+
+    def _run_seeds(self) -> None:
+        from fungrasp.cli.on_cluster import train_on_cluster
+
+        if len(set(self.seeds)) < len(self.seeds):
+            raise FungraspError("--seeds must be different ones")
+        each = [
+            replace(self, out=(self.out / f"seed-{seed}").absolute(), seed=seed, seeds=(), ray=None)
+            for seed in self.seeds
+        ]
+        for training in each:
+            check_numbers(training.steps, training.seed, training.threads)
+        if self.ray is not None:
+            train_on_cluster(each, self.ray)
+            print("\n".join(str(training.out) for training in each))
+            return
+        for training in each:
+            training.run()
 
 
 COMMAND = Train
@@ -180,7 +209,7 @@ def training_sets(
     """
     from fungrasp.cli.retarget import retargeted
     from fungrasp.errors import UnknownNameError
-    from fungrasp.evaluation.lift_test import check_hand
+    from fungrasp.evaluation.lift_test_chunks import check_hand
     from fungrasp.grasps import RobotGraspSet, load_grasps, load_objects
     from fungrasp.grasps.grasp_files import BUILTIN
     from fungrasp.retarget import METHODS

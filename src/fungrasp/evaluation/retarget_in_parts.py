@@ -49,6 +49,7 @@ def retarget_in_parts(
     threads: int,
     folder: Path,
     progress: Callable[[int], None] = lambda count: None,
+    size: int = GRASPS_PER_PART,
 ) -> RetargetedGrasps:
     """Retarget and judge grasps.
 
@@ -60,14 +61,15 @@ def retarget_in_parts(
         threads: 0 means all processors.
         folder: for finished parts, where there are several; the caller removes it (``remove_parts``).
         progress: called with the number of grasps that have just been solved or read.
+        size: grasps in a part.
 
     Raises:
         FungraspError: as ``retarget``, or a part can't be written.
     """
     parts, solved, seconds = [], 0, 0.0
-    for start in range(0, max(len(human), 1), GRASPS_PER_PART):
-        part = human.select(slice(start, start + GRASPS_PER_PART))
-        file = folder / f"{_key(part, hand, method)}.npz"
+    sets = grasp_parts(human, size)
+    for part in sets:
+        file = part_file(folder, part, hand, method)
         robot = _finished(file, len(part))
         if robot is not None:
             progress(len(part))
@@ -76,14 +78,29 @@ def retarget_in_parts(
             robot = retarget(part, objects, hand, method, threads=threads, progress=_one_at_a_time(progress))
             seconds += perf_counter() - began
             solved += len(part)
-            quality = static_quality(robot, part, objects, hand)
-            numbers = {f.name: getattr(quality, f.name) for f in fields(quality)}
-            robot = replace(robot, extra={**robot.extra, **numbers})
-            if len(human) > GRASPS_PER_PART:
-                folder.mkdir(parents=True, exist_ok=True)
+            robot = _judged(robot, part, objects, hand)
+            if len(sets) > 1:
                 save_robot_grasps(file, robot)
         parts.append(robot)
     return RetargetedGrasps(RobotGraspSet.concatenate(parts), solved, seconds)
+
+
+def grasp_parts(human: HumanGraspSet, size: int = GRASPS_PER_PART) -> list[HumanGraspSet]:
+    """Grasps that are solved, judged and written together, so many at most."""
+    starts = range(0, max(len(human), 1), size)
+    return [human.select(slice(start, start + size)) for start in starts]
+
+
+def retarget_part(
+    part: HumanGraspSet, objects: Mapping[str, ObjectModel], hand: Hand, method: str, threads: int
+) -> RobotGraspSet:
+    """Robot grasps of a part with the numbers of ``StaticQuality`` in ``extra``."""
+    return _judged(retarget(part, objects, hand, method, threads=threads), part, objects, hand)
+
+
+def part_file(folder: Path, part: HumanGraspSet, hand: Hand, method: str) -> Path:
+    """Where a finished part lies."""
+    return folder / f"{_key(part, hand, method)}.npz"
 
 
 def remove_parts(folder: Path) -> None:
@@ -92,6 +109,14 @@ def remove_parts(folder: Path) -> None:
         file.unlink()
     if folder.is_dir():
         folder.rmdir()
+
+
+def _judged(
+    robot: RobotGraspSet, human: HumanGraspSet, objects: Mapping[str, ObjectModel], hand: Hand
+) -> RobotGraspSet:
+    quality = static_quality(robot, human, objects, hand)
+    numbers = {f.name: getattr(quality, f.name) for f in fields(quality)}
+    return replace(robot, extra={**robot.extra, **numbers})
 
 
 def _finished(file: Path, count: int) -> RobotGraspSet | None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fungrasp.evaluation.lift_test import CHUNK, check_hand
+from fungrasp.evaluation.lift_test_chunks import CHUNK, check_hand
 from fungrasp.geometry.poses import compose, inverse_transform_points, invert, rotation_vector
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand, as_hand

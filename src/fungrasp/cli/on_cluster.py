@@ -1,0 +1,196 @@
+"""What ``--ray`` does: the parts of a command's work on a cluster, kept where the command then finds them.
+
+The command itself goes on as if an earlier run had been interrupted after its last part, so that its result
+is that of one process.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from fungrasp.cli.console import progress_bar
+from fungrasp.cluster import LOCAL, run_on_cluster
+from fungrasp.errors import FungraspError
+from fungrasp.files import digest
+
+if TYPE_CHECKING:
+    from fungrasp.cli.evaluate import Evaluate
+    from fungrasp.cli.retarget import Retarget
+    from fungrasp.cli.train import Train
+    from fungrasp.evaluation.lift_test_chunks import Chunk, LiftTest
+    from fungrasp.evaluation.partial_results import PartialResults
+    from fungrasp.grasps import HumanGraspSet, RobotGraspSet
+    from fungrasp.hands import Hand
+    from fungrasp.objects import ObjectModel
+
+Names = tuple[str, str]
+
+CLUSTER_PART = 128
+"""Human grasps that are retargeted in one job: some seconds of work."""
+
+
+def cluster_address(words: tuple[str, ...]) -> str:
+    """What follows ``--ray``.
+
+    Raises:
+        FungraspError: more than one address.
+    """
+    if len(words) > 1:
+        raise FungraspError(f"--ray takes one address, not {len(words)}")
+    return words[0] if words else LOCAL
+
+
+# ---------------------------------------------------------------- evaluate
+
+
+@dataclass(frozen=True, eq=False)
+class _Evaluation:
+    """What every chunk needs."""
+
+    command: Evaluate
+    grasps: HumanGraspSet | RobotGraspSet
+    sets: Mapping[str, RobotGraspSet]
+    objects: Mapping[str, ObjectModel]
+    key: str
+
+
+def test_on_cluster(
+    command: Evaluate,
+    grasps: HumanGraspSet | RobotGraspSet,
+    sets: Mapping[str, RobotGraspSet],
+    objects: Mapping[str, ObjectModel],
+    tests: Mapping[Names, LiftTest],
+    store: PartialResults,
+) -> None:
+    """Run the chunks of lift tests that are not kept yet.
+
+    Args:
+        command: whose tests they are.
+        grasps: that were given to it.
+        sets: robot grasps by the name of the retargeting method.
+        objects: by name.
+        tests: by method and condition.
+        store: where chunks are kept.
+
+    Raises:
+        FungraspError: as ``run_on_cluster``, or a part can't be written.
+    """
+    jobs = [
+        (names, chunk)
+        for names, test in tests.items()
+        for chunk in test.chunks(command.chunk_size(test))
+        if test.finished(chunk, store) is None
+    ]
+    episodes = sum(len(chunk.rows) for _, chunk in jobs)
+    key = digest(repr(command), {name: each.wrist_pose for name, each in sets.items()})
+    shared = _Evaluation(replace(command, threads=1, ray=None), grasps, dict(sets), dict(objects), key)
+    done = 0
+    with progress_bar("on the cluster", episodes) as show:
+
+        def keep(job: tuple[Names, Chunk], arrays: Mapping[str, np.ndarray]) -> None:
+            nonlocal done
+            names, chunk = job
+            store.save(tests[names].key(chunk), arrays)
+            done += len(chunk.rows)
+            show(done)
+
+        run_on_cluster(_run_chunk, jobs, keep, cluster_address(command.ray or ()), shared)
+
+
+_tests: dict[str, dict[Names, LiftTest]] = {}
+"""Scenes and planners of one command, made once in each process, by its key."""
+
+
+def _run_chunk(shared: _Evaluation, names: Names, chunk: Chunk) -> dict[str, np.ndarray]:
+    if shared.key not in _tests:
+        _tests.clear()
+        _tests[shared.key] = shared.command.lift_tests(shared.grasps, shared.sets, shared.objects)
+    return _tests[shared.key][names].run(chunk, lambda done: None)
+
+
+# ---------------------------------------------------------------- retarget
+
+
+def retarget_on_cluster(
+    command: Retarget, human: HumanGraspSet, objects: Mapping[str, ObjectModel], hand: Hand, folder: Path
+) -> None:
+    """Retarget and judge the parts of a set of grasps that are not there yet.
+
+    Args:
+        command: that retargets.
+        human: grasps.
+        objects: by name.
+        hand: the robot hand.
+        folder: where parts lie.
+
+    Raises:
+        FungraspError: as ``run_on_cluster``, or a part can't be written.
+    """
+    from fungrasp.evaluation.retarget_in_parts import grasp_parts, part_file
+    from fungrasp.grasps import save_robot_grasps
+
+    parts = grasp_parts(human, CLUSTER_PART)
+    files = [part_file(folder, part, hand, command.method) for part in parts]
+    jobs = [(file, part) for file, part in zip(files, parts, strict=True) if not file.is_file()]
+    done = 0
+    with progress_bar("on the cluster", sum(len(part) for _, part in jobs)) as show:
+
+        def keep(job: tuple[Path, HumanGraspSet], robot: RobotGraspSet) -> None:
+            nonlocal done
+            save_robot_grasps(job[0], robot)
+            done += len(robot)
+            show(done)
+
+        shared = _Retargeting(dict(objects), command.hand, command.method)
+        run_on_cluster(_retarget_part, jobs, keep, cluster_address(command.ray or ()), shared)
+
+
+@dataclass(frozen=True, eq=False)
+class _Retargeting:
+    """What every part needs."""
+
+    objects: Mapping[str, ObjectModel]
+    hand: str
+    method: str
+
+
+def _retarget_part(shared: _Retargeting, file: Path, part: HumanGraspSet) -> RobotGraspSet:
+    from fungrasp.evaluation.retarget_in_parts import retarget_part
+    from fungrasp.hands import load_hand
+
+    return retarget_part(part, shared.objects, load_hand(shared.hand), shared.method, threads=1)
+
+
+# ---------------------------------------------------------------- train
+
+
+def train_on_cluster(commands: Sequence[Train], words: tuple[str, ...]) -> None:
+    """Run trainings, each on one processor in its own folder, which every machine must be able to write to.
+    One whose machine is lost goes on from its checkpoint on another.
+
+    Args:
+        commands: what to run.
+        words: what follows ``--ray``.
+
+    Raises:
+        FungraspError: as ``run_on_cluster``.
+    """
+    done = 0
+    with progress_bar("trainings on the cluster", len(commands)) as show:
+
+        def count(job: tuple[Train], _: None) -> None:
+            nonlocal done
+            done += 1
+            show(done)
+
+        jobs = [(replace(command, threads=1),) for command in commands]
+        run_on_cluster(_train, jobs, count, cluster_address(words))
+
+
+def _train(shared: None, command: Train) -> None:
+    command.run()

@@ -1,0 +1,119 @@
+"""Independent jobs on the processors of a Ray cluster (extra ``ray``)."""
+
+from __future__ import annotations
+
+import logging
+import socket
+from collections.abc import Callable, Iterable
+from itertools import islice
+from typing import Any, TypeVar
+
+from fungrasp import __version__
+from fungrasp.errors import FungraspError
+
+Result = TypeVar("Result")
+
+WAITING = 2
+"""Jobs sent out for each processor: one at work and one waiting. It bounds what lies in memory, however many
+jobs there are."""
+
+MOST_LOSSES = 5
+"""A job whose worker or machine is lost is done again so many times; one that always ends so is at fault."""
+
+CONNECTING = 10.0
+"""Time to wait for the head of a cluster [s]."""
+
+LOCAL = "local"
+"""Address of a cluster of this machine alone, which is started."""
+
+
+def run_on_cluster(
+    work: Callable[..., Result],
+    jobs: Iterable[tuple[Any, ...]],
+    finished: Callable[[tuple[Any, ...], Result], None],
+    address: str = LOCAL,
+    shared: Any = None,
+) -> None:
+    """Do each job once on some processor of a cluster.
+
+    A job whose machine goes away is done again on another. Jobs must not depend on each other nor on where
+    they are done; their order is not kept.
+
+    Args:
+        work: a function of a module that every machine can import, called with ``shared`` and a job's items.
+        jobs: their items, small.
+        finished: called here with each job and its result, one after another.
+        address: of the head of a running cluster ("auto" for the one on this machine), or ``LOCAL``.
+        shared: what all jobs need; sent to each machine once.
+
+    Raises:
+        FungraspError: the package is missing, no cluster is at the address, a machine has another version of
+            this one, or what ``work`` raised.
+    """
+    ray = _connected(address)
+    send = ray.remote(num_cpus=1, max_retries=MOST_LOSSES)(_work)
+    sent = ray.put(shared)
+    running: dict[Any, tuple[Any, ...]] = {}
+    remaining = iter(jobs)
+    try:
+        while True:
+            # Machines come and go, so their processors are counted anew.
+            room = WAITING * max(int(ray.cluster_resources().get("CPU", 1)), 1) - len(running)
+            for job in islice(remaining, max(room, 0)):
+                running[send.remote(work, __version__, sent, job)] = job
+            if not running:
+                return
+            for done in ray.wait(list(running), num_returns=1)[0]:
+                finished(running.pop(done), _result(ray, done))
+    finally:
+        for job in running:
+            ray.cancel(job, force=True)
+        ray.shutdown()
+
+
+def _connected(address: str) -> Any:
+    try:
+        import ray
+    except ImportError as error:
+        raise FungraspError("work on a cluster needs Ray: pip install 'fungrasp[ray]'") from error
+    _check_reachable(address)
+    options: dict[str, Any] = {"include_dashboard": False} if address == LOCAL else {}
+    try:
+        ray.init(address=address, log_to_driver=False, logging_level=logging.ERROR, **options)
+    except (ConnectionError, ValueError, RuntimeError, OSError) as error:
+        words = str(error).strip().splitlines() or [type(error).__name__]
+        raise FungraspError(f"no Ray cluster at '{address}': {words[0]}") from None
+    return ray
+
+
+def _check_reachable(address: str) -> None:
+    """Ray itself would try for minutes."""
+    host, _, port = address.rpartition(":")
+    if not (host and port.isdigit()):
+        return
+    try:
+        socket.create_connection((host, int(port)), CONNECTING).close()
+    except (OSError, OverflowError) as error:
+        raise FungraspError(f"no Ray cluster at '{address}': {error}") from None
+
+
+def _work(work: Callable[..., Result], version: str, shared: Any, job: tuple[Any, ...]) -> Result:
+    if version != __version__:
+        raise FungraspError(f"a machine of the cluster has fungrasp {__version__}, not {version}")
+    return work(shared, *job)
+
+
+def _result(ray: Any, done: Any) -> Any:
+    try:
+        return ray.get(done)
+    except ray.exceptions.RayTaskError as error:
+        if isinstance(error.cause, FungraspError):
+            raise FungraspError(str(error.cause)) from None
+        if isinstance(error.cause, ray.exceptions.RaySystemError):
+            # The last line of a traceback from there, as where a package is missing.
+            words = str(error.cause).strip().splitlines()[-1]
+            raise FungraspError(f"a machine of the cluster can't begin a job: {words}") from None
+        raise
+    except ray.exceptions.RayError as error:
+        words = str(error).strip().splitlines()[0]
+        raise FungraspError(f"a job was lost {MOST_LOSSES + 1} times on the cluster: {words}") from None
