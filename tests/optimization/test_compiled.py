@@ -11,6 +11,7 @@ from retarget_scenes import held, plain_objects
 from fungrasp.hands import load_hand
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.optimization import terms
+from fungrasp.optimization.firmness import NO_GRIP, unresisted_share
 from fungrasp.optimization.hand_state import HandPoints, HandState
 from fungrasp.optimization.levenberg_marquardt import minimize, objective_equations
 from fungrasp.optimization.retargeting_problem import RetargetingProblem
@@ -124,3 +125,20 @@ def test_a_row_that_is_not_a_number_harms_no_other(compiled: bool):
     for got, wanted in zip(found, expected, strict=True):
         np.testing.assert_array_equal(got[others], wanted[others])
     np.testing.assert_array_equal(found[0][2], setting.pose[2])
+
+
+@pytest.mark.parametrize("name", HANDS)
+def test_unresisted_shares_are_those_of_numpy(name: str):
+    """Of solved grasps, which are in touch; one goes into its object, one is not asked for."""
+    setting = Setting(name)
+    points, problem = setting.points.dense, setting.problem
+    objective = [terms.contact_position, terms.contact_gap, terms.object_penetration]
+    pose, joints, _ = minimize(setting.points, problem, objective, setting.pose, setting.joints, 40)
+    surface, normals = problem.surface[0, 12], problem.normals[0, 12]
+    pose[0, :3] = surface - 0.01 * normals
+    which = np.array([True, True, False, True, True, True])
+    expected = unresisted_share(points, problem, pose, joints, which, compiled=False)
+    found = unresisted_share(points, problem, pose, joints, which)
+    assert expected[0] == NO_GRIP and expected[2] == np.inf
+    assert np.any((expected > 1e-3) & (expected < 1.2))
+    np.testing.assert_allclose(found, expected, atol=1e-9)

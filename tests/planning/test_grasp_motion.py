@@ -9,10 +9,16 @@ import pytest
 from planned_grasps import belief, grasps_and_objects, hand, plan, start
 
 from fungrasp.geometry.poses import compose, invert
+from fungrasp.grasps import builtin_grasps, load_objects
+from fungrasp.hands.kinematics import HandKinematics
+from fungrasp.optimization.collision_scene import CollisionScene
+from fungrasp.optimization.hand_state import HandPoints, HandState
 from fungrasp.planning import MotionPlanner
 from fungrasp.planning.grasp_motion import TABLE_TOLERANCE, MotionSettings, lowered, table_below
 from fungrasp.policies import OpenLoopPolicy
-from fungrasp.task import Belief, GraspPlan, LiftProtocol
+from fungrasp.retarget import retarget
+from fungrasp.simulation import build_scene
+from fungrasp.task import Belief, GraspPlan, LiftEnvironment, LiftProtocol
 
 P, S = LiftProtocol(), MotionSettings()
 
@@ -63,6 +69,24 @@ def test_it_comes_to_the_grasp_closes_and_then_lifts():
     assert 0.02 < np.abs(offset).max() <= S.squeeze_limit + 1e-9
     closed = p.finger_targets[rows, p.closing_step + round(S.close_time / P.control_period) - 1]
     np.testing.assert_allclose(closed, p.grasp_joints, atol=1e-9)
+
+
+def test_nothing_is_struck_before_the_fingers_close():
+    """Handles of pitchers and drills, which a wrist that cuts corners goes through, and so do fingers that
+    start to close from the other side of them."""
+    human = builtin_grasps()
+    human = human.select(np.flatnonzero(np.isin(human.object_name, ("pitcher", "drill"))))
+    objects = load_objects(human)
+    grasps = retarget(human, objects, hand(), threads=1)
+    believed = LiftEnvironment(build_scene(hand(), objects), len(grasps), threads=1).settle(grasps)
+    p = MotionPlanner(hand(), objects, MotionSettings(adapt=None)).plan(grasps, believed)
+    names = grasps.object_name.tolist()
+    around = CollisionScene.settled(names, believed.object_pose, objects)
+    points = HandPoints(HandKinematics(hand(), len(grasps)))
+    for step in range(int(p.closing_step.max())):
+        state = HandState(points, around, p.palm_setpoint[:, step], p.finger_targets[:, step])
+        going = step < p.closing_step
+        assert state.clearance[going].min() > -0.001
 
 
 def test_the_task_goes_where_it_was_planned_to_go():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import mujoco
@@ -26,8 +27,9 @@ class CollisionSpheres(NamedTuple):
     """Geom id in the bare hand's model, shape [P]."""
 
 
+@lru_cache(maxsize=64)
 def collision_spheres(hand: Hand, spacing: float = 0.012) -> CollisionSpheres:
-    """Cover the collision geoms of a hand with spheres.
+    """Cover the collision geoms of a hand with spheres; made once for each hand and spacing.
 
     Spheres and capsules are covered by spheres of their own radius along their axis; boxes, cylinders,
     ellipsoids and the convex hulls of meshes by points on their surface.

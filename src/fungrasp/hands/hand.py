@@ -52,7 +52,7 @@ class Actuator:
     """Largest torque [N m]."""
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class Hand:
     """A hand folder, read and checked. ``fungrasp.hands.load_hand`` makes it."""
 

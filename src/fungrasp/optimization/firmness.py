@@ -7,9 +7,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fungrasp.geometry.poses import cross
-from fungrasp.hands import Hand
-from fungrasp.optimization.contact_forces import CONTACT_DISTANCE, friction_cone_edges
-from fungrasp.optimization.hand_state import HandState
+from fungrasp.optimization.contact_forces import (
+    CONTACT_DISTANCE,
+    friction_cone_edges,
+    largest_eigenvalue_bound,
+)
+from fungrasp.optimization.hand_state import HandPoints, HandState
+from fungrasp.optimization.levenberg_marquardt import COMPILED, only_hinges
 from fungrasp.optimization.retargeting_problem import RetargetingProblem
 
 LOAD_CONE_EDGES = 6
@@ -17,7 +21,12 @@ LOAD_CONE_EDGES = 6
 LIMIT_WEIGHT = 5.0
 """Weight of a torque at twice its limit against an unresisted load of the object's weight; large, as a servo
 cannot exceed its limit."""
-
+FRICTION = 0.9
+"""Coefficient between hand and object: the nominal one."""
+DISTURBANCE = 0.5
+"""What a grip must resist besides the weight, in weights."""
+LOAD_ITERATIONS = 100
+"""Of the descent to the best contact forces."""
 
 FIRMNESS_WEIGHT = 40.0
 """What a load of the object's weight that the contacts cannot take adds to the objective where solutions are
@@ -63,9 +72,9 @@ def unresisted_load(
     weight: np.ndarray,
     up: np.ndarray,
     torque_limit: np.ndarray,
-    friction: float = 0.9,
-    disturbance: float = 0.5,
-    iterations: int = 100,
+    friction: float = FRICTION,
+    disturbance: float = DISTURBANCE,
+    iterations: int = LOAD_ITERATIONS,
 ) -> tuple[np.ndarray, np.ndarray]:
     """The force [N] and torque [N m] that the contacts cannot take of the worst of six loads, shape [N] each.
 
@@ -99,7 +108,7 @@ def unresisted_load(
     # In units of the weight: forces over the weight, torques over what a joint can do.
     torque = torque * (LIMIT_WEIGHT * weight[:, None, None] / torque_limit)
     both = np.concatenate([wrench, torque], axis=2)
-    step = 1.0 / (np.linalg.eigvalsh(np.swapaxes(both, 1, 2) @ both)[:, -1, None, None] + 1e-3)
+    step = 1.0 / (largest_eigenvalue_bound(np.swapaxes(both, 1, 2) @ both)[:, None, None] + 1e-3)
     goal = np.zeros((count, 6, both.shape[2]))
     goal[..., :3] = up[:, None] - disturbance * _directions(up)
     weights = np.zeros((count, 6, wrench.shape[1]))
@@ -119,12 +128,46 @@ def unresisted_load(
     return np.linalg.norm(left[:, :3], axis=1), np.linalg.norm(left[:, 3:], axis=1) * reach
 
 
-def unresisted_share(hand: Hand, state: HandState[RetargetingProblem]) -> np.ndarray:
+def unresisted_share(
+    points: HandPoints,
+    problem: RetargetingProblem,
+    wrist_pose: np.ndarray,
+    independent: np.ndarray,
+    which: np.ndarray | None = None,
+    compiled: bool = COMPILED,
+) -> np.ndarray:
     """``unresisted_load`` of the links in contact as a share of the objects' weight, shape [N]: force and
     torque over the object's extent together; zero for a firm grasp, ``NO_GRIP`` without contacts and where
-    the hand goes into the object by more than ``DEEPEST``."""
-    problem, contacts = state.problem, contacts_of_links(state)
+    the hand goes into the object by more than ``DEEPEST``.
+
+    Args:
+        points: kinematics made for N hands; the denser, the less goes into the object unseen.
+        problem: N grasps, object frame.
+        wrist_pose: object frame, shape [N, 7].
+        independent: joints [rad], shape [N, U].
+        which: grasps to judge, shape [N] bool; others have infinity. All if None.
+        compiled: by compiled loops, which need Numba and hinge joints, or by NumPy.
+    """
+    hand = points.kinematics.hand
+    which = np.ones(len(problem), dtype=bool) if which is None else which
     limits = np.array([servo.force_limit for servo in hand.actuators.values()])
+    if compiled and only_hinges(hand.model):
+        from fungrasp.optimization.compiled.contact_loads import LoadRule
+        from fungrasp.optimization.compiled.solver import compiled_shares
+
+        rule = LoadRule(
+            CONTACT_DISTANCE,
+            DEEPEST,
+            NO_GRIP,
+            LOAD_CONE_EDGES,
+            LIMIT_WEIGHT,
+            FRICTION,
+            DISTURBANCE,
+            LOAD_ITERATIONS,
+        )
+        return compiled_shares(points, problem, wrist_pose, independent, which, limits, rule)
+    state = HandState(points, problem, wrist_pose, independent)
+    contacts = contacts_of_links(state)
     force, torque = unresisted_load(
         contacts,
         contacts.clearance < CONTACT_DISTANCE,
@@ -135,7 +178,8 @@ def unresisted_share(hand: Hand, state: HandState[RetargetingProblem]) -> np.nda
         limits,
     )
     share = np.hypot(force, torque / problem.extent) / problem.weight
-    return np.where(state.clearance.min(axis=1) < -DEEPEST, NO_GRIP, share)
+    share = np.where(state.clearance.min(axis=1) < -DEEPEST, NO_GRIP, share)
+    return np.where(which, share, np.inf)
 
 
 def _directions(up: np.ndarray) -> np.ndarray:

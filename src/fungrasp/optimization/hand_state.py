@@ -18,6 +18,10 @@ if TYPE_CHECKING:
     from fungrasp.optimization.compiled.hand_arrays import HandArrays
 
 
+DENSE_SPACING = 0.006
+"""Distance of the collision spheres with which solutions are judged [m]."""
+
+
 class HandPoints:
     """The points of a hand that the terms use: key points, collision spheres, and how human links map to
     them."""
@@ -34,10 +38,18 @@ class HandPoints:
 
     def for_hands(self, count: int) -> Self:
         """The same points of ``count`` hands, for another thread: what does not move is shared."""
-        other = copy(self)
-        other.__dict__["arrays"] = self.arrays
-        other.kinematics = HandKinematics(self.kinematics.hand, count)
+        other, dense = copy(self), copy(self.dense)
+        other.__dict__ |= {"arrays": self.arrays, "dense": dense}
+        other.kinematics = dense.kinematics = HandKinematics(self.kinematics.hand, count)
         return other
+
+    @cached_property
+    def dense(self) -> HandPoints:
+        """With more spheres, to judge solutions: what lies between the solver's must not go into the object
+        unseen."""
+        dense = HandPoints(self.kinematics, DENSE_SPACING)
+        _ = dense.arrays
+        return dense
 
     @cached_property
     def arrays(self) -> HandArrays:

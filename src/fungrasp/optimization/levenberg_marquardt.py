@@ -64,7 +64,7 @@ def minimize(
         wrist poses [N, 7], independent joints [N, U], objective [N].
     """
     kinematics = points.kinematics
-    if compiled and np.all(kinematics.model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE):
+    if compiled and only_hinges(kinematics.model):
         from fungrasp.optimization.compiled.solver import minimize_compiled
         from fungrasp.optimization.compiled.steps import StepRule
 
@@ -114,6 +114,11 @@ def minimize(
         if np.all(stalled >= PATIENCE):
             break
     return wrist_pose, independent, cost
+
+
+def only_hinges(model: mujoco.MjModel) -> bool:
+    """Whether a hand has no sliding joints, for which there are no compiled loops."""
+    return bool(np.all(model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE))
 
 
 def objective_equations(state: HandState, terms: Sequence[Term]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -9,7 +9,7 @@ tried; the clearest wins.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -24,15 +24,21 @@ from fungrasp.optimization.hand_state import HandPoints, HandState
 from fungrasp.optimization.levenberg_marquardt import minimize
 from fungrasp.parallel import in_chunks
 
-RETREATS = (0.03, 0.07, 0.12)
-"""How far the wrist has withdrawn at each waypoint after the first, which is at the grasp [m]."""
+RETREATS = (0.015, 0.03, 0.05, 0.08, 0.12)
+"""How far the wrist has withdrawn at each waypoint after the first, which is at the grasp [m]. Between
+waypoints 4 cm apart, fingers went through the object."""
 
 BLOCKED = 0.003
-"""A path that intrudes this far into the margins [m] is tried again with the fingers wide open."""
+"""A path that intrudes this far into the margins [m], or whose closing goes this far into the object, is
+tried again, with the fingers wide open and with less margin."""
 ORDER_PENALTY = 1e-4
 """Each direction is preferred to the next unless it intrudes deeper by this [m]."""
 WIDE = 0.3
 """Wide open fingers, as a fraction of their angles in the grasp."""
+NARROW = 0.25
+"""Share of the object's margin that is kept where it leaves no way in, as within a handle."""
+CLOSING_SHARES = (0.25, 0.5, 0.75)
+"""Where the closing, from the first waypoint to the grasp, is looked at."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +68,8 @@ class Approach:
     fingers: np.ndarray
     """Independent joints at the waypoints [rad], shape [N, K, U]."""
     collision: np.ndarray
-    """Deepest intrusion into the margins over the waypoints [m], shape [N]."""
+    """Deepest intrusion into the margins over the waypoints, or into the object while the fingers close [m],
+    shape [N]."""
 
 
 def plan_approach(
@@ -90,18 +97,26 @@ def plan_approach(
     centers = np.array([objects[name].center_of_mass for name in object_names])
 
     def run(rows: np.ndarray) -> Approach:
-        best = _best_path(
-            hand, around.rows(rows), wrist_in_object[rows], grasp[rows], centers[rows], settings
-        )
-        blocked = np.flatnonzero(best.collision > BLOCKED)
-        if len(blocked):
-            hard = rows[blocked]
-            wide = _best_path(
-                hand, around.rows(hard), wrist_in_object[hard], WIDE * grasp[hard], centers[hard], settings
+        best: Approach | None = None
+        for opening, share in ((1.0, 1.0), (WIDE, 1.0), (1.0, NARROW), (WIDE, NARROW)):
+            hard = np.arange(len(rows)) if best is None else np.flatnonzero(best.collision > BLOCKED)
+            if not len(hard):
+                break
+            which = rows[hard]
+            path = _best_path(
+                _CollisionResolution(hand, around.rows(which), settings, share),
+                around.rows(which),
+                (wrist_in_object[which], grasp[which]),
+                opening,
+                centers[which],
             )
-            better = wide.collision < best.collision[blocked]
+            if best is None:
+                best = path
+                continue
+            better = path.collision < best.collision[hard]
             for name in ("wrist_pose", "fingers", "collision"):
-                getattr(best, name)[blocked[better]] = getattr(wide, name)[better]
+                getattr(best, name)[hard[better]] = getattr(path, name)[better]
+        assert best is not None
         return best
 
     parts = in_chunks(run, len(around))
@@ -114,35 +129,31 @@ def plan_approach(
 
 
 def _best_path(
-    hand: Hand,
+    resolve: _CollisionResolution,
     around: CollisionScene,
-    wrist: np.ndarray,
-    fingers: np.ndarray,
+    grasp: tuple[np.ndarray, np.ndarray],
+    opening: float,
     center: np.ndarray,
-    settings: ApproachSettings,
 ) -> Approach:
     """The clearest of the paths in several directions, taken off the object with the fingers near
-    ``fingers``.
+    ``opening`` times their angles in the grasp.
 
-    No path is clearer than its first point, which all have in common: once one is as clear, the others are
-    not looked at.
+    No path is clearer than its first point, which all have in common, and the closing from there: once one is
+    as clear, the others are not looked at.
     """
-    resolve = _CollisionResolution(hand, around, settings)
-    first = resolve(wrist, fingers, 2 * settings.iterations)
-    directions = _directions(hand, wrist, around.up[:, 0], center)
-    best = _withdraw(resolve, first, directions[0], settings.iterations)
+    wrist, fingers = grasp
+    iterations = resolve.settings.iterations
+    first = resolve(wrist, opening * fingers, 2 * iterations)
+    first = replace(first, collision=np.maximum(first.collision, resolve.closing_depth(first, grasp)))
+    directions = _directions(resolve.hand, wrist, around.up[:, 0], center)
+    best = _withdraw(resolve, first, directions[0], iterations)
     cost = best.collision.copy()
     for i, direction in enumerate(directions[1:], start=1):
         rows = np.flatnonzero(cost > first.collision + ORDER_PENALTY * i)
         if not len(rows):
             break
         start = Approach(first.wrist_pose[rows], first.fingers[rows], first.collision[rows])
-        path = _withdraw(
-            _CollisionResolution(hand, around.rows(rows), settings),
-            start,
-            direction[rows],
-            settings.iterations,
-        )
+        path = _withdraw(resolve.rows(rows), start, direction[rows], iterations)
         better = path.collision + ORDER_PENALTY * i < cost[rows]
         for name in ("wrist_pose", "fingers", "collision"):
             getattr(best, name)[rows[better]] = getattr(path, name)[better]
@@ -168,18 +179,43 @@ def _directions(hand: Hand, wrist: np.ndarray, up: np.ndarray, center: np.ndarra
 class _CollisionResolution:
     """Moves hands as little as needed to keep clear of object, table and themselves."""
 
-    def __init__(self, hand: Hand, around: CollisionScene, settings: ApproachSettings):
+    def __init__(self, hand: Hand, around: CollisionScene, settings: ApproachSettings, share: float):
+        """share: of the object's margin that is kept."""
+        self.hand, self.settings = hand, settings
         self._points = HandPoints(HandKinematics(hand, len(around)))
-        self._around, self._settings = around, settings
+        self._around, self._share = around, share
         self._terms = [
-            partial(terms.object_penetration, unit=0.001, margin=settings.object_margin),
+            partial(terms.object_penetration, unit=0.001, margin=share * settings.object_margin),
             partial(terms.table_penetration, unit=0.001, margin=settings.table_margin),
             partial(terms.self_penetration, unit=0.002),
         ]
 
+    def rows(self, which: np.ndarray) -> _CollisionResolution:
+        """For some of the hands."""
+        return _CollisionResolution(self.hand, self._around.rows(which), self.settings, self._share)
+
+    def closing_depth(self, first: Approach, grasp: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+        """How far fingers go into the object between a waypoint and the grasp, deeper than in the grasp [m],
+        shape [N]: through the wall of a handle, for instance.
+
+        Args:
+            first: the waypoint.
+            grasp: palm poses, object frame, shape [N, 7], and independent joints [rad], shape [N, U].
+        """
+        wrist, fingers = grasp
+
+        def clearance(pose: np.ndarray, joints: np.ndarray) -> np.ndarray:
+            return HandState(self._points, self._around, pose, joints).clearance.min(axis=1)
+
+        between = []
+        for share in CLOSING_SHARES:
+            pose = _between(wrist, first.wrist_pose[:, 0], share)
+            between.append(clearance(pose, fingers + share * (first.fingers[:, 0] - fingers)))
+        return np.maximum(np.minimum(clearance(wrist, fingers), 0.0) - np.min(between, axis=0), 0.0)
+
     def __call__(self, wrist: np.ndarray, fingers: np.ndarray, iterations: int) -> Approach:
         """One waypoint near the given state."""
-        s = self._settings
+        s = self.settings
         stay = partial(
             terms.stay_near,
             start=(wrist, fingers),
@@ -211,6 +247,14 @@ def _withdraw(
         np.concatenate([point.fingers for point in path], axis=1),
         np.max([point.collision for point in path], axis=0),
     )
+
+
+def _between(a: np.ndarray, b: np.ndarray, share: float | np.ndarray) -> np.ndarray:
+    """Poses at a share of the way from ``a`` to ``b``, shape [N, 7]."""
+    b = np.where(np.sum(a[:, 3:] * b[:, 3:], axis=1, keepdims=True) < 0, b * [1, 1, 1, -1, -1, -1, -1], b)
+    pose = a + share * (b - a)
+    pose[:, 3:] = _unit(pose[:, 3:])
+    return pose
 
 
 def _unit(v: np.ndarray) -> np.ndarray:
@@ -246,10 +290,7 @@ class FollowedPath:
         leg = np.clip((self.arc <= arc[:, None]).sum(axis=1) - 1, 0, self.arc.shape[1] - 2)
         rows = np.arange(len(arc))
         share = ((arc - self.arc[rows, leg]) / (self.arc[rows, leg + 1] - self.arc[rows, leg]))[:, None]
-        a, b = self.poses[rows, leg], self.poses[rows, leg + 1]
-        b = np.where(np.sum(a[:, 3:] * b[:, 3:], axis=1, keepdims=True) < 0, b * [1, 1, 1, -1, -1, -1, -1], b)
-        pose = a + share * (b - a)
-        pose[:, 3:] = _unit(pose[:, 3:])
+        pose = _between(self.poses[rows, leg], self.poses[rows, leg + 1], share)
         fingers = self.fingers[rows, leg] + share * (self.fingers[rows, leg + 1] - self.fingers[rows, leg])
         return pose, fingers
 

@@ -49,7 +49,14 @@ class MotionSettings:
     press_in: float = 0.008
     """How far it goes beyond its target along the palm's normal [m]."""
     lookahead: float = 0.06
-    """How far ahead on its path the wrist aims [m]."""
+    """How far ahead on its path the wrist aims, at most [m]."""
+    lookahead_share: float = 0.25
+    """The same as a share of what is left of the path: near the object, a wrist that aims far ahead cuts
+    corners, through the object."""
+    least_lookahead: float = 0.015
+    """How far ahead it aims at least [m]."""
+    finger_lookahead: float = 0.005
+    """How far ahead on the path the fingers are, which lag behind their servo targets [m]."""
     adapt: AdaptSettings | None = AdaptSettings()
     """How grasps are fitted to the settled object; None: they move along with it unchanged."""
     approach: ApproachSettings = ApproachSettings()
@@ -191,8 +198,9 @@ def _follow_path(
     for step in range(round(p.approach_time / p.control_period) + 1):
         time = step * p.control_period
         path.advance(setpoint.pose[:, :3], s.lookahead)
-        goal, _ = path.at(path.progress + s.lookahead)
-        _, fingers = path.at(path.progress + 0.02)
+        left = path.length - path.progress
+        goal, _ = path.at(path.progress + np.clip(s.lookahead_share * left, s.least_lookahead, s.lookahead))
+        _, fingers = path.at(path.progress + s.finger_lookahead)
         arrived = np.where((path.length - path.progress < 2e-3) & ~np.isfinite(arrived), time, arrived)
         since = np.where(np.isfinite(arrived), time - arrived, -1.0)[:, None]
         closing = np.clip((since + p.control_period) / s.close_time, 0.0, 1.0)

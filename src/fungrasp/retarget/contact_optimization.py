@@ -20,12 +20,10 @@ from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.hands.opening import partly_closed
 from fungrasp.optimization import terms
 from fungrasp.optimization.firmness import FIRMNESS_WEIGHT, unresisted_share
-from fungrasp.optimization.hand_state import HandPoints, HandState
+from fungrasp.optimization.hand_state import HandPoints
 from fungrasp.optimization.levenberg_marquardt import Term, minimize
 from fungrasp.optimization.retargeting_problem import RetargetingProblem
 
-DENSE_SPACING = 0.006
-"""Distance of the collision spheres with which solutions are judged [m]."""
 LEAST_GAIN = 1.0
 """Decrease of the objective that a turned start must bring: equal solutions differ by less."""
 
@@ -60,7 +58,7 @@ class RetargetSettings:
     """Difference of the unit vectors along a link, second stage [-]."""
     first_iterations: int = 15
     """Solver iterations of the first stage."""
-    second_iterations: int = 30
+    second_iterations: int = 20
     """Solver iterations of the second stage."""
     firmness_weight: float = FIRMNESS_WEIGHT
     """What a load of the object's weight that the contacts cannot take adds to the objective when solutions
@@ -74,6 +72,10 @@ class RetargetSettings:
         (0.0, -0.35, 0.0),
     )
     """Turns of the wrist about the mean fingertip, palm frame, from which they are solved again [rad]."""
+    trial_iterations: int = 4
+    """Solver iterations after which the starts are compared."""
+    kept_starts: int = 2
+    """How many of them go on."""
 
 
 def retarget_by_contact_optimization(
@@ -89,18 +91,29 @@ def retarget_by_contact_optimization(
     wrist_pose, independent, _ = minimize(
         points, problem, first, wrist_pose, independent, settings.first_iterations
     )
-    start = (wrist_pose, independent)
-    wrist_pose, independent, score = _touch(points, problem, settings, start, start)
+    near = (wrist_pose, independent)
+    wrist_pose, independent, cost = _touch(points, problem, settings, near, near, settings.second_iterations)
+    score = cost + settings.firmness_weight * unresisted_share(points.dense, problem, wrist_pose, independent)
     poor = np.flatnonzero(score > settings.good_enough)
     if not len(poor) or not settings.start_turns:
         return wrist_pose, independent
-    # All starts of all poor grasps at once, start after start.
+    # All starts of all poor grasps at once, start after start; after a few steps the most promising go on.
     turns = np.repeat(np.array(settings.start_turns), len(poor), axis=0)
     rows = np.tile(poor, len(settings.start_turns))
     again = points.for_hands(len(rows))
-    near = (start[0][rows], start[1][rows])
-    turned = (turned_about_fingertips(again, *near, turns), near[1])
-    new_pose, new_independent, new_score = _touch(again, problem.rows(rows), settings, turned, near)
+    turned = (turned_about_fingertips(again, near[0][rows], near[1][rows], turns), near[1][rows])
+    trial = _touch(again, problem.rows(rows), settings, turned, _rows(near, rows), settings.trial_iterations)
+    order = np.argsort(trial[2].reshape(-1, len(poor)), axis=0, kind="stable")[: settings.kept_starts]
+    kept = (order * len(poor) + np.arange(len(poor))).ravel()
+    rows, again = rows[kept], points.for_hands(len(kept))
+    part = problem.rows(rows)
+    new_pose, new_independent, cost = _touch(
+        again, part, settings, _rows(trial, kept), _rows(near, rows), settings.second_iterations
+    )
+    # Where the objective alone is too high, firmness need not be looked at.
+    might = cost < score[rows] - LEAST_GAIN
+    share = unresisted_share(again.dense, part, new_pose, new_independent, might)
+    new_score = cost + settings.firmness_weight * share
     # Index of each poor grasp's best new solution among those of all starts.
     best = new_score.reshape(-1, len(poor)).argmin(axis=0) * len(poor) + np.arange(len(poor))
     better = new_score[best] < score[poor] - LEAST_GAIN
@@ -109,21 +122,27 @@ def retarget_by_contact_optimization(
     return wrist_pose, independent
 
 
+def _rows(solution: tuple[np.ndarray, ...], rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Wrist poses and joints of some rows."""
+    return solution[0][rows], solution[1][rows]
+
+
 def _touch(
     points: HandPoints,
     problem: RetargetingProblem,
     settings: RetargetSettings,
     start: tuple[np.ndarray, np.ndarray],
     near: tuple[np.ndarray, np.ndarray],
+    iterations: int,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The second stage: wrist poses [N, 7], independent joints [N, U], and the objective with the lack of
-    firmness added, shape [N].
+    """The second stage: wrist poses [N, 7], independent joints [N, U], and the objective, shape [N].
 
     Args:
         points, problem: N grasps.
         settings: of the terms.
         start: wrist poses [N, 7] and independent joints [N, U] to start from.
         near: the same, to stay near.
+        iterations: of the solver.
     """
     s = settings
     second: list[Term] = [
@@ -136,11 +155,7 @@ def _touch(
         partial(terms.table_penetration, unit=s.table_unit, margin=s.table_margin),
         partial(terms.self_penetration, unit=s.self_unit),
     ]
-    pose, independent, cost = minimize(points, problem, second, *start, s.second_iterations)
-    # More spheres than the solver has: what lies between its own must not go into the object unseen.
-    dense = HandPoints(points.kinematics, spacing=DENSE_SPACING)
-    share = unresisted_share(points.kinematics.hand, HandState(dense, problem, pose, independent))
-    return pose, independent, cost + s.firmness_weight * share
+    return minimize(points, problem, second, *start, iterations)
 
 
 def turned_about_fingertips(

@@ -45,6 +45,7 @@ def add_force_closure(
     jacobian = np.empty((6, size))
     edges = np.empty((most * BALANCE_CONE_EDGES, 3))
     matrix = np.empty((7, most * BALANCE_CONE_EDGES))
+    around = circle(BALANCE_CONE_EDGES)
     for i in range(len(wanted)):
         if not equations.active[i]:
             continue
@@ -61,7 +62,7 @@ def add_force_closure(
                 number += 1
         if number < 2:
             continue
-        _balance(lever, normal, number, friction, iterations, edges, matrix, force)
+        _balance(lever, normal, number, friction, around, iterations, edges, matrix, force)
         jacobian[:] = 0.0
         residual = np.zeros(6)
         for c in range(number):
@@ -146,11 +147,13 @@ def _add_column(jacobian, column: int, mx, my, mz, lever, force, pressure, curve
 
 
 @compiled
-def _balance(lever, normal, number: int, friction: float, iterations: int, edges, matrix, force) -> None:
+def _balance(
+    lever, normal, number: int, friction: float, around, iterations: int, edges, matrix, force
+) -> None:
     """``balanced_forces`` of ``number`` contacts into ``force``. edges, matrix: space to work in."""
     count = number * BALANCE_CONE_EDGES
     for c in range(number):
-        _cone(normal[c], friction, edges[c * BALANCE_CONE_EDGES : (c + 1) * BALANCE_CONE_EDGES])
+        cone_edges(normal[c], friction, around, edges[c * BALANCE_CONE_EDGES : (c + 1) * BALANCE_CONE_EDGES])
         for e in range(BALANCE_CONE_EDGES):
             k = c * BALANCE_CONE_EDGES + e
             x, y, z = edges[k, 0], edges[k, 1], edges[k, 2]
@@ -160,23 +163,29 @@ def _balance(lever, normal, number: int, friction: float, iterations: int, edges
             matrix[5, k] = lever[c, 0] * y - lever[c, 1] * x
             matrix[6, k] = 1.0
     regular = 1e-3
-    step = 1.0 / (_largest_eigenvalue(matrix, count) + regular)
+    step = 1.0 / (largest_eigenvalue(matrix, 7, count) + regular)
     weights = np.full(count, 1.0 / count)
     ahead = weights.copy()
-    change = np.empty(count)
     momentum = 1.0
     for _ in range(iterations):
-        change[:] = 0.0
-        for e in range(7):
-            error = -1.0 if e == 6 else 0.0
-            for k in range(count):
-                error += matrix[e, k] * ahead[k]
-            for k in range(count):
-                change[k] += error * matrix[e, k]
+        # One accumulator for each row: sums that do not wait for each other.
+        fx, fy, fz, mx, my, mz, normal_sum = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0
+        for k in range(count):
+            w = ahead[k]
+            fx += matrix[0, k] * w
+            fy += matrix[1, k] * w
+            fz += matrix[2, k] * w
+            mx += matrix[3, k] * w
+            my += matrix[4, k] * w
+            mz += matrix[5, k] * w
+            normal_sum += w
         following = 0.5 * (1 + math.sqrt(1 + 4 * momentum * momentum))
         carry = (momentum - 1) / following
         for k in range(count):
-            moved = max(ahead[k] - step * (change[k] + regular * ahead[k]), 0.0)
+            change = normal_sum + regular * ahead[k]
+            change += matrix[0, k] * fx + matrix[1, k] * fy + matrix[2, k] * fz
+            change += matrix[3, k] * mx + matrix[4, k] * my + matrix[5, k] * mz
+            moved = max(ahead[k] - step * change, 0.0)
             ahead[k] = moved + carry * (moved - weights[k])
             weights[k] = moved
         momentum = following
@@ -190,8 +199,18 @@ def _balance(lever, normal, number: int, friction: float, iterations: int, edges
 
 
 @compiled
-def _cone(normal, friction: float, edges) -> None:
-    """``friction_cone_edges`` around a normal that points out of the object."""
+def circle(count: int):
+    """``count`` points on the unit circle, shape [count, 2]: directions of a cone's edges."""
+    points = np.empty((count, 2))
+    for e in range(count):
+        angle = 2 * math.pi * e / count
+        points[e, 0], points[e, 1] = math.cos(angle), math.sin(angle)
+    return points
+
+
+@compiled
+def cone_edges(normal, friction: float, around, edges) -> None:
+    """``friction_cone_edges`` around a normal that points out of the object. around: ``circle``."""
     nx, ny, nz = -normal[0], -normal[1], -normal[2]
     if abs(nx) < 0.9:
         ax, ay, az = 0.0, nz, -ny
@@ -201,19 +220,22 @@ def _cone(normal, friction: float, edges) -> None:
     ax, ay, az = ax / length, ay / length, az / length
     bx, by, bz = ny * az - nz * ay, nz * ax - nx * az, nx * ay - ny * ax
     for e in range(len(edges)):
-        angle = 2 * math.pi * e / len(edges)
-        c, s = friction * math.cos(angle), friction * math.sin(angle)
+        c, s = friction * around[e, 0], friction * around[e, 1]
         edges[e, 0] = nx + c * ax + s * bx
         edges[e, 1] = ny + c * ay + s * by
         edges[e, 2] = nz + c * az + s * bz
 
 
 @compiled
-def _largest_eigenvalue(matrix, count: int) -> float:
-    """Of matrix matrix^T, from above by at most 7^(1/16) - 1 = 13 %, as ``largest_eigenvalue_bound``."""
-    gram, squared = np.empty((7, 7)), np.empty((7, 7))
+def largest_eigenvalue(matrix, size: int, count: int) -> float:
+    """Of matrix matrix^T, from above by at most a factor size^(1/16), as ``largest_eigenvalue_bound``.
+
+    Args:
+        matrix: its first ``size`` rows and ``count`` columns count.
+    """
+    gram, squared = np.empty((size, size)), np.empty((size, size))
     trace = 0.0
-    for a in range(7):
+    for a in range(size):
         for b in range(a + 1):
             total = 0.0
             for k in range(count):
@@ -222,16 +244,17 @@ def _largest_eigenvalue(matrix, count: int) -> float:
         trace += gram[a, a]
     gram /= trace
     for _ in range(3):
-        for a in range(7):
-            for b in range(a + 1):
-                total = 0.0
-                for k in range(7):
-                    total += gram[a, k] * gram[b, k]
-                squared[a, b] = squared[b, a] = total
+        squared[:] = 0.0
+        for a in range(size):
+            for k in range(size):
+                factor = gram[a, k]
+                if factor != 0.0:
+                    for b in range(size):
+                        squared[a, b] += factor * gram[k, b]
         gram[:] = squared
     # The Frobenius norm of the eighth power is the root of the sum of sixteenth powers of the eigenvalues.
     total = 0.0
-    for a in range(7):
-        for b in range(7):
+    for a in range(size):
+        for b in range(size):
             total += gram[a, b] * gram[a, b]
     return trace * total ** (1.0 / 16)

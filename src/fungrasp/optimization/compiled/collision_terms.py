@@ -21,7 +21,7 @@ from fungrasp.optimization.compiled.hand_arrays import HandArrays
 
 
 @compiled
-def _least_clearance(grids: GridArrays, grid: int, hand: HandArrays, frames: Frames, i: int, group: int):
+def least_clearance(grids: GridArrays, grid: int, hand: HandArrays, frames: Frames, i: int, group: int):
     """A bound below the clearances [m] of a group's spheres."""
     point = place(frames, i, hand.groups.body[group], hand.groups.center[group])
     return distance_bound(grids, grid, point) - hand.groups.reach[group]
@@ -49,7 +49,7 @@ def add_gaps(
             least, nearest, nx, ny, nz = math.inf, -1, 0.0, 0.0, 0.0
             for group in range(groups.link_start[link], groups.link_start[link + 1]):
                 size = groups.start[group + 1] - groups.start[group]
-                if size > 2 and _least_clearance(grids, grid[i], hand, frames, i, group) > least:
+                if size > 2 and least_clearance(grids, grid[i], hand, frames, i, group) > least:
                     continue
                 for k in range(groups.start[group], groups.start[group + 1]):
                     ball = groups.members[k]
@@ -103,7 +103,7 @@ def add_object_penetration(
         number = 0
         for group in range(len(groups.reach)):
             size = groups.start[group + 1] - groups.start[group]
-            if size > 2 and _least_clearance(grids, grid[i], hand, frames, i, group) >= margin:
+            if size > 2 and least_clearance(grids, grid[i], hand, frames, i, group) >= margin:
                 continue
             for k in range(groups.start[group], groups.start[group + 1]):
                 member = groups.members[k]
@@ -226,7 +226,7 @@ def add_self_penetration(
                     pb = place(frames, i, spheres.body[b], spheres.offset[b])
                     x, y, z = pa[0] - pb[0], pa[1] - pb[1], pa[2] - pb[2]
                     squared = x * x + y * y + z * z
-                    if squared < within * within and pairs.apart[a, b] and number < most:
+                    if squared < within * within and number < most:
                         depth[number] = within - math.sqrt(max(squared, 1e-12))
                         first[number], second[number] = a, b
                         number += 1

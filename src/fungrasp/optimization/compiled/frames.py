@@ -26,6 +26,12 @@ class Frames(NamedTuple):
     """Positions of the palms [m], shape [N, 3]."""
 
 
+def empty_frames(count: int, bodies: int, joints: int) -> Frames:
+    """Space for ``count`` hands."""
+    shapes = ((bodies, 3), (bodies, 3, 3), (joints, 3), (joints, 3), (3,))
+    return Frames(*(np.empty((count, *shape)) for shape in shapes))
+
+
 class Equations(NamedTuple):
     """Normal equations of N problems of D unknowns; what terms add to."""
 

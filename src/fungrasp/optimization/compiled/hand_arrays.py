@@ -94,8 +94,6 @@ class Pairs(NamedTuple):
     """Group indices, shape [Q]."""
     second: np.ndarray
     """Group indices, shape [Q]."""
-    apart: np.ndarray
-    """Whether two spheres count as a pair, first one of the first group, shape [P, P]."""
 
 
 class HandArrays(NamedTuple):
@@ -195,11 +193,10 @@ def _split(members: np.ndarray, offset: np.ndarray) -> Sequence[np.ndarray]:
 
 
 def _pairs(points: HandPoints, groups: Groups) -> Pairs:
+    # The spheres of a group are of one shape of one link, so that all or none of them count.
     given = points.self_pairs
-    apart = np.zeros((len(groups.members), len(groups.members)), dtype=bool)
-    apart[np.ix_(given.first, given.second)] = given.apart
-    # Whether any sphere of a group counts with any of another, shape [G, G].
-    owner = np.zeros((len(groups.reach), len(groups.members)))
-    owner[np.repeat(np.arange(len(groups.reach)), np.diff(groups.start)), groups.members] = 1.0
-    first, second = np.nonzero(owner @ apart @ owner.T > 0)
-    return Pairs(first, second, apart)
+    apart = np.zeros((len(groups.reach), len(groups.reach)), dtype=bool)
+    group = np.empty(len(groups.members), dtype=int)
+    group[groups.members] = np.repeat(np.arange(len(groups.reach)), np.diff(groups.start))
+    apart[np.ix_(group[given.first], group[given.second])] = given.apart
+    return Pairs(*np.nonzero(apart))

@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from fungrasp.optimization.compiled.compiling import compiled
+from fungrasp.optimization.compiled.distances import unit_vector
 from fungrasp.optimization.compiled.frames import (
     Equations,
     Frames,
@@ -80,20 +81,29 @@ def add_directions(
             x, y, z = b[0] - a[0], b[1] - a[1], b[2] - a[2]
             length = math.sqrt(x * x + y * y + z * z)
             x, y, z = x / length, y / length, z / length
-            d = (x, y, z)
+            # The derivative of a normalized vector is (I - d d^T) / length: two rows, along tangents of the
+            # sphere, say what three along the axes do. The rest of the residual, along d, does not move.
+            if abs(x) < 0.9:
+                ux, uy, uz = unit_vector(0.0, z, -y)
+            else:
+                ux, uy, uz = unit_vector(-z, 0.0, x)
+            vx, vy, vz = y * uz - z * uy, z * ux - x * uz, x * uy - y * ux
+            ex, ey, ez = (
+                (x - target[i, q, 0]) / unit,
+                (y - target[i, q, 1]) / unit,
+                (z - target[i, q, 2]) / unit,
+            )
+            along = x * ex + y * ey + z * ez
+            equations.cost[i] += 0.5 * along * along
             scale = 1.0 / (length * unit)
-            for k in range(3):
-                # Row k of (I - d d^T) / (length unit): the derivative of a normalized vector.
-                nx, ny, nz = -d[k] * x * scale, -d[k] * y * scale, -d[k] * z * scale
-                if k == 0:
-                    nx += scale
-                elif k == 1:
-                    ny += scale
-                else:
-                    nz += scale
-                add_point(row, hand.tree, frames, i, far_body, b, (nx, ny, nz))
-                add_point(row, hand.tree, frames, i, near_body, a, (-nx, -ny, -nz))
-                finish_row(row, equations, i, (d[k] - target[i, q, k]) / unit)
+            push, pull = (ux * scale, uy * scale, uz * scale), (-ux * scale, -uy * scale, -uz * scale)
+            add_point(row, hand.tree, frames, i, far_body, b, push)
+            add_point(row, hand.tree, frames, i, near_body, a, pull)
+            finish_row(row, equations, i, ux * ex + uy * ey + uz * ez)
+            push, pull = (vx * scale, vy * scale, vz * scale), (-vx * scale, -vy * scale, -vz * scale)
+            add_point(row, hand.tree, frames, i, far_body, b, push)
+            add_point(row, hand.tree, frames, i, near_body, a, pull)
+            finish_row(row, equations, i, vx * ex + vy * ey + vz * ez)
 
 
 @compiled

@@ -8,10 +8,12 @@ from typing import Any
 import numpy as np
 
 from fungrasp.optimization.collision_scene import CollisionScene
-from fungrasp.optimization.compiled.frames import Equations, Frames, move_hands
+from fungrasp.optimization.compiled.contact_loads import LoadRule, Loads, unresisted_shares
+from fungrasp.optimization.compiled.frames import Equations, empty_frames, move_hands
 from fungrasp.optimization.compiled.steps import StepRule, StepState, accept, clear, propose
 from fungrasp.optimization.compiled.terms import compiled_term
 from fungrasp.optimization.hand_state import HandPoints, HandState
+from fungrasp.optimization.retargeting_problem import RetargetingProblem
 
 
 class NormalEquations:
@@ -27,13 +29,7 @@ class NormalEquations:
         self._loops = [loop for loop in loops if loop is not None]
         self._others = [term for term, loop in zip(terms, loops, strict=True) if loop is None]
         count, bodies, joints = len(problem), len(self._hand.tree.parent), len(self._hand.tree.zero)
-        self._frames = Frames(
-            np.empty((count, bodies, 3)),
-            np.empty((count, bodies, 3, 3)),
-            np.empty((count, joints, 3)),
-            np.empty((count, joints, 3)),
-            np.empty((count, 3)),
-        )
+        self._frames = empty_frames(count, bodies, joints)
 
     def empty(self, active: np.ndarray) -> Equations:
         """Zeros. active: which grasps will be evaluated, shape [N] bool."""
@@ -84,3 +80,29 @@ def minimize_compiled(
         if not left:
             break
     return pose, joints, current.cost
+
+
+def compiled_shares(
+    points: HandPoints,
+    problem: RetargetingProblem,
+    wrist_pose: np.ndarray,
+    independent: np.ndarray,
+    which: np.ndarray,
+    torque_limit: np.ndarray,
+    rule: LoadRule,
+) -> np.ndarray:
+    """As ``firmness.unresisted_share``."""
+    hand, count = points.arrays, len(problem)
+    frames = empty_frames(count, len(hand.tree.parent), len(hand.tree.zero))
+    pose, joints = np.array(wrist_pose, dtype=float), np.array(independent, dtype=float)
+    which, grid = np.array(which, dtype=bool), np.array(problem.grid, dtype=np.int64)
+    loads = Loads(
+        *(
+            np.array(x, dtype=float, order="C")
+            for x in (problem.center, problem.extent, problem.weight, problem.up[:, -1], torque_limit)
+        )
+    )
+    result = np.full(count, np.inf)
+    move_hands(hand.tree, pose, joints, which, frames)
+    unresisted_shares(hand, frames, problem.bank.arrays, grid, loads, which, rule, result)
+    return result
