@@ -13,12 +13,12 @@ from fungrasp.objects import ObjectModel
 from fungrasp.transfer import EpisodeSample, offset_pose, tilt_on_table
 
 REST_ANGLE = float(np.deg2rad(5.0))
-"""An object is at rest if it can't tip or roll by so much without its center of mass rising [rad]: more than an
-estimated rotation is off by, so that what begins on an edge falls back."""
+"""An object is at rest if it can't tip or roll by so much without its center of mass rising [rad]: more than
+an estimated rotation is off by, so that what begins on an edge falls back."""
 
 REST_DIRECTIONS = 180
-"""Directions in which it is asked whether an object can tip. Two degrees apart: a can on its side rolls across
-its axis alone, as it would have to be raised to tip even a little along it."""
+"""Directions in which it is asked whether an object can tip. Two degrees apart: a can on its side rolls
+across its axis alone, as it would have to be raised to tip even a little along it."""
 
 
 @dataclass(frozen=True, eq=False)
