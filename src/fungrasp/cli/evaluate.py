@@ -133,11 +133,11 @@ class Evaluate:
         if randomization == NOMINAL:
             conditions = protocol_conditions(self.protocol)
         refinement = self._refinement(objects, hand)
-        selection = SelectionSettings.for_protocol(self.protocol, self.rollouts)
+        selection = SelectionSettings.for_protocol(self.protocol, self.rollouts, self.use)
         # One planner for all conditions: what it has planned for one it knows for the others.
         make = partial(make_planner, self.policy, hand, objects, selection, threads=self.threads)
-        unadapted = MotionSettings(adapt=None)
-        planner = make(motions=None if self.adapt else unadapted)
+        unadapted = MotionSettings(adapt=None, for_use=self.use)
+        planner = make(motions=MotionSettings(for_use=self.use) if self.adapt else unadapted)
         human = None if isinstance(grasps, RobotGraspSet) else grasps
         uses = {
             name: UseTest.of(human, robot, objects, hand) if self.use else None
