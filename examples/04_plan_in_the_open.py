@@ -3,7 +3,6 @@
 import numpy as np
 
 import fungrasp
-from fungrasp.planning.selection import SelectionSettings
 from fungrasp.retarget import retarget
 
 human = fungrasp.builtin_grasps()[50:51]
@@ -19,7 +18,7 @@ belief = fungrasp.Belief.nominal(robot.object_rest_pose, robot.object_mass, star
 
 # One motion, nothing simulated; then the best of 24 candidates, by a learned predictor and rollouts.
 motion = fungrasp.MotionPlanner(hand, objects).plan(robot, belief)
-planner = fungrasp.make_planner("plan", hand, objects, SelectionSettings(rounds=((6, 1), (3, 2))))
+planner = fungrasp.make_planner("plan", hand, objects)
 plan = planner.plan(robot, belief, seed=0)
 
 assert plan.expected_success is not None and plan.rollouts is not None

@@ -175,6 +175,20 @@ def test_a_soft_hand_squeezes_farther_and_a_heavy_object_is_squeezed_harder():
     assert (np.abs(heavy).sum(axis=1) > 1.1 * np.abs(nominal).sum(axis=1)).all()
 
 
+def test_what_is_to_be_used_is_squeezed_for_its_load():
+    """By ten newtons and a friction of 0.6 for what is handed over, and by the weight for what is tilted."""
+    grasps, objects = grasps_and_objects()
+    tasks = ("rest", "drink", "hand over")
+    settings = MotionSettings(for_use=True)
+    asked = []
+    for task in tasks:
+        told = replace(grasps, task=np.full(len(grasps), task))
+        plans = MotionPlanner(hand(), objects, settings).plan(told, belief())
+        asked.append(np.abs(squeeze(plans)).max())
+    plain = np.abs(squeeze(MotionPlanner(hand(), objects).plan(grasps, belief()))).max()
+    assert asked[0] == plain and plain < asked[1] < asked[2]
+
+
 def test_grasps_may_have_settings_of_their_own():
     grasps, objects = grasps_and_objects()
     extra = {"force_scale": np.array([0.5, 1.0]), "press_in": np.array([0.0, 0.008])}

@@ -52,7 +52,8 @@ DISTILL = DistillSettings(steps=2, teacher_rounds=1, updates=2, minibatch=16, ke
 PLAN = SelectionSettings(
     candidates=4,
     rollouts=RolloutSettings(hold_time=0.3),
-    rounds=((2, 1),),
+    sure=0.0,
+    first_rounds=((2, 1),),
     search=FurtherSearch(most=1, rounds=((2, 1),)),
 )
 OBJECTS = ("can", "tennis_ball", "mug", "banana")

@@ -28,6 +28,7 @@ from fungrasp.training.networks import ColoredGaussian
 from fungrasp.training.ppo import Trainer
 from fungrasp.training.run import TrainingSet, train
 from fungrasp.training.student import StudentGraph
+from fungrasp.transfer import REALITY
 
 
 def test_a_world_that_diverges_is_named_and_begins_anew(caplog, monkeypatch, tmp_path):
@@ -48,6 +49,23 @@ def test_a_world_that_diverges_is_named_and_begins_anew(caplog, monkeypatch, tmp
     assert not engine.diverged.any()
     worlds.step(np.zeros((8, worlds.actions)))
     assert worlds.diverged == 1
+
+
+def test_episodes_of_the_reality_protocol_can_be_trained_on():
+    """With objects in all sizes of the protocol, whose centers of mass are shifted."""
+    worlds = environment(randomization=REALITY, history=True)
+    task = worlds.episodes
+    scales = {float(scale) for scale in task.sample.object_scale}
+    assert len(scales) > 1 and task.sample.center_of_mass_shift.any()
+    rows = library().plans.select(worlds.tracker.rows)
+    for world, scale in enumerate(task.sample.object_scale.tolist()):
+        model = task.scene.models[task.engine.object_index[world]]
+        expected = scale * training_set().objects[str(rows.object_name[world])].size
+        np.testing.assert_allclose(model.size, expected)
+    for _ in range(12):
+        step = worlds.step(np.zeros((8, worlds.actions)))
+        assert np.isfinite(step.reward).all()
+    assert worlds.diverged == 0
 
 
 def test_plans_are_chosen_by_how_uncertain_their_success_is():

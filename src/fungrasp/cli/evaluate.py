@@ -203,11 +203,11 @@ class Evaluate:
         conditions = {"": randomization}
         if randomization == NOMINAL:
             conditions = protocol_conditions(self.protocol)
-        selection = SelectionSettings.for_protocol(self.protocol, self.rollouts)
+        selection = SelectionSettings.for_protocol(self.protocol, self.rollouts, self.use)
         # One planner for all conditions: what it has planned for one it knows for the others.
         make = partial(make_planner, self.policy, hand, objects, selection, threads=self.threads)
-        unadapted = MotionSettings(adapt=None)
-        planner = make(motions=None if self.adapt else unadapted)
+        unadapted = MotionSettings(adapt=None, for_use=self.use)
+        planner = make(motions=MotionSettings(for_use=self.use) if self.adapt else unadapted)
         each = [(method, name, other, planner) for method in sets for name, other in conditions.items()]
         if len(sets) > 1 and self.adapt and len(conditions) == 1:
             plain = make(motions=unadapted)

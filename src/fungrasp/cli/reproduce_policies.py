@@ -13,6 +13,7 @@ from fungrasp.cli.train import BUILTIN_TERMS, Train, check_numbers, check_packag
 from fungrasp.files import atomic_path
 from fungrasp.training.plan_library import Variety
 from fungrasp.training.settings import PredictorSettings
+from fungrasp.transfer import PresetName
 
 if TYPE_CHECKING:
     from fungrasp.hands import Hand
@@ -43,6 +44,8 @@ class FreePolicies:
     """Control steps of each student's distillation."""
     shrink: float = 0.25
     """Factor on the corrections of teachers and students."""
+    worlds: PresetName | None = None
+    """What the episodes of teachers and students draw their worlds from, as for `fungrasp train`."""
     seed: int = 0
     """Seed of all random numbers but those of the grasps."""
     threads: int = 0
@@ -96,6 +99,7 @@ class FreePolicies:
             steps=self.steps,
             plans=str(predictor),
             shrink=self.shrink,
+            worlds=self.worlds,
             seed=self.seed,
             threads=self.threads,
             terms=terms,

@@ -13,6 +13,7 @@ from fungrasp.errors import FungraspError
 from fungrasp.training.environment import EnvironmentSettings
 from fungrasp.training.plan_library import Variety
 from fungrasp.training.settings import PpoSettings
+from fungrasp.transfer import PRESETS, PresetName
 
 if TYPE_CHECKING:
     from fungrasp.hands import Hand
@@ -56,6 +57,9 @@ class Train:
     """Factor on the finished policy's corrections, and on those of its students."""
     sees: Literal["contacts", "nothing", "history"] | None = None
     """Short for --ppo.sees."""
+    worlds: PresetName | None = None
+    """What episodes draw their worlds from, in the place of --environment.randomization: "reality" is what
+    the reality protocol of evaluation draws from."""
     seed: int = 0
     """Seed of all random numbers."""
     seeds: tuple[int, ...] = ()
@@ -95,6 +99,9 @@ class Train:
         check_numbers(self.steps, self.seed, self.threads)
         hand = load_hand(self.hand)
         ppo = self.ppo if self.sees is None else replace(self.ppo, sees=self.sees)
+        environment = self.environment
+        if self.worlds is not None:
+            environment = replace(environment, randomization=PRESETS[self.worlds])
         log = None if self.wandb is None else wandb_log(self.wandb, self.out)
         sets = training_sets(self.grasps, self.objects, hand, self.method, self.terms, self.threads)
         # More threads make the small networks slower.
@@ -106,7 +113,7 @@ class Train:
                 self.out,
                 sets,
                 hand,
-                RunSettings(self.seed, self.variety, self.environment, ppo),
+                RunSettings(self.seed, self.variety, environment, ppo),
                 int(self.steps),
                 licence=self.licence,
                 threads=self.threads,

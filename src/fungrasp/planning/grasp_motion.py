@@ -20,9 +20,14 @@ from fungrasp.optimization.collision_scene import CollisionScene
 from fungrasp.planning.approach_path import Approach, ApproachSettings, FollowedPath, plan_approach
 from fungrasp.planning.grasp_adaptation import AdaptSettings, adapt_to_settled_object
 from fungrasp.planning.grip_forces import squeeze_torques
+from fungrasp.simulation.scene import GRAVITY
 from fungrasp.task import Belief, GraspPlan, LiftProtocol
 from fungrasp.task.setpoints import SETPOINT_PERIOD
+from fungrasp.task.use import load_use_motions, motion_of
 from fungrasp.task.wrist_limits import WristSetpoint
+
+USE_FRICTION = 0.6
+"""Friction by which the squeeze carries a use motion's load: less than the nominal one, to be safe."""
 
 TABLE_TOLERANCE = 0.005
 """The table is taken to be under an object at rest that is farther from the nominal table than this [m]."""
@@ -36,6 +41,9 @@ class MotionSettings:
     """Sum of the normal forces to squeeze a light object with [N]."""
     force_per_kg: float = 80.0
     """More of it for each kilogram of the object [N/kg]."""
+    for_use: bool = False
+    """Whether the grasp is to withstand the use motion of its task as well (``fungrasp.task.use``): the
+    squeeze then carries its load, and the object's weight in any direction, by friction."""
     squeeze_limit: float = 0.6
     """Largest offset of a joint's servo target from the grasp [rad]."""
     close_time: float = 0.6
@@ -241,6 +249,17 @@ def _setting(grasps: RobotGraspSet, name: str, default: float) -> np.ndarray:
     return np.asarray(grasps.extra.get(name, np.full(len(grasps), default)))[:, None]
 
 
+def _use_load(grasps: RobotGraspSet, belief: Belief) -> np.ndarray:
+    """What the grasps' use motions ask of friction, beyond the lift [N], shape [N]."""
+    known = load_use_motions().values()
+    load = np.zeros(len(grasps))
+    for i, task in enumerate(() if grasps.task is None else grasps.task.tolist()):
+        motion = motion_of(task, known)
+        if motion is not None:
+            load[i] = motion.load + (GRAVITY * belief.object_mass[i] if motion.turn else 0.0)
+    return load
+
+
 def squeeze_offsets(
     hand: Hand,
     grasps: RobotGraspSet,
@@ -265,7 +284,10 @@ def squeeze_offsets(
     names = grasps.object_name.tolist()
     around = CollisionScene.settled(names, belief.object_pose, objects)
     models = [objects[name] for name in names]
-    force = _setting(grasps, "force_scale", 1.0)[:, 0] * (s.force + s.force_per_kg * belief.object_mass)
+    force = s.force + s.force_per_kg * belief.object_mass
+    if s.for_use:
+        force = force + _use_load(grasps, belief) / USE_FRICTION
+    force = _setting(grasps, "force_scale", 1.0)[:, 0] * force
     torques = squeeze_torques(hand, around, models, palm, joints, grasps.link_contacts, force)
     stiffness = np.array([servo.kp for servo in hand.actuators.values()])
     if belief.servo_stiffness is not None:

@@ -64,6 +64,7 @@ class MujocoCpuEngine:
         self._object = model.body("object").id
         self._palm = model.body(HAND_PREFIX + hand.palm).id
         self._table = model.geom("table").id
+        self._object_geoms = np.flatnonzero(model.geom_bodyid == self._object)
         bind = self.batch.bind
         self._qpos, self._qvel, self._ctrl = bind("qpos"), bind("qvel"), bind("ctrl")
         self._mocap_pos, self._mocap_quat = bind("mocap_pos"), bind("mocap_quat")
@@ -336,8 +337,10 @@ class MujocoCpuEngine:
             self.batch.expand(name)[ids, self._object] = values
         for name, values in joint.items():
             self.batch.expand(name)[ids, self._object_qvel : self._object_qvel + 6] = values
-        # MuJoCo skips the frame of an inertia that the compiler found aligned with its body.
+        # MuJoCo skips the frame of an inertia that the compiler found aligned with its body, and turns geoms
+        # that it found aligned with the inertia along with that.
         self.batch.expand("body_sameframe")[ids, self._object] = _SAMEFRAME_NONE
+        self.batch.expand("geom_sameframe")[np.ix_(ids, self._object_geoms)] = _SAMEFRAME_NONE
 
     def _nominal(self, name: str, object_index: np.ndarray) -> np.ndarray:
         """A model field with the objects' own masses, one row for each object index given."""

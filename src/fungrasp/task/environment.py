@@ -16,7 +16,7 @@ from fungrasp.task.action import Action
 from fungrasp.task.belief import Belief
 from fungrasp.task.grasp_plan import GraspPlan
 from fungrasp.task.lift import LiftTask
-from fungrasp.task.object_placement import Placement, on_drawn_table, where_seen
+from fungrasp.task.object_placement import Placement, on_drawn_table, resting_shift, where_seen
 from fungrasp.task.observation import Observation, Privileged
 from fungrasp.task.outcome import Outcomes
 from fungrasp.task.policy import Policy, PrivilegedPolicy
@@ -131,7 +131,8 @@ class LiftEnvironment:
         hand_followed: bool = False,
     ) -> None:
         """Begin episodes of some worlds in the midst of their plans, objects at rest where they are seen
-        where the plans have them.
+        where the plans have them. Centers of mass are shifted as drawn, as far as the objects stay at rest
+        with it (``resting_shift``): nothing settles here, and what rests has its mass above its foot.
 
         Args:
             ids: worlds, shape [I].
@@ -143,12 +144,15 @@ class LiftEnvironment:
                 to where it is seen; else it is where the plan has it.
         """
         self.engine.reset(ids)
-        self.sample = self.sample.replaced(ids, sample)
         seen = shift_on_table(plans.object_pose, sample.object_shift)
         index = self._object_index(plans.object_name, sample)
         height = np.zeros(len(ids)) if belief is None else belief.table_height
-        center = self._mass_distribution(index, plans.object_mass, sample.center_of_mass_shift)[0]
         models = [self.scene.models[i] for i in index]
+        sample = replace(
+            sample, center_of_mass_shift=resting_shift(models, seen, sample.center_of_mass_shift)
+        )
+        self.sample = self.sample.replaced(ids, sample)
+        center = self._mass_distribution(index, plans.object_mass, sample.center_of_mass_shift)[0]
         placed = where_seen(seen, height, sample, models, center)
         self._set_parameters(ids, index, plans.object_mass, placed, belief)
         rows, origin = np.arange(len(ids)), plans.object_pose

@@ -6,10 +6,19 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import nnls
 
 from fungrasp.geometry.poses import invert, quaternion_from_rotation_vector, rotate
 from fungrasp.objects import ObjectModel
 from fungrasp.transfer import EpisodeSample, offset_pose, tilt_on_table
+
+REST_ANGLE = float(np.deg2rad(5.0))
+"""An object is at rest if it can't tip or roll by so much without its center of mass rising [rad]: more than
+an estimated rotation is off by, so that what begins on an edge falls back."""
+
+REST_DIRECTIONS = 180
+"""Directions in which it is asked whether an object can tip. Two degrees apart: a can on its side rolls
+across its axis alone, as it would have to be raised to tip even a little along it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +82,70 @@ def where_seen(
     too_high = sample.object_bias[:, 2]
     pose[:, 2] = seen[:, 2] + _lowest(models, seen) - _lowest(models, pose) - too_high
     return on_drawn_table(pose, height - too_high, sample)
+
+
+def resting_shift(models: Sequence[ObjectModel], pose: np.ndarray, shift: np.ndarray) -> np.ndarray:
+    """Shifts of centers of mass with which objects stay at rest where they are known to rest.
+
+    A shift that was drawn without regard to the pose would let a can on its side roll away at once; in the
+    world it would have rolled before it was seen. With u the direction in the object that points down,
+    ``S(u)`` how far the object reaches along it, and c its center of mass, ``H(u) = S(u) - c . u`` is the
+    center's height above the table. The object is at rest at u0 if ``H(u_k) >= H(u0)`` in all directions k,
+    ``REST_ANGLE`` away. That is linear in the shift d: ``d . (u_k - u0) <= S(u_k) - S(u0) - c . (u_k - u0)``.
+    The horizontal part of d is that of the nearest shift which keeps to it; what is cut goes downwards, where
+    the mass of what has rolled to rest is, as far as no fraction becomes larger than the largest drawn.
+
+    Args:
+        models: of the objects, length I.
+        pose: at rest, world frame, shape [I, 7].
+        shift: as drawn, along the axes of the object frame as a fraction of its extents, shape [I, 3].
+
+    Returns:
+        Shifts like the given ones, shape [I, 3].
+    """
+    result = shift.copy()
+    around = 2 * np.pi * np.arange(REST_DIRECTIONS) / REST_DIRECTIONS
+    tipped = np.stack(
+        [
+            np.sin(REST_ANGLE) * np.cos(around),
+            np.sin(REST_ANGLE) * np.sin(around),
+            np.full(REST_DIRECTIONS, -np.cos(REST_ANGLE)),
+        ],
+        axis=1,
+    )
+    down = np.array([0.0, 0.0, -1.0])
+    for i in np.flatnonzero(shift.any(axis=1)).tolist():
+        model, turn = models[i], pose[i, 3:]
+        wanted = rotate(turn, shift[i] * model.size)
+        points = np.concatenate([piece.vertices for piece in model.pieces]) - model.center_of_mass
+        points = rotate(turn[None], points)
+        # What has settled in soft contacts may be a little beside its rest.
+        room = np.maximum((points @ tipped.T).max(axis=0) - (points @ down).max(), 0.0)
+        steps = tipped - down
+        if np.all(steps @ wanted <= room):
+            continue
+        kept = wanted + _least_change(-steps, steps @ wanted - room)
+        back, most = invert(pose[i])[3:], np.abs(shift[i]).max()
+        nearest = rotate(back, kept) / model.size
+        # A shorter one keeps to it as well, and so does a lower one.
+        shorter = min(1.0, most / np.abs(nearest).max(initial=1e-12))
+        nearest, kept = shorter * nearest, shorter * kept
+        below = np.sqrt(max(wanted @ wanted - kept[:2] @ kept[:2], 0.0))
+        lowered = rotate(back, np.array([0.0, 0.0, -below - kept[2]])) / model.size
+        moving = np.abs(lowered) > 1e-9
+        ways = (np.copysign(most, lowered[moving]) - nearest[moving]) / lowered[moving]
+        result[i] = nearest + min(1.0, float(ways.min(initial=1.0))) * lowered
+    return result
+
+
+def _least_change(rows: np.ndarray, least: np.ndarray) -> np.ndarray:
+    """The shortest x with ``rows @ x >= least``, shape [3] (least distance programming: Lawson and Hanson,
+    Solving Least Squares Problems, chapter 23). rows: shape [K, 3]; least: shape [K]."""
+    scale = np.abs(least).max()
+    stacked = np.vstack([rows.T, least / scale])
+    goal = np.array([0.0, 0.0, 0.0, 1.0])
+    residual = stacked @ nnls(stacked, goal)[0] - goal
+    return -scale * residual[:3] / residual[3]
 
 
 def _lowest(models: Sequence[ObjectModel], pose: np.ndarray) -> np.ndarray:

@@ -100,6 +100,17 @@ is seen with the object that stands on it, so that the error of its pose covers 
 after planning, the hand follows before rollouts begin; a percent of the size is less than the pose's error,
 and would take a mesh for each size."""
 
+PRESETS: dict[str, Randomization] = {
+    "nominal": NOMINAL,
+    "moderate": MODERATE,
+    "wide": WIDE,
+    "reality": REALITY,
+}
+"""What training can draw from, by name."""
+
+PresetName = Literal["nominal", "moderate", "wide", "reality"]
+"""Names of ``PRESETS``."""
+
 ROBUSTNESS: dict[str, Randomization] = {
     "nominal": NOMINAL,
     "mass x0.5": Randomization(mass=(0.5, 0.5)),

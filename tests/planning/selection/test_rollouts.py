@@ -13,6 +13,7 @@ from fungrasp.planning.selection.candidates import Candidates, CandidateStatisti
 from fungrasp.planning.selection.rollouts import RolloutSettings, Rounds, roll_out, try_candidates
 from fungrasp.policies import OpenLoopPolicy
 from fungrasp.task import Action, GraspPlan, LiftEnvironment, Observation, play
+from fungrasp.task.use import UseMotion
 from fungrasp.transfer import MODERATE, NOMINAL, EpisodeSample, MeasurementError, Randomization, draw
 
 SHORT = RolloutSettings(hold_time=0.3)
@@ -53,6 +54,18 @@ def test_what_holds_wins_over_what_was_promised():
     chosen, expected = pool.best()
     np.testing.assert_array_equal(chosen.finger_targets, plan().finger_targets)
     np.testing.assert_array_equal(expected, value)
+
+
+def test_what_does_not_withstand_its_use_counts_half(monkeypatch):
+    """Two objects that are held, one of which is then pulled out of the hand."""
+    tasks = np.array(["pull", "rest"])
+    torn = UseMotion("tear", ("pull",), 0.4, pull=300.0)
+    monkeypatch.setattr(rollouts, "load_use_motions", lambda: {"tear": torn})
+    drawn = draw(NOMINAL, 2, len(hand().joint_names), np.random.default_rng(0))
+    settings = replace(SHORT, timestep=scene().settings.timestep, randomization=NOMINAL)
+    arguments = plan(), belief(), drawn, scene(), OpenLoopPolicy(), settings, 1
+    assert roll_out(*arguments).success.tolist() == [1.0, 1.0]
+    assert roll_out(*arguments, tasks).success.tolist() == [0.5, 1.0]
 
 
 def test_without_enough_places_the_promise_decides():

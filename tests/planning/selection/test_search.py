@@ -48,6 +48,8 @@ def test_empty_rollouts_are_refused(rounds):
     with pytest.raises(FungraspError, match="rounds"):
         SelectionSettings(rounds=rounds)
     with pytest.raises(FungraspError, match="rounds"):
+        SelectionSettings(first_rounds=rounds)
+    with pytest.raises(FungraspError, match="rounds"):
         SelectionSettings(search=FurtherSearch(rounds=rounds))
 
 
@@ -58,14 +60,47 @@ def test_no_candidates_are_refused():
 
 def test_what_planning_costs_is_told_beforehand_and_afterwards():
     settings = SelectionSettings(
-        3, replace(SHORT, randomization=NOMINAL), rounds=((2, 1), (1, 2)), search=FurtherSearch(most=0)
+        3,
+        replace(SHORT, randomization=NOMINAL),
+        sure=0.0,
+        first_rounds=((2, 1), (1, 2)),
+        rounds=((3, 1),),
+        search=FurtherSearch(most=0),
     )
-    assert settings.rollouts_per_grasp == (4, 4)
+    assert settings.rollouts_per_grasp == (4, 7)
     p = planner(settings).plan(grasps_and_objects()[0], belief())
     assert p.rollouts is not None and p.rollouts.tolist() == [4, 4]
     assert p.expected_success is not None and (p.expected_success > 0.4).all()
-    assert SelectionSettings().rollouts_per_grasp == (33, 189)
+    assert SelectionSettings().rollouts_per_grasp == (12, 201)
     assert SelectionSettings(rollouts=None).rollouts_per_grasp == (0, 0)
+
+
+def test_only_grasps_of_which_no_candidate_is_sure_are_tried_on(monkeypatch):
+    """Two grasps, of which the first has no plan that holds: it alone gets the second rounds, all of whose
+    rollouts count."""
+    opened = replace(plan(), finger_targets=0.0 * plan().finger_targets)
+    pools: list[Candidates] = []
+
+    def propose(single, predictor, hand, beliefs, grasps, attempts, spread, *, prior, **others):
+        rows = rows_of(grasps.object_name.tolist())
+        plans = GraspPlan.join([opened, plan()]).select(rows + 2 * (rows == 1))
+        expected = np.full((len(rows) // len(beliefs), len(beliefs)), 0.5)
+        pools.append(Candidates(grasps, plans, beliefs, CandidateStatistics.untried(expected, prior)))
+        return pools[-1]
+
+    monkeypatch.setattr(search, "propose", propose)
+    settings = SelectionSettings(
+        2,
+        SHORT,
+        sure=0.55,
+        first_rounds=((2, 1),),
+        rounds=((2, 2),),
+        search=FurtherSearch(most=0),
+    )
+    p = planner(settings).plan(grasps_and_objects()[0], belief())
+    assert p.rollouts is not None and p.rollouts.tolist() == [6, 2]
+    np.testing.assert_array_equal(pools[0].statistics.tried, [[3, 1], [3, 1]])
+    np.testing.assert_array_equal(pools[0].statistics.held, [[0, 1], [0, 1]])
 
 
 def test_without_rollouts_the_predictor_alone_decides():
@@ -82,7 +117,7 @@ def test_without_rollouts_the_predictor_alone_decides():
 
 def test_the_choice_for_a_grasp_does_not_depend_on_the_others():
     grasps, _ = grasps_and_objects()
-    settings = SelectionSettings(3, SHORT, rounds=((3, 1),), search=FurtherSearch(most=0))
+    settings = SelectionSettings(3, SHORT, first_rounds=((3, 1),), search=FurtherSearch(most=0))
     both, one = planner(settings).plan(grasps, belief()), np.array([1])
     alone = planner(settings).plan(grasps.select(one), belief().select(one))
     length = alone.palm_goal.shape[1]
@@ -107,7 +142,7 @@ def test_where_nothing_holds_the_best_plans_are_varied_again(monkeypatch):
 
     monkeypatch.setattr(search, "propose", propose)
     further = FurtherSearch(rounds=((4, 1),), parents=2, enough=0.55)
-    settings = SelectionSettings(2, SHORT, rounds=((2, 1),), search=further)
+    settings = SelectionSettings(2, SHORT, sure=0.0, first_rounds=((2, 1),), search=further)
     p = planner(settings).plan(grasps_and_objects()[0], belief())
     assert asked == [(0, 2), (1, 1), (2, 1)]
     assert p.expected_success is not None and (p.expected_success > 0.55).all()

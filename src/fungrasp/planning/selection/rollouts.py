@@ -14,6 +14,7 @@ from fungrasp.planning.selection.candidates import Candidates
 from fungrasp.records import BatchRecord
 from fungrasp.simulation import Scene, SceneSettings, build_scene
 from fungrasp.task import Belief, GraspPlan, LiftEnvironment, LiftProtocol, Policy, play
+from fungrasp.task.use import load_use_motions, motion_of, play_use
 from fungrasp.transfer import MODERATE, EpisodeSample, MeasurementError, Randomization, draw, random_stream
 
 Rounds = tuple[tuple[int, int], ...]
@@ -39,6 +40,9 @@ class RolloutSettings:
     """Weight of the contact ratio against success."""
     slip: float = 0.01
     """Weight of the slip against success [s/mm]."""
+    for_use: bool = False
+    """Whether a rollout goes on with the use motion of the grasp's task: what holds, but does not withstand
+    it, counts half."""
     chunk: int = 512
     """Rollouts simulated together."""
 
@@ -48,7 +52,7 @@ class RolloutResults(BatchRecord):
     """Outcomes of R rollouts."""
 
     success: np.ndarray
-    """Whether the object was held, shape [R] bool."""
+    """Whether the object was held, or the share that counts, shape [R]."""
     contact_ratio: np.ndarray
     """Share of the target links in contact during the hold; zero for lost objects, shape [R]."""
     slip: np.ndarray
@@ -94,7 +98,8 @@ def try_candidates(
         rows, draws = np.repeat(flat, each), np.tile(done + np.arange(each), len(flat))
         beliefs = candidates.beliefs.select(rows % count)
         drawn = _with_estimated_errors(sample.select(draws), beliefs, pose_errors[draws])
-        found = roll_out(plans.select(rows), beliefs, drawn, scene, policy, s, threads)
+        tasks = candidates.grasps.select(rows).task if s.for_use else None
+        found = roll_out(plans.select(rows), beliefs, drawn, scene, policy, s, threads, tasks)
         slip = np.minimum(found.slip, LARGEST_SLIP)
         statistics.add(best, found.success, s.contact * found.contact_ratio - s.slip * slip)
         done += each
@@ -108,6 +113,7 @@ def roll_out(
     policy: Policy,
     settings: RolloutSettings,
     threads: int = 0,
+    tasks: np.ndarray | None = None,
 ) -> RolloutResults:
     """Try R plans once each.
 
@@ -119,6 +125,7 @@ def roll_out(
         policy: what follows the plans.
         settings: of the rollouts.
         threads: 0 means all processors.
+        tasks: what the grasps are for, shape [R] str, whose use motions follow; none if None.
     """
     s = settings
     protocol = replace(LiftProtocol(), hold_time=s.hold_time)
@@ -134,10 +141,21 @@ def roll_out(
         outcomes = play(environment, policy, some, end_lost=True)
         lost = outcomes.reason == "lost before the hold"
         measured = outcomes.contact_ratio, outcomes.sim_distance_hand_mm_s
-        results.append(
-            RolloutResults(outcomes.success, *(np.where(lost, 0.0, np.nan_to_num(m)) for m in measured))
-        )
+        success = outcomes.success.astype(float)
+        if tasks is not None:
+            success *= _withstood(environment, tasks[rows], outcomes.success)
+        results.append(RolloutResults(success, *(np.where(lost, 0.0, np.nan_to_num(m)) for m in measured)))
     return RolloutResults.join(results)
+
+
+def _withstood(environment: LiftEnvironment, tasks: np.ndarray, held: np.ndarray) -> np.ndarray:
+    """1 for what withstands its use motion or has none, else a half, shape [W]. Any part may be touched, as a
+    grasp of a robot does not say which the person held."""
+    known = load_use_motions().values()
+    motions = [motion_of(task, known) for task in tasks.tolist()]
+    anything = [(frozenset[str](),) * len(environment.scene.hand.links)] * len(motions)
+    use = play_use(environment, motions, held, anything)
+    return np.where((use.motion == "") | use.success, 1.0, 0.5)
 
 
 def _scene(

@@ -15,12 +15,12 @@ from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
 from fungrasp.planning.grasp_motion import MotionPlanner, MotionSettings, lowered, table_below
-from fungrasp.planning.selection.candidates import propose
+from fungrasp.planning.selection.candidates import Candidates, propose
 from fungrasp.planning.selection.rollouts import RolloutSettings, Rounds, try_candidates
 from fungrasp.planning.selection.success_predictor import SuccessPredictor
 from fungrasp.planning.selection.variations import VariationSpread, with_settings
 from fungrasp.task import Belief, GraspPlan, LiftProtocol, Policy
-from fungrasp.transfer import REALITY_ROLLOUTS, ProtocolName
+from fungrasp.transfer import MODERATE, REALITY_ROLLOUTS, ProtocolName
 
 WIDE_SPREAD = VariationSpread(position=0.015, rotation=0.2, joints=0.1, closing=0.15, force=0.5, press=0.02)
 RESOLUTION = 1e-4
@@ -51,8 +51,13 @@ class SelectionSettings:
     """Candidates of each grasp that are planned together, the unchanged grasp included."""
     rollouts: RolloutSettings | None = field(default_factory=RolloutSettings)
     """Rollouts that decide between the most promising; the predictor alone decides if None."""
+    sure: float = 0.85
+    """Expected success from which the best candidate after the first rollouts is taken without more."""
+    first_rounds: Rounds = ((6, 1), (3, 2))
+    """First rollouts of all grasps: a candidate that holds three times out of three is sure where the
+    predictor expects three of four or more."""
     rounds: Rounds = ((12, 1), (6, 2), (3, 3))
-    """Rollouts of the first candidates."""
+    """Rollouts of the first candidates of grasps of which none is sure."""
     prior: float = 4.0
     """Number of rollouts that the predictor's expectation stands for."""
     search: FurtherSearch = field(default_factory=FurtherSearch)
@@ -67,29 +72,35 @@ class SelectionSettings:
         """
         if min(self.candidates, self.search.parents) < 1:
             raise FungraspError(f"there must be at least one plan to choose from, not {self}")
-        for rounds in (self.rounds, self.search.rounds):
+        for rounds in (self.first_rounds, self.rounds, self.search.rounds):
             if not rounds or min(number for pair in rounds for number in pair) < 1:
                 raise FungraspError(f"rollouts need rounds of at least one plan and episode, not {rounds}")
 
     @classmethod
-    def for_protocol(cls, protocol: ProtocolName, rollouts: bool = True) -> SelectionSettings:
+    def for_protocol(
+        cls, protocol: ProtocolName, rollouts: bool = True, for_use: bool = False
+    ) -> SelectionSettings:
         """Rollouts that know how far worlds may be from what is believed, and nothing of what was drawn.
 
         Args:
             protocol: of the evaluation; that of robustness tries what was not expected.
             rollouts: whether there are any.
+            for_use: whether they go on with the use motions of the grasps' tasks.
         """
         if not rollouts:
             return cls(rollouts=None)
-        return cls(rollouts=RolloutSettings(REALITY_ROLLOUTS)) if protocol == "reality" else cls()
+        drawn = REALITY_ROLLOUTS if protocol == "reality" else MODERATE
+        return cls(rollouts=RolloutSettings(drawn, for_use=for_use))
 
     @property
     def rollouts_per_grasp(self) -> tuple[int, int]:
         """Fewest and most episodes that are simulated to plan one grasp."""
         if self.rollouts is None:
             return 0, 0
-        first, again = (sum(a * b for a, b in rounds) for rounds in (self.rounds, self.search.rounds))
-        return first, first + self.search.most * again
+        first, second, again = (
+            sum(a * b for a, b in rounds) for rounds in (self.first_rounds, self.rounds, self.search.rounds)
+        )
+        return first, first + second + self.search.most * again
 
 
 class SearchPlanner:
@@ -186,7 +197,8 @@ class SearchPlanner:
             threads=self._threads,
         )
         most = s.rollouts_per_grasp[1] * len(grasps)
-        roll(pool, s.rounds, seed=(seed, 0))
+        roll(pool, s.first_rounds, seed=(seed, 0))
+        pool = self._tried_on(pool, roll, seed)
         spent += pool.statistics.tried.sum(axis=0).astype(int)
         progress(spent.sum() / most)
         chosen, expected = pool.best()
@@ -213,6 +225,18 @@ class SearchPlanner:
             chosen = GraspPlan.join([chosen, found]).select(place)
             expected[left] = value
         return replace(chosen, expected_success=expected, rollouts=spent)
+
+    def _tried_on(self, pool: Candidates, roll: Callable[..., None], seed: int) -> Candidates:
+        """The candidates after more rollouts of those grasps of which none is sure."""
+        statistics, all_of_them = pool.statistics, len(pool.statistics.expected)
+        unsure = np.flatnonzero(pool.best()[1] < self.settings.sure)
+        if len(unsure):
+            order = statistics.order[:, unsure]
+            some = pool.among_best(all_of_them, unsure)
+            roll(some, self.settings.rounds, seed=(seed, 0, 1))
+            for name in ("tried", "held", "bonus"):
+                getattr(statistics, name)[order, unsure] = getattr(some.statistics, name)
+        return pool
 
     def _key(self, grasp: RobotGraspSet, belief: Belief, seed: int) -> str:
         """Digest of all that the choice for one grasp depends on."""

@@ -22,6 +22,7 @@ from fungrasp.geometry.poses import (
 )
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.task.environment import LiftEnvironment
+from fungrasp.task.use.finger_hold import FingerHold
 from fungrasp.task.use.functional_contact import functional_contact
 from fungrasp.task.use.geometry import far_end, horizontal, turn_axis, turning_frame
 from fungrasp.task.use.motion import TriggerPress, UseMotion
@@ -47,8 +48,6 @@ class _Use:
     motion: UseMotion
     palm: np.ndarray
     """Setpoint of the palm where the motion begins, world frame, shape [7]."""
-    fingers: np.ndarray
-    """Setpoints of the fingers, shape [U]."""
     axis: np.ndarray
     """Axis of the turn or line of the shift, world frame, shape [3]."""
     end: np.ndarray
@@ -69,15 +68,25 @@ class _Use:
         pose[3:] = quaternion_multiply(turn, pose[3:])
         return pose, np.zeros(3)
 
-    def fingers_at(self, time: float, opened: np.ndarray) -> np.ndarray:
-        """Setpoints of the fingers [rad], shape [U]. opened: those of the open hand, likewise."""
+    def fingers_at(
+        self, time: float, holding: np.ndarray, kept: np.ndarray, opened: np.ndarray
+    ) -> np.ndarray:
+        """Setpoints of the fingers [rad], shape [U].
+
+        Args:
+            time: since the motion began [s].
+            holding: those of the hold, shape [U].
+            kept: those that keep the joints where they are, shape [U].
+            opened: those of the open hand, shape [U].
+        """
         m = self.motion
         if m.trigger is not None:
-            return self.fingers + min(time / RAMP_TIME, 1.0) * self.press
+            pressed = holding + min(time / RAMP_TIME, 1.0) * self.press
+            return np.where(self.press != 0.0, pressed, kept)
         if m.pull and time > m.duration:
             share = min((time - m.duration) / (0.5 * OPENING_TIME), 1.0)
-            return self.fingers + share * (opened - self.fingers)
-        return self.fingers
+            return holding + share * (opened - holding)
+        return kept
 
     def load_at(
         self, time: float, object_pose: np.ndarray, center: np.ndarray, palm: np.ndarray, weight: float
@@ -120,7 +129,8 @@ def play_use(
     held_parts: Sequence[Sequence[frozenset[str]]],
     watch: Callable[[], None] = lambda: None,
 ) -> UseOutcomes:
-    """Let the wrist play the motions of W grasps' tasks after the hold. Fingers keep their setpoints.
+    """Let the wrist play the motions of W grasps' tasks after the hold, while the fingers hold on
+    (``FingerHold``).
 
     Args:
         environment: whose lift tests are over.
@@ -129,7 +139,7 @@ def play_use(
         held_parts: of each world and contact link, the parts that the person held there, W x L.
         watch: called after each setpoint, to record.
     """
-    engine, task = environment.engine, environment.task
+    engine, task, hand = environment.engine, environment.task, environment.scene.hand
     contact, touched = functional_contact(environment, held_parts)
     outcomes = UseOutcomes(
         motion=np.array(
@@ -156,7 +166,9 @@ def play_use(
 
     palms, velocity = task.setpoints.wrist.pose.copy(), np.zeros((len(engine), 3))
     fingers = task.setpoints.fingers.copy()
-    opened = np.clip(0.0, *environment.scene.servo_limits.T)
+    hold = FingerHold(hand, fingers, hand.independent(engine.joint_positions))
+    limits = environment.scene.servo_limits.T
+    opened = np.clip(0.0, *limits)
     period, substeps = task.setpoints.period, task.setpoints.substeps
     durations = np.array([use.motion.duration for use in uses])
     ends = durations + OPENING_TIME * np.array([use.motion.pull > 0 for use in uses])
@@ -164,14 +176,16 @@ def play_use(
     force, torque = np.zeros((len(engine), 3)), np.zeros((len(engine), 3))
     weight = environment.scene.settings.gravity * environment.privileged().object_mass
     start = _in_palm(environment, worlds)
+    first = fingers.copy()
     for step in range(round(ends.max() / period)):
         time = step * period
         active = time < ends - 1e-9
         poses, centers, palm = engine.object_pose, engine.center_of_mass, engine.palm_pose
+        kept = np.clip(hold.keep(hand.independent(engine.joint_positions)), *limits)
         for use in (u for u, a in zip(uses, active, strict=True) if a):
             w = use.world
             palms[w], velocity[w] = use.palm_at(time + period)
-            fingers[w] = use.fingers_at(time + period, opened)
+            fingers[w] = use.fingers_at(time + period, first[w], kept[w], opened)
             force[w], torque[w] = use.load_at(time, poses[w], centers[w], palm[w], weight[w])
         engine.push_object(force, torque)
         engine.step(engine.controls(palms, velocity, fingers), substeps, worlds[active])
@@ -207,7 +221,6 @@ def _begin(environment: LiftEnvironment, world: int, motion: UseMotion) -> _Use:
         world,
         motion,
         setpoints.wrist.pose[world].copy(),
-        setpoints.fingers[world].copy(),
         axis,
         end,
         float(place[2]),
