@@ -10,6 +10,7 @@ from fungrasp.cli.bench_identify import BenchIdentify
 from fungrasp.cli.bench_perception import BenchPerception
 from fungrasp.cli.bench_planning import BenchPlanning
 from fungrasp.cli.bench_robot import BenchFaults, BenchRobot
+from fungrasp.cli.bench_wire import BenchWire
 from fungrasp.cli.console import progress_bar, table, write_json
 
 if TYPE_CHECKING:
@@ -251,6 +252,7 @@ COMMAND = {
     "perception": BenchPerception,
     "robot": BenchRobot,
     "faults": BenchFaults,
+    "wire": BenchWire,
     "identify": BenchIdentify,
 }
 

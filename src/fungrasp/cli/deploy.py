@@ -10,19 +10,17 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 if TYPE_CHECKING:
-    from contextlib import ExitStack
-
     import numpy as np
 
     from fungrasp.deployment.deployment import DeploymentResult
+    from fungrasp.deployment.emergency_stop import StopSwitch
     from fungrasp.deployment.log import DeploymentLog
     from fungrasp.deployment.preparation import HandDynamics
+    from fungrasp.deployment.wired_deployment import DeploymentTask
     from fungrasp.grasps import HumanGraspSet, RobotGraspSet
     from fungrasp.hands import Hand
     from fungrasp.objects import ObjectModel
-    from fungrasp.planning import Planner
     from fungrasp.robots.cell import RobotCell
-    from fungrasp.task import Policy
 
 
 @dataclass(frozen=True)
@@ -70,7 +68,9 @@ class Deploy:
         from contextlib import ExitStack
         from time import strftime
 
+        from fungrasp.deployment.emergency_stop import StopSwitch
         from fungrasp.deployment.log import McapLog
+        from fungrasp.deployment.wired_deployment import DeploymentTask
         from fungrasp.errors import FungraspError
         from fungrasp.hands import load_hand
         from fungrasp.policies import make_planner, make_policy
@@ -82,7 +82,7 @@ class Deploy:
         hand = load_hand(cell.hand)
         if self.hand and load_hand(self.hand).name != hand.name:
             raise FungraspError(f"robot cell '{cell.name}' carries the hand '{hand.name}', not '{self.hand}'")
-        grasp, thing = self._grasp(hand)
+        grasp, thing = self.chosen_grasp(hand)
         objects = {thing.name: thing}
         policy = make_policy(self.policy, hand, objects)
         if not isinstance(policy, Policy):
@@ -90,10 +90,25 @@ class Deploy:
                 f"the policy '{self.policy}' needs what only a simulation knows: take a student"
             )
         planner = make_planner(self.policy, hand, objects, threads=self.threads)
+        dynamics, stiffness = self._dynamics(cell, hand)
+        task = DeploymentTask(
+            cell,
+            hand,
+            thing,
+            grasp,
+            policy,
+            planner,
+            dynamics,
+            stiffness,
+            not self.no_gravity_compensation,
+            self.dry_run,
+            self.seed,
+        )
         with ExitStack() as stack:
             log = stack.enter_context(McapLog(self.log or Path(strftime("deploy-%Y%m%d-%H%M%S.mcap"))))
+            switch = stack.enter_context(StopSwitch(cell.stop_file, keyboard=True))
             run = self._on_twin if is_twin(cell) else self._on_robot
-            success, result = run(stack, cell, hand, thing, grasp, policy, planner, log)
+            success, result = run(task, log, switch)
         print(f"10 Hz: {result.ticks.summary()}")
         print(f"50 Hz: {result.setpoints.summary()}")
         print(f"log: {log.path}")
@@ -102,38 +117,29 @@ class Deploy:
         print(success)
 
     def _on_twin(
-        self,
-        stack: ExitStack,
-        cell: RobotCell,
-        hand: Hand,
-        thing: ObjectModel,
-        grasp: RobotGraspSet,
-        policy: Policy,
-        planner: Planner,
-        log: DeploymentLog,
+        self, task: DeploymentTask, log: DeploymentLog, switch: StopSwitch
     ) -> tuple[str, DeploymentResult]:
         from fungrasp.deployment.deployment import DeploymentSettings
-        from fungrasp.deployment.emergency_stop import StopSwitch
         from fungrasp.deployment.twin_deployment import deploy_on_twin, reachable_placement
         from fungrasp.robots.twin.parameters import draw_twin
 
-        truth = draw_twin(self.twin, len(hand.joint_names), len(hand.actuators))
+        cell, hand = task.cell, task.hand
         outcome = deploy_on_twin(
             cell,
             hand,
-            thing,
-            grasp,
-            reachable_placement(cell, hand, thing, grasp, self.seed)[0],
-            policy,
-            planner,
-            truth,
+            task.thing,
+            task.grasp,
+            reachable_placement(cell, hand, task.thing, task.grasp, self.seed)[0],
+            task.policy,
+            task.planner,
+            draw_twin(self.twin, len(hand.joint_names), len(hand.actuators)),
             wall_clock=not self.fast,
-            dynamics=self._dynamics(cell, hand)[0],
-            compensate=not self.no_gravity_compensation,
+            dynamics=task.dynamics,
+            compensate=task.compensate,
             dry_run=self.dry_run,
             seed=self.seed,
             log=log,
-            switch=stack.enter_context(StopSwitch(cell.stop_file, keyboard=True)),
+            switch=switch,
             settings=DeploymentSettings(put_down=not self.stay),
             about=self._about(),
             on_phase=lambda phase: print(phase, flush=True),
@@ -143,43 +149,21 @@ class Deploy:
         return f"not lifted (twin {self.twin})", outcome.result
 
     def _on_robot(
-        self,
-        stack: ExitStack,
-        cell: RobotCell,
-        hand: Hand,
-        thing: ObjectModel,
-        grasp: RobotGraspSet,
-        policy: Policy,
-        planner: Planner,
-        log: DeploymentLog,
+        self, task: DeploymentTask, log: DeploymentLog, switch: StopSwitch
     ) -> tuple[str, DeploymentResult]:
-        from fungrasp.deployment.deployment import Deployment, DeploymentSettings
-        from fungrasp.deployment.emergency_stop import StopSwitch
-        from fungrasp.deployment.preparation import GraspPreparer
-        from fungrasp.robots.assembly import wired_robot
+        from fungrasp.deployment.deployment import DeploymentSettings
+        from fungrasp.deployment.wired_deployment import deploy_on_robot
 
-        dynamics, stiffness = self._dynamics(cell, hand)
-        robot = wired_robot(
-            cell,
-            hand,
-            stiffness=stiffness,
-            compensate=not self.no_gravity_compensation,
-            dry_run=self.dry_run,
-        )
-        switch = stack.enter_context(StopSwitch(cell.stop_file, keyboard=True))
-        stack.enter_context(robot)
-        print("press Enter to stop", flush=True)
-        deployment = Deployment(
-            robot,
-            policy,
-            GraspPreparer(cell, hand, thing, planner, dynamics, self.seed),
+        result = deploy_on_robot(
+            task,
             log=log,
             switch=switch,
             settings=DeploymentSettings(put_down=not self.stay),
             about=self._about(),
             on_phase=lambda phase: print(phase, flush=True),
+            on_connect=lambda robot: print("press Enter to stop", flush=True),
         )
-        return "done", deployment.run(grasp)
+        return "done", result
 
     def _dynamics(self, cell: RobotCell, hand: Hand) -> tuple[HandDynamics | None, np.ndarray | None]:
         """What was identified of the hand, and the stiffness of its servos [N m/rad], shape [U]."""
@@ -196,7 +180,7 @@ class Deploy:
 
         return {"version": __version__, "robot": self.robot, "policy": self.policy, "grasp": self.grasp}
 
-    def _grasp(self, hand: Hand) -> tuple[RobotGraspSet, ObjectModel]:
+    def chosen_grasp(self, hand: Hand) -> tuple[RobotGraspSet, ObjectModel]:
         """The robot grasp and its object."""
         from fungrasp.cli.demo import chosen_rows
         from fungrasp.cli.retarget import retargeted

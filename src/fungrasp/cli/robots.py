@@ -105,6 +105,7 @@ class Emulate:
         from fungrasp.grasps import load_human_grasps, load_objects
         from fungrasp.hands import load_hand
         from fungrasp.robots.cell import load_cell
+        from fungrasp.robots.process_priority import raise_priority
         from fungrasp.robots.twin.emulation import CellEmulation
         from fungrasp.robots.twin.parameters import draw_twin
         from fungrasp.robots.twin.world import TwinWorld
@@ -120,6 +121,7 @@ class Emulate:
         world = TwinWorld(cell, hand, thing, truth)
         world.settle(reachable_placement(cell, hand, thing, robot)[0])
         rest = world.center_of_mass()[2]
+        raise_priority()
         with CellEmulation(cell, world, thing.name) as emulation:
             print(f"{cell.name}: emulators are ready, with '{thing.name}' on the table", flush=True)
             start, highest, up = time.monotonic(), 0.0, 0.0

@@ -139,6 +139,7 @@ class Deployment:
             self.ticks,
             self.setpoint_ticks,
             dict(self._times),
+            dict(self._guard.longest_silence),
         )
 
     # Phases.

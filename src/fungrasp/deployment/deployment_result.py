@@ -41,3 +41,5 @@ class DeploymentResult:
     """Lateness of the 50 Hz setpoints."""
     times: dict[str, float] = field(default_factory=dict)
     """When each phase began, on the robot's clock [s]."""
+    longest_silence: dict[str, float] = field(default_factory=dict)
+    """Longest time that the time stamp of arm and hand stood still between setpoints [s]."""

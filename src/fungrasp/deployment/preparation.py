@@ -36,6 +36,10 @@ SHIFTS = (0.0, -0.1, 0.1)
 PLACEMENTS = 60
 """How many of them are tried, the smallest first."""
 
+PLANS = 3
+"""Plans, of as many seeds, that are made before a grasp counts as not reachable: the planner knows nothing of the
+arm, and what one plan can't do the next often can."""
+
 TURNS = np.deg2rad([0, 30, -30, 60, -60, 90, -90, 120, -120, 150, -150, 180])
 """Turns of the object about the vertical that are tried [rad]."""
 
@@ -119,7 +123,13 @@ class GraspPreparer:
         )
 
     def prepare(
-        self, grasp: RobotGraspSet, object_pose: np.ndarray, arm: np.ndarray, *, advise: bool = True
+        self,
+        grasp: RobotGraspSet,
+        object_pose: np.ndarray,
+        arm: np.ndarray,
+        *,
+        advise: bool = True,
+        plans: int = PLANS,
     ) -> PreparedGrasp:
         """Plan a grasp of the object where it is seen.
 
@@ -128,29 +138,32 @@ class GraspPreparer:
             object_pose: at rest, world frame, shape [7].
             arm: joints of the arm now [rad], shape [A].
             advise: whether a placement that would do is looked for where this one does not.
+            plans: of as many seeds are tried, 1 or more.
 
         Raises:
-            UnreachableError: the arm can't follow the plan.
+            UnreachableError: the arm can't follow any of them.
         """
         start, fingers = self._start(grasp, object_pose)
         # Before time is spent on planning: can the arm do about this?
         obstacle = self._reach.possible(self._straight(grasp, object_pose, start, fingers))
         if obstacle:
             raise UnreachableError(self._advice(grasp, object_pose, obstacle, advise))
-        plan = self._planner.plan(grasp, self._belief(grasp, object_pose, start, fingers), self._seed)
-        found, obstacle = self._reach.best(self._path(plan, start, fingers), arm)
-        if not found:
-            raise UnreachableError(self._advice(grasp, object_pose, obstacle, advise))
-        ball = self._ball(object_pose)
-        free = FreePath(self._kinematics, self._clearance, self._cell.workspace)
-        for reach in found:
-            corners = free.find(arm, reach.start, fingers, ball, self._rng)
-            if corners is not None:
-                return PreparedGrasp(plan, fingers, reach, tuple(corners))
-        raise UnreachableError(
-            f"the arm finds no free way from where it is to the start of '{self._thing.name}': "
-            "move it by hand to a higher place"
-        )
+        belief = self._belief(grasp, object_pose, start, fingers)
+        for attempt in range(plans):
+            plan = self._planner.plan(grasp, belief, self._seed + attempt)
+            found, obstacle = self._reach.best(self._path(plan, start, fingers), arm)
+            ball = self._ball(object_pose)
+            free = FreePath(self._kinematics, self._clearance, self._cell.workspace)
+            for reach in found:
+                corners = free.find(arm, reach.start, fingers, ball, self._rng)
+                if corners is not None:
+                    return PreparedGrasp(plan, fingers, reach, tuple(corners))
+            if found:
+                raise UnreachableError(
+                    f"the arm finds no free way from where it is to the start of '{self._thing.name}': "
+                    "move it by hand to a higher place"
+                )
+        raise UnreachableError(self._advice(grasp, object_pose, obstacle, advise))
 
     def _start(self, grasp: RobotGraspSet, object_pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Palm pose [7] and fingers [U] at the start, as the lift test has them."""
@@ -240,7 +253,8 @@ class GraspPreparer:
         said = f"the grasp of '{self._thing.name}' is not reachable: {obstacle}"
         if not advise:
             return said
-        found = next(self.placements(grasp, object_pose), None)
+        moved = (p for p in self.placements(grasp, object_pose) if not np.array_equal(p[0], object_pose))
+        found = next(moved, None)
         if found is None:
             return f"{said}; no placement nearby would do: take another grasp"
         return f"{said}; it would be with the object {found[1]}"

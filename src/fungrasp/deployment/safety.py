@@ -223,6 +223,8 @@ class SafetyGuard:
         self._stamps: dict[str, tuple[float, float]] = {}
         self.verdict: Verdict | None = None
         """The last one."""
+        self.longest_silence = {"arm": 0.0, "hand": 0.0}
+        """Longest time that a device's time stamp has stood still between setpoints [s]."""
 
     def reset(self) -> None:
         """Forget the setpoints before: the robot stands still."""
@@ -262,4 +264,5 @@ class SafetyGuard:
         if stamp != last:
             self._stamps[name] = stamp, now
             return 0.0
+        self.longest_silence[name] = max(self.longest_silence[name], now - since)
         return now - since

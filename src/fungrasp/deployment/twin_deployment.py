@@ -48,7 +48,8 @@ def reachable_placement(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Where a person would put the object so that the arm can grasp it.
 
-    It is the first placement for which one planned motion can be followed.
+    It is the first placement for which one planned motion can be followed, else the first that the arm reaches
+    with some motion: the robot's planner may find it.
 
     Args:
         cell: the robot.
@@ -68,14 +69,18 @@ def reachable_placement(
     cell = replace(cell, workspace=roomy)
     preparer = GraspPreparer(cell, hand, thing, MotionPlanner(hand, {thing.name: thing}), seed=seed)
     home = np.asarray(cell.arm.home)
+    first = None
     for tries, (pose, _) in enumerate(preparer.placements(grasp, grasp.object_rest_pose[0])):
         if tries >= 12:
             break
+        first = pose if first is None else first
         try:
-            prepared = preparer.prepare(grasp, pose, home, advise=False)
+            prepared = preparer.prepare(grasp, pose, home, advise=False, plans=1)
         except UnreachableError:
             continue
         return pose, prepared.reach.start
+    if first is not None:
+        return first, home
     raise UnreachableError(
         f"no placement of '{thing.name}' was found from which the arm can grasp it: take another grasp"
     )

@@ -17,6 +17,7 @@ from pathlib import Path
 from fungrasp.robots.control_loop.loop_runner import run_device_loop
 from fungrasp.robots.control_loop.mailbox import Mailbox, mailbox_size, map_shared_memory
 from fungrasp.robots.control_loop.records import goal_kind, state_kind
+from fungrasp.robots.process_priority import raise_priority
 
 LENGTH = struct.Struct("<I")
 
@@ -28,6 +29,8 @@ def run_worker() -> None:
     # From the process that started this one, through its own pipe.
     loop, path, driver_timeout = pickle.loads(source.read(size))
     orphaned = threading.Event()
+    # Client libraries start threads of their own, which inherit it.
+    raise_priority()
 
     def watch() -> None:
         source.read()

@@ -2,14 +2,56 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from fungrasp.robots.twin.world import TwinWorld
 from fungrasp.task import LiftProtocol
 
 
+@dataclass(frozen=True)
+class HoldSample:
+    """The truth at one moment."""
+
+    time: float
+    """Of the robot's clock [s]."""
+    height: float
+    """Of the centre of mass above where it settled [m]."""
+    alone: bool
+    """Whether the object touches neither table nor arm."""
+    in_hand: bool
+    """Whether it touches the hand."""
+
+
+def hold_sample(world: TwinWorld, settled: float) -> HoldSample:
+    """The truth now.
+
+    Args:
+        world: the twin.
+        settled: height at which the centre of mass settled [m].
+    """
+    truth = world.look()
+    height = float(world.center_of_mass()[2] - settled)
+    return HoldSample(world.time, height, not truth.on_table, truth.in_hand)
+
+
+def lifted_and_held(samples: list[HoldSample], seconds: float, protocol: LiftProtocol) -> bool:
+    """Whether the object stayed up, in the hand, and touched nothing else.
+
+    Args:
+        samples: of the hold.
+        seconds: that they stand for.
+        protocol: with height and time of the hold.
+    """
+    enough = seconds >= 0.95 * protocol.hold_time
+    high = min((s.height for s in samples), default=-np.inf) >= protocol.success_height
+    touching = sum(s.in_hand for s in samples) > 0.5 * len(samples)
+    return enough and high and touching and all(s.alone for s in samples)
+
+
 class TwinJudge:
-    """Watches one deployment."""
+    """Watches one deployment, at every setpoint."""
 
     def __init__(self, world: TwinWorld, protocol: LiftProtocol | None = None):
         """
@@ -18,25 +60,20 @@ class TwinJudge:
             protocol: with the height; the published one if None.
         """
         self._world, self._protocol = world, protocol or LiftProtocol()
-        self._settled = world.center_of_mass()[2]
-        self.height = np.inf
-        """Least height of the centre of mass above where it settled during the hold [m]."""
-        self._alone = True
-        self._samples = self._touching = 0
+        self._settled = float(world.center_of_mass()[2])
+        self._samples: list[HoldSample] = []
 
     def watch(self, holding: bool) -> None:
         """After each setpoint. holding: whether it belongs to the hold."""
-        if not holding:
-            return
-        truth = self._world.look()
-        self.height = min(self.height, float(self._world.center_of_mass()[2] - self._settled))
-        self._alone &= not truth.on_table
-        self._samples += 1
-        self._touching += truth.in_hand
+        if holding:
+            self._samples.append(hold_sample(self._world, self._settled))
+
+    @property
+    def height(self) -> float:
+        """Least height of the centre of mass above where it settled during the hold [m]; infinite before."""
+        return min((s.height for s in self._samples), default=np.inf)
 
     @property
     def success(self) -> bool:
         """Whether the object stayed up, in the hand, and touched nothing else."""
-        enough = self._samples * 0.02 >= 0.95 * self._protocol.hold_time
-        high = self.height >= self._protocol.success_height
-        return enough and high and self._alone and self._touching > 0.5 * self._samples
+        return lifted_and_held(self._samples, 0.02 * len(self._samples), self._protocol)
