@@ -416,6 +416,7 @@ BUILDERS: dict[str, Callable[[], Table]] = {
     "fuzz": fuzz,
     "kills": kills,
     "adapters": recorded("adapters"),
+    "depth_statistics": recorded("depth-statistics"),
     "experiments_hand_fit": recorded("experiments-hand-fit"),
     "experiments_policies": recorded("experiments-policies"),
     "experiments_left": recorded("experiments-left"),

@@ -53,6 +53,15 @@ CLUTTER_REACH = (0.10, 0.38)
 SLEEVES_WORN = 0.7
 """Fraction of the people who wear a sleeve."""
 
+SKIN_LIKE: tuple[Color, ...] = (
+    (0.78, 0.60, 0.44),
+    (0.70, 0.52, 0.36),
+    (0.86, 0.68, 0.52),
+    (0.62, 0.44, 0.30),
+    (0.88, 0.74, 0.64),
+)
+"""Cardboard, light and dark wood, leather, plaster: things whose colour is that of some skin, sRGB."""
+
 WALL_DISTANCE = (1.4, 2.6)
 """Range of distances of the walls from the grasp [m]."""
 
@@ -102,6 +111,7 @@ def capture_scene(
     tones: Sequence[Color],
     clutter: int,
     towards: float,
+    skin_like: float = 0.0,
 ) -> CaptureScene:
     """Put a grasp into a room.
 
@@ -112,6 +122,7 @@ def capture_scene(
         tones: of skin, sRGB; one is taken.
         clutter: how many other things to put on the table; fewer if they don't find a place.
         towards: direction from the grasp to the camera along the table [rad]; the clutter keeps out of it.
+        skin_like: part of the clutter, and of the table tops, with colours that some skin has.
     """
     skin, arm = painted_hand(grasp.hand_joints, tones[int(rng.integers(len(tones)))], rng)
     held = painted.moved(grasp.object_pose)
@@ -123,8 +134,11 @@ def capture_scene(
         parts.append((Label.SLEEVE, sleeve.surface(0.02, 6.0)))
     taken, centre = np.concatenate([held.vertices, skin.vertices]), held.vertices.mean(0)
     for model, pose in _clutter(taken, centre, clutter, towards, rng):
-        parts.append((Label.CLUTTER, painted_object(model).moved(pose).surface(0.3, 40.0)))
-    parts.append((Label.TABLE, _table(centre, rng)))
+        painted = painted_object(model)
+        if skin_like and rng.uniform() < skin_like:
+            painted = _in_one_color(painted, SKIN_LIKE[rng.integers(len(SKIN_LIKE))])
+        parts.append((Label.CLUTTER, painted.moved(pose).surface(0.3, 40.0)))
+    parts.append((Label.TABLE, _table(centre, skin_like, rng)))
     parts += [(Label.ROOM, surface) for surface in _room(centre, rng)]
     labels, surfaces = zip(*parts, strict=True)
     return CaptureScene(surfaces, np.array(labels, np.uint8), _look(rng), arm.control[2])
@@ -155,12 +169,23 @@ def _clutter(
     return placed
 
 
-def _table(centre: np.ndarray, rng: np.random.Generator) -> SurfaceMesh:
+def _in_one_color(painted: PaintedMesh, color: Color) -> PaintedMesh:
+    """The same with the paint's light and dark in shades of one colour."""
+    grey = painted.colors.mean(axis=1, keepdims=True)
+    shade = 1.0 + 0.25 * (grey - grey.mean())
+    return replace(painted, colors=np.clip(shade * np.asarray(color), 0.0, 1.0))
+
+
+def _table(centre: np.ndarray, skin_like: float, rng: np.random.Generator) -> SurfaceMesh:
     size = np.array(TABLE_SIZE)
     box = trimesh.creation.box(size)
     vertices = np.array(box.vertices)
     places = vertices[:, :2] / size[:2] + 0.5
     image = _table_image(rng)
+    if skin_like and rng.uniform() < skin_like:
+        grey = image.mean(axis=-1, keepdims=True)
+        color = np.asarray(SKIN_LIKE[rng.integers(len(SKIN_LIKE))])
+        image = np.clip(color * grey / grey.mean(), 0, 1)
     offset = rng.uniform(-0.5, 0.5, 2) * (0.5 * size[1] - 0.25)
     yaw = rng.uniform(0, np.pi)
     pose = np.array([*(centre[:2] + offset), -0.5 * size[2], np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)])

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import io
 from dataclasses import dataclass
 
 import numpy as np
+from PIL import Image
 from scipy import ndimage
 
 from fungrasp.perception import Intrinsics
@@ -45,7 +47,14 @@ class ColorNoise:
     blur: float = 0.45
     """Standard deviation of the lens's blur [pixels]."""
     balance: float = 0.05
-    """Largest error of the white balance and exposure, as a part."""
+    """Largest error of the white balance and, times four, of the exposure, as a part."""
+    exposure: tuple[float, float] | None = None
+    """Range of factors of the light, evenly on a logarithmic scale, where skin is to be over- or
+    underexposed; None: as ``balance`` says."""
+    motion: float = 0.0
+    """Longest way that the camera moves while the shutter is open [pixels]."""
+    jpeg: tuple[int, int] | None = None
+    """Range of JPEG qualities with which the picture is coded, 1 to 95; None: it is not."""
 
 
 def noisy_depth(
@@ -64,18 +73,20 @@ def noisy_depth(
     """
     shape = depth.shape
     rows, columns = np.mgrid[: shape[0], : shape[1]]
-    rows = np.clip(np.round(rows + noise.edge * _smooth(shape, 0.7, rng)).astype(int), 0, shape[0] - 1)
-    columns = np.clip(np.round(columns + noise.edge * _smooth(shape, 0.7, rng)).astype(int), 0, shape[1] - 1)
+    rows = np.clip(np.round(rows + noise.edge * smooth_field(shape, 0.7, rng)).astype(int), 0, shape[0] - 1)
+    columns = np.clip(
+        np.round(columns + noise.edge * smooth_field(shape, 0.7, rng)).astype(int), 0, shape[1] - 1
+    )
     focal = 0.5 * (intrinsics.fx + intrinsics.fy)
-    lost = _unseen_by_second(depth, focal * noise.baseline)
-    lost |= rng.uniform(size=shape) < _grazing(depth, intrinsics, noise.grazing)
-    lost |= _smooth(shape, 2.5, rng) > _normal_quantile(1 - noise.speckle)
+    lost = unseen_by_second(depth, focal * noise.baseline)
+    lost |= rng.uniform(size=shape) < graze(depth, intrinsics, noise.grazing)
+    lost |= smooth_field(shape, 2.5, rng) > _normal_quantile(1 - noise.speckle)
     steps = ndimage.maximum_filter(depth, 3) - ndimage.minimum_filter(depth, 3) > noise.step
     lost |= steps & (rng.uniform(size=shape) < noise.dropout)
     measured = depth[rows, columns]
     lost = lost[rows, columns] | (measured < noise.reach[0]) | (measured > noise.reach[1])
     sigma = measured**2 * noise.disparity / (focal * noise.baseline)
-    measured = measured + sigma * _smooth(shape, noise.blob, rng)
+    measured = measured + sigma * smooth_field(shape, noise.blob, rng)
     measured = np.round(measured / noise.step_size) * noise.step_size
     return np.where(lost, 0.0, measured).astype(np.float32)
 
@@ -92,13 +103,31 @@ def noisy_color(light: np.ndarray, noise: ColorNoise, rng: np.random.Generator) 
         sRGB, shape [H, W, 3] uint8.
     """
     light = light * (1 + noise.balance * rng.uniform(-1, 1, 3)) * (1 + 4 * noise.balance * rng.uniform(-1, 1))
+    if noise.exposure is not None:
+        low, high = np.log(noise.exposure)
+        light = light * np.exp(rng.uniform(low, high))
+    if noise.motion:
+        light = _moved(light, rng.uniform(0, noise.motion), rng.uniform(0, np.pi))
     light = ndimage.gaussian_filter(light, (noise.blur, noise.blur, 0))
     # Shot noise grows with the root of the light, which the gamma curve evens out.
     picture = 255 * np.clip(light, 0, 1) ** (1 / 2.2) + noise.noise * rng.normal(size=light.shape)
-    return np.clip(np.round(picture), 0, 255).astype(np.uint8)
+    picture = np.clip(np.round(picture), 0, 255).astype(np.uint8)
+    if noise.jpeg is None:
+        return picture
+    coded = io.BytesIO()
+    Image.fromarray(picture).save(coded, "JPEG", quality=int(rng.integers(noise.jpeg[0], noise.jpeg[1] + 1)))
+    return np.array(Image.open(coded))
 
 
-def _smooth(shape: tuple[int, ...], width: float, rng: np.random.Generator) -> np.ndarray:
+def _moved(light: np.ndarray, way: float, angle: float) -> np.ndarray:
+    """The mean of the picture along a way [pixels] in a direction [rad]."""
+    steps = int(np.ceil(way)) + 1
+    shifts = np.linspace(-0.5, 0.5, steps)[:, None] * way * np.array([np.sin(angle), np.cos(angle)])
+    moved = [ndimage.shift(light, (*shift, 0), order=1, mode="nearest") for shift in shifts]
+    return np.mean(moved, axis=0)
+
+
+def smooth_field(shape: tuple[int, ...], width: float, rng: np.random.Generator) -> np.ndarray:
     """Normally distributed, neighbours alike within ``width`` pixels."""
     field = ndimage.gaussian_filter(rng.normal(size=shape), width, mode="wrap")
     return field / field.std()
@@ -110,7 +139,7 @@ def _normal_quantile(part: float) -> float:
     return float(ndtri(part))
 
 
-def _unseen_by_second(depth: np.ndarray, disparity: float) -> np.ndarray:
+def unseen_by_second(depth: np.ndarray, disparity: float) -> np.ndarray:
     """Pixels that the second camera, to the right of the first, can't see. disparity: of 1 m [pixels]."""
     # A pixel is occluded for the second camera where another one to its right lands left of it there.
     place = np.arange(depth.shape[1]) - disparity / np.maximum(depth, 0.1)
@@ -119,7 +148,7 @@ def _unseen_by_second(depth: np.ndarray, disparity: float) -> np.ndarray:
     return ahead < place - 0.5
 
 
-def _grazing(depth: np.ndarray, intrinsics: Intrinsics, limits: tuple[float, float]) -> np.ndarray:
+def graze(depth: np.ndarray, intrinsics: Intrinsics, limits: tuple[float, float]) -> np.ndarray:
     """Chance that a pixel gives nothing as the surface is seen from the side, shape [H, W]."""
     points = intrinsics.rays() * depth[..., None]
     across, down = np.gradient(points, axis=1), np.gradient(points, axis=0)

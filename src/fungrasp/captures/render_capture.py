@@ -7,15 +7,17 @@ made up. How well perception does on them says little about photographs.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from fungrasp.captures.capture_scene import CaptureScene, Label, capture_scene
+from fungrasp.captures.depth_cameras import DEPTH_CAMERAS, DepthCamera, camera_depth
 from fungrasp.captures.depth_noise import ColorNoise, DepthNoise, noisy_color, noisy_depth
 from fungrasp.captures.painted_mesh import PaintedMesh, painted_object
 from fungrasp.captures.skin_and_sleeve import SKIN_TONES
+from fungrasp.captures.varied_hand import vary_hand
 from fungrasp.errors import FungraspError, UnknownNameError
 from fungrasp.geometry.poses import compose, inverse_transform_points, invert, rotation_matrix
 from fungrasp.grasps import HumanGrasp, HumanGraspSet
@@ -57,8 +59,14 @@ class CaptureSettings:
     missing: tuple[Label, ...] = ()
     """Labels that are taken out of the scene once the camera has found its place, to see what perception
     makes of that: ``HAND`` (with its sleeve) or ``OBJECT``."""
-    depth_noise: DepthNoise | None = field(default_factory=DepthNoise)
-    """Noise of the depth; None for perfect depth."""
+    proportions: float = 0.0
+    """Standard deviation of the size of hands, and of the lengths of their fingers, as a part; their
+    fingertips stay where they are."""
+    skin_like: float = 0.0
+    """Part of the clutter, and of the table tops, with colours that some skin has."""
+    depth_noise: DepthNoise | tuple[DepthCamera, ...] | None = field(default_factory=DepthNoise)
+    """Errors of the depth: simple ones, those of one of several kinds of cameras, drawn for each capture,
+    or None for perfect depth."""
     color_noise: ColorNoise | None = field(default_factory=ColorNoise)
     """Noise of the color image; None for perfect color."""
 
@@ -67,8 +75,36 @@ class CaptureSettings:
             low, high = getattr(self, name)
             if not 0 <= low <= high:
                 raise FungraspError(f"captures: {name} must be a range from low to high, not {low} to {high}")
+        if isinstance(self.depth_noise, tuple) and not self.depth_noise:
+            raise FungraspError("captures: depth_noise must name at least one camera, or be None")
+        if not 0 <= self.proportions <= 0.2:
+            raise FungraspError(f"captures: proportions must be from 0 to 0.2, not {self.proportions}")
         if self.distance[0] < 0.2 or self.elevation[1] > 85:
             raise FungraspError("captures: the camera must be 0.2 m away or more, and at most 85 degrees up")
+
+
+def camera_settings(camera: str = "mixed") -> CaptureSettings:
+    """Captures as the cameras that people have give them: melted depth, wrong exposure, hands of all sizes.
+
+    Args:
+        camera: one of ``DEPTH_CAMERAS``, or "mixed", which draws one of them for each capture.
+
+    Raises:
+        UnknownNameError: there is no such camera.
+    """
+    if camera != "mixed" and camera not in DEPTH_CAMERAS:
+        raise UnknownNameError("depth camera", camera, ("mixed", *DEPTH_CAMERAS))
+    cameras = tuple(DEPTH_CAMERAS.values()) if camera == "mixed" else (DEPTH_CAMERAS[camera],)
+    return CaptureSettings(
+        proportions=0.07,
+        skin_like=0.4,
+        distance=(0.45, 0.9),
+        object_seen=0.006,
+        depth_noise=cameras,
+        color_noise=ColorNoise(
+            noise=3.0, blur=0.6, balance=0.08, exposure=(0.6, 3.0), motion=4.0, jpeg=(60, 95)
+        ),
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,11 +203,21 @@ def render_capture(
     """
     settings = settings or CaptureSettings()
     painted = painted_object(model)
+    if settings.proportions:
+        grasp = replace(grasp, hand_joints=vary_hand(grasp, settings.proportions, rng), hand_qpos=None)
     intrinsics = _intrinsics(settings, rng)
     azimuth = float(rng.uniform(0, 360))
     clutter = int(rng.integers(settings.clutter[0], settings.clutter[1] + 1))
     towards = float(np.radians(azimuth))
-    scene = capture_scene(grasp, painted, rng, tones=settings.skin, clutter=clutter, towards=towards)
+    scene = capture_scene(
+        grasp,
+        painted,
+        rng,
+        tones=settings.skin,
+        clutter=clutter,
+        towards=towards,
+        skin_like=settings.skin_like,
+    )
     tracer = RayTracer(scene.surfaces, scene.look)
     pose = _camera(grasp, painted, tracer, scene, intrinsics, azimuth, settings, rng)
     if settings.missing:
@@ -184,8 +230,12 @@ def render_capture(
     color = noisy_color(light, settings.color_noise or ColorNoise(0.0, 0.0, 0.0), rng)
     distance = np.where(points.surface == NOTHING, 0.0, points.distance).reshape(shape)
     depth = (distance / np.linalg.norm(intrinsics.rays(), axis=-1)).astype(np.float32)
-    if settings.depth_noise is not None:
+    if isinstance(settings.depth_noise, DepthNoise):
         depth = noisy_depth(depth, intrinsics, settings.depth_noise, rng)
+    elif settings.depth_noise is not None:
+        camera = settings.depth_noise[int(rng.integers(len(settings.depth_noise)))]
+        brightness = np.clip(light.mean(axis=-1), 0.0, None)
+        depth = camera_depth(depth, intrinsics, camera, rng, brightness)
     return SyntheticCapture(Capture(color, depth, intrinsics), grasp, pose, labels, painted)
 
 

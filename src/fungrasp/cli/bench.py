@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from fungrasp.cli.bench_depth import BenchDepth
 from fungrasp.cli.bench_identify import BenchIdentify
 from fungrasp.cli.bench_perception import BenchPerception
 from fungrasp.cli.bench_planning import BenchPlanning
@@ -250,6 +251,7 @@ COMMAND = {
     "training": Training,
     "planning": BenchPlanning,
     "perception": BenchPerception,
+    "depth": BenchDepth,
     "robot": BenchRobot,
     "faults": BenchFaults,
     "wire": BenchWire,
