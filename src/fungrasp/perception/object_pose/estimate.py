@@ -168,7 +168,7 @@ def _answers(
         allowed = view.support > 0.25
         masks = [explained_mask(known, view.capture, pose, allowed) for pose in found.poses[:3]]
         sharper = [
-            object_evidence(view.capture, mask, view.table, rng)
+            object_evidence(view.capture, mask, view.seen, view.table, rng)
             for mask in masks
             if mask.sum() > LEAST_PIXELS
         ]
@@ -199,5 +199,5 @@ def _nothing(capture: Capture, joints: np.ndarray | None, why: PerceptionWarning
         points = capture.points()[shown if shown.any() else capture.measured]
         middle = np.median(points, axis=0)
     pose = np.concatenate([middle, [1.0, 0.0, 0.0, 0.0]])
-    none = PoseScores(*np.zeros((6, 1)))
+    none = PoseScores(*np.zeros((7, 1)))
     return PoseAnswers(pose[None], none, np.zeros(1), capture.mask is not None, float("nan"), why)
