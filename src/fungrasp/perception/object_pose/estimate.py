@@ -25,10 +25,12 @@ from fungrasp.perception.object_pose.search import (
     PoseHypotheses,
     PoseSearchSettings,
     best_poses,
+    polish_poses,
     refine_poses,
     search_poses,
     with_symmetries,
 )
+from fungrasp.perception.scene.depth_edges import SHARP
 from fungrasp.perception.scene.segmentation import TIPS
 from fungrasp.perception.scene.table import largest_plane
 from fungrasp.perception.warning import PerceptionWarning
@@ -41,6 +43,9 @@ GOOD = (0.85, 0.6)
 
 COLOR_WEIGHT = 0.15
 """Quality that full agreement of colors adds, as a part of the best pose's."""
+
+POLISHED = 6
+"""Poses that are polished where depth is smoothed."""
 
 ANSWERS = 5
 """Most alternatives that are kept."""
@@ -185,6 +190,12 @@ def _answers(
             known, evidence, with_symmetries(best_poses(found, known, many, 2), known), settings.rounds[3]
         )
         found = refine_poses(known, evidence, best_poses(found, known, many, 24), settings.rounds[4])
+    if view.seen.edge_width > SHARP:
+        best = best_poses(found, known, many, POLISHED)
+        best = polish_poses(best, known, few, rng)
+        found = PoseHypotheses(
+            np.concatenate([found.poses, best.poses]), np.concatenate([found.owner, best.owner])
+        )
     found = best_poses(found, known, many, 24)
     color = color_agreement(known, view.capture, found.poses, view.support > 0.25)
     return found, many(found.poses, found.owner), color

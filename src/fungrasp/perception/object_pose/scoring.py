@@ -17,6 +17,10 @@ from fungrasp.perception.scene.segmentation import TIPS, Segmentation
 UNSEEN = 0.1
 """Weight of a pixel of the mesh's silhouette that is hidden, in that of an explained one."""
 
+LEFT_OUT = 0.2
+"""Weight of a pixel that shows a thing within reach but is neither in the mask nor explained, in that of one of the
+mask's: else a part of the object, or a gap between fingers, would do as well as all of it."""
+
 OCCLUDER = 0.25
 """Confidence that what seems to be a thing in front of the object is no unrecognised part of the arm."""
 
@@ -107,7 +111,9 @@ class PoseScorer:
         # Of the silhouette that no skin hides.
         visible = (likeness * (1.0 - self.skin)).sum(axis=1) / np.maximum(hit - hidden, 1.0)
         against = (1.0 - explained + contradicted) * total + UNSEEN * (1.0 - likeness.sum(axis=1) / hit) * hit
-        quality = everywhere / (everywhere + against)
+        # Things near the hand that neither the mask nor the pose has: the object is one of them.
+        left_out = ((1.0 - likeness) * (1.0 - mine)) @ self.support
+        quality = everywhere / (everywhere + against + LEFT_OUT * left_out)
         contact = np.zeros(len(poses))
         if self.joints is not None:
             contact = self._contact(poses)
