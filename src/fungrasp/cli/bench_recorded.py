@@ -64,7 +64,9 @@ def bench_recorded(folder: Path, json: Path | None) -> None:
         )
     none = figures["no_hand_sure"]
     if none is not None:
-        print(f"sure of a hand in {round(none['rate'] * none['count'])} of {none['count']} captures without one")
+        print(
+            f"sure of a hand in {round(none['rate'] * none['count'])} of {none['count']} captures without one"
+        )
     plane = figures["table"]
     if plane["angle_deg"] is not None:
         print(

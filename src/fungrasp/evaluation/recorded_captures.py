@@ -1,9 +1,10 @@
 """A validation set: images of a real camera in folders, each with what is known about it.
 
-Each capture is a folder of its own (``rgb.png``, ``depth.png``, ``K.json``, if there is one ``mask.png``) with a
-file ``truth.json``; all entries of that are optional::
+Each capture is a folder of its own (``rgb.png``, ``depth.png``, ``K.json``, if there is one ``mask.png``)
+with a file ``truth.json``; all entries of that are optional::
 
-    {"object": "mug.obj",                      mesh file beside the capture or one folder up, or a built-in object
+    {"object": "mug.obj",                      mesh file beside the capture or one folder up, or a built-in
+    one
      "object_pose_camera_wxyz": [x, y, z, qw, qx, qy, qz],          mesh in the camera frame [m]
      "joints_camera_m": [[x, y, z], ...],      21 joints, camera frame [m]; null or NaN: not known
      "visible_joint_pixels": [[u, v], ...],    21 joints [pixels]; null: hidden
@@ -73,7 +74,8 @@ def recorded_folders(folder: str | Path) -> list[Path]:
     found = sorted(path.parent for path in Path(folder).glob(f"*/{LENS_FILE}"))
     if not found:
         raise FungraspError(
-            f"{folder} has no captures: each is a folder in it with rgb.png, depth.png, {LENS_FILE} and {TRUTH}"
+            f"{folder} has no captures: each is a folder in it with rgb.png, depth.png, {LENS_FILE} and "
+            f"{TRUTH}"
         )
     return found
 

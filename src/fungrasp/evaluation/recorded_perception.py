@@ -27,7 +27,8 @@ LOOSE = 6
 """Masks are made larger and smaller by so many pixels."""
 
 LEFT = 0.3
-"""A mask is made smaller by fewer pixels if less than this part of it would be left: thin ones would vanish."""
+"""A mask is made smaller by fewer pixels if less than this part of it would be left: thin ones would
+vanish."""
 
 BOX_MARGIN = 0.1
 """A person's box round an object is wider than the object by this part on each side."""
@@ -103,6 +104,10 @@ def hinted_captures(recorded: RecordedCapture) -> dict[str, Capture]:
         float(rows.max() + BOX_MARGIN * height),
     )
     found["box"] = capture.with_object(box=box)
+    # Where a person would click: deepest inside.
+    depth = np.asarray(ndimage.distance_transform_edt(mask))
+    v, u = np.unravel_index(int(depth.argmax()), depth.shape)
+    found["click"] = capture.with_object(point=(float(u), float(v)))
     found["mask"] = capture
     found["mask larger"] = capture.with_object(mask=np.asarray(ndimage.binary_dilation(mask, _disc(LOOSE))))
     found["mask smaller"] = capture.with_object(mask=smaller_mask(mask))
@@ -139,8 +144,7 @@ def measure_recorded(recorded: RecordedCapture, detector: HandDetector) -> Recor
     answers = []
     if recorded.model is not None and recorded.pose_camera_object is not None:
         answers = [
-            _answer(recorded, hint, hinted, hand, under)
-            for hint, hinted in hinted_captures(recorded).items()
+            _answer(recorded, hint, hinted, hand, under) for hint, hinted in hinted_captures(recorded).items()
         ]
     sure = hand is not None and hand.score >= ACCEPTED_HAND
     return RecordedResult(
@@ -255,7 +259,9 @@ def recorded_rows(results: Sequence[RecordedResult]) -> list[dict[str, Any]]:
 
 def recorded_table(figures: Mapping[str, Any]) -> list[tuple[str, ...]]:
     """The object's figures as a table, by hint."""
-    rows = [("told", "ADD-S < 10 mm", "median [mm]", "accepted are right", "right are accepted", "median [s]")]
+    rows = [
+        ("told", "ADD-S < 10 mm", "median [mm]", "accepted are right", "right are accepted", "median [s]")
+    ]
     for hint, found in figures["object"].items():
         rows.append(
             (

@@ -65,6 +65,10 @@ class PoseAnswers:
     """Whether the object's mask was given."""
     residual_m: float
     """Median distance of the object's measured points from the mesh in the first pose [m]."""
+    edge_width: float = 0.0
+    """How many pixels outlines are wide in the depth image."""
+    foreign: float = 0.0
+    """Part of the given mask's pixels that look like hand or background."""
     problem: PerceptionWarning | None = None
     """Why nothing was searched for; the pose is then a guess of the place only."""
 
@@ -135,6 +139,8 @@ def search_object_pose(
         rivals(known, poses, scores.quality),
         capture.mask is not None,
         known.surface.median_distance(points, poses[0]),
+        view.seen.edge_width,
+        view.foreign,
     )
 
 
@@ -147,7 +153,13 @@ def best_estimate(answers: PoseAnswers) -> ObjectEstimate:
     score = float(scores[0])
     warnings: tuple[PerceptionWarning, ...] = ()
     if score < ACCEPT:
-        warnings = score_warnings(answers.scores, float(answers.rival[0]), answers.masked)
+        warnings = score_warnings(
+            answers.scores,
+            float(answers.rival[0]),
+            answers.masked,
+            edge_width=answers.edge_width,
+            foreign=answers.foreign,
+        )
     others = tuple(
         (pose, float(min(value, score))) for pose, value in zip(poses[1:], scores[1:], strict=True)
     )
@@ -211,4 +223,4 @@ def _nothing(capture: Capture, joints: np.ndarray | None, why: PerceptionWarning
         middle = np.median(points, axis=0)
     pose = np.concatenate([middle, [1.0, 0.0, 0.0, 0.0]])
     none = PoseScores(*np.zeros((7, 1)))
-    return PoseAnswers(pose[None], none, np.zeros(1), capture.mask is not None, float("nan"), why)
+    return PoseAnswers(pose[None], none, np.zeros(1), capture.mask is not None, float("nan"), problem=why)

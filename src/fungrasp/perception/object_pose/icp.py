@@ -35,13 +35,15 @@ class FreeSpace:
     """What the depth image and the table forbid to the object. ``free_space`` makes it."""
 
     intrinsics: Intrinsics
-    """Intrinsics of ``depth``."""
+    """Intrinsics of the whole image."""
     depth: np.ndarray
     """Depth behind which a surface may be [m], shape [H, W]; 0: anywhere."""
     refuge: np.ndarray
     """Nearest pixel (row, column) that does not show something behind the object, shape [2, H, W]."""
     table: np.ndarray | None
     """Plane ``[nx ny nz d]`` with ``n . x + d`` the height above it [m], camera frame, shape [4]."""
+    corner: tuple[int, int] = (0, 0)
+    """Column and row of the whole image at which ``depth``, a part of it, begins."""
 
     def intrusion(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """How far points would have to move to be allowed, and where to.
@@ -55,9 +57,10 @@ class FreeSpace:
         k = self.intrinsics
         z = np.maximum(points[..., 2], 1e-3)
         x, y = points[..., 0] / z, points[..., 1] / z
-        u, v = k.fx * x + k.cx, k.fy * y + k.cy
+        u, v = k.fx * x + k.cx - self.corner[0], k.fy * y + k.cy - self.corner[1]
+        height, width = self.depth.shape
         column, row = np.rint(u).astype(np.int64), np.rint(v).astype(np.int64)
-        seen = (column >= 0) & (column < k.width) & (row >= 0) & (row < k.height)
+        seen = (column >= 0) & (column < width) & (row >= 0) & (row < height)
         column, row = np.where(seen, column, 0), np.where(seen, row, 0)
         short = np.where(seen, self.depth[row, column] - z, 0.0)
         away_v = row - self.refuge[0, row, column]
@@ -212,6 +215,7 @@ def free_space(
     *,
     uncertain: np.ndarray | None = None,
     background: np.ndarray | None = None,
+    corner: tuple[int, int] = (0, 0),
 ) -> FreeSpace:
     """What a depth image forbids to an object.
 
@@ -223,6 +227,7 @@ def free_space(
         tolerance: how far a surface may be in front of the measurement, or below the table [m].
         uncertain: by how much more at each pixel, where the depth is smoothed [m], shape [H, W].
         background: pixels that show no object whatever their depth is, bool, shape [H, W].
+        corner: column and row of the whole image at which a part of it begins; all arrays are of that part.
     """
     measured = depth > 0
     seen = shown & measured
@@ -236,4 +241,4 @@ def free_space(
         allowed = np.where(background & ~shown, np.maximum(allowed, level + NOWHERE), allowed)
     refuge: Any = ndimage.distance_transform_edt(open_space, return_distances=False, return_indices=True)
     lowered = None if table is None else np.append(table[:3], table[3] + tolerance)
-    return FreeSpace(intrinsics, allowed, refuge, lowered)
+    return FreeSpace(intrinsics, allowed, refuge, lowered, corner)

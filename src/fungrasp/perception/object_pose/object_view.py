@@ -21,7 +21,8 @@ TOO_LARGE = 1.25
 """What a mask shows is not the mesh if it is larger by this factor."""
 
 TRIMMED = (8, 92)
-"""Percentiles between which a mask's points count for its size: a mask with 6 pixels too much around an object of
+"""Percentiles between which a mask's points count for its size: a mask with 6 pixels too much around an
+object of
 50 pixels has a third of outliers, which its colours leave a few of."""
 
 SMOOTHED = 2.0
@@ -54,6 +55,12 @@ class ObjectView:
     """What the object must agree with under each of ``masks``."""
     seen: Segmentation
     """What each pixel shows, and how certain its depth is."""
+
+    @property
+    def foreign(self) -> float:
+        """Part of the given mask's pixels that look like hand or background; 0 without a mask."""
+        mask = self.capture.mask
+        return 0.0 if mask is None else float((self.seen.classes.thing[mask] < 0.5).mean())
 
     def scorer(self, rays: int) -> PoseScorer:
         """Scores poses by about so many rays that meet a mask."""
@@ -88,13 +95,14 @@ def view_of_object(
     rng: np.random.Generator,
 ) -> tuple[ObjectView | None, str]:
     """The image made ready; or why that can't be."""
+    if capture.mask is not None and (capture.mask & capture.measured).sum() < LEAST_PIXELS:
+        pixels = int((capture.mask & capture.measured).sum())
+        return None, f"the mask has only {pixels} pixels with depth"
     seen = segment(capture, joints, table, known.size, known.colors)
     counts = [int((mask & capture.measured).sum()) for mask in seen.masks]
     masks = tuple(mask for mask, count in zip(seen.masks, counts, strict=True) if count >= LEAST_PIXELS)
     if not masks:
-        where = "the mask" if capture.mask is not None else "what may be the object"
-        marked = [int((capture.mask & capture.measured).sum())] if capture.mask is not None else counts
-        return None, f"{where} has only {max(marked, default=0)} pixels with depth"
+        return None, f"what may be the object has only {max(counts, default=0)} pixels with depth"
     evidence = tuple(object_evidence(capture, mask, seen, table, rng) for mask in masks)
     if capture.mask is not None:
         low, high = np.percentile(evidence[0].points, TRIMMED, axis=0)

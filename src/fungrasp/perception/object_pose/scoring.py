@@ -18,14 +18,16 @@ UNSEEN = 0.1
 """Weight of a pixel of the mesh's silhouette that is hidden, in that of an explained one."""
 
 LEFT_OUT = 0.2
-"""Weight of a pixel that shows a thing within reach but is neither in the mask nor explained, in that of one of the
+"""Weight of a pixel that shows a thing within reach but is neither in the mask nor explained, in that of one
+of the
 mask's: else a part of the object, or a gap between fingers, would do as well as all of it."""
 
 OCCLUDER = 0.25
 """Confidence that what seems to be a thing in front of the object is no unrecognised part of the arm."""
 
 HAND_SHIFTS = (-0.03, -0.015, 0.0, 0.015, 0.03)
-"""A hand may be so much farther from the camera than it was found [m]: its depth is off by 18 mm on real images."""
+"""A hand may be so much farther from the camera than it was found [m]: its depth is off by 18 mm on real
+images."""
 
 SHIFT_COST = 0.2
 """What such a shift costs, in the same distance of the fingertips."""
@@ -123,7 +125,8 @@ class PoseScorer:
         )
 
     def _contact(self, poses: np.ndarray) -> np.ndarray:
-        """Mean distance of the three nearest fingertips' skin from the surface [m], shape [H], with the hand at
+        """Mean distance of the three nearest fingertips' skin from the surface [m], shape [H], with the hand
+        at
         the distance from the camera at which it is smallest: landmarks say least about that."""
         assert self.joints is not None
         tips = self.joints[list(TIPS)]
@@ -178,9 +181,7 @@ def pose_scorer(
         height = (directions * depth[:, None]) @ table[:3] + table[3]
         opaque = np.where(np.abs(height) < 3 * depth_noise(depth), 1.0, opaque)
     mine = np.stack([np.where(mask[v, u], shown, 0.0) for mask in masks])
-    return PoseScorer(
-        known, directions, depth, spread, shown, skin, background, mine, opaque, joints, step
-    )
+    return PoseScorer(known, directions, depth, spread, shown, skin, background, mine, opaque, joints, step)
 
 
 def color_agreement(

@@ -121,7 +121,7 @@ def polish_poses(
         middles = transform_points(poses, np.broadcast_to(known.middle, (len(poses), 1, 3)))
         # Turned about the object's middle, wherever its frame is.
         arm = poses[:, None, :3] - middles
-        moved = middles + rotate(steps, np.broadcast_to(arm, steps.shape[:2] + (3,))) + shift * moves[..., :3]
+        moved = middles + rotate(steps, np.broadcast_to(arm, (*steps.shape[:2], 3))) + shift * moves[..., :3]
         tried = np.concatenate([moved, turned], axis=-1)
         scores = scorer(tried.reshape(-1, 7), np.repeat(owner, POLISH_TRIES)).quality
         scores = scores.reshape(len(poses), POLISH_TRIES)

@@ -20,7 +20,8 @@ SIDE = 5
 """Length of the even stretch that must follow on both sides [pixels]."""
 
 STEPS = (0.025, 0.35)
-"""Least and largest step that is looked at [m]: smaller ones drown in noise, larger ones are seldom outlines of
+"""Least and largest step that is looked at [m]: smaller ones drown in noise, larger ones are seldom outlines
+of
 what is near."""
 
 FARTHEST = 1.5
@@ -72,7 +73,9 @@ def _step_widths(depth: np.ndarray) -> np.ndarray:
     left, right = depth[:, SIDE : last - SIDE - 2 * REACH], depth[:, SIDE + 2 * REACH : last - SIDE]
     step = np.abs(right - left)
     limit = EVEN * step / (2 * REACH) * SIDE
-    even = (np.abs(left - depth[:, : last - 2 * margin]) < limit) & (np.abs(depth[:, 2 * margin :] - right) < limit)
+    even = (np.abs(left - depth[:, : last - 2 * margin]) < limit) & (
+        np.abs(depth[:, 2 * margin :] - right) < limit
+    )
     even &= (step > STEPS[0]) & (step < STEPS[1]) & (np.maximum(left, right) < FARTHEST)
     slope = np.abs(np.diff(depth, axis=1, append=depth[:, -1:]))
     steepest = slope == ndimage.maximum_filter1d(slope, 2 * REACH - 1, axis=1)

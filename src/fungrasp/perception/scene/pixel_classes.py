@@ -38,14 +38,21 @@ FARTHEST_OUT = 8.0
 """No depth or place speaks more strongly against a class (logarithm): colours may still win by far."""
 
 TONE = 0.12
-"""Standard deviation of a mesh's colours from those of the image: logarithms of red and blue over green. Light and
+"""Standard deviation of a mesh's colours from those of the image: logarithms of red and blue over green.
+Light and
 white balance shift them by some tenths."""
 
 DARKEST = 8.0
 """Added to colours, 0 to 255, before the logarithm is taken: darker ones have no tone."""
 
 SHADED = 0.2
-"""Part of a surface's colours that are brighter or darker than where it was looked at: shadows of the hand."""
+"""Part of a surface's colours that are brighter or darker than where it was looked at: shadows of the
+hand."""
+
+ALIKE = 0.1
+"""Part of the objects that have the colour of the hand that holds them, and of those that have the table's:
+so
+much colours may say against a pixel, and no more."""
 
 SKIN_TONES = 2.0
 """Skin is of one tone, overexposed or not, to so many ``TONE``; what else was sampled is in front of it."""
@@ -65,7 +72,9 @@ NEVER = -16.0
 SMOOTHING = 1.2
 """Neighbouring pixels (standard deviation) show the same thing: they share their evidence [pixels]."""
 
-_CELL_COLORS = (np.stack(np.unravel_index(np.arange(LEVELS**3), (LEVELS,) * 3), axis=-1) + 0.5) * (256.0 / LEVELS)
+_CELL_COLORS = (np.stack(np.unravel_index(np.arange(LEVELS**3), (LEVELS,) * 3), axis=-1) + 0.5) * (
+    256.0 / LEVELS
+)
 """Colour of each cell, shape [LEVELS^3, 3]."""
 
 
@@ -104,7 +113,9 @@ class PixelEvidence:
     """Whether it surely shows the background, bool."""
 
 
-def classify(capture: Capture, evidence: PixelEvidence, mesh_colors: np.ndarray | None = None) -> PixelClasses:
+def classify(
+    capture: Capture, evidence: PixelEvidence, mesh_colors: np.ndarray | None = None
+) -> PixelClasses:
     """Put colours, depth and place together.
 
     Args:
@@ -113,16 +124,16 @@ def classify(capture: Capture, evidence: PixelEvidence, mesh_colors: np.ndarray 
         mesh_colors: RGB of the object's surface, 0 to 1, shape [M, 3], if it has colours.
     """
     color = ndimage.gaussian_filter(capture.color.astype(np.float32), (SMOOTHING / 2, SMOOTHING / 2, 0))
-    cell = np.minimum((color * (LEVELS / 256.0)).astype(np.int64), LEVELS - 1)
-    index = (cell[..., 0] * LEVELS + cell[..., 1]) * LEVELS + cell[..., 2]
-    ground = _table_of_colors(index[evidence.ground], SHADED)[index]
+    index = color_cells(color)
+    ground = table_of_colors(index[evidence.ground], SHADED)[index]
     palm = index[evidence.palm]
-    skin = _table_of_colors(_alike(palm) if len(palm) else palm, SHADED)[index]
-    thing = np.full(index.shape, 1.0 / LEVELS**3)
+    skin = table_of_colors(_alike(palm) if len(palm) else palm, SHADED)[index]
+    # Of any colour, the hand's and the table's among them.
+    thing = (1.0 - 2 * ALIKE) / LEVELS**3 + ALIKE * (skin + ground)
     if mesh_colors is not None:
         thing = 0.5 * thing + 0.5 * _mesh_likelihood(color, mesh_colors) / LEVELS**3
     if evidence.samples.sum() >= LEAST_SAMPLES:
-        thing = 0.5 * thing + 0.5 * _table_of_colors(index[evidence.samples])[index]
+        thing = 0.5 * thing + 0.5 * table_of_colors(index[evidence.samples])[index]
     known_height = np.isfinite(evidence.height)
     offset = np.where(known_height, evidence.height, 0.0) / evidence.spread
     on_table = np.maximum(-0.5 * np.square(offset), -FARTHEST_OUT)
@@ -133,7 +144,7 @@ def classify(capture: Capture, evidence: PixelEvidence, mesh_colors: np.ndarray 
     inside = (SKIN_EDGE[0] - evidence.skin_distance) / SKIN_EDGE[1]
     on_hand = np.maximum(-np.logaddexp(0.0, -inside), -FARTHEST_OUT)
     not_hand = np.maximum(-np.logaddexp(0.0, inside), -2.0)
-    result = PixelClasses(thing, thing, thing)
+    result, anything = PixelClasses(thing, thing, thing), thing
     for _ in range(ROUNDS):
         logits = np.stack(
             [
@@ -149,11 +160,18 @@ def classify(capture: Capture, evidence: PixelEvidence, mesh_colors: np.ndarray 
         sure = ((result.thing > 0.8) & (evidence.prior > NEVER)) | evidence.samples
         if sure.sum() < LEAST_SAMPLES:
             break
-        thing = 0.5 * thing + 0.5 * _table_of_colors(index[sure])[index]
+        thing = 0.5 * anything + 0.5 * table_of_colors(index[sure])[index]
     return result
 
 
-def _table_of_colors(samples: np.ndarray, brightness: float = 0.0) -> np.ndarray:
+def color_cells(color: np.ndarray) -> np.ndarray:
+    """Cell of each colour in a table of colours. color: RGB, 0 to 255, shape [..., 3]. Returns shape
+    [...]."""
+    cell = np.minimum((color * (LEVELS / 256.0)).astype(np.int64), LEVELS - 1)
+    return (cell[..., 0] * LEVELS + cell[..., 1]) * LEVELS + cell[..., 2]
+
+
+def table_of_colors(samples: np.ndarray, brightness: float = 0.0) -> np.ndarray:
     """How likely each colour is, shape [LEVELS^3], from cells of pixels; all alike without samples.
 
     brightness: part of the colours that have the tone of the samples in any brightness.
@@ -205,7 +223,8 @@ _TONE_OF_CELL, _CELLS_OF_TONE = _tone_bins()
 
 
 def hand_in_image(capture: Capture, joints: np.ndarray, radii: np.ndarray, lines: np.ndarray) -> np.ndarray:
-    """Distance of every pixel from the outline of a hand in the image, negative inside [m at the hand's depth],
+    """Distance of every pixel from the outline of a hand in the image, negative inside [m at the hand's
+    depth],
     shape [H, W].
 
     Args:
@@ -229,7 +248,8 @@ def hand_in_image(capture: Capture, joints: np.ndarray, radii: np.ndarray, lines
 
 
 def palm_pixels(capture: Capture, joints: np.ndarray, outline: np.ndarray) -> np.ndarray:
-    """Pixels that surely show the hand, bool, shape [H, W]: near its bones in the image, and at the depth that
+    """Pixels that surely show the hand, bool, shape [H, W]: near its bones in the image, and at the depth
+    that
     most of those have, so that what is in front of the hand does not count.
 
     Args:

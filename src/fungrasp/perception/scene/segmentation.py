@@ -17,6 +17,7 @@ from fungrasp.grasps.hand_thickness import FINGER_RADII, LINK_RADII, PALM_RADIUS
 from fungrasp.grasps.human_hand import BONES
 from fungrasp.perception.io.capture import Capture
 from fungrasp.perception.scene.depth_edges import depth_spread, edge_width
+from fungrasp.perception.scene.object_hints import pointed_pieces, told_odds
 from fungrasp.perception.scene.pixel_classes import (
     NEVER,
     PixelClasses,
@@ -52,19 +53,6 @@ NEAR_HAND = 0.06
 
 FARTHEST = 3.0
 """Nobody holds an object farther away [m]."""
-
-MASK_TRUST = 2.5
-"""Masks are wrong by so many pixels (standard error); by 6 at most, beyond twice of which nothing is believed."""
-
-MASK_SURE = 4.0
-"""Logarithm of the odds of what is deep in a mask, or clicked at: colours that say otherwise may still win, as
-masks have holes and click go beside."""
-
-MASK_REACH = 12.0
-"""Pixels farther outside a mask are not looked at."""
-
-CLICK = 3.0
-"""Pixels so near to the one that was clicked at show the same."""
 
 GROUND_MARGIN = 60
 """The table's colours are learned within so many pixels of where the object may be."""
@@ -174,60 +162,17 @@ def segment(
     if capture.mask is not None:
         masks = [seen, capture.mask & measured]
     elif capture.point is not None:
-        masks = _pointed(_pieces(seen, capture.depth), capture.point)
+        masks = pointed_pieces(_pieces(seen, capture.depth), capture.point)
     else:
         masks = _groups(_pieces(seen, capture.depth), hand, joints is not None and not told)
     if capture.mask is None:
         for margin in MARGINS if joints is not None else (0.0,):
             pieces = _pieces(candidate & (clear > margin), capture.depth)
             if capture.point is not None:
-                masks.extend(_pointed(pieces, capture.point))
+                masks.extend(pointed_pieces(pieces, capture.point))
             else:
                 masks.extend(_groups(pieces, hand, joints is not None))
     return Segmentation(_different(masks), classes.thing * near, classes, spread, width)
-
-
-def told_odds(capture: Capture, size: float) -> tuple[np.ndarray, np.ndarray]:
-    """What mask, box or point say about each pixel. size: longest distance within the object [m].
-
-    Returns:
-        logarithm of the odds that it shows the object, ``NEVER`` outside a box, shape [H, W]; which pixels
-        surely show it, shape [H, W] bool.
-    """
-    prior, samples = np.zeros(capture.depth.shape), np.zeros(capture.depth.shape, dtype=bool)
-    if capture.mask is not None:
-        inside, outside = (
-            np.asarray(ndimage.distance_transform_edt(part)) for part in (capture.mask, ~capture.mask)
-        )
-        prior = np.clip((inside - outside) / MASK_TRUST, NEVER, MASK_SURE)
-        prior = np.where(outside > MASK_REACH, NEVER, prior)
-        samples = inside >= min(MASK_REACH / 2, 0.5 * float(inside.max()))
-    elif capture.box is not None:
-        prior = np.where(_inside(capture.box, prior.shape), 0.0, NEVER)
-    if capture.point is not None:
-        v, u = np.mgrid[: prior.shape[0], : prior.shape[1]]
-        away = np.hypot(u - capture.point[0], v - capture.point[1])
-        samples = away <= CLICK
-        depths = capture.depth[(away <= 3 * CLICK) & capture.measured]
-        depth = float(np.median(depths if len(depths) else capture.depth[capture.measured]))
-        prior = np.where(samples, MASK_SURE, prior)
-        prior = np.where(away < size * capture.intrinsics.fx / depth, prior, NEVER)
-    return prior, samples
-
-
-def _pointed(pieces: list[np.ndarray], point: tuple[float, float]) -> list[np.ndarray]:
-    """The piece in which the point is, or the nearest one; and that with the others next to it."""
-    if not pieces:
-        return []
-    away = []
-    for piece in pieces:
-        rows, columns = np.nonzero(piece)
-        away.append(float(np.hypot(columns - point[0], rows - point[1]).min()))
-    order = np.argsort(away)
-    first = pieces[order[0]]
-    extent = 0.5 * np.sqrt(float(first.sum()))
-    together = [pieces[i] for i in order if away[i] < away[order[0]] + extent]
-    return [first, np.logical_or.reduce(together)] if len(together) > 1 else [first]
 
 
 def _classes(
@@ -250,9 +195,10 @@ def _classes(
         outline = hand_in_image(capture, joints, CAPSULE_RADII, lines)
         palm = palm_pixels(capture, joints, outline) & ~samples
     # A box or mask is drawn round the object: the table begins right beside it.
-    around = np.asarray(ndimage.binary_dilation(near, iterations=GROUND_MARGIN))
-    flat = np.abs(height) < plane_tolerance(capture.depth) if np.isfinite(height).any() else capture.measured
-    clear = flat & capture.measured & ~near & (outline > 0.02)
+    around: Any = ndimage.maximum_filter(near, 2 * GROUND_MARGIN + 1)
+    clear = capture.measured & ~near & (outline > 0.02)
+    if np.isfinite(height).any():
+        clear &= np.abs(height) < plane_tolerance(capture.depth)
     ground = clear & around
     if ground.sum() < LEAST_GROUND:
         ground = clear
@@ -297,8 +243,3 @@ def _different(masks: list[np.ndarray]) -> tuple[np.ndarray, ...]:
         if all(overlap < 0.92 for overlap in overlaps):
             kept.append(mask)
     return tuple(kept[:6])
-
-
-def _inside(box: tuple[float, float, float, float], shape: tuple[int, ...]) -> np.ndarray:
-    rows, columns = np.ogrid[: shape[0], : shape[1]]
-    return (columns >= box[0]) & (columns <= box[2]) & (rows >= box[1]) & (rows <= box[3])
