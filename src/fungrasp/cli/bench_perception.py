@@ -26,9 +26,13 @@ class BenchPerception:
     """Measure perception on rendered captures of human grasps: hand, object with and without its mask, all
     together, and against the targets.
 
-    Rendered hands and objects say little about photographs.
+    Rendered hands and objects say little about photographs. With --real, captures of a real camera are
+    measured instead, and the other options but --json say nothing.
     """
 
+    real: Path | None = None
+    """Folder of real captures whose truth is known, one folder each: rgb.png, depth.png, K.json, mask.png,
+    truth.json; docs/perception.md says what is in them."""
     grasps: str = "builtin"
     """A file of human grasps, or "builtin"."""
     objects: Path | None = None
@@ -72,6 +76,11 @@ class BenchPerception:
         from fungrasp.grasps import load_objects
         from fungrasp.provenance import machine
 
+        if self.real is not None:
+            from fungrasp.cli.bench_recorded import bench_recorded
+
+            bench_recorded(self.real, self.json)
+            return
         human = self._grasps()
         if self.chain:
             self._check_policies()

@@ -8,10 +8,18 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from fungrasp.perception import Capture
-    from fungrasp.perception.io.capture import Box
+    from fungrasp.perception.io.capture import Box, Pixel
 
 BUILTIN = "builtin"
 """Stands for the image that comes with the package."""
+
+
+@dataclass(frozen=True)
+class _Hints:
+    """Where in the image the object is, as far as that was said."""
+
+    box: Box | None = None
+    point: Pixel | None = None
 
 
 @dataclass(frozen=True)
@@ -42,6 +50,8 @@ class ImageSource:
     """Image that is not 0 where the object is."""
     box: str | None = None
     """Box around the object, x0,y0,x1,y1 [pixels]."""
+    point: str | None = None
+    """A pixel that shows the object, u,v: column and row, as if it were clicked at."""
 
     @property
     def name(self) -> str:
@@ -51,20 +61,23 @@ class ImageSource:
         return "the camera's" if self.camera else str(self.folder or self.recording or self.rgb)
 
     def read(self) -> Capture:
-        """The capture, with mask or box if one is given.
+        """The capture, with mask, box or point if one is given.
 
         Raises:
             FungraspError: it is not said, or said twice, where the image comes from; or it can't be read.
         """
-        from fungrasp.perception.io.image_files import parse_box
+        from fungrasp.perception.io.image_files import parse_box, parse_point
 
         self._check()
-        box = None if self.box is None else parse_box(self.box)
+        hints = _Hints(
+            None if self.box is None else parse_box(self.box),
+            None if self.point is None else parse_point(self.point),
+        )
         if self.folder is not None:
-            return self._of_folder(self.folder, box)
+            return self._of_folder(self.folder, hints)
         if self.camera or self.recording is not None:
-            return self._of_camera(box)
-        return self._of_files(self.rgb, self.depth, self.intrinsics, self.mask, box)
+            return self._of_camera(hints)
+        return self._of_files(self.rgb, self.depth, self.intrinsics, self.mask, hints)
 
     def _check(self) -> None:
         from fungrasp.errors import FungraspError
@@ -87,17 +100,17 @@ class ImageSource:
         if not live and self.keep is not None:
             raise FungraspError("--keep needs --camera or --recording")
 
-    def _of_folder(self, folder: Path, box: Box | None) -> Capture:
+    def _of_folder(self, folder: Path, hints: _Hints) -> Capture:
         from fungrasp.perception.io.scene_folders import own_files, read_folder
         from fungrasp.report.demo_capture import FOLDER
 
         own = own_files(FOLDER if _is_builtin(folder) else folder)
         if own is None:
-            return self._marked(read_folder(folder, self.image), box)
+            return self._marked(read_folder(folder, self.image), hints)
         rgb, depth, intrinsics, mask = own
-        return self._of_files(rgb, depth, intrinsics, self.mask or mask, box)
+        return self._of_files(rgb, depth, intrinsics, self.mask or mask, hints)
 
-    def _of_camera(self, box: Box | None) -> Capture:
+    def _of_camera(self, hints: _Hints) -> Capture:
         from fungrasp.perception.io.realsense import capture_from_camera
         from fungrasp.perception.io.scene_folders import read_folder, write_folder
 
@@ -106,23 +119,32 @@ class ImageSource:
             write_folder(capture, self.keep)
             # As it will be read again, so that the same comes out then.
             capture = read_folder(self.keep)
-        return self._marked(capture, box)
+        return self._marked(capture, hints)
 
     def _of_files(
-        self, rgb: Path | None, depth: Path | None, lens: Path | None, mask: Path | None, box: Box | None
+        self, rgb: Path | None, depth: Path | None, lens: Path | None, mask: Path | None, hints: _Hints
     ) -> Capture:
         from fungrasp.perception.io.image_files import read_capture
 
         assert rgb is not None and depth is not None and lens is not None
         return read_capture(
-            rgb, depth, lens, depth_unit=self.depth_unit, mask=mask, box=box, image=self.image
+            rgb,
+            depth,
+            lens,
+            depth_unit=self.depth_unit,
+            mask=mask,
+            box=hints.box,
+            point=hints.point,
+            image=self.image,
         )
 
-    def _marked(self, capture: Capture, box: Box | None) -> Capture:
+    def _marked(self, capture: Capture, hints: _Hints) -> Capture:
         from fungrasp.perception.io.image_files import read_mask
 
         mask = None if self.mask is None else read_mask(self.mask, capture.depth.shape)
-        return capture if mask is None and box is None else capture.with_object(mask, box)
+        if mask is None and hints == _Hints():
+            return capture
+        return capture.with_object(mask, hints.box, hints.point)
 
 
 def _is_builtin(folder: Path | None) -> bool:

@@ -83,8 +83,8 @@ def perception_figures(results: Sequence[CaptureResult]) -> dict[str, Any]:
         {
             "captures": len(results),
             "hand": {
-                "found": _rate([result.hand.found for result in results]),
-                "right_side": _rate([hand.right_side for hand in hands]),
+                "found": rate_of([result.hand.found for result in results]),
+                "right_side": rate_of([hand.right_side for hand in hands]),
                 **{name: _spread([getattr(hand, name) for hand in hands]) for name in names},
                 "sure": {
                     "count": len(sure),
@@ -93,10 +93,10 @@ def perception_figures(results: Sequence[CaptureResult]) -> dict[str, Any]:
             },
             "object_masked": _pose_figures(masked),
             "object_unmasked": _pose_figures(unmasked),
-            "wrong_mesh": {"accepted": _rate([answer.accepted for answer in wrong])},
-            "no_hand": {"sure": _rate([part.hand_score >= ACCEPTED_HAND for part in absent])},
-            "no_object": {"accepted": _rate([answer.accepted for answer in nowhere])},
-            "accepted": {"right": _rate(accepted)},
+            "wrong_mesh": {"accepted": rate_of([answer.accepted for answer in wrong])},
+            "no_hand": {"sure": rate_of([part.hand_score >= ACCEPTED_HAND for part in absent])},
+            "no_object": {"accepted": rate_of([answer.accepted for answer in nowhere])},
+            "accepted": {"right": rate_of(accepted)},
             "seconds": {
                 stage: {
                     **(_spread([result.seconds[stage].wall for result in results]) or {}),
@@ -110,16 +110,16 @@ def perception_figures(results: Sequence[CaptureResult]) -> dict[str, Any]:
 
 def _pose_figures(answers: Sequence[PoseResult]) -> dict[str, Any]:
     return {
-        "right": _rate([answer.right for answer in answers]),
+        "right": rate_of([answer.right for answer in answers]),
         "add_s_mm": _spread([answer.add_s_mm for answer in answers]),
         "rotation_deg": _spread([answer.rotation_deg for answer in answers]),
-        "accepted": _rate([answer.accepted for answer in answers]),
-        "accepted_and_right": _rate([answer.right for answer in answers if answer.accepted]),
+        "accepted": rate_of([answer.accepted for answer in answers]),
+        "accepted_and_right": rate_of([answer.right for answer in answers if answer.accepted]),
     }
 
 
-def _rate(flags: Sequence[bool]) -> dict[str, Any] | None:
-    """None where there is nothing to count."""
+def rate_of(flags: Sequence[bool]) -> dict[str, Any] | None:
+    """Share of the flags that are set, its count and interval; None where there is nothing to count."""
     if not flags:
         return None
     count = sum(flags)
@@ -205,10 +205,10 @@ def chain_figures(
     rate = float(true.mean())
     return finite(
         {
-            "true": _rate(true.tolist()),
-            "perceived": _rate(success.tolist()),
-            "perceived_where_sure": _rate(success[sure].tolist()),
-            "true_where_sure": _rate(true[sure].tolist()),
+            "true": rate_of(true.tolist()),
+            "perceived": rate_of(success.tolist()),
+            "perceived_where_sure": rate_of(success[sure].tolist()),
+            "true_where_sure": rate_of(true[sure].tolist()),
             "share": float(success.mean()) / rate if rate else None,
             "successes": {"true": true, "perceived": success},
         }

@@ -93,7 +93,7 @@ def perceive(
     """The grasp in an image.
 
     Args:
-        capture: color and depth; its mask or box says where the object is.
+        capture: color and depth; its mask, box or point says where the object is.
         model: the object.
         colored: the same mesh with its colors, which tell apart the sides of a nearly symmetric object.
         side: which hand it is, if known.
@@ -193,9 +193,12 @@ def _hands(
 
 
 def _object_box(capture: Capture, model: ObjectModel, thing: ObjectEstimate | None) -> Box | None:
-    """The box given, or that of the mask, or of the object where it is said to be [pixels]."""
+    """The box given, or that of the mask or point, or of the object where it is said to be [pixels]."""
     if capture.box is not None:
         return capture.box
+    if capture.point is not None:
+        u, v = capture.point
+        return u - 1.0, v - 1.0, u + 1.0, v + 1.0
     if capture.mask is not None:
         rows, columns = np.nonzero(capture.mask)
         return float(columns.min()), float(rows.min()), float(columns.max()), float(rows.max())

@@ -32,6 +32,14 @@ MESSAGES: Mapping[str, str] = {
     "not_comparable": "it can't be compared with the depth: {problem}",
     "not_searched": "{problem}",
     "poorly_explained": "the mesh explains {percent:.0f} % of {what}; wrong mesh?",
+    "mask_loose": (
+        "the mask is loose: {percent:.0f} % of it look like hand or background; draw it tighter, or give a "
+        "box or a point instead"
+    ),
+    "depth_smoothed": (
+        "the depth was smoothed: its outlines are {pixels:.0f} pixels wide; turn off the camera's spatial "
+        "and hole-filling filters"
+    ),
     "contradicted": "the mesh would hide things that were seen behind it",
     "far_from_fingertips": "the fingertips are {distance_mm:.0f} mm from the object's surface",
     "rival_pose": "another pose fits as well",

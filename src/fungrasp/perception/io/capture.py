@@ -20,6 +20,9 @@ DEPTH_LIMIT = 20.0
 Box = tuple[float, float, float, float]
 """``x0, y0, x1, y1`` [pixels]: left, top, right and bottom edge."""
 
+Pixel = tuple[float, float]
+"""``u, v`` [pixels]: column and row."""
+
 
 def depth_noise(depth: np.ndarray) -> np.ndarray:
     """Standard deviation of a depth camera's error [m]. depth: [m]."""
@@ -106,6 +109,8 @@ class Capture:
     """Which pixels show the object, bool, shape [H, W]; None if not given."""
     box: Box | None = None
     """Box around the object in the image [pixels]; None if not given."""
+    point: Pixel | None = None
+    """A pixel that shows the object; None if not given."""
 
     def __post_init__(self) -> None:
         height, width = self.intrinsics.height, self.intrinsics.width
@@ -117,6 +122,8 @@ class Capture:
                 raise FungraspError("the object's mask is empty: no pixel is marked")
         if self.box is not None:
             _check_box(self.box, width, height)
+        if self.point is not None:
+            _check_point(self.point, width, height)
         _check_range(self.depth)
 
     @property
@@ -129,9 +136,11 @@ class Capture:
         depth = np.where(self.measured, self.depth, np.nan)
         return self.intrinsics.rays() * depth[..., None]
 
-    def with_object(self, mask: np.ndarray | None = None, box: Box | None = None) -> Capture:
-        """The same capture with the object's mask or box (see the fields), checked."""
-        return dataclasses.replace(self, mask=mask, box=box)
+    def with_object(
+        self, mask: np.ndarray | None = None, box: Box | None = None, point: Pixel | None = None
+    ) -> Capture:
+        """The same capture with the object's mask, box or point (see the fields), checked."""
+        return dataclasses.replace(self, mask=mask, box=box, point=point)
 
 
 def _check_array(name: str, array: np.ndarray, dtype: type, shape: tuple[int, ...]) -> None:
@@ -150,6 +159,12 @@ def _check_box(box: Box, width: int, height: int) -> None:
         raise FungraspError(f"the object's box must be x0,y0,x1,y1 with x0 < x1 and y0 < y1, not {box}")
     if x1 <= 0 or y1 <= 0 or x0 >= width or y0 >= height:
         raise FungraspError(f"the object's box {box} lies outside the image of {width} x {height} pixels")
+
+
+def _check_point(point: Pixel, width: int, height: int) -> None:
+    u, v = point
+    if not (0 <= u <= width - 1 and 0 <= v <= height - 1):
+        raise FungraspError(f"the object's point {point} lies outside the image of {width} x {height} pixels")
 
 
 def _check_range(depth: np.ndarray) -> None:

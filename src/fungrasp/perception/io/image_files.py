@@ -13,7 +13,7 @@ from fungrasp.errors import FungraspError
 from fungrasp.formats.guarded import guarded
 from fungrasp.formats.image_file import read_image
 from fungrasp.formats.numpy_files import read_npy
-from fungrasp.perception.io.capture import Box, Capture, Intrinsics
+from fungrasp.perception.io.capture import Box, Capture, Intrinsics, Pixel
 from fungrasp.perception.io.capture_checks import check_alignment, check_depth_range, looks_bgr
 from fungrasp.perception.io.intrinsics_files import read_intrinsics
 
@@ -32,6 +32,7 @@ def read_capture(
     depth_unit: float | None = None,
     mask: str | Path | None = None,
     box: Box | None = None,
+    point: Pixel | None = None,
     image: int | None = None,
 ) -> Capture:
     """Read a colour image, the depth aligned to it and the camera's intrinsics.
@@ -44,6 +45,7 @@ def read_capture(
         depth_unit: metres per unit of the depth image; None takes what the intrinsics file says.
         mask: image that is not 0 where the object is.
         box: round the object [pixels].
+        point: a pixel that shows the object.
         image: number of the image, for intrinsics of many images.
 
     Returns:
@@ -71,7 +73,7 @@ def read_capture(
             f"image {size[0]} x {size[1]}: align the depth to the colour first"
         )
     marked = None if mask is None else read_mask(mask, picture.shape[:2])
-    capture = _not_too_large(Capture(picture, distance, lens, marked, box))
+    capture = _not_too_large(Capture(picture, distance, lens, marked, box, point))
     shift = check_alignment(capture)
     if shift is not None:
         _log.warning(
@@ -173,6 +175,19 @@ def parse_box(text: str) -> Box:
     return x0, y0, x1, y1
 
 
+def parse_point(text: str) -> Pixel:
+    """The pixel written as ``u,v``: column and row.
+
+    Raises:
+        FungraspError: it is something else.
+    """
+    try:
+        u, v = (float(part) for part in text.split(","))
+    except ValueError as error:
+        raise FungraspError(f"a point is u,v (column and row) in pixels, not '{text}'") from error
+    return u, v
+
+
 def _depth_pixels(path: Path) -> np.ndarray:
     image = read_image(path, "depth image")
     if image.mode != "F" and image.mode not in _DEPTH_MODES:
@@ -200,4 +215,11 @@ def _not_too_large(capture: Capture) -> Capture:
         cropped.resized(*size),
         None if capture.mask is None else capture.mask[middle],
         None if box is None else tuple(edge / stride for edge in box),
+        None if capture.point is None else _within(capture.point, stride, size),
     )
+
+
+def _within(point: Pixel, stride: int, size: tuple[int, int]) -> Pixel:
+    """The pixel in the image that is smaller by ``stride``, of that width and height."""
+    u, v = point
+    return min(u / stride, size[0] - 1.0), min(v / stride, size[1] - 1.0)

@@ -25,10 +25,12 @@ from fungrasp.perception.object_pose.search import (
     PoseHypotheses,
     PoseSearchSettings,
     best_poses,
+    polish_poses,
     refine_poses,
     search_poses,
     with_symmetries,
 )
+from fungrasp.perception.scene.depth_edges import SHARP
 from fungrasp.perception.scene.segmentation import TIPS
 from fungrasp.perception.scene.table import largest_plane
 from fungrasp.perception.warning import PerceptionWarning
@@ -41,6 +43,9 @@ GOOD = (0.85, 0.6)
 
 COLOR_WEIGHT = 0.15
 """Quality that full agreement of colors adds, as a part of the best pose's."""
+
+POLISHED = 6
+"""Poses that are polished where depth is smoothed."""
 
 ANSWERS = 5
 """Most alternatives that are kept."""
@@ -60,6 +65,10 @@ class PoseAnswers:
     """Whether the object's mask was given."""
     residual_m: float
     """Median distance of the object's measured points from the mesh in the first pose [m]."""
+    edge_width: float = 0.0
+    """How many pixels outlines are wide in the depth image."""
+    foreign: float = 0.0
+    """Part of the given mask's pixels that look like hand or background."""
     problem: PerceptionWarning | None = None
     """Why nothing was searched for; the pose is then a guess of the place only."""
 
@@ -130,6 +139,8 @@ def search_object_pose(
         rivals(known, poses, scores.quality),
         capture.mask is not None,
         known.surface.median_distance(points, poses[0]),
+        view.seen.edge_width,
+        view.foreign,
     )
 
 
@@ -142,7 +153,13 @@ def best_estimate(answers: PoseAnswers) -> ObjectEstimate:
     score = float(scores[0])
     warnings: tuple[PerceptionWarning, ...] = ()
     if score < ACCEPT:
-        warnings = score_warnings(answers.scores, float(answers.rival[0]), answers.masked)
+        warnings = score_warnings(
+            answers.scores,
+            float(answers.rival[0]),
+            answers.masked,
+            edge_width=answers.edge_width,
+            foreign=answers.foreign,
+        )
     others = tuple(
         (pose, float(min(value, score))) for pose, value in zip(poses[1:], scores[1:], strict=True)
     )
@@ -168,7 +185,7 @@ def _answers(
         allowed = view.support > 0.25
         masks = [explained_mask(known, view.capture, pose, allowed) for pose in found.poses[:3]]
         sharper = [
-            object_evidence(view.capture, mask, view.table, rng)
+            object_evidence(view.capture, mask, view.seen, view.table, rng)
             for mask in masks
             if mask.sum() > LEAST_PIXELS
         ]
@@ -185,6 +202,12 @@ def _answers(
             known, evidence, with_symmetries(best_poses(found, known, many, 2), known), settings.rounds[3]
         )
         found = refine_poses(known, evidence, best_poses(found, known, many, 24), settings.rounds[4])
+    if view.seen.edge_width > SHARP:
+        best = best_poses(found, known, many, POLISHED)
+        best = polish_poses(best, known, few, rng)
+        found = PoseHypotheses(
+            np.concatenate([found.poses, best.poses]), np.concatenate([found.owner, best.owner])
+        )
     found = best_poses(found, known, many, 24)
     color = color_agreement(known, view.capture, found.poses, view.support > 0.25)
     return found, many(found.poses, found.owner), color
@@ -199,5 +222,5 @@ def _nothing(capture: Capture, joints: np.ndarray | None, why: PerceptionWarning
         points = capture.points()[shown if shown.any() else capture.measured]
         middle = np.median(points, axis=0)
     pose = np.concatenate([middle, [1.0, 0.0, 0.0, 0.0]])
-    none = PoseScores(*np.zeros((6, 1)))
-    return PoseAnswers(pose[None], none, np.zeros(1), capture.mask is not None, float("nan"), why)
+    none = PoseScores(*np.zeros((7, 1)))
+    return PoseAnswers(pose[None], none, np.zeros(1), capture.mask is not None, float("nan"), problem=why)

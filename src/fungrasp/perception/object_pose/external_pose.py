@@ -92,7 +92,7 @@ def _scored(
     evidence = list(view.evidence)
     mask = explained_mask(known, view.capture, pose, view.support > ALLOWED)
     if mask.sum() > LEAST_PIXELS:
-        evidence.append(object_evidence(view.capture, mask, view.table, rng))
+        evidence.append(object_evidence(view.capture, mask, view.seen, view.table, rng))
     found = PoseHypotheses(np.repeat(pose[None], len(evidence), axis=0), np.arange(len(evidence)))
     for step in rounds[3:]:
         found = refine_poses(known, evidence, found, step)

@@ -26,19 +26,24 @@ from fungrasp.perception.io.capture import Intrinsics
 BEHIND = 0.01
 """A pixel shows something behind the object if it is deeper by this [m] than the object's nearest pixel."""
 
+NOWHERE = 0.2
+"""Pixels whose colour is the background's forbid the object so far behind what is seen of it [m]."""
+
 
 @dataclass(frozen=True, eq=False)
 class FreeSpace:
     """What the depth image and the table forbid to the object. ``free_space`` makes it."""
 
     intrinsics: Intrinsics
-    """Intrinsics of ``depth``."""
+    """Intrinsics of the whole image."""
     depth: np.ndarray
     """Depth behind which a surface may be [m], shape [H, W]; 0: anywhere."""
     refuge: np.ndarray
     """Nearest pixel (row, column) that does not show something behind the object, shape [2, H, W]."""
     table: np.ndarray | None
     """Plane ``[nx ny nz d]`` with ``n . x + d`` the height above it [m], camera frame, shape [4]."""
+    corner: tuple[int, int] = (0, 0)
+    """Column and row of the whole image at which ``depth``, a part of it, begins."""
 
     def intrusion(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """How far points would have to move to be allowed, and where to.
@@ -52,9 +57,10 @@ class FreeSpace:
         k = self.intrinsics
         z = np.maximum(points[..., 2], 1e-3)
         x, y = points[..., 0] / z, points[..., 1] / z
-        u, v = k.fx * x + k.cx, k.fy * y + k.cy
+        u, v = k.fx * x + k.cx - self.corner[0], k.fy * y + k.cy - self.corner[1]
+        height, width = self.depth.shape
         column, row = np.rint(u).astype(np.int64), np.rint(v).astype(np.int64)
-        seen = (column >= 0) & (column < k.width) & (row >= 0) & (row < k.height)
+        seen = (column >= 0) & (column < width) & (row >= 0) & (row < height)
         column, row = np.where(seen, column, 0), np.where(seen, row, 0)
         short = np.where(seen, self.depth[row, column] - z, 0.0)
         away_v = row - self.refuge[0, row, column]
@@ -98,6 +104,8 @@ class ObjectEvidence:
     """Points measured on the object, in random order [m], shape [P, 3]."""
     free: FreeSpace
     """Space that is known to be free of the object."""
+    spread: np.ndarray | None = None
+    """Standard deviation of each point's depth, in that of the sensor's noise, shape [P]; None: 1."""
 
 
 @dataclass(frozen=True)
@@ -135,6 +143,9 @@ def fit_poses(
         poses, shape [H, 7]; the sum before the last step [m^2], shape [H].
     """
     points = evidence.points[: settings.points]
+    # Points near smoothed steps in depth count less and reach farther.
+    wide = np.ones(len(points)) if evidence.spread is None else evidence.spread[: settings.points]
+    weight = wide**-1.0 / np.mean(wide**-1.0)
     samples = surface.samples[: settings.samples]
     cost = np.zeros(len(poses))
     for _ in range(settings.iterations):
@@ -144,10 +155,10 @@ def fit_poses(
         distance, slope = surface.distance.query(grid, (points - position) @ rotation)
         normal = slope @ rotation.swapaxes(-1, -2)
         arm = points - position
-        pulls = _terms(-normal, arm, distance, settings.scale)
+        pulls = _terms(-normal, arm, distance, settings.scale * np.sqrt(wide), weight)
         turned = samples @ rotation.swapaxes(-1, -2)
         depth, away = evidence.free.intrusion(turned + position)
-        pushes = _terms(away, turned, depth, settings.free_scale)
+        pushes = _terms(away, turned, depth, settings.free_scale, 1.0)
         portion = settings.free_weight / len(samples)
         matrix = pulls[0] / len(points) + portion * pushes[0]
         vector = pulls[1] / len(points) + portion * pushes[1]
@@ -159,7 +170,11 @@ def fit_poses(
 
 
 def _terms(
-    gradient: np.ndarray, arm: np.ndarray, residual: np.ndarray, scale: float
+    gradient: np.ndarray,
+    arm: np.ndarray,
+    residual: np.ndarray,
+    scale: float | np.ndarray,
+    weight: float | np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Normal equations for a turn about the object's origin and a shift.
 
@@ -167,17 +182,18 @@ def _terms(
         gradient: of the residual by the point's position on the object, shape [H, P, 3].
         arm: the point less the object's origin, shape [H, P, 3].
         residual: [m], shape [H, P].
-        scale: of the robust weight [m].
+        scale: of the robust weight [m], one or shape [P].
+        weight: of the residuals, one or shape [P].
 
     Returns:
         matrix, shape [H, 6, 6]; vector, shape [H, 6]; sum of robust costs [m^2], shape [H].
     """
     jacobian = np.concatenate([cross(arm, gradient), gradient], axis=-1)
     squared = (residual / scale) ** 2
-    weighted = jacobian / ((1.0 + squared) ** 2)[..., None]
+    weighted = jacobian * (weight / (1.0 + squared) ** 2)[..., None]
     matrix = weighted.swapaxes(-1, -2) @ jacobian
     vector = (weighted.swapaxes(-1, -2) @ residual[..., None])[..., 0]
-    return matrix, vector, scale**2 * (squared / (1.0 + squared)).sum(axis=-1)
+    return matrix, vector, (weight * scale**2 * squared / (1.0 + squared)).sum(axis=-1)
 
 
 def _moved(poses: np.ndarray, step: np.ndarray) -> np.ndarray:
@@ -196,6 +212,10 @@ def free_space(
     shown: np.ndarray,
     table: np.ndarray | None = None,
     tolerance: float = 0.006,
+    *,
+    uncertain: np.ndarray | None = None,
+    background: np.ndarray | None = None,
+    corner: tuple[int, int] = (0, 0),
 ) -> FreeSpace:
     """What a depth image forbids to an object.
 
@@ -205,12 +225,20 @@ def free_space(
         shown: which pixels show the object, bool, shape [H, W].
         table: its plane, see ``FreeSpace``.
         tolerance: how far a surface may be in front of the measurement, or below the table [m].
+        uncertain: by how much more at each pixel, where the depth is smoothed [m], shape [H, W].
+        background: pixels that show no object whatever their depth is, bool, shape [H, W].
+        corner: column and row of the whole image at which a part of it begins; all arrays are of that part.
     """
     measured = depth > 0
     seen = shown & measured
     transformed: Any = ndimage.distance_transform_edt(~seen, return_distances=False, return_indices=True)
     level = depth[tuple(transformed)]
     open_space = measured & ~shown & (depth > level + BEHIND)
+    allowed = np.where(measured, depth - tolerance - (0.0 if uncertain is None else uncertain), 0.0)
+    if background is not None:
+        open_space |= background & ~shown
+        # Nothing is there but far behind: the way out is sideways.
+        allowed = np.where(background & ~shown, np.maximum(allowed, level + NOWHERE), allowed)
     refuge: Any = ndimage.distance_transform_edt(open_space, return_distances=False, return_indices=True)
     lowered = None if table is None else np.append(table[:3], table[3] + tolerance)
-    return FreeSpace(intrinsics, np.where(measured, depth - tolerance, 0.0), refuge, lowered)
+    return FreeSpace(intrinsics, allowed, refuge, lowered, corner)

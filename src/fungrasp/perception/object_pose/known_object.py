@@ -44,6 +44,8 @@ class KnownObject:
     """The mesh for casting rays, for the score."""
     size: float
     """Diagonal of the box round the mesh, sides along its axes [m]."""
+    middle: np.ndarray
+    """Middle of that box, object frame [m], shape [3]."""
     symmetries: np.ndarray
     """Poses, not the identity, that map the surface nearly onto itself, shape [S, 7]."""
     colors: np.ndarray | None
@@ -85,6 +87,7 @@ def _known(model: ObjectModel) -> KnownObject:
         normals,
         MeshRays(model.vertices, model.faces),
         float(np.linalg.norm(model.size)),
+        0.5 * (model.vertices.min(axis=0) + model.vertices.max(axis=0)),
         _near_symmetries(points),
         None,
     )

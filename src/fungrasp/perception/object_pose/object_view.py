@@ -11,13 +11,25 @@ from fungrasp.perception.io.capture import Capture, Intrinsics, depth_noise
 from fungrasp.perception.object_pose.icp import ObjectEvidence, free_space
 from fungrasp.perception.object_pose.known_object import KnownObject
 from fungrasp.perception.object_pose.scoring import PoseScorer, pose_scorer
-from fungrasp.perception.scene.segmentation import segment
+from fungrasp.perception.scene.depth_edges import SHARP
+from fungrasp.perception.scene.segmentation import Segmentation, segment
 
 LEAST_PIXELS = 80
 """Fewer measured pixels of the object don't tell its pose."""
 
 TOO_LARGE = 1.25
 """What a mask shows is not the mesh if it is larger by this factor."""
+
+TRIMMED = (8, 92)
+"""Percentiles between which a mask's points count for its size: a mask with 6 pixels too much around an
+object of
+50 pixels has a third of outliers, which its colours leave a few of."""
+
+SMOOTHED = 2.0
+"""Where depth is smoothed, a surface may be in front of it by so many standard deviations more."""
+
+SURE = 0.9
+"""Pixels that show the background by this probability show no object, whatever their depth is."""
 
 WIDEST = 960
 """Longer images [pixels] are thinned out: more pixels cost time and do not help."""
@@ -41,11 +53,19 @@ class ObjectView:
     """Proposals for the object's pixels, bool, shape [H, W] each."""
     evidence: tuple[ObjectEvidence, ...]
     """What the object must agree with under each of ``masks``."""
+    seen: Segmentation
+    """What each pixel shows, and how certain its depth is."""
+
+    @property
+    def foreign(self) -> float:
+        """Part of the given mask's pixels that look like hand or background; 0 without a mask."""
+        mask = self.capture.mask
+        return 0.0 if mask is None else float((self.seen.classes.thing[mask] < 0.5).mean())
 
     def scorer(self, rays: int) -> PoseScorer:
         """Scores poses by about so many rays that meet a mask."""
         known, capture = self.known, self.capture
-        return pose_scorer(known, capture, self.support, self.masks, self.table, self.joints, rays)
+        return pose_scorer(known, capture, self.seen, self.masks, self.table, self.joints, rays)
 
 
 def thinned(capture: Capture) -> Capture:
@@ -61,7 +81,10 @@ def thinned(capture: Capture) -> Capture:
         return capture
     x0, y0, x1, y1 = np.array(capture.box or (0.0, 0.0, 1.0, 1.0)) / step
     box = None if capture.box is None else (float(x0), float(y0), float(x1), float(y1))
-    return Capture(color, depth, lens, mask, box)
+    point = None
+    if capture.point is not None:
+        point = (min(capture.point[0] / step, lens.width - 1), min(capture.point[1] / step, lens.height - 1))
+    return Capture(color, depth, lens, mask, box, point)
 
 
 def view_of_object(
@@ -72,46 +95,55 @@ def view_of_object(
     rng: np.random.Generator,
 ) -> tuple[ObjectView | None, str]:
     """The image made ready; or why that can't be."""
-    if capture.mask is not None:
-        masks: tuple[np.ndarray, ...] = (capture.mask,)
-        support = capture.mask.astype(float)
-    else:
-        segmentation = segment(capture, joints, table, known.size)
-        masks, support = segmentation.masks, segmentation.support
-    counts = [int((mask & capture.measured).sum()) for mask in masks]
-    masks = tuple(mask for mask, count in zip(masks, counts, strict=True) if count >= LEAST_PIXELS)
+    if capture.mask is not None and (capture.mask & capture.measured).sum() < LEAST_PIXELS:
+        pixels = int((capture.mask & capture.measured).sum())
+        return None, f"the mask has only {pixels} pixels with depth"
+    seen = segment(capture, joints, table, known.size, known.colors)
+    counts = [int((mask & capture.measured).sum()) for mask in seen.masks]
+    masks = tuple(mask for mask, count in zip(seen.masks, counts, strict=True) if count >= LEAST_PIXELS)
     if not masks:
-        where = "the mask" if capture.mask is not None else "what may be the object"
-        return None, f"{where} has only {max(counts, default=0)} pixels with depth"
-    evidence = tuple(object_evidence(capture, mask, table, rng) for mask in masks)
+        return None, f"what may be the object has only {max(counts, default=0)} pixels with depth"
+    evidence = tuple(object_evidence(capture, mask, seen, table, rng) for mask in masks)
     if capture.mask is not None:
-        low, high = np.percentile(evidence[0].points, [3, 97], axis=0)
+        low, high = np.percentile(evidence[0].points, TRIMMED, axis=0)
         extent = float(np.linalg.norm(high - low))
         if extent > TOO_LARGE * known.size:
             return None, (
                 f"the mask shows something {extent:.3f} m large, but the mesh is {known.size:.3f} m: "
                 "wrong mesh, mask or unit?"
             )
-    return ObjectView(known, capture, table, joints, support, masks, evidence), ""
+    return ObjectView(known, capture, table, joints, seen.support, masks, evidence, seen), ""
 
 
 def object_evidence(
-    capture: Capture, mask: np.ndarray, table: np.ndarray | None, rng: np.random.Generator
+    capture: Capture,
+    mask: np.ndarray,
+    seen: Segmentation,
+    table: np.ndarray | None,
+    rng: np.random.Generator,
 ) -> ObjectEvidence:
     """What a mask says about the object.
 
     Args:
         capture: the image.
         mask: pixels that show the object, shape [H, W] bool.
+        seen: what each pixel shows, and how certain its depth is.
         table: plane ``[nx ny nz d]``, camera frame, or None.
         rng: shuffles the points.
     """
     shown = mask & capture.measured
     rows, columns = np.nonzero(shown)
     some = rng.permutation(len(rows))[:3000]
-    pixels = np.stack([columns[some], rows[some]], axis=-1)
-    points = capture.intrinsics.deproject(pixels, capture.depth[rows[some], columns[some]])
-    return ObjectEvidence(points, free_space(capture.depth, capture.intrinsics, mask, table))
+    rows, columns = rows[some], columns[some]
+    points = capture.intrinsics.deproject(np.stack([columns, rows], axis=-1), capture.depth[rows, columns])
+    noise = depth_noise(capture.depth)
+    spread = seen.spread[rows, columns] / noise[rows, columns]
+    uncertain = SMOOTHED * (seen.spread - noise)
+    background = seen.classes.background > SURE if seen.edge_width > SHARP else None
+    free = free_space(
+        capture.depth, capture.intrinsics, mask, table, uncertain=uncertain, background=background
+    )
+    return ObjectEvidence(points, free, np.maximum(spread, 1.0))
 
 
 def explained_mask(known: KnownObject, capture: Capture, pose: np.ndarray, allowed: np.ndarray) -> np.ndarray:

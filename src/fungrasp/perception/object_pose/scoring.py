@@ -11,13 +11,26 @@ from fungrasp.geometry.poses import inverse_transform_points, rotation_matrix, t
 from fungrasp.grasps.hand_thickness import FINGER_RADII
 from fungrasp.perception.io.capture import Capture, depth_noise
 from fungrasp.perception.object_pose.known_object import KnownObject
-from fungrasp.perception.scene.segmentation import TIPS
+from fungrasp.perception.scene.depth_edges import SHARP
+from fungrasp.perception.scene.segmentation import TIPS, Segmentation
 
 UNSEEN = 0.1
 """Weight of a pixel of the mesh's silhouette that is hidden, in that of an explained one."""
 
+LEFT_OUT = 0.2
+"""Weight of a pixel that shows a thing within reach but is neither in the mask nor explained, in that of one
+of the
+mask's: else a part of the object, or a gap between fingers, would do as well as all of it."""
+
 OCCLUDER = 0.25
 """Confidence that what seems to be a thing in front of the object is no unrecognised part of the arm."""
+
+HAND_SHIFTS = (-0.03, -0.015, 0.0, 0.015, 0.03)
+"""A hand may be so much farther from the camera than it was found [m]: its depth is off by 18 mm on real
+images."""
+
+SHIFT_COST = 0.2
+"""What such a shift costs, in the same distance of the fingertips."""
 
 CONTACT = 0.05
 """Fingertips as far from the surface as this [m] halve the quality."""
@@ -37,12 +50,14 @@ class PoseScores:
     """Pixels in which the mesh would hide what was measured, or be hidden by the table or another thing, as
     a part of those of the mask, shape [H]."""
     visible: np.ndarray
-    """Part of the mesh's silhouette that agrees with the measurement, shape [H]."""
+    """Part of the mesh's silhouette beside skin that agrees with the measurement, shape [H]."""
     contact: np.ndarray
     """Mean distance of the three nearest fingertips' skin from the surface [m], shape [H]; 0 without a
     hand."""
     pixels: np.ndarray
     """Measured pixels of the image that the pose explains, shape [H]."""
+    hidden: np.ndarray
+    """Part of the mesh's silhouette that skin hides, shape [H]."""
 
     def chosen(self, rows: np.ndarray) -> PoseScores:
         """The scores of some of the poses."""
@@ -59,8 +74,14 @@ class PoseScorer:
     """Directions of the rays, scaled to z = 1, camera frame, shape [R, 3]."""
     depth: np.ndarray
     """Depth measured at each ray [m], shape [R]."""
+    spread: np.ndarray
+    """Standard deviation of that depth [m], shape [R]."""
     support: np.ndarray
     """Confidence that the ray's pixel shows a thing, not skin, table or room, 0 to 1, shape [R]."""
+    skin: np.ndarray
+    """Confidence that it shows skin, which may hide the object, 0 to 1, shape [R]."""
+    background: np.ndarray
+    """Confidence that its colour is that of table or room, where depth is smoothed, 0 to 1, shape [R]."""
     masks: np.ndarray
     """Confidence that the ray's pixel shows the object if a mask is right, 0 to 1, shape [N, R]."""
     opaque: np.ndarray
@@ -75,34 +96,53 @@ class PoseScorer:
         """Score poses of the object in the camera frame, shape [H, 7], each by the mask it was fitted to,
         shape [H] int."""
         seen = self.known.rays.cast(poses, self.directions)
-        noise = depth_noise(self.depth)
+        noise = self.spread
         error = seen - self.depth
+        hits = np.isfinite(seen)
         likeness = np.exp(-0.5 * np.square(error / (1.5 * noise)))
         mine = self.masks[owner]
         total = np.maximum(mine.sum(axis=1), 1.0)
         explained = np.einsum("hr,hr->h", likeness, mine) / total
         everywhere = likeness @ self.support
         in_front = error < -(3.0 * noise + 0.003)
-        behind = np.where((error > 3.0 * noise + 0.006) & np.isfinite(seen), self.opaque, 0.0)
-        contradicted = ((in_front + behind) * (1.0 - mine)).sum(axis=1) / total
-        hit = np.maximum(np.isfinite(seen).sum(axis=1), 1)
-        visible = likeness.sum(axis=1) / hit
-        against = (1.0 - explained + contradicted) * total + UNSEEN * (1.0 - visible) * hit
-        quality = everywhere / (everywhere + against)
+        behind = np.where((error > 3.0 * noise + 0.006) & hits, self.opaque, 0.0)
+        open_space = np.where(hits, self.background, 0.0)
+        contradicted = (np.maximum(in_front + behind, open_space) * (1.0 - mine)).sum(axis=1) / total
+        hit = np.maximum(hits.sum(axis=1), 1)
+        hidden = np.where(hits, self.skin, 0.0).sum(axis=1)
+        # Of the silhouette that no skin hides.
+        visible = (likeness * (1.0 - self.skin)).sum(axis=1) / np.maximum(hit - hidden, 1.0)
+        against = (1.0 - explained + contradicted) * total + UNSEEN * (1.0 - likeness.sum(axis=1) / hit) * hit
+        # Things near the hand that neither the mask nor the pose has: the object is one of them.
+        left_out = ((1.0 - likeness) * (1.0 - mine)) @ self.support
+        quality = everywhere / (everywhere + against + LEFT_OUT * left_out)
         contact = np.zeros(len(poses))
         if self.joints is not None:
-            tips = inverse_transform_points(poses, self.joints[list(TIPS)])
-            distance, _ = self.known.surface.distance.query(np.zeros(len(poses), dtype=int), tips)
-            apart = distance - FINGER_RADII[:, 3]
-            contact = np.sort(np.abs(apart), axis=1)[:, :3].mean(axis=1)
+            contact = self._contact(poses)
             quality = quality / (1.0 + np.square(contact / CONTACT))
-        return PoseScores(quality, explained, contradicted, visible, contact, everywhere * self.step**2)
+        return PoseScores(
+            quality, explained, contradicted, visible, contact, everywhere * self.step**2, hidden / hit
+        )
+
+    def _contact(self, poses: np.ndarray) -> np.ndarray:
+        """Mean distance of the three nearest fingertips' skin from the surface [m], shape [H], with the hand
+        at
+        the distance from the camera at which it is smallest: landmarks say least about that."""
+        assert self.joints is not None
+        tips = self.joints[list(TIPS)]
+        nearest = np.full(len(poses), np.inf)
+        for shift in HAND_SHIFTS:
+            moved = inverse_transform_points(poses, tips * (1.0 + shift / tips[:, 2].mean()))
+            distance, _ = self.known.surface.distance.query(np.zeros(len(poses), dtype=int), moved)
+            apart = np.sort(np.abs(distance - FINGER_RADII[:, 3]), axis=1)[:, :3].mean(axis=1)
+            nearest = np.minimum(nearest, apart + abs(shift) * SHIFT_COST)
+        return nearest
 
 
 def pose_scorer(
     known: KnownObject,
     capture: Capture,
-    support: np.ndarray,
+    view: Segmentation,
     masks: Sequence[np.ndarray],
     table: np.ndarray | None,
     joints: np.ndarray | None,
@@ -113,7 +153,7 @@ def pose_scorer(
     Args:
         known: the object.
         capture: the image.
-        support: confidence that a pixel shows a thing, not skin, table or room, shape [H, W].
+        view: what each pixel shows, and how certain its depth is.
         masks: proposals for the object's pixels, bool, shape [H, W] each.
         table: plane ``[nx ny nz d]``, camera frame, or None.
         joints: of the hand [m], camera frame, shape [21, 3], or None.
@@ -131,13 +171,17 @@ def pose_scorer(
     v, u = v[keep], u[keep]
     depth = capture.depth[v, u].astype(float)
     directions = k.deproject(np.stack([u, v], axis=-1), np.ones(len(u)))
-    shown = support[v, u].astype(float)
+    shown, spread = view.support[v, u], view.spread[v, u]
+    skin, background = view.classes.skin[v, u], view.classes.background[v, u]
+    if view.edge_width <= SHARP:
+        # The depth says it better.
+        background = np.zeros(len(u))
     opaque = OCCLUDER * shown
     if table is not None:
         height = (directions * depth[:, None]) @ table[:3] + table[3]
         opaque = np.where(np.abs(height) < 3 * depth_noise(depth), 1.0, opaque)
     mine = np.stack([np.where(mask[v, u], shown, 0.0) for mask in masks])
-    return PoseScorer(known, directions, depth, shown, mine, opaque, joints, step)
+    return PoseScorer(known, directions, depth, spread, shown, skin, background, mine, opaque, joints, step)
 
 
 def color_agreement(

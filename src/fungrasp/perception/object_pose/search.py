@@ -7,7 +7,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fungrasp.geometry.poses import quaternion_multiply, transform_points
+from fungrasp.geometry.poses import (
+    quaternion_from_rotation_vector,
+    quaternion_multiply,
+    rotate,
+    transform_points,
+)
 from fungrasp.perception.object_pose.icp import IcpSettings, ObjectEvidence, fit_poses
 from fungrasp.perception.object_pose.known_object import KnownObject, even_rotations, starting_poses
 from fungrasp.perception.object_pose.scoring import PoseScorer
@@ -35,6 +40,12 @@ class PoseSearchSettings:
 
 TYPICAL_SIZE = 0.25
 """Diagonal of the box round the object for which the settings are made [m]."""
+
+POLISH_STEPS = ((0.006, 12.0), (0.005, 8.0), (0.003, 6.0), (0.002, 4.0), (0.0012, 2.5))
+"""Standard deviations of the random moves of a polished pose: shift [m] and turn [degrees]."""
+
+POLISH_TRIES = 40
+"""Random moves of each pose in each round."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,6 +103,33 @@ def refine_poses(
         mine = found.owner == index
         poses[mine] = fit_poses(known.surface, evidence[index], poses[mine], step)[0]
     return PoseHypotheses(poses, found.owner)
+
+
+def polish_poses(
+    found: PoseHypotheses, known: KnownObject, scorer: PoseScorer, rng: np.random.Generator
+) -> PoseHypotheses:
+    """Each pose moved at random to where its quality is highest, in ever smaller steps.
+
+    Where depth is smoothed, the outline in the image says more than the fit to points can use.
+    """
+    poses, owner = found.poses.copy(), found.owner
+    quality = scorer(poses, owner).quality
+    for shift, turn in POLISH_STEPS:
+        moves = rng.normal(size=(len(poses), POLISH_TRIES, 6))
+        steps = quaternion_from_rotation_vector(np.radians(turn) * moves[..., 3:])
+        turned = quaternion_multiply(steps, poses[:, None, 3:])
+        middles = transform_points(poses, np.broadcast_to(known.middle, (len(poses), 1, 3)))
+        # Turned about the object's middle, wherever its frame is.
+        arm = poses[:, None, :3] - middles
+        moved = middles + rotate(steps, np.broadcast_to(arm, (*steps.shape[:2], 3))) + shift * moves[..., :3]
+        tried = np.concatenate([moved, turned], axis=-1)
+        scores = scorer(tried.reshape(-1, 7), np.repeat(owner, POLISH_TRIES)).quality
+        scores = scores.reshape(len(poses), POLISH_TRIES)
+        best = scores.argmax(axis=1)
+        row = np.arange(len(poses))
+        better = scores[row, best] > quality
+        poses[better], quality[better] = tried[row, best][better], scores[row, best][better]
+    return PoseHypotheses(poses, owner)
 
 
 def best_poses(found: PoseHypotheses, known: KnownObject, scorer: PoseScorer, count: int) -> PoseHypotheses:

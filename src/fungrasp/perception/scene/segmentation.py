@@ -11,10 +11,21 @@ from typing import Any
 
 import numpy as np
 from scipy import ndimage
+from scipy.spatial import KDTree
 
 from fungrasp.grasps.hand_thickness import FINGER_RADII, LINK_RADII, PALM_RADIUS
 from fungrasp.grasps.human_hand import BONES
 from fungrasp.perception.io.capture import Capture
+from fungrasp.perception.scene.depth_edges import depth_spread, edge_width
+from fungrasp.perception.scene.object_hints import pointed_pieces, told_odds
+from fungrasp.perception.scene.pixel_classes import (
+    NEVER,
+    PixelClasses,
+    PixelEvidence,
+    classify,
+    hand_in_image,
+    palm_pixels,
+)
 from fungrasp.perception.scene.table import plane_tolerance
 
 PALM = ((1, 5), (5, 9), (9, 13), (13, 17), (17, 1))
@@ -40,6 +51,15 @@ MARGINS = (0.012, 0.004, 0.02)
 NEAR_HAND = 0.06
 """A thing this near to the hand's skin [m] may be what it holds."""
 
+FARTHEST = 3.0
+"""Nobody holds an object farther away [m]."""
+
+GROUND_MARGIN = 60
+"""The table's colours are learned within so many pixels of where the object may be."""
+
+LEAST_GROUND = 500
+"""If fewer pixels show the table there, it is looked at everywhere."""
+
 JUMP = 0.012
 """Neighbouring pixels whose depth differs by more than this [m], and by more than 2 % of it, do not belong
 together."""
@@ -54,6 +74,12 @@ class Segmentation:
     support: np.ndarray
     """Confidence that a pixel shows the object or another thing, not skin, table or room: 0 to 1, shape
     [H, W]."""
+    classes: PixelClasses
+    """Probability of each class."""
+    spread: np.ndarray
+    """Standard deviation of the depth [m], shape [H, W]; large where steps are smoothed."""
+    edge_width: float
+    """How many pixels steps in depth are mixed over."""
 
 
 def distance_from_hand(points: np.ndarray, joints: np.ndarray) -> np.ndarray:
@@ -92,42 +118,92 @@ def _distance_from_capsules(
 
 
 def segment(
-    capture: Capture, joints: np.ndarray | None, table: np.ndarray | None, size: float
+    capture: Capture,
+    joints: np.ndarray | None,
+    table: np.ndarray | None,
+    size: float,
+    mesh_colors: np.ndarray | None = None,
 ) -> Segmentation:
     """Propose masks for the object in the hand.
 
     Args:
-        capture: its box, if it has one, bounds the object; its mask is not looked at.
+        capture: its mask, box or point, if it has one, says where the object is. Masks may be too large or
+            too small by some pixels.
         joints: of the hand [m], camera frame, shape [21, 3], if known.
         table: plane ``[nx ny nz d]``, ``n . x + d`` the height above it [m], shape [4], if there is one.
         size: longest distance between two points of the object [m].
+        mesh_colors: RGB of the object's surface, 0 to 1, shape [M, 3], if it has colours.
     """
     points = capture.points()
-    candidate = capture.measured & (capture.depth < 3.0)
-    if capture.box is not None:
-        candidate &= _inside(capture.box, candidate.shape)
+    prior, samples = told_odds(capture, size)
+    told = capture.mask is not None or capture.box is not None or capture.point is not None
+    measured = capture.measured & (capture.depth < FARTHEST)
+    width = edge_width(capture.depth)
+    spread = depth_spread(capture.depth, width)
+    height = np.full(measured.shape, np.nan)
     if table is not None:
-        height = points @ table[:3] + table[3]
-        candidate &= height > plane_tolerance(capture.depth)
-    reach = np.zeros(candidate.shape)
-    if joints is not None:
-        rows, columns = np.nonzero(candidate)
-        tips = joints[list(TIPS)]
-        flat = points[rows, columns]
-        reach[rows, columns] = np.linalg.norm(flat[:, None] - tips, axis=-1).min(axis=1)
-        candidate &= reach < size + 0.03
+        height = np.where(capture.measured, points @ table[:3] + table[3], np.nan)
+    if joints is not None and not told:
+        rows, columns = np.nonzero(measured)
+        reach = np.full(measured.shape, np.inf)
+        reach[rows, columns] = KDTree(joints[list(TIPS)]).query(points[rows, columns])[0]
+        prior = np.where(reach < size + 0.03, prior, NEVER)
+    near = measured & (prior > NEVER)
+    candidate = near.copy() if table is None else near & ~(height <= plane_tolerance(capture.depth))
     rows, columns = np.nonzero(candidate)
     flat = points[rows, columns]
     hand, clear = np.full((2, *candidate.shape), np.inf)
     if joints is not None:
         hand[rows, columns] = distance_from_hand(flat, joints)
         clear[rows, columns] = np.minimum(hand[rows, columns], distance_from_forearm(flat, joints))
-    support = np.where(candidate, np.clip((clear - 0.004) / 0.014, 0.0, 1.0), 0.0)
-    masks: list[np.ndarray] = []
-    for margin in MARGINS if joints is not None else (0.0,):
-        pieces = _pieces(candidate & (clear > margin), capture.depth)
-        masks.extend(_groups(pieces, hand, joints is not None))
-    return Segmentation(_different(masks), support)
+    prior = np.where(measured, prior, NEVER)
+    classes = _classes(capture, joints, prior, samples, height, spread, clear < hand, mesh_colors)
+    seen = (classes.thing > 0.5) & near
+    if capture.mask is not None:
+        masks = [seen, capture.mask & measured]
+    elif capture.point is not None:
+        masks = pointed_pieces(_pieces(seen, capture.depth), capture.point)
+    else:
+        masks = _groups(_pieces(seen, capture.depth), hand, joints is not None and not told)
+    if capture.mask is None:
+        for margin in MARGINS if joints is not None else (0.0,):
+            pieces = _pieces(candidate & (clear > margin), capture.depth)
+            if capture.point is not None:
+                masks.extend(pointed_pieces(pieces, capture.point))
+            else:
+                masks.extend(_groups(pieces, hand, joints is not None))
+    return Segmentation(_different(masks), classes.thing * near, classes, spread, width)
+
+
+def _classes(
+    capture: Capture,
+    joints: np.ndarray | None,
+    prior: np.ndarray,
+    samples: np.ndarray,
+    height: np.ndarray,
+    spread: np.ndarray,
+    sleeve: np.ndarray,
+    mesh_colors: np.ndarray | None,
+) -> PixelClasses:
+    """What each pixel shows; see ``PixelEvidence`` for the arguments."""
+    near = prior > NEVER
+    if joints is None:
+        outline = np.full(near.shape, np.inf)
+        palm = np.zeros(near.shape, dtype=bool)
+    else:
+        lines = np.array([*BONES, *PALM])
+        outline = hand_in_image(capture, joints, CAPSULE_RADII, lines)
+        palm = palm_pixels(capture, joints, outline) & ~samples
+    # A box or mask is drawn round the object: the table begins right beside it.
+    around: Any = ndimage.maximum_filter(near, 2 * GROUND_MARGIN + 1)
+    clear = capture.measured & ~near & (outline > 0.02)
+    if np.isfinite(height).any():
+        clear &= np.abs(height) < plane_tolerance(capture.depth)
+    ground = clear & around
+    if ground.sum() < LEAST_GROUND:
+        ground = clear
+    seen = PixelEvidence(prior, samples, height, spread, outline, sleeve, palm, ground)
+    return classify(capture, seen, mesh_colors)
 
 
 def _groups(pieces: list[np.ndarray], hand: np.ndarray, held: bool) -> list[np.ndarray]:
@@ -167,8 +243,3 @@ def _different(masks: list[np.ndarray]) -> tuple[np.ndarray, ...]:
         if all(overlap < 0.92 for overlap in overlaps):
             kept.append(mask)
     return tuple(kept[:6])
-
-
-def _inside(box: tuple[float, float, float, float], shape: tuple[int, ...]) -> np.ndarray:
-    rows, columns = np.ogrid[: shape[0], : shape[1]]
-    return (columns >= box[0]) & (columns <= box[2]) & (rows >= box[1]) & (rows <= box[3])
