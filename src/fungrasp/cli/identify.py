@@ -134,7 +134,7 @@ class Fit:
     def _held_out(self, hand: Hand, log: MotionLog, found: IdentifiedDynamics, step: bool) -> float:
         import numpy as np
 
-        from fungrasp.transfer.identification.fit import simulate_log
+        from fungrasp.transfer.identification.log_simulation import simulate_log
 
         error = simulate_log(hand, log, [found.dynamics])[0] - log.positions
         after = log.times > log.times[0] + (1 - HELD_OUT) * (log.times[-1] - log.times[0])
