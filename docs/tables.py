@@ -10,7 +10,7 @@ import argparse
 import os
 import re
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -240,7 +240,12 @@ def chain() -> Table:
 
 def driver_faults() -> Table:
     """How drivers react to faults of emulated devices."""
-    names = ("driver-faults-ur", "driver-faults-inspire", "driver-faults-leap-allegro")
+    names = (
+        "driver-faults-ur",
+        "driver-faults-inspire",
+        "driver-faults-leap-allegro",
+        "driver-faults-tracker",
+    )
     trials = [row for name in names for row in _read(name).rows if not row["fault"].startswith("none")]
     head = (
         "device",
@@ -300,6 +305,76 @@ def identification() -> Table:
         fit = (f"{median['held_out_rms']:.4f}", f"{median['seconds']:.0f}")
         rows.append((method, str(len(group)), *errors, *fit))
     return Table(head, rows, ["identification"])
+
+
+def identification_twins() -> Table:
+    """Identified dynamics of twins' hands against their truth, by hand and method."""
+    head = ("hand", "method", "twins", "median error, of the model", "stiffness", "damping", "friction")
+    head += ("armature", "delay error [ms]", "held-out RMS [rad]", "time [s]")
+    results = _read("identification-twins").rows
+    rows = []
+    for hand, method in dict.fromkeys((row["hand"], row["method"]) for row in results):
+        group = [row for row in results if (row["hand"], row["method"]) == (hand, method)]
+
+        def median(key: str, group: Sequence[Mapping[str, Any]] = group) -> float:
+            return float(np.median([abs(row[key]) for row in group]))
+
+        error = f"{_percent(median('median_error'))}, {_percent(median('model_error'))}"
+        kinds = ("stiffness", "damping", "friction", "armature")
+        parts = [_percent(median(f"errors.{name}")) for name in kinds]
+        end = (
+            f"{1e3 * median('delay_error'):.1f}",
+            f"{median('held_out_rms'):.4f}",
+            f"{median('seconds'):.0f}",
+        )
+        rows.append((hand, method, str(len(group)), error, *parts, *end))
+    return Table(head, rows, ["identification-twins"])
+
+
+def wire() -> Table:
+    """Deployments over the wire."""
+    runs = _read("wire").rows
+    head = ("runs", "lifted and held", "home again", "largest lateness, 10 Hz / 50 Hz [ms]")
+    head += (
+        "longest silence, arm / hand [ms]",
+        "lost by the twin [ms], median",
+        "of a core: control, arm, hand, emulators",
+    )
+    late = " / ".join(f"{max(r[f'latest_{rate}hz_ms'] for r in runs):.0f}" for rate in (10, 50))
+    silent = " / ".join(
+        f"{max(r[f'longest_silence_ms.{name}'] for r in runs):.0f}" for name in ("arm", "hand")
+    )
+    names = ("control", "arm driver", "hand driver", "emulators")
+    known = [[r.get(f"cores.{name}") for r in runs] for name in names]
+    cores = ", ".join(f"{100 * np.median([v for v in values if v is not None]):.0f} %" for values in known)
+    home = sum(r["success"] and not r["fault"] for r in runs)
+    lost = f"{np.median([r['twin_lost_ms'] for r in runs]):.0f}"
+    row = (f"{len(runs)}", f"{sum(r['success'] for r in runs)}", f"{home}", late, silent, lost, cores)
+    return Table(head, [row], ["wire"])
+
+
+def wire_ticks() -> Table:
+    """Lateness of control steps and setpoints over the wire."""
+    runs = _read("wire").rows
+    prefix = "ticks_10hz."
+    edges = [name.removeprefix(prefix) for name in runs[0] if name.startswith(prefix)]
+    rows = [
+        (edge, *(f"{sum(r[f'ticks_{rate}hz.{edge}'] for r in runs)}" for rate in (10, 50))) for edge in edges
+    ]
+    return Table(("late by", "10 Hz", "50 Hz"), rows, ["wire"])
+
+
+def twin_variants() -> Table:
+    """The lift test on twins, by way to deploy."""
+    head = ("variant", "episodes", "out of reach", "begun", "lifted and held")
+    results = _read("twin-allegro-planned").rows
+    rows = []
+    for name in ("no identification", "no gravity compensation", "ours"):
+        group = [row for row in results if row["variant"] == name]
+        refused = sum("is not reachable" in row["fault"] for row in group)
+        lifted = sum(row["success"] for row in group)
+        rows.append((name, f"{len(group)}", f"{refused}", f"{len(group) - refused}", f"{lifted}"))
+    return Table(head, rows, ["twin-allegro-planned"])
 
 
 def identification_step() -> Table:
@@ -412,6 +487,10 @@ BUILDERS: dict[str, Callable[[], Table]] = {
     "driver_speed": driver_speed,
     "identification": identification,
     "identification_step": identification_step,
+    "identification_twins": identification_twins,
+    "twin_variants": twin_variants,
+    "wire": wire,
+    "wire_ticks": wire_ticks,
     "limits": limits,
     "fuzz": fuzz,
     "kills": kills,

@@ -8,7 +8,9 @@ import pytest
 from fungrasp.errors import FungraspError
 from fungrasp.hands import load_hand
 from fungrasp.transfer.identification.excitation import Excitation, excitation_commands
-from fungrasp.transfer.identification.fit import FitSettings, fit_dynamics, simulate_log
+from fungrasp.transfer.identification.finger_chains import place_in_finger
+from fungrasp.transfer.identification.fit import FitSettings, fit_dynamics
+from fungrasp.transfer.identification.log_simulation import DriveErrors, play_operator, simulate_log
 from fungrasp.transfer.identification.motion_log import (
     MotionLog,
     load_motion_log,
@@ -17,6 +19,7 @@ from fungrasp.transfer.identification.motion_log import (
 )
 from fungrasp.transfer.joint_dynamics import (
     JointDynamics,
+    identified_hand,
     load_dynamics,
     model_dynamics,
     save_dynamics,
@@ -140,3 +143,67 @@ def test_a_model_takes_dynamics():
     dof = model.joint("ffj1").dofadr[0]
     assert model.dof_damping[dof] == TRUTH.damping[0] and model.dof_armature[dof] == TRUTH.armature[0]
     assert model.actuator("ffj1").biasprm[1] == -TRUTH.stiffness[0]
+
+
+def test_a_hand_takes_what_was_identified(tmp_path):
+    hand = load_hand("allegro")
+    model = model_dynamics(hand)
+    found = JointDynamics(
+        model.joints,
+        0.5 * model.stiffness,
+        0.8 * model.damping,
+        model.friction + 0.02,
+        2 * model.armature,
+        0.03,
+    )
+    save_dynamics(tmp_path / "found.toml", found)
+    identified = identified_hand(hand, tmp_path / "found.toml")
+    now = model_dynamics(identified)
+    for name in ("stiffness", "damping", "friction", "armature"):
+        assert np.allclose(getattr(now, name), getattr(found, name), rtol=1e-4), name
+    # The model that all hands share is as it was.
+    assert np.array_equal(model_dynamics(load_hand("allegro")).stiffness, model.stiffness)
+
+
+def test_lost_motion_keeps_what_moves_behind_the_command():
+    commands = np.array([0.0, 0.1, 0.3, 0.25, 0.1])[:, None]
+    moved = play_operator(commands, np.array([[0.0], [0.1]]))
+    assert np.array_equal(moved[0], commands)
+    assert np.allclose(moved[1, :, 0], [0.0, 0.0, 0.2, 0.2, 0.2])
+
+
+def test_a_multi_sine_stays_within_limits_and_moves_fingers_alike():
+    hand = load_hand("allegro")
+    names = tuple(hand.actuators)
+    limits = np.array([hand.joint_limits[hand.joint_names.index(name)] for name in names])
+    rest, alike = limits.mean(axis=1), place_in_finger(hand, names)
+    e = Excitation(kind="multi-sine", seconds=6.0, rate=100.0, reach=0.12)
+    commands = excitation_commands(e, rest, *limits.T, alike)
+    assert (commands >= limits[:, 0]).all() and (commands <= limits[:, 1]).all()
+    assert np.allclose(commands[:40], rest) and np.allclose(commands[-1], rest)
+    # The same joint of the index and of the middle finger, as shares of their ranges.
+    share = (commands - rest) / (limits[:, 1] - limits[:, 0])
+    assert np.allclose(share[:, 0], share[:, 4]) and np.ptp(share[:, 1]) > 0.15
+
+
+def test_logs_of_two_sides_of_gravity_tell_the_scale_of_a_joint():
+    # Without weight, stiffness and all else of a joint may be scaled together; with it they may not.
+    hand = load_hand("allegro")
+    model = model_dynamics(hand)
+    rows = [model.joints.index(joint) for joint in JOINTS]
+    values = {name: getattr(model, name)[rows] for name in ("damping", "friction", "armature")}
+    true = JointDynamics(JOINTS, 0.6 * model.stiffness[rows], **values, delay=0.02)
+    rest, e = np.full(2, 0.7), Excitation(kind="multi-sine", seconds=3.0, reach=0.1, small_step=0.0)
+    commands = excitation_commands(e, rest, np.zeros(2), np.full(2, 1.5))
+    times = np.arange(len(commands)) / e.rate
+    error = DriveErrors(np.array([0.008, -0.006]), np.zeros(2))
+    logs = []
+    for down in (-9.81, 9.81):
+        log = MotionLog(JOINTS, times, commands, np.tile(rest, (len(times), 1)), np.array([0, down, 0.0]))
+        log = MotionLog(
+            JOINTS, times, commands, simulate_log(hand, log, [true], errors=[error])[0], log.gravity
+        )
+        logs.append(log)
+    found = fit_dynamics(hand, logs, FitSettings(errors=("offset",), iterations=25))
+    assert np.allclose(found.dynamics.stiffness, true.stiffness, rtol=0.05)
+    assert np.allclose(found.errors.offset, error.offset, atol=5e-4)

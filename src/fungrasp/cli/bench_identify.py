@@ -10,8 +10,8 @@ from fungrasp.cli.console import table
 
 @dataclass(frozen=True)
 class BenchIdentify:
-    """Fit dynamics that are known, Gauss-Newton and CMA-ES, and a real hand's step response where there is
-    one."""
+    """Fit dynamics that are known, Gauss-Newton and CMA-ES, a real hand's step response where there is one,
+    and hands of twins whose dynamics are drawn."""
 
     trials: int = 3
     """Truths."""
@@ -23,14 +23,21 @@ class BenchIdentify:
     """Simulations of cma-es."""
     step: Path | None = None
     """Step response of an Inspire hand (.csv)."""
+    twins: int = 0
+    """Twins of each robot."""
+    robots: tuple[str, ...] = ("ur5e-allegro", "ur5e-inspire")
+    """Cells that are twins."""
     json: Path | None = None
     """Write the numbers here (.json, with a .csv beside)."""
 
     def run(self) -> None:
         from fungrasp.evaluation.identification import known_truth_fit, step_fit
         from fungrasp.evaluation.result_files import write_result
+        from fungrasp.evaluation.twin_identification_test import twin_fit
         from fungrasp.hands import load_hand
+        from fungrasp.objects import load_object
         from fungrasp.provenance import machine, run_record
+        from fungrasp.robots.cell import load_cell
 
         allegro, inspire = load_hand("allegro"), load_hand("inspire")
         rows: list[dict] = []
@@ -41,6 +48,12 @@ class BenchIdentify:
             if self.step is not None:
                 found = step_fit(inspire, self.step, "index_proximal_joint", method, self.evaluations)
                 rows.append({"log": "real step", **asdict(found)})
+            for name in self.robots if self.twins else ():
+                cell = load_cell(name)
+                hand, thing = load_hand(cell.hand), load_object("wine_glass")
+                for twin in range(self.twins):
+                    drawn = twin_fit(cell, hand, thing, twin, method, self.evaluations)
+                    rows.append({"log": "drawn twin", **asdict(drawn)})
             if self.json is not None:
                 write_result(self.json, run_record(0), rows)
         names = list(dict.fromkeys(name for row in rows for name in row))

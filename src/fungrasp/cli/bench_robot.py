@@ -55,7 +55,8 @@ class BenchFaults:
     """Measure how drivers react to faults of emulated devices, while the joints move."""
 
     devices: tuple[str, ...] = ()
-    """Devices to measure: ur, allegro-v4, allegro-v5, inspire, inspire-serial, leap; all by default."""
+    """Devices to measure: ur, allegro-v4, allegro-v5, inspire, inspire-serial, leap, tracker; all by
+    default."""
     trials: int = 50
     """Of each fault."""
     patience: float = 1.0
@@ -66,10 +67,14 @@ class BenchFaults:
     """Write every trial here (.json, with a .csv beside)."""
 
     def run(self) -> None:
+        import os
+
         import numpy as np
 
         from fungrasp.evaluation.result_files import write_result
+        from fungrasp.evaluation.tracker_faults import FAULTS, TRACKER, tracker_reactions
         from fungrasp.provenance import machine, run_record
+        from fungrasp.robots.cell import load_cell
         from fungrasp.robots.emulators.emulator import Fault
         from fungrasp.robots.measuring.emulated_devices import EMULATED
         from fungrasp.robots.measuring.reaction_times import PROCESS_KILLED, reaction_trials
@@ -79,14 +84,25 @@ class BenchFaults:
         rng = np.random.default_rng(self.seed)
         trials: list[ReactionTrial] = []
         plan = []
-        for name in _known(self.devices):
+        chosen = _known(self.devices, (TRACKER,))
+        for name in chosen:
+            if name == TRACKER:
+                plan += [(name, fault) for fault in FAULTS]
+                continue
             device = EMULATED[name](1.0)
             device.emulator.close()
             plan += [(name, fault) for fault in [*sorted(device.emulator.supported), PROCESS_KILLED]]
         plan = [(name, fault) for name, fault in plan if fault != Fault.WRONG_DEVICE]
         with progress_bar("faults", float(len(plan) * self.trials)) as show:
             for name, fault in plan:
-                for trial in reaction_trials(EMULATED[name](self.patience), fault, self.trials, rng):
+                if name == TRACKER:
+                    cell = load_cell("ur5e-allegro")
+                    group = tracker_reactions(
+                        cell, fault, self.trials, rng, f"ipc:///tmp/fungrasp-{os.getpid()}"
+                    )
+                else:
+                    group = reaction_trials(EMULATED[name](self.patience), fault, self.trials, rng)
+                for trial in group:
                     trials.append(trial)
                     show(float(len(trials)))
                 if self.json is not None:
@@ -125,10 +141,10 @@ def reaction_rows(trials: list[ReactionTrial]) -> list[tuple[str, ...]]:
     return rows
 
 
-def _known(names: tuple[str, ...]) -> tuple[str, ...]:
+def _known(names: tuple[str, ...], more: tuple[str, ...] = ()) -> tuple[str, ...]:
     from fungrasp.robots.measuring.emulated_devices import EMULATED
 
     for name in names:
-        if name not in EMULATED:
-            raise UnknownNameError("device", name, EMULATED)
-    return names or tuple(EMULATED)
+        if name not in (*EMULATED, *more):
+            raise UnknownNameError("device", name, (*EMULATED, *more))
+    return names or (*EMULATED, *more)

@@ -43,6 +43,8 @@ class Evaluate:
     """Folder of meshes <name>.obj; built-in objects need none."""
     hand: str = "allegro"
     """Name of a hand, or the path of a hand's TOML file."""
+    hand_dynamics: Path | None = None
+    """Identified dynamics of the hand (`fungrasp identify fit`); the model's if not given."""
     policy: str = "reference"
     """What moves the hand: "reference" (one planned motion, open loop), "student", "teacher", "plan" (the
     student's plan, open loop), one of `fungrasp policies list`, or a policy file (.onnx)."""
@@ -110,17 +112,17 @@ class Evaluate:
             static_words,
             use_table,
         )
+        from fungrasp.cli.hand_choice import chosen_hand
         from fungrasp.cli.on_cluster import test_on_cluster
         from fungrasp.cli.retarget import draw_grasps
         from fungrasp.errors import FungraspError
         from fungrasp.evaluation.lift_test_chunks import check_hand
         from fungrasp.evaluation.partial_results import PartialResults
         from fungrasp.grasps import RobotGraspSet, load_grasps, load_objects
-        from fungrasp.hands import load_hand
         from fungrasp.policies import policy_files
 
         randomization = self._randomization()
-        hand = load_hand(self.hand)
+        hand = chosen_hand(self.hand, self.hand_dynamics)
         policy_files(self.policy, hand.name).digests()
         grasps = load_grasps(self.grasps)
         self._check(isinstance(grasps, RobotGraspSet), randomization, hand)
@@ -189,17 +191,18 @@ class Evaluate:
         """
         from functools import partial
 
+        from fungrasp.cli.hand_choice import chosen_hand
         from fungrasp.evaluation.lift_test import make_lift_test
         from fungrasp.evaluation.use_test import UseTest
         from fungrasp.grasps import RobotGraspSet
-        from fungrasp.hands import load_hand
         from fungrasp.planning import MotionSettings
         from fungrasp.planning.selection import SelectionSettings
         from fungrasp.policies import make_planner
         from fungrasp.simulation import SceneSettings
         from fungrasp.transfer import NOMINAL, protocol_conditions
 
-        hand, randomization = load_hand(self.hand), self._randomization()
+        hand = chosen_hand(self.hand, self.hand_dynamics)
+        randomization = self._randomization()
         conditions = {"": randomization}
         if randomization == NOMINAL:
             conditions = protocol_conditions(self.protocol)

@@ -42,12 +42,14 @@ class Collect:
     def run(self) -> None:
         import numpy as np
 
+        from fungrasp.hands import load_hand
         from fungrasp.robots.hands.allegro import allegro_driver
         from fungrasp.robots.hands.inspire import inspire_driver
         from fungrasp.robots.hands.joint_order import hand_joint_names
         from fungrasp.robots.hands.leap import leap_driver
         from fungrasp.robots.motion_recording import record_motion
         from fungrasp.transfer.identification.excitation import excitation_commands
+        from fungrasp.transfer.identification.finger_chains import clear_of_itself, place_in_finger
         from fungrasp.transfer.identification.motion_log import save_motion_log
 
         if isinstance(self.device, AllegroSettings):
@@ -59,7 +61,10 @@ class Collect:
         joints = hand_joint_names(self.device.hand)
         with driver:
             rest = driver.read().positions
-            commands = excitation_commands(self.excitation, rest, driver.limits.lower, driver.limits.upper)
+            hand, limits = load_hand(self.device.hand), driver.limits
+            alike = place_in_finger(hand, joints)
+            commands = excitation_commands(self.excitation, rest, limits.lower, limits.upper, alike)
+            commands = clear_of_itself(hand, commands)
             log = record_motion(driver, joints, commands, self.excitation.rate, np.array(self.gravity))
         save_motion_log(self.log, log)
         print(f"{len(log.times)} rows, {log.times[-1]:.1f} s, {len(joints)} joints -> {self.log}")
@@ -75,12 +80,19 @@ class Fit:
     """Name of a hand, or the path of a hand's TOML file."""
     out: Path | None = None
     """Write the dynamics here (.toml)."""
+    others: tuple[Path, ...] = ()
+    """Further logs of the same joints, recorded with the palm turned to other sides."""
     joint: str = "index_proximal_joint"
     """Joint of a .csv."""
     method: tuple[str, ...] = ("gauss-newton",)
     """gauss-newton, cma-es; the first one's result is written."""
     fixed: tuple[str, ...] = ()
     """Quantities that keep the model's values; stiffness, where the host computes the torques (Allegro)."""
+    errors: tuple[str, ...] = ()
+    """Errors of the drives that are fitted too: offset (of the encoders), backlash."""
+    prior: float = float("inf")
+    """Standard deviation of the logarithms of the factors on the model's values, which decides where the log
+    does not; 1: within a factor of e. Infinite: none."""
     evaluations: int = 3000
     """Simulations of cma-es."""
 
@@ -105,10 +117,19 @@ class Fit:
         else:
             log = load_motion_log(self.log)
         # A single step has no second half of its own: every other row is held out instead.
-        fitted = log.rows(np.r_[0 : len(log.times) : 2]) if step else log.part(0, 1 - HELD_OUT)
+        logs = [log, *(load_motion_log(path) for path in self.others)]
+        fitted = [one.part(0, 1 - HELD_OUT) for one in logs]
+        if step:
+            fitted[0] = log.rows(np.r_[0 : len(log.times) : 2])
         results = []
         for method in self.method:
-            settings = FitSettings(method=method, fixed=self.fixed, evaluations=self.evaluations)
+            settings = FitSettings(
+                method=method,
+                fixed=self.fixed,
+                errors=self.errors,
+                prior=self.prior,
+                evaluations=self.evaluations,
+            )
             results.append((method, fit_dynamics(hand, fitted, settings)))
         if self.out is not None:
             save_dynamics(self.out, results[0][1].dynamics)
@@ -134,9 +155,9 @@ class Fit:
     def _held_out(self, hand: Hand, log: MotionLog, found: IdentifiedDynamics, step: bool) -> float:
         import numpy as np
 
-        from fungrasp.transfer.identification.fit import simulate_log
+        from fungrasp.transfer.identification.log_simulation import simulate_log
 
-        error = simulate_log(hand, log, [found.dynamics])[0] - log.positions
+        error = simulate_log(hand, log, [found.dynamics], errors=[found.errors])[0] - log.positions
         after = log.times > log.times[0] + (1 - HELD_OUT) * (log.times[-1] - log.times[0])
         return float(np.sqrt(np.mean((error[1::2] if step else error[after]) ** 2)))
 

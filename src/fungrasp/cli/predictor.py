@@ -26,6 +26,8 @@ class TrainPredictor:
     """Folder of meshes <name>.obj; built-in objects need none."""
     hand: str = "allegro"
     """Name of a hand, or the path of a hand's TOML file."""
+    hand_dynamics: Path | None = None
+    """Identified dynamics of the hand (`fungrasp identify fit`); the model's if not given."""
     method: str = "ours"
     """How human grasps are retargeted: ours, angle-copy or dexgraspnet."""
     episodes: Path | None = None
@@ -49,7 +51,7 @@ class TrainPredictor:
         import torch
 
         from fungrasp.cli.console import progress_bar
-        from fungrasp.hands import load_hand
+        from fungrasp.cli.hand_choice import chosen_hand
         from fungrasp.policies.checkpoint.card import Budget, TrainingData
         from fungrasp.policies.residual_action import ResidualSettings
         from fungrasp.provenance import machine
@@ -58,7 +60,7 @@ class TrainPredictor:
         from fungrasp.training.success_predictor import PlanOutcomes, cross_validate, fit_predictor, try_plans
 
         check_numbers(1, self.seed, self.threads)
-        start, hand = perf_counter(), load_hand(self.hand)
+        start, hand = perf_counter(), chosen_hand(self.hand, self.hand_dynamics)
         sets = training_sets(self.grasps, self.objects, hand, self.method, self.terms, self.threads)
         torch.set_num_threads(1)
         folder = self.out.with_suffix(".episodes") if self.episodes is None else self.episodes

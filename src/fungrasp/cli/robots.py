@@ -205,7 +205,7 @@ class EvaluateOnTwins:
         thing = objects[human.object_name[0]]
 
         def identify(truth: TwinParameters) -> HandDynamics:
-            return HandDynamics.of(hand, identify_on_twin(cell, hand, thing, truth).dynamics)
+            return HandDynamics.of(hand, identify_on_twin(cell, hand, thing, truth).found.dynamics)
 
         episodes = []
         for episode in try_on_twins(

@@ -44,6 +44,8 @@ class Train:
     """Folder of meshes <name>.obj; built-in objects need none."""
     hand: str = "allegro"
     """Name of a hand, or the path of a hand's TOML file."""
+    hand_dynamics: Path | None = None
+    """Identified dynamics of the hand (`fungrasp identify fit`); the model's if not given."""
     method: str = "ours"
     """How human grasps are retargeted: ours, angle-copy or dexgraspnet."""
     steps: float = 3e6
@@ -93,11 +95,11 @@ class Train:
         import torch
 
         from fungrasp.cli.console import progress_bar
-        from fungrasp.hands import load_hand
+        from fungrasp.cli.hand_choice import chosen_hand
         from fungrasp.training.run import POLICY, RunSettings, train
 
         check_numbers(self.steps, self.seed, self.threads)
-        hand = load_hand(self.hand)
+        hand = chosen_hand(self.hand, self.hand_dynamics)
         ppo = self.ppo if self.sees is None else replace(self.ppo, sees=self.sees)
         environment = self.environment
         if self.worlds is not None:

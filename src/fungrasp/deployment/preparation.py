@@ -37,8 +37,8 @@ PLACEMENTS = 60
 """How many of them are tried, the smallest first."""
 
 PLANS = 3
-"""Plans, of as many seeds, that are made before a grasp counts as not reachable: the planner knows nothing of the
-arm, and what one plan can't do the next often can."""
+"""Plans, of as many seeds, that are made before a grasp counts as not reachable: the planner knows nothing of
+the arm, and what one plan can't do the next often can."""
 
 TURNS = np.deg2rad([0, 30, -30, 60, -60, 90, -90, 120, -120, 150, -150, 180])
 """Turns of the object about the vertical that are tried [rad]."""

@@ -28,6 +28,10 @@ from fungrasp.robots.twin.twin_model import TwinPhysics
 from fungrasp.robots.twin.world import TwinWorld
 from fungrasp.task import Policy
 
+ROOM = 0.02
+"""An object is put so that the palm stays so far within the sides of the workspace [m]: what is seen of it is
+up to a centimetre off, and plans differ."""
+
 
 @dataclass(frozen=True, eq=False)
 class TwinOutcome:
@@ -48,8 +52,8 @@ def reachable_placement(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Where a person would put the object so that the arm can grasp it.
 
-    It is the first placement for which one planned motion can be followed, else the first that the arm reaches
-    with some motion: the robot's planner may find it.
+    It is the first placement for which one planned motion can be followed, else the first that the arm
+    reaches with some motion: the robot's planner may find it.
 
     Args:
         cell: the robot.
@@ -65,7 +69,15 @@ def reachable_placement(
         UnreachableError: there is none nearby.
     """
     # What is seen differs by millimetres from what is: more room than is needed.
-    roomy = replace(cell.workspace, table_clearance=2 * cell.workspace.table_clearance)
+    box = cell.workspace
+    inner = np.array([ROOM, ROOM, 0.0])
+    roomy = replace(
+        box,
+        lower=tuple(np.add(box.lower, inner).tolist()),
+        upper=tuple(np.subtract(box.upper, inner).tolist()),
+        table_clearance=2 * box.table_clearance,
+        hand_depth=box.hand_depth - 0.5 * box.table_clearance,
+    )
     cell = replace(cell, workspace=roomy)
     preparer = GraspPreparer(cell, hand, thing, MotionPlanner(hand, {thing.name: thing}), seed=seed)
     home = np.asarray(cell.arm.home)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
+
 import numpy as np
 
 from fungrasp.geometry.poses import invert, rotate
@@ -15,16 +17,34 @@ from fungrasp.robots.twin.devices import TwinHand
 from fungrasp.robots.twin.parameters import TwinParameters
 from fungrasp.robots.twin.world import TwinWorld
 from fungrasp.transfer.identification.excitation import Excitation, excitation_commands
+from fungrasp.transfer.identification.finger_chains import clear_of_itself, place_in_finger
 from fungrasp.transfer.identification.fit import FitSettings, IdentifiedDynamics, fit_dynamics
+from fungrasp.transfer.identification.log_simulation import simulate_log
 from fungrasp.transfer.identification.motion_log import MotionLog
 
-SMALL_STEPS = Excitation(reach=0.1)
-"""Steps so small that servos hardly reach their torque limit. On an Allegro twin without imperfections the
-stiffness is then 3 % off at the median, where 30 % of a joint's range gave 39 %; the probable reason is that
-the fitted model does not count damping towards that limit. Not tried on twins with drawn parameters."""
+MULTI_SINE = Excitation(kind="multi-sine", seconds=6.0, rate=100.0, reach=0.12, hold=0.5, fastest=2.5)
+"""On an Allegro twin servos then make at most 75 % of their torque."""
+
+ALL_ERRORS = FitSettings(errors=("offset", "backlash"), prior=1.0, iterations=20)
+"""Encoder offsets and lost motion are fitted too; where a log says nothing the model's values are right
+within a factor of e."""
+
+WRIST_TURNS = ((-3.2, 0.0), (-3.2, 0.5 * np.pi), (-3.2, -0.5 * np.pi))
+"""Positions of a UR's joints wrist 1 and wrist 3 that turn the palm so that the fingers' weight pulls them to
+three sides [rad]."""
 
 ASIDE = np.array([0.0, 0.45, 0.1, 1.0, 0.0, 0.0, 0.0])
 """Where the object lies meanwhile, world frame."""
+
+
+@dataclass(frozen=True, eq=False)
+class TwinIdentification:
+    """What identification has found of a twin's hand."""
+
+    found: IdentifiedDynamics
+    """From the first half of each log."""
+    held_out_rms: float
+    """Of positions that it predicts in the second halves [rad]."""
 
 
 def record_on_twin(
@@ -41,9 +61,9 @@ def record_on_twin(
         hand: on its arm.
         thing: an object, which lies aside.
         truth: what is true of the twin.
-        excitation: of the joints; ``SMALL_STEPS`` if None.
+        excitation: of the joints; ``MULTI_SINE`` if None.
     """
-    e = excitation or SMALL_STEPS
+    e = excitation or MULTI_SINE
     world = TwinWorld(cell, hand, thing, truth)
     world.settle(ASIDE)
     palm = ArmKinematics(cell, hand).palm_pose(np.asarray(cell.arm.home))
@@ -51,8 +71,22 @@ def record_on_twin(
     driver, clock = TwinHand(world, cell, hand), TwinClock(world)
     with driver:
         rest = driver.read().positions
-        commands = excitation_commands(e, rest, driver.limits.lower, driver.limits.upper)
-        return record_motion(driver, tuple(hand.actuators), commands, e.rate, gravity, clock=clock)
+        names = tuple(hand.actuators)
+        alike = place_in_finger(hand, names)
+        e = replace(e, small_step=min(e.small_step, largest_step(hand)))
+        commands = excitation_commands(e, rest, driver.limits.lower, driver.limits.upper, alike)
+        commands = clear_of_itself(hand, commands)
+        return record_motion(driver, names, commands, e.rate, gravity, clock=clock)
+
+
+def largest_step(hand: Hand) -> float:
+    """A step of any joint, as a share of its range, for which its servo makes 40 % of its torque as it
+    changes sides: those of stiff servos must be smaller."""
+    shares = []
+    for name, servo in hand.actuators.items():
+        low, high = hand.joint_limits[hand.joint_names.index(name)]
+        shares.append(0.2 * servo.force_limit / (servo.kp * (high - low)))
+    return float(min(shares))
 
 
 def identify_on_twin(
@@ -62,15 +96,28 @@ def identify_on_twin(
     truth: TwinParameters,
     excitation: Excitation | None = None,
     settings: FitSettings | None = None,
-) -> IdentifiedDynamics:
-    """What identification finds of a twin's hand.
+) -> TwinIdentification:
+    """What identification finds of a twin's hand that a UR holds in three poses.
 
     Args:
         cell: the robot.
         hand: on its arm.
         thing: an object, which lies aside.
         truth: what is true of the twin; it is used to simulate, and hidden from the fit.
-        excitation: of the joints; ``SMALL_STEPS`` if None.
-        settings: of the fit; the default if None.
+        excitation: of the joints; ``MULTI_SINE`` if None.
+        settings: of the fit; ``ALL_ERRORS`` if None.
     """
-    return fit_dynamics(hand, record_on_twin(cell, hand, thing, truth, excitation), settings)
+    e = excitation or MULTI_SINE
+    logs = []
+    for number, (wrist_1, wrist_3) in enumerate(WRIST_TURNS):
+        home = (*cell.arm.home[:3], wrist_1, cell.arm.home[4], wrist_3)
+        turned = replace(cell, arm=replace(cell.arm, home=home))
+        logs.append(record_on_twin(turned, hand, thing, truth, replace(e, seed=e.seed + number)))
+    found = fit_dynamics(hand, [log.part(0.0, 0.5) for log in logs], settings or ALL_ERRORS)
+    missed = [
+        (simulate_log(hand, log, [found.dynamics], errors=[found.errors])[0] - log.positions)[
+            len(log.times) // 2 :
+        ]
+        for log in logs
+    ]
+    return TwinIdentification(found, float(np.sqrt(np.mean(np.concatenate(missed) ** 2))))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import mujoco
@@ -100,6 +100,7 @@ class LiftTest:
             mujoco.__version__,
             hand.path.read_bytes(),
             hand.model_path.read_bytes(),
+            {name: asdict(servo) for name, servo in hand.actuators.items()},
             {name: getattr(grasps, name) for name in grasps.FIELDS},
             grasps.extra,
             {name: self.objects[name].digest for name in names},

@@ -3,6 +3,7 @@ of the paper)."""
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
@@ -20,7 +21,7 @@ from fungrasp.planning import Planner
 from fungrasp.robots.cell import RobotCell
 from fungrasp.robots.twin.parameters import TwinParameters, TwinSpread, draw_twin
 from fungrasp.robots.twin.twin_model import TwinPhysics
-from fungrasp.task import Policy
+from fungrasp.task import Belief, GraspPlan, Policy
 
 Identify = Callable[[TwinParameters], HandDynamics]
 """What is known of the hand's dynamics of a twin."""
@@ -66,6 +67,27 @@ class TwinEpisode:
     """Why the robot stopped, "" if it did not."""
 
 
+class _RememberingPlanner:
+    """Plans of one grasp: variants that know the same are planned once."""
+
+    def __init__(self, planner: Planner):
+        self._planner = planner
+        self._plans: dict[tuple[int, bytes], GraspPlan] = {}
+
+    def plan(
+        self,
+        grasps: RobotGraspSet,
+        belief: Belief,
+        seed: int = 0,
+        progress: Callable[[float], None] = lambda done: None,
+    ) -> GraspPlan:
+        """See ``Planner.plan``."""
+        key = seed, pickle.dumps(belief)
+        if key not in self._plans:
+            self._plans[key] = self._planner.plan(grasps, belief, seed, progress)
+        return self._plans[key]
+
+
 def try_on_twins(
     grasps: RobotGraspSet,
     index: Sequence[int],
@@ -107,6 +129,7 @@ def try_on_twins(
             placement, start = reachable_placement(cell, hand, thing, grasp)
         except UnreachableError:
             continue
+        remembering = _RememberingPlanner(planner)
         near = replace(cell, arm=replace(cell.arm, home=tuple(start.tolist())))
         for twin in twins:
             truth = draw_twin(twin, len(hand.joint_names), len(hand.actuators), spread)
@@ -126,7 +149,7 @@ def try_on_twins(
                         grasp,
                         placement,
                         policy,
-                        planner,
+                        remembering,
                         truth,
                         dynamics=dynamics,
                         compensate=variant.compensate,

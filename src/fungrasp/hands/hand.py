@@ -50,6 +50,12 @@ class Actuator:
     """Damping [N m s/rad]."""
     force_limit: float
     """Largest torque [N m]."""
+    joint_damping: float | None = None
+    """Damping of the joint beside the servo's [N m s/rad]; that of the model file if None."""
+    joint_friction: float | None = None
+    """Dry friction of the joint [N m]; that of the model file if None."""
+    joint_armature: float | None = None
+    """Inertia of the drive at the joint [kg m^2]; that of the model file if None."""
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -78,6 +84,8 @@ class Hand:
     """"right" or "left": which human hand it imitates."""
     source: str = ""
     """Where the model comes from."""
+    dynamics_path: Path | None = None
+    """File of identified dynamics that the servos and joints have; None: they are the model's."""
 
     def __repr__(self) -> str:
         counts = f"{len(self.fingers)} fingers, {len(self.actuators)} driven joints"
@@ -100,6 +108,13 @@ class Hand:
             actuator.forcerange = [-servo.force_limit, servo.force_limit]
             actuator.ctrllimited = True
             actuator.ctrlrange = joint.range
+            if servo.joint_damping is not None:
+                # Linear; MuJoCo takes a quadratic and a cubic part too.
+                joint.damping = [servo.joint_damping, 0.0, 0.0]
+            if servo.joint_friction is not None:
+                joint.frictionloss = servo.joint_friction
+            if servo.joint_armature is not None:
+                joint.armature = servo.joint_armature
         return spec
 
     @cached_property

@@ -26,7 +26,7 @@ def joint_response(
     Args:
         model: a hand with position servos, its palm fixed.
         changes: made to each world's copy of the model, length W.
-        start: positions of all joints [rad], shape [M]; at rest.
+        start: positions of all joints [rad], shape [M] or, one for each world, [W, M]; at rest.
         controls: of the servos at each step of the model [rad], shape [W, S, U].
         every: positions are returned every so many steps, the first after so many.
     """
@@ -37,10 +37,11 @@ def joint_response(
         models.append(world)
     kind = mujoco.mjtState.mjSTATE_FULLPHYSICS
     data = mujoco.MjData(model)
-    data.qpos[:] = start
-    state = np.zeros(mujoco.mj_stateSize(model, kind))
-    mujoco.mj_getState(model, data, state, kind)
+    begin = np.zeros((len(models), mujoco.mj_stateSize(model, kind)))
+    for world, positions in enumerate(np.broadcast_to(start, (len(models), model.nq))):
+        data.qpos[:] = positions
+        mujoco.mj_getState(model, data, begin[world], kind)
     threads = [mujoco.MjData(model) for _ in range(min(len(models), os.cpu_count() or 1))]
-    states, _ = rollout.rollout(models, threads, state[None], controls)
+    states, _ = rollout.rollout(models, threads, begin, controls)
     # Full physics begins with the time, then the positions.
     return states[:, every - 1 :: every, 1 : 1 + model.nq]

@@ -36,7 +36,7 @@ from fungrasp.training.student import StudentModel
 PLANS = "plans.npz"
 POLICY = "policy.onnx"
 
-PLANNED_FROM = ("hand", "hand_sha256", "sets", "variety", "seed", "plans_sha256")
+PLANNED_FROM = ("hand", "hand_sha256", "sets", "variety", "seed", "plans_sha256", "hand_dynamics_sha256")
 """Settings that the plans depend on."""
 
 Log = Callable[[Mapping[str, float], int], None]
@@ -145,6 +145,8 @@ def train(
         "seed": settings.seed,
         "plans_sha256": "" if predictor is None else predictor.digest,
     }
+    if hand.dynamics_path is not None:
+        planned_from["hand_dynamics_sha256"] = digest(hand.dynamics_path.read_bytes())
     run.claim(
         planned_from
         | {"initial_sha256": "" if initial is None else checkpoint_digest(initial)}
@@ -154,6 +156,7 @@ def train(
         shrink=shrink,
         steps=steps,
         hand=hand.name if hand.name in hand_files() else str(hand.path.absolute()),
+        hand_dynamics=None if hand.dynamics_path is None else str(hand.dynamics_path.absolute()),
         licence=licence,
         plan_file=str((plan_file or folder / PLANS).absolute()),
         object_folders=[None if s.folder is None else str(s.folder.absolute()) for s in sets],

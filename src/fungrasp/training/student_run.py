@@ -27,6 +27,7 @@ from fungrasp.training.plan_library import PlanLibrary
 from fungrasp.training.ppo import Trainer
 from fungrasp.training.run import PLANNED_FROM, PLANS, Log, RunSettings, checkpoint_digest, keep_beside
 from fungrasp.training.settings import DistillSettings
+from fungrasp.transfer.joint_dynamics import identified_hand
 
 STUDENT = "student.onnx"
 
@@ -84,11 +85,15 @@ def read_teacher(folder: Path, objects: Path | None = None) -> TeacherRun:
         hand = load_hand(config["hand"])
         if hand_digest(hand) != wanted["hand_sha256"]:
             raise FungraspError(f"the hand '{hand.name}' has changed since {folder} was trained")
+        # Absent in folders of earlier versions.
+        identified = config.get("hand_dynamics")
+        if identified is not None:
+            hand = _identified(hand, Path(identified), wanted.get("hand_dynamics_sha256"), folder)
         things: dict[str, ObjectModel] = {}
         for one, place in zip(wanted["sets"], config["object_folders"], strict=True):
             things |= _objects(one["objects"], None if place is None else objects or Path(place), folder)
         data = tuple(TrainingData(one["name"], one["terms"], one["count"]) for one in wanted["sets"])
-        planned_from = {name: wanted[name] for name in PLANNED_FROM}
+        planned_from = {name: wanted[name] for name in PLANNED_FROM if name in wanted}
         plan_file = Path(config["plan_file"])
         licence, plans, shrink = config["licence"], config["plans"], float(config["shrink"])
     except (KeyError, TypeError, ValueError) as error:
@@ -187,6 +192,13 @@ def train_student(
         keep_beside(folder, teacher_folder / (teacher.plans + SUFFIX))
     export_student(done.student, folder / STUDENT, card)
     return card
+
+
+def _identified(hand: Hand, path: Path, sha256: str | None, folder: Path) -> Hand:
+    found = identified_hand(hand, path)
+    if digest(path.read_bytes()) != sha256:
+        raise FungraspError(f"the hand dynamics {path} have changed since {folder} was trained")
+    return found
 
 
 def _lost(folder: Path) -> PlanLibrary:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import mujoco
@@ -78,6 +78,38 @@ def set_dynamics(model: mujoco.MjModel, dynamics: JointDynamics) -> None:
         model.actuator_gainprm[servo, 0] = dynamics.stiffness[j]
         model.actuator_biasprm[servo, 1] = -dynamics.stiffness[j]
         model.actuator_biasprm[servo, 2] = 0.0
+
+
+def identified_hand(hand: Hand, path: str | Path) -> Hand:
+    """A hand whose servos and joints have identified dynamics, for everything that plans or trains.
+
+    A torque constant scales all that a servo makes, so that its own damping goes with its stiffness; the rest
+    of the damping is the joint's. The delay is not part of a hand.
+
+    Args:
+        hand: as its files describe it.
+        path: what ``save_dynamics`` has written.
+
+    Raises:
+        FungraspError: the file can't be read, or names joints or quantities that there are not.
+    """
+    dynamics = load_dynamics(path, hand)
+    servos = {}
+    for j, name in enumerate(dynamics.joints):
+        servo, stiffness = hand.actuators[name], float(dynamics.stiffness[j])
+        if not stiffness > 0:
+            raise FungraspError(f"{path}: the stiffness of '{name}' must be positive, not {stiffness:g}")
+        damping = float(dynamics.damping[j])
+        own = min(servo.kd * stiffness / servo.kp, damping)
+        servos[name] = replace(
+            servo,
+            kp=stiffness,
+            kd=own,
+            joint_damping=damping - own,
+            joint_friction=float(dynamics.friction[j]),
+            joint_armature=float(dynamics.armature[j]),
+        )
+    return replace(hand, actuators=servos, dynamics_path=Path(path))
 
 
 def save_dynamics(path: str | Path, dynamics: JointDynamics) -> None:

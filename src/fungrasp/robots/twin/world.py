@@ -19,6 +19,11 @@ from fungrasp.robots.twin.parameters import TwinParameters
 from fungrasp.robots.twin.twin_model import OBJECT, TABLE, TwinPhysics, twin_model
 from fungrasp.transfer import random_stream
 
+TORQUE_DELAY = 0.002
+"""Time until a torque reaches the hand's motors [s]: a CAN frame and a period of the motor's controller. The
+twin's own delay is that of setpoints on their way through a hand's servos; a torque loop of 333 Hz closed
+through as much would swing by itself."""
+
 FRICTION_INTERVAL = 4
 """Physics steps after which dry friction follows the speed of a joint."""
 
@@ -153,7 +158,7 @@ class TwinWorld:
 
     def command_torques(self, torques: np.ndarray) -> None:
         """Torques of the hand's motors in place of its position servos [N m], shape [U]."""
-        self._post("torque", self.truth.hand_delay, torques)
+        self._post("torque", TORQUE_DELAY, torques)
 
     def arm_state(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Positions [rad], velocities [rad/s] and torques [N m] of the arm, each of shape [6]."""

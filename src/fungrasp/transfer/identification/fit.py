@@ -1,29 +1,32 @@
 """Fits joint dynamics to a log: bounded Gauss-Newton, and CMA-ES beside it.
 
-minimize over (delay, logarithms of stiffness, damping, friction, armature of each joint)
-    sum (q_simulated(t) - q_measured(t))^2 / sigma^2
+minimize over (delay; logarithms of stiffness, damping, friction, armature of each joint; its drive's errors)
+    sum (q_simulated(t) - q_measured(t))^2 / sigma^2 + sum (log factor)^2 / prior^2
 
-The simulation is the hand's model from the log's first position, at rest, under the log's commands.
+The simulation is the hand's model from the log's first position, at rest, under the log's commands. Where the
+links are light against the drives, the scale of all quantities of a joint is seen in nothing but its weight,
+in logs with gravity from several sides, and the model's values, as a prior, say the rest.
 """
 
 from __future__ import annotations
 
-import copy
 import io
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 
-import mujoco
 import numpy as np
 from mujoco import minimize
 
 from fungrasp.errors import FungraspError
 from fungrasp.hands import Hand
-from fungrasp.simulation.joint_response import STEP, joint_response
+from fungrasp.transfer.identification.finger_chains import chain_of, place_in_finger
+from fungrasp.transfer.identification.log_simulation import DriveErrors, simulate_log
 from fungrasp.transfer.identification.motion_log import MotionLog
-from fungrasp.transfer.joint_dynamics import JointDynamics, model_dynamics, set_dynamics
+from fungrasp.transfer.joint_dynamics import JointDynamics, model_dynamics
 
 METHODS = ("gauss-newton", "cma-es")
+ERRORS = ("offset", "backlash")
 
 
 @dataclass(frozen=True)
@@ -38,6 +41,13 @@ class FitSettings:
     """Each quantity stays within this factor of the model's value."""
     longest_delay: float = 0.15
     """[s]."""
+    errors: tuple[str, ...] = ()
+    """Errors of the drives that are fitted too: "offset" of the encoders, "backlash"."""
+    largest_error: float = 0.05
+    """Bound of both [rad]."""
+    prior: float = float("inf")
+    """Standard deviation of the logarithms of the factors on the model's values; infinite for none. It
+    decides where the log does not."""
     least: float = 1e-4
     """Quantities that are zero in the model start here."""
     noise: float = 1e-3
@@ -54,6 +64,9 @@ class FitSettings:
             raise FungraspError(
                 f"the method of identification is {' or '.join(METHODS)}, not '{self.method}'"
             )
+        for name in self.errors:
+            if name not in ERRORS:
+                raise FungraspError(f"errors of drives are {' and '.join(ERRORS)}, not '{name}'")
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,102 +83,133 @@ class IdentifiedDynamics:
     """Simulated motions."""
     seconds: float
     """Time the fit took [s]."""
+    errors: DriveErrors
+    """Of the drives of the joints of the log; zero where they were not fitted."""
 
 
-def simulate_log(
-    hand: Hand, log: MotionLog, dynamics: list[JointDynamics], start: np.ndarray | None = None
-) -> np.ndarray:
-    """Positions of the log's joints at the log's times, shape [W, T, J], for W dynamics of those joints.
-
-    The delay shifts the response: the joints do not change with time, and the log begins at rest. Shifting
-    the commands would give a staircase in the delay, as a step drives a servo to its force limit.
-
-    Args:
-        hand: its model.
-        log: commands, times and gravity.
-        dynamics: of the joints of the log, length W.
-        start: first positions of the log's joints [rad], shape [J]; measured ones by default.
-    """
-    model = copy.copy(hand.model)
-    model.opt.timestep = STEP
-    model.opt.gravity = log.gravity
-    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
-    names = list(hand.actuators)
-    columns = [names.index(joint) for joint in log.joints]
-    first = log.positions[0] if start is None else start
-    independent = np.clip(np.zeros(len(names)), *_limits(hand))
-    independent[columns] = first
-    times = np.arange(log.times[0], log.times[-1] + STEP, STEP)
-    controls = np.tile(independent, (len(dynamics), len(times), 1))
-    held = np.searchsorted(log.times, times + STEP / 2, side="right") - 1
-    controls[:, :, columns] = log.commands[held]
-    changes = [lambda m, d=d: set_dynamics(m, d) for d in dynamics]
-    response = joint_response(model, changes, hand.all_joints(independent), controls)
-    rows = [hand.joint_names.index(joint) for joint in log.joints]
-    response = np.concatenate([np.tile(first, (len(dynamics), 1, 1)), response[:, :-1, rows]], axis=1)
-    delays = np.array([d.delay for d in dynamics])
-    at = np.maximum(log.times - log.times[0] - delays[:, None], 0.0) / STEP
-    below = np.minimum(at.astype(int), len(times) - 2)
-    share = (at - below)[..., None]
-    worlds = np.arange(len(dynamics))[:, None]
-    return (1 - share) * response[worlds, below] + share * response[worlds, below + 1]
-
-
-def fit_dynamics(hand: Hand, log: MotionLog, settings: FitSettings | None = None) -> IdentifiedDynamics:
-    """Fit the dynamics of the log's joints.
+def fit_dynamics(
+    hand: Hand, log: MotionLog | Sequence[MotionLog], settings: FitSettings | None = None
+) -> IdentifiedDynamics:
+    """Fit the dynamics of the joints of a log, or of several logs of the same joints, with gravity from
+    several sides for instance.
 
     Raises:
-        FungraspError: the log is too short, does not excite a joint, or has joints that the hand has not.
+        FungraspError: a log is too short, does not excite a joint, or has joints that the hand has not.
     """
     settings = settings or FitSettings()
-    log.check_excitation()
-    for joint in log.joints:
+    logs = (log,) if isinstance(log, MotionLog) else tuple(log)
+    for one in logs:
+        one.check_excitation()
+        if one.joints != logs[0].joints:
+            raise FungraspError("logs that are fitted together must be of the same joints in the same order")
+    for joint in logs[0].joints:
         if joint not in hand.actuators:
             raise FungraspError(f"hand '{hand.name}' has no driven joint '{joint}' that the log has")
-    problem = _Problem(hand, log, settings)
+    problem = _Problem(hand, logs, settings)
     began = time.perf_counter()
     best = problem.start()
     best = _gauss_newton(problem, best) if settings.method == "gauss-newton" else _cma_es(problem, best)
     seconds = time.perf_counter() - began
     residual = problem.residuals(best[:, None])
-    rms = float(np.sqrt(np.mean(residual**2)) * settings.noise)
+    rms = float(np.sqrt(np.mean(residual[: problem.measured] ** 2)) * settings.noise)
     return IdentifiedDynamics(
-        problem.dynamics(best), problem.uncertainty(best, residual), rms, problem.simulations, seconds
+        problem.dynamics(best),
+        problem.uncertainty(best, residual),
+        rms,
+        problem.simulations,
+        seconds,
+        problem.errors(best),
     )
 
 
 class _Problem:
-    """Parameters: the delay [units of 10 ms], then logarithms of each free quantity of each joint."""
+    """Parameters: the delay [units of 10 ms]; then logarithms of each free quantity of each joint; then each
+    free error of each joint's drive [units of 10 mrad]."""
 
-    def __init__(self, hand: Hand, log: MotionLog, settings: FitSettings):
-        self._hand, self._log, self._settings = hand, log, settings
+    def __init__(self, hand: Hand, logs: Sequence[MotionLog], settings: FitSettings):
+        self._hand, self._logs, self._settings = hand, logs, settings
         model = model_dynamics(hand)
-        columns = [model.joints.index(joint) for joint in log.joints]
+        self._joints = joints = logs[0].joints
+        columns = [model.joints.index(joint) for joint in joints]
         self.nominal = {
             name: np.maximum(getattr(model, name)[columns], settings.least)
             for name in ("stiffness", "damping", "friction", "armature")
         }
         self.free = [name for name in self.nominal if name not in settings.fixed]
-        self.count = 1 + len(self.free) * len(log.joints)
+        self.factors = len(self.free) * len(joints)
+        self.count = 1 + self.factors + len(settings.errors) * len(joints)
         reach = np.log(settings.range)
-        self.lower = np.concatenate([[0.0], np.full(self.count - 1, -reach)])
-        self.upper = np.concatenate([[settings.longest_delay / DELAY_UNIT], np.full(self.count - 1, reach)])
+        slack = settings.largest_error / ERROR_UNIT
+        lowest = [np.full(len(joints), -slack if name == "offset" else 0.0) for name in settings.errors]
+        highest = np.full(self.count - 1 - self.factors, slack)
+        self.lower = np.concatenate([[0.0], np.full(self.factors, -reach), *lowest])
+        self.upper = np.concatenate(
+            [[settings.longest_delay / DELAY_UNIT], np.full(self.factors, reach), highest]
+        )
+        self.measured = sum(log.positions.size for log in logs)
         self.simulations = 0
+        self._fingers, self._places = chain_of(hand, joints), place_in_finger(hand, joints)
 
     def dynamics(self, parameters: np.ndarray) -> JointDynamics:
         values = {name: value.copy() for name, value in self.nominal.items()}
         for i, name in enumerate(self.free):
-            part = parameters[1 + i * len(self._log.joints) :][: len(self._log.joints)]
-            values[name] = self.nominal[name] * np.exp(part)
+            values[name] = self.nominal[name] * np.exp(self._part(parameters, i))
         delay = float(np.clip(parameters[0], 0, self.upper[0])) * DELAY_UNIT
-        return JointDynamics(self._log.joints, **values, delay=delay)
+        return JointDynamics(self._joints, **values, delay=delay)
+
+    def errors(self, parameters: np.ndarray) -> DriveErrors:
+        found = {"offset": np.zeros(len(self._joints)), "backlash": np.zeros(len(self._joints))}
+        for i, name in enumerate(self._settings.errors):
+            found[name] = ERROR_UNIT * self._part(parameters, len(self.free) + i)
+        return DriveErrors(**found)
+
+    def _part(self, parameters: np.ndarray, number: int) -> np.ndarray:
+        """One kind of parameters of all joints, shape [J]."""
+        return parameters[1 + number * len(self._joints) :][: len(self._joints)]
 
     def residuals(self, parameters: np.ndarray) -> np.ndarray:
-        """Shape [T J, W]; parameters: shape [P, W]."""
-        self.simulations += parameters.shape[1]
-        found = simulate_log(self._hand, self._log, [self.dynamics(column) for column in parameters.T])
-        found = np.nan_to_num(found, nan=10.0, posinf=10.0, neginf=-10.0)
-        return ((found - self._log.positions) / self._settings.noise).reshape(parameters.shape[1], -1).T
+        """Of the logs, then of the prior, shape [R, W]; parameters: shape [P, W]."""
+        worlds = parameters.shape[1]
+        self.simulations += worlds * len(self._logs)
+        dynamics = [self.dynamics(column) for column in parameters.T]
+        errors = [self.errors(column) for column in parameters.T] if self._settings.errors else None
+        parts = []
+        for log in self._logs:
+            found = simulate_log(self._hand, log, dynamics, errors=errors)
+            found = np.nan_to_num(found, nan=10.0, posinf=10.0, neginf=-10.0)
+            parts.append(((found - log.positions) / self._settings.noise).reshape(worlds, -1).T)
+        if np.isfinite(self._settings.prior):
+            parts.append(parameters[1 : 1 + self.factors] / self._settings.prior)
+        return np.concatenate(parts)
+
+    def jacobian(self, parameters: np.ndarray, residual: np.ndarray) -> np.ndarray:
+        """By differences. The palm stands still, so that joints of one finger do not move another: one
+        simulation serves a joint of each finger."""
+        joints, step = len(self._joints), 1e-3
+        finger, place = self._fingers, self._places
+        kinds = (self.count - 1) // joints
+        x, groups = parameters.reshape(-1), [np.array([0])]
+        for kind in range(kinds):
+            groups += [1 + kind * joints + np.flatnonzero(place == p) for p in range(place.max() + 1)]
+        # At an upper bound the step goes back.
+        signs = np.where(x + step > self.upper, -step, step)
+        moved = np.tile(x[:, None], (1, len(groups)))
+        for column, group in enumerate(groups):
+            moved[group, column] += signs[group]
+        changed = self.residuals(moved) - residual.reshape(-1, 1)
+        jacobian = np.zeros((len(changed), self.count))
+        jacobian[:, 0] = changed[:, 0] / signs[0]
+        column_finger = finger[np.arange(self.measured) % joints]
+        for column, group in enumerate(groups[1:], start=1):
+            for parameter in group:
+                own = column_finger == finger[(parameter - 1) % joints]
+                jacobian[: self.measured][own, parameter] = (
+                    changed[: self.measured][own, column] / signs[parameter]
+                )
+        if np.isfinite(self._settings.prior):
+            rows = self.measured + np.arange(self.factors)
+            jacobian[rows, 1 + np.arange(self.factors)] = 1.0 / self._settings.prior
+        return jacobian
 
     def start(self) -> np.ndarray:
         """The model's values with the best of some delays: in the delay the fit has several minima."""
@@ -174,19 +218,16 @@ class _Problem:
         return tries[:, np.argmin((self.residuals(tries) ** 2).sum(axis=0))]
 
     def uncertainty(self, best: np.ndarray, residual: np.ndarray) -> dict[str, np.ndarray]:
-        step = 1e-3
-        moved = best[:, None] + step * np.eye(self.count)
-        jacobian = (self.residuals(moved) - residual) / step
+        jacobian = self.jacobian(best, residual)
         scale = max(1.0, float(np.mean(residual**2)))
         variance = scale * np.diag(np.linalg.pinv(jacobian.T @ jacobian, rcond=1e-12))
-        joints = len(self._log.joints)
         deviation = np.sqrt(np.maximum(variance, 0.0))
-        parts = {name: deviation[1 + i * joints :][:joints] for i, name in enumerate(self.free)}
+        parts = {name: self._part(deviation, i) for i, name in enumerate(self.free)}
         return parts | {"delay": np.array([deviation[0] * DELAY_UNIT])}
 
 
-DELAY_UNIT = 0.01
-"""[s]: a parameter of about the size of the others."""
+DELAY_UNIT, ERROR_UNIT = 0.01, 0.01
+"""[s] and [rad]: parameters of about the size of the others."""
 
 
 def _gauss_newton(problem: _Problem, start: np.ndarray) -> np.ndarray:
@@ -196,6 +237,7 @@ def _gauss_newton(problem: _Problem, start: np.ndarray) -> np.ndarray:
         np.clip(start, problem.lower, problem.upper)[:, None],
         problem.residuals,
         bounds=bounds,
+        jacobian=problem.jacobian,
         eps=1e-3,
         max_iter=problem._settings.iterations,
         x_scale="jac",
@@ -229,8 +271,3 @@ def _cma_es(problem: _Problem, start: np.ndarray) -> np.ndarray:
         search.tell(list(tries.T), ((problem.residuals(tries) ** 2).sum(axis=0)).tolist())
     assert search.result.xbest is not None
     return np.asarray(search.result.xbest)
-
-
-def _limits(hand: Hand) -> tuple[np.ndarray, np.ndarray]:
-    limits = np.array([hand.joint_limits[hand.joint_names.index(joint)] for joint in hand.actuators])
-    return limits[:, 0], limits[:, 1]

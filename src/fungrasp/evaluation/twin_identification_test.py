@@ -1,0 +1,104 @@
+"""Identified dynamics of a twin's hand against its truth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fungrasp.deployment.twin_identification import ALL_ERRORS, identify_on_twin
+from fungrasp.hands import Hand
+from fungrasp.objects import ObjectModel
+from fungrasp.robots.cell import RobotCell
+from fungrasp.robots.twin.parameters import TwinParameters, draw_twin
+from fungrasp.transfer.joint_dynamics import QUANTITIES, JointDynamics
+
+
+@dataclass(frozen=True)
+class TwinFit:
+    """One identification of a drawn twin's hand."""
+
+    hand: str
+    """Name of the hand."""
+    twin: int
+    """Which twin."""
+    method: str
+    """Of the fit."""
+    median_error: float
+    """Over all quantities of all joints, of the truth."""
+    errors: dict[str, float]
+    """Median over the joints by quantity; friction: against that at rest."""
+    largest_error: float
+    """Over all quantities of all joints."""
+    model_error: float
+    """Of the model's own values, as ``median_error``: what is known without identification."""
+    delay_error: float
+    """[s]."""
+    held_out_rms: float
+    """Of positions in the halves of the logs that were not fitted [rad]."""
+    simulations: int
+    """Simulated motions."""
+    seconds: float
+    """Time the fit took [s]."""
+
+
+def twin_fit(
+    cell: RobotCell, hand: Hand, thing: ObjectModel, twin: int, method: str, evaluations: int
+) -> TwinFit:
+    """Identify the hand of a twin whose parameters are drawn.
+
+    Args:
+        cell: the robot.
+        hand: on its arm.
+        thing: an object, which lies aside.
+        twin: which one.
+        method: of the fit.
+        evaluations: of CMA-ES.
+    """
+    truth = draw_twin(twin, len(hand.joint_names), len(hand.actuators))
+    settings = replace(ALL_ERRORS, method=method, evaluations=evaluations)
+    identified = identify_on_twin(cell, hand, thing, truth, settings=settings)
+    found, true = identified.found.dynamics, true_dynamics(hand, truth)
+    model = true_dynamics(hand, None)
+    errors = {name: _errors(found, true, name) for name in QUANTITIES}
+    unfitted = np.concatenate([_errors(model, true, name) for name in QUANTITIES])
+    everything = np.concatenate(list(errors.values()))
+    return TwinFit(
+        hand.name,
+        twin,
+        method,
+        float(np.median(everything)),
+        {name: float(np.median(values)) for name, values in errors.items()},
+        float(everything.max()),
+        float(np.median(unfitted)),
+        found.delay - truth.hand_delay,
+        identified.held_out_rms,
+        identified.found.simulations,
+        identified.found.seconds,
+    )
+
+
+def true_dynamics(hand: Hand, truth: TwinParameters | None) -> JointDynamics:
+    """Dynamics of a twin's driven joints; those of the model if None."""
+    names, servos = list(hand.actuators), list(hand.actuators.values())
+    rows = [hand.joint_names.index(name) for name in names]
+    dofs = [hand.model.joint(name).dofadr[0] for name in names]
+    one = np.ones(len(names))
+    torque, damping, armature = (
+        (truth.stiffness, truth.damping[rows], truth.armature[rows]) if truth else (one, one, one)
+    )
+    friction = hand.model.dof_frictionloss[dofs].copy()
+    if truth is not None:
+        friction = truth.friction * np.array([servo.force_limit for servo in servos])
+    return JointDynamics(
+        tuple(names),
+        torque * np.array([servo.kp for servo in servos]),
+        torque * np.array([servo.kd for servo in servos]) + damping * hand.model.dof_damping[dofs],
+        friction,
+        armature * hand.model.dof_armature[dofs],
+        truth.hand_delay if truth else 0.0,
+    )
+
+
+def _errors(found: JointDynamics, true: JointDynamics, name: str) -> np.ndarray:
+    return np.abs(getattr(found, name) / getattr(true, name) - 1.0)
