@@ -8,7 +8,9 @@ import pytest
 from grasp_files import run, some_grasps
 
 from fungrasp.cli import reproduce_policies
+from fungrasp.cli.train import Train
 from fungrasp.grasps import save_human_grasps
+from fungrasp.transfer import MODERATE, REALITY
 
 
 @pytest.mark.parametrize(
@@ -42,6 +44,28 @@ def test_wandb_is_asked_for_in_words(tmp_path, capsys):
         pytest.skip("wandb is installed")
     status, _, err = run(capsys, "train", "--out", tmp_path, "--wandb", "project")
     assert status == 2 and "pip install wandb" in err
+
+
+def test_worlds_can_be_named_by_what_they_are_drawn_from(tmp_path, monkeypatch):
+    pytest.importorskip("rsl_rl")
+    import fungrasp.training.run as training
+
+    class Enough(Exception):
+        pass
+
+    asked = []
+
+    def stand_in(out, sets, hand, settings, *others, **more):
+        asked.append(settings.environment)
+        raise Enough
+
+    monkeypatch.setattr(training, "train", stand_in)
+    grasps = tmp_path / "g.npz"
+    save_human_grasps(grasps, some_grasps())
+    for worlds in ("reality", None):
+        with pytest.raises(Enough):
+            Train(tmp_path / "out", (str(grasps),), worlds=worlds).run()
+    assert [one.randomization for one in asked] == [REALITY, MODERATE]
 
 
 def test_finished_variants_are_not_trained_again_unless_settings_differ(tmp_path, capsys):

@@ -51,11 +51,11 @@ class SelectionSettings:
     """Candidates of each grasp that are planned together, the unchanged grasp included."""
     rollouts: RolloutSettings | None = field(default_factory=RolloutSettings)
     """Rollouts that decide between the most promising; the predictor alone decides if None."""
-    sure: float = 0.85
+    sure: float = 0.8
     """Expected success from which the best candidate after the first rollouts is taken without more."""
     first_rounds: Rounds = ((6, 1), (3, 2))
     """First rollouts of all grasps: a candidate that holds three times out of three is sure where the
-    predictor expects three of four or more."""
+    predictor expects two of three or more."""
     rounds: Rounds = ((12, 1), (6, 2), (3, 3))
     """Rollouts of the first candidates of grasps of which none is sure."""
     prior: float = 4.0

@@ -15,8 +15,8 @@ class FingerHold:
     """Setpoints of the fingers of W hands that hold something.
 
     A servo alone is a spring: a finger of 4 N m/rad yields by a centimeter to 3 N. Integral control of the
-    joint angles moves the setpoints until the joints are where they were, as far as the torque limits allow. It
-    needs the encoders alone, and no bias of theirs matters.
+    joint angles moves the setpoints until the joints are where they were, as far as the torque limits allow.
+    It needs the encoders alone, and no bias of theirs matters.
     """
 
     def __init__(self, hand: Hand, setpoints: np.ndarray, joints: np.ndarray):
