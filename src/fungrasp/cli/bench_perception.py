@@ -35,8 +35,7 @@ class BenchPerception:
     truth.json; docs/perception.md says what is in them."""
     track: int = 0
     """Follow the object through so many images of its first grasp that moves, with sharp and with smoothed
-    depth,
-    instead of all else."""
+    depth, instead of all else."""
     grasps: str = "builtin"
     """A file of human grasps, or "builtin"."""
     objects: Path | None = None

@@ -24,14 +24,11 @@ FEATURES = ("explained", "contradicted", "visible", "pixels")
 
 WEIGHTS = np.array([-5.60, 6.33, -3.18, 1.85, 0.80])
 """Logistic regression on ``FEATURES`` (the first is the constant), ridge 0.03, fitted to the best answers on
-42
-rendered scenes (shapes of 5 to 14 cm, YCB and built-in objects) with the depth of stereo, structured-light
-and
-time-of-flight cameras: with and without hints, masks 6 pixels too large or small, and a third of them
-searched with
-the mesh of another object, counted twice. Right is ADD-S below 10 mm and a tenth of the object's size, and
-no point
-of the surface, symmetries allowed for, farther than half that size from where it is."""
+42 rendered scenes (shapes of 5 to 14 cm, YCB and built-in objects) with the depth of stereo, structured-light
+and time-of-flight cameras: with and without hints, masks 6 pixels too large or small, and a third of them
+searched with the mesh of another object, counted twice. Right is ADD-S below 10 mm and a tenth of the
+object's size, and no point of the surface, symmetries allowed for, farther than half that size from where it
+is."""
 
 PIXELS = (-1.0, 0.5)
 """Limits of the logarithm of the pixels, less 3: more than 3000 say nothing more, and less than 100 nothing
@@ -51,8 +48,7 @@ CLOSE = 0.1
 
 LOOSE_MASK = 0.25
 """A mask with a larger part of other things is loose: 6 pixels too many around an object of 50 make 40 %,
-true
-masks of the images looked at had up to 20 %."""
+true masks of the images looked at had up to 20 %."""
 
 SAME = 0.001
 """Poses whose surfaces are nearer than this on average [m] look the same: a symmetry."""
