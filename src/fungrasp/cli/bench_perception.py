@@ -33,6 +33,9 @@ class BenchPerception:
     real: Path | None = None
     """Folder of real captures whose truth is known, one folder each: rgb.png, depth.png, K.json, mask.png,
     truth.json; docs/perception.md says what is in them."""
+    track: int = 0
+    """Follow the object through so many images of its first grasp that moves, with sharp and with smoothed
+    depth, instead of all else."""
     grasps: str = "builtin"
     """A file of human grasps, or "builtin"."""
     objects: Path | None = None
@@ -82,6 +85,11 @@ class BenchPerception:
             bench_recorded(self.real, self.json)
             return
         human = self._grasps()
+        if self.track:
+            from fungrasp.cli.bench_tracking import bench_tracking
+
+            bench_tracking(human, load_objects(human, self.objects), self.track, self.json)
+            return
         if self.chain:
             self._check_policies()
         objects = load_objects(human, self.objects)

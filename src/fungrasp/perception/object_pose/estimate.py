@@ -10,7 +10,7 @@ import trimesh
 from fungrasp.objects import ObjectModel
 from fungrasp.perception.estimates import HandEstimate, ObjectEstimate
 from fungrasp.perception.io.capture import Capture
-from fungrasp.perception.object_pose.confidence import ACCEPT, confidence, rivals, score_warnings
+from fungrasp.perception.object_pose.confidence import ACCEPT, RIVALRY, confidence, rivals, score_warnings
 from fungrasp.perception.object_pose.known_object import known_object
 from fungrasp.perception.object_pose.object_view import (
     LEAST_PIXELS,
@@ -40,6 +40,9 @@ SIZES = (0.01, 1.5)
 
 GOOD = (0.85, 0.6)
 """Quality of an answer that needs no second search, with and without a mask."""
+
+GOOD_SMOOTHED = 0.55
+"""The same where depth is smoothed: no answer is as good there, and polishing makes up for it."""
 
 COLOR_WEIGHT = 0.15
 """Quality that full agreement of colors adds, as a part of the best pose's."""
@@ -151,6 +154,8 @@ def best_estimate(answers: PoseAnswers) -> ObjectEstimate:
         return ObjectEstimate(poses[0], 0.0, False, warnings=(answers.problem,))
     scores = confidence(answers.scores)
     score = float(scores[0])
+    if answers.rival[0] > RIVALRY * answers.scores.quality[0]:
+        score = min(score, 0.5)
     warnings: tuple[PerceptionWarning, ...] = ()
     if score < ACCEPT:
         warnings = score_warnings(
@@ -174,7 +179,8 @@ def _answers(
     known, evidence = view.known, view.evidence
     found = search_poses(known, evidence, (few, many), rng, settings)
     masked = view.capture.mask is not None
-    if float(many(found.poses, found.owner).quality.max()) < GOOD[0 if masked else 1]:
+    good = GOOD[0 if masked else 1] if view.seen.edge_width <= SHARP else GOOD_SMOOTHED
+    if float(many(found.poses, found.owner).quality.max()) < good:
         harder = replace(settings, rotations=2 * settings.rotations)
         again = search_poses(known, evidence, (few, many), rng, harder)
         found = PoseHypotheses(

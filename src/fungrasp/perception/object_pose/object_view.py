@@ -17,13 +17,13 @@ from fungrasp.perception.scene.segmentation import Segmentation, segment
 LEAST_PIXELS = 80
 """Fewer measured pixels of the object don't tell its pose."""
 
-TOO_LARGE = 1.25
-"""What a mask shows is not the mesh if it is larger by this factor."""
+TOO_LARGE = 0.6
+"""What a mask shows is not the mesh if its points are farther from their middle than this part of the mesh's
+size: those of a stick are 0.5 away at most, if its middle is seen."""
 
-TRIMMED = (8, 92)
-"""Percentiles between which a mask's points count for its size: a mask with 6 pixels too much around an
-object of
-50 pixels has a third of outliers, which its colours leave a few of."""
+OUTLIERS = 0.3
+"""Part of a mask's points that may be farther: 6 pixels too many around an object of 50 make a third, which
+their colours leave a few of."""
 
 SMOOTHED = 2.0
 """Where depth is smoothed, a surface may be in front of it by so many standard deviations more."""
@@ -105,9 +105,10 @@ def view_of_object(
         return None, f"what may be the object has only {max(counts, default=0)} pixels with depth"
     evidence = tuple(object_evidence(capture, mask, seen, table, rng) for mask in masks)
     if capture.mask is not None:
-        low, high = np.percentile(evidence[0].points, TRIMMED, axis=0)
-        extent = float(np.linalg.norm(high - low))
-        if extent > TOO_LARGE * known.size:
+        points = evidence[0].points
+        away = np.linalg.norm(points - np.median(points, axis=0), axis=1)
+        if np.percentile(away, 100 * (1 - OUTLIERS)) > TOO_LARGE * known.size:
+            extent = 2 * float(np.percentile(away, 90))
             return None, (
                 f"the mask shows something {extent:.3f} m large, but the mesh is {known.size:.3f} m: "
                 "wrong mesh, mask or unit?"

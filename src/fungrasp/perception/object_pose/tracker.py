@@ -59,7 +59,7 @@ FOLLOWED = 0.5
 
 
 @dataclass(frozen=True, eq=False)
-class FollowedPose:
+class ObjectTrack:
     """Where the object is in one image."""
 
     pose: np.ndarray
@@ -99,7 +99,7 @@ class ObjectTracker:
         self._motion: np.ndarray | None = None
         self._colors: tuple[np.ndarray, np.ndarray] | None = None
 
-    def update(self, color: np.ndarray, depth: np.ndarray) -> FollowedPose:
+    def update(self, color: np.ndarray, depth: np.ndarray) -> ObjectTrack:
         """The object's pose in the next image.
 
         Args:
@@ -119,7 +119,7 @@ class ObjectTracker:
         view = self._view(starts[0], color, depth)
         if view is None:
             self._motion = None
-            return FollowedPose(self.pose, 0.0)
+            return ObjectTrack(self.pose, 0.0)
         evidence, pixels, cells = view
         poses, cost = fit_poses(self._known.surface, evidence, starts, ROUNDS[0])
         poses, _ = fit_poses(self._known.surface, evidence, poses[np.argsort(cost)[:2]], ROUNDS[1])
@@ -132,7 +132,7 @@ class ObjectTracker:
             self.pose = poses[best]
         else:
             self._motion = None
-        return FollowedPose(poses[best] if score >= FOLLOWED else self.pose, score)
+        return ObjectTrack(poses[best] if score >= FOLLOWED else self.pose, score)
 
     def _starts(self) -> np.ndarray:
         """Poses to begin from, the likeliest first, shape [S, 7]."""
