@@ -173,6 +173,41 @@ def methods() -> Table:
     return Table(("method", "success", "contact ratio"), rows, ["methods"])
 
 
+def peers() -> Table:
+    """Retargeting methods of this package and of others, by one judge."""
+    result = _read("peers")
+    speed = result.header["grasps_per_cpu_second"]
+    rows = []
+    for name in speed:
+        mine = [row for row in result.rows if row["method"] == name]
+
+        def mean(key: str, mine: list[dict[str, Any]] = mine) -> float:
+            return float(np.mean([row[key] for row in mine]))
+
+        depths = (f"{mean(f'{what}_penetration_mm'):.1f}" for what in ("object", "table", "self"))
+        rows.append(
+            (
+                name,
+                f"{speed[name]:.0f}",
+                f"{mean('contact_error_mm'):.1f}, {mean('contact_gap_mm'):.1f}",
+                " / ".join(depths),
+                f"{mean('link_direction_error_deg'):.0f}",
+                *(
+                    _percent(mean(f"{test}_success")) if f"{test}_success" in mine[0] else NONE
+                    for test in ("adapted", "as_given")
+                ),
+            )
+        )
+    head = ("method", "grasps per CPU second", "contact error, gap [mm]")
+    head += (
+        "object / table / self penetration [mm]",
+        "link direction [°]",
+        "success",
+        "success, not adapted",
+    )
+    return Table(head, rows, ["peers"])
+
+
 def robustness() -> Table:
     """Success under each condition of the robustness protocol [%]."""
     columns = {
@@ -479,6 +514,7 @@ BUILDERS: dict[str, Callable[[], Table]] = {
     "policies_in_full": policies_in_full,
     "students": students,
     "methods": methods,
+    "peers": peers,
     "robustness": robustness,
     "ablations": ablations,
     "perception": perception,

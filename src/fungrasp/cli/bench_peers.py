@@ -38,7 +38,7 @@ def compare_with_peers(options: Retargeting) -> None:
     from fungrasp.evaluation.peers.comparison import PEERS, compare_method, installed_peers
     from fungrasp.grasps import load_human_grasps, load_objects
     from fungrasp.hands import load_hand
-    from fungrasp.provenance import machine
+    from fungrasp.provenance import machine, run_record
     from fungrasp.retarget import METHODS
 
     there = installed_peers()
@@ -61,7 +61,7 @@ def compare_with_peers(options: Retargeting) -> None:
             continue
         print(f"{name}: {results[name].grasps_per_cpu_second:.1f} grasps per CPU second", file=sys.stderr)
         if options.json is not None:
-            _write(options.json, results, {"hand": hand.name, "grasps": len(human), "machine": machine()})
+            _write(options.json, results, run_record(0) | {"hand": hand.name, "grasps": len(human)})
     print(table([HEAD, *(_row(name, result) for name, result in results.items())]))
     print(f"{len(human)} grasps of {len(objects)} objects by {hand.name}; {machine()}")
 
