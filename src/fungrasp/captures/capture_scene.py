@@ -169,6 +169,11 @@ def _clutter(
     return placed
 
 
+def scan_table(centre: np.ndarray, rng: np.random.Generator) -> SurfaceMesh:
+    """A table top with the object on it. centre: of the object [m], world frame, shape [3]."""
+    return _table(centre, 0.0, rng)
+
+
 def _in_one_color(painted: PaintedMesh, color: Color) -> PaintedMesh:
     """The same with the paint's light and dark in shades of one colour."""
     grey = painted.colors.mean(axis=1, keepdims=True)
