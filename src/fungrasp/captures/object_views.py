@@ -53,11 +53,10 @@ def object_views(
     tracer = RayTracer(surfaces, look)
     captures = []
     for i in range(count):
-        azimuth = 360.0 * i / count + rng.uniform(-3, 3)
         eye = orbit_camera(
             centre + rng.normal(size=3) * 0.008,
             distance * rng.uniform(0.95, 1.05),
-            azimuth,
+            360.0 * i / count + rng.uniform(-3, 3),
             elevation + rng.uniform(-4, 4),
         )
         rotation = Rotation.from_matrix(eye.rotation).as_quat(scalar_first=True)

@@ -11,21 +11,22 @@ MESHES = (".ply", ".obj", ".stl", ".glb")
 
 @dataclass(frozen=True)
 class Scan:
-    """Make a mesh of an object from images with depth of it, taken from all round: 8 to 16, at most 45 degrees apart.
+    """Make a mesh of an object from images with depth of it, taken from all round: 8 to 16, at most 45
+    degrees apart.
 
-    The object stands alone in the middle of a table and stays as it stands; move the camera around it, or turn the table
-    under it. What stands below the lowest edge that is seen, and the side it stands on, are closed straight down.
+    The object stands on a newspaper on a table, in the middle of the image, and stays as it stands; the
+    camera is moved around it and found again by the print. Or it stands with a printed sheet on a turntable
+    that fills the image. The side on which the object stands is closed straight down, what no image shows
+    is filled.
     """
 
     folders: tuple[Path, ...]
-    """A folder for each image, in order, see `fungrasp perceive --folder`; or one folder that has such folders."""
+    """A folder for each image, in order, see `fungrasp perceive --folder`; or one folder that has such
+    folders."""
     out: Path = Path("scan.ply")
     """Write the mesh here: .ply, .obj, .stl or .glb."""
     cell: float = 0.002
     """Size of the finest thing that is kept [m]."""
-    turntable: float | None = None
-    """How far the object is turned from each image to the next [degrees], counter-clockwise from above; without it that
-    is found out, which round things of one colour don't tell."""
     seed: int = 0
     """The same seed gives the same mesh."""
 
@@ -40,7 +41,7 @@ class Scan:
 
         if self.out.suffix.lower() not in MESHES:
             raise FungraspError(f"--out must end in one of {', '.join(MESHES)}, not '{self.out.suffix}'")
-        settings = ScanSettings(self.cell, self.turntable, self.seed)
+        settings = ScanSettings(self.cell, self.seed)
         scan = scan_object([read_folder(folder) for folder in self._views()], settings)
         with atomic_path(self.out) as path:
             scan.mesh.export(path, file_type=self.out.suffix.lower()[1:])

@@ -99,8 +99,8 @@ class DepthHandDetector(HandDetector, Protocol):
 def find_hands(detector: HandDetector, capture: Capture, near: Box | None = None) -> list[DetectedHand]:
     """All hands found in an image by a detector, which may be one that depth helps.
 
-    What is not as large as a hand by the depth measured where it is seen is left out, whoever found it; nothing
-    is where no depth is known.
+    What is not as large as a hand by the depth measured where it is seen is left out, whoever found it;
+    nothing is where no depth is known.
     """
     lengths = hand_lengths(capture.depth, capture.intrinsics.fx)
     if isinstance(detector, DepthHandDetector):

@@ -70,14 +70,13 @@ many views of hands behind objects, of which the landmark model knows little."""
 HAND_PRESENCE = 0.5
 """Windows with a lower probability of a hand show none, if another does."""
 
-LEAST_HAND_SCORE = 0.18
-"""Least score of a hand that a window showed at once. In 40 rendered captures without a hand none had more
-than 0.15."""
+LEAST_HAND_SCORE = 0.45
+"""Least score of a hand that many windows were cut for. In 69 images without a hand (52 of them rendered:
+tables and things with the colour of skin) up to 0.40 was seen; of 60 rendered hands five had less, four of
+them off by 24 to 30 pixels in the median of their landmarks."""
 
-LEAST_SEARCHED_SCORE = 0.35
-"""Least score of a hand that was found about a palm of low score. Where so many windows are tried, some show
-what looks like a hand: in 53 images without one up to 0.27,
-and once 0.53 for something too small."""
+LEAST_ANSWER = 0.18
+"""Around an answer of lower score no second window is cut."""
 
 FIRST_LOOK, SECOND_LOOK = 0.02, 0.1
 """About a palm of low score no more windows are cut where the first ones, and then all turned and shifted
@@ -88,8 +87,8 @@ REFUSED = 0.3
 """What overlaps by more than this part with what was looked at and was no hand is not looked at again."""
 
 MOST_LOOKS = 90
-"""So many windows are looked at in one image, and no more are begun: hands that are found need 4 to 60, and an
-image without any is to take less than a second."""
+"""So many windows are looked at in one image, and no more are begun: hands that are found need 4 to 60, and
+an image without any is to take less than a second."""
 
 WINDOW_LENGTHS = 1.16
 """Edge of a window that a hand of known length is looked at in, in hand lengths. Hands fill it less than the
@@ -182,7 +181,7 @@ class MediaPipeHandDetector:
             hand = self._around_palm(image, start, lengths)
             if hand is not None and (best is None or hand.score > best.score):
                 best = hand
-        return [best] if best is not None and best.score >= LEAST_SEARCHED_SCORE else []
+        return [best] if best is not None and best.score >= LEAST_HAND_SCORE else []
 
     def _verified(self, image: Image.Image, hand: DetectedHand, lengths: np.ndarray | None) -> DetectedHand:
         """The hand, if the windows around it confirm it, else what windows all round make of it."""
@@ -228,8 +227,8 @@ class MediaPipeHandDetector:
         ]
 
     def _consensus(self, image: Image.Image, every: list[DetectedHand], length: float) -> DetectedHand:
-        """The answer that most others confirm, of those seen already and from windows around the best; of score
-        0 where none is of a hand's size.
+        """The answer that most others confirm, of those seen already and from windows around the best; of
+        score 0 where none is of a hand's size.
 
         Args:
             image: RGB.
@@ -262,7 +261,7 @@ class MediaPipeHandDetector:
 
     def _hand(self, image: Image.Image, window: Window) -> DetectedHand:
         answer = self._landmarks_in(image, window)
-        if answer.score < LEAST_HAND_SCORE:
+        if answer.score < LEAST_ANSWER:
             return answer
         again = self._landmarks_in(image, _window_of(answer))
         return (

@@ -1,7 +1,8 @@
-"""The surface that several depth images agree on: a truncated signed distance on a grid (Curless and Levoy, 1996).
+"""The surface that several depth images agree on: a truncated signed distance on a grid (Curless and Levoy,
+1996).
 
-A cell that no view has seen through is taken for the inside, so that the mesh is closed: what no view shows becomes as
-large as the views allow.
+A cell that no view has seen through is taken for the inside, so that the mesh is closed: what no view shows
+becomes as large as the views allow.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from fungrasp.geometry.poses import inverse_transform_points
 from fungrasp.objects.mesh_repair import simplify
 from fungrasp.objects.shell_from_triangles import zero_surface
 from fungrasp.perception.io.capture import depth_noise
-from fungrasp.perception.scan.table_view import TableView
+from fungrasp.perception.scan.table_view import TableView, depth_at
 
 TRUNCATION = 4.0
 """Distances are cut off at so many cells."""
@@ -28,8 +29,13 @@ MOST_CELLS = 12_000_000
 BORDER = 0.012
 """The grid reaches so far beyond the points that were seen [m]."""
 
+HIDDEN = 0.5
+"""A cell at which no view saw anything is inside if it is behind what is seen in this part of the views, else
+outside: behind it there was no depth."""
+
 NEAR_TABLE = 0.004
-"""Below this height object and table can't be told apart [m]; the object goes on straight down to the table."""
+"""Below this height object and table can't be told apart [m]; the object goes on straight down to the
+table."""
 
 SMOOTHING = 0.7
 """Standard deviation of the filter against noise [cells]."""
@@ -87,33 +93,27 @@ def fused_mesh(views: Sequence[TableView], cell: float) -> trimesh.Trimesh:
 def _signed_distance(
     views: Sequence[TableView], low: np.ndarray, shape: np.ndarray, cell: float
 ) -> np.ndarray:
-    """Truncated signed distance, -1 to 1, -1 where nothing was seen; shape of the grid."""
+    """Truncated signed distance, -1 to 1; shape of the grid."""
     axes = [low[k] + cell * np.arange(shape[k]) for k in range(3)]
     band = TRUNCATION * cell
     total, weight = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
+    hidden = np.zeros(shape, np.uint8)
     # Layer by layer, so that memory stays small.
     x, y = np.meshgrid(axes[0], axes[1], indexing="ij")
     for k, z in enumerate(axes[2]):
         points = np.stack([x, y, np.full_like(x, z)], axis=-1)
         for view in views:
             there = inverse_transform_points(view.pose_table_camera, points.reshape(-1, 3))
-            depth = _depth_at(view, there)
+            depth = depth_at(view, there)
             off = depth - there[:, 2]
             known = (depth > 0) & (off > -band)
             # Noise grows with distance: a near view knows more.
             trust = np.where(known, (depth_noise(1.0) / depth_noise(depth)) ** 2, 0.0).reshape(x.shape)
             total[:, :, k] += trust * np.clip(off / band, -1.0, 1.0).reshape(x.shape)
             weight[:, :, k] += trust
-    return np.where(weight > 0, total / np.maximum(weight, 1e-9), -1.0)
-
-
-def _depth_at(view: TableView, points: np.ndarray) -> np.ndarray:
-    """Depth measured where points are seen [m], 0 where there is none. points: camera frame, shape [P, 3]."""
-    pixels = view.capture.intrinsics.project(points)
-    height, width = view.depth.shape
-    u, v = np.rint(np.nan_to_num(pixels, nan=-1.0)).astype(int).T
-    inside = (u >= 0) & (u < width) & (v >= 0) & (v < height)
-    return np.where(inside, view.depth[np.clip(v, 0, height - 1), np.clip(u, 0, width - 1)], 0.0)
+            hidden[:, :, k] += ((depth > 0) & (off <= -band)).reshape(x.shape)
+    unseen = np.where(hidden >= HIDDEN * len(views), -1.0, 1.0)
+    return np.where(weight > 0, total / np.maximum(weight, 1e-9), unseen)
 
 
 def _largest(values: np.ndarray) -> np.ndarray:
@@ -131,7 +131,7 @@ def _colors(vertices: np.ndarray, views: Sequence[TableView]) -> np.ndarray:
     total, count = np.zeros((len(vertices), 3)), np.zeros(len(vertices))
     for view in views:
         there = inverse_transform_points(view.pose_table_camera, vertices)
-        depth = _depth_at(view, there)
+        depth = depth_at(view, there)
         seen = (depth > 0) & (np.abs(depth - there[:, 2]) < SAME)
         u, v = np.rint(view.capture.intrinsics.project(there[seen])).astype(int).T
         total[seen] += view.capture.color[v, u]

@@ -26,7 +26,8 @@ LEAST_POINTS = 150
 """An object shows at least so many points."""
 
 EDGE, EDGE_PIXELS = 0.012, 3
-"""Beside a jump of depth [m] so many pixels are left out: a depth camera sees the mean of both sides there."""
+"""Beside a jump of depth [m] so many pixels are left out: a depth camera sees the mean of both sides
+there."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +47,8 @@ class TableView:
 
 
 def table_view(capture: Capture, rng: np.random.Generator, number: int) -> TableView:
-    """Find table and object: what stands on the table nearest to the middle of the image, or in its box or mask.
+    """Find table and object: what stands on the table nearest to the middle of the image, or in its box or
+    mask.
 
     Args:
         capture: the image.
@@ -75,7 +77,8 @@ def table_view(capture: Capture, rng: np.random.Generator, number: int) -> Table
     chosen = _one_thing(places, rows, columns, capture)
     if chosen.sum() < LEAST_POINTS:
         raise FungraspError(
-            f"view {number}: what stands in the middle of the image shows only {chosen.sum()} points: go nearer"
+            f"view {number}: what stands in the middle of the image shows only {chosen.sum()} points: "
+            "go nearer"
         )
     places, rows, columns = places[chosen], rows[chosen], columns[chosen]
     low, high = np.percentile(places[:, :2], (2, 98), axis=0)
@@ -128,3 +131,12 @@ def turned(pose: np.ndarray, yaw: float, shift: np.ndarray) -> np.ndarray:
     """A pose in the table frame, turned about z and then shifted. pose: shape [7]; shift: [m], shape [3]."""
     motion = np.concatenate([shift, [np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2)]])
     return compose(motion, pose)
+
+
+def depth_at(view: TableView, points: np.ndarray) -> np.ndarray:
+    """Depth measured where points are seen [m], 0 where there is none. points: camera frame, shape [P, 3]."""
+    pixels = view.capture.intrinsics.project(points)
+    height, width = view.depth.shape
+    u, v = np.rint(np.nan_to_num(pixels, nan=-1.0)).astype(int).T
+    inside = (u >= 0) & (u < width) & (v >= 0) & (v < height)
+    return np.where(inside, view.depth[np.clip(v, 0, height - 1), np.clip(u, 0, width - 1)], 0.0)
