@@ -72,8 +72,8 @@ HAND_PRESENCE = 0.5
 
 LEAST_HAND_SCORE = 0.45
 """Least score of a hand that many windows were cut for. In 69 images without a hand (52 of them rendered:
-tables and things with the colour of skin) up to 0.40 was seen; of 60 rendered hands five had less, four of
-them off by 24 to 30 pixels in the median of their landmarks."""
+tables and things with the colour of skin) up to 0.40 was seen; of 52 rendered hands four had less than this,
+three of them off by 24 to 30 pixels in the median of their landmarks."""
 
 LEAST_ANSWER = 0.18
 """Around an answer of lower score no second window is cut."""
