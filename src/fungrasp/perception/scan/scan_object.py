@@ -25,7 +25,7 @@ from fungrasp.perception.scan.registration import (
     turn_points,
     view_from_above,
 )
-from fungrasp.perception.scan.table_view import TableView, table_view, turned
+from fungrasp.perception.scan.table_view import TableView, moved_on_table, table_view
 
 LEAST_CORRELATION = 0.25
 """Prints on the table that correlate less are not the same."""
@@ -115,8 +115,8 @@ def _by_print(views: Sequence[TableView]) -> tuple[np.ndarray, np.ndarray]:
 
 def _moved(view: TableView, yaw: float, shift: np.ndarray) -> TableView:
     way = np.append(shift, 0.0)
-    pose = turned(view.pose_table_camera, float(yaw), way)
-    motion = turned(np.array([0.0, 0, 0, 1, 0, 0, 0]), float(yaw), way)
+    pose = moved_on_table(view.pose_table_camera, float(yaw), way)
+    motion = moved_on_table(np.array([0.0, 0, 0, 1, 0, 0, 0]), float(yaw), way)
     return dataclasses.replace(view, pose_table_camera=pose, points=transform_points(motion, view.points))
 
 

@@ -127,7 +127,7 @@ def _one_thing(places: np.ndarray, rows: np.ndarray, columns: np.ndarray, captur
     return name == best
 
 
-def turned(pose: np.ndarray, yaw: float, shift: np.ndarray) -> np.ndarray:
+def moved_on_table(pose: np.ndarray, yaw: float, shift: np.ndarray) -> np.ndarray:
     """A pose in the table frame, turned about z and then shifted. pose: shape [7]; shift: [m], shape [3]."""
     motion = np.concatenate([shift, [np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2)]])
     return compose(motion, pose)
