@@ -1,4 +1,5 @@
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
@@ -64,7 +65,8 @@ def test_a_box_is_scanned_to_within_the_errors_of_the_camera(views):
 def test_colours_are_those_of_the_views(views):
     captures, _ = views
     scan = scan_object(captures, ScanSettings(cell=0.004))
-    colors = np.asarray(scan.mesh.visual.vertex_colors)[:, :3].astype(float)
+    visual: Any = scan.mesh.visual
+    colors = np.asarray(visual.vertex_colors)[:, :3].astype(float)
     assert colors.std(axis=0).max() > 5
     assert (np.abs(colors - 128).max(axis=1) > 10).mean() > 0.5
 

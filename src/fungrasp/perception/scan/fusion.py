@@ -12,6 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 import trimesh
 from scipy import ndimage
+from trimesh.visual import ColorVisuals
 
 from fungrasp.errors import FungraspError
 from fungrasp.geometry.poses import inverse_transform_points
@@ -86,7 +87,7 @@ def fused_mesh(views: Sequence[TableView], cell: float) -> trimesh.Trimesh:
         raise FungraspError("the views agree on no surface: are they of the same object, standing as before?")
     mesh = trimesh.Trimesh(low + cell * vertices, faces, process=False)
     mesh, _ = simplify(mesh, MOST_FACES)
-    mesh.visual = trimesh.visual.ColorVisuals(mesh, vertex_colors=_colors(np.array(mesh.vertices), views))
+    mesh.visual = ColorVisuals(mesh, vertex_colors=_colors(np.array(mesh.vertices), views))
     return mesh
 
 
@@ -108,7 +109,9 @@ def _signed_distance(
             off = depth - there[:, 2]
             known = (depth > 0) & (off > -band)
             # Noise grows with distance: a near view knows more.
-            trust = np.where(known, (depth_noise(1.0) / depth_noise(depth)) ** 2, 0.0).reshape(x.shape)
+            trust = np.where(known, (depth_noise(np.ones(())) / depth_noise(depth)) ** 2, 0.0).reshape(
+                x.shape
+            )
             total[:, :, k] += trust * np.clip(off / band, -1.0, 1.0).reshape(x.shape)
             weight[:, :, k] += trust
             hidden[:, :, k] += ((depth > 0) & (off <= -band)).reshape(x.shape)

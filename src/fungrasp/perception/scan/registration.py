@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy import ndimage
@@ -52,7 +53,7 @@ def view_from_above(view: TableView) -> tuple[np.ndarray, np.ndarray]:
     there = inverse_transform_points(view.pose_table_camera, points)
     pixels = view.capture.intrinsics.project(there)
     height, width = view.capture.depth.shape
-    inside = (
+    inside: np.ndarray = np.asarray(
         np.isfinite(pixels).all(axis=1)
         & (pixels >= 1).all(axis=1)
         & (pixels <= [width - 2, height - 2]).all(axis=1)
@@ -101,7 +102,10 @@ class _Spectra:
 def _spectra(image: np.ndarray, seen: np.ndarray) -> _Spectra:
     shape = (2 * len(image), 2 * len(image))
     image, known = np.where(seen, image, 0.0), seen.astype(float)
-    return _Spectra(*(np.fft.rfft2(part, shape) for part in (image, known, image**2)), float(known.sum()))
+    image_spectrum, seen_spectrum, square_spectrum = (
+        np.fft.rfft2(part, shape) for part in (image, known, image**2)
+    )
+    return _Spectra(image_spectrum, seen_spectrum, square_spectrum, float(known.sum()))
 
 
 def _correlated(
@@ -131,7 +135,8 @@ def _turned(image: np.ndarray, turn: float) -> np.ndarray:
     # What is at p afterwards was at R^T p before.
     back = np.array([[c, s], [-s, c]])
     middle = (np.array(image.shape) - 1) / 2
-    return ndimage.affine_transform(image, back, middle - back @ middle, order=1)
+    offset: Any = middle - back @ middle
+    return ndimage.affine_transform(image, back, offset, order=1)
 
 
 def refined(
