@@ -169,6 +169,20 @@ def _clutter(
     return placed
 
 
+def scan_table(centre: np.ndarray, rng: np.random.Generator) -> SurfaceMesh:
+    """A table top with a sheet of print on it under an object, by which a moved camera is found again.
+
+    centre: of the object [m], world frame, shape [3].
+    """
+    table = _table(centre, 0.0, rng)
+    assert table.texture is not None
+    height, width = table.texture.shape[:2]
+    # Blocks of 6 mm, light and dark, as lines of print and pictures are.
+    cells = rng.uniform(0.25, 0.95, (height // 3 + 1, width // 3 + 1))
+    print_ = np.repeat(np.repeat(cells, 3, axis=0), 3, axis=1)[:height, :width, None]
+    return replace(table, texture=table.texture * 0.3 + 0.7 * print_)
+
+
 def _in_one_color(painted: PaintedMesh, color: Color) -> PaintedMesh:
     """The same with the paint's light and dark in shades of one colour."""
     grey = painted.colors.mean(axis=1, keepdims=True)

@@ -14,13 +14,13 @@ from fungrasp.grasps.anatomy import joint_bends
 from fungrasp.grasps.human_hand import HUMAN_JOINTS
 from fungrasp.objects import builtin_object
 from fungrasp.perception.hand.detected_hand import DetectedHand, choose_hand, find_hands, hand_lengths
+from fungrasp.perception.hand.hand_extent import possible
 from fungrasp.perception.hand.image_windows import Window, window_of_landmarks, window_of_palm
 from fungrasp.perception.hand.mediapipe_detector import (
     FROM_MODEL,
     JOINTS_OF_LANDMARKS,
     MediaPipeHandDetector,
     consensus,
-    possible,
 )
 from fungrasp.perception.hand.mediapipe_models import have_weights
 from fungrasp.perception.hand.palm_detection import anchor_centres, box_overlap, decode_palms
@@ -194,6 +194,7 @@ def test_depth_finds_a_hand_whose_palm_is_seen_at_a_wrong_place(picture):
     beside = Window((float(truth[:, 0].mean() + 45), float(truth[:, 1].mean())), 120.0)
     image = Image.fromarray(capture.color)
     again = detector._around_palm(image, beside, lengths)
+    assert again is not None
     assert np.median(np.linalg.norm(again.pixels - truth, axis=1)) < 15
 
 

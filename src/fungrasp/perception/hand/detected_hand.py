@@ -12,6 +12,7 @@ import numpy as np
 from fungrasp.errors import FungraspError
 from fungrasp.grasps.anatomy import joint_bends
 from fungrasp.perception.estimates import Side
+from fungrasp.perception.hand.hand_extent import length_at, possible
 from fungrasp.perception.io.capture import Box, Capture
 from fungrasp.perception.warning import PerceptionWarning
 
@@ -96,11 +97,17 @@ class DepthHandDetector(HandDetector, Protocol):
 
 
 def find_hands(detector: HandDetector, capture: Capture, near: Box | None = None) -> list[DetectedHand]:
-    """All hands found in an image by a detector, which may be one that depth helps."""
+    """All hands found in an image by a detector, which may be one that depth helps.
+
+    What is not as large as a hand by the depth measured where it is seen is left out, whoever found it;
+    nothing is where no depth is known.
+    """
+    lengths = hand_lengths(capture.depth, capture.intrinsics.fx)
     if isinstance(detector, DepthHandDetector):
-        lengths = hand_lengths(capture.depth, capture.intrinsics.fx)
-        return detector.detect_with_depth(capture.color, lengths, near)
-    return detector.detect(capture.color, near)
+        hands = detector.detect_with_depth(capture.color, lengths, near)
+    else:
+        hands = detector.detect(capture.color, near)
+    return [hand for hand in hands if possible(hand, length_at(hand.pixels, lengths, otherwise=hand.extent))]
 
 
 def hand_lengths(depth: np.ndarray, focal: float) -> np.ndarray:

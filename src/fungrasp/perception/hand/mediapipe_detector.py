@@ -16,6 +16,7 @@ import numpy as np
 from PIL import Image
 
 from fungrasp.perception.hand.detected_hand import DetectedHand, which_side
+from fungrasp.perception.hand.hand_extent import length_at, possible
 from fungrasp.perception.hand.image_windows import (
     Window,
     search_windows,
@@ -69,9 +70,25 @@ many views of hands behind objects, of which the landmark model knows little."""
 HAND_PRESENCE = 0.5
 """Windows with a lower probability of a hand show none, if another does."""
 
-LEAST_HAND_SCORE = 0.18
-"""Least score of a hand that many windows were cut for. In 40 rendered captures without a hand none had more
-than 0.15."""
+LEAST_HAND_SCORE = 0.45
+"""Least score of a hand that many windows were cut for. In 69 images without a hand (52 of them rendered:
+tables and things with the colour of skin) up to 0.40 was seen; of 52 rendered hands four had less than this,
+three of them off by 24 to 30 pixels in the median of their landmarks."""
+
+LEAST_ANSWER = 0.18
+"""Around an answer of lower score no second window is cut."""
+
+FIRST_LOOK, SECOND_LOOK = 0.02, 0.1
+"""About a palm of low score no more windows are cut where the first ones, and then all turned and shifted
+ones, show a hand with no higher probability: of 30 palms that were none, 19 end so after four windows. Of two
+that are found there, none had less than 0.17 and 0.44."""
+
+REFUSED = 0.3
+"""What overlaps by more than this part with what was looked at and was no hand is not looked at again."""
+
+MOST_LOOKS = 90
+"""So many windows are looked at in one image, and no more are begun: hands that are found need 4 to 60, and
+an image without any is to take less than a second."""
 
 WINDOW_LENGTHS = 1.16
 """Edge of a window that a hand of known length is looked at in, in hand lengths. Hands fill it less than the
@@ -92,10 +109,6 @@ MOST_VERIFIED = 2
 
 SAME_HAND = 0.5
 """Two answers whose boxes overlap by more than this part of their union are one hand."""
-
-EXTENTS = (0.4, 1.2)
-"""Least and largest extent of a hand's landmarks in the image, in hand lengths. Of 170 rendered hands, most
-of them bent about an object, all were between 0.46 and 1.03."""
 
 CONFIRMED_HAND, CONFIRMED = 0.8, 0.05
 """If the first answer, one from the window around it and one from that window's mirror image are of higher
@@ -122,6 +135,7 @@ class MediaPipeHandDetector:
         weights = load_weights() if weights is None else weights
         self._palm = MediaPipeModel(weights["palm"], threads)
         self._landmarks = MediaPipeModel(weights["landmarks"], threads)
+        self._looks = 0
 
     def detect(self, color: np.ndarray, near: Box | None = None) -> list[DetectedHand]:
         """All hands found; see ``detect_with_depth``, which finds more of them."""
@@ -143,20 +157,30 @@ class MediaPipeHandDetector:
         Returns:
             Most probable first; empty if there is none.
         """
+        self._looks = 0
         image = Image.fromarray(color)
         height, width = color.shape[:2]
         palms: list[tuple[float, Window]] = []
+        refused: list[DetectedHand] = []
         for window in search_windows(width, height, near):
             seen = self._palms(image, window)
             answers = [self._hand(image, start) for score, start in seen if score >= PALM_SCORE]
-            found = _distinct([hand for hand in answers if hand.score >= HAND_PRESENCE])
-            first = [self._verified(image, hand, lengths) for hand in found[:MOST_VERIFIED]]
-            first = [hand for hand in first if hand.score >= LEAST_HAND_SCORE]
+            found = _distinct([hand for hand in answers if hand.score >= HAND_PRESENCE], refused)
+            verified = [self._verified(image, hand, lengths) for hand in found[:MOST_VERIFIED]]
+            first = [hand for hand in verified if hand.score >= LEAST_HAND_SCORE]
             if first:
                 return first + found[MOST_VERIFIED:]
+            refused += found[:MOST_VERIFIED]
             palms += seen
-        low = [self._around_palm(image, start, lengths) for start in _apart(palms)[:LOW_SCORE_PALMS]]
-        best = max(low, key=lambda hand: hand.score, default=None)
+            if self._looks >= MOST_LOOKS:
+                return []
+        best: DetectedHand | None = None
+        for start in _apart(palms)[:LOW_SCORE_PALMS]:
+            if self._looks >= MOST_LOOKS:
+                break
+            hand = self._around_palm(image, start, lengths)
+            if hand is not None and (best is None or hand.score > best.score):
+                best = hand
         return [best] if best is not None and best.score >= LEAST_HAND_SCORE else []
 
     def _verified(self, image: Image.Image, hand: DetectedHand, lengths: np.ndarray | None) -> DetectedHand:
@@ -168,43 +192,60 @@ class MediaPipeHandDetector:
             if all(confirms(hand, answer, length) for answer in again):
                 return consensus([hand, *again], again, length)
         middle = hand.pixels.mean(axis=0)
-        return self._consensus(image, [hand], [(middle, turn) for turn in WINDOW_TURNS], length)
+        turned = self._answers(image, [(middle, turn) for turn in WINDOW_TURNS], length)
+        return self._consensus(image, [hand, *turned], length)
 
-    def _around_palm(self, image: Image.Image, palm: Window, lengths: np.ndarray | None) -> DetectedHand:
-        """What windows about a palm make of its hand. palm: the window that the hand should be in."""
+    def _around_palm(
+        self, image: Image.Image, palm: Window, lengths: np.ndarray | None
+    ) -> DetectedHand | None:
+        """What windows about a palm make of its hand; None as soon as they show none. palm: the window that
+        the hand should be in."""
         length = length_at(np.array([palm.centre]), lengths, palm.size / WINDOW_LENGTHS)
         centres = palm.centre + length * np.array(WINDOW_OFFSETS)
-        places = [(centre, turn) for centre in centres for turn in WINDOW_TURNS[::2]]
-        return self._consensus(image, [], places, length)
+        every: list[DetectedHand] = []
+        for looked, least in ((centres[:1], FIRST_LOOK), (centres[1:], SECOND_LOOK)):
+            places = [(centre, turn) for centre in looked for turn in WINDOW_TURNS[::2]]
+            every += self._answers(image, places, length)
+            if max(answer.score for answer in every) < least:
+                return None
+        return self._consensus(image, every, length)
 
-    def _consensus(
-        self,
-        image: Image.Image,
-        seen: list[DetectedHand],
-        places: list[tuple[np.ndarray, float]],
-        length: float,
-    ) -> DetectedHand:
-        """The answer that most others confirm, of those seen already and from more windows.
+    def _answers(
+        self, image: Image.Image, places: list[tuple[np.ndarray, float]], length: float
+    ) -> list[DetectedHand]:
+        """What windows as large as a hand show.
 
         Args:
             image: RGB.
-            seen: answers.
             places: middles of windows [pixels], shape [2], and how they are turned [rad].
             length: of a hand in the image [pixels].
         """
         size = WINDOW_LENGTHS * length
-        every = seen + [
+        return [
             self._landmarks_in(image, Window((float(u), float(v)), size, float(turn)))
             for (u, v), turn in places
         ]
+
+    def _consensus(self, image: Image.Image, every: list[DetectedHand], length: float) -> DetectedHand:
+        """The answer that most others confirm, of those seen already and from windows around the best; of
+        score 0 where none is of a hand's size.
+
+        Args:
+            image: RGB.
+            every: answers.
+            length: of a hand in the image [pixels].
+        """
         best = sorted(every, key=lambda answer: -answer.score)[:CUT_AGAIN]
         last = [
             self._landmarks_in(image, _window_of(answer), mirrored)
             for answer in best
             for mirrored in (False, True)
         ]
-        every += last
-        return consensus([answer for answer in every if possible(answer, length)] or every, last, length)
+        every = every + last
+        sized = [answer for answer in every if possible(answer, length)]
+        if not sized:
+            return replace(best[0], score=0.0)
+        return consensus(sized, last, length)
 
     def _palms(self, image: Image.Image, window: Window) -> list[tuple[float, Window]]:
         """Scores of palms in a window, and windows of their hands."""
@@ -220,7 +261,7 @@ class MediaPipeHandDetector:
 
     def _hand(self, image: Image.Image, window: Window) -> DetectedHand:
         answer = self._landmarks_in(image, window)
-        if answer.score < LEAST_HAND_SCORE:
+        if answer.score < LEAST_ANSWER:
             return answer
         again = self._landmarks_in(image, _window_of(answer))
         return (
@@ -229,6 +270,7 @@ class MediaPipeHandDetector:
 
     def _landmarks_in(self, image: Image.Image, window: Window, mirrored: bool = False) -> DetectedHand:
         """What the landmark model says of a window, or of its mirror image."""
+        self._looks += 1
         cut = window.cut(image, LANDMARK_PIXELS)
         if mirrored:
             cut = np.ascontiguousarray(cut[:, ::-1])
@@ -255,36 +297,19 @@ def _apart(palms: list[tuple[float, Window]]) -> list[Window]:
     return kept
 
 
-def _distinct(hands: list[DetectedHand]) -> list[DetectedHand]:
+def _distinct(hands: list[DetectedHand], refused: list[DetectedHand]) -> list[DetectedHand]:
+    """The hands, best first, without those that overlap with better ones or with what was refused."""
     kept: list[DetectedHand] = []
     for hand in sorted(hands, key=lambda hand: -hand.score):
-        boxes = np.array([other.box for other in kept]).reshape(-1, 4)
-        if not (box_overlap(hand.box, boxes) > SAME_HAND).any():
-            kept.append(hand)
+        better, none = (_boxes(others) for others in (kept, refused))
+        if (box_overlap(hand.box, better) > SAME_HAND).any() or (box_overlap(hand.box, none) > REFUSED).any():
+            continue
+        kept.append(hand)
     return kept
 
 
-def length_at(pixels: np.ndarray, lengths: np.ndarray | None, otherwise: float) -> float:
-    """How long a hand at some pixels is in the image [pixels].
-
-    Args:
-        pixels: shape [N, 2].
-        lengths: ``hand_lengths``, whose median counts; None if depth is not known.
-        otherwise: what is said if it is not known there.
-    """
-    if lengths is None:
-        return otherwise
-    height, width = lengths.shape
-    u, v = np.rint(pixels).astype(int).T
-    inside = (u >= 0) & (u < width) & (v >= 0) & (v < height)
-    found = lengths[v[inside], u[inside]]
-    found = found[np.isfinite(found)]
-    return float(np.median(found)) if found.size else otherwise
-
-
-def possible(hand: DetectedHand, length: float) -> bool:
-    """Whether the landmarks of a hand may extend so far. length: of a hand in the image [pixels]."""
-    return EXTENTS[0] < hand.extent / length < EXTENTS[1]
+def _boxes(hands: list[DetectedHand]) -> np.ndarray:
+    return np.array([hand.box for hand in hands]).reshape(-1, 4)
 
 
 def confirms(first: DetectedHand, second: DetectedHand, length: float) -> bool:
