@@ -16,9 +16,9 @@ from fungrasp.perception.scene.depth_edges import SMOOTHED
 from fungrasp.perception.warning import PerceptionWarning
 
 ACCEPT = 0.65
-"""Poses of a lower score are not accepted. Cross-validated by scene, a third of the answers with a wrong mesh, 95 %
-of those above 0.6 and 97 % of those above 0.7 are right; of 36 right answers on measured images of one block, 31
-are above 0.6, 24 above 0.65 and 17 above 0.7."""
+"""Poses of a lower score are not accepted. Cross-validated by scene, a third of them with a wrong mesh,
+95 % of those above 0.6 and 97 % of those above 0.7 are right; of 36 right answers on measured images of one
+block, 31 are above 0.6, 24 above 0.65 and 17 above 0.7."""
 
 FEATURES = ("explained", "contradicted", "visible", "pixels")
 """Names of what the score is made of: explained, contradicted and visible part, logarithm of the pixels."""
