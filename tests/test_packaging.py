@@ -33,6 +33,7 @@ EXTRAS = (
     "mano",
     "perception",
     "pose",
+    "ray",
     "sysid",
     "ur",
     "wandb",

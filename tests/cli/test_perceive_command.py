@@ -274,7 +274,7 @@ def test_an_unsure_result_is_written_and_says_so(folder, found, tmp_path, capsys
 
 
 def test_a_box_instead_of_a_mask_chooses_between_two_hands(folder, found, tmp_path, capsys):
-    found.insert(0, dataclasses.replace(found[0], pixels=found[0].pixels * 0.4, score=0.99))
+    found.insert(0, dataclasses.replace(found[0], pixels=found[0].pixels * 0.7, score=0.99))
     rows, columns = np.nonzero(object_mask())
     box = f"{columns.min()},{rows.min()},{columns.max()},{rows.max()}"
     status, _, err = run(

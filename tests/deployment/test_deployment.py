@@ -147,7 +147,7 @@ def test_a_tracker_that_fails_before_the_hand_closes_stops_the_arm(spoil: Any, s
         (lambda a: a.palm_goal.__setitem__((0, 0), np.nan), "not finite"),
         (lambda a: a.finger_targets.__setitem__((0, 2), np.inf), "not finite"),
         (lambda a: a.palm_goal.__setitem__((0, 1), 3.0), "palm would move"),
-        (lambda a: a.palm_goal.__setitem__((0, 2), -0.3), "table"),
+        (lambda a: a.palm_goal.__isub__([[0, 0, 0.2, 0, 0, 0, 0]]), "table"),
     ],
 )
 def test_a_policy_gone_wrong_stops_the_robot(change: Any, said: str) -> None:

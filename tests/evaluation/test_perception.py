@@ -58,7 +58,7 @@ def result(**changes) -> CaptureResult:
 
 
 def known_capture() -> Any:
-    """The first built-in grasp in depth, without noise and clutter: object, table, no skin."""
+    """The first built-in grasp in depth, without noise and clutter: blue object, grey table, no skin."""
     camera = Intrinsics(160, 120, 150.0, 150.0, 80.0, 60.0)
     middle = GRASP.object_pose[:3]
     # Half a metre in front of the object, 45 degrees above it.
@@ -72,12 +72,14 @@ def known_capture() -> Any:
     with np.errstate(divide="ignore"):
         table = -(world_camera[2] / (rays @ up))
     depth = np.minimum(thing, np.where(table > 0, table, 3.0)).reshape(120, 160)
+    mask = (thing == depth.ravel()).reshape(120, 160)
+    color = np.where(mask[..., None], (60, 90, 160), 90).astype(np.uint8)
     return SimpleNamespace(
-        capture=Capture(np.full((120, 160, 3), 90, np.uint8), depth.astype(np.float32), camera),
+        capture=Capture(color, depth.astype(np.float32), camera),
         grasp=GRASP,
         pose_camera_object=pose,
         joints_camera=transform_points(camera_world, GRASP.hand_joints),
-        object_mask=(thing == depth.ravel()).reshape(120, 160),
+        object_mask=mask,
     )
 
 

@@ -15,16 +15,11 @@ from fungrasp.hands import load_hand
 from fungrasp.retarget import retarget
 
 
-@pytest.fixture
-def parts_of_two(monkeypatch):
-    monkeypatch.setattr(module, "GRASPS_PER_PART", 2)
+def solve(folder, method: str = "angle-copy", progress=lambda count: None, size: int = 2):
+    return retarget_in_parts(held(), plain_objects(), load_hand("allegro"), method, 1, folder, progress, size)
 
 
-def solve(folder, method: str = "angle-copy", progress=lambda count: None):
-    return retarget_in_parts(held(), plain_objects(), load_hand("allegro"), method, 1, folder, progress)
-
-
-def test_parts_are_the_whole(tmp_path, parts_of_two):
+def test_parts_are_the_whole(tmp_path):
     counts: list[int] = []
     found = solve(tmp_path / "parts", progress=counts.append)
     whole = retarget(held(), plain_objects(), load_hand("allegro"), "angle-copy", threads=1)
@@ -38,7 +33,7 @@ def test_parts_are_the_whole(tmp_path, parts_of_two):
     assert not (tmp_path / "parts").exists()
 
 
-def test_an_interrupted_run_goes_on(tmp_path, parts_of_two, monkeypatch):
+def test_an_interrupted_run_goes_on(tmp_path, monkeypatch):
     folder = tmp_path / "parts"
     expected = solve(tmp_path / "others")
 
@@ -50,7 +45,6 @@ def test_an_interrupted_run_goes_on(tmp_path, parts_of_two, monkeypatch):
     with pytest.raises(FungraspError, match="disk is full"):
         solve(folder)
     monkeypatch.undo()
-    monkeypatch.setattr(module, "GRASPS_PER_PART", 2)
     files = sorted(folder.iterdir())
     files[0].write_bytes(files[0].read_bytes()[:100])
     found = solve(folder)
@@ -61,5 +55,5 @@ def test_an_interrupted_run_goes_on(tmp_path, parts_of_two, monkeypatch):
 
 
 def test_few_grasps_leave_no_folder(tmp_path):
-    solve(tmp_path / "parts")
+    solve(tmp_path / "parts", size=1024)
     assert not (tmp_path / "parts").exists()

@@ -30,12 +30,6 @@ class BenchPerception:
     measured instead, and the other options but --json say nothing.
     """
 
-    real: Path | None = None
-    """Folder of real captures whose truth is known, one folder each: rgb.png, depth.png, K.json, mask.png,
-    truth.json; docs/perception.md says what is in them."""
-    track: int = 0
-    """Follow the object through so many images of its first grasp that moves, with sharp and with smoothed
-    depth, instead of all else."""
     grasps: str = "builtin"
     """A file of human grasps, or "builtin"."""
     objects: Path | None = None
@@ -66,6 +60,12 @@ class BenchPerception:
     student of the hand, or "reference" if there is none."""
     threads: int = 0
     """Threads of --chain; 0 means all processors."""
+    real: Path | None = None
+    """Folder of real captures whose truth is known, one folder each: rgb.png, depth.png, K.json, mask.png,
+    truth.json; docs/perception.md says what is in them."""
+    track: int = 0
+    """Follow the object through so many images of its first grasp that moves, with sharp and with smoothed
+    depth, instead of all else."""
     json: Path | None = None
     """Write the numbers here (.json). Given again after an interruption, the command goes on."""
 

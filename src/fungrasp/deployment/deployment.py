@@ -16,7 +16,7 @@ from fungrasp.deployment.log import DeploymentLog, NoLog
 from fungrasp.deployment.looking import look_for_object
 from fungrasp.deployment.phases import Phase, PhaseMachine
 from fungrasp.deployment.preparation import GraspPreparer, PreparedGrasp
-from fungrasp.deployment.safety import SafetyGuard, check_pose
+from fungrasp.deployment.safety import SafetyGuard, check_action, check_pose
 from fungrasp.errors import FungraspError
 from fungrasp.geometry.poses import compose
 from fungrasp.grasps import RobotGraspSet
@@ -216,6 +216,9 @@ class Deployment:
             if not step:
                 self.policy.reset(plan, observation)
             action = self.policy.act(observation)
+            problem = check_action(action, observation, robot.cell)
+            if problem:
+                raise SafetyStop(problem, StopKind.HOLD)
             forced = action.lift | (observation.time >= p.approach_time - 1e-9)
             sent = robot.send_action(replace(action, lift=forced), start + step * p.control_period)
             late = self.ticks.lateness[-1]

@@ -10,6 +10,7 @@ robot's own controller, with its limits set, and an emergency stop within reach.
 | joint speed beyond its limit | clipped (arm and hand) |
 | joint acceleration, palm speed beyond their limit | hold |
 | setpoint far from the measured joints | hold |
+| wrist goal of the policy far from the palm | hold |
 | palm outside the workspace box | hold |
 | arm near the table, hand below its top | hold |
 | arm or hand near the arm itself | hold |
@@ -37,6 +38,7 @@ from fungrasp.robots.cell import RobotCell
 from fungrasp.robots.device import DeviceStatus, JointLimits, StopKind, TrackedPose
 from fungrasp.robots.kinematics.arm_model import MARGIN, Clearance
 from fungrasp.robots.robot import RobotCommand, RobotState, SafetyStop
+from fungrasp.task import Action, Observation
 
 TOLERANCE = 1.02
 """Commanded speeds may exceed their limits by this factor, for rounding."""
@@ -189,6 +191,21 @@ def check_pose(tracked: TrackedPose | None, reference: np.ndarray, time: float, 
     jump = float(np.linalg.norm(relative(reference, tracked.pose_world_object)[:3]))
     if jump > cell.watchdog.pose_jump:
         return f"the tracked object has jumped by {100 * jump:.1f} cm"
+    return ""
+
+
+def check_action(action: Action, observation: Observation, cell: RobotCell) -> str:
+    """What is wrong with what a policy wants, as a phrase; "" if nothing is. What is not finite is found by
+    ``check_setpoint``.
+
+    Args:
+        action: of one robot.
+        observation: that it answers.
+        cell: with the limits.
+    """
+    far = float(np.linalg.norm(action.palm_goal[0, :3] - observation.palm_pose[0, :3]))
+    if far > cell.limits.goal_distance:
+        return f"the palm would move by {far:.2f} m at once"
     return ""
 
 

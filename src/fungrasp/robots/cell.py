@@ -93,6 +93,9 @@ class MotionLimits:
     """Largest measured torque of an arm joint [N m]."""
     hand_torque: float = 3.0
     """Largest measured torque of a hand joint [N m]."""
+    goal_distance: float = 0.3
+    """Largest distance of a policy's wrist goal from the palm [m]: the nearest ends of an approach are a few
+    centimeters ahead."""
     setpoint_lead: float = 0.35
     """Largest difference between an arm's setpoint and its measured joints [rad]."""
 
