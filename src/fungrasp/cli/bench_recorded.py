@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from fungrasp.cli.console import progress_bar, table, write_json
+from fungrasp.cli.console import progress_bar, table
 
 
 def bench_recorded(folder: Path, json: Path | None) -> None:
@@ -12,12 +12,12 @@ def bench_recorded(folder: Path, json: Path | None) -> None:
 
     Args:
         folder: the validation set, see ``evaluation.recorded_captures``.
-        json: file for the numbers, if wanted.
+        json: file for the numbers, if wanted; each answer is in a CSV file beside it.
 
     Raises:
         FungraspError: there are no captures, or one can't be read.
     """
-    from fungrasp import __version__
+    from fungrasp.evaluation import write_result
     from fungrasp.evaluation.recorded_captures import read_recorded, recorded_folders
     from fungrasp.evaluation.recorded_perception import (
         measure_recorded,
@@ -26,7 +26,7 @@ def bench_recorded(folder: Path, json: Path | None) -> None:
         recorded_table,
     )
     from fungrasp.perception.hand.mediapipe_detector import MediaPipeHandDetector
-    from fungrasp.provenance import machine
+    from fungrasp.provenance import machine, run_record
 
     folders, detector = recorded_folders(folder), MediaPipeHandDetector()
     results = []
@@ -35,9 +35,8 @@ def bench_recorded(folder: Path, json: Path | None) -> None:
             results.append(measure_recorded(read_recorded(path), detector))
             show(i + 1)
     figures = recorded_figures(results)
-    about = {"version": __version__, "folder": folder.name, "machine": machine()}
     if json is not None:
-        write_json(json, about | figures | {"each": recorded_rows(results)})
+        write_result(json, run_record(0) | {"folder": folder.name} | figures, recorded_rows(results))
     each = [("capture", "told", "ADD-S [mm]", "turned [deg]", "score", "accepted", "[s]")]
     for result in results:
         for answer in result.objects:

@@ -253,8 +253,12 @@ def recorded_figures(results: Sequence[RecordedResult]) -> dict[str, Any]:
 
 
 def recorded_rows(results: Sequence[RecordedResult]) -> list[dict[str, Any]]:
-    """Each capture's numbers, ready for JSON."""
-    return finite([asdict(result) for result in results])
+    """A row for each answer about an object, and for each capture without; ready for JSON."""
+    rows = []
+    for result in results:
+        capture = {name: value for name, value in asdict(result).items() if name != "objects"}
+        rows += [capture | {"object": asdict(answer)} for answer in result.objects] or [capture]
+    return finite(rows)
 
 
 def recorded_table(figures: Mapping[str, Any]) -> list[tuple[str, ...]]:
