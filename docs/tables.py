@@ -169,8 +169,10 @@ def methods() -> Table:
     rows = []
     for row in _read("methods").rows:
         name = row["method"] if row["method"] == "ours" else f"`{row['method']}`"
-        rows.append((name, _percent(row["success_rate"]), f"{row['contact_ratio']:.2f}"))
-    return Table(("method", "success", "contact ratio"), rows, ["methods"])
+        plain = (_percent(row["success_rate_unadapted"]), f"{row['contact_ratio_unadapted']:.2f}")
+        rows.append((name, _percent(row["success_rate"]), f"{row['contact_ratio']:.2f}", *plain))
+    head = ("method", "success", "contact ratio", "success, not adapted", "contact ratio, not adapted")
+    return Table(head, rows, ["methods"])
 
 
 def peers() -> Table:
