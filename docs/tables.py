@@ -109,23 +109,24 @@ def policies() -> Table:
 
 
 def students() -> Table:
-    """Success of the free student of each hand, with and without rollouts."""
+    """Success of the free student of each hand, with and without rollouts, and in the reality protocol."""
     rows, used = [], []
     for name in HANDS:
         cells: list[str] = []
-        for file in (f"{name}-student-free-held-out", f"{name}-student-free-no-rollouts"):
+        files = (f"{name}-student-free-held-out", f"{name}-student-free-no-rollouts")
+        for file in (*files, f"reality-student-{name}", f"reality-plan-{name}"):
             if not (RESULTS / f"{file}.json").is_file():
-                cells += [NONE] * 3
+                cells += [NONE] * 2
                 continue
             header = _read(file).header
             low, high = header["success_interval"]
-            interval = f"{100 * low:.0f} – {100 * high:.0f} %"
-            cells += [_percent(header["success_rate"]), interval, f"{header['contact_ratio']:.2f}"]
+            share = f"{_percent(header['success_rate'])} ({100 * low:.0f} – {100 * high:.0f})"
+            cells += [share, f"{header['contact_ratio']:.2f}"]
             used.append(file)
         if set(cells) != {NONE}:
             rows.append((f"`{name}`", *cells))
-    head = ("hand", "with rollouts: success", "95 % interval", "contact ratio")
-    return Table((*head, "without: success", *head[2:]), rows, used)
+    kinds = ("nominal", "nominal, `--no-rollouts`", "reality", "reality, the plan blind")
+    return Table(("hand", *(word for kind in kinds for word in (kind, "contact ratio"))), rows, used)
 
 
 def policies_in_full() -> Table:
