@@ -43,14 +43,15 @@ def run_on_cluster(
         work: a function of a module that every machine can import, called with ``shared`` and a job's items.
         jobs: their items, small.
         finished: called here with each job and its result, one after another.
-        address: of the head of a running cluster ("auto" for the one on this machine), or ``LOCAL``.
+        address: of the head of a running cluster ("auto": the one on this machine), or ``LOCAL``. A process
+            that is connected already stays with its cluster.
         shared: what all jobs need; sent to each machine once.
 
     Raises:
         FungraspError: the package is missing, no cluster is at the address, a machine has another version of
             this one, or what ``work`` raised.
     """
-    ray = _connected(address)
+    ray, begun = _connected(address)
     send = ray.remote(num_cpus=1, max_retries=MOST_LOSSES)(_work)
     sent = ray.put(shared)
     running: dict[Any, tuple[Any, ...]] = {}
@@ -68,14 +69,18 @@ def run_on_cluster(
     finally:
         for job in running:
             ray.cancel(job, force=True)
-        ray.shutdown()
+        if begun:
+            ray.shutdown()
 
 
-def _connected(address: str) -> Any:
+def _connected(address: str) -> tuple[Any, bool]:
+    """Ray, and whether this process was not connected before."""
     try:
         import ray
     except ImportError as error:
         raise FungraspError("work on a cluster needs Ray: pip install 'fungrasp[ray]'") from error
+    if ray.is_initialized():
+        return ray, False
     _check_reachable(address)
     options: dict[str, Any] = {"include_dashboard": False} if address == LOCAL else {}
     try:
@@ -83,7 +88,7 @@ def _connected(address: str) -> Any:
     except (ConnectionError, ValueError, RuntimeError, OSError) as error:
         words = str(error).strip().splitlines() or [type(error).__name__]
         raise FungraspError(f"no Ray cluster at '{address}': {words[0]}") from None
-    return ray
+    return ray, True
 
 
 def _check_reachable(address: str) -> None:
