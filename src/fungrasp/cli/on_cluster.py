@@ -10,13 +10,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
+from uuid import uuid4
 
 import numpy as np
 
 from fungrasp.cli.console import progress_bar
 from fungrasp.cluster import LOCAL, run_on_cluster
 from fungrasp.errors import FungraspError
-from fungrasp.files import digest
 
 if TYPE_CHECKING:
     from fungrasp.cli.evaluate import Evaluate
@@ -57,6 +57,7 @@ class _Evaluation:
     sets: Mapping[str, RobotGraspSet]
     objects: Mapping[str, ObjectModel]
     key: str
+    """Of this run of the command."""
 
 
 def test_on_cluster(
@@ -87,8 +88,8 @@ def test_on_cluster(
         if test.finished(chunk, store) is None
     ]
     episodes = sum(len(chunk.rows) for _, chunk in jobs)
-    key = digest(repr(command), {name: each.wrist_pose for name, each in sets.items()})
-    shared = _Evaluation(replace(command, threads=1, ray=None), grasps, dict(sets), dict(objects), key)
+    alone = replace(command, threads=1, ray=None)
+    shared = _Evaluation(alone, grasps, dict(sets), dict(objects), uuid4().hex)
     done = 0
     with progress_bar("on the cluster", episodes) as show:
 
@@ -103,7 +104,7 @@ def test_on_cluster(
 
 
 _tests: dict[str, dict[Names, LiftTest]] = {}
-"""Scenes and planners of one command, made once in each process, by its key."""
+"""Scenes and planners of one run of a command, made once in each process, by its key."""
 
 
 def _run_chunk(shared: _Evaluation, names: Names, chunk: Chunk) -> dict[str, np.ndarray]:
@@ -160,10 +161,13 @@ class _Retargeting:
 
 
 def _retarget_part(shared: _Retargeting, file: Path, part: HumanGraspSet) -> RobotGraspSet:
-    from fungrasp.evaluation.retarget_in_parts import retarget_part
+    from fungrasp.evaluation.retarget_in_parts import retarget_in_parts
     from fungrasp.hands import load_hand
 
-    return retarget_part(part, shared.objects, load_hand(shared.hand), shared.method, threads=1)
+    # One part, which is not written here.
+    return retarget_in_parts(
+        part, shared.objects, load_hand(shared.hand), shared.method, 1, file.parent
+    ).robot
 
 
 # ---------------------------------------------------------------- train

@@ -154,25 +154,7 @@ def make_lift_test(
     use: UseTest | None = None,
     record: Path | None = None,
 ) -> LiftTest:
-    """A test that ``run_lift_test`` runs; ``evaluate`` does both.
-
-    Args:
-        grasps: of ``hand``.
-        objects: by name.
-        hand: the robot hand, or its name.
-        policy: a policy, or the name or file of one (``fungrasp.policies.make_policy``).
-        planner: whose plans it follows; the one that belongs to a policy's name, and ``MotionPlanner`` for a
-            policy object, if None.
-        selection: how that planner selects among candidates; the defaults if None.
-        seeds: of everything that is random.
-        threads: 0 means all processors. The result does not depend on it.
-        protocol: the published one if None.
-        physics: settings of the engine; the defaults if None.
-        randomization: how worlds differ from the nominal ones; not at all if left out.
-        refine: applied to the grasps, chunk by chunk, before they are tried.
-        use: the use test of the grasps, which then follows every lift test that is passed.
-        record: folder for the recorded episodes, ``<row>_<object>.npz`` (``<row>_<seed>_<object>.npz`` with
-            several seeds).
+    """A test that ``run_lift_test`` runs; ``evaluate`` does both, and says what the arguments are.
 
     Raises:
         FungraspError: an unknown policy, or grasps of another hand.

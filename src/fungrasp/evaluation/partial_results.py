@@ -43,7 +43,7 @@ class PartialResults:
             FungraspError: the file can't be written.
         """
         if self._folder.is_file():
-            # Versions before 0.2 kept all parts in one file.
+            # Earlier versions kept all parts in one file.
             self._folder.unlink()
         with atomic_path(self._file(key)) as temporary, temporary.open("wb") as stream:
             np.savez(stream, **arrays)  # pyright: ignore[reportArgumentType]

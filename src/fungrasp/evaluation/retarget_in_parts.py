@@ -78,7 +78,9 @@ def retarget_in_parts(
             robot = retarget(part, objects, hand, method, threads=threads, progress=_one_at_a_time(progress))
             seconds += perf_counter() - began
             solved += len(part)
-            robot = _judged(robot, part, objects, hand)
+            quality = static_quality(robot, part, objects, hand)
+            numbers = {f.name: getattr(quality, f.name) for f in fields(quality)}
+            robot = replace(robot, extra={**robot.extra, **numbers})
             if len(sets) > 1:
                 save_robot_grasps(file, robot)
         parts.append(robot)
@@ -89,13 +91,6 @@ def grasp_parts(human: HumanGraspSet, size: int = GRASPS_PER_PART) -> list[Human
     """Grasps that are solved, judged and written together, so many at most."""
     starts = range(0, max(len(human), 1), size)
     return [human.select(slice(start, start + size)) for start in starts]
-
-
-def retarget_part(
-    part: HumanGraspSet, objects: Mapping[str, ObjectModel], hand: Hand, method: str, threads: int
-) -> RobotGraspSet:
-    """Robot grasps of a part with the numbers of ``StaticQuality`` in ``extra``."""
-    return _judged(retarget(part, objects, hand, method, threads=threads), part, objects, hand)
 
 
 def part_file(folder: Path, part: HumanGraspSet, hand: Hand, method: str) -> Path:
@@ -109,14 +104,6 @@ def remove_parts(folder: Path) -> None:
         file.unlink()
     if folder.is_dir():
         folder.rmdir()
-
-
-def _judged(
-    robot: RobotGraspSet, human: HumanGraspSet, objects: Mapping[str, ObjectModel], hand: Hand
-) -> RobotGraspSet:
-    quality = static_quality(robot, human, objects, hand)
-    numbers = {f.name: getattr(quality, f.name) for f in fields(quality)}
-    return replace(robot, extra={**robot.extra, **numbers})
 
 
 def _finished(file: Path, count: int) -> RobotGraspSet | None:
