@@ -4,6 +4,7 @@ import json
 import sys
 import threading
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -88,6 +89,17 @@ def test_errors_of_the_work_are_ours():
 def test_no_cluster_at_an_address():
     with pytest.raises(FungraspError, match="no Ray cluster at 'nobody:1'"):
         run_on_cluster(add, [(0, 0)], lambda job, result: None, "nobody:1")
+
+
+def where(shared: None) -> str:
+    return str(Path.cwd())
+
+
+def test_relative_paths_mean_the_same(cluster, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    found: list[str] = []
+    run_on_cluster(where, [()], lambda job, result: found.append(result), cluster.address)
+    assert found == [str(tmp_path)]
 
 
 def test_jobs_of_a_lost_machine_are_done_again(cluster):

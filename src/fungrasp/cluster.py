@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import logging
+import os
 import socket
 from collections.abc import Callable, Iterable
 from itertools import islice
+from pathlib import Path
 from typing import Any, TypeVar
 
 from fungrasp import __version__
@@ -36,7 +38,8 @@ def run_on_cluster(
 ) -> None:
     """Do each job once on some processor of a cluster.
 
-    A job whose machine goes away is done again on another. Jobs must not depend on each other nor on where
+    Work is done in the folder of this process, where a machine has it. A job whose machine goes away is done
+    again on another. Jobs must not depend on each other nor on where
     they are done; their order is not kept.
 
     Args:
@@ -53,7 +56,7 @@ def run_on_cluster(
     """
     ray, begun = _connected(address)
     send = ray.remote(num_cpus=1, max_retries=MOST_LOSSES)(_work)
-    sent = ray.put(shared)
+    sent, folder = ray.put(shared), Path.cwd()
     running: dict[Any, tuple[Any, ...]] = {}
     remaining = iter(jobs)
     try:
@@ -61,7 +64,7 @@ def run_on_cluster(
             # Machines come and go, so their processors are counted anew.
             room = WAITING * max(int(ray.cluster_resources().get("CPU", 1)), 1) - len(running)
             for job in islice(remaining, max(room, 0)):
-                running[send.remote(work, __version__, sent, job)] = job
+                running[send.remote(work, __version__, folder, sent, job)] = job
             if not running:
                 return
             for done in ray.wait(list(running), num_returns=1)[0]:
@@ -102,9 +105,14 @@ def _check_reachable(address: str) -> None:
         raise FungraspError(f"no Ray cluster at '{address}': {error}") from None
 
 
-def _work(work: Callable[..., Result], version: str, shared: Any, job: tuple[Any, ...]) -> Result:
+def _work(
+    work: Callable[..., Result], version: str, folder: Path, shared: Any, job: tuple[Any, ...]
+) -> Result:
     if version != __version__:
         raise FungraspError(f"a machine of the cluster has fungrasp {__version__}, not {version}")
+    # A worker begins in the folder in which its machine joined, where relative paths mean something else.
+    if folder.is_dir():
+        os.chdir(folder)
     return work(shared, *job)
 
 
