@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
+
+from fungrasp.cli.grasp_choice import GraspChoice, deployable_policy
 
 if TYPE_CHECKING:
     import numpy as np
@@ -17,9 +18,7 @@ if TYPE_CHECKING:
     from fungrasp.deployment.log import DeploymentLog
     from fungrasp.deployment.preparation import HandDynamics
     from fungrasp.deployment.wired_deployment import DeploymentTask
-    from fungrasp.grasps import HumanGraspSet, RobotGraspSet
     from fungrasp.hands import Hand
-    from fungrasp.objects import ObjectModel
     from fungrasp.robots.cell import RobotCell
 
 
@@ -31,18 +30,8 @@ class Deploy:
     """A robot cell: one that comes with the package (`fungrasp robots list`), or a TOML file."""
     hand: str = ""
     """The hand that you expect on the robot; another one is refused. Empty: whatever the cell says."""
-    grasp: str = "mug:drink"
-    """Which grasp: an object ("mug"), object and task ("mug:drink") or a row number."""
-    grasps: str = "builtin"
-    """A file of human grasps, or "builtin"."""
-    objects: Path | None = None
-    """Folder of meshes <name>.obj; built-in objects need none."""
-    image: str | None = None
-    """Take the grasp from an image with depth instead: a folder with rgb.png, depth.png and K.json."""
-    mesh: str | None = None
-    """The object in that image: a mesh file [m], or the name of a built-in object."""
-    mass: float | None = None
-    """Mass of that object [kg]; a built-in one has its own."""
+    choice: GraspChoice = field(default_factory=GraspChoice)
+    """The grasp."""
     policy: str = "plan"
     """What moves the hand: "plan", "reference" (planned motions, open loop), "student", or a policy file."""
     hand_dynamics: Path | None = None
@@ -61,8 +50,6 @@ class Deploy:
     """For a twin: which one, 0, 1, 2 ... Its true parameters are hidden."""
     fast: bool = False
     """For a twin: run as fast as the machine goes, not on the clock of the wall."""
-    threads: int = 0
-    """Of planning; 0 means all processors."""
 
     def run(self) -> None:
         from contextlib import ExitStack
@@ -73,29 +60,24 @@ class Deploy:
         from fungrasp.deployment.wired_deployment import DeploymentTask
         from fungrasp.errors import FungraspError
         from fungrasp.hands import load_hand
-        from fungrasp.policies import make_planner, make_policy
+        from fungrasp.policies import make_planner
         from fungrasp.robots.assembly import is_twin
         from fungrasp.robots.cell import load_cell
-        from fungrasp.task import Policy
 
         cell = load_cell(self.robot)
         hand = load_hand(cell.hand)
         if self.hand and load_hand(self.hand).name != hand.name:
             raise FungraspError(f"robot cell '{cell.name}' carries the hand '{hand.name}', not '{self.hand}'")
-        grasp, thing = self.chosen_grasp(hand)
-        objects = {thing.name: thing}
-        policy = make_policy(self.policy, hand, objects)
-        if not isinstance(policy, Policy):
-            raise FungraspError(
-                f"the policy '{self.policy}' needs what only a simulation knows: take a student"
-            )
-        planner = make_planner(self.policy, hand, objects, threads=self.threads)
+        chosen = self.choice.chosen(hand, self.seed)
+        objects = {chosen.thing.name: chosen.thing}
+        policy = deployable_policy(self.policy, hand, objects)
+        planner = make_planner(self.policy, hand, objects, threads=self.choice.threads)
         dynamics, stiffness = self._dynamics(cell, hand)
         task = DeploymentTask(
             cell,
             hand,
-            thing,
-            grasp,
+            chosen.thing,
+            chosen.grasp,
             policy,
             planner,
             dynamics,
@@ -178,27 +160,8 @@ class Deploy:
     def _about(self) -> dict[str, str]:
         from fungrasp import __version__
 
-        return {"version": __version__, "robot": self.robot, "policy": self.policy, "grasp": self.grasp}
-
-    def chosen_grasp(self, hand: Hand) -> tuple[RobotGraspSet, ObjectModel]:
-        """The robot grasp and its object."""
-        from fungrasp.cli.demo import chosen_rows
-        from fungrasp.cli.retarget import retargeted
-        from fungrasp.grasps import load_human_grasps, load_objects
-
-        human: HumanGraspSet
-        objects: Mapping[str, ObjectModel]
-        if self.image is not None:
-            from fungrasp.cli.demo_from_image import seen_grasp
-
-            seen = seen_grasp(self.image, self.mesh, self.mass, "", self.seed)
-            human, objects = seen.human, {seen.thing.name: seen.thing}
-        else:
-            everything = load_human_grasps(self.grasps)
-            human = everything.select(chosen_rows(everything, (self.grasp,), 1))
-            objects = load_objects(human, self.objects)
-        robot, _ = retargeted(human, objects, hand, "ours", self.threads)
-        return robot, objects[robot.object_name[0]]
+        grasp = self.choice.grasp if self.choice.image is None else f"image {self.choice.image}"
+        return {"version": __version__, "robot": self.robot, "policy": self.policy, "grasp": grasp}
 
 
 @dataclass(frozen=True)

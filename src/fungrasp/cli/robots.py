@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from fungrasp.cli.deploy import ReplayLog
+from fungrasp.cli.grasp_choice import GraspChoice, deployable_policy
+
 if TYPE_CHECKING:
     from fungrasp.robots.twin.parameters import TwinParameters
-
-from fungrasp.cli.deploy import ReplayLog
 
 
 @dataclass(frozen=True)
@@ -85,12 +86,8 @@ class Emulate:
 
     cell: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME|FILE")] = "ur5e-allegro-emulated"
     """A cell whose addresses are on the loopback."""
-    grasp: str = "mug:drink"
-    """The grasp that the object is placed for: an object, object and task, or a row number."""
-    grasps: str = "builtin"
-    """A file of human grasps, or "builtin"."""
-    objects: Path | None = None
-    """Folder of meshes <name>.obj; built-in objects need none."""
+    choice: GraspChoice = field(default_factory=GraspChoice)
+    """The grasp that the object is placed for."""
     twin: int = 0
     """Which twin, 0, 1, 2 ... Its true parameters are hidden."""
     seconds: float | None = None
@@ -99,10 +96,7 @@ class Emulate:
     def run(self) -> None:
         import time
 
-        from fungrasp.cli.demo import chosen_rows
-        from fungrasp.cli.retarget import retargeted
         from fungrasp.deployment.twin_deployment import reachable_placement
-        from fungrasp.grasps import load_human_grasps, load_objects
         from fungrasp.hands import load_hand
         from fungrasp.robots.cell import load_cell
         from fungrasp.robots.process_priority import raise_priority
@@ -112,14 +106,11 @@ class Emulate:
 
         cell = load_cell(self.cell)
         hand = load_hand(cell.hand)
-        everything = load_human_grasps(self.grasps)
-        human = everything.select(chosen_rows(everything, (self.grasp,), 1))
-        objects = load_objects(human, self.objects)
-        robot, _ = retargeted(human, objects, hand, "ours", 1)
-        thing = objects[human.object_name[0]]
+        chosen = self.choice.chosen(hand)
+        thing = chosen.thing
         truth = draw_twin(self.twin, len(hand.joint_names), len(hand.actuators))
         world = TwinWorld(cell, hand, thing, truth)
-        world.settle(reachable_placement(cell, hand, thing, robot)[0])
+        world.settle(reachable_placement(cell, hand, thing, chosen.grasp)[0])
         rest = world.center_of_mass()[2]
         raise_priority()
         with CellEmulation(cell, world, thing.name) as emulation:
@@ -171,16 +162,15 @@ class EvaluateOnTwins:
         from fungrasp.cli.retarget import retargeted
         from fungrasp.deployment.preparation import HandDynamics
         from fungrasp.deployment.twin_identification import identify_on_twin
-        from fungrasp.errors import FungraspError, UnknownNameError
+        from fungrasp.errors import UnknownNameError
         from fungrasp.evaluation.result_files import write_result
         from fungrasp.evaluation.statistics import wilson_interval
         from fungrasp.evaluation.twin_test import VARIANTS, episode_rows, told_dynamics, try_on_twins
         from fungrasp.grasps import load_human_grasps, load_objects
         from fungrasp.hands import load_hand
-        from fungrasp.policies import make_planner, make_policy
+        from fungrasp.policies import make_planner
         from fungrasp.provenance import run_record
         from fungrasp.robots.cell import load_cell
-        from fungrasp.task import Policy
 
         known = {variant.name: variant for variant in VARIANTS}
         for name in self.variants:
@@ -193,11 +183,7 @@ class EvaluateOnTwins:
         human = human.select(index)
         objects = load_objects(human, self.objects)
         robot, _ = retargeted(human, objects, hand, "ours", self.threads)
-        policy = make_policy(self.policy, hand, objects)
-        if not isinstance(policy, Policy):
-            raise FungraspError(
-                f"the policy '{self.policy}' needs what only a simulation knows: take a student"
-            )
+        policy = deployable_policy(self.policy, hand, objects)
         planner = make_planner(self.policy, hand, objects, threads=self.threads)
         chosen = [known[name] for name in self.variants]
         header = {"robot": self.robot, "policy": self.policy, "grasps": self.grasps, **run_record(0)}

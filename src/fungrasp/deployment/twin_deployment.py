@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from itertools import islice
 
 import numpy as np
 
@@ -32,6 +33,9 @@ ROOM = 0.02
 """An object is put so that the palm stays so far within the sides of the workspace [m]: what is seen of it is
 up to a centimetre off, and plans differ."""
 
+PLACEMENTS_PLANNED = 12
+"""Placements for which a motion is planned: a second or two each."""
+
 
 @dataclass(frozen=True, eq=False)
 class TwinOutcome:
@@ -50,10 +54,23 @@ class TwinOutcome:
 def reachable_placement(
     cell: RobotCell, hand: Hand, thing: ObjectModel, grasp: RobotGraspSet, seed: int = 0
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Where a person would put the object so that the arm can grasp it.
+    """Where a person would put the object so that the arm can grasp it: the first of
+    ``reachable_placements``. Arguments and errors: as there.
 
-    It is the first placement for which one planned motion can be followed, else the first that the arm
-    reaches with some motion: the robot's planner may find it.
+    Returns:
+        the object, world frame, shape [7]; the arm's posture as the motion begins [rad], shape [A].
+    """
+    return next(reachable_placements(cell, hand, thing, grasp, seed))
+
+
+def reachable_placements(
+    cell: RobotCell, hand: Hand, thing: ObjectModel, grasp: RobotGraspSet, seed: int = 0
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Where a person would put the object so that the arm can grasp it, and where next if the robot says that
+    it can't.
+
+    They are the placements for which one planned motion can be followed, then the first that the arm reaches
+    with some motion: the robot's planner may find it.
 
     Args:
         cell: the robot.
@@ -62,7 +79,7 @@ def reachable_placement(
         grasp: one.
         seed: of the postures that are tried.
 
-    Returns:
+    Yields:
         the object, world frame, shape [7]; the arm's posture as the motion begins [rad], shape [A].
 
     Raises:
@@ -81,21 +98,21 @@ def reachable_placement(
     cell = replace(cell, workspace=roomy)
     preparer = GraspPreparer(cell, hand, thing, MotionPlanner(hand, {thing.name: thing}), seed=seed)
     home = np.asarray(cell.arm.home)
-    first = None
-    for tries, (pose, _) in enumerate(preparer.placements(grasp, grasp.object_rest_pose[0])):
-        if tries >= 12:
-            break
-        first = pose if first is None else first
+    refused, found = None, False
+    for pose, _ in islice(preparer.placements(grasp, grasp.object_rest_pose[0]), PLACEMENTS_PLANNED):
         try:
             prepared = preparer.prepare(grasp, pose, home, advise=False, plans=1)
         except UnreachableError:
+            refused = pose if refused is None else refused
             continue
-        return pose, prepared.reach.start
-    if first is not None:
-        return first, home
-    raise UnreachableError(
-        f"no placement of '{thing.name}' was found from which the arm can grasp it: take another grasp"
-    )
+        found = True
+        yield pose, prepared.reach.start
+    if refused is not None:
+        yield refused, home
+    elif not found:
+        raise UnreachableError(
+            f"no placement of '{thing.name}' was found from which the arm can grasp it: take another grasp"
+        )
 
 
 def deploy_on_twin(

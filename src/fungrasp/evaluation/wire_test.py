@@ -5,13 +5,16 @@ from __future__ import annotations
 
 import os
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+
+import numpy as np
 
 from fungrasp.deployment.deadlines import DeadlineMonitor
 from fungrasp.deployment.deployment_result import DeploymentResult
 from fungrasp.deployment.phases import Phase
-from fungrasp.deployment.twin_deployment import reachable_placement
+from fungrasp.deployment.preparation import UnreachableError
+from fungrasp.deployment.twin_deployment import reachable_placements
 from fungrasp.deployment.wired_deployment import DeploymentTask, deploy_on_robot
 from fungrasp.errors import FungraspError
 from fungrasp.robots.device import JointDriver
@@ -19,6 +22,9 @@ from fungrasp.robots.robot import Robot
 from fungrasp.robots.twin.emulation_worker import EmulationProcess, EmulationRecord, EmulationTask
 from fungrasp.robots.twin.judge import lifted_and_held
 from fungrasp.task import LiftProtocol
+
+MOST_PLACEMENTS = 3
+"""Places where the object is put before the run counts as one that could not be."""
 
 
 @dataclass(frozen=True)
@@ -54,8 +60,14 @@ class WireRun:
     cores: dict[str, float]
     """Processor time by time, of the processes: control (planning included), arm driver, hand driver,
     emulators."""
-    seconds: float
-    """The whole run took [s]."""
+    placements: int = 0
+    """Placements of the object; of all but the last the robot said that it can't reach the grasp."""
+    seconds: float = 0.0
+    """The whole run took, from placing the object on [s]."""
+    images: int = 0
+    """Images that were looked at, those of low confidence included; 0 where the grasp is not from one."""
+    grasp_seconds: float = 0.0
+    """From the image, or the file of grasps, to the robot grasp [s]."""
 
 
 def run_over_the_wire(task: DeploymentTask, twin: int) -> WireRun:
@@ -65,15 +77,38 @@ def run_over_the_wire(task: DeploymentTask, twin: int) -> WireRun:
         task: its cell's addresses are on the loopback.
         twin: which one.
 
+    Returns:
+        how it went. Where the robot says that it can't reach the grasp, the object is put elsewhere, as a
+        person would do; after ``MOST_PLACEMENTS`` the run ends idle, with what is in the way as its fault.
+
     Raises:
-        FungraspError: the emulators can't be started, or the grasp can't be reached.
+        FungraspError: the emulators can't be started, or a device does not answer.
     """
-    began = time.monotonic()
-    placement = reachable_placement(task.cell, task.hand, task.thing, task.grasp, task.seed)[0]
+    began, count, said = time.monotonic(), 0, ""
+    placements = reachable_placements(task.cell, task.hand, task.thing, task.grasp, task.seed)
+    while count < MOST_PLACEMENTS:
+        try:
+            placement = next(placements, None)
+            if placement is None:
+                break
+            count += 1
+            run = _run_at(task, twin, placement[0])
+        except UnreachableError as error:
+            said = str(error)
+        else:
+            return replace(run, placements=count, seconds=time.monotonic() - began)
+    return _not_begun(task, twin, said, count, time.monotonic() - began)
+
+
+def _run_at(task: DeploymentTask, twin: int, placement: np.ndarray) -> WireRun:
+    """A run with the object at a placement, shape [7]."""
     meter = _ProcessMeter()
     with EmulationProcess(EmulationTask(task.cell, task.thing, placement, twin)) as process:
         try:
             result = deploy_on_robot(task, on_connect=meter.watch, on_phase=meter.note)
+        except UnreachableError:
+            process.end()
+            raise
         except FungraspError as error:
             process.end()
             raise FungraspError(f"twin {twin}: {error}") from error
@@ -95,7 +130,29 @@ def run_over_the_wire(task: DeploymentTask, twin: int) -> WireRun:
         twin_latest_ms=1e3 * record.late,
         twin_lost_ms=1e3 * record.lost,
         cores=cores,
-        seconds=time.monotonic() - began,
+    )
+
+
+def _not_begun(task: DeploymentTask, twin: int, fault: str, placements: int, seconds: float) -> WireRun:
+    """A run in which nothing moved."""
+    none = DeadlineMonitor(0.0)
+    return WireRun(
+        object=task.thing.name,
+        twin=twin,
+        success=False,
+        height_m=-1.0,
+        phase=str(Phase.IDLE),
+        fault=fault,
+        ticks_10hz=none.histogram(),
+        ticks_50hz=none.histogram(),
+        latest_10hz_ms=_latest(none),
+        latest_50hz_ms=_latest(none),
+        longest_silence_ms={},
+        twin_latest_ms=0.0,
+        twin_lost_ms=0.0,
+        cores={},
+        placements=placements,
+        seconds=seconds,
     )
 
 
