@@ -49,7 +49,7 @@ def test_images_are_taken_until_one_is_good(monkeypatch: pytest.MonkeyPatch) -> 
     np.testing.assert_allclose(chosen.grasp.joint_positions, plain.grasp.joint_positions, atol=1e-9)
 
 
-@pytest.mark.parametrize(("mirrored", "said"), [(False, "low confidence .*dark"), (True, "left hand")])
+@pytest.mark.parametrize(("mirrored", "said"), [(False, r"low confidence .*dark"), (True, "left hand")])
 def test_what_is_not_sure_is_not_tried(monkeypatch: pytest.MonkeyPatch, mirrored: bool, said: str) -> None:
     seen = _looks(monkeypatch, [mirrored] * MOST_IMAGES, mirrored)
     with pytest.raises(FungraspError, match=said):
@@ -62,7 +62,7 @@ def test_a_folders_image_is_refused_too(monkeypatch: pytest.MonkeyPatch) -> None
     doubtful = SimpleNamespace(grasp=grasp, confident=False, warnings=())
     seen = SimpleNamespace(perceived=doubtful, model=SimpleNamespace(name=grasp.object_name))
     monkeypatch.setattr("fungrasp.cli.demo_from_image.seen_grasp", lambda *a: seen)
-    with pytest.raises(FungraspError, match="low confidence.*fungrasp perceive"):
+    with pytest.raises(FungraspError, match=r"low confidence.*fungrasp perceive"):
         GraspChoice(image="photo", mesh="mug").chosen(load_hand("allegro"))
 
 
