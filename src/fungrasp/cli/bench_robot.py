@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fungrasp.cli.console import progress_bar, table
+from fungrasp.cli.grasp_choice import GraspChoice
 from fungrasp.errors import FungraspError, UnknownNameError
 
 if TYPE_CHECKING:
+    import numpy as np
+
+    from fungrasp.evaluation.control_faults import ControlBench
+    from fungrasp.robots.emulators.emulator import Fault
     from fungrasp.robots.measuring.reaction_times import ReactionTrial
 
 
@@ -55,8 +62,10 @@ class BenchFaults:
     """Measure how drivers react to faults of emulated devices, while the joints move."""
 
     devices: tuple[str, ...] = ()
-    """Devices to measure: ur, allegro-v4, allegro-v5, inspire, inspire-serial, leap, tracker; all by
-    default."""
+    """Devices to measure: ur, allegro-v4, allegro-v5, inspire, inspire-serial, leap, tracker, and
+    control-allegro and control-inspire, the computer that controls a UR5e with that hand; all by default."""
+    faults: tuple[str, ...] = ()
+    """Faults to bring, as the table names them ("frames lost"); all by default."""
     trials: int = 50
     """Of each fault."""
     patience: float = 1.0
@@ -67,48 +76,67 @@ class BenchFaults:
     """Write every trial here (.json, with a .csv beside)."""
 
     def run(self) -> None:
-        import os
-
-        import numpy as np
-
         from fungrasp.evaluation.result_files import write_result
-        from fungrasp.evaluation.tracker_faults import FAULTS, TRACKER, tracker_reactions
         from fungrasp.provenance import machine, run_record
-        from fungrasp.robots.cell import load_cell
-        from fungrasp.robots.emulators.emulator import Fault
-        from fungrasp.robots.measuring.emulated_devices import EMULATED
-        from fungrasp.robots.measuring.reaction_times import PROCESS_KILLED, reaction_trials
+        from fungrasp.robots.process_priority import raise_priority
 
         if self.trials < 1:
             raise FungraspError(f"--trials must be 1 or more, not {self.trials}")
-        rng = np.random.default_rng(self.seed)
         trials: list[ReactionTrial] = []
-        plan = []
-        chosen = _known(self.devices, (TRACKER,))
-        for name in chosen:
-            if name == TRACKER:
-                plan += [(name, fault) for fault in FAULTS]
-                continue
-            device = EMULATED[name](1.0)
-            device.emulator.close()
-            plan += [(name, fault) for fault in [*sorted(device.emulator.supported), PROCESS_KILLED]]
-        plan = [(name, fault) for name, fault in plan if fault != Fault.WRONG_DEVICE]
+        plan = self._plan()
+        # Real devices don't wait for a computer's other work.
+        raise_priority()
         with progress_bar("faults", float(len(plan) * self.trials)) as show:
-            for name, fault in plan:
-                if name == TRACKER:
-                    cell = load_cell("ur5e-allegro")
-                    group = tracker_reactions(
-                        cell, fault, self.trials, rng, f"ipc:///tmp/fungrasp-{os.getpid()}"
-                    )
-                else:
-                    group = reaction_trials(EMULATED[name](self.patience), fault, self.trials, rng)
-                for trial in group:
+            for done, (_, _, series) in enumerate(plan):
+                for number, trial in enumerate(series()):
                     trials.append(trial)
-                    show(float(len(trials)))
+                    show(min(done * self.trials + number + 1.0, (done + 1.0) * self.trials))
                 if self.json is not None:
                     write_result(self.json, run_record(self.seed), [asdict(trial) for trial in trials])
         print(table(reaction_rows(trials)))
         print(f"against emulated devices, which share this machine; {machine()}")
+
+    def _plan(self) -> list[tuple[str, str, Callable[[], Iterable[ReactionTrial]]]]:
+        """Device, fault and trials of each series."""
+        import os
+
+        import numpy as np
+
+        from fungrasp.evaluation.control_faults import CONTROL, ControlFault, control_reactions
+        from fungrasp.evaluation.tracker_faults import FAULTS, TRACKER, tracker_reactions
+        from fungrasp.robots.cell import load_cell
+        from fungrasp.robots.emulators.emulator import Fault
+        from fungrasp.robots.measuring.emulated_devices import EMULATED
+        from fungrasp.robots.measuring.reaction_times import PROCESS_KILLED
+
+        rng, count = np.random.default_rng(self.seed), self.trials
+        plan: list[tuple[str, str, Callable[[], Iterable[ReactionTrial]]]] = []
+        for name in _known(self.devices, (TRACKER, *CONTROL)):
+            if name == TRACKER:
+                cell, address = load_cell("ur5e-allegro"), f"ipc:///tmp/fungrasp-{os.getpid()}"
+                plan += [
+                    (name, fault, partial(tracker_reactions, cell, fault, count, rng, address))
+                    for fault in FAULTS
+                ]
+            elif name in CONTROL:
+                bench = self._control_bench(*CONTROL[name])
+                plan += [
+                    (name, fault, partial(control_reactions, bench, fault, count, rng))
+                    for fault in ControlFault
+                ]
+            else:
+                device = EMULATED[name](1.0)
+                device.emulator.close()
+                faults = [f for f in sorted(device.emulator.supported) if f != Fault.WRONG_DEVICE]
+                plan += [
+                    (name, fault, partial(_trials, name, self.patience, fault, count, rng))
+                    for fault in [*faults, PROCESS_KILLED]
+                ]
+        chosen = [row for row in plan if not self.faults or row[1] in self.faults]
+        for fault in self.faults:
+            if fault not in [row[1] for row in plan]:
+                raise UnknownNameError("fault", fault, dict.fromkeys(row[1] for row in plan))
+        return chosen
 
 
 def reaction_rows(trials: list[ReactionTrial]) -> list[tuple[str, ...]]:
@@ -120,7 +148,7 @@ def reaction_rows(trials: list[ReactionTrial]) -> list[tuple[str, ...]]:
         return f"{np.median(known):.0f} / {max(known):.0f}" if known else "–"
 
     head = ("device", "fault", "trials", "detected", "median / max [ms]", "stopped", "median / max [ms]")
-    rows: list[tuple[str, ...]] = [(*head, "speed / limit", "restarted")]
+    rows: list[tuple[str, ...]] = [(*head, "speed / limit", "log read", "restarted")]
     for device, fault in dict.fromkeys((t.device, t.fault) for t in trials):
         group = [t for t in trials if (t.device, t.fault) == (device, fault)]
         seen = [t.detected for t in group]
@@ -135,6 +163,7 @@ def reaction_rows(trials: list[ReactionTrial]) -> list[tuple[str, ...]]:
                 str(sum(v is not None for v in stopped)),
                 times(stopped),
                 f"{max(t.speed_share for t in group):.2f}",
+                str(sum(bool(t.log_readable) for t in group)),
                 str(sum(t.restarted for t in group)),
             )
         )

@@ -15,7 +15,7 @@ from fungrasp.deployment.emergency_stop import StopSwitch
 from fungrasp.deployment.log import DeploymentLog, NoLog
 from fungrasp.deployment.looking import look_for_object
 from fungrasp.deployment.phases import Phase, PhaseMachine
-from fungrasp.deployment.preparation import GraspPreparer, PreparedGrasp
+from fungrasp.deployment.preparation import PreparedGrasp, Preparer
 from fungrasp.deployment.safety import SafetyGuard, check_action, check_pose
 from fungrasp.errors import FungraspError
 from fungrasp.geometry.poses import compose
@@ -41,7 +41,7 @@ class Deployment:
         self,
         robot: Robot,
         policy: Policy,
-        preparer: GraspPreparer,
+        preparer: Preparer,
         *,
         log: DeploymentLog | None = None,
         switch: StopSwitch | None = None,

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 
@@ -85,6 +86,23 @@ class PreparedGrasp:
     corners: tuple[np.ndarray, ...]
     """Postures between where the arm is and the start of the plan, the start included [rad], each of shape
     [A]."""
+
+
+class Preparer(Protocol):
+    """What decides all before anything moves."""
+
+    def prepare(self, grasp: RobotGraspSet, object_pose: np.ndarray, arm: np.ndarray) -> PreparedGrasp:
+        """Plan a grasp of the object where it is seen.
+
+        Args:
+            grasp: one.
+            object_pose: at rest, world frame, shape [7].
+            arm: joints of the arm now [rad], shape [A].
+
+        Raises:
+            UnreachableError: the arm can't follow any plan.
+        """
+        ...
 
 
 class UnreachableError(FungraspError):

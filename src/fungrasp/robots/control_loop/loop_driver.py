@@ -36,6 +36,8 @@ STOP_MODES = {
     StopKind.OPEN: LoopMode.OPEN,
     StopKind.POWER_OFF: LoopMode.POWER_OFF,
 }
+DRIVER_TIMEOUT = 0.5
+"""A device holds its position when its driver was not asked for anything for so long [s]."""
 CONNECT_TIMEOUT = 15.0
 """A device that needs longer to connect is not there [s]; a UR controller starts a program in seconds."""
 CLOSE_TIMEOUT = 3.0
@@ -61,7 +63,7 @@ class LoopDriver:
     The process takes torque away when this one dies, however it dies; a thread can't.
     """
 
-    def __init__(self, loop: DeviceLoop, process: bool = True, driver_timeout: float = 0.5):
+    def __init__(self, loop: DeviceLoop, process: bool = True, driver_timeout: float = DRIVER_TIMEOUT):
         """
         Args:
             loop: the device, not opened.

@@ -76,6 +76,7 @@ class URControllerEmulator(Emulator):
             Fault.EMERGENCY_STOP,
             Fault.WRONG_DEVICE,
             Fault.FROZEN,
+            Fault.CLOCK_JUMP,
         }
     )
 
@@ -323,6 +324,8 @@ class URControllerEmulator(Emulator):
         state = self.plant.state(now)
         stopped = self.shows(Fault.PROTECTIVE_STOP) or self.shows(Fault.EMERGENCY_STOP)
         clock = now - self._origin if not self.shows(Fault.FROZEN) else self._frozen_time
+        if self.shows(Fault.CLOCK_JUMP):
+            clock += 3600.0
         values = {
             "timestamp": clock,
             "actual_q": state.positions,

@@ -46,6 +46,11 @@ class ReactionTrial:
     """Highest speed after the fault, of the limit, over 50 ms."""
     restarted: bool
     """The driver could be connected and commanded again when the fault was over."""
+    limit: float | None = None
+    """The time in which the device or its driver should see it by their settings [s]; None where none is
+    set."""
+    log_readable: bool | None = None
+    """Whether the log of the deployment could be read up to the fault; None where none was written."""
 
 
 def reaction_trials(
@@ -109,17 +114,28 @@ def _trial(device: EmulatedDevice, fault: Fault | str, rng: np.random.Generator)
             with contextlib.suppress(RobotError):
                 driver.command(goal)
         time.sleep(0.004)
-    stopped, fastest = _motion(np.array(times), np.array(positions), driver.limits.velocity)
+    stopped, fastest = motion_after(np.array(times), np.array(positions), driver.limits.velocity)
     device.emulator.clear()
     if isinstance(device.emulator, URControllerEmulator):
         device.emulator.unlock_protective_stop()
     name = fault.value if isinstance(fault, Fault) else fault
     restarted = _restarts(device)
-    return ReactionTrial(device.name, name, detected, stopped, status.value, fastest, restarted)
+    return ReactionTrial(
+        device.name, name, detected, stopped, status.value, fastest, restarted, device.stale_after
+    )
 
 
-def _motion(times: np.ndarray, positions: np.ndarray, limits: np.ndarray) -> tuple[float | None, float]:
-    """When motion ended [s], None if it did not, and the highest speed, of the limit."""
+def motion_after(times: np.ndarray, positions: np.ndarray, limits: np.ndarray) -> tuple[float | None, float]:
+    """When the motion after a fault ended, and how fast it was.
+
+    Args:
+        times: since the fault [s], shape [T].
+        positions: of the joints [rad], shape [T, U].
+        limits: of their speeds [rad/s], shape [U].
+
+    Returns:
+        when it ended [s], None if it did not; the highest speed over ``PAUSE``, as a share of the limit.
+    """
     later = np.searchsorted(times, times + PAUSE)
     valid = later < len(times)
     moved = np.abs(positions[later[valid]] - positions[valid])

@@ -1,0 +1,350 @@
+"""What arm and hand do when the computer that controls them fails: short deployments over emulated wires,
+each spoiled at a random moment."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from multiprocessing.connection import Connection
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, Self
+
+import numpy as np
+
+from fungrasp.deployment.log import read_log
+from fungrasp.deployment.preparation import GraspPreparer, PreparedGrasp
+from fungrasp.deployment.twin_deployment import reachable_placement
+from fungrasp.errors import FungraspError
+from fungrasp.evaluation.control_session import INSIDE, ControlFault, ControlSession, run_session
+from fungrasp.grasps import RobotGraspSet
+from fungrasp.hands import load_hand
+from fungrasp.objects import ObjectModel
+from fungrasp.planning import MotionPlanner
+from fungrasp.robots.arms.ur import URSettings
+from fungrasp.robots.assembly import arm_driver, hand_driver
+from fungrasp.robots.cell import DeviceSettings, RobotCell
+from fungrasp.robots.control_loop.loop_driver import DRIVER_TIMEOUT
+from fungrasp.robots.device import JointDriver
+from fungrasp.robots.emulators.allegro_can import AllegroEmulator
+from fungrasp.robots.emulators.emulator import Emulator
+from fungrasp.robots.emulators.inspire_modbus import InspireEmulator
+from fungrasp.robots.emulators.plant import Plant, ServoPlant, TorquePlant
+from fungrasp.robots.emulators.tracker import TrackerEmulator, TrackerErrors
+from fungrasp.robots.emulators.ur_rtde import URControllerEmulator
+from fungrasp.robots.measuring.emulated_devices import FINGERS
+from fungrasp.robots.measuring.reaction_times import ReactionTrial, motion_after
+
+CONTROL = {
+    "control-allegro": ("ur5e-allegro-emulated", "wine_glass"),
+    "control-inspire": ("ur5e-inspire-emulated", "bowl"),
+}
+"""Robot cells whose computer may fail, by name, and a built-in object that each of them reaches."""
+LIMITS = {
+    ControlFault.POLICY_NAN: (0.1, 0.1),
+    ControlFault.DISK_FULL: (0.1, 0.1),
+    ControlFault.HUNG: (DRIVER_TIMEOUT, DRIVER_TIMEOUT),
+    ControlFault.KILLED: (0.1, 0.1),
+    ControlFault.ALL_KILLED: (1.0 / URSettings.watchdog, None),
+}
+"""When each fault should be over, of arm and hand [s]: answers and the log are checked in every control step;
+drivers hold when they hear nothing for ``DRIVER_TIMEOUT``, and end with the input that the control process
+holds open; after that there is the watchdog of the arm's controller, and nothing of a hand's."""
+WATCHED = 1.5
+"""Time that is watched after a fault [s]."""
+BEGIN_TIMEOUT = 60.0
+"""A session that has not begun to move after this never will [s]; a busy machine takes long to connect."""
+LOG_PERIOD = 0.1
+"""The log is flushed at every control step [s]: so much of it may be missing when its writer is killed."""
+SAMPLE = 0.004
+"""Time between two looks at the joints [s]."""
+
+
+class ControlBench:
+    """A cell's devices as emulators in this process, and a plan for them; a context manager."""
+
+    def __init__(self, cell: RobotCell, grasp: RobotGraspSet, thing: ObjectModel, patience: float):
+        """
+        Args:
+            cell: of a UR arm with an Allegro or an Inspire hand; its addresses are replaced.
+            grasp: one.
+            thing: its object.
+            patience: times the usual limits of silence.
+
+        Raises:
+            FungraspError: the grasp can't be reached, or the cell can't be emulated.
+        """
+        hand = load_hand(cell.hand)
+        placement, start = reachable_placement(cell, hand, thing, grasp)
+        prepared = GraspPreparer(cell, hand, thing, MotionPlanner(hand, {thing.name: thing})).prepare(
+            grasp, placement, start
+        )
+        self.grasp = grasp
+        self.prepared: PreparedGrasp = replace(prepared, corners=(prepared.reach.start,))
+        self.cell = _private(cell, patience)
+        self.arm_plant: Plant = ServoPlant(prepared.reach.start)
+        fingers = prepared.start_fingers
+        torque = cell.hand_device.driver == "allegro-can"
+        self.hand_plant: Plant = (
+            TorquePlant(fingers, **FINGERS) if torque else ServoPlant(fingers, velocity=10.0)
+        )
+        arm: JointDriver = arm_driver(self.cell)
+        fingers_driver: JointDriver = hand_driver(self.cell, hand)
+        self.limits = {"arm": arm.limits.velocity, "hand": fingers_driver.limits.velocity}
+        self.tracker = TrackerEmulator(
+            lambda now: placement, self.cell.tracker.address, thing.name, TrackerErrors(delay=0.0)
+        )
+        self.arm, self.hand = _emulators(self.cell, self.arm_plant, self.hand_plant)
+        self._stack = ExitStack()
+
+    def __enter__(self) -> Self:
+        for emulator in (self.arm, self.hand, self.tracker):
+            self._stack.enter_context(emulator)
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._stack.close()
+
+    def hand_follows(self) -> bool:
+        """Whether the hand's servos are on; an Inspire hand's always are."""
+        return not isinstance(self.hand, AllegroEmulator) or self.hand.servos_on
+
+
+def control_reactions(
+    bench: ControlBench, fault: ControlFault, count: int, rng: np.random.Generator
+) -> Iterator[ReactionTrial]:
+    """Trials of one fault, two rows each: of the arm and of the hand.
+
+    Args:
+        bench: not entered.
+        fault: what happens.
+        count: of trials.
+        rng: of the time at which the fault comes.
+    """
+    with bench, TemporaryDirectory(prefix="fungrasp-") as folder:
+        pending: list[ReactionTrial] = []
+        # Another session than those that are spoiled shows whether the last one could be restarted.
+        for number in range(count + 1):
+            last = number == count
+            log = Path(folder) / f"{number}.mcap"
+            with _Session(bench, None if last else fault, log, rng.uniform(0.4, 2.0)) as session:
+                moving = session.begins()
+                yield from (replace(trial, restarted=moving) for trial in pending)
+                pending = []
+                if not last:
+                    pending = session.spoiled(fault) if moving else [_false_alarm(session.said)]
+            log.unlink(missing_ok=True)
+
+
+def _false_alarm(said: str) -> ReactionTrial:
+    return ReactionTrial("control", f"none: {said}", None, None, "", 0.0, False)
+
+
+@dataclass(frozen=True, eq=False)
+class _Watched:
+    """Joints after a fault, and when each device no longer followed commands."""
+
+    times: np.ndarray
+    joints: dict[str, np.ndarray]
+    let_go: dict[str, float | None]
+
+
+class _Session:
+    """One process of control and what it says; a context manager that leaves none of its processes."""
+
+    def __init__(self, bench: ControlBench, fault: ControlFault | None, log: Path, after: float):
+        self._bench, self._log, self._after = bench, log, after
+        inside = fault if fault in INSIDE else None
+        session = ControlSession(bench.cell, bench.grasp, bench.prepared, log, inside, after)
+        # A server that has imported everything forks the sessions: each begins at once, without the threads
+        # of the emulators in this process.
+        context = multiprocessing.get_context("forkserver")
+        context.set_forkserver_preload(["fungrasp.evaluation.control_session", "mink"])
+        self._pipe, other = context.Pipe()
+        self._process = context.Process(target=run_session, args=(session, other), daemon=False)
+        self._process.start()
+        other.close()
+        self._drivers: tuple[int | None, ...] = ()
+        self._heard: dict[str, tuple[Any, ...]] = {}
+        self.said = ""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._kill(self._process.pid)
+        self._process.join()
+        self._pipe.close()
+        # Drivers end by themselves when their input ends; those of a killed computer have been killed.
+        deadline = time.monotonic() + 10.0
+        while any(map(_alive, self._drivers)) and time.monotonic() < deadline:
+            time.sleep(0.01)
+        for process in self._drivers:
+            self._kill(process)
+
+    def begins(self) -> bool:
+        """Wait until it moves; whether it does."""
+        deadline = time.monotonic() + BEGIN_TIMEOUT
+        while time.monotonic() < deadline and "moving" not in self._heard:
+            self._listen(0.05)
+            if "ended" in self._heard or not self._process.is_alive():
+                break
+        self.said = str(self._heard["ended"][1]) if "ended" in self._heard else "it did not begin"
+        return "moving" in self._heard
+
+    def spoiled(self, fault: ControlFault) -> list[ReactionTrial]:
+        """Let the fault come; what arm and hand do."""
+        when = self._brought(fault)
+        if when is None:
+            return [_false_alarm(self.said)]
+        seen = self._watch(when)
+        self._listen(0.0)
+        ended = self._heard.get("ended")
+        reacted = None if ended is None or not np.isfinite(ended[2]) else float(ended[2]) - when
+        # Those that are stopped say nothing more.
+        self._kill(self._process.pid)
+        readable = _readable(self._log, when)
+        what = "" if ended is None else str(ended[1])
+        rows = []
+        for name, limit in zip(("arm", "hand"), LIMITS[fault], strict=True):
+            stopped, fastest = motion_after(seen.times, seen.joints[name], self._bench.limits[name])
+            rows.append(
+                ReactionTrial(
+                    f"{self._bench.cell.name}: {name}",
+                    fault.value,
+                    seen.let_go[name] if reacted is None else reacted,
+                    stopped,
+                    what,
+                    fastest,
+                    False,
+                    limit,
+                    readable,
+                )
+            )
+        return rows
+
+    def _brought(self, fault: ControlFault) -> float | None:
+        """When the fault came [s]; None where the session ended before."""
+        if fault in INSIDE:
+            deadline = time.monotonic() + 30.0
+            while "fault" not in self._heard and time.monotonic() < deadline:
+                self._listen(0.02)
+                if "ended" in self._heard and "fault" not in self._heard:
+                    break
+            return self._heard["fault"][0] if "fault" in self._heard else self._ended_early()
+        while time.monotonic() < self._heard["moving"][0] + self._after:
+            self._listen(0.01)
+        if "ended" in self._heard:
+            return self._ended_early()
+        when = time.monotonic()
+        if fault is ControlFault.HUNG:
+            os.kill(self._pid, signal.SIGSTOP)
+        else:
+            self._kill(self._pid)
+        if fault is ControlFault.ALL_KILLED:
+            for process in self._drivers:
+                self._kill(process)
+        return when
+
+    @property
+    def _pid(self) -> int:
+        assert self._process.pid is not None
+        return self._process.pid
+
+    def _ended_early(self) -> None:
+        self.said = f"false alarm, {self._heard['ended'][1]}" if "ended" in self._heard else "no fault came"
+
+    def _watch(self, since: float) -> _Watched:
+        bench = self._bench
+        following = {"arm": lambda: bench.arm.program_running, "hand": bench.hand_follows}
+        plants = {"arm": bench.arm_plant, "hand": bench.hand_plant}
+        times, joints = [], {name: [] for name in plants}
+        let_go: dict[str, float | None] = dict.fromkeys(plants)
+        while (now := time.monotonic()) - since < WATCHED:
+            times.append(now - since)
+            for name, plant in plants.items():
+                joints[name].append(plant.state(time.monotonic()).positions)
+                if let_go[name] is None and not following[name]():
+                    let_go[name] = time.monotonic() - since
+            time.sleep(SAMPLE)
+        return _Watched(np.array(times), {name: np.array(rows) for name, rows in joints.items()}, let_go)
+
+    def _listen(self, timeout: float) -> None:
+        try:
+            while self._pipe.poll(timeout):
+                what, *values = self._pipe.recv()
+                self._heard[what] = tuple(values)
+                if what == "drivers":
+                    self._drivers = values[0]
+                timeout = 0.0
+        except (EOFError, OSError):
+            # It was killed.
+            time.sleep(timeout)
+
+    def _kill(self, process: int | None) -> None:
+        if process is not None and _alive(process):
+            os.kill(process, signal.SIGKILL)
+
+
+def _alive(process: int | None) -> bool:
+    """Whether a process runs; one that has ended and was not waited for does not."""
+    try:
+        stat = Path(f"/proc/{process}/stat").read_text()
+    except OSError:
+        return False
+    return stat.rpartition(")")[2].split()[0] not in ("Z", "X")
+
+
+def _readable(log: Path, when: float) -> bool:
+    """Whether a log can be read up to a time [s]."""
+    try:
+        messages = read_log(log).messages["/setpoint"]
+    except FungraspError:
+        return False
+    return bool(messages) and float(messages[-1]["time"]) > when - LOG_PERIOD - 0.1
+
+
+def _private(cell: RobotCell, patience: float) -> RobotCell:
+    """The cell with addresses that no other process has, and its limits of silence times ``patience``."""
+    number = os.getpid()
+
+    def patient(device: DeviceSettings, address: str) -> Any:
+        options = dict(device.options)
+        if "stale_after" in options:
+            options["stale_after"] *= patience
+        return replace(device, address=address, options=options)
+
+    hands = {
+        "allegro-can": f"239.74.163.2:{20000 + number % 20000}",
+        "inspire-modbus": f"127.{number % 200 + 1}.0.5",
+    }
+    if cell.arm.driver != "ur-rtde" or cell.hand_device.driver not in hands:
+        raise FungraspError(f"the devices of cell '{cell.name}' can't be emulated for this")
+    dog = cell.watchdog
+    return replace(
+        cell,
+        arm=patient(cell.arm, f"127.{number % 200 + 1}.0.4"),
+        hand_device=patient(cell.hand_device, hands[cell.hand_device.driver]),
+        tracker=replace(cell.tracker, address=f"ipc:///tmp/fungrasp-control-{number}"),
+        watchdog=replace(
+            dog,
+            arm_silence=patience * dog.arm_silence,
+            hand_silence=patience * dog.hand_silence,
+            overrun=patience * dog.overrun,
+        ),
+    )
+
+
+def _emulators(cell: RobotCell, arm: Plant, hand: Plant) -> tuple[URControllerEmulator, Emulator]:
+    device, options = cell.hand_device, cell.hand_device.options
+    controller = URControllerEmulator(arm, cell.arm.address)
+    if device.driver == "inspire-modbus":
+        return controller, InspireEmulator(hand, device.address, options.get("port", 6000))
+    return controller, AllegroEmulator(
+        hand, options["interface"], device.address, options.get("generation", 4), options.get("side", "right")
+    )
