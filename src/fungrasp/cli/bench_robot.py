@@ -15,7 +15,7 @@ from fungrasp.errors import FungraspError, UnknownNameError
 if TYPE_CHECKING:
     import numpy as np
 
-    from fungrasp.evaluation.control_faults import ControlBench
+    from fungrasp.evaluation.control_bench import ControlBench
     from fungrasp.robots.emulators.emulator import Fault
     from fungrasp.robots.measuring.reaction_times import ReactionTrial
 
@@ -102,7 +102,9 @@ class BenchFaults:
 
         import numpy as np
 
-        from fungrasp.evaluation.control_faults import CONTROL, ControlFault, control_reactions
+        from fungrasp.evaluation.control_bench import CONTROL
+        from fungrasp.evaluation.control_faults import control_reactions
+        from fungrasp.evaluation.control_session import ControlFault
         from fungrasp.evaluation.tracker_faults import FAULTS, TRACKER, tracker_reactions
         from fungrasp.robots.cell import load_cell
         from fungrasp.robots.emulators.emulator import Fault
@@ -137,6 +139,25 @@ class BenchFaults:
             if fault not in [row[1] for row in plan]:
                 raise UnknownNameError("fault", fault, dict.fromkeys(row[1] for row in plan))
         return chosen
+
+    def _control_bench(self, robot: str, grasp: str) -> ControlBench:
+        from fungrasp.evaluation.control_bench import ControlBench
+        from fungrasp.hands import load_hand
+        from fungrasp.robots.cell import load_cell
+
+        cell = load_cell(robot)
+        chosen = GraspChoice(grasp=grasp, threads=1).chosen(load_hand(cell.hand))
+        return ControlBench(cell, chosen.grasp, chosen.thing, self.patience)
+
+
+def _trials(
+    name: str, patience: float, fault: Fault | str, count: int, rng: np.random.Generator
+) -> Iterator[ReactionTrial]:
+    """Trials of one fault of a device, which is made for them."""
+    from fungrasp.robots.measuring.emulated_devices import EMULATED
+    from fungrasp.robots.measuring.reaction_times import reaction_trials
+
+    yield from reaction_trials(EMULATED[name](patience), fault, count, rng)
 
 
 def reaction_rows(trials: list[ReactionTrial]) -> list[tuple[str, ...]]:

@@ -1,10 +1,9 @@
 """A short deployment in a process of its own, to be spoiled: the arm sways up and down and the fingers open
-and close at the start of a plan, through the same loop, safety filter, log and drivers as every deployment."""
+and close at the start of a plan, through the loop, safety filter, log and drivers of every deployment."""
 
 from __future__ import annotations
 
 import contextlib
-import os
 import resource
 import time
 from dataclasses import dataclass
@@ -148,4 +147,4 @@ def _fill_the_disk(log: Path) -> None:
     """No file of this process may grow beyond what the log has now."""
     _, most = resource.getrlimit(resource.RLIMIT_FSIZE)
     with contextlib.suppress(OSError):
-        resource.setrlimit(resource.RLIMIT_FSIZE, (os.path.getsize(log), most))
+        resource.setrlimit(resource.RLIMIT_FSIZE, (log.stat().st_size, most))

@@ -33,6 +33,8 @@ READY, DONE = 1, 2
 SERVO_JOINTS, SERVO_STOP, SET_WATCHDOG, KICK_WATCHDOG, STOP_PROGRAM = 11, 16, 35, 99, 255
 """Commands of the client's program that are carried out; any other is answered and does nothing."""
 STOPPED, PLAYING = 1, 2
+CLOCK_JUMP = 3600.0
+"""By so much the clock is set forward, and back when the fault ends [s]."""
 RELEASE_TIME = 5.0
 """A real controller unlocks a protective stop 5 s after it happened at the earliest [s]."""
 
@@ -323,9 +325,9 @@ class URControllerEmulator(Emulator):
             return
         state = self.plant.state(now)
         stopped = self.shows(Fault.PROTECTIVE_STOP) or self.shows(Fault.EMERGENCY_STOP)
-        clock = now - self._origin if not self.shows(Fault.FROZEN) else self._frozen_time
-        if self.shows(Fault.CLOCK_JUMP):
-            clock += 3600.0
+        clock = now - self._origin + CLOCK_JUMP * self.shows(Fault.CLOCK_JUMP)
+        if self.shows(Fault.FROZEN):
+            clock = self._frozen_time
         values = {
             "timestamp": clock,
             "actual_q": state.positions,

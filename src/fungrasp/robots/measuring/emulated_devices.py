@@ -15,12 +15,6 @@ from fungrasp.robots.emulators.emulator import Emulator
 from fungrasp.robots.emulators.plant import Plant, ServoPlant, TorquePlant
 
 
-FINGERS = {"inertia": 0.01, "friction": 0.01, "damping": 0.2}
-"""Of the joints of a hand that is controlled by torques [kg m^2, N m, N m s/rad]. Heavier and more damped than
-real ones, so that control is stable where a busy machine delays it by 10 ms: what is measured is when motion
-ends, not how a finger swings."""
-
-
 @dataclass
 class EmulatedDevice:
     """A driver, not connected, and the device that it will talk to, started."""
@@ -62,7 +56,7 @@ def emulated_allegro(generation: int, patience: float = 1.0) -> EmulatedDevice:
     home, bus = np.full(16, 0.4), "udp_multicast"
     # A port of its own: buses of one port hear each other, whatever their groups.
     channel = f"239.74.163.2:{20000 + os.getpid() % 10000 + 10000 * (generation - 4)}"
-    plant = TorquePlant(home, **FINGERS)
+    plant = torque_controlled_fingers(home)
     settings = _patient(AllegroSettings(bus, channel, generation), patience)
     emulator = AllegroEmulator(plant, bus, channel, generation)
     emulator.start()
@@ -104,6 +98,17 @@ def emulated_leap(patience: float = 1.0) -> EmulatedDevice:
     return EmulatedDevice(
         "leap", leap_driver(settings), emulator, plant, home, home + 0.3, settings.stale_after
     )
+
+
+def torque_controlled_fingers(positions: np.ndarray) -> TorquePlant:
+    """Joints of a hand that is controlled by torques. Heavier and more damped than real ones, so that control
+    is stable where a busy machine delays it by 10 ms: what is measured is when motion ends, not how a finger
+    swings.
+
+    Args:
+        positions: where they are [rad], shape [U].
+    """
+    return TorquePlant(positions, inertia=0.01, friction=0.01, damping=0.2)
 
 
 def _patient(settings: Any, patience: float) -> Any:
