@@ -39,6 +39,8 @@ BEGIN_TIMEOUT = 60.0
 """A session that has not begun to move after this never will [s]; a busy machine takes long to connect."""
 LOG_PERIOD = 0.1
 """The log is flushed at every control step [s]: so much of it may be missing when its writer is killed."""
+MOMENT = (0.5, 1.2)
+"""When a fault comes, since the motion began [s]: while palm and fingers move fast."""
 SAMPLE = 0.004
 """Time between two looks at the joints [s]."""
 
@@ -60,7 +62,7 @@ def control_reactions(
         for number in range(count + 1):
             last = number == count
             log = Path(folder) / f"{number}.mcap"
-            with _Session(bench, None if last else fault, log, rng.uniform(0.4, 2.0)) as session:
+            with _Session(bench, None if last else fault, log, rng.uniform(*MOMENT)) as session:
                 moving = session.begins()
                 yield from (replace(trial, restarted=moving) for trial in pending)
                 pending = []
