@@ -53,24 +53,26 @@ def test_frames_of_the_fourth_generation():
     # 90° is 90 / (333.3 / 65536) = 17696.5 counts = 0x4520; 1 count is 0.005086°.
     assert codec.identifier(0x20) == 0x80 and codec.code_of(0x18C) == 0x63
     data = bytes.fromhex("2045e0ba01000000")
-    positions = np.rad2deg(codec.decode_finger_positions(codec.ALLEGRO_V4, data))
+    positions = np.rad2deg(codec.decode_positions(codec.ALLEGRO_V4, [data]))
     assert np.allclose(positions, [89.9976, -89.9976, 0.0050858, 0.0], atol=1e-4)
     # 0.1 N m is 120 counts; the second joint of a finger is clipped at 675 = 0x2a3.
-    torques = np.array([0.1, 5.0, -0.1, 0.0])
-    assert codec.encode_finger_torques(codec.ALLEGRO_V4, 0, torques) == bytes.fromhex("7800a30288ff0000")
+    torques = np.concatenate([[0.1, 5.0, -0.1, 0.0], np.zeros(8), np.full(4, 5.0)])
+    frames = codec.encode_torques(codec.ALLEGRO_V4, torques)
+    assert len(frames) == codec.FINGERS_ON_BUS
+    assert frames[0] == bytes.fromhex("7800a30288ff0000")
     # The thumb's first joint is clipped at 525 = 0x20d.
-    assert codec.encode_finger_torques(codec.ALLEGRO_V4, 3, np.full(4, 5.0))[:2] == bytes.fromhex("0d02")
+    assert frames[3][:2] == bytes.fromhex("0d02")
 
 
 def test_frames_of_the_fifth_generation():
     # 90° is 1022.7 counts of 0.088°.
     data = bytes.fromhex("ff0301fc01000000")
-    positions = np.rad2deg(codec.decode_finger_positions(codec.ALLEGRO_V5, data))
+    positions = np.rad2deg(codec.decode_positions(codec.ALLEGRO_V5, [data]))
     assert np.allclose(positions, [90.024, -90.024, 0.088, 0.0])
     # 0.1 N m is 143 mA; 240 mA at most; geared joints take half.
-    torques = np.array([0.1, 0.1, 5.0, -5.0])
-    assert codec.encode_finger_torques(codec.ALLEGRO_V5, 0, torques) == bytes.fromhex("8f008f00f00010ff")
-    assert codec.encode_finger_torques(codec.ALLEGRO_V5_GEARED, 0, torques)[:4] == bytes.fromhex("8f004800")
+    torques = np.concatenate([[0.1, 0.1, 5.0, -5.0], np.zeros(12)])
+    assert codec.encode_torques(codec.ALLEGRO_V5, torques)[0] == bytes.fromhex("8f008f00f00010ff")
+    assert codec.encode_torques(codec.ALLEGRO_V5_GEARED, torques)[0][:4] == bytes.fromhex("8f004800")
 
 
 def test_frames_of_periods_and_information():
@@ -84,15 +86,13 @@ def test_frames_of_periods_and_information():
 @pytest.mark.parametrize("generation", [codec.ALLEGRO_V4, codec.ALLEGRO_V5, codec.ALLEGRO_V5_GEARED])
 def test_frames_keep_what_they_carry(generation: codec.AllegroGeneration):
     rng = np.random.default_rng(0)
-    positions = rng.uniform(-1.5, 1.5, 4)
-    back = codec.decode_finger_positions(generation, codec.encode_finger_positions(generation, positions))
+    positions = rng.uniform(-1.5, 1.5, 16)
+    back = codec.decode_positions(generation, codec.encode_positions(generation, positions))
     assert np.abs(back - positions).max() <= generation.radians_per_count / 2 + 1e-12
     torques = 0.9 * generation.torque_limits * rng.uniform(-1, 1, 16)
-    for finger in range(4):
-        part = torques[4 * finger : 4 * finger + 4]
-        data = codec.encode_finger_torques(generation, finger, part)
+    for finger, data in enumerate(codec.encode_torques(generation, torques)):
         back = codec.decode_finger_torques(generation, finger, data)
-        assert np.abs(back - part).max() < 1e-3
+        assert np.abs(back - torques[4 * finger : 4 * finger + 4]).max() < 1e-3
 
 
 @pytest.mark.parametrize("generation", [4, 5])

@@ -36,17 +36,30 @@ class BenchRobot:
         from fungrasp.provenance import machine, run_record
         from fungrasp.robots.measuring.emulated_devices import EMULATED
         from fungrasp.robots.measuring.throughput import driver_speed
+        from fungrasp.robots.process_priority import raise_priority
 
+        # Real devices don't wait for a computer's other work.
+        raise_priority()
         speeds = [driver_speed(EMULATED[name](20.0), self.seconds) for name in _known(self.devices)]
         if self.json is not None:
             write_result(self.json, run_record(0), [asdict(speed) for speed in speeds])
-        head = ("device", "connect [s]", "steps/s", "of a core", "command [us]", "read [us]", "age [ms]")
+        head = (
+            "device",
+            "connect [s]",
+            "steps/s",
+            "of a core",
+            "process",
+            "command [us]",
+            "read [us]",
+            "age [ms]",
+        )
         rows = [
             (
                 s.device,
                 f"{s.connect:.2f}",
                 f"{s.rate:.0f}",
                 f"{s.busy_share:.1%}",
+                f"{s.process_share:.1%}",
                 f"{1e6 * s.command:.0f}",
                 f"{1e6 * s.read:.0f}",
                 f"{1e3 * s.age:.1f}",

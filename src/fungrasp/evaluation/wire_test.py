@@ -3,10 +3,8 @@ wall."""
 
 from __future__ import annotations
 
-import os
 import time
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 
@@ -18,6 +16,7 @@ from fungrasp.deployment.twin_deployment import reachable_placements
 from fungrasp.deployment.wired_deployment import DeploymentTask, deploy_on_robot
 from fungrasp.errors import FungraspError
 from fungrasp.robots.device import JointDriver
+from fungrasp.robots.measuring.processor_time import processor_time
 from fungrasp.robots.robot import Robot
 from fungrasp.robots.twin.emulation_worker import EmulationProcess, EmulationRecord, EmulationTask
 from fungrasp.robots.twin.judge import lifted_and_held
@@ -197,16 +196,5 @@ class _ProcessMeter:
     def _times(self) -> dict[str, float]:
         times = {"control": time.process_time()}
         for name, driver in self._drivers.items():
-            times[name] = _processor_time(getattr(driver, "process_id", None))
+            times[name] = processor_time(getattr(driver, "process_id", None))
         return times
-
-
-def _processor_time(process: int | None) -> float:
-    """Of a process, all its threads [s]; 0 where the system doesn't tell."""
-    stat = Path(f"/proc/{process}/stat")
-    if process is None or not stat.is_file():
-        return 0.0
-
-    # After the name, which may hold spaces: fields 14 and 15 of proc(5) are user and system time.
-    fields = stat.read_text().rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")

@@ -63,6 +63,9 @@ class DeviceLoop(Protocol):
     def step(self, goal: LoopGoal) -> JointState:
         """Read the device, send what follows from the goal, return the state.
 
+        Where nothing is new, both the goal that is passed and the state that is returned are the same
+        objects as before.
+
         A state whose status is not ``READY`` is latched: from then on ``step`` is called with ``HOLD``
         until somebody connects anew.
 

@@ -62,20 +62,23 @@ def _follow(
     abandoned: Callable[[], bool],
 ) -> None:
     latched: JointState | None = None
-    stopped_order = -1
+    stopped_order, order, told_last, state_last = -1, -1, None, None
+    asked, sent = LoopGoal(LoopMode.IDLE, np.zeros(0), np.zeros(0)), 0.0
     record["phase"] = RUNNING
     while not abandoned():
         told = goals.read()
         assert told is not None, "the driver writes a goal before it starts the loop"
-        goal = loop_goal(told)
-        order = int(told["order"])
+        news = told is not told_last
+        if news:
+            told_last, asked, order, sent = told, loop_goal(told), int(told["order"]), float(told["sent"])
+        goal = asked
         if goal.mode is LoopMode.CLOSE:
             return
         if latched is not None and order > stopped_order >= 0 and goal.mode is LoopMode.IDLE:
             latched = None
         if latched is not None and goal.mode in FOLLOWING:
             goal = dataclasses.replace(goal, mode=LoopMode.HOLD)
-        late = goal.mode is LoopMode.FOLLOW and time.monotonic() - float(told["sent"]) > driver_timeout
+        late = goal.mode is LoopMode.FOLLOW and time.monotonic() - sent > driver_timeout
         if late:
             goal = dataclasses.replace(goal, mode=LoopMode.HOLD)
         state = _step(loop, goal, record)
@@ -88,9 +91,12 @@ def _follow(
                 f"no command for {driver_timeout} s" if late else f"told to stop: {goal.mode.name.lower()}"
             )
             state = dataclasses.replace(state, status=DeviceStatus.STOPPED, message=message)
-        put_state(record, state)
-        record["order"] = order
-        states.write(record)
+        # Most steps of a fast loop bring no news of the device: writing costs as much as all the rest.
+        if state is not state_last or news:
+            put_state(record, state)
+            record["order"] = order
+            states.write(record)
+            state_last = state
 
 
 def _step(loop: DeviceLoop, goal: LoopGoal, record: np.ndarray) -> JointState:

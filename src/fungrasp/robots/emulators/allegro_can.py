@@ -154,10 +154,8 @@ class AllegroEmulator(Emulator):
         if self.shows(Fault.POWER_LOSS) or self.shows(Fault.STALLED):
             return
         positions = self.plant.state(now).positions
-        frames = []
-        for finger in range(codec.FINGERS_ON_BUS):
-            data = codec.encode_finger_positions(self._units, positions[4 * finger : 4 * finger + 4])
-            frames.append((codec.POSITION + finger, data))
+        data = codec.encode_positions(self._units, positions)
+        frames = [(codec.POSITION + finger, frame) for finger, frame in enumerate(data)]
         for code, data in self._disturbed(frames):
             self._send(code, data)
 

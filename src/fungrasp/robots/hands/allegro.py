@@ -105,7 +105,7 @@ class AllegroLoop:
         self._can: Any = None
         self._state: JointState | None = None
         self._setpoint: np.ndarray | None = None
-        self._frames: dict[int, np.ndarray] = {}
+        self._frames: dict[int, bytes] = {}
         self._jumps = 0
         self._servos_on = False
 
@@ -189,15 +189,14 @@ class AllegroLoop:
             # The flat hand; the thumb's first joint does not reach zero.
             wanted, speed = np.clip(np.zeros(16), self.limits.lower, self.limits.upper), OPEN_SPEED
         largest = speed * min(elapsed, 0.02)
-        self._setpoint = self._setpoint + np.clip(wanted - self._setpoint, -largest, largest)
+        self._setpoint = self._setpoint + _within(wanted - self._setpoint, largest)
         spring = self.settings.kp * (self._setpoint - state.positions)
         torques = spring - self.settings.kd * state.velocities + goal.feedforward
-        return np.clip(torques, -self.limits.torque, self.limits.torque)
+        return _within(torques, self.limits.torque)
 
     def _send_torques(self, torques: np.ndarray) -> None:
-        for finger in range(codec.FINGERS_ON_BUS):
-            part = torques[4 * finger : 4 * finger + 4]
-            self._send(codec.TORQUE + finger, codec.encode_finger_torques(self._units, finger, part))
+        for finger, data in enumerate(codec.encode_torques(self._units, torques)):
+            self._send(codec.TORQUE + finger, data)
 
     def _send(self, code: int, data: bytes = b"", request: bool = False) -> None:
         message = self._can.Message(
@@ -224,26 +223,29 @@ class AllegroLoop:
         code = codec.code_of(message.arbitration_id)
         finger = code - codec.POSITION
         if 0 <= finger < codec.FINGERS_ON_BUS and message.dlc == 8:
-            positions = codec.decode_finger_positions(self._units, bytes(message.data))
-            self._take_positions(finger, positions, message.timestamp)
+            self._frames[finger] = bytes(message.data)
+            if len(self._frames) == codec.FINGERS_ON_BUS:
+                self._take_positions(message.timestamp)
         elif code == codec.INFO and message.dlc >= 7:
             self._take_info(codec.decode_info(bytes(message.data)))
         return message
 
-    def _take_positions(self, finger: int, positions: np.ndarray, stamp: float) -> None:
+    def _take_positions(self, stamp: float) -> None:
+        """A frame of each finger is there; frames that can't be are dropped, and their next ones waited
+        for."""
         before = self._state
+        joints = codec.decode_positions(self._units, [self._frames[f] for f in range(codec.FINGERS_ON_BUS)])
         if before is not None:
-            known = before.positions[4 * finger : 4 * finger + 4]
             largest = LARGEST_JUMP + LARGEST_SPEED * max(stamp - before.device_time, 0.0)
-            if np.abs(positions - known).max() > largest:
-                self._jumps += 1
+            jumps = np.abs(joints - before.positions) > largest
+            if jumps.any():
+                bad = np.flatnonzero(jumps.reshape(codec.FINGERS_ON_BUS, -1).any(axis=1)).tolist()
+                self._jumps += len(bad)
                 if self._jumps >= JUMPS:
                     raise RobotError(f"{self.name}: positions jump; check the encoders and the generation")
+                for finger in bad:
+                    del self._frames[finger]
                 return
-        self._frames[finger] = positions
-        if len(self._frames) < codec.FINGERS_ON_BUS:
-            return
-        joints = np.concatenate([self._frames[f] for f in range(codec.FINGERS_ON_BUS)])
         self._frames.clear()
         self._jumps = 0
         velocities = np.zeros(16)
@@ -289,3 +291,8 @@ class AllegroLoop:
             raise RobotError(f"{self.name}: the hand says that it is a {'left' if left else 'right'} one")
         if generation == 5 and serial[2:3] != "A":
             self._units = codec.ALLEGRO_V5_GEARED
+
+
+def _within(values: np.ndarray, largest: np.ndarray | float) -> np.ndarray:
+    """Values no larger than allowed, as ``np.clip`` in a third of its time."""
+    return np.minimum(np.maximum(values, -largest), largest)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fungrasp.robots.measuring.emulated_devices import EmulatedDevice
+from fungrasp.robots.measuring.processor_time import processor_time
 
 
 @dataclass(frozen=True)
@@ -22,6 +23,8 @@ class DriverSpeed:
     """Steps of the control loop per second."""
     busy_share: float
     """Share of a core that the control loop takes; client libraries' own threads are not in it."""
+    process_share: float
+    """Share of a core that the driver's process takes, client libraries' threads and waking up included."""
     command: float
     """Median time of a command [s]."""
     read: float
@@ -42,7 +45,8 @@ def driver_speed(device: EmulatedDevice, seconds: float) -> DriverSpeed:
         device.driver.connect()
         connect = time.monotonic() - began
         commands, reads, ages = [], [], []
-        first, start = device.driver.load(), time.monotonic()
+        process = device.driver.process_id
+        first, used, start = device.driver.load(), processor_time(process), time.monotonic()
         while (now := time.monotonic()) - start < seconds:
             device.driver.command(device.home if int(now - start) % 2 else device.away)
             commands.append(time.monotonic() - now)
@@ -59,6 +63,7 @@ def driver_speed(device: EmulatedDevice, seconds: float) -> DriverSpeed:
             connect,
             (last.steps - first.steps) / elapsed,
             (last.busy - first.busy) / elapsed,
+            (processor_time(process) - used) / elapsed,
             float(np.median(commands)),
             float(np.median(reads)),
             float(np.median(ages)),
