@@ -26,7 +26,7 @@ from fungrasp.robots.device import (
     TrackingStatus,
 )
 from fungrasp.robots.kinematics.arm_model import Clearance
-from fungrasp.robots.robot import RobotCommand, RobotState, SafetyStop
+from fungrasp.robots.robot_state import RobotCommand, RobotState, SafetyStop
 
 CELL = RobotCell("allegro")
 ARM = JointLimits(np.full(6, -3.0), np.full(6, 3.0), np.full(6, 1.5), np.full(6, 100.0))

@@ -23,7 +23,8 @@ from fungrasp.grasps import RobotGraspSet
 from fungrasp.robots.device import RobotError, StopKind
 from fungrasp.robots.kinematics.arm_model import ClearanceModel
 from fungrasp.robots.kinematics.joint_path import timed_leg
-from fungrasp.robots.robot import Robot, RobotCommand, RobotState, SafetyStop
+from fungrasp.robots.robot import Robot
+from fungrasp.robots.robot_state import RobotCommand, RobotState, SafetyStop
 from fungrasp.task import Action, Policy
 
 ARRIVED = 2e-3

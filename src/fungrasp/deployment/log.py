@@ -26,7 +26,7 @@ from typing import Any, Protocol, Self
 import numpy as np
 
 from fungrasp.errors import FungraspError
-from fungrasp.robots.robot import RobotCommand, RobotState
+from fungrasp.robots.robot_state import RobotCommand, RobotState
 from fungrasp.task import Action, GraspPlan, Observation
 
 TOPICS = ("/setpoint", "/step", "/event")

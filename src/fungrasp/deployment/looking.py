@@ -9,7 +9,8 @@ import numpy as np
 from fungrasp.deployment.deployment_result import DeploymentSettings
 from fungrasp.deployment.safety import check_pose
 from fungrasp.robots.device import DeviceStatus, RobotError
-from fungrasp.robots.robot import Robot, RobotState
+from fungrasp.robots.robot import Robot
+from fungrasp.robots.robot_state import RobotState
 
 
 def look_for_object(

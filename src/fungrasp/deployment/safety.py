@@ -37,7 +37,7 @@ from fungrasp.geometry.poses import relative
 from fungrasp.robots.cell import RobotCell
 from fungrasp.robots.device import DeviceStatus, JointLimits, StopKind, TrackedPose
 from fungrasp.robots.kinematics.arm_model import MARGIN, Clearance
-from fungrasp.robots.robot import RobotCommand, RobotState, SafetyStop
+from fungrasp.robots.robot_state import RobotCommand, RobotState, SafetyStop
 from fungrasp.task import Action, Observation
 
 TOLERANCE = 1.02
@@ -214,7 +214,7 @@ def _beyond(torques: np.ndarray | None, limit: float) -> bool:
 
 
 class SafetyGuard:
-    """A ``fungrasp.robots.robot.Guard`` that remembers what ``check_setpoint`` needs to know of the past."""
+    """A ``fungrasp.robots.robot_state.Guard`` that remembers what ``check_setpoint`` needs to know."""
 
     def __init__(
         self,
@@ -248,7 +248,7 @@ class SafetyGuard:
         self._sent, self._stamps = (None, None), {}
 
     def __call__(self, state: RobotState, command: RobotCommand) -> RobotCommand:
-        """See ``fungrasp.robots.robot.Guard``."""
+        """See ``fungrasp.robots.robot_state.Guard``."""
         before, previous = self._sent
         context = SafetyContext(
             self._cell,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Self
 
 import numpy as np
@@ -15,7 +15,6 @@ from fungrasp.robots.clock import Clock
 from fungrasp.robots.device import (
     DeviceStatus,
     JointDriver,
-    JointState,
     PoseSource,
     RobotError,
     StopKind,
@@ -24,55 +23,11 @@ from fungrasp.robots.device import (
 )
 from fungrasp.robots.kinematics.arm_model import ArmKinematics
 from fungrasp.robots.kinematics.differential import PalmFollower
+from fungrasp.robots.robot_state import Guard, RobotCommand, RobotState, SafetyStop
 from fungrasp.task import Action, LiftProtocol, Observation
 from fungrasp.task.sensors import NO_LIFT
 from fungrasp.task.setpoints import SetpointGenerator
 from fungrasp.transfer.gravity_compensation import GravityCompensation, setpoint_offset
-
-
-@dataclass(frozen=True, eq=False)
-class RobotState:
-    """What all devices said last."""
-
-    time: float
-    """Time of the robot's clock [s]."""
-    arm: JointState
-    """Of the arm."""
-    hand: JointState
-    """Of the hand."""
-    tracked: TrackedPose | None
-    """Of the tracker; None before its first pose."""
-
-
-@dataclass(frozen=True, eq=False)
-class RobotCommand:
-    """Setpoints of all servos."""
-
-    arm: np.ndarray
-    """Joints of the arm [rad], shape [A]."""
-    hand: np.ndarray
-    """Independent joints of the hand [rad], shape [U]; without any offset against gravity."""
-    feedforward: np.ndarray
-    """Torques that carry the hand's weight [N m], shape [U]."""
-    palm: np.ndarray
-    """Pose of the palm that the arm's joints stand for, world frame, shape [7]."""
-
-
-class SafetyStop(RobotError):
-    """The robot was stopped by its guard."""
-
-    def __init__(self, reason: str, kind: StopKind):
-        """
-        Args:
-            reason: what was wrong, as a phrase.
-            kind: how motion ended.
-        """
-        super().__init__(f"the robot was stopped ({kind}): {reason}")
-        self.reason, self.kind = reason, kind
-
-
-Guard = Callable[[RobotState, RobotCommand], RobotCommand]
-"""Sees every command before it is sent and returns what may be sent; raises ``SafetyStop``."""
 
 
 class Robot:

@@ -2,32 +2,23 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
-import os
 import pickle
-import subprocess
-import sys
 import threading
 import time
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Self
 
 import numpy as np
 
-import fungrasp
 from fungrasp.robots.control_loop.device_loop import DeviceLoop, LoopMode
-from fungrasp.robots.control_loop.loop_runner import run_device_loop
-from fungrasp.robots.control_loop.loop_worker import LENGTH
-from fungrasp.robots.control_loop.mailbox import Mailbox, SharedMemoryFile, mailbox_size
+from fungrasp.robots.control_loop.loop_host import LoopProcess, LoopThread
 from fungrasp.robots.control_loop.records import (
     ENDED,
     STARTING,
     goal_kind,
     joint_state,
     record_message,
-    state_kind,
 )
 from fungrasp.robots.device import DeviceStatus, JointLimits, JointState, RobotError, StopKind
 
@@ -79,7 +70,7 @@ class LoopDriver:
         self._driver_timeout = driver_timeout
         self._count = len(loop.limits.lower)
         self._lock = threading.Lock()
-        self._host: _Process | _Thread | None = None
+        self._host: LoopProcess | LoopThread | None = None
         self._goal = np.zeros((), dtype=goal_kind(self._count))
         self._stopped: str | None = None
         self._rescued = False
@@ -138,7 +129,7 @@ class LoopDriver:
     @property
     def process_id(self) -> int | None:
         """Of the device's process; None where it runs in a thread or is not connected."""
-        return self._host.process_id if isinstance(self._host, _Process) else None
+        return self._host.process_id if isinstance(self._host, LoopProcess) else None
 
     def load(self) -> LoopLoad:
         """What the loop has cost since connecting."""
@@ -155,7 +146,7 @@ class LoopDriver:
         self.close()
 
     def _start(self) -> None:
-        host = _Process if self._process else _Thread
+        host = LoopProcess if self._process else LoopThread
         self._goal["mode"], self._goal["sent"] = LoopMode.IDLE, time.monotonic()
         self._rescued = False
         self._host = host(self._loop, self._goal, self._driver_timeout)
@@ -232,90 +223,6 @@ class LoopDriver:
             self._tell(LoopMode.CLOSE)
             self._host.end(patience)
             self._host = None
-
-
-class _Thread:
-    def __init__(self, loop: DeviceLoop, goal: np.ndarray, driver_timeout: float):
-        count = len(loop.limits.lower)
-        self.goals = Mailbox(memoryview(bytearray(mailbox_size(goal_kind(count)))), goal_kind(count))
-        self.states = Mailbox(memoryview(bytearray(mailbox_size(state_kind(count)))), state_kind(count))
-        self.goals.write(goal)
-        # A copy, as a process would get one: a loop is opened once.
-        copy = pickle.loads(pickle.dumps(loop))
-        arguments = (copy, self.goals, self.states, driver_timeout)
-        self._thread = threading.Thread(target=run_device_loop, args=arguments, daemon=True, name=loop.name)
-        self._thread.start()
-
-    def alive(self) -> bool:
-        return self._thread.is_alive()
-
-    def last_words(self) -> str:
-        return ""
-
-    def end(self, patience: float) -> None:
-        self._thread.join(patience)
-
-
-class _Process:
-    def __init__(self, loop: DeviceLoop, goal: np.ndarray, driver_timeout: float):
-        count = len(loop.limits.lower)
-        first = mailbox_size(goal_kind(count))
-        self._memory = SharedMemoryFile(first + mailbox_size(state_kind(count)))
-        view = memoryview(self._memory.buffer)
-        self.goals = Mailbox(view[:first], goal_kind(count))
-        self.states = Mailbox(view[first:], state_kind(count))
-        self.goals.write(goal)
-        # The same package as here, wherever it was imported from; one thread is all that a loop needs.
-        paths = [str(Path(fungrasp.__file__).parents[1]), os.environ.get("PYTHONPATH", "")]
-        environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, paths))}
-        environment |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-        self._child = subprocess.Popen(
-            [sys.executable, "-m", "fungrasp.robots.control_loop.loop_worker"],
-            stdin=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            stdout=subprocess.DEVNULL,
-            env=environment,
-            start_new_session=True,
-        )
-        self._errors: list[str] = []
-        self._reader = threading.Thread(target=self._collect, daemon=True)
-        self._reader.start()
-        data = pickle.dumps((loop, str(self._memory.path), driver_timeout))
-        assert self._child.stdin is not None
-        # Where it has ended already, who waits for its first state will see so.
-        with contextlib.suppress(BrokenPipeError):
-            self._child.stdin.write(LENGTH.pack(len(data)) + data)
-            self._child.stdin.flush()
-
-    @property
-    def process_id(self) -> int:
-        return self._child.pid
-
-    def alive(self) -> bool:
-        return self._child.poll() is None
-
-    def last_words(self) -> str:
-        """The last line that the process wrote to standard error."""
-        self._reader.join(0.2)
-        return f": {self._errors[-1]}" if self._errors else ""
-
-    def end(self, patience: float) -> None:
-        assert self._child.stdin is not None
-        try:
-            self._child.wait(patience)
-        except subprocess.TimeoutExpired:
-            self._child.kill()
-            self._child.wait()
-        with contextlib.suppress(BrokenPipeError):
-            self._child.stdin.close()
-        self._memory.remove()
-
-    def _collect(self) -> None:
-        assert self._child.stderr is not None
-        for line in self._child.stderr:
-            text = line.decode(errors="replace").strip()
-            if text:
-                self._errors = [*self._errors[-19:], text]
 
 
 def _waits_for_driver(state: JointState, goal: np.ndarray) -> bool:

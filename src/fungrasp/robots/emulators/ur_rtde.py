@@ -8,30 +8,22 @@ remote control.
 
 from __future__ import annotations
 
-import contextlib
-import selectors
-import socket
 import struct
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from enum import IntEnum
-from typing import Any
 
 import numpy as np
 
 from fungrasp.robots.codecs import rtde as codec
 from fungrasp.robots.device import RobotError
 from fungrasp.robots.emulators.emulator import Emulator, Fault
-from fungrasp.robots.emulators.plant import Plant, PlantCommand
+from fungrasp.robots.emulators.plant import Plant
+from fungrasp.robots.emulators.ur_connections import URClient, URConnections
+from fungrasp.robots.emulators.ur_program import ServoProgram
 
 RTDE_PORT, DASHBOARD_PORT, SCRIPT_PORT = 30004, 29999, 30003
-COMMAND = "input_int_register_0"
 STATE = "output_int_register_0"
-READY, DONE = 1, 2
-"""What the client's program answers in ``STATE``."""
-SERVO_JOINTS, SERVO_STOP, SET_WATCHDOG, KICK_WATCHDOG, STOP_PROGRAM = 11, 16, 35, 99, 255
-"""Commands of the client's program that are carried out; any other is answered and does nothing."""
 STOPPED, PLAYING = 1, 2
 CLOCK_JUMP = 3600.0
 """By so much the clock is set forward, and back when the fault ends [s]."""
@@ -47,19 +39,6 @@ class SafetyBit(IntEnum):
     ROBOT_EMERGENCY_STOP = 6
     EMERGENCY_STOP = 7
     STOPPED = 10
-
-
-@dataclass(eq=False)
-class _Client:
-    socket: socket.socket
-    kind: int
-    received: bytes = b""
-    outputs: codec.Recipe | None = None
-    inputs: list[codec.Recipe] = field(default_factory=list)
-    interval: float = 0.002
-    due: float = 0.0
-    started: bool = False
-    held: bytes = b""
 
 
 class URControllerEmulator(Emulator):
@@ -109,37 +88,31 @@ class URControllerEmulator(Emulator):
         self._period = 0.008 if version[0] < 5 else 0.002
         self._release_time = release_time
         self._rng = np.random.default_rng(seed)
-        self._selector = selectors.DefaultSelector()
-        self._servers: dict[int, socket.socket] = {}
-        self._clients: list[_Client] = []
-        self._program = STOPPED
-        self._answer, self._executing = 0, False
-        self._inputs: dict[str, Any] = {}
-        self._heard, self._watchdog = 0.0, 0.0
+        self._net = URConnections(address, (RTDE_PORT, DASHBOARD_PORT, SCRIPT_PORT), self._greet)
+        self._program = ServoProgram(plant)
         self._stop_began = 0.0
         self._origin = time.monotonic()
         self._frozen_time: float | None = None
-        self._goal: np.ndarray | None = None
 
     @property
     def program_running(self) -> bool:
         """Whether the client's program runs."""
-        return self._program == PLAYING
+        return self._program.running
 
     def start(self) -> None:
         """See ``Emulator.start``."""
         self._ended.clear()
         try:
-            self._listen()
+            self._net.listen()
         except OSError as error:
-            self._hang_up()
+            self._net.hang_up()
             raise RobotError(f"the UR emulator cannot listen on {self.address}: {error.strerror}") from error
         self._run(self._serve)
 
     def close(self) -> None:
         """See ``Emulator.close``."""
         self._end_threads()
-        self._hang_up()
+        self._net.hang_up()
 
     def inject(self, fault: Fault) -> None:
         """See ``Emulator.inject``. A stop ends the program and stays when the fault is cleared."""
@@ -157,33 +130,6 @@ class URControllerEmulator(Emulator):
         """What a person does at the pendant."""
         self._active = self._active - {Fault.PROTECTIVE_STOP}
 
-    def _listen(self) -> None:
-        for port in (RTDE_PORT, DASHBOARD_PORT, SCRIPT_PORT):
-            server = socket.socket()
-            server.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            server.bind((self.address, port))
-            server.listen()
-            server.setblocking(False)
-            self._servers[port] = server
-            self._selector.register(server, selectors.EVENT_READ, port)
-
-    def _hang_up(self, reset: bool = False) -> None:
-        for client in list(self._clients):
-            self._drop(client, reset)
-        for server in self._servers.values():
-            with contextlib.suppress(KeyError, ValueError):
-                self._selector.unregister(server)
-            server.close()
-        self._servers.clear()
-
-    def _drop(self, client: _Client, reset: bool = False) -> None:
-        if reset:
-            client.socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
-        with contextlib.suppress(KeyError, ValueError):
-            self._selector.unregister(client.socket)
-        client.socket.close()
-        self._clients.remove(client)
-
     def _serve(self) -> None:
         due = time.monotonic()
         while not self._ended.is_set():
@@ -191,49 +137,32 @@ class URControllerEmulator(Emulator):
                 time.sleep(0.001)
                 continue
             self._obey_faults()
-            for key, _ in self._selector.select(max(0.0, due - time.monotonic())):
-                if isinstance(key.data, int):
-                    self._accept(key.fileobj, key.data)
-                else:
-                    self._read(key.data)
+            for client in self._net.receive(max(0.0, due - time.monotonic())):
+                self._take(client)
             now = time.monotonic()
             if now >= due:
                 due = max(due + self._period, now)
                 self._tick(now)
 
     def _obey_faults(self) -> None:
-        if self.shows(Fault.KILLED) and self._servers:
-            self._hang_up()
-            self._stop_program()
-        elif not self.shows(Fault.KILLED) and not self._servers:
-            self._listen()
+        if self.shows(Fault.KILLED) and self._net.listening:
+            self._net.hang_up()
+            self._program.stop()
+        elif not self.shows(Fault.KILLED) and not self._net.listening:
+            self._net.listen()
         if self.shows(Fault.RESET):
-            for client in list(self._clients):
-                self._drop(client, reset=True)
-            self._stop_program()
+            for client in list(self._net.clients):
+                self._net.drop(client, reset=True)
+            self._program.stop()
             self._active = self._active - {Fault.RESET}
         if self.shows(Fault.PROTECTIVE_STOP) or self.shows(Fault.EMERGENCY_STOP):
-            self._stop_program()
+            self._program.stop()
 
-    def _accept(self, server: Any, port: int) -> None:
-        connection, _ = server.accept()
-        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        connection.settimeout(0.2)
-        client = _Client(connection, port)
-        self._clients.append(client)
-        self._selector.register(connection, selectors.EVENT_READ, client)
-        if port == DASHBOARD_PORT:
-            self._send(client, b"Connected: Universal Robots Dashboard Server\n")
+    def _greet(self, client: URClient) -> None:
+        if client.kind == DASHBOARD_PORT:
+            self._net.send(client, b"Connected: Universal Robots Dashboard Server\n")
 
-    def _read(self, client: _Client) -> None:
-        try:
-            data = client.socket.recv(65536)
-        except OSError:
-            data = b""
-        if not data:
-            self._drop(client)
-            return
-        client.received += data
+    def _take(self, client: URClient) -> None:
         if client.kind == RTDE_PORT:
             packages, client.received = codec.split_packages(client.received)
             for kind, content in packages:
@@ -241,87 +170,45 @@ class URControllerEmulator(Emulator):
                     self._take_package(client, kind, content)
                 except (IndexError, KeyError, struct.error):
                     # As a real controller does with what it can't read.
-                    self._drop(client)
+                    self._net.drop(client)
                     return
         elif client.kind == DASHBOARD_PORT:
             *lines, client.received = client.received.split(b"\n")
             for line in lines:
-                self._send(client, self._dashboard(line.decode().strip()).encode() + b"\n")
+                self._net.send(client, self._dashboard(line.decode().strip()).encode() + b"\n")
         elif client.received.endswith(b"\nend\n"):
             client.received = b""
             self._start_program()
 
-    def _send(self, client: _Client, data: bytes) -> None:
-        try:
-            client.socket.sendall(data)
-        except OSError:
-            if client in self._clients:
-                self._drop(client)
-
-    def _take_package(self, client: _Client, kind: bytes, content: bytes) -> None:
+    def _take_package(self, client: URClient, kind: bytes, content: bytes) -> None:
         if kind == codec.DATA:
             recipe = client.inputs[content[0] - 1]
-            values = codec.decode_values(recipe, content[1:])
-            self._inputs |= values
-            if COMMAND in values:
-                self._heard = time.monotonic()
-                self._command(int(values[COMMAND]))
+            self._program.take(codec.decode_values(recipe, content[1:]))
         elif kind == codec.PROTOCOL_VERSION:
-            self._send(client, codec.package(kind, b"\x01"))
+            self._net.send(client, codec.package(kind, b"\x01"))
         elif kind == codec.CONTROLLER_VERSION:
-            self._send(client, codec.package(kind, struct.pack(">4I", *self._version, 1)))
+            self._net.send(client, codec.package(kind, struct.pack(">4I", *self._version, 1)))
         elif kind == codec.SETUP_OUTPUTS:
             client.outputs = codec.make_recipe(content[8:].decode())
             client.interval = 1.0 / max(struct.unpack(">d", content[:8])[0], 1.0)
-            self._send(client, codec.package(kind, b"\x01" + ",".join(client.outputs.types).encode()))
+            self._net.send(client, codec.package(kind, b"\x01" + ",".join(client.outputs.types).encode()))
         elif kind == codec.SETUP_INPUTS:
             recipe = codec.make_recipe(content.decode())
             client.inputs.append(recipe)
             number = bytes([len(client.inputs)])
-            self._send(client, codec.package(kind, number + ",".join(recipe.types).encode()))
+            self._net.send(client, codec.package(kind, number + ",".join(recipe.types).encode()))
         elif kind in (codec.START, codec.PAUSE):
             client.started = kind == codec.START
-            self._send(client, codec.package(kind, b"\x01"))
+            self._net.send(client, codec.package(kind, b"\x01"))
 
     def _start_program(self) -> None:
         if self.shows(Fault.PROTECTIVE_STOP) or self.shows(Fault.EMERGENCY_STOP):
             return
-        self._program, self._answer, self._executing = PLAYING, READY, False
-        self._watchdog = 0.0
-
-    def _stop_program(self) -> None:
-        if self._program == PLAYING:
-            self._program, self._watchdog = STOPPED, 0.0
-            self._stop_servo()
-
-    def _stop_servo(self) -> None:
-        if self._goal is not None:
-            now = time.monotonic()
-            self.plant.apply(PlantCommand(positions=self.plant.state(now).positions), now)
-            self._goal = None
-
-    def _command(self, command: int) -> None:
-        if self._program != PLAYING:
-            return
-        if command == SERVO_JOINTS:
-            self._goal = np.array([self._inputs[f"input_double_register_{i}"] for i in range(6)])
-            self.plant.apply(PlantCommand(positions=self._goal), time.monotonic())
-            self._answer = READY
-        elif command == STOP_PROGRAM:
-            self._stop_program()
-        elif command in (0, KICK_WATCHDOG):
-            self._answer, self._executing = READY, False
-        elif not self._executing:
-            if command == SERVO_STOP:
-                self._stop_servo()
-            elif command == SET_WATCHDOG:
-                self._watchdog = float(self._inputs["input_double_register_0"])
-            self._answer, self._executing = DONE, True
+        self._program.start()
 
     def _tick(self, now: float) -> None:
-        if self._watchdog > 0 and now - self._heard > 1.0 / self._watchdog:
-            self._stop_program()
-        if not any(client.started for client in self._clients):
+        self._program.watch(now)
+        if not any(client.started for client in self._net.clients):
             return
         state = self.plant.state(now)
         stopped = self.shows(Fault.PROTECTIVE_STOP) or self.shows(Fault.EMERGENCY_STOP)
@@ -332,19 +219,21 @@ class URControllerEmulator(Emulator):
             "timestamp": clock,
             "actual_q": state.positions,
             "actual_qd": state.velocities,
-            "target_q": state.positions if self._goal is None else self._goal,
+            "target_q": state.positions if self._program.goal is None else self._program.goal,
             "target_moment": state.torques,
-            "runtime_state": self._program,
+            "runtime_state": PLAYING if self.program_running else STOPPED,
             "robot_mode": 7,
             "safety_mode": 3 if self.shows(Fault.PROTECTIVE_STOP) else 7 if stopped else 1,
-            "robot_status_bits": 1 | (self._program == PLAYING) << 1,
+            "robot_status_bits": 1 | self.program_running << 1,
             "safety_status_bits": self._safety_bits(),
-            STATE: self._answer,
+            STATE: self._program.answer,
         }
-        for client in list(self._clients):
+        for client in list(self._net.clients):
             if client.started and client.outputs is not None and client.outputs.valid and now >= client.due:
                 client.due = max(client.due + client.interval, now)
-                self._send(client, self._disturbed(client, codec.encode_values(client.outputs, 1, values)))
+                self._net.send(
+                    client, self._disturbed(client, codec.encode_values(client.outputs, 1, values))
+                )
 
     def _safety_bits(self) -> int:
         bits = {SafetyBit.NORMAL}
@@ -354,7 +243,7 @@ class URControllerEmulator(Emulator):
             bits = {SafetyBit.ROBOT_EMERGENCY_STOP, SafetyBit.EMERGENCY_STOP, SafetyBit.STOPPED}
         return sum(1 << bit for bit in bits)
 
-    def _disturbed(self, client: _Client, data: bytes) -> bytes:
+    def _disturbed(self, client: URClient, data: bytes) -> bytes:
         chosen = self._rng.random() < 0.1
         if chosen and self.shows(Fault.LOST):
             return b""
@@ -393,7 +282,7 @@ class URControllerEmulator(Emulator):
         return "PROTECTIVE_STOP" if self.shows(Fault.PROTECTIVE_STOP) else "NORMAL"
 
     def _stopped_by_dashboard(self) -> str:
-        self._stop_program()
+        self._program.stop()
         return "Stopped"
 
     def _unlocked_by_dashboard(self) -> str:
