@@ -20,7 +20,7 @@ from fungrasp.robots.device import DeviceStatus, RobotError, StopKind
 from fungrasp.robots.emulators.allegro_can import AllegroEmulator
 from fungrasp.robots.emulators.emulator import Fault
 from fungrasp.robots.emulators.plant import TorquePlant
-from fungrasp.robots.hands.allegro import AllegroSettings, allegro_driver
+from fungrasp.robots.hands.allegro import AllegroLoop, AllegroSettings, allegro_driver
 
 pytest.importorskip("can")
 
@@ -30,7 +30,7 @@ def emulated(
     generation: int = 4, friction: float = 0.01, load: float = 0.0, **settings
 ) -> Iterator[DeviceUnderTest]:
     channel = uuid.uuid4().hex
-    plant = TorquePlant(np.full(16, 0.5), friction=friction, load=load)
+    plant = TorquePlant(np.full(16, 0.5), inertia=0.01, damping=0.2, friction=friction, load=load)
     emulator = AllegroEmulator(plant, "virtual", channel, generation)
     settings = {"stale_after": 1.0, "generation": generation} | settings
     driver = allegro_driver(AllegroSettings("virtual", channel, **settings), process=False)
@@ -199,7 +199,7 @@ def test_the_driver_takes_the_torque_away_when_its_process_has_died():
 def test_the_hand_loses_its_torque_when_the_process_of_the_policy_dies():
     code = """
 import sys, time, numpy as np
-from fungrasp.robots.hands.allegro import AllegroSettings, allegro_driver
+from fungrasp.robots.hands.allegro import AllegroLoop, AllegroSettings, allegro_driver
 driver = allegro_driver(AllegroSettings("udp_multicast", sys.argv[1], stale_after=1.0))
 driver.connect()
 driver.command(np.full(16, 0.4))
@@ -216,3 +216,16 @@ while True:
         child.kill()
         child.wait()
         assert wait_for(lambda: not emulator.servos_on and not emulator.torques.any())
+
+
+def test_positions_that_no_hand_has_are_not_believed_after_a_silence():
+    loop = AllegroLoop(AllegroSettings("virtual", "none"))
+    for finger, data in enumerate(codec.encode_positions(codec.ALLEGRO_V4, np.full(16, 0.4))):
+        loop._frames[finger] = data
+    loop._take_positions(10.0)
+    good = loop._state
+    # A second of silence would explain a jump of 20 rad.
+    loop._frames.update(dict.fromkeys(range(4), b"\xff\x7f" * 4))
+    loop._take_positions(11.0)
+    assert loop._state is good
+    assert not loop._frames

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import time
 from contextlib import ExitStack
 from dataclasses import replace
 from typing import Any, Self
@@ -20,7 +21,7 @@ from fungrasp.robots.device import JointDriver
 from fungrasp.robots.emulators.allegro_can import AllegroEmulator
 from fungrasp.robots.emulators.emulator import Emulator
 from fungrasp.robots.emulators.inspire_modbus import InspireEmulator
-from fungrasp.robots.emulators.plant import Plant, ServoPlant
+from fungrasp.robots.emulators.plant import Plant, PlantCommand, ServoPlant, TorquePlant
 from fungrasp.robots.emulators.tracker import TrackerEmulator, TrackerErrors
 from fungrasp.robots.emulators.ur_rtde import URControllerEmulator
 from fungrasp.robots.measuring.emulated_devices import torque_controlled_fingers
@@ -54,10 +55,10 @@ class ControlBench:
         self.grasp = grasp
         self.prepared: PreparedGrasp = replace(prepared, corners=(prepared.reach.start,))
         self.cell = _private(cell, patience)
-        self.arm_plant: Plant = ServoPlant(prepared.reach.start)
+        self.arm_plant = ServoPlant(prepared.reach.start)
         fingers = prepared.start_fingers
         torque = cell.hand_device.driver == "allegro-can"
-        self.hand_plant: Plant = (
+        self.hand_plant: ServoPlant | TorquePlant = (
             torque_controlled_fingers(fingers) if torque else ServoPlant(fingers, velocity=10.0)
         )
         arm: JointDriver = arm_driver(self.cell)
@@ -76,6 +77,14 @@ class ControlBench:
 
     def __exit__(self, *error: object) -> None:
         self._stack.close()
+
+    def put_back(self) -> None:
+        """Arm and hand where the plan starts, as a person would put them: a hand that kept its last torques
+        is anywhere."""
+        starts = self.prepared.reach.start, self.prepared.start_fingers
+        for plant, start in zip((self.arm_plant, self.hand_plant), starts, strict=True):
+            plant.apply(PlantCommand(), time.monotonic())
+            plant.positions = start.copy()
 
     def hand_follows(self) -> bool:
         """Whether the hand's servos are on; an Inspire hand's always are."""

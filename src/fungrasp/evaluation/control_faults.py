@@ -27,12 +27,13 @@ LIMITS = {
     ControlFault.POLICY_NAN: (0.1, 0.1),
     ControlFault.DISK_FULL: (0.1, 0.1),
     ControlFault.HUNG: (DRIVER_TIMEOUT, DRIVER_TIMEOUT),
-    ControlFault.KILLED: (0.1, 0.1),
+    ControlFault.KILLED: (1.0 / URSettings.watchdog, 1.0 / URSettings.watchdog),
     ControlFault.ALL_KILLED: (1.0 / URSettings.watchdog, None),
 }
 """When each fault should be over, of arm and hand [s]: answers and the log are checked in every control step;
-drivers hold when they hear nothing for ``DRIVER_TIMEOUT``, and end with the input that the control process
-holds open; after that there is the watchdog of the arm's controller, and nothing of a hand's."""
+drivers hold when they hear nothing for ``DRIVER_TIMEOUT``; they end with the input that the control process
+holds open, which should take no longer than the watchdog of the arm's controller; where they are gone, too,
+there is that watchdog, and nothing of a hand's."""
 WATCHED = 1.5
 """Time that is watched after a fault [s]."""
 BEGIN_TIMEOUT = 60.0
@@ -62,6 +63,7 @@ def control_reactions(
         for number in range(count + 1):
             last = number == count
             log = Path(folder) / f"{number}.mcap"
+            bench.put_back()
             with _Session(bench, None if last else fault, log, rng.uniform(*MOMENT)) as session:
                 moving = session.begins()
                 yield from (replace(trial, restarted=moving) for trial in pending)

@@ -29,6 +29,8 @@ LARGEST_JUMP = 0.2
 """A position this far from the one before is not believed [rad] ..."""
 LARGEST_SPEED = 20.0
 """... plus this times the time between them [rad/s]: twice the speed of the hand without load."""
+BEYOND = 0.5
+"""Nor is one so far beyond the joint's limits [rad]: a real hand's zero is off by less."""
 JUMPS = 40
 """So many frames beyond belief in a row, ten sets, are a fault of the hand, not of a frame."""
 OPEN_SPEED = 0.5
@@ -238,6 +240,8 @@ class AllegroLoop:
         if before is not None:
             largest = LARGEST_JUMP + LARGEST_SPEED * max(stamp - before.device_time, 0.0)
             jumps = np.abs(joints - before.positions) > largest
+            # However long ago the last ones were.
+            jumps |= (joints < self.limits.lower - BEYOND) | (joints > self.limits.upper + BEYOND)
             if jumps.any():
                 bad = np.flatnonzero(jumps.reshape(codec.FINGERS_ON_BUS, -1).any(axis=1)).tolist()
                 self._jumps += len(bad)
