@@ -199,7 +199,7 @@ def test_the_driver_takes_the_torque_away_when_its_process_has_died():
 def test_the_hand_loses_its_torque_when_the_process_of_the_policy_dies():
     code = """
 import sys, time, numpy as np
-from fungrasp.robots.hands.allegro import AllegroLoop, AllegroSettings, allegro_driver
+from fungrasp.robots.hands.allegro import AllegroSettings, allegro_driver
 driver = allegro_driver(AllegroSettings("udp_multicast", sys.argv[1], stale_after=1.0))
 driver.connect()
 driver.command(np.full(16, 0.4))

@@ -1,6 +1,7 @@
 """A robot in the shape of LeRobot's ``Robot``; LeRobot itself is not needed.
 
-LeRobot finds robots in packages whose names begin with ``lerobot_robot_``: docs/robots says how to make one.
+LeRobot finds robots in packages whose names begin with ``lerobot_robot_``: such a one, whose class derives
+from both, is in ``examples/lerobot_robot_fungrasp``.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from fungrasp.robots.device import RobotError
 from fungrasp.robots.robot import Robot
 from fungrasp.task import Action
 
@@ -29,8 +31,12 @@ class LeRobotRobot:
         """robot: not connected."""
         self._robot = robot
         self._joints = tuple(robot.hand.actuators)
-        self.is_connected = False
+        self._connected = False
+
+    @property
+    def is_connected(self) -> bool:
         """Whether ``connect`` was called."""
+        return self._connected
 
     @property
     def observation_features(self) -> dict[str, type]:
@@ -64,16 +70,29 @@ class LeRobotRobot:
         state = robot.state()
         robot.place_setpoints(state.arm.positions, state.hand.positions)
         robot.begin(state)
-        self.is_connected = True
+        self._connected = True
 
     def get_observation(self) -> dict[str, Any]:
-        """What the sensors say now."""
+        """What the sensors say now.
+
+        Raises:
+            RobotError: it is not connected, or the tracker has not seen the object yet.
+        """
+        self._check_connected()
         seen = self._robot.get_observation()
         numbers = [*seen.palm_pose[0], *seen.object_pose[0], *seen.object_pose_age, *seen.joint_positions[0]]
         return dict(zip(self.observation_features, map(float, numbers), strict=True))
 
     def send_action(self, action: dict[str, Any]) -> dict[str, Any]:
-        """Do what is asked. Returns what was really sent."""
+        """Do what is asked. Returns what was really sent.
+
+        Raises:
+            RobotError: it is not connected, a number of the action is missing, or a device follows no more.
+        """
+        self._check_connected()
+        missing = [name for name in self.action_features if name not in action]
+        if missing:
+            raise RobotError(f"the action lacks {', '.join(missing)}: it needs all of action_features")
         values = np.array([float(action[name]) for name in self.action_features])[None]
         sent = self._robot.send_action(Action(values[:, :7], values[:, 7:-1], values[:, -1] > 0.5))
         numbers = [*sent.palm_goal[0], *sent.finger_targets[0], *sent.lift]
@@ -82,4 +101,8 @@ class LeRobotRobot:
     def disconnect(self) -> None:
         """Stop and end all connections."""
         self._robot.close()
-        self.is_connected = False
+        self._connected = False
+
+    def _check_connected(self) -> None:
+        if not self._connected:
+            raise RobotError("the robot is not connected: call connect() first")
