@@ -278,29 +278,41 @@ def chain() -> Table:
 
 def driver_faults() -> Table:
     """How drivers react to faults of emulated devices."""
-    names = (
-        "driver-faults-ur",
-        "driver-faults-inspire",
-        "driver-faults-leap-allegro",
-        "driver-faults-tracker",
-    )
+    kinds = ("ur", "ur-clock", "inspire", "leap", "allegro", "allegro-saturated", "tracker")
+    return _reactions([f"driver-faults-{kind}" for kind in kinds])
+
+
+def control_faults() -> Table:
+    """What arm and hand do when the computer that controls them fails."""
+    kinds = ("control", "control-killed", "control-inspire")
+    return _reactions([f"driver-faults-{kind}" for kind in kinds], logs=True)
+
+
+def _reactions(names: Sequence[str], logs: bool = False) -> Table:
+    """Reactions by device and fault; trials that ended before their fault are left out."""
     trials = [row for name in names for row in _read(name).rows if not row["fault"].startswith("none")]
-    head = (
-        "device",
-        "fault",
-        "trials",
-        "seen",
-        "after, median / 95 % [ms]",
-        "stands after, median / 95 % [ms]",
-    )
+    head = ("device", "fault", "trials", "limit [ms]", "seen", "after, median / 95 % [ms]")
+    head += ("stands", "after, median / 95 % [ms]", *["log read"] * logs, "restarted")
     rows = []
     for device, fault in dict.fromkeys((t["device"], t["fault"]) for t in trials):
         group = [t for t in trials if (t["device"], t["fault"]) == (device, fault)]
         seen, stopped = ([t[key] for t in group if t[key] is not None] for key in ("detected", "stopped"))
-        restarted = sum(t["restarted"] for t in group)
-        cells = (device, fault, str(len(group)), f"{len(seen)}", _milliseconds(seen), _milliseconds(stopped))
-        rows.append((*cells, f"{restarted}"))
-    return Table((*head, "restarted"), rows, names)
+        limit = group[0].get("limit")
+        # Trackers move nothing.
+        stands = NONE if device == "tracker" else f"{len(stopped)}"
+        cells = (
+            device,
+            fault,
+            str(len(group)),
+            NONE if limit is None else f"{1e3 * limit:.0f}",
+            f"{len(seen)}",
+            _milliseconds(seen),
+            stands,
+            _milliseconds(stopped),
+        )
+        read = [str(sum(bool(t["log_readable"]) for t in group))] if logs else []
+        rows.append((*cells, *read, f"{sum(t['restarted'] for t in group)}"))
+    return Table(head, rows, names)
 
 
 def _milliseconds(seconds: Sequence[float]) -> str:
@@ -523,6 +535,7 @@ BUILDERS: dict[str, Callable[[], Table]] = {
     "perception": perception,
     "chain": chain,
     "driver_faults": driver_faults,
+    "control_faults": control_faults,
     "driver_speed": driver_speed,
     "identification": identification,
     "identification_step": identification_step,

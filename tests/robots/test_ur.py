@@ -132,7 +132,7 @@ def test_a_lost_controller_is_seen_by_its_clock(fault: Fault):
         reach(device, device.near)
 
 
-@pytest.mark.parametrize("fault", [Fault.LOST, Fault.DOUBLED, Fault.LATE])
+@pytest.mark.parametrize("fault", [Fault.LOST, Fault.DOUBLED, Fault.LATE, Fault.CLOCK_JUMP])
 def test_a_disturbed_connection_still_carries(fault: Fault):
     with emulated() as device:
         device.driver.connect()

@@ -174,13 +174,14 @@ class _Session:
         if "ended" in self._heard:
             return self._ended_early()
         when = time.monotonic()
+        if fault is ControlFault.ALL_KILLED:
+            # They first: as the control process ends, each would switch its device off.
+            for process in self._drivers:
+                self._kill(process)
         if fault is ControlFault.HUNG:
             os.kill(self._pid, signal.SIGSTOP)
         else:
             self._kill(self._pid)
-        if fault is ControlFault.ALL_KILLED:
-            for process in self._drivers:
-                self._kill(process)
         return when
 
     @property
