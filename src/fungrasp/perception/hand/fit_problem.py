@@ -100,8 +100,8 @@ class HandFitSettings:
     """Standard deviation of how deep fingers are in each other [m]."""
     sample_spread: float = 1.3
     """Standard deviation of the errors with which samples of the hand are fitted: 1 if all those above were
-    right. Of 13 rendered hands, hidden joints were at the edge of such samples too often with 1 and too seldom
-    with 1.5."""
+    right. Hidden joints of 13 rendered hands were at the edge of such samples too often with 1 and too
+    seldom with 1.5."""
     contact: HandContactSettings = field(default_factory=HandContactSettings)
     """Weights of what the object and the table say, where they are known."""
 
