@@ -23,7 +23,6 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
     "retarget": ("fungrasp.cli.retarget", "turn human grasps into grasps of a robot hand"),
     "evaluate": ("fungrasp.cli.evaluate", "try grasps in simulation and measure how many lift the object"),
     "predictor": ("fungrasp.cli.predictor", "learn which variations of a grasp will hold"),
-    "finger-prior": ("fungrasp.cli.finger_prior", "learn where fingers are that an object hides"),
     "train": ("fungrasp.cli.train", "train a policy on grasps: a teacher that knows the contacts"),
     "distill": ("fungrasp.cli.distill", "train a student, that sees what a robot has, from a teacher"),
     "reproduce": ("fungrasp.cli.reproduce", "the free policies of all hands, and the paper's tables"),

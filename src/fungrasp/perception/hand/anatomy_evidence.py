@@ -5,9 +5,6 @@ A finger that is hidden by another one is behind it; landmarks alone would have 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-
 import numpy as np
 
 from fungrasp.perception.hand.hand_capsules import HAND_CAPSULES, offsets_from_lines
@@ -40,46 +37,16 @@ OVERLAP_SLACK = 0.0015
 """Soft tissue gives way by so much [m]: nine in ten of the human grasps at hand have at most that."""
 
 
-@dataclass(frozen=True, eq=False)
-class ToldPosture:
-    """A Gaussian of some angles of a finger, in units of their usual spread."""
-
-    finger: int
-    """Which finger."""
-    joint: np.ndarray
-    """Joint of each angle, shape [D]."""
-    axis: np.ndarray
-    """0 deviation, 1 flexion, 2 twist, shape [D]."""
-    mean: np.ndarray
-    """Shape [D]."""
-    factor: np.ndarray
-    """``L``, with ``L L^T`` the inverse covariance, shape [D, D]."""
-
-    def evidence(self, angles: np.ndarray) -> HandEvidence:
-        """Whitened differences of angles [rad], shape [5, 3, 3], from the mean."""
-        usual = (angles[self.finger] - ANGLE_MEAN[self.finger]) / ANGLE_SPREAD[self.finger]
-        columns = np.zeros((len(self.mean), SIZE))
-        place = PARAMETERS["angles"].start + 9 * self.finger + 3 * self.joint + self.axis
-        columns[:, place] = self.factor.T / ANGLE_SPREAD[self.finger][self.joint, self.axis]
-        return HandEvidence(self.factor.T @ (usual[self.joint, self.axis] - self.mean), columns, random=True)
-
-
-def anatomy_evidence(hand: Skeleton, told: Sequence[ToldPosture] = ()) -> list[HandEvidence]:
-    """Sizes, proportions and angles are those of people.
-
-    told: what is known better than what is usual, of some fingers.
-    """
+def anatomy_evidence(hand: Skeleton) -> list[HandEvidence]:
+    """Sizes, proportions and angles are those of people."""
     beyond = np.minimum(hand.angles - ANGLE_LOW, 0.0) + np.maximum(hand.angles - ANGLE_HIGH, 0.0)
-    unusual, weight = (hand.angles - ANGLE_MEAN) / ANGLE_SPREAD, np.ones((5, 3, 3))
-    for posture in told:
-        weight[posture.finger][posture.joint, posture.axis] = 0.0
+    unusual = (hand.angles - ANGLE_MEAN) / ANGLE_SPREAD
     return [
         _prior("size", np.array([hand.size]) / SIZE_SPREAD, 1 / SIZE_SPREAD),
         _prior("bases", hand.bases.ravel() / BASE_SPREAD, 1 / BASE_SPREAD),
         _prior("bones", hand.bones.ravel() / BONE_SPREAD, 1 / BONE_SPREAD),
-        _prior("angles", (weight * unusual).ravel(), (weight / ANGLE_SPREAD).ravel()),
-        *(posture.evidence(hand.angles) for posture in told),
-        HandEvidence(ALIKE_ROWS @ (hand.angles - ANGLE_MEAN).ravel(), _ALIKE_COLUMNS, random=True),
+        _prior("angles", unusual.ravel(), (1 / ANGLE_SPREAD).ravel()),
+        HandEvidence(_ALIKE @ (hand.angles - ANGLE_MEAN).ravel(), _ALIKE_COLUMNS, random=True),
         _prior("angles", beyond.ravel() / LIMIT_SOFTNESS, (beyond != 0).ravel() / LIMIT_SOFTNESS, False),
     ]
 
@@ -94,11 +61,10 @@ def _alike() -> np.ndarray:
     return rows.reshape(9, 45)
 
 
-ALIKE_ROWS = _alike()
-"""That matrix."""
+_ALIKE = _alike()
 
 _ALIKE_COLUMNS = np.zeros((9, SIZE))
-_ALIKE_COLUMNS[:, PARAMETERS["angles"]] = ALIKE_ROWS
+_ALIKE_COLUMNS[:, PARAMETERS["angles"]] = _ALIKE
 
 
 def _prior(kind: str, residual: np.ndarray, slope: np.ndarray | float, random: bool = True) -> HandEvidence:

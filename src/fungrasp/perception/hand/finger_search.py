@@ -12,15 +12,15 @@ import numpy as np
 
 from fungrasp.grasps.hand_thickness import FINGER_RADII
 from fungrasp.perception.hand.anatomy_evidence import finger_overlap
-from fungrasp.perception.hand.finger_prior import FingerPrior, PostureMixture, finger_joints
 from fungrasp.perception.hand.hand_capsules import HAND_CAPSULES, capsule_distances
 from fungrasp.perception.hand.hand_measurements import HandView
-from fungrasp.perception.hand.hidden_fingers import finger_mixture, hidden_fingers, surface_of
 from fungrasp.perception.hand.skeleton import (
     ANGLE_HIGH,
     ANGLE_LOW,
     ANGLE_MEAN,
     ANGLE_SPREAD,
+    BASE_FRAMES,
+    BASES,
     LENGTHS,
     Skeleton,
 )
@@ -39,6 +39,9 @@ MOST_POINTS = 80
 
 WIDE = 1.3
 """Factor on the usual spread of postures for those that are tried."""
+
+BEHIND = 0.018
+"""A joint so far behind what is seen there [m] is hidden: more than skin and the errors of joints."""
 
 SAMPLED_PARTS = np.array([0.15, 0.5, 0.85])
 """Parts of each link that are looked at."""
@@ -72,12 +75,39 @@ class FingerSearchSettings:
     """Gap beyond which the cost does not grow [m]."""
     opposed: float = 4.0
     """Cost of thumb and fingers that touch the object from the same side."""
-    unusual: float = 1.0
-    """Weight of the cost of an unusual posture."""
     temperature: float = 2.0
     """Of the random choice: the costs count the same evidence more than once."""
-    told: float = 1.0
-    """Weight of the logarithm of the density that the prior gives a hidden finger's posture."""
+    unusual: float = 1.0
+    """Weight of the cost of an unusual posture."""
+
+
+def finger_joints(hand: Skeleton, finger: int, angles: np.ndarray) -> np.ndarray:
+    """Joints of one finger in several postures [m], shape [S, 4, 3].
+
+    angles: [rad], shape [S, 3, 3]: joint, (deviation, flexion, twist).
+    """
+    scale = np.exp(hand.size)
+    lengths = scale * LENGTHS[finger] * np.exp(hand.bones[finger])
+    joints = np.empty((len(angles), 4, 3))
+    joints[:, 0] = hand.position + scale * hand.turn @ (BASES[finger] + hand.bases[finger])
+    frame = np.broadcast_to(hand.turn @ BASE_FRAMES[finger], (len(angles), 3, 3))
+    cosine, sine = np.cos(angles), np.sin(angles)
+    for joint in range(3):
+        c, s = cosine[:, joint], sine[:, joint]
+        frame = frame @ _turns(c, s)
+        joints[:, joint + 1] = joints[:, joint] + lengths[joint] * frame[:, :, 0]
+    return joints
+
+
+def _turns(c: np.ndarray, s: np.ndarray) -> np.ndarray:
+    """Rotation about z, then y, then x, by angles of cosine c and sine s, each shape [S, 3]."""
+    (cz, cy, cx), (sz, sy, sx) = c.T, s.T
+    rows = [
+        [cz * cy, cz * sy * sx - sz * cx, cz * sy * cx + sz * sx],
+        [sz * cy, sz * sy * sx + cz * cx, sz * sy * cx - cz * sx],
+        [-sy, cy * sx, cy * cx],
+    ]
+    return np.moveaxis(np.array(rows), -1, 0)
 
 
 def postures(finger: int, count: int, rng: np.random.Generator) -> np.ndarray:
@@ -97,7 +127,6 @@ def search_fingers(
     rng: np.random.Generator,
     settings: FingerSearchSettings | None = None,
     spread: float | None = None,
-    prior: FingerPrior | None = None,
     draw: bool = False,
 ) -> Skeleton:
     """The hand with every finger in the best posture of those tried; its own is among them.
@@ -109,33 +138,31 @@ def search_fingers(
         rng: chooses the postures.
         settings: what speaks for one.
         spread: standard deviation of a landmark [pixels], if it is known.
-        prior: of hidden fingers.
         draw: choose postures at random, better ones more often, of hidden fingers only.
     """
+    visible = ~hidden_fingers(hand, view)
     settings = settings or FingerSearchSettings()
-    known = ~hidden_fingers(hand, view)
-    surface = None if prior is None or known.all() else surface_of(hand, view)
     if spread is None:
         spread = settings.landmark * float(np.linalg.norm(np.ptp(landmarks, axis=0)))
     for finger in ORDER:
-        if draw and known[finger]:
+        if draw and visible[finger]:
             continue
-        mixture, tried = None, [hand.angles[None, finger]]
-        if prior is None or surface is None or known[finger]:
-            tried.append(postures(finger, TRIES, rng))
-        else:
-            mixture = finger_mixture(prior, hand, finger, known, surface)
-            tried += [postures(finger, TRIES // 2, rng), mixture.draw(TRIES // 2, rng)]
-        tried = np.concatenate(tried)
-        cost = finger_cost(hand, finger, tried, view, landmarks, spread, settings, mixture)
+        tried = np.concatenate([hand.angles[None, finger], postures(finger, TRIES, rng)])
+        cost = finger_cost(hand, finger, tried, view, landmarks, spread, settings)
         angles = hand.angles.copy()
         chosen = cost.argmin()
         if draw:
             chosen = (-0.5 * cost / settings.temperature + rng.gumbel(size=len(cost))).argmax()
         angles[finger] = tried[chosen]
         hand = dataclasses.replace(hand, angles=angles)
-        known[finger] = True
     return hand
+
+
+def hidden_fingers(hand: Skeleton, view: HandView) -> np.ndarray:
+    """Fingers whose last two joints are both behind what is seen there, bool, shape [5]."""
+    joints = hand.joints()
+    behind = joints[:, 2] - view.depth_at(view.intrinsics.project(joints)) > BEHIND
+    return np.asarray(behind[1:].reshape(5, 4)[:, 2:].all(axis=1))
 
 
 def finger_cost(
@@ -146,7 +173,6 @@ def finger_cost(
     landmarks: np.ndarray,
     spread: float,
     settings: FingerSearchSettings,
-    mixture: PostureMixture | None = None,
 ) -> np.ndarray:
     """What speaks against each posture of a finger, shape [S]. tried: [rad], shape [S, 3, 3]."""
     joints = finger_joints(hand, finger, tried)
@@ -176,8 +202,6 @@ def finger_cost(
     if table is not None:
         height = table[0].reshape(samples.shape[:2])
         cost += np.square(np.minimum(height - 0.5 * radius, 0.0) / settings.inside).sum(axis=1)
-    if mixture is not None:
-        return cost - 2.0 * settings.told * mixture.log_density(tried)
     usual = (tried[..., 1] - ANGLE_MEAN[finger, :, 1]) / (2.0 * ANGLE_SPREAD[finger, :, 1])
     beyond = np.minimum(tried - ANGLE_LOW[finger], 0) + np.maximum(tried - ANGLE_HIGH[finger], 0)
     cost += settings.unusual * (usual**2).sum(axis=1) + np.square(beyond / np.radians(5)).sum(axis=(1, 2))

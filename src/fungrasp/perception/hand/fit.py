@@ -21,7 +21,6 @@ from fungrasp.perception.estimates import HandEstimate, Side
 from fungrasp.perception.hand.anatomy_evidence import anatomy_evidence
 from fungrasp.perception.hand.contact_evidence import HandSurroundings
 from fungrasp.perception.hand.detected_hand import MIRROR_X, DetectedHand
-from fungrasp.perception.hand.finger_prior import FingerPrior, shipped_prior
 from fungrasp.perception.hand.finger_search import search_fingers
 from fungrasp.perception.hand.fit_problem import (
     HandFitProblem,
@@ -117,11 +116,10 @@ def fit_held_hand(
     side: Side | None = None,
     seed: int = 0,
     settings: HandFitSettings | None = None,
-    prior: FingerPrior | None = None,
 ) -> HandEstimate:
     """The hand that holds a known object: the first of ``fit_held_hands``, which says the arguments."""
     ((hand, _),) = fit_held_hands(
-        detected, capture, surroundings, joints, 1, side=side, seed=seed, settings=settings, prior=prior
+        detected, capture, surroundings, joints, 1, side=side, seed=seed, settings=settings
     )
     return hand
 
@@ -136,7 +134,6 @@ def fit_held_hands(
     side: Side | None = None,
     seed: int = 0,
     settings: HandFitSettings | None = None,
-    prior: FingerPrior | None = None,
 ) -> list[tuple[HandEstimate, float]]:
     """Hands that may hold a known object, and their probabilities.
 
@@ -155,7 +152,6 @@ def fit_held_hands(
         side: which hand it is, if that is known.
         seed: of the search of fingers and of the samples.
         settings: standard deviations and weights of the measurements.
-        prior: of hidden fingers; the package's own if None.
 
     Returns:
         The best hand first, the others by probability; they have one side, score and covariances.
@@ -163,7 +159,6 @@ def fit_held_hands(
     Raises:
         FungraspError: there is no depth where the hand is.
     """
-    prior = prior or shipped_prior()
     begun: list[tuple[DetectedHand, HandMeasurements, Skeleton]] = []
     for guess in _guesses(detected, side):
         seen = HandMeasurements.of(guess, capture)
@@ -178,7 +173,7 @@ def fit_held_hands(
     views: dict[Side, HandView] = {"right": view, "left": view.mirrored()}
     candidates = []
     for guess, seen, skeleton in begun:
-        problem = HandFitProblem(seen=seen, view=views[guess.side], settings=settings, prior=prior)
+        problem = HandFitProblem(seen=seen, view=views[guess.side], settings=settings)
         parameters = _in_stages(problem, HandParameters(skeleton), PALM_STAGES)
         cost = problem.cost(parameters, dataclasses.replace(COMPARED, contact=False))
         candidates.append(_Candidate(guess, problem, parameters, cost))
@@ -242,7 +237,6 @@ def _with_fingers_searched(candidate: _Candidate, seed: int) -> _Candidate:
         problem.seen.pixels,
         np.random.default_rng(seed),
         spread=problem.seen.spread,
-        prior=problem.prior,
     )
     parameters = HandParameters(skeleton, parameters.turn)
     problem.find_background(skeleton)

@@ -13,16 +13,14 @@ from scipy.spatial.transform import Rotation
 from scipy.special import gammainc
 
 from fungrasp.perception.estimates import HandEstimate
-from fungrasp.perception.hand.anatomy_evidence import ToldPosture, anatomy_evidence, overlap_evidence
+from fungrasp.perception.hand.anatomy_evidence import anatomy_evidence, overlap_evidence
 from fungrasp.perception.hand.contact_evidence import (
     HandContactSettings,
     HandSurroundings,
     contact_evidence,
 )
-from fungrasp.perception.hand.finger_prior import FingerPrior
 from fungrasp.perception.hand.hand_capsules import SURFACE_SAMPLES, explained_part
 from fungrasp.perception.hand.hand_measurements import HandMeasurements, HandView
-from fungrasp.perception.hand.hidden_fingers import told_postures
 from fungrasp.perception.hand.image_evidence import (
     Silhouettes,
     depth_evidence,
@@ -141,7 +139,6 @@ class HandFitProblem:
         estimate: HandEstimate | None = None,
         surroundings: HandSurroundings | None = None,
         settings: HandFitSettings | None = None,
-        prior: FingerPrior | None = None,
     ):
         """
         Args:
@@ -150,10 +147,8 @@ class HandFitProblem:
             estimate: joints with covariances from another estimator.
             surroundings: known object and table; by default those of ``view``.
             settings: standard deviations and weights of the measurements.
-            prior: of fingers that are hidden; needs ``view``.
         """
-        self.seen, self.view, self.prior = seen, view, prior
-        self._told: tuple[ToldPosture, ...] = ()
+        self.seen, self.view = seen, view
         self.settings = settings or HandFitSettings()
         self.surroundings = view.surroundings if view is not None else surroundings
         self.size = SIZE if seen is None else SIZE + 3
@@ -177,10 +172,7 @@ class HandFitProblem:
         )
         if self.view is not None:
             joints = skeleton.joints()
-            behind = joints[:, 2] - self.view.depth_at(lens.project(joints))
-            self._hidden = behind > settings.hidden
-            if self.prior is not None:
-                self._told = told_postures(self.prior, skeleton, self.view)
+            self._hidden = joints[:, 2] - self.view.depth_at(lens.project(joints)) > settings.hidden
 
     def solve(
         self, start: HandParameters, stage: HandFitStage, iterations: int, sample: int | None = None
@@ -211,7 +203,7 @@ class HandFitProblem:
             found += self._image_evidence(self.seen, parameters, joints, jacobian, stage)
         if self.view is not None:
             found.append(overlap_evidence(hand, joints, jacobian, self.settings.overlap_spread))
-        found += anatomy_evidence(hand, self._told)
+        found += anatomy_evidence(hand)
         if self.surroundings is not None and stage.contact:
             found += contact_evidence(hand, joints, jacobian, self.surroundings, self.settings.contact)
         return found

@@ -36,7 +36,6 @@ def sampled_hands(
             problem.seen.pixels,
             np.random.default_rng([seed, number]),
             spread=problem.seen.spread,
-            prior=problem.prior,
             draw=True,
         )
         problem.find_background(skeleton)

@@ -186,17 +186,6 @@ class Skeleton:
         return joints, axes, directions
 
 
-def joint_turns(c: np.ndarray, s: np.ndarray) -> np.ndarray:
-    """Rotations about z, then y, then x, shape [S, 3, 3], by angles of cosine c and sine s, shape [S, 3]."""
-    (cz, cy, cx), (sz, sy, sx) = c.T, s.T
-    rows = [
-        [cz * cy, cz * sy * sx - sz * cx, cz * sy * cx + sz * sx],
-        [sz * cy, sz * sy * sx + cz * cx, sz * sy * cx - cz * sx],
-        [-sy, cy * sx, cy * cx],
-    ]
-    return np.moveaxis(np.array(rows), -1, 0)
-
-
 def _turn_x(c: np.ndarray, s: np.ndarray) -> np.ndarray:
     return _stack(np.ones_like(c), np.zeros_like(c), np.zeros_like(c), 0 * c, c, -s, 0 * c, s, c)
 
