@@ -42,6 +42,8 @@ class BenchPerception:
     """Decides the captures; the project's settings were chosen on others."""
     keep: Path | None = None
     """Folder for the rendered captures; those that are there already are not rendered again."""
+    proportions: float = 0.0
+    """Standard deviation of the sizes of hands and of the lengths of their fingers, as a part."""
     coloured: bool = False
     """Give perception the colours of the mesh."""
     wrong: bool = False
@@ -58,6 +60,8 @@ class BenchPerception:
     policy: tuple[str, ...] = ()
     """What moves it, see `fungrasp evaluate`; with several, each is tried. By default the freely licensed
     student of the hand, or "reference" if there is none."""
+    hands: int = 1
+    """Hands that perception is asked for, see `perceive --hands`; with --chain, one and all are compared."""
     threads: int = 0
     """Threads of --chain; 0 means all processors."""
     real: Path | None = None
@@ -95,7 +99,16 @@ class BenchPerception:
         objects = load_objects(human, self.objects)
         store = None
         if self.json is not None:
-            what = (__version__, self.seed, self.coloured, self.wrong, self.absent, self.landmarks_noise)
+            what = (
+                __version__,
+                self.seed,
+                self.coloured,
+                self.wrong,
+                self.absent,
+                self.landmarks_noise,
+                self.hands,
+                self.proportions,
+            )
             key = digest({name: getattr(human, name) for name in human.FIELDS}, *what)
             store = KeptCaptures(self.json.with_name(f"{self.json.name}.partial"), key)
         results = list(self._measured(human, objects, store))
@@ -110,6 +123,8 @@ class BenchPerception:
             "seed": self.seed,
             "coloured": self.coloured,
             "landmarks_noise": self.landmarks_noise,
+            "hands": self.hands,
+            "proportions": self.proportions,
             "machine": machine(),
         }
         if self.json is not None:
@@ -199,7 +214,7 @@ class BenchPerception:
         others = [name for name in sorted(objects) if name != model.name]
         other = objects[others[index % len(others)]] if self.wrong and others else None
         mesh = painted_mesh(known.painted) if self.coloured else None
-        result = measure_perception(known, model, detector, other, mesh)
+        result = measure_perception(known, model, detector, other, mesh, self.hands)
         if not self.absent:
             return result
         no_hand = self._lacking(index, Label.HAND, human, objects)
@@ -212,19 +227,22 @@ class BenchPerception:
         """The same capture without the hand or the object."""
         from fungrasp.captures.render_capture import CaptureSettings, capture_at
 
-        return capture_at(index, human, objects, self.seed, CaptureSettings(missing=(part,))).capture
+        settings = CaptureSettings(missing=(part,), proportions=self.proportions)
+        return capture_at(index, human, objects, self.seed, settings).capture
 
     def _capture(
         self, index: int, human: HumanGraspSet, objects: Mapping[str, ObjectModel]
     ) -> SyntheticCapture:
         """Read if it was kept, else rendered."""
         from fungrasp.captures.capture_files import TRUTH_FILE, read_synthetic_capture, write_capture
-        from fungrasp.captures.render_capture import capture_at
+        from fungrasp.captures.render_capture import CaptureSettings, capture_at
 
-        folder = None if self.keep is None else self.keep / f"{self.seed}_{index:04d}"
+        kind = f"_{self.proportions:g}" if self.proportions else ""
+        folder = None if self.keep is None else self.keep / f"{self.seed}{kind}_{index:04d}"
         if folder is not None and (folder / TRUTH_FILE).is_file():
             return read_synthetic_capture(folder)
-        known = capture_at(index, human, objects, self.seed)
+        settings = CaptureSettings(proportions=self.proportions)
+        known = capture_at(index, human, objects, self.seed, settings)
         if folder is not None:
             write_capture(known, folder)
         return known
@@ -249,16 +267,17 @@ class BenchPerception:
 
         hand = load_hand(self.hand)
         true, perceived, rows = chain_sets(results, objects)
+        several = chain_sets(results, objects, several=True)[1] if self.hands > 1 else None
         sets = [
             None if human is None else retargeted(human, objects, hand, "ours", self.threads)[0]
-            for human in (true, perceived)
+            for human in (true, perceived, several)
         ]
         sure = np.array([result.sure for result in results])
         each = {}
         policies = self.policy or (default_policy(hand.name),)
         for policy in policies:
             success = []
-            for words, robot in zip(("true grasps", "perceived grasps"), sets, strict=True):
+            for words, robot in zip(("true grasps", "perceived grasps", "all hands"), sets, strict=True):
                 if robot is None:
                     success.append(np.zeros(0, dtype=bool))
                     continue
@@ -266,5 +285,7 @@ class BenchPerception:
                     tried = evaluate(robot, objects, hand, policy, threads=self.threads, progress=show)
                 success.append(tried.outcomes.success)
             each[policy] = chain_figures(success[0], success[1], rows, sure)
+            if several is not None:
+                each[policy]["all_hands"] = chain_figures(success[0], success[2], rows, sure)
         figures = {"hand": hand.name, "policy": policies[0]} | each[policies[0]]
         return figures if len(policies) == 1 else figures | {"policies": each}

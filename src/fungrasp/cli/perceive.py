@@ -20,6 +20,9 @@ if TYPE_CHECKING:
     from fungrasp.perception import Capture, HandEstimate, ObjectEstimate
     from fungrasp.perception.pipeline import Perceived
 
+MOST_HANDS = 8
+"""So many stand for the samples that are drawn: more would stand for one or two each."""
+
 LOW_CONFIDENCE = 3
 """Exit status when the result was written but should be looked at before use."""
 
@@ -60,6 +63,9 @@ class Perceive:
     """Let an estimator of another package find the object's pose: the name of its entry point."""
     object_id: int | None = None
     """The object's number in BOP results of several objects."""
+    hands: int = 1
+    """Hands that the image allows, at most: fingers behind the object may be in several places. The file has
+    a grasp of each, with its probability; retargeting keeps them together, and planning tries them all."""
     seed: int = 0
     """The same seed gives the same result."""
     report: Path | None = None
@@ -92,6 +98,7 @@ class Perceive:
             object_estimate=pose,
             seed=self.seed,
             improve_pose=self.improve_pose,
+            hands=self.hands,
         )
         kept = [] if self.source.keep is None else [f"the image: {self.source.keep}"]
         written = self._write(perceived, capture, model, perf_counter() - start)
@@ -114,6 +121,8 @@ class Perceive:
             raise FungraspError("give --hand-file or --hand-from, not both")
         if None not in (self.object_pose_file, self.object_pose_from):
             raise FungraspError("give --object-pose-file or --object-pose-from, not both")
+        if not 1 <= self.hands <= MOST_HANDS:
+            raise FungraspError(f"--hands must be 1 to {MOST_HANDS}, not {self.hands}")
         if self.improve_pose and self.object_pose_file is None and self.object_pose_from is None:
             raise FungraspError("--improve-pose needs --object-pose-file or --object-pose-from")
 
@@ -141,7 +150,7 @@ class Perceive:
         """Write the files, the grasp last; what to say about them."""
         from fungrasp.cli.held_object import write_mesh
         from fungrasp.cli.provenance import page_provenance
-        from fungrasp.grasps import save_human_grasps
+        from fungrasp.grasps import HumanGraspSet, save_human_grasps
         from fungrasp.objects import mirrored_object
         from fungrasp.report.perception_page import write_perception_page
 
@@ -157,7 +166,11 @@ class Perceive:
             path = self.out.parent / f"{name}.obj"
             write_mesh(path, mirrored_object(model))
             notes.append(f"the scene was mirrored, as hands are right ones here; the object's mesh: {path}")
-        save_human_grasps(self.out, one_grasp(perceived.grasp))
+        if len(perceived.hands) > 1:
+            parts = ", ".join(f"{100 * one.probability:.0f} %" for one in perceived.hands)
+            notes.append(f"{len(perceived.hands)} hands that the image allows: {parts}")
+        grasps = [one_grasp(one.grasp) for one in perceived.hands]
+        save_human_grasps(self.out, HumanGraspSet.concatenate(grasps))
         return notes
 
 
@@ -250,6 +263,10 @@ def as_json(perceived: Perceived) -> dict[str, Any]:
             "pixels": hand.pixels.tolist(),
             "confidence": hand.confidence.tolist(),
         },
+        "hands": [
+            {"joints_camera": one.hand.joints_camera.tolist(), "probability": one.probability}
+            for one in perceived.hands
+        ],
         "object": {
             "pose_camera": thing.pose_camera_object.tolist(),
             "score": thing.score,

@@ -59,6 +59,7 @@ class Retarget:
         from fungrasp.evaluation.results import finite
         from fungrasp.evaluation.retarget_in_parts import GRASPS_PER_PART, remove_parts, retarget_in_parts
         from fungrasp.grasps import load_human_grasps, load_objects, mirrored_grasps, save_robot_grasps
+        from fungrasp.grasps.alternatives import alternative_rows, join_alternatives
         from fungrasp.hands import load_hand
         from fungrasp.hands.self_contacts import self_contact_words
 
@@ -83,6 +84,8 @@ class Retarget:
 
             result = retarget_in_parts(human, objects, hand, self.method, self.threads, parts, finished, size)
         robot, quality = result.robot, result.quality
+        if human.probability is not None:
+            robot = join_alternatives(robot, human.probability)
         save_robot_grasps(self.out, robot)
         touching = self_contact_words(hand.model, robot.joint_positions)
         remove_parts(parts)
@@ -91,7 +94,10 @@ class Retarget:
             numbers = {"grasps_per_second": rate, "self_penetration_reasons": touching}
             write_json(self.quality, finite(quality.summary()) | numbers)
         if self.picture is not None:
-            draw_grasps(self.picture, robot, objects, hand, human)
+            shown = human
+            if human.probability is not None:
+                shown = human.select([int(rows[0]) for rows in alternative_rows(human.probability)])
+            draw_grasps(self.picture, robot, objects, hand, shown)
         print(static_quality_table(quality.summary()))
         for words in touching:
             print(f"warning: {words}")
@@ -108,6 +114,7 @@ def retargeted(
     from threading import Lock
     from time import perf_counter
 
+    from fungrasp.grasps.alternatives import join_alternatives
     from fungrasp.retarget import retarget
 
     for model in objects.values():
@@ -123,6 +130,8 @@ def retargeted(
 
         start = perf_counter()
         robot = retarget(human, objects, hand, method, threads=threads, progress=finished)
+        if human.probability is not None:
+            robot = join_alternatives(robot, human.probability)
         return robot, len(human) / (perf_counter() - start)
 
 

@@ -16,6 +16,7 @@ import trimesh
 from fungrasp.grasps import HumanGrasp
 from fungrasp.objects import ObjectModel
 from fungrasp.perception import Capture, HandEstimate
+from fungrasp.perception.hand.contact_evidence import touching_links
 from fungrasp.perception.hand.detected_hand import DetectedHand, HandDetector, choose_hand, find_hands
 from fungrasp.perception.hand.fit import fit_hand
 from fungrasp.perception.io.capture import Box
@@ -29,6 +30,9 @@ from fungrasp.perception.scene.table import NO_TABLE, table_under
 
 RIGHT_MM = 10.0
 """An object's pose is right if its ADD-S is below this."""
+
+HIDDEN = 0.022
+"""A joint is hidden if something else is seen so far in front of it [m]: skin is 8 to 15 mm in front."""
 
 TIP_LINKS = (3, 6, 9, 12, 15)
 """Index in ``link_contacts`` of the distal link that each of ``TIPS`` ends."""
@@ -81,6 +85,19 @@ class HandResult:
     """Mean distance of the joints from the true ones [mm], after refinement against the object."""
     tip_error_mm: float = float("nan")
     """Mean error of the fingertips that truly touch the object [mm], after refinement."""
+    hidden_joint_error_mm: float = float("nan")
+    """Mean error of the joints that the image does not show [mm], after refinement; see ``hidden_joints``."""
+    hidden_tip_error_mm: float = float("nan")
+    """The same of fingertips."""
+    hidden_contacts_right: float = float("nan")
+    """Part of those fingertips of which it is right whether their links touch the object."""
+    expected_hidden_error_mm: float = float("nan")
+    """Mean error of the hidden joints [mm], over all hands that ``perceive`` gave, by their probabilities."""
+    best_hidden_error_mm: float = float("nan")
+    """The same of the best of those hands."""
+    hidden_energy_score_mm: float = float("nan")
+    """Expected error of the hidden joints less half of how far apart two of those hands are [mm]: a proper
+    score, least for hands that are as probable as they say; of a single hand it is its error."""
 
 
 @dataclass(frozen=True)
@@ -152,6 +169,8 @@ class CaptureResult:
     found."""
     sure: bool
     """Whether ``perceive`` was confident of the grasp: ``Perceived.confident``."""
+    others: tuple[HumanGrasp, ...] = ()
+    """Other hands that the image allows, as grasps with their probabilities."""
 
 
 class Stopwatch:
@@ -185,6 +204,7 @@ def measure_perception(
     detector: HandDetector,
     other: ObjectModel | None = None,
     colored: trimesh.Trimesh | None = None,
+    count: int = 1,
 ) -> CaptureResult:
     """Run perception on one capture, stage by stage.
 
@@ -194,6 +214,7 @@ def measure_perception(
         detector: finds hands.
         other: another object, whose mesh must not be accepted; not tried if None.
         colored: the object's mesh with colours, if perception is to know them.
+        count: hands that are asked for, at most.
     """
     capture, mesh = known.capture, model if colored is None else colored
     masked = capture.with_object(mask=known.object_mask) if known.object_mask.any() else capture
@@ -223,13 +244,14 @@ def measure_perception(
                 table=table,
                 object_estimate=best_estimate(without),
                 detector=_FixedHands(hands),
+                hands=count,
             )
     parts = (hand_watch, table_watch, unmasked_watch, rest_watch)
     wrong = None if other is None else search_object_pose(masked, other, hand, under)
     truth = known.pose_camera_object
     return CaptureResult(
         object_name=str(known.grasp.object_name),
-        hand=_hand_result(known, hand, perceived),
+        hand=_hand_result(known, model, hand, perceived),
         masked=_pose_result(with_mask, points, truth),
         unmasked=_pose_result(without, points, truth),
         wrong_mesh=None if wrong is None else _pose_result(wrong, points, None),
@@ -246,6 +268,7 @@ def measure_perception(
         grasp=known.grasp,
         perceived=None if perceived is None else perceived.grasp,
         sure=perceived is not None and perceived.confident,
+        others=() if perceived is None else tuple(one.grasp for one in perceived.hands[1:]),
     )
 
 
@@ -261,26 +284,57 @@ def measure_absent(
     return AbsentResult(max((hand.score for hand in hands), default=0.0), _pose_result(pose, points, None))
 
 
-def _hand_result(known: KnownCapture, hand: HandEstimate | None, perceived: Perceived | None) -> HandResult:
+def hidden_joints(known: KnownCapture) -> np.ndarray:
+    """Joints where the image shows the object, or something ``HIDDEN`` in front of them, bool, shape [21]."""
+    lens, truth = known.capture.intrinsics, known.joints_camera
+    column, row = np.rint(lens.project(truth)).astype(int).T
+    column, row = np.clip(column, 0, lens.width - 1), np.clip(row, 0, lens.height - 1)
+    depth = known.capture.depth[row, column]
+    return known.object_mask[row, column] | ((depth > 0) & (truth[:, 2] - depth > HIDDEN))
+
+
+def _hand_result(
+    known: KnownCapture, model: ObjectModel, hand: HandEstimate | None, perceived: Perceived | None
+) -> HandResult:
     if hand is None:
         return HandResult(False)
     truth = known.joints_camera
     k = known.capture.intrinsics
     pixels = k.project(truth)
     off = np.linalg.norm(hand.pixels - pixels, axis=1)
-    refined = hand if perceived is None else perceived.hand
     errors = 1000 * np.linalg.norm(hand.joints_camera - truth, axis=1)
-    refined_errors = 1000 * np.linalg.norm(refined.joints_camera - truth, axis=1)
+    several = [(hand.joints_camera, 1.0)]
+    if perceived is not None:
+        several = [(one.hand.joints_camera, one.probability) for one in perceived.hands]
+    joints = np.array([one for one, _ in several])
+    probability = np.array([part for _, part in several])
+    refined_errors = 1000 * np.linalg.norm(joints - truth, axis=-1)
     touching = known.grasp.link_contacts[list(TIP_LINKS)]
-    tips = refined_errors[list(TIPS)][touching]
+    tips = refined_errors[0, list(TIPS)]
+    hidden = hidden_joints(known)
+    hidden_tips = hidden[list(TIPS)]
+    nan, hidden_errors = float("nan"), np.full(len(joints), np.nan)
+    apart = np.zeros((len(joints), len(joints)))
+    if hidden.any():
+        hidden_errors = refined_errors[:, hidden].mean(axis=1)
+        apart = 1000 * np.linalg.norm((joints[:, None] - joints)[:, :, hidden], axis=-1).mean(axis=-1)
+    surface, pose = model.signed_distance, known.pose_camera_object
+    right = [touching_links(one, surface, pose)[list(TIP_LINKS)][hidden_tips] for one in (joints[0], truth)]
+    expected = float(probability @ hidden_errors)
     return HandResult(
         found=bool(np.median(off) < 0.5 * np.linalg.norm(np.ptp(pixels, axis=0))),
         score=hand.score,
         right_side=hand.side == "right",
         pixel_error=float(np.median(off)) * 640 / k.width,
         joint_error_mm=float(errors.mean()),
-        refined_joint_error_mm=float(refined_errors.mean()),
-        tip_error_mm=float(tips.mean()) if touching.any() else float("nan"),
+        refined_joint_error_mm=float(refined_errors[0].mean()),
+        tip_error_mm=float(tips[touching].mean()) if touching.any() else nan,
+        hidden_joint_error_mm=float(hidden_errors[0]),
+        hidden_tip_error_mm=float(tips[hidden_tips].mean()) if hidden_tips.any() else nan,
+        hidden_contacts_right=float((right[0] == right[1]).mean()) if hidden_tips.any() else nan,
+        expected_hidden_error_mm=expected,
+        best_hidden_error_mm=float(hidden_errors.min()),
+        hidden_energy_score_mm=expected - 0.5 * float(probability @ apart @ probability),
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -78,7 +78,18 @@ def perception_figures(results: Sequence[CaptureResult]) -> dict[str, Any]:
     absent = [result.absent for result in results if result.absent is not None]
     nowhere = [part.pose for part in absent]
     accepted = [answer.right for answer in (*masked, *unmasked, *wrong, *nowhere) if answer.accepted]
-    names = ("pixel_error", "joint_error_mm", "refined_joint_error_mm", "tip_error_mm")
+    names = (
+        "pixel_error",
+        "joint_error_mm",
+        "refined_joint_error_mm",
+        "tip_error_mm",
+        "hidden_joint_error_mm",
+        "hidden_tip_error_mm",
+        "hidden_contacts_right",
+        "expected_hidden_error_mm",
+        "best_hidden_error_mm",
+        "hidden_energy_score_mm",
+    )
     return finite(
         {
             "captures": len(results),
@@ -146,17 +157,20 @@ def _spread(values: Sequence[float]) -> dict[str, float] | None:
 def capture_rows(results: Sequence[CaptureResult]) -> list[dict[str, Any]]:
     """Each capture's numbers without the grasps, ready for JSON."""
     rows = [asdict(result) for result in results]
-    return finite([{k: v for k, v in row.items() if k not in ("grasp", "perceived")} for row in rows])
+    return finite(
+        [{k: v for k, v in row.items() if k not in ("grasp", "perceived", "others")} for row in rows]
+    )
 
 
 def chain_sets(
-    results: Sequence[CaptureResult], objects: Mapping[str, Any]
+    results: Sequence[CaptureResult], objects: Mapping[str, Any], several: bool = False
 ) -> tuple[HumanGraspSet, HumanGraspSet | None, np.ndarray]:
     """True and perceived grasps, for retargeting both.
 
     Args:
         results: of captures.
         objects: by name: a grasp taken for a left hand's is of a mirrored object and is left out.
+        several: whether all hands that an image allows are taken, as rows that follow each other.
 
     Returns:
         the true grasps, all; the perceived ones that are grasps at all (None if there are none); the capture
@@ -168,7 +182,12 @@ def chain_sets(
         if result.perceived is None or result.perceived.object_name not in objects:
             continue
         try:
-            sets.append(_one(result.perceived))
+            hands = (result.perceived, *result.others) if several else (result.perceived,)
+            whole = [_one(hand) for hand in hands]
+            if several:
+                parts = [1.0 if hand.probability is None else hand.probability for hand in hands]
+                whole = [replace(one, probability=np.array([p])) for one, p in zip(whole, parts, strict=True)]
+            sets.append(HumanGraspSet.concatenate(whole))
         except FungraspError:
             continue
         rows.append(row)

@@ -69,6 +69,7 @@ def _read(row: dict[str, Any]) -> CaptureResult:
         grasp=_grasp(row["grasp"]),
         perceived=None if perceived is None else _grasp(perceived),
         sure=row["sure"],
+        others=tuple(_grasp(other) for other in row["others"]),
     )
 
 

@@ -32,7 +32,7 @@ from fungrasp.perception.hand.detected_hand import (
     largest_first,
     settle_side,
 )
-from fungrasp.perception.hand.fit import fit_hand, fit_held_hand, refine_hand
+from fungrasp.perception.hand.fit import fit_hand, fit_held_hands, refine_hand
 from fungrasp.perception.hand.mediapipe_detector import MediaPipeHandDetector
 from fungrasp.perception.io.capture import Box, Capture
 from fungrasp.perception.object_pose.confidence import ambiguity
@@ -46,6 +46,18 @@ from fungrasp.perception.warning import PerceptionWarning
 ACCEPTED_HAND = 0.6
 """Hands of a lower score are of low confidence. Of 85 found in rendered captures 72 have more, whose joints
 are off by 9.7 mm in the mean; those of the others by 32 mm."""
+
+
+@dataclass(frozen=True, eq=False)
+class PossibleHand:
+    """One of the hands that an image allows."""
+
+    hand: HandEstimate
+    """Camera frame, not mirrored."""
+    grasp: HumanGrasp
+    """World frame, a right hand."""
+    probability: float
+    """Of this hand, or one like it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,6 +86,9 @@ class Perceived:
     """Whether the scores of hand and object both pass their thresholds: the object's surface is then right to
     10 mm on average. A table that is only guessed gives a warning, but the hand on the object does not depend
     on it; so does the question which way round a nearly symmetric object is."""
+    hands: tuple[PossibleHand, ...] = ()
+    """Hands that the image allows, the best first, which is ``hand``: their fingers differ most where the
+    object hides them."""
 
 
 def perceive(
@@ -89,6 +104,7 @@ def perceive(
     detector: HandDetector | None = None,
     seed: int = 0,
     improve_pose: bool = False,
+    hands: int = 1,
 ) -> Perceived:
     """The grasp in an image.
 
@@ -105,6 +121,7 @@ def perceive(
         detector: finds hands; by default MediaPipe's models, which ``fungrasp setup perception`` fetches.
         seed: the same seed gives the same answer.
         improve_pose: whether an ``object_estimate`` that is not ``judged`` is fitted to the depth nearby.
+        hands: at most so many that the image allows are given, see ``Perceived.hands``.
 
     Raises:
         FungraspError: there is no hand in the image, no depth at it, the mesh is not of a size that a hand
@@ -113,12 +130,13 @@ def perceive(
     _check_size(model)
     mesh = model if colored is None else colored
     # 1, 2: the hand in the image and in metres. Where it is open which of two hands is meant, both go on.
-    hands = _hands(capture, model, object_estimate, side, detector) if hand is None else [_Hand(hand)]
+    meant = _hands(capture, model, object_estimate, side, detector) if hand is None else [_Hand(hand)]
     # 3, 4: the table and the object; the hand that holds the object more probably is the one.
-    scenes = [_scene(capture, mesh, h, table, object_estimate, seed, improve_pose) for h in hands]
+    scenes = [_scene(capture, mesh, h, table, object_estimate, seed, improve_pose) for h in meant]
     scene = max(scenes, key=lambda scene: scene.object.score * scene.hand.estimate.score)
     # 5: the hand again, touching the object.
-    refined = _refined_hand(scene, capture, model, side, seed)
+    possible = _refined_hands(scene, capture, model, side, seed, hands)
+    refined = possible[0][0]
     # 6: the grasp in the world.
     plane = scene.table
     if plane is None:
@@ -126,8 +144,14 @@ def perceive(
         plane = guessed_table(np.concatenate([surface, refined.joints_camera]))
     center = transform_points(scene.object.pose_camera_object, model.center_of_mass[None])[0]
     pose_world_camera = world_from_table(plane, center)
+    grasps = [_grasp(model, one, scene.object, pose_world_camera, task) for one, _ in possible]
+    several = len(possible) > 1
     return Perceived(
-        grasp=_grasp(model, refined, scene.object, pose_world_camera, task),
+        grasp=grasps[0],
+        hands=tuple(
+            PossibleHand(one, replace(grasp, probability=part) if several else grasp, part)
+            for (one, part), grasp in zip(possible, grasps, strict=True)
+        ),
         pose_world_camera=pose_world_camera,
         hand=refined,
         object=scene.object,
@@ -236,18 +260,19 @@ def _scene(
     return _Scene(hand, table, thing)
 
 
-def _refined_hand(
-    scene: _Scene, capture: Capture, model: ObjectModel, side: Side | None, seed: int
-) -> HandEstimate:
-    """The hand that touches the object; unchanged where the object's pose is not accepted."""
+def _refined_hands(
+    scene: _Scene, capture: Capture, model: ObjectModel, side: Side | None, seed: int, count: int
+) -> list[tuple[HandEstimate, float]]:
+    """Hands that touch the object, and their probabilities; the one hand unchanged where the object's pose is
+    not accepted."""
     hand, thing = scene.hand, scene.object
     if not thing.accepted:
-        return hand.estimate
+        return [(hand.estimate, 1.0)]
     surroundings = HandSurroundings(model.signed_distance, thing.pose_camera_object, scene.table)
     if hand.detected is None:
-        return refine_hand(hand.estimate, surroundings)
+        return [(refine_hand(hand.estimate, surroundings), 1.0)]
     joints = hand.estimate.joints_camera
-    return fit_held_hand(hand.detected, capture, surroundings, joints, side=side, seed=seed)
+    return fit_held_hands(hand.detected, capture, surroundings, joints, count, side=side, seed=seed)
 
 
 def _warnings(scene: _Scene, refined: HandEstimate, model: ObjectModel) -> list[PerceptionWarning]:

@@ -1,15 +1,18 @@
+from collections.abc import Mapping
 from functools import cache
 
 import numpy as np
 import pytest
 import trimesh
 from object_pose_scenes import CAMERA, HERE, Scene, scene
+from scipy import ndimage
 
 from fungrasp.errors import FungraspError
-from fungrasp.geometry.poses import compose, quaternion_from_rotation_vector
+from fungrasp.geometry.poses import compose, quaternion_from_rotation_vector, transform_points
 from fungrasp.objects import ObjectModel, load_object
-from fungrasp.perception import Capture, Intrinsics
+from fungrasp.perception import Capture, Intrinsics, ObjectEstimate
 from fungrasp.perception.object_pose.estimate import estimate_object_pose
+from fungrasp.perception.object_pose.known_object import known_object
 from fungrasp.perception.object_pose.pose_error import add, add_s
 
 MUG = load_object("mug")
@@ -133,3 +136,45 @@ def test_pose_is_that_of_the_objects_frame() -> None:
     found = estimate_object_pose(there.capture.with_object(mask=there.mask), shifted)
     back = compose(found.pose_camera_object, np.concatenate([[0.03, 0.0, -0.02], HERE[3:]]))
     assert add_s(surface(MUG), back, there.pose) < 0.004
+
+
+def causes(found: ObjectEstimate) -> dict[str, Mapping[str, float | str]]:
+    return {warning.code: warning.values for warning in found.warnings}
+
+
+def test_a_loose_mask_is_named_as_the_cause() -> None:
+    there = mug_scene()
+    color = np.where(there.mask[..., None], [40, 80, 160], [150, 110, 80]).astype(np.uint8)
+    tight = Capture(color, there.capture.depth, there.capture.intrinsics, there.mask)
+    loose = tight.with_object(mask=ndimage.binary_dilation(there.mask, iterations=10))
+    hammer = load_object("hammer")
+    wrong = estimate_object_pose(loose, hammer, there.hand)
+    assert not wrong.accepted
+    # Half of the mask is not the object; not all of that looks foreign.
+    assert 25 < float(causes(wrong)["mask_loose"]["percent"]) < 55
+    assert "draw it tighter" in wrong.note
+    without = estimate_object_pose(tight, hammer, there.hand)
+    assert not without.accepted and "mask_loose" not in causes(without)
+
+
+def test_smoothed_depth_is_named_as_the_cause() -> None:
+    there = mug_scene()
+    sharp = there.capture.with_object(mask=there.mask)
+    depth = ndimage.uniform_filter(sharp.depth, 9).astype(np.float32)
+    smooth = Capture(sharp.color, depth, sharp.intrinsics, sharp.mask)
+    wrong = estimate_object_pose(smooth, load_object("hammer"), there.hand)
+    assert not wrong.accepted
+    assert 7 <= float(causes(wrong)["depth_smoothed"]["pixels"]) <= 11
+    assert "turn off the camera's spatial" in wrong.note
+    without = estimate_object_pose(sharp, load_object("hammer"), there.hand)
+    assert not without.accepted and "depth_smoothed" not in causes(without)
+
+
+def test_a_mug_comes_to_itself_about_the_axis_of_its_body() -> None:
+    # The handle is at the upper end of x; at the lower one, the round body is as wide as in y.
+    body = np.array([MUG.vertices[:, 0].min() + MUG.vertices[:, 1].max(), 0.0, 0.0])
+    turns = known_object(MUG).symmetries
+    moved = transform_points(turns, np.tile(body, (len(turns), 1, 1)))[:, 0]
+    about_body = np.linalg.norm(moved - body, axis=1) < 0.009
+    angles = np.degrees(2 * np.arccos(np.clip(np.abs(turns[about_body, 3]), 0, 1)))
+    assert {90, 180} <= {round(angle) for angle in angles.tolist()}

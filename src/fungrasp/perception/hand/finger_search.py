@@ -40,6 +40,9 @@ MOST_POINTS = 80
 WIDE = 1.3
 """Factor on the usual spread of postures for those that are tried."""
 
+BEHIND = 0.018
+"""A joint so far behind what is seen there [m] is hidden: more than skin and the errors of joints."""
+
 SAMPLED_PARTS = np.array([0.15, 0.5, 0.85])
 """Parts of each link that are looked at."""
 
@@ -72,6 +75,8 @@ class FingerSearchSettings:
     """Gap beyond which the cost does not grow [m]."""
     opposed: float = 4.0
     """Cost of thumb and fingers that touch the object from the same side."""
+    temperature: float = 2.0
+    """Of the random choice: the costs count the same evidence more than once."""
     unusual: float = 1.0
     """Weight of the cost of an unusual posture."""
 
@@ -122,6 +127,7 @@ def search_fingers(
     rng: np.random.Generator,
     settings: FingerSearchSettings | None = None,
     spread: float | None = None,
+    draw: bool = False,
 ) -> Skeleton:
     """The hand with every finger in the best posture of those tried; its own is among them.
 
@@ -132,17 +138,31 @@ def search_fingers(
         rng: chooses the postures.
         settings: what speaks for one.
         spread: standard deviation of a landmark [pixels], if it is known.
+        draw: choose postures at random, better ones more often, of hidden fingers only.
     """
+    visible = ~hidden_fingers(hand, view)
     settings = settings or FingerSearchSettings()
     if spread is None:
         spread = settings.landmark * float(np.linalg.norm(np.ptp(landmarks, axis=0)))
     for finger in ORDER:
+        if draw and visible[finger]:
+            continue
         tried = np.concatenate([hand.angles[None, finger], postures(finger, TRIES, rng)])
         cost = finger_cost(hand, finger, tried, view, landmarks, spread, settings)
         angles = hand.angles.copy()
-        angles[finger] = tried[cost.argmin()]
+        chosen = cost.argmin()
+        if draw:
+            chosen = (-0.5 * cost / settings.temperature + rng.gumbel(size=len(cost))).argmax()
+        angles[finger] = tried[chosen]
         hand = dataclasses.replace(hand, angles=angles)
     return hand
+
+
+def hidden_fingers(hand: Skeleton, view: HandView) -> np.ndarray:
+    """Fingers whose last two joints are both behind what is seen there, bool, shape [5]."""
+    joints = hand.joints()
+    behind = joints[:, 2] - view.depth_at(view.intrinsics.project(joints)) > BEHIND
+    return np.asarray(behind[1:].reshape(5, 4)[:, 2:].all(axis=1))
 
 
 def finger_cost(

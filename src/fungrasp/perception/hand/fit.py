@@ -35,6 +35,7 @@ from fungrasp.perception.hand.hand_measurements import (
     hand_view,
     mirror_estimate,
 )
+from fungrasp.perception.hand.hand_samples import representatives, sampled_hands
 from fungrasp.perception.hand.least_squares import HandEvidence, damped_step, normal_equations
 from fungrasp.perception.hand.skeleton import BASES, SIZE, Skeleton
 from fungrasp.perception.io.capture import Capture
@@ -116,21 +117,44 @@ def fit_held_hand(
     seed: int = 0,
     settings: HandFitSettings | None = None,
 ) -> HandEstimate:
-    """The hand that holds a known object.
+    """The hand that holds a known object: the first of ``fit_held_hands``, which says the arguments."""
+    ((hand, _),) = fit_held_hands(
+        detected, capture, surroundings, joints, 1, side=side, seed=seed, settings=settings
+    )
+    return hand
+
+
+def fit_held_hands(
+    detected: DetectedHand,
+    capture: Capture,
+    surroundings: HandSurroundings,
+    joints: np.ndarray,
+    count: int,
+    *,
+    side: Side | None = None,
+    seed: int = 0,
+    settings: HandFitSettings | None = None,
+) -> list[tuple[HandEstimate, float]]:
+    """Hands that may hold a known object, and their probabilities.
 
     Each different detection of the hand in some window of the image, taken for one side, makes a candidate.
     It is fitted to the landmarks, to depth, to the points that show the hand, to the object that it touches
     and to the free space that it can't be in. Of the best candidates the fingers are searched, too, as they
-    may be behind the object. The candidate of least cost wins.
+    may be behind the object. The candidate of least cost wins; others that the evidence allows as well are
+    drawn from it.
 
     Args:
         detected: landmarks in the color image, and those in other windows.
         capture: the same image with depth.
         surroundings: object and table.
         joints: of the hand as it was fitted without them [m], camera frame, shape [21, 3].
+        count: of hands, at most; 1 gives the one of least cost.
         side: which hand it is, if that is known.
-        seed: of the search of fingers.
+        seed: of the search of fingers and of the samples.
         settings: standard deviations and weights of the measurements.
+
+    Returns:
+        The best hand first, the others by probability; they have one side, score and covariances.
 
     Raises:
         FungraspError: there is no depth where the hand is.
@@ -142,8 +166,8 @@ def fit_held_hand(
             begun.append((guess, seen, initial_skeleton(seen)))
     if not begun:
         raise FungraspError("there is no depth where the hand is in the image")
-    first, seen, _ = begun[0]
-    begun.append((first, seen, skeleton_through(joints * _flip(first), FITTED_SPREAD)))
+    guess, seen, _ = begun[0]
+    begun.append((guess, seen, skeleton_through(joints * _flip(guess), FITTED_SPREAD)))
     everywhere = [skeleton.joints() * _flip(guess) for guess, _, skeleton in begun]
     view = hand_view(capture, surroundings, [joints, *everywhere])
     views: dict[Side, HandView] = {"right": view, "left": view.mirrored()}
@@ -156,7 +180,17 @@ def fit_held_hand(
     candidates.sort(key=lambda candidate: candidate.cost)
     searched = (_with_fingers_searched(candidate, seed) for candidate in candidates[:SEARCHED])
     best = min(searched, key=lambda candidate: candidate.cost)
-    return _estimate(best.problem, best.parameters, COMPARED, best.detected)
+    first = _estimate(best.problem, best.parameters, COMPARED, best.detected)
+    if count == 1:
+        return [(first, 1.0)]
+    drawn = sampled_hands(best.problem, best.parameters, HELD_STAGES[-1], STAGE_ITERATIONS, seed)
+    drawn = np.array([parameters.skeleton.joints() for parameters in drawn]) * _flip(best.detected)
+    every = np.concatenate([first.joints_camera[None], drawn])
+    rows, part = representatives(every, count)
+    return [
+        (dataclasses.replace(first, joints_camera=every[row]), float(p))
+        for row, p in zip(rows, part, strict=True)
+    ]
 
 
 def refine_hand(

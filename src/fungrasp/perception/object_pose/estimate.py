@@ -203,7 +203,8 @@ def _answers(
             found = PoseHypotheses(
                 np.concatenate([found.poses, poses]), np.concatenate([found.owner, found.owner[:3]])
             )
-    if known.colors is not None and len(known.symmetries):
+    if len(known.symmetries):
+        # What tells the sides apart may be hidden: then all are answers, and colours may tell.
         found = refine_poses(
             known, evidence, with_symmetries(best_poses(found, known, many, 2), known), settings.rounds[3]
         )

@@ -32,6 +32,10 @@ LEAST_COLOR = 0.03
 """Colours that differ by less (standard deviation of a channel, 0 to 1) say nothing."""
 
 
+AXIS_STEPS = 8
+"""Shifts by which the axis of a near-symmetry is found."""
+
+
 @dataclass(frozen=True, eq=False)
 class KnownObject:
     """What the search needs to know of a mesh. ``known_object`` makes it."""
@@ -94,8 +98,12 @@ def _known(model: ObjectModel) -> KnownObject:
 
 
 def _near_symmetries(points: np.ndarray) -> np.ndarray:
-    """Turns by multiples of 30 degrees about the principal axes, through the middle, that move the surface
-    by less than 4 % of its size. points: shape [M, 3]. Returns shape [S, 7]."""
+    """Turns by multiples of 30 degrees about axes along the principal ones that move the surface by less than
+    4 % of its size. points: shape [M, 3]. Returns shape [S, 7].
+
+    An axis goes where most of the surface comes to itself: that of a mug's body is not in the middle of the
+    mug, as the handle is on one side.
+    """
     middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
     tree = KDTree(points)
     limit = 0.04 * float(np.linalg.norm(np.ptp(points, axis=0)))
@@ -105,6 +113,10 @@ def _near_symmetries(points: np.ndarray) -> np.ndarray:
         for angle in np.radians(np.arange(30, 360, 30)):
             turn = quaternion_from_rotation_vector(axis * angle)
             pose = np.concatenate([middle - rotate(turn, middle), turn])
+            for _ in range(AXIS_STEPS):
+                moved = transform_points(pose, points[:300])
+                nearest = points[tree.query(moved)[1]]
+                pose[:3] += np.median(nearest - moved, axis=0)
             if float(np.mean(tree.query(transform_points(pose, points[:300]))[0])) < limit:
                 poses.append(pose)
     return np.array(poses).reshape(-1, 7)

@@ -12,6 +12,7 @@ import numpy as np
 from fungrasp.errors import FungraspError
 from fungrasp.files import digest
 from fungrasp.grasps import RobotGraspSet
+from fungrasp.grasps.alternatives import share_out, take_alternatives
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
 from fungrasp.planning.grasp_motion import MotionPlanner, MotionSettings, lowered, table_below
@@ -149,8 +150,9 @@ class SearchPlanner:
         seed: int = 0,
         progress: Callable[[float], None] = lambda done: None,
     ) -> GraspPlan:
-        """See ``Planner.plan``. All grasps are varied in the same ways, so that the choice for one does not
-        depend on the others."""
+        """See ``Planner.plan``. Candidates are made from all alternatives of a grasp
+        (``grasps.alternatives``), more of the more probable ones. All grasps are varied in the same ways, so
+        that the choice for one does not depend on the others."""
         names = grasps.object_name.tolist()
         table = table_below(names, belief.object_pose, belief.table_height, self._objects)
         rounded = _rounded(lowered(belief, table))
@@ -181,9 +183,10 @@ class SearchPlanner:
         make = partial(
             propose, self._single, self._predictor, self._hand, seed=seed, prior=s.prior, chunk=s.chunk
         )
+        which, numbers = share_out(grasps, s.candidates)
         first = with_settings(grasps).select(np.tile(everyone, s.candidates))
-        numbers = np.repeat(np.arange(s.candidates), len(grasps))
-        pool = make(beliefs, first, numbers, VariationSpread(), search=0)
+        first = take_alternatives(first, which.ravel())
+        pool = make(beliefs, first, numbers.ravel(), VariationSpread(), search=0)
         spent = np.zeros(len(grasps), dtype=int)
         if s.rollouts is None:
             chosen, expected = pool.best()
