@@ -554,6 +554,7 @@ BUILDERS: dict[str, Callable[[], Table]] = {
     "hands_added": recorded("hands-added"),
     "select_by_quality": recorded("select-by-quality"),
     "experiments_reality": recorded("experiments-reality"),
+    "experiments_retargeting": recorded("experiments-retargeting"),
     "experiments_rollouts": recorded("experiments-rollouts"),
 }
 """By the name in a page."""

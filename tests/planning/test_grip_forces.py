@@ -1,4 +1,4 @@
-"""The squeeze: balanced forces, as many newtons as asked for, within the torque limits."""
+"""The squeeze: the softest balanced forces that withstand the loads within friction and torque limits."""
 
 from __future__ import annotations
 
@@ -8,49 +8,106 @@ from planned_grasps import belief, grasps_and_objects, hand
 
 from fungrasp.geometry.poses import compose, invert
 from fungrasp.optimization.collision_scene import CollisionScene
-from fungrasp.planning.grip_forces import TORQUE_SHARE, limited_forces, squeeze_torques
+from fungrasp.planning.grip_forces import (
+    TORQUE_SHARE,
+    elastic_forces,
+    holding_forces,
+    outside_cone,
+    squeeze_torques,
+)
 
 LEVER = np.array([[[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]]])
 """Two contacts opposite each other, shape [1, 2, 3]."""
+DOWN = np.array([[[0.0, 0.0, -1.0, 0.0, 0.0, 0.0]]])
+"""A load of one newton across the line between them, shape [1, 1, 6]."""
 
 
-def pinch(normal_force: float, limits: tuple[float, float]) -> np.ndarray:
-    """Forces of two fingers of one joint each, whose contact is 0.1 m from it, shape [2, 3]."""
-    jacobian = np.zeros((1, 2, 3, 2))
-    jacobian[0, 0, 0, 0] = jacobian[0, 1, 0, 1] = 0.1
+def fingers() -> np.ndarray:
+    """Jacobian of two fingers of three sliding joints each, x y z, shape [1, 2, 3, 6]."""
+    jacobian = np.zeros((1, 2, 3, 6))
+    jacobian[0, 0, :, :3] = jacobian[0, 1, :, 3:] = np.eye(3)
+    return jacobian
+
+
+def pinch(load: float, least: float, limit: float = 100.0, friction: float = 0.5) -> np.ndarray:
+    """Forces of the two fingers, shape [2, 3]."""
+    used, stiffness = np.ones((1, 2), dtype=bool), np.full((1, 6), 100.0)
+    loads, floor, limits = load * DOWN, np.array([least]), np.full(6, limit)
+    return holding_forces(
+        LEVER, -LEVER, fingers(), used, stiffness, loads, floor, limits, friction, iterations=3000
+    )[0]
+
+
+def test_fingers_share_a_load_as_their_stiffness_is():
     used = np.ones((1, 2), dtype=bool)
-    asked = np.array([normal_force])
-    return limited_forces(LEVER, -LEVER, jacobian, used, asked, np.array(limits), 0.6, iterations=2000)[0]
+    even = elastic_forces(LEVER, fingers(), used, np.full((1, 6), 100.0), 2 * DOWN)
+    np.testing.assert_allclose(even[0, 0], [[0, 0, 1], [0, 0, 1]], atol=0.01)
+    # A push along the line between them; the second finger is three times as stiff.
+    stiffness = np.repeat([[10.0, 30.0]], 3, axis=1)
+    along = elastic_forces(LEVER, fingers(), used, stiffness, np.array([[[4.0, 0, 0, 0, 0, 0]]]))
+    np.testing.assert_allclose(along[0, 0], [[-1, 0, 0], [-3, 0, 0]], atol=0.02)
 
 
-def test_fingers_press_as_hard_as_asked_and_balance():
-    np.testing.assert_allclose(pinch(10.0, (1.0, 1.0)), [[-5, 0, 0], [5, 0, 0]], atol=0.1)
+def test_what_is_not_used_does_not_answer():
+    used = np.array([[True, False]])
+    answer = elastic_forces(LEVER, fingers(), used, np.full((1, 6), 100.0), DOWN)
+    assert np.all(answer[0, 0, 1] == 0.0) and answer[0, 0, 0, 2] > 0.1
 
 
-@pytest.mark.parametrize("limits", [(0.3, 0.3), (0.3, 1.0), (1.0, 0.3)])
-def test_the_weaker_finger_limits_both(limits):
-    """0.3 N m over 0.1 m are 3 N. Asked for 10 N each, both fingers press alike, and far softer."""
-    force = pinch(20.0, limits)[:, 0]
-    assert force[0] < 0 < force[1] and abs(force.sum()) < 1.5
-    assert np.all(np.abs(force) < 0.7 * 10) and np.all(np.abs(force) > 3.0)
-    assert np.all(np.abs(pinch(20.0, (2.0, 2.0)))[:, 0] > 9.8)
+def test_fingers_press_as_hard_as_friction_needs():
+    """Each carries half of 4 N by a friction of 0.5, which takes 4 N of normal force."""
+    np.testing.assert_allclose(pinch(4.0, 0.0), [[-4, 0, 0], [4, 0, 0]], atol=0.15)
+    np.testing.assert_allclose(pinch(8.0, 0.0), [[-8, 0, 0], [8, 0, 0]], atol=0.3)
+    np.testing.assert_allclose(pinch(4.0, 0.0, friction=1.0), [[-2, 0, 0], [2, 0, 0]], atol=0.15)
 
 
-def test_torques_of_grasps_grow_with_the_force_to_their_limits():
+def test_without_a_load_they_press_as_hard_as_told():
+    np.testing.assert_allclose(pinch(0.0, 10.0), [[-5, 0, 0], [5, 0, 0]], atol=0.1)
+
+
+def test_torque_limits_make_them_softer():
+    """Limits are soft: a force at three times its limit is as bad as one four newtons outside its cone."""
+    limited, free = (np.abs(pinch(20.0, 0.0, limit=limit)[:, 0]) for limit in (2.0, 100.0))
+    np.testing.assert_allclose(free, 20.0, atol=0.5)
+    assert np.all(limited < 0.7 * free) and np.all(limited > 2.0)
+
+
+@pytest.mark.parametrize(
+    ("force", "expected"),
+    [
+        ([0.0, 0.0, 2.0], [0.0, 0.0, 0.0]),
+        ([1.0, 0.0, 2.0], [0.0, 0.0, 0.0]),
+        # The nearest point of the cone to a force across its axis is half way, at 45 degrees.
+        ([2.0, 0.0, 0.0], [1.0, 0.0, -1.0]),
+        ([0.0, 0.0, -3.0], [0.0, 0.0, -3.0]),
+    ],
+)
+def test_distance_from_a_cone_of_45_degrees(force, expected):
+    outside = outside_cone(np.array(force), np.array([0.0, 0.0, 1.0]), 1.0)
+    np.testing.assert_allclose(outside, expected, atol=1e-12)
+
+
+def test_torques_of_grasps_grow_with_the_load_to_their_limits():
     grasps, objects = grasps_and_objects()
     names, b = grasps.object_name.tolist(), belief()
     around = CollisionScene.settled(names, b.object_pose, objects)
     palm = compose(invert(grasps.object_pose), grasps.wrist_pose)
     joints = hand().independent(grasps.joint_positions)
     models = [objects[name] for name in names]
-    limit = TORQUE_SHARE * np.array([servo.force_limit for servo in hand().actuators.values()])
+    servos = hand().actuators.values()
+    limit = TORQUE_SHARE * np.array([servo.force_limit for servo in servos])
+    stiffness = np.tile([servo.kp for servo in servos], (len(grasps), 1))
 
-    def torques(force: float) -> np.ndarray:
-        asked = np.full(len(grasps), force)
-        return squeeze_torques(hand(), around, models, palm, joints, grasps.link_contacts, asked)
+    def torques(weight: float) -> np.ndarray:
+        loads = np.zeros((len(grasps), 1, 6))
+        loads[:, 0, :3] = -weight * around.up[:, 0]
+        least = np.full(len(grasps), weight)
+        return squeeze_torques(
+            hand(), around, models, palm, joints, grasps.link_contacts, stiffness, loads, least
+        )
 
-    soft, twice, firm = torques(1.0), torques(2.0), torques(100.0)
+    soft, twice, firm = torques(0.2), torques(0.4), torques(100.0)
     np.testing.assert_allclose(twice, 2 * soft, atol=0.1 * np.abs(soft).max())
-    # Unlimited they would be a hundred times the first.
-    assert np.abs(100 * soft).max() > 4 * limit.max()
-    assert limit.max() < np.abs(firm).max() < 0.6 * np.abs(100 * soft).max()
+    # Unlimited they would be 500 times the first.
+    assert np.abs(500 * soft).max() > 4 * limit.max()
+    assert limit.max() < np.abs(firm).max() < 0.6 * np.abs(500 * soft).max()

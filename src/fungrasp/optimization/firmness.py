@@ -110,7 +110,7 @@ def unresisted_load(
     both = np.concatenate([wrench, torque], axis=2)
     step = 1.0 / (largest_eigenvalue_bound(np.swapaxes(both, 1, 2) @ both)[:, None, None] + 1e-3)
     goal = np.zeros((count, 6, both.shape[2]))
-    goal[..., :3] = up[:, None] - disturbance * _directions(up)
+    goal[..., :3] = up[:, None] - disturbance * load_directions(up)
     weights = np.zeros((count, 6, wrench.shape[1]))
     ahead, momentum = weights, 1.0
     for _ in range(iterations):
@@ -182,7 +182,7 @@ def unresisted_share(
     return np.where(which, share, np.inf)
 
 
-def _directions(up: np.ndarray) -> np.ndarray:
+def load_directions(up: np.ndarray) -> np.ndarray:
     """Up, down and four horizontal directions, unit vectors, shape [N, 6, 3]. up: shape [N, 3]."""
     helper = np.where(np.abs(up[:, :1]) < 0.9, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]])
     first = cross(up, helper)

@@ -11,23 +11,21 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fungrasp.files import digest
-from fungrasp.geometry.poses import compose, invert, rotate
+from fungrasp.geometry.poses import compose, invert, quaternion_conjugate, rotate
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand, as_hand
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.objects import ObjectModel
 from fungrasp.optimization.collision_scene import CollisionScene
 from fungrasp.planning.approach_path import Approach, ApproachSettings, FollowedPath, plan_approach
+from fungrasp.planning.expected_loads import lift_loads, use_loads
 from fungrasp.planning.grasp_adaptation import AdaptSettings, adapt_to_settled_object
 from fungrasp.planning.grip_forces import squeeze_torques
 from fungrasp.simulation.scene import GRAVITY
 from fungrasp.task import Belief, GraspPlan, LiftProtocol
 from fungrasp.task.setpoints import SETPOINT_PERIOD
-from fungrasp.task.use import load_use_motions, motion_of
+from fungrasp.task.use import UseMotion, load_use_motions, motion_of
 from fungrasp.task.wrist_limits import WristSetpoint
-
-USE_FRICTION = 0.6
-"""Friction by which the squeeze carries a use motion's load: less than the nominal one, to be safe."""
 
 TABLE_TOLERANCE = 0.005
 """The table is taken to be under an object at rest that is farther from the nominal table than this [m]."""
@@ -37,13 +35,18 @@ TABLE_TOLERANCE = 0.005
 class MotionSettings:
     """How grasps are approached, closed, squeezed and lifted."""
 
-    force: float = 5.0
-    """Sum of the normal forces to squeeze a light object with [N]."""
-    force_per_kg: float = 80.0
+    least_force: float = 2.0
+    """Sum of the normal forces with which any object is squeezed at least [N]: with more, what weighs 10 g is
+    pushed out of the hand."""
+    least_force_per_kg: float = 80.0
     """More of it for each kilogram of the object [N/kg]."""
+    most_least_force: float = 10.0
+    """Its largest value [N]; heavy objects are squeezed as hard as their loads need."""
+    disturbance: float = 0.5
+    """What the squeeze is to withstand besides the weight, in weights."""
     for_use: bool = False
-    """Whether the grasp is to withstand the use motion of its task as well (``fungrasp.task.use``): the
-    squeeze then carries its load, and the object's weight in any direction, by friction."""
+    """Whether the grasp is to withstand the use motion of its task as well (``fungrasp.task.use``): its loads
+    are then among those of the squeeze."""
     squeeze_limit: float = 0.6
     """Largest offset of a joint's servo target from the grasp [rad]."""
     close_time: float = 0.6
@@ -249,15 +252,12 @@ def _setting(grasps: RobotGraspSet, name: str, default: float) -> np.ndarray:
     return np.asarray(grasps.extra.get(name, np.full(len(grasps), default)))[:, None]
 
 
-def _use_load(grasps: RobotGraspSet, belief: Belief) -> np.ndarray:
-    """What the grasps' use motions ask of friction, beyond the lift [N], shape [N]."""
+def _motions(grasps: RobotGraspSet, settings: MotionSettings) -> list[UseMotion | None]:
+    """Use motion that each grip must withstand; None for the lift alone."""
+    if not settings.for_use or grasps.task is None:
+        return [None] * len(grasps)
     known = load_use_motions().values()
-    load = np.zeros(len(grasps))
-    for i, task in enumerate(() if grasps.task is None else grasps.task.tolist()):
-        motion = motion_of(task, known)
-        if motion is not None:
-            load[i] = motion.load + (GRAVITY * belief.object_mass[i] if motion.turn else 0.0)
-    return load
+    return [motion_of(task, known) for task in grasps.task.tolist()]
 
 
 def squeeze_offsets(
@@ -281,16 +281,38 @@ def squeeze_offsets(
         settings: the defaults if None.
     """
     s = settings or MotionSettings()
-    names = grasps.object_name.tolist()
-    around = CollisionScene.settled(names, belief.object_pose, objects)
-    models = [objects[name] for name in names]
-    force = s.force + s.force_per_kg * belief.object_mass
-    if s.for_use:
-        force = force + _use_load(grasps, belief) / USE_FRICTION
-    force = _setting(grasps, "force_scale", 1.0)[:, 0] * force
-    torques = squeeze_torques(hand, around, models, palm, joints, grasps.link_contacts, force)
-    stiffness = np.array([servo.kp for servo in hand.actuators.values()])
+    models = [objects[name] for name in grasps.object_name.tolist()]
+    around = CollisionScene.settled(grasps.object_name.tolist(), belief.object_pose, objects)
+    stiffness = np.tile([servo.kp for servo in hand.actuators.values()], (len(grasps), 1))
     if belief.servo_stiffness is not None:
         driven = [hand.joint_names.index(name) for name in hand.actuators]
         stiffness = stiffness * belief.servo_stiffness[:, driven]
+    mass = belief.object_mass
+    up = rotate(quaternion_conjugate(belief.object_pose[:, 3:]), np.array([0.0, 0.0, 1.0]))
+    lifting = lift_loads(up, GRAVITY * mass, s.disturbance)
+    least = np.minimum(s.least_force + s.least_force_per_kg * mass, s.most_least_force)
+    motions = _motions(grasps, s)
+    torques = np.zeros_like(stiffness)
+    # Those of one motion have as many loads.
+    for motion in dict.fromkeys(motions):
+        rows = np.array([i for i, other in enumerate(motions) if other is motion])
+        loads = lifting[rows]
+        if motion is not None:
+            of_use = [
+                use_loads(motion, hand, models[i], belief.object_pose[i], palm[i], joints[i], float(mass[i]))
+                for i in rows
+            ]
+            loads = np.concatenate([loads, np.array(of_use)], axis=1)
+        torques[rows] = squeeze_torques(
+            hand,
+            around.rows(rows),
+            [models[i] for i in rows],
+            palm[rows],
+            joints[rows],
+            grasps.link_contacts[rows],
+            stiffness[rows],
+            loads,
+            least[rows],
+        )
+    torques = _setting(grasps, "force_scale", 1.0) * torques
     return np.clip(torques / stiffness, -s.squeeze_limit, s.squeeze_limit)

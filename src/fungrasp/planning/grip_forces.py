@@ -1,83 +1,143 @@
-"""How hard each finger should press: contact forces within friction cones and the servos' torque limits that
-balance, as many newtons as asked for where the hand has them."""
+"""How hard each finger should press before the lift: the softest contact forces that stay within friction
+cones and the servos' torque limits whatever of the expected loads then comes."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from fungrasp.geometry.poses import cross
 from fungrasp.hands import Hand
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.objects import ObjectModel
 from fungrasp.optimization.collision_scene import CollisionScene
-from fungrasp.optimization.contact_forces import BALANCE_CONE_EDGES, friction_cone_edges
+from fungrasp.optimization.firmness import contacts_of_links
 from fungrasp.optimization.hand_state import HandPoints, HandState
 
 TORQUE_SHARE = 0.9
-"""Share of the servos' torque limits that the squeeze may use; what is left holds weight and disturbances."""
-SQUEEZE_WEIGHT = 0.3
-"""Weight of a missing newton of squeeze against an unbalanced newton: pushing the object is worse than a soft
-grip."""
+"""Share of the servos' torque limits that the squeeze and its answer to a load may use."""
+BALANCE_WEIGHT = 10.0
+"""Weight of the square of an unbalanced newton against one outside a friction cone: pushing the object is
+worse than a soft grip."""
 LIMIT_WEIGHT = 2.0
 """Weight of a torque at twice its limit against an unbalanced newton. A servo stops at its limit by itself;
 ten times as much costs contacts (docs/decisions/0035-firm-grasps.md)."""
+CONTACT_COMPLIANCE = 1e-4
+"""Yielding of a contact that no joint can move, as of a link pressed along its own length [m/N]: small
+against that of the fingers, of about 2e-3 m/N."""
+MOST_CONTACTS = 8
+"""Links that press; more are hardly ever as near."""
+SQUEEZE_ITERATIONS = 200
+"""Of the descent in ``holding_forces``."""
 
 
-def limited_forces(
+def elastic_forces(
+    lever: np.ndarray, jacobian: np.ndarray, used: np.ndarray, stiffness: np.ndarray, loads: np.ndarray
+) -> np.ndarray:
+    """What contacts add to their forces when a load comes [N], shape [N, K, C, 3], as long as nothing slips.
+
+    Fingers are springs: with the compliance of the contact points C = J diag(1 / k) J^T, the stiffness
+    K = C^-1 and the grasp map G, a load w is answered by -K G^T (G K G^T)^-1 w (Cutkosky and Kao, "Computing
+    and controlling the compliance of a robotic hand", 1989).
+
+    Args:
+        lever: contact points relative to the center of mass, over a length of the caller's, shape [N, C, 3].
+        jacobian: of the contact points with respect to the joints [m/rad], shape [N, C, 3, U].
+        used: which contacts may press, shape [N, C] bool.
+        stiffness: of the servos [N m/rad], shape [N, U].
+        loads: forces [N], and torques over that length [N], on the object, shape [N, K, 6].
+    """
+    count, number = used.shape
+    flat = jacobian.reshape(count, 3 * number, -1)
+    allowed = np.repeat(used, 3, axis=1)
+    compliance = (flat / stiffness[:, None]) @ np.swapaxes(flat, 1, 2)
+    compliance[:, np.arange(3 * number), np.arange(3 * number)] += CONTACT_COMPLIANCE
+    # Contacts that are not used get the identity, and no part in anything.
+    both = allowed[:, :, None] & allowed[:, None, :]
+    inverse = np.linalg.inv(np.where(both, compliance, np.eye(3 * number))) * both
+    grasp_map = _grasp_map(lever) * allowed[:, None]
+    answer = inverse @ np.swapaxes(grasp_map, 1, 2)
+    resistance = grasp_map @ answer
+    # Two point contacts do not resist a turn about the line between them: that part has no answer.
+    resistance += 1e-3 * np.trace(resistance, axis1=1, axis2=2)[:, None, None] / 6 * np.eye(6)
+    change = -answer @ np.linalg.solve(resistance, np.swapaxes(loads, 1, 2))
+    return np.swapaxes(change, 1, 2).reshape(count, -1, number, 3)
+
+
+def holding_forces(
     lever: np.ndarray,
     inward: np.ndarray,
     jacobian: np.ndarray,
     used: np.ndarray,
-    normal_force: np.ndarray,
+    stiffness: np.ndarray,
+    loads: np.ndarray,
+    least: np.ndarray,
     torque_limit: np.ndarray,
     friction: float,
-    iterations: int = 300,
+    iterations: int = SQUEEZE_ITERATIONS,
 ) -> np.ndarray:
-    """Balanced contact forces within friction cones and about within torque limits [N], shape [N, C, 3].
+    """Contact forces before any load that keep every contact from slipping under each load [N], shape
+    [N, C, 3].
 
-    Minimizes, over the weights w >= 0 of the cones' edges,
+    With the answers e_k of the contacts to the loads (``elastic_forces``; e_0 = 0 for none), minimizes
 
-        |sum f|^2 + |sum lever x f|^2 + (SQUEEZE_WEIGHT (sum w - normal_force))^2
-        + sum_j (LIMIT_WEIGHT max(0, |tau_j| / torque_limit_j - 1))^2 + 1e-3 |w|^2,
+        BALANCE_WEIGHT (|sum f|^2 + |sum lever x f|^2)
+        + sum_k sum_c distance(f_c + e_kc - least_c n_c, cone_c)^2
+        + sum_k sum_j (LIMIT_WEIGHT max(0, |tau_kj| / torque_limit_j - 1))^2 + 1e-3 |f|^2
 
-    where tau = sum J^T f, by accelerated projected gradient descent (Nesterov).
+    by accelerated gradient descent (Nesterov), tau_k = sum J^T (f + e_k), least_c = least over the number of
+    contacts.
 
     Args:
-        lever: contact points relative to the center, over a length of the caller's, shape [N, C, 3].
+        lever, jacobian, used, stiffness, loads: as for ``elastic_forces``.
         inward: unit normals into the object, shape [N, C, 3].
-        jacobian: of the contact points with respect to the joints [m/rad], shape [N, C, 3, U].
-        used: which contacts may press, shape [N, C] bool.
-        normal_force: wanted sum of the normal forces [N], shape [N].
+        least: sum of the normal forces at least [N], shape [N].
         torque_limit: [N m], shape [U].
         friction: coefficient.
         iterations: of the descent.
     """
-    count, number, _ = inward.shape
-    edges = friction_cone_edges(inward, friction, BALANCE_CONE_EDGES)
-    moments = np.cross(lever[:, :, None], edges)
-    ones = np.full((*edges.shape[:-1], 1), SQUEEZE_WEIGHT)
-    # Rows are the C * BALANCE_CONE_EDGES edges; columns are force, moment, squeeze, and then the torques.
-    allowed = np.repeat(used, BALANCE_CONE_EDGES, axis=1)
-    wrench = np.concatenate([edges, moments, ones], axis=-1).reshape(count, -1, 7) * allowed[..., None]
-    torque = (edges @ jacobian).reshape(count, allowed.shape[1], -1) * allowed[..., None]
-    torque *= LIMIT_WEIGHT / torque_limit
-    goal = np.zeros((count, 7))
-    goal[:, 6] = SQUEEZE_WEIGHT * normal_force
-    regular = 1e-3
-    # The step is one over the largest eigenvalue of the objective's Hessian with all limits exceeded.
-    both = np.concatenate([wrench, torque], axis=2)
-    step = 1.0 / (np.linalg.eigvalsh(np.swapaxes(both, 1, 2) @ both)[:, -1:] + regular)
-    weights = allowed * (normal_force / np.maximum(allowed.sum(axis=1), 1))[:, None]
-    ahead, momentum = weights, 1.0
+    count, number = used.shape
+    answers = elastic_forces(lever, jacobian, used, stiffness, loads)
+    answers = np.concatenate([np.zeros((count, 1, number, 3)), answers], axis=1)
+    cases = answers.shape[1]
+    grasp_map = _grasp_map(lever) * np.repeat(used, 3, axis=1)[:, None]
+    torques = jacobian.reshape(count, 3 * number, -1) * np.repeat(used, 3, axis=1)[..., None] / torque_limit
+    floor = (least / np.maximum(used.sum(axis=1), 1))[:, None, None] * inward * used[..., None]
+    # The step is one over a bound of the Hessian's largest eigenvalue: all cones and limits exceeded.
+    balance = BALANCE_WEIGHT * grasp_map @ np.swapaxes(grasp_map, 1, 2)
+    largest = np.linalg.eigvalsh(balance)[:, -1] + cases
+    largest += cases * LIMIT_WEIGHT**2 * np.linalg.eigvalsh(np.swapaxes(torques, 1, 2) @ torques)[:, -1]
+    step = (1.0 / (largest + 1e-3))[:, None, None]
+    forces, ahead, momentum = floor, floor, 1.0
     for _ in range(iterations):
-        error = (ahead[:, None] @ wrench)[:, 0] - goal
-        load = (ahead[:, None] @ torque)[:, 0]
-        excess = load - np.clip(load, -LIMIT_WEIGHT, LIMIT_WEIGHT)
-        gradient = (both @ np.concatenate([error, excess], axis=1)[..., None])[..., 0] + regular * ahead
-        moved = np.maximum(ahead - step * gradient, 0.0) * allowed
-        next_momentum = 0.5 * (1 + np.sqrt(1 + 4 * momentum**2))
-        ahead = moved + (momentum - 1) / next_momentum * (moved - weights)
-        weights, momentum = moved, next_momentum
-    return (weights.reshape(count, number, BALANCE_CONE_EDGES, 1) * edges).sum(axis=2)
+        wrench = (grasp_map @ ahead.reshape(count, -1, 1))[..., 0]
+        slope = BALANCE_WEIGHT * (wrench[:, None] @ grasp_map).reshape(count, number, 3) + 1e-3 * ahead
+        loaded = ahead[:, None] + answers
+        slope += outside_cone(loaded - floor[:, None], inward[:, None], friction).sum(axis=1)
+        share = loaded.reshape(count, cases, -1) @ torques
+        excess = (share - np.clip(share, -1.0, 1.0)).sum(axis=1, keepdims=True)
+        slope += LIMIT_WEIGHT**2 * (excess @ np.swapaxes(torques, 1, 2)).reshape(count, number, 3)
+        moved = (ahead - step * slope) * used[..., None]
+        following = 0.5 * (1 + np.sqrt(1 + 4 * momentum**2))
+        ahead = moved + (momentum - 1) / following * (moved - forces)
+        forces, momentum = moved, following
+    return forces
+
+
+def outside_cone(force: np.ndarray, axis: np.ndarray, friction: float) -> np.ndarray:
+    """From the nearest point of the friction cone to the force [N], shape [..., 3]; zero within the cone.
+
+    Args:
+        force: [N], shape [..., 3].
+        axis: of the cone, unit vectors, shape [..., 3].
+        friction: coefficient, the tangent of its half angle.
+    """
+    normal = np.sum(force * axis, axis=-1, keepdims=True)
+    tangent = force - normal * axis
+    size = np.linalg.norm(tangent, axis=-1, keepdims=True)
+    along = (normal + friction * size) / (1 + friction**2)
+    nearest = along * (axis + friction * tangent / np.maximum(size, 1e-12))
+    outside = np.where(friction * size <= -normal, force, force - nearest)
+    return np.where(size <= friction * normal, 0.0, outside)
 
 
 def squeeze_torques(
@@ -87,11 +147,13 @@ def squeeze_torques(
     wrist_in_object: np.ndarray,
     grasp: np.ndarray,
     contacts: np.ndarray,
-    normal_force: np.ndarray,
+    stiffness: np.ndarray,
+    loads: np.ndarray,
+    least: np.ndarray,
     friction: float = 0.6,
     near: float = 0.006,
 ) -> np.ndarray:
-    """Joint torques that squeeze [N m], shape [N, U]: of balanced forces about within the torque limits.
+    """Joint torques that squeeze [N m], shape [N, U]: those of ``holding_forces``.
 
     Args:
         hand: the robot hand.
@@ -100,29 +162,38 @@ def squeeze_torques(
         wrist_in_object: shape [N, 7].
         grasp: independent joints [rad], shape [N, U].
         contacts: links that should touch, palm first, shape [N, L] bool.
-        normal_force: wanted sum of the normal forces [N], shape [N].
+        stiffness: of the servos [N m/rad], shape [N, U].
+        loads: forces [N] at the center of mass and torques [N m] on the objects, object frame, shape
+            [N, K, 6].
+        least: sum of the normal forces at least [N], shape [N].
         friction: coefficient to plan with; less than the true one, to be safe.
         near: links farther from the object than this are left out [m].
     """
     points = HandPoints(HandKinematics(hand, len(around)))
-    state = HandState(points, around, wrist_in_object, grasp)
-    nearest = np.stack([m[np.argmin(state.clearance[:, m], axis=1)] for m in points.link_members], axis=1)
-    # nearest [N, L]: of each link the collision sphere that is nearest to the object.
-    clearance = np.take_along_axis(state.clearance, nearest, axis=1)
-    normal = np.take_along_axis(state.normals, nearest[..., None], axis=1)
-    normal = normal / np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-9)
-    place = (
-        np.take_along_axis(state.spheres, nearest[..., None], axis=1)
-        - points.spheres.radius[nearest][..., None] * normal
-    )
-    jacobian = points.kinematics.jacobian(points.spheres.points.bodies[nearest], place)[..., 6:]
-    used = contacts & (clearance < near)
+    touch = contacts_of_links(HandState(points, around, wrist_in_object, grasp))
+    used = contacts & (touch.clearance < near)
     lonely = used.sum(axis=1) < 2
-    used[lonely] = (clearance <= np.sort(clearance, axis=1)[:, 2:3])[lonely]
+    used[lonely] = (touch.clearance <= np.sort(touch.clearance, axis=1)[:, 2:3])[lonely]
     centers = np.array([model.center_of_mass for model in objects])
-    reach = np.array([0.5 * float(np.max(model.size)) for model in objects])
+    reach = np.array([0.5 * float(np.max(model.size)) for model in objects])[:, None, None]
     limit = TORQUE_SHARE * np.array([servo.force_limit for servo in hand.actuators.values()])
-    lever = (place - centers[:, None]) / reach[:, None, None]
-    force = limited_forces(lever, -normal, jacobian, used, normal_force, limit, friction)
+    # Used contacts first, and of these the nearest.
+    first = np.argsort(touch.clearance + ~used, axis=1, kind="stable")[:, :MOST_CONTACTS]
+    place, inward, jacobian, used = (
+        np.take_along_axis(x, first.reshape(first.shape + (1,) * (x.ndim - 2)), axis=1)
+        for x in (touch.place, touch.inward, touch.jacobian, used)
+    )
+    lever = (place - centers[:, None]) / reach
+    scaled = np.concatenate([loads[..., :3], loads[..., 3:] / reach], axis=-1)
+    force = holding_forces(lever, inward, jacobian, used, stiffness, scaled, least, limit, friction)
     # Virtual work: tau = sum over contacts of J^T f, with the columns of the joints alone, shape [N, U].
     return np.einsum("nci,nciu->nu", force, jacobian)
+
+
+def _grasp_map(lever: np.ndarray) -> np.ndarray:
+    """Sum of forces and of their moments as a matrix, shape [N, 6, 3 C]. lever: shape [N, C, 3]."""
+    count, number, _ = lever.shape
+    # Column i of the matrix of a cross product is lever x (unit vector i); [N, C, i, 3] to [N, 3, C, i].
+    moments = np.moveaxis(cross(lever[:, :, None], np.eye(3)), 3, 1)
+    forces = np.broadcast_to(np.eye(3)[:, None], (count, 3, number, 3))
+    return np.concatenate([forces, moments], axis=1).reshape(count, 6, 3 * number)

@@ -16,9 +16,6 @@ from fungrasp.hands import FINGERS
 USE_MOTIONS = Path(__file__).with_name("motions.toml")
 """The motions that come with the package."""
 
-SHAFT_RADIUS = 0.015
-"""Radius at which fingers hold what is turned about its shaft [m]: that of a screwdriver's handle."""
-
 _SCHEMA: dict[str, Any] = {
     "tasks": [str],
     "turn": str,
@@ -81,13 +78,6 @@ class UseMotion:
     """Finger that presses a part."""
     pull: float = 0.0
     """Force at the far end, away from the palm [N]; afterwards the hand opens."""
-
-    @property
-    def load(self) -> float:
-        """What the world does to the object, as a force [N]; a torque as one at ``SHAFT_RADIUS``."""
-        press = 0.0 if self.press is None else self.press.force
-        trigger = 0.0 if self.trigger is None else self.trigger.force
-        return max(self.pull, press, trigger, self.torque / SHAFT_RADIUS)
 
     def displacement(self, time: float) -> tuple[float, float]:
         """Turn [rad] or shift [m] of the palm, and its rate per second, at a time [s] since the beginning."""
