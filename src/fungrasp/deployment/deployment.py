@@ -48,7 +48,7 @@ class Deployment:
         settings: DeploymentSettings | None = None,
         about: dict[str, str] | None = None,
         on_phase: Callable[[Phase], None] = lambda phase: None,
-        on_setpoint: Callable[[Phase], None] = lambda phase: None,
+        on_setpoint: Callable[[Phase, RobotCommand], None] = lambda phase, command: None,
     ):
         """
         Args:
@@ -60,7 +60,7 @@ class Deployment:
             settings: the defaults if None.
             about: what the log says of it.
             on_phase: called as a phase begins.
-            on_setpoint: called after each setpoint.
+            on_setpoint: called after each setpoint, with what was sent.
         """
         self.robot, self.policy, self._preparer = robot, policy, preparer
         self.log: DeploymentLog = log or NoLog()
@@ -161,7 +161,9 @@ class Deployment:
         self._on_phase(Phase.FAULT)
 
     def _prepare(self, grasp: RobotGraspSet, object_pose: np.ndarray, state: RobotState) -> PreparedGrasp:
-        self._prepared = self._preparer.prepare(grasp, object_pose, state.arm.positions)
+        self._prepared = self._preparer.prepare(
+            grasp, object_pose, state.arm.positions, hand=state.hand.positions
+        )
         self.log.begin(self._prepared.plan, {"cell": self.robot.cell.name, **self._about})
         return self._prepared
 
@@ -293,4 +295,4 @@ class Deployment:
         """After each setpoint."""
         self._check_switch()
         self.log.setpoint(self.machine.phase, state, command)
-        self._on_setpoint(self.machine.phase)
+        self._on_setpoint(self.machine.phase, command)

@@ -10,7 +10,7 @@ from fungrasp.deployment.twin_identification import ALL_ERRORS, identify_on_twin
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
 from fungrasp.robots.cell import RobotCell
-from fungrasp.robots.twin.parameters import TwinParameters, draw_twin
+from fungrasp.robots.twin.parameters import TwinParameters, cell_twin
 from fungrasp.transfer.joint_dynamics import QUANTITIES, JointDynamics
 
 
@@ -55,7 +55,7 @@ def twin_fit(
         method: of the fit.
         evaluations: of CMA-ES.
     """
-    truth = draw_twin(twin, len(hand.joint_names), len(hand.actuators))
+    truth = cell_twin(cell, hand, twin)
     settings = replace(ALL_ERRORS, method=method, evaluations=evaluations)
     identified = identify_on_twin(cell, hand, thing, truth, settings=settings)
     found, true = identified.found.dynamics, true_dynamics(hand, truth)

@@ -69,7 +69,7 @@ def run_over_the_wire(task: DeploymentTask, twin: int) -> WireRun:
         FungraspError: the emulators can't be started, or the grasp can't be reached.
     """
     began = time.monotonic()
-    placement = reachable_placement(task.cell, task.hand, task.thing, task.grasp, task.seed)[0]
+    placement = reachable_placement(task.cell, task.hand, task.thing, task.grasp, task.seed)
     meter = _ProcessMeter()
     with EmulationProcess(EmulationTask(task.cell, task.thing, placement, twin)) as process:
         try:
