@@ -132,7 +132,6 @@ class GraspPreparer:
         object_pose: np.ndarray,
         arm: np.ndarray,
         *,
-        hand: np.ndarray | None = None,
         plans: int = PLANS,
     ) -> PreparedGrasp:
         """Plan a grasp of the object where it is seen.
@@ -141,7 +140,6 @@ class GraspPreparer:
             grasp: one.
             object_pose: at rest, world frame, shape [7].
             arm: joints of the arm now [rad], shape [A].
-            hand: independent joints of the hand now [rad], shape [U]; as at the start if None.
             plans: of as many seeds are tried, 1 or more.
 
         Raises:
@@ -153,14 +151,13 @@ class GraspPreparer:
         if obstacle:
             raise UnreachableError(self._advice(grasp, object_pose, obstacle))
         belief = self._belief(grasp, object_pose, start, fingers)
-        postures = np.stack([fingers, fingers if hand is None else hand])
         for attempt in range(plans):
             plan = self._plan(grasp, belief, start, fingers, arm, self._seed + attempt)
             found, obstacle = self._reach.best(self._path(plan, start, fingers), arm)
             ball = self._ball(object_pose)
             free = FreePath(self._kinematics, self._clearance, self._cell.workspace)
             for reach in found:
-                corners = free.find(arm, reach.start, postures, ball, self._rng)
+                corners = free.find(arm, reach.start, fingers, ball, self._rng)
                 if corners is not None:
                     return PreparedGrasp(plan, fingers, reach, tuple(corners))
             if found:

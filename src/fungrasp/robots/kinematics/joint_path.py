@@ -75,16 +75,15 @@ class FreePath:
 
         Args:
             arm: joints of the arm [rad], shape [M].
-            fingers: independent joints [rad], shape [U], or several postures of them, shape [P, U].
+            fingers: independent joints [rad], shape [U].
             ball: around the object, centre and radius [m], world frame, shape [4]; None for no object.
         """
         palm, box = self._kinematics.palm_pose(arm)[:3], self._workspace
         if (palm < box.lower).any() or (palm > box.upper).any():
             return False
-        for posture in np.atleast_2d(fingers):
-            gap = self._clearance.measure(arm, posture)
-            if min(gap.table, gap.hand, gap.itself) < CLEAR:
-                return False
+        gap = self._clearance.measure(arm, fingers)
+        if min(gap.table, gap.hand, gap.itself) < CLEAR:
+            return False
         return ball is None or self._clearance.distance_to_ball(ball) > 0.0
 
     def find(
@@ -101,7 +100,7 @@ class FreePath:
         Args:
             start: joints of the arm [rad], shape [M].
             end: joints of the arm [rad], shape [M].
-            fingers: as for ``clear``: where they are and where they go.
+            fingers: independent joints [rad], shape [U].
             ball: as for ``clear``.
             rng: of the postures that are tried.
             tries: how many.
