@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from fungrasp.robots.twin.parameters import TwinParameters
@@ -26,6 +26,11 @@ class EvaluateOnTwins:
     """Rows of the grasps; all if none are given."""
     each: int | None = None
     """Of each object the first so many grasps that the arm can reach; all if not given."""
+    images: int = 0
+    """Try what perception sees in so many rendered images of each grasp in place of the grasp itself (Table
+    II of the paper). Rows of the result are then numbered row times images plus image."""
+    image_seed: int = 0
+    """Of the images."""
     twins: tuple[int, ...] = (0, 1, 2)
     """Which twins."""
     in_turn: bool = False
@@ -43,6 +48,7 @@ class EvaluateOnTwins:
         import numpy as np
 
         from fungrasp.cli.console import table
+        from fungrasp.cli.grasps_from_images import grasps_from_images
         from fungrasp.cli.retarget import retargeted
         from fungrasp.deployment.preparation import HandDynamics
         from fungrasp.deployment.twin_identification import identify_on_twin
@@ -73,6 +79,15 @@ class EvaluateOnTwins:
         index = list(self.rows) or list(range(len(human)))
         human = human.select(index)
         objects = load_objects(human, self.objects)
+        header: dict[str, Any] = {"robot": self.robot, "policy": self.policy, "grasps": self.grasps}
+        if self.images:
+            seen = grasps_from_images(human, objects, self.images, self.image_seed)
+            header["images"] = len(human) * self.images
+            header["not_seen"] = {str(number): why for number, why in seen.refused.items()}
+            if seen.human is None:
+                raise FungraspError("perception is confident of no image: nothing to try")
+            human = seen.human
+            index = [index[n // self.images] * self.images + n % self.images for n in seen.index]
         robot, _ = retargeted(human, objects, hand, "ours", self.threads)
         policy = make_policy(self.policy, hand, objects)
         if not isinstance(policy, Policy):
@@ -81,7 +96,7 @@ class EvaluateOnTwins:
             )
         planner = make_planner(self.policy, hand, objects, threads=self.threads)
         chosen = [known[name] for name in self.variants]
-        header = {"robot": self.robot, "policy": self.policy, "grasps": self.grasps, **run_record(0)}
+        header |= run_record(0)
         header["identification"] = "told" if self.told else "identified on each twin"
         placed, beyond = placed_grasps(robot, index, objects, hand, cell, self.each)
         header["out_of_reach"] = " ".join(map(str, beyond))
@@ -124,3 +139,9 @@ class EvaluateOnTwins:
                     )
                 )
         print(table(lines, left=None))
+        if self.images:
+            lifted = sum(episode.success for episode in episodes) / len(self.variants)
+            print(
+                f"of {header['images']} images {len(index)} seen, {len(placed)} within reach; lifted "
+                f"{lifted:g} of {header['images'] * (1 if self.in_turn else len(self.twins))}"
+            )
