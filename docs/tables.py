@@ -18,6 +18,7 @@ import numpy as np
 from perception_table import SOURCES, perception_rows
 
 from fungrasp.evaluation.result_files import ResultFile, read_result
+from fungrasp.evaluation.statistics import wilson_interval
 from fungrasp.formats import (
     image_file,
     json_file,
@@ -414,17 +415,45 @@ def wire_ticks() -> Table:
     return Table(("late by", "10 Hz", "50 Hz"), rows, ["wire"])
 
 
-def twin_variants() -> Table:
-    """The lift test on twins, by way to deploy."""
-    head = ("variant", "episodes", "out of reach", "begun", "lifted and held")
-    results = _read("twin-allegro-planned").rows
+def identification_ratios() -> Table:
+    """What identification finds of an Inspire hand: values, ratios, and what it says of itself."""
+    head = ("quantity", "error", "error of its ratio to the stiffness", "standard deviation the fit states")
+    results = _read("identification-inspire").rows
     rows = []
-    for name in ("no identification", "no gravity compensation", "ours"):
-        group = [row for row in results if row["variant"] == name]
-        refused = sum("is not reachable" in row["fault"] for row in group)
-        lifted = sum(row["success"] for row in group)
-        rows.append((name, f"{len(group)}", f"{refused}", f"{len(group) - refused}", f"{lifted}"))
-    return Table(head, rows, ["twin-allegro-planned"])
+    for name in ("stiffness", "damping", "friction", "armature"):
+
+        def median(part: str, name: str = name) -> str:
+            values = [row.get(f"{part}.{name}") for row in results]
+            return NONE if None in values else _percent(float(np.median(values)))
+
+        ratio = NONE if name == "stiffness" else median("ratio_errors")
+        rows.append((name, median("errors"), ratio, median("uncertainty")))
+    return Table(head, rows, ["identification-inspire"])
+
+
+TWINS = ("twin-allegro-node", "twin-inspire")
+"""Results of ``fungrasp robots evaluate``."""
+
+
+def twin_variants() -> Table:
+    """The lift test on twins, by robot and way to deploy."""
+    head = ("robot", "variant", "episodes", "not begun", "begun", "lifted and held", "of those begun (95 %)")
+    head += ("tracking, RMS [rad]", "sag [degrees]")
+    names = [name for name in TWINS if (RESULTS / f"{name}.json").is_file()]
+    rows = []
+    for name in names:
+        results = _read(name)
+        for variant in ("no identification", "no gravity compensation", "ours"):
+            group = [row for row in results.rows if row["variant"] == variant]
+            begun = [row for row in group if row["tracking_rad"] >= 0]
+            lifted = sum(row["success"] for row in begun)
+            low, high = wilson_interval(lifted, len(begun))
+            rate = f"{_percent(lifted / len(begun))} ({100 * low:.0f} to {100 * high:.0f})"
+            off = f"{np.median([row['tracking_rad'] for row in begun]):.3f}"
+            sag = f"{np.rad2deg(np.median([row['sag_rad'] for row in begun])):.1f}"
+            counts = (f"{n}" for n in (len(group), len(group) - len(begun), len(begun), lifted))
+            rows.append((results.header["robot"], variant, *counts, rate, off, sag))
+    return Table(head, rows, names)
 
 
 def identification_step() -> Table:
@@ -540,6 +569,7 @@ BUILDERS: dict[str, Callable[[], Table]] = {
     "identification": identification,
     "identification_step": identification_step,
     "identification_twins": identification_twins,
+    "identification_ratios": identification_ratios,
     "twin_variants": twin_variants,
     "wire": wire,
     "wire_ticks": wire_ticks,

@@ -230,12 +230,12 @@ def test_a_grasp_out_of_reach_is_said_before_anything_moves() -> None:
     cell, hand = cell_and_hand()
     grasp, thing = grasp_and_object()
     preparer = GraspPreparer(cell, hand, thing, MotionPlanner(hand, {thing.name: thing}))
-    far = placed()[0].copy()
+    far = placed().copy()
     far[0] += 1.5
     with pytest.raises(UnreachableError) as error:
         preparer.prepare(grasp, far, np.array(near_cell().arm.home))
     assert "not reachable" in str(error.value) and "\n" not in str(error.value)
-    aside = placed()[0].copy()
+    aside = placed().copy()
     aside[0] += 0.45
     with pytest.raises(UnreachableError, match=r"it would be with the object moved by|no placement nearby"):
         preparer.prepare(grasp, aside, np.array(near_cell().arm.home))

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from fungrasp.deployment.deployment import DeploymentSettings
+from fungrasp.deployment.preparation import GraspPreparer
 from fungrasp.deployment.twin_deployment import TwinOutcome, deploy_on_twin, reachable_placement
 from fungrasp.grasps import RobotGraspSet, builtin_grasps, load_objects
 from fungrasp.hands import Hand, load_hand
@@ -38,16 +39,20 @@ def grasp_and_object() -> tuple[RobotGraspSet, ObjectModel]:
 
 
 @cache
-def placed() -> tuple[np.ndarray, np.ndarray]:
+def placed() -> np.ndarray:
     cell, hand = cell_and_hand()
     grasp, thing = grasp_and_object()
     return reachable_placement(cell, hand, thing, grasp)
 
 
+@cache
 def near_cell() -> RobotCell:
     """The cell with the arm where the plan begins: less to simulate."""
-    cell, _ = cell_and_hand()
-    return replace(cell, arm=replace(cell.arm, home=tuple(placed()[1].tolist())))
+    cell, hand = cell_and_hand()
+    grasp, thing = grasp_and_object()
+    preparer = GraspPreparer(cell, hand, thing, MotionPlanner(hand, {thing.name: thing}))
+    start = preparer.prepare(grasp, placed(), np.array(cell.arm.home)).reach.start
+    return replace(cell, arm=replace(cell.arm, home=tuple(start.tolist())))
 
 
 def deploy(
@@ -62,7 +67,7 @@ def deploy(
         hand,
         thing,
         grasp,
-        placed()[0],
+        placed(),
         policy or OpenLoopPolicy(),
         MotionPlanner(hand, {thing.name: thing}),
         truth,

@@ -1,16 +1,20 @@
 """The composite robot, its shape for LeRobot, and the twin behind it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from robot_cells import cell_and_hand, grasp_and_object, placed
 
+from fungrasp.errors import FungraspError
 from fungrasp.geometry.poses import relative
+from fungrasp.robots.cell import load_cell
 from fungrasp.robots.device import DeviceStatus, RobotError, StopKind
 from fungrasp.robots.lerobot_adapter import LeRobotRobot
 from fungrasp.robots.robot import Robot
 from fungrasp.robots.twin.clocks import TwinClock
 from fungrasp.robots.twin.devices import TwinArm, TwinHand, TwinTracker
-from fungrasp.robots.twin.parameters import IDEAL, TwinSpread, draw_twin
+from fungrasp.robots.twin.parameters import IDEAL, TwinSpread, cell_twin, draw_twin
 from fungrasp.robots.twin.world import TwinWorld
 from fungrasp.task import Action
 
@@ -22,7 +26,7 @@ def robot_on_twin(spread: TwinSpread | None = IDEAL) -> tuple[Robot, TwinWorld]:
     _, thing = grasp_and_object()
     truth = draw_twin(0, len(hand.joint_names), len(hand.actuators), spread)
     world = TwinWorld(cell, hand, thing, truth)
-    world.settle(placed()[0])
+    world.settle(placed())
     devices = TwinArm(world, cell), TwinHand(world, cell, hand), TwinTracker(world)
     return Robot(cell, hand, *devices, TwinClock(world)), world
 
@@ -109,3 +113,43 @@ def test_the_twins_physics_is_not_the_planners() -> None:
     assert twin.impratio != planner.impratio
     assert twin.contact_time != 0.02
     assert twin.pieces != DecompositionSettings()
+
+
+def test_a_hand_with_gains_of_its_own_sags_and_is_carried_by_what_is_told() -> None:
+    """Weak position gains let the fingers sag; feed-forward torques carry them whatever the gains are."""
+    cell, hand = cell_and_hand()
+    options = {**cell.hand_device.options, "gain": [0.25, 0.25]}
+    weak = replace(cell, hand_device=replace(cell.hand_device, options=options))
+    truth = cell_twin(weak, hand, 0, IDEAL)
+    assert truth.gain == pytest.approx(0.25)
+    np.testing.assert_allclose(truth.stiffness, 0.25)
+    # The palm sideways: the fingers' weight is on their joints.
+    home = (*cell.arm.home[:3], -3.2, cell.arm.home[4], 0.5 * np.pi)
+    weak = replace(weak, arm=replace(weak.arm, home=home))
+    off = []
+    for compensate in (False, True):
+        world = TwinWorld(weak, hand, grasp_and_object()[1], truth)
+        world.settle(np.array([0.0, 0.45, 0.1, 1.0, 0.0, 0.0, 0.0]))
+        devices = TwinArm(world, weak), TwinHand(world, weak, hand), TwinTracker(world)
+        robot = Robot(weak, hand, *devices, TwinClock(world), compensate=compensate)
+        with robot:
+            goal = robot.state().hand.positions + 0.3
+            for _ in range(100):
+                robot.send(np.array(home), goal)
+                world.advance(world.time + 0.02)
+            off.append(np.abs(world.finger_positions() - goal).max())
+    assert off[0] > 0.05
+    assert off[1] < 0.02
+    for wrong in ([0.5], [2.0, 1.0], "weak", [0.0, 1.0]):
+        broken = replace(cell, hand_device=replace(cell.hand_device, options={"gain": wrong}))
+        with pytest.raises(FungraspError, match="two positive factors"):
+            cell_twin(broken, hand, 0)
+
+
+def test_gains_of_their_own_leave_other_twins_as_they_were() -> None:
+    cell, hand = cell_and_hand()
+    drawn = draw_twin(3, len(hand.joint_names), len(hand.actuators))
+    np.testing.assert_array_equal(cell_twin(cell, hand, 3).stiffness, drawn.stiffness)
+    node = cell_twin(load_cell("ur5e-allegro-node"), hand, 3)
+    np.testing.assert_allclose(node.stiffness, node.gain * drawn.stiffness)
+    assert 0.25 <= node.gain <= 0.83

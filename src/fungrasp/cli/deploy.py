@@ -62,9 +62,11 @@ class Deploy:
         from fungrasp.hands import load_hand
         from fungrasp.policies import make_planner
         from fungrasp.robots.assembly import is_twin
-        from fungrasp.robots.cell import load_cell
+        from fungrasp.robots.cell import check_calibrated, load_cell
 
         cell = load_cell(self.robot)
+        if not is_twin(cell):
+            check_calibrated(cell)
         hand = load_hand(cell.hand)
         if self.hand and load_hand(self.hand).name != hand.name:
             raise FungraspError(f"robot cell '{cell.name}' carries the hand '{hand.name}', not '{self.hand}'")
@@ -103,7 +105,7 @@ class Deploy:
     ) -> tuple[str, DeploymentResult]:
         from fungrasp.deployment.deployment import DeploymentSettings
         from fungrasp.deployment.twin_deployment import deploy_on_twin, reachable_placement
-        from fungrasp.robots.twin.parameters import draw_twin
+        from fungrasp.robots.twin.parameters import cell_twin
 
         cell, hand = task.cell, task.hand
         outcome = deploy_on_twin(
@@ -111,10 +113,10 @@ class Deploy:
             hand,
             task.thing,
             task.grasp,
-            reachable_placement(cell, hand, task.thing, task.grasp, self.seed)[0],
+            reachable_placement(cell, hand, task.thing, task.grasp, self.seed),
             task.policy,
             task.planner,
-            draw_twin(self.twin, len(hand.joint_names), len(hand.actuators)),
+            cell_twin(cell, hand, self.twin),
             wall_clock=not self.fast,
             dynamics=task.dynamics,
             compensate=task.compensate,

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import tyro
 
+from fungrasp.cli.calibrate import Calibrate
 from fungrasp.cli.deploy import ReplayLog
-from fungrasp.cli.grasp_choice import GraspChoice, deployable_policy
-
-if TYPE_CHECKING:
-    from fungrasp.robots.twin.parameters import TwinParameters
+from fungrasp.cli.evaluate_on_twins import EvaluateOnTwins
+from fungrasp.cli.grasp_choice import GraspChoice
 
 
 @dataclass(frozen=True)
@@ -44,7 +43,7 @@ class Check:
         from fungrasp.errors import FungraspError
         from fungrasp.hands import load_hand
         from fungrasp.robots.assembly import arm_driver, hand_driver, is_twin, pose_source
-        from fungrasp.robots.cell import load_cell
+        from fungrasp.robots.cell import check_calibrated, load_cell
         from fungrasp.robots.kinematics.arm_model import ArmKinematics, ClearanceModel
         from fungrasp.robots.kinematics.joint_path import FreePath
 
@@ -69,11 +68,7 @@ class Check:
         else:
             for device in (arm_driver(cell), hand_driver(cell, hand), pose_source(cell)):
                 print(f"device: {device.name}")
-            if cell.tracker.calibration_residual < 0:
-                raise FungraspError(
-                    "no calibration: measure the camera's pose, then give 'tracker.pose_world_camera' and "
-                    "'tracker.calibration_residual'"
-                )
+            check_calibrated(cell)
         limits = cell.limits
         print(f"palm: up to {limits.palm_speed:g} m/s, {limits.palm_acceleration:g} m/s^2")
 
@@ -101,16 +96,16 @@ class Emulate:
         from fungrasp.robots.cell import load_cell
         from fungrasp.robots.process_priority import raise_priority
         from fungrasp.robots.twin.emulation import CellEmulation
-        from fungrasp.robots.twin.parameters import draw_twin
+        from fungrasp.robots.twin.parameters import cell_twin
         from fungrasp.robots.twin.world import TwinWorld
 
         cell = load_cell(self.cell)
         hand = load_hand(cell.hand)
         chosen = self.choice.chosen(hand)
         thing = chosen.thing
-        truth = draw_twin(self.twin, len(hand.joint_names), len(hand.actuators))
+        truth = cell_twin(cell, hand, self.twin)
         world = TwinWorld(cell, hand, thing, truth)
-        world.settle(reachable_placement(cell, hand, thing, chosen.grasp)[0])
+        world.settle(reachable_placement(cell, hand, thing, chosen.grasp))
         rest = world.center_of_mass()[2]
         raise_priority()
         with CellEmulation(cell, world, thing.name) as emulation:
@@ -130,93 +125,6 @@ class Emulate:
             print(
                 f"the twin was up to {1e3 * twin.latest:.0f} ms late and lost {1e3 * twin.lost:.0f} ms in all"
             )
-
-
-@dataclass(frozen=True)
-class EvaluateOnTwins:
-    """Try grasps on twins, without a clock: what identification and gravity compensation are worth."""
-
-    out: Path
-    """Result to write, .json; it is written anew after every grasp."""
-    robot: str = "ur5e-allegro"
-    """A cell that is a twin."""
-    grasps: str = "builtin"
-    """A file of human grasps, or "builtin"."""
-    objects: Path | None = None
-    """Folder of meshes <name>.obj; built-in objects need none."""
-    rows: tuple[int, ...] = ()
-    """Rows of the grasps; all if none are given."""
-    twins: tuple[int, ...] = (0, 1, 2)
-    """Which twins."""
-    variants: tuple[str, ...] = ("no identification", "no gravity compensation", "ours")
-    """Ways to deploy."""
-    policy: str = "plan"
-    """What acts."""
-    told: bool = False
-    """Tell the dynamics of the twins' hands in place of identifying them: what identification could give."""
-    threads: int = 0
-    """Of planning; 0 means all processors."""
-
-    def run(self) -> None:
-        from fungrasp.cli.console import table
-        from fungrasp.cli.retarget import retargeted
-        from fungrasp.deployment.preparation import HandDynamics
-        from fungrasp.deployment.twin_identification import identify_on_twin
-        from fungrasp.errors import UnknownNameError
-        from fungrasp.evaluation.result_files import write_result
-        from fungrasp.evaluation.statistics import wilson_interval
-        from fungrasp.evaluation.twin_test import VARIANTS, episode_rows, told_dynamics, try_on_twins
-        from fungrasp.grasps import load_human_grasps, load_objects
-        from fungrasp.hands import load_hand
-        from fungrasp.policies import make_planner
-        from fungrasp.provenance import run_record
-        from fungrasp.robots.cell import load_cell
-
-        known = {variant.name: variant for variant in VARIANTS}
-        for name in self.variants:
-            if name not in known:
-                raise UnknownNameError("variant", name, known)
-        cell = load_cell(self.robot)
-        hand = load_hand(cell.hand)
-        human = load_human_grasps(self.grasps)
-        index = list(self.rows) or list(range(len(human)))
-        human = human.select(index)
-        objects = load_objects(human, self.objects)
-        robot, _ = retargeted(human, objects, hand, "ours", self.threads)
-        policy = deployable_policy(self.policy, hand, objects)
-        planner = make_planner(self.policy, hand, objects, threads=self.threads)
-        chosen = [known[name] for name in self.variants]
-        header = {"robot": self.robot, "policy": self.policy, "grasps": self.grasps, **run_record(0)}
-        header["identification"] = "told" if self.told else "identified on each twin"
-        thing = objects[human.object_name[0]]
-
-        def identify(truth: TwinParameters) -> HandDynamics:
-            return HandDynamics.of(hand, identify_on_twin(cell, hand, thing, truth).found.dynamics)
-
-        episodes = []
-        for episode in try_on_twins(
-            robot,
-            index,
-            objects,
-            hand,
-            cell,
-            policy,
-            planner,
-            self.twins,
-            chosen,
-            identify=told_dynamics(hand) if self.told else identify,
-        ):
-            episodes.append(episode)
-            write_result(self.out, header, episode_rows(episodes))
-        lines = [("variant", "episodes", "success", "95 % interval")]
-        for name in self.variants:
-            mine = [e.success for e in episodes if e.variant == name]
-            if mine:
-                low, high = wilson_interval(sum(mine), len(mine))
-                lines.append(
-                    (name, str(len(mine)), f"{sum(mine) / len(mine):.0%}", f"{low:.0%} to {high:.0%}")
-                )
-        print(table(lines, left=None))
 
 
 @dataclass(frozen=True)
@@ -246,6 +154,7 @@ class ShowLog:
 
 
 COMMAND = {
+    "calibrate": Calibrate,
     "list": ListCells,
     "check": Check,
     "emulate": Emulate,

@@ -35,6 +35,10 @@ MOVED = 0.02
 """A joint of the arm that is farther from where it was has moved [rad]."""
 
 
+FINGER_SHARE = 0.2
+"""Of their largest speed, for fingers that move before the arm does."""
+
+
 class Deployment:
     """Carries one grasp through all phases. Whatever goes wrong ends in FAULT with the robot stopped."""
 
@@ -49,7 +53,7 @@ class Deployment:
         settings: DeploymentSettings | None = None,
         about: dict[str, str] | None = None,
         on_phase: Callable[[Phase], None] = lambda phase: None,
-        on_setpoint: Callable[[Phase], None] = lambda phase: None,
+        on_setpoint: Callable[[Phase, RobotCommand], None] = lambda phase, command: None,
     ):
         """
         Args:
@@ -61,7 +65,7 @@ class Deployment:
             settings: the defaults if None.
             about: what the log says of it.
             on_phase: called as a phase begins.
-            on_setpoint: called after each setpoint.
+            on_setpoint: called after each setpoint, with what was sent.
         """
         self.robot, self.policy, self._preparer = robot, policy, preparer
         self.log: DeploymentLog = log or NoLog()
@@ -178,22 +182,28 @@ class Deployment:
         return now
 
     def _move(self, corners: list[np.ndarray], fingers: np.ndarray) -> None:
-        """Move the arm from posture to posture, and the fingers on the first leg."""
+        """Move the fingers while the arm stands still, then the arm from posture to posture: the way of the
+        arm is clear for the fingers as they are then."""
         robot, period = self.robot, self.robot.setpoints.period
         self._guard.reset()
-        last = robot.hand_driver.read().positions
         when = robot.clock.now()
+
+        def send(arm: np.ndarray, hand: np.ndarray) -> None:
+            nonlocal when
+            robot.wait(when)
+            self._check_switch()
+            robot.send(arm, hand)
+            when += period
+
+        last = robot.hand_driver.read().positions
+        step = robot.cell.limits.hand_speed * FINGER_SHARE * period
+        count = int(np.ceil(np.abs(fingers - last).max() / step))
+        for i in range(count):
+            send(corners[0], last + (i + 1) / count * (fingers - last))
         for start, end in pairwise(corners):
-            path = timed_leg(start, end, robot.kinematics, robot.cell.limits, period)
-            reach = robot.cell.limits.hand_speed * 0.2 * period * len(path)
-            goal = np.clip(fingers, last - reach, last + reach)
-            for i, joints in enumerate(path):
-                robot.wait(when)
-                self._check_switch()
-                robot.send(joints, last + (i + 1) / len(path) * (goal - last))
-                when += period
-            last = goal
-        robot.place_setpoints(corners[-1], last)
+            for joints in timed_leg(start, end, robot.kinematics, robot.cell.limits, period):
+                send(joints, fingers)
+        robot.place_setpoints(corners[-1], fingers)
 
     def _follow_policy(self, prepared: PreparedGrasp, object_pose: np.ndarray) -> None:
         """Grasp, lift and hold, as the policy says."""
@@ -294,4 +304,4 @@ class Deployment:
         """After each setpoint."""
         self._check_switch()
         self.log.setpoint(self.machine.phase, state, command)
-        self._on_setpoint(self.machine.phase)
+        self._on_setpoint(self.machine.phase, command)

@@ -21,7 +21,7 @@ from fungrasp.geometry.poses import (
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
-from fungrasp.planning import Planner
+from fungrasp.planning import ConstrainedPlanner, Planner
 from fungrasp.robots.cell import RobotCell
 from fungrasp.robots.kinematics.arm_model import ArmKinematics, ClearanceModel
 from fungrasp.robots.kinematics.joint_path import FreePath
@@ -120,6 +120,8 @@ class GraspPreparer:
         planner: Planner,
         dynamics: HandDynamics | None = None,
         seed: int = 0,
+        *,
+        advise: bool = True,
     ):
         """
         Args:
@@ -129,7 +131,9 @@ class GraspPreparer:
             planner: of the policy.
             dynamics: identified; the model's if None.
             seed: of everything that is drawn.
+            advise: whether a placement that would do is looked for where the object's does not.
         """
+        self._advise = advise
         self._cell, self._hand, self._thing, self._planner = cell, hand, thing, planner
         self._dynamics, self._seed = dynamics, seed
         self._kinematics, self._clearance = ArmKinematics(cell, hand), ClearanceModel(cell, hand)
@@ -146,7 +150,6 @@ class GraspPreparer:
         object_pose: np.ndarray,
         arm: np.ndarray,
         *,
-        advise: bool = True,
         plans: int = PLANS,
     ) -> PreparedGrasp:
         """Plan a grasp of the object where it is seen.
@@ -155,7 +158,6 @@ class GraspPreparer:
             grasp: one.
             object_pose: at rest, world frame, shape [7].
             arm: joints of the arm now [rad], shape [A].
-            advise: whether a placement that would do is looked for where this one does not.
             plans: of as many seeds are tried, 1 or more.
 
         Raises:
@@ -163,12 +165,12 @@ class GraspPreparer:
         """
         start, fingers = self._start(grasp, object_pose)
         # Before time is spent on planning: can the arm do about this?
-        obstacle = self._reach.possible(self._straight(grasp, object_pose, start, fingers))
+        obstacle = self._reach.possible(self._straight(grasp, object_pose, start, fingers), arm)
         if obstacle:
-            raise UnreachableError(self._advice(grasp, object_pose, obstacle, advise))
+            raise UnreachableError(self._advice(grasp, object_pose, obstacle))
         belief = self._belief(grasp, object_pose, start, fingers)
         for attempt in range(plans):
-            plan = self._planner.plan(grasp, belief, self._seed + attempt)
+            plan = self._plan(grasp, belief, start, fingers, arm, self._seed + attempt)
             found, obstacle = self._reach.best(self._path(plan, start, fingers), arm)
             ball = self._ball(object_pose)
             free = FreePath(self._kinematics, self._clearance, self._cell.workspace)
@@ -181,7 +183,26 @@ class GraspPreparer:
                     f"the arm finds no free way from where it is to the start of '{self._thing.name}': "
                     "move it by hand to a higher place"
                 )
-        raise UnreachableError(self._advice(grasp, object_pose, obstacle, advise))
+        raise UnreachableError(self._advice(grasp, object_pose, obstacle))
+
+    def _plan(
+        self,
+        grasp: RobotGraspSet,
+        belief: Belief,
+        start: np.ndarray,
+        fingers: np.ndarray,
+        arm: np.ndarray,
+        seed: int,
+    ) -> GraspPlan:
+        """One plan; if the planner has a choice, one that the arm can follow."""
+        if not isinstance(self._planner, ConstrainedPlanner):
+            return self._planner.plan(grasp, belief, seed)
+
+        def followed(plans: GraspPlan) -> np.ndarray:
+            one = (plans.select(np.array([i])) for i in range(len(plans)))
+            return self._reach.followed([self._path(plan, start, fingers) for plan in one], arm)
+
+        return self._planner.plan_within(grasp, belief, followed, seed)
 
     def _start(self, grasp: RobotGraspSet, object_pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Palm pose [7] and fingers [U] at the start, as the lift test has them."""
@@ -259,17 +280,18 @@ class GraspPreparer:
             rotation = quaternion_from_rotation_vector(np.array([0.0, 0.0, turn]))
             moved[3:] = quaternion_multiply(rotation, moved[3:])
             start, fingers = self._start(grasp, moved)
-            if not self._reach.possible(self._straight(grasp, moved, start, fingers)):
+            home = np.asarray(self._cell.arm.home)
+            if not self._reach.possible(self._straight(grasp, moved, start, fingers), home):
                 yield (
                     moved,
                     f"moved by ({100 * x:g}, {100 * y:g}) cm and turned by {np.rad2deg(turn):.0f} degrees "
                     "about the vertical",
                 )
 
-    def _advice(self, grasp: RobotGraspSet, object_pose: np.ndarray, obstacle: str, advise: bool) -> str:
+    def _advice(self, grasp: RobotGraspSet, object_pose: np.ndarray, obstacle: str) -> str:
         """One line: what is in the way, and which placement would do."""
         said = f"the grasp of '{self._thing.name}' is not reachable: {obstacle}"
-        if not advise:
+        if not self._advise:
             return said
         moved = (p for p in self.placements(grasp, object_pose) if not np.array_equal(p[0], object_pose))
         found = next(moved, None)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from itertools import islice
@@ -14,13 +14,20 @@ from fungrasp.deployment.emergency_stop import StopSwitch
 from fungrasp.deployment.log import DeploymentLog
 from fungrasp.deployment.phases import Phase
 from fungrasp.deployment.preparation import GraspPreparer, HandDynamics, UnreachableError
+from fungrasp.geometry.poses import (
+    invert,
+    quaternion_from_rotation_vector,
+    quaternion_multiply,
+    rotate,
+)
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
+from fungrasp.objects.resting_pose import broad_settled_up
 from fungrasp.planning import MotionPlanner, Planner
 from fungrasp.robots.cell import RobotCell
 from fungrasp.robots.clock import Clock, WallClock
-from fungrasp.robots.robot import Robot
+from fungrasp.robots.robot import Robot, RobotCommand
 from fungrasp.robots.twin.clocks import RealTimeTwin, TwinClock
 from fungrasp.robots.twin.devices import TwinArm, TwinHand, TwinTracker
 from fungrasp.robots.twin.judge import TwinJudge
@@ -47,27 +54,35 @@ class TwinOutcome:
     """Whether the object was lifted and held, in truth."""
     height: float
     """Least height of its centre of mass during the hold [m]; infinite where there was none."""
+    tracking: float
+    """RMS error of the hand's joints from their setpoints before the fingers close [rad]; nan where the
+    motion did not begin."""
+    sag: float
+    """Largest mean error of a joint over the same time [rad]."""
     twin_latest: float
     """How far the twin has fallen behind the clock of the wall at worst [s]; zero on its own clock."""
 
 
 def reachable_placement(
     cell: RobotCell, hand: Hand, thing: ObjectModel, grasp: RobotGraspSet, seed: int = 0
-) -> tuple[np.ndarray, np.ndarray]:
+def reachable_placement(
+    cell: RobotCell, hand: Hand, thing: ObjectModel, grasp: RobotGraspSet, seed: int = 0
+) -> np.ndarray:
     """Where a person would put the object so that the arm can grasp it: the first of
     ``reachable_placements``. Arguments and errors: as there.
 
     Returns:
-        the object, world frame, shape [7]; the arm's posture as the motion begins [rad], shape [A].
+        the object, world frame, shape [7].
     """
     return next(reachable_placements(cell, hand, thing, grasp, seed))
 
 
 def reachable_placements(
     cell: RobotCell, hand: Hand, thing: ObjectModel, grasp: RobotGraspSet, seed: int = 0
-) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+) -> Iterator[np.ndarray]:
     """Where a person would put the object so that the arm can grasp it, and where next if the robot says that
-    it can't.
+    it can't: near the middle of the workspace, turned as the arm needs it. Where the object stood as the grasp
+    was shown does not matter.
 
     They are the placements for which one planned motion can be followed, then the first that the arm reaches
     with some motion: the robot's planner may find it.
@@ -80,7 +95,7 @@ def reachable_placements(
         seed: of the postures that are tried.
 
     Yields:
-        the object, world frame, shape [7]; the arm's posture as the motion begins [rad], shape [A].
+        the object, world frame, shape [7].
 
     Raises:
         UnreachableError: there is none nearby.
@@ -96,23 +111,41 @@ def reachable_placements(
         hand_depth=box.hand_depth - 0.5 * box.table_clearance,
     )
     cell = replace(cell, workspace=roomy)
-    preparer = GraspPreparer(cell, hand, thing, MotionPlanner(hand, {thing.name: thing}), seed=seed)
+    planner = MotionPlanner(hand, {thing.name: thing})
+    preparer = GraspPreparer(cell, hand, thing, planner, seed=seed, advise=False)
     home = np.asarray(cell.arm.home)
     refused, found = None, False
-    for pose, _ in islice(preparer.placements(grasp, grasp.object_rest_pose[0]), PLACEMENTS_PLANNED):
+    middle = _at_rest(thing, grasp.object_rest_pose[0])
+    middle[:2] = 0.5 * (np.array(box.lower[:2]) + box.upper[:2])
+    for pose, _ in islice(preparer.placements(grasp, middle), PLACEMENTS_PLANNED):
         try:
-            prepared = preparer.prepare(grasp, pose, home, advise=False, plans=1)
+            preparer.prepare(grasp, pose, home, plans=1)
         except UnreachableError:
             refused = pose if refused is None else refused
             continue
         found = True
-        yield pose, prepared.reach.start
+        yield pose
     if refused is not None:
-        yield refused, home
+        yield refused
     elif not found:
         raise UnreachableError(
             f"no placement of '{thing.name}' was found from which the arm can grasp it: take another grasp"
         )
+
+
+def _at_rest(thing: ObjectModel, pose: np.ndarray) -> np.ndarray:
+    """An object on the broad stable face that it is nearest to, world frame, shape [7]: measured poses at
+    rest are a few degrees and up to a centimeter off."""
+    up = np.array([0.0, 0.0, 1.0])
+    leaning = rotate(pose[3:], broad_settled_up(thing, rotate(invert(pose)[3:], up)))
+    axis = np.cross(leaning, up)
+    sine = float(np.linalg.norm(axis))
+    angle = np.arctan2(sine, leaning @ up)
+    turn = quaternion_from_rotation_vector(angle * axis / max(sine, 1e-12))
+    settled = pose.copy()
+    settled[3:] = quaternion_multiply(turn, pose[3:])
+    settled[2] = -rotate(settled[3:], thing.vertices)[:, 2].min()
+    return settled
 
 
 def deploy_on_twin(
@@ -137,6 +170,7 @@ def deploy_on_twin(
     about: dict[str, str] | None = None,
     on_phase: Callable[[Phase], None] = lambda phase: None,
     prepare_world: Callable[[TwinWorld], None] = lambda world: None,
+    advise: bool = True,
 ) -> TwinOutcome:
     """Deploy one grasp on a fresh twin.
 
@@ -161,6 +195,7 @@ def deploy_on_twin(
         about: what the log says of it.
         on_phase: called as a phase begins.
         prepare_world: called with the twin after the object has settled, to spoil it.
+        advise: whether a grasp that can't be reached is refused with a placement that would do.
 
     Raises:
         FungraspError: the grasp can't be planned or reached.
@@ -169,6 +204,13 @@ def deploy_on_twin(
     world.settle(placement)
     judge = TwinJudge(world)
     prepare_world(world)
+    errors: list[tuple[float, np.ndarray]] = []
+
+    def watch(phase: Phase, command: RobotCommand) -> None:
+        judge.watch(phase is Phase.HOLD)
+        if phase is Phase.GRASP:
+            errors.append((world.time, world.finger_positions() - command.hand))
+
     stiffness = np.array([servo.kp for servo in hand.actuators.values()])
     if dynamics is not None:
         driven = [hand.joint_names.index(name) for name in hand.actuators]
@@ -192,14 +234,30 @@ def deploy_on_twin(
         deployment = Deployment(
             robot,
             policy,
-            GraspPreparer(cell, hand, thing, planner, dynamics, seed),
+            GraspPreparer(cell, hand, thing, planner, dynamics, seed, advise=advise),
             log=log,
             switch=switch,
             settings=settings,
             about=about,
             on_phase=on_phase,
-            on_setpoint=lambda phase: judge.watch(phase is Phase.HOLD),
+            on_setpoint=watch,
         )
         result = deployment.run(grasp)
         latest = 0.0 if real_time is None else real_time.latest
-    return TwinOutcome(result, judge.success, float(judge.height), latest)
+    mean, rms = _open_hand_errors(result, errors)
+    return TwinOutcome(result, judge.success, float(judge.height), rms, mean, latest)
+
+
+def _open_hand_errors(
+    result: DeploymentResult, errors: Sequence[tuple[float, np.ndarray]]
+) -> tuple[float, float]:
+    """Largest mean and RMS of the hand's errors before its fingers close [rad]. errors: each with its
+    time."""
+    if result.prepared is None or Phase.GRASP not in result.times:
+        return np.nan, np.nan
+    plan = result.prepared.plan
+    closing = result.times[Phase.GRASP] + float(plan.closing_step[0]) * plan.control_period
+    before = np.array([error for time, error in errors if time < closing])
+    if not len(before):
+        return np.nan, np.nan
+    return float(np.abs(before.mean(axis=0)).max()), float(np.sqrt(np.mean(before**2)))

@@ -48,9 +48,9 @@ class ControlBench:
             FungraspError: the grasp can't be reached, or the cell can't be emulated.
         """
         hand = load_hand(cell.hand)
-        placement, start = reachable_placement(cell, hand, thing, grasp)
+        placement = reachable_placement(cell, hand, thing, grasp)
         prepared = GraspPreparer(cell, hand, thing, MotionPlanner(hand, {thing.name: thing})).prepare(
-            grasp, placement, start
+            grasp, placement, np.asarray(cell.arm.home)
         )
         self.grasp = grasp
         self.prepared: PreparedGrasp = replace(prepared, corners=(prepared.reach.start,))

@@ -10,7 +10,7 @@ from fungrasp.deployment.twin_identification import ALL_ERRORS, identify_on_twin
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
 from fungrasp.robots.cell import RobotCell
-from fungrasp.robots.twin.parameters import TwinParameters, draw_twin
+from fungrasp.robots.twin.parameters import TwinParameters, cell_twin
 from fungrasp.transfer.joint_dynamics import QUANTITIES, JointDynamics
 
 
@@ -28,6 +28,11 @@ class TwinFit:
     """Over all quantities of all joints, of the truth."""
     errors: dict[str, float]
     """Median over the joints by quantity; friction: against that at rest."""
+    ratio_errors: dict[str, float]
+    """Median over the joints of the errors of damping, friction while sliding and armature, each over the
+    stiffness: all that the motion of joints without load depends on."""
+    uncertainty: dict[str, float]
+    """Median over the joints of the standard deviation that the fit says of itself, relative, by quantity."""
     largest_error: float
     """Over all quantities of all joints."""
     model_error: float
@@ -55,7 +60,7 @@ def twin_fit(
         method: of the fit.
         evaluations: of CMA-ES.
     """
-    truth = draw_twin(twin, len(hand.joint_names), len(hand.actuators))
+    truth = cell_twin(cell, hand, twin)
     settings = replace(ALL_ERRORS, method=method, evaluations=evaluations)
     identified = identify_on_twin(cell, hand, thing, truth, settings=settings)
     found, true = identified.found.dynamics, true_dynamics(hand, truth)
@@ -69,6 +74,8 @@ def twin_fit(
         method,
         float(np.median(everything)),
         {name: float(np.median(values)) for name, values in errors.items()},
+        _ratio_errors(found, true, truth),
+        {name: float(np.median(identified.found.relative_error[name])) for name in QUANTITIES},
         float(everything.max()),
         float(np.median(unfitted)),
         found.delay - truth.hand_delay,
@@ -102,3 +109,12 @@ def true_dynamics(hand: Hand, truth: TwinParameters | None) -> JointDynamics:
 
 def _errors(found: JointDynamics, true: JointDynamics, name: str) -> np.ndarray:
     return np.abs(getattr(found, name) / getattr(true, name) - 1.0)
+
+
+def _ratio_errors(found: JointDynamics, true: JointDynamics, truth: TwinParameters) -> dict[str, float]:
+    """See ``TwinFit.ratio_errors``. A motion that never rests shows the friction of sliding."""
+    actual = {"damping": true.damping, "friction": true.friction * truth.sliding, "armature": true.armature}
+    return {
+        name: float(np.median(np.abs(getattr(found, name) / found.stiffness * true.stiffness / values - 1.0)))
+        for name, values in actual.items()
+    }

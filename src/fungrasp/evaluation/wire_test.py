@@ -91,7 +91,7 @@ def run_over_the_wire(task: DeploymentTask, twin: int) -> WireRun:
             if placement is None:
                 break
             count += 1
-            run = _run_at(task, twin, placement[0])
+            run = _run_at(task, twin, placement)
         except UnreachableError as error:
             said = str(error)
         else:

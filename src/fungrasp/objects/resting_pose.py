@@ -6,6 +6,12 @@ import numpy as np
 
 from fungrasp.objects.object_model import ObjectModel
 
+ALIKE = np.deg2rad(8.0)
+"""Faces of a hull whose directions differ by less count as one: measured meshes are not flat [rad]."""
+
+BROAD = 0.03
+"""Share of a hull's surface from which such faces are broad: the end of a marker has 1 %, its side 20 %."""
+
 
 def resting_directions(model: ObjectModel) -> np.ndarray:
     """Downward unit normals of the faces on which the object is stable: those of its convex hull below the
@@ -36,3 +42,18 @@ def settled_up(model: ObjectModel, up: np.ndarray) -> np.ndarray:
     """
     downs = resting_directions(model)
     return -downs[np.argmin(up @ downs.T, axis=-1)]
+
+
+def broad_settled_up(model: ObjectModel, up: np.ndarray) -> np.ndarray:
+    """As ``settled_up``, of the faces that an object would be put down on: together with those that hardly
+    differ in direction they are a considerable share of the convex hull, so that it stands there even where
+    the table is tilted a little.
+
+    Args:
+        up: unit vector, object frame, shape [3].
+    """
+    hull, downs = model.mesh.convex_hull, resting_directions(model)
+    alike = downs @ hull.face_normals.T > np.cos(ALIKE)
+    broad = alike @ hull.area_faces >= BROAD * hull.area
+    candidates = downs[broad] if broad.any() else downs
+    return -candidates[np.argmin(candidates @ up)]

@@ -10,13 +10,16 @@ import numpy as np
 
 from fungrasp.errors import FungraspError, UnknownNameError
 from fungrasp.hands import Hand
-from fungrasp.robots.cell import DeviceSettings, RobotCell
+from fungrasp.robots.cell import DeviceSettings, RobotCell, check_calibrated
 from fungrasp.robots.clock import WallClock
 from fungrasp.robots.device import JointDriver, PoseSource
 from fungrasp.robots.robot import Robot
 
 TWIN = "twin"
 """Driver of a device of a twin in the same process."""
+
+CAMERA = "realsense"
+"""Driver of a tracker: our own, on the images of a RealSense camera."""
 
 
 def is_twin(cell: RobotCell) -> bool:
@@ -70,6 +73,8 @@ def pose_source(cell: RobotCell) -> PoseSource:
     Raises:
         FungraspError: no such driver, or bad options.
     """
+    if cell.tracker.driver == CAMERA:
+        return _camera(cell)
     return _make("tracker", cell.tracker, TRACKERS)
 
 
@@ -149,13 +154,34 @@ HAND_DRIVERS: dict[str, Callable[[Mapping[str, Any]], Any]] = {
 }
 """Drivers of hands by name."""
 
+
+def _camera(cell: RobotCell) -> PoseSource:
+    """Our own tracker on a RealSense camera: options ``object`` and, for a mesh, ``mass`` and ``folder``."""
+    from fungrasp.objects import load_object
+    from fungrasp.robots.pose.camera_tracker import CameraTracker
+    from fungrasp.robots.pose.frames import RealSenseFrames
+
+    check_calibrated(cell)
+    options = dict(cell.tracker.options)
+    known = ("object", "mass", "folder", "width", "height", "rate")
+    for name in options:
+        if name not in known:
+            raise UnknownNameError(f"option of the driver {CAMERA}", name, known)
+    if not isinstance(options.get("object"), str):
+        raise FungraspError(f"cell '{cell.name}': the driver {CAMERA} needs the option 'object', a name")
+    thing = load_object(options.pop("object"), options.pop("mass", None), options.pop("folder", None))
+    frames = RealSenseFrames(cell.tracker.address, **options)
+    return CameraTracker(frames, thing, np.array(cell.tracker.pose_world_camera))
+
+
 TRACKERS: dict[str, Callable[[Mapping[str, Any]], Any]] = {"pose-stream": _stream}
 """Sources of object poses by name."""
 
 
 def _make(kind: str, device: DeviceSettings, known: Mapping[str, Callable[[Mapping[str, Any]], Any]]) -> Any:
     if device.driver not in known:
-        raise UnknownNameError(f"driver of a {kind}", device.driver, [*known, TWIN])
+        more = [CAMERA, TWIN] if kind == "tracker" else [TWIN]
+        raise UnknownNameError(f"driver of a {kind}", device.driver, [*known, *more])
     return known[device.driver]({"address": device.address, **device.options})
 
 

@@ -53,6 +53,8 @@ class TrackerSettings(DeviceSettings):
     """Pose of the camera in the world, from calibration."""
     calibration_residual: float = -1.0
     """Residual of that calibration [m]; negative: there was none."""
+    calibration: str = ""
+    """File of ``fungrasp robots calibrate``, relative to the cell's file, that says both; "" for none."""
 
 
 @dataclass(frozen=True)
@@ -167,6 +169,8 @@ def load_cell(name: str | Path) -> RobotCell:
         path = cell_files()[str(name)]
     tree = read_toml(path, "cell file")
     cell = _build(RobotCell, tree, str(path), "")
+    if cell.tracker.calibration:
+        cell = replace(cell, tracker=_calibrated(cell.tracker, path.parent))
     for fault in cell_faults(cell):
         raise FungraspError(f"{path}: {fault}")
     if cell.hand_dynamics:
@@ -175,6 +179,32 @@ def load_cell(name: str | Path) -> RobotCell:
             raise FungraspError(f"{path}: there is no file '{dynamics}': run 'fungrasp identify fit'")
         cell = replace(cell, hand_dynamics=str(dynamics))
     return cell
+
+
+def check_calibrated(cell: RobotCell) -> None:
+    """Raises: FungraspError: it is not known where the cell's camera stands."""
+    if cell.tracker.calibration_residual < 0:
+        raise FungraspError(
+            f"cell '{cell.name}': no calibration of the camera: run 'fungrasp robots calibrate' and name its "
+            "file as 'calibration' under [tracker]"
+        )
+
+
+def _calibrated(tracker: TrackerSettings, folder: Path) -> TrackerSettings:
+    """The tracker with what its file of calibration says."""
+    path = folder / tracker.calibration
+    tree = read_toml(path, "calibration of a camera")
+    missing = [name for name in ("pose_world_camera", "calibration_residual") if name not in tree]
+    if missing:
+        raise FungraspError(f"{path}: '{missing[0]}' is missing: run 'fungrasp robots calibrate' again")
+    pose = tree["pose_world_camera"]
+    if not isinstance(pose, list):
+        raise FungraspError(f"{path}: 'pose_world_camera' must be a list of 7 numbers")
+    return replace(
+        tracker,
+        pose_world_camera=tuple(_number(v, str(path), "pose_world_camera") for v in pose),
+        calibration_residual=_number(tree["calibration_residual"], str(path), "calibration_residual"),
+    )
 
 
 def cell_faults(cell: RobotCell) -> list[str]:

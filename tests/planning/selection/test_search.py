@@ -10,7 +10,7 @@ from planned_grasps import belief, grasps_and_objects, hand, plan
 
 import fungrasp.planning.selection.search as search
 from fungrasp.errors import FungraspError
-from fungrasp.planning import MotionPlanner
+from fungrasp.planning import ConstrainedPlanner, MotionPlanner
 from fungrasp.planning.selection import SearchPlanner, SelectionSettings
 from fungrasp.planning.selection.candidates import Candidates, CandidateStatistics
 from fungrasp.planning.selection.rollouts import RolloutSettings
@@ -219,3 +219,32 @@ def test_plans_are_made_on_a_table_at_zero_and_played_where_it_is(asked, height,
     np.testing.assert_allclose(moved, height, atol=0.001)
     if known:
         assert asked == [(0, 2)], "nothing is planned anew where only the table is elsewhere"
+
+
+def test_plans_that_cannot_be_carried_out_come_last() -> None:
+    """Of the candidates only those that squeeze little are allowed: one of them is chosen, although the
+    predictor expects most of the others; where none is allowed, the best is given without any rollout."""
+    settings = SelectionSettings(candidates=8, rollouts=None)
+    rows = rows_of(["can"])
+    grasps, known = grasps_and_objects()[0].select(rows), belief().select(rows)
+
+    def squeeze(plans: GraspPlan) -> np.ndarray:
+        return np.abs(plans.finger_targets[:, -1] - plans.grasp_joints).mean(axis=1)
+
+    free = planner(settings)
+    strongest = squeeze(free.plan(grasps, known))[0]
+    seen = []
+
+    def gentle(plans: GraspPlan) -> np.ndarray:
+        seen.append(len(plans))
+        return squeeze(plans) < np.median(squeeze(plans))
+
+    chosen = free.plan_within(grasps, known, gentle)
+    assert seen == [8]
+    assert squeeze(chosen)[0] < strongest
+    assert chosen.expected_success[0] > 0
+    none = planner(replace(settings, rollouts=SHORT)).plan_within(
+        grasps, known, lambda p: np.zeros(len(p), bool)
+    )
+    assert none.expected_success[0] == 0 and none.rollouts[0] == 0
+    assert isinstance(free, ConstrainedPlanner)

@@ -55,7 +55,7 @@ def capture_from_camera(
         raise FungraspError(f"images are numbered from 0; there is no image {image}")
     if recording is not None and not Path(recording).is_file():
         raise FungraspError(f"the recording {recording} does not exist")
-    rs = _module()
+    rs = realsense_module()
     where = "the camera" if recording is None else str(recording)
     pipeline, config = rs.pipeline(), rs.config()
     if recording is None:
@@ -76,14 +76,15 @@ def capture_from_camera(
             device.as_playback().set_real_time(False)
         unit = float(device.first_depth_sensor().get_depth_scale())
         frames = _wait(pipeline, warm_up, image, where)
-        return _capture(rs, rs.align(rs.stream.color).process(frames), unit, where)
+        return capture_of_frames(rs, rs.align(rs.stream.color).process(frames), unit, where)
     except RuntimeError as error:
         raise FungraspError(f"{where} failed: {_line(error)}") from error
     finally:
         pipeline.stop()
 
 
-def _module() -> Any:
+def realsense_module() -> Any:
+    """pyrealsense2. Raises: FungraspError: it is not installed or can't be loaded."""
     try:
         return importlib.import_module("pyrealsense2")
     except ModuleNotFoundError as error:
@@ -127,7 +128,12 @@ def _wait(pipeline: Any, warm_up: int, image: int | None, where: str) -> Any:
     return frames
 
 
-def _capture(rs: Any, frames: Any, unit: float, where: str) -> Capture:
+def capture_of_frames(rs: Any, frames: Any, unit: float, where: str) -> Capture:
+    """Colour and aligned depth of one set of frames. unit: of the depth [m]. where: for messages.
+
+    Raises:
+        FungraspError: one of the images is missing or can't be right.
+    """
     depth, color = frames.get_depth_frame(), frames.get_color_frame()
     if not depth or not color:
         missing = "colour" if depth else "depth"

@@ -1,5 +1,5 @@
 """Which plan to follow: candidates, a success predictor, simulated rollouts, search."""
 
-from fungrasp.planning.selection.search import SearchPlanner, SelectionSettings
+from fungrasp.planning.selection.search import Feasible, SearchPlanner, SelectionSettings
 
-__all__ = ["SearchPlanner", "SelectionSettings"]
+__all__ = ["Feasible", "SearchPlanner", "SelectionSettings"]

@@ -24,6 +24,9 @@ from fungrasp.task import Belief, GraspPlan, LiftProtocol, Policy
 from fungrasp.transfer import MODERATE, REALITY_ROLLOUTS, ProtocolName
 
 WIDE_SPREAD = VariationSpread(position=0.015, rotation=0.2, joints=0.1, closing=0.15, force=0.5, press=0.02)
+Feasible = Callable[[GraspPlan], np.ndarray]
+"""Says of P plans which can be carried out, a bool array of shape [P]."""
+
 RESOLUTION = 1e-4
 """Beliefs are rounded to steps of so much [m, rad], so that what has settled anew is not planned anew."""
 
@@ -175,8 +178,26 @@ class SearchPlanner:
         progress(len(grasps))
         return GraspPlan.join([self._known[key] for key in keys]).raised(table)
 
+    def plan_within(
+        self, grasps: RobotGraspSet, belief: Belief, feasible: Feasible, seed: int = 0
+    ) -> GraspPlan:
+        """See ``ConstrainedPlanner.plan_within``. Nothing is remembered."""
+        names = grasps.object_name.tolist()
+        table = table_below(names, belief.object_pose, belief.table_height, self._objects)
+
+        def raised(plans: GraspPlan) -> np.ndarray:
+            return feasible(plans.raised(np.resize(table, len(plans))))
+
+        rounded = _rounded(lowered(belief, table))
+        return self._search(grasps, rounded, seed, lambda share: None, raised).raised(table)
+
     def _search(
-        self, grasps: RobotGraspSet, beliefs: Belief, seed: int, progress: Callable[[float], None]
+        self,
+        grasps: RobotGraspSet,
+        beliefs: Belief,
+        seed: int,
+        progress: Callable[[float], None],
+        feasible: Feasible | None = None,
     ) -> GraspPlan:
         """One plan for each grasp, table at zero. progress: called with the share that is done."""
         s, everyone = self.settings, np.arange(len(grasps))
@@ -186,9 +207,10 @@ class SearchPlanner:
         which, numbers = share_out(grasps, s.candidates)
         first = with_settings(grasps).select(np.tile(everyone, s.candidates))
         first = take_alternatives(first, which.ravel())
-        pool = make(beliefs, first, numbers.ravel(), VariationSpread(), search=0)
+        pool = _only(make(beliefs, first, numbers.ravel(), VariationSpread(), search=0), feasible)
         spent = np.zeros(len(grasps), dtype=int)
-        if s.rollouts is None:
+        hopeless = feasible is not None and not pool.statistics.expected.any()
+        if s.rollouts is None or hopeless:
             chosen, expected = pool.best()
             return replace(chosen, expected_success=expected, rollouts=spent)
         roll = partial(
@@ -218,7 +240,7 @@ class SearchPlanner:
                 beliefs.select(left), parents.grasps.select(rows), numbers, s.search.spread, search=search
             )
             before = parents.statistics.tried.sum(axis=0)
-            pool = parents.join(children)
+            pool = parents.join(_only(children, feasible))
             roll(pool, s.search.rounds, seed=(seed, search))
             spent[left] += (pool.statistics.tried.sum(axis=0) - before).astype(int)
             progress(spent.sum() / most)
@@ -252,6 +274,14 @@ class SearchPlanner:
             self._objects[grasp.object_name[0]].digest,
             belief.arrays(),
         )
+
+
+def _only(candidates: Candidates, feasible: Feasible | None) -> Candidates:
+    """The candidates, where of those that can't be carried out nothing is expected: they come last."""
+    if feasible is not None:
+        statistics = candidates.statistics
+        statistics.expected[~feasible(candidates.plans).reshape(statistics.expected.shape)] = 0.0
+    return candidates
 
 
 def _rounded(belief: Belief) -> Belief:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -65,13 +66,18 @@ class ReachChecker:
         self._cell, self._kinematics, self._clearance, self._rng = cell, kinematics, clearance, rng
         self._follower = PalmFollower(kinematics, cell.limits.arm_speed)
 
-    def possible(self, path: PalmPath) -> str:
+    def possible(self, path: PalmPath, home: np.ndarray) -> str:
         """What is in the way of a path from every posture, whatever the hand does to the table, as a phrase;
-        "" if it can be followed from some posture. Quicker than ``best``."""
+        "" if it can be followed from some posture. Quicker than ``best``.
+
+        Args:
+            path: of the palm.
+            home: a posture that solutions are sought from beside random ones [rad], shape [M].
+        """
         outside = self._outside(path.palm)
         if outside:
             return outside
-        starts = random_starts(self._kinematics, STARTS // 2, self._rng)
+        starts = np.concatenate([home[None], random_starts(self._kinematics, STARTS // 2, self._rng)])
         found = arm_postures(self._kinematics, path.palm[0], starts)
         nearest = Reach(np.zeros(0), np.zeros(0), -2.0, "the start is out of the arm's reach")
         for posture in found:
@@ -104,6 +110,28 @@ class ReachChecker:
         if free:
             return free, ""
         return [], max(tried, key=lambda reach: reach.margin).obstacle
+
+    def followed(self, paths: Sequence[PalmPath], home: np.ndarray) -> np.ndarray:
+        """Whether the arm can follow paths that begin at the same pose, a bool array, one for each: from any
+        posture.
+
+        Args:
+            paths: of the palm.
+            home: where the arm is now [rad], shape [M].
+        """
+        starts = np.concatenate([home[None], random_starts(self._kinematics, STARTS, self._rng)])
+        postures = list(arm_postures(self._kinematics, paths[0].palm[0], starts))
+        can = np.zeros(len(paths), dtype=bool)
+        for i, path in enumerate(paths):
+            if self._outside(path.palm):
+                continue
+            for number, posture in enumerate(postures):
+                if not self.follow(path, posture).obstacle:
+                    # What serves one serves most of the others.
+                    postures.insert(0, postures.pop(number))
+                    can[i] = True
+                    break
+        return can
 
     def follow(self, path: PalmPath, posture: np.ndarray, hand_matters: bool = True) -> Reach:
         """Follow a path from a posture.

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from fungrasp.errors import FungraspError
 from fungrasp.geometry.poses import quaternion_from_rotation_vector
+from fungrasp.hands import Hand
+from fungrasp.robots.cell import RobotCell
 from fungrasp.transfer import random_stream
 
 
@@ -21,6 +24,9 @@ class TwinSpread:
 
     stiffness: tuple[float, float] = (0.6, 1.1)
     """Factor on the torque that a hand's servo makes of an error of position: its torque constant."""
+    gain: tuple[float, float] = (1.0, 1.0)
+    """Factor on the same of all joints of the hand, and on their servos' damping: position gains of a
+    controller of its own, beside the model's."""
     damping: tuple[float, float] = (0.7, 2.0)
     """Factor on the damping of the hand's joints."""
     friction: tuple[float, float] = (0.02, 0.06)
@@ -74,7 +80,10 @@ class TwinParameters:
     """The truth of one twin. M joints of the hand, coupled ones included; U independent ones."""
 
     stiffness: np.ndarray
-    """Factor on each servo's torque, shape [U]."""
+    """Factor on the torque that each servo makes of an error of position, shape [U]: ``gain`` times that of
+    its torque constant."""
+    gain: float
+    """Factor on the position gains of all servos."""
     damping: np.ndarray
     """Factor on each joint's damping, shape [M]."""
     armature: np.ndarray
@@ -132,6 +141,9 @@ def draw_twin(seed: int, joints: int, driven: int, spread: TwinSpread | None = N
     """
     s, rng = spread or TwinSpread(), random_stream("twin", seed)
 
+    # A stream of its own: twins whose gains are the model's stay what they were.
+    gain = float(np.exp(random_stream("twin gain", seed).uniform(*np.log(s.gain))))
+
     def factor(bounds: tuple[float, float], *shape: int) -> np.ndarray:
         return np.exp(rng.uniform(*np.log(bounds), size=shape))
 
@@ -140,7 +152,8 @@ def draw_twin(seed: int, joints: int, driven: int, spread: TwinSpread | None = N
     tilt, around = rng.uniform(0, s.table_tilt), rng.uniform(0, 2 * np.pi)
     offset = rng.uniform(-s.camera_position, s.camera_position, 3)
     return TwinParameters(
-        stiffness=factor(s.stiffness, driven),
+        stiffness=gain * factor(s.stiffness, driven),
+        gain=gain,
         damping=factor(s.damping, joints),
         armature=factor(s.armature, joints),
         friction=rng.uniform(*s.friction, driven),
@@ -164,6 +177,30 @@ def draw_twin(seed: int, joints: int, driven: int, spread: TwinSpread | None = N
         table_tilt=tilt * np.array([np.cos(around), np.sin(around), 0.0]),
         table_height=float(rng.uniform(-s.table_height, s.table_height)),
     )
+
+
+def cell_twin(cell: RobotCell, hand: Hand, seed: int, spread: TwinSpread | None = None) -> TwinParameters:
+    """The truth of the twin of a cell with a seed. The cell may say ``gain`` of its hand's device.
+
+    Args:
+        cell: the robot.
+        hand: on its arm.
+        seed: names the twin.
+        spread: of all else; the default if None.
+
+    Raises:
+        FungraspError: the cell's ``gain`` is no range of positive factors.
+    """
+    s, given = spread or TwinSpread(), cell.hand_device.options.get("gain")
+    if given is not None:
+        numbers = [n for n in given if isinstance(n, int | float)] if isinstance(given, list) else []
+        if len(numbers) != 2 or not 0 < numbers[0] <= numbers[1] < np.inf:
+            raise FungraspError(
+                f"cell '{cell.name}': the option 'gain' of a twin's hand is two positive factors, the "
+                f"smaller first, not {given!r}"
+            )
+        s = replace(s, gain=(float(numbers[0]), float(numbers[1])))
+    return draw_twin(seed, len(hand.joint_names), len(hand.actuators), s)
 
 
 IDEAL = TwinSpread(

@@ -174,6 +174,11 @@ class TwinWorld:
             measured = t.encoder_step * np.round(measured / t.encoder_step)
             return measured, d.qvel[self._finger_dofs], d.actuator_force[self._fingers]
 
+    def finger_positions(self) -> np.ndarray:
+        """Where the hand's driven joints truly are [rad], shape [U]."""
+        with self.lock:
+            return self.data.qpos[self._finger_qpos].copy()
+
     def tracked(self) -> TrackedPose | None:
         """The newest frame of the tracker that has been delivered."""
         with self.lock:
@@ -252,11 +257,12 @@ class TwinWorld:
             wanted = self._torque
         else:
             self._play = np.clip(self._play, self._finger_target - slack, self._finger_target + slack)
-            d.ctrl[self._fingers] = self._play + self._feedforward / self._kp
+            d.ctrl[self._fingers] = self._play + self._feedforward / (self.truth.gain * self._kp)
             return
+        constant = self.truth.stiffness / self.truth.gain
         # A servo makes gain (ctrl - q) + bias v; this control makes it pull with a torque alone.
         gain, bias = self.model.actuator_gainprm[self._fingers, 0], self.model.actuator_biasprm[self._fingers]
-        d.ctrl[self._fingers] = q + (self.truth.stiffness * wanted - bias[:, 2] * v) / gain
+        d.ctrl[self._fingers] = q + (constant * wanted - bias[:, 2] * v) / gain
 
     def _update_friction(self) -> None:
         """Dry friction of the fingers: that at rest falls to that of sliding as a joint moves (Stribeck)."""

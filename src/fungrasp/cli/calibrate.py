@@ -1,0 +1,104 @@
+"""``fungrasp robots calibrate``: where a cell's camera stands."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from fungrasp.robots.calibration.board_images import Board
+
+if TYPE_CHECKING:
+    from fungrasp.robots.calibration.hand_eye import CameraCalibration
+    from fungrasp.robots.cell import RobotCell
+
+
+@dataclass(frozen=True)
+class Calibrate:
+    """Find the pose of a cell's fixed camera in its world, and write it to a file that the cell names.
+
+    Either from images of a board that the hand holds (`--images`), or from points that a fingertip touched
+    and the camera saw (`--points`)."""
+
+    cell: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME|FILE")]
+    """A cell that comes with fungrasp, or a TOML file."""
+    out: Path
+    """File to write, .toml."""
+    images: Path | None = None
+    """Folder with images of the board, `arm.json` (joints of the arm [rad] by the image's file name) and
+    `camera.json` (intrinsics)."""
+    points: Path | None = None
+    """JSON file with lists `seen` (camera frame) and `touched` (world frame) of points [m]."""
+    board: Board = field(default_factory=Board)
+    """The board in the images."""
+
+    def run(self) -> None:
+        from fungrasp.errors import FungraspError
+        from fungrasp.robots.calibration.calibration_file import save_calibration
+        from fungrasp.robots.cell import load_cell
+
+        if (self.images is None) == (self.points is None):
+            raise FungraspError("give either --images or --points")
+        cell = load_cell(self.cell)
+        if self.images is not None:
+            found, source = self._from_images(cell, self.images)
+        else:
+            assert self.points is not None
+            found, source = self._from_points(self.points)
+        save_calibration(self.out, found, source)
+        place = ", ".join(f"{x:.4f}" for x in found.pose_world_camera[:3])
+        print(f"camera at ({place}) m from {source}; residual {1000 * found.residual:.2f} mm")
+        print(
+            f"standard deviation {1000 * found.position_deviation:.1f} mm, "
+            f"{1000 * found.rotation_deviation:.2f} mrad"
+        )
+        print(f"written to {self.out}: name it as 'calibration' under [tracker] of the cell")
+
+    def _from_images(self, cell: RobotCell, folder: Path) -> tuple[CameraCalibration, str]:
+        import numpy as np
+
+        from fungrasp.errors import FungraspError
+        from fungrasp.formats.json_file import read_json
+        from fungrasp.hands import load_hand
+        from fungrasp.perception.io.image_files import read_color
+        from fungrasp.perception.io.intrinsics_files import read_intrinsics
+        from fungrasp.robots.calibration.board_images import find_corners
+        from fungrasp.robots.calibration.hand_eye import BoardView, calibrate_from_board
+        from fungrasp.robots.kinematics.arm_model import ArmKinematics
+
+        arm = ArmKinematics(cell, load_hand(cell.hand))
+        path = folder / "arm.json"
+        joints = read_json(path, "joints of the arm by image")
+        if not isinstance(joints, dict) or not joints:
+            raise FungraspError(f"{path} must hold the joints of the arm by the image's file name")
+        views = []
+        for name, values in joints.items():
+            numbers = values if isinstance(values, list) else []
+            real = [v for v in numbers if isinstance(v, int | float) and np.isfinite(v)]
+            if len(numbers) != len(arm.lower) or len(real) != len(numbers):
+                raise FungraspError(f"{path}: '{name}' must have {len(arm.lower)} joints [rad]")
+            color = read_color(folder / name)
+            points, pixels = find_corners(color, self.board)
+            views.append(BoardView(arm.palm_pose(np.array(real)), points, pixels))
+            size = color.shape[1], color.shape[0]
+        lens = read_intrinsics(folder / "camera.json", size).intrinsics
+        used = sum(len(view.points) > 0 for view in views)
+        return calibrate_from_board(views, lens), f"{used} of {len(views)} images of a board"
+
+    def _from_points(self, path: Path) -> tuple[CameraCalibration, str]:
+        import numpy as np
+
+        from fungrasp.errors import FungraspError
+        from fungrasp.formats.json_file import read_json
+        from fungrasp.robots.calibration.touched_points import calibrate_from_points
+
+        tree = read_json(path, "touched points")
+        if not isinstance(tree, dict) or not {"seen", "touched"} <= set(tree):
+            raise FungraspError(f"{path} must hold lists 'seen' and 'touched'")
+        try:
+            seen, touched = (np.array(tree[name], dtype=float) for name in ("seen", "touched"))
+        except (TypeError, ValueError) as error:
+            raise FungraspError(f"{path}: points must be lists of 3 numbers") from error
+        return calibrate_from_points(seen, touched), f"{len(seen)} touched points"

@@ -1,0 +1,143 @@
+"""``fungrasp robots evaluate``: grasps on twins, for Table VI of the paper."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from fungrasp.robots.twin.parameters import TwinParameters
+
+
+@dataclass(frozen=True)
+class EvaluateOnTwins:
+    """Try grasps on twins, without a clock: what identification and gravity compensation are worth."""
+
+    out: Path
+    """Result to write, .json; it is written anew after every grasp."""
+    robot: str = "ur5e-allegro"
+    """A cell that is a twin."""
+    grasps: str = "builtin"
+    """A file of human grasps, or "builtin"."""
+    objects: Path | None = None
+    """Folder of meshes <name>.obj; built-in objects need none."""
+    rows: tuple[int, ...] = ()
+    """Rows of the grasps; all if none are given."""
+    each: int | None = None
+    """Of each object the first so many grasps that the arm can reach; all if not given."""
+    images: int = 0
+    """Try what perception sees in so many rendered images of each grasp in place of the grasp itself (Table
+    II of the paper). Rows of the result are then numbered row times images plus image."""
+    image_seed: int = 0
+    """Of the images."""
+    twins: tuple[int, ...] = (0, 1, 2)
+    """Which twins."""
+    in_turn: bool = False
+    """Each grasp on one of the twins, in turn, in place of all."""
+    variants: tuple[str, ...] = ("no identification", "no gravity compensation", "ours")
+    """Ways to deploy."""
+    policy: str = "plan"
+    """What acts."""
+    told: bool = False
+    """Tell the dynamics of the twins' hands in place of identifying them: what identification could give."""
+    threads: int = 0
+    """Of planning; 0 means all processors."""
+
+    def run(self) -> None:
+        import numpy as np
+
+        from fungrasp.cli.console import table
+        from fungrasp.cli.grasp_choice import deployable_policy
+        from fungrasp.cli.grasps_from_images import grasps_from_images
+        from fungrasp.cli.retarget import retargeted
+        from fungrasp.deployment.preparation import HandDynamics
+        from fungrasp.deployment.twin_identification import identify_on_twin
+        from fungrasp.errors import FungraspError, UnknownNameError
+        from fungrasp.evaluation.result_files import write_result
+        from fungrasp.evaluation.statistics import wilson_interval
+        from fungrasp.evaluation.twin_test import (
+            VARIANTS,
+            episode_rows,
+            placed_grasps,
+            told_dynamics,
+            try_on_twins,
+        )
+        from fungrasp.grasps import load_human_grasps, load_objects
+        from fungrasp.hands import load_hand
+        from fungrasp.policies import make_planner
+        from fungrasp.provenance import run_record
+        from fungrasp.robots.cell import load_cell
+
+        known = {variant.name: variant for variant in VARIANTS}
+        for name in self.variants:
+            if name not in known:
+                raise UnknownNameError("variant", name, known)
+        cell = load_cell(self.robot)
+        hand = load_hand(cell.hand)
+        human = load_human_grasps(self.grasps)
+        index = list(self.rows) or list(range(len(human)))
+        human = human.select(index)
+        objects = load_objects(human, self.objects)
+        header: dict[str, Any] = {"robot": self.robot, "policy": self.policy, "grasps": self.grasps}
+        if self.images:
+            seen = grasps_from_images(human, objects, self.images, self.image_seed)
+            header["images"] = len(human) * self.images
+            header["not_seen"] = {str(number): why for number, why in seen.refused.items()}
+            if seen.human is None:
+                raise FungraspError("perception is confident of no image: nothing to try")
+            human = seen.human
+            index = [index[n // self.images] * self.images + n % self.images for n in seen.index]
+        robot, _ = retargeted(human, objects, hand, "ours", self.threads)
+        policy = deployable_policy(self.policy, hand, objects)
+        planner = make_planner(self.policy, hand, objects, threads=self.threads)
+        chosen = [known[name] for name in self.variants]
+        header |= run_record(0)
+        header["identification"] = "told" if self.told else "identified on each twin"
+        placed, beyond = placed_grasps(robot, index, objects, hand, cell, self.each)
+        header["out_of_reach"] = " ".join(map(str, beyond))
+        header["grasps_that_can_be_reached"] = len(placed)
+        thing = objects[human.object_name[0]]
+
+        def identify(truth: TwinParameters) -> HandDynamics:
+            return HandDynamics.of(hand, identify_on_twin(cell, hand, thing, truth).found.dynamics)
+
+        episodes = []
+        for episode in try_on_twins(
+            placed,
+            objects,
+            hand,
+            cell,
+            policy,
+            planner,
+            self.twins,
+            chosen,
+            in_turn=self.in_turn,
+            identify=told_dynamics(hand) if self.told else identify,
+        ):
+            episodes.append(episode)
+            write_result(self.out, header, episode_rows(episodes))
+        lines = [("variant", "episodes", "success", "95 % interval", "tracking [rad]", "sag [deg]")]
+        for name in self.variants:
+            mine = [e for e in episodes if e.variant == name]
+            moved = [e for e in mine if e.tracking_rad >= 0]
+            if moved:
+                held = sum(e.success for e in mine)
+                low, high = wilson_interval(held, len(mine))
+                lines.append(
+                    (
+                        name,
+                        str(len(mine)),
+                        f"{held / len(mine):.0%}",
+                        f"{low:.0%} to {high:.0%}",
+                        f"{np.median([e.tracking_rad for e in moved]):.3f}",
+                        f"{np.rad2deg(np.median([e.sag_rad for e in moved])):.1f}",
+                    )
+                )
+        print(table(lines, left=None))
+        if self.images:
+            lifted = sum(episode.success for episode in episodes) / len(self.variants)
+            print(
+                f"of {header['images']} images {len(index)} seen, {len(placed)} within reach; lifted "
+                f"{lifted:g} of {header['images'] * (1 if self.in_turn else len(self.twins))}"
+            )

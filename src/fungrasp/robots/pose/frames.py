@@ -1,0 +1,151 @@
+"""Images of a depth camera, one after the other: live or recorded."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from fungrasp.perception import Capture
+from fungrasp.perception.io.realsense import capture_of_frames, realsense_module
+from fungrasp.robots.device import RobotError
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """Colour with aligned depth."""
+
+    capture: Capture
+    """The images."""
+    captured: float
+    """Host time at which they were taken [s]."""
+
+
+class FrameSource(Protocol):
+    """A depth camera."""
+
+    name: str
+    """Type and address, for messages and logs."""
+
+    def connect(self) -> None:
+        """Open the camera. Raises: RobotError: there is none."""
+        ...
+
+    def newest(self, timeout: float) -> Frame | None:
+        """The newest frame that was not given yet; waits for it. None if none comes in time, or the last one
+        was given.
+
+        Args:
+            timeout: to wait [s].
+        """
+        ...
+
+    def close(self) -> None:
+        """Close it. May be called twice."""
+        ...
+
+
+class RecordedFrames:
+    """Captures at the rate at which they were taken."""
+
+    def __init__(
+        self,
+        captures: Sequence[Capture],
+        rate: float,
+        clock: Callable[[], float] = time.monotonic,
+        *,
+        all_of_them: bool = False,
+    ):
+        """
+        Args:
+            captures: one or more.
+            rate: of the recording [1/s].
+            clock: host time [s].
+            all_of_them: give all, however late; else those whose time has passed are left out, as a camera
+                leaves them out.
+        """
+        if not captures or not rate > 0:
+            raise RobotError("recorded frames need one capture or more, and a positive rate")
+        self.name = f"{len(captures)} recorded frames"
+        self._captures, self._rate, self._clock = captures, rate, clock
+        self._all = all_of_them
+        self._began: float | None = None
+        self._last = -1
+
+    def connect(self) -> None:
+        """See ``FrameSource.connect``."""
+        self._began, self._last = self._clock(), -1
+
+    def newest(self, timeout: float) -> Frame | None:
+        """See ``FrameSource.newest``."""
+        if self._began is None or self._last + 1 >= len(self._captures):
+            time.sleep(timeout)
+            return None
+        due = self._began + (self._last + 1) / self._rate
+        if due > self._clock() + timeout:
+            time.sleep(timeout)
+            return None
+        time.sleep(max(0.0, due - self._clock()))
+        now = int((self._clock() - self._began) * self._rate + 1e-6)
+        following = self._last + 1
+        self._last = following if self._all else min(max(now, following), len(self._captures) - 1)
+        return Frame(self._captures[self._last], self._began + self._last / self._rate)
+
+    def close(self) -> None:
+        """See ``FrameSource.close``."""
+        self._began = None
+
+
+class RealSenseFrames:
+    """A RealSense camera (extra ``realsense``). A frame counts as taken when it arrives: exposure and
+    transfer, a frame's period or two, are not in its age."""
+
+    def __init__(self, serial: str = "", width: int = 640, height: int = 480, rate: int = 30):
+        """
+        Args:
+            serial: number of the camera; "" for the first that is connected.
+            width: of the images [pixels].
+            height: of the images [pixels].
+            rate: [1/s].
+        """
+        self.name = f"RealSense camera {serial}".rstrip()
+        self._serial, self._size, self._rate = serial, (width, height), rate
+        self._pipeline: Any = None
+
+    def connect(self) -> None:
+        """See ``FrameSource.connect``."""
+        rs = realsense_module()
+        config, pipeline = rs.config(), rs.pipeline()
+        if self._serial:
+            config.enable_device(self._serial)
+        config.enable_stream(rs.stream.depth, *self._size, rs.format.z16, self._rate)
+        config.enable_stream(rs.stream.color, *self._size, rs.format.rgb8, self._rate)
+        try:
+            profile = pipeline.start(config)
+        except RuntimeError as error:
+            raise RobotError(f"{self.name} does not start ({error}): is it plugged in?") from error
+        self._unit = float(profile.get_device().first_depth_sensor().get_depth_scale())
+        self._align, self._pipeline, self._rs = rs.align(rs.stream.color), pipeline, rs
+
+    def newest(self, timeout: float) -> Frame | None:
+        """See ``FrameSource.newest``."""
+        if self._pipeline is None:
+            return None
+        there, frames = self._pipeline.try_wait_for_frames(round(1000 * timeout))
+        while there:
+            # Frames that have queued meanwhile are left out.
+            more, newer = self._pipeline.try_wait_for_frames(1)
+            if not more:
+                break
+            frames = newer
+        if not there:
+            return None
+        now = time.monotonic()
+        return Frame(capture_of_frames(self._rs, self._align.process(frames), self._unit, self.name), now)
+
+    def close(self) -> None:
+        """See ``FrameSource.close``."""
+        if self._pipeline is not None:
+            self._pipeline.stop()
+            self._pipeline = None

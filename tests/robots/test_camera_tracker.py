@@ -1,0 +1,124 @@
+"""Our own tracker as a source of poses, on rendered images."""
+
+import time
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from fungrasp.errors import FungraspError
+from fungrasp.geometry.poses import compose, invert, quaternion_from_rotation_vector
+from fungrasp.objects import load_object
+from fungrasp.perception import Capture, Intrinsics
+from fungrasp.perception.object_pose.mesh_rays import MeshRays
+from fungrasp.robots.assembly import pose_source
+from fungrasp.robots.cell import TrackerSettings, load_cell
+from fungrasp.robots.device import RobotError, TrackingStatus
+from fungrasp.robots.pose.camera_tracker import LOST_FRAMES, CameraTracker
+from fungrasp.robots.pose.frames import RecordedFrames
+
+LENS = Intrinsics(640, 480, 615.0, 615.0, 319.5, 239.5)
+# 0.65 m away from the middle of the table, looking down at 50 degrees.
+CAMERA = np.array([0.0, -0.42, 0.5, *quaternion_from_rotation_vector(np.array([-2.44, 0.0, 0.0]))])
+IMAGES = 16
+
+
+def truth(image: int) -> np.ndarray:
+    """The can slides by 5 mm an image and turns by 2 degrees."""
+    turn = quaternion_from_rotation_vector(np.array([0.0, 0.0, 0.035 * image]))
+    return np.array([0.005 * image - 0.04, 0.0, 0.0575, *turn])
+
+
+@cache
+def images() -> tuple[Capture, ...]:
+    rng, rays = np.random.default_rng(0), LENS.rays().reshape(-1, 3)
+    thing = load_object("can")
+    center = compose(invert(CAMERA), np.array([0.0, 0, 0, 1, 0, 0, 0]))
+    up = compose(invert(CAMERA), np.array([0.0, 0, 1, 1, 0, 0, 0]))[:3] - center[:3]
+    table = (up @ center[:3]) / (rays @ up)
+    caster, captures = MeshRays(thing.vertices, thing.faces), []
+    for i in range(IMAGES):
+        seen = caster.cast(compose(invert(CAMERA), truth(i))[None], rays)[0]
+        on = seen < table
+        color = np.where(on[:, None], [60, 110, 170], [120, 95, 70]) + 6.0 * rng.normal(size=(len(rays), 3))
+        depth = np.where(on, seen, table) + 0.0015 * rng.normal(size=len(rays))
+        captures.append(
+            Capture(
+                np.clip(color, 0, 255).astype(np.uint8).reshape(480, 640, 3),
+                depth.astype(np.float32).reshape(480, 640),
+                LENS,
+            )
+        )
+    return tuple(captures)
+
+
+def wait_for(condition, seconds: float = 60.0) -> None:
+    until = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < until, "nothing came"
+        time.sleep(0.01)
+
+
+def test_an_object_is_followed_at_ten_images_a_second_and_more() -> None:
+    source = CameraTracker(
+        RecordedFrames(images(), 1000.0, all_of_them=True), load_object("can"), CAMERA, start=truth(0)
+    )
+    with source:
+        wait_for(lambda: len(source.seconds) == IMAGES - 1)
+        wait_for(lambda: source.read().status is TrackingStatus.TRACKING)
+        found = source.read()
+    place = found.pose_world_object[:3] - truth(IMAGES - 1)[:3]
+    assert np.abs(place).max() < 0.006
+    # Processor time: the test's computer may be busy.
+    assert np.median(source.seconds) < 0.1
+    assert found.score > 0.6
+
+
+def test_without_a_start_the_object_is_searched_for() -> None:
+    source = CameraTracker(RecordedFrames(images()[:1] * 8, 1000.0), load_object("can"), CAMERA)
+    with source:
+        wait_for(lambda: source.read() is not None, 120.0)
+        place = source.read().pose_world_object[:3] - truth(0)[:3]
+    assert np.abs(place).max() < 0.02
+
+
+def test_an_object_that_is_gone_is_lost_and_its_pose_grows_old() -> None:
+    bare = images()[0]
+    flat = np.median(bare.depth, axis=1, keepdims=True).repeat(640, axis=1)
+    gone = replace(bare, color=np.full_like(bare.color, 100), depth=flat.astype(np.float32))
+    recording = RecordedFrames([images()[0]] * 3 + [gone] * (LOST_FRAMES - 1), 1000.0, all_of_them=True)
+    source = CameraTracker(recording, load_object("can"), CAMERA, start=truth(0))
+    with source:
+        wait_for(lambda: len(source.seconds) == LOST_FRAMES + 1)
+        wait_for(lambda: source.read().status is TrackingStatus.LOST)
+        assert source.read().score < 0.5
+
+
+def test_recorded_frames_leave_out_what_is_past() -> None:
+    now = [0.0]
+    frames = RecordedFrames(images()[:5], 10.0, clock=lambda: now[0])
+    assert frames.newest(0.0) is None
+    frames.connect()
+    assert frames.newest(0.0).captured == 0.0
+    assert frames.newest(0.0) is None
+    now[0] = 0.31
+    assert frames.newest(0.0).captured == pytest.approx(0.3)
+    now[0] = 9.0
+    assert frames.newest(0.0).captured == pytest.approx(0.4)
+    assert frames.newest(0.0) is None
+    with pytest.raises(RobotError, match="one capture or more"):
+        RecordedFrames([], 10.0)
+
+
+def test_a_cell_needs_a_calibration_and_an_object_for_its_camera() -> None:
+    cell = load_cell("ur5e-allegro")
+    tracker = TrackerSettings(driver="realsense", options={"object": "can"})
+    with pytest.raises(FungraspError, match="no calibration of the camera"):
+        pose_source(replace(cell, tracker=tracker))
+    known = replace(tracker, calibration_residual=0.001)
+    assert "can" in pose_source(replace(cell, tracker=known)).name
+    with pytest.raises(FungraspError, match="needs the option 'object'"):
+        pose_source(replace(cell, tracker=replace(known, options={})))
+    with pytest.raises(FungraspError, match="objekt"):
+        pose_source(replace(cell, tracker=replace(known, options={"objekt": "can"})))
