@@ -53,6 +53,9 @@ class Deploy:
     """Let the hand sag under its own weight."""
     stay: bool = False
     """End after the hold, with the object held: it is not put down."""
+    attempts: int = 1
+    """Most attempts. A policy that watches (a student) sees that the object is not held: the hand withdraws,
+    looks where the object lies, plans anew and tries again."""
     log: Path | None = None
     """MCAP file to write; it must not exist. By default deploy-<time>.mcap."""
     seed: int = 0
@@ -73,7 +76,7 @@ class Deploy:
         from fungrasp.deployment.wired_deployment import DeploymentTask
         from fungrasp.errors import FungraspError
         from fungrasp.hands import load_hand
-        from fungrasp.policies import make_planner, make_policy
+        from fungrasp.policies import OpenLoopPolicy, check_attempts, make_planner, make_policy
         from fungrasp.robots.assembly import is_twin
         from fungrasp.robots.cell import load_cell
         from fungrasp.task import Policy
@@ -89,6 +92,7 @@ class Deploy:
             raise FungraspError(
                 f"the policy '{self.policy}' needs what only a simulation knows: take a student"
             )
+        check_attempts(self.attempts, not isinstance(policy, OpenLoopPolicy))
         planner = make_planner(self.policy, hand, objects, threads=self.threads)
         dynamics, stiffness = self._dynamics(cell, hand)
         task = DeploymentTask(
@@ -140,7 +144,7 @@ class Deploy:
             seed=self.seed,
             log=log,
             switch=switch,
-            settings=DeploymentSettings(put_down=not self.stay),
+            settings=DeploymentSettings(put_down=not self.stay, attempts=self.attempts),
             about=self._about(),
             on_phase=lambda phase: print(phase, flush=True),
         )
@@ -158,7 +162,7 @@ class Deploy:
             task,
             log=log,
             switch=switch,
-            settings=DeploymentSettings(put_down=not self.stay),
+            settings=DeploymentSettings(put_down=not self.stay, attempts=self.attempts),
             about=self._about(),
             on_phase=lambda phase: print(phase, flush=True),
             on_connect=lambda robot: print("press Enter to stop", flush=True),

@@ -152,6 +152,12 @@ def deploy_on_twin(
     world.settle(placement)
     judge = TwinJudge(world)
     prepare_world(world)
+
+    def begun(phase: Phase) -> None:
+        if phase is Phase.GRASP:
+            judge.begin_attempt()
+        on_phase(phase)
+
     stiffness = np.array([servo.kp for servo in hand.actuators.values()])
     if dynamics is not None:
         driven = [hand.joint_names.index(name) for name in hand.actuators]
@@ -180,7 +186,7 @@ def deploy_on_twin(
             switch=switch,
             settings=settings,
             about=about,
-            on_phase=on_phase,
+            on_phase=begun,
             on_setpoint=lambda phase: judge.watch(phase is Phase.HOLD),
         )
         result = deployment.run(grasp)
