@@ -148,6 +148,8 @@ class Deploy:
             about=self._about(),
             on_phase=lambda phase: print(phase, flush=True),
         )
+        if outcome.success and outcome.result.attempts > 1:
+            print(f"by attempt {outcome.result.attempts}")
         if outcome.success:
             return f"lifted and held at {100 * outcome.height:.1f} cm (twin {self.twin})", outcome.result
         return f"not lifted (twin {self.twin})", outcome.result
@@ -167,7 +169,8 @@ class Deploy:
             on_phase=lambda phase: print(phase, flush=True),
             on_connect=lambda robot: print("press Enter to stop", flush=True),
         )
-        return "done", result
+        said = f"not held, as far as is seen, after {result.attempts} attempts" if result.missed else "done"
+        return said, result
 
     def _dynamics(self, cell: RobotCell, hand: Hand) -> tuple[HandDynamics | None, np.ndarray | None]:
         """What was identified of the hand, and the stiffness of its servos [N m/rad], shape [U]."""
