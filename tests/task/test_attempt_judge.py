@@ -59,6 +59,16 @@ def test_an_object_that_is_not_seen_is_taken_to_be_held():
     np.testing.assert_array_equal(verdict.gap, 0.0)
 
 
+@pytest.mark.parametrize("age", [0.1, 2.0])
+def test_what_is_dropped_as_the_hold_ends_is_missed(age):
+    """Whether it was seen in the hand or not."""
+    watching = judge()
+    for step in range(60):
+        fallen = step >= 57
+        watching.watch(seen(step, np.zeros(2) if fallen else np.full(2, 0.15), 0.1 if fallen else age))
+    assert watching.verdict().missed.all()
+
+
 def test_nothing_is_judged_by_what_was_seen_before_the_lift():
     watching = judge()
     for step in range(10):
@@ -97,7 +107,7 @@ def test_a_control_step_counts_once():
     frames, both = TrackedFrames(2), np.ones(2, dtype=bool)
     for _ in range(FRAMES):
         frames.add(seen(3, np.zeros(2)), both)
-    assert not frames.seen.any()
+    assert not frames.seen().any()
 
 
 def test_poses_are_averaged_whatever_the_sign_of_their_quaternions():
