@@ -23,7 +23,7 @@ def _places(monkeypatch: pytest.MonkeyPatch, count: int, reached: int) -> list[f
     def placements(*arguments: Any) -> Any:
         if not count:
             raise UnreachableError("no placement was found")
-        yield from ((np.full(7, float(i)), np.zeros(6)) for i in range(count))
+        yield from (np.full(7, float(i)) for i in range(count))
 
     def run(task: Any, twin: int, placement: np.ndarray) -> Any:
         tried.append(placement[0])

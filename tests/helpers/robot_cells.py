@@ -56,7 +56,12 @@ def near_cell() -> RobotCell:
 
 
 def deploy(
-    *, put_down: bool = False, policy: Any = None, cell: RobotCell | None = None, **options: Any
+    *,
+    put_down: bool = False,
+    policy: Any = None,
+    cell: RobotCell | None = None,
+    attempts: int = 1,
+    **options: Any,
 ) -> TwinOutcome:
     """The built-in grasp on an ideal twin, without a clock."""
     _, hand = cell_and_hand()
@@ -71,6 +76,6 @@ def deploy(
         policy or OpenLoopPolicy(),
         MotionPlanner(hand, {thing.name: thing}),
         truth,
-        settings=DeploymentSettings(look_time=0.3, put_down=put_down),
+        settings=DeploymentSettings(look_time=0.3, put_down=put_down, attempts=attempts),
         **options,
     )

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from fungrasp.geometry.poses import invert, quaternion_multiply, rotate, transform_points
 from fungrasp.task import Action, LiftEnvironment, Observation
+from fungrasp.task.hand_clearance import HandClearance
 from fungrasp.transfer import (
     NOMINAL,
     WIDE,
@@ -315,7 +316,11 @@ def test_a_filtered_tracker_closes_a_share_of_the_gap_in_each_control_period():
     assert abs(seen[0, 0] - moved[0, 0]) > 0.01
 
 
-def test_a_tracker_loses_the_object_at_the_first_touch_where_it_was_drawn():
+def test_a_tracker_loses_the_object_while_the_hand_is_at_it(monkeypatch):
+    near = [0.01]
+    monkeypatch.setattr(
+        HandClearance, "measure", lambda self, rows, *_: (np.full(len(rows), near[0]), np.zeros(len(rows)))
+    )
     r = Randomization(tracker_freeze=0.5)
     drawn = replace(draw(r, 2, 16, np.random.default_rng(0)), tracker_freezes=np.array([True, False]))
     environment = begun(r, sample=drawn)
@@ -330,13 +335,18 @@ def test_a_tracker_loses_the_object_at_the_first_touch_where_it_was_drawn():
         _, (first,) = wander(environment, 1)
         touched[:] = False
         _, (later,) = wander(environment, 1)
+        near[0] = 0.1
+        _, (again,) = wander(environment, 1)
     finally:
         type(engine).link_contacts = real
     for moment, steps in ((first, 1), (later, 2)):
         np.testing.assert_array_equal(moment.object_pose[0], seen.object_pose[0])
         np.testing.assert_allclose(moment.object_pose_age, [0.1 * steps, 0.0])
         assert np.abs(moment.object_pose[1] - before.object_pose[1]).max() > 0
-    np.testing.assert_array_equal(later.object_pose[1], engine.object_pose[1])
+    # With the hand away it is seen again.
+    np.testing.assert_array_equal(again.object_pose, engine.object_pose)
+    np.testing.assert_allclose(again.object_pose_age, 0.0, atol=1e-9)
+    assert np.abs(again.object_pose[0] - seen.object_pose[0]).max() > 0
 
 
 def test_calibration_errors_do_not_show_in_what_a_robot_measures_of_itself():

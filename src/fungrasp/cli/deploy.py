@@ -42,6 +42,9 @@ class Deploy:
     """Let the hand sag under its own weight."""
     stay: bool = False
     """End after the hold, with the object held: it is not put down."""
+    attempts: int = 1
+    """Most attempts. A policy that watches (a student) sees that the object is not held: the hand withdraws,
+    looks where the object lies, plans anew and tries again."""
     log: Path | None = None
     """MCAP file to write; it must not exist. By default deploy-<time>.mcap."""
     seed: int = 0
@@ -60,7 +63,7 @@ class Deploy:
         from fungrasp.deployment.wired_deployment import DeploymentTask
         from fungrasp.errors import FungraspError
         from fungrasp.hands import load_hand
-        from fungrasp.policies import make_planner
+        from fungrasp.policies import OpenLoopPolicy, check_attempts, make_planner
         from fungrasp.robots.assembly import is_twin
         from fungrasp.robots.cell import check_calibrated, load_cell
 
@@ -73,6 +76,7 @@ class Deploy:
         chosen = self.choice.chosen(hand, self.seed)
         objects = {chosen.thing.name: chosen.thing}
         policy = deployable_policy(self.policy, hand, objects)
+        check_attempts(self.attempts, not isinstance(policy, OpenLoopPolicy))
         planner = make_planner(self.policy, hand, objects, threads=self.choice.threads)
         dynamics, stiffness = self._dynamics(cell, hand)
         task = DeploymentTask(
@@ -124,10 +128,12 @@ class Deploy:
             seed=self.seed,
             log=log,
             switch=switch,
-            settings=DeploymentSettings(put_down=not self.stay),
+            settings=DeploymentSettings(put_down=not self.stay, attempts=self.attempts),
             about=self._about(),
             on_phase=lambda phase: print(phase, flush=True),
         )
+        if outcome.success and outcome.result.attempts > 1:
+            print(f"by attempt {outcome.result.attempts}")
         if outcome.success:
             return f"lifted and held at {100 * outcome.height:.1f} cm (twin {self.twin})", outcome.result
         return f"not lifted (twin {self.twin})", outcome.result
@@ -142,12 +148,13 @@ class Deploy:
             task,
             log=log,
             switch=switch,
-            settings=DeploymentSettings(put_down=not self.stay),
+            settings=DeploymentSettings(put_down=not self.stay, attempts=self.attempts),
             about=self._about(),
             on_phase=lambda phase: print(phase, flush=True),
             on_connect=lambda robot: print("press Enter to stop", flush=True),
         )
-        return "done", result
+        said = f"not held, as far as is seen, after {result.attempts} attempts" if result.missed else "done"
+        return said, result
 
     def _dynamics(self, cell: RobotCell, hand: Hand) -> tuple[HandDynamics | None, np.ndarray | None]:
         """What was identified of the hand, and the stiffness of its servos [N m/rad], shape [U]."""

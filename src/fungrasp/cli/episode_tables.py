@@ -26,6 +26,7 @@ def result_table(result: LiftTestResult) -> str:
     rows.append(_row("all", numbers))
     rows.append(_row("mean over objects", numbers["mean_over_objects"]))
     lines = contact_estimate_lines(numbers["contact_estimate"])
+    lines += attempt_lines(numbers.get("attempts"))
     reasons = Counter(reason for reason in result.outcomes.reason.tolist() if reason)
     lines += [f"failed: {count:3d} {reason}" for reason, count in reasons.most_common()]
     return "\n".join([table(rows), *lines])
@@ -39,6 +40,19 @@ def contact_estimate_lines(estimate: Mapping[str, Any] | None) -> list[str]:
         f"estimated contacts: F1 {estimate['f1']:.2f} (precision {estimate['precision']:.2f}, "
         f"recall {estimate['recall']:.2f}); forces off by {estimate['force_error_n']:.1f} N "
         f"of {estimate['force_n']:.1f} N"
+    ]
+
+
+def attempt_lines(attempts: Mapping[str, Any] | None) -> list[str]:
+    """What further attempts were worth, two lines, or none."""
+    if attempts is None:
+        return []
+    low, high = attempts["first_success_interval"]
+    return [
+        f"first attempt: {attempts['first_success_rate']:.1%} ({low:.1%} – {high:.1%}); "
+        f"tried again: {attempts['tried_again']}, {attempts['most']} attempts at most",
+        f"judged wrongly: {attempts['held_given_up']} held objects given up, "
+        f"{attempts['misses_unnoticed']} failures not noticed; without another plan: {attempts['no_plan']}",
     ]
 
 

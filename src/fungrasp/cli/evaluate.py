@@ -93,6 +93,10 @@ class Evaluate:
     """Policies that choose among candidate plans try the most promising in simulated rollouts first, in
     worlds that differ from the nominal one, and search further where none holds: 33 to 189 episodes for each
     grasp."""
+    attempts: int = 1
+    """Most attempts of an episode. A policy that watches (a student) sees that the object is not held, lets
+    go, withdraws, looks where the object lies, plans anew and tries again. The published protocol is one
+    attempt; with more, the result says how many objects the first one held."""
     noslip: int = 0
     """Iterations that take the creep out of the solver's friction; 5 make physics 1.6 times as slow."""
     threads: int = 0
@@ -119,11 +123,13 @@ class Evaluate:
         from fungrasp.evaluation.lift_test_chunks import check_hand
         from fungrasp.evaluation.partial_results import PartialResults
         from fungrasp.grasps import RobotGraspSet, load_grasps, load_objects
-        from fungrasp.policies import policy_files
+        from fungrasp.policies import check_attempts, policy_files
 
         randomization = self._randomization()
         hand = chosen_hand(self.hand, self.hand_dynamics)
-        policy_files(self.policy, hand.name).digests()
+        files = policy_files(self.policy, hand.name)
+        files.digests()
+        check_attempts(self.attempts, files.network is not None)
         grasps = load_grasps(self.grasps)
         self._check(isinstance(grasps, RobotGraspSet), randomization, hand)
         if isinstance(grasps, RobotGraspSet):
@@ -234,6 +240,7 @@ class Evaluate:
                 refine=refinement,
                 planner=its,
                 use=uses[method],
+                attempts=self.attempts,
                 record=self._record_folder(method, name),
             )
             for method, name, other, its in each
@@ -321,6 +328,8 @@ class Evaluate:
         for name, values in (("method", self.method), ("seed", self.seed)):
             if not values or len(set(values)) < len(values):
                 raise FungraspError(f"--{name} needs at least one value, and each once")
+        if self.attempts > 1 and self.record is not None:
+            raise FungraspError("--record keeps one attempt: leave --attempts or --record out")
         if min(*self.seed, self.refine, self.threads, self.noslip) < 0:
             raise FungraspError("--seed, --refine, --noslip and --threads must not be negative")
         if self.protocol != "nominal" and randomization != NOMINAL:

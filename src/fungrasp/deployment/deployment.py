@@ -20,12 +20,16 @@ from fungrasp.deployment.safety import SafetyGuard, check_action, check_pose
 from fungrasp.errors import FungraspError
 from fungrasp.geometry.poses import compose
 from fungrasp.grasps import RobotGraspSet
+from fungrasp.planning.next_attempt import within_reach
+from fungrasp.planning.withdrawal import way_off
+from fungrasp.policies.waypoints import WaypointPolicy
 from fungrasp.robots.device import RobotError, StopKind
 from fungrasp.robots.kinematics.arm_model import ClearanceModel
 from fungrasp.robots.kinematics.joint_path import timed_leg
 from fungrasp.robots.robot import Robot
 from fungrasp.robots.robot_state import RobotCommand, RobotState, SafetyStop
 from fungrasp.task import Action, Policy
+from fungrasp.task.attempt_judge import AttemptJudge, AttemptVerdict
 
 ARRIVED = 2e-3
 """A setpoint is where it should be if it is this near [m]: the hold begins as in the lift test."""
@@ -80,6 +84,7 @@ class Deployment:
         self._times: dict[str, float] = {}
         self._prepared: PreparedGrasp | None = None
         self._last_action: Action | None = None
+        self._attempts, self._missed = 0, False
         clearance = ClearanceModel(robot.cell, robot.hand)
         self._guard = SafetyGuard(
             robot.cell,
@@ -105,16 +110,27 @@ class Deployment:
         try:
             self._times[Phase.IDLE] = robot.clock.now()
             object_pose, state = look_for_object(robot, self.settings, self._check_switch)
-            prepared = self._prepare(grasp, object_pose, state)
+            prepared = self._prepare(grasp, object_pose, state.arm.positions)
             state = self._awake(state)
-            self._begin(Phase.MOVE_TO_START)
-            self._move([state.arm.positions, *prepared.corners], prepared.start_fingers)
-            self._follow_policy(prepared, object_pose)
-            if self.settings.put_down:
-                self._begin(Phase.PUT_DOWN)
-                self._put_down(prepared)
+            postures = [state.arm.positions]
+            verdict = self._attempt(prepared, object_pose, postures)
+            while verdict is not None and verdict.missed[0]:
+                self._missed = True
+                self._begin(Phase.WITHDRAW)
+                self._withdraw(prepared, verdict)
+                another = self._prepare_again(grasp, object_pose)
+                if another is None:
+                    break
+                prepared, object_pose = another
+                postures.append(robot.palm_follower_joints)
+                self._missed = False
+                verdict = self._attempt(prepared, object_pose, postures)
+            if self.settings.put_down or self._missed:
+                if not self._missed:
+                    self._begin(Phase.PUT_DOWN)
+                    self._put_down(prepared)
                 self._begin(Phase.HOME)
-                back = [robot.palm_follower_joints, *prepared.corners[-2::-1], state.arm.positions]
+                back = [robot.palm_follower_joints, *postures[-2::-1]]
                 self._move(back, prepared.start_fingers)
                 self._begin(Phase.DONE)
             else:
@@ -143,6 +159,8 @@ class Deployment:
             self._prepared,
             self.ticks,
             self.setpoint_ticks,
+            self._attempts,
+            self._missed,
             dict(self._times),
             dict(self._guard.longest_silence),
         )
@@ -165,8 +183,52 @@ class Deployment:
             self.log.event(now, "fault", reason)
         self._on_phase(Phase.FAULT)
 
-    def _prepare(self, grasp: RobotGraspSet, object_pose: np.ndarray, state: RobotState) -> PreparedGrasp:
-        self._prepared = self._preparer.prepare(grasp, object_pose, state.arm.positions)
+    def _attempt(
+        self, prepared: PreparedGrasp, object_pose: np.ndarray, postures: list[np.ndarray]
+    ) -> AttemptVerdict | None:
+        """Go to the start, grasp, lift and hold; what is seen then, where several attempts are allowed.
+
+        Args:
+            prepared: what to do.
+            object_pose: where the object rests, world frame, shape [7].
+            postures: of the arm on its way so far, the last one where it is; those of this way are added.
+        """
+        self._attempts += 1
+        self._begin(Phase.MOVE_TO_START)
+        self._move([postures[-1], *prepared.corners], prepared.start_fingers)
+        postures.extend(prepared.corners)
+        judge = AttemptJudge(prepared.plan, self._preparer.objects)
+        self._follow_policy(prepared, object_pose, judge)
+        return judge.verdict() if self.settings.attempts > 1 else None
+
+    def _prepare_again(
+        self, grasp: RobotGraspSet, first: np.ndarray
+    ) -> tuple[PreparedGrasp, np.ndarray] | None:
+        """Another plan for the object where it lies now, and that place; None where there is none, or enough
+        was tried. first: where it was planned for before, world frame, shape [7]."""
+        if self._attempts == self.settings.attempts:
+            return None
+        robot, arm = self.robot, self.robot.palm_follower_joints
+        pose, state = look_for_object(robot, self.settings, self._check_switch)
+        names = grasp.object_name.tolist()
+        if not within_reach(pose[None], first[None], names, self._preparer.objects)[0]:
+            self._note("the object is not within reach on the table any more")
+            return None
+        try:
+            prepared = self._prepare(grasp, pose, arm, self._attempts)
+        except FungraspError as error:
+            self._note(str(error))
+            return None
+        self._awake(state)
+        return prepared, pose
+
+    def _note(self, text: str) -> None:
+        self.log.event(self.robot.clock.now(), "note", text)
+
+    def _prepare(
+        self, grasp: RobotGraspSet, object_pose: np.ndarray, arm: np.ndarray, attempt: int = 0
+    ) -> PreparedGrasp:
+        self._prepared = self._preparer.prepare(grasp, object_pose, arm, advise=not attempt, attempt=attempt)
         self.log.begin(self._prepared.plan, {"cell": self.robot.cell.name, **self._about})
         return self._prepared
 
@@ -205,8 +267,8 @@ class Deployment:
                 send(joints, fingers)
         robot.place_setpoints(corners[-1], fingers)
 
-    def _follow_policy(self, prepared: PreparedGrasp, object_pose: np.ndarray) -> None:
-        """Grasp, lift and hold, as the policy says."""
+    def _follow_policy(self, prepared: PreparedGrasp, object_pose: np.ndarray, judge: AttemptJudge) -> None:
+        """Grasp, lift and hold, as the policy says; the judge looks on."""
         robot, p, plan = self.robot, self.robot.protocol, prepared.plan
         self._begin(Phase.GRASP)
         state = robot.state()
@@ -224,6 +286,7 @@ class Deployment:
                 if problem:
                     raise SafetyStop(problem, StopKind.HOLD)
             observation = robot.observation(state)
+            judge.watch(observation)
             if not step:
                 self.policy.reset(plan, observation)
             action = self.policy.act(observation)
@@ -267,6 +330,21 @@ class Deployment:
             step += 1
         while not self._arrived(back[-1:], 0.0):
             self._scripted(start, step, Action(back[-1:], prepared.start_fingers[None], np.array([False])))
+            step += 1
+
+    def _withdraw(self, prepared: PreparedGrasp, verdict: AttemptVerdict) -> None:
+        """Open the hand over what is not held as it should be, and withdraw."""
+        robot = self.robot
+        state = robot.state()
+        robot.begin(state)
+        observation = robot.observation(state)
+        policy = WaypointPolicy(way_off(prepared.plan, observation, verdict.gap))
+        start, step = robot.clock.now(), 0
+        while True:
+            action = policy.act(robot.get_observation())
+            if policy.arrived.all():
+                return
+            self._scripted(start, step, action)
             step += 1
 
     def _scripted(self, start: float, step: int, action: Action) -> None:

@@ -23,6 +23,9 @@ class DeploymentSettings:
     """Time in which the hand opens to let go [s]."""
     longest_phase: float = 30.0
     """A phase that takes longer has failed [s]."""
+    attempts: int = 1
+    """Most attempts: where the object is seen not to be held, the hand withdraws, and another plan is made
+    for the place where it lies. One attempt ends as it ends: nothing is judged."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,6 +42,10 @@ class DeploymentResult:
     """Lateness of the 10 Hz ticks."""
     setpoints: DeadlineMonitor
     """Lateness of the 50 Hz setpoints."""
+    attempts: int = 1
+    """Attempts made."""
+    missed: bool = False
+    """Whether the last of several attempts was seen not to hold the object."""
     times: dict[str, float] = field(default_factory=dict)
     """When each phase began, on the robot's clock [s]."""
     longest_silence: dict[str, float] = field(default_factory=dict)

@@ -169,7 +169,7 @@ class RecordedDeployment:
     """What a log holds."""
 
     plan: GraspPlan | None
-    """The plan; None where the log ends before it."""
+    """The first plan; None where the log ends before it."""
     about: Mapping[str, str]
     """What else there was to know."""
     messages: Mapping[str, list[dict[str, Any]]]
@@ -180,6 +180,8 @@ class RecordedDeployment:
     """Of each control step, one row each."""
     actions: list[Action] = field(default_factory=list)
     """What the policy answered, one row each."""
+    further_plans: list[GraspPlan] = field(default_factory=list)
+    """Those of further attempts, in each of which the observations' clock begins anew."""
 
 
 def read_log(path: str | Path) -> RecordedDeployment:
@@ -194,7 +196,8 @@ def read_log(path: str | Path) -> RecordedDeployment:
         raise FungraspError(_MISSING) from error
     topics: dict[int, str] = {}
     messages: dict[str, list[dict[str, Any]]] = {topic: [] for topic in TOPICS}
-    plan, about, complete = None, {}, False
+    plans: list[GraspPlan] = []
+    about, complete = {}, False
     for record in _records(Path(path)):
         if isinstance(record, Channel):
             topics[record.id] = record.topic
@@ -202,7 +205,7 @@ def read_log(path: str | Path) -> RecordedDeployment:
             messages[topics[record.channel_id]].append(json.loads(record.data))
         elif isinstance(record, Attachment) and record.name == "plan.npz":
             with np.load(io.BytesIO(record.data), allow_pickle=False) as data:
-                plan = GraspPlan.from_arrays(dict(data))
+                plans.append(GraspPlan.from_arrays(dict(data)))
         elif isinstance(record, Metadata) and record.name == "about":
             about = record.metadata
         elif isinstance(record, DataEnd):
@@ -210,7 +213,8 @@ def read_log(path: str | Path) -> RecordedDeployment:
     steps = messages["/step"]
     observations = [_row(Observation, step["observation"]) for step in steps]
     actions = [_row(Action, step["action"]) for step in steps]
-    return RecordedDeployment(plan, about, messages, complete, observations, actions)
+    first = plans[0] if plans else None
+    return RecordedDeployment(first, about, messages, complete, observations, actions, plans[1:])
 
 
 def _records(path: Path) -> Iterator[Any]:

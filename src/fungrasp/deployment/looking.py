@@ -11,6 +11,7 @@ from fungrasp.deployment.safety import check_pose
 from fungrasp.robots.device import DeviceStatus, RobotError
 from fungrasp.robots.robot import Robot
 from fungrasp.robots.robot_state import RobotState
+from fungrasp.task.attempt_judge import average_pose
 
 
 def look_for_object(
@@ -48,14 +49,7 @@ def look_for_object(
         state = robot.state()
         assert state.tracked is not None
         poses.append(state.tracked.pose_world_object)
-    problem = check_pose(state.tracked, _average(np.array(poses)), robot.clock.now(), robot.cell)
+    problem = check_pose(state.tracked, average_pose(np.array(poses)), robot.clock.now(), robot.cell)
     if problem:
         raise RobotError(f"{problem}: look at the tracker, then start anew")
-    return _average(np.array(poses)), state
-
-
-def _average(poses: np.ndarray) -> np.ndarray:
-    """Mean of poses that are near one another, shape [7]. poses: shape [N, 7]."""
-    turns = poses[:, 3:] * np.sign(poses[:, 3:] @ poses[0, 3:])[:, None]
-    turn = turns.mean(axis=0)
-    return np.concatenate([np.median(poses[:, :3], axis=0), turn / np.linalg.norm(turn)])
+    return average_pose(np.array(poses)), state

@@ -28,10 +28,21 @@ class Phase(StrEnum):
     """The end."""
     FAULT = "fault"
     """Stopped; a person has to look, and to start anew."""
+    WITHDRAW = "withdraw"
+    """The object is not held: the hand opens and withdraws, and looks where the object lies."""
 
 
-FOLLOWING: dict[Phase, Phase] = dict(zip(list(Phase)[:-2], list(Phase)[1:-1], strict=True))
-"""The phase that follows each; FAULT may follow any, and nothing follows FAULT."""
+FOLLOWING: dict[Phase, tuple[Phase, ...]] = {
+    Phase.IDLE: (Phase.MOVE_TO_START,),
+    Phase.MOVE_TO_START: (Phase.GRASP,),
+    Phase.GRASP: (Phase.LIFT,),
+    Phase.LIFT: (Phase.HOLD,),
+    Phase.HOLD: (Phase.PUT_DOWN, Phase.WITHDRAW),
+    Phase.PUT_DOWN: (Phase.HOME,),
+    Phase.WITHDRAW: (Phase.MOVE_TO_START, Phase.HOME),
+    Phase.HOME: (Phase.DONE,),
+}
+"""The phases that may follow each; FAULT may follow any, and nothing follows FAULT."""
 
 
 class PhaseMachine:
@@ -53,7 +64,7 @@ class PhaseMachine:
             raise RobotError(
                 f"the robot is in the state of fault ({self.fault}): look at it, then start anew"
             )
-        if FOLLOWING.get(self.phase) is not phase:
+        if phase not in FOLLOWING.get(self.phase, ()):
             raise RobotError(f"the phase '{phase}' does not follow '{self.phase}'")
         self.phase = phase
 

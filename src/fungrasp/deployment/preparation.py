@@ -22,13 +22,13 @@ from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
 from fungrasp.planning import ConstrainedPlanner, Planner
+from fungrasp.planning.next_attempt import ATTEMPT_SEEDS, worth_trying
 from fungrasp.robots.cell import RobotCell
 from fungrasp.robots.kinematics.arm_model import ArmKinematics, ClearanceModel
 from fungrasp.robots.kinematics.joint_path import FreePath
 from fungrasp.robots.kinematics.reach import PalmPath, Reach, ReachChecker
-from fungrasp.simulation import build_scene
 from fungrasp.task import Belief, GraspPlan, LiftProtocol
-from fungrasp.task.start_pose import StartPoses, start_on_line
+from fungrasp.task.start_pose import StartPoses, start_fingers
 from fungrasp.transfer.joint_dynamics import JointDynamics, model_dynamics
 
 SHIFTS = (0.0, -0.1, 0.1)
@@ -135,11 +135,13 @@ class GraspPreparer:
         """
         self._advise = advise
         self._cell, self._hand, self._thing, self._planner = cell, hand, thing, planner
+        self.objects = {thing.name: thing}
+        """The object by its name."""
         self._dynamics, self._seed = dynamics, seed
         self._kinematics, self._clearance = ArmKinematics(cell, hand), ClearanceModel(cell, hand)
         self._rng = np.random.default_rng(seed)
         self._reach = ReachChecker(cell, self._kinematics, self._clearance, self._rng)
-        self._starts = StartPoses(build_scene(hand, {thing.name: thing}))
+        self._starts = StartPoses(hand, [thing])
         self._protocol = LiftProtocol(
             wrist_speed=cell.limits.palm_speed, wrist_acceleration=cell.limits.palm_acceleration
         )
@@ -151,6 +153,7 @@ class GraspPreparer:
         arm: np.ndarray,
         *,
         plans: int = PLANS,
+        attempt: int = 0,
     ) -> PreparedGrasp:
         """Plan a grasp of the object where it is seen.
 
@@ -159,9 +162,10 @@ class GraspPreparer:
             object_pose: at rest, world frame, shape [7].
             arm: joints of the arm now [rad], shape [A].
             plans: of as many seeds are tried, 1 or more.
+            attempt: how many have failed already; another plan is made, if one is worth trying.
 
         Raises:
-            UnreachableError: the arm can't follow any of them.
+            UnreachableError: the arm can't follow any of them, or little is expected of them.
         """
         start, fingers = self._start(grasp, object_pose)
         # Before time is spent on planning: can the arm do about this?
@@ -169,8 +173,13 @@ class GraspPreparer:
         if obstacle:
             raise UnreachableError(self._advice(grasp, object_pose, obstacle))
         belief = self._belief(grasp, object_pose, start, fingers)
-        for attempt in range(plans):
-            plan = self._plan(grasp, belief, start, fingers, arm, self._seed + attempt)
+        for number in range(plans):
+            plan = self._plan(
+                grasp, belief, start, fingers, arm, self._seed + ATTEMPT_SEEDS * attempt + number
+            )
+            if attempt and not worth_trying(plan)[0]:
+                obstacle = "no plan for it as it lies now is likely to succeed"
+                continue
             found, obstacle = self._reach.best(self._path(plan, start, fingers), arm)
             ball = self._ball(object_pose)
             free = FreePath(self._kinematics, self._clearance, self._cell.workspace)
@@ -206,11 +215,11 @@ class GraspPreparer:
 
     def _start(self, grasp: RobotGraspSet, object_pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Palm pose [7] and fingers [U] at the start, as the lift test has them."""
-        hand, p = self._hand, self._protocol
-        fingers = hand.independent(np.clip(p.start_closing * grasp.joint_positions, *hand.joint_limits.T))
-        target = compose(object_pose[None], compose(invert(grasp.object_pose), grasp.wrist_pose))
-        line = start_on_line(object_pose[None], target, p.start_distance)
-        start = self._starts.clear(np.array([0]), object_pose[None], line, fingers, np.zeros(1))
+        p, first = self._protocol, np.array([0])
+        fingers = start_fingers(self._hand, grasp, p.start_closing)
+        start, _ = self._starts.facing(
+            grasp, first, object_pose[None], p.start_distance, fingers, np.zeros(1)
+        )
         return start[0], fingers[0]
 
     def _belief(

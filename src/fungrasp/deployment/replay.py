@@ -32,8 +32,12 @@ def replay_log(log: RecordedDeployment, policy: Policy) -> ReplayResult:
     if log.plan is None or not log.observations:
         raise FungraspError("the log ends before the policy began: nothing to replay")
     policy.reset(log.plan, log.observations[0])
+    further, before = iter(log.further_plans), -np.inf
     different, largest = 0, 0.0
     for observation, logged in zip(log.observations, log.actions, strict=True):
+        if observation.time[0] < before:
+            policy.reset(next(further), observation)
+        before = observation.time[0]
         action = policy.act(observation).arrays()
         apart = [
             float(np.max(np.abs(action[name].astype(float) - value.astype(float))))

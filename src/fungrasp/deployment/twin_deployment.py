@@ -65,8 +65,6 @@ class TwinOutcome:
 
 def reachable_placement(
     cell: RobotCell, hand: Hand, thing: ObjectModel, grasp: RobotGraspSet, seed: int = 0
-def reachable_placement(
-    cell: RobotCell, hand: Hand, thing: ObjectModel, grasp: RobotGraspSet, seed: int = 0
 ) -> np.ndarray:
     """Where a person would put the object so that the arm can grasp it: the first of
     ``reachable_placements``. Arguments and errors: as there.
@@ -81,8 +79,8 @@ def reachable_placements(
     cell: RobotCell, hand: Hand, thing: ObjectModel, grasp: RobotGraspSet, seed: int = 0
 ) -> Iterator[np.ndarray]:
     """Where a person would put the object so that the arm can grasp it, and where next if the robot says that
-    it can't: near the middle of the workspace, turned as the arm needs it. Where the object stood as the grasp
-    was shown does not matter.
+    it can't: near the middle of the workspace, turned as the arm needs it. Where the object stood as the
+    grasp was shown does not matter.
 
     They are the placements for which one planned motion can be followed, then the first that the arm reaches
     with some motion: the robot's planner may find it.
@@ -206,6 +204,11 @@ def deploy_on_twin(
     prepare_world(world)
     errors: list[tuple[float, np.ndarray]] = []
 
+    def begun(phase: Phase) -> None:
+        if phase is Phase.GRASP:
+            judge.begin_attempt()
+        on_phase(phase)
+
     def watch(phase: Phase, command: RobotCommand) -> None:
         judge.watch(phase is Phase.HOLD)
         if phase is Phase.GRASP:
@@ -239,7 +242,7 @@ def deploy_on_twin(
             switch=switch,
             settings=settings,
             about=about,
-            on_phase=on_phase,
+            on_phase=begun,
             on_setpoint=watch,
         )
         result = deployment.run(grasp)

@@ -8,6 +8,8 @@ from contextlib import ExitStack
 from dataclasses import replace
 from typing import Any, Self
 
+import numpy as np
+
 from fungrasp.deployment.preparation import GraspPreparer, PreparedGrasp
 from fungrasp.deployment.twin_deployment import reachable_placement
 from fungrasp.errors import FungraspError

@@ -10,8 +10,16 @@ from pathlib import Path
 import numpy as np
 
 from fungrasp.errors import FungraspError
+from fungrasp.evaluation.attempts import AttemptRecord
 from fungrasp.evaluation.contact_estimate import ContactEstimates
-from fungrasp.evaluation.lift_test_chunks import CHUNK, USE_PREFIX, LiftTest, Refinement, check_hand
+from fungrasp.evaluation.lift_test_chunks import (
+    ATTEMPT_PREFIX,
+    CHUNK,
+    USE_PREFIX,
+    LiftTest,
+    Refinement,
+    check_hand,
+)
 from fungrasp.evaluation.partial_results import PartialResults
 from fungrasp.evaluation.use_test import UseTest
 from fungrasp.grasps import RobotGraspSet
@@ -19,7 +27,7 @@ from fungrasp.hands import Hand, as_hand
 from fungrasp.objects import ObjectModel, check_objects, with_sizes
 from fungrasp.planning import MotionPlanner, Planner
 from fungrasp.planning.selection import SelectionSettings
-from fungrasp.policies import make_planner, make_policy, policy_files
+from fungrasp.policies import OpenLoopPolicy, check_attempts, make_planner, make_policy, policy_files
 from fungrasp.simulation import SceneSettings, build_scene
 from fungrasp.task import LiftProtocol, Outcomes, Policy, PrivilegedPolicy
 from fungrasp.task.use import UseOutcomes
@@ -59,6 +67,10 @@ class LiftTestResult:
     """How well the policy knew what it touched, N rows."""
     use: UseOutcomes | None = None
     """Outcomes of the use tests that followed; None if there were none."""
+    attempts: AttemptRecord | None = None
+    """What became of the attempts; None if there was one only."""
+    most_attempts: int = 1
+    """Attempts that an episode could have."""
 
     def __repr__(self) -> str:
         held = int(np.sum(self.outcomes.success))
@@ -82,6 +94,7 @@ def evaluate(
     randomization: Randomization = NOMINAL,
     refine: Refinement | None = None,
     use: UseTest | None = None,
+    attempts: int = 1,
     record: Path | None = None,
     store: PartialResults | None = None,
     chunk: int = CHUNK,
@@ -104,6 +117,8 @@ def evaluate(
         randomization: how worlds differ from the nominal ones; not at all if left out.
         refine: applied to the grasps, chunk by chunk, before they are tried.
         use: the use test of the grasps, which then follows every lift test that is passed.
+        attempts: most attempts of an episode: a policy that watches tries again, by another plan, where it is
+            seen to have failed. The published protocol is one.
         record: folder for the recorded episodes, ``<row>_<object>.npz`` (``<row>_<seed>_<object>.npz`` with
             several seeds).
         store: keeps finished chunks, and knows those of an earlier run; only for a policy and a planner that
@@ -132,6 +147,7 @@ def evaluate(
         randomization=randomization,
         refine=refine,
         use=use,
+        attempts=attempts,
         record=record,
     )
     return run_lift_test(test, store, chunk, progress)
@@ -152,12 +168,13 @@ def make_lift_test(
     randomization: Randomization = NOMINAL,
     refine: Refinement | None = None,
     use: UseTest | None = None,
+    attempts: int = 1,
     record: Path | None = None,
 ) -> LiftTest:
     """A test that ``run_lift_test`` runs; ``evaluate`` does both, and says what the arguments are.
 
     Raises:
-        FungraspError: an unknown policy, or grasps of another hand.
+        FungraspError: an unknown policy, grasps of another hand, or several attempts where they can't be.
     """
     hand = as_hand(hand)
     check_hand(grasps, hand)
@@ -172,11 +189,15 @@ def make_lift_test(
             if isinstance(policy, str)
             else MotionPlanner(hand, objects, protocol=protocol)
         )
+    acting = make_policy(policy, hand, objects) if isinstance(policy, str) else policy
+    check_attempts(attempts, not isinstance(acting, OpenLoopPolicy))
+    if attempts > 1 and record is not None:
+        raise FungraspError("an episode of several attempts can't be recorded: record one attempt")
     return LiftTest(
         grasps,
         build_scene(hand, with_sizes(objects, randomization.object_scales), physics),
         objects,
-        make_policy(policy, hand, objects) if isinstance(policy, str) else policy,
+        acting,
         planner,
         policy_key,
         protocol or LiftProtocol(),
@@ -186,6 +207,7 @@ def make_lift_test(
         refine,
         use,
         record,
+        attempts,
     )
 
 
@@ -235,6 +257,8 @@ def run_lift_test(
         rollouts=merged["rollouts"],
         contact_estimates=ContactEstimates.from_arrays(merged),
         use=None if test.use is None else UseOutcomes.from_arrays(_without(merged, USE_PREFIX)),
+        attempts=None if test.attempts == 1 else AttemptRecord.from_arrays(_without(merged, ATTEMPT_PREFIX)),
+        most_attempts=test.attempts,
     )
 
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from fungrasp import __version__
 from fungrasp.errors import FungraspError
+from fungrasp.evaluation.attempts import AttemptSetting, play_attempts
 from fungrasp.evaluation.contact_estimate import ContactEstimateMeter, ContactEstimates
 from fungrasp.evaluation.partial_results import PartialResults
 from fungrasp.evaluation.trajectory import Recorder
@@ -28,6 +29,9 @@ from fungrasp.transfer import Randomization, draw_each, random_stream
 
 USE_PREFIX = "use."
 """Before the names of the fields of ``UseOutcomes`` where they stand beside those of ``Outcomes``."""
+
+ATTEMPT_PREFIX = "attempts."
+"""The same of ``AttemptRecord``."""
 
 CHUNK = 128
 """Episodes simulated together. It bounds the memory, and an episode does not depend on the others of its
@@ -84,6 +88,8 @@ class LiftTest:
     """The use test that follows."""
     record: Path | None
     """Folder for the recorded episodes."""
+    attempts: int = 1
+    """Most attempts of an episode."""
 
     def chunks(self, size: int) -> list[Chunk]:
         """All episodes, so many in a chunk at most."""
@@ -114,6 +120,7 @@ class LiftTest:
             self.refine.name if self.refine is not None else "",
             [str(file.absolute()) for file in self._files(chunk)],
             "" if self.use is None else self.use.key(chunk.rows),
+            self.attempts,
         )
 
     def finished(self, chunk: Chunk, store: PartialResults) -> dict[str, np.ndarray] | None:
@@ -129,8 +136,8 @@ class LiftTest:
             progress: called with the number of them that are done, fractions included.
 
         Returns:
-            fields of ``Outcomes`` and ``ContactEstimates``, ``refined_tries`` and ``rollouts``, each of shape
-            [W].
+            fields of ``Outcomes`` and ``ContactEstimates``, ``refined_tries`` and ``rollouts``, with several
+            attempts those of ``AttemptRecord``, each of shape [W].
         """
         rows, seed, files = chunk.rows, chunk.seed, self._files(chunk)
         hand, r, p = self.scene.hand, self.randomization, self.protocol
@@ -146,11 +153,13 @@ class LiftTest:
         plan = self.planner.plan(grasps, belief, seed, lambda done: progress(half * done))
         environment.move_objects()
         recorder = Recorder(environment.task, grasps, r) if files else None
-        longest = p.approach_time + p.hold_time + 1.2
+        longest, furthest = p.approach_time + p.hold_time + 1.2, 0.0
 
         def watch() -> None:
-            done = min(float(environment.task.time.max()) / longest, 1.0)
-            progress(len(rows) * (half + (1 - half) * done))
+            nonlocal furthest
+            # A further attempt begins at zero.
+            furthest = max(furthest, min(float(environment.task.time.max()) / longest, 1.0))
+            progress(len(rows) * (half + (1 - half) * furthest))
             if recorder is not None:
                 recorder()
 
@@ -158,7 +167,13 @@ class LiftTest:
         if isinstance(policy, StudentPolicy) and policy.estimates_contacts:
             policy = ContactEstimateMeter(policy, environment)
             estimates = policy.estimates
-        outcomes = play(environment, policy, plan, watch=watch)
+        tries = {}
+        if self.attempts > 1:
+            setting = AttemptSetting(self.attempts, self.planner, grasps, self.objects, belief, seed, rows)
+            outcomes, made, plan = play_attempts(environment, policy, plan, setting, watch=watch)
+            tries = {ATTEMPT_PREFIX + name: values for name, values in made.arrays().items()}
+        else:
+            outcomes = play(environment, policy, plan, watch=watch)
         if recorder is not None:
             for trajectory, file in zip(recorder.trajectories(rows), files, strict=True):
                 trajectory.save(file)
@@ -172,6 +187,7 @@ class LiftTest:
             outcomes.arrays()
             | estimates.arrays()
             | use
+            | tries
             | {
                 "refined_tries": grasps.extra.get("refined_tries", none + 1),
                 "rollouts": none if plan.rollouts is None else plan.rollouts,

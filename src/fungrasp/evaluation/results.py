@@ -45,6 +45,8 @@ def summary(result: LiftTestResult, which: np.ndarray | None = None) -> dict[str
         distance = getattr(result.outcomes, name)[held]
         values[f"{name}_held"] = float(np.mean(distance)) if len(distance) else None
     values["contact_estimate"] = result.contact_estimates.summary(which)
+    if result.attempts is not None:
+        values["attempts"] = {"most": result.most_attempts, **result.attempts.summary(which)}
     displacement = values["sim_distance_world_mm_s"] * LEGACY_PERIOD
     values["legacy"] = {
         "success_rate": float(np.mean(result.outcomes.legacy_success[which])),
@@ -66,6 +68,7 @@ def result_json(result: LiftTestResult) -> dict[str, Any]:
     seeds = np.unique(result.seed).tolist()
     names = np.unique(result.object_name).tolist()
     columns = {field.name: getattr(result.outcomes, field.name) for field in fields(result.outcomes)}
+    attempt_columns = {} if result.attempts is None else result.attempts.arrays()
     use_columns = {} if result.use is None else result.use.arrays()
     episodes = [
         {
@@ -75,6 +78,7 @@ def result_json(result: LiftTestResult) -> dict[str, Any]:
             "seed": int(result.seed[i]),
             **{name: values[i] for name, values in columns.items()},
             "refined_tries": int(result.refined_tries[i]),
+            **{name: values[i] for name, values in attempt_columns.items()},
             **{f"use_{name}": values[i] for name, values in use_columns.items()},
         }
         for i in range(len(result.index))

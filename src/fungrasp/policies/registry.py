@@ -140,3 +140,22 @@ def make_planner(
         policy = made  # pyright: ignore[reportAssignmentType]
     digest = files.digests()[0]
     return SearchPlanner(hand, objects, predictor, policy, digest, settings, protocol, threads, motions)
+
+
+def check_attempts(attempts: int, watches: bool) -> None:
+    """Complain about a number of attempts that can't be.
+
+    Args:
+        attempts: of an episode, at most.
+        watches: whether the policy acts on what it sees.
+
+    Raises:
+        FungraspError: none, or several of a policy that plays a plan blindly.
+    """
+    if attempts < 1:
+        raise FungraspError(f"there must be 1 attempt or more, not {attempts}")
+    if attempts > 1 and not watches:
+        raise FungraspError(
+            "a plan that is played blindly can't be tried again, as nothing says that it failed: take "
+            "--policy student, or --attempts 1"
+        )

@@ -59,6 +59,15 @@ class Actuation:
         self._pose[ids], self._velocity[ids], self._fingers[ids] = palm_pose, velocity, fingers
         return self._palm(palm_pose, ids), fingers - self.encoder_bias[ids]
 
+    def state(self, which: np.ndarray) -> list[np.ndarray]:
+        """Where some worlds are, for ``restore``. which: shape [W] bool."""
+        return [array[which] for array in (self._pose, self._velocity, self._fingers)]
+
+    def restore(self, which: np.ndarray, state: list[np.ndarray]) -> None:
+        """Put some worlds back to a ``state``. which: shape [W] bool."""
+        for array, values in zip((self._pose, self._velocity, self._fingers), state, strict=True):
+            array[which] = values
+
     def follow(self, sequence: SetpointSequence, period: float) -> SetpointSequence:
         """What the servos work towards.
 

@@ -170,6 +170,31 @@ class LiftEnvironment:
         )
         self.sensors.begin(ids)
 
+    def withdraw(self, ids: np.ndarray, rng: Sequence[np.random.Generator]) -> None:
+        """Go on in some worlds after an attempt: hands may move, and nothing lifts until ``begin_attempt``.
+
+        Args:
+            ids: worlds, shape [I].
+            rng: of the sensors' jitter from now on, one for each of these worlds.
+        """
+        self.task.withdraw(ids)
+        self.sensors.resume(ids, rng)
+
+    def resume(self, ids: np.ndarray) -> None:
+        """Go on in some worlds that stood still while they were marked as done. ids: shape [I]."""
+        self.task.done[ids] = False
+        self.sensors.resume(ids)
+
+    def begin_attempt(self, ids: np.ndarray, target_pose: np.ndarray) -> None:
+        """Begin another attempt in some worlds, where everything is.
+
+        Args:
+            ids: shape [I].
+            target_pose: about where the palm will grasp, world frame, shape [I, 7].
+        """
+        self.task.begin_attempt(ids, target_pose)
+        self.sensors.begin(ids)
+
     def step(self, action: Action, watch: Callable[[], None] = lambda: None) -> None:
         """Advance by one control period. watch: called after each setpoint, to record."""
 
@@ -287,6 +312,7 @@ def play(
     *,
     end_lost: bool = False,
     watch: Callable[[], None] = lambda: None,
+    look: Callable[[Observation], None] = lambda observation: None,
 ) -> Outcomes:
     """Let a policy act until all episodes are over.
 
@@ -296,9 +322,11 @@ def play(
         plan: to follow, one for each world.
         end_lost: episodes end as soon as their object is lost, as failures.
         watch: called after each setpoint, to record.
+        look: called with each observation.
     """
     task, lost = environment.task, np.zeros(len(environment), dtype=bool)
     observation = environment.observe()
+    look(observation)
     policy.reset(plan, observation)
     while not task.done.all():
         if isinstance(policy, PrivilegedPolicy):
@@ -311,6 +339,7 @@ def play(
             lost |= gone & ~task.done
             task.done |= gone
         observation = environment.observe()
+        look(observation)
     outcomes = task.outcomes()
     outcomes.success[lost] = False
     outcomes.reason[lost] = "lost before the hold"

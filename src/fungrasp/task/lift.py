@@ -6,7 +6,6 @@ from collections.abc import Callable
 
 import numpy as np
 
-from fungrasp.geometry.poses import compose, invert
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.simulation import Engine
 from fungrasp.task.action import Action
@@ -14,7 +13,7 @@ from fungrasp.task.actuation import Actuation
 from fungrasp.task.outcome import LiftMeasurements, Outcomes
 from fungrasp.task.protocol import LiftProtocol
 from fungrasp.task.setpoints import SetpointGenerator, SetpointSequence
-from fungrasp.task.start_pose import StartPoses, start_on_line
+from fungrasp.task.start_pose import StartPoses, start_fingers
 
 PARKED = np.array([0.0, 0.0, 3.0, 1.0, 0.0, 0.0, 0.0])
 """Where the palm waits while objects settle, world frame."""
@@ -52,6 +51,8 @@ class LiftTask:
         """When the hold began [s], shape [W]."""
         self.done = np.zeros(count, dtype=bool)
         """Episodes that are over, shape [W]."""
+        self.withdrawing = np.zeros(count, dtype=bool)
+        """Worlds between two attempts, in which nothing lifts, shape [W]."""
 
     @property
     def lost(self) -> np.ndarray:
@@ -69,8 +70,7 @@ class LiftTask:
             table_height: of the table top [m], shape [W]; zero if None.
         """
         engine, hand, p = self.engine, self.scene.hand, self.protocol
-        low, high = hand.joint_limits.T
-        fingers = hand.independent(np.clip(p.start_closing * grasps.joint_positions, low, high))
+        fingers = start_fingers(hand, grasps, p.start_closing)
         parked = np.tile(PARKED, (len(engine), 1))
         engine.reset()
         engine.set_state(
@@ -80,10 +80,9 @@ class LiftTask:
         engine.step(still, round(p.settle_time / self.scene.settings.timestep))
 
         settled = engine.object_pose
-        target = compose(settled, compose(invert(grasps.object_pose), grasps.wrist_pose))
-        start = start_on_line(settled, target, p.start_distance)
         height = np.zeros(len(engine)) if table_height is None else table_height
-        start = StartPoses(self.scene).clear(engine.object_index, settled, start, fingers, height)
+        starts = StartPoses(hand, self.scene.models)
+        start, target = starts.facing(grasps, engine.object_index, settled, p.start_distance, fingers, height)
         self.begin(np.arange(len(engine)), settled, target, start, fingers, grasps.link_contacts)
 
     def begin(
@@ -127,7 +126,28 @@ class LiftTask:
         self.measurements.begin(ids)
         self.time[ids] = 0.0 if start_time is None else start_time
         self.lift_time[ids] = self.hold_time[ids] = np.inf
-        self.done[ids] = False
+        self.done[ids] = self.withdrawing[ids] = False
+
+    def withdraw(self, ids: np.ndarray) -> None:
+        """Go on after an attempt: hands may move, and nothing lifts until the next one. ids: worlds, shape
+        [I]."""
+        self.lift_time[ids] = self.hold_time[ids] = np.inf
+        self.done[ids], self.withdrawing[ids] = False, True
+
+    def begin_attempt(self, ids: np.ndarray, target_pose: np.ndarray) -> None:
+        """Begin another attempt where everything is, objects at rest.
+
+        Args:
+            ids: worlds, shape [I].
+            target_pose: about where the palm will grasp, world frame, shape [I, 7].
+        """
+        engine = self.engine
+        self.settled_pose[ids] = engine.object_pose[ids]
+        engine.set_state(ids, wrist_frame=target_pose, palm_pose=engine.palm_pose[ids])
+        self.measurements.begin(ids)
+        self.time[ids] = 0.0
+        self.lift_time[ids] = self.hold_time[ids] = np.inf
+        self.done[ids] = self.withdrawing[ids] = False
 
     def step(
         self,
@@ -143,6 +163,9 @@ class LiftTask:
             after: called after each, to record.
         """
         p, setpoints = self.protocol, self.setpoints
+        # What is over stays as it is, however long the others take.
+        over = self.done.copy()
+        kept = setpoints.state(over), self.actuation.state(over)
         sequence = self.advance_setpoints(action)
         followed = self.actuation.follow(sequence, setpoints.period)
         controls = self.engine.controls(followed.palm, followed.palm_velocity, followed.fingers)
@@ -155,13 +178,16 @@ class LiftTask:
             self.time += np.where(self.done, 0.0, setpoints.period)
             self._update_hold(sequence.goal)
             after()
+        if over.any():
+            setpoints.restore(over, kept[0])
+            self.actuation.restore(over, kept[1])
         self.measurements.sample(np.isfinite(self.hold_time) & ~self.done, self.target_contacts)
         self.done |= self.time >= self.hold_time + p.hold_time - 1e-9
 
     def advance_setpoints(self, action: Action) -> SetpointSequence:
         """The setpoints of the next control period; a lift begins where it may."""
         p = self.protocol
-        may_lift = action.lift | (self.time >= p.approach_time - 1e-9)
+        may_lift = (action.lift | (self.time >= p.approach_time - 1e-9)) & ~self.withdrawing
         begins = may_lift & np.isinf(self.lift_time)
         if begins.any():
             self.lift_time[begins] = self.time[begins]

@@ -13,9 +13,14 @@ from fungrasp.geometry.poses import (
     relative,
     rotation_vector,
 )
+from fungrasp.task.hand_clearance import HandClearance
 from fungrasp.task.lift import LiftTask
 from fungrasp.task.observation import Observation
 from fungrasp.transfer import EpisodeSample, MeasurementError, Randomization, offset_pose
+
+UNCOVERED = 0.05
+"""A tracker that has lost the object sees it again when no part of the hand is this near to it [m]: a hand
+that is nearer covers much of an object of 5 to 20 cm from most cameras."""
 
 NO_LIFT = -1.0
 """``Observation.time_since_lift`` before the lift [s]."""
@@ -41,8 +46,11 @@ class SimulatedSensors:
         """Output of the tracker's filter, NaN before an episode's first measurement; shape [W, 7]."""
         self._ring: list[np.ndarray] = []
         """Object poses at the last setpoints, the newest last; each of shape [W, 7]."""
-        self._touched = np.zeros(len(task.engine), dtype=bool)
-        """Worlds in which the hand has touched the object, shape [W]."""
+        self._covered = np.zeros(len(task.engine), dtype=bool)
+        """Worlds in which the hand has touched the object and is still near it, shape [W]."""
+        self._clearance: HandClearance | None = None
+        self._measured = np.zeros(0, dtype=int)
+        """Objects that ``_clearance`` is for, shape [W]."""
         self._last: tuple[np.ndarray, np.ndarray] | None = None
         """Object poses that were last seen [W, 7], and when [s], shape [W]; NaN where nothing was yet."""
 
@@ -54,13 +62,29 @@ class SimulatedSensors:
         if self._last is not None:
             self._last[1][ids] = np.nan
         self._filtered[ids] = np.nan
-        self._touched[ids] = False
+        self._covered[ids] = False
+
+    def resume(self, ids: np.ndarray, rng: Sequence[np.random.Generator] | None = None) -> None:
+        """Go on in some worlds after a while in which nothing moved there. What was seen stays seen.
+
+        Args:
+            ids: worlds, shape [I].
+            rng: of what is random from now on, one for each of these worlds; as before if None.
+        """
+        now = self._task.engine.object_pose
+        for pose in self._ring:
+            pose[ids] = now[ids]
+        if rng is not None and not isinstance(self._rng, np.random.Generator):
+            streams = list(self._rng)
+            for world, stream in zip(ids.tolist(), rng, strict=True):
+                streams[world] = stream
+            self._rng = streams
 
     def record(self) -> None:
         """Keep the objects' poses and what has touched, after each setpoint: for trackers that are late or
         lose the object."""
         if self._r.tracker_freeze > 0:
-            self._touched |= self._task.engine.link_contacts.any(axis=1)
+            self._covered |= self._task.engine.link_contacts.any(axis=1)
         if not self._r.tracker_delay[1]:
             return
         period = self._task.setpoints.period
@@ -119,18 +143,33 @@ class SimulatedSensors:
         if any(e != MeasurementError() for e in errors) or sample.object_bias.any():
             pose = offset_pose(pose, sample.object_bias + self._jitter(errors), self._center())
         if r.tracker_dropout > 0 or r.tracker_freeze > 0:
-            missing = sample.tracker_freezes & self._touched
+            missing = self._lost(sample)
             if r.tracker_dropout > 0 and self._last is not None:
                 missing |= self._uniform() < r.tracker_dropout
             if self._last is not None:
                 seen, when = self._last
-                missing &= np.isfinite(when)
+                # Nothing is measured any more of what is over.
+                missing = (missing | task.done) & np.isfinite(when)
                 pose = np.where(missing[:, None], seen, pose)
                 age = np.where(missing, task.time - when, age)
             self._last = pose.copy(), task.time - age
         if r.tracker_time_constant > 0:
             pose = self._low_pass(pose)
         return pose, age
+
+    def _lost(self, sample: EpisodeSample) -> np.ndarray:
+        """Worlds whose trackers have lost the object, shape [W] bool."""
+        engine = self._task.engine
+        rows = np.flatnonzero(sample.tracker_freezes & self._covered)
+        if len(rows):
+            scene = self._task.scene
+            if self._clearance is None or not np.array_equal(self._measured, engine.object_index):
+                self._measured = engine.object_index.copy()
+                self._clearance = HandClearance(scene.hand, scene.models, self._measured)
+            joints = scene.hand.independent(engine.joint_positions[rows])
+            near, _ = self._clearance.measure(rows, engine.object_pose[rows], engine.palm_pose[rows], joints)
+            self._covered[rows[near > UNCOVERED]] = False
+        return sample.tracker_freezes & self._covered
 
     def _low_pass(self, pose: np.ndarray) -> np.ndarray:
         """Filtered poses: ``x += (1 - exp(-T / tau)) (measured - x)`` once in each control period T, on the
@@ -157,10 +196,15 @@ class SimulatedSensors:
         count = len(self._task.engine)
         if isinstance(self._rng, np.random.Generator):
             return self._rng.normal(size=(count, size))
-        return np.stack([rng.normal(size=size) for rng in self._rng])
+        # Not where episodes are over: those of the others must not decide what is drawn next.
+        going = ~self._task.done
+        return np.stack(
+            [rng.normal(size=size) if g else np.zeros(size) for rng, g in zip(self._rng, going, strict=True)]
+        )
 
     def _uniform(self) -> np.ndarray:
         count = len(self._task.engine)
         if isinstance(self._rng, np.random.Generator):
             return self._rng.random(count)
-        return np.array([rng.random() for rng in self._rng])
+        going = ~self._task.done
+        return np.array([rng.random() if g else 1.0 for rng, g in zip(self._rng, going, strict=True)])

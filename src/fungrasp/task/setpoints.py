@@ -71,6 +71,18 @@ class SetpointGenerator:
         self.fingers[ids] = fingers
         self._goal[ids], self._finger_rate[ids] = palm_pose, 0.0
 
+    def state(self, which: np.ndarray) -> list[np.ndarray]:
+        """Where some worlds are, for ``restore``. which: shape [W] bool."""
+        return [array[which] for array in self._arrays()]
+
+    def restore(self, which: np.ndarray, state: list[np.ndarray]) -> None:
+        """Put some worlds back to a ``state``. which: shape [W] bool."""
+        for array, values in zip(self._arrays(), state, strict=True):
+            array[which] = values
+
+    def _arrays(self) -> list[np.ndarray]:
+        return [self.wrist.pose, self.wrist.velocity, self.fingers, self._goal, self._finger_rate]
+
     def advance(self, goal: np.ndarray, fingers: np.ndarray) -> SetpointSequence:
         """The setpoints of the next control period; the generator then is where it ends.
 

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from fungrasp.geometry import SignedDistanceBank
 from fungrasp.geometry.poses import (
-    inverse_transform_points,
+    compose,
+    invert,
     quaternion_from_rotation_vector,
     quaternion_multiply,
     rotate,
 )
-from fungrasp.hands.collision_spheres import collision_spheres
-from fungrasp.hands.kinematics import HandKinematics
-from fungrasp.simulation import Scene
+from fungrasp.grasps import RobotGraspSet
+from fungrasp.hands import Hand
+from fungrasp.objects import ObjectModel
+from fungrasp.task.hand_clearance import HandClearance
 
 CLEARANCE = 0.01
 """Distance that hands keep from object and table as they start [m]."""
@@ -22,6 +25,17 @@ TURN_STEP = np.deg2rad(1.0)
 """Step in which starts are turned upwards [rad]."""
 
 _LARGEST_TURN = np.pi / 2
+
+
+def start_fingers(hand: Hand, grasps: RobotGraspSet, closing: float) -> np.ndarray:
+    """Independent joints at the start [rad], shape [W, U].
+
+    Args:
+        hand: the robot hand.
+        grasps: W grasps.
+        closing: the joints' fraction of their angles in the grasp.
+    """
+    return hand.independent(np.clip(closing * grasps.joint_positions, *hand.joint_limits.T))
 
 
 def start_on_line(object_pose: np.ndarray, target: np.ndarray, distance: float) -> np.ndarray:
@@ -43,13 +57,41 @@ def start_on_line(object_pose: np.ndarray, target: np.ndarray, distance: float) 
 
 
 class StartPoses:
-    """Start poses of hands in W worlds of a scene."""
+    """Start poses of W hands, each with its object."""
 
-    def __init__(self, scene: Scene):
-        """scene: with the hand and the objects."""
-        self._hand = scene.hand
-        self._spheres = collision_spheres(scene.hand)
-        self._models = scene.models
+    def __init__(self, hand: Hand, models: Sequence[ObjectModel]):
+        """
+        Args:
+            hand: the robot hand.
+            models: objects.
+        """
+        self._hand, self._models = hand, models
+
+    def facing(
+        self,
+        grasps: RobotGraspSet,
+        object_index: np.ndarray,
+        object_pose: np.ndarray,
+        distance: float,
+        fingers: np.ndarray,
+        table_height: np.ndarray,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Starts on the lines from objects to where palms will grasp, turned up until they are clear.
+
+        Args:
+            grasps: W grasps.
+            object_index: object of each, as ``models`` has them, shape [W].
+            object_pose: of the objects at rest, world frame, shape [W, 7].
+            distance: from the objects' origins [m].
+            fingers: independent joints [rad], shape [W, U].
+            table_height: of the table top [m], shape [W].
+
+        Returns:
+            the start and where the palm will grasp, world frame, shape [W, 7] each.
+        """
+        target = compose(object_pose, compose(invert(grasps.object_pose), grasps.wrist_pose))
+        start = start_on_line(object_pose, target, distance)
+        return self.clear(object_index, object_pose, start, fingers, table_height), target
 
     def clear(
         self,
@@ -65,7 +107,7 @@ class StartPoses:
         that keeps farthest away is taken.
 
         Args:
-            object_index: object of each world, as the scene numbers them, shape [W].
+            object_index: object of each, as ``models`` has them, shape [W].
             object_pose: of the objects at rest, world frame, shape [W, 7].
             start_pose: of the palm, world frame, shape [W, 7].
             fingers: independent joints [rad], shape [W, U].
@@ -74,10 +116,14 @@ class StartPoses:
         Returns:
             Palm poses, world frame, shape [W, 7].
         """
-        present, index = np.unique(object_index, return_inverse=True)
-        bank = SignedDistanceBank([self._models[i].signed_distance for i in present])
+        clearance = HandClearance(self._hand, self._models, object_index)
+
+        def gap(rows: np.ndarray, palm_pose: np.ndarray) -> np.ndarray:
+            to_object, height = clearance.measure(rows, object_pose[rows], palm_pose, fingers[rows])
+            return np.minimum(to_object, height - table_height[rows])
+
         result = start_pose.copy()
-        best = self._clearance(bank, index, object_pose, result, fingers, table_height)
+        best = gap(np.arange(len(result)), result)
         away = start_pose[:, :3] - object_pose[:, :3]
         # About this axis, a small turn raises the palm on its sphere around the object.
         axis = np.cross(away, np.array([0.0, 0.0, 1.0]))
@@ -96,27 +142,8 @@ class StartPoses:
                 ],
                 axis=1,
             )
-            gap = self._clearance(
-                bank, index[rows], object_pose[rows], turned, fingers[rows], table_height[rows]
-            )
-            better = gap > best[rows]
-            result[rows[better]], best[rows[better]] = turned[better], gap[better]
+            found = gap(rows, turned)
+            better = found > best[rows]
+            result[rows[better]], best[rows[better]] = turned[better], found[better]
             blocked = rows[best[rows] < CLEARANCE]
         return result
-
-    def _clearance(
-        self,
-        bank: SignedDistanceBank,
-        index: np.ndarray,
-        object_pose: np.ndarray,
-        palm_pose: np.ndarray,
-        fingers: np.ndarray,
-        table_height: np.ndarray,
-    ) -> np.ndarray:
-        """Smallest distance of each hand from its object and its table [m], shape [W]."""
-        kinematics = HandKinematics(self._hand, len(palm_pose))
-        kinematics.update(palm_pose, fingers)
-        centers, radius = kinematics.points(self._spheres.points), self._spheres.radius
-        above = (centers[..., 2] - table_height[:, None] - radius).min(axis=1)
-        distance, _ = bank.query(index, inverse_transform_points(object_pose, centers))
-        return np.minimum(above, (distance - radius).min(axis=1))

@@ -56,7 +56,7 @@ class EpisodeSample(BatchRecord):
     tracker_delay: np.ndarray
     """Age of the tracked object pose [s], shape [W]."""
     tracker_freezes: np.ndarray
-    """Whether the tracker loses the object at the first touch, shape [W] bool."""
+    """Whether the tracker loses the object while the hand is at it, shape [W] bool."""
     action_delay: np.ndarray
     """Time from a decision to the servos [s], shape [W]."""
     push_direction: np.ndarray

@@ -112,7 +112,7 @@ class Randomization:
     """Probability that a frame of the tracker is missing; the policy then sees the last one."""
     tracker_freeze: float = 0.0
     """Probability that an episode's tracker loses the object when the hand first touches it: the policy then
-    sees the last frame."""
+    sees the last frame, until the hand has left the object."""
     tracker_time_constant: float = 0.0
     """Time constant of the tracker's low-pass filter [s], a first-order one on position and rotation; 0 for
     none. A pose that moves steadily is seen late by as much."""

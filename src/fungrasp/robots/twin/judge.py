@@ -63,6 +63,12 @@ class TwinJudge:
         self._settled = float(world.center_of_mass()[2])
         self._samples: list[HoldSample] = []
 
+    def begin_attempt(self) -> None:
+        """Another attempt begins: what was seen of the one before is forgotten, and the object counts from
+        where it lies now."""
+        self._settled = float(self._world.center_of_mass()[2])
+        self._samples.clear()
+
     def watch(self, holding: bool) -> None:
         """After each setpoint. holding: whether it belongs to the hold."""
         if holding:

@@ -1,0 +1,137 @@
+"""Between two attempts: the way of the hand off the object, and round it to where the next one starts."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from fungrasp.geometry.poses import (
+    compose,
+    quaternion_from_rotation_vector,
+    relative,
+    rotate,
+    rotation_vector,
+)
+from fungrasp.objects import ObjectModel
+from fungrasp.records import BatchRecord
+from fungrasp.task import GraspPlan, Observation
+
+OPENING_STEPS = 10
+"""Control steps in which the hand opens: a second."""
+SMALL_GAP = 0.01
+"""An object that is nearer to the table than this [m] is let go of where it is: the error of the tracked
+pose."""
+PASSING = 0.05
+"""Way points are passed by at this distance [m], so that the wrist need not stop."""
+ARRIVED = 0.002
+"""The palm's setpoint has arrived at this distance [m]."""
+WAY_ROUND = 0.35
+"""Least distance of the palm from the object's center on the way round it, for an object without extent [m]:
+a hand's length and 15 cm."""
+ROUND_STEPS = 12
+"""Way points on the way round."""
+
+
+@dataclass(frozen=True, eq=False)
+class Waypoints(BatchRecord):
+    """Ways of W hands, K points each."""
+
+    palm: np.ndarray
+    """Palm poses, world frame, shape [W, K, 7]."""
+    fingers: np.ndarray
+    """Targets of the finger servos [rad], shape [W, K, U]."""
+    near: np.ndarray
+    """How near the palm's setpoint comes to each point before it goes on to the next [m], shape [W, K]."""
+
+
+def way_off(plan: GraspPlan, observation: Observation, gap: np.ndarray) -> Waypoints:
+    """Lower what hangs in the hand onto the table, open the hand, withdraw by the planned path backwards.
+
+    The path is moved to where the hand opens.
+
+    Args:
+        plan: that was followed, W of them.
+        observation: after the attempt.
+        gap: how far the objects are above the table [m], shape [W].
+    """
+    rows, closing = np.arange(len(plan)), plan.closing_step
+    low = observation.palm_setpoint.copy()
+    low[:, 2] -= np.where(gap > SMALL_GAP, gap, 0.0)
+    last = int(closing.max())
+    back = np.maximum(closing[:, None] - np.arange(last + 1), 0)
+    path = compose(plan.object_pose[:, None], plan.palm_setpoint[rows[:, None], back])
+    path[..., :3] += (low[:, :3] - path[:, 0, :3])[:, None]
+    # As open as it was before the fingers closed.
+    opened = plan.finger_targets[rows, np.maximum(closing - 1, 0)]
+    closed = observation.joint_setpoints
+    share = np.arange(1, OPENING_STEPS + 1)[:, None] / OPENING_STEPS
+    opening = closed[:, None] + share * (opened - closed)[:, None]
+    fingers = plan.finger_targets[rows[:, None], np.maximum(back - 1, 0)]
+    stops = np.full((len(plan), 1 + OPENING_STEPS), ARRIVED)
+    passed = np.full((len(plan), last + 1), PASSING)
+    passed[:, -1] = ARRIVED
+    return Waypoints(
+        np.concatenate([np.repeat(low[:, None], 1 + OPENING_STEPS, axis=1), path], axis=1),
+        np.concatenate([closed[:, None], opening, fingers], axis=1),
+        np.concatenate([stops, passed], axis=1),
+    )
+
+
+def way_round(
+    observation: Observation,
+    object_pose: np.ndarray,
+    models: Mapping[str, ObjectModel],
+    names: list[str],
+    start: np.ndarray,
+    start_fingers: np.ndarray,
+) -> Waypoints:
+    """From where hands are to where they start, on circles about the objects.
+
+    Args:
+        observation: of W worlds.
+        object_pose: where the objects lie, world frame, shape [W, 7].
+        models: objects by name.
+        names: of the objects, length W.
+        start: palm poses, world frame, shape [W, 7].
+        start_fingers: independent joints [rad], shape [W, U].
+    """
+    palm, fingers = observation.palm_setpoint, observation.joint_setpoints
+    center = np.array([models[name].center_of_mass for name in names])
+    middle = compose(object_pose, np.concatenate([center, np.tile([1.0, 0, 0, 0], (len(center), 1))], axis=1))
+    reach = np.array(
+        [np.linalg.norm(models[n].vertices - models[n].center_of_mass, axis=1).max() for n in names]
+    )
+    away = np.stack([palm[:, :3] - middle[:, :3], start[:, :3] - middle[:, :3]])
+    distance = np.linalg.norm(away, axis=-1)
+    direction = away / np.maximum(distance, 1e-9)[..., None]
+    turn = _turn_between(direction[0], direction[1])
+    twist = rotation_vector(relative(palm, start)[:, 3:])
+    poses, closing = [], []
+    for share in np.arange(1, ROUND_STEPS + 1) / ROUND_STEPS:
+        radius = (1 - share) * distance[0] + share * distance[1]
+        if share < 1:
+            radius = np.maximum(radius, WAY_ROUND + reach)
+        place = middle[:, :3] + radius[:, None] * rotate(
+            quaternion_from_rotation_vector(share * turn), direction[0]
+        )
+        place[:, 2] = np.maximum(place[:, 2], np.minimum(palm[:, 2], start[:, 2]))
+        step = np.concatenate([np.zeros_like(twist), quaternion_from_rotation_vector(share * twist)], axis=1)
+        poses.append(np.concatenate([place, compose(palm, step)[:, 3:]], axis=1))
+        closing.append(fingers + share * (start_fingers - fingers))
+    near = np.full((len(palm), ROUND_STEPS), PASSING)
+    near[:, -1] = ARRIVED
+    return Waypoints(np.stack(poses, axis=1), np.stack(closing, axis=1), near)
+
+
+def _turn_between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Rotation vectors that turn unit vectors a into b, over the top where they are opposite; all of shape
+    [W, 3]."""
+    axis = np.cross(a, b)
+    size = np.linalg.norm(axis, axis=1, keepdims=True)
+    angle = np.arctan2(size[:, 0], np.sum(a * b, axis=1))
+    over = np.cross(a, np.array([0.0, 0.0, 1.0]))
+    over /= np.maximum(np.linalg.norm(over, axis=1, keepdims=True), 1e-9)
+    axis = np.where(size > 1e-6, axis / np.maximum(size, 1e-9), over)
+    return angle[:, None] * axis
