@@ -24,7 +24,7 @@ from fungrasp.training.checkpoint import check_environment, environment_state, r
 from fungrasp.training.distill import make_student
 from fungrasp.training.export import export_student, make_card
 from fungrasp.training.history import HISTORY
-from fungrasp.training.networks import ColoredGaussian
+from fungrasp.training.networks import ColoredGaussian, tensors
 from fungrasp.training.ppo import Trainer
 from fungrasp.training.run import TrainingSet, train
 from fungrasp.training.student import StudentGraph
@@ -97,6 +97,20 @@ def test_checkpoints_of_other_hands_are_refused(tmp_path):
         check_environment(tmp_path, state | {"hand": load_hand("leap").name}, worlds)
     with pytest.raises(FungraspError, match="other observations"):
         check_environment(tmp_path, state | {"layout": "[]"}, worlds)
+
+
+def test_a_student_without_estimates_does_not_look_back():
+    worlds = environment(history=True)
+    torch.manual_seed(2)
+    for estimates in (True, False):
+        student = make_student(worlds, (32, 16), estimates)
+        student.eval()
+        seen = tensors(worlds.observations)
+        other = seen.clone()
+        other["history"] = seen["history"] + torch.randn_like(seen["history"])
+        with torch.inference_mode():
+            difference = (student(seen) - student(other)).abs().max()
+        assert (difference > 0) == estimates
 
 
 def test_the_student_file_does_what_torch_does(tmp_path):

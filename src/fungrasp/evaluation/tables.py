@@ -1,10 +1,18 @@
-"""The paper's simulation ablations: what is compared, the paper's numbers, and ours beside them."""
+"""The paper's tables of simulation: what is compared, the paper's numbers, and ours beside them."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
+
+import numpy as np
+
+from fungrasp.evaluation.statistics import mean_interval
+
+CONDITIONS = ("nominal", "nominal, not adapted", "reality")
+"""What each policy is tried in: worlds as believed; the same with grasps that are not adapted to the settled
+object; and the reality protocol."""
 
 
 @dataclass(frozen=True)
@@ -27,78 +35,109 @@ class Variant:
     """Stem of the names of its files."""
     title: str
     """Name of the variant in the paper."""
-    method: Literal["ours", "dexgraspnet", "angle-copy"]
+    paper: PaperNumbers | None
+    """What the paper reports for it; None where it has no such row."""
+    method: Literal["ours", "dexgraspnet", "angle-copy"] = "ours"
     """How grasps are retargeted, for training and test."""
-    sees: Literal["contacts", "nothing", "history"]
+    sees: Literal["contacts", "nothing", "history"] = "contacts"
     """What the actor knows of the contacts while it is trained by PPO."""
-    distilled: bool
-    """Whether what is tested is a student of that policy."""
-    paper: PaperNumbers
-    """What the paper reports for it."""
+    student: Literal["", "with estimate", "without estimate"] = ""
+    """Whether what is tested is a student of that policy, and whether it infers the contacts."""
+    hand: str | None = None
+    """Name of its hand; that of the command if None."""
 
 
-_TEACHER = PaperNumbers(0.85, 1.6, 0.79)
+_OURS = PaperNumbers(0.85, 1.6, 0.79)
 
 TABLES: Mapping[str, tuple[Variant, ...]] = {
     "retargeting": (
-        Variant(
-            "dexgraspnet", "DexGraspNet+*", "dexgraspnet", "contacts", False, PaperNumbers(0.65, 1.6, 0.68)
-        ),
-        Variant(
-            "angle-copy", "Angle Reset+*", "angle-copy", "contacts", False, PaperNumbers(0.62, 1.6, 0.65)
-        ),
-        Variant("teacher", "Ours", "ours", "contacts", False, _TEACHER),
+        Variant("dexgraspnet", "DexGraspNet+*", PaperNumbers(0.65, 1.6, 0.68), "dexgraspnet"),
+        Variant("angle-copy", "Angle Reset+*", PaperNumbers(0.62, 1.6, 0.65), "angle-copy"),
+        Variant("teacher", "Ours", _OURS),
     ),
     "privileged": (
-        Variant("without", "w/o Priv. Info.", "ours", "nothing", False, PaperNumbers(0.61, 1.6, 0.56)),
-        Variant("scratch", "w/o Priv. Learn.", "ours", "history", False, PaperNumbers(0.40, 1.7, 0.24)),
-        Variant("teacher", "Teacher", "ours", "contacts", False, _TEACHER),
-        Variant("student", "Student (Ours)", "ours", "contacts", True, PaperNumbers(0.85, 1.6, 0.79)),
+        Variant("without", "w/o Priv. Info.", PaperNumbers(0.61, 1.6, 0.56), sees="nothing"),
+        Variant("scratch", "w/o Priv. Learn.", PaperNumbers(0.40, 1.7, 0.24), sees="history"),
+        Variant("teacher", "Teacher", _OURS),
+        Variant("student", "Student (Ours)", _OURS, student="with estimate"),
+        Variant("student-without", "Student, no contact estimate", None, student="without estimate"),
+    ),
+    "hands": (
+        Variant("student", "Shadow", PaperNumbers(0.75, 1.6, 0.75), student="with estimate", hand="shadow"),
+        Variant("student", "Faive P0", PaperNumbers(0.81, 1.9, 0.80), student="with estimate", hand="faive"),
+        Variant("student", "Allegro", _OURS, student="with estimate", hand="allegro"),
     ),
 }
-"""Variants by the name of the table; those of the same name are the same."""
+"""Variants by the name of the table. Those of the same name and hand are the same in all tables."""
 
 HEAD = (
     "policy",
-    "success",
-    "unadapted",
-    "95 % interval",
-    "paper",
+    "nominal",
+    "95 %",
+    "contacts",
+    "slip [mm/s]",
+    "not adapted",
+    "reality",
+    "95 %",
     "contacts",
     "paper",
-    "SimD [mm/s]",
-    "slip [mm/s]",
-    "SimD [mm/step]",
-    "paper",
+    "contacts",
 )
 
 
+def pooled(results: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Means over trainings that differ in their seed, in one condition.
+
+    Args:
+        results: what ``result_json`` gave for each seed, on the same grasps.
+
+    Returns:
+        ``success_rate`` and ``contact_ratio`` with the 95 % interval of the former (grasps drawn with
+        replacement: the same grasp under several seeds is not several grasps), success by seed, and the mean
+        speed with which objects slip in the hand [mm/s].
+    """
+    trials = [trial for result in results for trial in result["trials"]]
+    success = np.array([trial["success"] for trial in trials], dtype=float)
+    low, high = mean_interval(success, [trial["index"] for trial in trials])
+    return {
+        "success_rate": float(success.mean()),
+        "success_interval": [low, high],
+        "success_by_seed": [result["success_rate"] for result in results],
+        "contact_ratio": float(np.mean([trial["contact_ratio"] for trial in trials])),
+        "slip_mm_s": float(np.mean([trial["sim_distance_hand_mm_s"] for trial in trials])),
+    }
+
+
 def comparison_rows(
-    variants: Sequence[Variant], results: Mapping[str, Mapping[str, Any]]
+    variants: Sequence[Variant], results: Sequence[Mapping[str, Mapping[str, Any]]]
 ) -> list[tuple[str, ...]]:
     """Head and rows of a table, ours beside the paper's.
 
     Args:
         variants: of the table.
-        results: what ``result_json`` gave for each, by name.
+        results: of each variant what ``pooled`` gave, by condition.
     """
-    return [HEAD, *(_row(variant, results[variant.name]) for variant in variants)]
+    return [HEAD, *(_row(variant, each) for variant, each in zip(variants, results, strict=True))]
 
 
-def _row(variant: Variant, result: Mapping[str, Any]) -> tuple[str, ...]:
-    low, high = result["success_interval"]
-    without = result.get("without_adaptation")
+def _row(variant: Variant, results: Mapping[str, Mapping[str, Any]]) -> tuple[str, ...]:
+    nominal, unadapted, reality = (results[name] for name in CONDITIONS)
     paper = variant.paper
     return (
         variant.title,
-        f"{result['success_rate']:.1%}",
-        f"{without['success_rate']:.1%}" if without else "",
-        f"{low:.1%} – {high:.1%}",
-        f"{paper.success:.0%}",
-        f"{result['contact_ratio']:.2f}",
-        f"{paper.contact_ratio:.2f}",
-        f"{result['sim_distance_world_mm_s']:.1f}",
-        f"{result['sim_distance_hand_mm_s']:.1f}",
-        f"{result['legacy']['sim_distance_mm_per_28.9_ms']:.2f}",
-        f"{paper.displacement:.1f}",
+        f"{nominal['success_rate']:.1%}",
+        _interval(nominal),
+        f"{nominal['contact_ratio']:.2f}",
+        f"{nominal['slip_mm_s']:.1f}",
+        f"{unadapted['success_rate']:.1%}",
+        f"{reality['success_rate']:.1%}",
+        _interval(reality),
+        f"{reality['contact_ratio']:.2f}",
+        "" if paper is None else f"{paper.success:.0%}",
+        "" if paper is None else f"{paper.contact_ratio:.2f}",
     )
+
+
+def _interval(result: Mapping[str, Any]) -> str:
+    low, high = result["success_interval"]
+    return f"{100 * low:.0f} – {100 * high:.0f}"

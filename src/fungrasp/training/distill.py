@@ -50,8 +50,16 @@ class DistillProgress:
     """Loss L_re of the inferred contacts."""
 
 
-def make_student(environment: TrainingEnvironment, hidden: tuple[int, ...] = HIDDEN) -> StudentModel:
-    """An untrained student for an environment that keeps a history."""
+def make_student(
+    environment: TrainingEnvironment, hidden: tuple[int, ...] = HIDDEN, estimates: bool = True
+) -> StudentModel:
+    """An untrained student for an environment that keeps a history.
+
+    Args:
+        environment: whose observations it sees.
+        hidden: units of its hidden layers.
+        estimates: whether it infers the contacts.
+    """
     observations = tensors(environment.observations)
     return StudentModel(
         observations,
@@ -59,6 +67,7 @@ def make_student(environment: TrainingEnvironment, hidden: tuple[int, ...] = HID
         "actor",
         environment.actions,
         layout=environment.layout,
+        estimates=estimates,
         hidden_dims=list(hidden),
         activation="elu",
         obs_normalization=True,
@@ -93,7 +102,8 @@ def distill(
     s = settings or DistillSettings()
     torch.manual_seed(seed)
     if student is None:
-        student = make_student(environment, tuple(layer.out_features for layer in _linear(teacher)[:-1]))
+        hidden = tuple(layer.out_features for layer in _linear(teacher)[:-1])
+        student = make_student(environment, hidden, s.estimates_contacts)
         student.take_over(teacher)
     teacher.eval()
     student.eval()

@@ -72,6 +72,9 @@ class DistillSettings:
     """Weight of L_re against L_act."""
     noise: float = 0.05
     """Standard deviation of the noise on the actions that are played."""
+    estimates_contacts: bool = True
+    """Whether the student infers the contacts; if not, it acts as if nothing touched, which shows what the
+    inference is worth."""
 
 
 @dataclass(frozen=True)

@@ -27,10 +27,12 @@ class StudentModel(MLPModel):
         layout: Layout,
         units: int = 64,
         layers: int = 2,
+        estimates: bool = True,
         **settings: Any,
     ):
         super().__init__(obs, {obs_set: ["robot", "privileged"]}, obs_set, output_dim, **settings)
         self.links = dict(layout)["target_contacts"]
+        self.estimates = estimates
         history = columns(layout, HISTORY_PARTS)
         self.history_columns: torch.Tensor
         self.register_buffer("history_columns", torch.from_numpy(history))
@@ -44,7 +46,9 @@ class StudentModel(MLPModel):
         normaliser = cast(EmpiricalNormalization, self.obs_normalizer)
         mean, std = normaliser.mean[self.history_columns], normaliser.std[self.history_columns]
         hidden, _ = self.encoder((window - mean) / (std + normaliser.eps))
-        contacts, forces = torch.sigmoid(self.head(hidden[:, -1])).split(self.links, dim=-1)
+        # Zeros where nothing is estimated: the network then is as large, and knows nothing of the contacts.
+        inferred = torch.sigmoid(self.head(hidden[:, -1])) * float(self.estimates)
+        contacts, forces = inferred.split(self.links, dim=-1)
         return contacts, forces
 
     def act(self, robot: torch.Tensor, contacts: torch.Tensor, forces: torch.Tensor) -> torch.Tensor:
