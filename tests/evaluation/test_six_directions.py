@@ -16,7 +16,7 @@ from fungrasp.evaluation.six_directions import StaticProtocol
 def test_closed_hands_keep_what_open_ones_lose(good, things, allegro):
     seen = []
     held = six_direction_test(good, things, allegro, progress=seen.append)
-    assert held.passed.sum() >= 3 and seen == [4]
+    assert held.passed.sum() >= 2 and seen == [4]
     kept = held.passed
     assert (held.displacement_m[kept] < 0.05).all() and (held.angle_rad[kept] < np.deg2rad(15)).all()
     contacts = np.zeros_like(good.link_contacts)
