@@ -230,3 +230,18 @@ def test_kept_captures_are_the_same_when_read_again(tmp_path):
     assert KeptCaptures(path, "a").load(3) is None
     store.remove()
     assert not path.exists()
+
+
+def test_all_hands_of_an_image_follow_each_other_in_the_chain():
+    hands = [dataclasses.replace(GRASP, probability=part) for part in (0.7, 0.2, 0.1)]
+    results = [
+        result(perceived=hands[0], others=tuple(hands[1:])),
+        result(),
+        result(perceived=GRASP),
+    ]
+    objects = {GRASP.object_name: MODEL}
+    _, several, rows = chain_sets(results, objects, several=True)
+    assert several is not None and several.probability is not None
+    assert several.probability.tolist() == [0.7, 0.2, 0.1, 1.0] and rows.tolist() == [0, 2]
+    _, alone, _ = chain_sets(results, objects)
+    assert alone is not None and len(alone) == 2 and alone.probability is None

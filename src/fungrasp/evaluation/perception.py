@@ -266,7 +266,7 @@ def measure_perception(
         },
         absent=None,
         grasp=known.grasp,
-        perceived=None if perceived is None else perceived.grasp,
+        perceived=None if perceived is None else perceived.hands[0].grasp,
         sure=perceived is not None and perceived.confident,
         others=() if perceived is None else tuple(one.grasp for one in perceived.hands[1:]),
     )
