@@ -387,26 +387,42 @@ def identification_twins() -> Table:
     return Table(head, rows, ["identification-twins"])
 
 
+WIRE = {
+    "wire": "UR5e, Allegro, `plan`",
+    "wire-student": "UR5e, Allegro, `student`",
+    "wire-image": "UR5e, Allegro, `plan`, from images",
+    "wire-image-student": "UR5e, Allegro, `student`, from images",
+    "wire-inspire": "UR5e, Inspire, `plan`",
+}
+"""Results of ``bench wire``, as far as they are there."""
+
+
 def wire() -> Table:
     """Deployments over the wire."""
-    runs = _read("wire").rows
-    head = ("runs", "lifted and held", "home again", "largest lateness, 10 Hz / 50 Hz [ms]")
+    head = ("chain", "runs", "lifted and held", "home again", "largest lateness, 10 Hz / 50 Hz [ms]")
     head += (
         "longest silence, arm / hand [ms]",
         "lost by the twin [ms], median",
         "of a core: control, arm, hand, emulators",
     )
+    known = {name: title for name, title in WIRE.items() if (RESULTS / f"{name}.json").is_file()}
+    return Table(
+        head, [(title, *_wire_cells(_read(name).rows)) for name, title in known.items()], list(known)
+    )
+
+
+def _wire_cells(runs: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
     late = " / ".join(f"{max(r[f'latest_{rate}hz_ms'] for r in runs):.0f}" for rate in (10, 50))
+    # Runs that could not begin have none.
     silent = " / ".join(
-        f"{max(r[f'longest_silence_ms.{name}'] for r in runs):.0f}" for name in ("arm", "hand")
+        f"{max(r.get(f'longest_silence_ms.{name}') or 0.0 for r in runs):.0f}" for name in ("arm", "hand")
     )
     names = ("control", "arm driver", "hand driver", "emulators")
     known = [[r.get(f"cores.{name}") for r in runs] for name in names]
     cores = ", ".join(f"{100 * np.median([v for v in values if v is not None]):.0f} %" for values in known)
     home = sum(r["success"] and not r["fault"] for r in runs)
     lost = f"{np.median([r['twin_lost_ms'] for r in runs]):.0f}"
-    row = (f"{len(runs)}", f"{sum(r['success'] for r in runs)}", f"{home}", late, silent, lost, cores)
-    return Table(head, [row], ["wire"])
+    return (f"{len(runs)}", f"{sum(r['success'] for r in runs)}", f"{home}", late, silent, lost, cores)
 
 
 def wire_ticks() -> Table:
