@@ -197,9 +197,10 @@ class Deployment:
         self._begin(Phase.MOVE_TO_START)
         self._move([postures[-1], *prepared.corners], prepared.start_fingers)
         postures.extend(prepared.corners)
-        judge = AttemptJudge(prepared.plan, self._preparer.objects)
+        several = self.settings.attempts > 1
+        judge = AttemptJudge(prepared.plan, self._preparer.objects) if several else None
         self._follow_policy(prepared, object_pose, judge)
-        return judge.verdict() if self.settings.attempts > 1 else None
+        return None if judge is None else judge.verdict()
 
     def _prepare_again(
         self, grasp: RobotGraspSet, first: np.ndarray
@@ -228,9 +229,10 @@ class Deployment:
     def _prepare(
         self, grasp: RobotGraspSet, object_pose: np.ndarray, arm: np.ndarray, attempt: int = 0
     ) -> PreparedGrasp:
-        self._prepared = self._preparer.prepare(grasp, object_pose, arm, advise=not attempt, attempt=attempt)
-        self.log.begin(self._prepared.plan, {"cell": self.robot.cell.name, **self._about})
-        return self._prepared
+        prepared = self._preparer.prepare(grasp, object_pose, arm, attempt=attempt)
+        self._prepared = prepared
+        self.log.begin(prepared.plan, {"cell": self.robot.cell.name, **self._about})
+        return prepared
 
     def _awake(self, state: RobotState) -> RobotState:
         """The state after planning: drivers that heard nothing meanwhile hold, and are told to go on."""
@@ -267,8 +269,10 @@ class Deployment:
                 send(joints, fingers)
         robot.place_setpoints(corners[-1], fingers)
 
-    def _follow_policy(self, prepared: PreparedGrasp, object_pose: np.ndarray, judge: AttemptJudge) -> None:
-        """Grasp, lift and hold, as the policy says; the judge looks on."""
+    def _follow_policy(
+        self, prepared: PreparedGrasp, object_pose: np.ndarray, judge: AttemptJudge | None
+    ) -> None:
+        """Grasp, lift and hold, as the policy says; the judge looks on, if there is one."""
         robot, p, plan = self.robot, self.robot.protocol, prepared.plan
         self._begin(Phase.GRASP)
         state = robot.state()
@@ -286,7 +290,8 @@ class Deployment:
                 if problem:
                     raise SafetyStop(problem, StopKind.HOLD)
             observation = robot.observation(state)
-            judge.watch(observation)
+            if judge is not None:
+                judge.watch(observation)
             if not step:
                 self.policy.reset(plan, observation)
             action = self.policy.act(observation)

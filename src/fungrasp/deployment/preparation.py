@@ -3,7 +3,7 @@ moves."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -91,16 +91,22 @@ class PreparedGrasp:
 class Preparer(Protocol):
     """What decides all before anything moves."""
 
-    def prepare(self, grasp: RobotGraspSet, object_pose: np.ndarray, arm: np.ndarray) -> PreparedGrasp:
+    objects: Mapping[str, ObjectModel]
+    """The object by its name."""
+
+    def prepare(
+        self, grasp: RobotGraspSet, object_pose: np.ndarray, arm: np.ndarray, *, attempt: int = 0
+    ) -> PreparedGrasp:
         """Plan a grasp of the object where it is seen.
 
         Args:
             grasp: one.
             object_pose: at rest, world frame, shape [7].
             arm: joints of the arm now [rad], shape [A].
+            attempt: how many have failed already.
 
         Raises:
-            UnreachableError: the arm can't follow any plan.
+            UnreachableError: the arm can't follow any plan, or little is expected of them.
         """
         ...
 
@@ -135,7 +141,7 @@ class GraspPreparer:
         """
         self._advise = advise
         self._cell, self._hand, self._thing, self._planner = cell, hand, thing, planner
-        self.objects = {thing.name: thing}
+        self.objects: Mapping[str, ObjectModel] = {thing.name: thing}
         """The object by its name."""
         self._dynamics, self._seed = dynamics, seed
         self._kinematics, self._clearance = ArmKinematics(cell, hand), ClearanceModel(cell, hand)

@@ -6,6 +6,7 @@ from __future__ import annotations
 import contextlib
 import resource
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from multiprocessing.connection import Connection
@@ -20,6 +21,7 @@ from fungrasp.deployment.preparation import PreparedGrasp
 from fungrasp.errors import FungraspError
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import load_hand
+from fungrasp.objects import ObjectModel
 from fungrasp.robots.assembly import wired_robot
 from fungrasp.robots.cell import RobotCell
 from fungrasp.robots.control_loop.loop_driver import LoopDriver
@@ -107,12 +109,16 @@ def _process(driver: JointDriver) -> int | None:
 
 
 class _Prepared:
-    """A ``Preparer`` that has its plan already."""
+    """A ``Preparer`` that has its plan already, for one attempt."""
+
+    objects: Mapping[str, ObjectModel] = {}
 
     def __init__(self, prepared: PreparedGrasp):
         self._prepared = prepared
 
-    def prepare(self, grasp: RobotGraspSet, object_pose: np.ndarray, arm: np.ndarray) -> PreparedGrasp:
+    def prepare(
+        self, grasp: RobotGraspSet, object_pose: np.ndarray, arm: np.ndarray, *, attempt: int = 0
+    ) -> PreparedGrasp:
         return self._prepared
 
 
