@@ -210,7 +210,8 @@ class BenchPerception:
         self, index: int, part: Label, human: HumanGraspSet, objects: Mapping[str, ObjectModel]
     ) -> Capture:
         """The same capture without the hand or the object."""
-        from fungrasp.captures.render_capture import CaptureSettings, capture_at
+        from fungrasp.captures.capture_settings import CaptureSettings
+        from fungrasp.captures.render_capture import capture_at
 
         return capture_at(index, human, objects, self.seed, CaptureSettings(missing=(part,))).capture
 

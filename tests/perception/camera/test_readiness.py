@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from fungrasp.captures.capture_scene import Label
-from fungrasp.captures.render_capture import CaptureSettings, SyntheticCapture, render_capture
+from fungrasp.captures.capture_settings import CaptureSettings
+from fungrasp.captures.render_capture import SyntheticCapture, render_capture
 from fungrasp.errors import UnknownNameError
 from fungrasp.grasps import builtin_grasps
 from fungrasp.objects import builtin_object
