@@ -149,6 +149,31 @@ def capture_scene(
         sleeve = painted_sleeve(arm, rng.uniform(0.25, 0.6), cloth, rng)
         parts.append((Label.SLEEVE, sleeve.surface(0.02, 6.0)))
     taken, centre = np.concatenate([held.vertices, skin.vertices]), held.vertices.mean(0)
+    around, look = surroundings(taken, centre, rng, clutter=clutter, towards=towards, skin_like=skin_like)
+    labels, surfaces = zip(*parts, *around, strict=True)
+    return CaptureScene(surfaces, np.array(labels, np.uint8), look, arm)
+
+
+def surroundings(
+    taken: np.ndarray,
+    centre: np.ndarray,
+    rng: np.random.Generator,
+    *,
+    clutter: int,
+    towards: float,
+    skin_like: float,
+) -> tuple[list[tuple[Label, SurfaceMesh]], Look]:
+    """Clutter, table and room, and the light in it.
+
+    Args:
+        taken: points that the clutter must keep off [m], world frame, shape [P, 3].
+        centre: what it stands around [m], shape [3].
+        rng: random numbers.
+        clutter: how many things; fewer if they don't find a place.
+        towards: direction to the camera along the table [rad]; the clutter keeps out of it.
+        skin_like: part of the clutter, and of the table tops, with colours that some skin has.
+    """
+    parts: list[tuple[Label, SurfaceMesh]] = []
     for model, pose in _clutter(taken, centre, clutter, towards, rng):
         painted = painted_object(model)
         if skin_like and rng.uniform() < skin_like:
@@ -156,8 +181,7 @@ def capture_scene(
         parts.append((Label.CLUTTER, painted.moved(pose).surface(0.3, 40.0)))
     parts.append((Label.TABLE, _table(centre, skin_like, rng)))
     parts += [(Label.ROOM, surface) for surface in _room(centre, rng)]
-    labels, surfaces = zip(*parts, strict=True)
-    return CaptureScene(surfaces, np.array(labels, np.uint8), _look(rng), arm)
+    return parts, _look(rng)
 
 
 def _clutter(

@@ -137,7 +137,7 @@ def render_capture(
     painted = painted_object(model)
     if settings.proportions:
         grasp = replace(grasp, hand_joints=vary_hand(grasp, settings.proportions, rng), hand_qpos=None)
-    intrinsics = _intrinsics(settings, rng)
+    intrinsics = drawn_intrinsics(settings, rng)
     azimuth = float(rng.uniform(0, 360))
     clutter = int(rng.integers(settings.clutter[0], settings.clutter[1] + 1))
     towards = float(np.radians(azimuth))
@@ -174,6 +174,26 @@ def render_capture(
         light, depth, labels = (np.ascontiguousarray(image[:, ::-1]) for image in (light, depth, labels))
         grasp, pose, intrinsics = _reflected(grasp, pose, intrinsics)
         painted, side = mirrored_mesh(painted), "left"
+    seen = photographed(light, depth, intrinsics, settings, rng)
+    return SyntheticCapture(seen, grasp, pose, labels, painted, side)
+
+
+def photographed(
+    light: np.ndarray,
+    depth: np.ndarray,
+    intrinsics: Intrinsics,
+    settings: CaptureSettings,
+    rng: np.random.Generator,
+) -> Capture:
+    """What a camera with its errors makes of a scene.
+
+    Args:
+        light: linear, shape [H, W, 3].
+        depth: true [m], 0 where there is nothing, shape [H, W] float32.
+        intrinsics: of the camera.
+        settings: its errors.
+        rng: random numbers.
+    """
     color = noisy_color(light, settings.color_noise or ColorNoise(0.0, 0.0, 0.0), rng)
     if isinstance(settings.depth_noise, DepthNoise):
         depth = noisy_depth(depth, intrinsics, settings.depth_noise, rng)
@@ -181,7 +201,7 @@ def render_capture(
         camera = settings.depth_noise[int(rng.integers(len(settings.depth_noise)))]
         brightness = np.clip(light.mean(axis=-1), 0.0, None)
         depth = camera_depth(depth, intrinsics, camera, rng, brightness)
-    return SyntheticCapture(Capture(color, depth, intrinsics), grasp, pose, labels, painted, side)
+    return Capture(color, depth, intrinsics)
 
 
 def _reflected(
@@ -256,7 +276,8 @@ def _camera(
     return best
 
 
-def _intrinsics(settings: CaptureSettings, rng: np.random.Generator) -> Intrinsics:
+def drawn_intrinsics(settings: CaptureSettings, rng: np.random.Generator) -> Intrinsics:
+    """Intrinsics that differ from the typical ones by a few pixels."""
     typical = settings.intrinsics
     focal, cx, cy = settings.intrinsics_spread * rng.uniform(-1, 1, 3)
     return Intrinsics(

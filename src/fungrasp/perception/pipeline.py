@@ -175,7 +175,7 @@ def _hands(
 ) -> list[_Hand]:
     """The hands that may be meant: one, where the object's place says which or only one is there; else the
     two largest of the side."""
-    near = _object_box(capture, model, thing)
+    near = told_box(capture) or _object_box(capture, model, thing)
     hands = find_hands(detector or MediaPipeHandDetector(), capture, near)
     chosen, warnings = choose_hand(hands, near, side)
     meant = [(chosen, warnings)]
@@ -192,8 +192,8 @@ def _hands(
     return found
 
 
-def _object_box(capture: Capture, model: ObjectModel, thing: ObjectEstimate | None) -> Box | None:
-    """The box given, or that of the mask or point, or of the object where it is said to be [pixels]."""
+def told_box(capture: Capture) -> Box | None:
+    """The object's box that was given, or that of its mask or point [pixels]; None if nothing was."""
     if capture.box is not None:
         return capture.box
     if capture.point is not None:
@@ -202,6 +202,11 @@ def _object_box(capture: Capture, model: ObjectModel, thing: ObjectEstimate | No
     if capture.mask is not None:
         rows, columns = np.nonzero(capture.mask)
         return float(columns.min()), float(rows.min()), float(columns.max()), float(rows.max())
+    return None
+
+
+def _object_box(capture: Capture, model: ObjectModel, thing: ObjectEstimate | None) -> Box | None:
+    """The box of the object where it is said to be [pixels]."""
     if thing is None:
         return None
     pixels = capture.intrinsics.project(transform_points(thing.pose_camera_object, model.vertices))
