@@ -54,7 +54,8 @@ class ImageSource:
     """Number of the image in a BOP scene (by default the first), a DexYCB sequence (the last) or a recording
     (number 30, or the last)."""
     depth_unit: float | None = None
-    """Metres per unit of the depth image, if the intrinsics don't say: 0.001 is usual."""
+    """Metres per unit of the depth image, if the intrinsics don't say: 0.001 is usual. Depth of floats is in
+    metres if this is not given."""
     mask: Path | None = None
     """Image that is not 0 where the object is."""
     box: str | None = None

@@ -22,6 +22,7 @@ from fungrasp.geometry.poses import transform_points
 from fungrasp.grasps import HumanGrasp
 from fungrasp.grasps.human_hand import mirror_points, mirror_pose
 from fungrasp.objects import MIRRORED, ObjectModel
+from fungrasp.perception.camera.readiness import why_no_hand
 from fungrasp.perception.estimates import HandEstimate, ObjectEstimate, Side
 from fungrasp.perception.hand.contact_evidence import HandSurroundings, touching_links
 from fungrasp.perception.hand.detected_hand import (
@@ -177,6 +178,8 @@ def _hands(
     two largest of the side."""
     near = told_box(capture) or _object_box(capture, model, thing)
     hands = find_hands(detector or MediaPipeHandDetector(), capture, near)
+    if not hands and (reason := why_no_hand(capture)):
+        raise FungraspError(f"no hand was found in the image; it is {reason}")
     chosen, warnings = choose_hand(hands, near, side)
     meant = [(chosen, warnings)]
     fitting = [hand for hand in hands if side in (None, hand.side)]

@@ -12,6 +12,7 @@ from fungrasp.grasps.human_hand import BONES
 from fungrasp.perception.camera.frames import CameraFrame
 from fungrasp.perception.estimates import ObjectEstimate
 from fungrasp.perception.hand.detected_hand import HAND_LENGTH, DetectedHand, largest_first
+from fungrasp.perception.io.capture import Capture
 from fungrasp.perception.scene.table import table_under
 
 NEAREST = 0.3
@@ -138,6 +139,13 @@ def judge_frame(
     if table is None:
         problems.append(FrameProblem.of("no_table"))
     return FrameReadiness(tuple(problems), hand, table)
+
+
+def why_no_hand(capture: Capture) -> str:
+    """What may be the reason that no hand is found, in words; empty if nothing is known."""
+    frame = CameraFrame(capture.color, capture.depth, capture.intrinsics, 0.0)
+    problems = [problem for problem in judge_frame(frame, []).problems if problem.code != "no_hand"]
+    return "; ".join(map(str, problems))
 
 
 def judge_object(estimate: ObjectEstimate) -> FrameProblem | None:
