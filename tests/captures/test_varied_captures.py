@@ -11,8 +11,9 @@ from fungrasp.captures.capture_scene import Label
 from fungrasp.captures.capture_settings import CaptureSettings, varied_settings
 from fungrasp.captures.no_hand_capture import no_hand_capture
 from fungrasp.captures.render_capture import render_capture
+from fungrasp.cli.bench_varied import render_varied
 from fungrasp.errors import FungraspError
-from fungrasp.evaluation.recorded_captures import read_recorded
+from fungrasp.evaluation.recorded_captures import read_recorded, recorded_folders
 from fungrasp.geometry.poses import inverse_transform_points, transform_points
 from fungrasp.grasps import builtin_grasps
 from fungrasp.objects import builtin_object, mirrored_object
@@ -98,3 +99,18 @@ def test_images_without_a_hand_have_the_same_bytes_again():
 def test_parts_are_from_0_to_1():
     with pytest.raises(FungraspError, match="worn is a part, from 0 to 1"):
         CaptureSettings(worn=1.5)
+
+
+def test_a_validation_set_is_rendered_once(tmp_path):
+    """The captures of the command ``bench perception --varied``."""
+    settings = dataclasses.replace(PLAIN, left=1.0)
+    grasps = builtin_grasps().select(builtin_grasps().object_name == MODEL.name)
+    render_varied(tmp_path, grasps, {MODEL.name: MODEL}, 1, 8, settings)
+    hand, none = recorded_folders(tmp_path)
+    known, empty = read_recorded(hand), read_recorded(none)
+    assert known.model is not None and known.pose_camera_object is not None and empty.model is None
+    mirrored = mirrored_object(MODEL).vertices
+    np.testing.assert_allclose(known.model.vertices.min(0), mirrored.min(0), atol=1e-6)
+    before = [path.stat().st_mtime_ns for path in sorted(tmp_path.glob("*/rgb.png"))]
+    render_varied(tmp_path, grasps, {MODEL.name: MODEL}, 1, 8, settings)
+    assert [path.stat().st_mtime_ns for path in sorted(tmp_path.glob("*/rgb.png"))] == before

@@ -24,10 +24,11 @@ from fungrasp.perception.hand.detected_hand import (
     settle_side,
 )
 from fungrasp.perception.hand.fit import fit_hand
+from fungrasp.perception.hand.meant_hands import hands_elsewhere, told_box
 from fungrasp.perception.object_pose.confidence import FEATURES, features
 from fungrasp.perception.object_pose.estimate import best_estimate, search_object_pose
 from fungrasp.perception.object_pose.pose_error import add_s, rotation_error
-from fungrasp.perception.pipeline import ACCEPTED_HAND, told_box
+from fungrasp.perception.pipeline import ACCEPTED_HAND
 from fungrasp.perception.scene.table import NO_TABLE, table_under
 
 LOOSE = 6
@@ -157,6 +158,10 @@ def measure_recorded(recorded: RecordedCapture, detector: HandDetector) -> Recor
             if near is not None and len(hands) > 1:
                 meant = [_with_table(choose_hand(hands, near)[0], capture)]
             answer, one = _best_answer(recorded, hint, hinted, meant)
+            if hint == "none" and hands and not answer.accepted:
+                more = hands_elsewhere(capture, hands, None, detector)
+                held += [_under(one.estimate, capture) for one in more]
+                answer, one = _best_answer(recorded, hint, hinted, held) if more else (answer, one)
             answers.append(answer)
             chosen = one if hint == "none" else chosen
     hand, table = chosen
@@ -169,7 +174,11 @@ def measure_recorded(recorded: RecordedCapture, detector: HandDetector) -> Recor
 
 
 def _with_table(detected: DetectedHand, capture: Capture) -> _HandAndTable:
-    hand = fit_hand(settle_side(detected)[0], capture)
+    return _under(fit_hand(settle_side(detected)[0], capture), capture)
+
+
+def _under(hand: HandEstimate, capture: Capture) -> _HandAndTable:
+    """A hand with the table under it."""
     return hand, table_under(capture, hand.joints_camera, np.random.default_rng(0))
 
 
@@ -182,7 +191,7 @@ def _best_answer(
         under = table if hand is None or table is not None else NO_TABLE
         answers.append(_answer(recorded, hint, hinted, hand, under))
     worth = [
-        answer.score * (1.0 if hand is None else hand.score)
+        answer.accepted + answer.score * (1.0 if hand is None else hand.score)
         for answer, (hand, _) in zip(answers, meant, strict=True)
     ]
     best = int(np.argmax(worth))
