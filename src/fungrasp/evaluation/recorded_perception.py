@@ -14,7 +14,7 @@ from fungrasp.evaluation.perception import RIGHT_MM, Stopwatch
 from fungrasp.evaluation.perception_results import rate_of
 from fungrasp.evaluation.recorded_captures import RecordedCapture
 from fungrasp.evaluation.results import finite
-from fungrasp.perception import Capture, HandEstimate
+from fungrasp.perception import Capture, HandEstimate, ObjectEstimate
 from fungrasp.perception.hand.detected_hand import (
     DetectedHand,
     HandDetector,
@@ -24,7 +24,7 @@ from fungrasp.perception.hand.detected_hand import (
     settle_side,
 )
 from fungrasp.perception.hand.fit import fit_hand
-from fungrasp.perception.hand.meant_hands import hands_elsewhere, told_box
+from fungrasp.perception.hand.meant_hands import hands_elsewhere, may_hold, told_box
 from fungrasp.perception.object_pose.confidence import FEATURES, features
 from fungrasp.perception.object_pose.estimate import best_estimate, search_object_pose
 from fungrasp.perception.object_pose.pose_error import add_s, rotation_error
@@ -158,7 +158,7 @@ def measure_recorded(recorded: RecordedCapture, detector: HandDetector) -> Recor
             if near is not None and len(hands) > 1:
                 meant = [_with_table(choose_hand(hands, near)[0], capture)]
             answer, one = _best_answer(recorded, hint, hinted, meant)
-            if hint == "none" and hands and not answer.accepted:
+            if hint == "none" and hands and not _held(recorded, answer, one):
                 more = hands_elsewhere(capture, hands, None, detector)
                 held += [_under(one.estimate, capture) for one in more]
                 answer, one = _best_answer(recorded, hint, hinted, held) if more else (answer, one)
@@ -191,11 +191,18 @@ def _best_answer(
         under = table if hand is None or table is not None else NO_TABLE
         answers.append(_answer(recorded, hint, hinted, hand, under))
     worth = [
-        answer.accepted + answer.score * (1.0 if hand is None else hand.score)
-        for answer, (hand, _) in zip(answers, meant, strict=True)
+        (_held(recorded, answer, one), answer.score * (1.0 if one[0] is None else one[0].score))
+        for answer, one in zip(answers, meant, strict=True)
     ]
-    best = int(np.argmax(worth))
+    best = max(range(len(worth)), key=lambda i: worth[i])
     return replace(answers[best], seconds=sum(answer.seconds for answer in answers)), meant[best]
+
+
+def _held(recorded: RecordedCapture, answer: HintResult, one: _HandAndTable) -> bool:
+    """Whether the object was found, and the hand at it."""
+    assert recorded.model is not None
+    found = ObjectEstimate(np.array(answer.pose), answer.score, answer.accepted)
+    return one[0] is not None and may_hold(one[0], found, np.asarray(recorded.model.vertices))
 
 
 def _answer(
