@@ -603,6 +603,7 @@ BUILDERS: dict[str, Callable[[], Table]] = {
     "experiments_policies": recorded("experiments-policies"),
     "experiments_left": recorded("experiments-left"),
     "hands_added": recorded("hands-added"),
+    "perception_varied": recorded("perception-varied"),
     "select_by_quality": recorded("select-by-quality"),
     "experiments_reality": recorded("experiments-reality"),
     "experiments_retargeting": recorded("experiments-retargeting"),

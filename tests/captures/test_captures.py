@@ -8,7 +8,8 @@ from scipy.spatial import KDTree
 
 from fungrasp.captures.capture_files import read_synthetic_capture, write_capture
 from fungrasp.captures.capture_scene import Label
-from fungrasp.captures.render_capture import CaptureSettings, capture_at, render_capture, render_captures
+from fungrasp.captures.capture_settings import CaptureSettings
+from fungrasp.captures.render_capture import capture_at, render_capture, render_captures
 from fungrasp.errors import FungraspError
 from fungrasp.geometry.poses import inverse_transform_points, transform_points
 from fungrasp.grasps import builtin_grasps, load_human_grasps

@@ -3,10 +3,11 @@ import dataclasses
 import numpy as np
 import pytest
 
+from fungrasp.captures.capture_settings import camera_settings
 from fungrasp.captures.depth_cameras import DEPTH_CAMERAS, camera_depth
 from fungrasp.captures.depth_noise import ColorNoise, noisy_color
 from fungrasp.captures.depth_statistics import beside, depth_statistics, edge_widths, plane_noise
-from fungrasp.captures.render_capture import camera_settings, capture_at
+from fungrasp.captures.render_capture import capture_at
 from fungrasp.captures.varied_hand import vary_hand
 from fungrasp.errors import FungraspError
 from fungrasp.grasps import builtin_grasps

@@ -11,7 +11,8 @@ import pytest
 from grasp_files import run, some_grasps
 
 from fungrasp.captures.capture_files import write_capture
-from fungrasp.captures.render_capture import CaptureSettings, capture_at
+from fungrasp.captures.capture_settings import CaptureSettings
+from fungrasp.captures.render_capture import capture_at
 from fungrasp.cli.bench_perception import BenchPerception
 from fungrasp.grasps import load_objects, save_human_grasps
 from fungrasp.perception import Intrinsics

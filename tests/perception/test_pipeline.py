@@ -244,6 +244,30 @@ def test_of_two_hands_the_one_that_holds_the_object_is_taken(monkeypatch):
     assert "side_from_fingers" not in {warning.code for warning in perceived.warnings}
 
 
+def test_a_hand_hidden_by_somebody_elses_is_looked_for(monkeypatch):
+    """The detector stops at a hand that is easy to see; the object is not at it."""
+    scene, detected = mug()
+    away = np.array([-120.0, -60.0]) if detected.pixels[:, 0].mean() > 160 else np.array([120.0, -60.0])
+    somebody = dataclasses.replace(detected, pixels=detected.pixels + away, score=0.99)
+    looks = []
+
+    class StopsAtTheFirst:
+        def detect(self, color, near=None):
+            looks.append(color)
+            return [somebody] if len(looks) == 1 else [detected]
+
+    def search(capture, mesh, hand, table, seed):
+        held = np.abs(hand.pixels - detected.pixels).max() < 1
+        return known(scene, score=0.8) if held else dataclasses.replace(known(scene, 0.3), accepted=False)
+
+    monkeypatch.setattr(room, "estimate_object_pose", search)
+    perceived = perceive(scene.capture, scene.model, detector=StopsAtTheFirst())
+    assert len(looks) == 2 and perceived.object.accepted
+    error = np.linalg.norm(perceived.hand.joints_camera - scene.joints, axis=1)
+    assert error.mean() < 0.02
+    assert any(w.code == "several_candidates" for w in perceived.warnings)
+
+
 def test_a_side_that_was_said_counts():
     scene, detected = mug()
     unlikely = dataclasses.replace(detected, side="left", side_score=0.6)
@@ -272,8 +296,12 @@ def test_fingers_tell_which_hand_it_is_where_the_model_is_in_doubt():
 
 def test_no_hand_or_one_in_a_glove():
     scene, _ = mug()
+    grey = dataclasses.replace(scene.capture, color=np.full_like(scene.capture.color, 120))
     with pytest.raises(FungraspError, match=r"no hand was found .* must be bare"):
-        perceive(scene.capture, scene.model, detector=StandIn())
+        perceive(grey, scene.model, detector=StandIn())
+    dark = dataclasses.replace(scene.capture, color=np.full_like(scene.capture.color, 12))
+    with pytest.raises(FungraspError, match=r"no hand was found .* too dark"):
+        perceive(dark, scene.model, detector=StandIn())
 
 
 def test_a_hand_without_depth():

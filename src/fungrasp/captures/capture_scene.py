@@ -10,7 +10,7 @@ import numpy as np
 import trimesh
 
 from fungrasp.captures.painted_mesh import PaintedMesh, fine_mesh_normals, painted_object
-from fungrasp.captures.skin_and_sleeve import painted_hand, painted_sleeve
+from fungrasp.captures.skin_and_sleeve import Forearm, painted_hand, painted_sleeve
 from fungrasp.geometry.poses import transform_points
 from fungrasp.grasps import HumanGrasp
 from fungrasp.objects import ObjectModel, builtin_object
@@ -28,6 +28,10 @@ class Label(IntEnum):
     """Skin, the forearm included."""
     SLEEVE = 4
     CLUTTER = 5
+    WORN = 6
+    """A ring or a watch on the hand."""
+    PERSON = 7
+    """Somebody else: hand, arm, sleeve, head."""
 
 
 TABLE_SIZE = (1.4, 0.9, 0.03)
@@ -53,6 +57,16 @@ CLUTTER_REACH = (0.10, 0.38)
 SLEEVES_WORN = 0.7
 """Fraction of the people who wear a sleeve."""
 
+SLEEVES: tuple[Color, ...] = (
+    (0.20, 0.26, 0.42),
+    (0.72, 0.72, 0.74),
+    (0.16, 0.16, 0.17),
+    (0.55, 0.20, 0.20),
+    (0.30, 0.42, 0.34),
+    (0.80, 0.76, 0.62),
+)
+"""What is worn over the forearm, sRGB."""
+
 SKIN_LIKE: tuple[Color, ...] = (
     (0.78, 0.60, 0.44),
     (0.70, 0.52, 0.36),
@@ -67,14 +81,6 @@ WALL_DISTANCE = (1.4, 2.6)
 
 _SPACE = 0.012
 _FLOOR = -0.72
-_SLEEVES: tuple[Color, ...] = (
-    (0.20, 0.26, 0.42),
-    (0.72, 0.72, 0.74),
-    (0.16, 0.16, 0.17),
-    (0.55, 0.20, 0.20),
-    (0.30, 0.42, 0.34),
-    (0.80, 0.76, 0.62),
-)
 _WOODS: tuple[tuple[Color, Color], ...] = (
     ((0.72, 0.55, 0.38), (0.58, 0.41, 0.26)),
     ((0.50, 0.36, 0.25), (0.37, 0.25, 0.17)),
@@ -93,12 +99,22 @@ class CaptureScene:
     """``Label`` of each surface, shape [surfaces] uint8."""
     look: Look
     """Lights, table top and backdrop."""
-    arm_end: np.ndarray
-    """End of the arm [m], world frame, shape [3]; views that show it are avoided."""
+    arm: Forearm
+    """The forearm of the hand that holds the object, world frame."""
+
+    @property
+    def arm_end(self) -> np.ndarray:
+        """End of the arm [m], world frame, shape [3]; views that show it are avoided."""
+        return self.arm.control[2]
+
+    def with_parts(self, parts: Sequence[tuple[Label, SurfaceMesh]]) -> CaptureScene:
+        """The scene with more surfaces, behind the others in the list."""
+        labels = np.concatenate([self.labels, np.array([label for label, _ in parts], np.uint8)])
+        return replace(self, surfaces=(*self.surfaces, *(s for _, s in parts)), labels=labels)
 
     def without(self, missing: Collection[Label]) -> CaptureScene:
-        """The scene without some of its surfaces; a sleeve goes with its hand."""
-        gone = {*missing, *([Label.SLEEVE] if Label.HAND in missing else [])}
+        """The scene without some of its surfaces; sleeve, rings and watch go with their hand."""
+        gone = {*missing, *([Label.SLEEVE, Label.WORN] if Label.HAND in missing else [])}
         kept = [i for i, label in enumerate(self.labels.tolist()) if label not in gone]
         return replace(self, surfaces=tuple(self.surfaces[i] for i in kept), labels=self.labels[kept])
 
@@ -129,10 +145,35 @@ def capture_scene(
     glossy = held.surface(float(rng.uniform(0.05, 0.5)), float(rng.uniform(12, 80)))
     parts = [(Label.HAND, skin.surface(0.18, 15.0)), (Label.OBJECT, glossy)]
     if rng.uniform() < SLEEVES_WORN:
-        cloth = _SLEEVES[rng.integers(len(_SLEEVES))]
+        cloth = SLEEVES[rng.integers(len(SLEEVES))]
         sleeve = painted_sleeve(arm, rng.uniform(0.25, 0.6), cloth, rng)
         parts.append((Label.SLEEVE, sleeve.surface(0.02, 6.0)))
     taken, centre = np.concatenate([held.vertices, skin.vertices]), held.vertices.mean(0)
+    around, look = surroundings(taken, centre, rng, clutter=clutter, towards=towards, skin_like=skin_like)
+    labels, surfaces = zip(*parts, *around, strict=True)
+    return CaptureScene(surfaces, np.array(labels, np.uint8), look, arm)
+
+
+def surroundings(
+    taken: np.ndarray,
+    centre: np.ndarray,
+    rng: np.random.Generator,
+    *,
+    clutter: int,
+    towards: float,
+    skin_like: float,
+) -> tuple[list[tuple[Label, SurfaceMesh]], Look]:
+    """Clutter, table and room, and the light in it.
+
+    Args:
+        taken: points that the clutter must keep off [m], world frame, shape [P, 3].
+        centre: what it stands around [m], shape [3].
+        rng: random numbers.
+        clutter: how many things; fewer if they don't find a place.
+        towards: direction to the camera along the table [rad]; the clutter keeps out of it.
+        skin_like: part of the clutter, and of the table tops, with colours that some skin has.
+    """
+    parts: list[tuple[Label, SurfaceMesh]] = []
     for model, pose in _clutter(taken, centre, clutter, towards, rng):
         painted = painted_object(model)
         if skin_like and rng.uniform() < skin_like:
@@ -140,8 +181,7 @@ def capture_scene(
         parts.append((Label.CLUTTER, painted.moved(pose).surface(0.3, 40.0)))
     parts.append((Label.TABLE, _table(centre, skin_like, rng)))
     parts += [(Label.ROOM, surface) for surface in _room(centre, rng)]
-    labels, surfaces = zip(*parts, strict=True)
-    return CaptureScene(surfaces, np.array(labels, np.uint8), _look(rng), arm.control[2])
+    return parts, _look(rng)
 
 
 def _clutter(

@@ -7,10 +7,11 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from fungrasp.captures.capture_scene import scan_table
+from fungrasp.captures.capture_settings import TYPICAL
 from fungrasp.captures.depth_cameras import DepthCamera, camera_depth
 from fungrasp.captures.depth_noise import ColorNoise, noisy_color
 from fungrasp.captures.painted_mesh import painted_object
-from fungrasp.captures.render_capture import TYPICAL, posed_rays
+from fungrasp.captures.render_capture import posed_rays
 from fungrasp.geometry.poses import transform_points
 from fungrasp.objects import ObjectModel
 from fungrasp.perception import Capture, Intrinsics

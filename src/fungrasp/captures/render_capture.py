@@ -7,104 +7,33 @@ made up. How well perception does on them says little about photographs.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from fungrasp.captures.capture_scene import CaptureScene, Label, capture_scene
-from fungrasp.captures.depth_cameras import DEPTH_CAMERAS, DepthCamera, camera_depth
+from fungrasp.captures.capture_settings import CaptureSettings
+from fungrasp.captures.depth_cameras import camera_depth
 from fungrasp.captures.depth_noise import ColorNoise, DepthNoise, noisy_color, noisy_depth
+from fungrasp.captures.other_people import mirrored_mesh
 from fungrasp.captures.painted_mesh import PaintedMesh, painted_object
-from fungrasp.captures.skin_and_sleeve import SKIN_TONES
+from fungrasp.captures.scene_additions import with_other_people, with_worn_things
 from fungrasp.captures.varied_hand import vary_hand
 from fungrasp.errors import FungraspError, UnknownNameError
 from fungrasp.geometry.poses import compose, inverse_transform_points, invert, rotation_matrix
 from fungrasp.grasps import HumanGrasp, HumanGraspSet
-from fungrasp.objects import ObjectModel
+from fungrasp.grasps.human_hand import mirror_points, mirror_pose
+from fungrasp.objects import ObjectModel, mirrored_name
 from fungrasp.perception import Capture, Intrinsics
+from fungrasp.perception.estimates import Side
 from fungrasp.rendering.camera import orbit_camera
 from fungrasp.rendering.ray_tracing import NOTHING, PixelRays, RayTracer
-from fungrasp.rendering.shading import Color
 
 TRIES = 24
 """Cameras that are tried before the best so far is taken."""
 
-TYPICAL = Intrinsics(640, 480, 615.0, 615.0, 321.5, 238.0)
-"""A colour camera of the kind that is sold with a depth sensor for robots."""
-
 _PROBE = 8
-
-
-@dataclass(frozen=True)
-class CaptureSettings:
-    """What test captures look like."""
-
-    intrinsics: Intrinsics = TYPICAL
-    """Intrinsics of the typical camera; those of a capture differ by a few pixels."""
-    intrinsics_spread: float = 8.0
-    """Largest difference of focal length and optical axis from the typical ones [pixels]."""
-    distance: tuple[float, float] = (0.4, 0.9)
-    """Range of distances from the camera to the grasp [m]."""
-    elevation: tuple[float, float] = (15.0, 65.0)
-    """Range of elevations of the camera above the table, seen from the grasp [degrees]."""
-    clutter: tuple[int, int] = (0, 5)
-    """Fewest and most other objects on the table."""
-    skin: tuple[Color, ...] = SKIN_TONES
-    """Tones of skin, sRGB; another colour makes a glove."""
-    object_seen: float = 0.012
-    """Part of the image that must show the object, where a camera can be found that does."""
-    hand_seen: float = 0.015
-    """Part of the image that must show the hand, where a camera can be found that does."""
-    missing: tuple[Label, ...] = ()
-    """Labels that are taken out of the scene once the camera has found its place, to see what perception
-    makes of that: ``HAND`` (with its sleeve) or ``OBJECT``."""
-    proportions: float = 0.0
-    """Standard deviation of the size of hands, and of the lengths of their fingers, as a part; their
-    fingertips stay where they are."""
-    skin_like: float = 0.0
-    """Part of the clutter, and of the table tops, with colours that some skin has."""
-    depth_noise: DepthNoise | tuple[DepthCamera, ...] | None = field(default_factory=DepthNoise)
-    """Errors of the depth: simple ones, those of one of several kinds of cameras, drawn for each capture,
-    or None for perfect depth."""
-    color_noise: ColorNoise | None = field(default_factory=ColorNoise)
-    """Noise of the color image; None for perfect color."""
-
-    def __post_init__(self) -> None:
-        for name in ("distance", "elevation", "clutter"):
-            low, high = getattr(self, name)
-            if not 0 <= low <= high:
-                raise FungraspError(f"captures: {name} must be a range from low to high, not {low} to {high}")
-        if isinstance(self.depth_noise, tuple) and not self.depth_noise:
-            raise FungraspError("captures: depth_noise must name at least one camera, or be None")
-        if not 0 <= self.proportions <= 0.2:
-            raise FungraspError(f"captures: proportions must be from 0 to 0.2, not {self.proportions}")
-        if self.distance[0] < 0.2 or self.elevation[1] > 85:
-            raise FungraspError("captures: the camera must be 0.2 m away or more, and at most 85 degrees up")
-
-
-def camera_settings(camera: str = "mixed") -> CaptureSettings:
-    """Captures as the cameras that people have give them: melted depth, wrong exposure, hands of all sizes.
-
-    Args:
-        camera: one of ``DEPTH_CAMERAS``, or "mixed", which draws one of them for each capture.
-
-    Raises:
-        UnknownNameError: there is no such camera.
-    """
-    if camera != "mixed" and camera not in DEPTH_CAMERAS:
-        raise UnknownNameError("depth camera", camera, ("mixed", *DEPTH_CAMERAS))
-    cameras = tuple(DEPTH_CAMERAS.values()) if camera == "mixed" else (DEPTH_CAMERAS[camera],)
-    return CaptureSettings(
-        proportions=0.07,
-        skin_like=0.4,
-        distance=(0.45, 0.9),
-        object_seen=0.006,
-        depth_noise=cameras,
-        color_noise=ColorNoise(
-            noise=3.0, blur=0.6, balance=0.08, exposure=(0.6, 3.0), motion=4.0, jpeg=(60, 95)
-        ),
-    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,13 +43,16 @@ class SyntheticCapture:
     capture: Capture
     """The rendered image, its depth and intrinsics, without mask and box."""
     grasp: HumanGrasp
-    """The human grasp that is rendered, world frame."""
+    """The human grasp that is rendered, world frame. Of a left hand: what ``mirror_pose`` makes of a grasp of
+    a right one."""
     pose_world_camera: np.ndarray
     """Pose of the camera in the world frame, shape [7]."""
     labels: np.ndarray
     """What each pixel shows, see ``Label``, shape [H, W] uint8."""
     painted: PaintedMesh
     """The object with its colors, object frame."""
+    side: Side = "right"
+    """Which hand it is."""
 
     @property
     def pose_camera_object(self) -> np.ndarray:
@@ -205,7 +137,7 @@ def render_capture(
     painted = painted_object(model)
     if settings.proportions:
         grasp = replace(grasp, hand_joints=vary_hand(grasp, settings.proportions, rng), hand_qpos=None)
-    intrinsics = _intrinsics(settings, rng)
+    intrinsics = drawn_intrinsics(settings, rng)
     azimuth = float(rng.uniform(0, 360))
     clutter = int(rng.integers(settings.clutter[0], settings.clutter[1] + 1))
     towards = float(np.radians(azimuth))
@@ -219,6 +151,13 @@ def render_capture(
         skin_like=settings.skin_like,
     )
     tracer = RayTracer(scene.surfaces, scene.look)
+    if settings.worn or settings.people:
+        # Numbers of their own, so that all else is as without them.
+        more = rng.spawn(1)[0]
+        scene = with_worn_things(scene, grasp, settings.worn, more)
+        centre = painted.moved(grasp.object_pose).vertices.mean(axis=0)
+        scene = with_other_people(scene, centre, towards, settings.people, settings.skin, more)
+        tracer = RayTracer(scene.surfaces, scene.look)
     pose = _camera(grasp, painted, tracer, scene, intrinsics, azimuth, settings, rng)
     if settings.missing:
         scene = scene.without(settings.missing)
@@ -227,16 +166,62 @@ def render_capture(
     points = tracer.see(rays)
     labels = np.append(scene.labels, np.uint8(Label.ROOM))[points.surface].reshape(shape)
     light = tracer.picture(rays, points)
-    color = noisy_color(light, settings.color_noise or ColorNoise(0.0, 0.0, 0.0), rng)
     distance = np.where(points.surface == NOTHING, 0.0, points.distance).reshape(shape)
     depth = (distance / np.linalg.norm(intrinsics.rays(), axis=-1)).astype(np.float32)
+    side: Side = "right"
+    if settings.left and rng.uniform() < settings.left:
+        # Before the camera's errors: shadows of its projector stay on their side.
+        light, depth, labels = (np.ascontiguousarray(image[:, ::-1]) for image in (light, depth, labels))
+        grasp, pose, intrinsics = _reflected(grasp, pose, intrinsics)
+        painted, side = mirrored_mesh(painted), "left"
+    seen = photographed(light, depth, intrinsics, settings, rng)
+    return SyntheticCapture(seen, grasp, pose, labels, painted, side)
+
+
+def photographed(
+    light: np.ndarray,
+    depth: np.ndarray,
+    intrinsics: Intrinsics,
+    settings: CaptureSettings,
+    rng: np.random.Generator,
+) -> Capture:
+    """What a camera with its errors makes of a scene.
+
+    Args:
+        light: linear, shape [H, W, 3].
+        depth: true [m], 0 where there is nothing, shape [H, W] float32.
+        intrinsics: of the camera.
+        settings: its errors.
+        rng: random numbers.
+    """
+    color = noisy_color(light, settings.color_noise or ColorNoise(0.0, 0.0, 0.0), rng)
     if isinstance(settings.depth_noise, DepthNoise):
         depth = noisy_depth(depth, intrinsics, settings.depth_noise, rng)
     elif settings.depth_noise is not None:
         camera = settings.depth_noise[int(rng.integers(len(settings.depth_noise)))]
         brightness = np.clip(light.mean(axis=-1), 0.0, None)
         depth = camera_depth(depth, intrinsics, camera, rng, brightness)
-    return SyntheticCapture(Capture(color, depth, intrinsics), grasp, pose, labels, painted)
+    return Capture(color, depth, intrinsics)
+
+
+def _reflected(
+    grasp: HumanGrasp, pose: np.ndarray, lens: Intrinsics
+) -> tuple[HumanGrasp, np.ndarray, Intrinsics]:
+    """Grasp, pose of the camera in the world, shape [7], and its intrinsics in the scene reflected in the
+    plane y = 0, whose image is turned round from left to right."""
+    seen = replace(
+        grasp,
+        object_name=mirrored_name(grasp.object_name),
+        object_pose=mirror_pose(grasp.object_pose),
+        object_rest_pose=mirror_pose(grasp.object_rest_pose),
+        hand_joints=mirror_points(grasp.hand_joints),
+        hand_qpos=None,
+    )
+    # A point R p + t becomes S (R p + t), with S the world's reflection; X is that of the image.
+    rotation = np.diag([1, -1, 1]) @ rotation_matrix(pose[3:]) @ np.diag([-1, 1, 1])
+    turned = Rotation.from_matrix(rotation).as_quat(scalar_first=True)
+    mirrored = replace(lens, cx=lens.width - 1 - lens.cx)
+    return seen, np.concatenate([mirror_points(pose[:3]), turned]), mirrored
 
 
 def posed_rays(intrinsics: Intrinsics, pose_world_camera: np.ndarray) -> PixelRays:
@@ -291,7 +276,8 @@ def _camera(
     return best
 
 
-def _intrinsics(settings: CaptureSettings, rng: np.random.Generator) -> Intrinsics:
+def drawn_intrinsics(settings: CaptureSettings, rng: np.random.Generator) -> Intrinsics:
+    """Intrinsics that differ from the typical ones by a few pixels."""
     typical = settings.intrinsics
     focal, cx, cy = settings.intrinsics_spread * rng.uniform(-1, 1, 3)
     return Intrinsics(

@@ -40,7 +40,10 @@ CLEARANCE = 0.05
 
 _STUMP = (0.012, 0.045)
 """Where the forearm of ``human_hand_mesh`` begins and ends behind the wrist [m], at its reference size."""
-_WRIST_HALF = (0.0295, 0.0185)
+
+WRIST_HALF = (0.0295, 0.0185)
+"""Half the width and half the thickness of the wrist [m], at the reference size."""
+
 _WRIST, _INDEX, _MIDDLE, _RING, _PINKY, _THUMB_MCP = (
     HUMAN_JOINTS.index(name)
     for name in ("wrist", "index_mcp", "middle_mcp", "ring_mcp", "pinky_mcp", "thumb_mcp")
@@ -94,7 +97,7 @@ def painted_hand(joints: np.ndarray, tone: Color, rng: np.random.Generator) -> t
     mesh = trimesh.Trimesh(hand.vertices, hand.faces, process=False)
     normals = np.array(mesh.vertex_normals)
     marks = _marks(joints, hand.vertices, normals, hand.links, scale)
-    red = np.clip(marks.red + 0.10 * _blotches(hand.vertices, rng), 0, 1)
+    red = np.clip(marks.red + 0.10 * blotches(hand.vertices, rng), 0, 1)
     skin = np.asarray(tone)
     flushed = skin * [0.93, 0.68, 0.62]
     light = 1.0 - (1.0 - skin) * [0.62, 0.70, 0.72]
@@ -120,7 +123,7 @@ def painted_sleeve(arm: Forearm, start: float, color: Color, rng: np.random.Gene
     phase, turns = rng.uniform(0, 2 * np.pi, 4), rng.integers(0, 4, 4)
     waves = [np.sin(turns[k] * angle + (14 + 11 * k) * part[:, None] + phase[k]) for k in range(4)]
     folds = np.sum(waves, axis=0) / 4
-    half = arm.scale * np.array(_WRIST_HALF) * arm.growth(part) + 0.007 + 0.012 * (part - start)[:, None]
+    half = arm.scale * np.array(WRIST_HALF) * arm.growth(part) + 0.007 + 0.012 * (part - start)[:, None]
     half[0] -= 0.005
     half = half[:, None] + 0.003 * folds[..., None] * (part > start + 0.02)[:, None, None]
     rim = half * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
@@ -229,6 +232,11 @@ def _mark_fingertip(
     swell[rows] += scale * (0.0003 * nail - 0.0004 * rim)
 
 
+def back_of_hand(joints: np.ndarray) -> np.ndarray:
+    """Unit vector out of the back of a right hand, shape [3]. joints: [m], shape [21, 3]."""
+    return _unit(_dorsal(joints)[:4, 0].mean(axis=0))
+
+
 def _dorsal(joints: np.ndarray) -> np.ndarray:
     """Unit vector out of the back of each finger link, shape [5, 3, 3]."""
     result = np.empty((5, 3, 3))
@@ -247,7 +255,7 @@ def _dorsal(joints: np.ndarray) -> np.ndarray:
     return result
 
 
-def _blotches(points: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+def blotches(points: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Smooth random pattern, about 0 to 1, shape [V]."""
     total = np.zeros(len(points))
     for size in (0.03, 0.015, 0.007):

@@ -63,7 +63,8 @@ class BenchDepth:
         """Depth from 0.6 to 0.9 m and from above, as people look at a table."""
         from dataclasses import replace
 
-        from fungrasp.captures.render_capture import CaptureSettings, camera_settings, render_captures
+        from fungrasp.captures.capture_settings import CaptureSettings, camera_settings
+        from fungrasp.captures.render_capture import render_captures
         from fungrasp.grasps import builtin_grasps, load_objects
 
         settings = CaptureSettings() if camera == "simple" else camera_settings(camera)

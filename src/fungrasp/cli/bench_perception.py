@@ -67,6 +67,10 @@ class BenchPerception:
     real: Path | None = None
     """Folder of real captures whose truth is known, one folder each: rgb.png, depth.png, K.json, mask.png,
     truth.json; docs/perception.md says what is in them."""
+    varied: bool = False
+    """Render captures with the errors of real cameras, left hands, hands of other sizes, rings, watches,
+    faces and hands of other people, and half as many images without a hand, into --keep; measure them like
+    --real."""
     track: int = 0
     """Follow the object through so many images of its first grasp that moves, with sharp and with smoothed
     depth, instead of all else."""
@@ -89,6 +93,9 @@ class BenchPerception:
             bench_recorded(self.real, self.json)
             return
         human = self._grasps()
+        if self.varied:
+            self._varied(human)
+            return
         if self.track:
             from fungrasp.cli.bench_tracking import bench_tracking
 
@@ -152,6 +159,18 @@ class BenchPerception:
             if figures[part][what] is not None:
                 print(f"{words}: {figures[part][what]['rate']:.1%}")
         print(f"{len(results)} captures of {len(objects)} objects, seed {self.seed}; {machine()}")
+
+    def _varied(self, human: HumanGraspSet) -> None:
+        """Render what is not there yet and measure it."""
+        from fungrasp.cli.bench_recorded import bench_recorded
+        from fungrasp.cli.bench_varied import render_varied
+        from fungrasp.errors import FungraspError
+        from fungrasp.grasps import load_objects
+
+        if self.keep is None:
+            raise FungraspError("--varied needs --keep FOLDER, where the captures go")
+        render_varied(self.keep, human, load_objects(human, self.objects), self.captures, self.seed)
+        bench_recorded(self.keep, self.json)
 
     def _grasps(self) -> HumanGraspSet:
         import numpy as np
@@ -225,7 +244,8 @@ class BenchPerception:
         self, index: int, part: Label, human: HumanGraspSet, objects: Mapping[str, ObjectModel]
     ) -> Capture:
         """The same capture without the hand or the object."""
-        from fungrasp.captures.render_capture import CaptureSettings, capture_at
+        from fungrasp.captures.capture_settings import CaptureSettings
+        from fungrasp.captures.render_capture import capture_at
 
         settings = CaptureSettings(missing=(part,), proportions=self.proportions)
         return capture_at(index, human, objects, self.seed, settings).capture

@@ -6,7 +6,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from fungrasp.cli.live_capture import CameraChoice
+
 if TYPE_CHECKING:
+    from fungrasp.objects import ObjectModel
     from fungrasp.perception import Capture
     from fungrasp.perception.io.capture import Box, Pixel
 
@@ -35,8 +38,14 @@ class ImageSource:
     folder: Path | None = None
     """Instead of the three files a folder: rgb.png, depth.png, K.json (and mask.png); a BOP scene; one camera
     of a DexYCB sequence; or "builtin", an image of a spray_bottle to try things with."""
-    camera: bool = False
-    """Instead of files: take an image now, with the RealSense camera that is connected."""
+    camera: CameraChoice = None
+    """Instead of files: take an image now, with the RealSense camera that is connected, or out of a FOLDER
+    that has a capture's folder for each frame. What is missing is said; the image is taken when hand, table
+    and object are seen."""
+    countdown: float = 3.0
+    """Seconds between all being seen and the camera's image."""
+    page: bool = True
+    """Show the camera's picture on a page that only this computer can open."""
     recording: Path | None = None
     """Instead of files: an image out of a RealSense camera's recording, .bag or .db3."""
     keep: Path | None = None
@@ -45,7 +54,8 @@ class ImageSource:
     """Number of the image in a BOP scene (by default the first), a DexYCB sequence (the last) or a recording
     (number 30, or the last)."""
     depth_unit: float | None = None
-    """Metres per unit of the depth image, if the intrinsics don't say: 0.001 is usual."""
+    """Metres per unit of the depth image, if the intrinsics don't say: 0.001 is usual. Depth of floats is in
+    metres if this is not given."""
     mask: Path | None = None
     """Image that is not 0 where the object is."""
     box: str | None = None
@@ -58,10 +68,15 @@ class ImageSource:
         """Name of the source, as text to print."""
         if _is_builtin(self.folder):
             return "the built-in one"
-        return "the camera's" if self.camera else str(self.folder or self.recording or self.rgb)
+        if self.camera is not None:
+            return f"of the camera {self.camera}"
+        return str(self.folder or self.recording or self.rgb)
 
-    def read(self) -> Capture:
+    def read(self, model: ObjectModel) -> Capture:
         """The capture, with mask, box or point if one is given.
+
+        Args:
+            model: the object; a camera waits until it is seen.
 
         Raises:
             FungraspError: it is not said, or said twice, where the image comes from; or it can't be read.
@@ -75,8 +90,8 @@ class ImageSource:
         )
         if self.folder is not None:
             return self._of_folder(self.folder, hints)
-        if self.camera or self.recording is not None:
-            return self._of_camera(hints)
+        if self.camera is not None or self.recording is not None:
+            return self._of_camera(model, hints)
         return self._of_files(self.rgb, self.depth, self.intrinsics, self.mask, hints)
 
     def _check(self) -> None:
@@ -84,7 +99,7 @@ class ImageSource:
 
         files = {"--rgb": self.rgb, "--depth": self.depth, "--intrinsics": self.intrinsics}
         missing = [name for name, path in files.items() if path is None]
-        others = {"--folder": self.folder, "--camera": self.camera or None, "--recording": self.recording}
+        others = {"--folder": self.folder, "--camera": self.camera, "--recording": self.recording}
         given = [name for name, value in others.items() if value is not None]
         if len(missing) < 3:
             given.append("--rgb, --depth and --intrinsics")
@@ -94,7 +109,7 @@ class ImageSource:
             raise FungraspError(
                 f"{' and '.join(missing)} must be given, or --folder, --camera or --recording instead"
             )
-        live = self.camera or self.recording is not None
+        live = self.camera is not None or self.recording is not None
         if live and self.depth_unit is not None:
             raise FungraspError("--depth-unit is for files: a camera says itself what its depth means")
         if not live and self.keep is not None:
@@ -110,11 +125,21 @@ class ImageSource:
         rgb, depth, intrinsics, mask = own
         return self._of_files(rgb, depth, intrinsics, self.mask or mask, hints)
 
-    def _of_camera(self, hints: _Hints) -> Capture:
+    def _of_camera(self, model: ObjectModel, hints: _Hints) -> Capture:
+        from fungrasp.cli.live_capture import live_capture
         from fungrasp.perception.io.realsense import capture_from_camera
         from fungrasp.perception.io.scene_folders import read_folder, write_folder
 
-        capture = capture_from_camera(self.recording, image=None if self.camera else self.image)
+        if self.camera is not None:
+            capture = live_capture(
+                self.camera,
+                model,
+                self.countdown,
+                self.page,
+                lambda seen: self._marked(seen, hints),
+            )
+        else:
+            capture = capture_from_camera(self.recording, image=self.image)
         if self.keep is not None:
             write_folder(capture, self.keep)
             # As it will be read again, so that the same comes out then.

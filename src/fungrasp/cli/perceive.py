@@ -83,8 +83,8 @@ class Perceive:
         self._check()
         plane = parse_plane(self.table)
         held = held_object(self.mesh, self.mass)
-        capture = self.source.read()
         model = held.model
+        capture = self.source.read(model)
         hand = self._hand(capture)
         pose = self._object_pose(capture, model if held.colored is None else held.colored)
         perceived = perceive(

@@ -33,11 +33,15 @@ from fungrasp.objects import (
 )
 from fungrasp.perception import Capture
 from fungrasp.perception.estimates import JOINTS
+from fungrasp.perception.io.image_files import read_mask
 from fungrasp.perception.io.scene_folders import LENS_FILE, read_folder
 from fungrasp.perception.object_pose.known_object import colored_mesh
 
 TRUTH = "truth.json"
 """File with what is known about a capture."""
+
+RENDERED_MASK = "object_mask.png"
+"""The object's pixels in a rendered capture."""
 
 MASS = 0.1
 """Mass that meshes of a validation set get [kg]; poses do not depend on it."""
@@ -99,7 +103,7 @@ def read_recorded(folder: str | Path) -> RecordedCapture:
         raise FungraspError(f'{path}: a pose without "object": name the mesh file or the built-in object')
     return RecordedCapture(
         folder.name,
-        read_folder(folder),
+        _with_mask(folder, read_folder(folder)),
         model,
         colored,
         pose,
@@ -107,6 +111,15 @@ def read_recorded(folder: str | Path) -> RecordedCapture:
         _numbers(path, truth, "visible_joint_pixels", (JOINTS, 2)),
         _numbers(path, truth, "table_plane_camera", (4,)),
     )
+
+
+def _with_mask(folder: Path, capture: Capture) -> Capture:
+    """The capture with the mask that a rendered one has under another name, as it is not given away there."""
+    path = folder / RENDERED_MASK
+    if capture.mask is not None or not path.is_file():
+        return capture
+    mask = read_mask(path, capture.depth.shape)
+    return capture.with_object(mask=mask) if mask.any() else capture
 
 
 def _object(folder: Path, name: Any) -> tuple[ObjectModel | None, trimesh.Trimesh | None]:

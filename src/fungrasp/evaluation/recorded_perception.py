@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -14,9 +14,17 @@ from fungrasp.evaluation.perception import RIGHT_MM, Stopwatch
 from fungrasp.evaluation.perception_results import rate_of
 from fungrasp.evaluation.recorded_captures import RecordedCapture
 from fungrasp.evaluation.results import finite
-from fungrasp.perception import Capture, HandEstimate
-from fungrasp.perception.hand.detected_hand import HandDetector, choose_hand, find_hands
+from fungrasp.perception import Capture, HandEstimate, ObjectEstimate
+from fungrasp.perception.hand.detected_hand import (
+    DetectedHand,
+    HandDetector,
+    choose_hand,
+    find_hands,
+    largest_first,
+    settle_side,
+)
 from fungrasp.perception.hand.fit import fit_hand
+from fungrasp.perception.hand.meant_hands import hands_elsewhere, may_hold, told_box
 from fungrasp.perception.object_pose.confidence import FEATURES, features
 from fungrasp.perception.object_pose.estimate import best_estimate, search_object_pose
 from fungrasp.perception.object_pose.pose_error import add_s, rotation_error
@@ -32,6 +40,12 @@ vanish."""
 
 BOX_MARGIN = 0.1
 """A person's box round an object is wider than the object by this part on each side."""
+
+
+_HandAndTable = tuple[HandEstimate | None, np.ndarray | None]
+"""A hand and the table's plane under it."""
+
+_NOBODY: _HandAndTable = (None, None)
 
 
 @dataclass(frozen=True)
@@ -132,24 +146,63 @@ def _disc(radius: int) -> np.ndarray:
 def measure_recorded(recorded: RecordedCapture, detector: HandDetector) -> RecordedResult:
     """Run perception on one real capture, with each hint that its mask gives."""
     capture = recorded.capture.with_object()
-    hand = table = None
     with Stopwatch() as watch:
         hands = find_hands(detector, capture)
-        if hands:
-            hand = fit_hand(choose_hand(hands)[0], capture)
-            table = table_under(capture, hand.joints_camera, np.random.default_rng(0))
+        # As ``perceive`` does: where it is open which of two hands is meant, both go on.
+        held = [_with_table(hand, capture) for hand in largest_first(hands)[:2]]
+    answers, chosen = [], held[0] if held else _NOBODY
+    if recorded.model is not None and recorded.pose_camera_object is not None:
+        for hint, hinted in hinted_captures(recorded).items():
+            near = told_box(hinted)
+            meant = held or [_NOBODY]
+            if near is not None and len(hands) > 1:
+                meant = [_with_table(choose_hand(hands, near)[0], capture)]
+            answer, one = _best_answer(recorded, hint, hinted, meant)
+            if hint == "none" and hands and not _held(recorded, answer, one):
+                more = hands_elsewhere(capture, hands, None, detector)
+                held += [_under(one.estimate, capture) for one in more]
+                answer, one = _best_answer(recorded, hint, hinted, held) if more else (answer, one)
+            answers.append(answer)
+            chosen = one if hint == "none" else chosen
+    hand, table = chosen
     found, pixels, joints = _hand_error(recorded, hand)
     angle, height = _table_error(recorded, table)
-    under = table if hand is None or table is not None else NO_TABLE
-    answers = []
-    if recorded.model is not None and recorded.pose_camera_object is not None:
-        answers = [
-            _answer(recorded, hint, hinted, hand, under) for hint, hinted in hinted_captures(recorded).items()
-        ]
     sure = hand is not None and hand.score >= ACCEPTED_HAND
     return RecordedResult(
         recorded.name, found, sure, pixels, joints, angle, height, watch.seconds.wall, tuple(answers)
     )
+
+
+def _with_table(detected: DetectedHand, capture: Capture) -> _HandAndTable:
+    return _under(fit_hand(settle_side(detected)[0], capture), capture)
+
+
+def _under(hand: HandEstimate, capture: Capture) -> _HandAndTable:
+    """A hand with the table under it."""
+    return hand, table_under(capture, hand.joints_camera, np.random.default_rng(0))
+
+
+def _best_answer(
+    recorded: RecordedCapture, hint: str, hinted: Capture, meant: Sequence[_HandAndTable]
+) -> tuple[HintResult, _HandAndTable]:
+    """The answer with the hand that holds the object more probably, with the time for all of them."""
+    answers = []
+    for hand, table in meant:
+        under = table if hand is None or table is not None else NO_TABLE
+        answers.append(_answer(recorded, hint, hinted, hand, under))
+    worth = [
+        (_held(recorded, answer, one), answer.score * (1.0 if one[0] is None else one[0].score))
+        for answer, one in zip(answers, meant, strict=True)
+    ]
+    best = max(range(len(worth)), key=lambda i: worth[i])
+    return replace(answers[best], seconds=sum(answer.seconds for answer in answers)), meant[best]
+
+
+def _held(recorded: RecordedCapture, answer: HintResult, one: _HandAndTable) -> bool:
+    """Whether the object was found, and the hand at it."""
+    assert recorded.model is not None
+    found = ObjectEstimate(np.array(answer.pose), answer.score, answer.accepted)
+    return one[0] is not None and may_hold(one[0], found, np.asarray(recorded.model.vertices))
 
 
 def _answer(

@@ -24,17 +24,11 @@ from fungrasp.grasps.human_hand import mirror_points, mirror_pose
 from fungrasp.objects import MIRRORED, ObjectModel
 from fungrasp.perception.estimates import HandEstimate, ObjectEstimate, Side
 from fungrasp.perception.hand.contact_evidence import HandSurroundings, touching_links
-from fungrasp.perception.hand.detected_hand import (
-    DetectedHand,
-    HandDetector,
-    choose_hand,
-    find_hands,
-    largest_first,
-    settle_side,
-)
-from fungrasp.perception.hand.fit import fit_hand, fit_held_hands, refine_hand
+from fungrasp.perception.hand.detected_hand import HandDetector
+from fungrasp.perception.hand.fit import fit_held_hands, refine_hand
+from fungrasp.perception.hand.meant_hands import MeantHand, hands_elsewhere, may_hold, meant_hands
 from fungrasp.perception.hand.mediapipe_detector import MediaPipeHandDetector
-from fungrasp.perception.io.capture import Box, Capture
+from fungrasp.perception.io.capture import Capture
 from fungrasp.perception.object_pose.confidence import ambiguity
 from fungrasp.perception.object_pose.estimate import SIZES, estimate_object_pose
 from fungrasp.perception.object_pose.external_pose import score_given_pose
@@ -129,11 +123,22 @@ def perceive(
     """
     _check_size(model)
     mesh = model if colored is None else colored
+
     # 1, 2: the hand in the image and in metres. Where it is open which of two hands is meant, both go on.
-    meant = _hands(capture, model, object_estimate, side, detector) if hand is None else [_Hand(hand)]
+    def scene_of(meant: MeantHand) -> _Scene:
+        return _scene(capture, mesh, meant, table, object_estimate, seed, improve_pose)
+
     # 3, 4: the table and the object; the hand that holds the object more probably is the one.
-    scenes = [_scene(capture, mesh, h, table, object_estimate, seed, improve_pose) for h in meant]
-    scene = max(scenes, key=lambda scene: scene.object.score * scene.hand.estimate.score)
+    if hand is not None:
+        scene = scene_of(MeantHand(hand))
+    else:
+        detector = detector or MediaPipeHandDetector()
+        scenes = [scene_of(h) for h in meant_hands(capture, model, object_estimate, side, detector)]
+        if not any(_worth(scene, mesh)[0] for scene in scenes):
+            # The one that holds it may be harder to see than somebody else's.
+            known = [scene.hand.detected for scene in scenes if scene.hand.detected is not None]
+            scenes += [scene_of(h) for h in hands_elsewhere(capture, known, side, detector)]
+        scene = max(scenes, key=lambda scene: _worth(scene, mesh))
     # 5: the hand again, touching the object.
     possible = _refined_hands(scene, capture, model, side, seed, hands)
     refined = possible[0][0]
@@ -171,74 +176,18 @@ def _check_size(model: ObjectModel) -> None:
 
 
 @dataclass(frozen=True, eq=False)
-class _Hand:
-    """A hand that may be the one that holds the object."""
-
-    estimate: HandEstimate
-    """Without knowledge of the object."""
-    detected: DetectedHand | None = None
-    """None for another estimator's hand."""
-    warnings: tuple[PerceptionWarning, ...] = ()
-
-
-@dataclass(frozen=True, eq=False)
 class _Scene:
     """A hand, and the table and the object that go with it."""
 
-    hand: _Hand
+    hand: MeantHand
     table: np.ndarray | None
     object: ObjectEstimate
-
-
-def _hands(
-    capture: Capture,
-    model: ObjectModel,
-    thing: ObjectEstimate | None,
-    side: Side | None,
-    detector: HandDetector | None,
-) -> list[_Hand]:
-    """The hands that may be meant: one, where the object's place says which or only one is there; else the
-    two largest of the side."""
-    near = _object_box(capture, model, thing)
-    hands = find_hands(detector or MediaPipeHandDetector(), capture, near)
-    chosen, warnings = choose_hand(hands, near, side)
-    meant = [(chosen, warnings)]
-    fitting = [hand for hand in hands if side in (None, hand.side)]
-    if near is None and len(fitting) > 1:
-        meant = []
-        for hand in largest_first(fitting)[:2]:
-            u, v = hand.pixels.mean(axis=0).tolist()
-            meant.append((hand, [PerceptionWarning.of("several_candidates", count=len(hands), u=u, v=v)]))
-    found = []
-    for hand, warnings in meant:
-        settled, more = settle_side(hand, side)
-        found.append(_Hand(fit_hand(settled, capture), settled, (*warnings, *more)))
-    return found
-
-
-def _object_box(capture: Capture, model: ObjectModel, thing: ObjectEstimate | None) -> Box | None:
-    """The box given, or that of the mask or point, or of the object where it is said to be [pixels]."""
-    if capture.box is not None:
-        return capture.box
-    if capture.point is not None:
-        u, v = capture.point
-        return u - 1.0, v - 1.0, u + 1.0, v + 1.0
-    if capture.mask is not None:
-        rows, columns = np.nonzero(capture.mask)
-        return float(columns.min()), float(rows.min()), float(columns.max()), float(rows.max())
-    if thing is None:
-        return None
-    pixels = capture.intrinsics.project(transform_points(thing.pose_camera_object, model.vertices))
-    if not np.isfinite(pixels).all():
-        return None
-    (x0, y0), (x1, y1) = pixels.min(axis=0), pixels.max(axis=0)
-    return float(x0), float(y0), float(x1), float(y1)
 
 
 def _scene(
     capture: Capture,
     mesh: ObjectModel | trimesh.Trimesh,
-    hand: _Hand,
+    hand: MeantHand,
     table: np.ndarray | None,
     thing: ObjectEstimate | None,
     seed: int,
@@ -258,6 +207,12 @@ def _scene(
         surface = transform_points(thing.pose_camera_object, np.asarray(mesh.vertices))
         table = table_under(capture, surface, np.random.default_rng(seed))
     return _Scene(hand, table, thing)
+
+
+def _worth(scene: _Scene, mesh: ObjectModel | trimesh.Trimesh) -> tuple[bool, float]:
+    """How probable a scene is: one in which the hand is at the object first, then by the scores."""
+    held = may_hold(scene.hand.estimate, scene.object, np.asarray(mesh.vertices))
+    return held, scene.object.score * scene.hand.estimate.score
 
 
 def _refined_hands(

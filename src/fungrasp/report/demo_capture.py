@@ -12,8 +12,9 @@ import numpy as np
 import trimesh
 
 from fungrasp.captures.capture_files import TRUTH_FILE, write_capture
+from fungrasp.captures.capture_settings import CaptureSettings
 from fungrasp.captures.depth_noise import ColorNoise
-from fungrasp.captures.render_capture import CaptureSettings, render_capture
+from fungrasp.captures.render_capture import render_capture
 from fungrasp.files import atomic_path
 from fungrasp.grasps import builtin_grasps
 from fungrasp.objects import ObjectModel, builtin_object

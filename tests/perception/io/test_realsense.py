@@ -1,14 +1,16 @@
 """A made-up pyrealsense2 with the calls that are used; the real one was seen to give the same."""
 
+import itertools
 import logging
 import sys
+import time
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from fungrasp.errors import FungraspError
-from fungrasp.perception.io.realsense import capture_from_camera
+from fungrasp.perception.io.realsense import RealSenseCamera, capture_from_camera
 
 WIDTH, HEIGHT = 64, 48
 UNIT = 0.0001
@@ -25,6 +27,8 @@ class FakeRealSense:
             z16="z16", rgb8="rgb8", bgr8="bgr8", rgba8="rgba8", bgra8="bgra8", yuyv="yuyv"
         )
         self.fmt, self.images, self.start_error, self.missing = fmt, images, start_error, missing
+        self.timestamp_domain = SimpleNamespace(global_time="global", system_time="system", hardware="own")
+        self.domain, self.age = "own", 0.0
         self.millimetres, self.coeffs = millimetres, coeffs
         self.given, self.stopped, self.aligned, self.real_time = 0, 0, 0, True
         self.played, self.streams = None, []
@@ -82,7 +86,13 @@ class FakeRealSense:
         color = SimpleNamespace(get_data=lambda: pixels, profile=profile)
         return SimpleNamespace(
             get_depth_frame=lambda: (
-                None if self.missing == "depth" else SimpleNamespace(get_data=lambda: depth)
+                None
+                if self.missing == "depth"
+                else SimpleNamespace(
+                    get_data=lambda: depth,
+                    get_frame_timestamp_domain=lambda: self.domain,
+                    get_timestamp=lambda: 1000 * (time.time() - self.age),
+                )
             ),
             get_color_frame=lambda: None if self.missing == "colour" else color,
         )
@@ -183,3 +193,33 @@ def test_without_libusb_the_package_is_named(monkeypatch):
     monkeypatch.setattr("fungrasp.perception.io.realsense.importlib.import_module", broken)
     with pytest.raises(FungraspError, match=r"can't be loaded: libusb.*apt install libusb-1.0-0"):
         capture_from_camera()
+
+
+def test_a_stream_gives_aligned_frames_with_the_time_they_were_taken(realsense, caplog):
+    fake = realsense(coeffs=(0.1, 0, 0, 0, 0))
+    fake.domain, fake.age = "global", 0.2
+    with caplog.at_level(logging.WARNING), RealSenseCamera() as camera:
+        frames = list(itertools.islice(camera.frames(), 3))
+    assert [int(frame.color[0, 0, 1]) for frame in frames] == [0, 1, 2]
+    assert all(np.allclose(frame.depth, 0.7) for frame in frames)
+    assert all(0.2 <= time.monotonic() - frame.time < 5.0 for frame in frames)
+    assert fake.stopped == 1 and caplog.text.count("distortion") == 1, "told once"
+    fake.domain = "own"
+    before = time.monotonic()
+    with RealSenseCamera() as camera:
+        assert next(camera.frames()).time >= before, "the camera's own clock says nothing: now"
+
+
+def test_a_stream_of_a_recording_ends_and_counts_its_own_time(realsense, tmp_path):
+    file = tmp_path / "recording.bag"
+    file.touch()
+    realsense(images=4)
+    with RealSenseCamera(file) as camera:
+        assert [frame.time for frame in camera.frames()] == [0, 1 / 30, 2 / 30, 3 / 30]
+
+
+def test_a_camera_that_stops_giving_images_is_named(realsense):
+    fake = realsense(images=2)
+    with pytest.raises(FungraspError, match="gives no more images"), RealSenseCamera() as camera:
+        list(camera.frames())
+    assert fake.stopped == 1

@@ -11,6 +11,7 @@ import numpy as np
 
 from fungrasp.errors import FungraspError
 from fungrasp.grasps.anatomy import joint_bends
+from fungrasp.perception.camera.frames import CameraFrame
 from fungrasp.perception.estimates import Side
 from fungrasp.perception.hand.hand_extent import length_at, possible
 from fungrasp.perception.io.capture import Box, Capture
@@ -96,7 +97,9 @@ class DepthHandDetector(HandDetector, Protocol):
         ...
 
 
-def find_hands(detector: HandDetector, capture: Capture, near: Box | None = None) -> list[DetectedHand]:
+def find_hands(
+    detector: HandDetector, capture: Capture | CameraFrame, near: Box | None = None
+) -> list[DetectedHand]:
     """All hands found in an image by a detector, which may be one that depth helps.
 
     What is not as large as a hand by the depth measured where it is seen is left out, whoever found it;

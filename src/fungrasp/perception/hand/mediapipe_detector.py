@@ -87,8 +87,8 @@ REFUSED = 0.3
 """What overlaps by more than this part with what was looked at and was no hand is not looked at again."""
 
 MOST_LOOKS = 90
-"""So many windows are looked at in one image, and no more are begun: hands that are found need 4 to 60, and
-an image without any is to take less than a second."""
+"""So many windows are looked at in one image at most: hands that are found need 4 to 88, and an image without
+any is to take less than a second."""
 
 WINDOW_LENGTHS = 1.16
 """Edge of a window that a hand of known length is looked at in, in hand lengths. Hands fill it less than the
@@ -103,6 +103,12 @@ each is then turned by half as many angles."""
 
 CUT_AGAIN = 4
 """Around so many of the answers from such windows, the most probable ones, a window is cut, and mirrored."""
+
+VERIFYING = 2 + len(WINDOW_TURNS) + 2 * CUT_AGAIN
+"""Windows that are looked at where a hand is to be confirmed."""
+
+AROUND_PALM = len(WINDOW_OFFSETS) * len(WINDOW_TURNS) // 2 + 2 * CUT_AGAIN
+"""The same where only a palm of low score is known."""
 
 MOST_VERIFIED = 2
 """Largest number of hands of an image that are looked at in more windows."""
@@ -166,17 +172,21 @@ class MediaPipeHandDetector:
             seen = self._palms(image, window)
             answers = [self._hand(image, start) for score, start in seen if score >= PALM_SCORE]
             found = _distinct([hand for hand in answers if hand.score >= HAND_PRESENCE], refused)
-            verified = [self._verified(image, hand, lengths) for hand in found[:MOST_VERIFIED]]
+            verified = [
+                self._verified(image, hand, lengths)
+                for hand in found[:MOST_VERIFIED]
+                if self._looks + VERIFYING <= MOST_LOOKS
+            ]
             first = [hand for hand in verified if hand.score >= LEAST_HAND_SCORE]
             if first:
                 return first + found[MOST_VERIFIED:]
             refused += found[:MOST_VERIFIED]
             palms += seen
-            if self._looks >= MOST_LOOKS:
+            if self._looks + VERIFYING > MOST_LOOKS:
                 return []
         best: DetectedHand | None = None
         for start in _apart(palms)[:LOW_SCORE_PALMS]:
-            if self._looks >= MOST_LOOKS:
+            if self._looks + AROUND_PALM > MOST_LOOKS:
                 break
             hand = self._around_palm(image, start, lengths)
             if hand is not None and (best is None or hand.score > best.score):

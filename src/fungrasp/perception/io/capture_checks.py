@@ -56,7 +56,10 @@ def check_depth_range(depth: np.ndarray, unit: float, where: str) -> None:
         return
     fitting = [u for u in UNITS if USUAL_DEPTH[0] <= middle / unit * u <= USUAL_DEPTH[1]]
     hint = (
-        f"; with units of {fitting[0]:g} m it would be {middle / unit * fitting[0]:.2g} m" if fitting else ""
+        f"; with units of {fitting[0]:g} m it would be {middle / unit * fitting[0]:.2g} m: --depth-unit "
+        f"{fitting[0]:g}"
+        if fitting
+        else ""
     )
     raise FungraspError(
         f"{where}: the depth is {middle:.3g} m in the middle of its range, with units of {unit:g} m; that "

@@ -40,7 +40,7 @@ def read_capture(
     Args:
         color: PNG or JPEG.
         depth: 16-bit PNG (or TIFF with 16-bit or float pixels, or ``.npy``), 0 where nothing was measured;
-            floats are metres.
+            floats are metres if ``depth_unit`` is not given.
         intrinsics: JSON, see ``read_intrinsics``.
         depth_unit: metres per unit of the depth image; None takes what the intrinsics file says.
         mask: image that is not 0 where the object is.
@@ -66,7 +66,7 @@ def read_capture(
     else:
         read = read_intrinsics(intrinsics, size, image=image)
         lens, unit = read.intrinsics, depth_unit if depth_unit is not None else read.depth_unit
-    distance = read_depth(depth, unit)
+    distance = read_depth(depth, unit, float_unit=1.0 if depth_unit is None else depth_unit)
     if distance.shape != picture.shape[:2]:
         raise FungraspError(
             f"the depth image {depth} has {distance.shape[1]} x {distance.shape[0]} pixels and the colour "
@@ -106,12 +106,13 @@ def read_color(path: str | Path) -> np.ndarray:
 
 
 @guarded("depth image")
-def read_depth(path: str | Path, unit: float | None) -> np.ndarray:
+def read_depth(path: str | Path, unit: float | None, *, float_unit: float = 1.0) -> np.ndarray:
     """Read a depth image.
 
     Args:
         path: 16-bit PNG or TIFF, float TIFF, or ``.npy`` of floats or integers, shape [H, W].
-        unit: metres per unit of integers; may be None for floats, which are metres.
+        unit: metres per unit of integers; may be None for floats.
+        float_unit: metres per unit of floats.
 
     Returns:
         [m], 0 where nothing was measured, shape [H, W] float32.
@@ -126,7 +127,8 @@ def read_depth(path: str | Path, unit: float | None) -> np.ndarray:
             f"{path}: depth is an array of numbers [H, W], not {raw.dtype} of {list(raw.shape)}"
         )
     if raw.dtype.kind == "f":
-        depth, unit = np.nan_to_num(raw, nan=0.0, posinf=0.0, neginf=0.0), 1.0
+        unit = float(float_unit)
+        depth = np.nan_to_num(raw, nan=0.0, posinf=0.0, neginf=0.0) * unit
     elif unit is None:
         raise FungraspError(
             f"{path}: say how many metres a unit of depth is: 0.001 (1 mm) is usual, 0.0001 and 0.00025 occur"

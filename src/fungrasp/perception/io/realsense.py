@@ -8,12 +8,16 @@ from __future__ import annotations
 
 import importlib
 import logging
+import time
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
 from fungrasp.errors import FungraspError
+from fungrasp.perception.camera.frames import CameraFrame
 from fungrasp.perception.io.capture import Capture, Intrinsics
 from fungrasp.perception.io.capture_checks import check_depth_range
 
@@ -25,6 +29,12 @@ WAIT = 2000
 
 CHANNELS = {"rgb8": [0, 1, 2], "bgr8": [2, 1, 0], "rgba8": [0, 1, 2], "bgra8": [2, 1, 0]}
 """Formats of colour that are understood, and where red, green and blue are in them."""
+
+RECORDED_RATE = 30.0
+"""Frames per second that a recording's time stamps are counted with: what these cameras are set to."""
+
+LARGEST_AGE = 1.0
+"""A time stamp of longer ago [s] is of a clock that was set meanwhile."""
 
 DISTORTION = 1e-6
 """Coefficients below this are none."""
@@ -53,34 +63,101 @@ def capture_from_camera(
         raise FungraspError(f"the number of images left out before must not be negative, not {warm_up}")
     if image is not None and image < 0:
         raise FungraspError(f"images are numbered from 0; there is no image {image}")
-    if recording is not None and not Path(recording).is_file():
-        raise FungraspError(f"the recording {recording} does not exist")
-    rs = realsense_module()
-    where = "the camera" if recording is None else str(recording)
-    pipeline, config = rs.pipeline(), rs.config()
-    if recording is None:
-        config.enable_stream(rs.stream.depth, rs.format.z16)
-        config.enable_stream(rs.stream.color, rs.format.rgb8)
-    else:
-        # A recording has the formats that it has.
-        config.enable_device_from_file(str(recording), repeat_playback=False)
-        config.enable_stream(rs.stream.depth)
-        config.enable_stream(rs.stream.color)
-    try:
-        profile = pipeline.start(config)
-    except RuntimeError as error:
-        raise FungraspError(_why_not_started(recording, error)) from error
-    try:
-        device = profile.get_device()
-        if recording is not None:
-            device.as_playback().set_real_time(False)
-        unit = float(device.first_depth_sensor().get_depth_scale())
-        frames = _wait(pipeline, warm_up, image, where)
-        return capture_of_frames(rs, rs.align(rs.stream.color).process(frames), unit, where)
-    except RuntimeError as error:
-        raise FungraspError(f"{where} failed: {_line(error)}") from error
-    finally:
-        pipeline.stop()
+    with RealSenseCamera(recording) as camera:
+        return camera.capture(warm_up, image)
+
+
+class RealSenseCamera:
+    """The first RealSense camera that is connected, or a recording of one; see ``RgbdCamera``."""
+
+    def __init__(self, recording: str | Path | None = None):
+        """
+        Args:
+            recording: ``.bag`` or newer ``.db3``; it is played as fast as its frames are asked for. None: the
+                camera.
+        """
+        self.name = "the camera" if recording is None else str(recording)
+        self._recording = recording
+        self._pipeline: Any = None
+        self._rs: Any = None
+        self._unit = 0.0
+        self._checked = False
+
+    def __enter__(self) -> Self:
+        """Start it.
+
+        Raises:
+            FungraspError: pyrealsense2 is not installed or can't be loaded, no camera is there, or the
+                recording is missing, damaged or without colour or depth.
+        """
+        if self._recording is not None and not Path(self._recording).is_file():
+            raise FungraspError(f"the recording {self._recording} does not exist")
+        rs = self._rs = realsense_module()
+        pipeline, config = rs.pipeline(), rs.config()
+        if self._recording is None:
+            config.enable_stream(rs.stream.depth, rs.format.z16)
+            config.enable_stream(rs.stream.color, rs.format.rgb8)
+        else:
+            # A recording has the formats that it has.
+            config.enable_device_from_file(str(self._recording), repeat_playback=False)
+            config.enable_stream(rs.stream.depth)
+            config.enable_stream(rs.stream.color)
+        try:
+            profile = pipeline.start(config)
+        except RuntimeError as error:
+            raise FungraspError(_why_not_started(self._recording, error)) from error
+        self._pipeline = pipeline
+        try:
+            device = profile.get_device()
+            if self._recording is not None:
+                device.as_playback().set_real_time(False)
+            self._unit = float(device.first_depth_sensor().get_depth_scale())
+        except RuntimeError as error:
+            self.__exit__()
+            raise FungraspError(f"{self.name} failed: {_line(error)}") from error
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        """Stop it."""
+        if self._pipeline is not None:
+            self._pipeline.stop()
+            self._pipeline = None
+
+    def frames(self) -> Iterator[CameraFrame]:
+        """See ``RgbdCamera.frames``; the first ones are darker or brighter, as exposure settles."""
+        count = 0
+        while True:
+            try:
+                there, latest = self._pipeline.try_wait_for_frames(FIRST_WAIT if count == 0 else WAIT)
+                if not there and (count == 0 or self._recording is None):
+                    raise FungraspError(f"{self.name} gives no more images: is it still plugged in?")
+                if not there:
+                    return
+                frame = self._aligned(latest)
+            except RuntimeError as error:
+                raise FungraspError(f"{self.name} failed: {_line(error)}") from error
+            if self._recording is not None:
+                frame = replace(frame, time=count / RECORDED_RATE)
+            yield frame
+            count += 1
+
+    def capture(self, warm_up: int, image: int | None) -> Capture:
+        """One capture; see ``capture_from_camera``."""
+        try:
+            frames = _wait(self._pipeline, warm_up, image, self.name)
+            frame = self._aligned(frames)
+        except RuntimeError as error:
+            raise FungraspError(f"{self.name} failed: {_line(error)}") from error
+        check_depth_range(frame.depth, self._unit, self.name)
+        return frame.capture()
+
+    def _aligned(self, frames: Any) -> CameraFrame:
+        """The frame with its depth aligned to its colour."""
+        aligned = self._rs.align(self._rs.stream.color).process(frames)
+        if not self._checked and _distorted(aligned):
+            _log.warning("%s: the lens's distortion is not taken into account", self.name)
+        self._checked = True
+        return _frame(self._rs, aligned, self._unit, self.name)
 
 
 def realsense_module() -> Any:
@@ -134,6 +211,12 @@ def capture_of_frames(rs: Any, frames: Any, unit: float, where: str) -> Capture:
     Raises:
         FungraspError: one of the images is missing or can't be right.
     """
+    frame = _frame(rs, frames, unit, where)
+    check_depth_range(frame.depth, unit, where)
+    return frame.capture()
+
+
+def _frame(rs: Any, frames: Any, unit: float, where: str) -> CameraFrame:
     depth, color = frames.get_depth_frame(), frames.get_color_frame()
     if not depth or not color:
         missing = "colour" if depth else "depth"
@@ -145,16 +228,33 @@ def capture_of_frames(rs: Any, frames: Any, unit: float, where: str) -> Capture:
             f"{where} has colour in the format {profile.format()}; one of {', '.join(CHANNELS)} is needed"
         )
     lens = profile.get_intrinsics()
-    if np.abs(np.asarray(lens.coeffs, dtype=float)).max(initial=0.0) > DISTORTION:
-        _log.warning("%s: the lens's distortion is not taken into account", where)
-    metres = np.asarray(depth.get_data()).astype(np.float32) * np.float32(unit)
-    check_depth_range(metres, unit, where)
-    return Capture(
+    return CameraFrame(
         # A copy: the library's buffer is used again.
         np.array(np.asarray(color.get_data())[..., order], dtype=np.uint8),
-        metres,
+        np.asarray(depth.get_data()).astype(np.float32) * np.float32(unit),
         Intrinsics(lens.width, lens.height, lens.fx, lens.fy, lens.ppx, lens.ppy),
+        _taken(rs, depth),
     )
+
+
+def _distorted(frames: Any) -> bool:
+    """Whether the colour image has a distortion worth mentioning."""
+    color = frames.get_color_frame()
+    if not color:
+        return False
+    lens = color.profile.as_video_stream_profile().get_intrinsics()
+    return bool(np.abs(np.asarray(lens.coeffs, dtype=float)).max(initial=0.0) > DISTORTION)
+
+
+def _taken(rs: Any, depth: Any) -> float:
+    """When a depth image was taken, ``time.monotonic`` [s]: by its time stamp, if that is of this computer's
+    clock, else now."""
+    now = time.monotonic()
+    domain = depth.get_frame_timestamp_domain()
+    if domain not in (rs.timestamp_domain.global_time, rs.timestamp_domain.system_time):
+        return now
+    age = time.time() - 0.001 * float(depth.get_timestamp())
+    return now - age if 0.0 <= age < LARGEST_AGE else now
 
 
 def _line(error: Exception) -> str:

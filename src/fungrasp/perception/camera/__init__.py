@@ -1,0 +1,1 @@
+"""Depth cameras that give frames one after the other, and whether a frame will do."""

@@ -1,0 +1,102 @@
+"""The interface of a depth camera, and the frames it gives.
+
+A camera is a context manager; ``frames`` gives the newest frame again and again. ``RealSenseCamera``
+(``perception.io.realsense``) and ``FolderCamera`` (``recorded``) are two.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import Protocol, Self
+
+import numpy as np
+
+from fungrasp.errors import FungraspError
+from fungrasp.perception.io.capture import Capture, Intrinsics
+
+
+@dataclass(frozen=True, eq=False)
+class CameraFrame:
+    """One colour image and the depth aligned to it. Unlike a ``Capture``, it may lack all depth."""
+
+    color: np.ndarray
+    """RGB, uint8, shape [H, W, 3]."""
+    depth: np.ndarray
+    """Distance along the optical axis [m], float32, shape [H, W]; 0: no measurement."""
+    intrinsics: Intrinsics
+    """Of both images."""
+    time: float
+    """When the images were taken [s]: ``time.monotonic`` for live cameras, since the first frame for
+    recordings."""
+
+    def __post_init__(self) -> None:
+        shape = (self.intrinsics.height, self.intrinsics.width)
+        if self.color.dtype != np.uint8 or self.color.shape != (*shape, 3):
+            raise FungraspError(
+                f"a frame's colour must be uint8 of shape {[*shape, 3]}, not {self.color.dtype} of "
+                f"{list(self.color.shape)}"
+            )
+        if self.depth.dtype != np.float32 or self.depth.shape != shape:
+            raise FungraspError(
+                f"a frame's depth must be float32 of shape {list(shape)}, not {self.depth.dtype} of "
+                f"{list(self.depth.shape)}"
+            )
+
+    def capture(self) -> Capture:
+        """The frame as a capture.
+
+        Raises:
+            FungraspError: there is no depth in it, or one that can't be right.
+        """
+        return Capture(self.color, self.depth, self.intrinsics)
+
+
+class RgbdCamera(Protocol):
+    """A depth camera, live or recorded. It is opened by ``with camera:``."""
+
+    name: str
+    """For messages."""
+
+    def __enter__(self) -> Self:
+        """Start the camera.
+
+        Raises:
+            FungraspError: it is not there, or does not work; the message says what to do.
+        """
+        ...
+
+    def __exit__(self, *error: object) -> None:
+        """Stop the camera."""
+        ...
+
+    def frames(self) -> Iterator[CameraFrame]:
+        """Frame after frame, each the newest there is; ends where a recording ends.
+
+        Raises:
+            FungraspError: no frame comes any more.
+        """
+        ...
+
+
+class FrameList:
+    """A camera that gives frames known before: rendered ones, or those of a test."""
+
+    def __init__(self, frames: Iterable[CameraFrame], name: str = "the list of frames"):
+        """
+        Args:
+            frames: in order of time; may be made while they are taken.
+            name: for messages.
+        """
+        self.name = name
+        self._frames = frames
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        return None
+
+    def frames(self) -> Iterator[CameraFrame]:
+        """See ``RgbdCamera.frames``."""
+        yield from self._frames

@@ -1,0 +1,157 @@
+"""Which hands of an image may be the one that holds the object."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from fungrasp.errors import FungraspError
+from fungrasp.geometry.poses import transform_points
+from fungrasp.objects import ObjectModel
+from fungrasp.perception.camera.frames import CameraFrame
+from fungrasp.perception.camera.readiness import why_no_hand
+from fungrasp.perception.estimates import HandEstimate, ObjectEstimate, Side
+from fungrasp.perception.hand.detected_hand import (
+    DetectedHand,
+    HandDetector,
+    choose_hand,
+    find_hands,
+    largest_first,
+    settle_side,
+)
+from fungrasp.perception.hand.fit import fit_hand
+from fungrasp.perception.io.capture import Box, Capture
+from fungrasp.perception.warning import PerceptionWarning
+
+MOST = 2
+"""So many hands of an image are looked at more closely."""
+
+HOLDING = 0.05
+"""A hand with no joint so near to the object's surface [m] does not hold it: joints of a finger that touches
+are 6 to 11 mm from it, and estimated to 10 to 30 mm."""
+
+
+@dataclass(frozen=True, eq=False)
+class MeantHand:
+    """A hand that may be the one that holds the object."""
+
+    estimate: HandEstimate
+    """Without knowledge of the object."""
+    detected: DetectedHand | None = None
+    """None for another estimator's hand."""
+    warnings: tuple[PerceptionWarning, ...] = ()
+    """What was uncertain in the choice."""
+
+
+def meant_hands(
+    capture: Capture,
+    model: ObjectModel,
+    thing: ObjectEstimate | None,
+    side: Side | None,
+    detector: HandDetector,
+) -> list[MeantHand]:
+    """The hands that may be meant: one, where the object's place says which or only one is there; else the
+    two largest of the side.
+
+    Args:
+        capture: the image; its mask, box or point says where the object is.
+        model: the object.
+        thing: its pose, if it is known.
+        side: which hand it is, if that is known.
+        detector: finds hands.
+
+    Raises:
+        FungraspError: there is no hand, or no depth at it.
+    """
+    near = told_box(capture) or _object_box(capture, model, thing)
+    hands = find_hands(detector, capture, near)
+    if not hands and (reason := why_no_hand(capture)):
+        raise FungraspError(f"no hand was found in the image; it is {reason}")
+    chosen, warnings = choose_hand(hands, near, side)
+    meant = [(chosen, warnings)]
+    fitting = [hand for hand in hands if side in (None, hand.side)]
+    if near is None and len(fitting) > 1:
+        meant = [(hand, [_several(hand, len(hands))]) for hand in largest_first(fitting)[:MOST]]
+    return [_fitted(hand, warnings, capture, side) for hand, warnings in meant]
+
+
+def hands_elsewhere(
+    capture: Capture, known: Sequence[DetectedHand], side: Side | None, detector: HandDetector
+) -> list[MeantHand]:
+    """More hands, where those known are painted over: detectors stop at a hand that is easy to see, which may
+    be somebody else's. Empty if there are none.
+
+    Args:
+        capture: the image.
+        known: hands that were found and don't hold the object.
+        side: which hand it is, if that is known.
+        detector: finds hands.
+    """
+    color, depth = capture.color.copy(), capture.depth.copy()
+    ground = np.median(color.reshape(-1, 3), axis=0).astype(np.uint8)
+    for hand in known:
+        x0, y0, x1, y1 = np.clip(np.rint(hand.box), 0, None).astype(int)
+        color[y0 : y1 + 1, x0 : x1 + 1], depth[y0 : y1 + 1, x0 : x1 + 1] = ground, 0.0
+    found = find_hands(detector, CameraFrame(color, depth, capture.intrinsics, 0.0))
+    # One that is found again beside its painted place is no other hand.
+    others = [h for h in found if side in (None, h.side) and all(_apart(h, k) for k in known)]
+    count = len(known) + len(others)
+    return [_fitted(hand, [_several(hand, count)], capture, side) for hand in largest_first(others)[:MOST]]
+
+
+def told_box(capture: Capture) -> Box | None:
+    """The object's box that was given, or that of its mask or point [pixels]; None if nothing was."""
+    if capture.box is not None:
+        return capture.box
+    if capture.point is not None:
+        u, v = capture.point
+        return u - 1.0, v - 1.0, u + 1.0, v + 1.0
+    if capture.mask is not None:
+        rows, columns = np.nonzero(capture.mask)
+        return float(columns.min()), float(rows.min()), float(columns.max()), float(rows.max())
+    return None
+
+
+def may_hold(hand: HandEstimate, thing: ObjectEstimate, vertices: np.ndarray) -> bool:
+    """Whether the object's pose is accepted and the hand is at it.
+
+    Args:
+        hand: camera frame.
+        thing: the object's pose, camera frame.
+        vertices: of its mesh, object frame [m], shape [V, 3].
+    """
+    if not thing.accepted:
+        return False
+    surface = transform_points(thing.pose_camera_object, vertices)
+    # Large triangles have their vertices far from the hand: what counts is the box they span.
+    low, high = surface.min(axis=0) - HOLDING, surface.max(axis=0) + HOLDING
+    return bool(((hand.joints_camera > low) & (hand.joints_camera < high)).all(axis=1).any())
+
+
+def _fitted(
+    hand: DetectedHand, warnings: Sequence[PerceptionWarning], capture: Capture, side: Side | None
+) -> MeantHand:
+    settled, more = settle_side(hand, side)
+    return MeantHand(fit_hand(settled, capture), settled, (*warnings, *more))
+
+
+def _several(hand: DetectedHand, count: int) -> PerceptionWarning:
+    u, v = hand.pixels.mean(axis=0).tolist()
+    return PerceptionWarning.of("several_candidates", count=count, u=u, v=v)
+
+
+def _apart(hand: DetectedHand, other: DetectedHand) -> bool:
+    return float(np.linalg.norm(hand.pixels.mean(axis=0) - other.pixels.mean(axis=0))) > 0.5 * other.extent
+
+
+def _object_box(capture: Capture, model: ObjectModel, thing: ObjectEstimate | None) -> Box | None:
+    """The box of the object where it is said to be [pixels]."""
+    if thing is None:
+        return None
+    pixels = capture.intrinsics.project(transform_points(thing.pose_camera_object, model.vertices))
+    if not np.isfinite(pixels).all():
+        return None
+    (x0, y0), (x1, y1) = pixels.min(axis=0), pixels.max(axis=0)
+    return float(x0), float(y0), float(x1), float(y1)
