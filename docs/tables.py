@@ -237,34 +237,29 @@ def _condition_shares(rows: Sequence[dict[str, Any]]) -> dict[str, float]:
 
 
 def ablations() -> Table:
-    """The paper's tables of simulation."""
-    head = ("table", "policy", "nominal", "contact ratio", "not adapted", "reality", "contact ratio")
-    tables = {"hands": "hands (III)", "retargeting": "retargeting (IV)", "privileged": "contacts (V)"}
+    """The paper's ablations."""
+    titles = {
+        "without": "without privileged information",
+        "scratch": "student from scratch",
+        "teacher": "teacher",
+        "student": "student, distilled from it",
+        "angle-copy": "teacher on `angle-copy`'s grasps",
+        "dexgraspnet": "teacher on `dexgraspnet`'s grasps",
+    }
     rows = []
-    for name, title in tables.items():
-        for policy in _read(f"table-{name}").header["policies"]:
-            nominal, unadapted, reality = policy["conditions"].values()
-            paper = policy["paper"]
-            rows.append(
-                (
-                    title,
-                    policy["title"],
-                    _with_interval(nominal),
-                    f"{nominal['contact_ratio']:.2f}",
-                    _percent(unadapted["success_rate"]),
-                    _with_interval(reality),
-                    f"{reality['contact_ratio']:.2f}",
-                    NONE if paper is None else f"{100 * paper['success']:.0f} %",
-                )
+    for name, title in titles.items():
+        header = _read(f"ablation-{name}").header
+        rows.append(
+            (
+                title,
+                _percent(header["success_rate"]),
+                f"{header['contact_ratio']:.2f}",
+                f"{header['sim_distance_hand_mm_s']:.1f}",
+                f"{100 * header['variant']['paper']['success']:.0f} %",
             )
-            title = ""
-    return Table((*head, "paper: success"), rows, [f"table-{name}" for name in tables])
-
-
-def _with_interval(result: Mapping[str, Any]) -> str:
-    """A rate with its 95 % interval."""
-    low, high = result["success_interval"]
-    return f"{_percent(result['success_rate'])} ({100 * low:.0f} – {100 * high:.0f})"
+        )
+    head = ("policy", "success", "contact ratio", "slip [mm/s]", "paper: success")
+    return Table(head, rows, [f"ablation-{name}" for name in titles])
 
 
 def perception() -> Table:
