@@ -11,15 +11,20 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fungrasp.errors import FungraspError
+from fungrasp.evaluation.attempts import AttemptRecord
 from fungrasp.evaluation.contact_estimate import ContactEstimates
 from fungrasp.planning.selection.rollouts import RolloutResults
+from fungrasp.planning.withdrawal import Waypoints
 from fungrasp.records import BatchRecord
 from fungrasp.task import Action, Belief, GraspPlan, Observation, Outcomes, Privileged
+from fungrasp.task.attempt_judge import AttemptVerdict
 from fungrasp.task.use import UseOutcomes
 from fungrasp.transfer import EpisodeSample
 
 KINDS = (
     Action,
+    AttemptRecord,
+    AttemptVerdict,
     Belief,
     ContactEstimates,
     EpisodeSample,
@@ -29,6 +34,7 @@ KINDS = (
     Privileged,
     RolloutResults,
     UseOutcomes,
+    Waypoints,
 )
 """Every kind of record."""
 STEPPED = ("palm_goal", "finger_targets", "palm_setpoint", "palm_velocity")
