@@ -136,7 +136,7 @@ class Deploy:
             print(f"by attempt {outcome.result.attempts}")
         if outcome.success:
             return f"lifted and held at {100 * outcome.height:.1f} cm (twin {self.twin})", outcome.result
-        return f"not lifted (twin {self.twin})", outcome.result
+        return f"not lifted (twin {self.twin})" + _why_no_more(outcome.result), outcome.result
 
     def _on_robot(
         self, task: DeploymentTask, log: DeploymentLog, switch: StopSwitch
@@ -154,7 +154,7 @@ class Deploy:
             on_connect=lambda robot: print("press Enter to stop", flush=True),
         )
         said = f"not held, as far as is seen, after {result.attempts} attempts" if result.missed else "done"
-        return said, result
+        return said + _why_no_more(result), result
 
     def _dynamics(self, cell: RobotCell, hand: Hand) -> tuple[HandDynamics | None, np.ndarray | None]:
         """What was identified of the hand, and the stiffness of its servos [N m/rad], shape [U]."""
@@ -210,3 +210,8 @@ class ReplayLog:
 
 
 COMMAND = Deploy
+
+
+def _why_no_more(result: DeploymentResult) -> str:
+    """Why no further attempt was made, for the end of a line."""
+    return f"; no further attempt: {result.why_no_more}" if result.why_no_more else ""

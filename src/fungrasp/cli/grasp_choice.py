@@ -43,7 +43,7 @@ class ChosenGrasp:
 class GraspChoice:
     """Which grasp a robot is to do."""
 
-    grasp: str = "mug:drink"
+    grasp: str = "wine_glass"
     """Which grasp: an object ("mug"), object and task ("mug:drink") or a row number."""
     grasps: str = "builtin"
     """A file of human grasps, or "builtin"."""

@@ -84,7 +84,7 @@ class Deployment:
         self._times: dict[str, float] = {}
         self._prepared: PreparedGrasp | None = None
         self._last_action: Action | None = None
-        self._attempts, self._missed = 0, False
+        self._attempts, self._missed, self._why_no_more = 0, False, ""
         clearance = ClearanceModel(robot.cell, robot.hand)
         self._guard = SafetyGuard(
             robot.cell,
@@ -161,6 +161,7 @@ class Deployment:
             self.setpoint_ticks,
             self._attempts,
             self._missed,
+            self._why_no_more,
             dict(self._times),
             dict(self._guard.longest_silence),
         )
@@ -213,18 +214,19 @@ class Deployment:
         pose, state = look_for_object(robot, self.settings, self._check_switch)
         names = grasp.object_name.tolist()
         if not within_reach(pose[None], first[None], names, self._preparer.objects)[0]:
-            self._note("the object is not within reach on the table any more")
+            self._end_attempts("the object is not within reach on the table any more")
             return None
         try:
             prepared = self._prepare(grasp, pose, arm, self._attempts)
         except FungraspError as error:
-            self._note(str(error))
+            self._end_attempts(str(error))
             return None
         self._awake(state)
         return prepared, pose
 
-    def _note(self, text: str) -> None:
-        self.log.event(self.robot.clock.now(), "note", text)
+    def _end_attempts(self, why: str) -> None:
+        self._why_no_more = why
+        self.log.event(self.robot.clock.now(), "note", why)
 
     def _prepare(
         self, grasp: RobotGraspSet, object_pose: np.ndarray, arm: np.ndarray, attempt: int = 0

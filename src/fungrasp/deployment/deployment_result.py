@@ -46,6 +46,8 @@ class DeploymentResult:
     """Attempts made."""
     missed: bool = False
     """Whether the last of several attempts was seen not to hold the object."""
+    why_no_more: str = ""
+    """Why no further attempt was made though it was allowed; empty if that was not so."""
     times: dict[str, float] = field(default_factory=dict)
     """When each phase began, on the robot's clock [s]."""
     longest_silence: dict[str, float] = field(default_factory=dict)
