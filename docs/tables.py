@@ -271,6 +271,27 @@ def ablations() -> Table:
     return Table(head, rows, [f"ablation-{name}" for name in titles])
 
 
+def privileged() -> Table:
+    """What is known of the contacts (Table V of the paper), with three seeds, under nominal and reality."""
+    head = ("policy", "nominal", "contact ratio", "not adapted", "reality", "contact ratio", "paper: success")
+    rows = []
+    for policy in _read("table-privileged").header["policies"]:
+        nominal, unadapted, reality = policy["conditions"].values()
+        paper = policy["paper"]
+        rows.append(
+            (
+                policy["title"],
+                _with_interval(nominal),
+                f"{nominal['contact_ratio']:.2f}",
+                _percent(unadapted["success_rate"]),
+                _with_interval(reality),
+                f"{reality['contact_ratio']:.2f}",
+                NONE if paper is None else f"{100 * paper['success']:.0f} %",
+            )
+        )
+    return Table(head, rows, ["table-privileged"])
+
+
 def perception() -> Table:
     """What is found in captures of objects kept aside, against the targets."""
     return Table(("figure", "target", "measured"), perception_rows(_read), SOURCES)
@@ -610,6 +631,7 @@ BUILDERS: dict[str, Callable[[], Table]] = {
     "peers": peers,
     "robustness": robustness,
     "ablations": ablations,
+    "privileged": privileged,
     "perception": perception,
     "chain": chain,
     "driver_faults": driver_faults,
