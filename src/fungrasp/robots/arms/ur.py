@@ -136,6 +136,13 @@ class URLoop:
 
     def step(self, goal: LoopGoal) -> JointState:
         """See ``DeviceLoop.step``."""
+        try:
+            return self._follow(goal)
+        except RuntimeError as error:
+            # ur_rtde's calls say so where the connection is lost before the controller's clock tells.
+            raise RobotError(f"{self.name}: {_one_line(error)}; check the cable to the controller") from error
+
+    def _follow(self, goal: LoopGoal) -> JointState:
         self._wait()
         now = time.monotonic()
         clock = self._receive.getTimestamp()
