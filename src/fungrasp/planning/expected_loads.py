@@ -5,7 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from fungrasp.geometry import SignedDistanceBank
-from fungrasp.geometry.poses import compose, quaternion_conjugate, rotate, transform_points
+from fungrasp.geometry.poses import (
+    compose,
+    quaternion_conjugate,
+    quaternion_from_rotation_vector,
+    rotate,
+    transform_points,
+)
 from fungrasp.hands import Hand
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.objects import ObjectModel
@@ -67,7 +73,7 @@ def use_loads(
         if motion.turn:
             axis = turn_axis(motion.turn, hand, held, place)
             # Seen from the object, gravity turns the other way; the object resists being sped up and braked.
-            down = _turned(weight, axis, -value)
+            down = rotate(quaternion_from_rotation_vector(-value * axis), weight)
             sideways = mass * peak * np.cross(axis, center - held[:3])
             loads += [(down + sign * sideways, np.zeros(3)) for sign in (-1.0, 1.0)]
     if motion.press is not None:
@@ -97,9 +103,3 @@ def _press(hand: Hand, model: ObjectModel, palm: np.ndarray, joints: np.ndarray,
     place, outward = project_to_surface(bank, only, kinematics.points(kinematics.body_points((tip,))))
     force = -outward[0, 0]
     return np.concatenate([force, np.cross(place[0, 0] - model.center_of_mass, force)])
-
-
-def _turned(vector: np.ndarray, axis: np.ndarray, angle: float) -> np.ndarray:
-    """A vector turned about a unit axis by an angle [rad], shape [3] (Rodrigues)."""
-    along = axis * (axis @ vector)
-    return along + np.cos(angle) * (vector - along) + np.sin(angle) * np.cross(axis, vector)
