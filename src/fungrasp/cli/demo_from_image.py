@@ -8,9 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NoReturn
 
-import tyro
-
 from fungrasp.cli.image_source import BUILTIN
+from fungrasp.cli.optional_value import optional_value
 
 if TYPE_CHECKING:
     from fungrasp.grasps import HumanGraspSet
@@ -27,22 +26,7 @@ INTRODUCTION = (
 RENDERED = " The image is no photograph: it was rendered, which is why the truth is known."
 
 
-def _one_folder(words: list[str]) -> str:
-    if len(words) > 1:
-        raise ValueError("give one folder")
-    return words[0] if words else BUILTIN
-
-
-Folder = Annotated[
-    str | None,
-    tyro.constructors.PrimitiveConstructorSpec(
-        nargs="*",
-        metavar="[FOLDER]",
-        instance_from_str=_one_folder,
-        is_instance=lambda value: value is None or isinstance(value, str),
-        str_from_instance=lambda value: [str(value)],
-    ),
-]
+Folder = Annotated[str | None, optional_value("[FOLDER]", BUILTIN, "folder")]
 """An option with or without a value."""
 
 

@@ -7,7 +7,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import tyro
+from fungrasp.cli.optional_value import optional_value
 
 if TYPE_CHECKING:
     from fungrasp.objects import ObjectModel
@@ -19,22 +19,7 @@ REALSENSE = "realsense"
 """Stands for the RealSense camera that is connected."""
 
 
-def _one_camera(words: list[str]) -> str:
-    if len(words) > 1:
-        raise ValueError("give one camera")
-    return words[0] if words else REALSENSE
-
-
-CameraChoice = Annotated[
-    str | None,
-    tyro.constructors.PrimitiveConstructorSpec(
-        nargs="*",
-        metavar="[realsense|FOLDER]",
-        instance_from_str=_one_camera,
-        is_instance=lambda value: value is None or isinstance(value, str),
-        str_from_instance=lambda value: [str(value)],
-    ),
-]
+CameraChoice = Annotated[str | None, optional_value("[realsense|FOLDER]", REALSENSE, "camera")]
 """An option with or without a value."""
 
 
