@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import pickle
 import subprocess
 import sys
 import threading
-from pathlib import Path
 
 import numpy as np
 
-import fungrasp
 from fungrasp.robots.control_loop.device_loop import DeviceLoop
 from fungrasp.robots.control_loop.loop_runner import run_device_loop
 from fungrasp.robots.control_loop.loop_worker import LENGTH
 from fungrasp.robots.control_loop.mailbox import Mailbox, SharedMemoryFile, mailbox_size
 from fungrasp.robots.control_loop.records import goal_kind, state_kind
+from fungrasp.robots.worker_environment import worker_environment
 
 
 class LoopThread:
@@ -70,16 +68,12 @@ class LoopProcess:
         self.goals = Mailbox(view[:first], goal_kind(count))
         self.states = Mailbox(view[first:], state_kind(count))
         self.goals.write(goal)
-        # The same package as here, wherever it was imported from; one thread is all that a loop needs.
-        paths = [str(Path(fungrasp.__file__).parents[1]), os.environ.get("PYTHONPATH", "")]
-        environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, paths))}
-        environment |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
         self._child = subprocess.Popen(
             [sys.executable, "-m", "fungrasp.robots.control_loop.loop_worker"],
             stdin=subprocess.PIPE,
             stderr=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
-            env=environment,
+            env=worker_environment(),
             start_new_session=True,
         )
         self._errors: list[str] = []

@@ -7,7 +7,6 @@ one line of JSON when the emulators are ready, and one with the truth when they 
 from __future__ import annotations
 
 import json
-import os
 import pickle
 import struct
 import subprocess
@@ -15,12 +14,10 @@ import sys
 import threading
 import time
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
 
-import fungrasp
 from fungrasp.errors import FungraspError
 from fungrasp.hands import load_hand
 from fungrasp.objects import ObjectModel
@@ -28,8 +25,9 @@ from fungrasp.robots.cell import RobotCell
 from fungrasp.robots.process_priority import raise_priority
 from fungrasp.robots.twin.emulation import CellEmulation
 from fungrasp.robots.twin.judge import HoldSample, hold_sample
-from fungrasp.robots.twin.parameters import draw_twin
+from fungrasp.robots.twin.parameters import cell_twin
 from fungrasp.robots.twin.world import TwinWorld
+from fungrasp.robots.worker_environment import worker_environment
 
 LENGTH = struct.Struct("<I")
 SAMPLE_PERIOD = 0.02
@@ -73,14 +71,11 @@ class EmulationProcess:
 
     def __init__(self, task: EmulationTask):
         """task: what is emulated."""
-        paths = [str(Path(fungrasp.__file__).parents[1]), os.environ.get("PYTHONPATH", "")]
-        environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, paths))}
-        environment |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
         self._child = subprocess.Popen(
             [sys.executable, "-m", "fungrasp.robots.twin.emulation_worker"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            env=environment,
+            env=worker_environment(),
             start_new_session=True,
         )
         self._data = pickle.dumps(task)
@@ -134,7 +129,7 @@ def run_emulation() -> None:
 
     raise_priority()
     hand = load_hand(task.cell.hand)
-    truth = draw_twin(task.twin, len(hand.joint_names), len(hand.actuators))
+    truth = cell_twin(task.cell, hand, task.twin)
     world = TwinWorld(task.cell, hand, task.thing, truth)
     world.settle(task.placement)
     settled = float(world.center_of_mass()[2])
