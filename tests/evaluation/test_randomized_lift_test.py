@@ -10,7 +10,7 @@ from fungrasp.transfer import REALITY, THREE_PUSHES, MeasurementError, Randomiza
 
 def test_a_push_moves_what_is_held(good, things, allegro):
     """A little in the hand when it is as strong as the weight; out of the hand when it is 60 times that."""
-    some = good.select([0, 2])
+    some = good.select([0, 1])
     still, pushed, hit = (
         evaluate(
             some,
@@ -23,7 +23,7 @@ def test_a_push_moves_what_is_held(good, things, allegro):
     assert still.success.all() and pushed.success.all()
     # An object that is hit from below is high above the table for the rest of the hold, far from the hand.
     assert not (hit.success & (hit.sim_distance_hand_mm_s < 1000)).any()
-    assert (pushed.sim_distance_hand_mm_s > 1.1 * still.sim_distance_hand_mm_s).all()
+    assert (pushed.sim_distance_hand_mm_s > 1.2 * still.sim_distance_hand_mm_s).all()
     assert (pushed.pushed_m == still.pushed_m).all()
     assert set(hit.reason) <= {"", "dropped during the hold", "the object touched the table during the hold"}
 
