@@ -9,6 +9,7 @@ from grasp_files import run, some_grasps
 
 from fungrasp.cli import reproduce_policies
 from fungrasp.cli.reproduce import HandsTable
+from fungrasp.cli.sweep import each_training
 from fungrasp.cli.train import Train
 from fungrasp.evaluation.result_files import read_result
 from fungrasp.evaluation.tables import CONDITIONS
@@ -28,6 +29,13 @@ TABLE = ("--grasps", "builtin", "--test", "builtin")
         (("train", "--grasps", "none.npz"), "none.npz does not exist"),
         (("train", "--grasps", "builtin", "builtin"), "each once"),
         (("train", "--terms", "a", "b"), "one text for each of the 1 --grasps, not 2"),
+        (("train", "--sweep", "ppo.noise"), "SETTING=VALUE,VALUE..."),
+        (("train", "--sweep", "ppo.nose=1,2"), "Did you mean 'ppo.noise'?"),
+        (("train", "--sweep", "ppo.noise=0.1,much"), "'much' is no value of ppo.noise"),
+        (("train", "--sweep", "ppo.noise=0.1,0.1"), "each value once"),
+        (("train", "--sweep", "ppo.noise=1,2", "ppo.noise=3"), "each setting once"),
+        (("train", "--sweep", "hand=a/x.toml,b/x.toml"), "two trainings would be kept"),
+        (("train", "--sweep", "steps=10,0"), "--steps must be at least 1"),
         (("distill", "--teacher", "nowhere"), "nowhere is not the folder of a training"),
         (("reproduce", "policies", "--hands", "alegro"), "Did you mean 'allegro'?"),
         (("reproduce", "policies", "--grasp-seeds", -1), "must not be negative"),
@@ -51,6 +59,17 @@ def test_wandb_is_asked_for_in_words(tmp_path, capsys):
         pytest.skip("wandb is installed")
     status, _, err = run(capsys, "train", "--out", tmp_path, "--wandb", "project")
     assert status == 2 and "pip install wandb" in err
+
+
+def test_a_sweep_is_every_combination_with_every_seed(tmp_path):
+    sweep = ("ppo.hidden=64,32 16", "sees=nothing,contacts", "environment.history=True")
+    each = each_training(Train(tmp_path, seeds=(3, 5), sweep=sweep, shrink=0.5))
+    assert len(each) == 2 * 2 * 2 and all(one.sweep == one.seeds == () for one in each)
+    last = each[-1]
+    assert last.out == tmp_path / "ppo.hidden=32-16,sees=contacts,environment.history=True" / "seed-5"
+    assert (last.ppo.hidden, last.sees, last.environment.history) == ((32, 16), "contacts", True)
+    assert (last.seed, last.shrink, last.ppo.noise) == (5, 0.5, Train(tmp_path).ppo.noise)
+    assert [one.out for one in each_training(Train(tmp_path, seeds=(7,)))] == [tmp_path / "seed-7"]
 
 
 def test_worlds_can_be_named_by_what_they_are_drawn_from(tmp_path, monkeypatch):

@@ -227,3 +227,31 @@ def test_the_command_makes_a_file_or_says_what_is_unknown(tmp_path, capsys):
     assert main(["grasps", "make", "--out", str(tmp_path / "no.npz"), "--objects", "tenis_ball"]) == 2
     assert "tennis_ball" in capsys.readouterr().err
     assert not (tmp_path / "no.npz").exists()
+
+
+def test_an_interrupted_command_goes_on_and_several_seeds_make_different_grasps(tmp_path, monkeypatch):
+    import fungrasp.evaluation.synthesize_in_parts as parts
+
+    monkeypatch.setattr("fungrasp.synthesis.synthesize.BATCH_SIZE", 3)
+    command = ["grasps", "make", "--objects", "tennis_ball", "--seed", "0", "1", "--out"]
+    assert main([*command, str(tmp_path / "whole.npz")]) == 0
+    solved, solve = [], parts.solve_batch
+
+    def counted(specs, objects, seed, settings):
+        solved.append(seed)
+        if len(solved) == 2:
+            raise KeyboardInterrupt
+        return solve(specs, objects, seed, settings)
+
+    monkeypatch.setattr(parts, "solve_batch", counted)
+    out = tmp_path / "made.npz"
+    assert main([*command, str(out)]) == 130 and not out.exists()
+    assert main([*command, str(out)]) == 0
+    batches = -(-sum(spec.object == "tennis_ball" for spec in BUILTIN_SPECIFICATIONS) // 3)
+    assert len(solved) == 2 * batches + 1, "the batch that was interrupted is solved again, and no other"
+    assert out.read_bytes() == (tmp_path / "whole.npz").read_bytes()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["made.npz", "whole.npz"]
+    joints = load_human_grasps(out).hand_joints
+    apart = np.linalg.norm(joints[:, None] - joints, axis=-1).mean(axis=-1) + np.eye(len(joints))
+    assert apart.min() >= SynthesisSettings().min_difference
+    assert main([*command[:-2], "0", "--out", str(out)]) == 2

@@ -1,4 +1,4 @@
-"""``fungrasp grasps``: list and show grasps, import and synthesize human ones."""
+"""``fungrasp grasps``: list and show grasps, import human ones."""
 
 from __future__ import annotations
 
@@ -10,9 +10,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 from fungrasp.cli.console import table
+from fungrasp.cli.make_grasps import MakeGrasps
+from fungrasp.cli.written_grasps import write_human_grasps
 
 if TYPE_CHECKING:
-    from fungrasp.grasps import HumanGrasp, HumanGraspSet, RobotGrasp
+    from fungrasp.grasps import HumanGrasp, RobotGrasp
     from fungrasp.objects import ObjectModel
 
 GraspFile = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
@@ -102,7 +104,7 @@ class ImportDexYCB:
             raise FungraspError(f"--displacement must be greater than 0, not {self.displacement}")
         options = DexYCBOptions(self.displacement, self.left_hands, self.mano, self.objects)
         grasps = import_dexycb(self.source, options)
-        _save(self.out, grasps)
+        write_human_grasps(self.out, grasps)
         if self.mirrored_objects is not None:
             for path in write_mirrored_meshes(self.source, options, grasps, self.mirrored_objects):
                 print(f"mirrored mesh: {path}")
@@ -122,7 +124,7 @@ class ImportDGrasp:
     def run(self) -> None:
         from fungrasp.grasps.importers.dgrasp import import_dgrasp
 
-        _save(self.out, import_dgrasp(self.source, self.table_height))
+        write_human_grasps(self.out, import_dgrasp(self.source, self.table_height))
 
 
 @dataclass(frozen=True)
@@ -139,7 +141,7 @@ class ImportOther:
     def run(self) -> None:
         from fungrasp.grasps.importers.registry import load_importer
 
-        _save(self.out, load_importer(self.importer)(self.source))
+        write_human_grasps(self.out, load_importer(self.importer)(self.source))
 
 
 @dataclass(frozen=True)
@@ -221,7 +223,9 @@ class ConvertGrasps:
         if "hand_joints" not in fields:
             human_grasps_from_fields(fields, self.file)
         fields = converted(fields, self.joint_order, self.quaternion, self.unit, self.side)
-        _save(self.out, mend_below_table(human_grasps_from_fields(fields, self.file), self.below_table))
+        write_human_grasps(
+            self.out, mend_below_table(human_grasps_from_fields(fields, self.file), self.below_table)
+        )
 
 
 @dataclass(frozen=True)
@@ -280,73 +284,6 @@ class SelectGrasps:
         print(f"{self.out}: {len(chosen)} of {len(grasps)} grasps")
 
 
-@dataclass(frozen=True)
-class MakeGrasps:
-    """Synthesize human grasps: those of the built-in objects again, or of any mesh."""
-
-    out: Path
-    """Grasp file to write (.npz)."""
-    objects: tuple[str, ...] = ()
-    """Only grasps of these built-in objects."""
-    mesh: Path | None = None
-    """Make grasps of this mesh, or of a shape like box:60x28x30, instead: around the whole, from above, at
-    handles and thin parts."""
-    mass: float | None = None
-    """Mass of the mesh's object [kg]."""
-    parts: Path | None = None
-    """JSON file of the mesh's parts to hold: {"handle": [[x, y, z], [x, y, z]]}, boxes in its frame [m]."""
-    seed: int = 0
-    """Seed of the random starts."""
-
-    def run(self) -> None:
-        from fungrasp.cli.console import progress_bar
-        from fungrasp.errors import FungraspError, UnknownNameError
-        from fungrasp.objects import is_plain_shape, load_object, object_from_file
-        from fungrasp.synthesis import synthesize_grasps
-        from fungrasp.synthesis.automatic_specifications import automatic_specifications, parts_from_boxes
-        from fungrasp.synthesis.builtin_specifications import BUILTIN_SPECIFICATIONS
-        from fungrasp.synthesis.synthesize import SynthesisSettings
-
-        if self.mesh is None:
-            if self.mass is not None or self.parts is not None:
-                raise FungraspError("--mass and --parts are those of a mesh: give --mesh too")
-            known = {spec.object for spec in BUILTIN_SPECIFICATIONS}
-            for name in self.objects:
-                if name not in known:
-                    raise UnknownNameError("object", name, sorted(known))
-            specs = [
-                spec for spec in BUILTIN_SPECIFICATIONS if not self.objects or spec.object in self.objects
-            ]
-            models, settings = None, SynthesisSettings()
-        else:
-            shape = is_plain_shape(str(self.mesh)) and not self.mesh.is_file()
-            model = (
-                load_object(str(self.mesh), self.mass) if shape else object_from_file(self.mesh, self.mass)
-            )
-            if self.parts is not None:
-                model = parts_from_boxes(model, self.parts)
-            specs = automatic_specifications(model)
-            if not specs:
-                raise FungraspError(f"{self.mesh}: a hand can't reach around any part of it")
-            models, settings = {model.name: model}, SynthesisSettings(starts=3)
-        done = 0
-        with progress_bar("synthesizing grasps", len(specs)) as show:
-
-            def progress(count: int) -> None:
-                nonlocal done
-                done += count
-                show(done)
-
-            grasps = synthesize_grasps(specs, self.seed, settings, models, progress)
-        _save(self.out, grasps)
-        missing = len(specs) - len(grasps)
-        if missing:
-            print(f"left out: {missing} of {len(specs)} grasp specifications, which could not be met")
-        if self.mesh is not None:
-            folder = "" if is_plain_shape(model.name) else f" --objects {self.mesh.parent}"
-            print(f"use them with: --grasps {self.out}{folder}")
-
-
 COMMAND = {
     "list": ListGrasps,
     "show": ShowGrasp,
@@ -364,20 +301,6 @@ def _known_objects(fields: Mapping[str, Any], folder: Path | None) -> dict[str, 
 
     known = {*object_names(), *mesh_files(folder)}
     return {name: load_object(name, 1.0, folder) for name in set(fields["object_name"].tolist()) & known}
-
-
-def _save(path: Path, grasps: HumanGraspSet) -> None:
-    from fungrasp.grasps import save_human_grasps
-    from fungrasp.grasps.anatomy import check_anatomy, grouped
-    from fungrasp.grasps.diagnosis import table_remarks
-
-    save_human_grasps(path, grasps)
-    findings = check_anatomy(grasps)
-    print(f"{path}: {len(grasps)} grasps of {len(set(grasps.object_name.tolist()))} objects")
-    for remark in table_remarks(grasps.hand_joints):
-        print(f"{remark}; 'fungrasp grasps convert --below-table lift' or 'drop' mends it")
-    for finding in grouped(findings):
-        print(f"unusual anatomy: {finding}")
 
 
 def _description(grasp: HumanGrasp | RobotGrasp) -> str:

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from fungrasp.cli.train import Train
     from fungrasp.evaluation.lift_test_chunks import Chunk, LiftTest
     from fungrasp.evaluation.partial_results import PartialResults
+    from fungrasp.evaluation.synthesize_in_parts import Synthesis, SynthesisPart
     from fungrasp.grasps import HumanGraspSet, RobotGraspSet
     from fungrasp.hands import Hand
     from fungrasp.objects import ObjectModel
@@ -168,6 +169,37 @@ def _retarget_part(shared: _Retargeting, file: Path, part: HumanGraspSet) -> Rob
     return retarget_in_parts(
         part, shared.objects, load_hand(shared.hand), shared.method, 1, file.parent
     ).robot
+
+
+# ---------------------------------------------------------------- grasps make
+
+
+def synthesize_on_cluster(synthesis: Synthesis, store: PartialResults, words: tuple[str, ...]) -> None:
+    """Solve the parts of a synthesis that are not kept yet.
+
+    Args:
+        synthesis: what to make.
+        store: where parts are kept.
+        words: what follows ``--ray``.
+
+    Raises:
+        FungraspError: as ``run_on_cluster``, or a part can't be written.
+    """
+    jobs = [(part,) for part in synthesis.parts if store.load(synthesis.key(part)) is None]
+    done = 0
+    with progress_bar("on the cluster", sum(len(part.specifications) for (part,) in jobs)) as show:
+
+        def keep(job: tuple[SynthesisPart], arrays: Mapping[str, np.ndarray]) -> None:
+            nonlocal done
+            store.save(synthesis.key(job[0]), arrays)
+            done += len(job[0].specifications)
+            show(done)
+
+        run_on_cluster(_solve_part, jobs, keep, cluster_address(words), synthesis)
+
+
+def _solve_part(synthesis: Synthesis, part: SynthesisPart) -> dict[str, np.ndarray]:
+    return synthesis.solve(part)
 
 
 # ---------------------------------------------------------------- train

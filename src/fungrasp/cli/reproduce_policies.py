@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
 from fungrasp.cli.distill import Distill
-from fungrasp.cli.grasps import MakeGrasps
+from fungrasp.cli.make_grasps import MakeGrasps
 from fungrasp.cli.predictor import TrainPredictor
 from fungrasp.cli.train import BUILTIN_TERMS, Train, check_numbers, check_packages
 from fungrasp.files import atomic_path
@@ -64,7 +64,7 @@ class FreePolicies:
         files = [self.out / f"synthesized-{seed}.npz" for seed in self.grasp_seeds]
         for seed, file in zip(self.grasp_seeds, files, strict=True):
             if not file.is_file():
-                MakeGrasps(file, seed=seed).run()
+                MakeGrasps(file, seed=(seed,)).run()
         grasps = ("builtin", *map(str, files))
         for name, hand in zip(self.hands, hands, strict=True):
             self._train(name, hand, grasps)

@@ -66,10 +66,13 @@ class Train:
     """Seed of all random numbers."""
     seeds: tuple[int, ...] = ()
     """Several trainings, one with each of these seeds, in <out>/seed-<N>."""
+    sweep: tuple[str, ...] = ()
+    """Several trainings, one with each combination of values: --sweep ppo.noise=0.1,0.2 shrink=0.5,1 makes
+    four, in <out>/ppo.noise=0.1,shrink=0.5 and so on, with --seeds each with every seed."""
     ray: tuple[str, ...] | None = None
-    """The trainings of --seeds at the same time on a Ray cluster: on that of this address ("auto": the one
-    that this machine is part of), or on all processors of this machine where none is given. Every machine
-    must see the same files."""
+    """The trainings of --seeds and --sweep at the same time on a Ray cluster: on that of this address
+    ("auto": the one that this machine is part of), or on all processors of this machine where none is given.
+    Every machine must see the same files."""
     threads: int = 0
     """Threads of the simulation; 0 means all processors. The result does not depend on it."""
     terms: tuple[str, ...] = ()
@@ -87,11 +90,11 @@ class Train:
 
     def run(self) -> None:
         check_packages()
-        if self.seeds:
-            self._run_seeds()
+        if self.seeds or self.sweep:
+            self._run_each()
             return
         if self.ray is not None:
-            raise FungraspError("--ray spreads several trainings over a cluster: give their --seeds")
+            raise FungraspError("--ray spreads several trainings over a cluster: give --seeds or --sweep")
         import torch
 
         from fungrasp.cli.console import progress_bar
@@ -132,23 +135,19 @@ class Train:
             f"{seconds / 60:.1f} min"
         )
 
-    def _run_seeds(self) -> None:
+    def _run_each(self) -> None:
         from fungrasp.cli.on_cluster import train_on_cluster
+        from fungrasp.cli.sweep import each_training, sweep_table
 
-        if len(set(self.seeds)) < len(self.seeds):
-            raise FungraspError("--seeds must be different ones")
-        each = [
-            replace(self, out=(self.out / f"seed-{seed}").absolute(), seed=seed, seeds=(), ray=None)
-            for seed in self.seeds
-        ]
+        each = each_training(self)
         for training in each:
             check_numbers(training.steps, training.seed, training.threads)
         if self.ray is not None:
             train_on_cluster(each, self.ray)
-            print("\n".join(str(training.out) for training in each))
-            return
-        for training in each:
-            training.run()
+        else:
+            for training in each:
+                training.run()
+        print(sweep_table(each, self.out))
 
 
 COMMAND = Train

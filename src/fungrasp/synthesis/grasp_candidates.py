@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from scipy.spatial import KDTree
@@ -62,6 +62,23 @@ class GraspCandidates:
             & (self.cost <= max_cost)
             & self.anatomical
         )
+
+
+def join_candidates(batches: Sequence[GraspCandidates], counts: Sequence[int]) -> GraspCandidates:
+    """The candidates of several batches of specifications.
+
+    Args:
+        batches: at least one.
+        counts: specifications of each batch.
+    """
+    starts = np.concatenate([[0], np.cumsum(counts)[:-1]])
+    parts = [
+        replace(batch, specification=batch.specification + start)
+        for batch, start in zip(batches, starts, strict=True)
+    ]
+    return GraspCandidates(
+        **{f.name: np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(GraspCandidates)}
+    )
 
 
 def check_candidates(

@@ -9,8 +9,9 @@ grasps = synthesize_grasps([spec], seed=0)
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from functools import partial
 
 import numpy as np
@@ -26,7 +27,7 @@ from fungrasp.optimization.collision_scene import CollisionScene, project_to_sur
 from fungrasp.optimization.hand_state import HandState
 from fungrasp.optimization.levenberg_marquardt import Term, minimize
 from fungrasp.optimization.retargeting_problem import GRAVITY, RetargetingProblem
-from fungrasp.synthesis.grasp_candidates import GraspCandidates, check_candidates
+from fungrasp.synthesis.grasp_candidates import GraspCandidates, check_candidates, join_candidates
 from fungrasp.synthesis.grasp_specification import GraspSpecification
 from fungrasp.synthesis.human_hand_terms import (
     HumanPoints,
@@ -113,25 +114,9 @@ def synthesize_grasps(
         FungraspError: an object or part does not exist, or none of the specifications can be met.
     """
     settings = settings or SynthesisSettings()
-    models = _objects(specs, objects)
+    models = specified_objects(specs, objects)
     candidates = synthesize_candidates(specs, seed, settings, models, progress)
-    rows = _best(candidates, specs, settings)
-    if not rows:
-        raise FungraspError(
-            "none of the specified grasps can be met; fungrasp.synthesis.synthesize_candidates shows why"
-        )
-    chosen = candidates.specification[rows].tolist()
-    names = [specs[i].object for i in chosen]
-    pose = np.array([specs[i].rest_pose(models[specs[i].object]) for i in chosen]).reshape(-1, 7)
-    return HumanGraspSet(
-        object_name=np.array(names),
-        object_mass=np.array([models[name].mass for name in names]),
-        object_pose=pose,
-        object_rest_pose=pose,
-        hand_joints=transform_points(pose, candidates.joints[rows]),
-        link_contacts=candidates.contacts[rows],
-        task=np.array([specs[i].task for i in chosen]),
-    )
+    return choose_grasps(candidates, specs, settings, models)
 
 
 def synthesize_candidates(
@@ -146,22 +131,31 @@ def synthesize_candidates(
     Args: as for ``synthesize_grasps``.
     """
     settings = settings or SynthesisSettings()
-    models = _objects(specs, objects)
+    models = specified_objects(specs, objects)
     batches = []
-    for start in range(0, len(specs), BATCH_SIZE):
-        part = specs[start : start + BATCH_SIZE]
-        found = _solve_batch(part, models, seed, settings)
-        batches.append(replace(found, specification=found.specification + start))
+    for part in specification_batches(specs):
+        batches.append(solve_batch(part, models, seed, settings))
         progress(len(part))
-    return GraspCandidates(
-        **{f.name: np.concatenate([getattr(b, f.name) for b in batches]) for f in fields(GraspCandidates)}
-    )
+    return join_candidates(batches, [len(part) for part in specification_batches(specs)])
 
 
-def _objects(
-    specs: Sequence[GraspSpecification], known: Mapping[str, ObjectModel] | None
+def specification_batches(specs: Sequence[GraspSpecification]) -> list[Sequence[GraspSpecification]]:
+    """Specifications that are solved together. Batches do not depend on each other."""
+    return [specs[start : start + BATCH_SIZE] for start in range(0, len(specs), BATCH_SIZE)]
+
+
+def specified_objects(
+    specs: Sequence[GraspSpecification], known: Mapping[str, ObjectModel] | None = None
 ) -> dict[str, ObjectModel]:
-    """The specifications' objects by name, their parts checked."""
+    """The specifications' objects by name, their parts checked.
+
+    Args:
+        specs: of grasps.
+        known: objects by name; built-in ones that are not in it are found by themselves.
+
+    Raises:
+        FungraspError: an object or part does not exist.
+    """
     known = known or {}
     names = dict.fromkeys(spec.object for spec in specs)
     objects = {name: known[name] if name in known else load_object(name) for name in names}
@@ -171,12 +165,20 @@ def _objects(
     return objects
 
 
-def _solve_batch(
+def solve_batch(
     specs: Sequence[GraspSpecification],
     objects: Mapping[str, ObjectModel],
     seed: int,
     settings: SynthesisSettings,
 ) -> GraspCandidates:
+    """Candidates of a few specifications, solved together.
+
+    Args:
+        specs: one of ``specification_batches``.
+        objects: by name.
+        seed: of the random starts.
+        settings: of the solver.
+    """
     owner = np.repeat(np.arange(len(specs)), settings.starts)
     each = [spec for spec in specs for _ in range(settings.starts)]
     hand = load_hand(HAND)
@@ -217,6 +219,43 @@ def _solve_batch(
     return check_candidates(hand, scene, each, owner, objects, pose, independent, cost)
 
 
+def choose_grasps(
+    candidates: GraspCandidates,
+    specs: Sequence[GraspSpecification],
+    settings: SynthesisSettings,
+    objects: Mapping[str, ObjectModel],
+) -> HumanGraspSet:
+    """The cheapest good candidate of each specification that differs from those chosen before it; a
+    specification without one is left out.
+
+    Args:
+        candidates: of all specifications.
+        specs: in the order of the grasps.
+        settings: what is good, and what is different.
+        objects: by name.
+
+    Raises:
+        FungraspError: there is none.
+    """
+    rows = _best(candidates, specs, settings)
+    if not rows:
+        raise FungraspError(
+            "none of the specified grasps can be met; fungrasp.synthesis.synthesize_candidates shows why"
+        )
+    chosen = candidates.specification[rows].tolist()
+    names = [specs[i].object for i in chosen]
+    pose = np.array([specs[i].rest_pose(objects[specs[i].object]) for i in chosen]).reshape(-1, 7)
+    return HumanGraspSet(
+        object_name=np.array(names),
+        object_mass=np.array([objects[name].mass for name in names]),
+        object_pose=pose,
+        object_rest_pose=pose,
+        hand_joints=transform_points(pose, candidates.joints[rows]),
+        link_contacts=candidates.contacts[rows],
+        task=np.array([specs[i].task for i in chosen]),
+    )
+
+
 def _problem(
     points: HumanPoints,
     scene: CollisionScene,
@@ -246,15 +285,22 @@ def _best(
 ) -> list[int]:
     """Row of the cheapest good candidate of each specification, if any, that differs from those chosen
     before."""
-    good, chosen = candidates.good(settings.max_penetration, settings.max_cost), []
+    good = candidates.good(settings.max_penetration, settings.max_cost)
+    order = np.lexsort((candidates.cost, candidates.specification))
+    order = order[good[order]]
+    first = np.searchsorted(candidates.specification[order], np.arange(len(specs) + 1))
+    counts = Counter(spec.object for spec in specs)
+    # Joints of the chosen grasps of each object, in the leading rows.
+    joints = {name: np.empty((count, *candidates.joints.shape[1:])) for name, count in counts.items()}
+    found, chosen = dict.fromkeys(counts, 0), []
     for index, spec in enumerate(specs):
-        rows = np.flatnonzero(good & (candidates.specification == index))
-        for row in rows[np.argsort(candidates.cost[rows], kind="stable")]:
-            same = [i for i in chosen if specs[int(candidates.specification[i])].object == spec.object]
-            apart = [
-                np.linalg.norm(candidates.joints[i] - candidates.joints[row], axis=-1).mean() for i in same
-            ]
-            if min(apart, default=np.inf) >= settings.min_difference:
-                chosen.append(int(row))
+        there = joints[spec.object]
+        for row in order[first[index] : first[index + 1]].tolist():
+            before = there[: found[spec.object]]
+            apart = np.linalg.norm(before - candidates.joints[row], axis=-1).mean(axis=-1)
+            if apart.min(initial=np.inf) >= settings.min_difference:
+                there[found[spec.object]] = candidates.joints[row]
+                found[spec.object] += 1
+                chosen.append(row)
                 break
     return chosen

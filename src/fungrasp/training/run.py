@@ -36,6 +36,9 @@ from fungrasp.training.student import StudentModel
 PLANS = "plans.npz"
 POLICY = "policy.onnx"
 
+EXPLORING = "in training, exploring"
+"""Name of what a policy's card says of the last episodes of its training."""
+
 PLANNED_FROM = ("hand", "hand_sha256", "sets", "variety", "seed", "plans_sha256", "hand_dynamics_sha256")
 """Settings that the plans depend on."""
 
@@ -302,7 +305,7 @@ def training_card(
         training_data=tuple(TrainingData(s.name, s.terms, len(s.grasps)) for s in sets),
         git_revision=git_revision(),
         seed=seed,
-        measured={"in training, exploring": {"success": trainer.success}},
+        measured={EXPLORING: {"success": trainer.success}},
         licence=licence,
     )
 

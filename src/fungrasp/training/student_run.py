@@ -25,7 +25,15 @@ from fungrasp.training.export import export_student, make_card
 from fungrasp.training.folder import RunFolder, kept_library
 from fungrasp.training.plan_library import PlanLibrary
 from fungrasp.training.ppo import Trainer
-from fungrasp.training.run import PLANNED_FROM, PLANS, Log, RunSettings, checkpoint_digest, keep_beside
+from fungrasp.training.run import (
+    EXPLORING,
+    PLANNED_FROM,
+    PLANS,
+    Log,
+    RunSettings,
+    checkpoint_digest,
+    keep_beside,
+)
 from fungrasp.training.settings import DistillSettings
 from fungrasp.transfer.joint_dynamics import identified_hand
 
@@ -184,7 +192,7 @@ def train_student(
         training_data=teacher.data,
         git_revision=git_revision(),
         seed=seed,
-        measured={"in training, exploring": {"success": done.success}},
+        measured={EXPLORING: {"success": done.success}},
         licence=teacher.licence,
         plans=teacher.plans,
     )
