@@ -12,7 +12,13 @@ import pytest
 from fungrasp.cli.main import main as fungrasp
 from fungrasp.cluster import run_on_cluster
 from fungrasp.errors import FungraspError
-from fungrasp.grasps import builtin_grasps, load_objects, load_robot_grasps, save_robot_grasps
+from fungrasp.grasps import (
+    builtin_grasps,
+    load_objects,
+    load_robot_grasps,
+    save_human_grasps,
+    save_robot_grasps,
+)
 from fungrasp.hands import load_hand
 from fungrasp.retarget import retarget
 
@@ -123,14 +129,16 @@ def test_evaluation_with_a_machine_lost_equals_that_of_one_process(cluster, gras
     assert not parts.exists()
 
 
-def test_retargeting_on_this_machine_equals_that_of_one_process(tmp_path, monkeypatch):
-    monkeypatch.setattr("fungrasp.cli.on_cluster.CLUSTER_PART", 40)
-    assert fungrasp(["retarget", "--out", str(tmp_path / "one.npz")]) == 0
-    assert fungrasp(["retarget", "--out", str(tmp_path / "many.npz"), "--ray"]) == 0
+def test_retargeting_on_this_machine_equals_that_of_one_process(tmp_path):
+    human = builtin_grasps()
+    save_human_grasps(tmp_path / "g.npz", human.select(np.arange(260) % len(human)))
+    command = ["retarget", "--grasps", str(tmp_path / "g.npz"), "--out"]
+    assert fungrasp([*command, str(tmp_path / "one.npz")]) == 0
+    assert fungrasp([*command, str(tmp_path / "many.npz"), "--ray"]) == 0
     one, many = (load_robot_grasps(tmp_path / name) for name in ("one.npz", "many.npz"))
     np.testing.assert_array_equal(one.joint_positions, many.joint_positions)
     np.testing.assert_array_equal(one.wrist_pose, many.wrist_pose)
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["many.npz", "one.npz"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["g.npz", "many.npz", "one.npz"]
 
 
 def test_synthesis_with_a_machine_lost_equals_that_of_one_process(cluster, tmp_path, monkeypatch):

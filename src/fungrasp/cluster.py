@@ -6,8 +6,10 @@ import logging
 import os
 import socket
 from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
+from time import perf_counter, process_time
 from typing import Any, TypeVar
 
 from fungrasp import __version__
@@ -25,8 +27,40 @@ MOST_LOSSES = 5
 CONNECTING = 10.0
 """Time to wait for the head of a cluster [s]."""
 
+COUNTING = 1.0
+"""Time after which the processors are counted again at the latest [s]."""
+
 LOCAL = "local"
 """Address of a cluster of this machine alone, which is started."""
+
+
+@dataclass(frozen=True)
+class ClusterUse:
+    """What became of a cluster's time."""
+
+    jobs: int
+    """That were done."""
+    processors: float
+    """At hand, on average."""
+    seconds: float
+    """From the first job to be sent to the last result."""
+    working: float
+    """Sum of the times that finished jobs took [s]."""
+    processor_seconds: float
+    """Sum of the processor time that they took [s]."""
+
+    @property
+    def share(self) -> float:
+        """Of the processors' time, that in which jobs were done which finished."""
+        return self.working / max(self.processors * self.seconds, 1e-9)
+
+    @property
+    def words(self) -> str:
+        """In a line."""
+        return (
+            f"{self.jobs} jobs on {self.processors:.3g} processors in {self.seconds:.0f} s, of which they "
+            f"worked {self.share:.0%}"
+        )
 
 
 def run_on_cluster(
@@ -35,12 +69,11 @@ def run_on_cluster(
     finished: Callable[[tuple[Any, ...], Result], None],
     address: str = LOCAL,
     shared: Any = None,
-) -> None:
+) -> ClusterUse:
     """Do each job once on some processor of a cluster.
 
     Work is done in the folder of this process, where a machine has it. A job whose machine goes away is done
-    again on another. Jobs must not depend on each other nor on where
-    they are done; their order is not kept.
+    again on another. Jobs must not depend on each other nor on where they are done; their order is not kept.
 
     Args:
         work: a function of a module that every machine can import, called with ``shared`` and a job's items.
@@ -49,6 +82,9 @@ def run_on_cluster(
         address: of the head of a running cluster ("auto": the one on this machine), or ``LOCAL``. A process
             that is connected already stays with its cluster.
         shared: what all jobs need; sent to each machine once.
+
+    Returns:
+        How well the cluster was used.
 
     Raises:
         FungraspError: the package is missing, no cluster is at the address, a machine has another version of
@@ -59,16 +95,23 @@ def run_on_cluster(
     sent, folder = ray.put(shared), Path.cwd()
     running: dict[Any, tuple[Any, ...]] = {}
     remaining = iter(jobs)
+    count, working, worked, offered = 0, 0.0, 0.0, 0.0
+    start = last = perf_counter()
     try:
         while True:
             # Machines come and go, so their processors are counted anew.
-            room = WAITING * max(int(ray.cluster_resources().get("CPU", 1)), 1) - len(running)
-            for job in islice(remaining, max(room, 0)):
+            processors = max(int(ray.cluster_resources().get("CPU", 1)), 1)
+            for job in islice(remaining, max(WAITING * processors - len(running), 0)):
                 running[send.remote(work, __version__, folder, sent, job)] = job
             if not running:
-                return
-            for done in ray.wait(list(running), num_returns=1)[0]:
-                finished(running.pop(done), _result(ray, done))
+                seconds = last - start
+                return ClusterUse(count, offered / max(seconds, 1e-9), seconds, working, worked)
+            for done in ray.wait(list(running), num_returns=1, timeout=COUNTING)[0]:
+                result, took, used = _result(ray, done)
+                finished(running.pop(done), result)
+                count, working, worked = count + 1, working + took, worked + used
+            now = perf_counter()
+            offered, last = offered + processors * (now - last), now
     finally:
         for job in running:
             ray.cancel(job, force=True)
@@ -107,13 +150,16 @@ def _check_reachable(address: str) -> None:
 
 def _work(
     work: Callable[..., Result], version: str, folder: Path, shared: Any, job: tuple[Any, ...]
-) -> Result:
+) -> tuple[Result, float, float]:
+    """Its result, and the time and the processor time that it took [s]."""
     if version != __version__:
         raise FungraspError(f"a machine of the cluster has fungrasp {__version__}, not {version}")
     # A worker begins in the folder in which its machine joined, where relative paths mean something else.
     if folder.is_dir():
         os.chdir(folder)
-    return work(shared, *job)
+    start, used = perf_counter(), process_time()
+    result = work(shared, *job)
+    return result, perf_counter() - start, process_time() - used
 
 
 def _result(ray: Any, done: Any) -> Any:

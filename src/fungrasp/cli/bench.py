@@ -1,4 +1,4 @@
-"""``fungrasp bench``: the speed of retargeting, planning, simulation, training, perception and drivers."""
+"""``fungrasp bench``: speed of retargeting, planning, clusters, simulation, training, perception, drivers."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from fungrasp.cli.bench_cluster import BenchCluster
 from fungrasp.cli.bench_depth import BenchDepth
 from fungrasp.cli.bench_identify import BenchIdentify
 from fungrasp.cli.bench_perception import BenchPerception
@@ -250,6 +251,7 @@ COMMAND = {
     "simulation": Simulation,
     "training": Training,
     "planning": BenchPlanning,
+    "cluster": BenchCluster,
     "perception": BenchPerception,
     "depth": BenchDepth,
     "robot": BenchRobot,

@@ -20,17 +20,22 @@ if TYPE_CHECKING:
     from fungrasp.objects import ObjectModel
     from fungrasp.transfer import Randomization
 
-CHUNKS = (8, 128)
-"""Fewest and most grasps tried together: what an interrupted run may lose."""
+CHUNKS = (8, 32)
+"""Fewest and most grasps that are kept together, and one job on a cluster: 5 s of work at most, beside which
+what a job costs is little, and many enough jobs for many processors."""
 
 SEARCHED_CHUNKS = (2, 32)
-"""The same where grasps are refined, or plans are searched for, which takes a hundred times as long."""
+"""The same where grasps are refined, or plans are searched for, which takes ten times as long and more."""
+
+TOGETHER = 128
+"""Most grasps tried together by one process, whose threads have more to share in this way: what it may lose
+where it is interrupted."""
 
 WITHOUT = "without adaptation"
 """Condition in which methods of retargeting are compared a second time."""
 
 PARTS = 8
-"""Parts of which an interrupted run loses one at most, where ``CHUNKS`` allows it."""
+"""Parts of the work of which an interrupted run loses one at most, where the numbers above allow it."""
 
 
 @dataclass(frozen=True)
@@ -247,17 +252,26 @@ class Evaluate:
         }
 
     def chunk_size(self, test: LiftTest) -> int:
-        """Grasps to try together. The result does not depend on it."""
-        searched = bool(self.refine) or self._searches(test.scene.hand)
-        fewest, most = SEARCHED_CHUNKS if searched else CHUNKS
+        """Grasps to keep together. The result does not depend on it."""
+        fewest, most = SEARCHED_CHUNKS if self._takes_long(test) else CHUNKS
         return min(max(math.ceil(len(test.grasps) / PARTS), fewest), most)
+
+    def _together(self, test: LiftTest) -> int:
+        """Grasps to try together in this process."""
+        size = self.chunk_size(test)
+        return (
+            size if self._takes_long(test) else min(max(math.ceil(len(test.grasps) / PARTS), size), TOGETHER)
+        )
+
+    def _takes_long(self, test: LiftTest) -> bool:
+        return bool(self.refine) or self._searches(test.scene.hand)
 
     def _run(self, names: tuple[str, str], test: LiftTest, store: PartialResults | None) -> LiftTestResult:
         from fungrasp.evaluation.lift_test import run_lift_test
 
         words = ", ".join(word for word in (test.scene.hand.name, *names) if word)
         with progress_bar(words, len(test.grasps) * len(test.seeds)) as show:
-            return run_lift_test(test, store, self.chunk_size(test), show)
+            return run_lift_test(test, store, self.chunk_size(test), show, self._together(test))
 
     def _record_folder(self, method: str, condition: str) -> Path | None:
         folder = self.record

@@ -6,16 +6,16 @@ is that of one process.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 from uuid import uuid4
 
 import numpy as np
 
 from fungrasp.cli.console import progress_bar
-from fungrasp.cluster import LOCAL, run_on_cluster
+from fungrasp.cluster import LOCAL, ClusterUse, run_on_cluster
 from fungrasp.errors import FungraspError
 
 if TYPE_CHECKING:
@@ -31,9 +31,6 @@ if TYPE_CHECKING:
 
 Names = tuple[str, str]
 
-CLUSTER_PART = 128
-"""Human grasps that are retargeted in one job: some seconds of work."""
-
 
 def cluster_address(words: tuple[str, ...]) -> str:
     """What follows ``--ray``.
@@ -44,6 +41,29 @@ def cluster_address(words: tuple[str, ...]) -> str:
     if len(words) > 1:
         raise FungraspError(f"--ray takes one address, not {len(words)}")
     return words[0] if words else LOCAL
+
+
+def _spread(
+    work: Callable[..., Any],
+    jobs: Sequence[tuple[Any, ...]],
+    keep: Callable[[Any, Any], None],
+    size: Callable[[Any], int],
+    words: tuple[str, ...],
+    shared: Any = None,
+) -> ClusterUse:
+    """``run_on_cluster`` with a progress bar, and words about it at the end. size: of a job."""
+    done = 0
+    with progress_bar("on the cluster", sum(map(size, jobs))) as show:
+
+        def finished(job: tuple[Any, ...], result: Any) -> None:
+            nonlocal done
+            keep(job, result)
+            done += size(job)
+            show(done)
+
+        use = run_on_cluster(work, jobs, finished, cluster_address(words), shared)
+    print(f"on the cluster: {use.words}")
+    return use
 
 
 # ---------------------------------------------------------------- evaluate
@@ -68,7 +88,7 @@ def test_on_cluster(
     objects: Mapping[str, ObjectModel],
     tests: Mapping[Names, LiftTest],
     store: PartialResults,
-) -> None:
+) -> ClusterUse:
     """Run the chunks of lift tests that are not kept yet.
 
     Args:
@@ -88,20 +108,14 @@ def test_on_cluster(
         for chunk in test.chunks(command.chunk_size(test))
         if test.finished(chunk, store) is None
     ]
-    episodes = sum(len(chunk.rows) for _, chunk in jobs)
     alone = replace(command, threads=1, ray=None)
     shared = _Evaluation(alone, grasps, dict(sets), dict(objects), uuid4().hex)
-    done = 0
-    with progress_bar("on the cluster", episodes) as show:
 
-        def keep(job: tuple[Names, Chunk], arrays: Mapping[str, np.ndarray]) -> None:
-            nonlocal done
-            names, chunk = job
-            store.save(tests[names].key(chunk), arrays)
-            done += len(chunk.rows)
-            show(done)
+    def keep(job: tuple[Names, Chunk], arrays: Mapping[str, np.ndarray]) -> None:
+        names, chunk = job
+        store.save(tests[names].key(chunk), arrays)
 
-        run_on_cluster(_run_chunk, jobs, keep, cluster_address(command.ray or ()), shared)
+    return _spread(_run_chunk, jobs, keep, lambda job: len(job[1].rows), command.ray or (), shared)
 
 
 _tests: dict[str, dict[Names, LiftTest]] = {}
@@ -136,20 +150,15 @@ def retarget_on_cluster(
     from fungrasp.evaluation.retarget_in_parts import grasp_parts, part_file
     from fungrasp.grasps import save_robot_grasps
 
-    parts = grasp_parts(human, CLUSTER_PART)
+    parts = grasp_parts(human)
     files = [part_file(folder, part, hand, command.method) for part in parts]
     jobs = [(file, part) for file, part in zip(files, parts, strict=True) if not file.is_file()]
-    done = 0
-    with progress_bar("on the cluster", sum(len(part) for _, part in jobs)) as show:
 
-        def keep(job: tuple[Path, HumanGraspSet], robot: RobotGraspSet) -> None:
-            nonlocal done
-            save_robot_grasps(job[0], robot)
-            done += len(robot)
-            show(done)
+    def keep(job: tuple[Path, HumanGraspSet], robot: RobotGraspSet) -> None:
+        save_robot_grasps(job[0], robot)
 
-        shared = _Retargeting(dict(objects), command.hand, command.method)
-        run_on_cluster(_retarget_part, jobs, keep, cluster_address(command.ray or ()), shared)
+    shared = _Retargeting(dict(objects), command.hand, command.method)
+    _spread(_retarget_part, jobs, keep, lambda job: len(job[1]), command.ray or (), shared)
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,16 +195,11 @@ def synthesize_on_cluster(synthesis: Synthesis, store: PartialResults, words: tu
         FungraspError: as ``run_on_cluster``, or a part can't be written.
     """
     jobs = [(part,) for part in synthesis.parts if store.load(synthesis.key(part)) is None]
-    done = 0
-    with progress_bar("on the cluster", sum(len(part.specifications) for (part,) in jobs)) as show:
 
-        def keep(job: tuple[SynthesisPart], arrays: Mapping[str, np.ndarray]) -> None:
-            nonlocal done
-            store.save(synthesis.key(job[0]), arrays)
-            done += len(job[0].specifications)
-            show(done)
+    def keep(job: tuple[SynthesisPart], arrays: Mapping[str, np.ndarray]) -> None:
+        store.save(synthesis.key(job[0]), arrays)
 
-        run_on_cluster(_solve_part, jobs, keep, cluster_address(words), synthesis)
+    _spread(_solve_part, jobs, keep, lambda job: len(job[0].specifications), words, synthesis)
 
 
 def _solve_part(synthesis: Synthesis, part: SynthesisPart) -> dict[str, np.ndarray]:
@@ -216,16 +220,8 @@ def train_on_cluster(commands: Sequence[Train], words: tuple[str, ...]) -> None:
     Raises:
         FungraspError: as ``run_on_cluster``.
     """
-    done = 0
-    with progress_bar("trainings on the cluster", len(commands)) as show:
-
-        def count(job: tuple[Train], _: None) -> None:
-            nonlocal done
-            done += 1
-            show(done)
-
-        jobs = [(replace(command, threads=1),) for command in commands]
-        run_on_cluster(_train, jobs, count, cluster_address(words))
+    jobs = [(replace(command, threads=1),) for command in commands]
+    _spread(_train, jobs, lambda job, result: None, lambda job: 1, words)
 
 
 def _train(shared: None, command: Train) -> None:

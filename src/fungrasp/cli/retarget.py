@@ -55,9 +55,9 @@ class Retarget:
     all processors of this machine where none is given. Same grasps."""
 
     def run(self) -> None:
-        from fungrasp.cli.on_cluster import CLUSTER_PART, retarget_on_cluster
+        from fungrasp.cli.on_cluster import retarget_on_cluster
         from fungrasp.evaluation.results import finite
-        from fungrasp.evaluation.retarget_in_parts import GRASPS_PER_PART, remove_parts, retarget_in_parts
+        from fungrasp.evaluation.retarget_in_parts import remove_parts, retarget_in_parts
         from fungrasp.grasps import load_human_grasps, load_objects, mirrored_grasps, save_robot_grasps
         from fungrasp.grasps.alternatives import alternative_rows, join_alternatives
         from fungrasp.hands import load_hand
@@ -71,9 +71,7 @@ class Retarget:
         for model in objects.values():
             _ = model.signed_distance
         parts, done = self.out.with_name(f"{self.out.name}.parts"), 0
-        size = GRASPS_PER_PART
         if self.ray is not None:
-            size = CLUSTER_PART
             retarget_on_cluster(self, human, objects, hand, parts)
         with progress_bar(f"retargeting to {hand.name} ({self.method})", len(human)) as show:
 
@@ -82,7 +80,7 @@ class Retarget:
                 done += count
                 show(done)
 
-            result = retarget_in_parts(human, objects, hand, self.method, self.threads, parts, finished, size)
+            result = retarget_in_parts(human, objects, hand, self.method, self.threads, parts, finished)
         robot, quality = result.robot, result.quality
         if human.probability is not None:
             robot = join_alternatives(robot, human.probability)

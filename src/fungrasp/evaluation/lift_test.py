@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -16,6 +16,7 @@ from fungrasp.evaluation.lift_test_chunks import (
     ATTEMPT_PREFIX,
     CHUNK,
     USE_PREFIX,
+    Chunk,
     LiftTest,
     Refinement,
     check_hand,
@@ -99,6 +100,7 @@ def evaluate(
     store: PartialResults | None = None,
     chunk: int = CHUNK,
     progress: Callable[[float], None] = lambda done: None,
+    together: int = CHUNK,
 ) -> LiftTestResult:
     """Try each grasp once for each seed.
 
@@ -123,8 +125,9 @@ def evaluate(
             several seeds).
         store: keeps finished chunks, and knows those of an earlier run; only for a policy and a planner that
             are given by name.
-        chunk: episodes simulated together.
+        chunk: episodes kept together.
         progress: called with the number of episodes that are done, fractions included.
+        together: episodes simulated together at most, where several chunks are missing.
 
     Raises:
         FungraspError: an unknown policy, grasps of another hand, or a folder that can't be written to.
@@ -216,30 +219,38 @@ def run_lift_test(
     store: PartialResults | None = None,
     chunk: int = CHUNK,
     progress: Callable[[float], None] = lambda done: None,
+    together: int = CHUNK,
 ) -> LiftTestResult:
     """Try each grasp once for each seed.
 
     Args:
         test: what to run.
         store: keeps finished chunks, and knows those of an earlier run.
-        chunk: episodes simulated together.
+        chunk: episodes kept together.
         progress: called with the number of episodes that are done, fractions included.
+        together: episodes simulated together at most, where several chunks are missing.
 
     Raises:
         FungraspError: a folder can't be written to.
     """
-    parts: list[dict[str, np.ndarray]] = []
-    done = 0
-    for each in test.chunks(chunk):
-        part = test.finished(each, store) if store is not None else None
-        if part is None:
-            part = test.run(each, partial(_report, progress, done))
+    chunks = test.chunks(chunk)
+    parts = [None if store is None else test.finished(each, store) for each in chunks]
+    done = sum(len(each.rows) for each, part in zip(chunks, parts, strict=True) if part is not None)
+    progress(done)
+    for group in _missing(chunks, parts, together):
+        found = test.run(Chunk.join([chunks[i] for i in group]), partial(_report, progress, done))
+        for i in group:
+            count = len(chunks[i].rows)
+            parts[i] = part = {name: values[:count] for name, values in found.items()}
+            found = {name: values[count:] for name, values in found.items()}
             if store is not None:
-                store.save(test.key(each), part)
-        parts.append(part | {"index": each.rows, "seed": np.full(len(each.rows), each.seed)})
-        done += len(each.rows)
+                store.save(test.key(chunks[i]), part)
+            done += count
         progress(done)
-    merged = {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
+    kept = [part for part in parts if part is not None]
+    merged = {key: np.concatenate([part[key] for part in kept]) for key in kept[0]}
+    merged["index"] = np.concatenate([each.rows for each in chunks])
+    merged["seed"] = np.concatenate([np.full(len(each.rows), each.seed) for each in chunks])
     index, grasps = merged["index"], test.grasps
     assert grasps.task is not None
     return LiftTestResult(
@@ -260,6 +271,22 @@ def run_lift_test(
         attempts=None if test.attempts == 1 else AttemptRecord.from_arrays(_without(merged, ATTEMPT_PREFIX)),
         most_attempts=test.attempts,
     )
+
+
+def _missing(chunks: Sequence[Chunk], parts: Sequence[object], together: int) -> list[list[int]]:
+    """Numbers of the chunks without a part, in groups of one seed and so many episodes at most, but for a
+    single larger chunk."""
+    groups: list[list[int]] = []
+    episodes = 0
+    for number, (chunk, part) in enumerate(zip(chunks, parts, strict=True)):
+        if part is not None:
+            continue
+        episodes += len(chunk.rows)
+        if not groups or episodes > together or chunks[groups[-1][0]].seed != chunk.seed:
+            groups.append([])
+            episodes = len(chunk.rows)
+        groups[-1].append(number)
+    return groups
 
 
 def _without(arrays: Mapping[str, np.ndarray], prefix: str) -> dict[str, np.ndarray]:

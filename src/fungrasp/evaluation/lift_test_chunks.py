@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -56,6 +56,11 @@ class Chunk:
     """Seed of what is random."""
     rows: np.ndarray
     """Rows of the grasps in their set, shape [W]."""
+
+    @classmethod
+    def join(cls, chunks: Sequence[Chunk]) -> Chunk:
+        """The episodes of several chunks of one seed."""
+        return cls(chunks[0].seed, np.concatenate([chunk.rows for chunk in chunks]))
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,8 +20,11 @@ from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
 from fungrasp.retarget import retarget
 
-GRASPS_PER_PART = 1024
-"""Grasps that are solved, judged and written together."""
+GRASPS_PER_PART = 128
+"""Grasps in a file, and one job on a cluster: some seconds of work."""
+
+TOGETHER = 8
+"""Parts that one process solves and judges together: its threads have more to share in this way."""
 
 
 @dataclass(frozen=True)
@@ -66,25 +69,28 @@ def retarget_in_parts(
     Raises:
         FungraspError: as ``retarget``, or a part can't be written.
     """
-    parts, solved, seconds = [], 0, 0.0
-    sets = grasp_parts(human, size)
-    for part in sets:
-        file = part_file(folder, part, hand, method)
-        robot = _finished(file, len(part))
-        if robot is not None:
-            progress(len(part))
-        else:
-            began = perf_counter()
-            robot = retarget(part, objects, hand, method, threads=threads, progress=_one_at_a_time(progress))
-            seconds += perf_counter() - began
-            solved += len(part)
-            quality = static_quality(robot, part, objects, hand)
-            numbers = {f.name: getattr(quality, f.name) for f in fields(quality)}
-            robot = replace(robot, extra={**robot.extra, **numbers})
+    sets, solved, seconds = grasp_parts(human, size), 0, 0.0
+    files = [part_file(folder, part, hand, method) for part in sets]
+    parts = [_finished(file, len(part)) for file, part in zip(files, sets, strict=True)]
+    progress(sum(len(part) for part in parts if part is not None))
+    missing = [number for number, part in enumerate(parts) if part is None]
+    for first in range(0, len(missing), TOGETHER):
+        numbers = missing[first : first + TOGETHER]
+        some = HumanGraspSet.concatenate([sets[number] for number in numbers])
+        began = perf_counter()
+        robot = retarget(some, objects, hand, method, threads=threads, progress=_one_at_a_time(progress))
+        seconds += perf_counter() - began
+        solved += len(some)
+        quality = static_quality(robot, some, objects, hand)
+        measured = {f.name: getattr(quality, f.name) for f in fields(quality)}
+        robot, done = replace(robot, extra={**robot.extra, **measured}), 0
+        for number in numbers:
+            part = robot.select(slice(done, done + len(sets[number])))
+            done += len(part)
             if len(sets) > 1:
-                save_robot_grasps(file, robot)
-        parts.append(robot)
-    return RetargetedGrasps(RobotGraspSet.concatenate(parts), solved, seconds)
+                save_robot_grasps(files[number], part)
+            parts[number] = part
+    return RetargetedGrasps(RobotGraspSet.concatenate([p for p in parts if p is not None]), solved, seconds)
 
 
 def grasp_parts(human: HumanGraspSet, size: int = GRASPS_PER_PART) -> list[HumanGraspSet]:
