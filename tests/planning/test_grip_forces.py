@@ -8,11 +8,11 @@ from planned_grasps import belief, grasps_and_objects, hand
 
 from fungrasp.geometry.poses import compose, invert
 from fungrasp.optimization.collision_scene import CollisionScene
+from fungrasp.optimization.compiled.friction_cones import outside_cones
 from fungrasp.planning.grip_forces import (
     TORQUE_SHARE,
     elastic_forces,
     holding_forces,
-    outside_cone,
     squeeze_torques,
 )
 
@@ -83,8 +83,12 @@ def test_torque_limits_make_them_softer():
     ],
 )
 def test_distance_from_a_cone_of_45_degrees(force, expected):
-    outside = outside_cone(np.array(force), np.array([0.0, 0.0, 1.0]), 1.0)
-    np.testing.assert_allclose(outside, expected, atol=1e-12)
+    up, half = np.array([[[0.0, 0.0, 1.0]]]), 0.5 * np.array([[force]])
+    # Two loads add the same, so that what is outside counts twice.
+    outside = outside_cones(half, np.stack([half, half], axis=1), 0.0 * up, up, 1.0)
+    np.testing.assert_allclose(outside[0, 0], 2 * np.array(expected), atol=1e-12)
+    raised = outside_cones(half + 3.0 * up, half[:, None], 3.0 * up, up, 1.0)
+    np.testing.assert_allclose(raised[0, 0], expected, atol=1e-12)
 
 
 def test_torques_of_grasps_grow_with_the_load_to_their_limits():

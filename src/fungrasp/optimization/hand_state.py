@@ -37,10 +37,14 @@ class HandPoints:
         self.self_pairs = _self_pairs(hand, self.spheres)
 
     def for_hands(self, count: int) -> Self:
-        """The same points of ``count`` hands, for another thread: what does not move is shared."""
-        other, dense = copy(self), copy(self.dense)
-        other.__dict__ |= {"arrays": self.arrays, "dense": dense}
-        other.kinematics = dense.kinematics = HandKinematics(self.kinematics.hand, count)
+        """The same points of ``count`` hands, for another thread: what does not move is shared, ``dense``
+        where it is there already."""
+        other = copy(self)
+        other.__dict__["arrays"] = self.arrays
+        other.kinematics = HandKinematics(self.kinematics.hand, count)
+        if "dense" in self.__dict__:
+            other.__dict__["dense"] = dense = copy(self.dense)
+            dense.kinematics = other.kinematics
         return other
 
     @cached_property

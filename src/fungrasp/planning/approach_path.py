@@ -95,6 +95,7 @@ def plan_approach(
     settings = settings or ApproachSettings()
     around = CollisionScene.settled(object_names, settled_pose, objects)
     centers = np.array([objects[name].center_of_mass for name in object_names])
+    points = HandPoints(HandKinematics(hand, 1))
 
     def run(rows: np.ndarray) -> Approach:
         best: Approach | None = None
@@ -104,7 +105,7 @@ def plan_approach(
                 break
             which = rows[hard]
             path = _best_path(
-                _CollisionResolution(hand, around.rows(which), settings, share),
+                _CollisionResolution(points, around.rows(which), settings, share),
                 around.rows(which),
                 (wrist_in_object[which], grasp[which]),
                 opening,
@@ -179,10 +180,16 @@ def _directions(hand: Hand, wrist: np.ndarray, up: np.ndarray, center: np.ndarra
 class _CollisionResolution:
     """Moves hands as little as needed to keep clear of object, table and themselves."""
 
-    def __init__(self, hand: Hand, around: CollisionScene, settings: ApproachSettings, share: float):
-        """share: of the object's margin that is kept."""
-        self.hand, self.settings = hand, settings
-        self._points = HandPoints(HandKinematics(hand, len(around)))
+    def __init__(self, points: HandPoints, around: CollisionScene, settings: ApproachSettings, share: float):
+        """
+        Args:
+            points: of the hand; another number of hands will do.
+            around: what to keep clear of.
+            settings: of the approach.
+            share: of the object's margin that is kept.
+        """
+        self.hand, self.settings = points.kinematics.hand, settings
+        self._points = points.for_hands(len(around))
         self._around, self._share = around, share
         self._terms = [
             partial(terms.object_penetration, unit=0.001, margin=share * settings.object_margin),
@@ -192,7 +199,7 @@ class _CollisionResolution:
 
     def rows(self, which: np.ndarray) -> _CollisionResolution:
         """For some of the hands."""
-        return _CollisionResolution(self.hand, self._around.rows(which), self.settings, self._share)
+        return _CollisionResolution(self._points, self._around.rows(which), self.settings, self._share)
 
     def closing_depth(self, first: Approach, grasp: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
         """How far fingers go into the object between a waypoint and the grasp, deeper than in the grasp [m],

@@ -85,10 +85,11 @@ def adapt_to_settled_object(
     )
     before = np.concatenate([settled_pose[:, :3], grasps.object_rest_pose[:, 3:]], axis=1)
     unrolled = compose(invert(settled_pose), compose(before, wrist_in_object))
+    shared = HandPoints(HandKinematics(hand, 1))
 
     def run(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         part = problem.rows(rows)
-        points = HandPoints(HandKinematics(hand, len(rows)))
+        points = shared.for_hands(len(rows))
         solutions = []
         for wrist in (wrist_in_object[rows], unrolled[rows]):
             stay = partial(

@@ -95,6 +95,8 @@ def holding_forces(
         friction: coefficient.
         iterations: of the descent.
     """
+    from fungrasp.optimization.compiled.friction_cones import outside_cones
+
     count, number = used.shape
     answers = elastic_forces(lever, jacobian, used, stiffness, loads)
     answers = np.concatenate([np.zeros((count, 1, number, 3)), answers], axis=1)
@@ -111,8 +113,8 @@ def holding_forces(
     for _ in range(iterations):
         wrench = (grasp_map @ ahead.reshape(count, -1, 1))[..., 0]
         slope = BALANCE_WEIGHT * (wrench[:, None] @ grasp_map).reshape(count, number, 3) + 1e-3 * ahead
+        slope += outside_cones(ahead, answers, floor, inward, friction)
         loaded = ahead[:, None] + answers
-        slope += outside_cone(loaded - floor[:, None], inward[:, None], friction).sum(axis=1)
         share = loaded.reshape(count, cases, -1) @ torques
         excess = (share - np.clip(share, -1.0, 1.0)).sum(axis=1, keepdims=True)
         slope += LIMIT_WEIGHT**2 * (excess @ np.swapaxes(torques, 1, 2)).reshape(count, number, 3)
@@ -121,23 +123,6 @@ def holding_forces(
         ahead = moved + (momentum - 1) / following * (moved - forces)
         forces, momentum = moved, following
     return forces
-
-
-def outside_cone(force: np.ndarray, axis: np.ndarray, friction: float) -> np.ndarray:
-    """From the nearest point of the friction cone to the force [N], shape [..., 3]; zero within the cone.
-
-    Args:
-        force: [N], shape [..., 3].
-        axis: of the cone, unit vectors, shape [..., 3].
-        friction: coefficient, the tangent of its half angle.
-    """
-    normal = np.sum(force * axis, axis=-1, keepdims=True)
-    tangent = force - normal * axis
-    size = np.linalg.norm(tangent, axis=-1, keepdims=True)
-    along = (normal + friction * size) / (1 + friction**2)
-    nearest = along * (axis + friction * tangent / np.maximum(size, 1e-12))
-    outside = np.where(friction * size <= -normal, force, force - nearest)
-    return np.where(size <= friction * normal, 0.0, outside)
 
 
 def squeeze_torques(

@@ -70,6 +70,7 @@ def retarget(
         )
     settings = settings or RetargetSettings()
     shared = HandPoints(HandKinematics(hand, min(chunk, len(grasps))))
+    _ = shared.dense  # once, not in each thread
     problem = RetargetingProblem.from_grasps(grasps, objects, shared.match)
 
     def run(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
