@@ -12,6 +12,7 @@ from PIL import Image
 
 from fungrasp.cli import evaluate as evaluate_command
 from fungrasp.evaluation import lift_test_chunks, replay
+from fungrasp.evaluation.partial_results import PartialResults
 from fungrasp.grasps import save_human_grasps
 from fungrasp.grasps.grasp_files import builtin_grasps
 from fungrasp.transfer import NOMINAL, MeasurementError, Randomization
@@ -274,6 +275,32 @@ def test_an_interrupted_run_goes_on_when_given_again(human, tmp_path, capsys, mo
     assert [file.name for file in tmp_path.iterdir()] == ["e.json"]
     assert run(capsys, "evaluate", "--grasps", human, "--json", tmp_path / "f.json")[0] == 0
     assert trials(path) == trials(tmp_path / "f.json")
+
+
+def test_missing_parts_are_tried_together_and_kept_singly(human, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(evaluate_command, "CHUNKS", (1, 1))
+    monkeypatch.setattr(evaluate_command, "PARTS", 1)
+    kept, save = [], PartialResults.save
+
+    def counted(self, key, arrays):
+        kept.append({name: len(values) for name, values in arrays.items()})
+        save(self, key, arrays)
+
+    simulate, runs = lift_test_chunks.LiftTest.run, []
+
+    def run_(self, chunk, progress):
+        runs.append(chunk.rows.tolist())
+        return simulate(self, chunk, progress)
+
+    monkeypatch.setattr(PartialResults, "save", counted)
+    monkeypatch.setattr(lift_test_chunks.LiftTest, "run", run_)
+    command = ("evaluate", "--grasps", human, "--json")
+    assert run(capsys, *command, tmp_path / "together.json")[0] == 0
+    assert runs == [[0, 1]] and len(kept) == 2 and all(set(part.values()) == {1} for part in kept)
+    monkeypatch.setattr(evaluate_command, "TOGETHER", 1)
+    assert run(capsys, *command, tmp_path / "singly.json")[0] == 0
+    assert runs[1:] == [[0], [1]]
+    assert trials(tmp_path / "together.json") == trials(tmp_path / "singly.json")
 
 
 @pytest.mark.parametrize("name", BAD)

@@ -7,7 +7,7 @@ from pathlib import Path
 from threading import Event, Thread
 from typing import TYPE_CHECKING
 
-from fungrasp.cli.console import progress_bar, table, write_json
+from fungrasp.cli.console import progress_bar, table
 from fungrasp.errors import FungraspError
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ class BenchCluster:
     lose: bool = False
     """Kill one of the machines when half of the work is done."""
     json: Path | None = None
-    """Write the numbers here (.json)."""
+    """Write the numbers here (.json), the two runs to a CSV file beside it."""
 
     def run(self) -> None:
         from time import perf_counter, process_time
@@ -52,11 +52,12 @@ class BenchCluster:
 
         from fungrasp.cli.evaluate import Evaluate
         from fungrasp.cli.retarget import retargeted
+        from fungrasp.evaluation import write_result
         from fungrasp.evaluation.lift_test import run_lift_test
         from fungrasp.evaluation.lift_test_chunks import check_hand
         from fungrasp.grasps import RobotGraspSet, load_grasps, load_objects
         from fungrasp.hands import load_hand
-        from fungrasp.provenance import machine
+        from fungrasp.provenance import machine, run_record
 
         if self.number < 1 or self.machines < 1 + self.lose:
             raise FungraspError("--number must be at least 1, and --machines 1, or 2 with --lose")
@@ -73,38 +74,45 @@ class BenchCluster:
         (test,) = command.lift_tests(robot, {hand.name: robot}, objects).values()
         with progress_bar("one process", len(robot)) as show:
             alone = run_lift_test(test, None, command.chunk_size(test), show)
-        one = {"seconds": perf_counter() - start, "processor_seconds": process_time() - used}
+        one = {"run": "one process", "seconds": perf_counter() - start}
+        one |= {"processor_seconds": process_time() - used, "processors": 1.0, "at_work": 1.0}
         found, use, used = self._on_cluster(command, robot, objects)
         same = _equal_episodes(alone, found)
         many = {
+            "run": "cluster",
             "seconds": use.seconds,
-            "processor_seconds": use.processor_seconds,
-            "of_this_process": used,
+            "processor_seconds": use.processor_seconds + used,
             "processors": use.processors,
             "at_work": use.share,
         }
-        speed = one["processor_seconds"] / (use.processor_seconds + used)
-        numbers = {"work_per_processor_second": speed, "share": speed * use.share, "equal": int(same.sum())}
+        speed = one["processor_seconds"] / many["processor_seconds"]
+        share = speed * use.share
         if self.json is not None:
-            about = {"hand": hand.name, "policy": self.policy, "machine": machine(), "lost": int(self.lose)}
-            about |= {"machines": self.machines, "grasps": len(robot), "jobs": use.jobs}
-            write_json(self.json, about | {"one_process": one, "cluster": many} | numbers)
-        head = ("", "seconds", "core seconds", "processors", "at work", "work per core second")
+            about = {
+                "hand": hand.name,
+                "policy": self.policy,
+                "machines": self.machines,
+                "lost": int(self.lose),
+            }
+            about |= {"grasps": len(robot), "equal": int(same.sum()), "jobs": use.jobs}
+            about |= {"work_per_processor_second": speed, "share": share}
+            write_result(self.json, run_record(0) | about, [one, many])
+        head = ("", "seconds", "core seconds", "processors", "at work")
         rows = [
-            ("one process", f"{one['seconds']:.0f}", f"{one['processor_seconds']:.1f}", "1", "", "1"),
             (
-                "cluster",
-                f"{use.seconds:.0f}",
-                f"{use.processor_seconds + used:.1f}",
-                f"{use.processors:.2f}",
-                f"{use.share:.1%}",
-                f"{speed:.3f}",
-            ),
+                run["run"],
+                f"{run['seconds']:.0f}",
+                f"{run['processor_seconds']:.1f}",
+                f"{run['processors']:.2f}",
+                f"{run['at_work']:.1%}",
+            )
+            for run in (one, many)
         ]
         print(table([head, *rows]))
         print(
-            f"{same.sum()} of {len(robot)} outcomes are the same; the cluster gives {numbers['share']:.1%} of "
-            f"the sum of its processors{', one machine lost' if self.lose else ''}; {machine()}"
+            f"{same.sum()} of {len(robot)} outcomes are the same. A core second on the cluster does {speed:.1%} "
+            f"of the work, and the cluster gives {share:.1%} of the sum of its processors"
+            f"{', one machine lost' if self.lose else ''}; {machine()}"
         )
 
     def _on_cluster(

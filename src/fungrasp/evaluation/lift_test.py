@@ -100,7 +100,6 @@ def evaluate(
     store: PartialResults | None = None,
     chunk: int = CHUNK,
     progress: Callable[[float], None] = lambda done: None,
-    together: int = CHUNK,
 ) -> LiftTestResult:
     """Try each grasp once for each seed.
 
@@ -125,9 +124,8 @@ def evaluate(
             several seeds).
         store: keeps finished chunks, and knows those of an earlier run; only for a policy and a planner that
             are given by name.
-        chunk: episodes kept together.
+        chunk: episodes simulated together.
         progress: called with the number of episodes that are done, fractions included.
-        together: episodes simulated together at most, where several chunks are missing.
 
     Raises:
         FungraspError: an unknown policy, grasps of another hand, or a folder that can't be written to.
@@ -219,7 +217,7 @@ def run_lift_test(
     store: PartialResults | None = None,
     chunk: int = CHUNK,
     progress: Callable[[float], None] = lambda done: None,
-    together: int = CHUNK,
+    together: int = 0,
 ) -> LiftTestResult:
     """Try each grasp once for each seed.
 
@@ -228,7 +226,8 @@ def run_lift_test(
         store: keeps finished chunks, and knows those of an earlier run.
         chunk: episodes kept together.
         progress: called with the number of episodes that are done, fractions included.
-        together: episodes simulated together at most, where several chunks are missing.
+        together: most episodes of several missing chunks that are simulated together; one chunk at a time if
+            it is less than two of them.
 
     Raises:
         FungraspError: a folder can't be written to.
