@@ -109,11 +109,12 @@ class BenchCluster:
             for run in (one, many)
         ]
         print(table([head, *rows]))
+        lost = ", one machine lost" if self.lose else ""
         print(
-            f"{same.sum()} of {len(robot)} outcomes are the same. A core second on the cluster does {speed:.1%} "
-            f"of the work, and the cluster gives {share:.1%} of the sum of its processors"
-            f"{', one machine lost' if self.lose else ''}; {machine()}"
+            f"{same.sum()} of {len(robot)} outcomes are the same. A core second on the cluster does "
+            f"{speed:.1%} of the work, and the cluster gives {share:.1%} of the sum of its processors{lost}"
         )
+        print(machine())
 
     def _on_cluster(
         self, command: Evaluate, robot: RobotGraspSet, objects: Mapping[str, ObjectModel]
