@@ -588,6 +588,35 @@ def kills() -> Table:
     return Table(("work", "killed", "came to its end", "other result, or something left"), rows, ["kills"])
 
 
+def cluster() -> Table:
+    """A cluster, one machine of which was killed, beside one process."""
+    head = (
+        "",
+        "processors",
+        "time [s]",
+        "processor time [s]",
+        "at work",
+        "work in a processor second",
+        "same outcomes",
+    )
+    result, cells = _read("cluster"), []
+    header = result.header
+    for row in result.rows:
+        many = row["run"] == "cluster"
+        cells.append(
+            (
+                f"{header['machines']} machines, one killed half way" if many else row["run"],
+                f"{row['processors']:.2f}",
+                f"{row['seconds']:.0f}",
+                f"{row['processor_seconds']:.0f}",
+                f"{row['at_work']:.1%}",
+                f"{header['work_per_processor_second']:.1%}" if many else "100 %",
+                f"{header['equal']:,} of {header['grasps']:,}" if many else NONE,
+            )
+        )
+    return Table(head, cells, ["cluster"])
+
+
 def varied_captures() -> Table:
     """Objects in varied captures that nothing was chosen by, by what perception is told of them."""
     head = (
@@ -647,6 +676,7 @@ BUILDERS: dict[str, Callable[[], Table]] = {
     "limits": limits,
     "fuzz": fuzz,
     "kills": kills,
+    "cluster": cluster,
     "adapters": recorded("adapters"),
     "depth_statistics": recorded("depth-statistics"),
     "experiments_hand_fit": recorded("experiments-hand-fit"),
