@@ -53,9 +53,8 @@ def emulated_allegro(generation: int, patience: float = 1.0) -> EmulatedDevice:
     from fungrasp.robots.emulators.allegro_can import AllegroEmulator
     from fungrasp.robots.hands.allegro import AllegroSettings, allegro_driver
 
-    home, bus = np.full(16, 0.4), "udp_multicast"
-    # A port of its own: buses of one port hear each other, whatever their groups.
-    channel = f"239.74.163.2:{20000 + os.getpid() % 10000 + 10000 * (generation - 4)}"
+    home, bus = np.full(16, 0.4), "loopback"
+    channel = str(20000 + os.getpid() % 10000 + 10000 * (generation - 4))
     plant = torque_controlled_fingers(home)
     settings = _patient(AllegroSettings(bus, channel, generation), patience)
     emulator = AllegroEmulator(plant, bus, channel, generation)
