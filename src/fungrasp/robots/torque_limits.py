@@ -51,8 +51,8 @@ def limited_hand(cell: RobotCell, hand: Hand, dynamics: JointDynamics | None = N
         largest = min(own, float(limits[i]))
         if not largest > 0:
             raise FungraspError(
-                f"cell '{cell.name}': no torque is left to '{name}': look at the options of the hand's driver "
-                "and at the file of its dynamics"
+                f"cell '{cell.name}': no torque is left to '{name}': look at the options of the hand's "
+                "driver and at the file of its dynamics"
             )
         servos[name] = replace(servo, force_limit=largest)
     return replace(hand, actuators=servos)

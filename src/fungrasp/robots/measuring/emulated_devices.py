@@ -13,6 +13,10 @@ import numpy as np
 from fungrasp.robots.control_loop.loop_driver import LoopDriver
 from fungrasp.robots.emulators.emulator import Emulator
 from fungrasp.robots.emulators.plant import Plant, ServoPlant, TorquePlant
+from fungrasp.robots.hands.joint_order import hand_joint_limits
+
+STOPS = 0.1
+"""How far the stops of emulated fingers lie beyond the limits of their joints [rad]."""
 
 
 @dataclass
@@ -104,10 +108,21 @@ def torque_controlled_fingers(positions: np.ndarray) -> TorquePlant:
     is stable where a busy machine delays it by 10 ms: what is measured is when motion ends, not how a finger
     swings.
 
+    They end at stops, as those of a hand do: one that keeps its torques while its host hears nothing would
+    turn on and on.
+
     Args:
-        positions: where they are [rad], shape [U].
+        positions: where they are [rad], shape [16], in the order of the Allegro hand.
     """
-    return TorquePlant(positions, inertia=0.01, friction=0.01, damping=0.2)
+    lower, upper = hand_joint_limits("allegro", len(positions))
+    return TorquePlant(
+        positions,
+        inertia=0.01,
+        friction=0.01,
+        damping=0.2,
+        lower=lower - STOPS,
+        upper=upper + STOPS,
+    )
 
 
 def _patient(settings: Any, patience: float) -> Any:
