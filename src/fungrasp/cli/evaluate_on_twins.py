@@ -51,7 +51,7 @@ class EvaluateOnTwins:
         from fungrasp.cli.grasp_choice import deployable_policy
         from fungrasp.cli.grasps_from_images import grasps_from_images
         from fungrasp.cli.retarget import retargeted
-        from fungrasp.deployment.preparation import HandDynamics
+        from fungrasp.deployment.hand_knowledge import HandDynamics
         from fungrasp.deployment.twin_identification import identify_on_twin
         from fungrasp.errors import FungraspError, UnknownNameError
         from fungrasp.evaluation.result_files import write_result

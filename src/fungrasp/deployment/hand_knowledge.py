@@ -7,11 +7,38 @@ from pathlib import Path
 
 import numpy as np
 
-from fungrasp.deployment.preparation import HandDynamics
 from fungrasp.hands import Hand
 from fungrasp.robots.cell import RobotCell
 from fungrasp.robots.torque_limits import limited_hand
-from fungrasp.transfer.joint_dynamics import load_dynamics
+from fungrasp.transfer.joint_dynamics import JointDynamics, load_dynamics, model_dynamics
+
+
+@dataclass(frozen=True, eq=False)
+class HandDynamics:
+    """Identified dynamics of a hand, as factors on the model's."""
+
+    joint_damping: np.ndarray
+    """Damping of each joint, shape [M]."""
+    servo_stiffness: np.ndarray
+    """Stiffness of each joint's servo, shape [M]."""
+    servo_damping: np.ndarray
+    """Damping of each joint's servo, shape [M]."""
+
+    @classmethod
+    def of(cls, hand: Hand, dynamics: JointDynamics) -> HandDynamics:
+        """The factors of identified joints; those that were not identified are as in the model.
+
+        Args:
+            hand: with the model.
+            dynamics: of some or all of its independent joints.
+        """
+        model, factors = model_dynamics(hand), np.ones((2, len(hand.joint_names)))
+        for j, name in enumerate(dynamics.joints):
+            joint, row = hand.joint_names.index(name), model.joints.index(name)
+            factors[0, joint] = dynamics.stiffness[j] / model.stiffness[row]
+            # What is identified is the sum of both dampings.
+            factors[1, joint] = dynamics.damping[j] / max(model.damping[row], 1e-9)
+        return cls(factors[1], factors[0], factors[1].copy())
 
 
 @dataclass(frozen=True, eq=False)

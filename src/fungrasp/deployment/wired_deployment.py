@@ -11,9 +11,10 @@ import numpy as np
 from fungrasp.deployment.deployment import Deployment
 from fungrasp.deployment.deployment_result import DeploymentResult, DeploymentSettings
 from fungrasp.deployment.emergency_stop import StopSwitch
+from fungrasp.deployment.hand_knowledge import HandDynamics
 from fungrasp.deployment.log import DeploymentLog
 from fungrasp.deployment.phases import Phase
-from fungrasp.deployment.preparation import GraspPreparer, HandDynamics, PreparedGrasp, Preparer
+from fungrasp.deployment.preparation import GraspPreparer, PreparedGrasp, Preparer
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
