@@ -309,7 +309,7 @@ def chain() -> Table:
 
 def driver_faults() -> Table:
     """How drivers react to faults of emulated devices."""
-    kinds = ("ur", "ur-clock", "inspire", "leap", "allegro", "allegro-saturated", "tracker")
+    kinds = ("ur", "ur-clock", "inspire", "leap", "allegro", "allegro-saturated", "allegro-v5", "tracker")
     return _reactions([f"driver-faults-{kind}" for kind in kinds])
 
 

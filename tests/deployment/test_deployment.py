@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -239,6 +240,23 @@ def test_a_grasp_out_of_reach_is_said_before_anything_moves() -> None:
     aside[0] += 0.45
     with pytest.raises(UnreachableError, match=r"it would be with the object moved by|no placement nearby"):
         preparer.prepare(grasp, aside, np.array(near_cell().arm.home))
+
+
+@pytest.mark.parametrize("height, low", [(0.01, True), (0.25, False)])
+def test_a_palm_too_low_for_the_wrist_is_named(height: float, low: bool) -> None:
+    cell, hand = cell_and_hand()
+    grasp, thing = grasp_and_object()
+    preparer = GraspPreparer(cell, hand, thing, MotionPlanner(hand, {thing.name: thing}))
+    wrist = grasp.wrist_pose.copy()
+    wrist[:, 2] += height + grasp.object_pose[:, 2] - placed()[2] - wrist[:, 2]
+    moved = replace(grasp, wrist_pose=wrist)
+    near, far = placed().copy(), placed().copy()
+    # As the grasp was shown, so that heights are those of its own scene.
+    near[3:] = far[3:] = grasp.object_pose[0, 3:]
+    far[0] += 1.5
+    assert ("cm above the table" in preparer.hindrance(moved, near)) is low
+    said = preparer.hindrance(moved, far)
+    assert said.endswith("or from above") if low else said.endswith("; take another grasp")
 
 
 def test_fault_is_latched() -> None:

@@ -1,11 +1,13 @@
 """Our own tracker as a source of poses, on rendered images."""
 
+import sys
 import time
 from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
+from fake_realsense import FakeRealSense
 
 from fungrasp.errors import FungraspError
 from fungrasp.geometry.poses import compose, invert, quaternion_from_rotation_vector
@@ -16,7 +18,7 @@ from fungrasp.robots.assembly import pose_source
 from fungrasp.robots.cell import TrackerSettings, load_cell
 from fungrasp.robots.device import RobotError, TrackingStatus
 from fungrasp.robots.pose.camera_tracker import LOST_FRAMES, CameraTracker
-from fungrasp.robots.pose.frames import RecordedFrames
+from fungrasp.robots.pose.frames import RealSenseFrames, RecordedFrames
 
 LENS = Intrinsics(640, 480, 615.0, 615.0, 319.5, 239.5)
 # 0.65 m away from the middle of the table, looking down at 50 degrees.
@@ -122,3 +124,26 @@ def test_a_cell_needs_a_calibration_and_an_object_for_its_camera() -> None:
         pose_source(replace(cell, tracker=replace(known, options={})))
     with pytest.raises(FungraspError, match="objekt"):
         pose_source(replace(cell, tracker=replace(known, options={"objekt": "can"})))
+
+
+def test_a_camera_gives_its_newest_frame_until_it_fails(monkeypatch: pytest.MonkeyPatch) -> None:
+    fake = FakeRealSense(images=4)
+    fake.domain, fake.age = "global", 0.2
+    monkeypatch.setitem(sys.modules, "pyrealsense2", fake)
+    frames = RealSenseFrames("77", 64, 48, 15)
+    assert frames.newest(0.0) is None, "not open"
+    frames.connect()
+    frame = frames.newest(0.0)
+    assert frame is not None and frame.capture.color[0, 0, 1] == 3
+    assert 0.2 <= time.monotonic() - frame.captured < 5.0, "the camera's time stamp counts"
+    assert frames.newest(0.0) is None
+    fake.images, fake.millimetres = 5, 0
+    with pytest.raises(FungraspError):
+        frames.newest(0.0)
+    frames.close()
+    frames.close()
+    assert (fake.serial, fake.stopped) == ("77", 1)
+    assert fake.streams == [("depth", 64, 48, "z16", 15), ("color", 64, 48, "rgb8", 15)]
+    fake.start_error = "No device connected"
+    with pytest.raises(RobotError, match="no RealSense camera 77 is connected"):
+        frames.connect()

@@ -41,7 +41,7 @@ def _task(address: str) -> EmulationTask:
     pytest.importorskip("zmq")
     cell = load_cell("ur5e-allegro-emulated")
     tracker = replace(cell.tracker, address="tcp://127.0.0.1:5591")
-    hand = replace(cell.hand_device, address="239.74.163.2:43191")
+    hand = replace(cell.hand_device, address="43191")
     cell = replace(cell, arm=replace(cell.arm, address=address), hand_device=hand, tracker=tracker)
     placement = np.array([0.1, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
     return EmulationTask(cell, load_object("wine_glass", None, None), placement, 0)

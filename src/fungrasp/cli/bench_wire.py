@@ -57,14 +57,26 @@ class BenchWire:
         print(f"of {len(runs)} runs: {lifted} lifted and held, {home} of them put down and home again")
 
     def _run(self, cell: RobotCell, hand: Hand, chosen: ChosenGrasp, twin: int) -> WireRun:
+        from fungrasp.deployment.hand_knowledge import hand_knowledge
         from fungrasp.deployment.wired_deployment import DeploymentTask
         from fungrasp.evaluation.wire_test import run_over_the_wire
         from fungrasp.policies import make_planner
 
         objects = {chosen.thing.name: chosen.thing}
         policy = deployable_policy(self.policy, hand, objects)
-        planner = make_planner(self.policy, hand, objects, threads=self.choice.threads)
-        task = DeploymentTask(cell, hand, chosen.thing, chosen.grasp, policy, planner, seed=twin)
+        known = hand_knowledge(cell, hand)
+        planner = make_planner(self.policy, known.planned, objects, threads=self.choice.threads)
+        task = DeploymentTask(
+            cell,
+            hand,
+            chosen.thing,
+            chosen.grasp,
+            policy,
+            planner,
+            known.dynamics,
+            known.stiffness,
+            seed=twin,
+        )
         run = run_over_the_wire(task, twin)
         return replace(run, images=chosen.images, grasp_seconds=chosen.seconds)
 

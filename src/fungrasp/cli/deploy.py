@@ -11,15 +11,10 @@ import tyro
 from fungrasp.cli.grasp_choice import GraspChoice, deployable_policy
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from fungrasp.deployment.deployment import DeploymentResult
     from fungrasp.deployment.emergency_stop import StopSwitch
     from fungrasp.deployment.log import DeploymentLog
-    from fungrasp.deployment.preparation import HandDynamics
     from fungrasp.deployment.wired_deployment import DeploymentTask
-    from fungrasp.hands import Hand
-    from fungrasp.robots.cell import RobotCell
 
 
 @dataclass(frozen=True)
@@ -59,6 +54,7 @@ class Deploy:
         from time import strftime
 
         from fungrasp.deployment.emergency_stop import StopSwitch
+        from fungrasp.deployment.hand_knowledge import hand_knowledge
         from fungrasp.deployment.log import McapLog
         from fungrasp.deployment.wired_deployment import DeploymentTask
         from fungrasp.errors import FungraspError
@@ -77,8 +73,8 @@ class Deploy:
         objects = {chosen.thing.name: chosen.thing}
         policy = deployable_policy(self.policy, hand, objects)
         check_attempts(self.attempts, not isinstance(policy, OpenLoopPolicy))
-        planner = make_planner(self.policy, hand, objects, threads=self.choice.threads)
-        dynamics, stiffness = self._dynamics(cell, hand)
+        known = hand_knowledge(cell, hand, self.hand_dynamics)
+        planner = make_planner(self.policy, known.planned, objects, threads=self.choice.threads)
         task = DeploymentTask(
             cell,
             hand,
@@ -86,8 +82,8 @@ class Deploy:
             chosen.grasp,
             policy,
             planner,
-            dynamics,
-            stiffness,
+            known.dynamics,
+            known.stiffness,
             not self.no_gravity_compensation,
             self.dry_run,
             self.seed,
@@ -155,16 +151,6 @@ class Deploy:
         )
         said = f"not held, as far as is seen, after {result.attempts} attempts" if result.missed else "done"
         return said + _why_no_more(result), result
-
-    def _dynamics(self, cell: RobotCell, hand: Hand) -> tuple[HandDynamics | None, np.ndarray | None]:
-        """What was identified of the hand, and the stiffness of its servos [N m/rad], shape [U]."""
-        from fungrasp.deployment.preparation import HandDynamics
-        from fungrasp.transfer.joint_dynamics import load_dynamics
-
-        if self.hand_dynamics is None and not cell.hand_dynamics:
-            return None, None
-        dynamics = load_dynamics(self.hand_dynamics or cell.hand_dynamics, hand)
-        return HandDynamics.of(hand, dynamics), dynamics.stiffness
 
     def _about(self) -> dict[str, str]:
         from fungrasp import __version__

@@ -51,7 +51,7 @@ class EvaluateOnTwins:
         from fungrasp.cli.grasp_choice import deployable_policy
         from fungrasp.cli.grasps_from_images import grasps_from_images
         from fungrasp.cli.retarget import retargeted
-        from fungrasp.deployment.preparation import HandDynamics
+        from fungrasp.deployment.hand_knowledge import HandDynamics
         from fungrasp.deployment.twin_identification import identify_on_twin
         from fungrasp.errors import FungraspError, UnknownNameError
         from fungrasp.evaluation.result_files import write_result
@@ -68,6 +68,7 @@ class EvaluateOnTwins:
         from fungrasp.policies import make_planner
         from fungrasp.provenance import run_record
         from fungrasp.robots.cell import load_cell
+        from fungrasp.robots.torque_limits import limited_hand
 
         known = {variant.name: variant for variant in VARIANTS}
         for name in self.variants:
@@ -90,7 +91,7 @@ class EvaluateOnTwins:
             index = [index[n // self.images] * self.images + n % self.images for n in seen.index]
         robot, _ = retargeted(human, objects, hand, "ours", self.threads)
         policy = deployable_policy(self.policy, hand, objects)
-        planner = make_planner(self.policy, hand, objects, threads=self.threads)
+        planner = make_planner(self.policy, limited_hand(cell, hand), objects, threads=self.threads)
         chosen = [known[name] for name in self.variants]
         header |= run_record(0)
         header["identification"] = "told" if self.told else "identified on each twin"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
@@ -12,6 +12,9 @@ from fungrasp.cli.calibrate import Calibrate
 from fungrasp.cli.deploy import ReplayLog
 from fungrasp.cli.evaluate_on_twins import EvaluateOnTwins
 from fungrasp.cli.grasp_choice import GraspChoice
+
+if TYPE_CHECKING:
+    import numpy as np
 
 
 @dataclass(frozen=True)
@@ -40,6 +43,7 @@ class Check:
     def run(self) -> None:
         import numpy as np
 
+        from fungrasp.deployment.hand_knowledge import hand_knowledge
         from fungrasp.errors import FungraspError
         from fungrasp.hands import load_hand
         from fungrasp.robots.assembly import arm_driver, hand_driver, is_twin, pose_source
@@ -69,6 +73,11 @@ class Check:
             for device in (arm_driver(cell), hand_driver(cell, hand), pose_source(cell)):
                 print(f"device: {device.name}")
             check_calibrated(cell)
+        known = hand_knowledge(cell, hand)
+        own = np.array([servo.force_limit for servo in hand.actuators.values()])
+        planned = np.array([servo.force_limit for servo in known.planned.actuators.values()])
+        less = "" if (planned == own).all() else f", less than the model's {_range(own)}: plans keep to it"
+        print(f"hand: torques up to {_range(planned)} N m{less}")
         limits = cell.limits
         print(f"palm: up to {limits.palm_speed:g} m/s, {limits.palm_acceleration:g} m/s^2")
 
@@ -151,6 +160,12 @@ class ShowLog:
             from fungrasp.report.deployment_page import write_deployment_page
 
             print(f"page: {write_deployment_page(self.page, log)}")
+
+
+def _range(values: np.ndarray) -> str:
+    """Least and largest value, one where they are the same."""
+    low, high = f"{values.min():.2g}", f"{values.max():.2g}"
+    return low if low == high else f"{low} to {high}"
 
 
 COMMAND = {

@@ -9,6 +9,7 @@ from typing import Protocol
 
 import numpy as np
 
+from fungrasp.deployment.hand_knowledge import HandDynamics
 from fungrasp.errors import FungraspError
 from fungrasp.geometry.poses import (
     compose,
@@ -16,6 +17,7 @@ from fungrasp.geometry.poses import (
     quaternion_conjugate,
     quaternion_from_rotation_vector,
     quaternion_multiply,
+    rotate,
     rotation_vector,
 )
 from fungrasp.grasps import RobotGraspSet
@@ -29,7 +31,6 @@ from fungrasp.robots.kinematics.joint_path import FreePath
 from fungrasp.robots.kinematics.reach import PalmPath, Reach, ReachChecker
 from fungrasp.task import Belief, GraspPlan, LiftProtocol
 from fungrasp.task.start_pose import StartPoses, start_fingers
-from fungrasp.transfer.joint_dynamics import JointDynamics, model_dynamics
 
 SHIFTS = (0.0, -0.1, 0.1)
 """Displacements of the object along both axes that are tried where it can't be grasped as it stands [m]."""
@@ -41,36 +42,15 @@ PLANS = 3
 """Plans, of as many seeds, that are made before a grasp counts as not reachable: the planner knows nothing of
 the arm, and what one plan can't do the next often can."""
 
+LOW_PALM = 0.09
+"""A palm lower than this beside an object [m] is often out of reach of a UR, wherever the object stands: the
+flange of its wrist does not go between hand and table (decision 0048)."""
+
+FROM_ABOVE = np.cos(np.deg2rad(45))
+"""Cosine of the largest angle between a palm's normal and the vertical for a grasp from above."""
+
 TURNS = np.deg2rad([0, 30, -30, 60, -60, 90, -90, 120, -120, 150, -150, 180])
 """Turns of the object about the vertical that are tried [rad]."""
-
-
-@dataclass(frozen=True, eq=False)
-class HandDynamics:
-    """Identified dynamics of a hand, as factors on the model's."""
-
-    joint_damping: np.ndarray
-    """Damping of each joint, shape [M]."""
-    servo_stiffness: np.ndarray
-    """Stiffness of each joint's servo, shape [M]."""
-    servo_damping: np.ndarray
-    """Damping of each joint's servo, shape [M]."""
-
-    @classmethod
-    def of(cls, hand: Hand, dynamics: JointDynamics) -> HandDynamics:
-        """The factors of identified joints; those that were not identified are as in the model.
-
-        Args:
-            hand: with the model.
-            dynamics: of some or all of its independent joints.
-        """
-        model, factors = model_dynamics(hand), np.ones((2, len(hand.joint_names)))
-        for j, name in enumerate(dynamics.joints):
-            joint, row = hand.joint_names.index(name), model.joints.index(name)
-            factors[0, joint] = dynamics.stiffness[j] / model.stiffness[row]
-            # What is identified is the sum of both dampings.
-            factors[1, joint] = dynamics.damping[j] / max(model.damping[row], 1e-9)
-        return cls(factors[1], factors[0], factors[1].copy())
 
 
 @dataclass(frozen=True, eq=False)
@@ -303,6 +283,31 @@ class GraspPreparer:
                     "about the vertical",
                 )
 
+    def hindrance(self, grasp: RobotGraspSet, object_pose: np.ndarray) -> str:
+        """Why the arm can't reach a grasp, however it is planned, and what a person can do about it, as a
+        phrase; "" where it can.
+
+        Args:
+            grasp: one.
+            object_pose: at rest, world frame, shape [7].
+        """
+        start, fingers = self._start(grasp, object_pose)
+        path = self._straight(grasp, object_pose, start, fingers)
+        obstacle = self._reach.possible(path, np.asarray(self._cell.arm.home))
+        return obstacle and f"{obstacle}; {self._remedy(grasp, object_pose)}"
+
+    def _remedy(self, grasp: RobotGraspSet, object_pose: np.ndarray) -> str:
+        """What to show instead, as a phrase: a palm that is low beside the object is so wherever that
+        stands."""
+        palm = compose(object_pose[None], compose(invert(grasp.object_pose), grasp.wrist_pose))[0]
+        downwards = -rotate(palm[3:], self._hand.palm_normal)[2]
+        if palm[2] > LOW_PALM or downwards > FROM_ABOVE:
+            return "take another grasp"
+        return (
+            f"the palm, {100 * palm[2]:.0f} cm above the table beside the object, is too low for the arm's "
+            "wrist: show a grasp that is higher on the object, or from above"
+        )
+
     def _advice(self, grasp: RobotGraspSet, object_pose: np.ndarray, obstacle: str) -> str:
         """One line: what is in the way, and which placement would do."""
         said = f"the grasp of '{self._thing.name}' is not reachable: {obstacle}"
@@ -311,7 +316,7 @@ class GraspPreparer:
         moved = (p for p in self.placements(grasp, object_pose) if not np.array_equal(p[0], object_pose))
         found = next(moved, None)
         if found is None:
-            return f"{said}; no placement nearby would do: take another grasp"
+            return f"{said}; no placement nearby would do: {self._remedy(grasp, object_pose)}"
         return f"{said}; it would be with the object {found[1]}"
 
 

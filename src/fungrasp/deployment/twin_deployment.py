@@ -11,9 +11,10 @@ import numpy as np
 
 from fungrasp.deployment.deployment import Deployment, DeploymentResult, DeploymentSettings
 from fungrasp.deployment.emergency_stop import StopSwitch
+from fungrasp.deployment.hand_knowledge import HandDynamics
 from fungrasp.deployment.log import DeploymentLog
 from fungrasp.deployment.phases import Phase
-from fungrasp.deployment.preparation import GraspPreparer, HandDynamics, UnreachableError
+from fungrasp.deployment.preparation import GraspPreparer, UnreachableError
 from fungrasp.geometry.poses import (
     invert,
     quaternion_from_rotation_vector,
@@ -126,8 +127,10 @@ def reachable_placements(
     if refused is not None:
         yield refused
     elif not found:
+        why = preparer.hindrance(grasp, middle)
         raise UnreachableError(
-            f"no placement of '{thing.name}' was found from which the arm can grasp it: take another grasp"
+            f"no placement of '{thing.name}' was found from which the arm can grasp it: "
+            + (why or "take another grasp")
         )
 
 

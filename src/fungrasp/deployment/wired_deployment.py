@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
 
@@ -11,16 +11,22 @@ import numpy as np
 from fungrasp.deployment.deployment import Deployment
 from fungrasp.deployment.deployment_result import DeploymentResult, DeploymentSettings
 from fungrasp.deployment.emergency_stop import StopSwitch
+from fungrasp.deployment.hand_knowledge import HandDynamics
 from fungrasp.deployment.log import DeploymentLog
 from fungrasp.deployment.phases import Phase
-from fungrasp.deployment.preparation import GraspPreparer, HandDynamics
+from fungrasp.deployment.preparation import GraspPreparer, PreparedGrasp, Preparer
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
 from fungrasp.planning import Planner
 from fungrasp.robots.assembly import wired_robot
 from fungrasp.robots.cell import RobotCell
-from fungrasp.robots.process_priority import raise_priority
+from fungrasp.robots.process_priority import (
+    Priority,
+    at_priority,
+    present_priority,
+    raise_priority,
+)
 from fungrasp.robots.robot import Robot
 from fungrasp.task import Policy
 
@@ -63,7 +69,8 @@ def deploy_on_robot(
     on_phase: Callable[[Phase], None] = lambda phase: None,
     on_connect: Callable[[Robot], None] = lambda robot: None,
 ) -> DeploymentResult:
-    """Connect to a robot and deploy one grasp.
+    """Connect to a robot and deploy one grasp. What keeps time runs ahead of other work from the first
+    motion on; planning never does, nor what follows this call.
 
     Args:
         task: what is to be done.
@@ -80,21 +87,22 @@ def deploy_on_robot(
 
     def begun(phase: Phase) -> None:
         if phase is Phase.MOVE_TO_START:
-            # Not before: planning may take all the processors that it finds.
             raise_priority()
         on_phase(phase)
 
+    usual = present_priority()
     robot = wired_robot(
         task.cell, task.hand, stiffness=task.stiffness, compensate=task.compensate, dry_run=task.dry_run
     )
     with ExitStack() as stack:
+        stack.enter_context(at_priority(usual))
         stack.enter_context(robot)
         on_connect(robot)
         preparer = GraspPreparer(task.cell, task.hand, task.thing, task.planner, task.dynamics, task.seed)
         deployment = Deployment(
             robot,
             task.policy,
-            preparer,
+            _PreparerAt(preparer, usual),
             log=log,
             switch=switch,
             settings=settings,
@@ -102,3 +110,19 @@ def deploy_on_robot(
             on_phase=begun,
         )
         return deployment.run(task.grasp)
+
+
+class _PreparerAt:
+    """A preparer that works at a priority: planning takes all the processors that it finds, and the drivers
+    of an arm that waits for another attempt must keep their time."""
+
+    def __init__(self, preparer: Preparer, priority: Priority):
+        self._preparer, self._priority = preparer, priority
+        self.objects: Mapping[str, ObjectModel] = preparer.objects
+
+    def prepare(
+        self, grasp: RobotGraspSet, object_pose: np.ndarray, arm: np.ndarray, *, attempt: int = 0
+    ) -> PreparedGrasp:
+        """See ``Preparer.prepare``."""
+        with at_priority(self._priority):
+            return self._preparer.prepare(grasp, object_pose, arm, attempt=attempt)

@@ -104,7 +104,7 @@ def _private(cell: RobotCell, patience: float) -> RobotCell:
         return replace(device, address=address, options=options)
 
     hands = {
-        "allegro-can": f"239.74.163.2:{20000 + number % 20000}",
+        "allegro-can": str(20000 + number % 20000),
         "inspire-modbus": f"127.{number % 200 + 1}.0.5",
     }
     if cell.arm.driver != "ur-rtde" or cell.hand_device.driver not in hands:

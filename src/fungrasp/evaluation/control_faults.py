@@ -3,6 +3,7 @@ each spoiled at a random moment."""
 
 from __future__ import annotations
 
+import contextlib
 import multiprocessing
 import os
 import signal
@@ -171,17 +172,16 @@ class _Session:
             return self._heard["fault"][0] if "fault" in self._heard else self._ended_early()
         while time.monotonic() < self._heard["moving"][0] + self._after:
             self._listen(0.01)
-        if "ended" in self._heard:
+        if "ended" in self._heard or not _alive(self._pid):
+            # Its last words may still be on their way.
+            self._listen(0.1)
             return self._ended_early()
         when = time.monotonic()
         if fault is ControlFault.ALL_KILLED:
             # They first: as the control process ends, each would switch its device off.
             for process in self._drivers:
                 self._kill(process)
-        if fault is ControlFault.HUNG:
-            os.kill(self._pid, signal.SIGSTOP)
-        else:
-            self._kill(self._pid)
+        self._kill(self._pid, signal.SIGSTOP if fault is ControlFault.HUNG else signal.SIGKILL)
         return when
 
     @property
@@ -219,9 +219,11 @@ class _Session:
             # It was killed.
             time.sleep(timeout)
 
-    def _kill(self, process: int | None) -> None:
-        if process is not None and _alive(process):
-            os.kill(process, signal.SIGKILL)
+    def _kill(self, process: int | None, how: signal.Signals = signal.SIGKILL) -> None:
+        # On a busy machine one may end by itself meanwhile.
+        with contextlib.suppress(ProcessLookupError):
+            if process is not None and _alive(process):
+                os.kill(process, how)
 
 
 def _alive(process: int | None) -> bool:

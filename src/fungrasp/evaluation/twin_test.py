@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from fungrasp.deployment.deployment import DeploymentSettings
-from fungrasp.deployment.preparation import HandDynamics, UnreachableError
+from fungrasp.deployment.hand_knowledge import HandDynamics
+from fungrasp.deployment.preparation import UnreachableError
 from fungrasp.deployment.twin_deployment import deploy_on_twin, reachable_placement
 from fungrasp.errors import FungraspError
 from fungrasp.grasps import RobotGraspSet

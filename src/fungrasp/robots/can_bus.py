@@ -11,13 +11,16 @@ SERIAL_ADAPTERS = ("pcan", "kvaser", "ixxat", "slcan", "gs_usb")
 """Interfaces that set the bit rate themselves; that of "socketcan" is set with ``ip link``."""
 
 
+LOOPBACK = "loopback"
+"""Interface of emulated devices."""
+
+
 def open_can_bus(interface: str, channel: str, bitrate: int = 1_000_000) -> Any:
     """A ``can.Bus``.
 
     Args:
-        interface: of python-can.
-        channel: of the interface. "udp_multicast" takes "239.74.163.2:43113": python-can receives what is
-            sent to a port, whatever its group, so two hands need two ports.
+        interface: of python-can, or "loopback", between processes of this computer.
+        channel: of the interface; that of "loopback" is a port of UDP, "43113".
         bitrate: [bit/s].
 
     Raises:
@@ -25,15 +28,18 @@ def open_can_bus(interface: str, channel: str, bitrate: int = 1_000_000) -> Any:
     """
     can = import_client("can", "allegro", "an Allegro Hand")
     options: dict[str, Any] = {"bitrate": bitrate} if interface in SERIAL_ADAPTERS else {}
-    if interface == "udp_multicast":
-        channel, _, port = channel.partition(":")
-        if port:
-            if not port.isdecimal():
-                raise RobotError(
-                    f"a channel of udp_multicast is like 239.74.163.2:43113, not '{channel}:{port}'"
-                )
-            options["port"] = int(port)
     try:
+        if interface == LOOPBACK:
+            return _loopback(channel)
         return can.Bus(interface=interface, channel=channel, **options)
     except (can.CanError, OSError, ValueError, NotImplementedError) as error:
         raise RobotError(f"cannot open the CAN bus {interface}:{channel}: {error}") from error
+
+
+def _loopback(channel: str) -> Any:
+    # Here, because it imports python-can.
+    from fungrasp.robots.loopback_can_bus import LoopbackCanBus
+
+    if not channel.isdecimal() or not 1024 <= int(channel) <= 65535:
+        raise RobotError(f"a channel of {LOOPBACK} is a port of UDP from 1024 to 65535, not '{channel}'")
+    return LoopbackCanBus(int(channel))

@@ -80,7 +80,8 @@ class JointLimits:
     velocity: np.ndarray
     """Highest speeds [rad/s], shape [U]."""
     torque: np.ndarray
-    """Highest torques [N m], shape [U]."""
+    """Highest torques that the driver asks for [N m], shape [U]; infinite where it leaves that to the
+    device."""
 
 
 class JointDriver(Protocol):

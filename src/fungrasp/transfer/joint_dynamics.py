@@ -14,6 +14,8 @@ from fungrasp.formats.toml_file import read_toml
 from fungrasp.hands import Hand
 
 QUANTITIES = ("stiffness", "damping", "friction", "armature")
+TORQUE_LIMIT = "torque_limit"
+"""Quantity of a file that no identification finds: its author knows it of the robot."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,10 +37,14 @@ class JointDynamics:
     """Inertia of the drives at the joints [kg m^2], shape [J]."""
     delay: float
     """From a command to its first effect [s]."""
+    torque_limit: np.ndarray | None = None
+    """Largest torque of the servos [N m], shape [J]; None for what the model says."""
 
     def __post_init__(self) -> None:
-        for name in QUANTITIES:
+        for name in (*QUANTITIES, TORQUE_LIMIT):
             values = getattr(self, name)
+            if values is None:
+                continue
             if np.shape(values) != (len(self.joints),):
                 raise FungraspError(
                     f"{name} of joint dynamics has shape {np.shape(values)}, not one per joint"
@@ -78,6 +84,8 @@ def set_dynamics(model: mujoco.MjModel, dynamics: JointDynamics) -> None:
         model.actuator_gainprm[servo, 0] = dynamics.stiffness[j]
         model.actuator_biasprm[servo, 1] = -dynamics.stiffness[j]
         model.actuator_biasprm[servo, 2] = 0.0
+        if dynamics.torque_limit is not None:
+            model.actuator_forcerange[servo] = np.array([-1.0, 1.0]) * dynamics.torque_limit[j]
 
 
 def identified_hand(hand: Hand, path: str | Path) -> Hand:
@@ -101,8 +109,12 @@ def identified_hand(hand: Hand, path: str | Path) -> Hand:
             raise FungraspError(f"{path}: the stiffness of '{name}' must be positive, not {stiffness:g}")
         damping = float(dynamics.damping[j])
         own = min(servo.kd * stiffness / servo.kp, damping)
+        torque = servo.force_limit if dynamics.torque_limit is None else float(dynamics.torque_limit[j])
+        if not torque > 0:
+            raise FungraspError(f"{path}: the torque limit of '{name}' must be positive, not {torque:g}")
         servos[name] = replace(
             servo,
+            force_limit=torque,
             kp=stiffness,
             kd=own,
             joint_damping=damping - own,
@@ -118,6 +130,8 @@ def save_dynamics(path: str | Path, dynamics: JointDynamics) -> None:
     for j, name in enumerate(dynamics.joints):
         lines.append(f'[joints."{name}"]')
         lines += [f"{quantity} = {getattr(dynamics, quantity)[j]:.6g}" for quantity in QUANTITIES]
+        if dynamics.torque_limit is not None:
+            lines.append(f"{TORQUE_LIMIT} = {dynamics.torque_limit[j]:.6g} # N m")
         lines.append("")
     with atomic_path(path) as temporary:
         temporary.write_text("\n".join(lines))
@@ -131,6 +145,8 @@ def load_dynamics(path: str | Path, hand: Hand) -> JointDynamics:
     """
     data, model = read_toml(Path(path), "hand dynamics"), model_dynamics(hand)
     values = {quantity: getattr(model, quantity).copy() for quantity in QUANTITIES}
+    limits = np.array([servo.force_limit for servo in hand.actuators.values()])
+    known, limited = (*QUANTITIES, TORQUE_LIMIT), False
     for key in data:
         if key not in ("delay", "joints"):
             raise FungraspError(f"{path}: unknown field '{key}'; known: delay, joints")
@@ -141,15 +157,19 @@ def load_dynamics(path: str | Path, hand: Hand) -> JointDynamics:
         if name not in model.joints or not isinstance(entries, dict):
             raise FungraspError(f"{path}: hand '{hand.name}' has no joint '{name}' that is driven")
         for quantity, value in entries.items():
-            if quantity not in QUANTITIES or isinstance(value, bool) or not isinstance(value, (int, float)):
+            if quantity not in known or isinstance(value, bool) or not isinstance(value, (int, float)):
                 raise FungraspError(
-                    f"{path}: {name} takes numbers {', '.join(QUANTITIES)}, not {quantity} = {value!r}"
+                    f"{path}: {name} takes numbers {', '.join(known)}, not {quantity} = {value!r}"
                 )
-            values[quantity][model.joints.index(name)] = value
+            limited |= quantity == TORQUE_LIMIT
+            chosen = limits if quantity == TORQUE_LIMIT else values[quantity]
+            chosen[model.joints.index(name)] = value
     delay = data.get("delay", 0.0)
     if isinstance(delay, bool) or not isinstance(delay, (int, float)):
         raise FungraspError(f"{path}: delay is a number of seconds, not {delay!r}")
     try:
-        return JointDynamics(model.joints, **values, delay=float(delay))
+        return JointDynamics(
+            model.joints, **values, delay=float(delay), torque_limit=limits if limited else None
+        )
     except FungraspError as error:
         raise FungraspError(f"{path}: {error}") from error

@@ -10,7 +10,7 @@ import importlib
 import logging
 import time
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Self
 
@@ -67,17 +67,39 @@ def capture_from_camera(
         return camera.capture(warm_up, image)
 
 
-class RealSenseCamera:
-    """The first RealSense camera that is connected, or a recording of one; see ``RgbdCamera``."""
+@dataclass(frozen=True)
+class StreamSettings:
+    """What a connected camera is asked for."""
 
-    def __init__(self, recording: str | Path | None = None):
+    width: int = 640
+    """Of both images [pixels]."""
+    height: int = 480
+    """Of both images [pixels]."""
+    rate: int = 30
+    """Of frames [1/s]."""
+
+
+class RealSenseCamera:
+    """A RealSense camera that is connected, or a recording of one; see ``RgbdCamera``."""
+
+    def __init__(
+        self,
+        recording: str | Path | None = None,
+        *,
+        serial: str = "",
+        stream: StreamSettings | None = None,
+    ):
         """
         Args:
-            recording: ``.bag`` or newer ``.db3``; it is played as fast as its frames are asked for. None: the
+            recording: ``.bag`` or newer ``.db3``; it is played as fast as its frames are asked for. None: a
                 camera.
+            serial: number of the camera; "" for the first that is connected.
+            stream: size and rate of a camera's images; what the camera prefers if None.
         """
-        self.name = "the camera" if recording is None else str(recording)
-        self._recording = recording
+        self.name = f"RealSense camera {serial}" if serial else "the camera"
+        if recording is not None:
+            self.name = str(recording)
+        self._recording, self._serial, self._stream = recording, serial, stream
         self._pipeline: Any = None
         self._rs: Any = None
         self._unit = 0.0
@@ -92,11 +114,17 @@ class RealSenseCamera:
         """
         if self._recording is not None and not Path(self._recording).is_file():
             raise FungraspError(f"the recording {self._recording} does not exist")
-        rs = self._rs = realsense_module()
+        rs = self._rs = _module()
         pipeline, config = rs.pipeline(), rs.config()
         if self._recording is None:
-            config.enable_stream(rs.stream.depth, rs.format.z16)
-            config.enable_stream(rs.stream.color, rs.format.rgb8)
+            s = self._stream
+            for stream, kind in ((rs.stream.depth, rs.format.z16), (rs.stream.color, rs.format.rgb8)):
+                if s is None:
+                    config.enable_stream(stream, kind)
+                else:
+                    config.enable_stream(stream, s.width, s.height, kind, s.rate)
+            if self._serial:
+                config.enable_device(self._serial)
         else:
             # A recording has the formats that it has.
             config.enable_device_from_file(str(self._recording), repeat_playback=False)
@@ -105,7 +133,7 @@ class RealSenseCamera:
         try:
             profile = pipeline.start(config)
         except RuntimeError as error:
-            raise FungraspError(_why_not_started(self._recording, error)) from error
+            raise FungraspError(_why_not_started(self._recording, self._serial, error)) from error
         self._pipeline = pipeline
         try:
             device = profile.get_device()
@@ -141,6 +169,26 @@ class RealSenseCamera:
             yield frame
             count += 1
 
+    def newest(self, timeout: float) -> CameraFrame | None:
+        """The newest frame that was not given yet; those that have queued before it are left out. None if
+        none comes in time.
+
+        Args:
+            timeout: to wait [s].
+
+        Raises:
+            FungraspError: the camera fails.
+        """
+        try:
+            there, frames = self._pipeline.try_wait_for_frames(round(1000 * timeout))
+            more = there
+            while more:
+                more, newer = self._pipeline.try_wait_for_frames(1)
+                frames = newer if more else frames
+            return self._aligned(frames) if there else None
+        except RuntimeError as error:
+            raise FungraspError(f"{self.name} failed: {_line(error)}") from error
+
     def capture(self, warm_up: int, image: int | None) -> Capture:
         """One capture; see ``capture_from_camera``."""
         try:
@@ -160,7 +208,7 @@ class RealSenseCamera:
         return _frame(self._rs, aligned, self._unit, self.name)
 
 
-def realsense_module() -> Any:
+def _module() -> Any:
     """pyrealsense2. Raises: FungraspError: it is not installed or can't be loaded."""
     try:
         return importlib.import_module("pyrealsense2")
@@ -175,7 +223,7 @@ def realsense_module() -> Any:
         raise FungraspError(f"pyrealsense2 is installed but can't be loaded: {_line(error)}{hint}") from error
 
 
-def _why_not_started(recording: str | Path | None, error: RuntimeError) -> str:
+def _why_not_started(recording: str | Path | None, serial: str, error: RuntimeError) -> str:
     reason = _line(error)
     if recording is not None:
         return (
@@ -183,7 +231,8 @@ def _why_not_started(recording: str | Path | None, error: RuntimeError) -> str:
             f"({reason})"
         )
     if "No device" in reason:
-        return "no RealSense camera is connected, or this user may not use it (librealsense's udev rules)"
+        which = f"no RealSense camera {serial}".rstrip()
+        return f"{which} is connected, or this user may not use it (librealsense's udev rules)"
     return (
         "the RealSense camera gives no depth and colour together: is another program using it, or is it on a "
         f"slow USB port? ({reason})"
@@ -203,17 +252,6 @@ def _wait(pipeline: Any, warm_up: int, image: int | None, where: str) -> Any:
     if frames is None:
         raise FungraspError(f"{where} gives no images: none in {FIRST_WAIT / 1000:g} s")
     return frames
-
-
-def capture_of_frames(rs: Any, frames: Any, unit: float, where: str) -> Capture:
-    """Colour and aligned depth of one set of frames. unit: of the depth [m]. where: for messages.
-
-    Raises:
-        FungraspError: one of the images is missing or can't be right.
-    """
-    frame = _frame(rs, frames, unit, where)
-    check_depth_range(frame.depth, unit, where)
-    return frame.capture()
 
 
 def _frame(rs: Any, frames: Any, unit: float, where: str) -> CameraFrame:

@@ -21,6 +21,7 @@ from fungrasp.robots.control_loop.device_loop import LoopGoal, LoopMode
 from fungrasp.robots.control_loop.loop_driver import LoopDriver
 from fungrasp.robots.device import DeviceStatus, JointLimits, JointState, RobotError
 from fungrasp.robots.optional_packages import import_client
+from fungrasp.robots.timer_slack import timer_slack
 
 VARIABLES = ["timestamp", "actual_q", "actual_qd", "runtime_state", "safety_status_bits", "robot_status_bits"]
 PLAYING = 2
@@ -28,6 +29,10 @@ EMERGENCY_BITS = 1 << 5 | 1 << 6 | 1 << 7
 PROTECTIVE_BIT = 1 << 2
 SAFETY_FAULT_BITS = 1 << 3 | 1 << 4 | 1 << 8 | 1 << 9 | 1 << 10
 JOINTS = 6
+POLL_SLACK = 2e-3
+"""By how much the client library's two receiving threads may oversleep [s]: they look for data every 0.1 ms,
+which takes as much of a processor as all our steps. A period of the setpoints, so that they wake with the
+loop; a state, one every 8 ms, is older by that much at most."""
 STATE_RATE = 125.0
 """Of the states that the controller sends [Hz]; setpoints go out at the controller's own rate, which on an
 e-Series is four times as high. The client library takes about as long to receive a state as we to make a
@@ -103,9 +108,11 @@ class URLoop:
         self._period = 0.002
         self._due = 0.0
         self._advanced, self._clock = 0.0, -1.0
-        self._last: np.ndarray | None = None
+        self._last: list[float] | None = None
         self._last_clock = 0.0
         self._lead: Any = None
+        self._led: LoopMode | None = None
+        self._going: tuple[Any, ...] = ()
         self._target: np.ndarray | None = None
         self._known: JointState | None = None
 
@@ -118,8 +125,9 @@ class URLoop:
         try:
             self._check(dashboard.DashboardClient(self.settings.address))
             # Both receive in threads of their own, at the controller's rate if they are not told another one.
-            self._receive = receive.RTDEReceiveInterface(self.settings.address, STATE_RATE, VARIABLES)
-            self._control = control.RTDEControlInterface(self.settings.address, STATE_RATE)
+            with timer_slack(POLL_SLACK):
+                self._receive = receive.RTDEReceiveInterface(self.settings.address, STATE_RATE, VARIABLES)
+                self._control = control.RTDEControlInterface(self.settings.address, STATE_RATE)
         except RuntimeError as error:
             raise RobotError(
                 f"{self.name}: {_one_line(error)}; check address, power and remote control"
@@ -132,6 +140,7 @@ class URLoop:
         self._path = self._ruckig.Ruckig(JOINTS, self._period)
         # Kept between steps: it holds the path that the steps are taken from.
         self._step = self._ruckig.OutputParameter(JOINTS)
+        self._going = (self._ruckig.Result.Working, self._ruckig.Result.Finished)
         self._advanced = self._due = time.monotonic()
 
     def step(self, goal: LoopGoal) -> JointState:
@@ -226,15 +235,16 @@ class URLoop:
             self._due = time.monotonic()
 
     def _state(self) -> JointState:
-        positions = np.array(self._receive.getActualQ())
-        velocities = np.array(self._receive.getActualQd())
+        positions, velocities = self._receive.getActualQ(), self._receive.getActualQd()
         safety = self._receive.getSafetyStatusBits()
         running = self._receive.getRuntimeState() == PLAYING
-        sane = positions.shape == velocities.shape == (JOINTS,) and bool(np.isfinite(positions).all())
-        if sane and self._last is not None:
-            elapsed = max(self._clock - self._last_clock, 0.0)
-            sane = bool(np.abs(positions - self._last).max() < LARGEST_JUMP + LARGEST_SPEED * elapsed)
-        if not sane:
+        largest = LARGEST_JUMP + LARGEST_SPEED * max(self._clock - self._last_clock, 0.0)
+        last = positions if self._last is None else self._last
+        # Without numpy, which takes longer for six numbers; what is not a number is not below either.
+        if not (
+            len(positions) == len(velocities) == JOINTS
+            and all(abs(a - b) < largest for a, b in zip(positions, last, strict=True))
+        ):
             raise RobotError(f"{self.name}: positions that can't be; check the cable to the controller")
         self._last, self._last_clock = positions, self._clock
         status, message = DeviceStatus.READY, ""
@@ -246,7 +256,9 @@ class URLoop:
             status, message = DeviceStatus.FAULT, f"safety status {safety:#x}: look at the pendant"
         elif not running:
             status, message = DeviceStatus.FAULT, "the controller has stopped the program: connect again"
-        return JointState(positions, velocities, None, self._clock, self._advanced, status, message)
+        return JointState(
+            np.array(positions), np.array(velocities), None, self._clock, self._advanced, status, message
+        )
 
     def _move(self, goal: LoopGoal, state: JointState) -> None:
         if goal.mode is LoopMode.IDLE or (goal.mode is LoopMode.POWER_OFF and self._lead is None):
@@ -256,24 +268,24 @@ class URLoop:
             self._lead = self._new_lead(state.positions)
         lead, step = self._lead, self._step
         following = goal.mode is LoopMode.FOLLOW
-        interface = self._ruckig.ControlInterface
-        lead.control_interface = interface.Position if following else interface.Velocity
+        if goal.mode is not self._led:
+            self._led, interface = goal.mode, self._ruckig.ControlInterface
+            lead.control_interface = interface.Position if following else interface.Velocity
         if following and goal.positions is not self._target:
             self._target = goal.positions
             lead.target_position = goal.positions.tolist()
         result = self._path.update(lead, step)
-        if result not in (self._ruckig.Result.Working, self._ruckig.Result.Finished):
+        if result not in self._going:
             raise RobotError(f"{self.name}: no path to the goal within the limits ({result})")
         s, new = self.settings, step.new_position
         largest = 1.5 * s.velocity * self._period
-        # Without numpy, which takes longer for six numbers; what is not a number is not below either.
         if not all(abs(a - b) <= largest for a, b in zip(new, lead.current_position, strict=True)):
             raise RobotError(f"{self.name}: a setpoint too far away was not sent: this is a fault of ours")
         step.pass_to_input(lead)
         self._control.servoJ(new, 0.0, 0.0, self._period, s.lookahead, s.gain)
 
     def _new_lead(self, positions: np.ndarray) -> Any:
-        self._target = None
+        self._target = self._led = None
         s, lead = self.settings, self._ruckig.InputParameter(JOINTS)
         lead.current_position = positions.tolist()
         lead.current_velocity = lead.current_acceleration = [0.0] * JOINTS

@@ -1,4 +1,4 @@
-"""An Allegro Hand on a CAN bus of python-can: "virtual" in a process, "udp_multicast" between processes."""
+"""An Allegro Hand on a CAN bus: "virtual" in a process, "loopback" between processes."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from fungrasp.robots.can_bus import open_can_bus
+from fungrasp.robots.can_bus import LOOPBACK, open_can_bus
 from fungrasp.robots.codecs import allegro as codec
 from fungrasp.robots.emulators.emulator import Emulator, Fault
 from fungrasp.robots.emulators.plant import Plant, PlantCommand
 from fungrasp.robots.optional_packages import import_client
 
-MULTICAST_GROUP = "239.74.163.2"
-"""Default channel of "udp_multicast"; a second hand needs a port of its own, "239.74.163.2:43114"."""
+BUS = "43113"
+"""Default channel of "loopback"; a second hand has one of its own, "43114"."""
 HOT = 85
 """Temperature at which the hand reports a fault [°C]."""
 
@@ -38,8 +38,8 @@ class AllegroEmulator(Emulator):
     def __init__(
         self,
         plant: Plant,
-        interface: str = "udp_multicast",
-        channel: str = MULTICAST_GROUP,
+        interface: str = LOOPBACK,
+        channel: str = BUS,
         generation: int = 4,
         side: str = "right",
         device: int = 0,

@@ -88,7 +88,7 @@ class InspireLoop:
         self._range = upper - lower
         speed = codec.closing_speed(settings.speed) / codec.OPEN_ANGLE * self._range
         # The hand takes no torques; what it can give is in the model.
-        self.limits = JointLimits(lower, upper, speed, np.zeros(codec.MOTORS))
+        self.limits = JointLimits(lower, upper, speed, np.full(codec.MOTORS, np.inf))
         self._client: Any = None
         self._modbus: Any = None
         self._state: JointState | None = None

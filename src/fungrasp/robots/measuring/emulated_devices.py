@@ -13,6 +13,10 @@ import numpy as np
 from fungrasp.robots.control_loop.loop_driver import LoopDriver
 from fungrasp.robots.emulators.emulator import Emulator
 from fungrasp.robots.emulators.plant import Plant, ServoPlant, TorquePlant
+from fungrasp.robots.hands.joint_order import hand_joint_limits
+
+STOPS = 0.1
+"""How far the stops of emulated fingers lie beyond the limits of their joints [rad]."""
 
 
 @dataclass
@@ -53,9 +57,8 @@ def emulated_allegro(generation: int, patience: float = 1.0) -> EmulatedDevice:
     from fungrasp.robots.emulators.allegro_can import AllegroEmulator
     from fungrasp.robots.hands.allegro import AllegroSettings, allegro_driver
 
-    home, bus = np.full(16, 0.4), "udp_multicast"
-    # A port of its own: buses of one port hear each other, whatever their groups.
-    channel = f"239.74.163.2:{20000 + os.getpid() % 10000 + 10000 * (generation - 4)}"
+    home, bus = np.full(16, 0.4), "loopback"
+    channel = str(20000 + os.getpid() % 10000 + 10000 * (generation - 4))
     plant = torque_controlled_fingers(home)
     settings = _patient(AllegroSettings(bus, channel, generation), patience)
     emulator = AllegroEmulator(plant, bus, channel, generation)
@@ -105,10 +108,21 @@ def torque_controlled_fingers(positions: np.ndarray) -> TorquePlant:
     is stable where a busy machine delays it by 10 ms: what is measured is when motion ends, not how a finger
     swings.
 
+    They end at stops, as those of a hand do: one that keeps its torques while its host hears nothing would
+    turn on and on.
+
     Args:
-        positions: where they are [rad], shape [U].
+        positions: where they are [rad], shape [16], in the order of the Allegro hand.
     """
-    return TorquePlant(positions, inertia=0.01, friction=0.01, damping=0.2)
+    lower, upper = hand_joint_limits("allegro", len(positions))
+    return TorquePlant(
+        positions,
+        inertia=0.01,
+        friction=0.01,
+        damping=0.2,
+        lower=lower - STOPS,
+        upper=upper + STOPS,
+    )
 
 
 def _patient(settings: Any, patience: float) -> Any:

@@ -5,10 +5,11 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
+from fungrasp.errors import FungraspError
 from fungrasp.perception import Capture
-from fungrasp.perception.io.realsense import capture_of_frames, realsense_module
+from fungrasp.perception.io.realsense import RealSenseCamera, StreamSettings
 from fungrasp.robots.device import RobotError
 
 
@@ -98,8 +99,8 @@ class RecordedFrames:
 
 
 class RealSenseFrames:
-    """A RealSense camera (extra ``realsense``). A frame counts as taken when it arrives: exposure and
-    transfer, a frame's period or two, are not in its age."""
+    """A RealSense camera (extra ``realsense``), by ``RealSenseCamera``: a frame counts as taken when its own
+    time stamp says so, or as it arrives where that is of another clock."""
 
     def __init__(self, serial: str = "", width: int = 640, height: int = 480, rate: int = 30):
         """
@@ -109,43 +110,23 @@ class RealSenseFrames:
             height: of the images [pixels].
             rate: [1/s].
         """
-        self.name = f"RealSense camera {serial}".rstrip()
-        self._serial, self._size, self._rate = serial, (width, height), rate
-        self._pipeline: Any = None
+        self._camera = RealSenseCamera(serial=serial, stream=StreamSettings(width, height, rate))
+        self.name, self._open = self._camera.name, False
 
     def connect(self) -> None:
         """See ``FrameSource.connect``."""
-        rs = realsense_module()
-        config, pipeline = rs.config(), rs.pipeline()
-        if self._serial:
-            config.enable_device(self._serial)
-        config.enable_stream(rs.stream.depth, *self._size, rs.format.z16, self._rate)
-        config.enable_stream(rs.stream.color, *self._size, rs.format.rgb8, self._rate)
         try:
-            profile = pipeline.start(config)
-        except RuntimeError as error:
-            raise RobotError(f"{self.name} does not start ({error}): is it plugged in?") from error
-        self._unit = float(profile.get_device().first_depth_sensor().get_depth_scale())
-        self._align, self._pipeline, self._rs = rs.align(rs.stream.color), pipeline, rs
+            self._camera.__enter__()
+        except FungraspError as error:
+            raise RobotError(str(error)) from error
+        self._open = True
 
     def newest(self, timeout: float) -> Frame | None:
-        """See ``FrameSource.newest``."""
-        if self._pipeline is None:
-            return None
-        there, frames = self._pipeline.try_wait_for_frames(round(1000 * timeout))
-        while there:
-            # Frames that have queued meanwhile are left out.
-            more, newer = self._pipeline.try_wait_for_frames(1)
-            if not more:
-                break
-            frames = newer
-        if not there:
-            return None
-        now = time.monotonic()
-        return Frame(capture_of_frames(self._rs, self._align.process(frames), self._unit, self.name), now)
+        """See ``FrameSource.newest``. Raises: FungraspError: the camera fails, or there is no depth."""
+        frame = self._camera.newest(timeout) if self._open else None
+        return None if frame is None else Frame(frame.capture(), frame.time)
 
     def close(self) -> None:
         """See ``FrameSource.close``."""
-        if self._pipeline is not None:
-            self._pipeline.stop()
-            self._pipeline = None
+        self._open = False
+        self._camera.__exit__()

@@ -17,6 +17,7 @@ from fungrasp.robots.device import (
     StopKind,
     TrackedPose,
 )
+from fungrasp.robots.twin.parameters import twin_torque_limits
 from fungrasp.robots.twin.world import TwinWorld
 
 
@@ -138,6 +139,7 @@ class TwinHand(_TwinJoints):
         rows = [hand.joint_names.index(name) for name in hand.actuators]
         low, high = hand.joint_limits[rows].T
         torque = np.array([servo.force_limit for servo in hand.actuators.values()])
+        torque = np.minimum(torque, twin_torque_limits(cell, hand))
         self.limits = JointLimits(low, high, np.full(len(rows), cell.limits.hand_speed), torque)
         self._open = hand.independent(np.clip(np.zeros(len(hand.joint_names)), *hand.joint_limits.T))
 

@@ -82,9 +82,9 @@ def _hand(device: DeviceSettings, world: TwinWorld) -> Emulator:
     if device.driver == "allegro-can":
         from fungrasp.robots.emulators.allegro_can import AllegroEmulator
 
-        if options.get("interface") not in ("udp_multicast", "virtual"):
+        if options.get("interface") not in ("loopback", "virtual"):
             raise FungraspError(
-                'an emulated Allegro hand needs the option interface = "udp_multicast": there is no CAN bus'
+                'an emulated Allegro hand needs the option interface = "loopback": there is no CAN bus'
             )
         return AllegroEmulator(
             plant,

@@ -203,6 +203,28 @@ def cell_twin(cell: RobotCell, hand: Hand, seed: int, spread: TwinSpread | None 
     return draw_twin(seed, len(hand.joint_names), len(hand.actuators), s)
 
 
+def twin_torque_limits(cell: RobotCell, hand: Hand) -> np.ndarray:
+    """Largest torques that the driver of a twin's hand asks of its servos, as a driver on a bus would [N m],
+    shape [U]: the option ``torque_limits`` of the cell's hand, one number or one for each servo; infinite
+    without.
+
+    Args:
+        cell: the robot.
+        hand: on its arm.
+
+    Raises:
+        FungraspError: the option is something else.
+    """
+    given, count = cell.hand_device.options.get("torque_limits", np.inf), len(hand.actuators)
+    numbers = given if isinstance(given, list) else [given] * count
+    if len(numbers) != count or not all(isinstance(n, int | float) and n > 0 for n in numbers):
+        raise FungraspError(
+            f"cell '{cell.name}': the option 'torque_limits' of a twin's hand is a positive number [N m], or "
+            f"{count} of them, not {given!r}"
+        )
+    return np.array(numbers, dtype=float)
+
+
 IDEAL = TwinSpread(
     stiffness=(1, 1),
     damping=(1, 1),

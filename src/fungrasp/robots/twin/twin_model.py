@@ -19,7 +19,7 @@ from fungrasp.objects.convex_decomposition import (
     convex_pieces,
 )
 from fungrasp.robots.cell import RobotCell
-from fungrasp.robots.twin.parameters import TwinParameters
+from fungrasp.robots.twin.parameters import TwinParameters, twin_torque_limits
 from fungrasp.simulation.scene import GRAVITY
 
 OBJECT, TABLE = "twin_object", "twin_table"
@@ -91,7 +91,7 @@ def twin_model(
     # The arm stands on the table.
     spec.add_exclude(bodyname1="world", bodyname2="base_link_inertia")
     model = spec.compile()
-    _set_hand(model, hand, truth)
+    _set_hand(model, hand, truth, twin_torque_limits(cell, hand))
     return model
 
 
@@ -152,8 +152,10 @@ def true_pieces(
     return tuple(parts)
 
 
-def _set_hand(model: mujoco.MjModel, hand: Hand, truth: TwinParameters) -> None:
-    """Servos and joints of the hand as they truly are."""
+def _set_hand(model: mujoco.MjModel, hand: Hand, truth: TwinParameters, asked: np.ndarray) -> None:
+    """Servos and joints of the hand as they truly are. asked: largest torques of the driver [N m], shape
+    [U]; what comes of them is scaled by the true torque constant."""
+    constant = truth.stiffness / truth.gain
     for i, name in enumerate(hand.joint_names):
         dof = model.joint(name).dofadr[0]
         model.dof_damping[dof] *= truth.damping[i]
@@ -162,4 +164,5 @@ def _set_hand(model: mujoco.MjModel, hand: Hand, truth: TwinParameters) -> None:
         actuator = model.actuator(name).id
         model.actuator_gainprm[actuator, 0] *= truth.stiffness[i]
         model.actuator_biasprm[actuator, 1:3] *= truth.stiffness[i]
-        model.actuator_forcerange[actuator] *= truth.torque_limit[i]
+        largest = min(model.actuator_forcerange[actuator, 1] * truth.torque_limit[i], asked[i] * constant[i])
+        model.actuator_forcerange[actuator] = -largest, largest
