@@ -3,7 +3,7 @@ rollouts decide between them."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -19,6 +19,7 @@ from fungrasp.planning.grasp_motion import MotionPlanner, MotionSettings, lowere
 from fungrasp.planning.selection.candidates import Candidates, propose
 from fungrasp.planning.selection.rollouts import RolloutSettings, Rounds, try_candidates
 from fungrasp.planning.selection.success_predictor import SuccessPredictor
+from fungrasp.planning.selection.use_strength import parts_to_hold, resisted_share
 from fungrasp.planning.selection.variations import VariationSpread, with_settings
 from fungrasp.task import Belief, GraspPlan, LiftProtocol, Policy
 from fungrasp.transfer import MODERATE, REALITY_ROLLOUTS, ProtocolName
@@ -66,6 +67,9 @@ class SelectionSettings:
     """Number of rollouts that the predictor's expectation stands for."""
     search: FurtherSearch = field(default_factory=FurtherSearch)
     """What is done where the rollouts have found nothing that holds."""
+    for_use: bool = False
+    """Whether the use motions of the grasps' tasks count: the share of their loads that contacts can take in
+    what is expected, and whether they are withstood in rollouts."""
     chunk: int = 512
     """Plans made together."""
 
@@ -92,9 +96,18 @@ class SelectionSettings:
             for_use: whether they go on with the use motions of the grasps' tasks.
         """
         if not rollouts:
-            return cls(rollouts=None)
+            return cls(rollouts=None, for_use=for_use)
         drawn = REALITY_ROLLOUTS if protocol == "reality" else MODERATE
-        return cls(rollouts=RolloutSettings(drawn, for_use=for_use))
+        if not for_use:
+            return cls(rollouts=RolloutSettings(drawn))
+        # What holds, but withstands nothing, counts half; the search is to go on after it, although the
+        # predictor, which knows lifts alone, expects much of it.
+        return cls(
+            rollouts=RolloutSettings(drawn, for_use=True),
+            prior=2.0,
+            search=FurtherSearch(enough=0.8),
+            for_use=True,
+        )
 
     @property
     def rollouts_per_grasp(self) -> tuple[int, int]:
@@ -201,8 +214,16 @@ class SearchPlanner:
     ) -> GraspPlan:
         """One plan for each grasp, table at zero. progress: called with the share that is done."""
         s, everyone = self.settings, np.arange(len(grasps))
+        strength = partial(resisted_share, hand=self._hand, objects=self._objects) if s.for_use else None
         make = partial(
-            propose, self._single, self._predictor, self._hand, seed=seed, prior=s.prior, chunk=s.chunk
+            propose,
+            self._single,
+            self._predictor,
+            self._hand,
+            seed=seed,
+            prior=s.prior,
+            chunk=s.chunk,
+            strength=strength,
         )
         which, numbers = share_out(grasps, s.candidates)
         first = with_settings(grasps).select(np.tile(everyone, s.candidates))
@@ -222,8 +243,9 @@ class SearchPlanner:
             threads=self._threads,
         )
         most = s.rollouts_per_grasp[1] * len(grasps)
-        roll(pool, s.first_rounds, seed=(seed, 0))
-        pool = self._tried_on(pool, roll, seed)
+        parts = parts_to_hold(grasps, self._hand, self._objects) if s.for_use else None
+        roll(pool, s.first_rounds, seed=(seed, 0), parts=parts)
+        pool = self._tried_on(pool, roll, seed, parts)
         spent += pool.statistics.tried.sum(axis=0).astype(int)
         progress(spent.sum() / most)
         chosen, expected = pool.best()
@@ -241,7 +263,7 @@ class SearchPlanner:
             )
             before = parents.statistics.tried.sum(axis=0)
             pool = parents.join(_only(children, feasible))
-            roll(pool, s.search.rounds, seed=(seed, search))
+            roll(pool, s.search.rounds, seed=(seed, search), parts=_of(parts, left))
             spent[left] += (pool.statistics.tried.sum(axis=0) - before).astype(int)
             progress(spent.sum() / most)
             found, value = pool.best()
@@ -251,14 +273,20 @@ class SearchPlanner:
             expected[left] = value
         return replace(chosen, expected_success=expected, rollouts=spent)
 
-    def _tried_on(self, pool: Candidates, roll: Callable[..., None], seed: int) -> Candidates:
+    def _tried_on(
+        self,
+        pool: Candidates,
+        roll: Callable[..., None],
+        seed: int,
+        parts: Sequence[frozenset[str]] | None,
+    ) -> Candidates:
         """The candidates after more rollouts of those grasps of which none is sure."""
         statistics, all_of_them = pool.statistics, len(pool.statistics.expected)
         unsure = np.flatnonzero(pool.best()[1] < self.settings.sure)
         if len(unsure):
             order = statistics.order[:, unsure]
             some = pool.among_best(all_of_them, unsure)
-            roll(some, self.settings.rounds, seed=(seed, 0, 1))
+            roll(some, self.settings.rounds, seed=(seed, 0, 1), parts=_of(parts, unsure))
             for name in ("tried", "held", "bonus"):
                 getattr(statistics, name)[order, unsure] = getattr(some.statistics, name)
         return pool
@@ -274,6 +302,11 @@ class SearchPlanner:
             self._objects[grasp.object_name[0]].digest,
             belief.arrays(),
         )
+
+
+def _of(parts: Sequence[frozenset[str]] | None, grasps: np.ndarray) -> list[frozenset[str]] | None:
+    """The parts of some grasps, if any are known."""
+    return None if parts is None else [parts[i] for i in grasps]
 
 
 def _only(candidates: Candidates, feasible: Feasible | None) -> Candidates:
