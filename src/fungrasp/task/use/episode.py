@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fungrasp.geometry import SignedDistanceBank
 from fungrasp.geometry.poses import (
     compose,
     inverse_transform_points,
@@ -15,17 +14,16 @@ from fungrasp.geometry.poses import (
     quaternion_conjugate,
     quaternion_from_rotation_vector,
     quaternion_multiply,
-    relative,
     rotate,
     rotation_vector,
     transform_points,
 )
-from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.task.environment import LiftEnvironment
 from fungrasp.task.use.finger_hold import FingerHold
+from fungrasp.task.use.finger_press import press_offsets
 from fungrasp.task.use.functional_contact import functional_contact
 from fungrasp.task.use.geometry import far_end, horizontal, turn_axis, turning_frame
-from fungrasp.task.use.motion import OPENING_TIME, TriggerPress, UseMotion
+from fungrasp.task.use.motion import OPENING_TIME, UseMotion
 from fungrasp.task.use.outcome import LARGEST_SHIFT, LARGEST_TURN, UseOutcomes
 
 TABLE_AWAY = -0.2
@@ -33,10 +31,6 @@ TABLE_AWAY = -0.2
 
 RAMP_TIME = 0.3
 """Time in which forces on the object and the press of a finger rise [s]."""
-
-PRESS_MARGIN = 1.5
-"""The press of a finger over the force that the trigger needs: it touches beside the point that is planned,
-and a part of it is lost."""
 
 LOST = 0.1
 """An object that has moved by more in the palm is lost, and its test is over [m]."""
@@ -228,7 +222,7 @@ def _begin(environment: LiftEnvironment, world: int, motion: UseMotion) -> _Use:
         axis = np.cross(-_DOWN, horizontal((place - palm[:3]) / np.linalg.norm(place - palm[:3]), facing))
     press = np.zeros(setpoints.fingers.shape[1])
     if motion.trigger is not None and motion.trigger.finger in scene.hand.fingers:
-        press = _press_offsets(environment, world, motion.trigger)
+        press = press_offsets(environment, world, motion.trigger)
     return _Use(
         world,
         motion,
@@ -239,27 +233,6 @@ def _begin(environment: LiftEnvironment, world: int, motion: UseMotion) -> _Use:
         press,
         setpoints.fingers[world] - scene.hand.independent(engine.joint_positions[[world]])[0],
     )
-
-
-def _press_offsets(environment: LiftEnvironment, world: int, trigger: TriggerPress) -> np.ndarray:
-    """Offsets of the finger servos that raise the force at the finger's tip, straight into the object, to the
-    trigger's and a margin [rad], shape [U]: ``J^T f`` over the servos' stiffness. What the finger presses
-    with already is what its servos' torques give in that direction."""
-    engine, hand = environment.engine, environment.scene.hand
-    object_pose, palm = engine.object_pose[[world]], engine.palm_pose[[world]]
-    joints = hand.independent(engine.joint_positions[[world]])
-    kinematics = HandKinematics(hand, 1)
-    kinematics.update(relative(object_pose, palm), joints)
-    tip = kinematics.body_points((hand.fingers[trigger.finger].tip,))
-    place = kinematics.points(tip)
-    model = environment.scene.models[engine.object_index[world]]
-    outward = SignedDistanceBank([model.signed_distance]).query(np.zeros(1, dtype=int), place)[1][0, 0]
-    torques = -(outward / np.linalg.norm(outward)) @ kinematics.jacobian(tip.bodies, place)[0, 0, :, 6:]
-    stiffness = np.array([servo.kp for servo in hand.actuators.values()])
-    squeeze = environment.task.setpoints.fingers[world] - joints[0]
-    pressing = torques @ (stiffness * squeeze) / (torques @ torques)
-    missing = PRESS_MARGIN * trigger.force - max(pressing, 0.0)
-    return max(missing, 0.0) * torques / stiffness
 
 
 def _in_palm(environment: LiftEnvironment, worlds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
