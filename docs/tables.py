@@ -159,6 +159,27 @@ def failures() -> Table:
     return Table(("", *columns), rows, [name for names in columns.values() for name in names])
 
 
+def use_test() -> Table:
+    """The use test of built-in grasps that nothing was tuned to."""
+    results = _read("use-test").rows
+    motions = sorted({row["motion"] for row in results})
+    rows = []
+    for hand, policy in dict.fromkeys((row["hand"], row["policy"]) for row in results):
+        group = [row for row in results if (row["hand"], row["policy"]) == (hand, policy)]
+        held = [row for row in group if row["held"]]
+        cells = [f"{HANDS[hand]}, `{policy}`", str(len(group)), str(len(held))]
+        for of in (held, group):
+            passed = sum(row["passed"] for row in of)
+            low, high = wilson_interval(passed, len(of))
+            cells.append(f"{passed}: {100 * passed / len(of):.0f} % ({100 * low:.0f} – {100 * high:.0f})")
+        for motion in motions:
+            mine = [row["passed"] for row in held if row["motion"] == motion]
+            cells.append(f"{sum(mine)} / {len(mine)}" if mine else "")
+        rows.append(cells)
+    head = ("hand, policy", "grasps", "held", "of these pass", "of all")
+    return Table((*head, *(motion.replace("_", " ") for motion in motions)), rows, ["use-test"])
+
+
 def policies_in_full() -> Table:
     """Success, contacts and slip of every policy, with and without rollouts."""
     names = ("reference", "allegro-critic-free", "allegro-student-free", "allegro-critic")
@@ -646,6 +667,7 @@ BUILDERS: dict[str, Callable[[], Table]] = {
     "hands": hands,
     "policies": policies,
     "failures": failures,
+    "use_test": use_test,
     "policies_in_full": policies_in_full,
     "students": students,
     "methods": methods,
