@@ -139,6 +139,47 @@ def _with_interval(result: Mapping[str, Any]) -> str:
     return f"{_percent(result['success_rate'])} ({100 * low:.0f} – {100 * high:.0f})"
 
 
+def failures() -> Table:
+    """Why students' episodes fail, all hands together: how many of them, by reason."""
+    columns = {
+        "nominal": [f"{name}-student-free-held-out" for name in HANDS],
+        "reality, two attempts": [f"reality-student-{name}" for name in HANDS],
+        "reality, two attempts, Allegro without rollouts": ["reality-student-no-rollouts"],
+    }
+    episodes = [[row for name in names for row in _read(name).rows] for names in columns.values()]
+    reasons = dict.fromkeys(row["reason"] for rows in episodes for row in rows if not row["success"])
+
+    def counts(holds: Callable[[Mapping[str, Any]], bool]) -> list[str]:
+        failed = ([row for row in rows if not row["success"]] for rows in episodes)
+        return [str(sum(map(holds, rows))) for rows in failed]
+
+    rows = [("episodes", *(str(len(rows)) for rows in episodes)), ("failed", *counts(lambda row: True))]
+    rows += [(reason, *counts(lambda row, reason=reason: row["reason"] == reason)) for reason in reasons]
+    rows.append(("of all that failed, pushed by over 3 cm", *counts(lambda row: row["pushed_m"] > 0.03)))
+    return Table(("", *columns), rows, [name for names in columns.values() for name in names])
+
+
+def use_test() -> Table:
+    """The use test of built-in grasps that nothing was tuned to."""
+    results = _read("use-test").rows
+    motions = sorted({row["motion"] for row in results})
+    rows = []
+    for hand, policy in dict.fromkeys((row["hand"], row["policy"]) for row in results):
+        group = [row for row in results if (row["hand"], row["policy"]) == (hand, policy)]
+        held = [row for row in group if row["held"]]
+        cells = [f"{HANDS[hand]}, `{policy}`", str(len(group)), str(len(held))]
+        for of in (held, group):
+            passed = sum(row["passed"] for row in of)
+            low, high = wilson_interval(passed, len(of))
+            cells.append(f"{passed}: {100 * passed / len(of):.0f} % ({100 * low:.0f} – {100 * high:.0f})")
+        for motion in motions:
+            mine = [row["passed"] for row in held if row["motion"] == motion]
+            cells.append(f"{sum(mine)} / {len(mine)}" if mine else "")
+        rows.append(cells)
+    head = ("hand, policy", "grasps", "held", "of these pass", "of all")
+    return Table((*head, *(motion.replace("_", " ") for motion in motions)), rows, ["use-test"])
+
+
 def policies_in_full() -> Table:
     """Success, contacts and slip of every policy, with and without rollouts."""
     names = ("reference", "allegro-critic-free", "allegro-student-free", "allegro-critic")
@@ -654,6 +695,8 @@ def recorded(name: str) -> Callable[[], Table]:
 BUILDERS: dict[str, Callable[[], Table]] = {
     "hands": hands,
     "policies": policies,
+    "failures": failures,
+    "use_test": use_test,
     "policies_in_full": policies_in_full,
     "students": students,
     "methods": methods,

@@ -17,7 +17,7 @@ from fungrasp.cli.bench_perception import BenchPerception
 from fungrasp.grasps import load_objects, save_human_grasps
 from fungrasp.perception import Intrinsics
 from fungrasp.planning.selection import SelectionSettings
-from fungrasp.planning.selection.search import FurtherSearch
+from fungrasp.planning.selection.settings import FurtherSearch
 
 
 @pytest.fixture(scope="module")

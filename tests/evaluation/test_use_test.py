@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 from lifted_grasps import allegro_hand, good_grasps, grasped_objects, human_grasps
 
-from fungrasp.evaluation import evaluate
+from fungrasp.evaluation import evaluate, replay
 from fungrasp.evaluation.held_parts import held_parts
 from fungrasp.evaluation.results import result_json
 from fungrasp.evaluation.use_test import UseTest, use_json
+from fungrasp.geometry.poses import inverse_transform_points
 from fungrasp.grasps import builtin_grasps, load_objects
 from fungrasp.task.use import UseOutcomes
 
@@ -47,6 +48,29 @@ def test_evaluate_adds_the_use_test():
     plain = evaluate(good_grasps(), objects, hand, threads=1)
     assert plain.use is None and "use" not in result_json(plain)
     np.testing.assert_array_equal(plain.outcomes.lifted_height_m, result.outcomes.lifted_height_m)
+
+
+def test_use_tests_are_recorded_by_themselves(tmp_path):
+    hand, objects = allegro_hand(), grasped_objects()
+    use = UseTest.of(human_grasps(), good_grasps(), objects, hand)
+    result = evaluate(good_grasps(), objects, hand, use=use, threads=1, record=tmp_path)
+    assert result.use is not None
+    found = {replay(file).index: replay(file) for file in tmp_path.glob("*_use.npz")}
+    tested = np.flatnonzero(result.use.motion != "")
+    assert sorted(found) == tested.tolist() and len(found)
+    for row, episode in found.items():
+        motion = use.motions[str(result.use.motion[row])]
+        assert (episode.success, episode.reason) == (result.use.success[row], result.use.reason[row])
+        assert {name for _, name in episode.phases} == {"use"} and episode.controls is None
+        assert episode.times[-1] <= motion.whole_duration + 1e-6
+        if episode.success:
+            assert episode.times[-1] > motion.duration - 0.1
+        moved = np.linalg.norm(
+            inverse_transform_points(episode.palm_pose, episode.object_pose[:, None, :3])[:, 0]
+            - inverse_transform_points(episode.palm_pose, episode.object_pose[:, None, :3])[0, 0],
+            axis=1,
+        )
+        assert moved.max() < 0.03 or not episode.success
 
 
 def test_rates_are_over_the_grasps_that_were_tested():

@@ -39,7 +39,7 @@ from fungrasp.formats.onnx_file import message_fields
 from fungrasp.grasps import builtin_grasps, load_objects, save_robot_grasps
 from fungrasp.planning.selection import SelectionSettings
 from fungrasp.planning.selection.rollouts import RolloutSettings
-from fungrasp.planning.selection.search import FurtherSearch
+from fungrasp.planning.selection.settings import FurtherSearch
 from fungrasp.policies import make_planner
 from fungrasp.retarget import retarget
 from fungrasp.task import LiftProtocol

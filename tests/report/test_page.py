@@ -133,6 +133,15 @@ def test_a_failure_is_called_one():
     assert "1 of 2 lifted and held" in checker.text
 
 
+def test_use_is_judged_by_itself():
+    html = page_html(Page("Grasps", [_grasp(use_success=False, use_outcome="It slipped.", use_film=b"film")]))
+    text = _check(html).text
+    assert "✓ Lifted and held" in text and "✗ Use failed" in text and "It slipped." in text
+    assert html.count("<video") == 1
+    html = page_html(Page("Grasps", [_grasp(use_success=True), _grasp(use_success=False), _grasp()]))
+    assert "1 of 2 used" in _check(html).text and html.count("✓ Used") == 1
+
+
 def test_numbers_over_their_limit_stand_out():
     html = page_html(Page("Grasps", [_grasp()]))
     assert html.count('class="number over"') == 1

@@ -33,7 +33,9 @@ FPS, SPEED = 15.0, 1.5
 INTRODUCTION = (
     "On the left of each pair, how a person holds the object for the task; on the right, the grasp that "
     "the robot hand makes of it. The film is the episode in simulation: reach for the object on the table, "
-    f"close, lift by 15 cm and hold for 3 s. It runs {SPEED:g} times as fast."
+    "close, lift by 15 cm and hold for 3 s. Where the task has a motion, a second film shows what follows: "
+    "the wrist pours, strikes or strokes, a finger presses the trigger, or somebody pulls, and the object is "
+    f"to stay in the hand. The films run {SPEED:g} times as fast."
 )
 
 
@@ -134,8 +136,8 @@ class Demo:
                     show(done + 1)
             robot, _ = retargeted(human, objects, hand, "ours", self.threads)
             quality = static_quality(robot, human, objects, hand)
-            result, trajectories = self._tried(robot, objects, hand, folder)
-            film, clips = self._film(trajectories, human, objects, hand, folder)
+            result, trajectories, uses = self._tried(human, robot, objects, hand, folder)
+            film, clips = self._film(trajectories, uses, human, objects, hand, folder)
             with progress_bar("drawing", len(human)) as show:
                 opening = [] if seen is None else seen.opening()
                 reports = []
@@ -143,7 +145,7 @@ class Demo:
                     thing = objects[trajectory.object_name]
                     reports.append(
                         grasp_report(
-                            human[row], robot[row], hand, thing, trajectory, quality, result, row, clips[row]
+                            human[row], robot[row], hand, thing, trajectory, quality, result, row, *clips[row]
                         )
                     )
                     show(row + 1)
@@ -151,7 +153,7 @@ class Demo:
             page = Page(title, reports, hand.title, introduction, made)
             page_path = write_page(self.out / "index.html", page, opening)
         for report in reports:
-            print(f"{report.title}: {report.outcome}")
+            print(f"{report.title}: {' '.join(filter(None, (report.outcome, report.use_outcome)))}")
         print(f"film: {film}")
         print(f"page: {page_path}")
 
@@ -174,15 +176,25 @@ class Demo:
                 raise FungraspError(f"{name} needs {needs}")
 
     def _tried(
-        self, robot: RobotGraspSet, objects: Mapping[str, ObjectModel], hand: Hand, folder: Path
-    ) -> tuple[LiftTestResult, list[Trajectory]]:
-        """The outcome of each grasp, refined first, and what moved how."""
+        self,
+        human: HumanGraspSet,
+        robot: RobotGraspSet,
+        objects: Mapping[str, ObjectModel],
+        hand: Hand,
+        folder: Path,
+    ) -> tuple[LiftTestResult, list[Trajectory], dict[int, Trajectory]]:
+        """The outcome of each grasp, refined first, and what moved how: in the lift tests, and in the use
+        tests by row."""
         from fungrasp.evaluation import evaluate, replay
+        from fungrasp.evaluation.use_test import UseTest
+        from fungrasp.planning import MotionSettings
+        from fungrasp.planning.selection import SelectionSettings
         from fungrasp.planning.selection.refinement import refine_grasps
-        from fungrasp.policies import OpenLoopPolicy
+        from fungrasp.policies import OpenLoopPolicy, make_planner
 
         policy = self._policy(hand)
-        if self.refine and policy == REFERENCE:
+        refined = bool(self.refine) and policy == REFERENCE
+        if refined:
             with progress_bar("trying variations", len(robot)) as show:
                 robot = refine_grasps(
                     robot,
@@ -194,12 +206,26 @@ class Demo:
                     threads=self.threads,
                     progress=show,
                 )
-        with progress_bar("lifting", len(robot)) as show:
+        selection = SelectionSettings.for_protocol("nominal", for_use=True)
+        # Refined grasps are played as they were tried: with the squeeze for the lift alone.
+        motions = MotionSettings(for_use=not refined)
+        with progress_bar("lifting and using", len(robot)) as show:
             result = evaluate(
-                robot, objects, hand, policy, threads=self.threads, record=folder / "episodes", progress=show
+                robot,
+                objects,
+                hand,
+                policy,
+                planner=make_planner(policy, hand, objects, selection, threads=self.threads, motions=motions),
+                threads=self.threads,
+                use=UseTest.of(human, robot, objects, hand),
+                record=folder / "episodes",
+                progress=show,
             )
-        episodes = [replay(path) for path in (folder / "episodes").iterdir()]
-        return result, sorted(episodes, key=lambda episode: episode.index)
+        files = sorted((folder / "episodes").iterdir())
+        lifts = [replay(file) for file in files if not file.stem.endswith("_use")]
+        uses = [replay(file) for file in files if file.stem.endswith("_use")]
+        lifts.sort(key=lambda episode: episode.index)
+        return result, lifts, {episode.index: episode for episode in uses}
 
     def _policy(self, hand: Hand) -> str:
         """The name of what moves the hand.
@@ -216,23 +242,27 @@ class Demo:
 
     def _film(
         self,
-        trajectories: Sequence[Trajectory],
+        lifts: Sequence[Trajectory],
+        uses: Mapping[int, Trajectory],
         human: HumanGraspSet,
         objects: Mapping[str, ObjectModel],
         hand: Hand,
         folder: Path,
-    ) -> tuple[Path, list[Path]]:
-        """The whole film, and its part for each grasp."""
+    ) -> tuple[Path, list[tuple[Path, Path | None]]]:
+        """The whole film, and its parts for each grasp: lift, and use where the object was used."""
         from fungrasp.report import write_video
         from fungrasp.report.episode_film import episode_film
         from fungrasp.report.grasp_demo import grasp_title
 
-        clips: list[Path] = []
-        seconds = sum(float(t.times[-1]) / SPEED for t in trajectories)
+        clips: dict[tuple[int, bool], Path] = {}
+        parts = [(row, False, lift) for row, lift in enumerate(lifts)]
+        parts += [(row, True, use) for row, use in uses.items()]
+        parts.sort(key=lambda part: part[:2])
+        seconds = sum(float(t.times[-1]) / SPEED for *_, t in parts)
 
         def frames() -> Iterator[np.ndarray]:
             done = 0
-            for row, trajectory in enumerate(trajectories):
+            for row, used, trajectory in parts:
                 thing, clip = objects[trajectory.object_name], []
                 for frame in episode_film(
                     trajectory,
@@ -247,10 +277,12 @@ class Demo:
                     yield frame
                     done += 1
                     show(done / FPS)
-                clips.append(write_video(folder / f"{row}.mp4", clip, FPS))
+                file = folder / f"{row}{'-use' if used else ''}.mp4"
+                clips[row, used] = write_video(file, clip, FPS)
 
         with progress_bar("filming", seconds) as show:
-            return write_video(self.out / "film.mp4", frames(), FPS), clips
+            film = write_video(self.out / "film.mp4", frames(), FPS)
+        return film, [(clips[row, False], clips.get((row, True))) for row in range(len(lifts))]
 
 
 COMMAND = Demo

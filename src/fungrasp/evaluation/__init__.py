@@ -6,6 +6,7 @@ from fungrasp.evaluation.result_files import ResultFile, read_result, write_resu
 from fungrasp.evaluation.results import result_json
 from fungrasp.evaluation.six_directions import StaticResult, six_direction_test
 from fungrasp.evaluation.trajectory import Trajectory, replay
+from fungrasp.evaluation.use_recording import UseRecorder
 
 __all__ = [
     "LiftTestResult",
@@ -13,6 +14,7 @@ __all__ = [
     "StaticQuality",
     "StaticResult",
     "Trajectory",
+    "UseRecorder",
     "evaluate",
     "read_result",
     "replay",

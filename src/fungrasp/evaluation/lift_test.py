@@ -121,7 +121,7 @@ def evaluate(
         attempts: most attempts of an episode: a policy that watches tries again, by another plan, where it is
             seen to have failed. The published protocol is one.
         record: folder for the recorded episodes, ``<row>_<object>.npz`` (``<row>_<seed>_<object>.npz`` with
-            several seeds).
+            several seeds), and of the use tests, ``<row>_<object>_use.npz``.
         store: keeps finished chunks, and knows those of an earlier run; only for a policy and a planner that
             are given by name.
         chunk: episodes simulated together.

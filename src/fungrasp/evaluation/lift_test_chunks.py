@@ -15,6 +15,7 @@ from fungrasp.evaluation.attempts import AttemptSetting, play_attempts
 from fungrasp.evaluation.contact_estimate import ContactEstimateMeter, ContactEstimates
 from fungrasp.evaluation.partial_results import PartialResults
 from fungrasp.evaluation.trajectory import Recorder
+from fungrasp.evaluation.use_recording import UseRecorder
 from fungrasp.evaluation.use_test import UseTest
 from fungrasp.files import digest
 from fungrasp.grasps import RobotGraspSet
@@ -29,6 +30,9 @@ from fungrasp.transfer import Randomization, draw_each, random_stream
 
 USE_PREFIX = "use."
 """Before the names of the fields of ``UseOutcomes`` where they stand beside those of ``Outcomes``."""
+
+USE_FILE = "{}_use.npz"
+"""Name of the file of a recorded use test, from that of the lift test's without its suffix."""
 
 ATTEMPT_PREFIX = "attempts."
 """The same of ``AttemptRecord``."""
@@ -185,7 +189,13 @@ class LiftTest:
         use = {}
         if self.use is not None:
             assert grasps.task is not None
-            tried = self.use.run(environment, rows, grasps.task.tolist(), outcomes.success)
+            tasks = grasps.task.tolist()
+            watching = UseRecorder(environment, grasps, self.use.motions_of(tasks)) if files else None
+            tried = self.use.run(environment, rows, tasks, outcomes.success, watching or (lambda: None))
+            if watching is not None:
+                for trajectory, file in zip(watching.trajectories(rows, tried), files, strict=True):
+                    if trajectory is not None:
+                        trajectory.save(file.with_name(USE_FILE.format(file.stem)))
             use = {USE_PREFIX + name: values for name, values in tried.arrays().items()}
         none = np.zeros(len(rows), dtype=int)
         return (

@@ -16,7 +16,7 @@ from fungrasp.task import LiftTask
 from fungrasp.transfer import NOMINAL, Randomization
 
 _ADDED = ("controls", "differs")
-"""Fields that recordings of earlier versions lack."""
+"""Fields that some recordings lack."""
 
 _SHAPES = {
     **dict.fromkeys(("hand", "object_name", "reason", "differs"), ("U", 0)),
@@ -30,8 +30,9 @@ _SHAPES = {
 }
 """Of each array of a file: kinds of numbers that it may hold, and how many axes it has."""
 
-PHASES = ("approach", "lift", "hold")
-"""Names of the numbers in ``Trajectory.phase``."""
+PHASES = ("approach", "lift", "hold", "use")
+"""Names of the numbers in ``Trajectory.phase``. A use test is a recording of its own
+(``fungrasp.evaluation.UseRecorder``)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,11 +48,11 @@ class Trajectory:
     index: int
     """Row of the grasp in its set."""
     success: bool
-    """Whether the object was lifted and held."""
+    """Whether the object was lifted and held; of a use test, whether it was passed."""
     reason: str
     """Why the episode failed, "" on success."""
     times: np.ndarray
-    """Time of each state [s], shape [T]; 0 is when the hand starts."""
+    """Time of each state [s], shape [T]; 0 is when the hand starts, or the use motion."""
     qpos: np.ndarray
     """Positions of the scene of ``fungrasp.simulation.build_scene``, shape [T, nq]."""
     wrist_reference: np.ndarray
@@ -68,7 +69,7 @@ class Trajectory:
     """Phase of each state as an index into ``PHASES``, shape [T]."""
     controls: np.ndarray | None = None
     """What the servos of the scene were told before each state: the wrist's six joints in its frame [m, rad],
-    then the finger servos [rad]; shape [T, 6 + U]. None in recordings of earlier versions."""
+    then the finger servos [rad]; shape [T, 6 + U]. None for use tests and in earlier recordings."""
     differs: str = ""
     """What may differ from the nominal world, as names of fields of ``Randomization`` with spaces between;
     empty for a nominal one. The drawn values are not in a recording, and a replay of the controls in the

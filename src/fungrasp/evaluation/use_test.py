@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -55,8 +55,17 @@ class UseTest:
         parts = [[sorted(names) for names in self.held_parts[row]] for row in rows]
         return digest({name: str(motion) for name, motion in self.motions.items()}, str(parts))
 
+    def motions_of(self, tasks: Sequence[str]) -> list[UseMotion | None]:
+        """The motion of each task; None for a task without."""
+        return [motion_of(task, self.motions.values()) for task in tasks]
+
     def run(
-        self, environment: LiftEnvironment, rows: np.ndarray, tasks: Sequence[str], held: np.ndarray
+        self,
+        environment: LiftEnvironment,
+        rows: np.ndarray,
+        tasks: Sequence[str],
+        held: np.ndarray,
+        watch: Callable[[], None] = lambda: None,
     ) -> UseOutcomes:
         """Try W grasps whose lift tests have just ended.
 
@@ -65,9 +74,10 @@ class UseTest:
             rows: of the grasps in their set, shape [W].
             tasks: what the grasps are for, length W.
             held: whether the lift test was passed, shape [W] bool.
+            watch: called after each setpoint, to record.
         """
-        motions = [motion_of(task, self.motions.values()) for task in tasks]
-        return play_use(environment, motions, held, [self.held_parts[row] for row in rows])
+        parts = [self.held_parts[row] for row in rows]
+        return play_use(environment, self.motions_of(tasks), held, parts, watch)
 
 
 def use_json(use: UseOutcomes, task: np.ndarray) -> dict[str, Any]:

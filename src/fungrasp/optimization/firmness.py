@@ -99,33 +99,58 @@ def unresisted_load(
         disturbance: in weights.
         iterations: of the accelerated projected gradient descent.
     """
-    count = len(weight)
+    loads = np.zeros((len(weight), 6, 6))
+    loads[..., :3] = weight[:, None, None] * (disturbance * load_directions(up) - up[:, None])
+    left = unresisted_wrenches(
+        contacts, used, center, reach, loads, weight, torque_limit, friction, iterations
+    )
+    worst = np.argmax(np.sum(left**2, axis=-1), axis=1)
+    left = left[np.arange(len(weight)), worst]
+    return np.linalg.norm(left[:, :3], axis=1), np.linalg.norm(left[:, 3:], axis=1) * reach
+
+
+def unresisted_wrenches(
+    contacts: LinkContacts,
+    used: np.ndarray,
+    center: np.ndarray,
+    reach: np.ndarray,
+    loads: np.ndarray,
+    unit: np.ndarray,
+    torque_limit: np.ndarray,
+    friction: float = FRICTION,
+    iterations: int = LOAD_ITERATIONS,
+) -> np.ndarray:
+    """What the contacts cannot take of each load: force [N] and torque over ``reach`` [N], shape [N, K, 6].
+    The contact forces minimize what ``unresisted_load`` says.
+
+    Args:
+        contacts, used, center, reach, torque_limit, friction, iterations: as for ``unresisted_load``.
+        loads: forces [N], and torques over ``reach`` [N], on the object, shape [N, K, 6].
+        unit: force against which a torque beyond its limit counts [N], shape [N].
+    """
+    count, number = loads.shape[:2]
     edges = friction_cone_edges(contacts.inward, friction, LOAD_CONE_EDGES)
     lever = (contacts.place - center[:, None]) / reach[:, None, None]
     allowed = np.repeat(used, LOAD_CONE_EDGES, axis=1)[..., None]
     wrench = np.concatenate([edges, cross(lever[:, :, None], edges)], axis=-1).reshape(count, -1, 6) * allowed
     torque = (edges @ contacts.jacobian).reshape(count, wrench.shape[1], -1) * allowed
-    # In units of the weight: forces over the weight, torques over what a joint can do.
-    torque = torque * (LIMIT_WEIGHT * weight[:, None, None] / torque_limit)
+    # In that unit: forces over it, torques over what a joint can do.
+    torque = torque * (LIMIT_WEIGHT * unit[:, None, None] / torque_limit)
     both = np.concatenate([wrench, torque], axis=2)
     step = 1.0 / (largest_eigenvalue_bound(np.swapaxes(both, 1, 2) @ both)[:, None, None] + 1e-3)
-    goal = np.zeros((count, 6, both.shape[2]))
-    goal[..., :3] = up[:, None] - disturbance * load_directions(up)
-    weights = np.zeros((count, 6, wrench.shape[1]))
+    goal = -loads / unit[:, None, None]
+    weights = np.zeros((count, number, wrench.shape[1]))
     ahead, momentum = weights, 1.0
     for _ in range(iterations):
         error = ahead @ both
         load = error[..., 6:]
         error[..., 6:] = load - np.clip(load, -LIMIT_WEIGHT, LIMIT_WEIGHT)
-        error[..., :6] -= goal[..., :6]
+        error[..., :6] -= goal
         moved = np.maximum(ahead - step * (error @ np.swapaxes(both, 1, 2) + 1e-3 * ahead), 0.0)
         next_momentum = 0.5 * (1 + np.sqrt(1 + 4 * momentum**2))
         ahead = moved + (momentum - 1) / next_momentum * (moved - weights)
         weights, momentum = moved, next_momentum
-    left = weights @ wrench - goal[..., :6]
-    worst = np.argmax(np.sum(left**2, axis=-1), axis=1)
-    left = left[np.arange(count), worst] * weight[:, None]
-    return np.linalg.norm(left[:, :3], axis=1), np.linalg.norm(left[:, 3:], axis=1) * reach
+    return (weights @ wrench - goal) * unit[:, None, None]
 
 
 def unresisted_share(

@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 
 from fungrasp.evaluation import Trajectory
+from fungrasp.evaluation.trajectory import PHASES
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
 from fungrasp.rendering.camera import Camera
@@ -88,7 +89,8 @@ def episode_film(
         phase = [name for start, name in episode_phases(trajectory) if start <= time][-1]
         clock = f"{time - at[0]:.1f} s"
         yield captioned(picture, " · ".join(filter(None, (title, phase))), clock)
-    verdict = "lifted and held" if trajectory.success else f"failed: {trajectory.reason}"
+    done = "used" if PHASES[int(trajectory.phase[-1])] == "use" else "lifted and held"
+    verdict = done if trajectory.success else f"failed: {trajectory.reason}"
     for _ in range(round(VERDICT_TIME * fps)):
         yield captioned(picture, " · ".join(filter(None, (title, verdict))), clock)
 

@@ -15,6 +15,7 @@ from fungrasp.rendering.render import render
 from fungrasp.rendering.viewpoints import frame_geoms, look_at_grasp
 from fungrasp.report.episode_film import view_angles
 from fungrasp.report.page import Contact, GraspReport, Quantity
+from fungrasp.task.use import UseOutcomes
 
 DIGITS = 3
 """Digits after the point to which numbers are rounded."""
@@ -55,6 +56,7 @@ def grasp_report(
     result: LiftTestResult,
     row: int,
     clip: Path,
+    use_clip: Path | None = None,
 ) -> GraspReport:
     """What the page says about a grasp.
 
@@ -68,6 +70,7 @@ def grasp_report(
         result: of their episodes.
         row: of the grasp in ``quality`` and ``result``.
         clip: film of the episode.
+        use_clip: film of the use test; None if there was none.
     """
     pictures = grasp_pictures(human, robot, hand, thing)
     return GraspReport(
@@ -78,6 +81,9 @@ def grasp_report(
         human_picture=pictures[0],
         robot_picture=pictures[1],
         film=clip,
+        use_success=None if use_clip is None or result.use is None else bool(result.use.success[row]),
+        use_outcome="" if use_clip is None or result.use is None else use_outcome(result.use, row),
+        use_film=use_clip,
         contacts=contacts(robot, trajectory, hand),
         quality=quantities(quality, result, row),
     )
@@ -97,6 +103,15 @@ def outcome(trajectory: Trajectory, tries: int, rollouts: bool = False) -> str:
         how = "with a plan that was chosen in simulated rollouts" if rollouts else "at the first try"
         return f"Lifted and held for 3 s, {how}."
     return f"Lifted and held for 3 s, by one of {tries} variations tried in simulation."
+
+
+def use_outcome(use: UseOutcomes, row: int) -> str:
+    """How a use test ended, in a sentence. row: of the grasp in ``use``."""
+    motion = str(use.motion[row]).replace("_", " ")
+    moved = f"by {1e3 * use.shift_m[row]:.0f} mm and {np.rad2deg(use.turn_rad[row]):.0f}°"
+    if use.success[row]:
+        return f"Use ({motion}): passed, moved {moved} in the palm."
+    return f"Use ({motion}): failed, {use.reason[row]}."
 
 
 def grasp_pictures(

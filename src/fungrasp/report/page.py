@@ -56,6 +56,12 @@ class GraspReport:
     """Picture of the robot grasp, sRGB, shape [H, W, 3] uint8; None if there is none."""
     film: Path | bytes | None = None
     """Film of the episode: a file of a kind in ``MEDIA_TYPES``, or the bytes of an mp4 file."""
+    use_success: bool | None = None
+    """Whether the use test that followed was passed; None if there was none."""
+    use_outcome: str = ""
+    """What happened in it, in a sentence."""
+    use_film: Path | bytes | None = None
+    """Film of it, as ``film``."""
     contacts: Sequence[Contact] = ()
     """Links that should touch, and whether they did."""
     quality: Sequence[Quantity] = ()
@@ -109,6 +115,8 @@ def _header(page: Page) -> str:
     tried = [grasp.success for grasp in page.grasps if grasp.success is not None]
     facts = [page.hand, f"{len(page.grasps)} grasps" if len(page.grasps) > 1 else ""]
     facts.append(f"{sum(tried)} of {len(tried)} lifted and held" if len(tried) > 1 else "")
+    used = [grasp.use_success for grasp in page.grasps if grasp.use_success is not None]
+    facts.append(f"{sum(used)} of {len(used)} used" if len(used) > 1 else "")
     line = " · ".join(escape(fact) for fact in facts if fact)
     return (
         f'<header class="top"><h1>{escape(page.title)}</h1>'
@@ -133,16 +141,19 @@ def _grasp(grasp: GraspReport, name: str, *, first: bool) -> str:
     line = " · ".join(escape(fact) for fact in facts if fact)
     pictures = figure(grasp.human_picture, "The human grasp; links in contact are orange")
     pictures += figure(grasp.robot_picture, "The robot's grasp")
-    film = _film(grasp, " autoplay" if first else "")
+    lift = f"Film of the robot's grasp: {grasp.title}"
+    film = _film(grasp.film, lift, "In simulation", " autoplay" if first else "")
+    film += _film(grasp.use_film, f"Film of its use: {grasp.title}", "Its use, after the hold", "")
     tables = _contacts(grasp.contacts) + quality_card(grasp.quality)
+    outcome = " ".join(filter(None, (grasp.outcome, grasp.use_outcome)))
     return (
         f'<article id="{name}" aria-labelledby="{name}-title"><header>'
         f'<div><h2 id="{name}-title">{escape(grasp.title)}</h2>'
         + (f'<p class="facts">{line}</p>' if line else "")
-        + f"</div>{_badge(grasp.success)}</header>"
-        + (f'<p class="outcome">{escape(grasp.outcome)}</p>' if grasp.outcome else "")
+        + f"</div><div>{_badge(grasp.success)}{_use_badge(grasp.use_success)}</div></header>"
+        + (f'<p class="outcome">{escape(outcome)}</p>' if outcome else "")
         + (f'<div class="pictures">{pictures}</div>' if pictures else "")
-        + film
+        + (f'<div class="films">{film}</div>' if film else "")
         + (f'<div class="tables">{tables}</div>' if tables else "")
         + "</article>"
     )
@@ -155,17 +166,22 @@ def _badge(success: bool | None, *, small: bool = False) -> str:
     return badge(kind, words[0] if small else words)
 
 
-def _film(grasp: GraspReport, play: str) -> str:
-    if grasp.film is None:
+def _use_badge(success: bool | None) -> str:
+    if success is None:
         return ""
-    kind, data = _media(grasp.film)
-    source = f"data:{kind};base64,{base64.b64encode(data).decode()}"
-    alt = escape(f"Film of the robot's grasp: {grasp.title}")
+    return " " + (badge("good", "✓ Used") if success else badge("bad", "✗ Use failed"))
+
+
+def _film(film: Path | bytes | None, alt: str, caption: str, play: str) -> str:
+    if film is None:
+        return ""
+    kind, data = _media(film)
+    source, alt = f"data:{kind};base64,{base64.b64encode(data).decode()}", escape(alt)
     if kind.startswith("image/"):
         inner = f'<img src="{source}" alt="{alt}">'
     else:
         inner = f'<video src="{source}" controls{play} muted loop playsinline aria-label="{alt}"></video>'
-    return f'<figure class="film">{inner}<figcaption>In simulation</figcaption></figure>'
+    return f'<figure class="film">{inner}<figcaption>{escape(caption)}</figcaption></figure>'
 
 
 def _contacts(contacts: Sequence[Contact]) -> str:

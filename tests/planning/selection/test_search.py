@@ -14,7 +14,8 @@ from fungrasp.planning import ConstrainedPlanner, MotionPlanner
 from fungrasp.planning.selection import SearchPlanner, SelectionSettings
 from fungrasp.planning.selection.candidates import Candidates, CandidateStatistics
 from fungrasp.planning.selection.rollouts import RolloutSettings
-from fungrasp.planning.selection.search import RESOLUTION, FurtherSearch
+from fungrasp.planning.selection.search import RESOLUTION
+from fungrasp.planning.selection.settings import FurtherSearch
 from fungrasp.policies import OpenLoopPolicy
 from fungrasp.task import Belief, GraspPlan
 from fungrasp.transfer import NOMINAL

@@ -13,6 +13,7 @@ from fungrasp.geometry.poses import compose, euler_angles, invert, quaternion_fr
 from fungrasp.policies import OpenLoopPolicy
 from fungrasp.task import LiftEnvironment, play
 from fungrasp.task.use import UseMotion, load_use_motions, play_use
+from fungrasp.task.use.episode import _Use
 from fungrasp.task.use.functional_contact import functional_contact
 from fungrasp.task.use.geometry import far_end, turning_frame
 from fungrasp.task.use.motion import TriggerPress
@@ -91,6 +92,27 @@ def test_a_finger_presses_with_the_force_it_is_asked_for():
     environment, held = lifted()
     missing = play_use(environment, [still(trigger=TriggerPress("pinky", "", 5.0))] * 2, held, ANY)
     assert missing.reason.tolist() == ["the hand has no pinky finger"] * 2
+
+
+def test_a_finger_that_closes_a_gap_presses_as_hard_and_one_that_is_pushed_back_does_not_yield():
+    motion = still(1.0, trigger=TriggerPress("index", "", 5.0))
+    start, press = np.array([0.5, -0.5, 0.2]), np.array([0.1, -0.1, 0.0])
+    nothing, pose = np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+    use = _Use(0, motion, pose, nothing, nothing, 0.0, press, squeeze=np.zeros(3))
+    kept = np.full(3, 7.0)
+    for moved in (0.0, 0.3, -0.3):
+        joints = start + moved * np.sign(press)
+        targets = use.fingers_at(1.0, joints, start, kept, nothing)
+        np.testing.assert_allclose(targets[:2], (start + press + max(moved, 0.0) * np.sign(press))[:2])
+        assert targets[2] == 7.0, "a finger that does not press holds on"
+
+
+def test_what_is_lost_is_not_followed():
+    """Its world stands still: nothing pulls at it through the room."""
+    environment, held = lifted()
+    use = play_use(environment, [still(2.0, pull=500.0)] * 2, held, ANY)
+    assert not use.success.any() and (use.shift_m > 0.1).all()
+    assert (np.linalg.norm(environment.engine.object_pose[:, :2], axis=1) < 3.0).all()
 
 
 def test_functional_contact_counts_the_fingers_on_the_part_that_the_person_held():

@@ -1,5 +1,6 @@
 """Which plan to follow: candidates, a success predictor, simulated rollouts, search."""
 
-from fungrasp.planning.selection.search import Feasible, SearchPlanner, SelectionSettings
+from fungrasp.planning.selection.search import Feasible, SearchPlanner
+from fungrasp.planning.selection.settings import SelectionSettings
 
 __all__ = ["Feasible", "SearchPlanner", "SelectionSettings"]

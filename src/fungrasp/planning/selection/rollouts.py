@@ -14,11 +14,18 @@ from fungrasp.planning.selection.candidates import Candidates
 from fungrasp.records import BatchRecord
 from fungrasp.simulation import Scene, SceneSettings, build_scene
 from fungrasp.task import Belief, GraspPlan, LiftEnvironment, LiftProtocol, Policy, play
-from fungrasp.task.use import load_use_motions, motion_of, play_use
+from fungrasp.task.use import LARGEST_SHIFT, LARGEST_TURN, load_use_motions, motion_of, play_use
 from fungrasp.transfer import MODERATE, EpisodeSample, MeasurementError, Randomization, draw, random_stream
 
 Rounds = tuple[tuple[int, int], ...]
 """For each round, the number of the best candidates of a grasp that are tried, and of rollouts of each."""
+
+NEARLY_WITHSTOOD = 0.65
+"""What an object that is held counts at most where it fails the use test, so that the search comes nearer to
+what passes; far below what is taken for sure."""
+
+WITHSTOOD = 0.9
+"""What it counts at least where it passes; more the less it moves, as worlds differ."""
 
 LARGEST_SLIP = 10.0
 """Slip beyond this counts no more [mm/s]."""
@@ -42,7 +49,7 @@ class RolloutSettings:
     """Weight of the slip against success [s/mm]."""
     for_use: bool = False
     """Whether a rollout goes on with the use motion of the grasp's task: what holds, but does not withstand
-    it, counts half."""
+    it, counts half, and up to ``NEARLY_WITHSTOOD`` where it comes near."""
     chunk: int = 512
     """Rollouts simulated together."""
 
@@ -68,6 +75,7 @@ def try_candidates(
     settings: RolloutSettings,
     seed: Sequence[int],
     threads: int = 0,
+    parts: Sequence[frozenset[str]] | None = None,
 ) -> None:
     """Try the most promising candidates of each grasp, and count how they did.
 
@@ -82,6 +90,7 @@ def try_candidates(
         settings: of the rollouts.
         seed: of the differences.
         threads: 0 means all processors.
+        parts: of the objects that should be touched in use, G sets; any if None.
     """
     s, plans, statistics = settings, candidates.plans, candidates.statistics
     count = statistics.expected.shape[1]
@@ -99,7 +108,8 @@ def try_candidates(
         beliefs = candidates.beliefs.select(rows % count)
         drawn = _with_estimated_errors(sample.select(draws), beliefs, pose_errors[draws])
         tasks = candidates.grasps.select(rows).task if s.for_use else None
-        found = roll_out(plans.select(rows), beliefs, drawn, scene, policy, s, threads, tasks)
+        held = None if parts is None else [parts[row] for row in rows % count]
+        found = roll_out(plans.select(rows), beliefs, drawn, scene, policy, s, threads, tasks, held)
         slip = np.minimum(found.slip, LARGEST_SLIP)
         statistics.add(best, found.success, s.contact * found.contact_ratio - s.slip * slip)
         done += each
@@ -114,6 +124,7 @@ def roll_out(
     settings: RolloutSettings,
     threads: int = 0,
     tasks: np.ndarray | None = None,
+    parts: Sequence[frozenset[str]] | None = None,
 ) -> RolloutResults:
     """Try R plans once each.
 
@@ -126,6 +137,7 @@ def roll_out(
         settings: of the rollouts.
         threads: 0 means all processors.
         tasks: what the grasps are for, shape [R] str, whose use motions follow; none if None.
+        parts: of the objects that should be touched then, R sets; any if None.
     """
     s = settings
     protocol = replace(LiftProtocol(), hold_time=s.hold_time)
@@ -143,19 +155,29 @@ def roll_out(
         measured = outcomes.contact_ratio, outcomes.sim_distance_hand_mm_s
         success = outcomes.success.astype(float)
         if tasks is not None:
-            success *= _withstood(environment, tasks[rows], outcomes.success)
+            some_parts = [frozenset[str]()] * len(ids) if parts is None else parts[rows]
+            success *= _withstood(environment, tasks[rows], outcomes.success, some_parts)
         results.append(RolloutResults(success, *(np.where(lost, 0.0, np.nan_to_num(m)) for m in measured)))
     return RolloutResults.join(results)
 
 
-def _withstood(environment: LiftEnvironment, tasks: np.ndarray, held: np.ndarray) -> np.ndarray:
-    """1 for what withstands its use motion or has none, else a half, shape [W]. Any part may be touched, as a
-    grasp of a robot does not say which the person held."""
+def _withstood(
+    environment: LiftEnvironment, tasks: np.ndarray, held: np.ndarray, parts: Sequence[frozenset[str]]
+) -> np.ndarray:
+    """How well W objects withstand their use motions, shape [W]: 1 for those that have none, otherwise a half
+    for what is lost, more for what nearly passes the use test, and ``WITHSTOOD`` to 1 for what passes it. Any
+    of ``parts`` may be touched by any link: which finger held which is not known."""
     known = load_use_motions().values()
     motions = [motion_of(task, known) for task in tasks.tolist()]
-    anything = [(frozenset[str](),) * len(environment.scene.hand.links)] * len(motions)
-    use = play_use(environment, motions, held, anything)
-    return np.where((use.motion == "") | use.success, 1.0, 0.5)
+    links = len(environment.scene.hand.links)
+    use = play_use(environment, motions, held, [(some,) * links for some in parts])
+    moved = np.maximum(use.shift_m / LARGEST_SHIFT, use.turn_rad / LARGEST_TURN)
+    wanted = np.array([m.trigger.force if m is not None and m.trigger is not None else 0.0 for m in motions])
+    pressed = np.where(wanted > 0, use.trigger_force_n / np.maximum(wanted, 1e-9), 1.0)
+    near = np.clip(np.nan_to_num(np.minimum(1.0 / (moved + 1e-9), pressed)), 0.0, 1.0)
+    failed = 0.5 + (NEARLY_WITHSTOOD - 0.5) * near
+    passed = 1.0 - (1.0 - WITHSTOOD) * np.nan_to_num(moved)
+    return np.where(use.motion == "", 1.0, np.where(use.success, passed, failed))
 
 
 def _scene(

@@ -3,13 +3,12 @@ rollouts decide between them."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
-from fungrasp.errors import FungraspError
 from fungrasp.files import digest
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.grasps.alternatives import share_out, take_alternatives
@@ -17,94 +16,18 @@ from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
 from fungrasp.planning.grasp_motion import MotionPlanner, MotionSettings, lowered, table_below
 from fungrasp.planning.selection.candidates import Candidates, propose
-from fungrasp.planning.selection.rollouts import RolloutSettings, Rounds, try_candidates
+from fungrasp.planning.selection.rollouts import try_candidates
+from fungrasp.planning.selection.settings import SelectionSettings
 from fungrasp.planning.selection.success_predictor import SuccessPredictor
+from fungrasp.planning.selection.use_strength import parts_to_hold, resisted_share
 from fungrasp.planning.selection.variations import VariationSpread, with_settings
 from fungrasp.task import Belief, GraspPlan, LiftProtocol, Policy
-from fungrasp.transfer import MODERATE, REALITY_ROLLOUTS, ProtocolName
 
-WIDE_SPREAD = VariationSpread(position=0.015, rotation=0.2, joints=0.1, closing=0.15, force=0.5, press=0.02)
 Feasible = Callable[[GraspPlan], np.ndarray]
 """Says of P plans which can be carried out, a bool array of shape [P]."""
 
 RESOLUTION = 1e-4
 """Beliefs are rounded to steps of so much [m, rad], so that what has settled anew is not planned anew."""
-
-
-@dataclass(frozen=True)
-class FurtherSearch:
-    """Where no candidate is good enough, the best ones are varied again."""
-
-    most: int = 3
-    """Largest number of times that candidates are varied again."""
-    enough: float = 0.6
-    """Expected success from which a candidate is good enough."""
-    parents: int = 3
-    """Best candidates of a grasp that are varied, and kept beside the new ones."""
-    spread: VariationSpread = WIDE_SPREAD
-    """Spread of the variations."""
-    rounds: Rounds = ((27, 1), (8, 2), (3, 3))
-    """Rollouts of old and new candidates."""
-
-
-@dataclass(frozen=True)
-class SelectionSettings:
-    """How many candidates there are, and how one is selected."""
-
-    candidates: int = 24
-    """Candidates of each grasp that are planned together, the unchanged grasp included."""
-    rollouts: RolloutSettings | None = field(default_factory=RolloutSettings)
-    """Rollouts that decide between the most promising; the predictor alone decides if None."""
-    sure: float = 0.8
-    """Expected success from which the best candidate after the first rollouts is taken without more."""
-    first_rounds: Rounds = ((6, 1), (3, 2))
-    """First rollouts of all grasps: a candidate that holds three times out of three is sure where the
-    predictor expects two of three or more."""
-    rounds: Rounds = ((12, 1), (6, 2), (3, 3))
-    """Rollouts of the first candidates of grasps of which none is sure."""
-    prior: float = 4.0
-    """Number of rollouts that the predictor's expectation stands for."""
-    search: FurtherSearch = field(default_factory=FurtherSearch)
-    """What is done where the rollouts have found nothing that holds."""
-    chunk: int = 512
-    """Plans made together."""
-
-    def __post_init__(self) -> None:
-        """
-        Raises:
-            FungraspError: a number is too small.
-        """
-        if min(self.candidates, self.search.parents) < 1:
-            raise FungraspError(f"there must be at least one plan to choose from, not {self}")
-        for rounds in (self.first_rounds, self.rounds, self.search.rounds):
-            if not rounds or min(number for pair in rounds for number in pair) < 1:
-                raise FungraspError(f"rollouts need rounds of at least one plan and episode, not {rounds}")
-
-    @classmethod
-    def for_protocol(
-        cls, protocol: ProtocolName, rollouts: bool = True, for_use: bool = False
-    ) -> SelectionSettings:
-        """Rollouts that know how far worlds may be from what is believed, and nothing of what was drawn.
-
-        Args:
-            protocol: of the evaluation; that of robustness tries what was not expected.
-            rollouts: whether there are any.
-            for_use: whether they go on with the use motions of the grasps' tasks.
-        """
-        if not rollouts:
-            return cls(rollouts=None)
-        drawn = REALITY_ROLLOUTS if protocol == "reality" else MODERATE
-        return cls(rollouts=RolloutSettings(drawn, for_use=for_use))
-
-    @property
-    def rollouts_per_grasp(self) -> tuple[int, int]:
-        """Fewest and most episodes that are simulated to plan one grasp."""
-        if self.rollouts is None:
-            return 0, 0
-        first, second, again = (
-            sum(a * b for a, b in rounds) for rounds in (self.first_rounds, self.rounds, self.search.rounds)
-        )
-        return first, first + second + self.search.most * again
 
 
 class SearchPlanner:
@@ -201,8 +124,16 @@ class SearchPlanner:
     ) -> GraspPlan:
         """One plan for each grasp, table at zero. progress: called with the share that is done."""
         s, everyone = self.settings, np.arange(len(grasps))
+        strength = partial(resisted_share, hand=self._hand, objects=self._objects) if s.for_use else None
         make = partial(
-            propose, self._single, self._predictor, self._hand, seed=seed, prior=s.prior, chunk=s.chunk
+            propose,
+            self._single,
+            self._predictor,
+            self._hand,
+            seed=seed,
+            prior=s.prior,
+            chunk=s.chunk,
+            strength=strength,
         )
         which, numbers = share_out(grasps, s.candidates)
         first = with_settings(grasps).select(np.tile(everyone, s.candidates))
@@ -222,8 +153,9 @@ class SearchPlanner:
             threads=self._threads,
         )
         most = s.rollouts_per_grasp[1] * len(grasps)
-        roll(pool, s.first_rounds, seed=(seed, 0))
-        pool = self._tried_on(pool, roll, seed)
+        parts = parts_to_hold(grasps, self._hand, self._objects) if s.for_use else None
+        roll(pool, s.first_rounds, seed=(seed, 0), parts=parts)
+        pool = self._tried_on(pool, roll, seed, parts)
         spent += pool.statistics.tried.sum(axis=0).astype(int)
         progress(spent.sum() / most)
         chosen, expected = pool.best()
@@ -241,7 +173,7 @@ class SearchPlanner:
             )
             before = parents.statistics.tried.sum(axis=0)
             pool = parents.join(_only(children, feasible))
-            roll(pool, s.search.rounds, seed=(seed, search))
+            roll(pool, s.search.rounds, seed=(seed, search), parts=_of(parts, left))
             spent[left] += (pool.statistics.tried.sum(axis=0) - before).astype(int)
             progress(spent.sum() / most)
             found, value = pool.best()
@@ -251,14 +183,20 @@ class SearchPlanner:
             expected[left] = value
         return replace(chosen, expected_success=expected, rollouts=spent)
 
-    def _tried_on(self, pool: Candidates, roll: Callable[..., None], seed: int) -> Candidates:
+    def _tried_on(
+        self,
+        pool: Candidates,
+        roll: Callable[..., None],
+        seed: int,
+        parts: Sequence[frozenset[str]] | None,
+    ) -> Candidates:
         """The candidates after more rollouts of those grasps of which none is sure."""
         statistics, all_of_them = pool.statistics, len(pool.statistics.expected)
         unsure = np.flatnonzero(pool.best()[1] < self.settings.sure)
         if len(unsure):
             order = statistics.order[:, unsure]
             some = pool.among_best(all_of_them, unsure)
-            roll(some, self.settings.rounds, seed=(seed, 0, 1))
+            roll(some, self.settings.rounds, seed=(seed, 0, 1), parts=_of(parts, unsure))
             for name in ("tried", "held", "bonus"):
                 getattr(statistics, name)[order, unsure] = getattr(some.statistics, name)
         return pool
@@ -274,6 +212,11 @@ class SearchPlanner:
             self._objects[grasp.object_name[0]].digest,
             belief.arrays(),
         )
+
+
+def _of(parts: Sequence[frozenset[str]] | None, grasps: np.ndarray) -> list[frozenset[str]] | None:
+    """The parts of some grasps, if any are known."""
+    return None if parts is None else [parts[i] for i in grasps]
 
 
 def _only(candidates: Candidates, feasible: Feasible | None) -> Candidates:

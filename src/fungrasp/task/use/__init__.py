@@ -2,6 +2,15 @@
 
 from fungrasp.task.use.episode import play_use
 from fungrasp.task.use.motion import USE_MOTIONS, UseMotion, load_use_motions, motion_of
-from fungrasp.task.use.outcome import UseOutcomes
+from fungrasp.task.use.outcome import LARGEST_SHIFT, LARGEST_TURN, UseOutcomes
 
-__all__ = ["USE_MOTIONS", "UseMotion", "UseOutcomes", "load_use_motions", "motion_of", "play_use"]
+__all__ = [
+    "LARGEST_SHIFT",
+    "LARGEST_TURN",
+    "USE_MOTIONS",
+    "UseMotion",
+    "UseOutcomes",
+    "load_use_motions",
+    "motion_of",
+    "play_use",
+]

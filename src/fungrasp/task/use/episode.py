@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fungrasp.geometry import SignedDistanceBank
 from fungrasp.geometry.poses import (
     compose,
     inverse_transform_points,
@@ -15,17 +14,16 @@ from fungrasp.geometry.poses import (
     quaternion_conjugate,
     quaternion_from_rotation_vector,
     quaternion_multiply,
-    relative,
     rotate,
     rotation_vector,
     transform_points,
 )
-from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.task.environment import LiftEnvironment
 from fungrasp.task.use.finger_hold import FingerHold
+from fungrasp.task.use.finger_press import press_offsets
 from fungrasp.task.use.functional_contact import functional_contact
 from fungrasp.task.use.geometry import far_end, horizontal, turn_axis, turning_frame
-from fungrasp.task.use.motion import TriggerPress, UseMotion
+from fungrasp.task.use.motion import OPENING_TIME, UseMotion
 from fungrasp.task.use.outcome import LARGEST_SHIFT, LARGEST_TURN, UseOutcomes
 
 TABLE_AWAY = -0.2
@@ -34,8 +32,8 @@ TABLE_AWAY = -0.2
 RAMP_TIME = 0.3
 """Time in which forces on the object and the press of a finger rise [s]."""
 
-OPENING_TIME = 1.0
-"""Time that a hand that lets go has to open and to lose contact [s]."""
+LOST = 0.1
+"""An object that has moved by more in the palm is lost, and its test is over [m]."""
 
 _DOWN = np.array([0.0, 0.0, -1.0])
 
@@ -55,7 +53,9 @@ class _Use:
     end_height: float
     """Its height when the motion begins, world frame [m]."""
     press: np.ndarray
-    """Offsets of the finger servos that press a trigger [rad], shape [U]."""
+    """Offsets of the setpoints that press a trigger [rad], shape [U]; zero for fingers that do not."""
+    squeeze: np.ndarray
+    """Offsets of the setpoints from the joints in the hold [rad], shape [U]."""
 
     def palm_at(self, time: float) -> tuple[np.ndarray, np.ndarray]:
         """Setpoint of the palm, shape [7], and its linear velocity [m/s], shape [3], world frame."""
@@ -69,20 +69,25 @@ class _Use:
         return pose, np.zeros(3)
 
     def fingers_at(
-        self, time: float, holding: np.ndarray, kept: np.ndarray, opened: np.ndarray
+        self, time: float, joints: np.ndarray, holding: np.ndarray, kept: np.ndarray, opened: np.ndarray
     ) -> np.ndarray:
         """Setpoints of the fingers [rad], shape [U].
 
         Args:
             time: since the motion began [s].
-            holding: those of the hold, shape [U].
+            joints: where the joints are, shape [U].
+            holding: setpoints of the hold, shape [U].
             kept: those that keep the joints where they are, shape [U].
             opened: those of the open hand, shape [U].
         """
         m = self.motion
         if m.trigger is not None:
-            pressed = holding + min(time / RAMP_TIME, 1.0) * self.press
-            return np.where(self.press != 0.0, pressed, kept)
+            # A finger that closes a gap first presses as hard: its setpoints stay as far ahead of its joints.
+            # One that is pushed back keeps its setpoints, as what it holds would otherwise go through it.
+            press = min(time / RAMP_TIME, 1.0) * self.press
+            still, moving = holding + press, joints + self.squeeze + press
+            ahead = np.where(press > 0.0, np.maximum(still, moving), np.minimum(still, moving))
+            return np.where(self.press != 0.0, ahead, kept)
         if m.pull and time > m.duration:
             share = min((time - m.duration) / (0.5 * OPENING_TIME), 1.0)
             return holding + share * (opened - holding)
@@ -137,7 +142,7 @@ def play_use(
         motions: of each world; None where the task has none.
         held: worlds that passed the lift test, shape [W] bool; the others are not tested.
         held_parts: of each world and contact link, the parts that the person held there, W x L.
-        watch: called after each setpoint, to record.
+        watch: called after each setpoint, to record (``fungrasp.evaluation.UseRecorder``).
     """
     engine, task, hand = environment.engine, environment.task, environment.scene.hand
     contact, touched = functional_contact(environment, held_parts)
@@ -171,7 +176,7 @@ def play_use(
     opened = np.clip(0.0, *limits)
     period, substeps = task.setpoints.period, task.setpoints.substeps
     durations = np.array([use.motion.duration for use in uses])
-    ends = durations + OPENING_TIME * np.array([use.motion.pull > 0 for use in uses])
+    ends = np.array([use.motion.whole_duration for use in uses])
     shift, turn = np.zeros(len(uses)), np.zeros(len(uses))
     force, torque = np.zeros((len(engine), 3)), np.zeros((len(engine), 3))
     weight = environment.scene.settings.gravity * environment.privileged().object_mass
@@ -179,13 +184,14 @@ def play_use(
     first = fingers.copy()
     for step in range(round(ends.max() / period)):
         time = step * period
-        active = time < ends - 1e-9
+        active = (time < ends - 1e-9) & (shift < LOST)
         poses, centers, palm = engine.object_pose, engine.center_of_mass, engine.palm_pose
-        kept = np.clip(hold.keep(hand.independent(engine.joint_positions)), *limits)
+        joints = hand.independent(engine.joint_positions)
+        kept = np.clip(hold.keep(joints), *limits)
         for use in (u for u, a in zip(uses, active, strict=True) if a):
             w = use.world
             palms[w], velocity[w] = use.palm_at(time + period)
-            fingers[w] = use.fingers_at(time + period, first[w], kept[w], opened)
+            fingers[w] = use.fingers_at(time + period, joints[w], first[w], kept[w], opened)
             force[w], torque[w] = use.load_at(time, poses[w], centers[w], palm[w], weight[w])
         engine.push_object(force, torque)
         engine.step(engine.controls(palms, velocity, fingers), substeps, worlds[active])
@@ -216,7 +222,7 @@ def _begin(environment: LiftEnvironment, world: int, motion: UseMotion) -> _Use:
         axis = np.cross(-_DOWN, horizontal((place - palm[:3]) / np.linalg.norm(place - palm[:3]), facing))
     press = np.zeros(setpoints.fingers.shape[1])
     if motion.trigger is not None and motion.trigger.finger in scene.hand.fingers:
-        press = _press_offsets(environment, world, motion.trigger)
+        press = press_offsets(environment, world, motion.trigger)
     return _Use(
         world,
         motion,
@@ -225,23 +231,8 @@ def _begin(environment: LiftEnvironment, world: int, motion: UseMotion) -> _Use:
         end,
         float(place[2]),
         press,
+        setpoints.fingers[world] - scene.hand.independent(engine.joint_positions[[world]])[0],
     )
-
-
-def _press_offsets(environment: LiftEnvironment, world: int, trigger: TriggerPress) -> np.ndarray:
-    """Offsets of the finger servos that add the trigger's force at the finger's tip, straight into the object
-    [rad], shape [U]: ``J^T f`` over the servos' stiffness."""
-    engine, hand = environment.engine, environment.scene.hand
-    object_pose, palm = engine.object_pose[[world]], engine.palm_pose[[world]]
-    kinematics = HandKinematics(hand, 1)
-    kinematics.update(relative(object_pose, palm), hand.independent(engine.joint_positions[[world]]))
-    tip = kinematics.body_points((hand.fingers[trigger.finger].tip,))
-    place = kinematics.points(tip)
-    model = environment.scene.models[engine.object_index[world]]
-    outward = SignedDistanceBank([model.signed_distance]).query(np.zeros(1, dtype=int), place)[1][0, 0]
-    jacobian = kinematics.jacobian(tip.bodies, place)[0, 0, :, 6:]
-    stiffness = np.array([servo.kp for servo in hand.actuators.values()])
-    return -trigger.force * (outward / np.linalg.norm(outward)) @ jacobian / stiffness
 
 
 def _in_palm(environment: LiftEnvironment, worlds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -8,8 +8,10 @@ import numpy as np
 
 from fungrasp.geometry import SignedDistanceBank
 from fungrasp.geometry.poses import relative
+from fungrasp.hands import Hand
 from fungrasp.hands.collision_spheres import collision_spheres
 from fungrasp.hands.kinematics import HandKinematics
+from fungrasp.objects import ObjectModel
 from fungrasp.objects.part_lookup import nearest_parts
 from fungrasp.task.environment import LiftEnvironment
 
@@ -28,28 +30,13 @@ def functional_contact(
         share of the links that should touch that touch such a part, shape [W]; name of the part that each
         link touches or would touch first, shape [W, L] str.
     """
-    engine, hand = environment.engine, environment.scene.hand
-    spheres = collision_spheres(hand)
-    kinematics = HandKinematics(hand, len(engine))
-    kinematics.update(
-        relative(engine.object_pose, engine.palm_pose), hand.independent(engine.joint_positions)
+    engine, scene = environment.engine, environment.scene
+    parts = touched_parts(
+        scene.hand,
+        [scene.models[i] for i in engine.object_index],
+        relative(engine.object_pose, engine.palm_pose),
+        scene.hand.independent(engine.joint_positions),
     )
-    centers = kinematics.points(spheres.points)
-    touched = np.full((len(engine), len(hand.links)), "", dtype=object)
-    index, models = engine.object_index, environment.scene.models
-    for number in np.unique(index):
-        model, worlds = models[number], np.flatnonzero(index == number)
-        if not model.parts:
-            continue
-        bank, first = SignedDistanceBank([model.signed_distance]), np.zeros(len(worlds), dtype=int)
-        for link in range(len(hand.links)):
-            members = np.flatnonzero(spheres.link == link)
-            if not len(members):
-                continue
-            gap = bank.query(first, centers[worlds][:, members])[0] - spheres.radius[members]
-            nearest = members[gap.argmin(axis=1)]
-            touched[worlds, link] = nearest_parts(model, centers[worlds, nearest])
-    parts = touched.astype(str)
     wanted, actual = environment.task.target_contacts, engine.link_contacts
     right = np.array(
         [
@@ -59,3 +46,34 @@ def functional_contact(
     ).reshape(wanted.shape)
     share = (wanted & actual & right).sum(axis=1) / np.maximum(wanted.sum(axis=1), 1)
     return share, parts
+
+
+def touched_parts(
+    hand: Hand, models: Sequence[ObjectModel], palm: np.ndarray, joints: np.ndarray
+) -> np.ndarray:
+    """Name of the part of the object that each link touches or would touch first, "" for an object without
+    parts, shape [N, L] str.
+
+    Args:
+        hand: the robot hand.
+        models: the objects, N of them.
+        palm: object frame, shape [N, 7].
+        joints: independent joints [rad], shape [N, U].
+    """
+    spheres = collision_spheres(hand)
+    kinematics = HandKinematics(hand, len(models))
+    kinematics.update(palm, joints)
+    centers = kinematics.points(spheres.points)
+    touched = np.full((len(models), len(hand.links)), "", dtype=object)
+    different = {id(model): model for model in models if model.parts}
+    for model in different.values():
+        rows = np.flatnonzero([other is model for other in models])
+        bank, first = SignedDistanceBank([model.signed_distance]), np.zeros(len(rows), dtype=int)
+        for link in range(len(hand.links)):
+            members = np.flatnonzero(spheres.link == link)
+            if not len(members):
+                continue
+            gap = bank.query(first, centers[rows][:, members])[0] - spheres.radius[members]
+            nearest = members[gap.argmin(axis=1)]
+            touched[rows, link] = nearest_parts(model, centers[rows, nearest])
+    return touched.astype(str)

@@ -16,6 +16,9 @@ from fungrasp.hands import FINGERS
 USE_MOTIONS = Path(__file__).with_name("motions.toml")
 """The motions that come with the package."""
 
+OPENING_TIME = 1.0
+"""Time that a hand that lets go has to open and to lose contact [s]."""
+
 _SCHEMA: dict[str, Any] = {
     "tasks": [str],
     "turn": str,
@@ -78,6 +81,11 @@ class UseMotion:
     """Finger that presses a part."""
     pull: float = 0.0
     """Force at the far end, away from the palm [N]; afterwards the hand opens."""
+
+    @property
+    def whole_duration(self) -> float:
+        """Duration with the opening of the hand, where it lets go [s]."""
+        return self.duration + OPENING_TIME * (self.pull > 0)
 
     def displacement(self, time: float) -> tuple[float, float]:
         """Turn [rad] or shift [m] of the palm, and its rate per second, at a time [s] since the beginning."""
