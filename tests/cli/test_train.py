@@ -127,7 +127,7 @@ def test_a_table_is_made_of_all_seeds_and_conditions_and_kept(tmp_path, capsys, 
     command = ("reproduce", "hands", "--grasps", grasps, "--test", grasps, "--seeds", 0, 4)
     status, out, err = run(capsys, *command, "--out", tmp_path / "out")
     assert status == 0, err
-    assert tested == [(hand, "student", seed) for hand in ("shadow", "faive", "allegro") for seed in (0, 4)]
+    assert tested == [(hand, "student", seed) for seed in (0, 4) for hand in ("shadow", "faive", "allegro")]
     result = read_result(tmp_path / "out" / "hands.json")
     rates = [one["conditions"]["reality"]["success_rate"] for one in result.header["policies"]]
     assert rates == [0.5, 0.75, 0.75] and len(result.rows) == 3 * 2 * len(CONDITIONS) * 2

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -65,6 +66,12 @@ def test_no_action_changes_nothing_and_no_action_goes_too_far(seed):
     shift = compose(invert(goal), pose)
     assert (np.abs(shift[:, :3]) <= SETTINGS.position + 1e-9).all()
     assert (np.abs(rotation_vector(shift[:, 3:])) <= SETTINGS.rotation + 1e-9).all()
+
+
+def test_actions_without_a_planned_motion_are_not_shrunk():
+    """A hand that takes half the steps arrives late."""
+    present = replace(SETTINGS, base="present")
+    assert present.shrunk(0.5) == present
 
 
 def test_shrunk_actions_mean_less():

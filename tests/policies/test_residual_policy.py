@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from planned_grasps import grasps_and_objects, hand, layouts, plan, start, tracker
-from residual_policies import SETTINGS, SIZE, policy_file
+from residual_policies import ACTION, SETTINGS, SIZE, policy_file
 
 from fungrasp.errors import FungraspError
 from fungrasp.policies import OpenLoopPolicy, StudentPolicy, TeacherPolicy, make_planner, make_policy
 from fungrasp.policies.checkpoint.card import ActionPart, Part
 from fungrasp.policies.checkpoint.checkpoint_file import load_policy
-from fungrasp.policies.residual_policy import residual_settings
+from fungrasp.policies.residual_policy import ACTION_PARTS, residual_settings
 from fungrasp.task import Action, LiftEnvironment, Policy, PrivilegedPolicy
 
 
@@ -180,3 +180,6 @@ def test_other_observations_are_refused(tmp_path):
 
 def test_the_card_says_how_far_actions_go(tmp_path):
     assert residual_settings(load_policy(policy_file(tmp_path)).card) == SETTINGS
+    steps = zip(ACTION_PARTS["present"], ACTION, strict=True)
+    path = policy_file(tmp_path, action=tuple(ActionPart(name, *part[1:]) for name, part in steps))
+    assert residual_settings(load_policy(path).card) == replace(SETTINGS, base="present")

@@ -46,6 +46,13 @@ def test_position_counts_squared_distance_in_units_up_to_one(array):
     check(wider, array, [-3 / 4 * 0.25, -(0.04 + 3 * 0.09) / 4, -1.0])
 
 
+def test_approach_is_the_mean_distance_up_to_where_episodes_begin(array):
+    keypoints = [[[0.3, 0, 0], [0, 0.03, 0.04]], [[0, 0, 0], [0, 0, 0]], [[9, 9, 9], [9, 9, 9]]]
+    # World 0: 0.15 and 0.05 m of 0.5 m; world 1 is there; world 2 is beyond.
+    targets = [[[0.15, 0, 0], [0, 0, 0]], [[0, 0, 0], [0, 0, 0]], [[0, 0, 0], [0, 0, 0]]]
+    check(reward.approach_reward(array(keypoints), array(targets), 0.5), array, [-0.2, 0.0, -1.0])
+
+
 def test_contact_weight_is_the_ratio_of_squares_over_the_links_that_should_touch(array):
     targets = np.zeros((4, 3, 3))
     targets[:, :, 0] = [0.1, 0.2, 0.5]
@@ -154,6 +161,7 @@ def test_terms_stay_within_their_bounds_whatever_happens(seed: int, size: float)
     forces, mass = np.abs(random.normal(size=(5, 4))) * size, random.uniform(0.01, 5.0, 5)
     bounds = [
         (reward.position_reward(points, others, np.ones(4)), -1.0, 0.0),
+        (reward.approach_reward(points, others, 0.3), -1.0, 0.0),
         (reward.dynamic_contact_weight(points, others, wanted), 0.0, 2.0),
         (reward.contact_reward(touching, wanted, forces, mass), 0.0, 2.0),
         (reward.safety_reward(forces, forces[:, 0]), -1.0, 0.0),

@@ -20,6 +20,7 @@ from fungrasp.errors import FungraspError
 from fungrasp.hands import load_hand
 from fungrasp.policies.checkpoint.card import Budget
 from fungrasp.policies.checkpoint.checkpoint_file import load_policy
+from fungrasp.policies.residual_action import ResidualSettings
 from fungrasp.training.checkpoint import check_environment, environment_state, read_checkpoint
 from fungrasp.training.distill import make_student
 from fungrasp.training.export import export_student, make_card
@@ -66,6 +67,16 @@ def test_episodes_of_the_reality_protocol_can_be_trained_on():
         step = worlds.step(np.zeros((8, worlds.actions)))
         assert np.isfinite(step.reward).all()
     assert worlds.diverged == 0
+
+
+def test_without_a_planned_motion_episodes_begin_as_the_lift_test_does():
+    worlds = environment(residual=ResidualSettings("present"), early=(4, 4), whole=0.0)
+    assert not worlds.episodes.task.time.any()
+    step = worlds.step(np.zeros((8, worlds.actions)))
+    assert step.terms["approach"] < -0.3
+    followed = environment(early=(4, 4), whole=0.0)
+    assert (followed.episodes.task.time > 0).all()
+    assert "approach" not in followed.step(np.zeros((8, followed.actions))).terms
 
 
 def test_plans_are_chosen_by_how_uncertain_their_success_is():

@@ -25,7 +25,8 @@ class RetargetingTable(TableOptions):
 @dataclass(frozen=True)
 class PrivilegedTable(TableOptions):
     """Compare what is known of the contacts (Table V of the paper): nothing, what an encoder learns along the
-    way, the truth, and what a student has learned from a teacher.
+    way, the truth, and what a student has learned from a teacher; and a teacher that follows no planned
+    motion.
 
     Given again, the command goes on where it was interrupted; all tables may share a folder.
     """

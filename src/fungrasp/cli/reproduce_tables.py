@@ -80,7 +80,9 @@ class TableOptions:
         self._check()
         torch.set_num_threads(1)
         variants = TABLES[name]
-        kept = [[self._result(variant, seed) for seed in self.seeds] for variant in variants]
+        # All rows with one seed before the next seed: an interrupted table has whole columns.
+        by_seed = [[self._result(variant, seed) for variant in variants] for seed in self.seeds]
+        kept = [list(each) for each in zip(*by_seed, strict=True)]
         numbers = [{which: pooled([one[which] for one in each]) for which in CONDITIONS} for each in kept]
         header = {
             **run_record(list(self.seeds)),
@@ -180,7 +182,10 @@ class TableOptions:
         sets = training_sets(self.grasps, self.objects, hand, variant.method, threads=self.threads)
         plans = None if self.plans is None else predictor_file(self.plans, hand)
         count = sum(len(s.grasps) for s in sets) * self.variety.planned(plans is not None)
-        environment = replace(self.environment, randomization=PRESETS[self.worlds])
+        residual = self.environment.residual
+        if not variant.planned_motion:
+            residual = replace(residual, base="present")
+        environment = replace(self.environment, randomization=PRESETS[self.worlds], residual=residual)
         with progress_bar("planning", count) as show:
             train(
                 folder / name,

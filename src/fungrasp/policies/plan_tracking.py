@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -70,7 +70,8 @@ class PlanTracker:
             count: W, number of robots.
             settings: of the actions; the defaults if None.
         """
-        self.plans, self.settings = plans, settings or ResidualSettings()
+        self.settings = settings or ResidualSettings()
+        self.plans = plans if self.settings.base == "plan" else without_motion(plans)
         self._hand, self._kinematics = hand, HandKinematics(hand, count)
         self._keypoints = self._kinematics.body_points(hand.keypoint_names)
         names = sorted(set(plans.object_name.tolist()))
@@ -86,6 +87,8 @@ class PlanTracker:
         self.action = np.zeros((count, self.size))
         """The last action, smoothed, shape [W, A]."""
         self._anchor = np.tile([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], (count, 1))
+        self._wrist = self._anchor.copy()
+        """Setpoint of the palm; the one at which the lift began, where it has; world frame, shape [W, 7]."""
         self._goal: tuple[np.ndarray, np.ndarray] | None = None
         """Palm goal and servo targets of this control step, made when first asked for."""
         self._now: MeasuredState | None = None
@@ -104,7 +107,7 @@ class PlanTracker:
         self._choose()
         self._read(observation)
         fresh = self._measure(observation)
-        self._anchor[ids] = fresh.object_pose[ids]
+        self._anchor[ids], self._wrist[ids] = fresh.object_pose[ids], fresh.palm_setpoint[ids]
         if self._now is None or self._before is None:
             self._now = self._before = fresh
             return
@@ -118,6 +121,7 @@ class PlanTracker:
         self._before, self._now = self._now, self._measure(observation)
         share = np.where(self._step < self._closing, ANCHOR_SHARE, 0.0)
         self._anchor = moved_towards(self._anchor, self._now.object_pose, share[:, None])
+        self._wrist = np.where(self._since_lift[:, None] < 0, self._now.palm_setpoint, self._wrist)
 
     def state(self) -> TrackingState:
         """The worlds as they were last seen, by ``begin`` or ``update``."""
@@ -139,8 +143,15 @@ class PlanTracker:
     def act(self, action: np.ndarray) -> Action:
         """What the robots are asked for. action: of the network, shape [W, A]."""
         self.action = smoothed(action, self.action, self.settings)
-        goal, fingers = add_residual(*self._planned(), self.action, self.settings)
+        goal, fingers = add_residual(*self._base(), self.action, self.settings)
         return Action(goal, fingers, self._step >= self._lift)
+
+    def _base(self) -> tuple[np.ndarray, np.ndarray]:
+        """What the action changes: palm goal, world frame, shape [W, 7], and servo targets [rad], shape
+        [W, U]."""
+        if self.settings.base == "plan" or self._now is None:
+            return self._planned()
+        return self._wrist, self._now.joints
 
     def _planned(self) -> tuple[np.ndarray, np.ndarray]:
         """Planned palm goal, world frame, shape [W, 7], and servo targets [rad], shape [W, U], of this
@@ -192,6 +203,18 @@ class PlanTracker:
             surface_distance=distance,
             surface_normal=normal,
         )
+
+
+def without_motion(plans: GraspPlan) -> GraspPlan:
+    """Plans that ask for the grasp at every step, until the lift and beyond it; they lift as late."""
+    return replace(
+        plans,
+        palm_goal=plans.grasp_palm_pose[:, None],
+        finger_targets=plans.grasp_joints[:, None],
+        palm_setpoint=plans.palm_setpoint[:, :1],
+        palm_velocity=plans.palm_velocity[:, :1],
+        closing_step=plans.lift_step,
+    )
 
 
 def moved_towards(pose: np.ndarray, goal: np.ndarray, share: np.ndarray) -> np.ndarray:

@@ -1,8 +1,9 @@
-"""Residual actions: changes of what the plan asks for."""
+"""Residual actions: changes of what the plan asks for, or of where the hand is."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Literal
 
 from fungrasp.errors import FungraspError
 from fungrasp.geometry.poses import Array, array_namespace, clip, compose, quaternion_from_rotation_vector
@@ -11,9 +12,18 @@ WRIST_ACTIONS = 6
 """Three along the palm's axes, three about them; then one for each finger servo."""
 
 
+Base = Literal["plan", "present"]
+"""What an action changes."""
+
+
 @dataclass(frozen=True)
 class ResidualSettings:
-    """How far an action may depart from the plan."""
+    """What an action changes, and by how much."""
+
+    base: Base = "plan"
+    """The planned motion; or, as in the paper, where the hand is: the wrist's setpoint and the measured
+    joints. Then the planned motion is not followed, and the plan gives the grasp and the time of the lift
+    alone. Once the lift has begun, the wrist's actions change the setpoint at which it began."""
 
     position: float = 0.03
     """Shift of the wrist at an action of 1, along each axis [m]."""
@@ -25,13 +35,16 @@ class ResidualSettings:
     """Share of the last action that stays in the next."""
 
     def shrunk(self, factor: float) -> ResidualSettings:
-        """The same actions, meaning smaller departures. factor: above 0, at most 1.
+        """The same actions, meaning smaller departures from the plan; without a planned motion, the same
+        settings. factor: above 0, at most 1.
 
         Raises:
             FungraspError: the factor is another.
         """
         if not 0 < factor <= 1:
             raise FungraspError(f"departures can be shrunk by a factor above 0 and at most 1, not {factor}")
+        if self.base == "present":
+            return self
         scales = {name: factor * getattr(self, name) for name in ("position", "rotation", "fingers")}
         return replace(self, **scales)
 
@@ -47,8 +60,8 @@ def add_residual(
     """Palm goals [W, 7] and servo targets [W, U] with a residual.
 
     Args:
-        palm_goal: of the plan, world frame, shape [W, 7].
-        servo_targets: of the plan [rad], shape [W, U].
+        palm_goal: what the action changes, world frame, shape [W, 7].
+        servo_targets: likewise [rad], shape [W, U].
         action: smoothed, shape [W, 6 + U].
     """
     xp = array_namespace(action)

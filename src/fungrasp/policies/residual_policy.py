@@ -13,12 +13,15 @@ from fungrasp.policies.checkpoint.card import PolicyCard
 from fungrasp.policies.checkpoint.checkpoint_file import check_fits
 from fungrasp.policies.checkpoint.network import PolicyNetwork
 from fungrasp.policies.plan_tracking import PlanTracker
-from fungrasp.policies.residual_action import ResidualSettings
+from fungrasp.policies.residual_action import Base, ResidualSettings
 from fungrasp.task import Action, GraspPlan, Observation, Privileged
 from fungrasp.task.features import contact_features, flatten, layout
 
-ACTION_PARTS = ("position", "rotation", "fingers")
-"""Parts of a residual action, with the scales of ``ResidualSettings``."""
+ACTION_PARTS: Mapping[Base, tuple[str, str, str]] = {
+    "plan": ("position", "rotation", "fingers"),
+    "present": ("position_step", "rotation_step", "fingers_step"),
+}
+"""Parts of a residual action, with the scales of ``ResidualSettings``, by what it changes."""
 
 
 class _ResidualNetwork:
@@ -118,8 +121,10 @@ def residual_settings(card: PolicyCard) -> ResidualSettings:
         FungraspError: its action has other parts.
     """
     scales = {part.name: part.scale for part in card.action}
-    if tuple(scales) != ACTION_PARTS:
-        raise FungraspError(
-            f"policy '{card.name}' has the actions {', '.join(scales)}, not {', '.join(ACTION_PARTS)}"
-        )
-    return ResidualSettings(**scales, smoothing=card.action_smoothing)
+    for base, names in ACTION_PARTS.items():
+        if tuple(scales) == names:
+            return ResidualSettings(base, *scales.values(), smoothing=card.action_smoothing)
+    raise FungraspError(
+        f"policy '{card.name}' has the actions {', '.join(scales)}, not "
+        + " or ".join(", ".join(names) for names in ACTION_PARTS.values())
+    )

@@ -1,7 +1,7 @@
 """Reward of a policy: one pure function per term, and their weighted sum.
 
-The terms follow section IV.B of the paper (position, contact, safety, posture) and D-Grasp (force); lift,
-stability and action are additions. Every term is bounded, so that one bad world can't drown the others.
+The terms follow section IV.B of the paper (position, contact, safety, posture) and D-Grasp (force); approach,
+lift, stability and action are additions. Every term is bounded, so that one bad world can't drown the others.
 Arrays are NumPy's, torch's or another array-API library's, and lead with W worlds.
 """
 
@@ -25,6 +25,8 @@ class RewardWeights:
 
     position: float = 0.3
     """Weight of ``position_reward``, in [-1, 0]."""
+    approach: float = 1.0
+    """Weight of ``approach_reward``, in [-1, 0]."""
     contact: float = 0.5
     """Weight of ``contact_reward``, in [0, 2], times ``dynamic_contact_weight``."""
     safety: float = 0.3
@@ -87,6 +89,25 @@ def position_reward(keypoints: Array, targets: Array, weights: Array, scale: flo
     xp = array_namespace(keypoints, targets, weights)
     squared = xp.sum((keypoints - targets) ** 2, axis=-1) / scale**2
     return -xp.sum(weights * xp.clip(squared, 0.0, 1.0), axis=-1) / xp.sum(weights)
+
+
+def approach_reward(keypoints: Array, targets: Array, distance: float) -> Array:
+    """The hand comes to the reference: ``-mean_k min(1, |p_k - p'_k| / distance)``.
+
+    For policies that follow no planned motion: the paper's r_p has no bound, ``position_reward`` has one and
+    says nothing from afar.
+
+    Args:
+        keypoints: [m], object frame, shape [W, K, 3].
+        targets: of the reference [m], object frame, shape [W, K, 3].
+        distance: at which episodes begin [m].
+
+    Returns:
+        In [-1, 0], shape [W].
+    """
+    xp = array_namespace(keypoints, targets)
+    away = xp.linalg.vector_norm(keypoints - targets, axis=-1) / distance
+    return -xp.mean(xp.clip(away, 0.0, 1.0), axis=-1)
 
 
 def dynamic_contact_weight(keypoints: Array, targets: Array, contacts: Array) -> Array:

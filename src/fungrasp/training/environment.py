@@ -37,7 +37,7 @@ class EnvironmentSettings:
     early: tuple[int, int] = (4, 14)
     """Fewest and most control steps before the fingers close at which episodes begin, on the planned path."""
     whole: float = 0.1
-    """Share of episodes that begin where the lift test does."""
+    """Share of episodes that begin where the lift test does; all do where no planned motion is followed."""
     lift_goal: float = 0.14
     """Height of the object that is paid in full [m]; above the test's 0.1, as what swings hangs lower."""
     randomization: Randomization = MODERATE
@@ -110,7 +110,8 @@ class TrainingEnvironment:
         self.protocol = replace(LiftProtocol(), hold_time=s.hold_time)
         self.episodes = LiftEnvironment(scene, s.worlds, s.randomization, self.protocol, self.rng, threads)
         self.tracker = PlanTracker(hand, objects, library.plans, s.worlds, s.residual)
-        self.reward = LiftReward(hand, self.protocol.control_period, s.lift_goal)
+        distance = None if s.residual.base == "plan" else self.protocol.start_distance
+        self.reward = LiftReward(hand, self.protocol.control_period, s.lift_goal, distance)
         self.success_of_group = np.full(int(library.group.max()) + 1, 0.5)
         """Running success rate of each grasp, shape [G]."""
         self.diverged = 0
@@ -187,7 +188,8 @@ class TrainingEnvironment:
         rows = rng.choice(len(plans), size=len(ids), p=chance / chance.sum())
         early = rng.integers(s.early[0], s.early[1] + 1, size=len(ids))
         first = np.maximum(plans.closing_step[rows] - early, 0)
-        first[rng.random(len(ids)) < s.whole] = 0
+        whole = s.whole if s.residual.base == "plan" else 1.0
+        first[rng.random(len(ids)) < whole] = 0
         sample = draw(s.randomization, len(ids), len(self.hand.joint_names), rng)
         self.episodes.begin(ids, plans.select(rows), first, sample, hand_followed=True)
         return rows

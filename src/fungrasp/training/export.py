@@ -125,6 +125,7 @@ def make_card(
     gains = servo_gains(hand)
     sizes = (3, WRIST_ACTIONS - 3, len(gains))
     more["limits"] = (*more.get("limits", ()), IN_SIMULATION)
+    parts = ACTION_PARTS[residual.base]
     scales = (residual.position, residual.rotation, residual.fingers)
     return PolicyCard(
         name=name,
@@ -136,7 +137,7 @@ def make_card(
         rate_hz=rate,
         observation=tuple(Part(*part) for part in layout),
         privileged=tuple(Part(*part) for part in privileged),
-        action=tuple(ActionPart(*part) for part in zip(ACTION_PARTS, sizes, scales, strict=True)),
+        action=tuple(ActionPart(*part) for part in zip(parts, sizes, scales, strict=True)),
         action_smoothing=residual.smoothing,
         budget=budget,
         created=date.today().isoformat(),

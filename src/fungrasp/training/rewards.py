@@ -17,14 +17,17 @@ TIP_WEIGHT, THUMB_TIP_WEIGHT = 4.0, 6.0
 class LiftReward:
     """Terms for W worlds of a hand."""
 
-    def __init__(self, hand: Hand, period: float, goal_height: float):
+    def __init__(self, hand: Hand, period: float, goal_height: float, start_distance: float | None = None):
         """
         Args:
             hand: the robot hand.
             period: of control [s].
             goal_height: at which the object is lifted [m].
+            start_distance: of the wrist from the object's center at an episode's beginning [m]; None where a
+                planned motion brings it to the object.
         """
         self._hand, self._period, self._goal = hand, period, goal_height
+        self._start_distance = start_distance
         names = hand.keypoint_names
         self._weights = np.ones(len(names))
         ends = [0]
@@ -56,7 +59,7 @@ class LiftReward:
         slip, spin = self._relative_motion(state)
         drift = reward.stability_reward(p.object_velocity[:, :3], p.object_velocity[:, 3:])
         held = reward.stability_reward(slip, spin, velocity_unit=0.03, spin_unit=0.5)
-        return {
+        terms = {
             "position": reward.position_reward(keypoints, target.keypoints, self._weights),
             "contact": weight * contact,
             "safety": reward.safety_reward(p.table_forces, p.self_force),
@@ -67,6 +70,9 @@ class LiftReward:
             "stability": np.where(lifting, held, drift),
             "action": reward.action_reward(state.action, previous_action),
         }
+        if self._start_distance is not None:
+            terms["approach"] = reward.approach_reward(keypoints, target.keypoints, self._start_distance)
+        return terms
 
     def _relative_motion(self, state: TrackingState) -> tuple[np.ndarray, np.ndarray]:
         """Velocity of the object in the palm's frame [m/s], [rad/s], shape [W, 3] each."""
