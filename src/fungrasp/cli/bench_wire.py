@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fungrasp.cli.console import table
-from fungrasp.cli.grasp_choice import ChosenGrasp, GraspChoice, deployable_policy
+from fungrasp.cli.grasp_choice import ChosenGrasp, GraspChoice, deployable_policy, robot_planner
 from fungrasp.errors import FungraspError
 
 if TYPE_CHECKING:
@@ -59,11 +59,10 @@ class BenchWire:
     def _run(self, cell: RobotCell, hand: Hand, chosen: ChosenGrasp, twin: int) -> WireRun:
         from fungrasp.deployment.wired_deployment import DeploymentTask
         from fungrasp.evaluation.wire_test import run_over_the_wire
-        from fungrasp.policies import make_planner
 
         objects = {chosen.thing.name: chosen.thing}
         policy = deployable_policy(self.policy, hand, objects)
-        planner = make_planner(self.policy, hand, objects, threads=self.choice.threads)
+        planner = robot_planner(self.policy, hand, objects, self.choice.threads)
         task = DeploymentTask(cell, hand, chosen.thing, chosen.grasp, policy, planner, seed=twin)
         run = run_over_the_wire(task, twin)
         return replace(run, images=chosen.images, grasp_seconds=chosen.seconds)

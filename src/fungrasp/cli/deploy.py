@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from fungrasp.cli.grasp_choice import GraspChoice, deployable_policy
+from fungrasp.cli.grasp_choice import GraspChoice, deployable_policy, robot_planner
 
 if TYPE_CHECKING:
     import numpy as np
@@ -63,7 +63,7 @@ class Deploy:
         from fungrasp.deployment.wired_deployment import DeploymentTask
         from fungrasp.errors import FungraspError
         from fungrasp.hands import load_hand
-        from fungrasp.policies import OpenLoopPolicy, check_attempts, make_planner
+        from fungrasp.policies import OpenLoopPolicy, check_attempts
         from fungrasp.robots.assembly import is_twin
         from fungrasp.robots.cell import check_calibrated, load_cell
 
@@ -77,7 +77,7 @@ class Deploy:
         objects = {chosen.thing.name: chosen.thing}
         policy = deployable_policy(self.policy, hand, objects)
         check_attempts(self.attempts, not isinstance(policy, OpenLoopPolicy))
-        planner = make_planner(self.policy, hand, objects, threads=self.choice.threads)
+        planner = robot_planner(self.policy, hand, objects, self.choice.threads)
         dynamics, stiffness = self._dynamics(cell, hand)
         task = DeploymentTask(
             cell,

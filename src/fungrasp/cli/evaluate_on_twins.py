@@ -51,7 +51,7 @@ class EvaluateOnTwins:
         import numpy as np
 
         from fungrasp.cli.console import table
-        from fungrasp.cli.grasp_choice import deployable_policy
+        from fungrasp.cli.grasp_choice import deployable_policy, robot_planner
         from fungrasp.cli.grasps_from_images import grasps_from_images
         from fungrasp.cli.retarget import retargeted
         from fungrasp.deployment.preparation import HandDynamics
@@ -71,7 +71,7 @@ class EvaluateOnTwins:
         from fungrasp.files import digest
         from fungrasp.grasps import load_human_grasps, load_objects
         from fungrasp.hands import load_hand
-        from fungrasp.policies import make_planner, policy_files
+        from fungrasp.policies import policy_files
         from fungrasp.provenance import run_record
         from fungrasp.robots.cell import load_cell
 
@@ -97,7 +97,7 @@ class EvaluateOnTwins:
             index = [index[n // self.images] * self.images + n % self.images for n in seen.index]
         robot, _ = retargeted(human, objects, hand, "ours", self.threads)
         policy = deployable_policy(self.policy, hand, objects)
-        planner = make_planner(self.policy, hand, objects, threads=self.threads)
+        planner = robot_planner(self.policy, hand, objects, self.threads)
         chosen = [known[name] for name in self.variants]
         header |= run_record(0)
         header["identification"] = "told" if self.told else "identified on each twin"

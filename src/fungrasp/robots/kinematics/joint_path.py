@@ -11,6 +11,10 @@ from fungrasp.robots.cell import MotionLimits, Workspace
 from fungrasp.robots.kinematics.arm_model import ArmKinematics, ClearanceModel
 from fungrasp.robots.kinematics.solutions import random_starts
 
+TRIES = 5000
+"""Random postures that the trees of a path grow towards, at most. Most ways are straight; those that need a
+tree take some hundreds, to another branch of solutions up to a few thousand: a second or two."""
+
 SPACING = 0.05
 """Largest change of a joint between two postures that are checked for collisions [rad]."""
 
@@ -93,7 +97,7 @@ class FreePath:
         fingers: np.ndarray,
         ball: np.ndarray | None,
         rng: np.random.Generator,
-        tries: int = 300,
+        tries: int = TRIES,
     ) -> list[np.ndarray] | None:
         """Corners of a path, ``start`` left out; None if none was found.
 
