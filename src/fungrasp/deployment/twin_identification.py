@@ -33,6 +33,16 @@ WRIST_TURNS = ((-3.2, 0.0), (-3.2, 0.5 * np.pi), (-3.2, -0.5 * np.pi))
 """Positions of a UR's joints wrist 1 and wrist 3 that turn the palm so that the fingers' weight pulls them to
 three sides [rad]."""
 
+ENOUGH = 0.1
+"""A joint that moves less in a log is excited more [rad]: dry friction alone holds the joints of a softly
+driven hand still within some 0.04 rad of where they are told to be."""
+
+GROWTH = 1.5
+"""By so much."""
+
+MOST_LOGS = 5
+"""Logs of one pose that are recorded until every joint moves enough."""
+
 ASIDE = np.array([0.0, 0.45, 0.1, 1.0, 0.0, 0.0, 0.0])
 """Where the object lies meanwhile, world frame."""
 
@@ -54,7 +64,8 @@ def record_on_twin(
     truth: TwinParameters,
     excitation: Excitation | None = None,
 ) -> MotionLog:
-    """Excite the hand of a twin, the arm at home.
+    """Excite the hand of a twin, the arm at home. Joints that hardly move are excited more, and those in the
+    same place of other fingers with them, as fingers stay side by side.
 
     Args:
         cell: the robot.
@@ -71,12 +82,21 @@ def record_on_twin(
     driver, clock = TwinHand(world, cell, hand), TwinClock(world)
     with driver:
         rest = driver.read().positions
-        names = tuple(hand.actuators)
-        alike = place_in_finger(hand, names)
-        e = replace(e, small_step=min(e.small_step, largest_step(hand)))
-        commands = excitation_commands(e, rest, driver.limits.lower, driver.limits.upper, alike)
-        commands = clear_of_itself(hand, commands)
-        return record_motion(driver, names, commands, e.rate, gravity, clock=clock)
+    names = tuple(hand.actuators)
+    alike = place_in_finger(hand, names)
+    e = replace(e, small_step=min(e.small_step, largest_step(hand)))
+    low, high = driver.limits.lower, driver.limits.upper
+    commands = excitation_commands(e, rest, low, high, alike)
+    more = np.ones(len(names))
+    for _ in range(MOST_LOGS):
+        larger = clear_of_itself(hand, np.clip(rest + more * (commands - rest), low, high))
+        with driver:
+            log = record_motion(driver, names, larger, e.rate, gravity, clock=clock)
+        weak = np.ptp(log.part(0.0, 0.5).positions, axis=0) < ENOUGH
+        if not weak.any():
+            break
+        more[np.isin(alike, alike[weak])] *= GROWTH
+    return log
 
 
 def largest_step(hand: Hand) -> float:
