@@ -212,9 +212,15 @@ class _Problem:
         return jacobian
 
     def start(self) -> np.ndarray:
-        """The model's values with the best of some delays: in the delay the fit has several minima."""
-        tries = np.zeros((self.count, 16))
-        tries[0] = np.linspace(self.lower[0], self.upper[0], 16)
+        """The model's values with the best of some delays, in which the fit has several minima, and of some
+        gains: from gains that are far off, joints end in minima in which friction holds them."""
+        delays = np.linspace(self.lower[0], self.upper[0], 16)
+        tries = np.zeros((self.count, len(STARTING_GAINS), len(delays)))
+        tries[0] = delays
+        for i, name in enumerate(self.free):
+            if name in ("stiffness", "damping"):
+                self._part(tries, i)[:] = np.log(STARTING_GAINS)[:, None]
+        tries = tries.reshape(self.count, -1)
         return tries[:, np.argmin((self.residuals(tries) ** 2).sum(axis=0))]
 
     def uncertainty(self, best: np.ndarray, residual: np.ndarray) -> dict[str, np.ndarray]:
@@ -225,6 +231,10 @@ class _Problem:
         parts = {name: self._part(deviation, i) for i, name in enumerate(self.free)}
         return parts | {"delay": np.array([deviation[0] * DELAY_UNIT])}
 
+
+STARTING_GAINS = np.array([1.0, 0.5, 0.25, 2.0])
+"""Common factors on stiffness and damping of the model that a fit may start from: hands are driven with gains
+that differ by as much."""
 
 DELAY_UNIT, ERROR_UNIT = 0.01, 0.01
 """[s] and [rad]: parameters of about the size of the others."""
