@@ -18,6 +18,7 @@ from fungrasp.robots.twin.parameters import TwinParameters
 from fungrasp.robots.twin.world import TwinWorld
 from fungrasp.transfer.identification.excitation import Excitation, excitation_commands
 from fungrasp.transfer.identification.finger_chains import clear_of_itself, place_in_finger
+from fungrasp.transfer.identification.fingertip_weights import hang_weights
 from fungrasp.transfer.identification.fit import FitSettings, IdentifiedDynamics, fit_dynamics
 from fungrasp.transfer.identification.log_simulation import simulate_log
 from fungrasp.transfer.identification.motion_log import MotionLog
@@ -63,6 +64,7 @@ def record_on_twin(
     thing: ObjectModel,
     truth: TwinParameters,
     excitation: Excitation | None = None,
+    weight: float = 0.0,
 ) -> MotionLog:
     """Excite the hand of a twin, the arm at home. Joints that hardly move are excited more, and those in the
     same place of other fingers with them, as fingers stay side by side.
@@ -73,9 +75,12 @@ def record_on_twin(
         thing: an object, which lies aside.
         truth: what is true of the twin.
         excitation: of the joints; ``MULTI_SINE`` if None.
+        weight: mass that is fixed to each fingertip [kg].
     """
     e = excitation or MULTI_SINE
     world = TwinWorld(cell, hand, thing, truth)
+    if weight:
+        hang_weights(world.model, hand, weight)
     world.settle(ASIDE)
     palm = ArmKinematics(cell, hand).palm_pose(np.asarray(cell.arm.home))
     gravity = rotate(invert(palm)[3:], np.array([0.0, 0.0, -9.81]))
@@ -91,7 +96,7 @@ def record_on_twin(
     for _ in range(MOST_LOGS):
         larger = clear_of_itself(hand, np.clip(rest + more * (commands - rest), low, high))
         with driver:
-            log = record_motion(driver, names, larger, e.rate, gravity, clock=clock)
+            log = record_motion(driver, names, larger, e.rate, gravity, clock=clock, weight=weight)
         weak = np.ptp(log.part(0.0, 0.5).positions, axis=0) < ENOUGH
         if not weak.any():
             break
@@ -116,8 +121,10 @@ def identify_on_twin(
     truth: TwinParameters,
     excitation: Excitation | None = None,
     settings: FitSettings | None = None,
+    weight: float = 0.0,
 ) -> TwinIdentification:
-    """What identification finds of a twin's hand that a UR holds in three poses.
+    """What identification finds of a twin's hand that a UR holds in three poses, in the first of them once
+    more with weights on its fingertips if there are any.
 
     Args:
         cell: the robot.
@@ -126,13 +133,15 @@ def identify_on_twin(
         truth: what is true of the twin; it is used to simulate, and hidden from the fit.
         excitation: of the joints; ``MULTI_SINE`` if None.
         settings: of the fit; ``ALL_ERRORS`` if None.
+        weight: mass that a person fixes to each fingertip [kg]; 0 for none.
     """
     e = excitation or MULTI_SINE
     logs = []
-    for number, (wrist_1, wrist_3) in enumerate(WRIST_TURNS):
+    turns = [(turn, 0.0) for turn in WRIST_TURNS] + ([(WRIST_TURNS[0], weight)] if weight else [])
+    for number, ((wrist_1, wrist_3), mass) in enumerate(turns):
         home = (*cell.arm.home[:3], wrist_1, cell.arm.home[4], wrist_3)
         turned = replace(cell, arm=replace(cell.arm, home=home))
-        logs.append(record_on_twin(turned, hand, thing, truth, replace(e, seed=e.seed + number)))
+        logs.append(record_on_twin(turned, hand, thing, truth, replace(e, seed=e.seed + number), mass))
     found = fit_dynamics(hand, [log.part(0.0, 0.5) for log in logs], settings or ALL_ERRORS)
     missed = [
         (simulate_log(hand, log, [found.dynamics], errors=[found.errors])[0] - log.positions)[

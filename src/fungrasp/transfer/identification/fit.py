@@ -135,6 +135,8 @@ class _Problem:
             name: np.maximum(getattr(model, name)[columns], settings.least)
             for name in ("stiffness", "damping", "friction", "armature")
         }
+        torque = np.array([hand.actuators[joint].force_limit for joint in joints])
+        self.nominal["friction"] = np.maximum(self.nominal["friction"], DRY_FRICTION * torque)
         self.free = [name for name in self.nominal if name not in settings.fixed]
         self.factors = len(self.free) * len(joints)
         self.count = 1 + self.factors + len(settings.errors) * len(joints)
@@ -235,6 +237,10 @@ class _Problem:
 STARTING_GAINS = np.array([1.0, 0.5, 0.25, 2.0])
 """Common factors on stiffness and damping of the model that a fit may start from: hands are driven with gains
 that differ by as much."""
+
+DRY_FRICTION = 0.02
+"""Share of a servo's largest torque that its dry friction is taken for at first, where the model has less:
+some models have next to none, and a fit that starts there never finds that of a geared drive."""
 
 DELAY_UNIT, ERROR_UNIT = 0.01, 0.01
 """[s] and [rad]: parameters of about the size of the others."""
