@@ -28,7 +28,7 @@ class BenchIdentify:
     robots: tuple[str, ...] = ("ur5e-allegro", "ur5e-inspire")
     """Cells that are twins."""
     weight: float = 0.0
-    """Mass that is fixed to each fingertip of twins in one log more [kg]."""
+    """Mass that is fixed to each fingertip of twins in as many logs more [kg]."""
     json: Path | None = None
     """Write the numbers here (.json, with a .csv beside)."""
 

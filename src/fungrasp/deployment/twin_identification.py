@@ -123,8 +123,8 @@ def identify_on_twin(
     settings: FitSettings | None = None,
     weight: float = 0.0,
 ) -> TwinIdentification:
-    """What identification finds of a twin's hand that a UR holds in three poses, in the first of them once
-    more with weights on its fingertips if there are any.
+    """What identification finds of a twin's hand that a UR holds in three poses, in each of them once more
+    with weights on its fingertips if there are any.
 
     Args:
         cell: the robot.
@@ -137,7 +137,7 @@ def identify_on_twin(
     """
     e = excitation or MULTI_SINE
     logs = []
-    turns = [(turn, 0.0) for turn in WRIST_TURNS] + ([(WRIST_TURNS[0], weight)] if weight else [])
+    turns = [(turn, mass) for mass in ((0.0, weight) if weight else (0.0,)) for turn in WRIST_TURNS]
     for number, ((wrist_1, wrist_3), mass) in enumerate(turns):
         home = (*cell.arm.home[:3], wrist_1, cell.arm.home[4], wrist_3)
         turned = replace(cell, arm=replace(cell.arm, home=home))

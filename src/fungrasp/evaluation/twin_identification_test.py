@@ -46,7 +46,7 @@ class TwinFit:
     seconds: float
     """Time the fit took [s]."""
     weight: float
-    """Mass on each fingertip in one log more [kg]; 0 for none."""
+    """Mass on each fingertip in as many logs more [kg]; 0 for none."""
 
 
 def twin_fit(
@@ -67,7 +67,7 @@ def twin_fit(
         twin: which one.
         method: of the fit.
         evaluations: of CMA-ES.
-        weight: mass on each fingertip in one log more [kg]; 0 for none.
+        weight: mass on each fingertip in as many logs more [kg]; 0 for none.
     """
     truth = cell_twin(cell, hand, twin)
     settings = replace(ALL_ERRORS, method=method, evaluations=evaluations)
