@@ -168,8 +168,6 @@ class _Problem:
             name: np.maximum(getattr(model, name)[columns], settings.least)
             for name in ("stiffness", "damping", "friction", "armature")
         }
-        torque = np.array([hand.actuators[joint].force_limit for joint in joints])
-        self.nominal["friction"] = np.maximum(self.nominal["friction"], DRY_FRICTION * torque)
         self.free = [name for name in self.nominal if name not in settings.fixed]
         self.factors = len(self.free) * len(joints)
         self.count = 1 + self.factors + len(settings.errors) * len(joints)
@@ -266,17 +264,13 @@ class _Problem:
 
 
 STARTING_GAINS = (1.0, 0.25, 0.5, 2.0)
-"""Common factors on stiffness and damping of the model that a fit starts from, one after the other until it is
-good enough: hands are driven with gains that differ by as much, and from far off joints end in minima in
+"""Common factors on stiffness and damping of the model that a fit starts from, one after the other until it
+is good enough: hands are driven with gains that differ by as much, and from far off joints end in minima in
 which friction holds them."""
 
 GOOD_FIT = 5.0
 """Times the noise of measured positions: a fit that misses by less is good enough. Good ones of twins miss by
 0.6 to 2 times, those in wrong minima by more than 15."""
-
-DRY_FRICTION = 0.02
-"""Share of a servo's largest torque that its dry friction is taken for at first, where the model has less:
-some models have next to none, and a fit that starts there never finds that of a geared drive."""
 
 DELAY_UNIT, ERROR_UNIT = 0.01, 0.01
 """[s] and [rad]: parameters of about the size of the others."""
