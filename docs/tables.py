@@ -433,7 +433,12 @@ def identification_twins() -> Table:
     """Identified dynamics of twins' hands against their truth, by hand and method."""
     head = ("hand", "method", "twins", "median error, of the model", "stiffness", "damping", "friction")
     head += ("armature", "delay error [ms]", "held-out RMS [rad]", "time [s]")
-    results = _read("identification-twins").rows
+    names = ["identification-twins", "identification-weights"]
+    names = [name for name in names if (RESULTS / f"{name}.json").is_file()]
+    results = [row for name in names for row in _read(name).rows]
+    for row in results:
+        if row.get("weight"):
+            row["hand"] += f", {row['weight']:g} kg on each fingertip"
     rows = []
     for hand, method in dict.fromkeys((row["hand"], row["method"]) for row in results):
         group = [row for row in results if (row["hand"], row["method"]) == (hand, method)]
@@ -450,7 +455,7 @@ def identification_twins() -> Table:
             f"{median('seconds'):.0f}",
         )
         rows.append((hand, method, str(len(group)), error, *parts, *end))
-    return Table(head, rows, ["identification-twins"])
+    return Table(head, rows, names)
 
 
 WIRE = {

@@ -1,13 +1,20 @@
 """Which grasps are tried on which twins; the deployments themselves are tested in tests/deployment."""
 
+from collections.abc import Iterator
+from itertools import islice
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
-import fungrasp.evaluation.twin_test as twin_test
+import fungrasp.evaluation.twin_episode as twin_episode
+from fungrasp.deployment.hand_knowledge import HandDynamics
 from fungrasp.deployment.preparation import UnreachableError
+from fungrasp.errors import FungraspError
+from fungrasp.evaluation.partial_results import PartialResults
+from fungrasp.evaluation.twin_episode import PlacedGrasp, TwinEpisode, TwinSetup
 from fungrasp.evaluation.twin_test import VARIANTS, placed_grasps, told_dynamics, try_on_twins
 from fungrasp.grasps import RobotGraspSet, builtin_grasps, load_objects
 from fungrasp.hands import load_hand
@@ -15,7 +22,8 @@ from fungrasp.policies import OpenLoopPolicy
 from fungrasp.retarget import retarget
 from fungrasp.robots.cell import load_cell
 
-CELL = load_cell("ur5e-allegro-node")
+HAND = load_hand("allegro")
+AT = np.array([0, 0, 0, 1.0, 0, 0, 0])
 
 
 @pytest.fixture(scope="module")
@@ -24,7 +32,30 @@ def grasps() -> tuple[RobotGraspSet, dict[str, Any]]:
     rows = [np.flatnonzero(human.object_name == name)[:2] for name in ("mug", "can")]
     human = human.select(np.concatenate(rows))
     objects = load_objects(human)
-    return retarget(human, objects, load_hand("allegro")), dict(objects)
+    return retarget(human, objects, HAND), dict(objects)
+
+
+def setup_of(objects: dict[str, Any], store: Path | None = None, policy_key: str = "") -> TwinSetup:
+    kept = None if store is None else PartialResults(store)
+    planner: Any = SimpleNamespace()
+    cell = load_cell("ur5e-allegro-node")
+    return TwinSetup(objects, HAND, cell, OpenLoopPolicy(), planner, store=kept, policy_key=policy_key)
+
+
+@pytest.fixture
+def deployed(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, ...]]:
+    """Deployments are not played, but listed here."""
+    seen: list[tuple[Any, ...]] = []
+
+    def deploy(cell, hand, thing, grasp, placement, policy, planner, truth, **options):
+        seen.append((thing.name, truth.gain, options["dynamics"], options["compensate"]))
+        if len(seen) == 2:
+            raise UnreachableError("the grasp is not reachable: the arm would touch the table")
+        result = SimpleNamespace(fault="")
+        return SimpleNamespace(result=result, success=True, height=0.12, tracking=0.02, sag=np.nan)
+
+    monkeypatch.setattr(twin_episode, "deploy_on_twin", deploy)
+    return seen
 
 
 def test_every_object_comes_before_any_comes_twice(grasps, monkeypatch) -> None:
@@ -37,54 +68,82 @@ def test_every_object_comes_before_any_comes_twice(grasps, monkeypatch) -> None:
             raise UnreachableError("too far")
         return np.array([0.1 * len(tried), 0, 0, 1, 0, 0, 0])
 
-    monkeypatch.setattr(twin_test, "reachable_placement", reach)
-    placed, beyond = placed_grasps(robot, [10, 11, 20, 21], objects, load_hand("allegro"), CELL)
-    assert [one.number for one in placed] == [11, 20, 21]
-    assert beyond == [10]
+    monkeypatch.setattr(twin_episode, "reachable_placement", reach)
+    setup = setup_of(objects)
+    placed = list(placed_grasps(setup, robot, [10, 11, 20, 21]))
+    assert [one.number for one in placed] == [10, 11, 20, 21]
+    assert [one.placement is None for one in placed] == [True, False, False, False]
+    placed = list(placed_grasps(setup, robot, [10, 11, 20, 21], 1))
+    assert [one.number for one in placed] == [10, 20]
+    # The second grasp of the mug is asked for, and looked for, after the first of the can.
     tried.clear()
-    placed, beyond = placed_grasps(robot, [10, 11, 20, 21], objects, load_hand("allegro"), CELL, 1)
-    assert [one.number for one in placed] == [11, 20]
-    assert len(tried) == 3
+    stream = placed_grasps(setup, robot, [10, 11, 20, 21])
+    assert [next(stream).number for _ in range(3)] == [10, 11, 20]
+    assert tried == ["mug", "mug", "can"]
 
 
-def test_variants_differ_in_what_is_told_and_twins_take_turns(grasps, monkeypatch) -> None:
+def test_variants_differ_in_what_is_told(grasps, deployed) -> None:
     robot, objects = grasps
-    seen = []
-
-    def deploy(cell, hand, thing, grasp, placement, policy, planner, truth, **options):
-        seen.append((thing.name, truth.gain, options["dynamics"], options["compensate"]))
-        if len(seen) == 2:
-            raise UnreachableError("the grasp is not reachable: the arm would touch the table")
-        result = SimpleNamespace(fault="")
-        return SimpleNamespace(result=result, success=True, height=0.12, tracking=0.02, sag=0.03)
-
-    monkeypatch.setattr(twin_test, "reachable_placement", lambda *a, **k: np.array([0, 0, 0, 1.0, 0, 0, 0]))
-    monkeypatch.setattr(twin_test, "deploy_on_twin", deploy)
-    hand = load_hand("allegro")
-    placed, _ = placed_grasps(robot, [0, 1, 2, 3], objects, hand, CELL)
-    found = list(
-        try_on_twins(
-            placed[:2],
-            objects,
-            hand,
-            CELL,
-            OpenLoopPolicy(),
-            SimpleNamespace(),  # type: ignore[arg-type]
-            [4, 5],
-            VARIANTS,
-            in_turn=True,
-            identify=told_dynamics(hand),
-        )
-    )
-    assert [episode.twin for episode in found] == [4, 4, 4, 5, 5, 5]
-    assert [episode.variant for episode in found[:3]] == [variant.name for variant in VARIANTS]
-    assert [dynamics is None for _, _, dynamics, _ in seen[:3]] == [False, True, False]
-    assert [compensate for *_, compensate in seen[:3]] == [True, True, False]
-    assert len({gain for _, gain, *_ in seen}) == 2
+    placed = [PlacedGrasp(5, robot.select(np.array([0])), AT)]
+    setup = setup_of(objects)
+    found = list(try_on_twins(setup, placed, [4], VARIANTS, identify=told_dynamics(HAND)))
+    assert [episode.variant for episode in found] == [variant.name for variant in VARIANTS]
+    assert [dynamics is None for _, _, dynamics, _ in deployed] == [False, True, False]
+    assert [compensate for *_, compensate in deployed] == [True, True, False]
     # What was not begun has failed, and says why.
     assert not found[1].success and "not reachable" in found[1].fault and found[1].tracking_rad == -1
-    assert found[0].success and found[0].tracking_rad == 0.02
+    assert found[0] == TwinEpisode(5, found[0].object, 4, "ours", True, 0.12, "", 0.02, -1.0)
     # What is told is the truth: the stiffness of a hand with gains of its own.
-    driven = [hand.joint_names.index(name) for name in hand.actuators]
-    told = seen[0][2].servo_stiffness[driven]
-    assert told.max() < 1.2 * seen[0][1]
+    driven = [HAND.joint_names.index(name) for name in HAND.actuators]
+    told = deployed[0][2].servo_stiffness[driven]
+    assert told.max() < 1.2 * deployed[0][1]
+    with pytest.raises(FungraspError, match="'ours' needs identified dynamics"):
+        next(try_on_twins(setup, placed, [4]))
+
+
+def test_a_stopped_run_is_balanced_over_twins(grasps, deployed) -> None:
+    robot, objects = grasps
+    placed = [PlacedGrasp(n, robot.select(np.array([n])), AT if n else None) for n in range(4)]
+    found = try_on_twins(setup_of(objects), placed, [4, 5], VARIANTS[1:2])
+    order = [(episode.index, episode.twin) for episode in found]
+    # The one out of reach is passed over; every grasp comes before any comes on its second twin.
+    assert order == [(1, 4), (2, 5), (3, 4), (1, 5), (2, 4), (3, 5)]
+    in_turn = try_on_twins(setup_of(objects), placed, [4, 5], VARIANTS[1:2], in_turn=True)
+    assert [(episode.index, episode.twin) for episode in in_turn] == order[:3]
+
+
+def test_a_stopped_run_goes_on_where_it_was(grasps, deployed, monkeypatch, tmp_path) -> None:
+    robot, objects = grasps
+    looked: list[str] = []
+
+    def reach(cell, hand, thing, grasp, seed=0):
+        looked.append(thing.name)
+        return AT
+
+    monkeypatch.setattr(twin_episode, "reachable_placement", reach)
+    fitted = []
+
+    def episodes(policy_key: str = "") -> Iterator[TwinEpisode]:
+        setup = setup_of(objects, tmp_path / "parts", policy_key)
+
+        def identify(truth) -> HandDynamics:
+            def fit() -> HandDynamics:
+                fitted.append(truth.gain)
+                return told_dynamics(HAND)(truth)
+
+            return setup.identified(truth, fit)
+
+        placed = placed_grasps(setup, robot, [0, 1, 2, 3])
+        return try_on_twins(setup, placed, [4, 5], VARIANTS, identify=identify)
+
+    stopped = list(islice(episodes(), 7))
+    counts = len(deployed), len(looked), len(fitted)
+    assert counts == (7, 3, 2)
+    whole = list(episodes())
+    assert whole[:7] == stopped
+    assert len(whole) == 24
+    # Nothing that was finished was done again.
+    assert (len(deployed), len(looked), len(fitted)) == (24, 4, 2)
+    # Another policy's episodes are others; the arm and the hands are the same.
+    assert len(list(episodes("another"))) == 24
+    assert (len(deployed), len(looked), len(fitted)) == (48, 4, 2)

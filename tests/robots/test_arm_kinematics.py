@@ -2,11 +2,13 @@
 
 import numpy as np
 import pytest
+import trimesh
 from robot_cells import cell_and_hand
 
 from fungrasp.geometry.poses import relative, rotation_vector
-from fungrasp.robots.kinematics.arm_model import ArmKinematics, ClearanceModel
-from fungrasp.robots.kinematics.joint_path import FreePath, timed_leg
+from fungrasp.objects import ObjectModel
+from fungrasp.robots.kinematics.arm_model import MARGIN, ArmKinematics, ClearanceModel
+from fungrasp.robots.kinematics.joint_path import OBJECT_CLEAR, FreePath, timed_leg
 from fungrasp.robots.kinematics.solutions import arm_postures, random_starts
 
 POSTURE = np.array([0.2, -1.4, 1.6, -1.5, -1.5, 0.3])
@@ -93,17 +95,59 @@ def test_clearance_sees_table_and_arm() -> None:
     assert model.measure(np.array([0.0, -1.57, 2.9, -1.57, -1.57, 0.0]), fingers).itself < 0.0
 
 
-def test_a_way_around_a_ball(kinematics: ArmKinematics) -> None:
+def box(size: list[float]) -> ObjectModel:
+    mesh = trimesh.creation.box(size)
+    return ObjectModel("box", 0.2, mesh.vertices, mesh.faces)
+
+
+def test_distance_to_the_object_in_the_posture_that_was_measured(kinematics: ArmKinematics) -> None:
     cell, hand = cell_and_hand()
-    free = FreePath(kinematics, ClearanceModel(cell, hand), cell.workspace)
+    model, fingers = ClearanceModel(cell, hand, box([0.04, 0.04, 0.04])), np.zeros(16)
+    palm = kinematics.palm_pose(POSTURE)
+    model.place_object(palm)
+    model.measure(POSTURE, fingers)
+    assert model.distance_to_object() < 0.0
+    away = palm.copy()
+    away[2] -= 1.0
+    model.place_object(away)
+    model.measure(POSTURE, fingers)
+    assert model.distance_to_object() == MARGIN
+
+
+def test_a_way_around_an_object(kinematics: ArmKinematics) -> None:
+    cell, hand = cell_and_hand()
+    free = FreePath(kinematics, ClearanceModel(cell, hand, box([0.1, 0.1, 0.1])), cell.workspace)
     fingers, rng = np.zeros(16), np.random.default_rng(0)
     start = np.array(cell.arm.home)
     end = start + np.array([1.0, 0, 0, 0, 0, 0])
-    middle = kinematics.palm_pose(0.5 * (start + end))[:3]
-    ball = np.append(middle - [0, 0, 0.12], 0.08)
-    assert free.find(start, end, fingers, None, rng) is not None
-    way = free.find(start, end, fingers, ball, rng)
-    assert way is not None
+    pose = np.array([0.0, 0, 0, 1, 0, 0, 0])
+    pose[:3] = kinematics.palm_pose(0.5 * (start + end))[:3] - [0, 0, 0.12]
+    assert free.find(start, end, fingers, None, rng) == [end]
+    way = free.find(start, end, fingers, pose, rng)
+    assert way is not None and len(way) > 1
     np.testing.assert_array_equal(way[-1], end)
     for one, other in zip([start, *way[:-1]], way, strict=True):
-        assert all(free.clear(q, fingers, ball) for q in np.linspace(one, other, 12))
+        assert all(free.clear(q, fingers, OBJECT_CLEAR) for q in np.linspace(one, other, 12))
+
+
+def test_a_hand_may_begin_beside_a_long_object(kinematics: ArmKinematics) -> None:
+    """Nearer than half its length, and nearer than the distance that is kept elsewhere."""
+    cell, hand = cell_and_hand()
+    long = box([0.6, 0.04, 0.04])
+    clearance = ClearanceModel(cell, hand, long)
+    free, fingers = FreePath(kinematics, clearance, cell.workspace), np.zeros(16)
+    start = np.array(cell.arm.home)
+    end = start + np.array([0.6, 0, 0, 0, 0, 0])
+    pose = np.array([0.0, 0, 0, 1, 0, 0, 0])
+    pose[:3] = kinematics.palm_pose(end)[:3]
+    distance = -1.0
+    while distance < 0.005:
+        pose[2] -= 0.005
+        clearance.place_object(pose)
+        clearance.measure(end, fingers)
+        distance = clearance.distance_to_object()
+    assert distance < OBJECT_CLEAR
+    way = free.find(start, end, fingers, pose, np.random.default_rng(0))
+    assert way is not None
+    for one, other in zip([start, *way[:-1]], way, strict=True):
+        assert all(free.clear(q, fingers, distance - 1e-6) for q in np.linspace(one, other, 12))

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import copy
+from dataclasses import replace
+
+import mujoco
 import numpy as np
 import pytest
 
@@ -9,6 +13,7 @@ from fungrasp.errors import FungraspError
 from fungrasp.hands import load_hand
 from fungrasp.transfer.identification.excitation import Excitation, excitation_commands
 from fungrasp.transfer.identification.finger_chains import place_in_finger
+from fungrasp.transfer.identification.fingertip_weights import hang_weights
 from fungrasp.transfer.identification.fit import FitSettings, fit_dynamics
 from fungrasp.transfer.identification.log_simulation import DriveErrors, play_operator, simulate_log
 from fungrasp.transfer.identification.motion_log import (
@@ -98,6 +103,8 @@ def test_bad_logs_are_refused(log: MotionLog, tmp_path):
         fit_dynamics(load_hand("inspire"), log)
     with pytest.raises(FungraspError, match="do not increase"):
         MotionLog(JOINTS, log.times[::-1], log.commands, log.positions, log.gravity)
+    with pytest.raises(FungraspError, match="mass on each fingertip"):
+        replace(log, weight=-0.1)
     np.savez(tmp_path / "log.npz", times=log.times)
     with pytest.raises(FungraspError, match="missing"):
         load_motion_log(tmp_path / "log.npz")
@@ -107,9 +114,10 @@ def test_bad_logs_are_refused(log: MotionLog, tmp_path):
 
 
 def test_files_keep_what_they_hold(log: MotionLog, tmp_path):
-    save_motion_log(tmp_path / "log.npz", log)
+    save_motion_log(tmp_path / "log.npz", replace(log, weight=0.2))
     again = load_motion_log(tmp_path / "log.npz")
     assert again.joints == log.joints and np.array_equal(again.positions, log.positions)
+    assert again.weight == again.part(0.0, 0.5).weight == 0.2
     hand = load_hand("allegro")
     save_dynamics(tmp_path / "hand.toml", TRUTH)
     read = load_dynamics(tmp_path / "hand.toml", hand)
@@ -207,3 +215,66 @@ def test_logs_of_two_sides_of_gravity_tell_the_scale_of_a_joint():
     found = fit_dynamics(hand, logs, FitSettings(errors=("offset",), iterations=25))
     assert np.allclose(found.dynamics.stiffness, true.stiffness, rtol=0.05)
     assert np.allclose(found.errors.offset, error.offset, atol=5e-4)
+
+
+def test_weights_on_fingertips_weigh_and_resist_as_points_do():
+    hand, mass = load_hand("allegro"), 0.15
+    bare, loaded = copy.copy(hand.model), copy.copy(hand.model)
+    hang_weights(loaded, hand, mass)
+    joints = hand.all_joints(np.full(16, 0.4))
+    tips = [hand.model.site(finger.tip).id for finger in hand.fingers.values()]
+    states = []
+    for model in (bare, loaded):
+        data = mujoco.MjData(model)
+        data.qpos[:] = joints
+        mujoco.mj_forward(model, data)
+        inertia = np.zeros((model.nv, model.nv))
+        mujoco.mj_fullM(model, data, inertia)
+        states.append((data, inertia, data.qfrc_bias.copy()))
+    weight, inertia = np.zeros(bare.nv), np.zeros((bare.nv, bare.nv))
+    for site in tips:
+        jacobian = np.zeros((3, bare.nv))
+        mujoco.mj_jacSite(bare, states[0][0], jacobian, None, site)
+        weight -= jacobian.T @ (mass * bare.opt.gravity)
+        inertia += mass * jacobian.T @ jacobian
+    np.testing.assert_allclose(states[1][2] - states[0][2], weight, atol=1e-9)
+    np.testing.assert_allclose(states[1][1] - states[0][1], inertia, atol=1e-9)
+    assert np.abs(inertia).max() > 1e-4
+
+
+def test_a_weight_tells_the_scale_of_a_geared_joint():
+    # Of an Inspire's finger weight and inertia are next to nothing beside its drive's.
+    hand, joints = load_hand("inspire"), ("index_proximal_joint",)
+    model = model_dynamics(hand)
+    row = [model.joints.index(joints[0])]
+    scale = 0.6
+    true = JointDynamics(
+        joints,
+        scale * model.stiffness[row],
+        scale * model.damping[row],
+        np.array([0.01]),
+        scale * model.armature[row],
+        0.02,
+    )
+    rest, e = np.full(1, 0.7), Excitation(kind="multi-sine", seconds=3.0, reach=0.1, small_step=0.01)
+    commands = excitation_commands(e, rest, np.zeros(1), np.full(1, 1.4))
+    times = np.arange(len(commands)) / e.rate
+    logs = []
+    for weight in (0.0, 0.2):
+        at_rest = np.tile(rest, (len(times), 1))
+        log = MotionLog(joints, times, commands, at_rest, np.array([0, -9.81, 0.0]), weight)
+        moved = simulate_log(hand, log, [true])[0] + np.random.default_rng(0).normal(0, 4e-4, (len(times), 1))
+        logs.append(replace(log, positions=moved))
+    settings = FitSettings(prior=1.0, iterations=25)
+    without, found = (fit_dynamics(hand, some, settings).dynamics for some in (logs[:1], logs))
+    assert np.allclose(found.stiffness, true.stiffness, rtol=0.03)
+    assert np.allclose(found.damping, true.damping, rtol=0.1)
+    assert abs(without.stiffness[0] / true.stiffness[0] - 1) > 0.06
+
+
+def test_gains_far_from_the_model_are_found(log: MotionLog):
+    hand = load_hand("allegro")
+    soft = replace(TRUTH, stiffness=0.25 * TRUTH.stiffness, damping=0.25 * TRUTH.damping)
+    positions = simulate_log(hand, log, [soft])[0]
+    found = fit_dynamics(hand, replace(log, positions=positions), FitSettings(iterations=25))
+    assert np.allclose(found.dynamics.stiffness, soft.stiffness, rtol=0.05)

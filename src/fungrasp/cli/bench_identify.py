@@ -27,6 +27,8 @@ class BenchIdentify:
     """Twins of each robot."""
     robots: tuple[str, ...] = ("ur5e-allegro", "ur5e-inspire")
     """Cells that are twins."""
+    weight: float = 0.0
+    """Mass that is fixed to each fingertip of twins in as many logs more [kg]."""
     json: Path | None = None
     """Write the numbers here (.json, with a .csv beside)."""
 
@@ -52,7 +54,7 @@ class BenchIdentify:
                 cell = load_cell(name)
                 hand, thing = load_hand(cell.hand), load_object("wine_glass")
                 for twin in range(self.twins):
-                    drawn = twin_fit(cell, hand, thing, twin, method, self.evaluations)
+                    drawn = twin_fit(cell, hand, thing, twin, method, self.evaluations, self.weight)
                     rows.append({"log": "drawn twin", **asdict(drawn)})
             if self.json is not None:
                 write_result(self.json, run_record(0), rows)

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fungrasp.cli.console import table
-from fungrasp.cli.grasp_choice import ChosenGrasp, GraspChoice, deployable_policy
+from fungrasp.cli.grasp_choice import ChosenGrasp, GraspChoice, deployable_policy, robot_planner
 from fungrasp.errors import FungraspError
 
 if TYPE_CHECKING:
@@ -60,12 +60,11 @@ class BenchWire:
         from fungrasp.deployment.hand_knowledge import hand_knowledge
         from fungrasp.deployment.wired_deployment import DeploymentTask
         from fungrasp.evaluation.wire_test import run_over_the_wire
-        from fungrasp.policies import make_planner
 
         objects = {chosen.thing.name: chosen.thing}
         policy = deployable_policy(self.policy, hand, objects)
         known = hand_knowledge(cell, hand)
-        planner = make_planner(self.policy, known.planned, objects, threads=self.choice.threads)
+        planner = robot_planner(self.policy, known.planned, objects, self.choice.threads)
         task = DeploymentTask(
             cell,
             hand,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from fungrasp.cli.grasp_choice import GraspChoice, deployable_policy
+from fungrasp.cli.grasp_choice import GraspChoice, deployable_policy, robot_planner
 
 if TYPE_CHECKING:
     from fungrasp.deployment.deployment import DeploymentResult
@@ -59,7 +59,7 @@ class Deploy:
         from fungrasp.deployment.wired_deployment import DeploymentTask
         from fungrasp.errors import FungraspError
         from fungrasp.hands import load_hand
-        from fungrasp.policies import OpenLoopPolicy, check_attempts, make_planner
+        from fungrasp.policies import OpenLoopPolicy, check_attempts
         from fungrasp.robots.assembly import is_twin
         from fungrasp.robots.cell import check_calibrated, load_cell
 
@@ -74,7 +74,7 @@ class Deploy:
         policy = deployable_policy(self.policy, hand, objects)
         check_attempts(self.attempts, not isinstance(policy, OpenLoopPolicy))
         known = hand_knowledge(cell, hand, self.hand_dynamics)
-        planner = make_planner(self.policy, known.planned, objects, threads=self.choice.threads)
+        planner = robot_planner(self.policy, known.planned, objects, self.choice.threads)
         task = DeploymentTask(
             cell,
             hand,

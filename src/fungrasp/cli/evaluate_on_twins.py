@@ -7,6 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from fungrasp.robots.twin.parameters import TwinParameters
 
 
@@ -15,7 +17,8 @@ class EvaluateOnTwins:
     """Try grasps on twins, without a clock: what identification and gravity compensation are worth."""
 
     out: Path
-    """Result to write, .json; it is written anew after every grasp."""
+    """Result to write, .json; it is written anew after every episode. What is finished is kept in the folder
+    OUT.partial until all is done: the same command goes on where it was stopped."""
     robot: str = "ur5e-allegro"
     """A cell that is a twin."""
     grasps: str = "builtin"
@@ -48,14 +51,16 @@ class EvaluateOnTwins:
         import numpy as np
 
         from fungrasp.cli.console import table
-        from fungrasp.cli.grasp_choice import deployable_policy
+        from fungrasp.cli.grasp_choice import deployable_policy, robot_planner
         from fungrasp.cli.grasps_from_images import grasps_from_images
         from fungrasp.cli.retarget import retargeted
         from fungrasp.deployment.hand_knowledge import HandDynamics
         from fungrasp.deployment.twin_identification import identify_on_twin
         from fungrasp.errors import FungraspError, UnknownNameError
+        from fungrasp.evaluation.partial_results import PartialResults
         from fungrasp.evaluation.result_files import write_result
         from fungrasp.evaluation.statistics import wilson_interval
+        from fungrasp.evaluation.twin_episode import PlacedGrasp, TwinSetup
         from fungrasp.evaluation.twin_test import (
             VARIANTS,
             episode_rows,
@@ -63,9 +68,10 @@ class EvaluateOnTwins:
             told_dynamics,
             try_on_twins,
         )
+        from fungrasp.files import digest
         from fungrasp.grasps import load_human_grasps, load_objects
         from fungrasp.hands import load_hand
-        from fungrasp.policies import make_planner
+        from fungrasp.policies import policy_files
         from fungrasp.provenance import run_record
         from fungrasp.robots.cell import load_cell
         from fungrasp.robots.torque_limits import limited_hand
@@ -80,9 +86,10 @@ class EvaluateOnTwins:
         index = list(self.rows) or list(range(len(human)))
         human = human.select(index)
         objects = load_objects(human, self.objects)
+        store = PartialResults(self.out.with_name(f"{self.out.name}.partial"))
         header: dict[str, Any] = {"robot": self.robot, "policy": self.policy, "grasps": self.grasps}
         if self.images:
-            seen = grasps_from_images(human, objects, self.images, self.image_seed)
+            seen = grasps_from_images(human, objects, self.images, self.image_seed, store)
             header["images"] = len(human) * self.images
             header["not_seen"] = {str(number): why for number, why in seen.refused.items()}
             if seen.human is None:
@@ -91,33 +98,53 @@ class EvaluateOnTwins:
             index = [index[n // self.images] * self.images + n % self.images for n in seen.index]
         robot, _ = retargeted(human, objects, hand, "ours", self.threads)
         policy = deployable_policy(self.policy, hand, objects)
-        planner = make_planner(self.policy, limited_hand(cell, hand), objects, threads=self.threads)
+        planner = robot_planner(self.policy, limited_hand(cell, hand), objects, self.threads)
         chosen = [known[name] for name in self.variants]
         header |= run_record(0)
         header["identification"] = "told" if self.told else "identified on each twin"
-        placed, beyond = placed_grasps(robot, index, objects, hand, cell, self.each)
-        header["out_of_reach"] = " ".join(map(str, beyond))
-        header["grasps_that_can_be_reached"] = len(placed)
-        thing = objects[human.object_name[0]]
-
-        def identify(truth: TwinParameters) -> HandDynamics:
-            return HandDynamics.of(hand, identify_on_twin(cell, hand, thing, truth).found.dynamics)
-
-        episodes = []
-        for episode in try_on_twins(
-            placed,
+        files = policy_files("student" if self.policy == "plan" else self.policy, hand.name)
+        setup = TwinSetup(
             objects,
             hand,
             cell,
             policy,
             planner,
+            store=store,
+            policy_key=digest(self.policy, files.digests(), getattr(planner, "key", "")),
+        )
+        placed: list[PlacedGrasp] = []
+        thing = objects[human.object_name[0]]
+
+        def watched() -> Iterator[PlacedGrasp]:
+            for one in placed_grasps(setup, robot, index, self.each):
+                placed.append(one)
+                yield one
+
+        def identify(truth: TwinParameters) -> HandDynamics:
+            def fit() -> HandDynamics:
+                return HandDynamics.of(hand, identify_on_twin(cell, hand, thing, truth).found.dynamics)
+
+            return setup.identified(truth, fit)
+
+        episodes = []
+        for episode in try_on_twins(
+            setup,
+            watched(),
             self.twins,
             chosen,
             in_turn=self.in_turn,
             identify=told_dynamics(hand) if self.told else identify,
         ):
             episodes.append(episode)
+            beyond = [one.number for one in placed if one.placement is None]
+            header["out_of_reach"] = " ".join(map(str, beyond))
+            header["grasps_that_can_be_reached"] = len(placed) - len(beyond)
             write_result(self.out, header, episode_rows(episodes))
+        if not episodes:
+            raise FungraspError(
+                "the arm reaches none of these grasps: take others with --rows, or another --robot"
+            )
+        store.remove()
         lines = [("variant", "episodes", "success", "95 % interval", "tracking [rad]", "sag [deg]")]
         for name in self.variants:
             mine = [e for e in episodes if e.variant == name]
@@ -138,7 +165,8 @@ class EvaluateOnTwins:
         print(table(lines, left=None))
         if self.images:
             lifted = sum(episode.success for episode in episodes) / len(self.variants)
+            reached = header["grasps_that_can_be_reached"]
             print(
-                f"of {header['images']} images {len(index)} seen, {len(placed)} within reach; lifted "
+                f"of {header['images']} images {len(index)} seen, {reached} within reach; lifted "
                 f"{lifted:g} of {header['images'] * (1 if self.in_turn else len(self.twins))}"
             )

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from fungrasp.hands import Hand
     from fungrasp.objects import ObjectModel
     from fungrasp.perception.pipeline import Perceived
+    from fungrasp.planning import Planner
     from fungrasp.task import Policy
 
 RENDERED = "rendered"
@@ -136,6 +137,25 @@ class GraspChoice:
             if not said:
                 return one_grasp(seen.grasp), {model.name: model}, attempt + 1, began
         raise FungraspError(f"{MOST_IMAGES} rendered images of '{model.name}' were not good enough: {said}")
+
+
+def robot_planner(name: str, hand: Hand, objects: Mapping[str, ObjectModel], threads: int = 0) -> Planner:
+    """The planner of a policy on a robot: a robot differs from its model, so that candidates are tried in the
+    worlds of the reality protocol.
+
+    Args:
+        name: of the policy.
+        hand: that it moves.
+        objects: by name.
+        threads: 0 means all processors.
+
+    Raises:
+        FungraspError: no such policy, or one for another hand.
+    """
+    from fungrasp.planning.selection import SelectionSettings
+    from fungrasp.policies import make_planner
+
+    return make_planner(name, hand, objects, SelectionSettings.for_protocol("reality"), threads=threads)
 
 
 def deployable_policy(name: str, hand: Hand, objects: Mapping[str, ObjectModel]) -> Policy:

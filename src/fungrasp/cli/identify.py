@@ -37,6 +37,9 @@ class Collect:
     """How it is moved."""
     gravity: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Gravity in the palm's frame [m/s^2]; zero leaves weight out of the fit."""
+    weight: float = 0.0
+    """Mass that is fixed to each fingertip [kg]: 0.2 kg in one of several logs tell the scale of the dynamics
+    of a hand whose fingers are light against their drives."""
     option_prefixes = True
 
     def run(self) -> None:
@@ -65,7 +68,14 @@ class Collect:
             alike = place_in_finger(hand, joints)
             commands = excitation_commands(self.excitation, rest, limits.lower, limits.upper, alike)
             commands = clear_of_itself(hand, commands)
-            log = record_motion(driver, joints, commands, self.excitation.rate, np.array(self.gravity))
+            log = record_motion(
+                driver,
+                joints,
+                commands,
+                self.excitation.rate,
+                np.array(self.gravity),
+                weight=self.weight,
+            )
         save_motion_log(self.log, log)
         print(f"{len(log.times)} rows, {log.times[-1]:.1f} s, {len(joints)} joints -> {self.log}")
 
@@ -81,7 +91,8 @@ class Fit:
     out: Path | None = None
     """Write the dynamics here (.toml)."""
     others: tuple[Path, ...] = ()
-    """Further logs of the same joints, recorded with the palm turned to other sides."""
+    """Further logs of the same joints, recorded with the palm turned to other sides, or with weights on the
+    fingertips."""
     joint: str = "index_proximal_joint"
     """Joint of a .csv."""
     method: tuple[str, ...] = ("gauss-newton",)

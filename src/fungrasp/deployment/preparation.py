@@ -124,7 +124,7 @@ class GraspPreparer:
         self.objects: Mapping[str, ObjectModel] = {thing.name: thing}
         """The object by its name."""
         self._dynamics, self._seed = dynamics, seed
-        self._kinematics, self._clearance = ArmKinematics(cell, hand), ClearanceModel(cell, hand)
+        self._kinematics, self._clearance = ArmKinematics(cell, hand), ClearanceModel(cell, hand, thing)
         self._rng = np.random.default_rng(seed)
         self._reach = ReachChecker(cell, self._kinematics, self._clearance, self._rng)
         self._starts = StartPoses(hand, [thing])
@@ -167,10 +167,9 @@ class GraspPreparer:
                 obstacle = "no plan for it as it lies now is likely to succeed"
                 continue
             found, obstacle = self._reach.best(self._path(plan, start, fingers), arm)
-            ball = self._ball(object_pose)
             free = FreePath(self._kinematics, self._clearance, self._cell.workspace)
             for reach in found:
-                corners = free.find(arm, reach.start, fingers, ball, self._rng)
+                corners = free.find(arm, reach.start, fingers, object_pose, self._rng)
                 if corners is not None:
                     return PreparedGrasp(plan, fingers, reach, tuple(corners))
             if found:
@@ -250,14 +249,6 @@ class GraspPreparer:
         up[:, 2] += np.linspace(0.0, self._protocol.lift_height, 5)[1:]
         palm = np.concatenate([there, up])
         return PalmPath(palm, np.tile(fingers, (len(palm), 1)), 0.3)
-
-    def _ball(self, object_pose: np.ndarray) -> np.ndarray:
-        """A ball around the object: centre and radius [m], shape [4]."""
-        vertices = self._thing.vertices
-        middle = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
-        radius = np.linalg.norm(vertices - middle, axis=1).max()
-        center = compose(object_pose, np.concatenate([middle, [1.0, 0, 0, 0]]))[:3]
-        return np.append(center, radius)
 
     def placements(self, grasp: RobotGraspSet, object_pose: np.ndarray) -> Iterator[tuple[np.ndarray, str]]:
         """Poses of the object on the table from which the arm can reach the grasp as it seems, the least move

@@ -106,7 +106,7 @@ def reachable_placements(
         box,
         lower=tuple(np.add(box.lower, inner).tolist()),
         upper=tuple(np.subtract(box.upper, inner).tolist()),
-        table_clearance=2 * box.table_clearance,
+        table_clearance=1.5 * box.table_clearance,
         hand_depth=box.hand_depth - 0.5 * box.table_clearance,
     )
     cell = replace(cell, workspace=roomy)

@@ -18,6 +18,7 @@ from fungrasp.robots.twin.parameters import TwinParameters
 from fungrasp.robots.twin.world import TwinWorld
 from fungrasp.transfer.identification.excitation import Excitation, excitation_commands
 from fungrasp.transfer.identification.finger_chains import clear_of_itself, place_in_finger
+from fungrasp.transfer.identification.fingertip_weights import hang_weights
 from fungrasp.transfer.identification.fit import FitSettings, IdentifiedDynamics, fit_dynamics
 from fungrasp.transfer.identification.log_simulation import simulate_log
 from fungrasp.transfer.identification.motion_log import MotionLog
@@ -32,6 +33,16 @@ within a factor of e."""
 WRIST_TURNS = ((-3.2, 0.0), (-3.2, 0.5 * np.pi), (-3.2, -0.5 * np.pi))
 """Positions of a UR's joints wrist 1 and wrist 3 that turn the palm so that the fingers' weight pulls them to
 three sides [rad]."""
+
+ENOUGH = 0.1
+"""A joint that moves less in a log is excited more [rad]: dry friction alone holds the joints of a softly
+driven hand still within some 0.04 rad of where they are told to be."""
+
+GROWTH = 1.5
+"""By so much."""
+
+MOST_LOGS = 5
+"""Logs of one pose that are recorded until every joint moves enough."""
 
 ASIDE = np.array([0.0, 0.45, 0.1, 1.0, 0.0, 0.0, 0.0])
 """Where the object lies meanwhile, world frame."""
@@ -53,8 +64,10 @@ def record_on_twin(
     thing: ObjectModel,
     truth: TwinParameters,
     excitation: Excitation | None = None,
+    weight: float = 0.0,
 ) -> MotionLog:
-    """Excite the hand of a twin, the arm at home.
+    """Excite the hand of a twin, the arm at home. Joints that hardly move are excited more, and those in the
+    same place of other fingers with them, as fingers stay side by side.
 
     Args:
         cell: the robot.
@@ -62,21 +75,33 @@ def record_on_twin(
         thing: an object, which lies aside.
         truth: what is true of the twin.
         excitation: of the joints; ``MULTI_SINE`` if None.
+        weight: mass that is fixed to each fingertip [kg].
     """
     e = excitation or MULTI_SINE
     world = TwinWorld(cell, hand, thing, truth)
+    if weight:
+        hang_weights(world.model, hand, weight)
     world.settle(ASIDE)
     palm = ArmKinematics(cell, hand).palm_pose(np.asarray(cell.arm.home))
     gravity = rotate(invert(palm)[3:], np.array([0.0, 0.0, -9.81]))
     driver, clock = TwinHand(world, cell, hand), TwinClock(world)
     with driver:
         rest = driver.read().positions
-        names = tuple(hand.actuators)
-        alike = place_in_finger(hand, names)
-        e = replace(e, small_step=min(e.small_step, largest_step(hand)))
-        commands = excitation_commands(e, rest, driver.limits.lower, driver.limits.upper, alike)
-        commands = clear_of_itself(hand, commands)
-        return record_motion(driver, names, commands, e.rate, gravity, clock=clock)
+    names = tuple(hand.actuators)
+    alike = place_in_finger(hand, names)
+    e = replace(e, small_step=min(e.small_step, largest_step(hand)))
+    low, high = driver.limits.lower, driver.limits.upper
+    commands = excitation_commands(e, rest, low, high, alike)
+    more = np.ones(len(names))
+    for _ in range(MOST_LOGS):
+        larger = clear_of_itself(hand, np.clip(rest + more * (commands - rest), low, high))
+        with driver:
+            log = record_motion(driver, names, larger, e.rate, gravity, clock=clock, weight=weight)
+        weak = np.ptp(log.part(0.0, 0.5).positions, axis=0) < ENOUGH
+        if not weak.any():
+            break
+        more[np.isin(alike, alike[weak])] *= GROWTH
+    return log
 
 
 def largest_step(hand: Hand) -> float:
@@ -96,8 +121,10 @@ def identify_on_twin(
     truth: TwinParameters,
     excitation: Excitation | None = None,
     settings: FitSettings | None = None,
+    weight: float = 0.0,
 ) -> TwinIdentification:
-    """What identification finds of a twin's hand that a UR holds in three poses.
+    """What identification finds of a twin's hand that a UR holds in three poses, in each of them once more
+    with weights on its fingertips if there are any.
 
     Args:
         cell: the robot.
@@ -106,13 +133,15 @@ def identify_on_twin(
         truth: what is true of the twin; it is used to simulate, and hidden from the fit.
         excitation: of the joints; ``MULTI_SINE`` if None.
         settings: of the fit; ``ALL_ERRORS`` if None.
+        weight: mass that a person fixes to each fingertip [kg]; 0 for none.
     """
     e = excitation or MULTI_SINE
     logs = []
-    for number, (wrist_1, wrist_3) in enumerate(WRIST_TURNS):
+    turns = [(turn, mass) for mass in ((0.0, weight) if weight else (0.0,)) for turn in WRIST_TURNS]
+    for number, ((wrist_1, wrist_3), mass) in enumerate(turns):
         home = (*cell.arm.home[:3], wrist_1, cell.arm.home[4], wrist_3)
         turned = replace(cell, arm=replace(cell.arm, home=home))
-        logs.append(record_on_twin(turned, hand, thing, truth, replace(e, seed=e.seed + number)))
+        logs.append(record_on_twin(turned, hand, thing, truth, replace(e, seed=e.seed + number), mass))
     found = fit_dynamics(hand, [log.part(0.0, 0.5) for log in logs], settings or ALL_ERRORS)
     missed = [
         (simulate_log(hand, log, [found.dynamics], errors=[found.errors])[0] - log.positions)[

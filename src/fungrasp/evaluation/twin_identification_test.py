@@ -45,10 +45,18 @@ class TwinFit:
     """Simulated motions."""
     seconds: float
     """Time the fit took [s]."""
+    weight: float
+    """Mass on each fingertip in as many logs more [kg]; 0 for none."""
 
 
 def twin_fit(
-    cell: RobotCell, hand: Hand, thing: ObjectModel, twin: int, method: str, evaluations: int
+    cell: RobotCell,
+    hand: Hand,
+    thing: ObjectModel,
+    twin: int,
+    method: str,
+    evaluations: int,
+    weight: float = 0.0,
 ) -> TwinFit:
     """Identify the hand of a twin whose parameters are drawn.
 
@@ -59,10 +67,11 @@ def twin_fit(
         twin: which one.
         method: of the fit.
         evaluations: of CMA-ES.
+        weight: mass on each fingertip in as many logs more [kg]; 0 for none.
     """
     truth = cell_twin(cell, hand, twin)
     settings = replace(ALL_ERRORS, method=method, evaluations=evaluations)
-    identified = identify_on_twin(cell, hand, thing, truth, settings=settings)
+    identified = identify_on_twin(cell, hand, thing, truth, settings=settings, weight=weight)
     found, true = identified.found.dynamics, true_dynamics(hand, truth)
     model = true_dynamics(hand, None)
     errors = {name: _errors(found, true, name) for name in QUANTITIES}
@@ -82,6 +91,7 @@ def twin_fit(
         identified.held_out_rms,
         identified.found.simulations,
         identified.found.seconds,
+        weight,
     )
 
 

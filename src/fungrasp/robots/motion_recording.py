@@ -19,6 +19,7 @@ def record_motion(
     gravity: np.ndarray,
     stopped: Callable[[], bool] = lambda: False,
     clock: Clock | None = None,
+    weight: float = 0.0,
 ) -> MotionLog:
     """Command goals at a rate and record what was sent and measured at each; stop when anything is wrong.
 
@@ -30,6 +31,7 @@ def record_motion(
         gravity: in the palm's frame [m/s^2], shape [3].
         stopped: whether to end early.
         clock: of the device; that of the wall if None.
+        weight: mass that is fixed to each fingertip [kg].
 
     Raises:
         RobotError: the device stopped.
@@ -51,4 +53,4 @@ def record_motion(
             measured.append(state.positions)
     finally:
         driver.stop()
-    return MotionLog(joints, np.array(times), np.array(sent), np.array(measured), gravity)
+    return MotionLog(joints, np.array(times), np.array(sent), np.array(measured), gravity, weight)

@@ -9,7 +9,12 @@ import numpy as np
 
 from fungrasp.hands import Hand
 from fungrasp.hands.arm import FLANGE_SITE, PALM_SITE, arm_spec, mount, mounting_pose
+from fungrasp.objects import ObjectModel
+from fungrasp.objects.convex_decomposition import convex_hull
 from fungrasp.robots.cell import RobotCell
+
+OBJECT = "object to keep clear of"
+"""Name of its body, mesh and geom."""
 
 MARGIN = 0.03
 """Distances beyond this are not told apart [m]."""
@@ -78,20 +83,19 @@ class Clearance:
 class ClearanceModel:
     """Distances of the whole robot to the table and to itself."""
 
-    def __init__(self, cell: RobotCell, hand: Hand):
+    def __init__(self, cell: RobotCell, hand: Hand, thing: ObjectModel | None = None):
         """
         Args:
             cell: with the arm and its base.
             hand: on the arm.
+            thing: what the robot may keep clear of; nothing if None.
         """
         spec = mount(hand, cell.arm.model)
         base = spec.worldbody.first_body()
         base.pos, base.quat = cell.arm.pose_world_base[:3], cell.arm.pose_world_base[3:]
         spec.worldbody.add_geom(name="table", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[2, 2, 0.1])
-        ball = spec.worldbody.add_body(name="ball", mocap=True)
-        ball.add_geom(
-            name="ball", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.1, 0, 0], contype=0, conaffinity=0
-        )
+        if thing is not None:
+            _add_object(spec, thing)
         for geom in spec.geoms:
             geom.margin = 0.5 * MARGIN
         # Base and shoulder stand where they stand.
@@ -104,7 +108,7 @@ class ClearanceModel:
         self._arm_qpos = np.array([model.joint(name).qposadr[0] for name in arm])
         self._hand_qpos = np.array([model.joint(name).qposadr[0] for name in hand.joint_names])
         kind = np.zeros(model.nbody, dtype=int)
-        palm, ball_body = model.body(hand.palm).id, model.body("ball").id
+        palm = model.body(hand.palm).id
         for body in range(1, model.nbody):
             kind[body] = 1
             above = body
@@ -112,9 +116,12 @@ class ClearanceModel:
                 if above == palm:
                     kind[body] = 2
                 above = int(model.body_parentid[above])
-        kind[ball_body] = 0
+        self._object: int | None = None
+        if thing is not None:
+            kind[model.body(OBJECT).id] = 0
+            self._object = model.geom(OBJECT).id
         self._kind = kind[model.geom_bodyid]
-        """0 the table, 1 the arm, 2 the hand; of each geom."""
+        """0 table and object, 1 the arm, 2 the hand; of each geom."""
 
     def measure(self, arm: np.ndarray, fingers: np.ndarray) -> Clearance:
         """Distances in a posture. arm: [rad], shape [M]; fingers: independent joints [rad], shape [U]."""
@@ -137,18 +144,29 @@ class ClearanceModel:
             itself=least(low == 1),
         )
 
-    def distance_to_ball(self, ball: np.ndarray) -> float:
-        """Distance of arm and hand, in the posture last measured, to a ball [m], at most ``MARGIN``.
+    def place_object(self, pose: np.ndarray) -> None:
+        """Say where the object is, from the next measurement on. pose: world frame, shape [7]."""
+        self._data.mocap_pos[0], self._data.mocap_quat[0] = pose[:3], pose[3:]
 
-        Args:
-            ball: centre and radius [m], world frame, shape [4].
-        """
-        m, d = self._model, self._data
-        geom = m.geom("ball").id
-        d.geom_xpos[geom], m.geom_size[geom, 0], m.geom_rbound[geom] = ball[:3], ball[3], ball[3]
-        near = np.linalg.norm(d.geom_xpos - ball[:3], axis=1) - m.geom_rbound - ball[3] < MARGIN
+    def distance_to_object(self) -> float:
+        """Distance of arm and hand, in the posture last measured, to the convex hull of the object [m], at
+        most ``MARGIN``; negative where they overlap."""
+        m, d, thing = self._model, self._data, self._object
+        assert thing is not None, "made without an object"
+        reach = m.geom_rbound + m.geom_rbound[thing]
+        near = np.linalg.norm(d.geom_xpos - d.geom_xpos[thing], axis=1) - reach < MARGIN
         rows = np.flatnonzero(near & (self._kind >= 1))
         return min(
-            (float(mujoco.mj_geomDistance(m, d, int(row), geom, MARGIN, None)) for row in rows),
+            (float(mujoco.mj_geomDistance(m, d, int(row), thing, MARGIN, None)) for row in rows),
             default=MARGIN,
         )
+
+
+def _add_object(spec: mujoco.MjSpec, thing: ObjectModel) -> None:
+    """The convex hull of an object, which collides with nothing by itself."""
+    hull = convex_hull(thing.vertices)
+    mesh = spec.add_mesh(name=OBJECT)
+    mesh.uservert, mesh.userface = hull.vertices.ravel().tolist(), hull.faces.ravel().tolist()
+    mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
+    body = spec.worldbody.add_body(name=OBJECT, mocap=True)
+    body.add_geom(name=OBJECT, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=OBJECT, contype=0, conaffinity=0)

@@ -11,11 +11,20 @@ from fungrasp.robots.cell import MotionLimits, Workspace
 from fungrasp.robots.kinematics.arm_model import ArmKinematics, ClearanceModel
 from fungrasp.robots.kinematics.solutions import random_starts
 
+TRIES = 5000
+"""Random postures that the trees of a path grow towards, at most. Most ways are straight; those that need a
+tree take some hundreds, to another branch of solutions up to a few thousand: a second or two."""
+
 SPACING = 0.05
 """Largest change of a joint between two postures that are checked for collisions [rad]."""
 
 CLEAR = 0.005
 """Distance that the robot keeps from itself and, the hand included, from the table [m]."""
+
+
+OBJECT_CLEAR = 0.02
+"""Distance that it keeps from the convex hull of the object [m]; where a way begins or ends nearer, as near
+as that. What is seen of an object is up to a centimeter off."""
 
 
 def timed_leg(
@@ -70,13 +79,13 @@ class FreePath:
         """
         self._kinematics, self._clearance, self._workspace = kinematics, clearance, workspace
 
-    def clear(self, arm: np.ndarray, fingers: np.ndarray, ball: np.ndarray | None) -> bool:
+    def clear(self, arm: np.ndarray, fingers: np.ndarray, keep: float | None = None) -> bool:
         """Whether a posture touches nothing, the palm in the workspace.
 
         Args:
             arm: joints of the arm [rad], shape [M].
             fingers: independent joints [rad], shape [U].
-            ball: around the object, centre and radius [m], world frame, shape [4]; None for no object.
+            keep: distance from the object at least [m]; None for no object.
         """
         palm, box = self._kinematics.palm_pose(arm)[:3], self._workspace
         if (palm < box.lower).any() or (palm > box.upper).any():
@@ -84,16 +93,16 @@ class FreePath:
         gap = self._clearance.measure(arm, fingers)
         if min(gap.table, gap.hand, gap.itself) < CLEAR:
             return False
-        return ball is None or self._clearance.distance_to_ball(ball) > 0.0
+        return keep is None or self._clearance.distance_to_object() >= keep
 
     def find(
         self,
         start: np.ndarray,
         end: np.ndarray,
         fingers: np.ndarray,
-        ball: np.ndarray | None,
+        object_pose: np.ndarray | None,
         rng: np.random.Generator,
-        tries: int = 300,
+        tries: int = TRIES,
     ) -> list[np.ndarray] | None:
         """Corners of a path, ``start`` left out; None if none was found.
 
@@ -101,16 +110,17 @@ class FreePath:
             start: joints of the arm [rad], shape [M].
             end: joints of the arm [rad], shape [M].
             fingers: independent joints [rad], shape [U].
-            ball: as for ``clear``.
+            object_pose: of the clearance model's object, world frame, shape [7]; None for no object.
             rng: of the postures that are tried.
             tries: how many.
         """
+        keep = None if object_pose is None else self._distance_kept([start, end], fingers, object_pose)
 
         def free(one: np.ndarray, other: np.ndarray) -> bool:
             count = max(2, int(np.ceil(np.abs(other - one).max() / SPACING)) + 1)
-            return all(self.clear(q, fingers, ball) for q in np.linspace(one, other, count)[1:])
+            return all(self.clear(q, fingers, keep) for q in np.linspace(one, other, count)[1:])
 
-        if not (self.clear(start, fingers, ball) and self.clear(end, fingers, ball)):
+        if not (self.clear(start, fingers, keep) and self.clear(end, fingers, keep)):
             return None
         if free(start, end):
             return [end]
@@ -128,6 +138,15 @@ class FreePath:
                     way = [*_branch(first, reached)[::-1], *_branch(second, reached)[1:]]
                     return _shortcut(way, free)[1:]
         return None
+
+    def _distance_kept(self, ends: list[np.ndarray], fingers: np.ndarray, object_pose: np.ndarray) -> float:
+        """Distance that a way between two postures keeps from the object [m]."""
+        self._clearance.place_object(object_pose)
+        kept = OBJECT_CLEAR
+        for arm in ends:
+            self._clearance.measure(arm, fingers)
+            kept = min(kept, self._clearance.distance_to_object())
+        return max(kept, 0.0)
 
 
 _Tree = tuple[list[np.ndarray], list[int]]

@@ -19,6 +19,10 @@ STARTS = 48
 LEAST_MANIPULABILITY = 0.04
 """Nearer to a singularity the arm is not taken."""
 
+TABLE_ROOM = 0.005
+"""The arm of a plan stays so much farther from the table than the arm that moves must [m]: policies correct
+the palm by some millimeters."""
+
 LARGEST_ERROR = 0.002
 """Error of the palm on the path beyond which it does not follow [m, and rad for ten times as much]."""
 
@@ -154,7 +158,7 @@ class ReachChecker:
                 obstacle = "the arm doesn't reach so far, or would have to move too fast"
             elif gap.itself < CLEAR:
                 obstacle = "the arm or the hand would touch the arm"
-            elif gap.table < workspace.table_clearance:
+            elif gap.table < workspace.table_clearance + TABLE_ROOM:
                 obstacle = "the arm would touch the table"
             elif hand_matters and gap.hand < -workspace.hand_depth:
                 obstacle = "the hand would press into the table"

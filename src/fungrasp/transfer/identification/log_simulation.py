@@ -11,6 +11,7 @@ import numpy as np
 
 from fungrasp.hands import Hand
 from fungrasp.simulation.joint_response import STEP, joint_response
+from fungrasp.transfer.identification.fingertip_weights import hang_weights
 from fungrasp.transfer.identification.motion_log import MotionLog
 from fungrasp.transfer.joint_dynamics import JointDynamics, set_dynamics
 
@@ -54,6 +55,8 @@ def simulate_log(
     model.opt.noslip_iterations = NOSLIP
     model.opt.gravity = log.gravity
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
+    if log.weight:
+        hang_weights(model, hand, log.weight)
     names = list(hand.actuators)
     columns = [names.index(joint) for joint in log.joints]
     first = log.positions[0] if start is None else start

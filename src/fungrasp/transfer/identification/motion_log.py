@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,8 @@ SHORTEST = 0.5
 """Of a log [s]."""
 LARGEST_TEXT = 50_000_000
 """Of a step response [bytes]."""
+HEAVIEST = 2.0
+"""Of the masses on fingertips [kg]."""
 LEAST_MOTION = 0.05
 """A joint that moves less is not identified [rad]."""
 
@@ -35,6 +37,8 @@ class MotionLog:
     """Measured positions [rad], shape [T, J]."""
     gravity: np.ndarray
     """Gravity in the palm's frame [m/s^2], shape [3]; zero where it is to be left out."""
+    weight: float = 0.0
+    """Mass that was fixed to each fingertip [kg]."""
 
     def __post_init__(self) -> None:
         shape = (len(self.times), len(self.joints))
@@ -44,6 +48,10 @@ class MotionLog:
             )
         if not all(np.isfinite(a).all() for a in (self.times, self.commands, self.positions, self.gravity)):
             raise FungraspError("a motion log holds values that are not finite")
+        if not 0 <= self.weight < HEAVIEST:
+            raise FungraspError(
+                f"the mass on each fingertip lies from 0 to {HEAVIEST} kg, not {self.weight:g} kg"
+            )
         if len(self.times) < 2 or (np.diff(self.times) <= 0).any():
             raise FungraspError("the times of a motion log do not increase")
 
@@ -55,8 +63,8 @@ class MotionLog:
 
     def rows(self, rows: np.ndarray) -> MotionLog:
         """Some rows, shape [R]."""
-        return MotionLog(
-            self.joints, self.times[rows], self.commands[rows], self.positions[rows], self.gravity
+        return replace(
+            self, times=self.times[rows], commands=self.commands[rows], positions=self.positions[rows]
         )
 
     def check_excitation(self) -> None:
@@ -82,6 +90,7 @@ def save_motion_log(path: str | Path, log: MotionLog) -> None:
         "commands": log.commands,
         "positions": log.positions,
         "gravity": log.gravity,
+        "weight": np.array(log.weight),
     }
     with atomic_path(path) as temporary, temporary.open("wb") as file:
         np.savez_compressed(file, **arrays)
@@ -99,7 +108,8 @@ def load_motion_log(path: str | Path) -> MotionLog:
             raise FungraspError(f"{path} is no motion log: '{name}' is missing")
     joints = tuple(str(name) for name in arrays.pop("joints"))
     try:
-        return MotionLog(joints, **{k: np.asarray(v, dtype=float) for k, v in arrays.items()})
+        weight = float(arrays.pop("weight", np.zeros(())))
+        return MotionLog(joints, **{k: np.asarray(v, dtype=float) for k, v in arrays.items()}, weight=weight)
     except (FungraspError, TypeError, ValueError) as error:
         raise FungraspError(f"{path}: {error}") from error
 

@@ -1,0 +1,251 @@
+"""One grasp on one twin, kept on disk as soon as it is finished."""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from fungrasp import __version__
+from fungrasp.deployment.deployment import DeploymentSettings
+from fungrasp.deployment.hand_knowledge import HandDynamics
+from fungrasp.deployment.preparation import UnreachableError
+from fungrasp.deployment.twin_deployment import deploy_on_twin, reachable_placement
+from fungrasp.evaluation.partial_results import PartialResults
+from fungrasp.files import digest
+from fungrasp.grasps import RobotGraspSet
+from fungrasp.hands import Hand
+from fungrasp.objects import ObjectModel
+from fungrasp.planning import ConstrainedPlanner, Planner
+from fungrasp.planning.selection import Feasible
+from fungrasp.robots.cell import RobotCell
+from fungrasp.robots.twin.parameters import TwinParameters
+from fungrasp.robots.twin.twin_model import TwinPhysics
+from fungrasp.task import Belief, GraspPlan, Policy
+
+
+@dataclass(frozen=True)
+class TwinVariant:
+    """A way to deploy."""
+
+    name: str
+    """Name in results."""
+    compensate: bool = True
+    """Whether the hand's weight is carried."""
+    identified: bool = True
+    """Whether planner and robot know the identified dynamics of the hand."""
+
+
+@dataclass(frozen=True)
+class TwinEpisode:
+    """One grasp on one twin."""
+
+    index: int
+    """Row of the grasp in its file."""
+    object: str
+    """Name of the object."""
+    twin: int
+    """Which twin."""
+    variant: str
+    """How it was deployed."""
+    success: bool
+    """Whether the object was lifted and held."""
+    height_m: float
+    """Least height during the hold [m]; -1 where there was none."""
+    fault: str
+    """Why the robot stopped, "" if it did not."""
+    tracking_rad: float
+    """RMS error of the hand's joints before the fingers close [rad]; -1 where the motion did not begin."""
+    sag_rad: float
+    """Largest mean error of a joint over the same time [rad]; -1 where the motion did not begin."""
+
+
+@dataclass(frozen=True, eq=False)
+class PlacedGrasp:
+    """A grasp, and where a person would put the object so that the arm can reach it."""
+
+    number: int
+    """Row of the grasp in its file."""
+    grasp: RobotGraspSet
+    """One grasp."""
+    placement: np.ndarray | None
+    """Where the object is put, world frame, shape [7]; it settles. None if the arm can't reach the grasp from
+    any placement that was tried."""
+
+
+class RememberingPlanner:
+    """Plans of one grasp: variants that know the same are planned once."""
+
+    def __init__(self, planner: Planner):
+        """planner: that plans what is not remembered."""
+        self._planner = planner
+        self._plans: dict[tuple[int, bytes], GraspPlan] = {}
+
+    def plan(
+        self,
+        grasps: RobotGraspSet,
+        belief: Belief,
+        seed: int = 0,
+        progress: Callable[[float], None] = lambda done: None,
+    ) -> GraspPlan:
+        """See ``Planner.plan``."""
+        key = seed, pickle.dumps(belief)
+        if key not in self._plans:
+            self._plans[key] = self._planner.plan(grasps, belief, seed, progress)
+        return self._plans[key]
+
+    def plan_within(
+        self, grasps: RobotGraspSet, belief: Belief, feasible: Feasible, seed: int = 0
+    ) -> GraspPlan:
+        """See ``ConstrainedPlanner.plan_within``: what is feasible is the same in all variants."""
+        if not isinstance(self._planner, ConstrainedPlanner):
+            return self.plan(grasps, belief, seed)
+        key = seed, pickle.dumps(belief)
+        if key not in self._plans:
+            self._plans[key] = self._planner.plan_within(grasps, belief, feasible, seed)
+        return self._plans[key]
+
+
+@dataclass(frozen=True, eq=False)
+class TwinSetup:
+    """What all episodes of a test share, and what was kept of them."""
+
+    objects: Mapping[str, ObjectModel]
+    """By name."""
+    hand: Hand
+    """On the arm."""
+    cell: RobotCell
+    """The robot."""
+    policy: Policy
+    """What acts."""
+    planner: Planner
+    """Of the policy."""
+    physics: TwinPhysics | None = None
+    """Of the twins; the default if None."""
+    store: PartialResults | None = None
+    """Keeps what is finished, and knows what an earlier run has finished; None to keep nothing."""
+    policy_key: str = ""
+    """Tells policies and planners apart in the store."""
+
+    def place(self, number: int, grasp: RobotGraspSet) -> PlacedGrasp:
+        """Look for a placement of the object from which the arm can reach a grasp.
+
+        Args:
+            number: row of the grasp in its file.
+            grasp: one.
+        """
+        thing = self.objects[grasp.object_name[0]]
+
+        def find() -> dict[str, np.ndarray]:
+            try:
+                return {"placement": reachable_placement(self.cell, self.hand, thing, grasp)}
+            except UnreachableError:
+                return {"placement": np.zeros(0)}
+
+        found = self._kept("placement", grasp, find)["placement"]
+        return PlacedGrasp(number, grasp, found if len(found) else None)
+
+    def identified(self, truth: TwinParameters, fit: Callable[[], HandDynamics]) -> HandDynamics:
+        """What identification says of a twin's hand.
+
+        Args:
+            truth: of the twin.
+            fit: identifies it, where that was not done by an earlier run.
+        """
+        return HandDynamics(**self._kept("dynamics", None, lambda: vars(fit()), asdict(truth)))
+
+    def run(
+        self,
+        placed: PlacedGrasp,
+        twin: int,
+        truth: TwinParameters,
+        variant: TwinVariant,
+        dynamics: HandDynamics | None,
+        planner: RememberingPlanner,
+    ) -> TwinEpisode:
+        """Deploy one grasp on one twin.
+
+        Args:
+            placed: with a placement.
+            twin: names the twin.
+            truth: what is true of it.
+            variant: how.
+            dynamics: what is known of the hand; the model's if None.
+            planner: of this grasp.
+        """
+        thing, where = self.objects[placed.grasp.object_name[0]], placed.placement
+        assert where is not None, "only grasps that can be reached are tried"
+
+        def deploy() -> dict[str, np.ndarray]:
+            try:
+                outcome = deploy_on_twin(
+                    self.cell,
+                    self.hand,
+                    thing,
+                    placed.grasp,
+                    where,
+                    self.policy,
+                    planner,
+                    truth,
+                    dynamics=dynamics,
+                    compensate=variant.compensate,
+                    physics=self.physics,
+                    settings=DeploymentSettings(look_time=0.4, put_down=False),
+                    advise=False,
+                )
+            except UnreachableError as error:
+                return _arrays(False, -1.0, str(error)[:80], -1.0, -1.0)
+            measured = (
+                value if np.isfinite(value) else -1.0
+                for value in (outcome.height, outcome.tracking, outcome.sag)
+            )
+            height, tracking, sag = measured
+            return _arrays(outcome.success, height, outcome.result.fault, tracking, sag)
+
+        found = self._kept(
+            "episode",
+            placed.grasp,
+            deploy,
+            where,
+            asdict(truth),
+            {} if dynamics is None else vars(dynamics),
+            variant.compensate,
+            self.physics or TwinPhysics(),
+            self.policy_key,
+        )
+        values = {name: value.item() for name, value in found.items()}
+        return TwinEpisode(placed.number, thing.name, twin, variant.name, **values)
+
+    def _kept(
+        self,
+        what: str,
+        grasp: RobotGraspSet | None,
+        make: Callable[[], dict[str, np.ndarray]],
+        *besides: Any,
+    ) -> dict[str, np.ndarray]:
+        """Arrays that were kept, or are made and kept. besides: what they depend on beside cell, hand and
+        grasp."""
+        if self.store is None:
+            return make()
+        about: list[Any] = [__version__, mujoco.__version__, self.cell]
+        about += [self.hand.path.read_bytes(), self.hand.model_path.read_bytes()]
+        about.append({name: asdict(servo) for name, servo in self.hand.actuators.items()})
+        if grasp is not None:
+            about.append({name: getattr(grasp, name) for name in grasp.FIELDS})
+            about += [grasp.extra, self.objects[grasp.object_name[0]].digest]
+        key = digest(what, *about, *besides)
+        found = self.store.load(key)
+        if found is None:
+            found = make()
+            self.store.save(key, found)
+        return found
+
+
+def _arrays(success: bool, height: float, fault: str, tracking: float, sag: float) -> dict[str, np.ndarray]:
+    """What was measured in an episode, by the names of ``TwinEpisode``."""
+    values = {"success": success, "height_m": height, "fault": fault, "tracking_rad": tracking}
+    return {name: np.asarray(value) for name, value in {**values, "sag_rad": sag}.items()}
