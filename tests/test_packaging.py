@@ -51,7 +51,6 @@ IMPORTED_ELSEWHERE = {
     "msgpack",
     "pymodbus",
     "pyserial",
-    "python_can",
     "pyzmq",
     "ruckig",
     "tensorboard",
@@ -184,7 +183,13 @@ def test_the_imported_packages_are_declared() -> None:
         *(need for extra in EXTRAS for need in project["optional-dependencies"][extra]),
     ]
     names = {re.split(r"[\[<>= ]", need)[0].lower().replace("-", "_") for need in declared}
-    modules = {"mujoco": "mujoco_core", "PIL": "pillow", "rsl_rl": "rsl_rl_lib", "yaml": "pyyaml"}
+    modules = {
+        "can": "python_can",
+        "mujoco": "mujoco_core",
+        "PIL": "pillow",
+        "rsl_rl": "rsl_rl_lib",
+        "yaml": "pyyaml",
+    }
     imported: set[str] = set()
     for path in SOURCE.rglob("*.py"):
         found = re.findall(r"^\s*(?:import (\w+)|from (\w+)[\w.]* import)", path.read_text(), re.MULTILINE)
