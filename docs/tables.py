@@ -314,9 +314,19 @@ def ablations() -> Table:
 
 def privileged() -> Table:
     """What is known of the contacts (Table V of the paper), with three seeds, under nominal and reality."""
-    head = ("policy", "nominal", "contact ratio", "not adapted", "reality", "contact ratio", "paper: success")
+    return _reproduced("table-privileged", "policy")
+
+
+def paper_hands() -> Table:
+    """Students of the paper's hands (Table III of the paper), with equal budgets."""
+    return _reproduced("table-hands", "hand")
+
+
+def _reproduced(name: str, what: str) -> Table:
+    """A table of ``fungrasp reproduce``: the kept result's name, and what its rows are."""
+    head = (what, "nominal", "contact ratio", "not adapted", "reality", "contact ratio", "paper: success")
     rows = []
-    for policy in _read("table-privileged").header["policies"]:
+    for policy in _read(name).header["policies"]:
         nominal, unadapted, reality = policy["conditions"].values()
         paper = policy["paper"]
         rows.append(
@@ -330,7 +340,7 @@ def privileged() -> Table:
                 NONE if paper is None else f"{100 * paper['success']:.0f} %",
             )
         )
-    return Table(head, rows, ["table-privileged"])
+    return Table(head, rows, [name])
 
 
 def perception() -> Table:
@@ -709,6 +719,7 @@ BUILDERS: dict[str, Callable[[], Table]] = {
     "robustness": robustness,
     "ablations": ablations,
     "privileged": privileged,
+    "paper_hands": paper_hands,
     "perception": perception,
     "chain": chain,
     "driver_faults": driver_faults,
