@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fungrasp.cli.console import table
-from fungrasp.cli.grasp_choice import ChosenGrasp, GraspChoice, deployable_policy, robot_planner
+from fungrasp.cli.grasp_choice import ChosenGrasp, GraspChoice, deployment_task
 from fungrasp.errors import FungraspError
 
 if TYPE_CHECKING:
@@ -57,25 +57,9 @@ class BenchWire:
         print(f"of {len(runs)} runs: {lifted} lifted and held, {home} of them put down and home again")
 
     def _run(self, cell: RobotCell, hand: Hand, chosen: ChosenGrasp, twin: int) -> WireRun:
-        from fungrasp.deployment.hand_knowledge import hand_knowledge
-        from fungrasp.deployment.wired_deployment import DeploymentTask
         from fungrasp.evaluation.wire_test import run_over_the_wire
 
-        objects = {chosen.thing.name: chosen.thing}
-        policy = deployable_policy(self.policy, hand, objects)
-        known = hand_knowledge(cell, hand)
-        planner = robot_planner(self.policy, known.planned, objects, self.choice.threads)
-        task = DeploymentTask(
-            cell,
-            hand,
-            chosen.thing,
-            chosen.grasp,
-            policy,
-            planner,
-            known.dynamics,
-            known.stiffness,
-            seed=twin,
-        )
+        task = deployment_task(cell, hand, chosen, self.policy, self.choice.threads, seed=twin)
         run = run_over_the_wire(task, twin)
         return replace(run, images=chosen.images, grasp_seconds=chosen.seconds)
 

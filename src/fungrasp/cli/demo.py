@@ -221,11 +221,10 @@ class Demo:
                 record=folder / "episodes",
                 progress=show,
             )
-        files = sorted((folder / "episodes").iterdir())
-        lifts = [replay(file) for file in files if not file.stem.endswith("_use")]
-        uses = [replay(file) for file in files if file.stem.endswith("_use")]
-        lifts.sort(key=lambda episode: episode.index)
-        return result, lifts, {episode.index: episode for episode in uses}
+        episodes = [replay(file) for file in (folder / "episodes").iterdir()]
+        episodes.sort(key=lambda episode: episode.index)
+        lifts = [episode for episode in episodes if not episode.is_use_test]
+        return result, lifts, {episode.index: episode for episode in episodes if episode.is_use_test}
 
     def _policy(self, hand: Hand) -> str:
         """The name of what moves the hand.

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from fungrasp.cli.grasp_choice import GraspChoice, deployable_policy, robot_planner
+from fungrasp.cli.grasp_choice import GraspChoice, deployment_task
 
 if TYPE_CHECKING:
     from fungrasp.deployment.deployment import DeploymentResult
@@ -54,9 +54,7 @@ class Deploy:
         from time import strftime
 
         from fungrasp.deployment.emergency_stop import StopSwitch
-        from fungrasp.deployment.hand_knowledge import hand_knowledge
         from fungrasp.deployment.log import McapLog
-        from fungrasp.deployment.wired_deployment import DeploymentTask
         from fungrasp.errors import FungraspError
         from fungrasp.hands import load_hand
         from fungrasp.policies import OpenLoopPolicy, check_attempts
@@ -70,24 +68,18 @@ class Deploy:
         if self.hand and load_hand(self.hand).name != hand.name:
             raise FungraspError(f"robot cell '{cell.name}' carries the hand '{hand.name}', not '{self.hand}'")
         chosen = self.choice.chosen(hand, self.seed)
-        objects = {chosen.thing.name: chosen.thing}
-        policy = deployable_policy(self.policy, hand, objects)
-        check_attempts(self.attempts, not isinstance(policy, OpenLoopPolicy))
-        known = hand_knowledge(cell, hand, self.hand_dynamics)
-        planner = robot_planner(self.policy, known.planned, objects, self.choice.threads)
-        task = DeploymentTask(
+        task = deployment_task(
             cell,
             hand,
-            chosen.thing,
-            chosen.grasp,
-            policy,
-            planner,
-            known.dynamics,
-            known.stiffness,
-            not self.no_gravity_compensation,
-            self.dry_run,
-            self.seed,
+            chosen,
+            self.policy,
+            self.choice.threads,
+            hand_dynamics=self.hand_dynamics,
+            compensate=not self.no_gravity_compensation,
+            dry_run=self.dry_run,
+            seed=self.seed,
         )
+        check_attempts(self.attempts, not isinstance(task.policy, OpenLoopPolicy))
         with ExitStack() as stack:
             log = stack.enter_context(McapLog(self.log or Path(strftime("deploy-%Y%m%d-%H%M%S.mcap"))))
             switch = stack.enter_context(StopSwitch(cell.stop_file, keyboard=True))

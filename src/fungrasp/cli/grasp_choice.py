@@ -10,11 +10,13 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from fungrasp.deployment.wired_deployment import DeploymentTask
     from fungrasp.grasps import HumanGraspSet, RobotGraspSet
     from fungrasp.hands import Hand
     from fungrasp.objects import ObjectModel
     from fungrasp.perception.pipeline import Perceived
     from fungrasp.planning import Planner
+    from fungrasp.robots.cell import RobotCell
     from fungrasp.task import Policy
 
 RENDERED = "rendered"
@@ -137,6 +139,54 @@ class GraspChoice:
             if not said:
                 return one_grasp(seen.grasp), {model.name: model}, attempt + 1, began
         raise FungraspError(f"{MOST_IMAGES} rendered images of '{model.name}' were not good enough: {said}")
+
+
+def deployment_task(
+    cell: RobotCell,
+    hand: Hand,
+    chosen: ChosenGrasp,
+    policy: str,
+    threads: int = 0,
+    *,
+    hand_dynamics: Path | None = None,
+    compensate: bool = True,
+    dry_run: bool = False,
+    seed: int = 0,
+) -> DeploymentTask:
+    """What a robot is to do with a chosen grasp: with the policy, its planner, and what is known of the hand.
+
+    Args:
+        cell: the robot.
+        hand: on its arm.
+        chosen: the grasp.
+        policy: name of what acts.
+        threads: of the planner; 0 means all processors.
+        hand_dynamics: file of identified dynamics, in place of the cell's.
+        compensate: whether the hand's weight is carried.
+        dry_run: read everything, send nothing.
+        seed: of the plan.
+
+    Raises:
+        FungraspError: as ``deployable_policy``, ``hand_knowledge`` and ``robot_planner``.
+    """
+    from fungrasp.deployment.hand_knowledge import hand_knowledge
+    from fungrasp.deployment.wired_deployment import DeploymentTask
+
+    objects = {chosen.thing.name: chosen.thing}
+    known = hand_knowledge(cell, hand, hand_dynamics)
+    return DeploymentTask(
+        cell,
+        hand,
+        chosen.thing,
+        chosen.grasp,
+        deployable_policy(policy, hand, objects),
+        robot_planner(policy, known.planned, objects, threads),
+        known.dynamics,
+        known.stiffness,
+        compensate,
+        dry_run,
+        seed,
+    )
 
 
 def robot_planner(name: str, hand: Hand, objects: Mapping[str, ObjectModel], threads: int = 0) -> Planner:

@@ -90,6 +90,11 @@ class Trajectory:
             np.savez_compressed(stream, **short)  # pyright: ignore[reportArgumentType]
 
     @property
+    def is_use_test(self) -> bool:
+        """Whether it is of a use test, not of a lift test."""
+        return bool((self.phase == PHASES.index("use")).any())
+
+    @property
     def phases(self) -> list[tuple[float, str]]:
         """Start [s] and name of each phase, as ``fungrasp.report.film`` takes them."""
         starts = np.flatnonzero(np.diff(self.phase, prepend=-1))

@@ -93,20 +93,21 @@ class RememberingPlanner:
         progress: Callable[[float], None] = lambda done: None,
     ) -> GraspPlan:
         """See ``Planner.plan``."""
-        key = seed, pickle.dumps(belief)
-        if key not in self._plans:
-            self._plans[key] = self._planner.plan(grasps, belief, seed, progress)
-        return self._plans[key]
+        return self._remembered(belief, seed, lambda: self._planner.plan(grasps, belief, seed, progress))
 
     def plan_within(
         self, grasps: RobotGraspSet, belief: Belief, feasible: Feasible, seed: int = 0
     ) -> GraspPlan:
         """See ``ConstrainedPlanner.plan_within``: what is feasible is the same in all variants."""
-        if not isinstance(self._planner, ConstrainedPlanner):
+        planner = self._planner
+        if not isinstance(planner, ConstrainedPlanner):
             return self.plan(grasps, belief, seed)
+        return self._remembered(belief, seed, lambda: planner.plan_within(grasps, belief, feasible, seed))
+
+    def _remembered(self, belief: Belief, seed: int, make: Callable[[], GraspPlan]) -> GraspPlan:
         key = seed, pickle.dumps(belief)
         if key not in self._plans:
-            self._plans[key] = self._planner.plan_within(grasps, belief, feasible, seed)
+            self._plans[key] = make()
         return self._plans[key]
 
 

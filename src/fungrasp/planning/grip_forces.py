@@ -13,6 +13,10 @@ from fungrasp.optimization.collision_scene import CollisionScene
 from fungrasp.optimization.firmness import contacts_of_links
 from fungrasp.optimization.hand_state import HandPoints, HandState
 
+NEAR = 0.006
+"""Links that close onto the object are at most so far from it in the grasp [m]."""
+FRICTION = 0.6
+"""Coefficient to plan with; less than the true one, to be safe."""
 TORQUE_SHARE = 0.9
 """Share of the servos' torque limits that the squeeze and its answer to a load may use."""
 BALANCE_WEIGHT = 10.0
@@ -135,8 +139,8 @@ def squeeze_torques(
     stiffness: np.ndarray,
     loads: np.ndarray,
     least: np.ndarray,
-    friction: float = 0.6,
-    near: float = 0.006,
+    friction: float = FRICTION,
+    near: float = NEAR,
 ) -> np.ndarray:
     """Joint torques that squeeze [N m], shape [N, U]: those of ``holding_forces``.
 

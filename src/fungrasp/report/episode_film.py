@@ -10,7 +10,6 @@ import mujoco
 import numpy as np
 
 from fungrasp.evaluation import Trajectory
-from fungrasp.evaluation.trajectory import PHASES
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
 from fungrasp.rendering.camera import Camera
@@ -89,7 +88,7 @@ def episode_film(
         phase = [name for start, name in episode_phases(trajectory) if start <= time][-1]
         clock = f"{time - at[0]:.1f} s"
         yield captioned(picture, " · ".join(filter(None, (title, phase))), clock)
-    done = "used" if PHASES[int(trajectory.phase[-1])] == "use" else "lifted and held"
+    done = "used" if trajectory.is_use_test else "lifted and held"
     verdict = done if trajectory.success else f"failed: {trajectory.reason}"
     for _ in range(round(VERDICT_TIME * fps)):
         yield captioned(picture, " · ".join(filter(None, (title, verdict))), clock)

@@ -15,14 +15,10 @@ from fungrasp.optimization.collision_scene import CollisionScene
 from fungrasp.optimization.firmness import contacts_of_links, unresisted_wrenches
 from fungrasp.optimization.hand_state import HandPoints, HandState
 from fungrasp.planning.expected_loads import use_loads
+from fungrasp.planning.grip_forces import FRICTION, NEAR
 from fungrasp.task import GraspPlan
 from fungrasp.task.use import UseMotion, load_use_motions, motion_of
 from fungrasp.task.use.functional_contact import touched_parts
-
-NEAR = 0.006
-"""Links that close onto the object, as for the squeeze: at most so far from it in the grasp [m]."""
-FRICTION = 0.6
-"""Coefficient to plan with, as for the squeeze."""
 
 
 def resisted_share(
