@@ -38,8 +38,10 @@ class EvaluateOnTwins:
     """Which twins."""
     in_turn: bool = False
     """Each grasp on one of the twins, in turn, in place of all."""
+    places: int = 1
+    """Places of the object in which each grasp is tried."""
     variants: tuple[str, ...] = ("no identification", "no gravity compensation", "ours")
-    """Ways to deploy."""
+    """Ways to deploy: these, or "ours, two attempts"."""
     policy: str = "plan"
     """What acts."""
     told: bool = False
@@ -111,6 +113,7 @@ class EvaluateOnTwins:
             planner,
             store=store,
             policy_key=digest(self.policy, files.digests(), getattr(planner, "key", "")),
+            places=self.places,
         )
         placed: list[PlacedGrasp] = []
         thing = objects[human.object_name[0]]
@@ -136,9 +139,9 @@ class EvaluateOnTwins:
             identify=told_dynamics(hand) if self.told else identify,
         ):
             episodes.append(episode)
-            beyond = [one.number for one in placed if one.placement is None]
-            header["out_of_reach"] = " ".join(map(str, beyond))
-            header["grasps_that_can_be_reached"] = len(placed) - len(beyond)
+            beyond = {one.number for one in placed if not len(one.placements)}
+            header["out_of_reach"] = " ".join(map(str, sorted(beyond)))
+            header["grasps_that_can_be_reached"] = len({one.number for one in placed} - beyond)
             write_result(self.out, header, episode_rows(episodes))
         if not episodes:
             raise FungraspError(

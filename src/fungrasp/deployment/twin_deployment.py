@@ -41,6 +41,9 @@ ROOM = 0.02
 """An object is put so that the palm stays so far within the sides of the workspace [m]: what is seen of it is
 up to a centimetre off, and plans differ."""
 
+MOST_PLACEMENTS = 3
+"""Places where the object is put before a grasp counts as one that the robot can't reach."""
+
 PLACEMENTS_PLANNED = 12
 """Placements for which a motion is planned: a second or two each."""
 

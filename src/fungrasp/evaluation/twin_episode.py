@@ -5,6 +5,7 @@ from __future__ import annotations
 import pickle
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
+from itertools import islice
 from typing import Any
 
 import mujoco
@@ -14,7 +15,7 @@ from fungrasp import __version__
 from fungrasp.deployment.deployment import DeploymentSettings
 from fungrasp.deployment.hand_knowledge import HandDynamics
 from fungrasp.deployment.preparation import UnreachableError
-from fungrasp.deployment.twin_deployment import deploy_on_twin, reachable_placement
+from fungrasp.deployment.twin_deployment import MOST_PLACEMENTS, deploy_on_twin, reachable_placements
 from fungrasp.evaluation.partial_results import PartialResults
 from fungrasp.files import digest
 from fungrasp.grasps import RobotGraspSet
@@ -38,6 +39,8 @@ class TwinVariant:
     """Whether the hand's weight is carried."""
     identified: bool = True
     """Whether planner and robot know the identified dynamics of the hand."""
+    attempts: int = 1
+    """Most attempts of the robot at the object (``DeploymentSettings.attempts``)."""
 
 
 @dataclass(frozen=True)
@@ -62,6 +65,12 @@ class TwinEpisode:
     """RMS error of the hand's joints before the fingers close [rad]; -1 where the motion did not begin."""
     sag_rad: float
     """Largest mean error of a joint over the same time [rad]; -1 where the motion did not begin."""
+    place: int = 0
+    """Which of the grasp's places."""
+    placements: int = 0
+    """Placements of the object; of all but the last the robot said that it can't reach the grasp."""
+    attempts: int = 0
+    """Attempts of the robot at the object."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,9 +81,11 @@ class PlacedGrasp:
     """Row of the grasp in its file."""
     grasp: RobotGraspSet
     """One grasp."""
-    placement: np.ndarray | None
-    """Where the object is put, world frame, shape [7]; it settles. None if the arm can't reach the grasp from
-    any placement that was tried."""
+    placements: np.ndarray
+    """Where the object is put, and where next if the robot says that it can't reach it there, world frame,
+    shape [P, 7]; it settles. Empty if the arm can't reach the grasp from any placement that was tried."""
+    place: int = 0
+    """Which of the grasp's places; each has placements of its own."""
 
 
 class RememberingPlanner:
@@ -131,24 +142,33 @@ class TwinSetup:
     """Keeps what is finished, and knows what an earlier run has finished; None to keep nothing."""
     policy_key: str = ""
     """Tells policies and planners apart in the store."""
+    places: int = 1
+    """Places in which each grasp is tried."""
 
-    def place(self, number: int, grasp: RobotGraspSet) -> PlacedGrasp:
-        """Look for a placement of the object from which the arm can reach a grasp.
+    def place(self, number: int, grasp: RobotGraspSet) -> list[PlacedGrasp]:
+        """Look for placements of the object from which the arm can reach a grasp.
 
         Args:
             number: row of the grasp in its file.
             grasp: one.
+
+        Returns:
+            the grasp in each of its places; one without placements if the arm can't reach it.
         """
         thing = self.objects[grasp.object_name[0]]
+        most = MOST_PLACEMENTS * self.places
 
         def find() -> dict[str, np.ndarray]:
             try:
-                return {"placement": reachable_placement(self.cell, self.hand, thing, grasp)}
+                some = islice(reachable_placements(self.cell, self.hand, thing, grasp), most)
+                return {"placements": np.array(list(some)).reshape(-1, 7)}
             except UnreachableError:
-                return {"placement": np.zeros(0)}
+                return {"placements": np.zeros((0, 7))}
 
-        found = self._kept("placement", grasp, find)["placement"]
-        return PlacedGrasp(number, grasp, found if len(found) else None)
+        found = self._kept("placements", grasp, find, most)["placements"]
+        # Taken in turn, so that each place has its best placement first.
+        places = range(max(1, min(self.places, len(found))))
+        return [PlacedGrasp(number, grasp, found[k :: self.places], k) for k in places]
 
     def identified(self, truth: TwinParameters, fit: Callable[[], HandDynamics]) -> HandDynamics:
         """What identification says of a twin's hand.
@@ -171,55 +191,58 @@ class TwinSetup:
         """Deploy one grasp on one twin.
 
         Args:
-            placed: with a placement.
+            placed: with placements.
             twin: names the twin.
             truth: what is true of it.
             variant: how.
             dynamics: what is known of the hand; the model's if None.
             planner: of this grasp.
         """
-        thing, where = self.objects[placed.grasp.object_name[0]], placed.placement
-        assert where is not None, "only grasps that can be reached are tried"
+        thing = self.objects[placed.grasp.object_name[0]]
 
         def deploy() -> dict[str, np.ndarray]:
-            try:
-                outcome = deploy_on_twin(
-                    self.cell,
-                    self.hand,
-                    thing,
-                    placed.grasp,
-                    where,
-                    self.policy,
-                    planner,
-                    truth,
-                    dynamics=dynamics,
-                    compensate=variant.compensate,
-                    physics=self.physics,
-                    settings=DeploymentSettings(look_time=0.4, put_down=False),
-                    advise=False,
+            said = ""
+            for count, where in enumerate(placed.placements, start=1):
+                try:
+                    outcome = deploy_on_twin(
+                        self.cell,
+                        self.hand,
+                        thing,
+                        placed.grasp,
+                        where,
+                        self.policy,
+                        planner,
+                        truth,
+                        dynamics=dynamics,
+                        compensate=variant.compensate,
+                        physics=self.physics,
+                        settings=DeploymentSettings(look_time=0.4, put_down=False, attempts=variant.attempts),
+                        advise=False,
+                    )
+                except UnreachableError as error:
+                    said = str(error)[:80]
+                    continue
+                measured = (
+                    value if np.isfinite(value) else -1.0
+                    for value in (outcome.height, outcome.tracking, outcome.sag)
                 )
-            except UnreachableError as error:
-                return _arrays(False, -1.0, str(error)[:80], -1.0, -1.0)
-            measured = (
-                value if np.isfinite(value) else -1.0
-                for value in (outcome.height, outcome.tracking, outcome.sag)
-            )
-            height, tracking, sag = measured
-            return _arrays(outcome.success, height, outcome.result.fault, tracking, sag)
+                result = outcome.result
+                return _arrays(outcome.success, *measured, result.fault, count, result.attempts)
+            return _arrays(False, -1.0, -1.0, -1.0, said, len(placed.placements), 0)
 
         found = self._kept(
             "episode",
             placed.grasp,
             deploy,
-            where,
+            placed.placements,
             asdict(truth),
             {} if dynamics is None else vars(dynamics),
-            variant.compensate,
+            asdict(variant),
             self.physics or TwinPhysics(),
             self.policy_key,
         )
         values = {name: value.item() for name, value in found.items()}
-        return TwinEpisode(placed.number, thing.name, twin, variant.name, **values)
+        return TwinEpisode(placed.number, thing.name, twin, variant.name, place=placed.place, **values)
 
     def _kept(
         self,
@@ -246,7 +269,16 @@ class TwinSetup:
         return found
 
 
-def _arrays(success: bool, height: float, fault: str, tracking: float, sag: float) -> dict[str, np.ndarray]:
+def _arrays(
+    success: bool,
+    height: float,
+    tracking: float,
+    sag: float,
+    fault: str,
+    placements: int,
+    attempts: int,
+) -> dict[str, np.ndarray]:
     """What was measured in an episode, by the names of ``TwinEpisode``."""
     values = {"success": success, "height_m": height, "fault": fault, "tracking_rad": tracking}
-    return {name: np.asarray(value) for name, value in {**values, "sag_rad": sag}.items()}
+    values |= {"sag_rad": sag, "placements": placements, "attempts": attempts}
+    return {name: np.asarray(value) for name, value in values.items()}

@@ -30,8 +30,9 @@ VARIANTS = (
     TwinVariant("ours"),
     TwinVariant("no identification", identified=False),
     TwinVariant("no gravity compensation", compensate=False),
+    TwinVariant("ours, two attempts", attempts=2),
 )
-"""The columns of Table VI."""
+"""The columns of Table VI, and what a second attempt adds."""
 
 
 def placed_grasps(
@@ -47,7 +48,7 @@ def placed_grasps(
         each: of each object the first so many that can be reached; all if None.
 
     Yields:
-        the grasps that were tried, those out of reach included.
+        the grasps that were tried, in each of their places, those out of reach included.
     """
     waiting: dict[str, deque[int]] = {}
     for row, name in enumerate(grasps.object_name.tolist()):
@@ -57,8 +58,8 @@ def placed_grasps(
             while rows:
                 row = rows.popleft()
                 placed = setup.place(index[row], grasps.select(np.array([row])))
-                yield placed
-                if placed.placement is not None:
+                yield from placed
+                if len(placed[0].placements):
                     break
 
 
@@ -111,7 +112,7 @@ def _turns(
     """Grasps within reach, each with a twin: in every turn each grasp with another one."""
     reached: list[PlacedGrasp] = []
     for one in placed:
-        if one.placement is not None:
+        if len(one.placements):
             yield one, twins[len(reached) % len(twins)]
             reached.append(one)
     for turn in range(1, turns):

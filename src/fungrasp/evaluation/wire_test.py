@@ -12,7 +12,7 @@ from fungrasp.deployment.deadlines import DeadlineMonitor
 from fungrasp.deployment.deployment_result import DeploymentResult
 from fungrasp.deployment.phases import Phase
 from fungrasp.deployment.preparation import UnreachableError
-from fungrasp.deployment.twin_deployment import reachable_placements
+from fungrasp.deployment.twin_deployment import MOST_PLACEMENTS, reachable_placements
 from fungrasp.deployment.wired_deployment import DeploymentTask, deploy_on_robot
 from fungrasp.errors import FungraspError
 from fungrasp.robots.device import JointDriver
@@ -21,9 +21,6 @@ from fungrasp.robots.robot import Robot
 from fungrasp.robots.twin.emulation_worker import EmulationProcess, EmulationRecord, EmulationTask
 from fungrasp.robots.twin.judge import lifted_and_held
 from fungrasp.task import LiftProtocol
-
-MOST_PLACEMENTS = 3
-"""Places where the object is put before the run counts as one that could not be."""
 
 
 @dataclass(frozen=True)
