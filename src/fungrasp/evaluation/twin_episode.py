@@ -15,7 +15,12 @@ from fungrasp import __version__
 from fungrasp.deployment.deployment import DeploymentSettings
 from fungrasp.deployment.hand_knowledge import HandDynamics
 from fungrasp.deployment.preparation import UnreachableError
-from fungrasp.deployment.twin_deployment import MOST_PLACEMENTS, deploy_on_twin, reachable_placements
+from fungrasp.deployment.twin_deployment import (
+    MOST_PLACEMENTS,
+    TwinOutcome,
+    deploy_on_twin,
+    reachable_placements,
+)
 from fungrasp.evaluation.partial_results import PartialResults
 from fungrasp.files import digest
 from fungrasp.grasps import RobotGraspSet
@@ -222,13 +227,8 @@ class TwinSetup:
                 except UnreachableError as error:
                     said = str(error)[:80]
                     continue
-                measured = (
-                    value if np.isfinite(value) else -1.0
-                    for value in (outcome.height, outcome.tracking, outcome.sag)
-                )
-                result = outcome.result
-                return _arrays(outcome.success, *measured, result.fault, count, result.attempts)
-            return _arrays(False, -1.0, -1.0, -1.0, said, len(placed.placements), 0)
+                return _measured(outcome, count)
+            return _refused(said, len(placed.placements))
 
         found = self._kept(
             "episode",
@@ -269,16 +269,20 @@ class TwinSetup:
         return found
 
 
-def _arrays(
-    success: bool,
-    height: float,
-    tracking: float,
-    sag: float,
-    fault: str,
-    placements: int,
-    attempts: int,
-) -> dict[str, np.ndarray]:
+def _measured(outcome: TwinOutcome, placements: int) -> dict[str, np.ndarray]:
     """What was measured in an episode, by the names of ``TwinEpisode``."""
-    values = {"success": success, "height_m": height, "fault": fault, "tracking_rad": tracking}
-    values |= {"sag_rad": sag, "placements": placements, "attempts": attempts}
+    values = {"height_m": outcome.height, "tracking_rad": outcome.tracking, "sag_rad": outcome.sag}
+    return {
+        "success": np.asarray(outcome.success),
+        "fault": np.asarray(outcome.result.fault),
+        "placements": np.asarray(placements),
+        "attempts": np.asarray(outcome.result.attempts),
+        **{name: np.asarray(value if np.isfinite(value) else -1.0) for name, value in values.items()},
+    }
+
+
+def _refused(why: str, placements: int) -> dict[str, np.ndarray]:
+    """The same of an episode in which nothing moved."""
+    values = {"success": False, "fault": why, "placements": placements, "attempts": 0}
+    values |= {"height_m": -1.0, "tracking_rad": -1.0, "sag_rad": -1.0}
     return {name: np.asarray(value) for name, value in values.items()}
