@@ -7,8 +7,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Mapping
 
+    from fungrasp.evaluation.partial_results import PartialResults
+    from fungrasp.evaluation.twin_episode import TwinEpisode, TwinVariant
+    from fungrasp.grasps import HumanGraspSet
+    from fungrasp.objects import ObjectModel
     from fungrasp.robots.twin.parameters import TwinParameters
 
 
@@ -50,26 +54,15 @@ class EvaluateOnTwins:
     """Of planning; 0 means all processors."""
 
     def run(self) -> None:
-        import numpy as np
-
-        from fungrasp.cli.console import table
         from fungrasp.cli.grasp_choice import deployable_policy, robot_planner
-        from fungrasp.cli.grasps_from_images import grasps_from_images
         from fungrasp.cli.retarget import retargeted
         from fungrasp.deployment.hand_knowledge import HandDynamics
         from fungrasp.deployment.twin_identification import identify_on_twin
-        from fungrasp.errors import FungraspError, UnknownNameError
+        from fungrasp.errors import FungraspError
         from fungrasp.evaluation.partial_results import PartialResults
         from fungrasp.evaluation.result_files import write_result
-        from fungrasp.evaluation.statistics import wilson_interval
         from fungrasp.evaluation.twin_episode import PlacedGrasp, TwinSetup
-        from fungrasp.evaluation.twin_test import (
-            VARIANTS,
-            episode_rows,
-            placed_grasps,
-            told_dynamics,
-            try_on_twins,
-        )
+        from fungrasp.evaluation.twin_test import episode_rows, placed_grasps, told_dynamics, try_on_twins
         from fungrasp.files import digest
         from fungrasp.grasps import load_human_grasps, load_objects
         from fungrasp.hands import load_hand
@@ -78,10 +71,7 @@ class EvaluateOnTwins:
         from fungrasp.robots.cell import load_cell
         from fungrasp.robots.torque_limits import limited_hand
 
-        known = {variant.name: variant for variant in VARIANTS}
-        for name in self.variants:
-            if name not in known:
-                raise UnknownNameError("variant", name, known)
+        variants = self._variants()
         cell = load_cell(self.robot)
         hand = load_hand(cell.hand)
         human = load_human_grasps(self.grasps)
@@ -91,17 +81,11 @@ class EvaluateOnTwins:
         store = PartialResults(self.out.with_name(f"{self.out.name}.partial"))
         header: dict[str, Any] = {"robot": self.robot, "policy": self.policy, "grasps": self.grasps}
         if self.images:
-            seen = grasps_from_images(human, objects, self.images, self.image_seed, store)
-            header["images"] = len(human) * self.images
-            header["not_seen"] = {str(number): why for number, why in seen.refused.items()}
-            if seen.human is None:
-                raise FungraspError("perception is confident of no image: nothing to try")
-            human = seen.human
-            index = [index[n // self.images] * self.images + n % self.images for n in seen.index]
+            human, index, header["not_seen"] = self._seen(human, index, objects, store)
+            header["images"] = len(index) + len(header["not_seen"])
         robot, _ = retargeted(human, objects, hand, "ours", self.threads)
         policy = deployable_policy(self.policy, hand, objects)
         planner = robot_planner(self.policy, limited_hand(cell, hand), objects, self.threads)
-        chosen = [known[name] for name in self.variants]
         header |= run_record(0)
         header["identification"] = "told" if self.told else "identified on each twin"
         files = policy_files("student" if self.policy == "plan" else self.policy, hand.name)
@@ -129,12 +113,12 @@ class EvaluateOnTwins:
 
             return setup.identified(truth, fit)
 
-        episodes = []
+        episodes: list[TwinEpisode] = []
         for episode in try_on_twins(
             setup,
             watched(),
             self.twins,
-            chosen,
+            variants,
             in_turn=self.in_turn,
             identify=told_dynamics(hand) if self.told else identify,
         ):
@@ -148,7 +132,54 @@ class EvaluateOnTwins:
                 "the arm reaches none of these grasps: take others with --rows, or another --robot"
             )
         store.remove()
-        lines = [("variant", "episodes", "success", "95 % interval", "tracking [rad]", "sag [deg]")]
+        self._show(episodes)
+        if self.images:
+            beyond, reached = len(header["out_of_reach"].split()), header["grasps_that_can_be_reached"]
+            print(
+                f"{header['images']} images: {len(header['not_seen'])} refused; of the others {beyond} were "
+                f"found out of reach, {reached} tried"
+            )
+
+    def _variants(self) -> list[TwinVariant]:
+        """The ways to deploy by their names."""
+        from fungrasp.errors import UnknownNameError
+        from fungrasp.evaluation.twin_test import VARIANTS
+
+        known = {variant.name: variant for variant in VARIANTS}
+        for name in self.variants:
+            if name not in known:
+                raise UnknownNameError("variant", name, known)
+        return [known[name] for name in self.variants]
+
+    def _seen(
+        self,
+        human: HumanGraspSet,
+        index: list[int],
+        objects: Mapping[str, ObjectModel],
+        store: PartialResults,
+    ) -> tuple[HumanGraspSet, list[int], dict[str, str]]:
+        """What perception sees of grasps: the grasps, the number of the image of each, and why it does not
+        trust the others, by number."""
+        from fungrasp.cli.grasps_from_images import grasps_from_images
+        from fungrasp.errors import FungraspError
+
+        def number(n: int) -> int:
+            return index[n // self.images] * self.images + n % self.images
+
+        seen = grasps_from_images(human, objects, self.images, self.image_seed, store)
+        if seen.human is None:
+            raise FungraspError("perception is confident of no image: nothing to try")
+        refused = {str(number(n)): why for n, why in seen.refused.items()}
+        return seen.human, [number(n) for n in seen.index], refused
+
+    def _show(self, episodes: list[TwinEpisode]) -> None:
+        """Print a table."""
+        import numpy as np
+
+        from fungrasp.cli.console import table
+        from fungrasp.evaluation.statistics import wilson_interval
+
+        lines = [("variant", "episodes", "begun", "lifted", "95 % interval", "tracking [rad]", "sag [deg]")]
         for name in self.variants:
             mine = [e for e in episodes if e.variant == name]
             moved = [e for e in mine if e.tracking_rad >= 0]
@@ -159,6 +190,7 @@ class EvaluateOnTwins:
                     (
                         name,
                         str(len(mine)),
+                        str(len(moved)),
                         f"{held / len(mine):.0%}",
                         f"{low:.0%} to {high:.0%}",
                         f"{np.median([e.tracking_rad for e in moved]):.3f}",
@@ -166,10 +198,3 @@ class EvaluateOnTwins:
                     )
                 )
         print(table(lines, left=None))
-        if self.images:
-            lifted = sum(episode.success for episode in episodes) / len(self.variants)
-            reached = header["grasps_that_can_be_reached"]
-            print(
-                f"of {header['images']} images {len(index)} seen, {reached} within reach; lifted "
-                f"{lifted:g} of {header['images'] * (1 if self.in_turn else len(self.twins))}"
-            )
