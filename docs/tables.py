@@ -287,14 +287,12 @@ def _condition_shares(rows: Sequence[dict[str, Any]]) -> dict[str, float]:
 
 
 def ablations() -> Table:
-    """The paper's ablations."""
+    """What is known of the contacts, in nominal worlds, with a larger budget."""
     titles = {
         "without": "without privileged information",
         "scratch": "student from scratch",
         "teacher": "teacher",
         "student": "student, distilled from it",
-        "angle-copy": "teacher on `angle-copy`'s grasps",
-        "dexgraspnet": "teacher on `dexgraspnet`'s grasps",
     }
     rows = []
     for name, title in titles.items():
@@ -315,6 +313,11 @@ def ablations() -> Table:
 def privileged() -> Table:
     """What is known of the contacts (Table V of the paper), with three seeds, under nominal and reality."""
     return _reproduced("table-privileged", "policy")
+
+
+def paper_retargeting() -> Table:
+    """Teachers on the grasps of each retargeting method (Table IV of the paper), with three seeds."""
+    return _reproduced("table-retargeting", "grasps of")
 
 
 def paper_hands() -> Table:
@@ -720,6 +723,7 @@ BUILDERS: dict[str, Callable[[], Table]] = {
     "ablations": ablations,
     "privileged": privileged,
     "paper_hands": paper_hands,
+    "paper_retargeting": paper_retargeting,
     "perception": perception,
     "chain": chain,
     "driver_faults": driver_faults,
