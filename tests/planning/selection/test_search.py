@@ -18,7 +18,7 @@ from fungrasp.planning.selection.search import RESOLUTION
 from fungrasp.planning.selection.settings import FurtherSearch
 from fungrasp.policies import OpenLoopPolicy
 from fungrasp.task import Belief, GraspPlan
-from fungrasp.transfer import NOMINAL, REALITY_ROLLOUTS
+from fungrasp.transfer import NOMINAL
 
 SHORT = RolloutSettings(hold_time=0.3)
 
@@ -74,22 +74,6 @@ def test_what_planning_costs_is_told_beforehand_and_afterwards():
     assert p.expected_success is not None and (p.expected_success > 0.4).all()
     assert SelectionSettings().rollouts_per_grasp == (12, 201)
     assert SelectionSettings(rollouts=None).rollouts_per_grasp == (0, 0)
-
-
-def test_under_reality_every_grasp_gets_all_rollouts():
-    settings = SelectionSettings.for_protocol("reality")
-    assert settings.rollouts_per_grasp == (128, 128)
-    assert settings.rollouts is not None and settings.rollouts.randomization is REALITY_ROLLOUTS
-    few = replace(settings, candidates=2, rollouts=replace(SHORT, randomization=NOMINAL))
-    few = replace(few, first_rounds=((2, 1),), rounds=((2, 1), (1, 1)))
-    p = planner(few).plan(grasps_and_objects()[0], belief())
-    # Also where the first rounds have left no doubt.
-    assert p.rollouts is not None and p.rollouts.tolist() == [5, 5]
-    assert SelectionSettings.for_protocol("nominal") == SelectionSettings()
-    use = SelectionSettings.for_protocol("reality", for_use=True)
-    assert use.for_use and use.rollouts is not None and use.rollouts.for_use
-    assert use.first_rounds == settings.first_rounds and use.search.most > 0
-    assert SelectionSettings.for_protocol("reality", rollouts=False).rollouts is None
 
 
 def test_only_grasps_of_which_no_candidate_is_sure_are_tried_on(monkeypatch):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 from fungrasp.errors import FungraspError
 from fungrasp.planning.selection.rollouts import RolloutSettings, Rounds
@@ -28,12 +28,6 @@ class FurtherSearch:
     """Rollouts of old and new candidates."""
 
 
-REALITY_ROUNDS: Rounds = ((16, 2), (8, 4), (4, 8), (2, 16))
-"""Rollouts in worlds that differ as much as those of the reality protocol: 128 for each grasp. A candidate
-that holds three times out of three is not sure there, and the best of many by a few rollouts is often only
-lucky (docs/experiments/rollouts.md)."""
-
-
 @dataclass(frozen=True)
 class SelectionSettings:
     """How many candidates there are, and how one is selected."""
@@ -43,8 +37,7 @@ class SelectionSettings:
     rollouts: RolloutSettings | None = field(default_factory=RolloutSettings)
     """Rollouts that decide between the most promising; the predictor alone decides if None."""
     sure: float = 0.8
-    """Expected success from which the best candidate after the first rollouts is taken without more; with 1
-    none is."""
+    """Expected success from which the best candidate after the first rollouts is taken without more."""
     first_rounds: Rounds = ((6, 1), (3, 2))
     """First rollouts of all grasps: a candidate that holds three times out of three is sure where the
     predictor expects two of three or more."""
@@ -85,16 +78,16 @@ class SelectionSettings:
         if not rollouts:
             return cls(rollouts=None, for_use=for_use)
         drawn = REALITY_ROLLOUTS if protocol == "reality" else MODERATE
-        chosen = cls(rollouts=RolloutSettings(drawn, for_use=for_use), for_use=for_use)
-        if protocol == "reality":
-            first, *others = REALITY_ROUNDS
-            none = FurtherSearch(most=0)
-            chosen = replace(chosen, sure=1.0, first_rounds=(first,), rounds=tuple(others), search=none)
-        if for_use:
-            # What holds, but withstands nothing, counts half; the search is to go on after it, although the
-            # predictor, which knows lifts alone, expects much of it.
-            chosen = replace(chosen, prior=2.0, search=FurtherSearch(enough=0.8))
-        return chosen
+        if not for_use:
+            return cls(rollouts=RolloutSettings(drawn))
+        # What holds, but withstands nothing, counts half; the search is to go on after it, although the
+        # predictor, which knows lifts alone, expects much of it.
+        return cls(
+            rollouts=RolloutSettings(drawn, for_use=True),
+            prior=2.0,
+            search=FurtherSearch(enough=0.8),
+            for_use=True,
+        )
 
     @property
     def rollouts_per_grasp(self) -> tuple[int, int]:
@@ -104,5 +97,4 @@ class SelectionSettings:
         first, second, again = (
             sum(a * b for a, b in rounds) for rounds in (self.first_rounds, self.rounds, self.search.rounds)
         )
-        fewest = first if self.sure < 1 else first + second
-        return fewest, first + second + self.search.most * again
+        return first, first + second + self.search.most * again
