@@ -536,7 +536,7 @@ def identification_ratios() -> Table:
     return Table(head, rows, ["identification-inspire"])
 
 
-TWINS = ("twin-allegro-node", "twin-inspire")
+TWINS = ("twin-allegro-node", "twin-inspire", "twin-allegro-again", "twin-inspire-again")
 """Results of ``fungrasp robots evaluate``."""
 
 
@@ -548,7 +548,7 @@ def twin_variants() -> Table:
     rows = []
     for name in names:
         results = _read(name)
-        for variant in ("no identification", "no gravity compensation", "ours"):
+        for variant in dict.fromkeys(row["variant"] for row in results.rows):
             group = [row for row in results.rows if row["variant"] == variant]
             begun = [row for row in group if row["tracking_rad"] >= 0]
             lifted = sum(row["success"] for row in begun)
@@ -559,6 +559,34 @@ def twin_variants() -> Table:
             counts = (f"{n}" for n in (len(group), len(group) - len(begun), len(begun), lifted))
             rows.append((results.header["robot"], variant, *counts, rate, off, sag))
     return Table(head, rows, names)
+
+
+def twin_images() -> Table:
+    """From an image to a twin that lifts (Table II of the paper)."""
+    results = _read("twin-images")
+    begun = [row for row in results.rows if row["tracking_rad"] >= 0]
+    lifted = [row for row in begun if row["success"]]
+    first = sum(row["attempts"] == 1 for row in lifted)
+    images, refused = results.header["images"], len(results.header["not_seen"])
+    beyond = len(results.header["out_of_reach"].split())
+    reached = results.header["grasps_that_can_be_reached"]
+
+    def share(count: int, number: int) -> str:
+        low, high = wilson_interval(count, number)
+        return f"{count} of {number}: {_percent(count / number)} ({100 * low:.0f} to {100 * high:.0f})"
+
+    rows = [
+        ("images shown; refused by perception, with what is wrong", f"{images}; {refused}"),
+        ("grasps seen in the others that were looked at", f"{beyond + reached}"),
+        ("of these, no placement can be reached", f"{beyond}"),
+        ("deployments, objects", f"{len(results.rows)}, {len({row['object'] for row in results.rows})}"),
+        ("refused by the robot before anything moved", f"{len(results.rows) - len(begun)}"),
+        ("**lifted and held, of those begun**", f"**{share(len(lifted), len(begun))}**"),
+        ("the same by the first attempt", share(first, len(begun))),
+        ("lifted and held, of all deployments", share(len(lifted), len(results.rows))),
+        ("objects lifted at least once", f"{len({row['object'] for row in lifted})}"),
+    ]
+    return Table(("ur5e-allegro-node, `student`, two attempts", ""), rows, ["twin-images"])
 
 
 def identification_step() -> Table:
@@ -734,6 +762,7 @@ BUILDERS: dict[str, Callable[[], Table]] = {
     "identification_twins": identification_twins,
     "identification_ratios": identification_ratios,
     "twin_variants": twin_variants,
+    "twin_images": twin_images,
     "wire": wire,
     "wire_ticks": wire_ticks,
     "limits": limits,
