@@ -536,7 +536,7 @@ def identification_ratios() -> Table:
     return Table(head, rows, ["identification-inspire"])
 
 
-TWINS = ("twin-allegro-node", "twin-inspire", "twin-allegro-again", "twin-inspire-again")
+TWINS = ("twin-allegro-node", "twin-allegro-again", "twin-inspire", "twin-inspire-again")
 """Results of ``fungrasp robots evaluate``."""
 
 
@@ -544,9 +544,8 @@ def twin_variants() -> Table:
     """The lift test on twins, by robot and way to deploy."""
     head = ("robot", "variant", "episodes", "not begun", "begun", "lifted and held", "of those begun (95 %)")
     head += ("tracking, RMS [rad]", "sag [degrees]")
-    names = [name for name in TWINS if (RESULTS / f"{name}.json").is_file()]
     rows = []
-    for name in names:
+    for name in TWINS:
         results = _read(name)
         for variant in dict.fromkeys(row["variant"] for row in results.rows):
             group = [row for row in results.rows if row["variant"] == variant]
@@ -558,7 +557,7 @@ def twin_variants() -> Table:
             sag = f"{np.rad2deg(np.median([row['sag_rad'] for row in begun])):.1f}"
             counts = (f"{n}" for n in (len(group), len(group) - len(begun), len(begun), lifted))
             rows.append((results.header["robot"], variant, *counts, rate, off, sag))
-    return Table(head, rows, names)
+    return Table(head, rows, list(TWINS))
 
 
 def twin_images() -> Table:
@@ -580,7 +579,7 @@ def twin_images() -> Table:
         ("grasps seen in the others that were looked at", f"{beyond + reached}"),
         ("of these, no placement can be reached", f"{beyond}"),
         ("deployments, objects", f"{len(results.rows)}, {len({row['object'] for row in results.rows})}"),
-        ("refused by the robot before anything moved", f"{len(results.rows) - len(begun)}"),
+        ("refused by the robot, or stopped before the grasp", f"{len(results.rows) - len(begun)}"),
         ("**lifted and held, of those begun**", f"**{share(len(lifted), len(begun))}**"),
         ("the same by the first attempt", share(first, len(begun))),
         ("lifted and held, of all deployments", share(len(lifted), len(results.rows))),

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from fungrasp.deployment.preparation import UnreachableError
+from fungrasp.deployment.twin_deployment import MOST_PLACEMENTS
 from fungrasp.evaluation import wire_test
-from fungrasp.evaluation.wire_test import MOST_PLACEMENTS, run_over_the_wire
+from fungrasp.evaluation.wire_test import run_over_the_wire
 
 TASK: Any = SimpleNamespace(
     cell=None, hand=None, thing=SimpleNamespace(name="mug"), grasp=None, seed=0, policy=None

@@ -45,7 +45,8 @@ class EvaluateOnTwins:
     places: int = 1
     """Places of the object in which each grasp is tried."""
     variants: tuple[str, ...] = ("no identification", "no gravity compensation", "ours")
-    """Ways to deploy: these, or "ours, two attempts"."""
+    """Ways to deploy: "no identification", "no gravity compensation", "ours", "ours, two attempts" (of a
+    student)."""
     policy: str = "plan"
     """What acts."""
     told: bool = False
@@ -107,6 +108,10 @@ class EvaluateOnTwins:
                 placed.append(one)
                 yield one
 
+        def numbers(*, within_reach: bool) -> list[int]:
+            """Of the grasps that were looked at, in order."""
+            return sorted({one.number for one in placed if bool(len(one.placements)) is within_reach})
+
         def identify(truth: TwinParameters) -> HandDynamics:
             def fit() -> HandDynamics:
                 return HandDynamics.of(hand, identify_on_twin(cell, hand, thing, truth).found.dynamics)
@@ -123,9 +128,8 @@ class EvaluateOnTwins:
             identify=told_dynamics(hand) if self.told else identify,
         ):
             episodes.append(episode)
-            beyond = {one.number for one in placed if not len(one.placements)}
-            header["out_of_reach"] = " ".join(map(str, sorted(beyond)))
-            header["grasps_that_can_be_reached"] = len({one.number for one in placed} - beyond)
+            header["out_of_reach"] = " ".join(map(str, numbers(within_reach=False)))
+            header["grasps_that_can_be_reached"] = len(numbers(within_reach=True))
             write_result(self.out, header, episode_rows(episodes))
         if not episodes:
             raise FungraspError(
@@ -134,10 +138,10 @@ class EvaluateOnTwins:
         store.remove()
         self._show(episodes)
         if self.images:
-            beyond, reached = len(header["out_of_reach"].split()), header["grasps_that_can_be_reached"]
             print(
-                f"{header['images']} images: {len(header['not_seen'])} refused; of the others {beyond} were "
-                f"found out of reach, {reached} tried"
+                f"{header['images']} images: {len(header['not_seen'])} refused; of the others "
+                f"{len(numbers(within_reach=False))} were found out of reach, "
+                f"{len(numbers(within_reach=True))} tried"
             )
 
     def _variants(self) -> list[TwinVariant]:

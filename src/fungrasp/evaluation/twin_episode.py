@@ -19,6 +19,7 @@ from fungrasp.deployment.twin_deployment import (
     MOST_PLACEMENTS,
     TwinOutcome,
     deploy_on_twin,
+    deploy_where_reached,
     reachable_placements,
 )
 from fungrasp.evaluation.partial_results import PartialResults
@@ -205,30 +206,26 @@ class TwinSetup:
         """
         thing = self.objects[placed.grasp.object_name[0]]
 
+        def deploy_at(where: np.ndarray) -> TwinOutcome:
+            return deploy_on_twin(
+                self.cell,
+                self.hand,
+                thing,
+                placed.grasp,
+                where,
+                self.policy,
+                planner,
+                truth,
+                dynamics=dynamics,
+                compensate=variant.compensate,
+                physics=self.physics,
+                settings=DeploymentSettings(look_time=0.4, put_down=False, attempts=variant.attempts),
+                advise=False,
+            )
+
         def deploy() -> dict[str, np.ndarray]:
-            said = ""
-            for count, where in enumerate(placed.placements, start=1):
-                try:
-                    outcome = deploy_on_twin(
-                        self.cell,
-                        self.hand,
-                        thing,
-                        placed.grasp,
-                        where,
-                        self.policy,
-                        planner,
-                        truth,
-                        dynamics=dynamics,
-                        compensate=variant.compensate,
-                        physics=self.physics,
-                        settings=DeploymentSettings(look_time=0.4, put_down=False, attempts=variant.attempts),
-                        advise=False,
-                    )
-                except UnreachableError as error:
-                    said = str(error)[:80]
-                    continue
-                return _measured(outcome, count)
-            return _refused(said, len(placed.placements))
+            outcome, count, said = deploy_where_reached(placed.placements, deploy_at)
+            return _refused(said[:80], count) if outcome is None else _measured(outcome, count)
 
         found = self._kept(
             "episode",
@@ -237,7 +234,8 @@ class TwinSetup:
             placed.placements,
             asdict(truth),
             {} if dynamics is None else vars(dynamics),
-            asdict(variant),
+            variant.compensate,
+            variant.attempts,
             self.physics or TwinPhysics(),
             self.policy_key,
         )

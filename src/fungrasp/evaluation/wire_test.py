@@ -12,7 +12,7 @@ from fungrasp.deployment.deadlines import DeadlineMonitor
 from fungrasp.deployment.deployment_result import DeploymentResult
 from fungrasp.deployment.phases import Phase
 from fungrasp.deployment.preparation import UnreachableError
-from fungrasp.deployment.twin_deployment import MOST_PLACEMENTS, reachable_placements
+from fungrasp.deployment.twin_deployment import deploy_where_reached, reachable_placements
 from fungrasp.deployment.wired_deployment import DeploymentTask, deploy_on_robot
 from fungrasp.errors import FungraspError
 from fungrasp.robots.device import JointDriver
@@ -80,20 +80,13 @@ def run_over_the_wire(task: DeploymentTask, twin: int) -> WireRun:
     Raises:
         FungraspError: the emulators can't be started, or a device does not answer.
     """
-    began, count, said = time.monotonic(), 0, ""
+    began = time.monotonic()
     placements = reachable_placements(task.cell, task.hand, task.thing, task.grasp, task.seed)
-    while count < MOST_PLACEMENTS:
-        try:
-            placement = next(placements, None)
-            if placement is None:
-                break
-            count += 1
-            run = _run_at(task, twin, placement)
-        except UnreachableError as error:
-            said = str(error)
-        else:
-            return replace(run, placements=count, seconds=time.monotonic() - began)
-    return _not_begun(task, twin, said, count, time.monotonic() - began)
+    run, count, said = deploy_where_reached(placements, lambda placement: _run_at(task, twin, placement))
+    seconds = time.monotonic() - began
+    if run is None:
+        return _not_begun(task, twin, said, count, seconds)
+    return replace(run, placements=count, seconds=seconds)
 
 
 def _run_at(task: DeploymentTask, twin: int, placement: np.ndarray) -> WireRun:
