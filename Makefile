@@ -17,7 +17,7 @@ SEES = $(BIN)/python -c 'import sys, ai_edge_litert; from fungrasp.perception.ha
 CHECKS := lint types imports docs unit
 # Tests that take seconds; with the checks before them, less than a minute on two cores.
 QUICK := tests/test_errors.py tests/test_files.py tests/test_tables.py tests/hands/test_forward_kinematics.py \
-	tests/geometry/test_poses.py tests/optimization tests/transfer tests/policies/checkpoint \
+	tests/geometry/test_poses.py tests/optimization tests/sim2real tests/policies/checkpoint \
 	tests/evaluation/test_statistics.py tests/evaluation/test_result_files.py tests/cli/test_console.py
 
 export OMP_NUM_THREADS := 1

@@ -1,7 +1,7 @@
 """Human grasps to grasps of a robot hand, and how good they are."""
 
 import fungrasp
-from fungrasp.retarget import retarget
+from fungrasp.retargeting import retarget
 
 human = fungrasp.builtin_grasps()
 human = human.select(human.object_name == "mug")

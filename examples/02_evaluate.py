@@ -1,7 +1,7 @@
 """The lift test: which grasps lift the object and hold it."""
 
 import fungrasp
-from fungrasp.retarget import retarget
+from fungrasp.retargeting import retarget
 
 human = fungrasp.builtin_grasps()[::12]
 objects = fungrasp.load_objects(human)

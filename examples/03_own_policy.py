@@ -3,7 +3,7 @@
 import fungrasp
 from fungrasp import Action, GraspPlan, Observation
 from fungrasp.geometry.poses import compose
-from fungrasp.retarget import retarget
+from fungrasp.retargeting import retarget
 
 
 class FollowTheObject:

@@ -3,7 +3,7 @@
 import numpy as np
 
 import fungrasp
-from fungrasp.retarget import retarget
+from fungrasp.retargeting import retarget
 
 human = fungrasp.builtin_grasps()[50:51]
 objects = fungrasp.load_objects(human)

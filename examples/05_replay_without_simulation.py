@@ -5,7 +5,7 @@ import numpy as np
 import fungrasp
 from fungrasp import Action, GraspPlan, Observation
 from fungrasp.policies import StudentPolicy
-from fungrasp.retarget import retarget
+from fungrasp.retargeting import retarget
 
 
 class Recorded:

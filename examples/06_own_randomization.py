@@ -3,8 +3,8 @@
 import numpy as np
 
 import fungrasp
-from fungrasp.retarget import retarget
-from fungrasp.transfer import ROBUSTNESS, MeasurementError, draw
+from fungrasp.retargeting import retarget
+from fungrasp.sim2real import ROBUSTNESS, MeasurementError, draw
 
 np.set_printoptions(precision=2)
 

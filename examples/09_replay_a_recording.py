@@ -8,7 +8,7 @@ import numpy as np
 
 import fungrasp
 from fungrasp.evaluation import replay
-from fungrasp.retarget import retarget
+from fungrasp.retargeting import retarget
 from fungrasp.simulation import build_scene
 
 human = fungrasp.builtin_grasps()

@@ -5,7 +5,7 @@ from time import perf_counter
 import numpy as np
 
 import fungrasp
-from fungrasp.retarget import Retargeter
+from fungrasp.retargeting import Retargeter
 
 FRAMES = 100
 

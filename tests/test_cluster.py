@@ -21,7 +21,7 @@ from fungrasp.grasps import (
     save_robot_grasps,
 )
 from fungrasp.hands import load_hand
-from fungrasp.retarget import retarget
+from fungrasp.retargeting import retarget
 
 ray = pytest.importorskip("ray", reason="needs Ray: pip install 'fungrasp[ray]'")
 pytestmark = pytest.mark.timeout(600)

@@ -7,7 +7,7 @@ import pytest
 
 import fungrasp
 from fungrasp.errors import FungraspError
-from fungrasp.retarget import retarget
+from fungrasp.retargeting import retarget
 
 
 @pytest.fixture(scope="module")

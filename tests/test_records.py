@@ -16,10 +16,10 @@ from fungrasp.evaluation.contact_estimate import ContactEstimates
 from fungrasp.planning.selection.rollouts import RolloutResults
 from fungrasp.planning.withdrawal import Waypoints
 from fungrasp.records import BatchRecord
+from fungrasp.sim2real import EpisodeSample
 from fungrasp.task import Action, Belief, GraspPlan, Observation, Outcomes, Privileged
 from fungrasp.task.attempt_judge import AttemptVerdict
 from fungrasp.task.use import UseOutcomes
-from fungrasp.transfer import EpisodeSample
 
 KINDS = (
     Action,

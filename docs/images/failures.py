@@ -26,8 +26,8 @@ from fungrasp.objects import ObjectModel
 from fungrasp.rendering import look_at_grasp, render, robot_grasp_scene
 from fungrasp.rendering.grasp_scenes import robot_scene_states
 from fungrasp.report import grid
-from fungrasp.retarget import retarget
-from fungrasp.transfer import REALITY
+from fungrasp.retargeting import retarget
+from fungrasp.sim2real import REALITY
 
 HAND = "allegro"
 TIPPED = np.deg2rad(30.0)

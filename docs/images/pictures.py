@@ -14,7 +14,7 @@ from fungrasp.grasps import HumanGraspSet, builtin_grasps, load_objects
 from fungrasp.hands import load_hand
 from fungrasp.rendering import Camera, human_grasp_scene, look_at_grasp, render, robot_grasp_scene
 from fungrasp.report import grid
-from fungrasp.retarget import retarget
+from fungrasp.retargeting import retarget
 
 CHOICE = (("mug", "drink"), ("hammer", "hammer"), ("spray_bottle", "spray"), ("scissors", "cut"))
 """Object and task of each row."""

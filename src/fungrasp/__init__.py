@@ -5,7 +5,7 @@ everything else is a verb between two of them. See docs/architecture.md.
 
 The names below are those of the rooms (``fungrasp.load_hand`` is ``fungrasp.hands.load_hand``). A room is
 imported when one of its names is first used, so that ``import fungrasp`` costs nothing. Retargeting is
-``fungrasp.retarget.retarget``: the room has the verb's name.
+``fungrasp.retargeting.retarget``: the room has the verb's name.
 """
 
 from __future__ import annotations
@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from fungrasp.planning import Planner as Planner
     from fungrasp.policies import make_planner as make_planner
     from fungrasp.policies import make_policy as make_policy
+    from fungrasp.sim2real import Randomization as Randomization
     from fungrasp.simulation import Engine as Engine
     from fungrasp.simulation import build_scene as build_scene
     from fungrasp.task import Action as Action
@@ -44,7 +45,6 @@ if TYPE_CHECKING:
     from fungrasp.task import Observation as Observation
     from fungrasp.task import Policy as Policy
     from fungrasp.task import play as play
-    from fungrasp.transfer import Randomization as Randomization
 
 __version__ = "0.1.0"
 
@@ -61,7 +61,7 @@ _NAMES = {
     "policies": "make_planner make_policy",
     "simulation": "Engine build_scene",
     "task": "Action Belief GraspPlan LiftEnvironment Observation Policy play",
-    "transfer": "Randomization",
+    "sim2real": "Randomization",
 }
 """Names that are offered here, by the module that they come from."""
 

@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 from grasp_files import run, some_grasps
 
-from fungrasp.captures.capture_files import write_capture
-from fungrasp.captures.capture_settings import CaptureSettings
-from fungrasp.captures.render_capture import capture_at
 from fungrasp.cli.bench_perception import BenchPerception
 from fungrasp.grasps import load_objects, save_human_grasps
 from fungrasp.perception import Intrinsics
 from fungrasp.planning.selection import SelectionSettings
 from fungrasp.planning.selection.settings import FurtherSearch
+from fungrasp.synthetic_captures.capture_files import write_capture
+from fungrasp.synthetic_captures.capture_settings import CaptureSettings
+from fungrasp.synthetic_captures.render_capture import capture_at
 
 
 @pytest.fixture(scope="module")

@@ -15,7 +15,7 @@ from fungrasp.evaluation import lift_test_chunks, replay
 from fungrasp.evaluation.partial_results import PartialResults
 from fungrasp.grasps import save_human_grasps
 from fungrasp.grasps.grasp_files import builtin_grasps
-from fungrasp.transfer import NOMINAL, MeasurementError, Randomization
+from fungrasp.sim2real import NOMINAL, MeasurementError, Randomization
 
 
 @pytest.fixture(scope="module")
@@ -198,7 +198,7 @@ SOME = {
 
 
 def test_robustness_tries_every_condition(human, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("fungrasp.transfer.presets.ROBUSTNESS", SOME)
+    monkeypatch.setattr("fungrasp.sim2real.presets.ROBUSTNESS", SOME)
     path, plain, record = tmp_path / "r.json", tmp_path / "e.json", tmp_path / "trials"
     options = ("--grasps", human, "--seed", 0, 1, "--protocol", "robustness")
     options += ("--json", path, "--record", record)
@@ -239,7 +239,7 @@ def test_grasps_are_refined_once_for_all_conditions(human, tmp_path, capsys, mon
         return dataclasses.replace(grasps, extra={"refined_tries": np.full(len(grasps), 7)})
 
     monkeypatch.setattr(refinement, "refine_grasps", refine)
-    monkeypatch.setattr("fungrasp.transfer.presets.ROBUSTNESS", dict(list(SOME.items())[:2]))
+    monkeypatch.setattr("fungrasp.sim2real.presets.ROBUSTNESS", dict(list(SOME.items())[:2]))
     path = tmp_path / "r.json"
     options = ("--refine", 7, "--seed", 0, 1, "--protocol", "robustness", "--json", path)
     assert run(capsys, "evaluate", "--grasps", human, *options)[0] == 0

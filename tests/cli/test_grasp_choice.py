@@ -30,7 +30,7 @@ def _looks(monkeypatch: pytest.MonkeyPatch, confident: list[bool], mirrored: boo
         grasp = replace(capture, object_name=name)
         return SimpleNamespace(grasp=grasp, confident=confident[len(seen) - 1], warnings=("dark",))
 
-    monkeypatch.setattr("fungrasp.captures.render_capture.render_capture", render)
+    monkeypatch.setattr("fungrasp.synthetic_captures.render_capture.render_capture", render)
     monkeypatch.setattr("fungrasp.perception.pipeline.perceive", perceive)
     return seen
 

@@ -2,9 +2,9 @@
 
 from types import SimpleNamespace
 
-import fungrasp.captures.render_capture as rendering
 import fungrasp.perception.hand.mediapipe_detector as detection
 import fungrasp.perception.pipeline as pipeline
+import fungrasp.synthetic_captures.render_capture as rendering
 from fungrasp.cli.grasps_from_images import grasps_from_images
 from fungrasp.errors import FungraspError
 from fungrasp.grasps import builtin_grasps, load_objects

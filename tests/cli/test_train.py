@@ -14,7 +14,7 @@ from fungrasp.cli.train import Train
 from fungrasp.evaluation.result_files import read_result
 from fungrasp.evaluation.tables import CONDITIONS
 from fungrasp.grasps import save_human_grasps
-from fungrasp.transfer import MODERATE, REALITY
+from fungrasp.sim2real import MODERATE, REALITY
 
 TABLE = ("--grasps", "builtin", "--test", "builtin")
 

@@ -11,8 +11,8 @@ from fungrasp.evaluation.partial_results import PartialResults
 from fungrasp.geometry.poses import compose
 from fungrasp.planning import MotionPlanner
 from fungrasp.policies.scripted import plan_step
+from fungrasp.sim2real import REALITY, MeasurementError, Randomization
 from fungrasp.task import Action, GraspPlan, Observation
-from fungrasp.transfer import REALITY, MeasurementError, Randomization
 
 MOVED = Randomization(
     object_shift=(0.08, 0.08), object_position_error=MeasurementError(jitter=0.002), tracker_freeze=1.0

@@ -13,7 +13,7 @@ from fungrasp.evaluation import static_quality
 from fungrasp.geometry.poses import compose
 from fungrasp.grasps import HumanGraspSet, builtin_grasps, load_objects
 from fungrasp.hands import load_hand
-from fungrasp.retarget import retarget
+from fungrasp.retargeting import retarget
 
 FAR = 2.0
 """Beyond this [mm] only the order of magnitude of a mean gap matters."""

@@ -17,8 +17,8 @@ from fungrasp.geometry.poses import compose
 from fungrasp.hands import load_hand
 from fungrasp.planning import MotionPlanner
 from fungrasp.policies import OpenLoopPolicy
+from fungrasp.sim2real import Randomization
 from fungrasp.task import Action, GraspPlan, LiftProtocol, Observation
-from fungrasp.transfer import Randomization
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from fungrasp.evaluation import evaluate, replay, result_json
-from fungrasp.transfer import REALITY, THREE_PUSHES, MeasurementError, Randomization
+from fungrasp.sim2real import REALITY, THREE_PUSHES, MeasurementError, Randomization
 
 
 def test_a_push_moves_what_is_held(good, things, allegro):

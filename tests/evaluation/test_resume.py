@@ -14,8 +14,8 @@ from fungrasp.evaluation import LiftTestResult, evaluate
 from fungrasp.evaluation.lift_test_chunks import LiftTest, Refinement
 from fungrasp.evaluation.partial_results import PartialResults
 from fungrasp.planning.selection import SelectionSettings
+from fungrasp.sim2real import Randomization
 from fungrasp.task import LiftProtocol
-from fungrasp.transfer import Randomization
 
 SHORT = LiftProtocol(hold_time=0.2)
 PREDICTED = SelectionSettings(2, rollouts=None)

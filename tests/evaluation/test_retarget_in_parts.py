@@ -12,7 +12,7 @@ from fungrasp.evaluation import static_quality
 from fungrasp.evaluation.retarget_in_parts import remove_parts, retarget_in_parts
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import load_hand
-from fungrasp.retarget import retarget
+from fungrasp.retargeting import retarget
 
 
 def solve(folder, method: str = "angle-copy", progress=lambda count: None, size: int = 2):

@@ -20,7 +20,7 @@ from fungrasp.evaluation.twin_test import VARIANTS, placed_grasps, told_dynamics
 from fungrasp.grasps import RobotGraspSet, builtin_grasps, load_objects
 from fungrasp.hands import load_hand
 from fungrasp.policies import OpenLoopPolicy
-from fungrasp.retarget import retarget
+from fungrasp.retargeting import retarget
 from fungrasp.robots.cell import load_cell
 
 HAND = load_hand("allegro")

@@ -23,7 +23,7 @@ from fungrasp.grasps import (
 from fungrasp.grasps.anatomy import check_anatomy
 from fungrasp.hands import FINGERS, Hand, hand_files, load_hand
 from fungrasp.objects import mirrored_object
-from fungrasp.retarget import retarget
+from fungrasp.retargeting import retarget
 
 FLIP = np.array([1.0, -1.0, 1.0])
 

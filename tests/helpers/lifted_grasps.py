@@ -10,7 +10,7 @@ import numpy as np
 from fungrasp.grasps import HumanGraspSet, RobotGraspSet, builtin_grasps, load_objects
 from fungrasp.hands import Hand, load_hand
 from fungrasp.objects import ObjectModel
-from fungrasp.retarget import retarget
+from fungrasp.retargeting import retarget
 
 
 @cache

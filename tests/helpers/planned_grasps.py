@@ -13,7 +13,7 @@ from fungrasp.hands import Hand, load_hand
 from fungrasp.objects import ObjectModel
 from fungrasp.planning import MotionPlanner
 from fungrasp.policies.plan_tracking import PlanTracker
-from fungrasp.retarget import retarget
+from fungrasp.retargeting import retarget
 from fungrasp.simulation import Scene, build_scene
 from fungrasp.task import Belief, GraspPlan, LiftEnvironment
 from fungrasp.task.features import contact_features, layout

@@ -16,7 +16,7 @@ from fungrasp.hands import Hand, load_hand
 from fungrasp.objects import ObjectModel
 from fungrasp.planning import MotionPlanner
 from fungrasp.policies import OpenLoopPolicy
-from fungrasp.retarget import retarget
+from fungrasp.retargeting import retarget
 from fungrasp.robots.cell import RobotCell, load_cell
 from fungrasp.robots.twin.parameters import IDEAL, draw_twin
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from fungrasp.grasps import RobotGraspSet, builtin_grasps, load_objects
 from fungrasp.hands import Hand, load_hand
-from fungrasp.retarget import retarget
+from fungrasp.retargeting import retarget
 from fungrasp.training.environment import EnvironmentSettings, TrainingEnvironment
 from fungrasp.training.plan_library import PlanLibrary, Variety, build_plan_library
 from fungrasp.training.run import RunSettings, TrainingSet

@@ -15,7 +15,7 @@ from fungrasp.optimization.firmness import NO_GRIP, unresisted_share
 from fungrasp.optimization.hand_state import HandPoints, HandState
 from fungrasp.optimization.levenberg_marquardt import minimize, objective_equations
 from fungrasp.optimization.retargeting_problem import RetargetingProblem
-from fungrasp.retarget.contact_optimization import initial_pose
+from fungrasp.retargeting.contact_optimization import initial_pose
 
 pytest.importorskip("numba", reason="the compiled loops need Numba (extra 'fast')")
 

@@ -14,7 +14,7 @@ from fungrasp.optimization import terms
 from fungrasp.optimization.hand_state import HandPoints, HandState
 from fungrasp.optimization.levenberg_marquardt import Term, minimize
 from fungrasp.optimization.retargeting_problem import RetargetingProblem
-from fungrasp.retarget.contact_optimization import initial_pose
+from fungrasp.retargeting.contact_optimization import initial_pose
 
 TERMS: list[Term] = [
     partial(terms.fingertip_position, unit=0.01),

@@ -15,7 +15,7 @@ from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.optimization import terms
 from fungrasp.optimization.hand_state import HandPoints, HandState
 from fungrasp.optimization.retargeting_problem import RetargetingProblem
-from fungrasp.retarget import angle_copy, dexgraspnet
+from fungrasp.retargeting import angle_copy, dexgraspnet
 
 COUNT = 3
 WALL = field(lambda p: p[..., 1] + 0.02)

@@ -16,7 +16,7 @@ from fungrasp.optimization.hand_state import HandPoints, HandState
 from fungrasp.planning import MotionPlanner
 from fungrasp.planning.grasp_motion import TABLE_TOLERANCE, MotionSettings, lowered, table_below
 from fungrasp.policies import OpenLoopPolicy
-from fungrasp.retarget import retarget
+from fungrasp.retargeting import retarget
 from fungrasp.simulation import build_scene
 from fungrasp.task import Belief, GraspPlan, LiftEnvironment, LiftProtocol
 

@@ -13,8 +13,8 @@ from residual_policies import SIZE, policy_file
 
 import fungrasp
 from fungrasp.policies import OpenLoopPolicy, default_policy, make_planner, make_policy
+from fungrasp.sim2real import WIDE, draw_each
 from fungrasp.task import Action, GraspPlan, Observation, play
-from fungrasp.transfer import WIDE, draw_each
 
 SOURCE = Path(fungrasp.__file__).parent
 FORBIDDEN = ("LiftEnvironment", "LiftTask", "Engine", "MujocoCpuEngine", "Scene", "Privileged.")
@@ -137,7 +137,7 @@ def test_only_the_engine_steps_worlds_with_mujoco():
     assert not others
 
 
-@pytest.mark.parametrize("room", ["task", "transfer", "planning", "training", "evaluation", "report"])
+@pytest.mark.parametrize("room", ["task", "sim2real", "planning", "training", "evaluation", "report"])
 def test_physics_is_behind_the_door(room):
     """Nobody steps a MuJoCo model but an engine."""
     for path in modules(room):

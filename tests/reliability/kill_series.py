@@ -41,7 +41,7 @@ from fungrasp.planning.selection import SelectionSettings
 from fungrasp.planning.selection.rollouts import RolloutSettings
 from fungrasp.planning.selection.settings import FurtherSearch
 from fungrasp.policies import make_planner
-from fungrasp.retarget import retarget
+from fungrasp.retargeting import retarget
 from fungrasp.task import LiftProtocol
 from fungrasp.training.run import POLICY, train
 from fungrasp.training.settings import DistillSettings

@@ -19,7 +19,7 @@ from fungrasp.robots.codecs import allegro as codec
 from fungrasp.robots.torque_limits import driver_torque_limits, limited_hand
 from fungrasp.robots.twin.parameters import IDEAL, draw_twin
 from fungrasp.robots.twin.world import TwinWorld
-from fungrasp.transfer.joint_dynamics import (
+from fungrasp.sim2real.joint_dynamics import (
     identified_hand,
     load_dynamics,
     model_dynamics,

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from fungrasp.evaluation import evaluate
 from fungrasp.evaluation.lift_test import LiftTestResult
 from fungrasp.hands import Hand, load_hand
-from fungrasp.retarget import retarget
+from fungrasp.retargeting import retarget
 
 
 def moved_hand(folder: Path, seed: int, stand: bool) -> Hand:

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from fungrasp.sim2real import offset_pose
 from fungrasp.task.actuation import Actuation
 from fungrasp.task.setpoints import SetpointSequence
-from fungrasp.transfer import offset_pose
 
 PERIOD = 0.02
 STILL = np.array([0.1, 0.2, 0.3, 1.0, 0.0, 0.0, 0.0])

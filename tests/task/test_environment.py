@@ -21,9 +21,7 @@ from fungrasp.geometry.poses import (
 from fungrasp.objects import with_sizes
 from fungrasp.planning import MotionPlanner
 from fungrasp.policies import OpenLoopPolicy
-from fungrasp.simulation import build_scene
-from fungrasp.task import Action, Belief, LiftEnvironment, LiftProtocol, Observation, Privileged, play
-from fungrasp.transfer import (
+from fungrasp.sim2real import (
     NOMINAL,
     REALITY,
     THREE_PUSHES,
@@ -33,6 +31,8 @@ from fungrasp.transfer import (
     Randomization,
     draw_each,
 )
+from fungrasp.simulation import build_scene
+from fungrasp.task import Action, Belief, LiftEnvironment, LiftProtocol, Observation, Privileged, play
 
 BOTH = np.arange(2)
 

@@ -11,9 +11,7 @@ from planned_grasps import grasps_and_objects, hand, scene
 from scipy.spatial.transform import Rotation
 
 from fungrasp.geometry.poses import invert, quaternion_multiply, rotate, transform_points
-from fungrasp.task import Action, LiftEnvironment, Observation
-from fungrasp.task.hand_clearance import HandClearance
-from fungrasp.transfer import (
+from fungrasp.sim2real import (
     NOMINAL,
     WIDE,
     EpisodeSample,
@@ -22,6 +20,8 @@ from fungrasp.transfer import (
     draw,
     draw_each,
 )
+from fungrasp.task import Action, LiftEnvironment, Observation
+from fungrasp.task.hand_clearance import HandClearance
 
 BOTH = np.arange(2)
 

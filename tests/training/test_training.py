@@ -21,6 +21,7 @@ from fungrasp.hands import load_hand
 from fungrasp.policies.checkpoint.card import Budget
 from fungrasp.policies.checkpoint.checkpoint_file import load_policy
 from fungrasp.policies.residual_action import ResidualSettings
+from fungrasp.sim2real import REALITY
 from fungrasp.training.checkpoint import check_environment, environment_state, read_checkpoint
 from fungrasp.training.distill import make_student
 from fungrasp.training.export import export_student, make_card
@@ -29,7 +30,6 @@ from fungrasp.training.networks import ColoredGaussian, tensors
 from fungrasp.training.ppo import Trainer
 from fungrasp.training.run import TrainingSet, train
 from fungrasp.training.student import StudentGraph
-from fungrasp.transfer import REALITY
 
 
 def test_a_world_that_diverges_is_named_and_begins_anew(caplog, monkeypatch, tmp_path):

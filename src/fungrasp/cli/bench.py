@@ -59,7 +59,7 @@ class Retargeting:
         from fungrasp.grasps import load_human_grasps, load_objects
         from fungrasp.hands import load_hand
         from fungrasp.provenance import machine
-        from fungrasp.retarget import METHODS
+        from fungrasp.retargeting import METHODS
 
         _check_positive(repeat=self.repeat)
         for name in self.method:

@@ -39,7 +39,7 @@ def compare_with_peers(options: Retargeting) -> None:
     from fungrasp.grasps import load_human_grasps, load_objects
     from fungrasp.hands import load_hand
     from fungrasp.provenance import machine, run_record
-    from fungrasp.retarget import METHODS
+    from fungrasp.retargeting import METHODS
 
     there = installed_peers()
     for name in options.method:

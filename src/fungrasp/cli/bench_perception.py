@@ -11,14 +11,14 @@ from fungrasp.cli.console import progress_bar, table, write_json
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
-    from fungrasp.captures.capture_scene import Label
-    from fungrasp.captures.render_capture import SyntheticCapture
     from fungrasp.evaluation.perception import CaptureResult
     from fungrasp.evaluation.perception_store import KeptCaptures
     from fungrasp.grasps import HumanGraspSet
     from fungrasp.objects import ObjectModel
     from fungrasp.perception import Capture
     from fungrasp.perception.hand.detected_hand import HandDetector
+    from fungrasp.synthetic_captures.capture_scene import Label
+    from fungrasp.synthetic_captures.render_capture import SyntheticCapture
 
 
 @dataclass(frozen=True)
@@ -219,10 +219,10 @@ class BenchPerception:
 
         import numpy as np
 
-        from fungrasp.captures.capture_files import painted_mesh
-        from fungrasp.captures.capture_scene import Label
         from fungrasp.evaluation.perception import measure_absent, measure_perception
         from fungrasp.evaluation.perception_noise import TrueLandmarks
+        from fungrasp.synthetic_captures.capture_files import painted_mesh
+        from fungrasp.synthetic_captures.capture_scene import Label
 
         known = self._capture(index, human, objects)
         if detector is None:
@@ -244,8 +244,8 @@ class BenchPerception:
         self, index: int, part: Label, human: HumanGraspSet, objects: Mapping[str, ObjectModel]
     ) -> Capture:
         """The same capture without the hand or the object."""
-        from fungrasp.captures.capture_settings import CaptureSettings
-        from fungrasp.captures.render_capture import capture_at
+        from fungrasp.synthetic_captures.capture_settings import CaptureSettings
+        from fungrasp.synthetic_captures.render_capture import capture_at
 
         settings = CaptureSettings(missing=(part,), proportions=self.proportions)
         return capture_at(index, human, objects, self.seed, settings).capture
@@ -254,8 +254,12 @@ class BenchPerception:
         self, index: int, human: HumanGraspSet, objects: Mapping[str, ObjectModel]
     ) -> SyntheticCapture:
         """Read if it was kept, else rendered."""
-        from fungrasp.captures.capture_files import TRUTH_FILE, read_synthetic_capture, write_capture
-        from fungrasp.captures.render_capture import CaptureSettings, capture_at
+        from fungrasp.synthetic_captures.capture_files import (
+            TRUTH_FILE,
+            read_synthetic_capture,
+            write_capture,
+        )
+        from fungrasp.synthetic_captures.render_capture import CaptureSettings, capture_at
 
         kind = f"_{self.proportions:g}" if self.proportions else ""
         folder = None if self.keep is None else self.keep / f"{self.seed}{kind}_{index:04d}"

@@ -44,9 +44,9 @@ class BenchPlanning:
         from fungrasp.planning.selection import SelectionSettings
         from fungrasp.policies import make_planner
         from fungrasp.provenance import machine
+        from fungrasp.sim2real import draw_each, protocol_conditions
         from fungrasp.simulation import build_scene
         from fungrasp.task import LiftEnvironment
-        from fungrasp.transfer import draw_each, protocol_conditions
 
         if self.number < 1:
             raise FungraspError(f"--number must be at least 1, not {self.number}")

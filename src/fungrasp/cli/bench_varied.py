@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 from fungrasp.cli.console import progress_bar
 
 if TYPE_CHECKING:
-    from fungrasp.captures.capture_settings import CaptureSettings
     from fungrasp.grasps import HumanGraspSet
     from fungrasp.objects import ObjectModel
+    from fungrasp.synthetic_captures.capture_settings import CaptureSettings
 
 
 def render_varied(
@@ -33,12 +33,12 @@ def render_varied(
         seed: decides everything.
         settings: by default varied ones.
     """
-    from fungrasp.captures.capture_files import TRUTH_FILE, write_capture
-    from fungrasp.captures.capture_settings import varied_settings
-    from fungrasp.captures.no_hand_capture import no_hand_capture
-    from fungrasp.captures.render_capture import capture_at
     from fungrasp.objects import mirrored_name, mirrored_object
     from fungrasp.perception.io.scene_folders import LENS_FILE, write_folder
+    from fungrasp.synthetic_captures.capture_files import TRUTH_FILE, write_capture
+    from fungrasp.synthetic_captures.capture_settings import varied_settings
+    from fungrasp.synthetic_captures.no_hand_capture import no_hand_capture
+    from fungrasp.synthetic_captures.render_capture import capture_at
 
     settings = settings or varied_settings()
     empty = (count + 1) // 2

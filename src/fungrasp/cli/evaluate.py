@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from fungrasp.grasps import HumanGraspSet, RobotGraspSet
     from fungrasp.hands import Hand
     from fungrasp.objects import ObjectModel
-    from fungrasp.transfer import Randomization
+    from fungrasp.sim2real import Randomization
 
 CHUNKS = (8, 32)
 """Fewest and most grasps that are kept together, and one job on a cluster: 5 s of work at most, beside which
@@ -209,8 +209,8 @@ class Evaluate:
         from fungrasp.planning import MotionSettings
         from fungrasp.planning.selection import SelectionSettings
         from fungrasp.policies import make_planner
+        from fungrasp.sim2real import NOMINAL, protocol_conditions
         from fungrasp.simulation import SceneSettings
-        from fungrasp.transfer import NOMINAL, protocol_conditions
 
         hand = chosen_hand(self.hand, self.hand_dynamics)
         randomization = self._randomization()
@@ -311,7 +311,7 @@ class Evaluate:
     def _randomization(self) -> Randomization:
         from math import radians
 
-        from fungrasp.transfer import THREE_PUSHES, MeasurementError, Randomization
+        from fungrasp.sim2real import THREE_PUSHES, MeasurementError, Randomization
 
         distance, angle = self.pose_noise
         weights, duration = self.push
@@ -331,8 +331,8 @@ class Evaluate:
     def _check(self, robot: bool, randomization: Randomization, hand: Hand) -> None:
         """Complain about options that do not go together."""
         from fungrasp.errors import FungraspError, UnknownNameError
-        from fungrasp.retarget import METHODS
-        from fungrasp.transfer import NOMINAL
+        from fungrasp.retargeting import METHODS
+        from fungrasp.sim2real import NOMINAL
 
         for name in self.method:
             if name not in METHODS:

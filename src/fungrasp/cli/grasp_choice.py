@@ -116,10 +116,10 @@ class GraspChoice:
         """As if a person took images until one is good enough; and when the last one was there."""
         import numpy as np
 
-        from fungrasp.captures.render_capture import render_capture
         from fungrasp.cli.perceive import one_grasp
         from fungrasp.errors import FungraspError
         from fungrasp.perception.pipeline import perceive
+        from fungrasp.synthetic_captures.render_capture import render_capture
 
         if self.mesh is not None or self.mass is not None:
             raise FungraspError("a rendered image has its own object: --mesh and --mass need a folder")

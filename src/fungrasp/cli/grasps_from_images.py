@@ -81,10 +81,10 @@ def _seen(
     seed: of the image; the first number is that of perception."""
     import numpy as np
 
-    from fungrasp.captures.render_capture import render_capture
     from fungrasp.cli.perceive import one_grasp
     from fungrasp.errors import FungraspError
     from fungrasp.perception.pipeline import perceive
+    from fungrasp.synthetic_captures.render_capture import render_capture
 
     made = render_capture(one[0], model, np.random.default_rng(seed))
     try:

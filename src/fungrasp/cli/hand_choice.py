@@ -17,7 +17,7 @@ def chosen_hand(name: str, dynamics: Path | None) -> Hand:
         dynamics: what ``fungrasp identify fit`` has written.
     """
     from fungrasp.hands import load_hand
-    from fungrasp.transfer.joint_dynamics import identified_hand
+    from fungrasp.sim2real.joint_dynamics import identified_hand
 
     hand = load_hand(name)
     return hand if dynamics is None else identified_hand(hand, dynamics)

@@ -11,12 +11,12 @@ from fungrasp.errors import FungraspError
 from fungrasp.robots.hands.allegro import AllegroSettings
 from fungrasp.robots.hands.inspire import InspireSettings
 from fungrasp.robots.hands.leap import LeapSettings
-from fungrasp.transfer.identification.excitation import Excitation
+from fungrasp.sim2real.identification.excitation import Excitation
 
 if TYPE_CHECKING:
     from fungrasp.hands import Hand
-    from fungrasp.transfer.identification.fit import IdentifiedDynamics
-    from fungrasp.transfer.identification.motion_log import MotionLog
+    from fungrasp.sim2real.identification.fit import IdentifiedDynamics
+    from fungrasp.sim2real.identification.motion_log import MotionLog
 
 HELD_OUT = 0.5
 """The last part of a log is not fitted but predicted."""
@@ -51,9 +51,9 @@ class Collect:
         from fungrasp.robots.hands.joint_order import hand_joint_names
         from fungrasp.robots.hands.leap import leap_driver
         from fungrasp.robots.motion_recording import record_motion
-        from fungrasp.transfer.identification.excitation import excitation_commands
-        from fungrasp.transfer.identification.finger_chains import clear_of_itself, place_in_finger
-        from fungrasp.transfer.identification.motion_log import save_motion_log
+        from fungrasp.sim2real.identification.excitation import excitation_commands
+        from fungrasp.sim2real.identification.finger_chains import clear_of_itself, place_in_finger
+        from fungrasp.sim2real.identification.motion_log import save_motion_log
 
         if isinstance(self.device, AllegroSettings):
             driver = allegro_driver(self.device)
@@ -111,9 +111,9 @@ class Fit:
         import numpy as np
 
         from fungrasp.hands import load_hand
-        from fungrasp.transfer.identification.fit import FitSettings, fit_dynamics
-        from fungrasp.transfer.identification.motion_log import load_motion_log, read_step_csv
-        from fungrasp.transfer.joint_dynamics import QUANTITIES, save_dynamics
+        from fungrasp.sim2real.identification.fit import FitSettings, fit_dynamics
+        from fungrasp.sim2real.identification.motion_log import load_motion_log, read_step_csv
+        from fungrasp.sim2real.joint_dynamics import QUANTITIES, save_dynamics
 
         for name in self.fixed:
             if name not in QUANTITIES:
@@ -166,7 +166,7 @@ class Fit:
     def _held_out(self, hand: Hand, log: MotionLog, found: IdentifiedDynamics, step: bool) -> float:
         import numpy as np
 
-        from fungrasp.transfer.identification.log_simulation import simulate_log
+        from fungrasp.sim2real.identification.log_simulation import simulate_log
 
         error = simulate_log(hand, log, [found.dynamics], errors=[found.errors])[0] - log.positions
         after = log.times > log.times[0] + (1 - HELD_OUT) * (log.times[-1] - log.times[0])

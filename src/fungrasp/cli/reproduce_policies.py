@@ -11,9 +11,9 @@ from fungrasp.cli.make_grasps import MakeGrasps
 from fungrasp.cli.predictor import TrainPredictor
 from fungrasp.cli.train import BUILTIN_TERMS, Train, check_numbers, check_packages
 from fungrasp.files import atomic_path
+from fungrasp.sim2real import PresetName
 from fungrasp.training.plan_library import Variety
 from fungrasp.training.settings import PredictorSettings
-from fungrasp.transfer import PresetName
 
 if TYPE_CHECKING:
     from fungrasp.hands import Hand

@@ -11,10 +11,10 @@ from fungrasp.cli.console import progress_bar, table, write_json
 from fungrasp.cli.train import check_numbers, check_packages, predictor_file, progress_lines, training_sets
 from fungrasp.errors import FungraspError
 from fungrasp.provenance import run_record
+from fungrasp.sim2real import PRESETS, PresetName
 from fungrasp.training.environment import EnvironmentSettings
 from fungrasp.training.plan_library import Variety
 from fungrasp.training.settings import DistillSettings, PpoSettings
-from fungrasp.transfer import PRESETS, PresetName
 
 if TYPE_CHECKING:
     from fungrasp.evaluation import LiftTestResult
@@ -228,7 +228,7 @@ class TableOptions:
         from fungrasp.planning import MotionSettings
         from fungrasp.planning.selection import SelectionSettings
         from fungrasp.policies import make_planner
-        from fungrasp.transfer import NOMINAL, PRESETS
+        from fungrasp.sim2real import NOMINAL, PRESETS
 
         (test,) = training_sets((self.test,), self.objects, hand, variant.method, threads=self.threads)
         grasps, objects = test.grasps, test.objects

@@ -113,7 +113,7 @@ def retargeted(
     from time import perf_counter
 
     from fungrasp.grasps.alternatives import join_alternatives
-    from fungrasp.retarget import retarget
+    from fungrasp.retargeting import retarget
 
     for model in objects.values():
         _ = model.signed_distance

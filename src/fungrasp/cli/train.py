@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from fungrasp.errors import FungraspError
+from fungrasp.sim2real import PRESETS, PresetName
 from fungrasp.training.environment import EnvironmentSettings
 from fungrasp.training.plan_library import Variety
 from fungrasp.training.settings import PpoSettings
-from fungrasp.transfer import PRESETS, PresetName
 
 if TYPE_CHECKING:
     from fungrasp.hands import Hand
@@ -220,7 +220,7 @@ def training_sets(
     from fungrasp.evaluation.lift_test_chunks import check_hand
     from fungrasp.grasps import RobotGraspSet, load_grasps, load_objects
     from fungrasp.grasps.grasp_files import BUILTIN
-    from fungrasp.retarget import METHODS
+    from fungrasp.retargeting import METHODS
     from fungrasp.training.run import TrainingSet
 
     if method not in METHODS:

@@ -10,7 +10,7 @@ import numpy as np
 from fungrasp.hands import Hand
 from fungrasp.robots.cell import RobotCell
 from fungrasp.robots.torque_limits import limited_hand
-from fungrasp.transfer.joint_dynamics import JointDynamics, load_dynamics, model_dynamics
+from fungrasp.sim2real.joint_dynamics import JointDynamics, load_dynamics, model_dynamics
 
 
 @dataclass(frozen=True, eq=False)

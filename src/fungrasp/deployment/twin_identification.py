@@ -16,12 +16,12 @@ from fungrasp.robots.twin.clocks import TwinClock
 from fungrasp.robots.twin.devices import TwinHand
 from fungrasp.robots.twin.parameters import TwinParameters
 from fungrasp.robots.twin.world import TwinWorld
-from fungrasp.transfer.identification.excitation import Excitation, excitation_commands
-from fungrasp.transfer.identification.finger_chains import clear_of_itself, place_in_finger
-from fungrasp.transfer.identification.fingertip_weights import hang_weights
-from fungrasp.transfer.identification.fit import FitSettings, IdentifiedDynamics, fit_dynamics
-from fungrasp.transfer.identification.log_simulation import simulate_log
-from fungrasp.transfer.identification.motion_log import MotionLog
+from fungrasp.sim2real.identification.excitation import Excitation, excitation_commands
+from fungrasp.sim2real.identification.finger_chains import clear_of_itself, place_in_finger
+from fungrasp.sim2real.identification.fingertip_weights import hang_weights
+from fungrasp.sim2real.identification.fit import FitSettings, IdentifiedDynamics, fit_dynamics
+from fungrasp.sim2real.identification.log_simulation import simulate_log
+from fungrasp.sim2real.identification.motion_log import MotionLog
 
 MULTI_SINE = Excitation(kind="multi-sine", seconds=6.0, rate=100.0, reach=0.12, hold=0.5, fastest=2.5)
 """On an Allegro twin servos then make at most 75 % of their torque."""

@@ -22,9 +22,9 @@ from fungrasp.planning.next_attempt import ATTEMPT_SEEDS, next_belief, within_re
 from fungrasp.planning.withdrawal import Waypoints, way_off, way_round
 from fungrasp.policies.waypoints import WaypointPolicy
 from fungrasp.records import BatchRecord
+from fungrasp.sim2real import random_stream
 from fungrasp.task import Action, Belief, GraspPlan, LiftEnvironment, Outcomes, Policy, PrivilegedPolicy, play
 from fungrasp.task.attempt_judge import AttemptJudge, TrackedFrames
-from fungrasp.transfer import random_stream
 
 LONGEST_WAY = 150
 """Control steps after which a hand that has not arrived is taken not to: three times what ways take."""

@@ -9,11 +9,11 @@ import numpy as np
 
 from fungrasp.errors import FungraspError
 from fungrasp.hands import Hand
-from fungrasp.transfer.identification.excitation import Excitation, excitation_commands
-from fungrasp.transfer.identification.fit import FitSettings, fit_dynamics
-from fungrasp.transfer.identification.log_simulation import simulate_log
-from fungrasp.transfer.identification.motion_log import MotionLog, read_step_csv
-from fungrasp.transfer.joint_dynamics import JointDynamics, model_dynamics
+from fungrasp.sim2real.identification.excitation import Excitation, excitation_commands
+from fungrasp.sim2real.identification.fit import FitSettings, fit_dynamics
+from fungrasp.sim2real.identification.log_simulation import simulate_log
+from fungrasp.sim2real.identification.motion_log import MotionLog, read_step_csv
+from fungrasp.sim2real.joint_dynamics import JointDynamics, model_dynamics
 
 SPREAD = 2.0
 """True quantities lie within this factor of the model's."""

@@ -29,10 +29,10 @@ from fungrasp.objects import ObjectModel, check_objects, with_sizes
 from fungrasp.planning import MotionPlanner, Planner
 from fungrasp.planning.selection import SelectionSettings
 from fungrasp.policies import OpenLoopPolicy, check_attempts, make_planner, make_policy, policy_files
+from fungrasp.sim2real import NOMINAL, Randomization
 from fungrasp.simulation import SceneSettings, build_scene
 from fungrasp.task import LiftProtocol, Outcomes, Policy, PrivilegedPolicy
 from fungrasp.task.use import UseOutcomes
-from fungrasp.transfer import NOMINAL, Randomization
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -24,9 +24,9 @@ from fungrasp.objects import ObjectModel
 from fungrasp.planning import Planner
 from fungrasp.planning.selection import SearchPlanner
 from fungrasp.policies import StudentPolicy
+from fungrasp.sim2real import Randomization, draw_each, random_stream
 from fungrasp.simulation import Scene
 from fungrasp.task import LiftEnvironment, LiftProtocol, Policy, PrivilegedPolicy, play
-from fungrasp.transfer import Randomization, draw_each, random_stream
 
 USE_PREFIX = "use."
 """Before the names of the fields of ``UseOutcomes`` where they stand beside those of ``Outcomes``."""
@@ -227,7 +227,7 @@ def check_hand(grasps: RobotGraspSet, hand: Hand) -> None:
     if not isinstance(grasps, RobotGraspSet):
         raise FungraspError(
             f"expected robot grasps, not a {type(grasps).__name__}: retarget them first "
-            "(fungrasp.retarget.retarget)"
+            "(fungrasp.retargeting.retarget)"
         )
     if grasps.hand != hand.name:
         raise FungraspError(f"the grasps are of the hand '{grasps.hand}', not of '{hand.name}'")

@@ -18,7 +18,7 @@ from fungrasp.files import digest
 from fungrasp.grasps import HumanGraspSet, RobotGraspSet, load_robot_grasps, save_robot_grasps
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
-from fungrasp.retarget import retarget
+from fungrasp.retargeting import retarget
 
 GRASPS_PER_PART = 128
 """Grasps in a file, and one job on a cluster: some seconds of work."""
@@ -60,7 +60,7 @@ def retarget_in_parts(
         human: N human grasps.
         objects: by name.
         hand: the robot hand.
-        method: one of ``fungrasp.retarget.METHODS``.
+        method: one of ``fungrasp.retargeting.METHODS``.
         threads: 0 means all processors.
         folder: for finished parts, where there are several; the caller removes it (``remove_parts``).
         progress: called with the number of grasps that have just been solved or read.

@@ -12,8 +12,8 @@ from fungrasp.errors import FungraspError
 from fungrasp.files import atomic_path
 from fungrasp.formats.numpy_files import read_npz
 from fungrasp.grasps import RobotGraspSet
+from fungrasp.sim2real import NOMINAL, Randomization
 from fungrasp.task import LiftTask
-from fungrasp.transfer import NOMINAL, Randomization
 
 _ADDED = ("controls", "differs")
 """Fields that some recordings lack."""

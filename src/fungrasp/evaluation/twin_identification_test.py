@@ -11,7 +11,7 @@ from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
 from fungrasp.robots.cell import RobotCell
 from fungrasp.robots.twin.parameters import TwinParameters, cell_twin
-from fungrasp.transfer.joint_dynamics import QUANTITIES, JointDynamics
+from fungrasp.sim2real.joint_dynamics import QUANTITIES, JointDynamics
 
 
 @dataclass(frozen=True)

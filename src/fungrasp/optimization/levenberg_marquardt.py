@@ -16,7 +16,7 @@ from fungrasp.optimization.terms import Residual
 Term = Callable[[HandState[Any]], Residual]
 
 COMPILED = find_spec("numba") is not None
-"""Whether loops can be compiled: Numba is installed (extra ``fast``)."""
+"""Whether loops can be compiled: Numba is installed."""
 
 TOLERANCE = 3e-3
 """Share of its objective that a grasp must gain to go on, at least in one of ``PATIENCE`` steps."""

@@ -11,10 +11,6 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import trimesh
 
-from fungrasp.captures.capture_files import TRUTH_FILE, write_capture
-from fungrasp.captures.capture_settings import CaptureSettings
-from fungrasp.captures.depth_noise import ColorNoise
-from fungrasp.captures.render_capture import render_capture
 from fungrasp.files import atomic_path
 from fungrasp.grasps import builtin_grasps
 from fungrasp.objects import ObjectModel, builtin_object
@@ -22,6 +18,10 @@ from fungrasp.perception.io.scene_folders import COLOR_FILE, DEPTH_FILE, LENS_FI
 from fungrasp.perception.object_pose.pose_error import add, rotation_error
 from fungrasp.perception.pipeline import Perceived
 from fungrasp.report.page_parts import Quantity
+from fungrasp.synthetic_captures.capture_files import TRUTH_FILE, write_capture
+from fungrasp.synthetic_captures.capture_settings import CaptureSettings
+from fungrasp.synthetic_captures.depth_noise import ColorNoise
+from fungrasp.synthetic_captures.render_capture import render_capture
 
 FOLDER = Path(__file__).parent / "demo_capture"
 """The image, its depth and its lens, as ``read_folder`` reads them; and the truth."""

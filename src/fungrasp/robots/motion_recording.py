@@ -8,7 +8,7 @@ import numpy as np
 
 from fungrasp.robots.clock import Clock, WallClock
 from fungrasp.robots.device import DeviceStatus, JointDriver, RobotError
-from fungrasp.transfer.identification.motion_log import MotionLog
+from fungrasp.sim2real.identification.motion_log import MotionLog
 
 
 def record_motion(

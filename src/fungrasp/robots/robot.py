@@ -24,10 +24,10 @@ from fungrasp.robots.device import (
 from fungrasp.robots.kinematics.arm_model import ArmKinematics
 from fungrasp.robots.kinematics.differential import PalmFollower
 from fungrasp.robots.robot_state import Guard, RobotCommand, RobotState, SafetyStop
+from fungrasp.sim2real.gravity_compensation import GravityCompensation, setpoint_offset
 from fungrasp.task import Action, LiftProtocol, Observation
 from fungrasp.task.sensors import NO_LIFT
 from fungrasp.task.setpoints import SetpointGenerator
-from fungrasp.transfer.gravity_compensation import GravityCompensation, setpoint_offset
 
 
 class Robot:

@@ -11,7 +11,7 @@ from fungrasp.hands import Hand
 from fungrasp.robots.assembly import TWIN, hand_driver
 from fungrasp.robots.cell import RobotCell
 from fungrasp.robots.twin.parameters import twin_torque_limits
-from fungrasp.transfer.joint_dynamics import JointDynamics
+from fungrasp.sim2real.joint_dynamics import JointDynamics
 
 
 def driver_torque_limits(cell: RobotCell, hand: Hand) -> np.ndarray:

@@ -12,8 +12,8 @@ from fungrasp.geometry.poses import (
     relative,
     rotation_vector,
 )
+from fungrasp.sim2real import offset_pose
 from fungrasp.task.setpoints import SetpointSequence
-from fungrasp.transfer import offset_pose
 
 
 class Actuation:

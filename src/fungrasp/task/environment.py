@@ -11,6 +11,7 @@ import numpy as np
 from fungrasp.geometry.poses import compose, relative
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.objects import scaled_name, shifted_mass
+from fungrasp.sim2real import NOMINAL, EpisodeSample, Randomization, draw, shift_on_table
 from fungrasp.simulation import Engine, MujocoCpuEngine, Scene
 from fungrasp.task.action import Action
 from fungrasp.task.belief import Belief
@@ -22,7 +23,6 @@ from fungrasp.task.outcome import Outcomes
 from fungrasp.task.policy import Policy, PrivilegedPolicy
 from fungrasp.task.protocol import LiftProtocol
 from fungrasp.task.sensors import SimulatedSensors
-from fungrasp.transfer import NOMINAL, EpisodeSample, Randomization, draw, shift_on_table
 
 
 class LiftEnvironment:

@@ -10,7 +10,7 @@ from scipy.optimize import nnls
 
 from fungrasp.geometry.poses import invert, quaternion_from_rotation_vector, rotate
 from fungrasp.objects import ObjectModel
-from fungrasp.transfer import EpisodeSample, offset_pose, tilt_on_table
+from fungrasp.sim2real import EpisodeSample, offset_pose, tilt_on_table
 
 REST_ANGLE = float(np.deg2rad(5.0))
 """An object is at rest if it can't tip or roll by so much without its center of mass rising [rad]: more than

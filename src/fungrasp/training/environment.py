@@ -12,6 +12,7 @@ from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel, with_sizes
 from fungrasp.policies.plan_tracking import PlanTracker
 from fungrasp.policies.residual_action import ResidualSettings
+from fungrasp.sim2real import MODERATE, Randomization, draw
 from fungrasp.simulation import SceneSettings, build_scene
 from fungrasp.task import LiftEnvironment, LiftProtocol
 from fungrasp.task.features import contact_features, flatten, layout, value_features
@@ -19,7 +20,6 @@ from fungrasp.task.reward import RewardWeights, total
 from fungrasp.training.history import History
 from fungrasp.training.plan_library import PlanLibrary
 from fungrasp.training.rewards import LiftReward
-from fungrasp.transfer import MODERATE, Randomization, draw
 
 _log = logging.getLogger(__name__)
 

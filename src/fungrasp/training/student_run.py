@@ -19,6 +19,7 @@ from fungrasp.objects import ObjectModel, load_object
 from fungrasp.policies.checkpoint.card import Budget, PolicyCard, TrainingData
 from fungrasp.policies.checkpoint.checkpoint_file import SUFFIX, hand_digest
 from fungrasp.provenance import git_revision, machine
+from fungrasp.sim2real.joint_dynamics import identified_hand
 from fungrasp.training.distill import DistillProgress, distill
 from fungrasp.training.environment import TrainingEnvironment
 from fungrasp.training.export import export_student, make_card
@@ -35,7 +36,6 @@ from fungrasp.training.run import (
     keep_beside,
 )
 from fungrasp.training.settings import DistillSettings
-from fungrasp.transfer.joint_dynamics import identified_hand
 
 STUDENT = "student.onnx"
 

@@ -12,9 +12,9 @@ import fungrasp.planning.selection.rollouts as rollouts
 from fungrasp.planning.selection.candidates import Candidates, CandidateStatistics
 from fungrasp.planning.selection.rollouts import RolloutSettings, Rounds, roll_out, try_candidates
 from fungrasp.policies import OpenLoopPolicy
+from fungrasp.sim2real import MODERATE, NOMINAL, EpisodeSample, MeasurementError, Randomization, draw
 from fungrasp.task import Action, GraspPlan, LiftEnvironment, Observation, play
 from fungrasp.task.use import UseMotion
-from fungrasp.transfer import MODERATE, NOMINAL, EpisodeSample, MeasurementError, Randomization, draw
 
 SHORT = RolloutSettings(hold_time=0.3)
 ROUNDS, PRIOR = ((3, 1), (2, 2)), 4.0

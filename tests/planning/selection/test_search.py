@@ -17,8 +17,8 @@ from fungrasp.planning.selection.rollouts import RolloutSettings
 from fungrasp.planning.selection.search import RESOLUTION
 from fungrasp.planning.selection.settings import FurtherSearch
 from fungrasp.policies import OpenLoopPolicy
+from fungrasp.sim2real import NOMINAL
 from fungrasp.task import Belief, GraspPlan
-from fungrasp.transfer import NOMINAL
 
 SHORT = RolloutSettings(hold_time=0.3)
 

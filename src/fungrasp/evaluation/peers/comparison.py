@@ -16,7 +16,7 @@ from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
 from fungrasp.planning import MotionSettings
 from fungrasp.policies import make_planner
-from fungrasp.retarget import METHODS, retarget
+from fungrasp.retargeting import METHODS, retarget
 
 Solve = Callable[[PeerProblem], tuple[RobotGraspSet, float]]
 
@@ -68,7 +68,7 @@ def compare_method(
     """Solve and judge by one method.
 
     Args:
-        name: of ``fungrasp.retarget.METHODS`` or ``PEERS``.
+        name: of ``fungrasp.retargeting.METHODS`` or ``PEERS``.
         human: the grasps.
         objects: by name.
         hand: the robot hand.

@@ -12,10 +12,10 @@ from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel, with_sizes
 from fungrasp.planning.selection.candidates import Candidates
 from fungrasp.records import BatchRecord
+from fungrasp.sim2real import MODERATE, EpisodeSample, MeasurementError, Randomization, draw, random_stream
 from fungrasp.simulation import Scene, SceneSettings, build_scene
 from fungrasp.task import Belief, GraspPlan, LiftEnvironment, LiftProtocol, Policy, play
 from fungrasp.task.use import LARGEST_SHIFT, LARGEST_TURN, load_use_motions, motion_of, play_use
-from fungrasp.transfer import MODERATE, EpisodeSample, MeasurementError, Randomization, draw, random_stream
 
 Rounds = tuple[tuple[int, int], ...]
 """For each round, the number of the best candidates of a grasp that are tried, and of rollouts of each."""

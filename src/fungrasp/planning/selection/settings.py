@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from fungrasp.errors import FungraspError
 from fungrasp.planning.selection.rollouts import RolloutSettings, Rounds
 from fungrasp.planning.selection.variations import VariationSpread
-from fungrasp.transfer import MODERATE, REALITY_ROLLOUTS, ProtocolName
+from fungrasp.sim2real import MODERATE, REALITY_ROLLOUTS, ProtocolName
 
 WIDE_SPREAD = VariationSpread(position=0.015, rotation=0.2, joints=0.1, closing=0.15, force=0.5, press=0.02)
 

@@ -10,7 +10,7 @@ from fungrasp.errors import FungraspError
 from fungrasp.geometry.poses import quaternion_from_rotation_vector
 from fungrasp.hands import Hand
 from fungrasp.robots.cell import RobotCell
-from fungrasp.transfer import random_stream
+from fungrasp.sim2real import random_stream
 
 
 @dataclass(frozen=True)

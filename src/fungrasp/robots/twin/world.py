@@ -17,7 +17,7 @@ from fungrasp.robots.cell import RobotCell
 from fungrasp.robots.device import TrackedPose, TrackingStatus
 from fungrasp.robots.twin.parameters import TwinParameters
 from fungrasp.robots.twin.twin_model import OBJECT, TABLE, TwinPhysics, twin_model
-from fungrasp.transfer import random_stream
+from fungrasp.sim2real import random_stream
 
 TORQUE_DELAY = 0.002
 """Time until a torque reaches the hand's motors [s]: a CAN frame and a period of the motor's controller. The

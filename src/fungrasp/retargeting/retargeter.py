@@ -1,0 +1,207 @@
+"""A robot hand that follows a moving human hand around one object, frame by frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+
+from fungrasp.errors import FungraspError
+from fungrasp.geometry.poses import (
+    compose,
+    invert,
+    quaternion_conjugate,
+    quaternion_multiply,
+    rotate,
+    rotation_vector,
+    transform_points,
+)
+from fungrasp.hands import Hand
+from fungrasp.hands.kinematics import HandKinematics
+from fungrasp.objects import ObjectModel
+from fungrasp.optimization import terms
+from fungrasp.optimization.collision_scene import CollisionScene, project_to_surface
+from fungrasp.optimization.hand_state import HandPoints
+from fungrasp.optimization.levenberg_marquardt import minimize
+from fungrasp.optimization.retargeting_problem import RetargetingProblem
+from fungrasp.retargeting.contact_optimization import initial_pose
+
+
+@dataclass(frozen=True)
+class RetargeterSettings:
+    """The size at which each term of a frame's objective counts as one unit, and numbers of iterations."""
+
+    fingertip_unit: float = 0.004
+    """Distance of a fingertip from its target [m]."""
+    inner_weight: float = 0.2
+    """Factor for other joints of the fingers [-]."""
+    direction_unit: float = 0.5
+    """Difference of the unit vectors along a link [-]."""
+    object_unit: float = 0.001
+    """Penetration of the object [m]."""
+    table_unit: float = 0.001
+    """Penetration of the table [m]."""
+    self_unit: float = 0.001
+    """Penetration of the hand by itself [m]."""
+    joint_unit: float = 0.5
+    """Change of a joint from one frame to the next [rad]."""
+    position_unit: float = 0.05
+    """Change of the wrist's position in the object from one frame to the next [m]."""
+    rotation_unit: float = 0.5
+    """Change of the wrist's rotation in the object from one frame to the next [rad]."""
+    near: float = 0.012
+    """Distance from the object at which a human joint touches it through the flesh [m]: its counterpart
+    touches the surface."""
+    far: float = 0.03
+    """Distance beyond which the object does not draw a joint's counterpart from the joint's own place [m]."""
+    joint_step: float = 0.05
+    """Change of a joint in one frame that is allowed while the person stands still [rad]."""
+    joint_gain: float = 30.0
+    """More of it for each meter that the person moved, at any joint [rad/m]: more than twice what a finger of
+    8 cm turns."""
+    wrist_step: float = 0.005
+    """Change of the wrist's position in the object in one frame while the person stands still [m]."""
+    wrist_gain: float = 2.0
+    """More of it for each meter that the person moved [-]."""
+    iterations: int = 8
+    """Solver iterations of a frame."""
+    first_iterations: int = 40
+    """Solver iterations of the first frame."""
+
+
+class FollowedPose(NamedTuple):
+    """A robot hand at one frame."""
+
+    wrist_pose: np.ndarray
+    """Of the palm body, world frame, shape [7]."""
+    joint_positions: np.ndarray
+    """Every joint of the hand's model [rad], shape [M]."""
+
+
+class Retargeter:
+    """Follows a human hand near one object, which may move as well.
+
+    Each frame starts from the last one's result and stays near it, and the change is bounded, so that a
+    small motion of the person is a small motion of the robot. Fingertips and joints go where the human's
+    are; near the object, onto the surface where the human's touch it. ``fungrasp.retargeting.retarget`` takes
+    more time over a single grasp, with wanted contacts and the balance of forces.
+    """
+
+    def __init__(self, hand: Hand, model: ObjectModel, settings: RetargeterSettings | None = None):
+        """
+        Args:
+            hand: any hand.
+            model: the object.
+            settings: weights and iterations; the defaults if None.
+        """
+        self._settings = settings or RetargeterSettings()
+        self._points = HandPoints(HandKinematics(hand, 1))
+        self._scene = CollisionScene.settled(
+            [model.name], np.array([[0, 0, 0, 1.0, 0, 0, 0]]), {model.name: model}
+        )
+        self._last: tuple[np.ndarray, np.ndarray] | None = None
+        self._joints = np.zeros((1, 21, 3))
+
+    def reset(self) -> None:
+        """Forget the last frame: the next one is solved anew."""
+        self._last = None
+
+    def follow(self, hand_joints: np.ndarray, object_pose: np.ndarray) -> FollowedPose:
+        """The robot hand at the next frame.
+
+        Args:
+            hand_joints: human joints of the robot hand's side [m], world frame, shape [21, 3].
+            object_pose: world frame, shape [7]; the table is the plane z = 0.
+
+        Raises:
+            FungraspError: an array of another shape, or one that is not finite.
+        """
+        for name, array, shape in (
+            ("hand_joints", hand_joints, (21, 3)),
+            ("object_pose", object_pose, (7,)),
+        ):
+            if np.shape(array) != shape or not np.all(np.isfinite(array)):
+                raise FungraspError(f"{name} must be finite numbers of shape {shape}")
+        pose = np.asarray(object_pose, dtype=float)
+        inverse = invert(pose)
+        joints = transform_points(inverse, np.asarray(hand_joints, dtype=float))[None]
+        scene = replace(
+            self._scene, up=rotate(inverse[3:], np.array([0.0, 0.0, 1.0]))[None, None], height=pose[None, 2:3]
+        )
+        problem = self._problem(scene, joints)
+        first = self._last is None
+        start = initial_pose(self._points, problem) if self._last is None else self._last
+        wrist, independent, _ = minimize(
+            self._points,
+            problem,
+            self._objective(problem, None if first else start),
+            *start,
+            self._settings.first_iterations if first else self._settings.iterations,
+        )
+        if self._last is not None:
+            motion = float(np.linalg.norm(joints - self._joints, axis=-1).max())
+            wrist, independent = self._bounded(self._last, (wrist, independent), motion)
+        self._last, self._joints = (wrist, independent), joints
+        return FollowedPose(compose(pose, wrist[0]), self._points.kinematics.hand.all_joints(independent[0]))
+
+    def _problem(self, scene: CollisionScene, joints: np.ndarray) -> RetargetingProblem:
+        surface, normals = project_to_surface(scene.bank, scene.grid, joints)
+        return RetargetingProblem(
+            **{f.name: getattr(scene, f.name) for f in fields(CollisionScene)},
+            joints=joints,
+            contacts=np.zeros((1, 1 + len(self._points.match.far)), dtype=bool),
+            surface=surface,
+            normals=normals,
+            center=np.zeros((1, 3)),
+            extent=np.ones(1),
+            weight=np.ones(1),
+        )
+
+    def _bounded(
+        self, last: tuple[np.ndarray, np.ndarray], found: tuple[np.ndarray, np.ndarray], motion: float
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """As much of the way from the last frame as is allowed: where another posture has become better,
+        the hand gets there over several frames.
+
+        Args:
+            last, found: wrist pose [1, 7] and independent joints [1, U].
+            motion: of the person since the last frame, in the object's frame [m].
+        """
+        s, (pose, joints) = self._settings, last
+        turn = rotation_vector(quaternion_multiply(found[0][:, 3:], quaternion_conjugate(pose[:, 3:])))
+        tangent = np.concatenate([found[0][:, :3] - pose[:, :3], turn, found[1] - joints], axis=1)
+        joint_limit, wrist_limit = s.joint_step + s.joint_gain * motion, s.wrist_step + s.wrist_gain * motion
+        largest = max(
+            np.abs(tangent[0, 3:]).max() / joint_limit, np.linalg.norm(tangent[0, :3]) / wrist_limit
+        )
+        return found if largest <= 1 else self._points.kinematics.step(pose, joints, tangent / largest)
+
+    def _objective(
+        self, problem: RetargetingProblem, last: tuple[np.ndarray, np.ndarray] | None
+    ) -> list[partial]:
+        s, match = self._settings, self._points.match
+        weight = np.where(match.is_last, 1.0, s.inner_weight)[None] / s.fingertip_unit
+        objective = [
+            partial(terms.keypoint_position, which=match.far, target=self._targets(problem), weight=weight),
+            partial(terms.link_direction, unit=s.direction_unit),
+            partial(terms.object_penetration, unit=s.object_unit),
+            partial(terms.table_penetration, unit=s.table_unit),
+            partial(terms.self_penetration, unit=s.self_unit),
+        ]
+        if last is not None:
+            units = {"unit": s.joint_unit, "position_unit": s.position_unit, "rotation_unit": s.rotation_unit}
+            objective.append(partial(terms.stay_near, start=last, **units))
+        return objective
+
+    def _targets(self, problem: RetargetingProblem) -> np.ndarray:
+        """Where the far key points of the links should be [m], shape [1, S, 3]."""
+        s, human = self._settings, self._points.match.human_far
+        joints, surface, normals = (x[:, human] for x in (problem.joints, problem.surface, problem.normals))
+        touching = surface + self._points.far_radius[:, None] * normals
+        distance = np.sum((joints - surface) * normals, axis=-1, keepdims=True)
+        share = np.clip((s.far - distance) / (s.far - s.near), 0.0, 1.0)
+        # Without a corner at either end, so that a hand that approaches is not jerked.
+        share = share * share * (3 - 2 * share)
+        return joints + share * (touching - joints)

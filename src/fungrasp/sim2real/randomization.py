@@ -1,0 +1,207 @@
+"""What may differ between a world and the nominal one: one description, one sampler.
+
+Training, the rollouts of planning, single options of ``fungrasp evaluate`` and the robustness protocol all
+draw from a ``Randomization`` (``fungrasp.sim2real.presets``). The paper (section IV.C.3) randomizes joint
+damping, servo gains, friction, object mass, table height and the observed state of the hand; the rest is
+added.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Literal
+
+import numpy as np
+
+from fungrasp.errors import FungraspError
+
+Range = tuple[float, float]
+"""Smallest and largest value; equal ones are a constant."""
+
+LONGEST_DELAY = 0.1
+"""Longest delay from a decision to the servos [s]: one control period."""
+
+_FACTORS = ("joint_damping", "servo_stiffness", "servo_damping", "wrist_stiffness", "mass", "object_scale")
+_POSITIVE = (*_FACTORS, "friction", "push_duration")
+_SIGNED = ("table_height",)
+_PROBABILITIES = ("tracker_dropout", "tracker_freeze", "shift_probability")
+
+OBJECT_SCALES = 5
+"""Number of sizes that ``Randomization.object_scale`` is drawn from: a scene holds a mesh for each."""
+
+
+@dataclass(frozen=True)
+class MeasurementError:
+    """Zero-mean error of a measured quantity, per coordinate. Its unit is that of the quantity."""
+
+    bias: float = 0.0
+    """Standard deviation of the normal part that stays the same during an episode."""
+    jitter: float = 0.0
+    """Standard deviation of the normal part that is new at every measurement."""
+    offset: float = 0.0
+    """Length of a part that stays the same during an episode, in a uniformly random direction."""
+    offset_deviation: float = 0.0
+    """Standard deviation of that length."""
+    uniform: float = 0.0
+    """Largest size of a uniform part that stays the same during an episode."""
+
+    @property
+    def variance(self) -> float:
+        """Of what stays the same during an episode, per coordinate of three."""
+        return self.bias**2 + (self.offset**2 + self.offset_deviation**2) / 3 + self.uniform**2 / 3
+
+
+@dataclass(frozen=True)
+class Randomization:
+    """Ranges to draw from, anew for every episode. The default is none: the nominal world.
+
+    Factors are drawn log-uniformly, so that half is as likely as double; other ranges uniformly.
+    """
+
+    joint_damping: Range = (1.0, 1.0)
+    """Factor on the damping of each finger joint."""
+    servo_stiffness: Range = (1.0, 1.0)
+    """Factor on the stiffness (kp) of each finger servo."""
+    servo_damping: Range = (1.0, 1.0)
+    """Factor on the damping (kd) of each finger servo."""
+    wrist_stiffness: Range = (1.0, 1.0)
+    """Factor on stiffness and damping of the wrist's servos, the same for all six, so that the wrist keeps up
+    with its moving setpoint as before."""
+    joint_friction: Range = (0.0, 0.0)
+    """Dry friction of each finger joint, as a fraction of its servo's torque limit."""
+    encoder_bias: float = 0.0
+    """Largest error of each finger joint's encoder, either way, the same during an episode [rad]. Servos work
+    on what encoders say: the joint comes to rest off by as much."""
+    backlash: Range = (0.0, 0.0)
+    """How far each finger joint can be from where its motor has it, either way [rad]."""
+    wrist_position_offset: float = 0.0
+    """Distance of the palm from where the arm believes to have it (calibration) [m], in a random direction,
+    the same during an episode."""
+    wrist_rotation_offset: float = 0.0
+    """Angle of the palm from how the arm believes to hold it [rad], about a random axis, the same during an
+    episode."""
+    wrist_lag: Range = (0.0, 0.0)
+    """Time constant with which the wrist follows its setpoints [s], a first-order lag."""
+    mass: Range = (1.0, 1.0)
+    """Factor on the mass of the object."""
+    center_of_mass_shift: float = 0.0
+    """Largest displacement of the object's center of mass along each axis of its frame, either way, as a
+    fraction of its extent there."""
+    object_scale: Range = (1.0, 1.0)
+    """Factor on the size of the object, one of ``object_scales``; its mass stays."""
+    friction: Range | None = None
+    """Sliding friction of hand, object and table; the nominal one if None."""
+    table_height: Range = (0.0, 0.0)
+    """Height of the table top, and of what stands on it, above the nominal one [m]."""
+    table_tilt: Range = (0.0, 0.0)
+    """Slope of the table top [rad], in a random direction."""
+    joint_error: MeasurementError = MeasurementError()
+    """Error of the measured finger joints [rad]."""
+    palm_position_error: MeasurementError = MeasurementError()
+    """Error of the measured palm position [m]."""
+    palm_rotation_error: MeasurementError = MeasurementError()
+    """Error of the measured palm rotation, as a rotation vector [rad]."""
+    object_position_error: MeasurementError = MeasurementError()
+    """Error of the object's estimated and tracked position [m]."""
+    object_rotation_error: MeasurementError = MeasurementError()
+    """Error of the object's estimated and tracked rotation, as a rotation vector [rad] about its centre of
+    mass."""
+    tracker_delay: Range = (0.0, 0.0)
+    """Age of the tracked object pose when a policy sees it [s]."""
+    tracker_dropout: float = 0.0
+    """Probability that a frame of the tracker is missing; the policy then sees the last one."""
+    tracker_freeze: float = 0.0
+    """Probability that an episode's tracker loses the object when the hand first touches it: the policy then
+    sees the last frame, until the hand has left the object."""
+    tracker_time_constant: float = 0.0
+    """Time constant of the tracker's low-pass filter [s], a first-order one on position and rotation; 0 for
+    none. A pose that moves steadily is seen late by as much."""
+    action_delay: Range = (0.0, 0.0)
+    """Time from a policy's decision to the servos [s], at most ``LONGEST_DELAY``."""
+    push_phase: Literal["lift", "hold"] = "hold"
+    """Phase from whose beginning the times of the pushes count."""
+    push_times: tuple[Range, ...] = ()
+    """Time of each push on the object's centre of mass, from the beginning of that phase [s]."""
+    push_force: Range = (0.0, 0.0)
+    """Force of each push [N], in a random direction."""
+    push_weights: Range = (0.0, 0.0)
+    """Additional force of each push, in multiples of the object's true weight."""
+    push_duration: float = 0.2
+    """Duration of each push [s]."""
+    object_shift: Range = (0.0, 0.0)
+    """Distance by which the object is moved on the table after planning [m], in a random direction; drawn
+    uniformly over the ring's area."""
+    shift_probability: float = 1.0
+    """Probability that an episode's object is moved or turned at all."""
+    object_turn: float = 0.0
+    """Largest angle by which the object is then turned about the vertical, in either direction [rad]."""
+
+    def __post_init__(self) -> None:
+        """
+        Raises:
+            FungraspError: a value is impossible.
+        """
+        for f in fields(self):
+            value = getattr(self, f.name)
+            if isinstance(value, MeasurementError):
+                numbers = np.array(list(vars(value).values()))
+            elif value is None or isinstance(value, str):
+                continue
+            else:
+                numbers = np.ravel(np.asarray(value, dtype=float))
+            name = f.name.replace("_", " ")
+            if not np.isfinite(numbers).all():
+                raise FungraspError(f"{name} must be finite, not {value}")
+            ranges = np.reshape(numbers, (-1, 2)) if isinstance(value, tuple) else np.empty((0, 2))
+            if (ranges[:, 0] > ranges[:, 1]).any():
+                raise FungraspError(f"{name} must rise from low to high, not {value}")
+            if f.name in _POSITIVE and (numbers <= 0).any():
+                raise FungraspError(f"{name} must be positive, not {value}")
+            if f.name not in _SIGNED and (numbers < 0).any():
+                raise FungraspError(f"{name} must not be negative, not {value}")
+        if max(np.abs(self.table_height)) > 0.2:
+            raise FungraspError(
+                f"table height must be within 0.2 m of the nominal one, not {self.table_height}"
+            )
+        if self.table_tilt[1] > 0.5:
+            raise FungraspError(f"table tilt must be at most 0.5 rad, not {self.table_tilt}")
+        if self.center_of_mass_shift > 0.5:
+            raise FungraspError(
+                "center of mass shift must be within half of the extent, not "
+                f"{self.center_of_mass_shift} of it"
+            )
+        if self.action_delay[1] > LONGEST_DELAY:
+            raise FungraspError(f"action delay must be 0 to {LONGEST_DELAY:g} s, not {self.action_delay}")
+        for name in _PROBABILITIES:
+            if getattr(self, name) > 1:
+                raise FungraspError(f"{name.replace('_', ' ')} is a probability, not {getattr(self, name)}")
+
+    @property
+    def is_random(self) -> bool:
+        """Whether episodes depend on the seed."""
+        values = {name: value for name, value in vars(self).items() if not name.startswith("push_")}
+        noisy = any(isinstance(v, MeasurementError) and v != MeasurementError() for v in values.values())
+        wide = any(isinstance(v, tuple) and v[0] != v[1] for v in values.values())
+        pushed = max(*self.push_force, *self.push_weights) > 0 and bool(self.push_times)
+        directions = (
+            self.object_shift[1],
+            self.object_turn,
+            self.table_tilt[1],
+            self.wrist_position_offset,
+            self.wrist_rotation_offset,
+        )
+        chances = (self.tracker_dropout, self.tracker_freeze, self.encoder_bias, self.center_of_mass_shift)
+        return noisy or wide or pushed or max(directions) > 0 or max(chances) > 0
+
+    @property
+    def object_scales(self) -> tuple[float, ...]:
+        """The factors that ``object_scale`` may be, rising: ``OBJECT_SCALES`` of them, or a single one."""
+        low, high = self.object_scale
+        return (low,) if low == high else tuple(np.linspace(low, high, OBJECT_SCALES).round(6).tolist())
+
+    @property
+    def object_pose_covariance(self) -> np.ndarray:
+        """Covariance of what stays the same of the object's pose error: position [m] and rotation vector
+        [rad], shape [6, 6]."""
+        errors = (self.object_position_error, self.object_rotation_error)
+        return np.diag(np.repeat([e.variance for e in errors], 3))

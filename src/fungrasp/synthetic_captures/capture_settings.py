@@ -1,0 +1,105 @@
+"""What test captures look like: cameras, hands, clutter, other people, noise."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+from fungrasp.errors import FungraspError, UnknownNameError
+from fungrasp.perception import Intrinsics
+from fungrasp.rendering.shading import Color
+from fungrasp.synthetic_captures.capture_scene import Label
+from fungrasp.synthetic_captures.depth_cameras import DEPTH_CAMERAS, DepthCamera
+from fungrasp.synthetic_captures.depth_noise import ColorNoise, DepthNoise
+from fungrasp.synthetic_captures.skin_and_sleeve import SKIN_TONES
+
+TYPICAL = Intrinsics(640, 480, 615.0, 615.0, 321.5, 238.0)
+"""A colour camera of the kind that is sold with a depth sensor for robots."""
+
+
+@dataclass(frozen=True)
+class CaptureSettings:
+    """What test captures look like."""
+
+    intrinsics: Intrinsics = TYPICAL
+    """Intrinsics of the typical camera; those of a capture differ by a few pixels."""
+    intrinsics_spread: float = 8.0
+    """Largest difference of focal length and optical axis from the typical ones [pixels]."""
+    distance: tuple[float, float] = (0.4, 0.9)
+    """Range of distances from the camera to the grasp [m]."""
+    elevation: tuple[float, float] = (15.0, 65.0)
+    """Range of elevations of the camera above the table, seen from the grasp [degrees]."""
+    clutter: tuple[int, int] = (0, 5)
+    """Fewest and most other objects on the table."""
+    skin: tuple[Color, ...] = SKIN_TONES
+    """Tones of skin, sRGB; another colour makes a glove."""
+    object_seen: float = 0.012
+    """Part of the image that must show the object, where a camera can be found that does."""
+    hand_seen: float = 0.015
+    """Part of the image that must show the hand, where a camera can be found that does."""
+    missing: tuple[Label, ...] = ()
+    """Labels that are taken out of the scene once the camera has found its place, to see what perception
+    makes of that: ``HAND`` (with its sleeve) or ``OBJECT``."""
+    proportions: float = 0.0
+    """Standard deviation of the size of hands, and of the lengths of their fingers, as a part; their
+    fingertips stay where they are."""
+    skin_like: float = 0.0
+    """Part of the clutter, and of the table tops, with colours that some skin has."""
+    worn: float = 0.0
+    """Part of the hands that wear a ring, and part that wears a watch."""
+    people: float = 0.0
+    """Part of the scenes with a hand of somebody else beside the grasp, and part with a person behind it."""
+    left: float = 0.0
+    """Part of the captures that are seen in a mirror: left hands, with the mirror images of objects."""
+    depth_noise: DepthNoise | tuple[DepthCamera, ...] | None = field(default_factory=DepthNoise)
+    """Errors of the depth: simple ones, those of one of several kinds of cameras, drawn for each capture,
+    or None for perfect depth."""
+    color_noise: ColorNoise | None = field(default_factory=ColorNoise)
+    """Noise of the color image; None for perfect color."""
+
+    def __post_init__(self) -> None:
+        for name in ("distance", "elevation", "clutter"):
+            low, high = getattr(self, name)
+            if not 0 <= low <= high:
+                raise FungraspError(f"captures: {name} must be a range from low to high, not {low} to {high}")
+        if isinstance(self.depth_noise, tuple) and not self.depth_noise:
+            raise FungraspError("captures: depth_noise must name at least one camera, or be None")
+        if not 0 <= self.proportions <= 0.2:
+            raise FungraspError(f"captures: proportions must be from 0 to 0.2, not {self.proportions}")
+        for name in ("worn", "people", "left", "skin_like"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise FungraspError(f"captures: {name} is a part, from 0 to 1, not {getattr(self, name)}")
+        if self.distance[0] < 0.2 or self.elevation[1] > 85:
+            raise FungraspError("captures: the camera must be 0.2 m away or more, and at most 85 degrees up")
+
+
+def camera_settings(camera: str = "mixed") -> CaptureSettings:
+    """Captures as the cameras that people have give them: melted depth, wrong exposure, hands of all sizes.
+
+    Args:
+        camera: one of ``DEPTH_CAMERAS``, or "mixed", which draws one of them for each capture.
+
+    Raises:
+        UnknownNameError: there is no such camera.
+    """
+    if camera != "mixed" and camera not in DEPTH_CAMERAS:
+        raise UnknownNameError("depth camera", camera, ("mixed", *DEPTH_CAMERAS))
+    cameras = tuple(DEPTH_CAMERAS.values()) if camera == "mixed" else (DEPTH_CAMERAS[camera],)
+    return CaptureSettings(
+        proportions=0.07,
+        skin_like=0.4,
+        distance=(0.45, 0.9),
+        object_seen=0.006,
+        depth_noise=cameras,
+        color_noise=ColorNoise(
+            noise=3.0, blur=0.6, balance=0.08, exposure=(0.6, 3.0), motion=4.0, jpeg=(60, 95)
+        ),
+    )
+
+
+def varied_settings(camera: str = "mixed") -> CaptureSettings:
+    """``camera_settings`` with left hands, rings, watches, and other people in the image.
+
+    Raises:
+        UnknownNameError: there is no such camera.
+    """
+    return replace(camera_settings(camera), worn=0.3, people=0.3, left=0.4)

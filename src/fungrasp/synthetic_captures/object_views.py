@@ -1,0 +1,75 @@
+"""Rendered images of one object alone on a table, from all round, as they are made for a scan."""
+
+from __future__ import annotations
+
+import numpy as np
+import trimesh
+from scipy.spatial.transform import Rotation
+
+from fungrasp.geometry.poses import transform_points
+from fungrasp.objects import ObjectModel
+from fungrasp.perception import Capture, Intrinsics
+from fungrasp.rendering.camera import orbit_camera
+from fungrasp.rendering.ray_tracing import NOTHING, RayTracer
+from fungrasp.rendering.shading import Look
+from fungrasp.synthetic_captures.capture_scene import scan_table
+from fungrasp.synthetic_captures.capture_settings import TYPICAL
+from fungrasp.synthetic_captures.depth_cameras import DepthCamera, camera_depth
+from fungrasp.synthetic_captures.depth_noise import ColorNoise, noisy_color
+from fungrasp.synthetic_captures.painted_mesh import painted_object
+from fungrasp.synthetic_captures.render_capture import posed_rays
+
+
+def object_views(
+    model: ObjectModel,
+    count: int,
+    rng: np.random.Generator,
+    *,
+    camera: DepthCamera | None = None,
+    color_noise: ColorNoise | None = None,
+    intrinsics: Intrinsics = TYPICAL,
+    distance: float = 0.45,
+    elevation: float = 35.0,
+) -> tuple[list[Capture], trimesh.Trimesh]:
+    """Views at equal angles about an object at rest, each a little off them.
+
+    Args:
+        model: the object.
+        count: of views.
+        rng: decides table, light and noise.
+        camera: errors of depth; None: none.
+        color_noise: errors of colour; None: none.
+        intrinsics: of the camera.
+        distance: from the camera to the object's middle [m].
+        elevation: of the camera above the table [degrees].
+
+    Returns:
+        The images, and the object's mesh as it stands: table frame, the table at z = 0.
+    """
+    pose = model.rest_pose(float(rng.uniform(0, 2 * np.pi)))
+    painted = painted_object(model).moved(pose)
+    centre = painted.vertices.mean(axis=0)
+    surfaces = [painted.surface(0.1, 20.0), scan_table(centre, rng)]
+    look = Look(light=(0.6, -0.5, 1.6), light_radius=10.0, key=1.4, fill=1.0)
+    tracer = RayTracer(surfaces, look)
+    captures = []
+    for i in range(count):
+        eye = orbit_camera(
+            centre + rng.normal(size=3) * 0.008,
+            distance * rng.uniform(0.95, 1.05),
+            360.0 * i / count + rng.uniform(-3, 3),
+            elevation + rng.uniform(-4, 4),
+        )
+        rotation = Rotation.from_matrix(eye.rotation).as_quat(scalar_first=True)
+        rays = posed_rays(intrinsics, np.concatenate([eye.position, rotation]))
+        points = tracer.see(rays)
+        light = tracer.picture(rays, points)
+        seen = np.where(points.surface == NOTHING, 0.0, points.distance)
+        shape = (intrinsics.height, intrinsics.width)
+        depth = (seen.reshape(shape) / np.linalg.norm(intrinsics.rays(), axis=-1)).astype(np.float32)
+        if camera is not None:
+            depth = camera_depth(depth, intrinsics, camera, rng, np.clip(light.mean(axis=-1), 0, None))
+        color = noisy_color(light, color_noise or ColorNoise(0.0, 0.0, 0.0), rng)
+        captures.append(Capture(color, depth, intrinsics))
+    mesh = trimesh.Trimesh(transform_points(pose, model.vertices), model.faces, process=False)
+    return captures, mesh

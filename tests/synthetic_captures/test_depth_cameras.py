@@ -1,0 +1,161 @@
+import dataclasses
+
+import numpy as np
+import pytest
+
+from fungrasp.errors import FungraspError
+from fungrasp.grasps import builtin_grasps
+from fungrasp.grasps.human_hand import bone_lengths
+from fungrasp.objects import builtin_object
+from fungrasp.perception import Intrinsics
+from fungrasp.synthetic_captures.capture_settings import camera_settings
+from fungrasp.synthetic_captures.depth_cameras import DEPTH_CAMERAS, camera_depth
+from fungrasp.synthetic_captures.depth_noise import ColorNoise, noisy_color
+from fungrasp.synthetic_captures.depth_statistics import beside, depth_statistics, edge_widths, plane_noise
+from fungrasp.synthetic_captures.render_capture import capture_at
+from fungrasp.synthetic_captures.varied_hand import vary_hand
+
+LENS = Intrinsics(320, 240, 300.0, 300.0, 160.0, 120.0)
+EXACT = {"noise": 0.0, "waves": 0.0, "subpixel": 0.0, "axial": (0.0, 0.0), "scale": 0.0, "speckle": 1e-9}
+
+
+def a_board(near: float = 0.7, far: float = 0.8) -> np.ndarray:
+    """A flat board in front of a flat wall."""
+    depth = np.full((240, 320), far, np.float32)
+    depth[60:180, 100:220] = near
+    return depth
+
+
+def seen(name: str, depth: np.ndarray, brightness: np.ndarray | None = None, **changes) -> np.ndarray:
+    camera = dataclasses.replace(DEPTH_CAMERAS[name], **changes)
+    return camera_depth(depth, LENS, camera, np.random.default_rng(0), brightness)
+
+
+def test_outlines_of_filtered_stereo_melt_and_those_of_structured_light_do_not():
+    mixed = {name: edge_widths(seen(name, a_board()))[0] for name in ("d435i_filtered", "xtion")}
+    assert len(mixed["d435i_filtered"]) > 25
+    assert np.median(mixed["d435i_filtered"]) >= 3
+    assert np.median(mixed["xtion"]) <= 1
+
+
+def test_the_shadow_is_on_the_side_that_the_second_camera_cannot_see():
+    depth = seen("xtion", a_board(0.5, 0.8), grazing=(89.0, 90.0), **EXACT)
+    lost = depth[80:160] == 0
+    # 300 px * 0.075 m * (1 / 0.5 m - 1 / 0.8 m) = 16.9 pixels left of the board.
+    assert lost[:, 75:105].sum(axis=1).mean() == pytest.approx(16.9, abs=4)
+    assert lost[:, 215:260].sum(axis=1).mean() < 3
+    tof = seen("tof", a_board(0.5, 0.8), grazing=(89.0, 90.0), **EXACT)
+    assert (tof[80:160] == 0).mean() < 0.01
+
+
+def test_filters_fill_shadows():
+    holes = {name: (seen(name, a_board(0.5, 0.8)) == 0).mean() for name in DEPTH_CAMERAS}
+    assert holes["d435i_filtered"] < 0.5 * holes["d435i"] < 0.5 * holes["d435i_high_accuracy"] + 1e-9
+
+
+def test_noise_of_stereo_grows_with_the_square_of_distance():
+    off = []
+    for distance in (0.5, 1.0):
+        depth = seen("d435i", np.full((240, 320), distance, np.float32), unit=1e-5)
+        off.append(np.median(plane_noise(depth, LENS, 13)[1]))
+    assert off[1] / off[0] == pytest.approx(4.0, rel=0.15)
+    # sigma = z^2 / (f b) * disparity noise; half of it here, as the image is half as wide; subpixel steps
+    # add. assert off[1] == pytest.approx(1.0 / (300 * 0.05) * 0.5 * 0.035, rel=0.25)
+
+
+def test_dark_and_shiny_surfaces_are_lost():
+    brightness = np.full((240, 320), 0.3)
+    brightness[:, :100], brightness[:, 220:] = 0.0005, 3.0
+    lost = seen("tof", np.full((240, 320), 0.8, np.float32), brightness) == 0
+    assert lost[:, :90].mean() > 0.95
+    assert lost[:, 230:].mean() > 0.5
+    assert lost[:, 110:210].mean() < 0.02
+
+
+def test_statistics_of_a_known_ramp():
+    depth = np.full((60, 200), 0.8)
+    depth[:, 100:] = 0.9
+    depth[:, 96:104] = np.linspace(0.8, 0.9, 10)[1:-1]
+    mixed, lost = edge_widths(depth)
+    assert (mixed == 8).all()
+    assert len(mixed) == 60
+    assert (lost == 0).all()
+    depth[:, 98:102] = 0
+    mixed, lost = edge_widths(depth)
+    assert (mixed == 4).all()
+    assert (lost == 4).all()
+
+
+def test_a_sloped_plane_has_neither_edges_nor_noise():
+    rays = LENS.rays()
+    normal = np.array([0.0, -0.6, -0.8])
+    depth = -0.56 / (rays @ normal)
+    assert len(edge_widths(depth)[0]) == 0
+    assert len(edge_widths(depth.T)[0]) == 0
+    distance, off = plane_noise(depth, LENS, 13)
+    assert len(distance) > 100
+    assert off.max() < 1e-9
+
+
+def test_statistics_are_set_side_by_side():
+    stat = depth_statistics([(a_board(), LENS)])
+    assert stat.holes.tolist() == [0.0]
+    rows = beside([("board", stat), ("again", stat)])
+    assert rows[0] == ("", "board", "again")
+    assert all(row[1] == row[2] for row in rows[1:])
+
+
+def test_wrong_exposure_blows_out_what_is_bright_and_jpeg_loses_little():
+    light = np.full((64, 64, 3), 0.4)
+    plain = noisy_color(light, ColorNoise(0.0, 0.0, 0.0), np.random.default_rng(0))
+    over = noisy_color(light, ColorNoise(0.0, 0.0, 0.0, exposure=(3.0, 3.0)), np.random.default_rng(0))
+    assert plain.max() < 180
+    assert (over == 255).all()
+    rng = np.random.default_rng(0)
+    light = np.repeat(np.repeat(rng.uniform(size=(8, 8, 3)), 8, axis=0), 8, axis=1)
+    coded = noisy_color(light, ColorNoise(0.0, 0.0, 0.0, jpeg=(90, 90)), np.random.default_rng(0))
+    plain = noisy_color(light, ColorNoise(0.0, 0.0, 0.0), np.random.default_rng(0))
+    assert 0 < np.abs(coded.astype(int) - plain).mean() < 12
+
+
+def test_motion_blurs_along_its_way():
+    light = np.zeros((41, 41, 3))
+    light[20, 20] = 1.0
+    still = noisy_color(light, ColorNoise(0.0, 0.0, 0.0), np.random.default_rng(3))
+    moved = noisy_color(light, ColorNoise(0.0, 0.0, 0.0, motion=12.0), np.random.default_rng(3))
+    assert (still[..., 0] > 0).sum() == 1
+    assert (moved[..., 0] > 0).sum() > 5
+
+
+def test_other_hands_touch_where_the_first_one_did():
+    grasps = builtin_grasps()
+    lengths = []
+    for i in range(30):
+        grasp = grasps[i]
+        joints = vary_hand(grasp, 0.07, np.random.default_rng(i))
+        touching = np.flatnonzero(grasp.link_contacts[[3, 6, 9, 12, 15]])
+        tips = np.array([4, 8, 12, 16, 20])[touching]
+        moved = joints[tips] - grasp.hand_joints[tips]
+        # All by the same way up, where the hand would be in the table.
+        assert np.abs(moved - moved[:1]).max(initial=0.0) < 1e-9
+        assert np.abs(moved[:, :2]).max(initial=0.0) < 1e-9
+        assert moved[:, 2].min(initial=0.0) >= -1e-9
+        assert moved[:, 2].max(initial=0.0) < 0.015
+        lengths.append(bone_lengths(joints).sum() / bone_lengths(grasp.hand_joints).sum())
+    assert 0.03 < np.std(lengths) < 0.12
+
+
+def test_captures_of_a_camera_are_the_same_each_time():
+    grasps = builtin_grasps()
+    objects = {name: builtin_object(name) for name in np.unique(grasps.object_name).tolist()}
+    small = dataclasses.replace(camera_settings("d435i"), intrinsics=LENS)
+    first, again = (capture_at(2, grasps, objects, 5, small).capture for _ in range(2))
+    np.testing.assert_array_equal(first.depth, again.depth)
+    np.testing.assert_array_equal(first.color, again.color)
+
+
+def test_an_unknown_camera_is_named():
+    with pytest.raises(FungraspError, match="d435i"):
+        camera_settings("d435")
+    with pytest.raises(FungraspError, match="window"):
+        dataclasses.replace(DEPTH_CAMERAS["tof"], window=0.0)
