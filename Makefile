@@ -1,5 +1,7 @@
 # make demo   grasps built-in objects, then the one in a picture; writes films and pages
-# make test   all checks and tests
+# make test   all checks and tests but the slow ones, which it names
+# make test-all  the slow ones too
+# make cold-start  the first commands of a newcomer, in empty environments
 # make check  those of them that take less than a minute
 # make tables writes the tables of README and docs from docs/results
 # make fuzz   CASES=1000 SEED=1 damaged files of each kind for the readers
@@ -26,11 +28,11 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export NO_MKDOCS_2_WARNING := 1
 export PYRIGHT_PYTHON_IGNORE_WARNINGS := 1
 
-.PHONY: help demo test check quick tables format fuzz clean $(CHECKS)
+.PHONY: help demo test test-all cold-start check quick tables format fuzz clean $(CHECKS)
 .DELETE_ON_ERROR:
 
 help:
-	@sed -n '1,6s/^# //p' Makefile
+	@sed -n '/^$$/q;s/^# //p' Makefile
 
 demo: $(VENV)/.installed
 	$(BIN)/fungrasp demo $(ARGS)
@@ -63,7 +65,15 @@ docs: $(VENV)/.installed-dev
 	$(BIN)/mkdocs build --quiet --strict --site-dir site
 
 unit: $(VENV)/.installed-dev
-	$(BIN)/pytest -n $(JOBS) $(ARGS)
+	@echo "left out (make test-all runs them): the slow tests of" $$(grep -rl --include='*.py' 'mark.slow' tests | sort)
+	$(BIN)/pytest -n $(JOBS) -m "not slow" $(ARGS)
+
+test-all: $(VENV)/.installed-dev
+	@$(MAKE) --no-print-directory test
+	$(BIN)/pytest -n $(JOBS) -m slow $(ARGS)
+
+cold-start:
+	$(PYTHON) benchmarks/cold_start.py $(ARGS)
 
 quick: $(VENV)/.installed-dev
 	$(BIN)/pytest $(QUICK)
