@@ -1,4 +1,4 @@
-"""Writes the tables of measured numbers in README.md and docs/ from the files in docs/results/.
+"""Writes the tables of measured numbers in README.md and docs/ from the files in docs/lab/results/.
 
 ``python docs/tables.py`` replaces what stands between ``<!-- table: NAME -->`` and ``<!-- end of table -->``
 in every page; with ``--check`` it writes nothing and fails where a page and the results differ.
@@ -35,7 +35,7 @@ from fungrasp.formats.file_bytes import DEEPEST, MOST_NODES
 from fungrasp.formats.xml_file import DEEPEST_ELEMENT
 
 ROOT = Path(__file__).resolve().parents[1]
-RESULTS = ROOT / "docs" / "results"
+RESULTS = ROOT / "docs" / "lab" / "results"
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 MARKED = re.compile(r"(<!-- table: (?P<name>\w+) -->\n)(?P<text>.*?)(<!-- end of table -->)", re.DOTALL)
 NONE = "—"
@@ -812,7 +812,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     stale = [page for page in PAGES if rewritten(page) != page.read_text()]
     for page in stale:
         if check:
-            sys.stderr.write(f"{page.relative_to(ROOT)}: tables differ from docs/results: 'make tables'\n")
+            sys.stderr.write(f"{page.relative_to(ROOT)}: tables differ from the results: 'make tables'\n")
         else:
             page.write_text(rewritten(page))
     return int(check and bool(stale))

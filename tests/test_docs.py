@@ -201,7 +201,7 @@ def test_terms_of_the_glossary_are_sorted_and_defined_once() -> None:
 
 
 def test_decisions_are_numbered_and_listed() -> None:
-    folder = ROOT / "docs" / "decisions"
+    folder = ROOT / "docs" / "lab" / "decisions"
     records = sorted(folder.glob("0*.md"))
     assert [int(path.name[:4]) for path in records] == list(range(1, len(records) + 1))
     listed = re.findall(r"^\| \d{4} \| \[(.+)\]\((.+)\) \|$", (folder / "index.md").read_text(), re.MULTILINE)
@@ -228,7 +228,7 @@ def test_every_field_of_the_files_is_documented() -> None:
 
 
 def test_every_measured_number_is_documented() -> None:
-    text = (ROOT / "docs" / "evaluation.md").read_text()
+    text = (ROOT / "docs" / "evaluate.md").read_text()
     for kind in (StaticQuality, Outcomes):
         for field in fields(kind):
             assert field.name == "success" or f"`{field.name}`" in text, field.name

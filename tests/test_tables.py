@@ -1,4 +1,4 @@
-"""The tables of README and docs say what the files in docs/results say."""
+"""The tables of README and docs say what the files in docs/lab/results say."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from fungrasp.evaluation.result_files import read_result
 
 ROOT = Path(__file__).parents[1]
 SCRIPT = ROOT / "docs" / "tables.py"
-RESULTS = sorted((ROOT / "docs" / "results").glob("*.json"))
+RESULTS = sorted((ROOT / "docs" / "lab" / "results").glob("*.json"))
 
 
 def test_pages_agree_with_the_results() -> None:

@@ -1,4 +1,4 @@
-"""Makes docs/perception-calibration.json and its plot from what ``fungrasp bench perception --json`` wrote.
+"""Makes docs/lab/perception-calibration.json and its plot from ``fungrasp bench perception --json``.
 
 ``python docs/images/calibration.py BENCH.json [BENCH.json ...]`` takes the answers of several runs together.
 """
@@ -20,7 +20,7 @@ from fungrasp.evaluation.results import finite
 from fungrasp.evaluation.statistics import wilson_interval
 from fungrasp.perception.object_pose.confidence import ACCEPT
 
-HERE = Path(__file__).parent
+LAB = Path(__file__).parents[1] / "lab"
 EDGES = np.array([0.0, 0.1, 0.25, 0.5, ACCEPT, 0.9, 0.97, 1.0])
 """Ranges of scores."""
 
@@ -139,8 +139,8 @@ def main() -> None:
     files = [Path(name) for name in sys.argv[1:]]
     answers = answers_of([row for file in files for row in json.loads(file.read_text())["each"]])
     numbers = finite(figures(answers) | {"from": [file.name for file in files]})
-    (HERE.parent / "perception-calibration.json").write_text(json.dumps(numbers, indent=1) + "\n")
-    (HERE / "perception-calibration.svg").write_text(plot(numbers))
+    (LAB / "perception-calibration.json").write_text(json.dumps(numbers, indent=1) + "\n")
+    (LAB / "perception-calibration.svg").write_text(plot(numbers))
 
 
 if __name__ == "__main__":

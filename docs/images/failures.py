@@ -1,4 +1,4 @@
-"""Makes the picture of docs/failures.md: a failed episode of each class, of built-in grasps
+"""Makes the picture of docs/lab/failures.md: a failed episode of each class, of built-in grasps
 in the reality protocol.
 
 Run it from anywhere: ``python docs/images/failures.py``. It takes some minutes.
@@ -126,7 +126,7 @@ def main() -> None:
         shown += pictures(episode, hand, objects[episode.object_name])
         labels += [f"{title}, {name}: {FRAMES[0]}", *FRAMES[1:]]
     sheet = grid(shown, labels, columns=len(FRAMES), size=15)
-    Image.fromarray(sheet).save(Path(__file__).parent / "failures.jpg", quality=86, optimize=True)
+    Image.fromarray(sheet).save(Path(__file__).parents[1] / "lab" / "failures.jpg", quality=86, optimize=True)
 
 
 if __name__ == "__main__":

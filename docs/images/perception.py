@@ -1,4 +1,4 @@
-"""Makes the picture of docs/perception.md: the demo's image, what was seen in it, and the grasp in 3D.
+"""Makes the picture of docs/perceive.md: the demo's image, what was seen in it, and the grasp in 3D.
 
 Run it from anywhere, after ``fungrasp setup perception``: ``python docs/images/perception.py``.
 """

@@ -66,7 +66,7 @@ class BenchPerception:
     """Threads of --chain; 0 means all processors."""
     real: Path | None = None
     """Folder of real captures whose truth is known, one folder each: rgb.png, depth.png, K.json, mask.png,
-    truth.json; docs/perception.md says what is in them."""
+    truth.json; docs/perceive.md says what is in them."""
     varied: bool = False
     """Render captures with the errors of real cameras, left hands, hands of other sizes, rings, watches,
     faces and hands of other people, and half as many images without a hand, into --keep; measure them like

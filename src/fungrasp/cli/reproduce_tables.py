@@ -105,7 +105,7 @@ class TableOptions:
         count = len(kept[0][0][CONDITIONS[0]]["trials"])
         print(
             f"{int(self.steps):,} steps each, {len(self.seeds)} seeds, tested on {count} grasps; "
-            "the paper's numbers are by its own test, ours by docs/evaluation.md"
+            "the paper's numbers are by its own test, ours by docs/evaluate.md"
         )
 
     def _check(self) -> None:

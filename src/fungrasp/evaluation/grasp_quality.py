@@ -1,4 +1,4 @@
-"""Static quality of retargeted grasps (docs/evaluation.md): no physics; from the hand's model, the mesh and
+"""Static quality of retargeted grasps (docs/evaluate.md): no physics; from the hand's model, the mesh and
 the human grasp."""
 
 from __future__ import annotations

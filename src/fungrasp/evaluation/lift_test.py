@@ -1,4 +1,4 @@
-"""The lift test on any number of grasps: reach, grasp, lift, hold (docs/evaluation.md)."""
+"""The lift test on any number of grasps: reach, grasp, lift, hold (docs/evaluate.md)."""
 
 from __future__ import annotations
 

@@ -94,7 +94,7 @@ def read_recorded(folder: str | Path) -> RecordedCapture:
     path = folder / TRUTH
     truth = read_json(path, "truth of a capture") if path.is_file() else {}
     if not isinstance(truth, dict):
-        raise FungraspError(f"{path} must hold an object with names, see docs/perception.md")
+        raise FungraspError(f"{path} must hold an object with names, see docs/perceive.md")
     model, colored = _object(folder, truth.get("object"))
     pose = _numbers(path, truth, "object_pose_camera_wxyz", (7,))
     if pose is not None and not abs(float(np.linalg.norm(pose[3:])) - 1.0) < 0.01:

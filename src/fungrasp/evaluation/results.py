@@ -1,4 +1,4 @@
-"""Results of the lift test as JSON-ready numbers (docs/evaluation.md)."""
+"""Results of the lift test as JSON-ready numbers (docs/evaluate.md)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The six-direction test (docs/evaluation.md): does a closed hand keep an object pushed along each axis?"""
+"""The six-direction test (docs/evaluate.md): does a closed hand keep an object pushed along each axis?"""
 
 from __future__ import annotations
 

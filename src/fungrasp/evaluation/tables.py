@@ -17,7 +17,7 @@ object; and the reality protocol."""
 
 @dataclass(frozen=True)
 class PaperNumbers:
-    """A row of the paper's table, by its own, laxer test (docs/evaluation.md)."""
+    """A row of the paper's table, by its own, laxer test (docs/evaluate.md)."""
 
     success: float
     """Share of episodes that succeeded."""

@@ -92,7 +92,7 @@ REALITY = Randomization(
     shift_probability=0.3,
 )
 """The reality protocol: everything at once, as on a robot whose belief is the nominal world. Where each range
-comes from: docs/evaluation.md."""
+comes from: docs/evaluate.md."""
 
 REALITY_ROLLOUTS = replace(REALITY, table_height=(0.0, 0.0), object_scale=(1.0, 1.0), object_shift=(0.0, 0.0))
 """What the rollouts of planning draw from where worlds are those of the reality protocol. The table's height
@@ -127,10 +127,10 @@ ROBUSTNESS: dict[str, Randomization] = {
     "pushes": Randomization(push_times=THREE_PUSHES, push_weights=(1.0, 1.0)),
     "hidden shift 2 cm": Randomization(object_shift=(0.02, 0.02)),
 }
-"""The robustness protocol: one thing at a time, by name (docs/evaluation.md)."""
+"""The robustness protocol: one thing at a time, by name (docs/evaluate.md)."""
 
 ProtocolName = Literal["nominal", "reality", "robustness"]
-"""Names of the protocols of evaluation (docs/evaluation.md)."""
+"""Names of the protocols of evaluation (docs/evaluate.md)."""
 
 
 def protocol_conditions(protocol: ProtocolName) -> dict[str, Randomization]:

@@ -28,14 +28,14 @@ GRAVITY = 9.81
 """Acceleration of free fall [m/s^2]."""
 
 NOMINAL_FRICTION = 0.9
-"""Sliding friction of hand, object and table where nothing else is said (docs/evaluation.md)."""
+"""Sliding friction of hand, object and table where nothing else is said (docs/evaluate.md)."""
 
 _DATA = mujoco.mjtConDataField
 
 
 @dataclass(frozen=True)
 class SceneSettings:
-    """Physics of the lift test (docs/evaluation.md)."""
+    """Physics of the lift test (docs/evaluate.md)."""
 
     timestep: float = 0.005
     """Physics step [s]."""

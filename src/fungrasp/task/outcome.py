@@ -1,4 +1,4 @@
-"""When a grasp has succeeded, and what else is measured during the hold (docs/evaluation.md)."""
+"""When a grasp has succeeded, and what else is measured during the hold (docs/evaluate.md)."""
 
 from __future__ import annotations
 

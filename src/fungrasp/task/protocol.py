@@ -1,4 +1,4 @@
-"""The numbers of the lift test (docs/evaluation.md)."""
+"""The numbers of the lift test (docs/evaluate.md)."""
 
 from __future__ import annotations
 

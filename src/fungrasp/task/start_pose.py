@@ -1,4 +1,4 @@
-"""Where hands start: away from the object, and clear of it and of the table (docs/evaluation.md)."""
+"""Where hands start: away from the object, and clear of it and of the table (docs/evaluate.md)."""
 
 from __future__ import annotations
 

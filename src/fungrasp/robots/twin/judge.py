@@ -1,4 +1,4 @@
-"""Whether a twin's object was lifted: the lift test's definition of success (docs/evaluation.md)."""
+"""Whether a twin's object was lifted: the lift test's definition of success (docs/evaluate.md)."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ class TwinSpread:
     """Ranges that a twin's parameters are drawn from: uniformly, factors log-uniformly; where one number is
     given, from its negative to it.
 
-    Object, table, tracker and calibration: after the reality protocol (docs/evaluation.md). The hand: our
+    Object, table, tracker and calibration: after the reality protocol (docs/evaluate.md). The hand: our
     estimates, wide enough that a plan made for the model's nominal servos is wrong; no hand was measured.
     """
 

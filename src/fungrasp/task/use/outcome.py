@@ -1,4 +1,4 @@
-"""Whether an object could be used, and where the hand touched it (docs/evaluation.md)."""
+"""Whether an object could be used, and where the hand touched it (docs/evaluate.md)."""
 
 from __future__ import annotations
 
