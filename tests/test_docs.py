@@ -13,6 +13,7 @@ import json
 import re
 import runpy
 import shlex
+import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -64,13 +65,18 @@ def steps(page: Path) -> Iterator[tuple[str, str] | Command]:
 
 
 def run(arguments: list[str]) -> int:
-    """Status of ``fungrasp ...`` or ``python ...``, run in this process."""
+    """Status of ``fungrasp ...``, ``python FILE`` or ``python -m MODULE ...``, run in this process."""
     program, *rest = arguments
-    if program == "python":
-        runpy.run_path(rest[0], run_name="__main__")
-        return 0
-    assert program == "fungrasp", f"no test runs '{program}'"
     try:
+        if arguments[:2] == ["python", "-m"]:
+            with pytest.MonkeyPatch.context() as patch:
+                patch.setattr(sys, "argv", arguments[2:])
+                runpy.run_module(arguments[2], run_name="__main__", alter_sys=True)
+            return 0
+        if program == "python":
+            runpy.run_path(rest[0], run_name="__main__")
+            return 0
+        assert program == "fungrasp", f"no test runs '{program}'"
         return main(rest)
     except SystemExit as end:
         return int(end.code or 0)

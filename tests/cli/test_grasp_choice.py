@@ -72,7 +72,7 @@ def test_a_rendered_image_has_its_own_object() -> None:
 
 
 def test_the_commands_share_the_options() -> None:
-    from fungrasp.cli.bench_wire import BenchWire
+    from benchmarks.wire.series import BenchWire
     from fungrasp.cli.robots import Emulate
 
     assert isinstance(Deploy().choice, GraspChoice)

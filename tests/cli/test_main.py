@@ -67,7 +67,7 @@ print([name for name in {HEAVY!r} if name in sys.modules], status)
 
 
 def test_the_help_of_training_does_not_wait_for_torch():
-    modules = ("train", "distill", "predictor", "reproduce")
+    modules = ("train", "distill", "predictor")
     program = f"""
 import importlib, sys
 for name in {modules!r}:
@@ -189,3 +189,18 @@ sys.exit(cli.main(["--help"]))
     assert process.stderr.read() == b""
     process.stderr.close()
     assert process.wait(timeout=60) == cli.BROKEN_PIPE
+
+
+@pytest.mark.parametrize(
+    ("arguments", "now"),
+    [
+        (("bench",), "python -m benchmarks'"),
+        (("bench", "robot", "--seconds", "1"), "python -m benchmarks.speed drivers'"),
+        (("reproduce", "hands"), "python -m benchmarks.paper hands'"),
+        (("reproduce", "--help"), "python -m benchmarks.paper'"),
+    ],
+)
+def test_commands_that_are_benchmarks_now_say_so_in_one_line(arguments, now, capsys):
+    assert cli.main(arguments) == 2
+    said = capsys.readouterr()
+    assert said.out == "" and said.err.count("\n") == 1 and now in said.err

@@ -3,6 +3,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from benchmarks.perception.depth_statistics import beside, depth_statistics, edge_widths, plane_noise
 from fungrasp.errors import FungraspError
 from fungrasp.grasps import builtin_grasps
 from fungrasp.grasps.human_hand import bone_lengths
@@ -11,7 +12,6 @@ from fungrasp.perception import Intrinsics
 from fungrasp.synthetic_captures.capture_settings import camera_settings
 from fungrasp.synthetic_captures.depth_cameras import DEPTH_CAMERAS, camera_depth
 from fungrasp.synthetic_captures.depth_noise import ColorNoise, noisy_color
-from fungrasp.synthetic_captures.depth_statistics import beside, depth_statistics, edge_widths, plane_noise
 from fungrasp.synthetic_captures.render_capture import capture_at
 from fungrasp.synthetic_captures.varied_hand import vary_hand
 

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from scipy.spatial import KDTree
 
-from fungrasp.cli.bench_varied import render_varied
+from benchmarks.perception.no_hand_capture import no_hand_capture
+from benchmarks.perception.recorded_captures import read_recorded, recorded_folders
+from benchmarks.perception.varied import render_varied
 from fungrasp.errors import FungraspError
-from fungrasp.evaluation.recorded_captures import read_recorded, recorded_folders
 from fungrasp.geometry.poses import inverse_transform_points, transform_points
 from fungrasp.grasps import builtin_grasps
 from fungrasp.objects import builtin_object, mirrored_object
@@ -16,7 +17,6 @@ from fungrasp.perception import Intrinsics
 from fungrasp.synthetic_captures.capture_files import read_synthetic_capture, write_capture
 from fungrasp.synthetic_captures.capture_scene import Label
 from fungrasp.synthetic_captures.capture_settings import CaptureSettings, varied_settings
-from fungrasp.synthetic_captures.no_hand_capture import no_hand_capture
 from fungrasp.synthetic_captures.render_capture import render_capture
 
 LENS = Intrinsics(320, 240, 300, 300, 160, 119)

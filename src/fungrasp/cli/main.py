@@ -10,7 +10,7 @@ import importlib
 import importlib.util
 import os
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from fungrasp import __version__
@@ -25,7 +25,6 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
     "predictor": ("fungrasp.cli.predictor", "learn which variations of a grasp will hold"),
     "train": ("fungrasp.cli.train", "train a policy on grasps: a teacher that knows the contacts"),
     "distill": ("fungrasp.cli.distill", "train a student, that sees what a robot has, from a teacher"),
-    "reproduce": ("fungrasp.cli.reproduce", "the free policies of all hands, and the paper's tables"),
     "deploy": ("fungrasp.cli.deploy", "grasp an object with a robot or its twin"),
     "robots": ("fungrasp.cli.robots", "list, check and emulate robot cells; read and replay their logs"),
     "hands": ("fungrasp.cli.hands", "list, show, check, add and export robot hands"),
@@ -34,9 +33,29 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
     "setup": ("fungrasp.cli.setup", "fetch the hand models that perceiving images needs"),
     "policies": ("fungrasp.cli.policies", "list and describe learned policies"),
     "identify": ("fungrasp.cli.identify", "record a real hand's motion and fit the dynamics of its joints"),
-    "bench": ("fungrasp.cli.bench", "measure the speed of retargeting, simulation, training and drivers"),
 }
 """Module and summary of every command, in the order of the help."""
+
+MOVED: Mapping[str, str] = {
+    "bench": "",
+    "bench retarget": ".speed retarget",
+    "bench simulation": ".engines",
+    "bench training": ".speed training",
+    "bench planning": ".speed planning",
+    "bench cluster": ".speed cluster",
+    "bench perception": ".perception captures",
+    "bench depth": ".perception depth",
+    "bench robot": ".speed drivers",
+    "bench faults": ".faults",
+    "bench wire": ".wire",
+    "bench identify": ".identification",
+    "reproduce": ".paper",
+    "reproduce retargeting": ".paper retargeting",
+    "reproduce privileged": ".paper privileged",
+    "reproduce hands": ".paper hands",
+    "reproduce policies": ".paper policies",
+}
+"""What ``python -m benchmarks<...>`` has replaced, for one version."""
 
 USAGE_ERROR = 2
 INTERRUPTED = 130
@@ -57,8 +76,26 @@ def main(arguments: Sequence[str] | None = None) -> int:
         SystemExit: after help or a usage error was printed, or when a command ends with a status of its own.
     """
     arguments = list(sys.argv[1:] if arguments is None else arguments)
+    return _status(lambda: _dispatch(arguments))
+
+
+def run_command(program: str, command: Any, arguments: Sequence[str]) -> int:
+    """Run a command that is not one of ``COMMANDS``.
+
+    Args:
+        program: how it was called, for its help.
+        command: a dataclass with a method ``run``, or a table of them by subcommand name.
+        arguments: its options.
+
+    Returns:
+        Exit status, as of ``main``.
+    """
+    return _status(lambda: _run(program, command, list(arguments)))
+
+
+def _status(work: Callable[[], int]) -> int:
     try:
-        status = _dispatch(arguments)
+        status = work()
         sys.stdout.flush()
         return status
     except FungraspError as error:
@@ -94,23 +131,31 @@ def _dispatch(arguments: list[str]) -> int:
         print(f"fungrasp {__version__}")
         return 0
     commands = available_commands()
+    moved = f"{first} {rest[0]}" if rest and f"{first} {rest[0]}" in MOVED else first
+    if moved in MOVED:
+        raise FungraspError(
+            f"'fungrasp {moved}' is no longer part of the package: in a clone of the repository, run "
+            f"'python -m benchmarks{MOVED[moved]}'"
+        )
     if first not in commands:
         raise UnknownNameError("option" if first.startswith("-") else "command", first, commands)
-    command = _parse(first, importlib.import_module(commands[first][0]).COMMAND, rest)
-    command.run()
+    return _run(f"fungrasp {first}", importlib.import_module(commands[first][0]).COMMAND, rest)
+
+
+def _run(program: str, command: Any, arguments: list[str]) -> int:
+    _parse(program, command, arguments).run()
     return 0
 
 
-def _parse(name: str, command: Any, arguments: list[str]) -> Any:
+def _parse(program: str, command: Any, arguments: list[str]) -> Any:
     import tyro
 
-    program = f"fungrasp {name}"
     if isinstance(command, Mapping):
         if arguments and not arguments[0].startswith("-"):
             subcommand, *arguments = arguments
             if subcommand not in command:
-                raise UnknownNameError(f"{name} command", subcommand, command)
-            return _parse(f"{name} {subcommand}", command[subcommand], arguments)
+                raise UnknownNameError(f"{program.removeprefix('fungrasp ')} command", subcommand, command)
+            return _parse(f"{program} {subcommand}", command[subcommand], arguments)
         return tyro.extras.subcommand_cli_from_dict(dict(command), prog=program, args=arguments)
     config = [tyro.conf.FlagCreatePairsOff, tyro.conf.HelptextFromCommentsOff]
     if not getattr(command, "option_prefixes", False):

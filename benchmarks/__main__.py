@@ -1,0 +1,21 @@
+"""``python -m benchmarks``: the benchmarks, with a line each."""
+
+from __future__ import annotations
+
+BENCHMARKS = {
+    "speed": "retargeting, planning, training, clusters and drivers: how fast, at what quality",
+    "engines": "physics steps per second: the environment beside bare physics",
+    "peers": "retargeting beside other packages",
+    "perception": "perceived hands and objects against the truth: rendered, varied and recorded captures",
+    "wire": "deployments on twins over emulated wires, on the clock of the wall",
+    "faults": "how drivers and the control computer react to faults of emulated devices",
+    "identification": "fitted joint dynamics against known ones",
+    "paper": "the free policies of all hands, and the paper's tables",
+    "documents.tables": "the tables of README and docs, from docs/results",
+}
+"""Summary of each benchmark, by the name of its room."""
+
+if __name__ == "__main__":
+    print("usage: python -m benchmarks.NAME [OPTIONS]\n")
+    for name, summary in BENCHMARKS.items():
+        print(f"  {name:<17} {summary}")

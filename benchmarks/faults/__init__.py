@@ -1,0 +1,1 @@
+"""Drivers and the control computer under faults."""

@@ -1,0 +1,1 @@
+"""Identified dynamics against known ones."""

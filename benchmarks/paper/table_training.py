@@ -1,0 +1,279 @@
+"""What the commands that make the paper's tables have in common: train, test, keep, compare."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from fungrasp.cli.console import progress_bar, table, write_json
+from fungrasp.cli.train import check_numbers, check_packages, predictor_file, progress_lines, training_sets
+from fungrasp.errors import FungraspError
+from fungrasp.provenance import run_record
+from fungrasp.sim2real import PRESETS, PresetName
+from fungrasp.training.environment import EnvironmentSettings
+from fungrasp.training.plan_library import Variety
+from fungrasp.training.settings import DistillSettings, PpoSettings
+
+if TYPE_CHECKING:
+    from benchmarks.paper.variants import Variant
+    from fungrasp.evaluation import LiftTestResult
+    from fungrasp.hands import Hand
+
+DISTILLED = 6
+"""A student is distilled with one control step for so many of its teacher's."""
+
+
+@dataclass(frozen=True)
+class TableOptions:
+    """Options of all tables. Every policy is trained with the same budget, with each of several seeds, and
+    tried on other grasps, in nominal worlds (with and without adaptation of the grasps) and in the reality
+    protocol; the table stands beside the paper's."""
+
+    option_prefixes: ClassVar[bool] = True
+
+    grasps: tuple[str, ...]
+    """Files of grasps to train on, or "builtin"; human ones where retargeting or hands are compared."""
+    test: str
+    """File of grasps to test on, or "builtin"; human ones where retargeting or hands are compared."""
+    out: Path
+    """Folder of the trainings, <hand>/seed-<N>/<policy>, and of the table, <table>.json."""
+    objects: Path | None = None
+    """Folder of meshes <name>.obj; built-in objects need none."""
+    hand: str = "allegro"
+    """Name of a hand, or the path of a hand's TOML file."""
+    steps: float = 3e6
+    """Control steps that each policy is trained for."""
+    distill_steps: float | None = None
+    """Control steps for which a student is distilled; a sixth of --steps by default."""
+    worlds: PresetName = "reality"
+    """What episodes of the trainings draw their worlds from."""
+    plans: str | None = None
+    """A success predictor that chooses the plans to follow, in training and test ("predictor" is short for
+    the hand's); the grasps' own plans by default."""
+    shrink: float = 0.5
+    """Factor on the corrections of all finished policies."""
+    rollouts: bool = False
+    """Whether plans are tried in simulated rollouts in the tests, which takes --plans."""
+    seeds: tuple[int, ...] = (0, 1, 2)
+    """Seeds of trainings and tests."""
+    threads: int = 0
+    """Threads of the simulation; 0 means all processors."""
+    environment: EnvironmentSettings = field(default_factory=EnvironmentSettings)
+    """Settings of the worlds that policies are trained in, but for what --worlds says."""
+    ppo: PpoSettings = field(default_factory=PpoSettings)
+    """Settings of the training of every policy but the students."""
+    variety: Variety = field(default_factory=Variety)
+    """How the grasps are varied that policies are trained on."""
+    distill: DistillSettings = field(default_factory=DistillSettings)
+    """Settings of the students' distillation."""
+
+    def reproduce(self, name: str) -> None:
+        """Make the table of this name."""
+        check_packages()
+        import torch
+
+        from benchmarks.paper.variants import CONDITIONS, TABLES, comparison_rows, pooled
+        from fungrasp.evaluation.result_files import write_result
+
+        self._check()
+        torch.set_num_threads(1)
+        variants = TABLES[name]
+        # All rows with one seed before the next seed: an interrupted table has whole columns.
+        by_seed = [[self._result(variant, seed) for variant in variants] for seed in self.seeds]
+        kept = [list(each) for each in zip(*by_seed, strict=True)]
+        numbers = [{which: pooled([one[which] for one in each]) for which in CONDITIONS} for each in kept]
+        header = {
+            **run_record(list(self.seeds)),
+            "table": name,
+            "budget": self._budget(),
+            "policies": [
+                {**asdict(variant), "conditions": each}
+                for variant, each in zip(variants, numbers, strict=True)
+            ],
+        }
+        rows = [
+            {"policy": variant.title, "condition": which, "training_seed": seed, **_row(trial)}
+            for variant, each in zip(variants, kept, strict=True)
+            for seed, one in zip(self.seeds, each, strict=True)
+            for which in CONDITIONS
+            for trial in one[which]["trials"]
+        ]
+        write_result(self.out / f"{name}.json", header, rows)
+        print(table(comparison_rows(variants, numbers)))
+        count = len(kept[0][0][CONDITIONS[0]]["trials"])
+        print(
+            f"{int(self.steps):,} steps each, {len(self.seeds)} seeds, tested on {count} grasps; "
+            "the paper's numbers are by its own test, ours by docs/evaluate.md"
+        )
+
+    def _check(self) -> None:
+        check_numbers(self.steps, min(self.seeds, default=-1), self.threads)
+        check_numbers(self._distill_steps(), 0, self.threads)
+        if len(set(self.seeds)) < len(self.seeds):
+            raise FungraspError("--seeds must be different ones")
+        if self.rollouts and self.plans is None:
+            raise FungraspError("--rollouts try the plans that a predictor chooses: give --plans too")
+
+    def _distill_steps(self) -> float:
+        return self.steps / DISTILLED if self.distill_steps is None else self.distill_steps
+
+    def _hand(self, variant: Variant) -> str:
+        return variant.hand or self.hand
+
+    def _folder(self, variant: Variant, seed: int) -> Path:
+        """Where the trainings of a hand with a seed are."""
+        return self.out / Path(self._hand(variant)).stem / f"seed-{seed}"
+
+    def _result(self, variant: Variant, seed: int) -> dict[str, Any]:
+        """Results of a variant by condition: from their file, or trained and tested now."""
+        from fungrasp.evaluation.result_files import LARGEST
+        from fungrasp.formats.json_file import read_json
+        from fungrasp.hands import load_hand
+
+        path = self._folder(variant, seed) / f"{variant.name}.json"
+        budget = self._budget() | {"hand": self._hand(variant), "seed": seed}
+        if path.is_file():
+            try:
+                kept = read_json(path, "result", LARGEST)
+                same, results = kept["budget"] == json.loads(json.dumps(budget)), kept["results"]
+            except (FungraspError, KeyError, TypeError) as error:
+                raise FungraspError(f"{path} is damaged: remove it to test again") from error
+            if not same:
+                raise FungraspError(f"{path} was made with other settings: give another --out")
+            return results
+        hand = load_hand(self._hand(variant))
+        policy = self._trained(variant, hand, seed)
+        results = self._tested(variant, hand, policy, seed)
+        kept = {"variant": asdict(variant), "budget": budget, "results": results}
+        write_json(path, {**run_record(seed), **kept})
+        return results
+
+    def _budget(self) -> dict[str, Any]:
+        """All that results depend on but hand and seed, in short."""
+        return {
+            "grasps": [_identity(name) for name in self.grasps],
+            "test": _identity(self.test),
+            "steps": int(self.steps),
+            "distill_steps": int(self._distill_steps()),
+            "worlds": self.worlds,
+            "plans": self.plans,
+            "shrink": self.shrink,
+            "rollouts": self.rollouts,
+            "environment": asdict(self.environment),
+            "ppo": asdict(self.ppo),
+            "variety": asdict(self.variety),
+            "distill": asdict(self.distill),
+        }
+
+    def _trained(self, variant: Variant, hand: Hand, seed: int) -> Path:
+        """The policy file of a variant."""
+        if variant.student:
+            return self._distilled(variant, hand, seed)
+        return self._taught(variant.name, variant, hand, seed)
+
+    def _taught(self, name: str, variant: Variant, hand: Hand, seed: int) -> Path:
+        """The policy file of a training by PPO: of a variant, or of its teacher. name: of its folder."""
+        from fungrasp.training.run import POLICY, RunSettings, train
+
+        folder = self._folder(variant, seed)
+        print(f"{variant.title}, seed {seed}: training {name}")
+        sets = training_sets(self.grasps, self.objects, hand, variant.method, threads=self.threads)
+        plans = None if self.plans is None else predictor_file(self.plans, hand)
+        count = sum(len(s.grasps) for s in sets) * self.variety.planned(plans is not None)
+        residual = self.environment.residual
+        if not variant.planned_motion:
+            residual = replace(residual, base="present")
+        environment = replace(self.environment, randomization=PRESETS[self.worlds], residual=residual)
+        with progress_bar("planning", count) as show:
+            train(
+                folder / name,
+                sets,
+                hand,
+                RunSettings(seed, self.variety, environment, replace(self.ppo, sees=variant.sees)),
+                int(self.steps),
+                threads=self.threads,
+                plans=plans,
+                shrink=self.shrink,
+                plan_file=folder / f"plans-{variant.method}.npz",
+                planning=show,
+                progress=progress_lines(int(self.steps)),
+            )
+        return folder / name / POLICY
+
+    def _distilled(self, variant: Variant, hand: Hand, seed: int) -> Path:
+        """The policy file of a student."""
+        from fungrasp.training.student_run import STUDENT, train_student
+
+        teacher = self._taught("teacher", variant, hand, seed).parent
+        folder = self._folder(variant, seed) / variant.name
+        print(f"{variant.title}, seed {seed}: distilling")
+        train_student(
+            teacher,
+            folder,
+            int(self._distill_steps()),
+            replace(self.distill, estimates_contacts=variant.student == "with estimate"),
+            seed,
+            objects=self.objects,
+            threads=self.threads,
+            progress=progress_lines(int(self._distill_steps())),
+        )
+        return folder / STUDENT
+
+    def _tested(self, variant: Variant, hand: Hand, policy: Path, seed: int) -> dict[str, Any]:
+        """The lift tests of a policy by condition, as JSON can hold them."""
+        from benchmarks.paper.variants import CONDITIONS
+        from fungrasp.evaluation import evaluate, result_json
+        from fungrasp.planning import MotionSettings
+        from fungrasp.planning.selection import SelectionSettings
+        from fungrasp.policies import make_planner
+        from fungrasp.sim2real import NOMINAL, PRESETS
+
+        (test,) = training_sets((self.test,), self.objects, hand, variant.method, threads=self.threads)
+        grasps, objects = test.grasps, test.objects
+
+        def tested(condition: str) -> LiftTestResult:
+            protocol = "reality" if condition == "reality" else "nominal"
+            planner = make_planner(
+                str(policy),
+                hand,
+                objects,
+                SelectionSettings.for_protocol(protocol, self.rollouts),
+                threads=self.threads,
+                motions=MotionSettings(adapt=None) if "not adapted" in condition else MotionSettings(),
+            )
+            with progress_bar(f"{variant.title}, seed {seed}: {condition}", len(grasps)) as show:
+                return evaluate(
+                    grasps,
+                    objects,
+                    hand,
+                    str(policy),
+                    planner=planner,
+                    seeds=(seed,),
+                    threads=self.threads,
+                    randomization=PRESETS["reality"] if protocol == "reality" else NOMINAL,
+                    progress=show,
+                )
+
+        # The name in place of the path of the policy's file, which means nothing on another machine.
+        return {name: result_json(tested(name)) | {"policy": variant.name} for name in CONDITIONS}
+
+
+def _row(trial: dict[str, Any]) -> dict[str, Any]:
+    """What is kept of an episode."""
+    names = ("index", "object", "success", "reason", "contact_ratio", "sim_distance_hand_mm_s")
+    return {name: trial[name] for name in names}
+
+
+def _identity(name: str) -> dict[str, str]:
+    """Tells a file of grasps from others, wherever it lies."""
+    import hashlib
+
+    from fungrasp.grasps.grasp_files import BUILTIN, BUILTIN_PATH
+
+    path = BUILTIN_PATH if name == BUILTIN else Path(name)
+    try:
+        return {"name": path.name, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
+    except OSError as error:
+        raise FungraspError(f"cannot read {path}: {error.strerror or error}") from error

@@ -1,0 +1,1 @@
+"""This package's retargeting beside that of others."""

@@ -1,0 +1,126 @@
+"""dex-retargeting and its port dexi-rs: fingertips and middle joints to the human's, by the published
+"position" configuration with a free wrist. They know neither object nor table."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from benchmarks.peers.problem import HUMAN_ORDER, CpuClock, PeerProblem
+from benchmarks.peers.urdf import kinematic_urdf
+from fungrasp.grasps import RobotGraspSet
+
+CALLS = 5
+"""Calls for each grasp, each from the last one's result, as in a video that stands still; more change
+nothing."""
+
+HUMAN_TIPS, HUMAN_MIDDLES = (
+    {"thumb": 4, "index": 8, "middle": 12, "ring": 16, "pinky": 20},
+    {"thumb": 2, "index": 6, "middle": 10, "ring": 14, "pinky": 18},
+)
+"""Joints in the order of MANO."""
+
+DUMMIES = [f"dummy_{axis}_{kind}_joint" for kind in ("translation", "rotation") for axis in "xyz"]
+"""Joints of the free wrist: position, then rotations about the moving axes x, y, z."""
+
+
+def solve_dex_retargeting(problem: PeerProblem) -> tuple[RobotGraspSet, float]:
+    """By dex-retargeting (Qin et al., "AnyTeleop", 2023). Returns the grasps and processor seconds."""
+    from dex_retargeting.retargeting_config import RetargetingConfig  # pyright: ignore[reportMissingImports]
+
+    with _UrdfFile(problem) as path:
+        config = RetargetingConfig.from_dict(_configuration(problem), {"urdf_path": path})
+        config.target_joint_names = list(problem.hand.actuators)
+        solver = config.build()
+    joints = _human(problem)
+    indices = solver.optimizer.target_link_human_indices
+    turn = problem.wrist_start[:, 3:]
+
+    def one(row: int) -> np.ndarray:
+        solver.reset()
+        solver.warm_start(joints[row, 0], turn[row])
+        for _ in range(CALLS):
+            found = solver.retarget(joints[row, indices])
+        return np.array(found)
+
+    one(0)
+    with CpuClock() as clock:
+        found = np.array([one(row) for row in range(len(joints))])
+    return _grasps(problem, found, list(solver.optimizer.robot.dof_joint_names)), clock.seconds
+
+
+def solve_dexi(problem: PeerProblem) -> tuple[RobotGraspSet, float]:
+    """By dexi-rs, the same in Rust. Returns the grasps and processor seconds."""
+    import dexi_rs  # pyright: ignore[reportMissingImports]
+
+    configuration: dict[str, Any] = _configuration(problem) | {
+        "target_joint_names": list(problem.hand.actuators)
+    }
+    with _UrdfFile(problem) as path:
+        solver = dexi_rs.RetargetingConfig(urdf_path=path, **configuration).build()
+    names, joints = list(solver.joint_names), _human(problem)
+    start = np.zeros((len(joints), len(names)))
+    half = 0.5 * (problem.points.kinematics.lower + problem.points.kinematics.upper)
+    start[:, [names.index(name) for name in problem.hand.joint_names]] = problem.hand.all_joints(half)
+    turn = Rotation.from_quat(problem.wrist_start[:, 3:], scalar_first=True)
+    start[:, [names.index(name) for name in DUMMIES]] = np.c_[joints[:, 0], turn.as_euler("XYZ")]
+    reference = joints[:, configuration["target_link_human_indices"]].reshape(len(joints), -1).tolist()
+    given = start.tolist()
+
+    def one(row: int) -> list[float]:
+        solver.reset()
+        solver.set_qpos(given[row])
+        for _ in range(CALLS):
+            found = solver.retarget(reference[row])
+        return found
+
+    one(0)
+    with CpuClock() as clock:
+        found = np.array([one(row) for row in range(len(joints))])
+    return _grasps(problem, found, names), clock.seconds
+
+
+def _configuration(problem: PeerProblem) -> dict[str, Any]:
+    """As published; the scale of 1.6 for gestures in the air is 1 here, and nothing is smoothed over time."""
+    fingers = problem.hand.fingers
+    names = [name for name in HUMAN_TIPS if name in fingers]
+    middles = [name for name in names if len(fingers[name].joints) > 1]
+    return {
+        "type": "position",
+        "target_joint_names": None,
+        "target_link_names": [fingers[n].tip for n in names] + [fingers[n].joints[1] for n in middles],
+        "target_link_human_indices": [HUMAN_TIPS[n] for n in names] + [HUMAN_MIDDLES[n] for n in middles],
+        "add_dummy_free_joint": True,
+        "low_pass_alpha": 1.0,
+    }
+
+
+def _human(problem: PeerProblem) -> np.ndarray:
+    return problem.human.hand_joints[:, HUMAN_ORDER].astype(float)
+
+
+def _grasps(problem: PeerProblem, found: np.ndarray, names: list[str]) -> RobotGraspSet:
+    free = found[:, [names.index(name) for name in DUMMIES]]
+    turn = Rotation.from_euler("XYZ", free[:, 3:]).as_quat(scalar_first=True)
+    joints = found[:, [names.index(name) for name in problem.hand.joint_names]]
+    return problem.solved(np.concatenate([free[:, :3], turn], axis=1), joints)
+
+
+class _UrdfFile:
+    """The hand's URDF as a file, for as long as it is read."""
+
+    def __init__(self, problem: PeerProblem):
+        self._text = kinematic_urdf(problem.hand)
+        self._folder = tempfile.TemporaryDirectory()
+
+    def __enter__(self) -> str:
+        path = Path(self._folder.name) / "hand.urdf"
+        path.write_text(self._text)
+        return str(path)
+
+    def __exit__(self, *_: object) -> None:
+        self._folder.cleanup()

@@ -1,0 +1,78 @@
+"""``python -m benchmarks.perception captures --real``: perception on a set of real captures."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from fungrasp.cli.console import progress_bar, table
+
+
+def bench_recorded(folder: Path, json: Path | None) -> None:
+    """Measure every capture in a folder, print the figures and write them.
+
+    Args:
+        folder: the validation set, see ``recorded_captures``.
+        json: file for the numbers, if wanted; each answer is in a CSV file beside it.
+
+    Raises:
+        FungraspError: there are no captures, or one can't be read.
+    """
+    from benchmarks.perception.recorded_captures import read_recorded, recorded_folders
+    from benchmarks.perception.recorded_figures import (
+        measure_recorded,
+        recorded_figures,
+        recorded_rows,
+        recorded_table,
+    )
+    from fungrasp.evaluation import write_result
+    from fungrasp.perception.hand.mediapipe_detector import MediaPipeHandDetector
+    from fungrasp.provenance import machine, run_record
+
+    folders, detector = recorded_folders(folder), MediaPipeHandDetector()
+    results = []
+    with progress_bar("perceiving", len(folders)) as show:
+        for i, path in enumerate(folders):
+            results.append(measure_recorded(read_recorded(path), detector))
+            show(i + 1)
+    figures = recorded_figures(results)
+    if json is not None:
+        write_result(json, run_record(0) | {"folder": folder.name} | figures, recorded_rows(results))
+    each = [("capture", "told", "ADD-S [mm]", "turned [deg]", "score", "accepted", "[s]")]
+    for result in results:
+        for answer in result.objects:
+            each.append(
+                (
+                    result.name,
+                    answer.hint,
+                    f"{answer.add_s_mm:.1f}",
+                    f"{answer.rotation_deg:.0f}",
+                    f"{answer.score:.2f}",
+                    "yes" if answer.accepted else "no",
+                    f"{answer.seconds:.2f}",
+                )
+            )
+    if len(each) > 1:
+        print(table(each, left=(0, 1)))
+        print(table(recorded_table(figures)))
+    hand = figures["hand"]
+    if hand["found"] is not None:
+        found = hand["found"]
+        print(
+            f"hand found in {round(found['rate'] * found['count'])} of {found['count']}, landmarks "
+            f"{_number(hand['pixel_error'])} px, joints {_number(hand['joint_error_mm'])} mm (medians)"
+        )
+    none = figures["no_hand_sure"]
+    if none is not None:
+        print(
+            f"sure of a hand in {round(none['rate'] * none['count'])} of {none['count']} captures without one"
+        )
+    plane = figures["table"]
+    if plane["angle_deg"] is not None:
+        print(
+            f"table: {plane['angle_deg']:.1f} deg, {_number(plane['height_mm'])} mm at the object (medians)"
+        )
+    print(f"{len(results)} captures; hand and table {_number(hand['seconds'])} s (median); {machine()}")
+
+
+def _number(value: float | None) -> str:
+    return "?" if value is None else f"{value:.1f}"

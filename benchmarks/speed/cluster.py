@@ -1,0 +1,178 @@
+"""``python -m benchmarks.speed cluster``: what a cluster makes of its processors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from threading import Event, Thread
+from typing import TYPE_CHECKING
+
+from fungrasp.cli.console import progress_bar, table
+from fungrasp.errors import FungraspError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    import numpy as np
+
+    from fungrasp.cli.evaluate import Evaluate
+    from fungrasp.cluster import ClusterUse
+    from fungrasp.evaluation import LiftTestResult
+    from fungrasp.grasps import RobotGraspSet
+    from fungrasp.objects import ObjectModel
+
+
+@dataclass(frozen=True)
+class BenchCluster:
+    """Evaluate grasps in one process on one processor, and again on a Ray cluster of several machines with a
+    processor each, all on this machine; compare the outcomes, grasp by grasp, and the work that a second of
+    a processor does."""
+
+    grasps: str = "builtin"
+    """A file of human or of robot grasps, or "builtin"; they are repeated where there are fewer."""
+    objects: Path | None = None
+    """Folder of meshes <name>.obj; built-in objects need none."""
+    hand: str = "allegro"
+    """Name of a hand, or the path of a hand's TOML file."""
+    policy: str = "reference"
+    """As for `fungrasp evaluate`."""
+    number: int = 2000
+    """Grasps to evaluate."""
+    machines: int = 2
+    """Machines of the cluster."""
+    lose: bool = False
+    """Kill one of the machines when half of the work is done."""
+    json: Path | None = None
+    """Write the numbers here (.json), the two runs to a CSV file beside it."""
+
+    def run(self) -> None:
+        from time import perf_counter, process_time
+
+        import numpy as np
+
+        from fungrasp.cli.evaluate import Evaluate
+        from fungrasp.cli.retarget import retargeted
+        from fungrasp.evaluation import write_result
+        from fungrasp.evaluation.lift_test import run_lift_test
+        from fungrasp.evaluation.lift_test_chunks import check_hand
+        from fungrasp.grasps import RobotGraspSet, load_grasps, load_objects
+        from fungrasp.hands import load_hand
+        from fungrasp.provenance import machine, run_record
+
+        if self.number < 1 or self.machines < 1 + self.lose:
+            raise FungraspError("--number must be at least 1, and --machines 1, or 2 with --lose")
+        hand, given = load_hand(self.hand), load_grasps(self.grasps)
+        objects = load_objects(given, self.objects)
+        if isinstance(given, RobotGraspSet):
+            check_hand(given, hand)
+            robot = given
+        else:
+            robot, _ = retargeted(given, objects, hand, "ours", 1)
+        robot = robot.select(np.arange(self.number) % len(robot))
+        command = Evaluate(objects=self.objects, hand=self.hand, policy=self.policy, threads=1)
+        start, used = perf_counter(), process_time()
+        (test,) = command.lift_tests(robot, {hand.name: robot}, objects).values()
+        with progress_bar("one process", len(robot)) as show:
+            alone = run_lift_test(test, None, command.chunk_size(test), show)
+        one = {"run": "one process", "seconds": perf_counter() - start}
+        one |= {"processor_seconds": process_time() - used, "processors": 1.0, "at_work": 1.0}
+        found, use, used = self._on_cluster(command, robot, objects)
+        same = _equal_episodes(alone, found)
+        many = {
+            "run": "cluster",
+            "seconds": use.seconds,
+            "processor_seconds": use.processor_seconds + used,
+            "processors": use.processors,
+            "at_work": use.share,
+        }
+        speed = one["processor_seconds"] / many["processor_seconds"]
+        share = speed * use.share
+        if self.json is not None:
+            about = {
+                "hand": hand.name,
+                "policy": self.policy,
+                "machines": self.machines,
+                "lost": int(self.lose),
+            }
+            about |= {"grasps": len(robot), "equal": int(same.sum()), "jobs": use.jobs}
+            about |= {"work_per_processor_second": speed, "share": share}
+            write_result(self.json, run_record(0) | about, [one, many])
+        head = ("", "seconds", "core seconds", "processors", "at work")
+        rows = [
+            (
+                run["run"],
+                f"{run['seconds']:.0f}",
+                f"{run['processor_seconds']:.1f}",
+                f"{run['processors']:.2f}",
+                f"{run['at_work']:.1%}",
+            )
+            for run in (one, many)
+        ]
+        print(table([head, *rows]))
+        lost = ", one machine lost" if self.lose else ""
+        print(
+            f"{same.sum()} of {len(robot)} outcomes are the same. A core second on the cluster does "
+            f"{speed:.1%} of the work, and the cluster gives {share:.1%} of the sum of its processors{lost}"
+        )
+        print(machine())
+
+    def _on_cluster(
+        self, command: Evaluate, robot: RobotGraspSet, objects: Mapping[str, ObjectModel]
+    ) -> tuple[LiftTestResult, ClusterUse, float]:
+        """Result, use of the cluster, and processor time of this process meanwhile [s]."""
+        from tempfile import TemporaryDirectory
+        from time import process_time
+
+        from fungrasp.cli.on_cluster import test_on_cluster
+        from fungrasp.evaluation.lift_test import run_lift_test
+        from fungrasp.evaluation.partial_results import PartialResults
+
+        try:
+            import ray
+            from ray.cluster_utils import Cluster
+        except ImportError as error:
+            raise FungraspError("this needs Ray: pip install 'fungrasp[ray]'") from error
+        sets = {robot.hand: robot}
+        tests = command.lift_tests(robot, sets, objects)
+        (test,) = tests.values()
+        jobs = len(test.chunks(command.chunk_size(test)))
+        cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 0, "include_dashboard": False})
+        nodes = [cluster.add_node(num_cpus=1) for _ in range(self.machines)]
+        with TemporaryDirectory(prefix="fungrasp-") as folder:
+            store, over = PartialResults(folder), Event()
+
+            def lose() -> None:
+                while not over.wait(0.1):
+                    if 2 * len(list(Path(folder).glob("*.npz"))) >= jobs:
+                        cluster.remove_node(nodes[-1], allow_graceful=False)
+                        return
+
+            losing = Thread(target=lose, daemon=True)
+            used = process_time()
+            try:
+                if self.lose:
+                    losing.start()
+                there = replace(command, ray=(cluster.address,))
+                use = test_on_cluster(there, robot, sets, objects, tests, store)
+                used = process_time() - used
+                return run_lift_test(test, store, command.chunk_size(test)), use, used
+            finally:
+                over.set()
+                if self.lose:
+                    losing.join()
+                ray.shutdown()
+                cluster.shutdown()
+
+
+def _equal_episodes(a: LiftTestResult, b: LiftTestResult) -> np.ndarray:
+    """Which episodes have the same numbers, all of them, shape [E] bool."""
+    import numpy as np
+
+    same = np.ones(len(a.index), dtype=bool)
+    others = b.outcomes.arrays() | {"index": b.index}
+    for name, values in (a.outcomes.arrays() | {"index": a.index}).items():
+        equal = values == others[name]
+        if values.dtype.kind == "f":
+            equal |= np.isnan(values) & np.isnan(others[name])
+        same &= equal.reshape(len(same), -1).all(axis=1)
+    return same

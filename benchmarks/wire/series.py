@@ -1,0 +1,88 @@
+"""``python -m benchmarks.wire``: the whole chain over the wire, again and again."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from fungrasp.cli.console import table
+from fungrasp.cli.grasp_choice import ChosenGrasp, GraspChoice, deployment_task
+from fungrasp.errors import FungraspError
+
+if TYPE_CHECKING:
+    from benchmarks.wire.wire_run import WireRun
+    from fungrasp.hands import Hand
+    from fungrasp.robots.cell import RobotCell
+
+
+@dataclass(frozen=True)
+class BenchWire:
+    """Deploy a grasp on emulated devices in another process, each time on another twin, on the clock of the
+    wall; count lifts and late ticks."""
+
+    robot: str = "ur5e-allegro-emulated"
+    """A cell whose addresses are on the loopback."""
+    choice: GraspChoice = field(default_factory=lambda: GraspChoice(grasp="wine_glass"))
+    """The grasp; one that is seen in rendered images is another one in each run."""
+    policy: str = "plan"
+    """What moves the hand: "plan", "reference", "student", or a policy file."""
+    runs: int = 20
+    """Deployments; the first is on twin 0, the next on twin 1, and so on."""
+    json: Path | None = None
+    """Write every run here (.json, with a .csv beside), anew after each."""
+
+    def run(self) -> None:
+        from fungrasp.evaluation.result_files import write_result
+        from fungrasp.hands import load_hand
+        from fungrasp.provenance import run_record
+        from fungrasp.robots.cell import load_cell
+
+        if self.runs < 1:
+            raise FungraspError(f"--runs must be 1 or more, not {self.runs}")
+        cell = load_cell(self.robot)
+        hand = load_hand(cell.hand)
+        header = {"robot": self.robot, "policy": self.policy, "image": self.choice.image or "none"}
+        chosen, runs = None, []
+        for twin in range(self.runs):
+            if chosen is None or self.choice.varies:
+                chosen = self.choice.chosen(hand, twin)
+            runs.append(self._run(cell, hand, chosen, twin))
+            if self.json is not None:
+                write_result(self.json, {**header, **run_record(0)}, [asdict(run) for run in runs])
+            print(_line(runs[-1]), flush=True)
+        print(_histogram(runs))
+        lifted = sum(run.success for run in runs)
+        home = sum(run.success and not run.fault for run in runs)
+        print(f"of {len(runs)} runs: {lifted} lifted and held, {home} of them put down and home again")
+
+    def _run(self, cell: RobotCell, hand: Hand, chosen: ChosenGrasp, twin: int) -> WireRun:
+        from benchmarks.wire.wire_run import run_over_the_wire
+
+        task = deployment_task(cell, hand, chosen, self.policy, self.choice.threads, seed=twin)
+        run = run_over_the_wire(task, twin)
+        return replace(run, images=chosen.images, grasp_seconds=chosen.seconds)
+
+
+def _line(run: WireRun) -> str:
+    cores = ", ".join(f"{name} {share:.0%}" for name, share in run.cores.items())
+    silence = " / ".join(f"{value:.0f}" for value in run.longest_silence_ms.values())
+    outcome = f"{'' if run.success else 'not '}lifted, {100 * run.height_m:.1f} cm"
+    ticks = f"latest tick {run.latest_10hz_ms:.1f} ms at 10 Hz, {run.latest_50hz_ms:.1f} ms at 50 Hz"
+    seen = f"image {run.images} seen in {run.grasp_seconds:.1f} s; " * bool(run.images)
+    return (
+        f"twin {run.twin}: {seen}{outcome}{', then: ' * bool(run.fault)}{run.fault}; {ticks}; silent for "
+        f"{silence} ms; the twin lost {run.twin_lost_ms:.0f} ms; of a core: {cores}; {run.seconds:.0f} s"
+    )
+
+
+def _histogram(runs: list[WireRun]) -> str:
+    rows = [("lateness", "10 Hz", "50 Hz")]
+    for name in runs[0].ticks_10hz:
+        slow = sum(run.ticks_10hz[name] for run in runs)
+        fast = sum(run.ticks_50hz[name] for run in runs)
+        rows.append((name, str(slow), str(fast)))
+    return table(rows)
+
+
+COMMAND = BenchWire

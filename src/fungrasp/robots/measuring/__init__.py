@@ -1,1 +1,0 @@
-"""Measures drivers against emulated devices: reactions to faults, load, latency."""

@@ -1,0 +1,104 @@
+"""Trainings and tests of the paper's tables."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from benchmark_runs import run_benchmark
+from grasp_files import some_grasps
+
+from benchmarks.paper import free_policies
+from benchmarks.paper.commands import HandsTable
+from benchmarks.paper.variants import CONDITIONS
+from fungrasp.evaluation.result_files import read_result
+from fungrasp.grasps import save_human_grasps
+
+TABLE = ("--grasps", "builtin", "--test", "builtin")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("paper", "policies", "--hands", "alegro"), "Did you mean 'allegro'?"),
+        (("paper", "policies", "--grasp-seeds", -1), "must not be negative"),
+        (("paper", "privileged", *TABLE, "--rollouts"), "give --plans too"),
+        (("paper", "hands", *TABLE, "--seeds", 1, 1), "--seeds must be different ones"),
+    ],
+)
+def test_mistakes_are_one_line(arguments, words, tmp_path, capsys):
+    status, out, err = run_benchmark(capsys, *arguments, "--out", tmp_path / "out")
+    assert status == 2 and out == "" and err.count("\n") == 1 and words in err
+
+
+def test_finished_variants_are_not_trained_again_unless_settings_differ(tmp_path, capsys):
+    pytest.importorskip("rsl_rl")
+    grasps = tmp_path / "g.npz"
+    save_human_grasps(grasps, some_grasps())
+    kept = tmp_path / "allegro" / "seed-0" / "dexgraspnet.json"
+    kept.parent.mkdir(parents=True)
+    kept.write_text(json.dumps({"budget": {}, "results": {}}))
+    common = ("--grasps", grasps, "--test", grasps, "--out", tmp_path)
+    status, _, err = run_benchmark(capsys, "paper", "retargeting", *common)
+    assert status == 2 and "was made with other settings" in err
+    kept.write_text("{")
+    status, _, err = run_benchmark(capsys, "paper", "retargeting", *common)
+    assert status == 2 and "is damaged" in err
+
+
+def test_a_table_is_made_of_all_seeds_and_conditions_and_kept(tmp_path, capsys, monkeypatch):
+    pytest.importorskip("rsl_rl")
+    grasps = tmp_path / "g.npz"
+    save_human_grasps(grasps, some_grasps())
+    tested = []
+
+    def stand_in(options, variant, hand, policy, seed):
+        tested.append((hand.name, variant.name, seed))
+        trial = {"object": "mug", "reason": "", "contact_ratio": 0.5, "sim_distance_hand_mm_s": 1.0}
+        success = [True, seed == 0 and hand.name != "shadow"]
+        trials = [{**trial, "index": index, "success": done} for index, done in enumerate(success)]
+        return {name: {"trials": trials, "success_rate": sum(success) / 2} for name in CONDITIONS}
+
+    monkeypatch.setattr(HandsTable, "_trained", lambda *_: tmp_path / "policy.onnx")
+    monkeypatch.setattr(HandsTable, "_tested", stand_in)
+    command = ("paper", "hands", "--grasps", grasps, "--test", grasps, "--seeds", 0, 4)
+    status, out, err = run_benchmark(capsys, *command, "--out", tmp_path / "out")
+    assert status == 0, err
+    assert tested == [(hand, "student", seed) for seed in (0, 4) for hand in ("shadow", "faive", "allegro")]
+    result = read_result(tmp_path / "out" / "hands.json")
+    rates = [one["conditions"]["reality"]["success_rate"] for one in result.header["policies"]]
+    assert rates == [0.5, 0.75, 0.75] and len(result.rows) == 3 * 2 * len(CONDITIONS) * 2
+    assert "Shadow" in out and "75.0%" in out
+    again = run_benchmark(capsys, *command, "--out", tmp_path / "out")
+    assert again[0] == 0 and len(tested) == 6, "nothing is tested twice"
+
+
+def test_free_policies_are_trained_in_turn_and_only_where_they_are_missing(tmp_path, capsys, monkeypatch):
+    pytest.importorskip("rsl_rl")
+    made = []
+
+    def stand_in(name, file):
+        def run_(command):
+            made.append(name)
+            path = command.out / file if file else command.out
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(name)
+
+        return run_
+
+    kinds = {"MakeGrasps": "", "TrainPredictor": "", "Train": "policy.onnx", "Distill": "student.onnx"}
+    for name, file in kinds.items():
+        monkeypatch.setattr(getattr(free_policies, name), "run", stand_in(name, file))
+    command = ("paper", "policies", "--hands", "leap", "--grasp-seeds", 1, "--out", tmp_path)
+    status, _, err = run_benchmark(capsys, *command)
+    assert status == 0, err
+    assert made == list(kinds)
+    files = {path.name: path.read_text() for path in (tmp_path / "policies").iterdir()}
+    assert files == {
+        "leap-predictor-free.onnx": "TrainPredictor",
+        "leap-teacher-free.onnx": "Train",
+        "leap-student-free.onnx": "Distill",
+    }
+    made.clear()
+    run_benchmark(capsys, *command)
+    assert made == ["Train"], "which goes on by its checkpoint"

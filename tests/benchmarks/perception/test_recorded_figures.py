@@ -1,0 +1,106 @@
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from object_pose_scenes import scene
+
+from benchmarks.perception.object_tracking import measure_tracking
+from benchmarks.perception.recorded_captures import read_recorded, recorded_folders
+from benchmarks.perception.recorded_figures import (
+    hinted_captures,
+    measure_recorded,
+    recorded_figures,
+    recorded_rows,
+    recorded_table,
+    smaller_mask,
+)
+from fungrasp.errors import FungraspError
+from fungrasp.grasps import load_human_grasps
+from fungrasp.objects import load_object
+from fungrasp.perception.hand.detected_hand import DetectedHand
+from fungrasp.perception.io.capture import Box
+from fungrasp.perception.io.scene_folders import write_folder
+
+MUG = load_object("mug")
+SCENE = scene(MUG, MUG.rest_pose(0.3), np.array([0.05, 0.0, 0.04]))
+
+
+class NoHands:
+    def detect(self, color: np.ndarray, near: Box | None = None) -> list[DetectedHand]:
+        return []
+
+
+def written(folder: Path, **truth: object) -> Path:
+    write_folder(SCENE.capture.with_object(mask=SCENE.mask), folder)
+    (folder / "truth.json").write_text(json.dumps(truth))
+    return folder
+
+
+def test_a_set_is_measured_with_every_hint(tmp_path: Path) -> None:
+    joints = [None if i == 3 else row for i, row in enumerate(SCENE.hand.joints_camera.tolist())]
+    written(
+        tmp_path / "one",
+        object="mug",
+        object_pose_camera_wxyz=SCENE.pose.tolist(),
+        joints_camera_m=joints,
+        table_plane_camera=SCENE.table.tolist(),
+    )
+    (folder,) = recorded_folders(tmp_path)
+    recorded = read_recorded(folder)
+    assert recorded.joints_camera is not None and np.isnan(recorded.joints_camera[3]).all()
+    result = measure_recorded(recorded, NoHands())
+    hints = [answer.hint for answer in result.objects]
+    assert hints == ["none", "box", "click", "mask", "mask larger", "mask smaller"]
+    right = {answer.hint: answer.right for answer in result.objects}
+    assert right["mask"] and right["box"]
+    assert result.hand_found is False
+    figures = recorded_figures([result])
+    assert figures["object"]["mask"]["right"]["rate"] == 1.0
+    assert figures["hand"]["found"]["rate"] == 0.0
+    assert len(recorded_table(figures)) == 1 + len(hints)
+    json.dumps(recorded_rows([result]), allow_nan=False)
+
+
+def test_without_a_mask_or_an_object_less_is_measured(tmp_path: Path) -> None:
+    folder = written(tmp_path / "one")
+    recorded = read_recorded(folder)
+    assert recorded.model is None and measure_recorded(recorded, NoHands()).objects == ()
+    assert list(hinted_captures(recorded)) == ["none", "box", "click", "mask", "mask larger", "mask smaller"]
+
+
+@pytest.mark.parametrize(
+    ("truth", "words"),
+    [
+        ({"object": "no_such_thing"}, "neither a mesh file"),
+        ({"object": "mug", "object_pose_camera_wxyz": [0, 0, 1]}, "object_pose_camera_wxyz must be numbers"),
+        ({"object": "mug", "object_pose_camera_wxyz": [0, 0, 1, 2, 0, 0, 0]}, "must have length 1"),
+        ({"object_pose_camera_wxyz": [0, 0, 1, 1, 0, 0, 0]}, 'a pose without "object"'),
+        ({"joints_camera_m": [[0, 0, 1]]}, "joints_camera_m must be numbers"),
+        ({"table_plane_camera": "flat"}, "table_plane_camera must be numbers"),
+    ],
+)
+def test_bad_truth_is_named(tmp_path: Path, truth: dict[str, object], words: str) -> None:
+    with pytest.raises(FungraspError, match=words):
+        read_recorded(written(tmp_path / "one", **truth))
+
+
+def test_an_empty_folder_is_said(tmp_path: Path) -> None:
+    with pytest.raises(FungraspError, match="has no captures"):
+        recorded_folders(tmp_path)
+
+
+def test_smaller_masks_do_not_vanish() -> None:
+    thick, thin = np.zeros((2, 60, 60), dtype=bool)
+    thick[10:50, 10:50] = True
+    thin[20:24, 5:55] = True
+    assert smaller_mask(thick).sum() == 28 * 28, "6 pixels less on each side"
+    assert 0.3 * thin.sum() <= smaller_mask(thin).sum() < thin.sum()
+
+
+def test_tracking_is_measured() -> None:
+    grasps = load_human_grasps("builtin")
+    row = int(np.flatnonzero(grasps.object_name == "mug")[0])
+    result = measure_tracking(grasps[row], MUG, 4)
+    assert result.right == 1.0 and result.followed == 1.0
+    assert result.add_s_mm < 3.0 and result.seconds > 0

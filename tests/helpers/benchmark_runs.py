@@ -1,0 +1,28 @@
+"""Runs benchmarks in the process of a test."""
+
+from __future__ import annotations
+
+import importlib
+from typing import Any
+
+from fungrasp.cli.main import run_command
+
+MODULES = {
+    "engines": "simulation",
+    "faults": "devices",
+    "identification": "comparison",
+    "paper": "commands",
+    "peers": "compare",
+    "perception": "commands",
+    "speed": "commands",
+    "wire": "series",
+}
+"""Where the command of a benchmark is."""
+
+
+def run_benchmark(capsys: Any, name: str, *arguments: object) -> tuple[int, str, str]:
+    """Status and output of ``python -m benchmarks.<name>``."""
+    command = importlib.import_module(f"benchmarks.{name}.{MODULES[name]}").COMMAND
+    status = run_command(f"python -m benchmarks.{name}", command, [str(a) for a in arguments])
+    captured = capsys.readouterr()
+    return status, captured.out, captured.err
