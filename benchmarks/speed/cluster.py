@@ -16,9 +16,9 @@ if TYPE_CHECKING:
     import numpy as np
 
     from fungrasp.cli.evaluate import Evaluate
-    from fungrasp.cluster import ClusterUse
     from fungrasp.evaluation import LiftTestResult
     from fungrasp.grasps import RobotGraspSet
+    from fungrasp.jobs import ClusterUse
     from fungrasp.objects import ObjectModel
 
 
@@ -125,7 +125,7 @@ class BenchCluster:
 
         from fungrasp.cli.on_cluster import test_on_cluster
         from fungrasp.evaluation.lift_test import run_lift_test
-        from fungrasp.evaluation.partial_results import PartialResults
+        from fungrasp.jobs import PartStore
 
         try:
             import ray
@@ -139,7 +139,7 @@ class BenchCluster:
         cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 0, "include_dashboard": False})
         nodes = [cluster.add_node(num_cpus=1) for _ in range(self.machines)]
         with TemporaryDirectory(prefix="fungrasp-") as folder:
-            store, over = PartialResults(folder), Event()
+            store, over = PartStore(folder), Event()
 
             def lose() -> None:
                 while not over.wait(0.1):

@@ -94,14 +94,22 @@ def cache_folder(kind: str) -> Path:
 
 
 def digest(*things: Any) -> str:
-    """SHA-256 of arrays, bytes, mappings and whatever ``repr`` describes."""
+    """SHA-256 of arrays, bytes, mappings, lists, what has a ``digest`` of its own, and whatever ``repr``
+    describes."""
     result = hashlib.sha256()
 
     def add(thing: Any) -> None:
-        if isinstance(thing, Mapping):
+        own = getattr(thing, "digest", None)
+        if isinstance(own, str):
+            result.update(own.encode())
+        elif isinstance(thing, Mapping):
             for key in sorted(thing):
                 result.update(f"{key}:".encode())
                 add(thing[key])
+        elif isinstance(thing, list | tuple):
+            result.update(f"{len(thing)}:".encode())
+            for item in thing:
+                add(item)
         elif isinstance(thing, np.ndarray):
             result.update(f"{thing.dtype}{thing.shape}".encode())
             result.update(np.ascontiguousarray(thing).tobytes())

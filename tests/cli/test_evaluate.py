@@ -12,9 +12,9 @@ from PIL import Image
 
 from fungrasp.cli import evaluate as evaluate_command
 from fungrasp.evaluation import lift_test_chunks, replay
-from fungrasp.evaluation.partial_results import PartialResults
 from fungrasp.grasps import save_human_grasps
 from fungrasp.grasps.grasp_files import builtin_grasps
+from fungrasp.jobs import PartStore
 from fungrasp.sim2real import NOMINAL, MeasurementError, Randomization
 
 
@@ -280,7 +280,7 @@ def test_an_interrupted_run_goes_on_when_given_again(human, tmp_path, capsys, mo
 def test_missing_parts_are_tried_together_and_kept_singly(human, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(evaluate_command, "CHUNKS", (1, 1))
     monkeypatch.setattr(evaluate_command, "PARTS", 1)
-    kept, save = [], PartialResults.save
+    kept, save = [], PartStore.save
 
     def counted(self, key, arrays):
         kept.append({name: len(values) for name, values in arrays.items()})
@@ -292,7 +292,7 @@ def test_missing_parts_are_tried_together_and_kept_singly(human, tmp_path, capsy
         runs.append(chunk.rows.tolist())
         return simulate(self, chunk, progress)
 
-    monkeypatch.setattr(PartialResults, "save", counted)
+    monkeypatch.setattr(PartStore, "save", counted)
     monkeypatch.setattr(lift_test_chunks.LiftTest, "run", run_)
     command = ("evaluate", "--grasps", human, "--json")
     assert run(capsys, *command, tmp_path / "together.json")[0] == 0

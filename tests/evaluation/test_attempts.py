@@ -7,8 +7,8 @@ import pytest
 
 from fungrasp.errors import FungraspError
 from fungrasp.evaluation import LiftTestResult, evaluate, result_json
-from fungrasp.evaluation.partial_results import PartialResults
 from fungrasp.geometry.poses import compose
+from fungrasp.jobs import PartStore
 from fungrasp.planning import MotionPlanner
 from fungrasp.policies.scripted import plan_step
 from fungrasp.sim2real import REALITY, MeasurementError, Randomization
@@ -109,7 +109,7 @@ def test_attempts_are_not_recorded(good, things, allegro, tmp_path):
 
 def test_a_finished_part_of_other_attempts_is_not_taken(good, things, allegro, tmp_path):
     name = "student"
-    store = PartialResults(tmp_path / "parts")
+    store = PartStore(tmp_path / "parts")
     options = {"randomization": MOVED, "store": store}
     planner = MotionPlanner(allegro, things)
     some = good.select([0])

@@ -11,10 +11,10 @@ import pytest
 from fungrasp.errors import FungraspError, UnknownNameError
 from fungrasp.evaluation import LiftTestResult, evaluate, replay, result_json
 from fungrasp.evaluation.lift_test_chunks import Refinement
-from fungrasp.evaluation.partial_results import PartialResults
 from fungrasp.files import digest
 from fungrasp.geometry.poses import compose
 from fungrasp.hands import load_hand
+from fungrasp.jobs import PartStore
 from fungrasp.planning import MotionPlanner
 from fungrasp.policies import OpenLoopPolicy
 from fungrasp.sim2real import Randomization
@@ -132,15 +132,15 @@ def test_an_interrupted_test_goes_on_where_it_was(recorded, good, things, allegr
             raise Interrupted
 
     with pytest.raises(Interrupted):
-        evaluate(good, things, allegro, store=PartialResults(store), chunk=2, progress=interrupt)
+        evaluate(good, things, allegro, store=PartStore(store), chunk=2, progress=interrupt)
     assert len(list(store.iterdir())) == 1
     seen: list[float] = []
-    result = evaluate(good, things, allegro, store=PartialResults(store), chunk=2, progress=seen.append)
+    result = evaluate(good, things, allegro, store=PartStore(store), chunk=2, progress=seen.append)
     assert seen[0] == 2, "the first chunk was not simulated again"
     assert same(result, recorded[0])
     seen.clear()
     changed = dataclasses.replace(good, object_mass=1.5 * good.object_mass)
-    other = evaluate(changed, things, allegro, store=PartialResults(store), chunk=2, progress=seen.append)
+    other = evaluate(changed, things, allegro, store=PartStore(store), chunk=2, progress=seen.append)
     assert 0 <= seen[0] < 2 and not same(other, result), "what was kept is of other grasps"
 
 
@@ -149,10 +149,10 @@ def test_partial_results_survive_a_file_that_cannot_be_read(tmp_path, damaged):
     path = tmp_path / "x.partial"
     (tmp_path / damaged).parent.mkdir(exist_ok=True)
     (tmp_path / damaged).write_bytes(b"PK\x03\x04 cut short")
-    store = PartialResults(path)
+    store = PartStore(path)
     assert store.load("a") is None
     store.save("a", {"x": np.arange(3), "reason": np.array(["", "lost"])})
-    again = PartialResults(path)
+    again = PartStore(path)
     kept = again.load("a")
     assert kept is not None and kept["x"].tolist() == [0, 1, 2] and kept["reason"].tolist() == ["", "lost"]
     assert again.load("b") is None
@@ -235,7 +235,7 @@ def test_a_planner_of_ones_own_is_asked(good, things, allegro):
 
 
 def test_results_are_kept_only_of_what_has_a_name(good, things, allegro, tmp_path):
-    store = PartialResults(tmp_path / "x.partial")
+    store = PartStore(tmp_path / "x.partial")
 
     class Nameless:
         plan = MotionPlanner(allegro, things).plan

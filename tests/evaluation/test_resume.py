@@ -12,7 +12,7 @@ from residual_policies import policy_file, predictor_file
 
 from fungrasp.evaluation import LiftTestResult, evaluate
 from fungrasp.evaluation.lift_test_chunks import LiftTest, Refinement
-from fungrasp.evaluation.partial_results import PartialResults
+from fungrasp.jobs import PartStore
 from fungrasp.planning.selection import SelectionSettings
 from fungrasp.sim2real import Randomization
 from fungrasp.task import LiftProtocol
@@ -47,7 +47,7 @@ def tried(tmp_path, runs):
         chosen, objects = grasps_and_objects()
         chosen = (chosen if grasps is None else grasps).select(np.zeros(1, int))
         options = {"protocol": SHORT, "threads": 1} | options
-        return evaluate(chosen, objects, hand(), policy, store=PartialResults(store), **options)
+        return evaluate(chosen, objects, hand(), policy, store=PartStore(store), **options)
 
     return call
 

@@ -14,11 +14,11 @@ import fungrasp.evaluation.twin_episode as twin_episode
 from fungrasp.deployment.hand_knowledge import HandDynamics
 from fungrasp.deployment.preparation import UnreachableError
 from fungrasp.errors import FungraspError
-from fungrasp.evaluation.partial_results import PartialResults
 from fungrasp.evaluation.twin_episode import PlacedGrasp, TwinEpisode, TwinSetup
 from fungrasp.evaluation.twin_test import VARIANTS, placed_grasps, told_dynamics, try_on_twins
 from fungrasp.grasps import RobotGraspSet, builtin_grasps, load_objects
 from fungrasp.hands import load_hand
+from fungrasp.jobs import PartStore
 from fungrasp.policies import OpenLoopPolicy
 from fungrasp.retargeting import retarget
 from fungrasp.robots.cell import load_cell
@@ -38,7 +38,7 @@ def grasps() -> tuple[RobotGraspSet, dict[str, Any]]:
 
 
 def setup_of(objects: dict[str, Any], store: Path | None = None, policy_key: str = "") -> TwinSetup:
-    kept = None if store is None else PartialResults(store)
+    kept = None if store is None else PartStore(store)
     planner: Any = SimpleNamespace()
     cell = load_cell("ur5e-allegro-node")
     return TwinSetup(objects, HAND, cell, OpenLoopPolicy(), planner, store=kept, policy_key=policy_key)

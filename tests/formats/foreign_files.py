@@ -15,7 +15,6 @@ import trimesh
 from PIL import Image
 
 from fungrasp.evaluation import replay
-from fungrasp.evaluation.partial_results import PartialResults
 from fungrasp.evaluation.result_files import read_result, write_result
 from fungrasp.evaluation.trajectory import Trajectory
 from fungrasp.formats.mesh_file import read_colored_mesh
@@ -24,6 +23,7 @@ from fungrasp.grasps.importers.dgrasp import import_dgrasp
 from fungrasp.hands import load_hand
 from fungrasp.hands.adding.add_hand import add_hand
 from fungrasp.hands.checking.hand_checks import check_hand_files
+from fungrasp.jobs import PartStore
 from fungrasp.objects import load_mesh
 from fungrasp.perception.adapters import read_hand_estimate, read_object_pose
 from fungrasp.perception.io.capture import Capture, Intrinsics
@@ -256,9 +256,9 @@ def _table(folder: Path) -> tuple[str, bytes, Reader]:
 
 
 def _partial(folder: Path) -> tuple[str, bytes, Reader]:
-    store = PartialResults(folder)
+    store = PartStore(folder)
     store.save("x", {"success": np.ones(3, bool), "reason": np.array(["", "", "x"])})
-    return "x.npz", (folder / "x.npz").read_bytes(), lambda path: PartialResults(path.parent).load("x")
+    return "x.npz", (folder / "x.npz").read_bytes(), lambda path: PartStore(path.parent).load("x")
 
 
 def _record(folder: Path) -> tuple[str, bytes, Reader]:

@@ -33,10 +33,10 @@ from small_training import BATCH, WORLDS, hand, run_settings, training_set
 
 from fungrasp.cli.main import main as fungrasp
 from fungrasp.evaluation import evaluate, result_json, write_result
-from fungrasp.evaluation.partial_results import PartialResults
 from fungrasp.evaluation.result_files import read_result, split_rows
 from fungrasp.formats.onnx_file import message_fields
 from fungrasp.grasps import builtin_grasps, load_objects, save_robot_grasps
+from fungrasp.jobs import PartStore
 from fungrasp.planning.selection import SelectionSettings
 from fungrasp.planning.selection.rollouts import RolloutSettings
 from fungrasp.planning.selection.settings import FurtherSearch
@@ -106,7 +106,7 @@ def planning(scratch: Path) -> tuple[Work, Result]:
 
     def work(folder: Path) -> None:
         planner = make_planner("predictor", hand(), objects, PLAN, threads=1)
-        store = PartialResults(folder / "planned.json.partial")
+        store = PartStore(folder / "planned.json.partial")
         protocol = replace(LiftProtocol(), hold_time=0.5)
         options: dict[str, Any] = {"planner": planner, "protocol": protocol, "store": store, "chunk": 1}
         tested = evaluate(grasps, objects, hand(), "predictor", threads=1, **options)

@@ -14,9 +14,9 @@ if TYPE_CHECKING:
 
     from fungrasp.evaluation import LiftTestResult
     from fungrasp.evaluation.lift_test_chunks import LiftTest, Refinement
-    from fungrasp.evaluation.partial_results import PartialResults
     from fungrasp.grasps import HumanGraspSet, RobotGraspSet
     from fungrasp.hands import Hand
+    from fungrasp.jobs import PartStore
     from fungrasp.objects import ObjectModel
     from fungrasp.sim2real import Randomization
 
@@ -126,8 +126,8 @@ class Evaluate:
         from fungrasp.cli.retarget import draw_grasps
         from fungrasp.errors import FungraspError
         from fungrasp.evaluation.lift_test_chunks import check_hand
-        from fungrasp.evaluation.partial_results import PartialResults
         from fungrasp.grasps import RobotGraspSet, load_grasps, load_objects
+        from fungrasp.jobs import PartStore
         from fungrasp.policies import check_attempts, policy_files
 
         randomization = self._randomization()
@@ -141,7 +141,7 @@ class Evaluate:
             check_hand(grasps, hand)
         objects = load_objects(grasps, self.objects)
         file = self.json or self.out
-        store = None if file is None else PartialResults(file.with_name(f"{file.name}.partial"))
+        store = None if file is None else PartStore(file.with_name(f"{file.name}.partial"))
         if self.ray is not None and store is None:
             raise FungraspError("--ray keeps finished parts beside the result: give --json or --out too")
         start = perf_counter()
@@ -266,7 +266,7 @@ class Evaluate:
     def _takes_long(self, test: LiftTest) -> bool:
         return bool(self.refine) or self._searches(test.scene.hand)
 
-    def _run(self, names: tuple[str, str], test: LiftTest, store: PartialResults | None) -> LiftTestResult:
+    def _run(self, names: tuple[str, str], test: LiftTest, store: PartStore | None) -> LiftTestResult:
         from fungrasp.evaluation.lift_test import run_lift_test
 
         words = ", ".join(word for word in (test.scene.hand.name, *names) if word)

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
-    from fungrasp.evaluation.partial_results import PartialResults
     from fungrasp.evaluation.twin_episode import TwinEpisode, TwinVariant
     from fungrasp.grasps import HumanGraspSet
+    from fungrasp.jobs import PartStore
     from fungrasp.objects import ObjectModel
     from fungrasp.robots.twin.parameters import TwinParameters
 
@@ -60,13 +60,13 @@ class EvaluateOnTwins:
         from fungrasp.deployment.hand_knowledge import HandDynamics
         from fungrasp.deployment.twin_identification import identify_on_twin
         from fungrasp.errors import FungraspError
-        from fungrasp.evaluation.partial_results import PartialResults
         from fungrasp.evaluation.result_files import write_result
         from fungrasp.evaluation.twin_episode import PlacedGrasp, TwinSetup
         from fungrasp.evaluation.twin_test import episode_rows, placed_grasps, told_dynamics, try_on_twins
         from fungrasp.files import digest
         from fungrasp.grasps import load_human_grasps, load_objects
         from fungrasp.hands import load_hand
+        from fungrasp.jobs import PartStore
         from fungrasp.policies import policy_files
         from fungrasp.provenance import run_record
         from fungrasp.robots.cell import load_cell
@@ -79,7 +79,7 @@ class EvaluateOnTwins:
         index = list(self.rows) or list(range(len(human)))
         human = human.select(index)
         objects = load_objects(human, self.objects)
-        store = PartialResults(self.out.with_name(f"{self.out.name}.partial"))
+        store = PartStore(self.out.with_name(f"{self.out.name}.partial"))
         header: dict[str, Any] = {"robot": self.robot, "policy": self.policy, "grasps": self.grasps}
         if self.images:
             human, index, header["not_seen"] = self._seen(human, index, objects, store)
@@ -160,7 +160,7 @@ class EvaluateOnTwins:
         human: HumanGraspSet,
         index: list[int],
         objects: Mapping[str, ObjectModel],
-        store: PartialResults,
+        store: PartStore,
     ) -> tuple[HumanGraspSet, list[int], dict[str, str]]:
         """What perception sees of grasps: the grasps, the number of the image of each, and why it does not
         trust the others, by number."""

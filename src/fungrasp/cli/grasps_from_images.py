@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     import numpy as np
 
-    from fungrasp.evaluation.partial_results import PartialResults
     from fungrasp.grasps import HumanGraspSet
+    from fungrasp.jobs import PartStore
     from fungrasp.objects import ObjectModel
     from fungrasp.perception.hand.detected_hand import HandDetector
 
@@ -32,7 +32,7 @@ def grasps_from_images(
     objects: Mapping[str, ObjectModel],
     images: int,
     seed: int,
-    store: PartialResults | None = None,
+    store: PartStore | None = None,
 ) -> SeenGrasps:
     """Render images of grasps and perceive them: neither mask nor pose is told.
 

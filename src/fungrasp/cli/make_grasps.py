@@ -42,8 +42,8 @@ class MakeGrasps:
 
     def run(self) -> None:
         from fungrasp.cli.on_cluster import synthesize_on_cluster
-        from fungrasp.evaluation.partial_results import PartialResults
         from fungrasp.evaluation.synthesize_in_parts import Synthesis, synthesize_in_parts
+        from fungrasp.jobs import PartStore
         from fungrasp.objects import is_plain_shape
         from fungrasp.synthesis.synthesize import specified_objects
 
@@ -52,7 +52,7 @@ class MakeGrasps:
         specs, models, settings = self._specifications()
         objects = specified_objects(specs, models)
         synthesis = Synthesis(tuple(specs), objects, settings, self.seed)
-        store = PartialResults(self.out.with_name(f"{self.out.name}.parts"))
+        store = PartStore(self.out.with_name(f"{self.out.name}.parts"))
         if self.ray is not None:
             synthesize_on_cluster(synthesis, store, self.ray)
         done, sought = 0, len(specs) * len(self.seed)

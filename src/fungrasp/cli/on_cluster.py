@@ -15,18 +15,18 @@ from uuid import uuid4
 import numpy as np
 
 from fungrasp.cli.console import progress_bar
-from fungrasp.cluster import LOCAL, ClusterUse, run_on_cluster
 from fungrasp.errors import FungraspError
+from fungrasp.jobs.ray_cluster import LOCAL, ClusterUse, RayCluster
 
 if TYPE_CHECKING:
     from fungrasp.cli.evaluate import Evaluate
     from fungrasp.cli.retarget import Retarget
     from fungrasp.cli.train import Train
     from fungrasp.evaluation.lift_test_chunks import Chunk, LiftTest
-    from fungrasp.evaluation.partial_results import PartialResults
     from fungrasp.evaluation.synthesize_in_parts import Synthesis, SynthesisPart
     from fungrasp.grasps import HumanGraspSet, RobotGraspSet
     from fungrasp.hands import Hand
+    from fungrasp.jobs import PartStore
     from fungrasp.objects import ObjectModel
 
 Names = tuple[str, str]
@@ -51,7 +51,7 @@ def _spread(
     words: tuple[str, ...],
     shared: Any = None,
 ) -> ClusterUse:
-    """``run_on_cluster`` with a progress bar, and words about it at the end. size: of a job."""
+    """``RayCluster.run`` with a progress bar, and words about it at the end. size: of a job."""
     done = 0
     with progress_bar("on the cluster", sum(map(size, jobs))) as show:
 
@@ -61,9 +61,11 @@ def _spread(
             done += size(job)
             show(done)
 
-        use = run_on_cluster(work, jobs, finished, cluster_address(words), shared)
-    print(f"on the cluster: {use.words}")
-    return use
+        cluster = RayCluster(cluster_address(words))
+        cluster.run(work, jobs, finished, shared)
+    assert cluster.use is not None
+    print(f"on the cluster: {cluster.use.words}")
+    return cluster.use
 
 
 # ---------------------------------------------------------------- evaluate
@@ -87,7 +89,7 @@ def test_on_cluster(
     sets: Mapping[str, RobotGraspSet],
     objects: Mapping[str, ObjectModel],
     tests: Mapping[Names, LiftTest],
-    store: PartialResults,
+    store: PartStore,
 ) -> ClusterUse:
     """Run the chunks of lift tests that are not kept yet.
 
@@ -100,7 +102,7 @@ def test_on_cluster(
         store: where chunks are kept.
 
     Raises:
-        FungraspError: as ``run_on_cluster``, or a part can't be written.
+        FungraspError: as ``RayCluster.run``, or a part can't be written.
     """
     jobs = [
         (names, chunk)
@@ -145,7 +147,7 @@ def retarget_on_cluster(
         folder: where parts lie.
 
     Raises:
-        FungraspError: as ``run_on_cluster``, or a part can't be written.
+        FungraspError: as ``RayCluster.run``, or a part can't be written.
     """
     from fungrasp.evaluation.retarget_in_parts import grasp_parts, part_file
     from fungrasp.grasps import save_robot_grasps
@@ -183,7 +185,7 @@ def _retarget_part(shared: _Retargeting, file: Path, part: HumanGraspSet) -> Rob
 # ---------------------------------------------------------------- grasps make
 
 
-def synthesize_on_cluster(synthesis: Synthesis, store: PartialResults, words: tuple[str, ...]) -> None:
+def synthesize_on_cluster(synthesis: Synthesis, store: PartStore, words: tuple[str, ...]) -> None:
     """Solve the parts of a synthesis that are not kept yet.
 
     Args:
@@ -192,7 +194,7 @@ def synthesize_on_cluster(synthesis: Synthesis, store: PartialResults, words: tu
         words: what follows ``--ray``.
 
     Raises:
-        FungraspError: as ``run_on_cluster``, or a part can't be written.
+        FungraspError: as ``RayCluster.run``, or a part can't be written.
     """
     jobs = [(part,) for part in synthesis.parts if store.load(synthesis.key(part)) is None]
 
@@ -218,7 +220,7 @@ def train_on_cluster(commands: Sequence[Train], words: tuple[str, ...]) -> None:
         words: what follows ``--ray``.
 
     Raises:
-        FungraspError: as ``run_on_cluster``.
+        FungraspError: as ``RayCluster.run``.
     """
     jobs = [(replace(command, threads=1),) for command in commands]
     _spread(_train, jobs, lambda job, result: None, lambda job: 1, words)

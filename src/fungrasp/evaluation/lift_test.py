@@ -21,10 +21,10 @@ from fungrasp.evaluation.lift_test_chunks import (
     Refinement,
     check_hand,
 )
-from fungrasp.evaluation.partial_results import PartialResults
 from fungrasp.evaluation.use_test import UseTest
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand, as_hand
+from fungrasp.jobs import PartStore
 from fungrasp.objects import ObjectModel, check_objects, with_sizes
 from fungrasp.planning import MotionPlanner, Planner
 from fungrasp.planning.selection import SelectionSettings
@@ -97,7 +97,7 @@ def evaluate(
     use: UseTest | None = None,
     attempts: int = 1,
     record: Path | None = None,
-    store: PartialResults | None = None,
+    store: PartStore | None = None,
     chunk: int = CHUNK,
     progress: Callable[[float], None] = lambda done: None,
 ) -> LiftTestResult:
@@ -214,7 +214,7 @@ def make_lift_test(
 
 def run_lift_test(
     test: LiftTest,
-    store: PartialResults | None = None,
+    store: PartStore | None = None,
     chunk: int = CHUNK,
     progress: Callable[[float], None] = lambda done: None,
     together: int = 0,

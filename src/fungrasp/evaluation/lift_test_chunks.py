@@ -13,13 +13,13 @@ from fungrasp import __version__
 from fungrasp.errors import FungraspError
 from fungrasp.evaluation.attempts import AttemptSetting, play_attempts
 from fungrasp.evaluation.contact_estimate import ContactEstimateMeter, ContactEstimates
-from fungrasp.evaluation.partial_results import PartialResults
 from fungrasp.evaluation.trajectory import Recorder
 from fungrasp.evaluation.use_recording import UseRecorder
 from fungrasp.evaluation.use_test import UseTest
 from fungrasp.files import digest
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
+from fungrasp.jobs import PartStore
 from fungrasp.objects import ObjectModel
 from fungrasp.planning import Planner
 from fungrasp.planning.selection import SearchPlanner
@@ -132,7 +132,7 @@ class LiftTest:
             self.attempts,
         )
 
-    def finished(self, chunk: Chunk, store: PartialResults) -> dict[str, np.ndarray] | None:
+    def finished(self, chunk: Chunk, store: PartStore) -> dict[str, np.ndarray] | None:
         """What ``run`` returned earlier, if it was kept and the recorded episodes are there."""
         recorded = all(file.is_file() for file in self._files(chunk))
         return store.load(self.key(chunk)) if recorded else None

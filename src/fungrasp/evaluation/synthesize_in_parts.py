@@ -9,10 +9,10 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from fungrasp import __version__
-from fungrasp.evaluation.partial_results import PartialResults
 from fungrasp.files import digest
 from fungrasp.grasps import HumanGraspSet
 from fungrasp.hands import load_hand
+from fungrasp.jobs import PartStore
 from fungrasp.objects import ObjectModel
 from fungrasp.synthesis import GraspSpecification, SynthesisSettings
 from fungrasp.synthesis.grasp_candidates import GraspCandidates, join_candidates
@@ -70,7 +70,7 @@ class Synthesis:
 
 
 def synthesize_in_parts(
-    synthesis: Synthesis, store: PartialResults, progress: Callable[[int], None] = lambda count: None
+    synthesis: Synthesis, store: PartStore, progress: Callable[[int], None] = lambda count: None
 ) -> HumanGraspSet:
     """Make grasps, all of the first seed before those of the next. No two are alike, whatever their seed.
 

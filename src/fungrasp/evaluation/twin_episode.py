@@ -22,10 +22,10 @@ from fungrasp.deployment.twin_deployment import (
     deploy_where_reached,
     reachable_placements,
 )
-from fungrasp.evaluation.partial_results import PartialResults
 from fungrasp.files import digest
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
+from fungrasp.jobs import PartStore
 from fungrasp.objects import ObjectModel
 from fungrasp.planning import ConstrainedPlanner, Planner
 from fungrasp.planning.selection import Feasible
@@ -144,7 +144,7 @@ class TwinSetup:
     """Of the policy."""
     physics: TwinPhysics | None = None
     """Of the twins; the default if None."""
-    store: PartialResults | None = None
+    store: PartStore | None = None
     """Keeps what is finished, and knows what an earlier run has finished; None to keep nothing."""
     policy_key: str = ""
     """Tells policies and planners apart in the store."""

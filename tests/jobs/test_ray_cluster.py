@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from fungrasp.cli.main import main as fungrasp
-from fungrasp.cluster import run_on_cluster
 from fungrasp.errors import FungraspError
 from fungrasp.evaluation.result_files import read_result
 from fungrasp.grasps import (
@@ -21,6 +20,7 @@ from fungrasp.grasps import (
     save_robot_grasps,
 )
 from fungrasp.hands import load_hand
+from fungrasp.jobs import RayCluster
 from fungrasp.retargeting import retarget
 
 ray = pytest.importorskip("ray", reason="needs Ray: pip install 'fungrasp[ray]'")
@@ -82,7 +82,7 @@ def kill_after(cluster, ready) -> threading.Thread:
 
 def test_every_job_is_done_once_on_this_machine():
     done = {}
-    run_on_cluster(
+    RayCluster().run(
         add, [(i, 2 * i) for i in range(20)], lambda job, result: done.update({job: result}), shared=5
     )
     assert done == {(i, 2 * i): 5 + 3 * i for i in range(20)}
@@ -90,12 +90,12 @@ def test_every_job_is_done_once_on_this_machine():
 
 def test_errors_of_the_work_are_ours():
     with pytest.raises(FungraspError, match="-1 is negative"):
-        run_on_cluster(add, [(0, -1)], lambda job, result: None, shared=0)
+        RayCluster().run(add, [(0, -1)], lambda job, result: None, shared=0)
 
 
 def test_no_cluster_at_an_address():
     with pytest.raises(FungraspError, match="no Ray cluster at 'nobody:1'"):
-        run_on_cluster(add, [(0, 0)], lambda job, result: None, "nobody:1")
+        RayCluster("nobody:1").run(add, [(0, 0)], lambda job, result: None)
 
 
 def where(shared: None) -> str:
@@ -105,14 +105,14 @@ def where(shared: None) -> str:
 def test_relative_paths_mean_the_same(cluster, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     found: list[str] = []
-    run_on_cluster(where, [()], lambda job, result: found.append(result), cluster.address)
+    RayCluster(cluster.address).run(where, [()], lambda job, result: found.append(result))
     assert found == [str(tmp_path)]
 
 
 def test_jobs_of_a_lost_machine_are_done_again(cluster):
     done: list[int] = []
     killing = kill_after(cluster, lambda: len(done) >= 3)
-    run_on_cluster(slow, ((i,) for i in range(16)), lambda job, result: done.append(result), cluster.address)
+    RayCluster(cluster.address).run(slow, ((i,) for i in range(16)), lambda job, result: done.append(result))
     killing.join()
     assert sorted(done) == list(range(16))
 

@@ -1,4 +1,4 @@
-"""Independent jobs on the processors of a Ray cluster (extra ``ray``)."""
+"""Independent parts of work on the processors of a Ray cluster (extra ``ray``)."""
 
 from __future__ import annotations
 
@@ -63,60 +63,68 @@ class ClusterUse:
         )
 
 
-def run_on_cluster(
-    work: Callable[..., Result],
-    jobs: Iterable[tuple[Any, ...]],
-    finished: Callable[[tuple[Any, ...], Result], None],
-    address: str = LOCAL,
-    shared: Any = None,
-) -> ClusterUse:
-    """Do each job once on some processor of a cluster.
+class RayCluster:
+    """A Ray cluster, connected to when there is something to do."""
 
-    Work is done in the folder of this process, where a machine has it. A job whose machine goes away is done
-    again on another. Jobs must not depend on each other nor on where they are done; their order is not kept.
+    def __init__(self, address: str = LOCAL):
+        """address: of the head of a running cluster ("auto": the one on this machine), or ``LOCAL``. A
+        process that is connected already stays with its cluster."""
+        self._address = address
+        self.use: ClusterUse | None = None
+        """How well it was used by the last ``run``; None before."""
 
-    Args:
-        work: a function of a module that every machine can import, called with ``shared`` and a job's items.
-        jobs: their items, small.
-        finished: called here with each job and its result, one after another.
-        address: of the head of a running cluster ("auto": the one on this machine), or ``LOCAL``. A process
-            that is connected already stays with its cluster.
-        shared: what all jobs need; sent to each machine once.
+    def run(
+        self,
+        work: Callable[..., Result],
+        jobs: Iterable[tuple[Any, ...]],
+        finished: Callable[[tuple[Any, ...], Result], None],
+        shared: Any = None,
+    ) -> None:
+        """Do each job once on some processor.
 
-    Returns:
-        How well the cluster was used.
+        Work is done in the folder of this process, where a machine has it. A job whose machine goes away is
+        done again on another. Jobs must not depend on each other nor on where they are done; their order is
+        not kept.
 
-    Raises:
-        FungraspError: the package is missing, no cluster is at the address, a machine has another version of
-            this one, or what ``work`` raised.
-    """
-    ray, begun = _connected(address)
-    send = ray.remote(num_cpus=1, max_retries=MOST_LOSSES)(_work)
-    sent, folder = ray.put(shared), Path.cwd()
-    running: dict[Any, tuple[Any, ...]] = {}
-    remaining = iter(jobs)
-    count, working, worked, offered = 0, 0.0, 0.0, 0.0
-    start = last = perf_counter()
-    try:
-        while True:
-            # Machines come and go, so their processors are counted anew.
-            processors = max(int(ray.cluster_resources().get("CPU", 1)), 1)
-            for job in islice(remaining, max(WAITING * processors - len(running), 0)):
-                running[send.remote(work, __version__, folder, sent, job)] = job
-            if not running:
-                seconds = last - start
-                return ClusterUse(count, offered / max(seconds, 1e-9), seconds, working, worked)
-            for done in ray.wait(list(running), num_returns=1, timeout=COUNTING)[0]:
-                result, took, used = _result(ray, done)
-                finished(running.pop(done), result)
-                count, working, worked = count + 1, working + took, worked + used
-            now = perf_counter()
-            offered, last = offered + processors * (now - last), now
-    finally:
-        for job in running:
-            ray.cancel(job, force=True)
-        if begun:
-            ray.shutdown()
+        Args:
+            work: a function of a module that every machine can import, called with ``shared`` and a job's
+                items.
+            jobs: their items, small.
+            finished: called here with each job and its result, one after another.
+            shared: what all jobs need; sent to each machine once.
+
+        Raises:
+            FungraspError: the package is missing, no cluster is at the address, a machine has another version
+                of this one, or what ``work`` raised.
+        """
+        ray, begun = _connected(self._address)
+        send = ray.remote(num_cpus=1, max_retries=MOST_LOSSES)(_work)
+        sent, folder = ray.put(shared), Path.cwd()
+        running: dict[Any, tuple[Any, ...]] = {}
+        remaining = iter(jobs)
+        count, working, worked, offered = 0, 0.0, 0.0, 0.0
+        start = last = perf_counter()
+        try:
+            while True:
+                # Machines come and go, so their processors are counted anew.
+                processors = max(int(ray.cluster_resources().get("CPU", 1)), 1)
+                for job in islice(remaining, max(WAITING * processors - len(running), 0)):
+                    running[send.remote(work, __version__, folder, sent, job)] = job
+                if not running:
+                    seconds = last - start
+                    self.use = ClusterUse(count, offered / max(seconds, 1e-9), seconds, working, worked)
+                    return
+                for done in ray.wait(list(running), num_returns=1, timeout=COUNTING)[0]:
+                    result, took, used = _result(ray, done)
+                    finished(running.pop(done), result)
+                    count, working, worked = count + 1, working + took, worked + used
+                now = perf_counter()
+                offered, last = offered + processors * (now - last), now
+        finally:
+            for job in running:
+                ray.cancel(job, force=True)
+            if begun:
+                ray.shutdown()
 
 
 def _connected(address: str) -> tuple[Any, bool]:
