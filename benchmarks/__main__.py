@@ -11,7 +11,9 @@ BENCHMARKS = {
     "faults": "how drivers and the control computer react to faults of emulated devices",
     "identification": "fitted joint dynamics against known ones",
     "paper": "the free policies of all hands, and the paper's tables",
-    "documents.tables": "the tables of README and docs, from docs/results",
+    "cold_start": "a newcomer's first commands, from nothing",
+    "extras": "each optional extra alone, from nothing",
+    "documents.tables": "the tables of README and docs, from docs/lab/results",
 }
 """Summary of each benchmark, by the name of its room."""
 

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-import importlib.util
+import ast
 import re
 import subprocess
 import sys
 import tarfile
 import tomllib
 import zipfile
+from collections.abc import Iterable
 from pathlib import Path
+from typing import NamedTuple
 
 import pytest
 from hatchling.builders.sdist import SdistBuilder
@@ -20,43 +22,35 @@ from fungrasp.policies.checkpoint.checkpoint_file import read_card
 ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "fungrasp"
 
-EXTRAS = (
-    "allegro",
-    "bench",
-    "deploy",
-    "dexycb",
-    "fast",
-    "ik",
-    "inspire",
-    "leap",
-    "learning",
-    "mano",
-    "perception",
-    "pose",
-    "ray",
-    "sysid",
-    "ur",
-    "wandb",
-)
-"""Of the product, not of its development."""
+DEVELOPMENT = ("bench", "dev", "docs")
+"""Extras that the product does not need."""
 
 FREE = "Apache-2.0"
 FOREIGN = re.compile(r"(mano_|dex-?ycb|research)(?!.*\.(py|md)$)", re.IGNORECASE)
 """Parts of the names of files (other than code and pages) and data sets that may not be shipped."""
 
-IMPORTED_ELSEWHERE = {
-    "ai_edge_litert",
-    "daqp",
-    "dynamixel_sdk",
-    "msgpack",
-    "pymodbus",
-    "pyserial",
-    "pyzmq",
-    "ruckig",
-    "tensorboard",
-    "ur_rtde",
+IMPORTED_BY_OTHERS = {"daqp", "embreex", "pyserial", "tensorboard"}
+"""Distributions that are declared for other packages: solver of mink, ray casts of trimesh, ports of pymodbus
+and dynamixel_sdk, event files of torch."""
+
+DISTRIBUTIONS = {
+    "PIL": "pillow",
+    "ai_edge_litert": "ai-edge-litert",
+    "can": "python-can",
+    "cv2": "opencv-python-headless",
+    "dashboard_client": "ur-rtde",
+    "dex_retargeting": "dex-retargeting",
+    "dexi": "dexi-rs",
+    "dynamixel_sdk": "dynamixel-sdk",
+    "mujoco": "mujoco-core",
+    "rsl_rl": "rsl-rl-lib",
+    "rtde_control": "ur-rtde",
+    "rtde_receive": "ur-rtde",
+    "serial": "pyserial",
+    "yaml": "pyyaml",
+    "zmq": "pyzmq",
 }
-"""Declared, but imported by name at run time, or by torch or mink."""
+"""Distributions of the modules that are called otherwise."""
 
 
 @pytest.fixture(scope="module")
@@ -176,29 +170,90 @@ def test_versions_agree() -> None:
     assert f"version: {fungrasp.__version__}" in (ROOT / "CITATION.cff").read_text()
 
 
-def test_the_imported_packages_are_declared() -> None:
+IMPORTERS = ("import_module", "import_client")
+"""Functions that are given a module's name."""
+
+
+class Imports(NamedTuple):
+    """What a file imports, and whether as soon as it is imported itself."""
+
+    at_once: set[str]
+    """Modules."""
+    later: set[str]
+    """Modules; those named in ``import_module`` and ``import_client`` too."""
+
+
+def imports_of(path: Path) -> Imports:
+    found = Imports(set(), set())
+
+    def visit(node: ast.AST, names: set[str]) -> None:
+        for child in ast.iter_child_nodes(node):
+            inner = names
+            typing = isinstance(child, ast.If) and "TYPE_CHECKING" in ast.unparse(child.test)
+            if typing or isinstance(child, ast.FunctionDef | ast.Lambda):
+                inner = found.later
+            elif isinstance(child, ast.Import):
+                names |= {alias.name for alias in child.names}
+            elif isinstance(child, ast.ImportFrom) and child.module:
+                names |= {child.module, *(f"{child.module}.{alias.name}" for alias in child.names)}
+            elif isinstance(child, ast.Call) and re.search(
+                r"\bimport_(module|client)$", ast.unparse(child.func)
+            ):
+                words = [word.value for word in child.args[:1] if isinstance(word, ast.Constant)]
+                found.later.update(word for word in words if isinstance(word, str))
+            visit(child, inner)
+
+    visit(ast.parse(path.read_text()), found.at_once)
+    return found
+
+
+def third_party(names: Iterable[str]) -> set[str]:
+    """Distributions of imported modules."""
+    tops = {name.split(".")[0] for name in names} - set(sys.stdlib_module_names) - {"fungrasp", "benchmarks"}
+    return {DISTRIBUTIONS.get(top, top.replace("_", "-")) for top in tops}
+
+
+def declared() -> tuple[set[str], dict[str, set[str]]]:
+    """Distributions that are always installed, and those of each extra."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    declared = [
-        *project["dependencies"],
-        *(need for extra in EXTRAS for need in project["optional-dependencies"][extra]),
-    ]
-    names = {re.split(r"[\[<>= ]", need)[0].lower().replace("-", "_") for need in declared}
-    modules = {
-        "can": "python_can",
-        "mujoco": "mujoco_core",
-        "PIL": "pillow",
-        "rsl_rl": "rsl_rl_lib",
-        "yaml": "pyyaml",
+
+    def names(needs: Iterable[str]) -> set[str]:
+        return {re.split(r"[\[<>=; ]", need)[0].lower() for need in needs} - {"fungrasp"}
+
+    return names(project["dependencies"]), {
+        extra: names(needs) for extra, needs in project["optional-dependencies"].items()
     }
-    imported: set[str] = set()
-    for path in SOURCE.rglob("*.py"):
-        found = re.findall(r"^\s*(?:import (\w+)|from (\w+)[\w.]* import)", path.read_text(), re.MULTILINE)
-        imported |= {name for names in found for name in names if name}
-    third_party = imported - set(sys.stdlib_module_names) - {"fungrasp", "__future__"}
-    assert {modules.get(name, name).lower() for name in third_party} <= names
-    assert names - IMPORTED_ELSEWHERE <= {modules.get(name, name).lower() for name in third_party}
 
 
-def test_the_makefile_names_modules_that_exist() -> None:
-    modules = re.findall(r"from (fungrasp[\w.]*) import", (ROOT / "Makefile").read_text())
-    assert modules and all(importlib.util.find_spec(name) for name in modules)
+@pytest.fixture(scope="module")
+def imported() -> dict[str, Imports]:
+    """Imports of each module of the package, by its name."""
+    files = {path: path.relative_to(SOURCE.parent).with_suffix("").parts for path in SOURCE.rglob("*.py")}
+    return {".".join(parts).removesuffix(".__init__"): imports_of(path) for path, parts in files.items()}
+
+
+def test_what_is_imported_is_declared_and_what_is_declared_is_imported(imported: dict[str, Imports]) -> None:
+    core, extras = declared()
+    known = core.union(*(extras[extra] for extra in extras if extra not in DEVELOPMENT))
+    used = third_party(name for found in imported.values() for name in found.at_once | found.later)
+    assert used <= known, "undeclared"
+    assert known - IMPORTED_BY_OTHERS <= used, "declared for nothing"
+    benchmarks = {
+        name for path in (ROOT / "benchmarks").rglob("*.py") for name in set().union(*imports_of(path))
+    }
+    assert third_party(benchmarks) <= known | extras["bench"]
+
+
+def test_no_command_needs_an_extra_to_be_imported(imported: dict[str, Imports]) -> None:
+    """Nor does a room: what needs one is imported when it is used, and asks for it in words."""
+    core, _ = declared()
+    todo = [name for name in imported if name.startswith("fungrasp.cli") or name.count(".") < 2]
+    seen: set[str] = set()
+    while todo:
+        name = todo.pop()
+        if name in seen or name not in imported:
+            continue
+        seen.add(name)
+        assert third_party(imported[name].at_once) <= core, name
+        todo += imported[name].at_once
+    assert "fungrasp.cli.deploy" in seen and "fungrasp.training.ppo" not in seen

@@ -60,7 +60,7 @@ def compare_with_peers(options: Peers) -> None:
     import sys
 
     from benchmarks.peers.comparison import PEERS, compare_method, installed_peers
-    from fungrasp.errors import UnknownNameError
+    from fungrasp.errors import FungraspError, UnknownNameError
     from fungrasp.grasps import load_human_grasps, load_objects
     from fungrasp.hands import load_hand
     from fungrasp.provenance import machine, run_record
@@ -77,8 +77,7 @@ def compare_with_peers(options: Peers) -> None:
     results: dict[str, MethodResult] = {}
     for name in names:
         if name in PEERS and name not in there:
-            print(f"{name} is not installed: pip install 'fungrasp[bench]'", file=sys.stderr)
-            continue
+            raise FungraspError(f"{name} is not installed: pip install 'fungrasp[bench]'")
         try:
             results[name] = compare_method(name, human, objects, hand, options.lift, options.threads)
         except ImportError as error:

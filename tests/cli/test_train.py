@@ -46,7 +46,7 @@ def test_wandb_is_asked_for_in_words(tmp_path, capsys):
     else:
         pytest.skip("wandb is installed")
     status, _, err = run(capsys, "train", "--out", tmp_path, "--wandb", "project")
-    assert status == 2 and "pip install wandb" in err
+    assert status == 2 and "pip install 'fungrasp[wandb]'" in err
 
 
 def test_a_sweep_is_every_combination_with_every_seed(tmp_path):

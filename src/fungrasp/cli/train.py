@@ -287,7 +287,7 @@ def wandb_log(project: str, folder: Path) -> Log:
     try:
         import wandb  # pyright: ignore[reportMissingImports]
     except ImportError as error:
-        raise FungraspError("--wandb needs a package that is not installed: pip install wandb") from error
+        raise FungraspError("--wandb needs the package wandb: pip install 'fungrasp[wandb]'") from error
     name = folder.absolute()
     key = hashlib.sha256(str(name).encode()).hexdigest()[:16]
     run = wandb.init(project=project, name=name.name, id=key, resume="allow")

@@ -187,7 +187,7 @@ class MediaPipeModel:
             runtime: Any = importlib.import_module("ai_edge_litert.interpreter")
         except ImportError as error:
             raise FungraspError(
-                "finding hands in images needs the package ai-edge-litert: pip install ai-edge-litert"
+                "finding hands in images needs the package ai-edge-litert: pip install 'fungrasp[perception]'"
             ) from error
         with filtered_native_output():
             self._interpreter = runtime.Interpreter(model_content=content, num_threads=threads)

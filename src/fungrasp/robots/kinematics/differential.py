@@ -1,5 +1,5 @@
 """Joints of the arm that follow a moving palm, on one branch of solutions: differential inverse kinematics by
-``mink`` (extra ``ik``)."""
+``mink`` (extra ``deploy``)."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class PalmFollower:
         try:
             import mink
         except ImportError as error:
-            raise FungraspError("moving an arm needs mink and daqp: pip install 'fungrasp[ik]'") from error
+            raise FungraspError("moving an arm needs mink: pip install 'fungrasp[deploy]'") from error
         self._mink, self._kinematics = mink, kinematics
         model = kinematics.model
         self._configuration = mink.Configuration(model)
