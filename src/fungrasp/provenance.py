@@ -23,7 +23,7 @@ def run_record(seed: int | list[int]) -> dict[str, Any]:
     import mujoco
 
     return {
-        "command": shlex.join(["fungrasp", *sys.argv[1:]]),
+        "command": shlex.join([*_program(), *sys.argv[1:]]),
         "version": __version__,
         "revision": git_revision(),
         "mujoco": mujoco.__version__,
@@ -31,6 +31,12 @@ def run_record(seed: int | list[int]) -> dict[str, Any]:
         "machine": machine(),
         "date": f"{datetime.now().astimezone():%Y-%m-%dT%H:%M%z}",
     }
+
+
+def _program() -> list[str]:
+    """How this process was started: ``fungrasp``, or ``python -m`` and a module."""
+    spec = getattr(sys.modules["__main__"], "__spec__", None)
+    return ["fungrasp"] if spec is None else ["python", "-m", spec.name.removesuffix(".__main__")]
 
 
 def machine() -> str:

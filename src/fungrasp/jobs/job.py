@@ -20,7 +20,7 @@ Part = TypeVar("Part")
 Arrays = dict[str, np.ndarray]
 """The result of a part: what an ``.npz`` file holds."""
 
-VERSIONS = (__version__, version("mujoco"))
+VERSIONS = (__version__, version("mujoco-core"))
 """Of what computes: parts of other versions are not taken for those of this one."""
 
 
