@@ -234,7 +234,7 @@ def methods() -> Table:
     """Retargeting methods side by side."""
     rows = []
     for row in _read("methods").rows:
-        name = row["method"] if row["method"] == "ours" else f"`{row['method']}`"
+        name = row["method"] if row["method"] in ("ours", "contact") else f"`{row['method']}`"
         plain = (_percent(row["success_rate_unadapted"]), f"{row['contact_ratio_unadapted']:.2f}")
         rows.append((name, _percent(row["success_rate"]), f"{row['contact_ratio']:.2f}", *plain))
     head = ("method", "success", "contact ratio", "success, not adapted", "contact ratio, not adapted")

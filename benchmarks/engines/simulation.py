@@ -34,17 +34,17 @@ class Simulation:
         import numpy as np
 
         from benchmarks.engines.simulation_speed import simulation_speed
-        from fungrasp.cli.retarget import retargeted
         from fungrasp.grasps import load_human_grasps, load_objects
         from fungrasp.hands import load_hand
         from fungrasp.provenance import machine
+        from fungrasp.retargeting import retarget
 
         check_positive(worlds=self.worlds, repeat=self.repeat)
         hand = load_hand(self.hand)
         human = load_human_grasps(self.grasps)
         human = human.select(np.arange(self.worlds) * max(1, len(human) // self.worlds) % len(human))
         objects = load_objects(human, self.objects)
-        robot, _ = retargeted(human, objects, hand, "ours", self.threads)
+        robot = retarget(human, objects, hand, threads=self.threads)
         with progress_bar("simulating", 1.0) as show:
             speed = simulation_speed(robot, objects, hand, self.threads, self.repeat, show)
         if self.json is not None:

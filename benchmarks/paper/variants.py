@@ -37,7 +37,7 @@ class Variant:
     """Name of the variant in the paper."""
     paper: PaperNumbers | None
     """What the paper reports for it; None where it has no such row."""
-    method: Literal["ours", "dexgraspnet", "angle-copy"] = "ours"
+    method: Literal["contact", "dexgraspnet", "angle-copy"] = "contact"
     """How grasps are retargeted, for training and test."""
     sees: Literal["contacts", "nothing", "history"] = "contacts"
     """What the actor knows of the contacts while it is trained by PPO."""

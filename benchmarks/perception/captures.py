@@ -284,16 +284,16 @@ class BenchPerception:
         import numpy as np
 
         from benchmarks.perception.figures import chain_figures, chain_sets
-        from fungrasp.cli.retarget import retargeted
         from fungrasp.evaluation import evaluate
         from fungrasp.hands import load_hand
         from fungrasp.policies import default_policy
+        from fungrasp.retargeting import retarget
 
         hand = load_hand(self.hand)
         true, perceived, rows = chain_sets(results, objects)
         several = chain_sets(results, objects, several=True)[1] if self.hands > 1 else None
         sets = [
-            None if human is None else retargeted(human, objects, hand, "ours", self.threads)[0]
+            None if human is None else retarget(human, objects, hand, threads=self.threads)
             for human in (true, perceived, several)
         ]
         sure = np.array([result.sure for result in results])

@@ -51,13 +51,13 @@ class BenchCluster:
         import numpy as np
 
         from fungrasp.cli.evaluate import Evaluate
-        from fungrasp.cli.retarget import retargeted
         from fungrasp.evaluation import write_result
         from fungrasp.evaluation.lift_test import run_lift_test
         from fungrasp.evaluation.lift_test_chunks import check_hand
         from fungrasp.grasps import RobotGraspSet, load_grasps, load_objects
         from fungrasp.hands import load_hand
         from fungrasp.provenance import machine, run_record
+        from fungrasp.retargeting import retarget
 
         if self.number < 1 or self.machines < 1 + self.lose:
             raise FungraspError("--number must be at least 1, and --machines 1, or 2 with --lose")
@@ -67,7 +67,7 @@ class BenchCluster:
             check_hand(given, hand)
             robot = given
         else:
-            robot, _ = retargeted(given, objects, hand, "ours", 1)
+            robot = retarget(given, objects, hand, threads=1)
         robot = robot.select(np.arange(self.number) % len(robot))
         command = Evaluate(objects=self.objects, hand=self.hand, policy=self.policy, threads=1)
         start, used = perf_counter(), process_time()

@@ -36,7 +36,6 @@ class BenchPlanning:
 
         import numpy as np
 
-        from fungrasp.cli.retarget import retargeted
         from fungrasp.errors import FungraspError
         from fungrasp.grasps import RobotGraspSet, load_grasps, load_objects
         from fungrasp.hands import load_hand
@@ -44,6 +43,7 @@ class BenchPlanning:
         from fungrasp.planning.selection import SelectionSettings
         from fungrasp.policies import make_planner
         from fungrasp.provenance import machine
+        from fungrasp.retargeting import retarget
         from fungrasp.sim2real import draw_each, protocol_conditions
         from fungrasp.simulation import build_scene
         from fungrasp.task import LiftEnvironment
@@ -55,7 +55,7 @@ class BenchPlanning:
         some = grasps.select(rows)
         objects = load_objects(some, self.objects)
         if not isinstance(some, RobotGraspSet):
-            some, _ = retargeted(some, objects, hand, "ours", self.threads)
+            some = retarget(some, objects, hand, threads=self.threads)
         (randomization,) = protocol_conditions(self.protocol).values()
         scene = build_scene(hand, with_sizes(objects, randomization.object_scales))
         environment = LiftEnvironment(scene, len(some), randomization, threads=self.threads)

@@ -46,11 +46,11 @@ class Training:
             untrained_student,
             update_speed,
         )
-        from fungrasp.cli.retarget import retargeted
         from fungrasp.grasps import load_human_grasps, load_objects
         from fungrasp.hands import load_hand
         from fungrasp.policies.checkpoint.checkpoint_file import load_policy
         from fungrasp.provenance import machine
+        from fungrasp.retargeting import retarget
         from fungrasp.training.environment import EnvironmentSettings, TrainingEnvironment
         from fungrasp.training.plan_library import Variety, build_plan_library
         from fungrasp.training.settings import PpoSettings
@@ -61,7 +61,7 @@ class Training:
         human = load_human_grasps(self.grasps)
         human = human.select(np.unique(np.linspace(0, len(human) - 1, self.worlds).astype(int)))
         objects = load_objects(human, self.objects)
-        robot, _ = retargeted(human, objects, hand, "ours", self.threads)
+        robot = retarget(human, objects, hand, threads=self.threads)
         settings = EnvironmentSettings(worlds=self.worlds)
         with progress_bar("planning", len(robot)) as show:
             library = build_plan_library(robot, objects, hand, Variety(1), 0, self.threads, show)

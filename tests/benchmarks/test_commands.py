@@ -35,7 +35,7 @@ def test_retargeting_side_by_side(human, tmp_path, capsys):
     )
     assert status == 0
     methods = json.loads(path.read_text())["methods"]
-    assert {"ours", "angle-copy", "dexgraspnet"} <= set(methods)
+    assert {"contact", "angle-copy", "dexgraspnet"} <= set(methods)
     for name, numbers in methods.items():
         assert numbers["grasps_per_second"] > 0 and "contact_error_mm" in numbers["quality"]
         assert name in out
@@ -132,7 +132,7 @@ def test_several_policies_try_the_same_chain(monkeypatch):
     def tried(robot, objects, hand, policy, **others):
         return SimpleNamespace(outcomes=SimpleNamespace(success=np.full(len(robot), policy == "good")))
 
-    monkeypatch.setattr("fungrasp.cli.retarget.retargeted", lambda human, *others: (human, None))
+    monkeypatch.setattr("fungrasp.retargeting.retarget", lambda human, *others, **options: human)
     monkeypatch.setattr("fungrasp.evaluation.evaluate", tried)
     figures = BenchPerception(policy=("poor", "good"))._chain(results, load_objects(some_grasps()))
     assert figures["policy"] == "poor" and figures["true"]["rate"] == 0 and figures["share"] is None
@@ -148,7 +148,7 @@ def test_several_policies_try_the_same_chain(monkeypatch):
         (("perception", "captures", "--only", "mugg"), "Did you mean 'mug'?"),
         (("perception", "captures", "--landmarks-noise", -1), "--landmarks-noise must not be negative"),
         (("perception", "captures", "--chain", "--policy", "referense"), "Did you mean 'reference'?"),
-        (("speed", "retarget", "--method", "our"), "Did you mean 'ours'?"),
+        (("speed", "retarget", "--method", "contakt"), "Did you mean 'contact'?"),
         (("speed", "retarget", "--repeat", 0), "--repeat must be at least 1"),
         (("engines", "--worlds", 0), "--worlds must be at least 1"),
         (("engines", "--hand", "alegro"), "Did you mean 'allegro'?"),

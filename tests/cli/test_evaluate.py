@@ -95,16 +95,16 @@ def test_human_and_robot_grasps_give_the_same_table_and_json(human, robot, tmp_p
 def test_methods_side_by_side(human, tmp_path, capsys):
     path = tmp_path / "e.json"
     status, out, _ = run(
-        capsys, "evaluate", "--grasps", human, "--method", "ours", "angle-copy", "--json", path, "--static"
+        capsys, "evaluate", "--grasps", human, "--method", "contact", "angle-copy", "--json", path, "--static"
     )
     assert status == 0
-    assert [line.split()[0] for line in out.splitlines()[-4:-1]] == ["method", "ours", "angle-copy"]
+    assert [line.split()[0] for line in out.splitlines()[-4:-1]] == ["method", "contact", "angle-copy"]
     assert out.count("six directions:") == 2 and out.count("contact gap") == 2
     methods = json.loads(path.read_text())["methods"]
-    assert list(methods) == ["ours", "angle-copy"]
-    assert {"six_directions", "quality", "trials", "without_adaptation"} <= set(methods["ours"])
+    assert list(methods) == ["contact", "angle-copy"]
+    assert {"six_directions", "quality", "trials", "without_adaptation"} <= set(methods["contact"])
     assert "without adaptation to the settled object:" in out
-    assert methods["ours"]["without_adaptation"]["count"] == len(methods["ours"]["trials"])
+    assert methods["contact"]["without_adaptation"]["count"] == len(methods["contact"]["trials"])
 
 
 def test_without_adaptation_is_the_same_alone_and_in_a_comparison(human, tmp_path, capsys):
@@ -119,13 +119,13 @@ def test_without_adaptation_is_the_same_alone_and_in_a_comparison(human, tmp_pat
         "--grasps",
         human,
         "--method",
-        "ours",
+        "contact",
         "dexgraspnet",
         "--json",
         path.with_name("m.json"),
     )
     assert status == 0
-    compared = json.loads(path.with_name("m.json").read_text())["methods"]["ours"]
+    compared = json.loads(path.with_name("m.json").read_text())["methods"]["contact"]
     assert compared["without_adaptation"]["contact_ratio"] == pytest.approx(alone["contact_ratio"])
     slip = "sim_distance_hand_mm_s"
     assert compared["without_adaptation"][slip] == pytest.approx(alone[slip])

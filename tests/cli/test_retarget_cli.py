@@ -100,7 +100,7 @@ def test_robot_grasps_are_no_human_grasps(tmp_path, capsys):
 
 
 def test_a_full_disk(tmp_path, capsys, monkeypatch):
-    """Nothing is left of the file that did not fit, and an older one stays."""
+    """Nothing is left of the file that did not fit, and an older one stays; what was solved is kept."""
     save_human_grasps(tmp_path / "g.npz", some_grasps(("can",)))
     out = tmp_path / "r.npz"
     out.write_text("older")
@@ -111,7 +111,14 @@ def test_a_full_disk(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(np, "savez_compressed", full)
     status, _, err = run(capsys, "retarget", "--grasps", tmp_path / "g.npz", "--out", out)
     assert status == 2 and "No space left on device" in err and err.count("\n") == 1
-    assert out.read_text() == "older" and {path.name for path in tmp_path.iterdir()} == {"g.npz", "r.npz"}
+    assert out.read_text() == "older" and {path.name for path in tmp_path.iterdir()} == {
+        "g.npz",
+        "r.npz",
+        "r.npz.partial",
+    }
+    monkeypatch.undo()
+    assert run(capsys, "retarget", "--grasps", tmp_path / "g.npz", "--out", out)[0] == 0
+    assert {path.name for path in tmp_path.iterdir()} == {"g.npz", "r.npz"}
 
 
 def test_a_folder_that_cannot_be_written_to(tmp_path, capsys):

@@ -33,7 +33,7 @@ def objects(human):
 
 
 @pytest.mark.parametrize(
-    ("name", "method"), [("allegro", "ours"), ("inspire", "ours"), ("inspire", "angle-copy")]
+    ("name", "method"), [("allegro", "contact"), ("inspire", "contact"), ("inspire", "angle-copy")]
 )
 def test_numbers_are_those_of_dense_points_on_the_exported_model(name, method, human, objects):
     hand = load_hand(name)

@@ -80,7 +80,7 @@ def test_side_of_the_toml_prevails(left: Hand, tmp_path: Path):
         load_hand(tmp_path)
 
 
-@pytest.mark.parametrize("method", ["ours", "angle-copy", "dexgraspnet"])
+@pytest.mark.parametrize("method", ["contact", "angle-copy", "dexgraspnet"])
 def test_mirrored_hand_gets_mirrored_grasps(left: Hand, method: str):
     grasps = mirrored_grasps(human_grasps())
     assert set(hand_sides(grasps.hand_joints)) == {"left"}

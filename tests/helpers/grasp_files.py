@@ -87,7 +87,10 @@ def bad_inputs(folder: Path) -> dict[str, tuple[list[object], str]]:
         "too large": (["--grasps", folder / "block.npz", "--objects", huge], "block"),
         "unknown hand": (["--grasps", folder / "good.npz", "--hand", "allegra"], "Did you mean 'allegro'?"),
         "no thumb": (["--grasps", folder / "good.npz", "--hand", thumbless], "no thumb"),
-        "unknown method": (["--grasps", folder / "good.npz", "--method", "our"], "Did you mean 'ours'?"),
+        "unknown method": (
+            ["--grasps", folder / "good.npz", "--method", "contakt"],
+            "Did you mean 'contact'?",
+        ),
     }
 
 

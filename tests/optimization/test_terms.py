@@ -107,7 +107,7 @@ def test_jacobian_is_the_derivative(name: str, hand: str):
 @pytest.mark.parametrize(
     "term",
     [partial(terms.force_closure, friction=0.0), dexgraspnet.force_closure_energy],
-    ids=["ours", "dexgraspnet"],
+    ids=["contact", "dexgraspnet"],
 )
 def test_force_closure_has_the_gradient_of_its_cost(term: Callable, hand: str):
     """About: the normals' derivative is itself a difference over some millimetres."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from importlib import import_module
 
 import numpy as np
 import pytest
@@ -24,10 +25,18 @@ needs_dexycb = pytest.mark.skipif(
 )
 
 
+MODULE = import_module("fungrasp.retargeting.retarget")
+
+
 @cache
-def solved(name: str, method: str = "ours", grasps: HumanGraspSet | None = None, **options) -> RobotGraspSet:
+def solved(
+    name: str, method: str = "contact", grasps: HumanGraspSet | None = None, chunk: int = 64, **options
+) -> RobotGraspSet:
     options = {"threads": 1, **options}
-    return retarget(held() if grasps is None else grasps, plain_objects(), load_hand(name), method, **options)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(MODULE, "CHUNK", chunk)
+        human = held() if grasps is None else grasps
+        return retarget(human, plain_objects(), load_hand(name), method, **options)
 
 
 def quality(name: str, robot: RobotGraspSet) -> StaticQuality:
@@ -78,7 +87,7 @@ def test_ours_touches_where_the_human_did(name: str):
 @pytest.mark.parametrize("name", ["allegro", "inspire"])
 def test_ours_is_nearer_to_the_human_contacts_than_the_baselines(name: str):
     errors = {method: quality(name, solved(name, method)).contact_error_mm.mean() for method in METHODS}
-    assert errors["ours"] < 0.6 * min(errors["angle-copy"], errors["dexgraspnet"])
+    assert errors["contact"] < 0.6 * min(errors["angle-copy"], errors["dexgraspnet"])
 
 
 @pytest.mark.parametrize("name", ROBOTS)
@@ -140,7 +149,7 @@ def test_grasps_solved_together_do_not_matter_to_each_other(method: str):
 def test_result_carries_the_grasp_over():
     human, progress = held(), []
     robot = solved("shadow", chunk=4, progress=progress.append)
-    assert sorted(progress) == [2, 4]
+    assert progress[0] == 0 and progress[1] in (2, 4) and progress[-1] == 6
     for name in ("object_name", "object_mass", "object_pose", "object_rest_pose", "task"):
         np.testing.assert_array_equal(getattr(robot, name), getattr(human, name))
     hand = load_hand("shadow")

@@ -3,47 +3,19 @@
 from __future__ import annotations
 
 import json
-import shutil
 import sys
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from time import monotonic
 from typing import Any
 
+from fungrasp.text_table import table
+
+__all__ = ["progress_bar", "table", "write_json"]
+
 LINE_PERIOD = 30.0
 """Time between two lines of progress where there is no terminal [s]."""
-
-PIPE_WIDTH = 10_000
-"""Width of a table that is not printed on a terminal [characters]."""
-
-
-def table(
-    rows: Sequence[Sequence[str]], left: Collection[int] | None = (0,), widest: int | None = None
-) -> str:
-    """Rows of cells as aligned lines; on a terminal, cells are folded so that the lines fit.
-
-    Args:
-        rows: the head first, all of the same length.
-        left: columns that are aligned to the left, all if None; the others are aligned to the right.
-        widest: a longer cell is folded, terminal or not [characters].
-    """
-    from io import StringIO
-
-    from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
-
-    grid = Table(box=None, show_header=False, pad_edge=False, padding=(0, 2, 0, 0))
-    for column in range(len(rows[0])):
-        to_the_left = left is None or column in left
-        grid.add_column(justify="left" if to_the_left else "right", max_width=widest, overflow="fold")
-    for row in rows:
-        grid.add_row(*map(Text, row))
-    stream = StringIO()
-    width = shutil.get_terminal_size().columns if sys.stdout.isatty() else PIPE_WIDTH
-    Console(file=stream, width=width, color_system=None).print(grid)
-    return "\n".join(line.rstrip() for line in stream.getvalue().splitlines())
 
 
 @contextmanager

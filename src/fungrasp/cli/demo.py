@@ -121,10 +121,10 @@ class Demo:
         from tempfile import TemporaryDirectory
         from time import perf_counter
 
-        from fungrasp.cli.retarget import retargeted
         from fungrasp.evaluation import static_quality
         from fungrasp.report import Page, write_page
         from fungrasp.report.grasp_demo import grasp_report
+        from fungrasp.retargeting import retarget
 
         start = perf_counter()
         self.out.mkdir(parents=True, exist_ok=True)
@@ -134,7 +134,7 @@ class Demo:
                 for done, model in enumerate(objects.values()):
                     _ = model.signed_distance
                     show(done + 1)
-            robot, _ = retargeted(human, objects, hand, "ours", self.threads)
+            robot = retarget(human, objects, hand, threads=self.threads)
             quality = static_quality(robot, human, objects, hand)
             result, trajectories, uses = self._tried(human, robot, objects, hand, folder)
             film, clips = self._film(trajectories, uses, human, objects, hand, folder)

@@ -88,12 +88,12 @@ def use_table(result: LiftTestResult) -> str:
 
 def static_words(static: Mapping[str, Any]) -> str:
     """Outcome of the six-direction test, and the quality if it was measured."""
-    from fungrasp.cli.retarget import static_quality_table
+    from fungrasp.evaluation.grasp_quality import quality_table
 
     six = static["six_directions"]
     low, high = six["pass_interval"]
     line = f"six directions: {six['pass_rate']:.1%} hold (95 % interval {low:.1%} – {high:.1%})"
-    return "\n".join([line, *([static_quality_table(static["quality"])] if "quality" in static else [])])
+    return "\n".join([line, *([quality_table(static["quality"])] if "quality" in static else [])])
 
 
 def comparison(results: Mapping[str, LiftTestResult]) -> str:

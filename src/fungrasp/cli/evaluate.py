@@ -55,9 +55,9 @@ class Evaluate:
     student's plan, open loop), one of `fungrasp policies list`, or a policy file (.onnx)."""
     refine: int = 0
     """First try this many variations of each grasp in simulation, and keep the best."""
-    method: tuple[str, ...] = ("ours",)
-    """How human grasps are retargeted: ours, angle-copy, dexgraspnet; several are compared, with and without
-    adaptation of the grasps to the settled object."""
+    method: tuple[str, ...] = ("contact",)
+    """How human grasps are retargeted: contact, angle-copy, dexgraspnet; several are compared, with and
+    without adaptation of the grasps to the settled object."""
     adapt: bool = True
     """Fit the grasps to the object as it has settled: a little optimization by the planner, which also
     repairs grasps that were retargeted badly."""
@@ -123,12 +123,12 @@ class Evaluate:
         )
         from fungrasp.cli.hand_choice import chosen_hand
         from fungrasp.cli.on_cluster import test_on_cluster
-        from fungrasp.cli.retarget import draw_grasps
         from fungrasp.errors import FungraspError
         from fungrasp.evaluation.lift_test_chunks import check_hand
         from fungrasp.grasps import RobotGraspSet, load_grasps, load_objects
         from fungrasp.jobs import PartStore
         from fungrasp.policies import check_attempts, policy_files
+        from fungrasp.report.grasp_pictures import draw_grasps
 
         randomization = self._randomization()
         hand = chosen_hand(self.hand, self.hand_dynamics)
@@ -168,9 +168,7 @@ class Evaluate:
         if self.picture is not None:
             name, robot = next(iter(sets.items()))
             outcome = results[name].outcomes.reason[: len(robot)].tolist()
-            draw_grasps(
-                self.picture, robot, objects, hand, captions=[reason or "success" for reason in outcome]
-            )
+            draw_grasps(self.picture, robot, objects, captions=[reason or "success" for reason in outcome])
         for name, result in results.items():
             if len(results) > 1:
                 print(f"{name}:")
@@ -330,14 +328,13 @@ class Evaluate:
 
     def _check(self, robot: bool, randomization: Randomization, hand: Hand) -> None:
         """Complain about options that do not go together."""
-        from fungrasp.errors import FungraspError, UnknownNameError
-        from fungrasp.retargeting import METHODS
+        from fungrasp.errors import FungraspError
+        from fungrasp.retargeting import method_name
         from fungrasp.sim2real import NOMINAL
 
         for name in self.method:
-            if name not in METHODS:
-                raise UnknownNameError("retargeting method", name, METHODS)
-        if robot and self.method != ("ours",):
+            method_name(name)
+        if robot and tuple(map(method_name, self.method)) != ("contact",):
             raise FungraspError(f"--method {' '.join(self.method)}: {self.grasps} holds robot grasps already")
         for name, values in (("method", self.method), ("seed", self.seed)):
             if not values or len(set(values)) < len(values):
@@ -371,12 +368,16 @@ class Evaluate:
     def _robot_grasps(
         self, grasps: HumanGraspSet | RobotGraspSet, objects: Mapping[str, ObjectModel], hand: Hand
     ) -> dict[str, RobotGraspSet]:
-        from fungrasp.cli.retarget import retargeted
         from fungrasp.grasps import RobotGraspSet
+        from fungrasp.retargeting import retarget
 
         if isinstance(grasps, RobotGraspSet):
             return {hand.name: grasps}
-        return {method: retargeted(grasps, objects, hand, method, self.threads)[0] for method in self.method}
+        sets = {}
+        for method in self.method:
+            with progress_bar(f"retargeting to {hand.name} ({method})", len(grasps)) as show:
+                sets[method] = retarget(grasps, objects, hand, method, threads=self.threads, progress=show)
+        return sets
 
     def _static(
         self,

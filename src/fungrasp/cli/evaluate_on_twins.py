@@ -56,7 +56,6 @@ class EvaluateOnTwins:
 
     def run(self) -> None:
         from fungrasp.cli.grasp_choice import deployable_policy, robot_planner
-        from fungrasp.cli.retarget import retargeted
         from fungrasp.deployment.hand_knowledge import HandDynamics
         from fungrasp.deployment.twin_identification import identify_on_twin
         from fungrasp.errors import FungraspError
@@ -69,6 +68,7 @@ class EvaluateOnTwins:
         from fungrasp.jobs import PartStore
         from fungrasp.policies import policy_files
         from fungrasp.provenance import run_record
+        from fungrasp.retargeting import retarget
         from fungrasp.robots.cell import load_cell
         from fungrasp.robots.torque_limits import limited_hand
 
@@ -84,7 +84,7 @@ class EvaluateOnTwins:
         if self.images:
             human, index, header["not_seen"] = self._seen(human, index, objects, store)
             header["images"] = len(index) + len(header["not_seen"])
-        robot, _ = retargeted(human, objects, hand, "ours", self.threads)
+        robot = retarget(human, objects, hand, threads=self.threads)
         policy = deployable_policy(self.policy, hand, objects)
         planner = robot_planner(self.policy, limited_hand(cell, hand), objects, self.threads)
         header |= run_record(0)

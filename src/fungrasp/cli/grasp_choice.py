@@ -78,7 +78,7 @@ class GraspChoice:
         Raises:
             FungraspError: no such grasp or image, no hand is seen in it, or what is seen is too uncertain.
         """
-        from fungrasp.cli.retarget import retargeted
+        from fungrasp.retargeting import retarget
 
         images, began = 0, time.monotonic()
         human: HumanGraspSet
@@ -89,7 +89,7 @@ class GraspChoice:
             human, objects, images, began = self._of_rendered_image(seed)
         else:
             human, objects, images = *self._of_folder(self.image, seed), 1
-        robot, _ = retargeted(human, objects, hand, "ours", self.threads)
+        robot = retarget(human, objects, hand, threads=self.threads)
         return ChosenGrasp(robot, objects[robot.object_name[0]], images, time.monotonic() - began)
 
     def _of_file(self) -> tuple[HumanGraspSet, Mapping[str, ObjectModel]]:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from uuid import uuid4
 
@@ -20,16 +19,32 @@ from fungrasp.jobs.ray_cluster import LOCAL, ClusterUse, RayCluster
 
 if TYPE_CHECKING:
     from fungrasp.cli.evaluate import Evaluate
-    from fungrasp.cli.retarget import Retarget
     from fungrasp.cli.train import Train
     from fungrasp.evaluation.lift_test_chunks import Chunk, LiftTest
     from fungrasp.evaluation.synthesize_in_parts import Synthesis, SynthesisPart
     from fungrasp.grasps import HumanGraspSet, RobotGraspSet
-    from fungrasp.hands import Hand
     from fungrasp.jobs import PartStore
     from fungrasp.objects import ObjectModel
 
 Names = tuple[str, str]
+
+
+def on_cluster(words: tuple[str, ...] | None) -> RayCluster | None:
+    """The cluster that ``--ray`` means; None where it is not given.
+
+    Args:
+        words: what follows it.
+
+    Raises:
+        FungraspError: more than one address.
+    """
+    return None if words is None else RayCluster(cluster_address(words))
+
+
+def print_use(cluster: RayCluster | None) -> None:
+    """Say how well a cluster was used, if there was one."""
+    if cluster is not None and cluster.use is not None:
+        print(f"on the cluster: {cluster.use.words}")
 
 
 def cluster_address(words: tuple[str, ...]) -> str:
@@ -129,57 +144,6 @@ def _run_chunk(shared: _Evaluation, names: Names, chunk: Chunk) -> dict[str, np.
         _tests.clear()
         _tests[shared.key] = shared.command.lift_tests(shared.grasps, shared.sets, shared.objects)
     return _tests[shared.key][names].run(chunk, lambda done: None)
-
-
-# ---------------------------------------------------------------- retarget
-
-
-def retarget_on_cluster(
-    command: Retarget, human: HumanGraspSet, objects: Mapping[str, ObjectModel], hand: Hand, folder: Path
-) -> None:
-    """Retarget and judge the parts of a set of grasps that are not there yet.
-
-    Args:
-        command: that retargets.
-        human: grasps.
-        objects: by name.
-        hand: the robot hand.
-        folder: where parts lie.
-
-    Raises:
-        FungraspError: as ``RayCluster.run``, or a part can't be written.
-    """
-    from fungrasp.evaluation.retarget_in_parts import grasp_parts, part_file
-    from fungrasp.grasps import save_robot_grasps
-
-    parts = grasp_parts(human)
-    files = [part_file(folder, part, hand, command.method) for part in parts]
-    jobs = [(file, part) for file, part in zip(files, parts, strict=True) if not file.is_file()]
-
-    def keep(job: tuple[Path, HumanGraspSet], robot: RobotGraspSet) -> None:
-        save_robot_grasps(job[0], robot)
-
-    shared = _Retargeting(dict(objects), command.hand, command.method)
-    _spread(_retarget_part, jobs, keep, lambda job: len(job[1]), command.ray or (), shared)
-
-
-@dataclass(frozen=True, eq=False)
-class _Retargeting:
-    """What every part needs."""
-
-    objects: Mapping[str, ObjectModel]
-    hand: str
-    method: str
-
-
-def _retarget_part(shared: _Retargeting, file: Path, part: HumanGraspSet) -> RobotGraspSet:
-    from fungrasp.evaluation.retarget_in_parts import retarget_in_parts
-    from fungrasp.hands import load_hand
-
-    # One part, which is not written here.
-    return retarget_in_parts(
-        part, shared.objects, load_hand(shared.hand), shared.method, 1, file.parent
-    ).robot
 
 
 # ---------------------------------------------------------------- grasps make

@@ -28,8 +28,8 @@ class TrainPredictor:
     """Name of a hand, or the path of a hand's TOML file."""
     hand_dynamics: Path | None = None
     """Identified dynamics of the hand (`fungrasp identify fit`); the model's if not given."""
-    method: str = "ours"
-    """How human grasps are retargeted: ours, angle-copy or dexgraspnet."""
+    method: str = "contact"
+    """How human grasps are retargeted: contact, angle-copy or dexgraspnet."""
     episodes: Path | None = None
     """Folder in which the episodes' outcomes are kept, so that an interrupted command goes on where it was,
     and more --attempts add to them; beside --out by default."""

@@ -46,8 +46,8 @@ class Train:
     """Name of a hand, or the path of a hand's TOML file."""
     hand_dynamics: Path | None = None
     """Identified dynamics of the hand (`fungrasp identify fit`); the model's if not given."""
-    method: str = "ours"
-    """How human grasps are retargeted: ours, angle-copy or dexgraspnet."""
+    method: str = "contact"
+    """How human grasps are retargeted: contact, angle-copy or dexgraspnet."""
     steps: float = 3e6
     """Control steps of all worlds together, earlier runs of this training included."""
     plans: str | None = None
@@ -198,7 +198,7 @@ def training_sets(
     names: tuple[str, ...],
     folder: Path | None,
     hand: Hand,
-    method: str = "ours",
+    method: str = "contact",
     terms: tuple[str, ...] = (),
     threads: int = 0,
 ) -> list[TrainingSet]:
@@ -215,16 +215,12 @@ def training_sets(
     Raises:
         FungraspError: a file or an object can't be read, grasps of another hand, or an unknown method.
     """
-    from fungrasp.cli.retarget import retargeted
-    from fungrasp.errors import UnknownNameError
-    from fungrasp.evaluation.lift_test_chunks import check_hand
     from fungrasp.grasps import RobotGraspSet, load_grasps, load_objects
     from fungrasp.grasps.grasp_files import BUILTIN
-    from fungrasp.retargeting import METHODS
+    from fungrasp.retargeting import method_name, retarget
     from fungrasp.training.run import TrainingSet
 
-    if method not in METHODS:
-        raise UnknownNameError("retargeting method", method, METHODS)
+    method = method_name(method)
     if not names or len(set(names)) < len(names):
         raise FungraspError("--grasps needs at least one set, and each once")
     if terms and len(terms) != len(names):
@@ -235,10 +231,10 @@ def training_sets(
         place = None if name == BUILTIN else folder
         objects = load_objects(grasps, place)
         if isinstance(grasps, RobotGraspSet):
-            check_hand(grasps, hand)
+            grasps.check_hand(hand)
             robot, label = grasps, ""
         else:
-            robot, _ = retargeted(grasps, objects, hand, method, threads)
+            robot = retarget(grasps, objects, hand, method, threads=threads)
             label = f", retargeted with {method}"
         said = terms[number] if terms else BUILTIN_TERMS if name == BUILTIN else "not stated"
         title = "built-in grasps" if name == BUILTIN else Path(name).name

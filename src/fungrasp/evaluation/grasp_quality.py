@@ -4,7 +4,7 @@ the human grasp."""
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from fungrasp.evaluation.penetration import exact_clearance, nearest_surface_poi
 from fungrasp.geometry import SignedDistanceBank
 from fungrasp.geometry.poses import compose, inverse_transform_points, invert, transform_points
 from fungrasp.grasps import HumanGraspSet, RobotGraspSet
+from fungrasp.grasps.alternatives import alternative_rows
 from fungrasp.hands import Hand, as_hand
 from fungrasp.hands.collision_spheres import CollisionSpheres, collision_spheres, self_collision_depth
 from fungrasp.hands.correspondence import Correspondence, correspond
@@ -21,6 +22,10 @@ from fungrasp.hands.kinematics import BodyPoints, HandKinematics
 from fungrasp.objects import ObjectModel, check_objects
 from fungrasp.optimization.collision_scene import project_to_surface
 from fungrasp.optimization.contact_forces import CONTACT_DISTANCE
+from fungrasp.text_table import table
+
+UNITS = ("mm", "deg", "rad")
+"""Units at the end of the names of quality numbers."""
 
 PART = 128
 """Grasps that are judged together."""
@@ -51,6 +56,15 @@ class StaticQuality:
     force_closure_epsilon: np.ndarray
     """Weakest wrench that those contacts resist (Ferrari and Canny's Q1); zero if they don't resist all."""
 
+    @classmethod
+    def of(cls, robot: RobotGraspSet) -> StaticQuality:
+        """What ``with_quality`` has added to grasps."""
+        return cls(**{field.name: robot.extra[field.name] for field in fields(cls)})
+
+    def table(self) -> str:
+        """``summary`` as text."""
+        return quality_table(self.summary())
+
     def summary(self) -> dict[str, dict[str, float]]:
         """Mean, 95th percentile and maximum of each number over the grasps."""
         result = {}
@@ -66,27 +80,46 @@ class StaticQuality:
         return result
 
 
+def quality_table(summary: Mapping[str, Mapping[str, float]]) -> str:
+    """``StaticQuality.summary`` as text."""
+    rows: list[tuple[str, ...]] = [("quality", "mean", "p95", "max", "unit")]
+    for name, numbers in summary.items():
+        what, _, unit = name.rpartition("_")
+        if unit not in UNITS:
+            what, unit = name, ""
+        rows.append((what.replace("_", " "), *(f"{numbers[k]:.2f}" for k in ("mean", "p95", "max")), unit))
+    return table(rows)
+
+
+def with_quality(robot: RobotGraspSet, quality: StaticQuality) -> RobotGraspSet:
+    """The grasps with their quality in ``extra``."""
+    numbers = {field.name: getattr(quality, field.name) for field in fields(quality)}
+    return replace(robot, extra={**robot.extra, **numbers})
+
+
 def static_quality(
     robot: RobotGraspSet,
     human: HumanGraspSet,
     objects: Mapping[str, ObjectModel],
-    hand: Hand | str,
+    hand: Hand | str | None = None,
     spacing: float = 0.004,
 ) -> StaticQuality:
     """Judge robot grasps against the human ones they imitate.
 
     Args:
-        robot: N grasps of ``hand``.
-        human: the same N grasps, as the human did them.
+        robot: N grasps.
+        human: what they were retargeted from; of alternatives the first is meant.
         objects: by name.
-        hand: the robot hand, or its name.
+        hand: the robot hand, or its name; that of the grasps if None.
         spacing: of the points that cover the hand's collision geometry [m].
 
     Raises:
         FungraspError: the sets don't belong together.
     """
-    hand = as_hand(hand)
+    hand = robot.load_hand() if hand is None else as_hand(hand)
     check_objects(robot.object_name.tolist(), objects)
+    if human.probability is not None and len(human) != len(robot):
+        human = human.select([int(rows[0]) for rows in alternative_rows(human.probability)])
     if len(robot) != len(human) or np.any(robot.object_name != human.object_name):
         raise FungraspError(
             "the robot grasps and the human grasps are not of the same objects in the same order"

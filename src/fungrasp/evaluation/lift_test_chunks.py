@@ -229,9 +229,4 @@ def check_hand(grasps: RobotGraspSet, hand: Hand) -> None:
             f"expected robot grasps, not a {type(grasps).__name__}: retarget them first "
             "(fungrasp.retargeting.retarget)"
         )
-    if grasps.hand != hand.name:
-        raise FungraspError(f"the grasps are of the hand '{grasps.hand}', not of '{hand.name}'")
-    if grasps.joint_names != hand.joint_names or grasps.link_contacts.shape[1] != len(hand.links):
-        raise FungraspError(
-            f"the grasps were made for another version of the hand '{hand.name}': retarget again"
-        )
+    grasps.check_hand(hand)

@@ -30,7 +30,7 @@ BUILTIN_PATH = Path(__file__).parent / "builtin" / "grasps.npz"
 EXTRA = "extra/"
 """What the names of a robot grasp set's further numbers begin with in the file."""
 
-_KNOWN = {"version", "hand", "joint_names", *HumanGraspSet.FIELDS, *RobotGraspSet.FIELDS}
+_KNOWN = {"version", "hand", "hand_file", "joint_names", *HumanGraspSet.FIELDS, *RobotGraspSet.FIELDS}
 """Names of all fields but the further numbers."""
 
 _log = logging.getLogger(__name__)
@@ -101,7 +101,10 @@ def save_robot_grasps(path: str | Path, grasps: RobotGraspSet) -> None:
     """
     extra = {EXTRA + name: value for name, value in grasps.extra.items()}
     joint_names = np.array(grasps.joint_names, dtype=str)
-    _write(path, grasps, {"hand": np.array(grasps.hand), "joint_names": joint_names} | extra)
+    whole = {"hand": np.array(grasps.hand), "joint_names": joint_names}
+    if grasps.hand_file:
+        whole["hand_file"] = np.array(grasps.hand_file)
+    _write(path, grasps, whole | extra)
 
 
 def _human(path: Path, arrays: Mapping[str, np.ndarray]) -> HumanGraspSet:
@@ -142,8 +145,10 @@ def _robot(path: Path, arrays: Mapping[str, np.ndarray]) -> RobotGraspSet:
             f"{path} holds human grasps, robot grasps are needed here; 'fungrasp retarget' makes them"
         )
     whole: dict[str, Any] = {}
-    for name, ndim in (("hand", 0), ("joint_names", 1)):
+    for name, ndim in (("hand", 0), ("joint_names", 1), ("hand_file", 0)):
         value = arrays.get(name)
+        if value is None and name == "hand_file":
+            continue
         if value is None:
             raise FungraspError(f"{path}: field '{name}' is missing")
         if value.ndim != ndim or value.dtype.kind not in "US":

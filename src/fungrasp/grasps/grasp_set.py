@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fungrasp.errors import FungraspError
+from fungrasp.files import digest
 from fungrasp.grasps.field_checks import ArrayField, checked_array
 
 Grasp = TypeVar("Grasp")
@@ -36,6 +37,11 @@ class GraspSet(Generic[Grasp]):
 
     def __len__(self) -> int:
         return len(self.object_name)
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of all that the set says."""
+        return digest(self._whole_set(), self._rows(slice(None)))
 
     @overload
     def __getitem__(self, index: int) -> Grasp: ...

@@ -12,6 +12,7 @@ from fungrasp.errors import FungraspError
 from fungrasp.grasps.field_checks import ArrayField, check_rows, checked_extra
 from fungrasp.grasps.grasp_set import GraspSet
 from fungrasp.grasps.human_grasp import MAX_HAND_DISTANCE
+from fungrasp.hands import Hand, load_hand
 
 SQUEEZE = "squeeze_positions"
 """The name in ``extra`` of the grasps' own squeeze targets."""
@@ -45,6 +46,8 @@ class RobotGrasp:
     """What the grasp is for; empty if not known."""
     extra: Mapping[str, np.ndarray] = field(default_factory=dict)
     """Further numbers by name (quality, refined controller settings)."""
+    hand_file: str = ""
+    """TOML file of a hand that is not found by its name."""
 
     def __repr__(self) -> str:
         return f"<RobotGrasp: hand {self.hand!r}, object {self.object_name!r}, task {self.task!r}>"
@@ -84,6 +87,8 @@ class RobotGraspSet(GraspSet[RobotGrasp]):
     """Given as None it becomes N empty strings."""
     extra: Mapping[str, np.ndarray] = field(default_factory=dict)
     """Numbers or flags by name, each of shape [N, ...]; NaN means not measured."""
+    hand_file: str = ""
+    """TOML file of a hand that is not found by its name."""
 
     FIELDS: ClassVar = {
         "object_name": ArrayField("name", ("N",)),
@@ -131,8 +136,34 @@ class RobotGraspSet(GraspSet[RobotGrasp]):
         own = self.extra.get(SQUEEZE)
         return np.full_like(self.joint_positions, np.nan) if own is None else own
 
+    def load_hand(self) -> Hand:
+        """The hand of the grasps.
+
+        Raises:
+            FungraspError: it is not found, or is another version of it.
+        """
+        try:
+            hand = load_hand(self.hand_file or self.hand)
+        except FungraspError as error:
+            raise FungraspError(f"the hand '{self.hand}' of the grasps is not found: {error}") from error
+        self.check_hand(hand)
+        return hand
+
+    def check_hand(self, hand: Hand) -> None:
+        """Complain about another hand than that of the grasps.
+
+        Raises:
+            FungraspError: another name, other joints or other contact links.
+        """
+        if self.hand != hand.name:
+            raise FungraspError(f"the grasps are of the hand '{self.hand}', not of '{hand.name}'")
+        if self.joint_names != hand.joint_names or self.link_contacts.shape[1] != len(hand.links):
+            raise FungraspError(
+                f"the grasps were made for another version of the hand '{hand.name}': retarget again"
+            )
+
     def _whole_set(self) -> dict[str, Any]:
-        return {"hand": self.hand, "joint_names": self.joint_names}
+        return {"hand": self.hand, "joint_names": self.joint_names, "hand_file": self.hand_file}
 
     def _rows(self, which: Any) -> dict[str, Any]:
         return super()._rows(which) | {"extra": {name: value[which] for name, value in self.extra.items()}}

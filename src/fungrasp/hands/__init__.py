@@ -1,6 +1,16 @@
 """Robot hands: one folder per hand, with a model and a TOML that names the bodies of palm and fingers."""
 
 from fungrasp.hands.hand import FINGERS, Actuator, Finger, Hand, read_hand_toml
-from fungrasp.hands.hand_registry import as_hand, hand_files, load_hand
+from fungrasp.hands.hand_registry import as_hand, hand_files, hand_origin, load_hand
 
-__all__ = ["FINGERS", "Actuator", "Finger", "Hand", "as_hand", "hand_files", "load_hand", "read_hand_toml"]
+__all__ = [
+    "FINGERS",
+    "Actuator",
+    "Finger",
+    "Hand",
+    "as_hand",
+    "hand_files",
+    "hand_origin",
+    "load_hand",
+    "read_hand_toml",
+]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -12,6 +12,7 @@ import mujoco
 import numpy as np
 
 from fungrasp.errors import FungraspError, UnknownNameError
+from fungrasp.files import digest
 from fungrasp.formats.guarded import guarded
 from fungrasp.formats.mujoco_model import read_model
 from fungrasp.formats.toml_file import read_toml, type_faults
@@ -124,6 +125,12 @@ class Hand:
             return self.spec().compile()
         except ValueError as error:
             raise FungraspError(f"hand '{self.name}' does not compile: {_one_line(error)}") from error
+
+    @cached_property
+    def digest(self) -> str:
+        """SHA-256 of the TOML file, the model file and the servos, identified ones included."""
+        servos = {name: asdict(servo) for name, servo in self.actuators.items()}
+        return digest(self.path.read_bytes(), self.model_path.read_bytes(), servos)
 
     @property
     def joint_names(self) -> tuple[str, ...]:

@@ -50,5 +50,11 @@ def as_hand(hand: Hand | str | Path) -> Hand:
     raise FungraspError(f"expected a hand, or the name or path of one, not {type(hand).__name__}")
 
 
+def hand_origin(hand: Hand) -> str:
+    """Path of the TOML file of a hand that ``load_hand`` does not find by its name; "" of others."""
+    known = hand_files().get(hand.name)
+    return "" if known is not None and known.resolve() == hand.path.resolve() else str(hand.path.absolute())
+
+
 def _toml_in(path: Path) -> Path:
     return path / "hand.toml" if path.is_dir() else path

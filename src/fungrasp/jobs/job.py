@@ -112,6 +112,9 @@ def run_job(
             store.save(keys[number], arrays)
         found[number] = arrays
         done += job.size(parts[number])
+
+    def arrived(sent: tuple[int, Part], arrays: Arrays) -> None:
+        finished(sent[0], arrays)
         progress(done)
 
     missing = [number for number, arrays in enumerate(found) if arrays is None]
@@ -120,7 +123,7 @@ def run_job(
         ray.run(
             _run_part,
             [(number, parts[number]) for number in missing],
-            lambda sent, arrays: finished(sent[0], arrays),
+            arrived,
             shared,
         )
     else:
@@ -129,6 +132,7 @@ def run_job(
             results = job.run(group, lambda more, before=done: progress(before + more))
             for arrays in results:
                 finished(next(waiting), arrays)
+            progress(done)
     return [arrays for arrays in found if arrays is not None]
 
 

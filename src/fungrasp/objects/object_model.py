@@ -10,6 +10,7 @@ import numpy as np
 import trimesh
 
 from fungrasp.errors import FungraspError
+from fungrasp.files import digest
 from fungrasp.geometry.signed_distance import SignedDistanceGrid
 from fungrasp.objects.convex_decomposition import ConvexPiece, convex_pieces, mesh_digest
 from fungrasp.objects.disk_cache import cached_on_disk
@@ -84,7 +85,7 @@ class ObjectModel:
             return model.signed_distance.scaled(factor)
         return cached_on_disk(
             "signed_distance",
-            f"{GRID_FORMAT} {GRID_SPACING} {self.digest}",
+            f"{GRID_FORMAT} {GRID_SPACING} {self.mesh_digest}",
             SignedDistanceGrid.load,
             lambda path: SignedDistanceGrid.from_mesh(self.vertices, self.faces, GRID_SPACING).save(path),
         )
@@ -106,9 +107,14 @@ class ObjectModel:
         return np.ptp(self.vertices, axis=0)
 
     @cached_property
-    def digest(self) -> str:
+    def mesh_digest(self) -> str:
         """SHA-256 of the mesh: the key of what is cached about it."""
         return mesh_digest(self.vertices, self.faces)
+
+    @cached_property
+    def digest(self) -> str:
+        """SHA-256 of mesh, mass and parts."""
+        return digest(self.mesh_digest, self.mass, self.parts)
 
     def rest_pose(self, yaw: float = 0.0) -> np.ndarray:
         """Standing on the table, shape [7], world frame: origin above the world's, lowest vertex at z = 0.

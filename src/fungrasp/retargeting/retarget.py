@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import logging
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from threading import Lock
+from typing import Self
 
 import numpy as np
 
 from fungrasp.errors import FungraspError, UnknownNameError
 from fungrasp.geometry.poses import compose, transform_points
 from fungrasp.grasps import HumanGraspSet, RobotGraspSet, hand_sides
-from fungrasp.hands import Hand, as_hand
+from fungrasp.grasps.alternatives import join_alternatives
+from fungrasp.hands import Hand, as_hand, hand_origin
 from fungrasp.hands.kinematics import HandKinematics
+from fungrasp.jobs import Arrays, Job, PartStore, RayCluster, part_key, run_job
 from fungrasp.objects import ObjectModel, check_objects
 from fungrasp.optimization.hand_state import HandPoints
 from fungrasp.optimization.retargeting_problem import RetargetingProblem
@@ -21,80 +28,209 @@ from fungrasp.retargeting.dexgraspnet import retarget_by_dexgraspnet
 
 Solver = Callable[[HandPoints, RetargetingProblem, RetargetSettings], tuple[np.ndarray, np.ndarray]]
 METHODS: dict[str, Solver] = {
-    "ours": retarget_by_contact_optimization,
+    "contact": retarget_by_contact_optimization,
     "angle-copy": retarget_by_angle_copy,
     "dexgraspnet": retarget_by_dexgraspnet,
 }
 
+FORMER_METHODS = {"ours": "contact"}
+"""Names that methods had in earlier versions."""
+
+GRASPS_PER_PART = 128
+"""Grasps that are kept together, and one job on a cluster: some seconds of work."""
+
+TOGETHER = 8
+"""Parts that one process solves together: its threads have more to share in this way."""
+
+CHUNK = 64
+"""Grasps that one thread solves together."""
+
+_log = logging.getLogger(__name__)
+
+
+def method_name(name: str) -> str:
+    """The name of a retargeting method as it is today.
+
+    Raises:
+        FungraspError: there is none of this name.
+    """
+    if name in FORMER_METHODS:
+        _log.warning("the retargeting method '%s' is called '%s' now", name, FORMER_METHODS[name])
+        return FORMER_METHODS[name]
+    if name not in METHODS:
+        raise UnknownNameError("retargeting method", name, METHODS)
+    return name
+
+
+@dataclass(frozen=True)
+class RetargetSpec:
+    """How human grasps are retargeted."""
+
+    hand: str = "allegro"
+    """Name of the robot hand, or the path of its TOML file."""
+    method: str = "contact"
+    """One of ``METHODS``."""
+    settings: RetargetSettings = field(default_factory=RetargetSettings)
+    """Weights and iterations."""
+
+    def __post_init__(self) -> None:
+        """
+        Raises:
+            FungraspError: no such method.
+        """
+        object.__setattr__(self, "method", method_name(self.method))
+
 
 def retarget(
-    grasps: HumanGraspSet,
+    human: HumanGraspSet,
     objects: Mapping[str, ObjectModel],
-    hand: Hand | str,
-    method: str = "ours",
+    hand: Hand | str | Path = RetargetSpec.hand,
+    method: str = RetargetSpec.method,
     settings: RetargetSettings | None = None,
+    *,
     threads: int = 0,
-    chunk: int = 64,
-    progress: Callable[[int], None] = lambda count: None,
+    store: PartStore | None = None,
+    ray: RayCluster | None = None,
+    progress: Callable[[float], None] = lambda done: None,
 ) -> RobotGraspSet:
     """Retarget human grasps to a robot hand.
 
     Args:
-        grasps: N human grasps.
+        human: N human grasps. Alternatives of one grasp (``HumanGraspSet.probability``) become one robot
+            grasp that knows them (``fungrasp.grasps.alternatives``).
         objects: each object of the grasps, by name.
-        hand: the robot hand, or its name.
+        hand: the robot hand, its name, or the path of its TOML file.
         method: one of ``METHODS``.
         settings: weights and iterations; the defaults if None.
         threads: 0 means all processors. The result does not depend on it.
-        chunk: grasps solved together.
-        progress: called with the number of grasps that have just been finished.
+        store: keeps finished parts, and knows those of an interrupted run; who calls removes it.
+        ray: solves the parts on a cluster. The result is the same.
+        progress: called with the number of human grasps that are done.
+
+    Returns:
+        Robot grasps that know their hand (``RobotGraspSet.load_hand``).
 
     Raises:
-        FungraspError: no such method, no grasps, a missing object, or a grasp of a left hand for a right one
-            or the other way round.
+        FungraspError: no such hand or method, no grasps, a missing object, or a grasp of a left hand for a
+            right one or the other way round.
     """
-    if method not in METHODS:
-        raise UnknownNameError("retargeting method", method, METHODS)
-    if not isinstance(grasps, HumanGraspSet):
-        raise FungraspError(f"only human grasps can be retargeted, not a {type(grasps).__name__}")
-    if not len(grasps):
-        raise FungraspError("there are no grasps to retarget: the set is empty")
     hand = as_hand(hand)
-    check_objects(grasps.object_name.tolist(), objects)
-    other = np.flatnonzero(hand_sides(grasps.hand_joints) != hand.side)
-    if len(other):
-        raise FungraspError(
-            f"'{hand.name}' is a {hand.side} hand, but {len(other)} of {len(grasps)} grasps are of the other "
-            f"hand (row {other[0]}, {grasps.object_name[other[0]]}); mirror the grasps and their objects: "
-            "--mirror, or fungrasp.grasps.mirrored_grasps"
-        )
-    settings = settings or RetargetSettings()
-    shared = HandPoints(HandKinematics(hand, min(chunk, len(grasps))))
-    _ = shared.dense  # once, not in each thread
-    problem = RetargetingProblem.from_grasps(grasps, objects, shared.match)
-
-    def run(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        part = problem.rows(rows)
-        points = shared.for_hands(len(part))
-        kinematics = points.kinematics
-        pose, independent = METHODS[method](points, part, settings)
-        kinematics.update(pose, independent)
-        progress(len(part))
-        joints = independent @ kinematics.matrix.T + kinematics.offset
-        return pose, joints, kinematics.points(points.keypoints), part.contacts
-
-    parts = in_chunks(run, len(grasps), threads, chunk)
-    pose, joints, keypoints, contacts = (np.concatenate(x) for x in zip(*parts, strict=True))
-    return RobotGraspSet(
+    origin = hand_origin(hand)
+    spec = RetargetSpec(origin or hand.name, method, settings or RetargetSettings())
+    _check(human, objects, hand)
+    used = {name: objects[name] for name in np.unique(human.object_name).tolist()}
+    for model in used.values():
+        _ = model.signed_distance  # once, not in each worker
+    found = run_job(Retargeting(human, used, hand, spec, threads), store, ray=ray, progress=progress)
+    pose, joints, keypoints, contacts = (
+        np.concatenate([part[name] for part in found])
+        for name in ("wrist_pose", "joint_positions", "keypoints", "link_contacts")
+    )
+    robot = RobotGraspSet(
         hand=hand.name,
-        object_name=grasps.object_name,
-        object_mass=grasps.object_mass,
-        object_pose=grasps.object_pose,
-        object_rest_pose=grasps.object_rest_pose,
-        wrist_pose=compose(grasps.object_pose, pose),
+        hand_file=origin,
+        object_name=human.object_name,
+        object_mass=human.object_mass,
+        object_pose=human.object_pose,
+        object_rest_pose=human.object_rest_pose,
+        wrist_pose=pose,
         joint_names=hand.joint_names,
         joint_positions=joints,
-        keypoints=transform_points(grasps.object_pose, keypoints),
+        keypoints=keypoints,
         link_contacts=contacts,
-        task=grasps.task,
+        task=human.task,
     )
+    return robot if human.probability is None else join_alternatives(robot, human.probability)
+
+
+@dataclass(frozen=True, eq=False)
+class Retargeting(Job[range]):
+    """Human grasps to be retargeted; a part is the range of its rows."""
+
+    human: HumanGraspSet
+    """N human grasps."""
+    objects: Mapping[str, ObjectModel]
+    """By name."""
+    hand: Hand
+    """The robot hand."""
+    spec: RetargetSpec
+    """How."""
+    threads: int = 0
+    """0 means all processors."""
+
+    def parts(self) -> list[range]:
+        """So many grasps at most."""
+        count = len(self.human)
+        return [range(i, min(i + GRASPS_PER_PART, count)) for i in range(0, count, GRASPS_PER_PART)]
+
+    def key(self, part: range) -> str:
+        """Digest of grasps, objects, hand and method."""
+        some = self.human.select(np.array(part))
+        objects = {name: self.objects[name] for name in np.unique(some.object_name).tolist()}
+        return part_key("retarget", some, objects, self.hand, self.spec.method, self.spec.settings)
+
+    def size(self, part: range) -> float:
+        """Number of grasps."""
+        return len(part)
+
+    def together(self, missing: list[range]) -> list[list[range]]:
+        """``TOGETHER`` parts."""
+        return [missing[i : i + TOGETHER] for i in range(0, len(missing), TOGETHER)]
+
+    def on_one_processor(self) -> Self:
+        """With one thread."""
+        return replace(self, threads=1)
+
+    def run(self, parts: Sequence[range], progress: Callable[[float], None]) -> list[Arrays]:
+        """Wrist pose (world frame), joints, key points and contacts of each part's grasps, by the names of
+        ``RobotGraspSet``."""
+        human = self.human.select(np.concatenate([np.array(part) for part in parts]))
+        solve, settings = METHODS[self.spec.method], self.spec.settings
+        shared = HandPoints(HandKinematics(self.hand, min(CHUNK, len(human))))
+        _ = shared.dense  # once, not in each thread
+        problem = RetargetingProblem.from_grasps(human, self.objects, shared.match)
+        done, lock = 0, Lock()
+
+        def run(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+            nonlocal done
+            part = problem.rows(rows)
+            points = shared.for_hands(len(part))
+            kinematics = points.kinematics
+            pose, independent = solve(points, part, settings)
+            kinematics.update(pose, independent)
+            with lock:
+                done += len(part)
+                progress(done)
+            joints = independent @ kinematics.matrix.T + kinematics.offset
+            return pose, joints, kinematics.points(points.keypoints), part.contacts
+
+        chunks = in_chunks(run, len(human), self.threads, CHUNK)
+        pose, joints, keypoints, contacts = (np.concatenate(x) for x in zip(*chunks, strict=True))
+        whole = {
+            "wrist_pose": compose(human.object_pose, pose),
+            "joint_positions": joints,
+            "keypoints": transform_points(human.object_pose, keypoints),
+            "link_contacts": contacts,
+        }
+        ends = np.cumsum([len(part) for part in parts])[:-1]
+        split = {name: np.split(values, ends) for name, values in whole.items()}
+        return [{name: values[i] for name, values in split.items()} for i in range(len(parts))]
+
+
+def _check(human: HumanGraspSet, objects: Mapping[str, ObjectModel], hand: Hand) -> None:
+    """
+    Raises:
+        FungraspError: something else than human grasps, none, missing objects, or grasps of the other hand.
+    """
+    if not isinstance(human, HumanGraspSet):
+        raise FungraspError(f"only human grasps can be retargeted, not a {type(human).__name__}")
+    if not len(human):
+        raise FungraspError("there are no grasps to retarget: the set is empty")
+    check_objects(human.object_name.tolist(), objects)
+    other = np.flatnonzero(hand_sides(human.hand_joints) != hand.side)
+    if len(other):
+        raise FungraspError(
+            f"'{hand.name}' is a {hand.side} hand, but {len(other)} of {len(human)} grasps are of the other "
+            f"hand (row {other[0]}, {human.object_name[other[0]]}); mirror the grasps and their objects: "
+            "--mirror, or fungrasp.grasps.mirrored_grasps"
+        )

@@ -71,7 +71,7 @@ class TrainingSet:
             "sha256": digest(
                 {name: getattr(self.grasps, name) for name in self.grasps.FIELDS}, self.grasps.extra
             ),
-            "objects": {name: self.objects[name].digest for name in names},
+            "objects": {name: self.objects[name].mesh_digest for name in names},
         }
 
 
@@ -277,7 +277,7 @@ def joined_objects(sets: Sequence[TrainingSet]) -> dict[str, ObjectModel]:
     objects: dict[str, ObjectModel] = {}
     for one in sets:
         for name, thing in one.objects.items():
-            if objects.setdefault(name, thing).digest != thing.digest:
+            if objects.setdefault(name, thing).mesh_digest != thing.mesh_digest:
                 raise FungraspError(f"{one.name}: its object '{name}' is not that of another set")
     return objects
 

@@ -218,7 +218,7 @@ def _objects(digests: Mapping[str, str], place: Path | None, folder: Path) -> di
     # The mass is set in each episode.
     things = {name: load_object(name, 1.0, place) for name in digests}
     for name, thing in things.items():
-        if thing.digest != digests[name]:
+        if thing.mesh_digest != digests[name]:
             raise FungraspError(f"the object '{name}' is not the one that {folder} was trained on")
     return things
 

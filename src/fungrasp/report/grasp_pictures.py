@@ -1,0 +1,66 @@
+"""A sheet of some of a set's grasps."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from fungrasp.files import atomic_path
+from fungrasp.grasps import HumanGraspSet, RobotGraspSet
+from fungrasp.grasps.alternatives import alternative_rows
+from fungrasp.objects import ObjectModel
+from fungrasp.rendering import human_grasp_scene, robot_grasp_scene
+from fungrasp.rendering.render import render
+from fungrasp.rendering.viewpoints import look_at_grasp
+from fungrasp.report.pictures import grid
+
+DRAWN_GRASPS = 12
+"""Largest number of grasps in a picture."""
+
+WIDTH, HEIGHT = 400, 320
+"""Size of each grasp in a picture [pixels]."""
+
+
+def draw_grasps(
+    path: Path,
+    robot: RobotGraspSet,
+    objects: Mapping[str, ObjectModel],
+    human: HumanGraspSet | None = None,
+    captions: Sequence[str] | None = None,
+    progress: Callable[[float], None] = lambda share: None,
+) -> None:
+    """Draw grasps spread over the set, of different objects where there are as many.
+
+    Args:
+        path: of the PNG file.
+        robot: N grasps.
+        objects: by name.
+        human: what they were retargeted from, drawn to their left; of alternatives the first.
+        captions: text for each grasp after the name of its object; the name of the hand if None.
+        progress: called with the share that is drawn, up to 1.
+    """
+    hand = robot.load_hand()
+    if human is not None and human.probability is not None:
+        human = human.select([int(rows[0]) for rows in alternative_rows(human.probability)])
+    _, first = np.unique(robot.object_name, return_index=True)
+    others = np.setdiff1d(np.arange(len(robot)), first)
+    rows = np.concatenate([first, others])[:DRAWN_GRASPS]
+    images, labels = [], []
+    for done, row in enumerate(rows.tolist()):
+        obj = objects[str(robot.object_name[row])]
+        shape = (obj.vertices, obj.faces, robot.object_pose[row], robot.link_contacts[row])
+        model, qpos = robot_grasp_scene(hand, robot.wrist_pose[row], robot.joint_positions[row], *shape)
+        camera = look_at_grasp(model, qpos, width=WIDTH, height=HEIGHT)
+        if human is not None:
+            shape = (obj.vertices, obj.faces, human.object_pose[row], human.link_contacts[row])
+            person = human_grasp_scene(human.hand_joints[row], *shape)
+            images += [render(person, person.qpos0, camera)[0]]
+            labels += [f"{obj.name}: human"]
+        images += [render(model, qpos, camera)[0]]
+        labels += [f"{obj.name}: {hand.name if captions is None else captions[row]}"]
+        progress((done + 1) / len(rows))
+    with atomic_path(path) as temporary:
+        Image.fromarray(grid(images, labels, columns=4)).save(temporary, format="PNG")
