@@ -23,7 +23,7 @@ from fungrasp.perception.hand.image_windows import (
     window_of_landmarks,
     window_of_palm,
 )
-from fungrasp.perception.hand.mediapipe_models import MediaPipeModel, load_weights
+from fungrasp.perception.hand.mediapipe_models import MediaPipeModel, load_weights, model_runtime
 from fungrasp.perception.hand.palm_detection import DETECTOR_PIXELS, box_overlap, decode_palms
 from fungrasp.perception.io.capture import Box
 
@@ -138,6 +138,7 @@ class MediaPipeHandDetector:
         Raises:
             FungraspError: the weights are not set up, or ai-edge-litert is not installed.
         """
+        model_runtime()  # Whoever lacks it is told before having fetched the weights.
         weights = load_weights() if weights is None else weights
         self._palm = MediaPipeModel(weights["palm"], threads)
         self._landmarks = MediaPipeModel(weights["landmarks"], threads)

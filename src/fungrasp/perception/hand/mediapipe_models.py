@@ -171,6 +171,20 @@ def _check(content: bytes, file: WeightFile, where: Path) -> None:
         )
 
 
+def model_runtime() -> Any:
+    """What runs the models.
+
+    Raises:
+        FungraspError: ai-edge-litert is not installed.
+    """
+    try:
+        return importlib.import_module("ai_edge_litert.interpreter")
+    except ImportError as error:
+        raise FungraspError(
+            "finding hands in images needs the package ai-edge-litert: pip install 'fungrasp[perception]'"
+        ) from error
+
+
 class MediaPipeModel:
     """A model file in an interpreter; called with one image."""
 
@@ -183,14 +197,8 @@ class MediaPipeModel:
         Raises:
             FungraspError: ai-edge-litert is not installed.
         """
-        try:
-            runtime: Any = importlib.import_module("ai_edge_litert.interpreter")
-        except ImportError as error:
-            raise FungraspError(
-                "finding hands in images needs the package ai-edge-litert: pip install 'fungrasp[perception]'"
-            ) from error
         with filtered_native_output():
-            self._interpreter = runtime.Interpreter(model_content=content, num_threads=threads)
+            self._interpreter = model_runtime().Interpreter(model_content=content, num_threads=threads)
             self._interpreter.allocate_tensors()
         self._input = self._interpreter.get_input_details()[0]["index"]
         # The runtime lists outputs in any order; their names tell it.
