@@ -102,6 +102,7 @@ def where(shared: None) -> str:
     return str(Path.cwd())
 
 
+@pytest.mark.slow
 def test_relative_paths_mean_the_same(cluster, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     found: list[str] = []
@@ -109,6 +110,7 @@ def test_relative_paths_mean_the_same(cluster, tmp_path, monkeypatch):
     assert found == [str(tmp_path)]
 
 
+@pytest.mark.slow
 def test_jobs_of_a_lost_machine_are_done_again(cluster):
     done: list[int] = []
     killing = kill_after(cluster, lambda: len(done) >= 3)
@@ -117,6 +119,7 @@ def test_jobs_of_a_lost_machine_are_done_again(cluster):
     assert sorted(done) == list(range(16))
 
 
+@pytest.mark.slow
 def test_evaluation_with_a_machine_lost_equals_that_of_one_process(cluster, grasps, tmp_path, monkeypatch):
     monkeypatch.setattr("fungrasp.cli.evaluate.CHUNKS", (2, 2))
     command = ["evaluate", "--grasps", str(grasps), "--protocol", "reality", "--threads", "1"]
@@ -142,6 +145,7 @@ def test_retargeting_on_this_machine_equals_that_of_one_process(tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["g.npz", "many.npz", "one.npz"]
 
 
+@pytest.mark.slow
 def test_synthesis_with_a_machine_lost_equals_that_of_one_process(cluster, tmp_path, monkeypatch):
     monkeypatch.setattr("fungrasp.synthesis.synthesize.BATCH_SIZE", 2)
     command = ["grasps", "make", "--objects", "tennis_ball", "--seed", "0", "1"]
@@ -154,6 +158,7 @@ def test_synthesis_with_a_machine_lost_equals_that_of_one_process(cluster, tmp_p
     assert sorted(path.name for path in tmp_path.iterdir()) == ["many.npz", "one.npz"]
 
 
+@pytest.mark.slow
 def test_trainings_with_a_machine_lost_equal_those_of_one_process(cluster, tmp_path):
     pytest.importorskip("rsl_rl")
     from fungrasp.training.checkpoint import read_checkpoint
@@ -182,6 +187,7 @@ def test_trainings_with_a_machine_lost_equal_those_of_one_process(cluster, tmp_p
     assert len({weights["mlp.0.weight"].numpy().tobytes() for weights in networks}) == 4
 
 
+@pytest.mark.slow
 def test_the_benchmark_compares_with_one_process_after_a_loss(grasps, tmp_path, capsys):
     path = tmp_path / "c.json"
     command = ["bench", "cluster", "--grasps", str(grasps), "--number", "32", "--json", str(path)]

@@ -82,6 +82,7 @@ def test_a_boards_pose_is_that_of_its_homography() -> None:
     assert place < 1e-9 and turn < 1e-9
 
 
+@pytest.mark.slow
 def test_noisy_views_give_the_camera_within_what_they_say() -> None:
     """Fifteen images, corners 0.2 pixels, the palm 0.3 mm and 0.5 mrad off: 1 mm and 2 mrad, and what the
     calibration says of itself is true within a factor of three."""

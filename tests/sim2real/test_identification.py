@@ -242,6 +242,7 @@ def test_weights_on_fingertips_weigh_and_resist_as_points_do():
     assert np.abs(inertia).max() > 1e-4
 
 
+@pytest.mark.slow
 def test_a_weight_tells_the_scale_of_a_geared_joint():
     # Of an Inspire's finger weight and inertia are next to nothing beside its drive's.
     hand, joints = load_hand("inspire"), ("index_proximal_joint",)
