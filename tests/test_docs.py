@@ -22,6 +22,7 @@ import numpy as np
 import pytest
 
 import fungrasp
+from fungrasp.cli import demo
 from fungrasp.cli.main import COMMANDS, main
 from fungrasp.evaluation import StaticQuality, Trajectory
 from fungrasp.grasps import HumanGraspSet, RobotGraspSet, grasp_files, save_human_grasps
@@ -39,7 +40,7 @@ BLOCK = re.compile(
 COMMENT = re.compile(r"<!-- (not run: (?P<reason>.+)|ends with (?P<status>\d+)) -->\n$")
 ENTRY_POINTS = ("fungrasp.hand_estimators", "fungrasp.object_pose_estimators")
 """Groups that share no name with a module."""
-MOST = 4
+MOST = 2
 """Built-in grasps that commands see."""
 
 
@@ -86,7 +87,7 @@ def run(arguments: list[str]) -> int:
 
 @pytest.fixture
 def reader(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder with the reader's data, and few built-in grasps."""
+    """A folder with the reader's data; few built-in grasps, and films of few frames."""
     builtin = grasp_files.builtin_grasps()
     assert builtin.task is not None
     first = {
@@ -97,6 +98,7 @@ def reader(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     others = [row for row in first.values() if row not in named]
     save_human_grasps(tmp_path / "few.npz", builtin.select(np.array([*named, *others[: MOST - 1]])))
     monkeypatch.setattr(grasp_files, "BUILTIN_PATH", tmp_path / "few.npz")
+    monkeypatch.setattr(demo, "FPS", 2.0)
     mine = builtin.select(np.flatnonzero(builtin.object_name == "box")[:2])
     (tmp_path / "meshes").mkdir()
     builtin_object("box").mesh.export(tmp_path / "meshes" / "carton.obj")
