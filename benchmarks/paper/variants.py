@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-
-from fungrasp.evaluation.statistics import mean_interval
+from scipy.stats import bootstrap
 
 CONDITIONS = ("nominal", "nominal, not adapted", "reality")
 """What each policy is tried in: worlds as believed; the same with grasps that are not adapted to the settled
@@ -144,3 +143,22 @@ def _row(variant: Variant, results: Mapping[str, Mapping[str, Any]]) -> tuple[st
 def _interval(result: Mapping[str, Any]) -> str:
     low, high = result["success_interval"]
     return f"{100 * low:.0f} – {100 * high:.0f}"
+
+
+def mean_interval(values: np.ndarray, groups: Sequence[int] | np.ndarray) -> tuple[float, float]:
+    """Two-sided 95 % confidence interval of a mean whose values are independent between groups only: means of
+    groups are drawn with replacement (percentile bootstrap, 10,000 times).
+
+    Args:
+        values: shape [N].
+        groups: each value's group, shape [N]; groups are about equally large.
+
+    Returns:
+        lower and upper end; both the mean where there is one group.
+    """
+    groups = np.asarray(groups)
+    means = np.array([np.mean(values[groups == one]) for one in np.unique(groups)])
+    if len(means) == 1:
+        return float(means[0]), float(means[0])
+    drawn = bootstrap((means,), np.mean, n_resamples=10_000, method="percentile", rng=0)
+    return float(drawn.confidence_interval.low), float(drawn.confidence_interval.high)

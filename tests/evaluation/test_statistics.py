@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fungrasp.evaluation.results import finite
-from fungrasp.evaluation.statistics import mean_interval, mean_over_groups, wilson_interval
+from fungrasp.evaluation.statistics import mean_over_groups, wilson_interval
 
 
 @pytest.mark.parametrize(
@@ -43,16 +43,3 @@ def test_nothing_that_is_not_finite_reaches_json():
     value = finite({"a": np.array([1.0, np.nan]), "b": (np.float64(np.inf), np.bool_(True)), 3: np.int64(2)})
     assert value == {"a": [1.0, None], "b": [None, True], "3": 2}
     assert type(value["b"][1]) is bool and type(value["3"]) is int
-
-
-def test_the_interval_of_a_mean_counts_groups_not_values():
-    rng = np.random.default_rng(0)
-    of_grasp = rng.random(100) < 0.8
-    groups = np.repeat(np.arange(100), 3)
-    repeated = np.repeat(of_grasp, 3).astype(float)
-    low, high = mean_interval(repeated, groups)
-    wilson = wilson_interval(int(of_grasp.sum()), 100)
-    np.testing.assert_allclose((low, high), wilson, atol=0.015)
-    narrower = wilson_interval(3 * int(of_grasp.sum()), 300)
-    assert high - low > 1.4 * (narrower[1] - narrower[0])
-    assert mean_interval(np.array([0.0, 1.0]), [4, 4]) == (0.5, 0.5)

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import json
 
+import numpy as np
 import pytest
 from benchmark_runs import run_benchmark
 from grasp_files import some_grasps
 
 from benchmarks.paper import free_policies
 from benchmarks.paper.commands import HandsTable
-from benchmarks.paper.variants import CONDITIONS
+from benchmarks.paper.variants import CONDITIONS, mean_interval
 from fungrasp.evaluation.result_files import read_result
+from fungrasp.evaluation.statistics import wilson_interval
 from fungrasp.grasps import save_human_grasps
 
 TABLE = ("--grasps", "builtin", "--test", "builtin")
@@ -102,3 +104,16 @@ def test_free_policies_are_trained_in_turn_and_only_where_they_are_missing(tmp_p
     made.clear()
     run_benchmark(capsys, *command)
     assert made == ["Train"], "which goes on by its checkpoint"
+
+
+def test_the_interval_of_a_mean_counts_groups_not_values():
+    rng = np.random.default_rng(0)
+    of_grasp = rng.random(100) < 0.8
+    groups = np.repeat(np.arange(100), 3)
+    repeated = np.repeat(of_grasp, 3).astype(float)
+    low, high = mean_interval(repeated, groups)
+    wilson = wilson_interval(int(of_grasp.sum()), 100)
+    np.testing.assert_allclose((low, high), wilson, atol=0.015)
+    narrower = wilson_interval(3 * int(of_grasp.sum()), 300)
+    assert high - low > 1.4 * (narrower[1] - narrower[0])
+    assert mean_interval(np.array([0.0, 1.0]), [4, 4]) == (0.5, 0.5)

@@ -1,0 +1,163 @@
+"""Tables of perception, files and clusters."""
+
+from __future__ import annotations
+
+from benchmarks.documents.measured import (
+    NONE,
+    Table,
+    of_count,
+    read,
+)
+from benchmarks.documents.perception_table import SOURCES, perception_rows
+from fungrasp.formats import (
+    image_file,
+    json_file,
+    mesh_file,
+    mujoco_model,
+    numpy_files,
+    onnx_file,
+    pickle_file,
+    sandbox,
+    toml_file,
+    yaml_file,
+)
+from fungrasp.formats.file_bytes import DEEPEST, MOST_NODES
+from fungrasp.formats.xml_file import DEEPEST_ELEMENT
+
+
+def perception() -> Table:
+    """What is found in captures of objects kept aside, against the targets."""
+    return Table(("figure", "target", "measured"), perception_rows(read), SOURCES)
+
+
+def chain() -> Table:
+    """From image to lift: how many objects are lifted from true and from perceived grasps."""
+    rows = []
+    for name, part in read("perception-chain").header["chain"]["policies"].items():
+        counts = [round(part[what]["rate"] * part[what]["count"]) for what in ("true", "perceived")]
+        rows.append((f"`{name}`", *map(str, counts), f"{100 * part['share']:.0f} %"))
+    head = ("policy", "lifted, of the true grasps", "of the perceived ones", "share")
+    return Table(head, rows, ["perception-chain"])
+
+
+def varied_captures() -> Table:
+    """Objects in varied captures that nothing was chosen by, by what perception is told of them."""
+    head = (
+        "told",
+        "ADD-S below 10 mm",
+        "median [mm]",
+        "accepted are right",
+        "right are accepted",
+        "time [s]",
+    )
+    name = "perception-varied-held-out"
+    rows = []
+    for told, numbers in read(name).header["object"].items():
+        cells = [of_count(numbers[key]) for key in ("right", "accepted_and_right", "right_and_accepted")]
+        error, seconds = f"{numbers['add_s_mm']:.1f}", f"{numbers['seconds']:.1f}"
+        rows.append((told, cells[0], error, *cells[1:], seconds))
+    return Table(head, rows, [name])
+
+
+def limits() -> Table:
+    """What is read of each format, from the constants that the readers use."""
+    plain = f"{MOST_NODES / 1e6:g} million values, {DEEPEST} levels, integers of 64 bits"
+    child = f"{sandbox.SECONDS:g} s and 1 s for each {sandbox.BYTES_PER_SECOND / 1e6:g} MB"
+    child += f"; {sandbox.MEMORY / 1e9:g} GB"
+    kept = f"{numpy_files.LARGEST >> 20} MB of arrays, {numpy_files.MOST_ARRAYS} arrays, "
+    kept += f"{numpy_files.MOST_AXES} axes"
+    rows = [
+        ("NumPy (`.npz`, `.npy`)", _megabytes(numpy_files.LARGEST), f"{kept}; numbers, flags, text", NONE),
+        ("JSON", _megabytes(json_file.LARGEST), plain, NONE),
+        ("TOML", _megabytes(toml_file.LARGEST), plain, NONE),
+        ("YAML", _megabytes(yaml_file.LARGEST), plain, NONE),
+        (
+            "pickle",
+            _megabytes(pickle_file.LARGEST),
+            f"{pickle_file.MOST_STEPS / 1e6:g} million steps; arrays",
+            NONE,
+        ),
+        (
+            f"images ({', '.join(image_file.FORMATS)})",
+            _megabytes(image_file.LARGEST),
+            f"{image_file.LARGEST_PIXELS / 1e6:g} million pixels",
+            NONE,
+        ),
+        ("meshes", _megabytes(mesh_file.LARGEST), f"{mesh_file.MOST_FACES / 1e6:g} million faces", child),
+        (
+            "MJCF, URDF",
+            _megabytes(mujoco_model.LARGEST),
+            f"{DEEPEST_ELEMENT} levels, no entities, declared sizes up to {mujoco_model.LARGEST_SIZE:,}",
+            child,
+        ),
+        (
+            "ONNX",
+            _megabytes(onnx_file.LARGEST),
+            f"{onnx_file.MOST_MESSAGES:,} nodes, attributes, tensors; {len(onnx_file.OPERATORS)} operators",
+            child,
+        ),
+    ]
+    return Table(
+        ("format", "largest file", "what it may hold", "processor time; memory to parse it"), rows, []
+    )
+
+
+def _megabytes(size: int) -> str:
+    return f"{size / 1e6:,.3g} MB"
+
+
+def fuzz() -> Table:
+    """Damaged files by kind."""
+    result = read("fuzz")
+    rows = [
+        (
+            row["kind"],
+            f"{row['cases']:,}",
+            f"{row['taken']:,}",
+            f"{row['refused']:,}",
+            str(row["unclean"]),
+            f"{row['slowest_s']:.1f}",
+            f"{row['memory_mb']:.0f}",
+        )
+        for row in result.rows
+    ]
+    head = ("kind", "cases", "taken", "refused", "not clean", "slowest [s]", "largest memory [MB]")
+    return Table(head, rows, ["fuzz"])
+
+
+def kills() -> Table:
+    """Long work that was killed and went on."""
+    rows = [
+        (f"`{row['what']}`", str(row["kills"]), str(row["finished"]), str(row["found"]))
+        for row in read("kills").rows
+    ]
+    return Table(("work", "killed", "came to its end", "other result, or something left"), rows, ["kills"])
+
+
+def cluster() -> Table:
+    """A cluster, one machine of which was killed, beside one process."""
+    head = (
+        "",
+        "processors",
+        "time [s]",
+        "processor time [s]",
+        "at work",
+        "work in a processor second",
+        "same outcomes",
+    )
+    result, cells = read("cluster"), []
+    header = result.header
+    for row in result.rows:
+        many = row["run"] == "cluster"
+        cells.append(
+            (
+                f"{header['machines']} machines, one killed half way" if many else row["run"],
+                f"{row['processors']:.2f}",
+                f"{row['seconds']:.0f}",
+                f"{row['processor_seconds']:.0f}",
+                f"{row['at_work']:.1%}",
+                f"{header['work_per_processor_second']:.1%}" if many else "100 %",
+                f"{header['equal']:,} of {header['grasps']:,}" if many else NONE,
+            )
+        )
+    return Table(head, cells, ["cluster"])

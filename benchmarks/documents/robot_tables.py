@@ -1,0 +1,249 @@
+"""Tables of drivers, identification, wires and twins."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from benchmarks.documents.measured import (
+    NONE,
+    RESULTS,
+    Table,
+    milliseconds,
+    percent,
+    read,
+)
+from fungrasp.evaluation.statistics import wilson_interval
+
+
+def driver_faults() -> Table:
+    """How drivers react to faults of emulated devices."""
+    kinds = ("ur", "ur-clock", "inspire", "leap", "allegro", "allegro-saturated", "allegro-v5", "tracker")
+    return _reactions([f"driver-faults-{kind}" for kind in kinds])
+
+
+def control_faults() -> Table:
+    """What arm and hand do when the computer that controls them fails."""
+    kinds = ("control", "control-killed", "control-inspire")
+    return _reactions([f"driver-faults-{kind}" for kind in kinds], logs=True)
+
+
+def _reactions(names: Sequence[str], logs: bool = False) -> Table:
+    """Reactions by device and fault; trials that ended before their fault are left out."""
+    trials = [row for name in names for row in read(name).rows if not row["fault"].startswith("none")]
+    head = ("device", "fault", "trials", "limit [ms]", "seen", "after, median / 95 % [ms]")
+    head += ("stands", "after, median / 95 % [ms]", *["log read"] * logs, "restarted")
+    rows = []
+    for device, fault in dict.fromkeys((t["device"], t["fault"]) for t in trials):
+        group = [t for t in trials if (t["device"], t["fault"]) == (device, fault)]
+        seen, stopped = ([t[key] for t in group if t[key] is not None] for key in ("detected", "stopped"))
+        limit = group[0].get("limit")
+        # Trackers move nothing.
+        stands = NONE if device == "tracker" else f"{len(stopped)}"
+        cells = (
+            device,
+            fault,
+            str(len(group)),
+            NONE if limit is None else f"{1e3 * limit:.0f}",
+            f"{len(seen)}",
+            milliseconds(seen),
+            stands,
+            milliseconds(stopped),
+        )
+        readable = [str(sum(bool(t["log_readable"]) for t in group))] if logs else []
+        rows.append((*cells, *readable, f"{sum(t['restarted'] for t in group)}"))
+    return Table(head, rows, names)
+
+
+def driver_speed() -> Table:
+    """What drivers cost against emulated devices."""
+    head = ("device", "steps/s", "processor time of a step [µs]", "`command` [µs]", "`read` [µs]")
+    rows = []
+    for r in read("driver-speed").rows:
+        step = 1e6 * r["busy_share"] / r["rate"]
+        times = (f"{step:.0f}", f"{1e6 * r['command']:.0f}", f"{1e6 * r['read']:.0f}")
+        rows.append((r["device"], f"{r['rate']:.0f}", *times))
+    return Table(head, rows, ["driver-speed"])
+
+
+def identification() -> Table:
+    """Identified dynamics against known ones, by method."""
+    head = (
+        "method",
+        "truths",
+        "median error",
+        "largest",
+        "delay error [ms]",
+        "held-out RMS [rad]",
+        "time [s]",
+    )
+    results = [row for row in read("identification").rows if row["log"] == "known truth"]
+    rows = []
+    for method in dict.fromkeys(row["method"] for row in results):
+        group = [row for row in results if row["method"] == method]
+        keys = ("median_error", "held_out_rms", "seconds")
+        median = {key: float(np.median([row[key] for row in group])) for key in keys}
+        largest = max(row["largest_error"] for row in group)
+        delay = 1e3 * max(abs(row["delay_error"]) for row in group)
+        errors = (percent(median["median_error"]), percent(largest), f"{delay:.2f}")
+        fit = (f"{median['held_out_rms']:.4f}", f"{median['seconds']:.0f}")
+        rows.append((method, str(len(group)), *errors, *fit))
+    return Table(head, rows, ["identification"])
+
+
+def identification_twins() -> Table:
+    """Identified dynamics of twins' hands against their truth, by hand and method."""
+    head = ("hand", "method", "twins", "median error, of the model", "stiffness", "damping", "friction")
+    head += ("armature", "delay error [ms]", "held-out RMS [rad]", "time [s]")
+    names = ["identification-twins", "identification-weights"]
+    names = [name for name in names if (RESULTS / f"{name}.json").is_file()]
+    results = [row for name in names for row in read(name).rows]
+    for row in results:
+        if row.get("weight"):
+            row["hand"] += f", {row['weight']:g} kg on each fingertip"
+    rows = []
+    for hand, method in dict.fromkeys((row["hand"], row["method"]) for row in results):
+        group = [row for row in results if (row["hand"], row["method"]) == (hand, method)]
+
+        def median(key: str, group: Sequence[Mapping[str, Any]] = group) -> float:
+            return float(np.median([abs(row[key]) for row in group]))
+
+        error = f"{percent(median('median_error'))}, {percent(median('model_error'))}"
+        kinds = ("stiffness", "damping", "friction", "armature")
+        parts = [percent(median(f"errors.{name}")) for name in kinds]
+        end = (
+            f"{1e3 * median('delay_error'):.1f}",
+            f"{median('held_out_rms'):.4f}",
+            f"{median('seconds'):.0f}",
+        )
+        rows.append((hand, method, str(len(group)), error, *parts, *end))
+    return Table(head, rows, names)
+
+
+WIRE = {
+    "wire": "UR5e, Allegro, `plan`",
+    "wire-student": "UR5e, Allegro, `student`",
+    "wire-image": "UR5e, Allegro, `plan`, from images",
+    "wire-image-student": "UR5e, Allegro, `student`, from images",
+    "wire-inspire": "UR5e, Inspire, `plan`",
+}
+"""Results of ``bench wire``, as far as they are there."""
+
+
+def wire() -> Table:
+    """Deployments over the wire."""
+    head = ("chain", "runs", "lifted and held", "home again", "largest lateness, 10 Hz / 50 Hz [ms]")
+    head += (
+        "longest silence, arm / hand [ms]",
+        "lost by the twin [ms], median",
+        "of a core: control, arm, hand, emulators",
+    )
+    known = {name: title for name, title in WIRE.items() if (RESULTS / f"{name}.json").is_file()}
+    return Table(head, [(title, *_wire_cells(read(name).rows)) for name, title in known.items()], list(known))
+
+
+def _wire_cells(runs: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
+    late = " / ".join(f"{max(r[f'latest_{rate}hz_ms'] for r in runs):.0f}" for rate in (10, 50))
+    # Runs that could not begin have none.
+    silent = " / ".join(
+        f"{max(r.get(f'longest_silence_ms.{name}') or 0.0 for r in runs):.0f}" for name in ("arm", "hand")
+    )
+    names = ("control", "arm driver", "hand driver", "emulators")
+    known = [[r.get(f"cores.{name}") for r in runs] for name in names]
+    cores = ", ".join(f"{100 * np.median([v for v in values if v is not None]):.0f} %" for values in known)
+    home = sum(r["success"] and not r["fault"] for r in runs)
+    lost = f"{np.median([r['twin_lost_ms'] for r in runs]):.0f}"
+    return (f"{len(runs)}", f"{sum(r['success'] for r in runs)}", f"{home}", late, silent, lost, cores)
+
+
+def wire_ticks() -> Table:
+    """Lateness of control steps and setpoints over the wire."""
+    runs = read("wire").rows
+    prefix = "ticks_10hz."
+    edges = [name.removeprefix(prefix) for name in runs[0] if name.startswith(prefix)]
+    rows = [
+        (edge, *(f"{sum(r[f'ticks_{rate}hz.{edge}'] for r in runs)}" for rate in (10, 50))) for edge in edges
+    ]
+    return Table(("late by", "10 Hz", "50 Hz"), rows, ["wire"])
+
+
+def identification_ratios() -> Table:
+    """What identification finds of an Inspire hand: values, ratios, and what it says of itself."""
+    head = ("quantity", "error", "error of its ratio to the stiffness", "standard deviation the fit states")
+    results = read("identification-inspire").rows
+    rows = []
+    for name in ("stiffness", "damping", "friction", "armature"):
+
+        def median(part: str, name: str = name) -> str:
+            values = [row.get(f"{part}.{name}") for row in results]
+            known = [value for value in values if value is not None]
+            return NONE if len(known) < len(values) else percent(float(np.median(known)))
+
+        ratio = NONE if name == "stiffness" else median("ratio_errors")
+        rows.append((name, median("errors"), ratio, median("uncertainty")))
+    return Table(head, rows, ["identification-inspire"])
+
+
+TWINS = ("twin-allegro-node", "twin-allegro-again", "twin-inspire", "twin-inspire-again")
+"""Results of ``fungrasp robots evaluate``."""
+
+
+def twin_variants() -> Table:
+    """The lift test on twins, by robot and way to deploy."""
+    head = ("robot", "variant", "episodes", "not begun", "begun", "lifted and held", "of those begun (95 %)")
+    head += ("tracking, RMS [rad]", "sag [degrees]")
+    rows = []
+    for name in TWINS:
+        results = read(name)
+        for variant in dict.fromkeys(row["variant"] for row in results.rows):
+            group = [row for row in results.rows if row["variant"] == variant]
+            begun = [row for row in group if row["tracking_rad"] >= 0]
+            lifted = sum(row["success"] for row in begun)
+            low, high = wilson_interval(lifted, len(begun))
+            rate = f"{percent(lifted / len(begun))} ({100 * low:.0f} to {100 * high:.0f})"
+            off = f"{np.median([row['tracking_rad'] for row in begun]):.3f}"
+            sag = f"{np.rad2deg(np.median([row['sag_rad'] for row in begun])):.1f}"
+            counts = (f"{n}" for n in (len(group), len(group) - len(begun), len(begun), lifted))
+            rows.append((results.header["robot"], variant, *counts, rate, off, sag))
+    return Table(head, rows, list(TWINS))
+
+
+def twin_images() -> Table:
+    """From an image to a twin that lifts (Table II of the paper)."""
+    results = read("twin-images")
+    begun = [row for row in results.rows if row["tracking_rad"] >= 0]
+    lifted = [row for row in begun if row["success"]]
+    first = sum(row["attempts"] == 1 for row in lifted)
+    images, refused = results.header["images"], len(results.header["not_seen"])
+    beyond = len(results.header["out_of_reach"].split())
+    reached = results.header["grasps_that_can_be_reached"]
+
+    def share(count: int, number: int) -> str:
+        low, high = wilson_interval(count, number)
+        return f"{count} of {number}: {percent(count / number)} ({100 * low:.0f} to {100 * high:.0f})"
+
+    rows = [
+        ("images shown; refused by perception, with what is wrong", f"{images}; {refused}"),
+        ("grasps seen in the others that were looked at", f"{beyond + reached}"),
+        ("of these, no placement can be reached", f"{beyond}"),
+        ("deployments, objects", f"{len(results.rows)}, {len({row['object'] for row in results.rows})}"),
+        ("refused by the robot, or stopped before the grasp", f"{len(results.rows) - len(begun)}"),
+        ("**lifted and held, of those begun**", f"**{share(len(lifted), len(begun))}**"),
+        ("the same by the first attempt", share(first, len(begun))),
+        ("lifted and held, of all deployments", share(len(lifted), len(results.rows))),
+        ("objects lifted at least once", f"{len({row['object'] for row in lifted})}"),
+    ]
+    return Table(("ur5e-allegro-node, `student`, two attempts", ""), rows, ["twin-images"])
+
+
+def identification_step() -> Table:
+    """A real hand's step, measured and predicted on rows that were held out."""
+    head = ("method", "delay, measured / predicted [ms]", "rise time, measured / predicted [ms]")
+    rows = []
+    for r in read("identification").rows:
+        if r["log"] == "real step":
+            delay, rise = (f"{1e3 * r[k]:.1f} / {1e3 * r[f'{k}_predicted']:.1f}" for k in ("delay", "rise"))
+            rows.append((r["method"], delay, rise, f"{r['held_out_rms']:.4f}"))
+    return Table((*head, "held-out RMS [rad]"), rows, ["identification"])
