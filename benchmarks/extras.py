@@ -95,7 +95,7 @@ TRIALS = {
     "pose": Trial("python -m benchmarks.faults --devices tracker --trials 1"),
     "ray": Trial("fungrasp retarget --grasps few.npz --ray --out r.npz", GRASPS),
     "realsense": Trial(
-        "fungrasp perceive --camera --mesh mug --out g.npz", ends_with=r"no .*camera|camera .*(not|no )"
+        "fungrasp perceive --camera --mesh mug --out g.npz", ends_with="camera"
     ),
     "sysid": Trial(f"{FIT} cma-es --evaluations 30", STEP),
     "ur": Trial(f"{DRIVER} ur"),

@@ -27,7 +27,7 @@ PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 MARKED = re.compile(r"(<!-- table: (?P<name>\w+) -->\n)(?P<text>.*?)(<!-- end of table -->)", re.DOTALL)
 RENAMED = {
     "fungrasp bench retarget --peers": "python -m benchmarks.peers",
-    "fungrasp bench perception --varied": "python -m benchmarks.perception captures --varied",
+    "fungrasp bench perception --varied": "python -m benchmarks.perception varied",
     "fungrasp bench perception": "python -m benchmarks.perception captures",
     "fungrasp bench depth": "python -m benchmarks.perception depth",
     "fungrasp bench cluster": "python -m benchmarks.speed cluster",

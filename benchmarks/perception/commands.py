@@ -2,8 +2,17 @@
 
 from __future__ import annotations
 
-from benchmarks.perception.captures import BenchPerception
+from benchmarks.perception.captures import Captures
 from benchmarks.perception.depth import BenchDepth
+from benchmarks.perception.recorded import Recorded
+from benchmarks.perception.tracking import Tracking
+from benchmarks.perception.varied import Varied
 
-COMMAND = {"captures": BenchPerception, "depth": BenchDepth}
+COMMAND = {
+    "captures": Captures,
+    "recorded": Recorded,
+    "varied": Varied,
+    "tracking": Tracking,
+    "depth": BenchDepth,
+}
 """By subcommand name."""

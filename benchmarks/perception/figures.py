@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 
 from benchmarks.perception.measurements import CaptureResult, PoseResult
-from fungrasp.errors import FungraspError
 from fungrasp.evaluation.results import finite
 from fungrasp.evaluation.statistics import wilson_interval
-from fungrasp.grasps import HumanGrasp, HumanGraspSet
 from fungrasp.perception.pipeline import ACCEPTED_HAND
 
 
@@ -155,83 +153,8 @@ def _spread(values: Sequence[float]) -> dict[str, float] | None:
 
 
 def capture_rows(results: Sequence[CaptureResult]) -> list[dict[str, Any]]:
-    """Each capture's numbers without the grasps, ready for JSON."""
-    rows = [asdict(result) for result in results]
-    return finite(
-        [{k: v for k, v in row.items() if k not in ("grasp", "perceived", "others")} for row in rows]
-    )
-
-
-def chain_sets(
-    results: Sequence[CaptureResult], objects: Mapping[str, Any], several: bool = False
-) -> tuple[HumanGraspSet, HumanGraspSet | None, np.ndarray]:
-    """True and perceived grasps, for retargeting both.
-
-    Args:
-        results: of captures.
-        objects: by name: a grasp taken for a left hand's is of a mirrored object and is left out.
-        several: whether all hands that an image allows are taken, as rows that follow each other.
-
-    Returns:
-        the true grasps, all; the perceived ones that are grasps at all (None if there are none); the capture
-        of each of those, shape [P] int.
-    """
-    true = [_one(result.grasp) for result in results]
-    sets, rows = [], []
-    for row, result in enumerate(results):
-        if result.perceived is None or result.perceived.object_name not in objects:
-            continue
-        try:
-            hands = (result.perceived, *result.others) if several else (result.perceived,)
-            whole = [_one(hand) for hand in hands]
-            if several:
-                parts = [1.0 if hand.probability is None else hand.probability for hand in hands]
-                whole = [replace(one, probability=np.array([p])) for one, p in zip(whole, parts, strict=True)]
-            sets.append(HumanGraspSet.concatenate(whole))
-        except FungraspError:
-            continue
-        rows.append(row)
-    perceived = HumanGraspSet.concatenate(sets) if sets else None
-    return HumanGraspSet.concatenate(true), perceived, np.array(rows, dtype=int)
-
-
-def _one(grasp: HumanGrasp) -> HumanGraspSet:
-    """A set of one grasp."""
-    return HumanGraspSet(
-        object_name=np.array([grasp.object_name]),
-        object_mass=np.array([grasp.object_mass]),
-        object_pose=grasp.object_pose[None],
-        object_rest_pose=grasp.object_rest_pose[None],
-        hand_joints=grasp.hand_joints[None],
-        link_contacts=grasp.link_contacts[None],
-        task=np.array([grasp.task]),
-    )
-
-
-def chain_figures(
-    true: np.ndarray, perceived: np.ndarray, rows: np.ndarray, sure: np.ndarray
-) -> dict[str, Any]:
-    """Success of the chain against that of the true grasps.
-
-    Args:
-        true: whether each capture's true grasp lifts its object, shape [N] bool.
-        perceived: the same of the perceived ones, shape [P] bool.
-        rows: capture of each of those, shape [P]; captures without one have failed.
-        sure: whether perception was confident of a capture, shape [N] bool.
-    """
-    success = np.zeros(len(true), dtype=bool)
-    success[rows] = perceived
-    rate = float(true.mean())
-    return finite(
-        {
-            "true": rate_of(true.tolist()),
-            "perceived": rate_of(success.tolist()),
-            "perceived_where_sure": rate_of(success[sure].tolist()),
-            "true_where_sure": rate_of(true[sure].tolist()),
-            "share": float(success.mean()) / rate if rate else None,
-            "successes": {"true": true, "perceived": success},
-        }
-    )
+    """Each capture's numbers, ready for JSON."""
+    return finite([asdict(result) for result in results])
 
 
 def target_rows(figures: Mapping[str, Any]) -> list[tuple[str, str, str, str]]:

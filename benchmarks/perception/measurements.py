@@ -1,10 +1,11 @@
 """How well perception does on captures whose truth is known, stage by stage, and how long it takes.
 
-Errors are in millimetres, degrees and pixels, as results are published in them.
+Errors are in millimeters, degrees and pixels, as results are published in them.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from time import perf_counter, process_time
 from types import TracebackType
@@ -13,7 +14,8 @@ from typing import Protocol
 import numpy as np
 import trimesh
 
-from fungrasp.grasps import HumanGrasp
+from fungrasp.errors import FungraspError
+from fungrasp.grasps import HumanGrasp, HumanGraspSet
 from fungrasp.objects import ObjectModel
 from fungrasp.perception import Capture, HandEstimate
 from fungrasp.perception.hand.contact_evidence import touching_links
@@ -143,7 +145,7 @@ class Seconds:
     processors."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class CaptureResult:
     """What perception made of one capture."""
 
@@ -162,15 +164,8 @@ class CaptureResult:
     seconds: dict[str, Seconds]
     """Time of each stage: "mesh" (made ready, once for all images of it), "hand" (detection and metric fit),
     "object_masked", "object_unmasked", "perceive" (all of ``perceive`` without a mask)."""
-    grasp: HumanGrasp
-    """The true grasp, world frame."""
-    perceived: HumanGrasp | None
-    """What ``perceive`` made of the image without a mask, in a world of its own; None where no hand was
-    found."""
     sure: bool
     """Whether ``perceive`` was confident of the grasp: ``Perceived.confident``."""
-    others: tuple[HumanGrasp, ...] = ()
-    """Other hands that the image allows, as grasps with their probabilities."""
 
 
 class Stopwatch:
@@ -205,7 +200,8 @@ def measure_perception(
     other: ObjectModel | None = None,
     colored: trimesh.Trimesh | None = None,
     count: int = 1,
-) -> CaptureResult:
+    absent: AbsentResult | None = None,
+) -> tuple[CaptureResult, HumanGraspSet | None]:
     """Run perception on one capture, stage by stage.
 
     Args:
@@ -213,8 +209,13 @@ def measure_perception(
         model: the object.
         detector: finds hands.
         other: another object, whose mesh must not be accepted; not tried if None.
-        colored: the object's mesh with colours, if perception is to know them.
+        colored: the object's mesh with colors, if perception is to know them.
         count: hands that are asked for, at most.
+        absent: goes into the result.
+
+    Returns:
+        the numbers; the hands that ``perceive`` gave, the best first, in a world of their own, None where
+        they are no grasp that could be tried.
     """
     capture, mesh = known.capture, model if colored is None else colored
     masked = capture.with_object(mask=known.object_mask) if known.object_mask.any() else capture
@@ -249,7 +250,7 @@ def measure_perception(
     parts = (hand_watch, table_watch, unmasked_watch, rest_watch)
     wrong = None if other is None else search_object_pose(masked, other, hand, under)
     truth = known.pose_camera_object
-    return CaptureResult(
+    result = CaptureResult(
         object_name=str(known.grasp.object_name),
         hand=_hand_result(known, model, hand, perceived),
         masked=_pose_result(with_mask, points, truth),
@@ -264,11 +265,33 @@ def measure_perception(
                 sum(part.seconds.wall for part in parts), sum(part.seconds.cpu for part in parts)
             ),
         },
-        absent=None,
-        grasp=known.grasp,
-        perceived=None if perceived is None else perceived.hands[0].grasp,
+        absent=absent,
         sure=perceived is not None and perceived.confident,
-        others=() if perceived is None else tuple(one.grasp for one in perceived.hands[1:]),
+    )
+    if perceived is None:
+        return result, None
+    try:
+        return result, grasp_set([one.grasp for one in perceived.hands])
+    except FungraspError:
+        return result, None
+
+
+def grasp_set(grasps: Sequence[HumanGrasp]) -> HumanGraspSet:
+    """Some grasps, as hands whose joints are not known by angle.
+
+    Raises:
+        FungraspError: one is no grasp, see ``HumanGraspSet``.
+    """
+    parts = [grasp.probability for grasp in grasps]
+    return HumanGraspSet(
+        object_name=np.array([grasp.object_name for grasp in grasps]),
+        object_mass=np.array([grasp.object_mass for grasp in grasps]),
+        object_pose=np.stack([grasp.object_pose for grasp in grasps]),
+        object_rest_pose=np.stack([grasp.object_rest_pose for grasp in grasps]),
+        hand_joints=np.stack([grasp.hand_joints for grasp in grasps]),
+        link_contacts=np.stack([grasp.link_contacts for grasp in grasps]),
+        task=np.array([grasp.task for grasp in grasps]),
+        probability=None if None in parts else np.array(parts, dtype=float),
     )
 
 

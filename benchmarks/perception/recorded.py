@@ -1,13 +1,32 @@
-"""``python -m benchmarks.perception captures --real``: perception on a set of real captures."""
+"""``python -m benchmarks.perception recorded``: perception on a set of real captures."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
+
+import tyro
 
 from fungrasp.cli.console import progress_bar, table
 
 
-def bench_recorded(folder: Path, json: Path | None) -> None:
+@dataclass(frozen=True)
+class Recorded:
+    """Measure captures whose truth is known, of a real camera or of `varied`: the object with and without
+    hints, and the hand."""
+
+    folder: Annotated[Path, tyro.conf.Positional]
+    """One folder each: rgb.png, depth.png, K.json, mask.png, truth.json; `recorded_captures.py` says what is
+    in them."""
+    json: Path | None = None
+    """Write the numbers here (.json), each answer to a CSV file beside it."""
+
+    def run(self) -> None:
+        report_recorded(self.folder, self.json)
+
+
+def report_recorded(folder: Path, json: Path | None) -> None:
     """Measure every capture in a folder, print the figures and write them.
 
     Args:

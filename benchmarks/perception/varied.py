@@ -1,17 +1,48 @@
-"""``python -m benchmarks.perception captures --varied``: captures as difficult as real ones."""
+"""``python -m benchmarks.perception varied``: captures as difficult as real ones."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from benchmarks.command import check_positive
 from fungrasp.cli.console import progress_bar
 
 if TYPE_CHECKING:
     from fungrasp.grasps import HumanGraspSet
     from fungrasp.objects import ObjectModel
     from fungrasp.synthetic_captures.capture_settings import CaptureSettings
+
+
+@dataclass(frozen=True)
+class Varied:
+    """Render captures with the errors of real cameras, left hands, hands of other sizes, rings, watches,
+    faces and hands of other people, and half as many images without a hand; measure them like recorded
+    ones."""
+
+    keep: Path
+    """Folder of the captures; those that are there already are not rendered again."""
+    grasps: str = "builtin"
+    """A file of human grasps, or "builtin"."""
+    objects: Path | None = None
+    """Folder of meshes <name>.obj; built-in objects need none."""
+    captures: int = 20
+    """How many to render, with a hand."""
+    seed: int = 1000
+    """Decides the captures."""
+    json: Path | None = None
+    """Write the numbers here (.json), each answer to a CSV file beside it."""
+
+    def run(self) -> None:
+        from benchmarks.perception.recorded import report_recorded
+        from fungrasp.grasps import load_human_grasps, load_objects
+
+        check_positive(captures=self.captures)
+        human = load_human_grasps(self.grasps)
+        render_varied(self.keep, human, load_objects(human, self.objects), self.captures, self.seed)
+        report_recorded(self.keep, self.json)
 
 
 def render_varied(

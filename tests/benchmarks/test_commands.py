@@ -11,8 +11,11 @@ import pytest
 from benchmark_runs import run_benchmark
 from grasp_files import some_grasps
 
-from benchmarks.perception.captures import BenchPerception
+from benchmarks.perception.capture_job import CaptureJob, CaptureTrial
+from benchmarks.perception.captures import Captures
+from benchmarks.perception.chain import run_chain
 from fungrasp.grasps import load_objects, save_human_grasps
+from fungrasp.hands import load_hand
 from fungrasp.perception import Intrinsics
 from fungrasp.planning.selection import SelectionSettings
 from fungrasp.planning.selection.settings import FurtherSearch
@@ -104,12 +107,13 @@ def test_perception_on_kept_captures(human, tmp_path, capsys, monkeypatch):
     path = tmp_path / "b.json"
     arguments = ("--grasps", human, "--captures", 2, "--seed", 7, "--keep", tmp_path / "kept", "--wrong")
     with monkeypatch.context() as patch:
-        patch.setattr(BenchPerception, "_one", interrupted(BenchPerception._one, after=1))
+        patch.setattr(CaptureJob, "_measured", interrupted(CaptureJob._measured, after=1))
+        trial = CaptureTrial(7, wrong=True)
         with pytest.raises(KeyboardInterrupt):
-            BenchPerception(human, captures=2, seed=7, keep=tmp_path / "kept", wrong=True, json=path).run()
+            Captures(human, captures=2, keep=tmp_path / "kept", trial=trial, json=path).run()
     assert not path.exists()
     with monkeypatch.context() as patch:
-        patch.setattr(BenchPerception, "_one", interrupted(BenchPerception._one, after=1))
+        patch.setattr(CaptureJob, "_measured", interrupted(CaptureJob._measured, after=1))
         status, out, _ = run_benchmark(capsys, "perception", "captures", *arguments, "--json", path)
     assert status == 0, "the first capture is not measured again"
     assert [file.name for file in tmp_path.iterdir() if file.is_file()] == ["b.json"]
@@ -123,21 +127,22 @@ def test_perception_on_kept_captures(human, tmp_path, capsys, monkeypatch):
 
 
 def test_several_policies_try_the_same_chain(monkeypatch):
-    grasp = some_grasps()[0]
+    grasps = some_grasps().select([0])
     results: list[Any] = [
-        SimpleNamespace(grasp=grasp, perceived=grasp, sure=True),
-        SimpleNamespace(grasp=grasp, perceived=None, sure=False),
+        SimpleNamespace(true=grasps, perceived=grasps, result=SimpleNamespace(sure=True)),
+        SimpleNamespace(true=grasps, perceived=None, result=SimpleNamespace(sure=False)),
     ]
 
     def tried(robot, objects, hand, policy, **others):
         return SimpleNamespace(outcomes=SimpleNamespace(success=np.full(len(robot), policy == "good")))
 
-    monkeypatch.setattr("fungrasp.retargeting.retarget", lambda human, *others, **options: human)
+    monkeypatch.setattr("fungrasp.retargeting.retarget", lambda human, *others, **more: human)
     monkeypatch.setattr("fungrasp.evaluation.evaluate", tried)
-    figures = BenchPerception(policy=("poor", "good"))._chain(results, load_objects(some_grasps()))
+    objects, hand = load_objects(some_grasps()), load_hand("allegro")
+    figures = run_chain(results, objects, hand, ("poor", "good"))
     assert figures["policy"] == "poor" and figures["true"]["rate"] == 0 and figures["share"] is None
     assert figures["policies"]["good"]["share"] == 0.5
-    alone = BenchPerception(policy=("good",))._chain(results, load_objects(some_grasps()))
+    alone = run_chain(results, objects, hand, ("good",))
     assert alone["perceived_where_sure"]["rate"] == 1 and "policies" not in alone
 
 

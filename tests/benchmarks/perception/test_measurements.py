@@ -9,14 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.perception.figures import (
-    capture_rows,
-    chain_figures,
-    chain_sets,
-    perception_figures,
-    target_rows,
-)
-from benchmarks.perception.kept_captures import KeptCaptures
+from benchmarks.perception.capture_job import MeasuredCapture
+from benchmarks.perception.chain import chain_figures, chain_sets
+from benchmarks.perception.figures import capture_rows, perception_figures, target_rows
 from benchmarks.perception.measurements import (
     TIP_LINKS,
     AbsentResult,
@@ -24,12 +19,14 @@ from benchmarks.perception.measurements import (
     HandResult,
     PoseResult,
     Seconds,
+    grasp_set,
     measure_absent,
     measure_perception,
 )
 from benchmarks.perception.true_landmarks import TrueLandmarks
 from fungrasp.geometry.poses import compose, invert, transform_points
 from fungrasp.grasps import HUMAN_JOINTS, HUMAN_LINKS, builtin_grasps
+from fungrasp.jobs import PartStore
 from fungrasp.objects import builtin_object
 from fungrasp.perception import Capture, Intrinsics
 from fungrasp.perception.hand.detected_hand import DetectedHand
@@ -53,8 +50,13 @@ class StandIn:
 def result(**changes) -> CaptureResult:
     hand = HandResult(True, 0.9, True, 4.0, 10.0, 8.0, 6.0)
     seconds = {"hand": Seconds(0.1, 0.05), "object_masked": Seconds(1.0, 0.5)}
-    whole = CaptureResult("mug", hand, RIGHT, RIGHT, None, None, seconds, GRASP, None, False)
+    whole = CaptureResult("mug", hand, RIGHT, RIGHT, None, None, seconds, False)
     return dataclasses.replace(whole, **changes)
+
+
+def measured(*perceived, **changes) -> MeasuredCapture:
+    hands = grasp_set(perceived) if perceived else None
+    return MeasuredCapture(result(**changes), grasp_set([GRASP]), hands)
 
 
 def known_capture() -> Any:
@@ -89,21 +91,21 @@ def test_a_capture_is_measured_against_its_truth():
     pixels = known.capture.intrinsics.project(known.joints_camera)
     shape = known.joints_camera - known.joints_camera.mean(axis=0)
     seen = DetectedHand(pixels + np.array([3.0, 0.0]), shape, "right", 1.0, 0.9)
-    found = measure_perception(known, MODEL, StandIn(seen), builtin_object("hammer"))
+    found, perceived = measure_perception(known, MODEL, StandIn(seen), builtin_object("hammer"))
     assert found.masked.right and found.masked.add_s_mm < 4
     assert found.wrong_mesh is not None
     assert not found.wrong_mesh.right and not found.wrong_mesh.accepted
     assert found.hand.found and found.hand.right_side
     assert found.hand.pixel_error == pytest.approx(3.0 * 4), "as of an image 640 wide"
-    assert found.hand.joint_error_mm > 0 and found.perceived is not None
+    assert found.hand.joint_error_mm > 0 and perceived is not None
     assert set(found.seconds) == {"mesh", "hand", "object_masked", "object_unmasked", "perceive"}
     parts = [found.seconds[name].wall for name in ("hand", "object_unmasked")]
     assert found.seconds["perceive"].wall > sum(parts)
 
 
 def test_without_a_hand_there_is_no_grasp_but_a_pose():
-    found = measure_perception(known_capture(), MODEL, StandIn())
-    assert found.perceived is None and not found.hand.found and found.wrong_mesh is None
+    found, perceived = measure_perception(known_capture(), MODEL, StandIn())
+    assert perceived is None and not found.hand.found and found.wrong_mesh is None
     assert found.masked.right
     figures = perception_figures([found])
     assert figures["hand"]["found"]["rate"] == 0 and figures["hand"]["joint_error_mm"] is None
@@ -125,9 +127,8 @@ def test_landmarks_that_are_true_but_for_noise():
     assert off.std() == pytest.approx(6.0 / 4, rel=0.1) and abs(off.mean()) < 0.1
     (hand,) = TrueLandmarks(known.joints_camera, lens, 0.0, rng).detect(known.capture.color)
     np.testing.assert_allclose(hand.pixels, pixels)
-    assert hand.side == "right" and measure_perception(
-        known, MODEL, StandIn(hand)
-    ).hand.pixel_error == pytest.approx(0.0, abs=1e-9)
+    found, _ = measure_perception(known, MODEL, StandIn(hand))
+    assert hand.side == "right" and found.hand.pixel_error == pytest.approx(0.0, abs=1e-9)
 
 
 def test_each_tip_ends_its_own_fingers_last_link():
@@ -193,7 +194,7 @@ def test_targets_are_met_or_not():
 
 def test_what_perception_did_not_find_counts_as_failed_in_the_chain():
     mirrored = dataclasses.replace(GRASP, object_name="mug_mirrored")
-    results = [result(perceived=GRASP), result(), result(perceived=mirrored)]
+    results = [measured(GRASP), measured(), measured(mirrored)]
     true, found, rows = chain_sets(results, {GRASP.object_name: MODEL})
     assert len(true) == 3 and found is not None and len(found) == 1 and rows.tolist() == [0]
     np.testing.assert_array_equal(found.hand_joints[0], GRASP.hand_joints)
@@ -205,39 +206,33 @@ def test_what_perception_did_not_find_counts_as_failed_in_the_chain():
 
 
 def test_the_chain_of_nothing():
-    true, found, rows = chain_sets([result()], {})
+    true, found, rows = chain_sets([measured()], {})
     assert len(true) == 1 and found is None and rows.shape == (0,)
     figures = chain_figures(np.array([False]), np.zeros(0, bool), rows, np.array([False]))
     assert figures["share"] is None and figures["perceived_where_sure"] is None
 
 
-def test_kept_captures_are_the_same_when_read_again(tmp_path):
-    path = tmp_path / "kept.json"
+def test_a_measured_capture_is_the_same_when_read_again(tmp_path):
     absent = AbsentResult(0.2, dataclasses.replace(WRONG, add_s_mm=np.inf, rotation_deg=np.nan))
-    whole = result(perceived=GRASP, sure=True, wrong_mesh=WRONG, absent=absent)
-    KeptCaptures(path, "a").save(3, whole)
-    store = KeptCaptures(path, "a")
-    store.save(4, result(hand=HandResult(False)))
-    read = KeptCaptures(path, "a").load(3)
-    assert read is not None and read.perceived is not None
-    assert capture_rows([read]) == capture_rows([whole])
-    assert read.absent is not None and read.absent.pose.add_s_mm == np.inf
-    for field in dataclasses.fields(GRASP):
-        np.testing.assert_array_equal(getattr(read.perceived, field.name), getattr(GRASP, field.name))
-    assert KeptCaptures(path, "a").load(5) is None
-    assert KeptCaptures(path, "b").load(3) is None, "measured with other settings"
-    path.write_text("{")
-    assert KeptCaptures(path, "a").load(3) is None
-    store.remove()
-    assert not path.exists()
+    whole = measured(GRASP, sure=True, wrong_mesh=WRONG, absent=absent)
+    store = PartStore(tmp_path / "kept")
+    store.save("3", whole.arrays())
+    store.save("4", measured(hand=HandResult(False)).arrays())
+    kept, other = store.load("3"), store.load("4")
+    assert kept is not None and other is not None
+    read = MeasuredCapture.from_arrays(kept)
+    assert capture_rows([read.result]) == capture_rows([whole.result])
+    assert read.result.absent is not None and read.result.absent.pose.add_s_mm == np.inf
+    assert read.perceived is not None and MeasuredCapture.from_arrays(other).perceived is None
+    assert read.true.digest == whole.true.digest and read.perceived.digest == whole.true.digest
 
 
 def test_all_hands_of_an_image_follow_each_other_in_the_chain():
     hands = [dataclasses.replace(GRASP, probability=part) for part in (0.7, 0.2, 0.1)]
     results = [
-        result(perceived=hands[0], others=tuple(hands[1:])),
-        result(),
-        result(perceived=GRASP),
+        measured(*hands),
+        measured(),
+        measured(GRASP),
     ]
     objects = {GRASP.object_name: MODEL}
     _, several, rows = chain_sets(results, objects, several=True)

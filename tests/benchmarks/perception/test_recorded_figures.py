@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 from object_pose_scenes import scene
 
-from benchmarks.perception.object_tracking import measure_tracking
 from benchmarks.perception.recorded_captures import read_recorded, recorded_folders
 from benchmarks.perception.recorded_figures import (
     hinted_captures,
@@ -15,6 +14,7 @@ from benchmarks.perception.recorded_figures import (
     recorded_table,
     smaller_mask,
 )
+from benchmarks.perception.tracking import measure_tracking
 from fungrasp.errors import FungraspError
 from fungrasp.grasps import load_human_grasps
 from fungrasp.objects import load_object
