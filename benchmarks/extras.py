@@ -94,9 +94,7 @@ TRIALS = {
     "perception": Trial("fungrasp demo --from-image", setup="fungrasp setup perception"),
     "pose": Trial("python -m benchmarks.faults --devices tracker --trials 1"),
     "ray": Trial("fungrasp retarget --grasps few.npz --ray --out r.npz", GRASPS),
-    "realsense": Trial(
-        "fungrasp perceive --camera --mesh mug --out g.npz", ends_with="camera"
-    ),
+    "realsense": Trial("fungrasp perceive --camera --mesh mug --out g.npz", ends_with="camera|libusb"),
     "sysid": Trial(f"{FIT} cma-es --evaluations 30", STEP),
     "ur": Trial(f"{DRIVER} ur"),
     "wandb": Trial(f"{TRAIN} --wandb project", GRASPS, missing="learning"),
