@@ -55,16 +55,27 @@ class Command:
 
 def steps(page: Path) -> Iterator[tuple[str, str] | Command]:
     """Files to write (name, text) and commands to run, in order."""
+    for block, reason, status in blocks(page):
+        if block["title"]:
+            yield block["title"], block["text"]
+        elif block["language"] == "console" and not reason:
+            for line, shown in lines_of(block):
+                yield Command(line, shown, status)
+
+
+def blocks(page: Path) -> Iterator[tuple[re.Match[str], str, int]]:
+    """Blocks of a page: why it is not run ("": it is), and with what status its commands end."""
     text = page.read_text()
     for block in BLOCK.finditer(text):
         comment = COMMENT.search(text[: block.start()])
-        if block["title"]:
-            yield block["title"], block["text"]
-        elif block["language"] == "console" and not (comment and comment["reason"]):
-            status = int(comment["status"]) if comment else 0
-            for part in re.split(r"^\$ ", block["text"], flags=re.MULTILINE)[1:]:
-                line, *shown = part.splitlines()
-                yield Command(line, tuple(s for s in shown if s.strip()), status)
+        yield block, (comment and comment["reason"]) or "", int((comment and comment["status"]) or 0)
+
+
+def lines_of(block: re.Match[str]) -> Iterator[tuple[str, tuple[str, ...]]]:
+    """Commands of a block, and the lines that each prints."""
+    for part in re.split(r"^\$ ", block["text"].replace("\\\n", " "), flags=re.MULTILINE)[1:]:
+        line, *shown = part.splitlines()
+        yield line, tuple(s for s in shown if s.strip())
 
 
 def run(arguments: list[str]) -> int:
@@ -135,6 +146,28 @@ def makefile_targets() -> set[str]:
     checks = re.search(r"^CHECKS := (.*)$", text, re.MULTILINE)
     assert named and checks
     return {*named[1].split(), *checks[1].split()}
+
+
+def test_commands_that_are_not_run_have_their_options(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "200")
+    checked = 0
+    for page in MANUAL:
+        for block, reason, _ in blocks(page):
+            lines = [line for line, _ in lines_of(block)] if reason and block["language"] == "console" else []
+            for line in lines:
+                words = shlex.split(line)
+                if words[0] != "fungrasp" and words[:2] != ["python", "-m"]:
+                    continue
+                first = next((i for i, word in enumerate(words) if word.startswith("--")), len(words))
+                status = run([*words[:first], "--help"])
+                shown = capsys.readouterr().out
+                assert status == 0, f"{page.name}: {line}"
+                for option in words[first:]:
+                    checked += 1
+                    assert not option.startswith("--") or option in shown, f"{page.name}: {line}: {option}"
+    assert checked > 50
 
 
 def test_a_reason_is_given_for_what_is_not_run() -> None:
