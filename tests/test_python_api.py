@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -67,3 +70,17 @@ def test_reprs_are_short(human):
     objects = fungrasp.load_objects(human)
     for thing in (human, human[0], objects["mug"], fungrasp.load_hand("allegro")):
         assert len(repr(thing)) < 100
+
+
+def test_type_checkers_are_told_the_names_that_are_loaded_on_use():
+    stub = Path(fungrasp.__file__).with_suffix(".pyi").read_text()
+    told = re.findall(r"^from fungrasp\.(\S+) import (\w+) as \2$", stub, re.MULTILINE)
+    assert {name: module for module, name in told} == fungrasp._MODULES
+
+
+def test_plans_are_made_in_the_open(human):
+    objects = fungrasp.load_objects(human)
+    plans = fungrasp.plan(retarget(human, objects, "allegro"), objects)
+    assert len(plans) == len(human)
+    np.testing.assert_array_equal(plans.object_name, human.object_name)
+    assert np.isfinite(plans.palm_goal).all() and (plans.lift_step > plans.closing_step).all()

@@ -11,7 +11,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from fungrasp import __version__
+from fungrasp.version import __version__
 
 
 def run_record(seed: int | list[int]) -> dict[str, Any]:

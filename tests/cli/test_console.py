@@ -43,4 +43,4 @@ def test_progress_off_a_terminal_is_a_line_now_and_then(capsys, monkeypatch):
     with console.progress_bar("lifting", 8) as show:
         for done in (1, 4, 5):
             show(done)
-    assert capsys.readouterr().err == "lifting: 50 %\n"
+    assert capsys.readouterr().err == "lifting: 50 %\nlifting: 100 %\n"

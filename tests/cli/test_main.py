@@ -10,9 +10,9 @@ import types
 
 import pytest
 
-from fungrasp import __version__
 from fungrasp.cli import main as cli
 from fungrasp.errors import FungraspError
+from fungrasp.version import __version__
 
 HEAVY = ("mujoco", "scipy", "trimesh", "av", "coacd", "PIL", "numpy", "tyro")
 

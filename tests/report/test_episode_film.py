@@ -11,7 +11,7 @@ from fungrasp.evaluation import Trajectory
 from fungrasp.hands import load_hand
 from fungrasp.objects import builtin_object
 from fungrasp.report import episode_film as module
-from fungrasp.report.episode_film import VERDICT_TIME, episode_film, episode_phases
+from fungrasp.report.episode_film import VERDICT_TIME, episode_film, episode_phases, film_frames
 
 HAND = load_hand("allegro")
 BALL = builtin_object("tennis_ball")
@@ -125,3 +125,11 @@ def test_still_frames_are_drawn_once(trajectory: Trajectory, monkeypatch: pytest
     count = len(list(episode_film(trajectory, HAND, BALL, fps=FPS, speed=1.0, width=WIDTH, height=HEIGHT)))
     assert count == 26 + round(VERDICT_TIME * FPS)
     assert drawn <= 13, "the hand is still from 1 s to 2 s and from 3 s on"
+
+
+def test_the_number_of_frames_is_known_before(trajectory: Trajectory) -> None:
+    diverged = replace(trajectory, object_pose=trajectory.object_pose.copy())
+    diverged.object_pose[30:] = np.nan
+    for each in (trajectory, diverged):
+        frames = episode_film(each, HAND, BALL, fps=FPS, speed=1.7, width=WIDTH, height=HEIGHT)
+        assert len(list(frames)) == film_frames(each, FPS, 1.7)

@@ -20,7 +20,8 @@ LINE_PERIOD = 30.0
 
 @contextmanager
 def progress_bar(words: str, total: float) -> Iterator[Callable[[float], None]]:
-    """A bar on stderr while something takes long; where stderr is no terminal, a line now and then.
+    """A bar on stderr while something takes long; where stderr is no terminal, a line now and then, and one
+    at the end if there was any.
 
     Args:
         words: what is being done.
@@ -34,7 +35,9 @@ def progress_bar(words: str, total: float) -> Iterator[Callable[[float], None]]:
 
     console = Console(stderr=True)
     if not console.is_terminal:
-        yield _plain_lines(words, total)
+        lines = _PlainLines(words, total)
+        yield lines.show
+        lines.end()
         return
     columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console, transient=True) as bar:
@@ -42,17 +45,25 @@ def progress_bar(words: str, total: float) -> Iterator[Callable[[float], None]]:
         yield lambda done: bar.update(task, completed=done)
 
 
-def _plain_lines(words: str, total: float) -> Callable[[float], None]:
-    """Prints how much is done on stderr, a line every ``LINE_PERIOD`` seconds."""
-    last = monotonic()
+class _PlainLines:
+    """How much is done, printed on stderr: a line every ``LINE_PERIOD`` seconds."""
 
-    def show(done: float) -> None:
-        nonlocal last
-        if monotonic() - last >= LINE_PERIOD:
-            last = monotonic()
-            print(f"{words}: {100 * done / total:.0f} %", file=sys.stderr, flush=True)
+    def __init__(self, words: str, total: float):
+        self._words, self._total = words, total
+        self._last, self._shown = monotonic(), -1
 
-    return show
+    def show(self, done: float) -> None:
+        if monotonic() - self._last >= LINE_PERIOD:
+            self._last = monotonic()
+            self._print(round(100 * done / self._total))
+
+    def end(self) -> None:
+        if self._shown not in (-1, 100):
+            self._print(100)
+
+    def _print(self, percent: int) -> None:
+        self._shown = percent
+        print(f"{self._words}: {percent} %", file=sys.stderr, flush=True)
 
 
 def write_json(path: Path, value: Any) -> None:

@@ -250,14 +250,14 @@ class Demo:
     ) -> tuple[Path, list[tuple[Path, Path | None]]]:
         """The whole film, and its parts for each grasp: lift, and use where the object was used."""
         from fungrasp.report import write_video
-        from fungrasp.report.episode_film import episode_film
+        from fungrasp.report.episode_film import episode_film, film_frames
         from fungrasp.report.grasp_demo import grasp_title
 
         clips: dict[tuple[int, bool], Path] = {}
         parts = [(row, False, lift) for row, lift in enumerate(lifts)]
         parts += [(row, True, use) for row, use in uses.items()]
         parts.sort(key=lambda part: part[:2])
-        seconds = sum(float(t.times[-1]) / SPEED for *_, t in parts)
+        count = sum(film_frames(trajectory, FPS, SPEED) for *_, trajectory in parts)
 
         def frames() -> Iterator[np.ndarray]:
             done = 0
@@ -275,11 +275,11 @@ class Demo:
                     clip.append(frame)
                     yield frame
                     done += 1
-                    show(done / FPS)
+                    show(done)
                 file = folder / f"{row}{'-use' if used else ''}.mp4"
                 clips[row, used] = write_video(file, clip, FPS)
 
-        with progress_bar("filming", seconds) as show:
+        with progress_bar("filming", count) as show:
             film = write_video(self.out / "film.mp4", frames(), FPS)
         return film, [(clips[row, False], clips.get((row, True))) for row in range(len(lifts))]
 

@@ -145,7 +145,7 @@ class Deploy:
         return said + _why_no_more(result), result
 
     def _about(self) -> dict[str, str]:
-        from fungrasp import __version__
+        from fungrasp.version import __version__
 
         grasp = self.choice.grasp if self.choice.image is None else f"image {self.choice.image}"
         return {"version": __version__, "robot": self.robot, "policy": self.policy, "grasp": grasp}

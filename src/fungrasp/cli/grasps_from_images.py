@@ -46,11 +46,11 @@ def grasps_from_images(
     Raises:
         FungraspError: the models of hands are not set up.
     """
-    from fungrasp import __version__
     from fungrasp.cli.console import progress_bar
     from fungrasp.files import digest
     from fungrasp.grasps import HumanGraspSet
     from fungrasp.perception.hand.mediapipe_detector import MediaPipeHandDetector
+    from fungrasp.version import __version__
 
     detector = MediaPipeHandDetector()
     sets, index, refused = [], [], {}

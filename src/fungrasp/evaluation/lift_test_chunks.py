@@ -9,7 +9,6 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from fungrasp import __version__
 from fungrasp.errors import FungraspError
 from fungrasp.evaluation.attempts import AttemptSetting, play_attempts
 from fungrasp.evaluation.contact_estimate import ContactEstimateMeter, ContactEstimates
@@ -27,6 +26,7 @@ from fungrasp.policies import StudentPolicy
 from fungrasp.sim2real import Randomization, draw_each, random_stream
 from fungrasp.simulation import Scene
 from fungrasp.task import LiftEnvironment, LiftProtocol, Policy, PrivilegedPolicy, play
+from fungrasp.version import __version__
 
 USE_PREFIX = "use."
 """Before the names of the fields of ``UseOutcomes`` where they stand beside those of ``Outcomes``."""

@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from fungrasp import __version__
 from fungrasp.evaluation.lift_test import LiftTestResult
 from fungrasp.evaluation.six_directions import StaticResult
 from fungrasp.evaluation.statistics import mean_over_groups, wilson_interval
 from fungrasp.evaluation.use_test import use_json
 from fungrasp.sim2real import protocol_name
+from fungrasp.version import __version__
 
 LEGACY_PERIOD = 0.0289
 """Control period of earlier published code, per which it counts the displacement [s]."""

@@ -8,7 +8,6 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from fungrasp import __version__
 from fungrasp.files import digest
 from fungrasp.grasps import HumanGraspSet
 from fungrasp.hands import load_hand
@@ -17,6 +16,7 @@ from fungrasp.objects import ObjectModel
 from fungrasp.synthesis import GraspSpecification, SynthesisSettings
 from fungrasp.synthesis.grasp_candidates import GraspCandidates, join_candidates
 from fungrasp.synthesis.synthesize import HAND, choose_grasps, solve_batch, specification_batches
+from fungrasp.version import __version__
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,6 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from fungrasp import __version__
 from fungrasp.deployment.deployment import DeploymentSettings
 from fungrasp.deployment.hand_knowledge import HandDynamics
 from fungrasp.deployment.preparation import UnreachableError
@@ -33,6 +32,7 @@ from fungrasp.robots.cell import RobotCell
 from fungrasp.robots.twin.parameters import TwinParameters
 from fungrasp.robots.twin.twin_model import TwinPhysics
 from fungrasp.task import Belief, GraspPlan, Policy
+from fungrasp.version import __version__
 
 
 @dataclass(frozen=True)

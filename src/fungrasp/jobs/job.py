@@ -10,10 +10,10 @@ from uuid import uuid4
 
 import numpy as np
 
-from fungrasp import __version__
 from fungrasp.files import digest
 from fungrasp.jobs.ray_cluster import RayCluster
 from fungrasp.jobs.store import PartStore
+from fungrasp.version import __version__
 
 Part = TypeVar("Part")
 

@@ -12,8 +12,8 @@ from pathlib import Path
 from time import perf_counter, process_time
 from typing import Any, TypeVar
 
-from fungrasp import __version__
 from fungrasp.errors import FungraspError
+from fungrasp.version import __version__
 
 Result = TypeVar("Result")
 

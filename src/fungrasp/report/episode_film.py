@@ -94,6 +94,12 @@ def episode_film(
         yield captioned(picture, " · ".join(filter(None, (title, verdict))), clock)
 
 
+def film_frames(trajectory: Trajectory, fps: float = 15.0, speed: float = 1.5) -> int:
+    """Number of frames of ``episode_film``."""
+    times = _finite_part(trajectory).times.astype(float)
+    return len(frame_times(times, fps, speed)) + round(VERDICT_TIME * fps)
+
+
 def episode_phases(trajectory: Trajectory) -> list[tuple[float, str]]:
     """Start [s] and name of each phase: as recorded, and "close" between the first touch and the lift."""
     touch = _first_touch(trajectory)

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from fungrasp import __version__
 from fungrasp.errors import FungraspError
 from fungrasp.files import atomic_path
 from fungrasp.formats.file_bytes import read_bytes
@@ -20,6 +19,7 @@ from fungrasp.formats.numpy_files import read_npz
 from fungrasp.provenance import git_revision, machine
 from fungrasp.task import GraspPlan
 from fungrasp.training.plan_library import PlanLibrary
+from fungrasp.version import __version__
 
 _log = logging.getLogger(__name__)
 

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 from torch.utils.tensorboard import SummaryWriter
 
-from fungrasp import __version__
 from fungrasp.errors import FungraspError
 from fungrasp.files import atomic_path, digest
 from fungrasp.grasps import RobotGraspSet
@@ -32,6 +31,7 @@ from fungrasp.training.plan_library import PlanLibrary, Variety, build_plan_libr
 from fungrasp.training.ppo import Progress, Trainer
 from fungrasp.training.settings import PpoSettings
 from fungrasp.training.student import StudentModel
+from fungrasp.version import __version__
 
 PLANS = "plans.npz"
 POLICY = "policy.onnx"

@@ -11,7 +11,6 @@ from typing import Any, get_type_hints
 import numpy as np
 from torch.utils.tensorboard import SummaryWriter
 
-from fungrasp import __version__
 from fungrasp.errors import FungraspError
 from fungrasp.files import digest
 from fungrasp.hands import Hand, load_hand
@@ -36,6 +35,7 @@ from fungrasp.training.run import (
     keep_beside,
 )
 from fungrasp.training.settings import DistillSettings
+from fungrasp.version import __version__
 
 STUDENT = "student.onnx"
 

@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from fungrasp import __version__
 from fungrasp.errors import FungraspError
 from fungrasp.files import atomic_path, digest
 from fungrasp.formats.json_file import parse_json
@@ -27,6 +26,7 @@ from fungrasp.simulation import Scene, SceneSettings, build_scene
 from fungrasp.task import GraspPlan, LiftEnvironment, LiftProtocol, play
 from fungrasp.task.features import flatten, layout
 from fungrasp.training.settings import PredictorSettings
+from fungrasp.version import __version__
 
 Layout = tuple[tuple[str, int], ...]
 """Names and sizes of the parts of a flat vector."""
