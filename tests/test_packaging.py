@@ -80,6 +80,7 @@ def test_the_wheel_holds_every_file_of_the_package(wheel: zipfile.ZipFile) -> No
         if path.is_file() and path.suffix != ".pyc"
     }
     assert shipped == wanted
+    assert {name.split("/")[0].split("-")[0] for name in wheel.namelist()} == {"fungrasp"}, "and nothing else"
     for suffix in (".xml", ".toml", ".npz", ".css", ".typed"):
         assert any(name.endswith(suffix) for name in shipped), suffix
 

@@ -43,7 +43,7 @@ def write_capture(synthetic: SyntheticCapture, folder: str | Path, model: Object
 
     That is ``rgb.png``, ``depth.png`` (16 bit, 1 mm), ``K.json``, ``<object>.ply``; ``truth.json``,
     ``labels.png`` and ``object_mask.png``, whose name keeps it from being taken for a mask given. The truth
-    has the entries that ``evaluation.recorded_captures`` reads, too.
+    has the entries that ``benchmarks.perception`` reads of recorded captures, too.
 
     Args:
         synthetic: the capture.

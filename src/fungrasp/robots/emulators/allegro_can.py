@@ -15,8 +15,6 @@ from fungrasp.robots.optional_packages import import_client
 
 BUS = "43113"
 """Default channel of "loopback"; a second hand has one of its own, "43114"."""
-HOT = 85
-"""Temperature at which the hand reports a fault [°C]."""
 
 
 class AllegroEmulator(Emulator):
