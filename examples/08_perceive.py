@@ -4,17 +4,20 @@ import sys
 
 import fungrasp
 from fungrasp.perception.hand.mediapipe_models import have_weights
-from fungrasp.perception.io.scene_folders import read_folder
-from fungrasp.report.demo_capture import FOLDER
 
 if not have_weights():
     sys.exit("skipped: the hand models are missing; fetch them with 'fungrasp setup perception'")
 
-capture = read_folder(FOLDER)
-found = fungrasp.perceive(capture, fungrasp.load_object("spray_bottle"), seed=0)
+# An image that comes with the package; a folder, files or a camera may stand in its place.
+found = fungrasp.perceive("builtin", "spray_bottle", seed=0)
 
 print(f"a {found.hand.side} hand, {found.grasp.link_contacts.sum()} links touch the object")
 print("camera in the world:", found.pose_world_camera.round(3))
 print("confident" if found.confident else "low confidence")
 for warning in found.warnings:
     print(f"{warning.code}: {warning}")
+for stage, seconds in found.trace.seconds.items():
+    print(f"{stage}: {seconds.wall:.1f} s")
+
+robot = fungrasp.retarget(found.grasps, found.objects, hand="allegro")
+print(robot)

@@ -11,10 +11,11 @@ import numpy as np
 from PIL import Image
 
 from fungrasp.objects import builtin_object
+from fungrasp.perception.io.scene_folders import BUILTIN_CAPTURE as FOLDER
 from fungrasp.perception.io.scene_folders import read_folder
 from fungrasp.perception.pipeline import perceive
 from fungrasp.report import grid
-from fungrasp.report.demo_capture import FOLDER, demo_truth
+from fungrasp.report.demo_capture import demo_truth
 from fungrasp.report.perception_pictures import drawn_over, grasp_from_four_sides
 
 IMAGES = Path(__file__).parents[2] / "docs" / "images"

@@ -26,7 +26,8 @@ from fungrasp.perception.object_pose.confidence import FEATURES, features
 from fungrasp.perception.object_pose.estimate import PoseAnswers, best_estimate, search_object_pose
 from fungrasp.perception.object_pose.known_object import known_object
 from fungrasp.perception.object_pose.pose_error import add_s, rotation_error
-from fungrasp.perception.pipeline import Perceived, perceive
+from fungrasp.perception.perceived import Perceived
+from fungrasp.perception.pipeline import perceive
 from fungrasp.perception.scene.segmentation import TIPS
 from fungrasp.perception.scene.table import NO_TABLE, table_under
 

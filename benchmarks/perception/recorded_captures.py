@@ -31,11 +31,11 @@ from fungrasp.objects import (
     object_names,
     plain_shape,
 )
+from fungrasp.objects.held_object import colored_mesh
 from fungrasp.perception import Capture
 from fungrasp.perception.estimates import JOINTS
 from fungrasp.perception.io.image_files import read_mask
 from fungrasp.perception.io.scene_folders import LENS_FILE, read_folder
-from fungrasp.perception.object_pose.known_object import colored_mesh
 
 TRUTH = "truth.json"
 """File with what is known about a capture."""

@@ -24,7 +24,7 @@ from fungrasp.perception.hand.detected_hand import (
     settle_side,
 )
 from fungrasp.perception.hand.fit import fit_hand
-from fungrasp.perception.hand.meant_hands import hands_elsewhere, may_hold, told_box
+from fungrasp.perception.hand.meant_hands import hands_elsewhere, may_hold, object_box
 from fungrasp.perception.object_pose.confidence import FEATURES, features
 from fungrasp.perception.object_pose.estimate import best_estimate, search_object_pose
 from fungrasp.perception.object_pose.pose_error import add_s, rotation_error
@@ -153,14 +153,14 @@ def measure_recorded(recorded: RecordedCapture, detector: HandDetector) -> Recor
     answers, chosen = [], held[0] if held else _NOBODY
     if recorded.model is not None and recorded.pose_camera_object is not None:
         for hint, hinted in hinted_captures(recorded).items():
-            near = told_box(hinted)
+            near = object_box(hinted, recorded.model, None)
             meant = held or [_NOBODY]
             if near is not None and len(hands) > 1:
                 meant = [_with_table(choose_hand(hands, near)[0], capture)]
             answer, one = _best_answer(recorded, hint, hinted, meant)
             if hint == "none" and hands and not _held(recorded, answer, one):
                 more = hands_elsewhere(capture, hands, None, detector)
-                held += [_under(one.estimate, capture) for one in more]
+                held += [_under(fit_hand(one.detected, capture), capture) for one in more]
                 answer, one = _best_answer(recorded, hint, hinted, held) if more else (answer, one)
             answers.append(answer)
             chosen = one if hint == "none" else chosen

@@ -17,8 +17,10 @@ from fungrasp.grasps import HumanGraspSet, builtin_grasps, save_human_grasps
 from fungrasp.objects import builtin_object
 from fungrasp.perception import HandEstimate, ObjectEstimate
 from fungrasp.perception import pipeline as perceiving
-from fungrasp.perception.pipeline import Perceived
-from fungrasp.report.demo_capture import FOLDER, demo_truth
+from fungrasp.perception.io.scene_folders import BUILTIN_CAPTURE as FOLDER
+from fungrasp.perception.io.scene_folders import read_folder
+from fungrasp.perception.perceived import Perceived
+from fungrasp.report.demo_capture import demo_truth
 
 
 @pytest.fixture(autouse=True)
@@ -155,7 +157,7 @@ def see(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
         real = perceiving.perceive
 
         def seen(capture, model, **options) -> Perceived:
-            pixels = capture.intrinsics.project(truth.joints_camera)
+            pixels = read_folder(FOLDER).intrinsics.project(truth.joints_camera)
             covariance = np.tile(np.eye(3) * 0.004**2, (21, 1, 1))
             hand = HandEstimate(truth.joints_camera, pixels, np.full(21, 0.9), covariance, side, score)
             thing = ObjectEstimate(truth.pose_camera_object, 0.95, True)
@@ -203,10 +205,11 @@ def test_a_left_hand_holds_a_reflected_object(see: Callable[..., None]) -> None:
     see(side="left")
     seen = seen_grasp(str(FOLDER), "spray_bottle", None, "spray", 0)
     model = builtin_object("spray_bottle")
-    assert seen.thing.name == seen.human.object_name[0] == "spray_bottle_mirrored"
-    np.testing.assert_array_equal(seen.thing.vertices, model.vertices * [1, -1, 1])
-    assert seen.thing.mesh.volume == pytest.approx(model.mesh.volume)
-    assert seen.thing.mass == model.mass
+    ((name, mirrored),) = seen.perceived.objects.items()
+    assert mirrored.name == name == seen.perceived.grasps.object_name[0] == "spray_bottle_mirrored"
+    np.testing.assert_array_equal(mirrored.vertices, model.vertices * [1, -1, 1])
+    assert mirrored.mesh.volume == pytest.approx(model.mesh.volume)
+    assert mirrored.mass == model.mass
 
 
 def test_without_the_hand_models_the_demo_says_what_to_run(

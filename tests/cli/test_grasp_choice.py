@@ -12,7 +12,7 @@ import pytest
 from fungrasp.cli.deploy import Deploy
 from fungrasp.cli.grasp_choice import MOST_IMAGES, GraspChoice
 from fungrasp.errors import FungraspError
-from fungrasp.grasps import HumanGrasp, builtin_grasps
+from fungrasp.grasps import HumanGrasp, HumanGraspSet, builtin_grasps
 from fungrasp.hands import load_hand
 from fungrasp.objects import mirrored_object
 
@@ -28,7 +28,13 @@ def _looks(monkeypatch: pytest.MonkeyPatch, confident: list[bool], mirrored: boo
         seen.append(options["seed"])
         name = mirrored_object(model).name if mirrored else model.name
         grasp = replace(capture, object_name=name)
-        return SimpleNamespace(grasp=grasp, confident=confident[len(seen) - 1], warnings=("dark",))
+        return SimpleNamespace(
+            grasp=grasp,
+            grasps=HumanGraspSet.of([grasp]),
+            objects={name: model},
+            confident=confident[len(seen) - 1],
+            warnings=("dark",),
+        )
 
     monkeypatch.setattr("fungrasp.synthetic_captures.render_capture.render_capture", render)
     monkeypatch.setattr("fungrasp.perception.pipeline.perceive", perceive)
@@ -59,8 +65,9 @@ def test_what_is_not_sure_is_not_tried(monkeypatch: pytest.MonkeyPatch, mirrored
 
 def test_a_folders_image_is_refused_too(monkeypatch: pytest.MonkeyPatch) -> None:
     grasp = builtin_grasps()[0]
-    doubtful = SimpleNamespace(grasp=grasp, confident=False, warnings=())
-    seen = SimpleNamespace(perceived=doubtful, model=SimpleNamespace(name=grasp.object_name))
+    model = SimpleNamespace(name=grasp.object_name)
+    doubtful = SimpleNamespace(grasp=grasp, object_model=model, confident=False, warnings=())
+    seen = SimpleNamespace(perceived=doubtful)
     monkeypatch.setattr("fungrasp.cli.demo_from_image.seen_grasp", lambda *a: seen)
     with pytest.raises(FungraspError, match=r"low confidence.*fungrasp perceive"):
         GraspChoice(image="photo", mesh="mug").chosen(load_hand("allegro"))

@@ -7,7 +7,7 @@ import fungrasp.perception.pipeline as pipeline
 import fungrasp.synthetic_captures.render_capture as rendering
 from fungrasp.cli.grasps_from_images import grasps_from_images
 from fungrasp.errors import FungraspError
-from fungrasp.grasps import builtin_grasps, load_objects
+from fungrasp.grasps import HumanGraspSet, builtin_grasps, load_objects
 
 
 def test_images_are_numbered_and_doubtful_ones_refused(monkeypatch) -> None:
@@ -19,7 +19,9 @@ def test_images_are_numbered_and_doubtful_ones_refused(monkeypatch) -> None:
         if number == 1:
             raise FungraspError("no hand was found in the image")
         grasp = human[number // 2]
-        return SimpleNamespace(grasp=grasp, confident=number != 2, warnings=("the depth is noisy",))
+        grasps = HumanGraspSet.of([grasp])
+        warnings = ("the depth is noisy",)
+        return SimpleNamespace(grasp=grasp, grasps=grasps, confident=number != 2, warnings=warnings)
 
     monkeypatch.setattr(rendering, "render_capture", lambda *args: SimpleNamespace(capture=None))
     monkeypatch.setattr(detection, "MediaPipeHandDetector", lambda: None)

@@ -18,18 +18,19 @@ from grasp_files import run
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
-from fungrasp.cli.held_object import DENSITY, held_object
 from fungrasp.cli.perceive import LOW_CONFIDENCE, parse_plane
 from fungrasp.errors import FungraspError, UnknownNameError
 from fungrasp.grasps import load_human_grasps, load_robot_grasps
 from fungrasp.objects import builtin_object
+from fungrasp.objects.held_object import DENSITY, held_object
 from fungrasp.perception import HandEstimate, ObjectEstimate
 from fungrasp.perception import pipeline as room
 from fungrasp.perception.adapters import entry_point
 from fungrasp.perception.hand.detected_hand import DetectedHand
 from fungrasp.perception.hand.fit_problem import joint_confidence
+from fungrasp.perception.io.scene_folders import BUILTIN_CAPTURE as FOLDER
 from fungrasp.perception.io.scene_folders import read_folder
-from fungrasp.report.demo_capture import FOLDER, demo_truth
+from fungrasp.report.demo_capture import demo_truth
 
 TRUTH = demo_truth()
 NAME = TRUTH.object_name
@@ -99,7 +100,7 @@ def test_several_hands_become_rows_with_probabilities(folder, found, tmp_path, c
     assert grasps.probability.sum() == pytest.approx(1.0)
     assert f"{len(grasps)} hands that the image allows" in words
     status, _, err = run(capsys, "perceive", *seen, "--hands", "9")
-    assert status == 2 and "--hands must be 1 to 8, not 9" in err
+    assert status == 2 and "hands must be 1 to 8, not 9" in err
 
 
 def test_three_files_become_a_grasp_that_can_be_retargeted(folder, found, tmp_path, capsys):
@@ -158,7 +159,7 @@ def camera(monkeypatch) -> list[tuple[object, object]]:
 
 def test_a_recorded_stream_is_taken_when_all_is_seen(folder, found, tmp_path, capsys, monkeypatch):
     """Three frames without a hand, then the demo's image: the loop says so, waits, counts down."""
-    monkeypatch.setattr("fungrasp.perception.hand.mediapipe_detector.MediaPipeHandDetector", room_detector())
+    monkeypatch.setattr("fungrasp.perception.camera.live.MediaPipeHandDetector", room_detector())
     stream, kept = tmp_path / "stream", tmp_path / "kept"
     for i in range(8):
         shutil.copytree(FOLDER, stream / f"{i:02d}", ignore=shutil.ignore_patterns("truth.json"))

@@ -13,15 +13,18 @@ from hand_scenes import CAMERA, HandScene, hand_scene
 from fungrasp.errors import FungraspError
 from fungrasp.geometry.poses import compose, inverse_transform_points, invert, transform_points
 from fungrasp.grasps.human_hand import mirror_points
-from fungrasp.objects import ObjectModel, builtin_object
+from fungrasp.objects import HeldObject, ObjectModel, builtin_object
 from fungrasp.perception import Capture, ObjectEstimate
 from fungrasp.perception import pipeline as room
 from fungrasp.perception.hand.detected_hand import DetectedHand, settle_side
 from fungrasp.perception.hand.mediapipe_detector import MediaPipeHandDetector
 from fungrasp.perception.hand.mediapipe_models import have_weights
+from fungrasp.perception.io.scene_folders import write_folder
+from fungrasp.perception.object_pose.confidence import FEATURES
 from fungrasp.perception.object_pose.mesh_rays import MeshRays
 from fungrasp.perception.object_pose.pose_error import add_s
-from fungrasp.perception.pipeline import Perceived, perceive
+from fungrasp.perception.perceived import Perceived
+from fungrasp.perception.pipeline import perceive
 from fungrasp.perception.scene.table import table_under
 
 MUG_ROW, BOWL_ROW = 0, 36
@@ -236,7 +239,8 @@ def test_of_two_hands_the_one_that_holds_the_object_is_taken(monkeypatch):
         near = np.linalg.norm(hand.pixels.mean(axis=0) - middle) < 5
         return known(scene, 0.95 if near else 0.4)
 
-    monkeypatch.setattr(room, "estimate_object_pose", estimate)
+    monkeypatch.setattr(room, "search_object_pose", estimate)
+    monkeypatch.setattr(room, "best_estimate", lambda found: found)
     perceived = perceive(scene.capture, scene.model, detector=StandIn(larger, detected))
     np.testing.assert_array_equal(perceived.hand.pixels, detected.pixels)
     assert "2 hands are in the image; the one that holds" in str(perceived.warnings[0])
@@ -260,7 +264,8 @@ def test_a_hand_hidden_by_somebody_elses_is_looked_for(monkeypatch):
         held = np.abs(hand.pixels - detected.pixels).max() < 1
         return known(scene, score=0.8) if held else dataclasses.replace(known(scene, 0.3), accepted=False)
 
-    monkeypatch.setattr(room, "estimate_object_pose", search)
+    monkeypatch.setattr(room, "search_object_pose", search)
+    monkeypatch.setattr(room, "best_estimate", lambda found: found)
     perceived = perceive(scene.capture, scene.model, detector=StopsAtTheFirst())
     assert len(looks) == 2 and perceived.object.accepted
     error = np.linalg.norm(perceived.hand.joints_camera - scene.joints, axis=1)
@@ -342,7 +347,7 @@ def test_the_wrong_mesh_is_not_believed():
 def test_a_mesh_in_millimetres_is_refused():
     scene, _ = mug()
     model = ObjectModel("mug", 0.3, scene.model.vertices * 1000, scene.model.faces)
-    with pytest.raises(FungraspError, match="is the mesh in millimetres"):
+    with pytest.raises(FungraspError, match="is the mesh in millimeters"):
         perceive(scene.capture, model, detector=Forbidden())
 
 
@@ -432,8 +437,7 @@ def test_the_mesh_may_have_colors():
     colored = trimesh.Trimesh(scene.model.vertices, scene.model.faces, vertex_colors=paint, process=False)
     perceived = perceive(
         scene.capture.with_object(object_pixels()),
-        scene.model,
-        colored=colored,
+        HeldObject(scene.model, colored),
         detector=StandIn(detected),
     )
     assert add_s(scene.model.vertices, perceived.object.pose_camera_object, scene.pose_camera_object) < 0.006
@@ -444,3 +448,32 @@ def test_without_a_hand_in_the_picture_the_real_detector_says_so():
     scene, _ = mug()
     with pytest.raises(FungraspError, match="no hand was found"):
         perceive(scene.capture, scene.model, detector=MediaPipeHandDetector(threads=1))
+
+
+def test_the_record_goes_on_and_says_what_happened():
+    scene, detected = mug()
+    found = seen()
+    assert found.capture is scene.capture and list(found.objects) == ["mug"]
+    assert len(found.grasps) == 1 and found.grasps.probability is None
+    np.testing.assert_array_equal(found.grasps[0].hand_joints, found.grasp.hand_joints)
+    trace = found.trace
+    assert trace.detected == (detected,) and len(trace.candidates) == 1 and trace.candidate.holds
+    np.testing.assert_array_equal(trace.candidate.answers.poses[0], found.object.pose_camera_object)
+    assert set(trace.candidate.evidence) == set(FEATURES)
+    stages = ["mesh", "detection", "hand", "table", "object", "refinement", "grasp"]
+    assert list(trace.seconds) == stages
+    assert all(seconds.wall > 0 for seconds in trace.seconds.values())
+
+
+def test_an_image_may_be_where_it_is(tmp_path):
+    scene, detected = mug()
+    write_folder(scene.capture, tmp_path / "image")
+    files = [tmp_path / "image" / name for name in ("rgb.png", "depth.png", "K.json")]
+    options = {"detector": StandIn(detected), "object_estimate": known(scene)}
+    by_folder = perceive(tmp_path / "image", scene.model, **options)
+    by_files = perceive(files, "mug", mass=scene.model.mass, **options)
+    np.testing.assert_array_equal(by_folder.grasps.hand_joints, by_files.grasps.hand_joints)
+    with pytest.raises(FungraspError, match="not 2 files"):
+        perceive(files[:2], scene.model, **options)
+    with pytest.raises(FungraspError, match="has its mass"):
+        perceive(scene.capture, scene.model, mass=0.3, **options)

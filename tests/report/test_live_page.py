@@ -14,8 +14,9 @@ from fungrasp.perception.camera.frames import CameraFrame
 from fungrasp.perception.camera.live import LiveView
 from fungrasp.perception.camera.readiness import FrameProblem, FrameReadiness
 from fungrasp.perception.hand.detected_hand import DetectedHand
+from fungrasp.perception.io.scene_folders import BUILTIN_CAPTURE as FOLDER
 from fungrasp.perception.io.scene_folders import read_folder
-from fungrasp.report.demo_capture import FOLDER, demo_truth
+from fungrasp.report.demo_capture import demo_truth
 from fungrasp.report.live_page import MISSING, READY, LivePage
 
 TRUTH = demo_truth()

@@ -15,12 +15,13 @@ from fungrasp.grasps import HumanGrasp
 from fungrasp.grasps.human_hand import mirror_points, mirror_pose
 from fungrasp.objects import builtin_object
 from fungrasp.perception import HandEstimate, ObjectEstimate
+from fungrasp.perception.io.scene_folders import BUILTIN_CAPTURE as FOLDER
 from fungrasp.perception.io.scene_folders import read_folder
-from fungrasp.perception.pipeline import Perceived
+from fungrasp.perception.perceived import Perceived
 from fungrasp.perception.quality import PerceptionQuality
 from fungrasp.perception.warning import PerceptionWarning
 from fungrasp.report import perception_page
-from fungrasp.report.demo_capture import FILES, FOLDER, demo_truth, true_errors
+from fungrasp.report.demo_capture import FILES, demo_truth, true_errors
 from fungrasp.report.page_parts import Quantity
 from fungrasp.report.perception_alternatives import alternatives
 from fungrasp.report.perception_page import contact_words, perception_quantities, write_perception_page
@@ -65,6 +66,8 @@ def perceived(**changes) -> Perceived:
     )
     return Perceived(
         **{
+            "capture": CAPTURE,
+            "object_model": MODEL,
             "grasp": grasp,
             "pose_world_camera": LEVEL,
             "hand": hand,
@@ -89,7 +92,7 @@ def no_pictures(monkeypatch):
 
 
 def page(tmp_path, seen: Perceived) -> str:
-    path = write_perception_page(tmp_path / "page.html", CAPTURE, MODEL, seen, {"Command": "<mine>"})
+    path = write_perception_page(tmp_path / "page.html", seen, {"Command": "<mine>"})
     return path.read_text(encoding="utf-8")
 
 
@@ -143,13 +146,13 @@ def test_a_page_holds_its_pictures_and_needs_nothing_from_outside(tmp_path):
 
 
 def test_figures_say_whether_they_are_good():
-    good = {item.name: item.good for item in perception_quantities(CAPTURE, perceived())}
+    good = {item.name: item.good for item in perception_quantities(perceived())}
     assert set(good.values()) == {True}
     bad = perceived(quality=PerceptionQuality(30.0, 0.01, float("nan"), 0.03, 0.2, 0.3))
-    marks = {item.name: item.good for item in perception_quantities(CAPTURE, bad)}
+    marks = {item.name: item.good for item in perception_quantities(bad)}
     assert marks.pop("Hand in depth") is None
     assert set(marks.values()) == {False}
-    assert all(item.meaning for item in perception_quantities(CAPTURE, bad))
+    assert all(item.meaning for item in perception_quantities(bad))
 
 
 @pytest.mark.parametrize(
@@ -288,7 +291,7 @@ def test_joints_that_are_no_hand_still_make_a_page(tmp_path):
 
 def test_the_demo_image_is_small_and_its_truth_is_known():
     assert sum((FOLDER / file).stat().st_size for file in FILES) < 600_000
-    errors = {item.name: item.value for item in true_errors(TRUTH, perceived(), MODEL)}
+    errors = {item.name: item.value for item in true_errors(TRUTH, perceived())}
     assert max(errors.values()) < 1e-4
     surface = transform_points(TRUTH.pose_camera_object, MODEL.vertices)
     columns, rows = np.round(CAPTURE.intrinsics.project(surface)).astype(int).T

@@ -100,12 +100,12 @@ class Demo:
             seen = seen_grasp(self.from_image, self.mesh, self.mass, self.task, self.seed)
             show(1)
         source["Image"] = seen.source
-        for note in seen.notes:
+        for note in seen.perceived.notes:
             print(note)
         if not seen.perceived.confident:
             write_low_confidence(self.out / "index.html", seen, page_provenance(source, self.seed))
-        objects = {seen.thing.name: seen.thing}
-        self._show(seen.human, objects, hand, image_title(seen), image_words(seen), source, seen)
+        human, objects = seen.perceived.grasps, seen.perceived.objects
+        self._show(human, objects, hand, image_title(seen), image_words(seen), source, seen)
 
     def _show(
         self,

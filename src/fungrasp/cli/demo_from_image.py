@@ -8,15 +8,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NoReturn
 
-from fungrasp.cli.image_source import BUILTIN
 from fungrasp.cli.optional_value import optional_value
 
 if TYPE_CHECKING:
-    from fungrasp.grasps import HumanGraspSet
-    from fungrasp.objects import ObjectModel
-    from fungrasp.perception import Capture
-    from fungrasp.perception.pipeline import Perceived
+    from fungrasp.perception.perceived import Perceived
     from fungrasp.report import Quantity
+
+BUILTIN = "builtin"
+"""Stands for the image that comes with the package."""
+
+LOW_CONFIDENCE = 3
+"""Exit status when the page was written but the robot did not try the grasp."""
 
 INTRODUCTION = (
     "One colour image with depth, and a mesh of the object, become a human grasp; the robot hand takes it "
@@ -34,39 +36,18 @@ Folder = Annotated[str | None, optional_value("[FOLDER]", BUILTIN, "folder")]
 class SeenGrasp:
     """What was seen in an image."""
 
-    capture: Capture
-    """The image with its depth and intrinsics."""
-    model: ObjectModel
-    """The object in the image; see ``thing`` for the object of the grasp."""
     perceived: Perceived
     """What ``perceive`` found in it."""
     source: str
     """Where the image came from, as text to print."""
     truth: Sequence[Quantity]
     """Errors, where the truth is known."""
-    notes: tuple[str, ...] = ()
-    """Assumptions that were made, as sentences to print."""
-
-    @property
-    def human(self) -> HumanGraspSet:
-        """The grasp, alone in a set."""
-        from fungrasp.cli.perceive import one_grasp
-
-        return one_grasp(self.perceived.grasp)
-
-    @property
-    def thing(self) -> ObjectModel:
-        """The object of the grasp: reflected if the hand was a left one."""
-        from fungrasp.objects import mirrored_object
-
-        name = self.perceived.grasp.object_name
-        return self.model if name == self.model.name else mirrored_object(self.model)
 
     def opening(self) -> list[str]:
         """What the page says before the robot's grasp."""
         from fungrasp.report.perception_page import perception_parts
 
-        return perception_parts(self.capture, self.model, self.perceived, self.truth)
+        return perception_parts(self.perceived, self.truth)
 
 
 def seen_grasp(folder: str, mesh: str | None, mass: float | None, task: str, seed: int) -> SeenGrasp:
@@ -82,28 +63,22 @@ def seen_grasp(folder: str, mesh: str | None, mass: float | None, task: str, see
     Raises:
         FungraspError: the folder or the mesh is bad, no hand is seen, or the hand models are not set up.
     """
-    from fungrasp.cli.held_object import held_object
     from fungrasp.errors import FungraspError
-    from fungrasp.objects import builtin_object
-    from fungrasp.perception.io.scene_folders import read_folder
+    from fungrasp.perception.io.scene_folders import BUILTIN_CAPTURE
     from fungrasp.perception.pipeline import perceive
-    from fungrasp.report.demo_capture import FOLDER, demo_truth, true_errors
+    from fungrasp.report.demo_capture import demo_truth, true_errors
 
     if folder == BUILTIN:
         if mesh is not None or mass is not None:
             raise FungraspError("the built-in image has its own object: --mesh and --mass need a folder")
         truth = demo_truth()
-        capture, model = read_folder(FOLDER), builtin_object(truth.object_name)
-        perceived = perceive(capture, model, task=task or truth.task, seed=seed)
-        return SeenGrasp(capture, model, perceived, "the built-in one", true_errors(truth, perceived, model))
+        perceived = perceive(BUILTIN_CAPTURE, truth.object_name, task=task or truth.task, seed=seed)
+        return SeenGrasp(perceived, "the built-in one", true_errors(truth, perceived))
     if mesh is None:
         raise FungraspError(
             f"--from-image {folder}: --mesh must say what is held: a mesh file, or a built-in object's name"
         )
-    held = held_object(mesh, mass)
-    capture = read_folder(folder)
-    perceived = perceive(capture, held.model, colored=held.colored, task=task, seed=seed)
-    return SeenGrasp(capture, held.model, perceived, folder, (), held.notes)
+    return SeenGrasp(perceive(folder, mesh, mass=mass, task=task, seed=seed), folder, ())
 
 
 def image_title(seen: SeenGrasp) -> str:
@@ -124,10 +99,9 @@ def write_low_confidence(path: Path, seen: SeenGrasp, provenance: Mapping[str, s
     Raises:
         SystemExit: always.
     """
-    from fungrasp.cli.perceive import LOW_CONFIDENCE
     from fungrasp.report.perception_page import write_perception_page
 
-    write_perception_page(path, seen.capture, seen.model, seen.perceived, provenance)
+    write_perception_page(path, seen.perceived, provenance)
     for warning in seen.perceived.warnings:
         print(f"fungrasp: warning: {warning}", file=sys.stderr)
     print("fungrasp: low confidence in the perceived grasp: the robot does not try it", file=sys.stderr)

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from fungrasp.grasps import HumanGraspSet, RobotGraspSet
     from fungrasp.hands import Hand
     from fungrasp.objects import ObjectModel
-    from fungrasp.perception.pipeline import Perceived
+    from fungrasp.perception.perceived import Perceived
     from fungrasp.planning import Planner
     from fungrasp.robots.cell import RobotCell
     from fungrasp.task import Policy
@@ -105,18 +105,17 @@ class GraspChoice:
         from fungrasp.errors import FungraspError
 
         seen = seen_grasp(folder, self.mesh, self.mass, "", seed)
-        doubt = _doubt(seen.perceived, seen.model)
+        doubt = _doubt(seen.perceived, seen.perceived.object_model)
         if doubt:
             raise FungraspError(
                 f"image {folder}: {doubt}; look at it with 'fungrasp perceive', or take another"
             )
-        return seen.human, {seen.model.name: seen.model}
+        return seen.perceived.grasps, seen.perceived.objects
 
     def _of_rendered_image(self, seed: int) -> tuple[HumanGraspSet, Mapping[str, ObjectModel], int, float]:
         """As if a person took images until one is good enough; and when the last one was there."""
         import numpy as np
 
-        from fungrasp.cli.perceive import one_grasp
         from fungrasp.errors import FungraspError
         from fungrasp.perception.pipeline import perceive
         from fungrasp.synthetic_captures.render_capture import render_capture
@@ -137,7 +136,7 @@ class GraspChoice:
                 continue
             said = _doubt(seen, model)
             if not said:
-                return one_grasp(seen.grasp), {model.name: model}, attempt + 1, began
+                return seen.grasps, seen.objects, attempt + 1, began
         raise FungraspError(f"{MOST_IMAGES} rendered images of '{model.name}' were not good enough: {said}")
 
 

@@ -81,7 +81,6 @@ def _seen(
     seed: of the image; the first number is that of perception."""
     import numpy as np
 
-    from fungrasp.cli.perceive import one_grasp
     from fungrasp.errors import FungraspError
     from fungrasp.perception.pipeline import perceive
     from fungrasp.synthetic_captures.render_capture import render_capture
@@ -95,6 +94,6 @@ def _seen(
         return {"refused": np.asarray("low confidence: " + "; ".join(map(str, seen.warnings)))}
     if seen.grasp.object_name != model.name:
         return {"refused": np.asarray("taken for a left hand")}
-    found = one_grasp(seen.grasp)
+    found = seen.grasps
     known = {name: getattr(found, name) for name in found.FIELDS}
     return {name: value for name, value in known.items() if value is not None}

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, Self
 
 import numpy as np
 
+from fungrasp.errors import FungraspError
 from fungrasp.grasps.field_checks import ArrayField, check_rows
 from fungrasp.grasps.grasp_set import GraspSet
 from fungrasp.grasps.human_hand import bone_lengths
@@ -89,6 +91,19 @@ class HumanGraspSet(GraspSet[HumanGrasp]):
         "probability": ArrayField("positive", ("N",), optional=True),
     }
     GRASP: ClassVar = HumanGrasp
+
+    @classmethod
+    def of(cls, grasps: Sequence[HumanGrasp]) -> Self:
+        """A set of single grasps. Optional values are kept if every grasp has them.
+
+        Raises:
+            FungraspError: no grasps.
+        """
+        if not grasps:
+            raise FungraspError("no grasps to make a set of")
+        columns = {name: [getattr(grasp, name) for grasp in grasps] for name in cls.FIELDS}
+        known = {name: np.array(rows) for name, rows in columns.items() if all(v is not None for v in rows)}
+        return cls(**known)
 
     def __post_init__(self) -> None:
         super().__post_init__()

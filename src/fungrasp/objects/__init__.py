@@ -1,6 +1,7 @@
 """Physical objects from a mesh and a mass, and the built-in ones."""
 
 from fungrasp.objects.convex_decomposition import ConvexPiece, convex_pieces
+from fungrasp.objects.held_object import HeldObject, held_object
 from fungrasp.objects.mesh_file import load_mesh
 from fungrasp.objects.mirroring import MIRRORED, mirrored_name, mirrored_object
 from fungrasp.objects.object_choice import check_objects
@@ -18,10 +19,12 @@ from fungrasp.objects.plain_shapes import is_plain_shape, plain_shape
 __all__ = [
     "MIRRORED",
     "ConvexPiece",
+    "HeldObject",
     "ObjectModel",
     "builtin_object",
     "check_objects",
     "convex_pieces",
+    "held_object",
     "is_plain_shape",
     "load_mesh",
     "load_object",

@@ -1,7 +1,7 @@
 """From one RGB-D image and the object's mesh to a human grasp, in six steps.
 
 1. The hand in the image: landmarks (``hand.mediapipe_detector``).
-2. The hand in metres: a skeleton fitted to landmarks and depth (``hand.fit``).
+2. The hand in meters: a skeleton fitted to landmarks and depth (``hand.fit``).
 3. The table: the largest plane below the hand (``scene.table``).
 4. The object's pose: the mesh fitted to the depth (``object_pose.estimate``).
 5. The hand again, which now touches the object that it holds (``hand.fit``).
@@ -12,7 +12,9 @@ Each step adds its warnings; a result of low confidence is still given, marked a
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import trimesh
@@ -21,18 +23,26 @@ from fungrasp.errors import FungraspError
 from fungrasp.geometry.poses import transform_points
 from fungrasp.grasps import HumanGrasp
 from fungrasp.grasps.human_hand import mirror_points, mirror_pose
-from fungrasp.objects import MIRRORED, ObjectModel
+from fungrasp.objects import MIRRORED, HeldObject, ObjectModel, held_object
+from fungrasp.perception.camera.frames import RgbdCamera
+from fungrasp.perception.camera.live import live_capture
 from fungrasp.perception.estimates import HandEstimate, ObjectEstimate, Side
 from fungrasp.perception.hand.contact_evidence import HandSurroundings, touching_links
-from fungrasp.perception.hand.detected_hand import HandDetector
-from fungrasp.perception.hand.fit import fit_held_hands, refine_hand
-from fungrasp.perception.hand.meant_hands import MeantHand, hands_elsewhere, may_hold, meant_hands
+from fungrasp.perception.hand.detected_hand import DetectedHand, HandDetector, find_hands
+from fungrasp.perception.hand.fit import fit_hand, fit_held_hands, refine_hand
+from fungrasp.perception.hand.meant_hands import MeantHand, hands_elsewhere, may_hold, meant_hands, object_box
 from fungrasp.perception.hand.mediapipe_detector import MediaPipeHandDetector
+from fungrasp.perception.image_source import ImageSource
 from fungrasp.perception.io.capture import Capture
+from fungrasp.perception.io.image_files import read_capture
+from fungrasp.perception.io.realsense import RECORDINGS, capture_from_camera
+from fungrasp.perception.io.scene_folders import read_folder
 from fungrasp.perception.object_pose.confidence import ambiguity
-from fungrasp.perception.object_pose.estimate import SIZES, estimate_object_pose
+from fungrasp.perception.object_pose.estimate import SIZES, best_estimate, search_object_pose
 from fungrasp.perception.object_pose.external_pose import score_given_pose
-from fungrasp.perception.quality import PerceptionQuality, measure_quality
+from fungrasp.perception.object_pose.known_object import known_object
+from fungrasp.perception.perceived import HandCandidate, Perceived, PerceptionTrace, PossibleHand, Stopwatch
+from fungrasp.perception.quality import measure_quality
 from fungrasp.perception.scene.table import NO_TABLE, table_under
 from fungrasp.perception.scene.world_frame import guessed_table, in_world, put_down, world_from_table
 from fungrasp.perception.warning import PerceptionWarning
@@ -42,116 +52,116 @@ ACCEPTED_HAND = 0.6
 are off by 9.7 mm in the mean; those of the others by 32 mm."""
 
 
-@dataclass(frozen=True, eq=False)
-class PossibleHand:
-    """One of the hands that an image allows."""
+MOST_HANDS = 8
+"""So many stand for the samples that are drawn: more would stand for one or two each."""
 
-    hand: HandEstimate
-    """Camera frame, not mirrored."""
-    grasp: HumanGrasp
-    """World frame, a right hand."""
-    probability: float
-    """Of this hand, or one like it."""
+Image = Capture | ImageSource | RgbdCamera | str | Path | Sequence[str | Path]
+"""An image, or where it is."""
 
-
-@dataclass(frozen=True, eq=False)
-class Perceived:
-    """What was made of an image."""
-
-    grasp: HumanGrasp
-    """World frame, a right hand. If the image shows a left one, the scene reflected in the plane y = 0: the
-    object's name then ends in "_mirrored", and its mesh must be reflected as well (see ``mirror_pose``)."""
-    pose_world_camera: np.ndarray
-    """Camera in the world, shape [7], before any reflection; see ``world_frame`` for where the world is."""
-    hand: HandEstimate
-    """The hand after refinement against the object, camera frame, not mirrored."""
-    object: ObjectEstimate
-    """The object, camera frame, not mirrored."""
-    table: np.ndarray
-    """Plane ``[nx ny nz d]``: ``n . x + d`` is the height of a point above it [m], camera frame, shape
-    [4]."""
-    table_found: bool
-    """Whether the table was given or seen; else it is a guess."""
-    quality: PerceptionQuality
-    """Residuals, penetration and scores."""
-    warnings: tuple[PerceptionWarning, ...]
-    """What was uncertain; empty if nothing was."""
-    confident: bool
-    """Whether the scores of hand and object both pass their thresholds: the object's surface is then right to
-    10 mm on average. A table that is only guessed gives a warning, but the hand on the object does not depend
-    on it; so does the question which way round a nearly symmetric object is."""
-    hands: tuple[PossibleHand, ...] = ()
-    """Hands that the image allows, the best first, which is ``hand``: their fingers differ most where the
-    object hides them."""
+Mesh = ObjectModel | trimesh.Trimesh
+"""An object's surface, with colors if they are known."""
 
 
 def perceive(
-    capture: Capture,
-    model: ObjectModel,
+    capture: Image,
+    obj: ObjectModel | HeldObject | str | Path,
     *,
-    colored: trimesh.Trimesh | None = None,
+    mass: float | None = None,
     side: Side | None = None,
     task: str = "",
     table: np.ndarray | None = None,
-    hand: HandEstimate | None = None,
-    object_estimate: ObjectEstimate | None = None,
+    hand: HandEstimate | Callable[[Capture], HandEstimate] | None = None,
+    object_estimate: ObjectEstimate | Callable[[Capture, Mesh], ObjectEstimate] | None = None,
     detector: HandDetector | None = None,
     seed: int = 0,
     improve_pose: bool = False,
     hands: int = 1,
 ) -> Perceived:
-    """The grasp in an image.
+    """The grasp in an image; ``retarget`` takes the ``grasps`` and the ``objects`` of the result.
 
     Args:
-        capture: color and depth; its mask, box or point says where the object is.
-        model: the object.
-        colored: the same mesh with its colors, which tell apart the sides of a nearly symmetric object.
+        capture: color and depth; its mask, box or point says where the object is. Or where they are: a
+            folder (see ``read_folder``), a recording or "builtin"; paths of color image, depth and
+            intrinsics; or a camera, whose image is taken when hand, table and object are seen.
+        obj: the object, its mesh file [m], the name of a built-in object, or a shape, "box:60x28x30" [mm].
+            Colors of the mesh file tell apart the sides of a nearly symmetric object.
+        mass: of a mesh [kg]; None takes a built-in object's own, or guesses it from the mesh, with a note.
         side: which hand it is, if known.
         task: what the grasp is for, see ``HumanGrasp``.
         table: plane ``[nx ny nz d]``, camera frame, shape [4], unit normal upwards; looked for if None.
-        hand: from another estimator; found in the image if None.
-        object_estimate: from another estimator; found in the image if None. One that is not ``judged``
-            gets the score that the depth gives it, see ``score_given_pose``.
+        hand: from another estimator, or that estimator; found in the image if None.
+        object_estimate: from another estimator, or that estimator; found in the image if None. One that is
+            not ``judged`` gets the score that the depth gives it, see ``score_given_pose``.
         detector: finds hands; by default MediaPipe's models, which ``fungrasp setup perception`` fetches.
         seed: the same seed gives the same answer.
         improve_pose: whether an ``object_estimate`` that is not ``judged`` is fitted to the depth nearby.
         hands: at most so many that the image allows are given, see ``Perceived.hands``.
 
     Raises:
-        FungraspError: there is no hand in the image, no depth at it, the mesh is not of a size that a hand
-            holds, or the hand models are not set up.
+        FungraspError: the image or the object can't be read, there is no hand in the image, no depth at it,
+            the mesh is not of a size that a hand holds, or the hand models are not set up.
     """
+    if not 1 <= hands <= MOST_HANDS:
+        raise FungraspError(f"hands must be 1 to {MOST_HANDS}, not {hands}")
+    held = obj if isinstance(obj, HeldObject) else held_object(obj, mass)
+    model = held.model
+    mesh = model if held.colored is None else held.colored
+    capture = _as_capture(capture, model)
+    hand = hand(capture) if callable(hand) else hand
+    if callable(object_estimate):
+        object_estimate = object_estimate(capture, mesh)
     _check_size(model)
-    mesh = model if colored is None else colored
+    given, watch = object_estimate, Stopwatch()
+    if given is None or not given.judged:
+        with watch.stage("mesh"):
+            known_object(mesh)
 
-    # 1, 2: the hand in the image and in metres. Where it is open which of two hands is meant, both go on.
-    def scene_of(meant: MeantHand) -> _Scene:
-        return _scene(capture, mesh, meant, table, object_estimate, seed, improve_pose)
+    def scene_of(one: HandEstimate, meant: MeantHand | None = None) -> HandCandidate:
+        return _scene(capture, mesh, one, meant, table, given, seed, improve_pose, watch)
 
+    def scenes_of(found: Sequence[MeantHand]) -> list[HandCandidate]:
+        with watch.stage("hand"):
+            fitted = [fit_hand(meant.detected, capture) for meant in found]
+        return [scene_of(one, meant) for one, meant in zip(fitted, found, strict=True)]
+
+    # 1, 2: the hand in the image and in meters. Where it is open which of two hands is meant, both go on.
     # 3, 4: the table and the object; the hand that holds the object more probably is the one.
+    detected: list[DetectedHand] = []
     if hand is not None:
-        scene = scene_of(MeantHand(hand))
+        scenes = [scene_of(hand)]
     else:
         detector = detector or MediaPipeHandDetector()
-        scenes = [scene_of(h) for h in meant_hands(capture, model, object_estimate, side, detector)]
-        if not any(_worth(scene, mesh)[0] for scene in scenes):
+        with watch.stage("detection"):
+            near = object_box(capture, model, given)
+            detected = find_hands(detector, capture, near)
+        scenes = scenes_of(meant_hands(capture, detected, near, side))
+        if not any(scene.holds for scene in scenes):
             # The one that holds it may be harder to see than somebody else's.
-            known = [scene.hand.detected for scene in scenes if scene.hand.detected is not None]
-            scenes += [scene_of(h) for h in hands_elsewhere(capture, known, side, detector)]
-        scene = max(scenes, key=lambda scene: _worth(scene, mesh))
+            known = [scene.detected for scene in scenes if scene.detected is not None]
+            with watch.stage("detection"):
+                others = hands_elsewhere(capture, known, side, detector)
+            scenes += scenes_of(others)
+    chosen = max(range(len(scenes)), key=lambda i: (scenes[i].holds, scenes[i].worth))
+    scene = scenes[chosen]
     # 5: the hand again, touching the object.
-    possible = _refined_hands(scene, capture, model, side, seed, hands)
+    with watch.stage("refinement"):
+        possible = _refined_hands(scene, capture, model, side, seed, hands)
     refined = possible[0][0]
     # 6: the grasp in the world.
-    plane = scene.table
-    if plane is None:
-        surface = transform_points(scene.object.pose_camera_object, model.vertices)
-        plane = guessed_table(np.concatenate([surface, refined.joints_camera]))
-    center = transform_points(scene.object.pose_camera_object, model.center_of_mass[None])[0]
-    pose_world_camera = world_from_table(plane, center)
-    grasps = [_grasp(model, one, scene.object, pose_world_camera, task) for one, _ in possible]
+    with watch.stage("grasp"):
+        plane = scene.table
+        if plane is None:
+            surface = transform_points(scene.object.pose_camera_object, model.vertices)
+            plane = guessed_table(np.concatenate([surface, refined.joints_camera]))
+        center = transform_points(scene.object.pose_camera_object, model.center_of_mass[None])[0]
+        pose_world_camera = world_from_table(plane, center)
+        grasps = [_grasp(model, one, scene.object, pose_world_camera, task) for one, _ in possible]
+        quality = measure_quality(capture, refined, scene.object, model.signed_distance)
+        warnings = (*scene.warnings, *_warnings(scene, refined, model))
     several = len(possible) > 1
     return Perceived(
+        capture=capture,
+        object_model=model,
         grasp=grasps[0],
         hands=tuple(
             PossibleHand(one, replace(grasp, probability=part) if several else grasp, part)
@@ -162,75 +172,86 @@ def perceive(
         object=scene.object,
         table=plane,
         table_found=scene.table is not None,
-        quality=measure_quality(capture, refined, scene.object, model.signed_distance),
-        warnings=(*scene.hand.warnings, *_warnings(scene, refined, model)),
+        quality=quality,
+        warnings=warnings,
         confident=scene.object.accepted and refined.score >= ACCEPTED_HAND,
+        notes=held.notes,
+        trace=PerceptionTrace(tuple(detected), tuple(scenes), chosen, watch.seconds),
     )
+
+
+def _as_capture(image: Image, obj: ObjectModel) -> Capture:
+    if isinstance(image, Capture):
+        return image
+    if isinstance(image, ImageSource):
+        return image.read(obj)
+    if isinstance(image, str | Path):
+        recorded = Path(image).suffix in RECORDINGS
+        return capture_from_camera(image) if recorded else read_folder(image)
+    if not isinstance(image, Sequence):
+        return live_capture(image, obj)
+    if len(image) != 3:
+        raise FungraspError(f"an image in files is color image, depth and intrinsics, not {len(image)} files")
+    return read_capture(*image)
 
 
 def _check_size(model: ObjectModel) -> None:
     size = float(np.linalg.norm(model.size))
     if not SIZES[0] < size < SIZES[1]:
-        unit = "; is the mesh in millimetres?" if size >= SIZES[1] else ""
+        unit = "; is the mesh in millimeters?" if size >= SIZES[1] else ""
         raise FungraspError(f"'{model.name}' is {size:.4g} m large, which no hand holds{unit}")
-
-
-@dataclass(frozen=True, eq=False)
-class _Scene:
-    """A hand, and the table and the object that go with it."""
-
-    hand: MeantHand
-    table: np.ndarray | None
-    object: ObjectEstimate
 
 
 def _scene(
     capture: Capture,
-    mesh: ObjectModel | trimesh.Trimesh,
-    hand: MeantHand,
+    mesh: Mesh,
+    hand: HandEstimate,
+    meant: MeantHand | None,
     table: np.ndarray | None,
-    thing: ObjectEstimate | None,
+    given: ObjectEstimate | None,
     seed: int,
     improve: bool,
-) -> _Scene:
+    watch: Stopwatch,
+) -> HandCandidate:
     """The table under a hand and the object in it, unless they are known."""
-    estimate = hand.estimate
+    thing, answers = given, None
     if table is None:
-        table = table_under(capture, estimate.joints_camera, np.random.default_rng(seed))
+        with watch.stage("table"):
+            table = table_under(capture, hand.joints_camera, np.random.default_rng(seed))
     under = NO_TABLE if table is None else table
-    if thing is None:
-        thing = estimate_object_pose(capture, mesh, estimate, under, seed=seed)
-    elif not thing.judged:
-        thing = score_given_pose(thing, capture, mesh, estimate, under, seed=seed, improve=improve)
+    with watch.stage("object"):
+        if thing is None:
+            answers = search_object_pose(capture, mesh, hand, under, seed=seed)
+            thing = best_estimate(answers)
+        elif not thing.judged:
+            thing = score_given_pose(thing, capture, mesh, hand, under, seed=seed, improve=improve)
     if table is None and thing.accepted:
         # The object tells as well what is below it.
-        surface = transform_points(thing.pose_camera_object, np.asarray(mesh.vertices))
-        table = table_under(capture, surface, np.random.default_rng(seed))
-    return _Scene(hand, table, thing)
-
-
-def _worth(scene: _Scene, mesh: ObjectModel | trimesh.Trimesh) -> tuple[bool, float]:
-    """How probable a scene is: one in which the hand is at the object first, then by the scores."""
-    held = may_hold(scene.hand.estimate, scene.object, np.asarray(mesh.vertices))
-    return held, scene.object.score * scene.hand.estimate.score
+        with watch.stage("table"):
+            surface = transform_points(thing.pose_camera_object, np.asarray(mesh.vertices))
+            table = table_under(capture, surface, np.random.default_rng(seed))
+    holds = may_hold(hand, thing, np.asarray(mesh.vertices))
+    if meant is None:
+        return HandCandidate(None, hand, table, thing, answers, holds)
+    return HandCandidate(meant.detected, hand, table, thing, answers, holds, meant.warnings)
 
 
 def _refined_hands(
-    scene: _Scene, capture: Capture, model: ObjectModel, side: Side | None, seed: int, count: int
+    scene: HandCandidate, capture: Capture, model: ObjectModel, side: Side | None, seed: int, count: int
 ) -> list[tuple[HandEstimate, float]]:
     """Hands that touch the object, and their probabilities; the one hand unchanged where the object's pose is
     not accepted."""
     hand, thing = scene.hand, scene.object
     if not thing.accepted:
-        return [(hand.estimate, 1.0)]
+        return [(hand, 1.0)]
     surroundings = HandSurroundings(model.signed_distance, thing.pose_camera_object, scene.table)
-    if hand.detected is None:
-        return [(refine_hand(hand.estimate, surroundings), 1.0)]
-    joints = hand.estimate.joints_camera
-    return fit_held_hands(hand.detected, capture, surroundings, joints, count, side=side, seed=seed)
+    if scene.detected is None:
+        return [(refine_hand(hand, surroundings), 1.0)]
+    joints = hand.joints_camera
+    return fit_held_hands(scene.detected, capture, surroundings, joints, count, side=side, seed=seed)
 
 
-def _warnings(scene: _Scene, refined: HandEstimate, model: ObjectModel) -> list[PerceptionWarning]:
+def _warnings(scene: HandCandidate, refined: HandEstimate, model: ObjectModel) -> list[PerceptionWarning]:
     """What is uncertain about object, refined hand and table."""
     found = []
     if not scene.object.accepted:
@@ -239,7 +260,7 @@ def _warnings(scene: _Scene, refined: HandEstimate, model: ObjectModel) -> list[
         )
     elif (ambiguous := ambiguity(model, scene.object)) is not None:
         found.append(ambiguous)
-    if refined.side != scene.hand.estimate.side:
+    if refined.side != scene.hand.side:
         found.append(PerceptionWarning.of("side_from_depth", side=refined.side))
     if refined.score < ACCEPTED_HAND:
         found.append(PerceptionWarning.of("low_hand_score", score=refined.score))

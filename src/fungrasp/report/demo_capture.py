@@ -13,18 +13,15 @@ import trimesh
 
 from fungrasp.files import atomic_path
 from fungrasp.grasps import builtin_grasps
-from fungrasp.objects import ObjectModel, builtin_object
-from fungrasp.perception.io.scene_folders import COLOR_FILE, DEPTH_FILE, LENS_FILE
+from fungrasp.objects import builtin_object
+from fungrasp.perception.io.scene_folders import BUILTIN_CAPTURE, COLOR_FILE, DEPTH_FILE, LENS_FILE
 from fungrasp.perception.object_pose.pose_error import add, rotation_error
-from fungrasp.perception.pipeline import Perceived
+from fungrasp.perception.perceived import Perceived
 from fungrasp.report.page_parts import Quantity
 from fungrasp.synthetic_captures.capture_files import TRUTH_FILE, write_capture
 from fungrasp.synthetic_captures.capture_settings import CaptureSettings
 from fungrasp.synthetic_captures.depth_noise import ColorNoise
 from fungrasp.synthetic_captures.render_capture import render_capture
-
-FOLDER = Path(__file__).parent / "demo_capture"
-"""The image, its depth and its lens, as ``read_folder`` reads them; and the truth."""
 
 FILES = (COLOR_FILE, DEPTH_FILE, LENS_FILE, TRUTH_FILE)
 
@@ -52,8 +49,8 @@ class DemoTruth:
 
 
 def demo_truth() -> DemoTruth:
-    """The truth about the image in ``FOLDER``."""
-    truth = json.loads((FOLDER / TRUTH_FILE).read_text())
+    """The truth about the image in ``BUILTIN_CAPTURE``."""
+    truth = json.loads((BUILTIN_CAPTURE / TRUTH_FILE).read_text())
     return DemoTruth(
         truth["object_name"],
         truth["task"],
@@ -62,11 +59,11 @@ def demo_truth() -> DemoTruth:
     )
 
 
-def true_errors(truth: DemoTruth, perceived: Perceived, model: ObjectModel) -> list[Quantity]:
+def true_errors(truth: DemoTruth, perceived: Perceived) -> list[Quantity]:
     """How far what was perceived is from the truth."""
     joints = 1e3 * np.linalg.norm(perceived.hand.joints_camera - truth.joints_camera, axis=1)
     pose = perceived.object.pose_camera_object
-    points = np.asarray(trimesh.sample.sample_surface(model.mesh, 2000, seed=0)[0])
+    points = np.asarray(trimesh.sample.sample_surface(perceived.object_model.mesh, 2000, seed=0)[0])
     apart = 1e3 * float(add(points, pose, truth.pose_camera_object))
     turned = float(np.degrees(rotation_error(pose, truth.pose_camera_object)))
     return [
@@ -77,7 +74,7 @@ def true_errors(truth: DemoTruth, perceived: Perceived, model: ObjectModel) -> l
     ]
 
 
-def make_demo_image(folder: str | Path = FOLDER) -> None:
+def make_demo_image(folder: str | Path = BUILTIN_CAPTURE) -> None:
     """Render the image anew. Another machine's rounding may change single pixels.
 
     Raises:

@@ -9,7 +9,7 @@ from fungrasp.objects import ObjectModel
 from fungrasp.perception import Capture
 from fungrasp.perception.object_pose.confidence import CLOSE, RIVAL_DISTANCE, TURNED
 from fungrasp.perception.object_pose.pose_error import add_s, rotation_error
-from fungrasp.perception.pipeline import Perceived
+from fungrasp.perception.perceived import Perceived
 from fungrasp.report.page_parts import figure
 from fungrasp.report.perception_pictures import pose_over
 

@@ -15,7 +15,8 @@ from fungrasp.grasps.human_hand import HUMAN_FINGERS
 from fungrasp.objects import MIRRORED, ObjectModel
 from fungrasp.perception import Capture
 from fungrasp.perception.object_pose.confidence import ACCEPT
-from fungrasp.perception.pipeline import ACCEPTED_HAND, Perceived
+from fungrasp.perception.perceived import Perceived
+from fungrasp.perception.pipeline import ACCEPTED_HAND
 from fungrasp.report.page import Page, write_page
 from fungrasp.report.page_parts import Quantity, figure, quality_card
 from fungrasp.report.perception_alternatives import alternatives
@@ -39,28 +40,20 @@ HAND_RESIDUAL, OBJECT_RESIDUAL, PENETRATION = 0.010, 0.003, 0.015
 joint whose surroundings reach 9 mm into the object."""
 
 
-def write_perception_page(
-    path: str | Path,
-    capture: Capture,
-    model: ObjectModel,
-    perceived: Perceived,
-    provenance: Mapping[str, str],
-) -> Path:
+def write_perception_page(path: str | Path, perceived: Perceived, provenance: Mapping[str, str]) -> Path:
     """Write a page that needs no other file and no network.
 
     Args:
         path: of the HTML file.
-        capture: the image.
-        model: the object.
-        perceived: what was made of them.
+        perceived: what was made of an image.
         provenance: where it came from: version, command, machine, ..., in the order given.
 
     Raises:
         FungraspError: the page can't be written.
     """
-    facts = f"{side_words(perceived)} · {1000 * model.mass:.0f} g"
+    facts = f"{side_words(perceived)} · {1000 * perceived.object_model.mass:.0f} g"
     page = Page(perception_title(perceived), (), facts, provenance=provenance)
-    return write_page(path, page, perception_parts(capture, model, perceived))
+    return write_page(path, page, perception_parts(perceived))
 
 
 def perception_title(perceived: Perceived) -> str:
@@ -75,25 +68,24 @@ def side_words(perceived: Perceived) -> str:
     return f"{perceived.hand.side} hand".capitalize()
 
 
-def perception_parts(
-    capture: Capture, model: ObjectModel, perceived: Perceived, truth: Sequence[Quantity] = ()
-) -> list[str]:
+def perception_parts(perceived: Perceived, truth: Sequence[Quantity] = ()) -> list[str]:
     """HTML: the verdict, what was seen, the grasp in 3D, the figures, what is uncertain.
 
     truth: errors, where the truth about the image is known.
     """
+    capture, model = perceived.capture, perceived.object_model
     return [
         _verdict(perceived),
         _seen(capture, model, perceived),
         _in_space(model, perceived),
-        _figures(perception_quantities(capture, perceived), truth),
+        _figures(perception_quantities(perceived), truth),
         _uncertain(capture, model, perceived),
     ]
 
 
-def perception_quantities(capture: Capture, perceived: Perceived) -> list[Quantity]:
+def perception_quantities(perceived: Perceived) -> list[Quantity]:
     """The quality figures, what each means and what would be good."""
-    quality, lens = perceived.quality, capture.intrinsics
+    quality, lens = perceived.quality, perceived.capture.intrinsics
     widest = round(REPROJECTION * max(1.0, max(lens.width, lens.height) / 640), 1)
     return [
         Quantity(

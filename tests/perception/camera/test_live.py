@@ -12,8 +12,9 @@ from fungrasp.perception.camera.frames import CameraFrame, FrameList
 from fungrasp.perception.camera.live import LiveCapture, LiveSettings, LiveView
 from fungrasp.perception.camera.recorded import FolderCamera
 from fungrasp.perception.hand.detected_hand import DetectedHand
+from fungrasp.perception.io.scene_folders import BUILTIN_CAPTURE as FOLDER
 from fungrasp.perception.io.scene_folders import read_folder, write_folder
-from fungrasp.report.demo_capture import FOLDER, demo_truth
+from fungrasp.report.demo_capture import demo_truth
 
 TRUTH = demo_truth()
 SEEN = read_folder(FOLDER)

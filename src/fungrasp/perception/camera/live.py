@@ -22,6 +22,7 @@ from fungrasp.perception.camera.readiness import (
 )
 from fungrasp.perception.hand.detected_hand import DetectedHand, HandDetector, find_hands, settle_side
 from fungrasp.perception.hand.fit import fit_hand
+from fungrasp.perception.hand.mediapipe_detector import MediaPipeHandDetector
 from fungrasp.perception.io.capture import Capture
 from fungrasp.perception.object_pose.estimate import estimate_object_pose
 from fungrasp.perception.object_pose.tracker import FOLLOWED, ObjectTracker
@@ -191,3 +192,27 @@ class LiveCapture:
             if not self.judge(burst[i])[0].problems:
                 return burst[i]
         return None
+
+
+def live_capture(
+    camera: RgbdCamera,
+    obj: ObjectModel,
+    settings: LiveSettings | None = None,
+    show: Callable[[LiveView], None] | None = None,
+    hinted: Callable[[Capture], Capture] = lambda capture: capture,
+) -> Capture:
+    """A capture taken by a camera when hand, table and object are seen.
+
+    Args:
+        camera: not yet started.
+        obj: the object that will be held.
+        settings: countdown and burst.
+        show: is given every frame that was looked at, and what is missing in it.
+        hinted: adds the object's mask, box or point to a capture, if one is known.
+
+    Raises:
+        FungraspError: the camera is missing or fails, or a recording ended before all was seen.
+    """
+    with camera as device:
+        taken = LiveCapture(device, obj, MediaPipeHandDetector(), settings, hinted)
+        return taken.take(show or (lambda view: None)).capture()

@@ -21,7 +21,6 @@ from fungrasp.perception.hand.detected_hand import (
     largest_first,
     settle_side,
 )
-from fungrasp.perception.hand.fit import fit_hand
 from fungrasp.perception.io.capture import Box, Capture
 from fungrasp.perception.warning import PerceptionWarning
 
@@ -37,36 +36,27 @@ are 6 to 11 mm from it, and estimated to 10 to 30 mm."""
 class MeantHand:
     """A hand that may be the one that holds the object."""
 
-    estimate: HandEstimate
-    """Without knowledge of the object."""
-    detected: DetectedHand | None = None
-    """None for another estimator's hand."""
+    detected: DetectedHand
+    """With the side that it has."""
     warnings: tuple[PerceptionWarning, ...] = ()
     """What was uncertain in the choice."""
 
 
 def meant_hands(
-    capture: Capture,
-    model: ObjectModel,
-    thing: ObjectEstimate | None,
-    side: Side | None,
-    detector: HandDetector,
+    capture: Capture, hands: Sequence[DetectedHand], near: Box | None, side: Side | None
 ) -> list[MeantHand]:
     """The hands that may be meant: one, where the object's place says which or only one is there; else the
     two largest of the side.
 
     Args:
-        capture: the image; its mask, box or point says where the object is.
-        model: the object.
-        thing: its pose, if it is known.
+        capture: the image.
+        hands: those found in it.
+        near: box around the object [pixels], if its place is known.
         side: which hand it is, if that is known.
-        detector: finds hands.
 
     Raises:
-        FungraspError: there is no hand, or no depth at it.
+        FungraspError: there is no hand.
     """
-    near = told_box(capture) or _object_box(capture, model, thing)
-    hands = find_hands(detector, capture, near)
     if not hands and (reason := why_no_hand(capture)):
         raise FungraspError(f"no hand was found in the image; it is {reason}")
     chosen, warnings = choose_hand(hands, near, side)
@@ -74,7 +64,7 @@ def meant_hands(
     fitting = [hand for hand in hands if side in (None, hand.side)]
     if near is None and len(fitting) > 1:
         meant = [(hand, [_several(hand, len(hands))]) for hand in largest_first(fitting)[:MOST]]
-    return [_fitted(hand, warnings, capture, side) for hand, warnings in meant]
+    return [_settled(hand, warnings, side) for hand, warnings in meant]
 
 
 def hands_elsewhere(
@@ -98,11 +88,12 @@ def hands_elsewhere(
     # One that is found again beside its painted place is no other hand.
     others = [h for h in found if side in (None, h.side) and all(_apart(h, k) for k in known)]
     count = len(known) + len(others)
-    return [_fitted(hand, [_several(hand, count)], capture, side) for hand in largest_first(others)[:MOST]]
+    return [_settled(hand, [_several(hand, count)], side) for hand in largest_first(others)[:MOST]]
 
 
-def told_box(capture: Capture) -> Box | None:
-    """The object's box that was given, or that of its mask or point [pixels]; None if nothing was."""
+def object_box(capture: Capture, model: ObjectModel, given: ObjectEstimate | None) -> Box | None:
+    """The box around the object [pixels]: the one that was given, that of its mask or point, or that of the
+    object in the pose that it is said to have; None if nothing was said."""
     if capture.box is not None:
         return capture.box
     if capture.point is not None:
@@ -111,7 +102,13 @@ def told_box(capture: Capture) -> Box | None:
     if capture.mask is not None:
         rows, columns = np.nonzero(capture.mask)
         return float(columns.min()), float(rows.min()), float(columns.max()), float(rows.max())
-    return None
+    if given is None:
+        return None
+    pixels = capture.intrinsics.project(transform_points(given.pose_camera_object, model.vertices))
+    if not np.isfinite(pixels).all():
+        return None
+    (x0, y0), (x1, y1) = pixels.min(axis=0), pixels.max(axis=0)
+    return float(x0), float(y0), float(x1), float(y1)
 
 
 def may_hold(hand: HandEstimate, thing: ObjectEstimate, vertices: np.ndarray) -> bool:
@@ -130,11 +127,9 @@ def may_hold(hand: HandEstimate, thing: ObjectEstimate, vertices: np.ndarray) ->
     return bool(((hand.joints_camera > low) & (hand.joints_camera < high)).all(axis=1).any())
 
 
-def _fitted(
-    hand: DetectedHand, warnings: Sequence[PerceptionWarning], capture: Capture, side: Side | None
-) -> MeantHand:
+def _settled(hand: DetectedHand, warnings: Sequence[PerceptionWarning], side: Side | None) -> MeantHand:
     settled, more = settle_side(hand, side)
-    return MeantHand(fit_hand(settled, capture), settled, (*warnings, *more))
+    return MeantHand(settled, (*warnings, *more))
 
 
 def _several(hand: DetectedHand, count: int) -> PerceptionWarning:
@@ -144,14 +139,3 @@ def _several(hand: DetectedHand, count: int) -> PerceptionWarning:
 
 def _apart(hand: DetectedHand, other: DetectedHand) -> bool:
     return float(np.linalg.norm(hand.pixels.mean(axis=0) - other.pixels.mean(axis=0))) > 0.5 * other.extent
-
-
-def _object_box(capture: Capture, model: ObjectModel, thing: ObjectEstimate | None) -> Box | None:
-    """The box of the object where it is said to be [pixels]."""
-    if thing is None:
-        return None
-    pixels = capture.intrinsics.project(transform_points(thing.pose_camera_object, model.vertices))
-    if not np.isfinite(pixels).all():
-        return None
-    (x0, y0), (x1, y1) = pixels.min(axis=0), pixels.max(axis=0)
-    return float(x0), float(y0), float(x1), float(y1)

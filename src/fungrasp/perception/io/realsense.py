@@ -21,6 +21,9 @@ from fungrasp.perception.camera.frames import CameraFrame
 from fungrasp.perception.io.capture import Capture, Intrinsics
 from fungrasp.perception.io.capture_checks import check_depth_range
 
+RECORDINGS = (".bag", ".db3")
+"""Kinds of files in which a camera's images are recorded."""
+
 FIRST_WAIT = 5000
 """Longest time that the first images may take [ms]: a camera has to start."""
 

@@ -13,6 +13,7 @@ from fungrasp.errors import FungraspError
 from fungrasp.files import atomic_path
 from fungrasp.formats.numpy_files import read_npz
 from fungrasp.formats.yaml_file import read_yaml
+from fungrasp.perception.image_source import BUILTIN
 from fungrasp.perception.io.capture import Capture
 from fungrasp.perception.io.image_files import read_capture, read_color
 from fungrasp.perception.io.intrinsics_files import MILLIMETRE, intrinsics_from
@@ -22,6 +23,9 @@ COLOR_FILE, DEPTH_FILE, LENS_FILE, MASK_FILE = "rgb.png", "depth.png", "K.json",
 
 FINE, COARSE = 0.0001, 0.001
 """Units [m] in which depth is written: the coarse one where the fine one does not reach."""
+
+BUILTIN_CAPTURE = Path(__file__).parent / "builtin_capture"
+"""A rendered image of a person who holds the built-in spray bottle, and the truth about it."""
 
 _PICTURES = (".png", ".jpg", ".jpeg", ".tif")
 
@@ -34,14 +38,14 @@ def read_folder(folder: str | Path, image: int | None = None) -> Capture:
     - one camera of a DexYCB sequence: see ``read_dexycb``.
 
     Args:
-        folder: the folder.
+        folder: the folder; or "builtin", for the image that comes with the package.
         image: number of the image in a BOP scene or a DexYCB sequence; None takes the first, or the last, in
             which the object is held.
 
     Raises:
         FungraspError: the folder is of no such kind, or a file in it is bad.
     """
-    folder = Path(folder)
+    folder = _found(folder)
     if not folder.is_dir():
         raise FungraspError(f"the folder {folder} does not exist")
     own = own_files(folder)
@@ -64,7 +68,7 @@ def own_files(folder: str | Path) -> tuple[Path, Path, Path, Path | None] | None
 
     The files need not exist; reading them says so.
     """
-    folder = Path(folder)
+    folder = _found(folder)
     if not (folder / LENS_FILE).is_file():
         return None
     mask = folder / MASK_FILE
@@ -168,6 +172,11 @@ def read_dexycb(camera: str | Path, frame: int, *, with_mask: bool = False) -> C
     if "seg" not in fields:
         raise FungraspError(f"{labels}: the field 'seg' is missing")
     return capture.with_object(mask=fields["seg"] == number)
+
+
+def _found(folder: str | Path) -> Path:
+    folder = Path(folder)
+    return BUILTIN_CAPTURE if str(folder) == BUILTIN and not folder.is_dir() else folder
 
 
 def _picture(folder: Path, image: int) -> Path:

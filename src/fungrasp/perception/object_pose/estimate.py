@@ -10,7 +10,15 @@ import trimesh
 from fungrasp.objects import ObjectModel
 from fungrasp.perception.estimates import HandEstimate, ObjectEstimate
 from fungrasp.perception.io.capture import Capture
-from fungrasp.perception.object_pose.confidence import ACCEPT, RIVALRY, confidence, rivals, score_warnings
+from fungrasp.perception.object_pose.confidence import (
+    ACCEPT,
+    FEATURES,
+    RIVALRY,
+    confidence,
+    features,
+    rivals,
+    score_warnings,
+)
 from fungrasp.perception.object_pose.known_object import known_object
 from fungrasp.perception.object_pose.object_view import (
     LEAST_PIXELS,
@@ -74,6 +82,14 @@ class PoseAnswers:
     """Part of the given mask's pixels that look like hand or background."""
     problem: PerceptionWarning | None = None
     """Why nothing was searched for; the pose is then a guess of the place only."""
+
+    @property
+    def evidence(self) -> dict[str, float]:
+        """What the score of the first pose is made of, see ``FEATURES``; empty where nothing was searched
+        for."""
+        if self.problem is not None:
+            return {}
+        return dict(zip(FEATURES, features(self.scores)[0].tolist(), strict=True))
 
 
 def estimate_object_pose(

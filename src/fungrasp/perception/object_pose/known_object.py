@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,7 +11,6 @@ import trimesh
 from scipy.spatial import KDTree
 
 from fungrasp.errors import FungraspError
-from fungrasp.formats.mesh_file import read_colored_mesh
 from fungrasp.geometry.poses import (
     quaternion_from_rotation_vector,
     quaternion_multiply,
@@ -211,30 +209,3 @@ def _view_axes(point: np.ndarray) -> np.ndarray:
     right = np.cross([0.0, 1.0, 0.0], forward)
     right /= np.linalg.norm(right)
     return np.stack([forward, right, np.cross(forward, right)])
-
-
-def colored_mesh(path: str | Path, model: ObjectModel) -> trimesh.Trimesh | None:
-    """The object with the colours of its mesh file, texture included.
-
-    A mesh that had to be mended keeps its mended surface; each of its vertices takes the colour of the file's
-    nearest one.
-
-    Args:
-        path: the file.
-        model: what was made of it.
-
-    Returns:
-        None where the file has no colours.
-
-    Raises:
-        FungraspError: the file can't be read.
-    """
-    mesh = read_colored_mesh(path)
-    if mesh is None or not model.repairs:
-        return mesh
-    visual: Any = mesh.visual
-    colors = (visual.to_color() if visual.kind == "texture" else visual).vertex_colors
-    nearest = KDTree(np.asarray(mesh.vertices)).query(model.vertices)[1]
-    return trimesh.Trimesh(
-        model.vertices, model.faces, vertex_colors=np.asarray(colors)[nearest], process=False
-    )

@@ -1,28 +1,30 @@
-"""Where a command's image comes from: files, a folder, a camera or a recording of one."""
+"""Where an image comes from: files, a folder, a camera or a recording of one.
+
+What reads them is imported on use: ``ImageSource`` is the options of a command, whose help comes at once.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fungrasp.cli.live_capture import CameraChoice
+from fungrasp.errors import FungraspError
 
 if TYPE_CHECKING:
     from fungrasp.objects import ObjectModel
-    from fungrasp.perception import Capture
-    from fungrasp.perception.io.capture import Box, Pixel
+    from fungrasp.perception.camera.frames import RgbdCamera
+    from fungrasp.perception.camera.live import LiveView
+    from fungrasp.perception.io.capture import Box, Capture, Pixel
+
+    Hints = tuple[Box | None, Pixel | None]
 
 BUILTIN = "builtin"
-"""Stands for the image that comes with the package."""
+"""Stands for the image that comes with the package, where no folder has this name."""
 
-
-@dataclass(frozen=True)
-class _Hints:
-    """Where in the image the object is, as far as that was said."""
-
-    box: Box | None = None
-    point: Pixel | None = None
+REALSENSE = "realsense"
+"""Stands for the RealSense camera that is connected."""
 
 
 @dataclass(frozen=True)
@@ -30,7 +32,7 @@ class ImageSource:
     """The image: three files, or a folder, or a RealSense camera, or a recording of one."""
 
     rgb: Path | None = None
-    """Colour image, PNG or JPEG."""
+    """Color image, PNG or JPEG."""
     depth: Path | None = None
     """Depth aligned to it: 16-bit PNG or TIFF, or .npy."""
     intrinsics: Path | None = None
@@ -38,14 +40,12 @@ class ImageSource:
     folder: Path | None = None
     """Instead of the three files a folder: rgb.png, depth.png, K.json (and mask.png); a BOP scene; one camera
     of a DexYCB sequence; or "builtin", an image of a spray_bottle to try things with."""
-    camera: CameraChoice = None
-    """Instead of files: take an image now, with the RealSense camera that is connected, or out of a FOLDER
-    that has a capture's folder for each frame. What is missing is said; the image is taken when hand, table
-    and object are seen."""
+    camera: str | None = None
+    """Instead of files: take an image now, with the RealSense camera that is connected ("realsense"), or out
+    of a FOLDER that has a capture's folder for each frame. What is missing is said; the image is taken when
+    hand, table and object are seen."""
     countdown: float = 3.0
     """Seconds between all being seen and the camera's image."""
-    page: bool = True
-    """Show the camera's picture on a page that only this computer can open."""
     recording: Path | None = None
     """Instead of files: an image out of a RealSense camera's recording, .bag or .db3."""
     keep: Path | None = None
@@ -54,8 +54,8 @@ class ImageSource:
     """Number of the image in a BOP scene (by default the first), a DexYCB sequence (the last) or a recording
     (number 30, or the last)."""
     depth_unit: float | None = None
-    """Metres per unit of the depth image, if the intrinsics don't say: 0.001 is usual. Depth of floats is in
-    metres if this is not given."""
+    """Meters per unit of the depth image, if the intrinsics don't say: 0.001 is usual. Depth of floats is in
+    meters if this is not given."""
     mask: Path | None = None
     """Image that is not 0 where the object is."""
     box: str | None = None
@@ -66,37 +66,51 @@ class ImageSource:
     @property
     def name(self) -> str:
         """Name of the source, as text to print."""
-        if _is_builtin(self.folder):
+        if self.folder is not None and str(self.folder) == BUILTIN and not self.folder.is_dir():
             return "the built-in one"
         if self.camera is not None:
             return f"of the camera {self.camera}"
         return str(self.folder or self.recording or self.rgb)
 
-    def read(self, model: ObjectModel) -> Capture:
+    def read(self, obj: ObjectModel, show: Callable[[LiveView], None] | None = None) -> Capture:
         """The capture, with mask, box or point if one is given.
 
         Args:
-            model: the object; a camera waits until it is seen.
+            obj: the object; a camera waits until it is seen.
+            show: shows what a camera sees.
 
         Raises:
             FungraspError: it is not said, or said twice, where the image comes from; or it can't be read.
         """
-        from fungrasp.perception.io.image_files import parse_box, parse_point
+        from fungrasp.perception.io.image_files import parse_box, parse_point, read_capture
+        from fungrasp.perception.io.scene_folders import own_files, read_folder
 
         self._check()
-        hints = _Hints(
+        hints = (
             None if self.box is None else parse_box(self.box),
             None if self.point is None else parse_point(self.point),
         )
+        files: tuple[Path, Path, Path, Path | None] | None = None
         if self.folder is not None:
-            return self._of_folder(self.folder, hints)
-        if self.camera is not None or self.recording is not None:
-            return self._of_camera(model, hints)
-        return self._of_files(self.rgb, self.depth, self.intrinsics, self.mask, hints)
+            files = own_files(self.folder)
+            if files is None:
+                return self._marked(read_folder(self.folder, self.image), hints)
+        elif self.camera is not None or self.recording is not None:
+            return self._of_camera(obj, hints, show)
+        rgb, depth, intrinsics, mask = files or (self.rgb, self.depth, self.intrinsics, None)
+        assert rgb is not None and depth is not None and intrinsics is not None
+        return read_capture(
+            rgb,
+            depth,
+            intrinsics,
+            depth_unit=self.depth_unit,
+            mask=self.mask or mask,
+            box=hints[0],
+            point=hints[1],
+            image=self.image,
+        )
 
     def _check(self) -> None:
-        from fungrasp.errors import FungraspError
-
         files = {"--rgb": self.rgb, "--depth": self.depth, "--intrinsics": self.intrinsics}
         missing = [name for name, path in files.items() if path is None]
         others = {"--folder": self.folder, "--camera": self.camera, "--recording": self.recording}
@@ -115,29 +129,20 @@ class ImageSource:
         if not live and self.keep is not None:
             raise FungraspError("--keep needs --camera or --recording")
 
-    def _of_folder(self, folder: Path, hints: _Hints) -> Capture:
-        from fungrasp.perception.io.scene_folders import own_files, read_folder
-        from fungrasp.report.demo_capture import FOLDER
-
-        own = own_files(FOLDER if _is_builtin(folder) else folder)
-        if own is None:
-            return self._marked(read_folder(folder, self.image), hints)
-        rgb, depth, intrinsics, mask = own
-        return self._of_files(rgb, depth, intrinsics, self.mask or mask, hints)
-
-    def _of_camera(self, model: ObjectModel, hints: _Hints) -> Capture:
-        from fungrasp.cli.live_capture import live_capture
+    def _of_camera(
+        self,
+        obj: ObjectModel,
+        hints: Hints,
+        show: Callable[[LiveView], None] | None,
+    ) -> Capture:
+        from fungrasp.perception.camera.live import LiveSettings, live_capture
         from fungrasp.perception.io.realsense import capture_from_camera
         from fungrasp.perception.io.scene_folders import read_folder, write_folder
 
         if self.camera is not None:
-            capture = live_capture(
-                self.camera,
-                model,
-                self.countdown,
-                self.page,
-                lambda seen: self._marked(seen, hints),
-            )
+            settings = LiveSettings(countdown=self.countdown)
+            camera = opened_camera(self.camera)
+            capture = live_capture(camera, obj, settings, show, lambda seen: self._marked(seen, hints))
         else:
             capture = capture_from_camera(self.recording, image=self.image)
         if self.keep is not None:
@@ -146,32 +151,26 @@ class ImageSource:
             capture = read_folder(self.keep)
         return self._marked(capture, hints)
 
-    def _of_files(
-        self, rgb: Path | None, depth: Path | None, lens: Path | None, mask: Path | None, hints: _Hints
-    ) -> Capture:
-        from fungrasp.perception.io.image_files import read_capture
-
-        assert rgb is not None and depth is not None and lens is not None
-        return read_capture(
-            rgb,
-            depth,
-            lens,
-            depth_unit=self.depth_unit,
-            mask=mask,
-            box=hints.box,
-            point=hints.point,
-            image=self.image,
-        )
-
-    def _marked(self, capture: Capture, hints: _Hints) -> Capture:
+    def _marked(self, capture: Capture, hints: Hints) -> Capture:
         from fungrasp.perception.io.image_files import read_mask
 
         mask = None if self.mask is None else read_mask(self.mask, capture.depth.shape)
-        if mask is None and hints == _Hints():
+        if mask is None and hints == (None, None):
             return capture
-        return capture.with_object(mask, hints.box, hints.point)
+        return capture.with_object(mask, *hints)
 
 
-def _is_builtin(folder: Path | None) -> bool:
-    """Whether the package's own image is meant: no folder has its name."""
-    return folder is not None and str(folder) == BUILTIN and not folder.is_dir()
+def opened_camera(name: str) -> RgbdCamera:
+    """The camera of that name, not yet started.
+
+    Raises:
+        FungraspError: it is neither "realsense" nor a folder of frames.
+    """
+    from fungrasp.perception.camera.recorded import FolderCamera
+    from fungrasp.perception.io.realsense import RealSenseCamera
+
+    if Path(name).is_dir():
+        return FolderCamera(name)
+    if name == REALSENSE:
+        return RealSenseCamera()
+    raise FungraspError(f"--camera is {REALSENSE}, or a folder that has a capture's folder for each frame")

@@ -1,0 +1,102 @@
+"""The object that somebody holds in an image: a mesh file, a built-in object or a plain shape."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import trimesh
+from scipy.spatial import KDTree
+
+from fungrasp.errors import FungraspError
+from fungrasp.files import atomic_path
+from fungrasp.formats.mesh_file import read_colored_mesh
+from fungrasp.objects.object_model import ObjectModel
+from fungrasp.objects.object_registry import builtin_object, object_from_file, object_names
+from fungrasp.objects.plain_shapes import is_plain_shape, plain_shape
+
+DENSITY = 500.0
+"""Density of everyday objects by the volume of their convex hulls [kg/m^3]: the median of YCB's and the
+built-in ones is 540; eight of ten lie between 190 and 940."""
+
+
+@dataclass(frozen=True, eq=False)
+class HeldObject:
+    """An object, and what perception can make use of beyond its shape."""
+
+    model: ObjectModel
+    """Mesh, mass and inertia of the object."""
+    colored: trimesh.Trimesh | None = None
+    """The same with the colors of its mesh file, if it has any: they tell apart the sides of a nearly
+    symmetric object."""
+    notes: tuple[str, ...] = ()
+    """Assumptions that were made, as sentences to print."""
+
+
+def held_object(obj: ObjectModel | str | Path, mass: float | None = None) -> HeldObject:
+    """The object by its mesh file or its name.
+
+    Args:
+        obj: a mesh file [m], the name of a built-in object, or a shape, "box:60x28x30"; a file of that name
+            comes first. Or the object itself.
+        mass: [kg]; None takes a built-in object's own, or guesses it from the size of the mesh.
+
+    Raises:
+        FungraspError: there is no such file or object, the mesh is bad, or the mass; or an object that has
+            its mass is given another.
+    """
+    if isinstance(obj, ObjectModel):
+        if mass is not None:
+            raise FungraspError(f"'{obj.name}' has its mass, {obj.mass:.4g} kg: give a mass with a mesh only")
+        return HeldObject(obj)
+    mesh = str(obj)
+    is_file = Path(mesh).is_file()
+    shape = not is_file and is_plain_shape(mesh)
+    if not is_file and not shape and (mesh in object_names() or Path(mesh).name == mesh == Path(mesh).stem):
+        return HeldObject(builtin_object(mesh, mass))
+    notes: tuple[str, ...] = ()
+    if mass is None:
+        unit = plain_shape(mesh, 1.0) if shape else object_from_file(mesh, 1.0)
+        mass = DENSITY * float(unit.mesh.convex_hull.volume)
+        notes = (f"the mass was guessed, {mass:.2f} kg: give --mass if you know it",)
+    model = plain_shape(mesh, mass) if shape else object_from_file(mesh, mass)
+    return HeldObject(model, colored_mesh(mesh, model) if is_file else None, notes)
+
+
+def colored_mesh(path: str | Path, model: ObjectModel) -> trimesh.Trimesh | None:
+    """The object with the colors of its mesh file, texture included.
+
+    A mesh that had to be mended keeps its mended surface; each of its vertices takes the color of the file's
+    nearest one.
+
+    Args:
+        path: the file.
+        model: what was made of it.
+
+    Returns:
+        None where the file has no colors.
+
+    Raises:
+        FungraspError: the file can't be read.
+    """
+    mesh = read_colored_mesh(path)
+    if mesh is None or not model.repairs:
+        return mesh
+    visual: Any = mesh.visual
+    colors = (visual.to_color() if visual.kind == "texture" else visual).vertex_colors
+    nearest = KDTree(np.asarray(mesh.vertices)).query(model.vertices)[1]
+    return trimesh.Trimesh(
+        model.vertices, model.faces, vertex_colors=np.asarray(colors)[nearest], process=False
+    )
+
+
+def write_mesh(path: Path, model: ObjectModel) -> None:
+    """Write the object's surface, in the format that the path's ending names.
+
+    Raises:
+        FungraspError: it can't be written.
+    """
+    with atomic_path(path) as temporary:
+        trimesh.Trimesh(model.vertices, model.faces, process=False).export(temporary)

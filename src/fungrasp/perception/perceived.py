@@ -1,0 +1,210 @@
+"""What perception makes of an image: the record that ``perceive`` returns, and what happened on the way."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field
+from math import isfinite
+from time import perf_counter, process_time
+from typing import Any
+
+import numpy as np
+
+from fungrasp.grasps import HUMAN_LINKS, HumanGrasp, HumanGraspSet
+from fungrasp.objects import ObjectModel, mirrored_object
+from fungrasp.perception.estimates import HandEstimate, ObjectEstimate
+from fungrasp.perception.hand.detected_hand import DetectedHand
+from fungrasp.perception.io.capture import Capture
+from fungrasp.perception.object_pose.estimate import PoseAnswers
+from fungrasp.perception.quality import PerceptionQuality
+from fungrasp.perception.warning import PerceptionWarning
+
+
+@dataclass(frozen=True, eq=False)
+class PossibleHand:
+    """One of the hands that an image allows."""
+
+    hand: HandEstimate
+    """Camera frame, not mirrored."""
+    grasp: HumanGrasp
+    """World frame, a right hand."""
+    probability: float
+    """Of this hand, or one like it."""
+
+
+@dataclass(frozen=True)
+class StageSeconds:
+    """How long a stage took."""
+
+    wall: float = 0.0
+    """Wall time [s]."""
+    cpu: float = 0.0
+    """Processor time of all threads together [s]; less than ``wall`` where other programs had the
+    processors."""
+
+
+@dataclass(frozen=True, eq=False)
+class HandCandidate:
+    """A hand that may be the one that holds the object, and the table and the object that go with it."""
+
+    detected: DetectedHand | None
+    """The hand in the image; None for another estimator's."""
+    hand: HandEstimate
+    """The hand in meters, before the object is known, camera frame."""
+    table: np.ndarray | None
+    """Plane ``[nx ny nz d]``, camera frame, shape [4]; None if none was seen."""
+    object: ObjectEstimate
+    """The object's pose, camera frame."""
+    answers: PoseAnswers | None
+    """All poses of the search, best first, and what their scores are made of; None for a given pose."""
+    holds: bool
+    """Whether the object's pose is accepted and the hand is at it."""
+    warnings: tuple[PerceptionWarning, ...] = ()
+    """What was uncertain in the choice of the hand."""
+
+    @property
+    def worth(self) -> float:
+        """The product of the scores of hand and object: of candidates that hold the object, or of those that
+        don't where none does, the highest is chosen."""
+        return self.object.score * self.hand.score
+
+    @property
+    def evidence(self) -> dict[str, float]:
+        """What the score of the object's pose is made of; empty where nothing was searched for."""
+        return {} if self.answers is None else self.answers.evidence
+
+
+@dataclass(frozen=True, eq=False)
+class PerceptionTrace:
+    """What happened inside ``perceive``, by stage."""
+
+    detected: tuple[DetectedHand, ...] = ()
+    """All hands that the detector found in the image as it is; empty where a hand was given."""
+    candidates: tuple[HandCandidate, ...] = ()
+    """Hands that were looked at more closely, in the order in which this happened."""
+    chosen: int = 0
+    """Number of the candidate that the result is made of."""
+    seconds: Mapping[str, StageSeconds] = field(default_factory=dict)
+    """Time of each stage, candidates together: "mesh" (made ready, once for all images of it), "detection",
+    "hand" (in meters, without the object), "table", "object" (the search for its pose), "refinement" (the
+    hand at the object), "grasp" (contacts, world frame and figures)."""
+
+    @property
+    def candidate(self) -> HandCandidate:
+        """The one that was chosen."""
+        return self.candidates[self.chosen]
+
+
+class Stopwatch:
+    """Adds up the time of stages by their names."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, StageSeconds] = {}
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Count what happens inside ``with`` to a stage."""
+        wall, cpu = perf_counter(), process_time()
+        try:
+            yield
+        finally:
+            before = self.seconds.get(name, StageSeconds())
+            self.seconds[name] = StageSeconds(
+                before.wall + perf_counter() - wall, before.cpu + process_time() - cpu
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class Perceived:
+    """What was made of an image."""
+
+    capture: Capture
+    """The image."""
+    object_model: ObjectModel
+    """The object in the image."""
+    grasp: HumanGrasp
+    """World frame, a right hand. If the image shows a left one, the scene reflected in the plane y = 0: the
+    object's name then ends in "_mirrored", and its mesh must be reflected as well (see ``mirror_pose``)."""
+    pose_world_camera: np.ndarray
+    """Camera in the world, shape [7], before any reflection; see ``world_frame`` for where the world is."""
+    hand: HandEstimate
+    """The hand after refinement against the object, camera frame, not mirrored."""
+    object: ObjectEstimate
+    """The object, camera frame, not mirrored."""
+    table: np.ndarray
+    """Plane ``[nx ny nz d]``: ``n . x + d`` is the height of a point above it [m], camera frame, shape
+    [4]."""
+    table_found: bool
+    """Whether the table was given or seen; else it is a guess."""
+    quality: PerceptionQuality
+    """Residuals, penetration and scores."""
+    warnings: tuple[PerceptionWarning, ...]
+    """What was uncertain; empty if nothing was."""
+    confident: bool
+    """Whether the scores of hand and object both pass their thresholds: the object's surface is then right to
+    10 mm on average. A table that is only guessed gives a warning, but the hand on the object does not depend
+    on it; so does the question which way round a nearly symmetric object is."""
+    hands: tuple[PossibleHand, ...] = ()
+    """Hands that the image allows, the best first, which is ``hand``: their fingers differ most where the
+    object hides them."""
+    notes: tuple[str, ...] = ()
+    """Assumptions about the object, as sentences to print: a mass that was guessed."""
+    trace: PerceptionTrace = field(default_factory=PerceptionTrace)
+    """What happened by stage."""
+
+    @property
+    def grasps(self) -> HumanGraspSet:
+        """The grasps that ``retarget`` takes, one of each hand that the image allows, the best first."""
+        return HumanGraspSet.of([one.grasp for one in self.hands] or [self.grasp])
+
+    @property
+    def objects(self) -> dict[str, ObjectModel]:
+        """The object of the grasps by its name, reflected if the hand was a left one."""
+        model, name = self.object_model, self.grasp.object_name
+        return {name: model if name == model.name else mirrored_object(model)}
+
+    def as_json(self) -> dict[str, Any]:
+        """All that was found, to be written as JSON. Meters; poses ``[x y z qw qx qy qz]``; what could not be
+        measured is null."""
+        grasp, hand, thing = self.grasp, self.hand, self.object
+        links = zip(HUMAN_LINKS, grasp.link_contacts, strict=True)
+        return {
+            "version": 1,
+            "sure": self.confident,
+            "doubts": [str(warning) for warning in self.warnings],
+            "warnings": [{"code": warning.code, "values": dict(warning.values)} for warning in self.warnings],
+            "quality": {name: v if isfinite(v) else None for name, v in asdict(self.quality).items()},
+            "grasp": {
+                "object_name": grasp.object_name,
+                "object_mass": grasp.object_mass,
+                "object_pose": grasp.object_pose.tolist(),
+                "object_rest_pose": grasp.object_rest_pose.tolist(),
+                "hand_joints": grasp.hand_joints.tolist(),
+                "links_in_contact": [name for name, touches in links if touches],
+                "task": grasp.task,
+            },
+            "pose_world_camera": self.pose_world_camera.tolist(),
+            "table_camera": self.table.tolist(),
+            "table_found": self.table_found,
+            "hand": {
+                "side": hand.side,
+                "score": hand.score,
+                "joints_camera": hand.joints_camera.tolist(),
+                "pixels": hand.pixels.tolist(),
+                "confidence": hand.confidence.tolist(),
+            },
+            "hands": [
+                {"joints_camera": one.hand.joints_camera.tolist(), "probability": one.probability}
+                for one in self.hands
+            ],
+            "object": {
+                "pose_camera": thing.pose_camera_object.tolist(),
+                "score": thing.score,
+                "accepted": thing.accepted,
+                "note": thing.note,
+                "alternatives": [
+                    {"pose_camera": pose.tolist(), "score": score} for pose, score in thing.alternatives
+                ],
+            },
+        }
