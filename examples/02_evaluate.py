@@ -8,7 +8,7 @@ objects = fungrasp.load_objects(human)
 hand = fungrasp.load_hand("allegro")
 robot = retarget(human, objects, hand)
 
-result = fungrasp.evaluate(robot, objects, hand, "reference", seeds=(0,))
+result = fungrasp.evaluate(robot, objects, policy="reference")
 
 for name, task, reason in zip(result.object_name, result.task, result.outcomes.reason, strict=True):
     print(f"{name}, {task}: {reason or 'success'}")

@@ -2,6 +2,7 @@
 
 import fungrasp
 from fungrasp import Action, GraspPlan, Observation
+from fungrasp.evaluation import LiftTestSpec
 from fungrasp.geometry.poses import compose
 from fungrasp.retargeting import retarget
 
@@ -29,5 +30,5 @@ robot = retarget(human, objects, hand)
 # After planning, every object is moved by 2 cm.
 moved = fungrasp.Randomization(object_shift=(0.02, 0.02))
 for policy in ("reference", FollowTheObject()):
-    result = fungrasp.evaluate(robot, objects, hand, policy, randomization=moved)
+    result = fungrasp.evaluate(robot, objects, policy, spec=LiftTestSpec(randomization=moved))
     print(f"{result.policy}: {result.outcomes.success.sum()} of {len(robot)}")

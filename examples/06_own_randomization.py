@@ -3,6 +3,7 @@
 import numpy as np
 
 import fungrasp
+from fungrasp.evaluation import LiftTestSpec
 from fungrasp.retargeting import retarget
 from fungrasp.sim2real import ROBUSTNESS, MeasurementError, draw
 
@@ -26,5 +27,6 @@ robot = retarget(human, objects, hand)
 
 conditions = {"nominal": ROBUSTNESS["nominal"], "own": slippery_and_heavy}
 for name, randomization in conditions.items():
-    result = fungrasp.evaluate(robot, objects, hand, randomization=randomization, seeds=(0, 1))
+    seeds = (0, 1) if randomization.is_random else (0,)
+    result = fungrasp.evaluate(robot, objects, spec=LiftTestSpec(randomization=randomization, seeds=seeds))
     print(f"{name}: {result.outcomes.success.mean():.0%}")

@@ -15,7 +15,7 @@ human = fungrasp.builtin_grasps()
 human = human.select(np.flatnonzero(human.object_name == "can")[:1])
 objects, hand = fungrasp.load_objects(human), fungrasp.load_hand("allegro")
 with TemporaryDirectory() as folder:
-    fungrasp.evaluate(retarget(human, objects, hand), objects, hand, record=Path(folder))
+    fungrasp.evaluate(retarget(human, objects, hand), objects, record=Path(folder))
     (episode,) = (replay(path) for path in Path(folder).glob("*.npz"))
 
 model = build_scene(hand, objects).model

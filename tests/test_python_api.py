@@ -51,7 +51,7 @@ def test_missing_objects_and_wrong_kinds_are_named(human):
     with pytest.raises(FungraspError, match="the set is empty"):
         retarget(human[:0], objects, "allegro")
     with pytest.raises(FungraspError, match="retarget them first"):
-        fungrasp.evaluate(human, objects, "allegro")  # type: ignore[arg-type]
+        fungrasp.evaluate(human, objects)  # type: ignore[arg-type]
     with pytest.raises(FungraspError, match="only human grasps"):
         retarget(retarget(human, objects, "allegro"), objects, "allegro")  # type: ignore[arg-type]
 

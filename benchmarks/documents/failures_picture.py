@@ -27,7 +27,6 @@ from fungrasp.rendering import look_at_grasp, render, robot_grasp_scene
 from fungrasp.rendering.grasp_scenes import robot_scene_states
 from fungrasp.report import grid
 from fungrasp.retargeting import retarget
-from fungrasp.sim2real import REALITY
 
 LAB = Path(__file__).parents[2] / "docs" / "lab"
 
@@ -112,7 +111,7 @@ def main() -> None:
     objects, hand = load_objects(human), load_hand(HAND)
     robot = retarget(human, objects, hand)
     with TemporaryDirectory() as folder:
-        evaluate(robot, objects, hand, randomization=REALITY, record=Path(folder))
+        evaluate(robot, objects, protocol="reality", record=Path(folder))
         episodes = [replay(file) for file in sorted(Path(folder).iterdir())]
     failed = [(failure_class(e, objects[e.object_name]), e) for e in episodes if not e.success]
     shown, labels = [], []

@@ -224,37 +224,21 @@ class TableOptions:
     def _tested(self, variant: Variant, hand: Hand, policy: Path, seed: int) -> dict[str, Any]:
         """The lift tests of a policy by condition, as JSON can hold them."""
         from benchmarks.paper.variants import CONDITIONS
-        from fungrasp.evaluation import evaluate, result_json
-        from fungrasp.planning import MotionSettings
-        from fungrasp.planning.selection import SelectionSettings
-        from fungrasp.policies import make_planner
-        from fungrasp.sim2real import NOMINAL, PRESETS
+        from fungrasp.evaluation import LiftTestSpec, evaluate, result_json
 
         (test,) = training_sets((self.test,), self.objects, hand, variant.method, threads=self.threads)
         grasps, objects = test.grasps, test.objects
 
         def tested(condition: str) -> LiftTestResult:
-            protocol = "reality" if condition == "reality" else "nominal"
-            planner = make_planner(
-                str(policy),
-                hand,
-                objects,
-                SelectionSettings.for_protocol(protocol, self.rollouts),
-                threads=self.threads,
-                motions=MotionSettings(adapt=None) if "not adapted" in condition else MotionSettings(),
+            spec = LiftTestSpec(
+                policy=str(policy),
+                protocol="reality" if condition == "reality" else "nominal",
+                seeds=(seed,),
+                adapt="not adapted" not in condition,
+                rollouts=self.rollouts,
             )
-            with progress_bar(f"{variant.title}, seed {seed}: {condition}", len(grasps)) as show:
-                return evaluate(
-                    grasps,
-                    objects,
-                    hand,
-                    str(policy),
-                    planner=planner,
-                    seeds=(seed,),
-                    threads=self.threads,
-                    randomization=PRESETS["reality"] if protocol == "reality" else NOMINAL,
-                    progress=show,
-                )
+            with progress_bar(f"{variant.title}, seed {seed}: {condition}", 1.0) as show:
+                return evaluate(grasps, objects, spec=spec, hand=hand, threads=self.threads, progress=show)
 
         # The name in place of the path of the policy's file, which means nothing on another machine.
         return {name: result_json(tested(name)) | {"policy": variant.name} for name in CONDITIONS}

@@ -88,7 +88,7 @@ def compare_method(
         evaluate(
             robot,
             objects,
-            hand,
+            hand=hand,
             planner=make_planner("reference", hand, objects, motions=motions, threads=threads),
             threads=threads,
         )

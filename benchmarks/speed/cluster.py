@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from threading import Event, Thread
 from typing import TYPE_CHECKING
 
 from fungrasp.cli.console import progress_bar, table
@@ -15,7 +14,6 @@ if TYPE_CHECKING:
 
     import numpy as np
 
-    from fungrasp.cli.evaluate import Evaluate
     from fungrasp.evaluation import LiftTestResult
     from fungrasp.grasps import RobotGraspSet
     from fungrasp.jobs import ClusterUse
@@ -50,10 +48,7 @@ class BenchCluster:
 
         import numpy as np
 
-        from fungrasp.cli.evaluate import Evaluate
-        from fungrasp.evaluation import write_result
-        from fungrasp.evaluation.lift_test import run_lift_test
-        from fungrasp.evaluation.lift_test_chunks import check_hand
+        from fungrasp.evaluation import evaluate, write_result
         from fungrasp.grasps import RobotGraspSet, load_grasps, load_objects
         from fungrasp.hands import load_hand
         from fungrasp.provenance import machine, run_record
@@ -64,19 +59,17 @@ class BenchCluster:
         hand, given = load_hand(self.hand), load_grasps(self.grasps)
         objects = load_objects(given, self.objects)
         if isinstance(given, RobotGraspSet):
-            check_hand(given, hand)
+            given.check_hand(hand)
             robot = given
         else:
             robot = retarget(given, objects, hand, threads=1)
         robot = robot.select(np.arange(self.number) % len(robot))
-        command = Evaluate(objects=self.objects, hand=self.hand, policy=self.policy, threads=1)
         start, used = perf_counter(), process_time()
-        (test,) = command.lift_tests(robot, {hand.name: robot}, objects).values()
-        with progress_bar("one process", len(robot)) as show:
-            alone = run_lift_test(test, None, command.chunk_size(test), show)
+        with progress_bar("one process", 1.0) as show:
+            alone = evaluate(robot, objects, self.policy, threads=1, progress=show)
         one = {"run": "one process", "seconds": perf_counter() - start}
         one |= {"processor_seconds": process_time() - used, "processors": 1.0, "at_work": 1.0}
-        found, use, used = self._on_cluster(command, robot, objects)
+        found, use, used = self._on_cluster(robot, objects)
         same = _equal_episodes(alone, found)
         many = {
             "run": "cluster",
@@ -117,51 +110,37 @@ class BenchCluster:
         print(machine())
 
     def _on_cluster(
-        self, command: Evaluate, robot: RobotGraspSet, objects: Mapping[str, ObjectModel]
+        self, robot: RobotGraspSet, objects: Mapping[str, ObjectModel]
     ) -> tuple[LiftTestResult, ClusterUse, float]:
         """Result, use of the cluster, and processor time of this process meanwhile [s]."""
-        from tempfile import TemporaryDirectory
         from time import process_time
 
-        from fungrasp.cli.on_cluster import test_on_cluster
-        from fungrasp.evaluation.lift_test import run_lift_test
-        from fungrasp.jobs import PartStore
+        from fungrasp.evaluation import evaluate
+        from fungrasp.jobs import RayCluster
 
         try:
             import ray
             from ray.cluster_utils import Cluster
         except ImportError as error:
             raise FungraspError("this needs Ray: pip install 'fungrasp[ray]'") from error
-        sets = {robot.hand: robot}
-        tests = command.lift_tests(robot, sets, objects)
-        (test,) = tests.values()
-        jobs = len(test.chunks(command.chunk_size(test)))
-        cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 0, "include_dashboard": False})
-        nodes = [cluster.add_node(num_cpus=1) for _ in range(self.machines)]
-        with TemporaryDirectory(prefix="fungrasp-") as folder:
-            store, over = PartStore(folder), Event()
+        machines = Cluster(initialize_head=True, head_node_args={"num_cpus": 0, "include_dashboard": False})
+        nodes = [machines.add_node(num_cpus=1) for _ in range(self.machines)]
+        cluster = RayCluster(str(machines.address))
 
-            def lose() -> None:
-                while not over.wait(0.1):
-                    if 2 * len(list(Path(folder).glob("*.npz"))) >= jobs:
-                        cluster.remove_node(nodes[-1], allow_graceful=False)
-                        return
+        def watch(share: float) -> None:
+            if self.lose and share >= 0.5 and nodes:
+                machines.remove_node(nodes[-1], allow_graceful=False)
+                nodes.clear()
 
-            losing = Thread(target=lose, daemon=True)
-            used = process_time()
-            try:
-                if self.lose:
-                    losing.start()
-                there = replace(command, ray=(cluster.address,))
-                use = test_on_cluster(there, robot, sets, objects, tests, store)
-                used = process_time() - used
-                return run_lift_test(test, store, command.chunk_size(test)), use, used
-            finally:
-                over.set()
-                if self.lose:
-                    losing.join()
-                ray.shutdown()
-                cluster.shutdown()
+        used = process_time()
+        try:
+            found = evaluate(robot, objects, self.policy, ray=cluster, progress=watch)
+            used = process_time() - used
+            assert cluster.use is not None
+            return found, cluster.use, used
+        finally:
+            ray.shutdown()
+            machines.shutdown()
 
 
 def _equal_episodes(a: LiftTestResult, b: LiftTestResult) -> np.ndarray:

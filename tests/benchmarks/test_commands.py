@@ -133,7 +133,7 @@ def test_several_policies_try_the_same_chain(monkeypatch):
         SimpleNamespace(true=grasps, perceived=None, result=SimpleNamespace(sure=False)),
     ]
 
-    def tried(robot, objects, hand, policy, **others):
+    def tried(robot, objects, policy, **others):
         return SimpleNamespace(outcomes=SimpleNamespace(success=np.full(len(robot), policy == "good")))
 
     monkeypatch.setattr("fungrasp.retargeting.retarget", lambda human, *others, **more: human)

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from small_parts import evaluate_in_parts
 
 from fungrasp.errors import FungraspError
-from fungrasp.evaluation import LiftTestResult, evaluate, result_json
+from fungrasp.evaluation import LiftTestResult, LiftTestSpec, evaluate, result_json
 from fungrasp.geometry.poses import compose
 from fungrasp.jobs import PartStore
 from fungrasp.planning import MotionPlanner
@@ -37,7 +38,11 @@ class Player:
 
 def tried(good, things, allegro, attempts: int, **options) -> LiftTestResult:
     return evaluate(
-        good.select([0, 2]), things, allegro, Player(), attempts=attempts, randomization=MOVED, **options
+        good.select([0, 2]),
+        things,
+        Player(),
+        spec=LiftTestSpec(attempts=attempts, randomization=MOVED),
+        **options,
     )
 
 
@@ -60,7 +65,8 @@ def test_what_the_first_attempt_misses_the_second_lifts(good, things, allegro):
 def test_what_is_held_is_kept(good, things, allegro):
     """Where nothing fails, everything is as with one attempt."""
     once, twice = (
-        evaluate(good.select([0, 2]), things, allegro, Player(), attempts=attempts) for attempts in (1, 2)
+        evaluate(good.select([0, 2]), things, Player(), spec=LiftTestSpec(attempts=attempts))
+        for attempts in (1, 2)
     )
     assert once.outcomes.success.all()
     for name, value in once.outcomes.arrays().items():
@@ -70,9 +76,9 @@ def test_what_is_held_is_kept(good, things, allegro):
 
 def test_an_episode_of_several_attempts_does_not_depend_on_the_others(good, things, allegro):
     some = good.select([0, 2])
-    options = {"attempts": 3, "randomization": REALITY, "seeds": (1, 2)}
+    spec = LiftTestSpec(attempts=3, randomization=REALITY, seeds=(1, 2))
     together, again, apart = (
-        evaluate(some, things, allegro, Player(), chunk=chunk, threads=threads, **options)
+        evaluate_in_parts(chunk, some, things, Player(), spec=spec, threads=threads)
         for chunk, threads in ((2, 2), (2, 1), (1, 1))
     )
     assert together.attempts is not None and apart.attempts is not None and again.attempts is not None
@@ -88,7 +94,7 @@ def test_an_episode_of_several_attempts_does_not_depend_on_the_others(good, thin
 def test_an_object_that_is_pushed_off_is_given_up(good, things, allegro):
     """Moved by half a metre, it lies where an arm would not reach."""
     far = Randomization(object_shift=(0.5, 0.5))
-    result = evaluate(good.select([0, 2]), things, allegro, Player(), attempts=2, randomization=far)
+    result = evaluate(good.select([0, 2]), things, Player(), spec=LiftTestSpec(attempts=2, randomization=far))
     assert result.attempts is not None
     assert not result.outcomes.success.any()
     assert result.attempts.no_plan.all() and result.attempts.attempts.tolist() == [1, 1]
@@ -97,25 +103,24 @@ def test_an_object_that_is_pushed_off_is_given_up(good, things, allegro):
 @pytest.mark.parametrize("policy", ["reference", "plan"])
 def test_a_plan_that_is_played_blindly_is_not_tried_again(good, things, allegro, policy):
     with pytest.raises(FungraspError, match="nothing says that it failed"):
-        evaluate(good.select([0]), things, allegro, policy, attempts=2)
+        evaluate(good.select([0]), things, policy, spec=LiftTestSpec(attempts=2))
     with pytest.raises(FungraspError, match="1 attempt or more, not 0"):
-        evaluate(good.select([0]), things, allegro, policy, attempts=0)
+        evaluate(good.select([0]), things, policy, spec=LiftTestSpec(attempts=0))
 
 
 def test_attempts_are_not_recorded(good, things, allegro, tmp_path):
     with pytest.raises(FungraspError, match="record one attempt"):
-        evaluate(good.select([0]), things, allegro, Player(), attempts=2, record=tmp_path)
+        evaluate(good.select([0]), things, Player(), spec=LiftTestSpec(attempts=2), record=tmp_path)
 
 
 def test_a_finished_part_of_other_attempts_is_not_taken(good, things, allegro, tmp_path):
     name = "student"
     store = PartStore(tmp_path / "parts")
-    options = {"randomization": MOVED, "store": store}
-    planner = MotionPlanner(allegro, things)
+    options = {"planner": MotionPlanner(allegro, things), "store": store}
     some = good.select([0])
-    one = evaluate(some, things, allegro, name, planner=planner, attempts=1, **options)
-    two = evaluate(some, things, allegro, name, planner=planner, attempts=2, **options)
+    one = evaluate(some, things, name, spec=LiftTestSpec(attempts=1, randomization=MOVED), **options)
+    two = evaluate(some, things, name, spec=LiftTestSpec(attempts=2, randomization=MOVED), **options)
     assert one.attempts is None and two.attempts is not None
-    same = evaluate(some, things, allegro, name, planner=planner, attempts=2, **options)
+    same = evaluate(some, things, name, spec=LiftTestSpec(attempts=2, randomization=MOVED), **options)
     assert same.attempts is not None
     np.testing.assert_array_equal(same.attempts.attempts, two.attempts.attempts)

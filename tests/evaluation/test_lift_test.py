@@ -7,10 +7,10 @@ import json
 
 import numpy as np
 import pytest
+from small_parts import evaluate_in_parts
 
 from fungrasp.errors import FungraspError, UnknownNameError
-from fungrasp.evaluation import LiftTestResult, evaluate, replay, result_json
-from fungrasp.evaluation.lift_test_chunks import Refinement
+from fungrasp.evaluation import LiftTestResult, LiftTestSpec, evaluate, replay, result_json
 from fungrasp.files import digest
 from fungrasp.geometry.poses import compose
 from fungrasp.hands import load_hand
@@ -25,7 +25,7 @@ from fungrasp.task import Action, GraspPlan, LiftProtocol, Observation
 def recorded(good, things, allegro, tmp_path_factory):
     """A result and the folder its episodes were recorded to."""
     folder = tmp_path_factory.mktemp("trials")
-    return evaluate(good, things, allegro, record=folder), folder
+    return evaluate(good, things, record=folder), folder
 
 
 def same(a: LiftTestResult, b: LiftTestResult) -> bool:
@@ -37,9 +37,9 @@ def test_good_grasps_succeed_and_nothing_depends_on_threads_or_chunks(recorded, 
     result, _ = recorded
     assert result.outcomes.success.sum() >= 3
     done = []
-    other = evaluate(good, things, allegro, threads=1, chunk=3, progress=done.append)
+    other = evaluate_in_parts(3, good, things, threads=1, progress=done.append)
     assert same(result, other)
-    assert done == sorted(done) and done[-1] == 4 and 0 <= done[0] < 3
+    assert done == sorted(done) and done[-1] == 1 and 0 <= done[0] < 0.75
 
 
 def test_the_json_has_every_number_and_they_agree(recorded):
@@ -128,20 +128,20 @@ def test_an_interrupted_test_goes_on_where_it_was(recorded, good, things, allegr
     store = tmp_path / "E.json.partial"
 
     def interrupt(done: float) -> None:
-        if done > 2.2:
+        if done > 2.2 / 4:
             raise Interrupted
 
     with pytest.raises(Interrupted):
-        evaluate(good, things, allegro, store=PartStore(store), chunk=2, progress=interrupt)
+        evaluate_in_parts(2, good, things, store=PartStore(store), progress=interrupt)
     assert len(list(store.iterdir())) == 1
     seen: list[float] = []
-    result = evaluate(good, things, allegro, store=PartStore(store), chunk=2, progress=seen.append)
-    assert seen[0] == 2, "the first chunk was not simulated again"
+    result = evaluate_in_parts(2, good, things, store=PartStore(store), progress=seen.append)
+    assert seen[0] == 0.5, "the first chunk was not simulated again"
     assert same(result, recorded[0])
     seen.clear()
     changed = dataclasses.replace(good, object_mass=1.5 * good.object_mass)
-    other = evaluate(changed, things, allegro, store=PartStore(store), chunk=2, progress=seen.append)
-    assert 0 <= seen[0] < 2 and not same(other, result), "what was kept is of other grasps"
+    other = evaluate_in_parts(2, changed, things, store=PartStore(store), progress=seen.append)
+    assert 0 <= seen[0] < 0.5 and not same(other, result), "what was kept is of other grasps"
 
 
 @pytest.mark.parametrize("damaged", ["x.partial", "x.partial/a.npz"])
@@ -173,17 +173,18 @@ def test_digests_tell_inputs_apart():
     assert len({base, *others}) == 5
 
 
-def test_a_refinement_is_applied_before_the_trials(good, things, allegro):
+def test_a_refinement_is_applied_before_the_trials(good, things, monkeypatch):
     """One that takes the hand away."""
     seeds = []
 
-    def away(grasps, seed):
+    def away(grasps, *others, seed, **more):
         seeds.append(seed)
         extra = {"refined_tries": np.full(len(grasps), -3)}
         wrist = grasps.wrist_pose + np.array([0, 0, 0.3, 0, 0, 0, 0])
         return dataclasses.replace(grasps, wrist_pose=wrist, extra=extra)
 
-    result = evaluate(good.select([2]), things, allegro, seeds=(4, 5), refine=Refinement(away, "away"))
+    monkeypatch.setattr("fungrasp.planning.selection.refinement.refine_grasps", away)
+    result = evaluate(good.select([2]), things, spec=LiftTestSpec(seeds=(4, 5), refine=3))
     assert seeds == [4, 5] and result.seed.tolist() == [4, 5]
     assert not result.outcomes.success.any() and (result.refined_tries == -3).all()
     assert result_json(result)["seed"] == [4, 5]
@@ -191,11 +192,11 @@ def test_a_refinement_is_applied_before_the_trials(good, things, allegro):
 
 def test_unknown_policies_and_other_hands(good, things, allegro):
     with pytest.raises(UnknownNameError, match="Did you mean 'reference'"):
-        evaluate(good, things, allegro, "referense")
+        evaluate(good, things, "referense")
     with pytest.raises(FungraspError, match="of the hand 'allegro', not of 'leap'"):
-        evaluate(good, things, load_hand("leap"))
+        evaluate(good, things, hand=load_hand("leap"))
     with pytest.raises(FungraspError, match="another version"):
-        evaluate(dataclasses.replace(good, link_contacts=good.link_contacts[:, 1:]), things, allegro)
+        evaluate(dataclasses.replace(good, link_contacts=good.link_contacts[:, 1:]), things)
 
 
 class MyPolicy:
@@ -213,7 +214,7 @@ class MyPolicy:
 
 
 def test_a_policy_of_ones_own_is_played(good, things, allegro):
-    result = evaluate(good, things, allegro, MyPolicy(), chunk=3)
+    result = evaluate_in_parts(3, good, things, MyPolicy())
     assert result.policy == "MyPolicy" and result.outcomes.success.any()
     assert result_json(result)["policy"] == "MyPolicy"
     assert result.rollouts.tolist() == [0] * 4
@@ -228,8 +229,13 @@ def test_a_planner_of_ones_own_is_asked(good, things, allegro):
             plans = super().plan(grasps, belief, seed)
             return dataclasses.replace(plans, rollouts=np.full(len(grasps), 5))
 
-    result = evaluate(
-        good, things, allegro, OpenLoopPolicy(), planner=Planner(allegro, things), chunk=3, seeds=(7,)
+    result = evaluate_in_parts(
+        3,
+        good,
+        things,
+        OpenLoopPolicy(),
+        spec=LiftTestSpec(seeds=(7,)),
+        planner=Planner(allegro, things),
     )
     assert asked == [(3, 7), (1, 7)] and result.rollouts.tolist() == [5] * 4
 
@@ -242,16 +248,16 @@ def test_results_are_kept_only_of_what_has_a_name(good, things, allegro, tmp_pat
 
     for policy, planner in ((MyPolicy(), None), ("reference", Nameless())):
         with pytest.raises(FungraspError, match="given by name"):
-            evaluate(good, things, allegro, policy, planner=planner, store=store)
+            evaluate(good, things, policy, planner=planner, store=store)
     assert not (tmp_path / "x.partial").exists()
 
 
 def test_a_protocol_is_kept_by_planner_and_episodes(good, things, allegro, tmp_path):
     slow = LiftProtocol(wrist_speed=0.1, hold_time=0.5)
-    result = evaluate(good.select([0]), things, allegro, protocol=slow, record=tmp_path)
+    result = evaluate(good.select([0]), things, spec=LiftTestSpec(lift=slow), record=tmp_path)
     trial = replay(tmp_path / "0000_can.npz")
     speed = np.linalg.norm(np.diff(trial.palm_pose[:, :3], axis=0), axis=1) / 0.02
-    assert speed.max() < 0.12 and result.protocol == slow
+    assert speed.max() < 0.12 and result.spec.lift == slow
     planned, episodes = [], []
 
     class Watching(OpenLoopPolicy):
@@ -262,13 +268,15 @@ def test_a_protocol_is_kept_by_planner_and_episodes(good, things, allegro, tmp_p
                 episodes.append(observation.palm_setpoint)
             return super().act(observation)
 
-    evaluate(good.select([0]), things, allegro, Watching(), protocol=slow)
+    evaluate(good.select([0]), things, Watching(), spec=LiftTestSpec(lift=slow))
     np.testing.assert_allclose(planned, episodes, atol=1e-9, err_msg="the plan knows the limits")
 
 
 def test_seeds_try_each_grasp_with_each(good, things, allegro, tmp_path):
     some, noisy = good.select([0, 2]), Randomization(object_shift=(0.01, 0.01))
-    result = evaluate(some, things, allegro, seeds=(3, 8), randomization=noisy, record=tmp_path, chunk=1)
+    result = evaluate_in_parts(
+        1, some, things, spec=LiftTestSpec(seeds=(3, 8), randomization=noisy), record=tmp_path
+    )
     assert result.seed.tolist() == [3, 3, 8, 8] and result.index.tolist() == [0, 1, 0, 1]
     names = sorted(path.name for path in tmp_path.iterdir())
     assert names == [
@@ -276,7 +284,7 @@ def test_seeds_try_each_grasp_with_each(good, things, allegro, tmp_path):
     ]
     places = {name: replay(tmp_path / name).object_pose[0, :2] for name in names}
     assert np.abs(places["0000_3_can.npz"] - places["0000_8_can.npz"]).max() > 1e-3
-    alone = evaluate(some, things, allegro, seeds=(8,), randomization=noisy, threads=1)
+    alone = evaluate(some, things, spec=LiftTestSpec(seeds=(8,), randomization=noisy), threads=1)
     for name, value in alone.outcomes.arrays().items():
         np.testing.assert_array_equal(value, result.outcomes.arrays()[name][2:], err_msg=name)
     assert [replay(tmp_path / name).index for name in names] == [0, 0, 1, 1]

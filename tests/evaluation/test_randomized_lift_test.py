@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import pytest
+from small_parts import evaluate_in_parts
 
-from fungrasp.evaluation import evaluate, replay, result_json
+from fungrasp.evaluation import LiftTestSpec, evaluate, replay, result_json
 from fungrasp.sim2real import REALITY, THREE_PUSHES, MeasurementError, Randomization
 
 
@@ -15,8 +16,9 @@ def test_a_push_moves_what_is_held(good, things, allegro):
         evaluate(
             some,
             things,
-            allegro,
-            randomization=Randomization(push_times=THREE_PUSHES, push_weights=(weights, weights)),
+            spec=LiftTestSpec(
+                randomization=Randomization(push_times=THREE_PUSHES, push_weights=(weights, weights))
+            ),
         ).outcomes
         for weights in (0.0, 1.0, 60.0)
     )
@@ -31,39 +33,43 @@ def test_a_push_moves_what_is_held(good, things, allegro):
 def test_a_policy_that_does_not_look_misses_an_object_that_was_moved(good, things, allegro):
     """It goes where the object was when it was planned for; one that looks sees it where it is."""
     some, moved = good.select([0, 2]), Randomization(object_shift=(0.1, 0.1))
-    assert not evaluate(some, things, allegro, randomization=moved).outcomes.success.any()
+    assert not evaluate(some, things, spec=LiftTestSpec(randomization=moved)).outcomes.success.any()
 
 
 def test_late_actions_still_lift(good, things, allegro):
     late = Randomization(action_delay=(0.1, 0.1))
-    assert evaluate(good.select([0, 2]), things, allegro, randomization=late).outcomes.success.all()
+    assert evaluate(good.select([0, 2]), things, spec=LiftTestSpec(randomization=late)).outcomes.success.all()
 
 
 def test_a_policy_that_is_8_cm_wrong_about_the_object_fails(good, things, allegro):
     wrong = Randomization(object_position_error=MeasurementError(offset=0.08))
-    result = evaluate(good.select([0, 2]), things, allegro, randomization=wrong, seeds=(3,))
+    result = evaluate(good.select([0, 2]), things, spec=LiftTestSpec(randomization=wrong, seeds=(3,)))
     assert not result.outcomes.success.all()
 
 
 @pytest.mark.parametrize("height", [-0.02, 0.02])
 def test_a_table_that_is_elsewhere_is_found_by_the_object_on_it(good, things, allegro, height):
     elsewhere = Randomization(table_height=(height, height))
-    assert evaluate(good.select([0, 2]), things, allegro, randomization=elsewhere).outcomes.success.all()
+    assert evaluate(
+        good.select([0, 2]), things, spec=LiftTestSpec(randomization=elsewhere)
+    ).outcomes.success.all()
 
 
 def test_errors_of_the_joints_that_are_not_looked_at_change_nothing(good, things, allegro):
     """The open loop reads the clock alone."""
     noisy = Randomization(joint_error=MeasurementError(0.3, 0.1), tracker_dropout=0.5)
     some = good.select([0, 2])
-    same = [evaluate(some, things, allegro, randomization=r).outcomes for r in (noisy, Randomization())]
+    same = [
+        evaluate(some, things, spec=LiftTestSpec(randomization=r)).outcomes for r in (noisy, Randomization())
+    ]
     for name, value in same[0].arrays().items():
         assert (value == same[1].arrays()[name]).all(), name
 
 
 def test_an_episode_of_the_reality_protocol_does_not_depend_on_the_others(good, things, allegro, tmp_path):
     some = good.select([0, 2])
-    together = evaluate(some, things, allegro, randomization=REALITY, record=tmp_path)
-    apart = evaluate(some, things, allegro, randomization=REALITY, chunk=1, threads=1)
+    together = evaluate(some, things, spec=LiftTestSpec(randomization=REALITY), record=tmp_path)
+    apart = evaluate_in_parts(1, some, things, spec=LiftTestSpec(randomization=REALITY), threads=1)
     assert together.outcomes.success.tolist() == apart.outcomes.success.tolist()
     # To rounding, which differs between one pose and several, and grows in contact.
     height = together.outcomes.lifted_height_m

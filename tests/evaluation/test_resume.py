@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import mujoco
 import numpy as np
 import pytest
-from planned_grasps import grasps_and_objects, hand
+from planned_grasps import grasps_and_objects
 from residual_policies import policy_file, predictor_file
 
-from fungrasp.evaluation import LiftTestResult, evaluate
-from fungrasp.evaluation.lift_test_chunks import LiftTest, Refinement
-from fungrasp.jobs import PartStore
+from fungrasp.evaluation import LiftTestResult, LiftTestSpec, evaluate
+from fungrasp.evaluation.lift_test_job import LiftTest
+from fungrasp.jobs import PartStore, job
 from fungrasp.planning.selection import SelectionSettings
 from fungrasp.sim2real import Randomization
 from fungrasp.task import LiftProtocol
@@ -25,29 +24,30 @@ PREDICTED = SelectionSettings(2, rollouts=None)
 def runs(monkeypatch) -> list[int]:
     """Rows of the chunks that are simulated; the outcomes are made up."""
     rows: list[int] = []
-    simulate = LiftTest.run
+    simulate = LiftTest.simulate
     known: list[dict[str, np.ndarray]] = []
 
-    def run(self, chunk, progress):
-        rows.extend(chunk.rows.tolist())
+    def run(self, part, progress):
+        rows.extend(part.rows.tolist())
         if not known:
-            known.append(simulate(self, chunk, progress))
+            known.append(simulate(self, part, progress))
         return known[0]
 
-    monkeypatch.setattr(LiftTest, "run", run)
+    monkeypatch.setattr(LiftTest, "simulate", run)
     return rows
 
 
 @pytest.fixture
 def tried(tmp_path, runs):
     """Tries one grasp, kept in the same file every time."""
-    store = tmp_path / "e.json.partial"
+    folder = tmp_path / "e.json.partial"
 
-    def call(policy: str = "reference", grasps=None, **options) -> LiftTestResult:
+    def call(policy: str = "reference", grasps=None, threads=1, record=None, **asked) -> LiftTestResult:
         chosen, objects = grasps_and_objects()
         chosen = (chosen if grasps is None else grasps).select(np.zeros(1, int))
-        options = {"protocol": SHORT, "threads": 1} | options
-        return evaluate(chosen, objects, hand(), policy, store=PartStore(store), **options)
+        spec = LiftTestSpec(**{"lift": SHORT, "policy": policy} | asked)
+        store = PartStore(folder)
+        return evaluate(chosen, objects, spec=spec, threads=threads, record=record, store=store)
 
     return call
 
@@ -65,9 +65,9 @@ def test_the_same_is_not_simulated_again(tried, runs):
     "change",
     [
         {"seeds": (1,)},
-        {"protocol": replace(SHORT, hold_time=0.3)},
+        {"lift": replace(SHORT, hold_time=0.3)},
         {"randomization": Randomization(mass=(2.0, 2.0))},
-        {"refine": Refinement(lambda grasps, seed: grasps, "another")},
+        {"refine": 1},
     ],
 )
 def test_other_settings_are_tried_anew(tried, runs, change):
@@ -79,14 +79,14 @@ def test_other_settings_are_tried_anew(tried, runs, change):
 
 def test_another_version_of_mujoco_is_tried_anew(tried, runs, monkeypatch):
     tried()
-    monkeypatch.setattr(mujoco, "__version__", "0.0.0")
+    monkeypatch.setattr(job, "VERSIONS", (job.VERSIONS[0], "0.0.0"))
     tried()
     assert runs == [0, 0]
 
 
 def test_another_version_of_fungrasp_is_tried_anew(tried, runs, monkeypatch):
     tried()
-    monkeypatch.setattr("fungrasp.evaluation.lift_test_chunks.__version__", "0.0.0")
+    monkeypatch.setattr(job, "VERSIONS", ("0.0.0", job.VERSIONS[1]))
     tried()
     assert runs == [0, 0]
 

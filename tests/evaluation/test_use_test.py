@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 from lifted_grasps import allegro_hand, good_grasps, grasped_objects, human_grasps
 
-from fungrasp.evaluation import evaluate, replay
+from fungrasp.evaluation import LiftTestSpec, evaluate, replay
 from fungrasp.evaluation.held_parts import held_parts
 from fungrasp.evaluation.results import result_json
 from fungrasp.evaluation.use_test import UseTest, use_json
 from fungrasp.geometry.poses import inverse_transform_points
 from fungrasp.grasps import builtin_grasps, load_objects
+from fungrasp.planning import MotionPlanner, MotionSettings
 from fungrasp.task.use import UseOutcomes
 
 
@@ -36,16 +37,17 @@ def test_the_trigger_is_held_by_the_index_finger():
 
 
 def test_evaluate_adds_the_use_test():
-    hand, objects = allegro_hand(), grasped_objects()
-    use = UseTest.of(human_grasps(), good_grasps(), objects, hand)
-    result = evaluate(good_grasps(), objects, hand, use=use, threads=1)
+    objects = grasped_objects()
+    asked = LiftTestSpec(use=True)
+    result = evaluate(good_grasps(), objects, spec=asked, human=human_grasps(), threads=1)
     assert result.use is not None
     tested = result.use.motion != ""
     assert tested.any() and not (tested & ~result.outcomes.success).any()
     whole = result_json(result)
     assert whole["use"]["count"] == tested.sum()
     assert {trial["use_motion"] for trial in whole["trials"]} == set(result.use.motion.tolist())
-    plain = evaluate(good_grasps(), objects, hand, threads=1)
+    planner = MotionPlanner(allegro_hand(), objects, MotionSettings(for_use=True))
+    plain = evaluate(good_grasps(), objects, planner=planner, threads=1)
     assert plain.use is None and "use" not in result_json(plain)
     np.testing.assert_array_equal(plain.outcomes.lifted_height_m, result.outcomes.lifted_height_m)
 
@@ -53,7 +55,8 @@ def test_evaluate_adds_the_use_test():
 def test_use_tests_are_recorded_by_themselves(tmp_path):
     hand, objects = allegro_hand(), grasped_objects()
     use = UseTest.of(human_grasps(), good_grasps(), objects, hand)
-    result = evaluate(good_grasps(), objects, hand, use=use, threads=1, record=tmp_path)
+    asked = LiftTestSpec(use=True)
+    result = evaluate(good_grasps(), objects, spec=asked, human=human_grasps(), threads=1, record=tmp_path)
     assert result.use is not None
     found = {replay(file).index: replay(file) for file in tmp_path.glob("*_use.npz")}
     tested = np.flatnonzero(result.use.motion != "")

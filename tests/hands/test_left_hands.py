@@ -93,8 +93,8 @@ def test_mirrored_hand_gets_mirrored_grasps(left: Hand, method: str):
 def test_mirrored_grasps_lift_as_well(left: Hand):
     grasps = mirrored_grasps(human_grasps())
     objects = load_objects(grasps)
-    expected = evaluate(good_grasps(), grasped_objects(), allegro_hand()).outcomes
-    outcomes = evaluate(retarget(grasps, objects, left), objects, left).outcomes
+    expected = evaluate(good_grasps(), grasped_objects()).outcomes
+    outcomes = evaluate(retarget(grasps, objects, left), objects, hand=left).outcomes
     np.testing.assert_array_equal(outcomes.success, expected.success)
     np.testing.assert_allclose(outcomes.lifted_height_m, expected.lifted_height_m, atol=1e-3)
 

@@ -29,10 +29,11 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "helpers"))
 
 import numpy as np
 import torch
+from small_parts import parts_of
 from small_training import BATCH, WORLDS, hand, run_settings, training_set
 
 from fungrasp.cli.main import main as fungrasp
-from fungrasp.evaluation import evaluate, result_json, write_result
+from fungrasp.evaluation import LiftTestSpec, evaluate, result_json, write_result
 from fungrasp.evaluation.result_files import read_result, split_rows
 from fungrasp.formats.onnx_file import message_fields
 from fungrasp.grasps import builtin_grasps, load_objects, save_robot_grasps
@@ -107,9 +108,9 @@ def planning(scratch: Path) -> tuple[Work, Result]:
     def work(folder: Path) -> None:
         planner = make_planner("predictor", hand(), objects, PLAN, threads=1)
         store = PartStore(folder / "planned.json.partial")
-        protocol = replace(LiftProtocol(), hold_time=0.5)
-        options: dict[str, Any] = {"planner": planner, "protocol": protocol, "store": store, "chunk": 1}
-        tested = evaluate(grasps, objects, hand(), "predictor", threads=1, **options)
+        spec = LiftTestSpec(policy="predictor", lift=replace(LiftProtocol(), hold_time=0.5))
+        with parts_of(1):
+            tested = evaluate(grasps, objects, spec=spec, planner=planner, threads=1, store=store)
         write_result(folder / "planned.json", *split_rows(result_json(tested)))
         store.remove()
 

@@ -41,7 +41,7 @@ def moved_hand(folder: Path, seed: int, stand: bool) -> Hand:
 
 
 def lifted(hand: Hand) -> LiftTestResult:
-    return evaluate(retarget(human_grasps(), grasped_objects(), hand), grasped_objects(), hand)
+    return evaluate(retarget(human_grasps(), grasped_objects(), hand), grasped_objects())
 
 
 @pytest.mark.filterwarnings("ignore:Attaching a spec")

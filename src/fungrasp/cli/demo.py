@@ -185,8 +185,7 @@ class Demo:
     ) -> tuple[LiftTestResult, list[Trajectory], dict[int, Trajectory]]:
         """The outcome of each grasp, refined first, and what moved how: in the lift tests, and in the use
         tests by row."""
-        from fungrasp.evaluation import evaluate, replay
-        from fungrasp.evaluation.use_test import UseTest
+        from fungrasp.evaluation import LiftTestSpec, evaluate, replay
         from fungrasp.planning import MotionSettings
         from fungrasp.planning.selection import SelectionSettings
         from fungrasp.planning.selection.refinement import refine_grasps
@@ -209,15 +208,15 @@ class Demo:
         selection = SelectionSettings.for_protocol("nominal", for_use=True)
         # Refined grasps are played as they were tried: with the squeeze for the lift alone.
         motions = MotionSettings(for_use=not refined)
-        with progress_bar("lifting and using", len(robot)) as show:
+        with progress_bar("lifting and using", 1.0) as show:
             result = evaluate(
                 robot,
                 objects,
-                hand,
                 policy,
+                spec=LiftTestSpec(use=True),
+                human=human,
                 planner=make_planner(policy, hand, objects, selection, threads=self.threads, motions=motions),
                 threads=self.threads,
-                use=UseTest.of(human, robot, objects, hand),
                 record=folder / "episodes",
                 progress=show,
             )

@@ -7,9 +7,8 @@ is that of one process.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
-from uuid import uuid4
 
 import numpy as np
 
@@ -18,13 +17,9 @@ from fungrasp.errors import FungraspError
 from fungrasp.jobs.ray_cluster import LOCAL, ClusterUse, RayCluster
 
 if TYPE_CHECKING:
-    from fungrasp.cli.evaluate import Evaluate
     from fungrasp.cli.train import Train
-    from fungrasp.evaluation.lift_test_chunks import Chunk, LiftTest
     from fungrasp.evaluation.synthesize_in_parts import Synthesis, SynthesisPart
-    from fungrasp.grasps import HumanGraspSet, RobotGraspSet
     from fungrasp.jobs import PartStore
-    from fungrasp.objects import ObjectModel
 
 Names = tuple[str, str]
 
@@ -81,69 +76,6 @@ def _spread(
     assert cluster.use is not None
     print(f"on the cluster: {cluster.use.words}")
     return cluster.use
-
-
-# ---------------------------------------------------------------- evaluate
-
-
-@dataclass(frozen=True, eq=False)
-class _Evaluation:
-    """What every chunk needs."""
-
-    command: Evaluate
-    grasps: HumanGraspSet | RobotGraspSet
-    sets: Mapping[str, RobotGraspSet]
-    objects: Mapping[str, ObjectModel]
-    key: str
-    """Of this run of the command."""
-
-
-def test_on_cluster(
-    command: Evaluate,
-    grasps: HumanGraspSet | RobotGraspSet,
-    sets: Mapping[str, RobotGraspSet],
-    objects: Mapping[str, ObjectModel],
-    tests: Mapping[Names, LiftTest],
-    store: PartStore,
-) -> ClusterUse:
-    """Run the chunks of lift tests that are not kept yet.
-
-    Args:
-        command: whose tests they are.
-        grasps: that were given to it.
-        sets: robot grasps by the name of the retargeting method.
-        objects: by name.
-        tests: by method and condition.
-        store: where chunks are kept.
-
-    Raises:
-        FungraspError: as ``RayCluster.run``, or a part can't be written.
-    """
-    jobs = [
-        (names, chunk)
-        for names, test in tests.items()
-        for chunk in test.chunks(command.chunk_size(test))
-        if test.finished(chunk, store) is None
-    ]
-    alone = replace(command, threads=1, ray=None)
-    shared = _Evaluation(alone, grasps, dict(sets), dict(objects), uuid4().hex)
-
-    def keep(job: tuple[Names, Chunk], arrays: Mapping[str, np.ndarray]) -> None:
-        names, chunk = job
-        store.save(tests[names].key(chunk), arrays)
-
-    return _spread(_run_chunk, jobs, keep, lambda job: len(job[1].rows), command.ray or (), shared)
-
-
-_tests: dict[str, dict[Names, LiftTest]] = {}
-"""Scenes and planners of one run of a command, made once in each process, by its key."""
-
-
-def _run_chunk(shared: _Evaluation, names: Names, chunk: Chunk) -> dict[str, np.ndarray]:
-    if shared.key not in _tests:
-        _tests.clear()
-        _tests[shared.key] = shared.command.lift_tests(shared.grasps, shared.sets, shared.objects)
-    return _tests[shared.key][names].run(chunk, lambda done: None)
 
 
 # ---------------------------------------------------------------- grasps make

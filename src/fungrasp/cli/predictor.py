@@ -51,16 +51,16 @@ class TrainPredictor:
         import torch
 
         from fungrasp.cli.console import progress_bar
-        from fungrasp.cli.hand_choice import chosen_hand
         from fungrasp.policies.checkpoint.card import Budget, TrainingData
         from fungrasp.policies.residual_action import ResidualSettings
         from fungrasp.provenance import machine
+        from fungrasp.sim2real.joint_dynamics import identified_hand
         from fungrasp.task import LiftProtocol
         from fungrasp.training.export import export_predictor, make_card
         from fungrasp.training.success_predictor import PlanOutcomes, cross_validate, fit_predictor, try_plans
 
         check_numbers(1, self.seed, self.threads)
-        start, hand = perf_counter(), chosen_hand(self.hand, self.hand_dynamics)
+        start, hand = perf_counter(), identified_hand(self.hand, self.hand_dynamics)
         sets = training_sets(self.grasps, self.objects, hand, self.method, self.terms, self.threads)
         torch.set_num_threads(1)
         folder = self.out.with_suffix(".episodes") if self.episodes is None else self.episodes

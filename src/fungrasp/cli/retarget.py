@@ -56,7 +56,7 @@ class Retarget:
         objects = load_objects(human, self.objects)
         with PartStore.beside(self.out) as store:
             start = perf_counter()
-            with progress_bar(f"retargeting to {hand.name} ({self.method})", len(human)) as show:
+            with progress_bar(f"retargeting to {hand.name} ({self.method})", 1.0) as show:
                 robot = retarget(
                     human,
                     objects,

@@ -98,11 +98,11 @@ class Train:
         import torch
 
         from fungrasp.cli.console import progress_bar
-        from fungrasp.cli.hand_choice import chosen_hand
+        from fungrasp.sim2real.joint_dynamics import identified_hand
         from fungrasp.training.run import POLICY, RunSettings, train
 
         check_numbers(self.steps, self.seed, self.threads)
-        hand = chosen_hand(self.hand, self.hand_dynamics)
+        hand = identified_hand(self.hand, self.hand_dynamics)
         ppo = self.ppo if self.sees is None else replace(self.ppo, sees=self.sees)
         environment = self.environment
         if self.worlds is not None:

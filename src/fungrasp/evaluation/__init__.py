@@ -2,6 +2,8 @@
 
 from fungrasp.evaluation.grasp_quality import StaticQuality, static_quality
 from fungrasp.evaluation.lift_test import LiftTestResult, evaluate
+from fungrasp.evaluation.lift_test_spec import LiftTestSpec
+from fungrasp.evaluation.method_comparison import MethodComparison, compare_methods
 from fungrasp.evaluation.result_files import ResultFile, read_result, write_result
 from fungrasp.evaluation.results import result_json
 from fungrasp.evaluation.six_directions import StaticResult, six_direction_test
@@ -10,11 +12,14 @@ from fungrasp.evaluation.use_recording import UseRecorder
 
 __all__ = [
     "LiftTestResult",
+    "LiftTestSpec",
+    "MethodComparison",
     "ResultFile",
     "StaticQuality",
     "StaticResult",
     "Trajectory",
     "UseRecorder",
+    "compare_methods",
     "evaluate",
     "read_result",
     "replay",

@@ -63,7 +63,7 @@ class StaticQuality:
 
     def table(self) -> str:
         """``summary`` as text."""
-        return quality_table(self.summary())
+        return static_quality_table(self.summary())
 
     def summary(self) -> dict[str, dict[str, float]]:
         """Mean, 95th percentile and maximum of each number over the grasps."""
@@ -80,7 +80,7 @@ class StaticQuality:
         return result
 
 
-def quality_table(summary: Mapping[str, Mapping[str, float]]) -> str:
+def static_quality_table(summary: Mapping[str, Mapping[str, float]]) -> str:
     """``StaticQuality.summary`` as text."""
     rows: list[tuple[str, ...]] = [("quality", "mean", "p95", "max", "unit")]
     for name, numbers in summary.items():

@@ -79,6 +79,24 @@ def write_result(path: str | Path, header: Mapping[str, Any], rows: Iterable[Map
         temporary.write_text("{\n" + ",\n".join(lines) + "\n}\n")
 
 
+def save_result(path: str | Path, whole: Mapping[str, Any], compact: bool = False) -> None:
+    """Write a result that holds its rows as lists.
+
+    Args:
+        path: of the JSON file.
+        whole: nothing in it is NaN or infinite.
+        compact: as a header and a table (``write_result``), in the place of one file.
+
+    Raises:
+        FungraspError: a file can't be written.
+    """
+    if compact:
+        write_result(path, *split_rows(whole))
+        return
+    with atomic_path(path) as temporary:
+        temporary.write_text(json.dumps(whole, indent=1, allow_nan=False) + "\n")
+
+
 def read_result(path: str | Path) -> ResultFile:
     """Read a header with its table, or a single JSON file of ``--json``.
 

@@ -13,6 +13,8 @@ from fungrasp.evaluation.lift_test import LiftTestResult
 from fungrasp.evaluation.six_directions import StaticResult
 from fungrasp.evaluation.statistics import mean_over_groups, wilson_interval
 from fungrasp.evaluation.use_test import use_json
+from fungrasp.formats.record_json import record_to_json
+from fungrasp.provenance import run_record
 from fungrasp.sim2real import protocol_name
 from fungrasp.version import __version__
 
@@ -46,7 +48,7 @@ def summary(result: LiftTestResult, which: np.ndarray | None = None) -> dict[str
         values[f"{name}_held"] = float(np.mean(distance)) if len(distance) else None
     values["contact_estimate"] = result.contact_estimates.summary(which)
     if result.attempts is not None:
-        values["attempts"] = {"most": result.most_attempts, **result.attempts.summary(which)}
+        values["attempts"] = {"most": result.spec.attempts, **result.attempts.summary(which)}
     displacement = values["sim_distance_world_mm_s"] * LEGACY_PERIOD
     values["legacy"] = {
         "success_rate": float(np.mean(result.outcomes.legacy_success[which])),
@@ -90,17 +92,40 @@ def result_json(result: LiftTestResult) -> dict[str, Any]:
             "policy": result.policy,
             "rollouts_per_grasp": float(np.mean(result.rollouts)),
             "seed": seeds[0] if len(seeds) == 1 else seeds,
-            "protocol": protocol_name(result.randomization),
-            "lift_test": asdict(result.protocol),
-            "physics": asdict(result.physics),
+            "protocol": result.spec.protocol if result.conditions else protocol_name(result.randomization),
+            "lift_test": asdict(result.spec.lift),
+            "physics": asdict(result.spec.physics),
             "randomization": asdict(result.randomization),
             **summary(result),
             "mean_over_objects": mean_over_objects(result),
             "by_object": {name: summary(result, result.object_name == name) for name in names},
             **({} if result.use is None else {"use": use_json(result.use, result.task)}),
+            **(
+                {}
+                if result.six_directions is None
+                else {"six_directions": static_json(result.six_directions)}
+            ),
+            **({} if result.quality is None else {"quality": result.quality.summary()}),
+            **({} if not result.conditions else {"robustness": robustness_json(result.conditions)}),
+            "spec": record_to_json(result.spec),
             "trials": episodes,
         }
     )
+
+
+def _static(result: LiftTestResult) -> dict[str, Any]:
+    """Static measurements, if there are any."""
+    numbers: dict[str, Any] = {}
+    if result.six_directions is not None:
+        numbers["six_directions"] = static_json(result.six_directions)
+    if result.quality is not None:
+        numbers["quality"] = result.quality.summary()
+    return numbers
+
+
+def result_record(numbers: Mapping[str, Any], seconds: float) -> dict[str, Any]:
+    """Numbers of one result or of several, with command, versions, machine and date."""
+    return run_record(numbers.get("seed", 0)) | dict(numbers) | {"seconds": seconds}
 
 
 def robustness_json(results: Mapping[str, LiftTestResult]) -> dict[str, Any]:

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fungrasp.evaluation.lift_test_chunks import CHUNK, check_hand
 from fungrasp.geometry.poses import compose, inverse_transform_points, invert, rotation_vector
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand, as_hand
@@ -18,6 +17,10 @@ from fungrasp.task import Belief
 
 DIRECTIONS = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], dtype=float)
 """Directions of the pushes, world frame, in the order of the results, shape [6, 3]."""
+
+
+CHUNK = 128
+"""Grasps simulated together. It bounds the memory."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +63,7 @@ class StaticResult:
 def six_direction_test(
     grasps: RobotGraspSet,
     objects: Mapping[str, ObjectModel],
-    hand: Hand | str,
+    hand: Hand | str | None = None,
     *,
     protocol: StaticProtocol | None = None,
     threads: int = 0,
@@ -73,9 +76,9 @@ def six_direction_test(
     ``squeeze_positions``; where it has none, they squeeze as in planned motions.
 
     Args:
-        grasps: N grasps of ``hand``.
+        grasps: N grasps.
         objects: by name.
-        hand: the robot hand, or its name.
+        hand: the robot hand, or its name; that of the grasps if None.
         protocol: the published one if None.
         threads: 0 means all processors. The result does not depend on it.
         chunk: grasps simulated together.
@@ -84,8 +87,8 @@ def six_direction_test(
     Raises:
         FungraspError: grasps of another hand.
     """
-    hand = as_hand(hand)
-    check_hand(grasps, hand)
+    hand = grasps.load_hand() if hand is None else as_hand(hand)
+    grasps.check_hand(hand)
     check_objects(grasps.object_name.tolist(), objects)
     p = protocol or StaticProtocol()
     settings = SceneSettings(gravity=0.0, friction=p.friction, torsional_friction=p.torsional_friction)

@@ -56,7 +56,7 @@ class Job(ABC, Generic[Part]):
         """
 
     def size(self, part: Part) -> float:
-        """How much work a part is, in the unit of progress."""
+        """How much work a part is."""
         return 1.0
 
     def together(self, missing: list[Part]) -> list[list[Part]]:
@@ -89,7 +89,7 @@ def run_job(
         job: what to do.
         store: keeps finished parts, and knows those of an interrupted run; who calls removes it.
         ray: does the parts on a cluster; this process if None. The results are the same.
-        progress: called with how much is done, in the unit of ``Job.size``.
+        progress: called with the share that is done, 0 to 1.
 
     Returns:
         The results in the order of ``job.parts()``.
@@ -104,7 +104,8 @@ def run_job(
         for key, part in zip(keys, parts, strict=True)
     ]
     done = sum(job.size(part) for part, arrays in zip(parts, found, strict=True) if arrays is not None)
-    progress(done)
+    whole = sum(map(job.size, parts)) or 1.0
+    progress(done / whole)
 
     def finished(number: int, arrays: Arrays) -> None:
         nonlocal done
@@ -115,7 +116,7 @@ def run_job(
 
     def arrived(sent: tuple[int, Part], arrays: Arrays) -> None:
         finished(sent[0], arrays)
-        progress(done)
+        progress(done / whole)
 
     missing = [number for number, arrays in enumerate(found) if arrays is None]
     if ray is not None:
@@ -129,10 +130,10 @@ def run_job(
     else:
         waiting = iter(missing)
         for group in job.together([parts[number] for number in missing]):
-            results = job.run(group, lambda more, before=done: progress(before + more))
+            results = job.run(group, lambda more, before=done: progress((before + more) / whole))
             for arrays in results:
                 finished(next(waiting), arrays)
-            progress(done)
+            progress(done / whole)
     return [arrays for arrays in found if arrays is not None]
 
 

@@ -105,7 +105,7 @@ def retarget(
         threads: 0 means all processors. The result does not depend on it.
         store: keeps finished parts, and knows those of an interrupted run; who calls removes it.
         ray: solves the parts on a cluster. The result is the same.
-        progress: called with the number of human grasps that are done.
+        progress: called with the share of the grasps that is done, 0 to 1.
 
     Returns:
         Robot grasps that know their hand (``RobotGraspSet.load_hand``).

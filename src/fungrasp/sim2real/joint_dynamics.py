@@ -11,7 +11,7 @@ import numpy as np
 from fungrasp.errors import FungraspError
 from fungrasp.files import atomic_path
 from fungrasp.formats.toml_file import read_toml
-from fungrasp.hands import Hand
+from fungrasp.hands import Hand, as_hand
 
 QUANTITIES = ("stiffness", "damping", "friction", "armature")
 TORQUE_LIMIT = "torque_limit"
@@ -88,19 +88,22 @@ def set_dynamics(model: mujoco.MjModel, dynamics: JointDynamics) -> None:
             model.actuator_forcerange[servo] = np.array([-1.0, 1.0]) * dynamics.torque_limit[j]
 
 
-def identified_hand(hand: Hand, path: str | Path) -> Hand:
+def identified_hand(hand: Hand | str, path: str | Path | None) -> Hand:
     """A hand whose servos and joints have identified dynamics, for everything that plans or trains.
 
     A torque constant scales all that a servo makes, so that its own damping goes with its stiffness; the rest
     of the damping is the joint's. The delay is not part of a hand.
 
     Args:
-        hand: as its files describe it.
-        path: what ``save_dynamics`` has written.
+        hand: as its files describe it, its name, or the path of its TOML file.
+        path: what ``save_dynamics`` has written; the hand stays as it is if None.
 
     Raises:
         FungraspError: the file can't be read, or names joints or quantities that there are not.
     """
+    hand = as_hand(hand)
+    if path is None:
+        return hand
     dynamics = load_dynamics(path, hand)
     servos = {}
     for j, name in enumerate(dynamics.joints):

@@ -1,25 +1,35 @@
-"""Tables of what ``fungrasp evaluate`` has measured."""
+"""Results of lift tests as tables of text."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections import Counter
+from collections.abc import Mapping
+from typing import Any
 
-from fungrasp.cli.console import table
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from fungrasp.evaluation import LiftTestResult
+from fungrasp.evaluation.lift_test import LiftTestResult
+from fungrasp.evaluation.results import result_json, summary
+from fungrasp.evaluation.six_directions import StaticResult
+from fungrasp.evaluation.statistics import wilson_interval
+from fungrasp.evaluation.use_test import use_json
+from fungrasp.text_table import table
 
 HEAD = ("episodes", "success", "95 % interval", "contacts", "slip [mm/s]", "pushed [mm]")
 
 
 def result_table(result: LiftTestResult) -> str:
+    """Rates of success by object, or by condition where there are several; what else was measured."""
+    parts = [robustness_table(result.conditions) if result.conditions else _object_table(result)]
+    if result.use is not None:
+        parts.append(use_table(result))
+    if result.six_directions is not None:
+        parts.append(_six_directions(result.six_directions))
+    if result.quality is not None:
+        parts.append(result.quality.table())
+    return "\n".join(parts)
+
+
+def _object_table(result: LiftTestResult) -> str:
     """Objects and their rates of success, and why episodes failed."""
-    from collections import Counter
-
-    from fungrasp.evaluation.results import result_json
-
     numbers = result_json(result)
     rows = [("object", *HEAD)]
     rows += [_row(name, part) for name, part in numbers["by_object"].items()]
@@ -58,10 +68,6 @@ def attempt_lines(attempts: Mapping[str, Any] | None) -> list[str]:
 
 def use_table(result: LiftTestResult) -> str:
     """Tasks and how many of their held grasps passed the use test, and why the others failed."""
-    from collections import Counter
-
-    from fungrasp.evaluation.use_test import use_json
-
     assert result.use is not None
     numbers = use_json(result.use, result.task)
     if not numbers["count"]:
@@ -86,17 +92,13 @@ def use_table(result: LiftTestResult) -> str:
     )
 
 
-def static_words(static: Mapping[str, Any]) -> str:
-    """Outcome of the six-direction test, and the quality if it was measured."""
-    from fungrasp.evaluation.grasp_quality import quality_table
-
-    six = static["six_directions"]
-    low, high = six["pass_interval"]
-    line = f"six directions: {six['pass_rate']:.1%} hold (95 % interval {low:.1%} – {high:.1%})"
-    return "\n".join([line, *([quality_table(static["quality"])] if "quality" in static else [])])
+def _six_directions(result: StaticResult) -> str:
+    count, passed = len(result.passed), int(result.passed.sum())
+    low, high = wilson_interval(passed, count)
+    return f"six directions: {passed / count:.1%} hold (95 % interval {low:.1%} – {high:.1%})"
 
 
-def comparison(results: Mapping[str, LiftTestResult]) -> str:
+def comparison_table(results: Mapping[str, LiftTestResult]) -> str:
     """Methods side by side."""
     return _side_by_side("method", results)
 
@@ -109,8 +111,6 @@ def robustness_table(results: Mapping[str, LiftTestResult]) -> str:
 
 
 def _side_by_side(first: str, results: Mapping[str, LiftTestResult]) -> str:
-    from fungrasp.evaluation.results import summary
-
     return table([(first, *HEAD), *(_row(name, summary(result)) for name, result in results.items())])
 
 
