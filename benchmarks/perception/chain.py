@@ -54,8 +54,8 @@ def run_chain(
             if robot is None:
                 success[words] = np.zeros(0, dtype=bool)
                 continue
-            with progress_bar(f"{policy}, {words}", len(robot)) as show:
-                tried = evaluate(robot, objects, hand, policy, threads=threads, progress=show)
+            with progress_bar(f"{policy}, {words}", 1.0) as show:
+                tried = evaluate(robot, objects, policy, threads=threads, progress=show)
             success[words] = tried.outcomes.success
         first, *others = success.values()
         each[policy] = chain_figures(first, others[0], rows, sure)
