@@ -6,13 +6,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from benchmarks.command import check_positive
 from fungrasp.cli.console import progress_bar, table, write_json
 
 
 @dataclass(frozen=True)
 class BenchPlanning:
-    """Measure the processor time that it takes to plan a grasp: candidates, success predictor, rollouts. Time
-    of all threads counts, and waiting for a processor does not."""
+    """Measure the processor time that `plan` takes for a grasp: settling, candidates, success predictor,
+    rollouts. Time of all threads counts, and waiting for a processor does not."""
 
     grasps: str = "builtin"
     """A file of human or of robot grasps, or "builtin"."""
@@ -23,7 +24,7 @@ class BenchPlanning:
     policy: str = "student"
     """Whose plans they are, as for `fungrasp evaluate`."""
     protocol: Literal["nominal", "reality"] = "nominal"
-    """What rollouts draw from, and how sure the object's pose is."""
+    """What rollouts draw from."""
     number: int = 24
     """Grasps to plan, evenly spread over the file."""
     threads: int = 0
@@ -36,39 +37,32 @@ class BenchPlanning:
 
         import numpy as np
 
-        from fungrasp.errors import FungraspError
         from fungrasp.grasps import RobotGraspSet, load_grasps, load_objects
-        from fungrasp.hands import load_hand
-        from fungrasp.objects import with_sizes
-        from fungrasp.planning.selection import SelectionSettings
-        from fungrasp.policies import make_planner
+        from fungrasp.policies import plan
         from fungrasp.provenance import machine
         from fungrasp.retargeting import retarget
-        from fungrasp.sim2real import draw_each, protocol_conditions
-        from fungrasp.simulation import build_scene
-        from fungrasp.task import LiftEnvironment
 
-        if self.number < 1:
-            raise FungraspError(f"--number must be at least 1, not {self.number}")
-        hand, grasps = load_hand(self.hand), load_grasps(self.grasps)
-        rows = np.unique(np.linspace(0, len(grasps) - 1, self.number).astype(int))
-        some = grasps.select(rows)
+        check_positive(number=self.number)
+        grasps = load_grasps(self.grasps)
+        some = grasps.select(np.unique(np.linspace(0, len(grasps) - 1, self.number).astype(int)))
         objects = load_objects(some, self.objects)
         if not isinstance(some, RobotGraspSet):
-            some = retarget(some, objects, hand, threads=self.threads)
-        (randomization,) = protocol_conditions(self.protocol).values()
-        scene = build_scene(hand, with_sizes(objects, randomization.object_scales))
-        environment = LiftEnvironment(scene, len(some), randomization, threads=self.threads)
-        belief = environment.settle(some, draw_each(randomization, 0, rows, len(hand.joint_names)))
+            some = retarget(some, objects, self.hand, threads=self.threads)
         seconds = {}
         for name, rollouts in (("with rollouts", True), ("predictor alone", False)):
-            settings = SelectionSettings.for_protocol(self.protocol, rollouts)
-            planner = make_planner(self.policy, hand, objects, settings, threads=self.threads)
             with progress_bar(name, len(some)) as show:
                 start = process_time()
-                plan = planner.plan(some, belief, progress=show)
-            tried = 0.0 if plan.rollouts is None else float(plan.rollouts.mean())
-            expected = None if plan.expected_success is None else float(plan.expected_success.mean())
+                plans = plan(
+                    some,
+                    objects,
+                    self.policy,
+                    protocol=self.protocol,
+                    rollouts=rollouts,
+                    threads=self.threads,
+                    progress=show,
+                )
+            tried = 0.0 if plans.rollouts is None else float(plans.rollouts.mean())
+            expected = None if plans.expected_success is None else float(plans.expected_success.mean())
             seconds[name] = {
                 "seconds_per_grasp": (process_time() - start) / len(some),
                 "rollouts_per_grasp": tried,
@@ -76,7 +70,7 @@ class BenchPlanning:
             }
         if self.json is not None:
             about = {
-                "hand": hand.name,
+                "hand": some.hand,
                 "policy": self.policy,
                 "protocol": self.protocol,
                 "machine": machine(),

@@ -58,7 +58,7 @@ def test_simulation_is_the_same_motion_in_all_three_ways(human, tmp_path, capsys
 
 
 def test_planning_counts_core_seconds_with_and_without_rollouts(human, tmp_path, capsys, monkeypatch):
-    def few(protocol, rollouts=True):
+    def few(protocol, rollouts=True, for_use=False):
         further = FurtherSearch(most=0)
         small = SelectionSettings(candidates=2, sure=0.0, first_rounds=((2, 1),), search=further)
         return small if rollouts else SelectionSettings(candidates=2, rollouts=None)
