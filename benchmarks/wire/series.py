@@ -7,7 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fungrasp.cli.console import table
-from fungrasp.cli.grasp_choice import ChosenGrasp, GraspChoice, deployment_task
+from fungrasp.cli.grasp_choice import ChosenGrasp, GraspChoice
+from fungrasp.deployment.deploy import deployment_task
+from fungrasp.deployment.deployment_result import DeploymentSpec
 from fungrasp.errors import FungraspError
 
 if TYPE_CHECKING:
@@ -59,7 +61,14 @@ class BenchWire:
     def _run(self, cell: RobotCell, hand: Hand, chosen: ChosenGrasp, twin: int) -> WireRun:
         from benchmarks.wire.wire_run import run_over_the_wire
 
-        task = deployment_task(cell, hand, chosen, self.policy, self.choice.threads, seed=twin)
+        task = deployment_task(
+            cell,
+            hand,
+            chosen.grasp,
+            chosen.thing,
+            DeploymentSpec(policy=self.policy, seed=twin),
+            self.choice.threads,
+        )
         run = run_over_the_wire(task, twin)
         return replace(run, images=chosen.images, grasp_seconds=chosen.seconds)
 

@@ -19,7 +19,7 @@ from fungrasp.deployment.wired_deployment import DeploymentTask, deploy_on_robot
 from fungrasp.errors import FungraspError
 from fungrasp.robots.device import JointDriver
 from fungrasp.robots.robot import Robot
-from fungrasp.robots.twin.judge import lifted_and_held
+from fungrasp.robots.twin.judge import held_throughout
 from fungrasp.task import LiftProtocol
 
 
@@ -107,7 +107,7 @@ def _run_at(task: DeploymentTask, twin: int, placement: np.ndarray) -> WireRun:
     return WireRun(
         object=task.thing.name,
         twin=twin,
-        success=bool(held) and lifted_and_held(held, held[-1].time - held[0].time, LiftProtocol()),
+        success=bool(held) and held_throughout(held, held[-1].time - held[0].time, LiftProtocol()),
         height_m=min((s.height for s in held), default=-1.0),
         phase=str(result.phase),
         fault=result.fault,

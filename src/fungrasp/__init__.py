@@ -17,6 +17,7 @@ from typing import Any
 from fungrasp.version import __version__ as __version__
 
 _NAMES = {
+    "deployment.deploy": "deploy",
     "evaluation": "evaluate static_quality",
     "grasps": (
         "HumanGrasp HumanGraspSet RobotGrasp RobotGraspSet builtin_grasps load_grasps load_human_grasps "

@@ -1,5 +1,6 @@
 """The names that ``__init__.py`` loads on use, for type checkers."""
 
+from fungrasp.deployment.deploy import deploy as deploy
 from fungrasp.evaluation import evaluate as evaluate
 from fungrasp.evaluation import static_quality as static_quality
 from fungrasp.grasps import HumanGrasp as HumanGrasp

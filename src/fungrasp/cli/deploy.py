@@ -4,17 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import tyro
 
-from fungrasp.cli.grasp_choice import GraspChoice, deployment_task
-
-if TYPE_CHECKING:
-    from fungrasp.deployment.deployment import DeploymentResult
-    from fungrasp.deployment.emergency_stop import StopSwitch
-    from fungrasp.deployment.log import DeploymentLog
-    from fungrasp.deployment.wired_deployment import DeploymentTask
+from fungrasp.cli.grasp_choice import GraspChoice
 
 
 @dataclass(frozen=True)
@@ -50,105 +44,51 @@ class Deploy:
     """For a twin: run as fast as the machine goes, not on the clock of the wall."""
 
     def run(self) -> None:
-        from contextlib import ExitStack
         from time import strftime
 
+        from fungrasp.deployment.deploy import deploy
+        from fungrasp.deployment.deployment_result import DeploymentSpec
         from fungrasp.deployment.emergency_stop import StopSwitch
-        from fungrasp.deployment.log import McapLog
         from fungrasp.errors import FungraspError
         from fungrasp.hands import load_hand
-        from fungrasp.policies import OpenLoopPolicy, check_attempts
-        from fungrasp.robots.assembly import is_twin
-        from fungrasp.robots.cell import check_calibrated, load_cell
+        from fungrasp.robots.cell import load_cell
 
         cell = load_cell(self.robot)
-        if not is_twin(cell):
-            check_calibrated(cell)
         hand = load_hand(cell.hand)
         if self.hand and load_hand(self.hand).name != hand.name:
             raise FungraspError(f"robot cell '{cell.name}' carries the hand '{hand.name}', not '{self.hand}'")
-        chosen = self.choice.chosen(hand, self.seed)
-        task = deployment_task(
-            cell,
-            hand,
-            chosen,
+        spec = DeploymentSpec(
+            self.robot,
             self.policy,
-            self.choice.threads,
-            hand_dynamics=self.hand_dynamics,
-            compensate=not self.no_gravity_compensation,
+            attempts=self.attempts,
+            put_down=not self.stay,
             dry_run=self.dry_run,
+            gravity_compensation=not self.no_gravity_compensation,
+            hand_dynamics=str(self.hand_dynamics or ""),
             seed=self.seed,
+            twin=self.twin,
+            real_time=not self.fast,
         )
-        check_attempts(self.attempts, not isinstance(task.policy, OpenLoopPolicy))
-        with ExitStack() as stack:
-            log = stack.enter_context(McapLog(self.log or Path(strftime("deploy-%Y%m%d-%H%M%S.mcap"))))
-            switch = stack.enter_context(StopSwitch(cell.stop_file, keyboard=True))
-            run = self._on_twin if is_twin(cell) else self._on_robot
-            success, result = run(task, log, switch)
+        chosen = self.choice.chosen(hand, self.seed)
+        log = self.log or Path(strftime("deploy-%Y%m%d-%H%M%S.mcap"))
+        with StopSwitch(cell.stop_file, keyboard=True) as switch:
+            result = deploy(
+                chosen.grasp,
+                {chosen.thing.name: chosen.thing},
+                spec=spec,
+                log=log,
+                about={"grasp": self.choice.words},
+                switch=switch,
+                threads=self.choice.threads,
+                on_phase=lambda phase: print(phase, flush=True),
+                on_connect=lambda: print("press Enter to stop", flush=True),
+            )
         print(f"10 Hz: {result.ticks.summary()}")
         print(f"50 Hz: {result.setpoints.summary()}")
-        print(f"log: {log.path}")
+        print(f"log: {log}")
         if result.fault:
-            raise FungraspError(f"fault: {result.fault}")
-        print(success)
-
-    def _on_twin(
-        self, task: DeploymentTask, log: DeploymentLog, switch: StopSwitch
-    ) -> tuple[str, DeploymentResult]:
-        from fungrasp.deployment.deployment import DeploymentSettings
-        from fungrasp.deployment.twin_deployment import deploy_on_twin, reachable_placement
-        from fungrasp.robots.twin.parameters import cell_twin
-
-        cell, hand = task.cell, task.hand
-        outcome = deploy_on_twin(
-            cell,
-            hand,
-            task.thing,
-            task.grasp,
-            reachable_placement(cell, hand, task.thing, task.grasp, self.seed),
-            task.policy,
-            task.planner,
-            cell_twin(cell, hand, self.twin),
-            wall_clock=not self.fast,
-            dynamics=task.dynamics,
-            compensate=task.compensate,
-            dry_run=self.dry_run,
-            seed=self.seed,
-            log=log,
-            switch=switch,
-            settings=DeploymentSettings(put_down=not self.stay, attempts=self.attempts),
-            about=self._about(),
-            on_phase=lambda phase: print(phase, flush=True),
-        )
-        if outcome.success and outcome.result.attempts > 1:
-            print(f"by attempt {outcome.result.attempts}")
-        if outcome.success:
-            return f"lifted and held at {100 * outcome.height:.1f} cm (twin {self.twin})", outcome.result
-        return f"not lifted (twin {self.twin})" + _why_no_more(outcome.result), outcome.result
-
-    def _on_robot(
-        self, task: DeploymentTask, log: DeploymentLog, switch: StopSwitch
-    ) -> tuple[str, DeploymentResult]:
-        from fungrasp.deployment.deployment import DeploymentSettings
-        from fungrasp.deployment.wired_deployment import deploy_on_robot
-
-        result = deploy_on_robot(
-            task,
-            log=log,
-            switch=switch,
-            settings=DeploymentSettings(put_down=not self.stay, attempts=self.attempts),
-            about=self._about(),
-            on_phase=lambda phase: print(phase, flush=True),
-            on_connect=lambda robot: print("press Enter to stop", flush=True),
-        )
-        said = f"not held, as far as is seen, after {result.attempts} attempts" if result.missed else "done"
-        return said + _why_no_more(result), result
-
-    def _about(self) -> dict[str, str]:
-        from fungrasp.version import __version__
-
-        grasp = self.choice.grasp if self.choice.image is None else f"image {self.choice.image}"
-        return {"version": __version__, "robot": self.robot, "policy": self.policy, "grasp": grasp}
+            raise FungraspError(result.words())
+        print(result.words())
 
 
 @dataclass(frozen=True)
@@ -188,8 +128,3 @@ class ReplayLog:
 
 
 COMMAND = Deploy
-
-
-def _why_no_more(result: DeploymentResult) -> str:
-    """Why no further attempt was made, for the end of a line."""
-    return f"; no further attempt: {result.why_no_more}" if result.why_no_more else ""

@@ -55,7 +55,7 @@ class EvaluateOnTwins:
     """Of planning; 0 means all processors."""
 
     def run(self) -> None:
-        from fungrasp.cli.grasp_choice import deployable_policy, robot_planner
+        from fungrasp.deployment.deploy import deployable_policy, robot_planner
         from fungrasp.deployment.hand_knowledge import HandDynamics
         from fungrasp.deployment.twin_identification import identify_on_twin
         from fungrasp.errors import FungraspError

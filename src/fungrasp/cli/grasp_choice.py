@@ -10,14 +10,10 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from fungrasp.deployment.wired_deployment import DeploymentTask
     from fungrasp.grasps import HumanGraspSet, RobotGraspSet
     from fungrasp.hands import Hand
     from fungrasp.objects import ObjectModel
     from fungrasp.perception.perceived import Perceived
-    from fungrasp.planning import Planner
-    from fungrasp.robots.cell import RobotCell
-    from fungrasp.task import Policy
 
 RENDERED = "rendered"
 """Stands for an image that is rendered for the purpose."""
@@ -62,6 +58,11 @@ class GraspChoice:
     """Mass of that object [kg]; a built-in one has its own."""
     threads: int = 0
     """Of retargeting and planning; 0 means all processors."""
+
+    @property
+    def words(self) -> str:
+        """Which grasp, for a log."""
+        return self.grasp if self.image is None else f"image {self.image}"
 
     @property
     def varies(self) -> bool:
@@ -138,89 +139,6 @@ class GraspChoice:
             if not said:
                 return seen.grasps, seen.objects, attempt + 1, began
         raise FungraspError(f"{MOST_IMAGES} rendered images of '{model.name}' were not good enough: {said}")
-
-
-def deployment_task(
-    cell: RobotCell,
-    hand: Hand,
-    chosen: ChosenGrasp,
-    policy: str,
-    threads: int = 0,
-    *,
-    hand_dynamics: Path | None = None,
-    compensate: bool = True,
-    dry_run: bool = False,
-    seed: int = 0,
-) -> DeploymentTask:
-    """What a robot is to do with a chosen grasp: with the policy, its planner, and what is known of the hand.
-
-    Args:
-        cell: the robot.
-        hand: on its arm.
-        chosen: the grasp.
-        policy: name of what acts.
-        threads: of the planner; 0 means all processors.
-        hand_dynamics: file of identified dynamics, in place of the cell's.
-        compensate: whether the hand's weight is carried.
-        dry_run: read everything, send nothing.
-        seed: of the plan.
-
-    Raises:
-        FungraspError: as ``deployable_policy``, ``hand_knowledge`` and ``robot_planner``.
-    """
-    from fungrasp.deployment.hand_knowledge import hand_knowledge
-    from fungrasp.deployment.wired_deployment import DeploymentTask
-
-    objects = {chosen.thing.name: chosen.thing}
-    known = hand_knowledge(cell, hand, hand_dynamics)
-    return DeploymentTask(
-        cell,
-        hand,
-        chosen.thing,
-        chosen.grasp,
-        deployable_policy(policy, hand, objects),
-        robot_planner(policy, known.planned, objects, threads),
-        known.dynamics,
-        known.stiffness,
-        compensate,
-        dry_run,
-        seed,
-    )
-
-
-def robot_planner(name: str, hand: Hand, objects: Mapping[str, ObjectModel], threads: int = 0) -> Planner:
-    """The planner of a policy on a robot: a robot differs from its model, so that candidates are tried in the
-    worlds of the reality protocol.
-
-    Args:
-        name: of the policy.
-        hand: that it moves.
-        objects: by name.
-        threads: 0 means all processors.
-
-    Raises:
-        FungraspError: no such policy, or one for another hand.
-    """
-    from fungrasp.planning.selection import SelectionSettings
-    from fungrasp.policies import make_planner
-
-    return make_planner(name, hand, objects, SelectionSettings.for_protocol("reality"), threads=threads)
-
-
-def deployable_policy(name: str, hand: Hand, objects: Mapping[str, ObjectModel]) -> Policy:
-    """The policy of a name, if a robot can run it.
-
-    Raises:
-        FungraspError: there is none, or it needs what only a simulation knows.
-    """
-    from fungrasp.errors import FungraspError
-    from fungrasp.policies import make_policy
-    from fungrasp.task import Policy
-
-    policy = make_policy(name, hand, objects)
-    if not isinstance(policy, Policy):
-        raise FungraspError(f"the policy '{name}' needs what only a simulation knows: take a student")
-    return policy
 
 
 def _doubt(perceived: Perceived, model: ObjectModel) -> str:

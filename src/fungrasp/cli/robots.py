@@ -107,6 +107,7 @@ class Emulate:
         from fungrasp.robots.twin.emulation import CellEmulation
         from fungrasp.robots.twin.parameters import cell_twin
         from fungrasp.robots.twin.world import TwinWorld
+        from fungrasp.task import LiftProtocol
 
         cell = load_cell(self.cell)
         hand = load_hand(cell.hand)
@@ -124,7 +125,7 @@ class Emulate:
                 while self.seconds is None or time.monotonic() < start + self.seconds:
                     time.sleep(0.05)
                     height = float(world.center_of_mass()[2] - rest)
-                    lifted = height >= 0.1 and not world.look().on_table
+                    lifted = height >= LiftProtocol.success_height and not world.look().on_table
                     up = up + 0.05 if lifted else 0.0
                     highest = max(highest, up)
             except KeyboardInterrupt:

@@ -1,12 +1,41 @@
-"""Times of a deployment, and how it went."""
+"""What is asked of a deployment, its times, and how it went."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from fungrasp.deployment.deadlines import DeadlineMonitor
 from fungrasp.deployment.phases import Phase
 from fungrasp.deployment.preparation import PreparedGrasp
+
+
+@dataclass(frozen=True)
+class DeploymentSpec:
+    """What is asked of a deployment. ``fungrasp.formats.record_json`` makes it JSON and reads it back."""
+
+    cell: str = "ur5e-allegro"
+    """A robot cell: one that comes with the package (`fungrasp robots list`), or a TOML file."""
+    policy: str = "plan"
+    """What moves the hand: "plan", "reference" (planned motions, open loop), "student", or a policy file."""
+    attempts: int = 1
+    """Most attempts. A policy that watches (a student) sees that the object is not held: the hand withdraws,
+    looks where the object lies, plans anew and tries again."""
+    put_down: bool = True
+    """Put the object down again, and go home; else end after the hold, with the object held."""
+    dry_run: bool = False
+    """Read everything, decide everything, log everything, and send nothing."""
+    gravity_compensation: bool = True
+    """Carry the hand's weight; else it sags."""
+    hand_dynamics: str = ""
+    """File of the hand's identified dynamics (`fungrasp identify fit`); what the cell names if empty."""
+    seed: int = 0
+    """Of the plan."""
+    twin: int = 0
+    """For a twin: which one, 0, 1, 2 ... Its true parameters are hidden."""
+    real_time: bool = True
+    """For a twin: run on the clock of the wall; else as fast as it goes, the same to the last bit."""
 
 
 @dataclass(frozen=True)
@@ -52,3 +81,22 @@ class DeploymentResult:
     """When each phase began, on the robot's clock [s]."""
     longest_silence: dict[str, float] = field(default_factory=dict)
     """Longest time that the time stamp of arm and hand stood still between setpoints [s]."""
+    spec: DeploymentSpec | None = None
+    """What was asked, where ``fungrasp.deploy`` was."""
+    success: bool | None = None
+    """Whether the object was lifted and held, in truth: of a twin. Nobody knows it of a robot."""
+    height: float = np.nan
+    """Least height of the object's center of mass during the hold [m], of a twin; infinite without a hold."""
+
+    def words(self) -> str:
+        """How it went, in a line; the fault where there was one."""
+        if self.fault:
+            return f"fault: {self.fault}"
+        no_more = f"; no further attempt: {self.why_no_more}" if self.why_no_more else ""
+        if self.success is None:
+            missed = f"not held, as far as is seen, after {self.attempts} attempts"
+            return (missed if self.missed else "done") + no_more
+        if not self.success:
+            return f"not lifted{no_more}"
+        by = f", by attempt {self.attempts}" if self.attempts > 1 else ""
+        return f"lifted and held at {100 * self.height:.1f} cm{by}"

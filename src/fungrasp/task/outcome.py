@@ -41,6 +41,26 @@ class Outcomes(BatchRecord):
     """Why the episode failed, "" on success, str."""
 
 
+def lifted_and_held(
+    lowest: np.ndarray, in_hand: np.ndarray, touched: np.ndarray, protocol: LiftProtocol
+) -> np.ndarray:
+    """When a grasp has succeeded, in simulation and on a twin: the object stayed up, in the hand, and touched
+    nothing but the hand during the whole hold.
+
+    Args:
+        lowest: least height of the object's center of mass above where it settled, during the hold [m],
+            shape [W].
+        in_hand: share of the hold's samples in which the object touches the hand, shape [W]; one that was
+            thrown up is not held.
+        touched: whether it touched anything else during the hold, shape [W] bool.
+        protocol: with the height.
+
+    Returns:
+        Shape [W] bool.
+    """
+    return (lowest >= protocol.success_height) & (in_hand > 0.5) & ~touched
+
+
 class LiftMeasurements:
     """Accumulates what the outcomes of W episodes are made of."""
 
@@ -123,9 +143,8 @@ class LiftMeasurements:
         number = np.maximum(number, 1)
         high = self._lifted >= self._protocol.success_height
         diverged = self._lifted < -0.5
-        # An object that was thrown up is not held.
         in_hand = touching / number > 0.5
-        success = high & in_hand & ~self._touched_table
+        success = lifted_and_held(self._lifted, touching / number, self._touched_table, self._protocol)
         reason = np.select(
             [success, diverged, high & in_hand, touching / number > 0.9, touching > 0],
             [

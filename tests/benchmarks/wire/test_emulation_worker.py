@@ -11,14 +11,14 @@ from benchmarks.wire.emulation_worker import EmulationProcess, EmulationTask
 from fungrasp.errors import FungraspError
 from fungrasp.objects import load_object
 from fungrasp.robots.cell import load_cell
-from fungrasp.robots.twin.judge import HoldSample, lifted_and_held
+from fungrasp.robots.twin.judge import HoldSample, held_throughout
 from fungrasp.task import LiftProtocol
 
 HELD = [HoldSample(0.1 * i, 0.12, True, True) for i in range(31)]
 
 
 def test_an_object_that_stays_up_in_the_hand_is_held() -> None:
-    assert lifted_and_held(HELD, 3.0, LiftProtocol())
+    assert held_throughout(HELD, 3.0, LiftProtocol())
 
 
 @pytest.mark.parametrize(
@@ -33,7 +33,7 @@ def test_an_object_that_stays_up_in_the_hand_is_held() -> None:
     ids=["nothing seen", "too short", "too low", "touches the table", "not in the hand"],
 )
 def test_what_is_not_held(samples: list[HoldSample], seconds: float) -> None:
-    assert not lifted_and_held(samples, seconds, LiftProtocol())
+    assert not held_throughout(samples, seconds, LiftProtocol())
 
 
 def _task(address: str) -> EmulationTask:

@@ -8,6 +8,8 @@ import numpy as np
 
 from fungrasp.robots.twin.world import TwinWorld
 from fungrasp.task import LiftProtocol
+from fungrasp.task.outcome import lifted_and_held
+from fungrasp.task.setpoints import SETPOINT_PERIOD
 
 
 @dataclass(frozen=True)
@@ -36,18 +38,20 @@ def hold_sample(world: TwinWorld, settled: float) -> HoldSample:
     return HoldSample(world.time, height, not truth.on_table, truth.in_hand)
 
 
-def lifted_and_held(samples: list[HoldSample], seconds: float, protocol: LiftProtocol) -> bool:
-    """Whether the object stayed up, in the hand, and touched nothing else.
+def held_throughout(samples: list[HoldSample], seconds: float, protocol: LiftProtocol) -> bool:
+    """Whether a twin's object was lifted and held (``fungrasp.task.outcome.lifted_and_held``), over a hold
+    that was not cut short.
 
     Args:
         samples: of the hold.
         seconds: that they stand for.
         protocol: with height and time of the hold.
     """
-    enough = seconds >= 0.95 * protocol.hold_time
-    high = min((s.height for s in samples), default=-np.inf) >= protocol.success_height
-    touching = sum(s.in_hand for s in samples) > 0.5 * len(samples)
-    return enough and high and touching and all(s.alone for s in samples)
+    lowest = min((s.height for s in samples), default=-np.inf)
+    share = sum(s.in_hand for s in samples) / max(len(samples), 1)
+    touched = not all(s.alone for s in samples)
+    held = lifted_and_held(np.array(lowest), np.array(share), np.array(touched), protocol)
+    return bool(held) and seconds >= 0.95 * protocol.hold_time
 
 
 class TwinJudge:
@@ -81,5 +85,5 @@ class TwinJudge:
 
     @property
     def success(self) -> bool:
-        """Whether the object stayed up, in the hand, and touched nothing else."""
-        return lifted_and_held(self._samples, 0.02 * len(self._samples), self._protocol)
+        """``held_throughout``."""
+        return held_throughout(self._samples, SETPOINT_PERIOD * len(self._samples), self._protocol)

@@ -1,0 +1,64 @@
+"""``deploy``, the one entry: on a twin from the package's face, and what it refuses."""
+
+from __future__ import annotations
+
+import pytest
+
+import fungrasp
+from fungrasp.deployment.deployment_result import DeploymentSpec
+from fungrasp.deployment.log import read_log
+from fungrasp.errors import FungraspError
+from fungrasp.formats.record_json import record_from_json, record_to_json
+
+FAST = DeploymentSpec(policy="reference", put_down=False, real_time=False)
+
+
+@pytest.fixture(scope="module")
+def human():
+    grasps = fungrasp.builtin_grasps()
+    return grasps[grasps.object_name == "wine_glass"][:2]
+
+
+@pytest.fixture(scope="module")
+def objects(human):
+    return fungrasp.load_objects(human)
+
+
+@pytest.fixture(scope="module")
+def robot(human, objects):
+    return fungrasp.retarget(human, objects, "allegro")
+
+
+def test_a_grasp_is_deployed_on_a_twin_and_logged(robot, objects, tmp_path):
+    phases: list[str] = []
+    result = fungrasp.deploy(
+        robot[:1], objects, spec=FAST, log=tmp_path / "lift.mcap", on_phase=lambda phase: phases.append(phase)
+    )
+    assert result.phase == "done" and result.spec == FAST
+    assert phases[:3] == ["move to start", "grasp", "lift"]
+    assert result.words().startswith("lifted and held at" if result.success else "not lifted")
+    log = read_log(tmp_path / "lift.mcap")
+    assert log.complete and log.about["policy"] == "reference" and log.about["robot"] == "ur5e-allegro"
+
+
+def test_words_take_the_place_of_those_of_the_specification(robot, objects):
+    with pytest.raises(FungraspError, match="Did you mean 'ur5e-allegro'"):
+        fungrasp.deploy(robot[:1], objects, "ur5e-alegro", spec=FAST)
+    with pytest.raises(FungraspError, match="Did you mean 'reference'"):
+        fungrasp.deploy(robot[:1], objects, policy="referenc", spec=FAST)
+
+
+def test_what_can_not_be_deployed_is_said_before_anything_moves(human, robot, objects):
+    with pytest.raises(FungraspError, match=r"one grasp .* not 2: select one, as in robot\[:1\]"):
+        fungrasp.deploy(robot, objects, spec=FAST)
+    with pytest.raises(FungraspError, match="wine_glass"):
+        fungrasp.deploy(robot[:1], {}, spec=FAST)
+    other = fungrasp.retarget(human[:1], objects, "inspire")
+    with pytest.raises(FungraspError, match="carries the hand 'allegro', and the grasp is of 'inspire'"):
+        fungrasp.deploy(other, objects, spec=FAST)
+    with pytest.raises(FungraspError, match="played blindly"):
+        fungrasp.deploy(robot[:1], objects, spec=DeploymentSpec(policy="reference", attempts=2))
+
+
+def test_a_specification_travels_as_json():
+    assert record_from_json(DeploymentSpec, record_to_json(FAST), "spec") == FAST
