@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fungrasp.optimization.firmness import LinkContacts, unresisted_load
+from fungrasp.optimization.firmness import unresisted_load
+from fungrasp.optimization.link_contacts import LinkContacts
 
 UP = np.array([[0.0, 0.0, 1.0]])
 ONE = np.ones(1)

@@ -11,9 +11,10 @@ from retarget_scenes import held, plain_objects
 from fungrasp.hands import load_hand
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.optimization import terms
-from fungrasp.optimization.hand_state import HandPoints, HandState
-from fungrasp.optimization.levenberg_marquardt import Term, minimize
+from fungrasp.optimization.hand_state import HandPoints
+from fungrasp.optimization.levenberg_marquardt import NormalEquations, minimize
 from fungrasp.optimization.retargeting_problem import RetargetingProblem
+from fungrasp.optimization.terms import Term
 from fungrasp.retargeting.contact_optimization import initial_pose
 
 TERMS: list[Term] = [
@@ -34,8 +35,10 @@ def setting(name: str, rows: slice = slice(None)) -> tuple[HandPoints, Retargeti
 def cost_of(
     points: HandPoints, problem: RetargetingProblem, pose: np.ndarray, joints: np.ndarray
 ) -> np.ndarray:
-    state = HandState(points, problem, pose, joints)
-    return sum((0.5 * np.sum(term(state)[0] ** 2, axis=1) for term in TERMS), np.zeros(len(problem)))
+    equations = NormalEquations(points, problem, TERMS)
+    found = equations.empty(np.ones(len(problem), dtype=bool))
+    equations.evaluate(found, pose, joints)
+    return found.cost
 
 
 @pytest.mark.parametrize("name", ["allegro", "inspire"])

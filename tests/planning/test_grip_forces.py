@@ -8,7 +8,7 @@ from planned_grasps import belief, grasps_and_objects, hand
 
 from fungrasp.geometry.poses import compose, invert
 from fungrasp.optimization.collision_scene import CollisionScene
-from fungrasp.optimization.compiled.friction_cones import outside_cones
+from fungrasp.optimization.friction_cones import outside_cones
 from fungrasp.planning.grip_forces import (
     TORQUE_SHARE,
     elastic_forces,

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.optimize import nnls
 from scipy.spatial import ConvexHull, QhullError
 
-from fungrasp.optimization.contact_forces import friction_cone_edges
+from fungrasp.optimization.friction_cones import friction_cone_edges
 from fungrasp.simulation.scene import SceneSettings
 
 CLOSURE_CONE_EDGES = 8
@@ -35,7 +35,7 @@ def primitive_wrenches(
 def closure_residual(wrenches: np.ndarray) -> float:
     """Smallest norm of a sum of these wrenches with non-negative weights that add up to 1.
 
-    Exact, by non-negative least squares, and with more edges than ``balanced_forces`` of the solver, whose
+    Exact, by non-negative least squares, and with more edges than the solver, whose
     own error it must not share.
 
     Zero: contact forces exist that cancel out (the condition on the grasp matrix). 1 without contacts.

@@ -21,7 +21,7 @@ from fungrasp.hands.correspondence import Correspondence, correspond
 from fungrasp.hands.kinematics import BodyPoints, HandKinematics
 from fungrasp.objects import ObjectModel, check_objects
 from fungrasp.optimization.collision_scene import project_to_surface
-from fungrasp.optimization.contact_forces import CONTACT_DISTANCE
+from fungrasp.optimization.link_contacts import CONTACT_DISTANCE
 from fungrasp.text_table import table
 
 UNITS = ("mm", "deg", "rad")

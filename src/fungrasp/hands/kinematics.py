@@ -56,6 +56,7 @@ class HandKinematics:
         )
         self._anchor, self._axis = np.empty((2, count, *data.xanchor.shape))
         self.moves = _moved_bodies(model)
+        self._slides = np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_SLIDE)
         # The palm stands still in the model.
         mujoco.mj_kinematics(model, data)
         palm = model.body(hand.palm).id
@@ -118,7 +119,9 @@ class HandKinematics:
             self._joint_frames = self._map(self._anchor), self._axis @ self._rotation.mT
         anchor, axis = self._joint_frames
         lever = positions[:, :, None, :] - anchor[:, None]
-        columns = cross(axis[:, None], lever) * self.moves[bodies][..., None]
+        columns = cross(axis[:, None], lever)
+        columns[:, :, self._slides] = axis[:, None, self._slides]
+        columns *= self.moves[bodies][..., None]
         result[..., 6:] = np.swapaxes(columns, 2, 3) @ self.matrix
         return result
 

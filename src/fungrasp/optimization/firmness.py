@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+import math
 
 import numpy as np
 
 from fungrasp.geometry.poses import cross
-from fungrasp.optimization.contact_forces import (
-    CONTACT_DISTANCE,
-    friction_cone_edges,
-    largest_eigenvalue_bound,
-)
-from fungrasp.optimization.hand_state import HandPoints, HandState
-from fungrasp.optimization.levenberg_marquardt import COMPILED, only_hinges
+from fungrasp.optimization.compiling import compiled, compiled_part, plain
+from fungrasp.optimization.friction_cones import circle, cone_edges, largest_eigenvalue
+from fungrasp.optimization.hand_state import HandPoints
+from fungrasp.optimization.link_contacts import CONTACT_DISTANCE, LinkContacts, contacts_of_links
 from fungrasp.optimization.retargeting_problem import RetargetingProblem
 
 LOAD_CONE_EDGES = 6
@@ -36,32 +33,6 @@ DEEPEST = 0.001
 """A hand that goes farther into the object than this has no grip, however firm it would be [m]."""
 NO_GRIP = 1.5
 """Share of the weight that is unresisted without any contact: the weight, and half of it pulling down."""
-
-
-class LinkContacts(NamedTuple):
-    """Where the L links of N hands touch, or would, object frame."""
-
-    place: np.ndarray
-    """Point of each link's surface that is nearest to the object [m], shape [N, L, 3]."""
-    inward: np.ndarray
-    """Unit normals into the object, shape [N, L, 3]."""
-    clearance: np.ndarray
-    """Distance from the object [m], shape [N, L]."""
-    jacobian: np.ndarray
-    """Of the points with respect to the independent joints [m/rad], shape [N, L, 3, U]."""
-
-
-def contacts_of_links(state: HandState[Any]) -> LinkContacts:
-    """The point of each link that is nearest to the object."""
-    points = state.points
-    nearest = np.stack([m[np.argmin(state.clearance[:, m], axis=1)] for m in points.link_members], axis=1)
-    clearance = np.take_along_axis(state.clearance, nearest, axis=1)
-    normal = np.take_along_axis(state.normals, nearest[..., None], axis=1)
-    normal = normal / np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-9)
-    centers = np.take_along_axis(state.spheres, nearest[..., None], axis=1)
-    place = centers - points.spheres.radius[nearest][..., None] * normal
-    jacobian = points.kinematics.jacobian(points.spheres.points.bodies[nearest], place)[..., 6:]
-    return LinkContacts(place, -normal, clearance, jacobian)
 
 
 def unresisted_load(
@@ -128,29 +99,142 @@ def unresisted_wrenches(
         loads: forces [N], and torques over ``reach`` [N], on the object, shape [N, K, 6].
         unit: force against which a torque beyond its limit counts [N], shape [N].
     """
-    count, number = loads.shape[:2]
-    edges = friction_cone_edges(contacts.inward, friction, LOAD_CONE_EDGES)
-    lever = (contacts.place - center[:, None]) / reach[:, None, None]
-    allowed = np.repeat(used, LOAD_CONE_EDGES, axis=1)[..., None]
-    wrench = np.concatenate([edges, cross(lever[:, :, None], edges)], axis=-1).reshape(count, -1, 6) * allowed
-    torque = (edges @ contacts.jacobian).reshape(count, wrench.shape[1], -1) * allowed
-    # In that unit: forces over it, torques over what a joint can do.
-    torque = torque * (LIMIT_WEIGHT * unit[:, None, None] / torque_limit)
-    both = np.concatenate([wrench, torque], axis=2)
-    step = 1.0 / (largest_eigenvalue_bound(np.swapaxes(both, 1, 2) @ both)[:, None, None] + 1e-3)
-    goal = -loads / unit[:, None, None]
-    weights = np.zeros((count, number, wrench.shape[1]))
-    ahead, momentum = weights, 1.0
+    left = np.zeros(loads.shape)
+    _descend(
+        LinkContacts(*(plain(x) for x in contacts)),
+        plain(used, bool),
+        plain(center),
+        plain(reach),
+        plain(loads / unit[:, None, None]),
+        plain(LIMIT_WEIGHT * unit[:, None] / torque_limit),
+        float(friction),
+        iterations,
+        left,
+    )
+    return left * unit[:, None, None]
+
+
+@compiled
+def _descend(
+    contacts: LinkContacts,
+    used: np.ndarray,
+    center: np.ndarray,
+    reach: np.ndarray,
+    loads: np.ndarray,
+    torque_weight: np.ndarray,
+    friction: float,
+    iterations: int,
+    left: np.ndarray,
+) -> None:
+    """Write what ``unresisted_wrenches`` leaves of each load, by accelerated projected gradient descent
+    (Nesterov).
+
+    Args:
+        contacts, used, center, reach, friction, iterations: as there.
+        loads: in units of force, shape [N, K, 6].
+        torque_weight: what a torque of each joint weighs [1/(N m)], shape [N, U].
+        left: shape [N, K, 6].
+    """
+    links, joints = used.shape[1], torque_weight.shape[1]
+    most = links * LOAD_CONE_EDGES
+    edges, around = np.empty((most, 3)), circle(np.int64(LOAD_CONE_EDGES))
+    wrench, torque = np.empty((most, 6)), np.empty((most, joints))
+    columns, used_columns = np.empty((links, joints), np.int64), np.empty(links, np.int64)
+    matrix = np.empty((6 + joints, most))
+    for i in range(len(used)):
+        number = np.int64(0)
+        for link in range(links):
+            if not used[i, link]:
+                continue
+            first, count = number * LOAD_CONE_EDGES, np.int64(0)
+            cone_edges(contacts.inward[i, link], friction, around, edges, first)
+            lx = (contacts.place[i, link, 0] - center[i, 0]) / reach[i]
+            ly = (contacts.place[i, link, 1] - center[i, 1]) / reach[i]
+            lz = (contacts.place[i, link, 2] - center[i, 2]) / reach[i]
+            for k in range(first, first + LOAD_CONE_EDGES):
+                x, y, z = edges[k, 0], edges[k, 1], edges[k, 2]
+                wrench[k, 0], wrench[k, 1], wrench[k, 2] = x, y, z
+                wrench[k, 3], wrench[k, 4], wrench[k, 5] = ly * z - lz * y, lz * x - lx * z, lx * y - ly * x
+            for u in range(joints):
+                mx = contacts.jacobian[i, link, 0, u]
+                my = contacts.jacobian[i, link, 1, u]
+                mz = contacts.jacobian[i, link, 2, u]
+                if mx == 0 and my == 0 and mz == 0:
+                    continue
+                for k in range(first, first + LOAD_CONE_EDGES):
+                    pressed = edges[k, 0] * mx + edges[k, 1] * my + edges[k, 2] * mz
+                    torque[k, count] = torque_weight[i, u] * pressed
+                columns[number, count] = u
+                count += 1
+            used_columns[number] = count
+            number += 1
+        total = number * LOAD_CONE_EDGES
+        for k in range(total):
+            for d in range(6 + joints):
+                matrix[d, k] = wrench[k, d] if d < 6 else 0.0
+            contact = k // LOAD_CONE_EDGES
+            for q in range(used_columns[contact]):
+                matrix[6 + columns[contact, q], k] = torque[k, q]
+        step, steps = 1.0, np.int64(0)
+        if number > 0:
+            # The step is one over the largest eigenvalue of the objective's Hessian, the Lipschitz constant.
+            step, steps = 1.0 / (largest_eigenvalue(matrix, 6 + joints, total) + 1e-3), iterations
+        for load in range(loads.shape[1]):
+            _resist(wrench, torque, columns, used_columns, total, loads[i, load], step, steps, left[i, load])
+
+
+@compiled_part
+def _resist(
+    wrench, torque, columns, used_columns, count: int, load, step: float, iterations: int, left
+) -> None:
+    """Write what the best contact forces, of ``count`` weights of cones' edges, leave of a load."""
+    joints = torque.shape[1]
+    weights, ahead, excess = np.empty(count), np.empty(count), np.empty(joints)
+    for k in range(count):
+        weights[k] = ahead[k] = 0.0
+    momentum = 1.0
     for _ in range(iterations):
-        error = ahead @ both
-        load = error[..., 6:]
-        error[..., 6:] = load - np.clip(load, -LIMIT_WEIGHT, LIMIT_WEIGHT)
-        error[..., :6] -= goal
-        moved = np.maximum(ahead - step * (error @ np.swapaxes(both, 1, 2) + 1e-3 * ahead), 0.0)
-        next_momentum = 0.5 * (1 + np.sqrt(1 + 4 * momentum**2))
-        ahead = moved + (momentum - 1) / next_momentum * (moved - weights)
-        weights, momentum = moved, next_momentum
-    return (weights @ wrench - goal) * unit[:, None, None]
+        # One accumulator each: sums that do not wait for each other.
+        a, b, c, d, e, f = load[0], load[1], load[2], load[3], load[4], load[5]
+        for u in range(joints):
+            excess[u] = 0.0
+        for k in range(count):
+            w = ahead[k]
+            if w != 0.0:
+                a += wrench[k, 0] * w
+                b += wrench[k, 1] * w
+                c += wrench[k, 2] * w
+                d += wrench[k, 3] * w
+                e += wrench[k, 4] * w
+                f += wrench[k, 5] * w
+                contact = k // LOAD_CONE_EDGES
+                for q in range(used_columns[contact]):
+                    excess[columns[contact, q]] += torque[k, q] * w
+        for u in range(joints):
+            if abs(excess[u]) <= LIMIT_WEIGHT:
+                excess[u] = 0.0
+            else:
+                excess[u] -= LIMIT_WEIGHT if excess[u] > 0 else -LIMIT_WEIGHT
+        following = 0.5 * (1 + math.sqrt(1 + 4 * momentum * momentum))
+        carry = (momentum - 1) / following
+        momentum = following
+        for k in range(count):
+            contact = k // LOAD_CONE_EDGES
+            change = 1e-3 * ahead[k]
+            change += (
+                wrench[k, 0] * a + wrench[k, 1] * b + wrench[k, 2] * c
+                + wrench[k, 3] * d + wrench[k, 4] * e + wrench[k, 5] * f
+            )  # fmt: skip
+            for q in range(used_columns[contact]):
+                change += torque[k, q] * excess[columns[contact, q]]
+            moved = ahead[k] - step * change
+            moved = 0.0 if moved < 0.0 else moved
+            ahead[k] = moved + carry * (moved - weights[k])
+            weights[k] = moved
+    for part in range(6):
+        left[part] = load[part]
+        for k in range(count):
+            left[part] += wrench[k, part] * weights[k]
 
 
 def unresisted_share(
@@ -159,7 +243,6 @@ def unresisted_share(
     wrist_pose: np.ndarray,
     independent: np.ndarray,
     which: np.ndarray | None = None,
-    compiled: bool = COMPILED,
 ) -> np.ndarray:
     """``unresisted_load`` of the links in contact as a share of the objects' weight, shape [N]: force and
     torque over the object's extent together; zero for a firm grasp, ``NO_GRIP`` without contacts and where
@@ -171,40 +254,21 @@ def unresisted_share(
         wrist_pose: object frame, shape [N, 7].
         independent: joints [rad], shape [N, U].
         which: grasps to judge, shape [N] bool; others have infinity. All if None.
-        compiled: by compiled loops, which need Numba and hinge joints, or by NumPy.
     """
-    hand = points.kinematics.hand
-    which = np.ones(len(problem), dtype=bool) if which is None else which
-    limits = np.array([servo.force_limit for servo in hand.actuators.values()])
-    if compiled and only_hinges(hand.model):
-        from fungrasp.optimization.compiled.contact_loads import LoadRule
-        from fungrasp.optimization.compiled.solver import compiled_shares
-
-        rule = LoadRule(
-            CONTACT_DISTANCE,
-            DEEPEST,
-            NO_GRIP,
-            LOAD_CONE_EDGES,
-            LIMIT_WEIGHT,
-            FRICTION,
-            DISTURBANCE,
-            LOAD_ITERATIONS,
-        )
-        return compiled_shares(points, problem, wrist_pose, independent, which, limits, rule)
-    state = HandState(points, problem, wrist_pose, independent)
-    contacts = contacts_of_links(state)
+    limits = np.array([servo.force_limit for servo in points.kinematics.hand.actuators.values()])
+    contacts = contacts_of_links(points, problem, wrist_pose, independent, CONTACT_DISTANCE, which)
+    inside = contacts.clearance.min(axis=1) < -DEEPEST
     force, torque = unresisted_load(
         contacts,
-        contacts.clearance < CONTACT_DISTANCE,
+        np.isfinite(contacts.clearance) & ~inside[:, None],
         problem.center,
         problem.extent,
         problem.weight,
         problem.up[:, -1],
         limits,
     )
-    share = np.hypot(force, torque / problem.extent) / problem.weight
-    share = np.where(state.clearance.min(axis=1) < -DEEPEST, NO_GRIP, share)
-    return np.where(which, share, np.inf)
+    share = np.where(inside, NO_GRIP, np.hypot(force, torque / problem.extent) / problem.weight)
+    return share if which is None else np.where(which, share, np.inf)
 
 
 def load_directions(up: np.ndarray) -> np.ndarray:

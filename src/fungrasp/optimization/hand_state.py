@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from copy import copy
 from functools import cached_property
-from typing import TYPE_CHECKING, Generic, NamedTuple, Self, TypeVar
+from typing import Generic, Self, TypeVar
 
 import numpy as np
 
@@ -13,10 +13,7 @@ from fungrasp.hands.collision_spheres import CollisionSpheres, collision_spheres
 from fungrasp.hands.correspondence import correspond
 from fungrasp.hands.kinematics import BodyPoints, HandKinematics
 from fungrasp.optimization.collision_scene import CollisionScene
-
-if TYPE_CHECKING:
-    from fungrasp.optimization.compiled.hand_arrays import HandArrays
-
+from fungrasp.optimization.hand_arrays import HandArrays, SelfPairs, hand_arrays
 
 DENSE_SPACING = 0.006
 """Distance of the collision spheres with which solutions are judged [m]."""
@@ -58,9 +55,7 @@ class HandPoints:
     @cached_property
     def arrays(self) -> HandArrays:
         """The same for compiled loops."""
-        from fungrasp.optimization.compiled.hand_arrays import hand_arrays
-
-        return hand_arrays(self)
+        return hand_arrays(self.kinematics, self.keypoints, self.spheres, self.self_pairs)
 
     def _thickness(self) -> np.ndarray:
         """Radius of the hand around the far key point of each finger link [m], shape [S]: of its nearest
@@ -81,18 +76,8 @@ class HandPoints:
         return np.array(radii)
 
 
-class SelfPairs(NamedTuple):
-    """Which spheres of a hand may meet: rounded links of different fingers, each pair once."""
-
-    first: np.ndarray
-    """Sphere indices, shape [A]."""
-    second: np.ndarray
-    """Sphere indices, shape [B]."""
-    apart: np.ndarray
-    """Whether a pair counts, shape [A, B]."""
-
-
 def _self_pairs(hand: Hand, spheres: CollisionSpheres) -> SelfPairs:
+    """Rounded links of different fingers."""
     finger = np.array([-1, *(i for i, f in enumerate(hand.fingers.values()) for _ in f.links)])
     round_spheres = np.flatnonzero((spheres.radius > 0) & (finger[spheres.link] >= 0))
     owner = finger[spheres.link[round_spheres]]

@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from importlib.util import find_spec
-from typing import Any
+from collections.abc import Sequence
 
-import mujoco
 import numpy as np
 
 from fungrasp.optimization.collision_scene import CollisionScene
-from fungrasp.optimization.hand_state import HandPoints, HandState
-from fungrasp.optimization.terms import Residual
-
-Term = Callable[[HandState[Any]], Residual]
-
-COMPILED = find_spec("numba") is not None
-"""Whether loops can be compiled: Numba is installed."""
+from fungrasp.optimization.compiling import plain
+from fungrasp.optimization.frames import Equations, clear, empty_frames, move_hands
+from fungrasp.optimization.hand_state import HandPoints
+from fungrasp.optimization.steps import StepRule, StepState, accept, propose
+from fungrasp.optimization.terms import Term
 
 TOLERANCE = 3e-3
 """Share of its objective that a grasp must gain to go on, at least in one of ``PATIENCE`` steps."""
@@ -44,90 +39,72 @@ def minimize(
     independent: np.ndarray,
     iterations: int,
     tolerance: float = TOLERANCE,
-    compiled: bool = COMPILED,
+    free: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Minimise half the sum of squares of all terms for each grasp by itself.
+    """Minimize half the sum of squares of all terms for each grasp by itself.
 
     Joints at a limit that would be pushed beyond it are held there; steps are clipped to the limits.
 
     Args:
         points: kinematics made for N hands.
         problem: N grasps, object frame.
-        terms: functions of a ``HandState`` as in ``fungrasp.optimization.terms``.
+        terms: as in ``fungrasp.optimization.terms``.
         wrist_pose: start, object frame, shape [N, 7].
         independent: start [rad], shape [N, U].
         iterations: number of steps tried.
         tolerance: share of its objective that a grasp must gain in ``PATIENCE`` steps to go on.
-        compiled: by compiled loops, which need Numba and hinge joints, or by NumPy.
+        free: which entries of the tangent vector may change, shape [D] bool; all if None.
 
     Returns:
         wrist poses [N, 7], independent joints [N, U], objective [N].
     """
-    kinematics = points.kinematics
-    if compiled and only_hinges(kinematics.model):
-        from fungrasp.optimization.compiled.solver import minimize_compiled
-        from fungrasp.optimization.compiled.steps import StepRule
-
-        rule = StepRule(tolerance, PATIENCE, LEAST_DAMPING, MOST_DAMPING, EASING, STIFFENING)
-        return minimize_compiled(points, problem, terms, wrist_pose, independent, iterations, rule)
-    wrist_pose, independent = wrist_pose.copy(), independent.copy()
-    damping, stiffening = np.full(len(problem), 1e-2), np.full(len(problem), STIFFENING)
-    stalled = np.zeros(len(problem), dtype=int)
-    cost, hessian, gradient = objective_equations(HandState(points, problem, wrist_pose, independent), terms)
-    diagonal = np.arange(kinematics.size)
+    lower, upper = plain(points.kinematics.lower), plain(points.kinematics.upper)
+    pose, joints = plain(wrist_pose), plain(independent)
+    new_pose, new_joints = pose.copy(), joints.copy()
+    count = len(problem)
+    rule = StepRule(tolerance, PATIENCE, LEAST_DAMPING, MOST_DAMPING, EASING, STIFFENING)
+    progress = StepState(np.full(count, 1e-2), np.full(count, STIFFENING), np.zeros(count, dtype=np.int64))
+    equations = NormalEquations(points, problem, terms, free)
+    current = equations.empty(np.ones(count, dtype=bool))
+    trial = equations.empty(current.active)
+    equations.evaluate(current, pose, joints)
     for _ in range(iterations):
-        h, g = hessian.copy(), gradient.copy()
-        # Active set: a joint at a limit whose descent step (minus the gradient) points outwards is held
-        # there, by a zero gradient, zero off-diagonals and one on the diagonal of its row. Columns 0 to 5 are
-        # the wrist.
-        stuck = np.zeros(g.shape, dtype=bool)
-        stuck[:, 6:] = ((independent <= kinematics.lower + 1e-9) & (g[:, 6:] > 0)) | (
-            (independent >= kinematics.upper - 1e-9) & (g[:, 6:] < 0)
-        )
-        g[stuck] = 0.0
-        h *= ~(stuck[:, :, None] | stuck[:, None, :])
-        scale = h[:, diagonal, diagonal]
-        h[:, diagonal, diagonal] += (
-            damping[:, None] * (scale + 1e-3 * scale.max(axis=1, keepdims=True)) + stuck + 1e-9
-        )
-        step = -np.linalg.solve(h, g[..., None])[..., 0]
-        # Longer steps than 0.5 (meters and radians together) leave where the linearization holds.
-        step *= np.minimum(1.0, 0.5 / np.maximum(np.linalg.norm(step, axis=1, keepdims=True), 1e-9))
-        new_pose, new_independent = kinematics.step(wrist_pose, independent, step)
-        new_cost, new_hessian, new_gradient = objective_equations(
-            HandState(points, problem, new_pose, new_independent), terms
-        )
-        active = stalled < PATIENCE
-        enough = cost - new_cost >= tolerance * cost
-        stalled = np.where(active, np.where(enough, 0, stalled + 1), stalled)
-        better = active & (new_cost < cost)
-        damping = np.clip(damping * np.where(better, EASING, stiffening), LEAST_DAMPING, MOST_DAMPING)
-        stiffening = np.where(better, STIFFENING, 2 * stiffening)
-        for old, new in (
-            (wrist_pose, new_pose),
-            (independent, new_independent),
-            (cost, new_cost),
-            (hessian, new_hessian),
-            (gradient, new_gradient),
-        ):
-            old[better] = new[better]
-        if np.all(stalled >= PATIENCE):
+        propose(current, progress.damping, lower, upper, pose, joints, new_pose, new_joints)
+        equations.evaluate(trial, new_pose, new_joints)
+        left = accept(current, trial, progress, rule, pose, joints, new_pose, new_joints)
+        if not left:
             break
-    return wrist_pose, independent, cost
+    return pose, joints, current.cost
 
 
-def only_hinges(model: mujoco.MjModel) -> bool:
-    """Whether a hand has no sliding joints, for which there are no compiled loops."""
-    return bool(np.all(model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE))
+class NormalEquations:
+    """The objective of N grasps, its gradient and Gauss-Newton Hessian, at any iterate."""
 
+    def __init__(
+        self,
+        points: HandPoints,
+        problem: CollisionScene,
+        terms: Sequence[Term],
+        free: np.ndarray | None = None,
+    ):
+        """Args: as for ``minimize``."""
+        self._hand, self._size = points.arrays, points.kinematics.size
+        self._terms = [term(points, problem) for term in terms]
+        self._held = None if free is None else ~free
+        self._frames = empty_frames(len(problem), self._hand)
 
-def objective_equations(state: HandState, terms: Sequence[Term]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Objective [N], Gauss-Newton Hessian J^T J [N, D, D] and gradient J^T r [N, D]."""
-    cost, hessian, gradient = 0.0, 0.0, 0.0
-    for term in terms:
-        residual, jacobian = term(state)
-        transposed = np.swapaxes(jacobian, 1, 2)
-        cost = cost + 0.5 * np.sum(residual**2, axis=1)
-        hessian = hessian + transposed @ jacobian
-        gradient = gradient + (transposed @ residual[..., None])[..., 0]
-    return np.asarray(cost), np.asarray(hessian), np.asarray(gradient)
+    def empty(self, active: np.ndarray) -> Equations:
+        """Zeros. active: which grasps will be evaluated, shape [N] bool."""
+        count, size = len(active), self._size
+        return Equations(np.zeros(count), np.zeros((count, size, size)), np.zeros((count, size)), active)
+
+    def evaluate(self, equations: Equations, pose: np.ndarray, independent: np.ndarray) -> None:
+        """Write the active grasps' equations at wrist poses [N, 7] and independent joints [N, U]."""
+        clear(equations)
+        move_hands(self._hand.tree, pose, independent, equations.active, self._frames)
+        for add in self._terms:
+            add(self._frames, equations, pose, independent)
+        if self._held is not None:
+            equations.gradient[:, self._held] = 0.0
+            equations.hessian[:, self._held] = 0.0
+            equations.hessian[:, :, self._held] = 0.0

@@ -10,8 +10,9 @@ from fungrasp.hands import Hand
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.objects import ObjectModel
 from fungrasp.optimization.collision_scene import CollisionScene
-from fungrasp.optimization.firmness import contacts_of_links
-from fungrasp.optimization.hand_state import HandPoints, HandState
+from fungrasp.optimization.friction_cones import outside_cones
+from fungrasp.optimization.hand_state import HandPoints
+from fungrasp.optimization.link_contacts import contacts_of_links
 
 NEAR = 0.006
 """Links that close onto the object are at most so far from it in the grasp [m]."""
@@ -99,8 +100,6 @@ def holding_forces(
         friction: coefficient.
         iterations: of the descent.
     """
-    from fungrasp.optimization.compiled.friction_cones import outside_cones
-
     count, number = used.shape
     answers = elastic_forces(lever, jacobian, used, stiffness, loads)
     answers = np.concatenate([np.zeros((count, 1, number, 3)), answers], axis=1)
@@ -159,7 +158,7 @@ def squeeze_torques(
         near: links farther from the object than this are left out [m].
     """
     points = HandPoints(HandKinematics(hand, len(around)))
-    touch = contacts_of_links(HandState(points, around, wrist_in_object, grasp))
+    touch = contacts_of_links(points, around, wrist_in_object, grasp)
     used = contacts & (touch.clearance < near)
     lonely = used.sum(axis=1) < 2
     used[lonely] = (touch.clearance <= np.sort(touch.clearance, axis=1)[:, 2:3])[lonely]

@@ -19,10 +19,10 @@ from fungrasp.hands.checking.kinematic_tree import ancestors
 from fungrasp.hands.correspondence import HUMAN_FINGER_JOINTS
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.hands.opening import partly_closed
-from fungrasp.optimization.hand_state import HandPoints, HandState
+from fungrasp.optimization import terms
+from fungrasp.optimization.hand_state import HandPoints
 from fungrasp.optimization.levenberg_marquardt import minimize
 from fungrasp.optimization.retargeting_problem import RetargetingProblem
-from fungrasp.optimization.terms import Residual, link_direction
 from fungrasp.retargeting.contact_optimization import RetargetSettings, palm_alignment
 
 PARALLEL, PERPENDICULAR = np.cos(np.radians(25.0)), np.cos(np.radians(65.0))
@@ -63,10 +63,11 @@ def retarget_by_angle_copy(
     independent = copied_angles(points, roles, problem.joints)
     rotation = palm_alignment(kinematics.hand, problem.joints)
     pose = np.concatenate([np.zeros((len(problem), 3)), rotation], axis=1)
-    thumb = partial(thumb_direction, free=np.concatenate([np.zeros(6, dtype=bool), roles.thumb_base]))
-    pose, independent, _ = minimize(points, problem, [thumb], pose, independent, THUMB_ITERATIONS)
-    kinematics.update(pose, independent)
     match = points.match
+    thumb = partial(terms.link_direction, unit=1.0, links=np.flatnonzero(match.is_thumb)[:2])
+    free = np.concatenate([np.zeros(6, dtype=bool), roles.thumb_base])
+    pose, independent, _ = minimize(points, problem, [thumb], pose, independent, THUMB_ITERATIONS, free=free)
+    kinematics.update(pose, independent)
     tips = kinematics.points(points.keypoints)[:, match.far[match.is_last]]
     pose[:, :3] = problem.joints[:, match.human_far[match.is_last]].mean(axis=1) - tips.mean(axis=1)
     return pose, independent
@@ -165,17 +166,6 @@ def joint_roles(hand: Hand) -> JointRoles:
     coupling = hand.coupling[0]
     has_role = np.any(matrix.reshape(-1, model.njnt) @ coupling, axis=0)
     return JointRoles(matrix, fan, np.any(coupling[in_thumb], axis=0) & ~has_role)
-
-
-def thumb_direction(state: HandState[RetargetingProblem], free: np.ndarray) -> Residual:
-    """d_robot - d_human for the thumb's first two links, d the unit vector along a link.
-
-    Args:
-        free: which entries of the tangent vector may change, shape [D] bool; others have derivative zero.
-    """
-    first = np.flatnonzero(state.points.match.is_thumb)[:2]
-    residual, jacobian = link_direction(state, unit=1.0, links=first)
-    return residual, jacobian * free
 
 
 def _moved_links(hand: Hand) -> dict[str, dict[int, int]]:

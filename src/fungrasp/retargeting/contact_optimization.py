@@ -21,8 +21,9 @@ from fungrasp.hands.opening import partly_closed
 from fungrasp.optimization import terms
 from fungrasp.optimization.firmness import FIRMNESS_WEIGHT, unresisted_share
 from fungrasp.optimization.hand_state import HandPoints
-from fungrasp.optimization.levenberg_marquardt import Term, minimize
+from fungrasp.optimization.levenberg_marquardt import minimize
 from fungrasp.optimization.retargeting_problem import RetargetingProblem
+from fungrasp.optimization.terms import Term
 
 LEAST_GAIN = 1.0
 """Decrease of the objective that a turned start must bring: equal solutions differ by less."""

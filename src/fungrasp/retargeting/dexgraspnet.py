@@ -18,15 +18,17 @@ It knows neither the table nor the human posture. What differs from the original
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
 from fungrasp.geometry.poses import cross
 from fungrasp.optimization import terms
-from fungrasp.optimization.collision_scene import CollisionScene, gradient_derivative
+from fungrasp.optimization.collision_scene import gradient_derivative
 from fungrasp.optimization.hand_state import HandPoints, HandState
-from fungrasp.optimization.levenberg_marquardt import Term, minimize
+from fungrasp.optimization.levenberg_marquardt import minimize
 from fungrasp.optimization.retargeting_problem import RetargetingProblem
-from fungrasp.optimization.terms import Residual
+from fungrasp.optimization.terms import Residual, Term
 from fungrasp.retargeting.contact_optimization import RetargetSettings, initial_pose
 
 DISTANCE_WEIGHT = 100.0
@@ -43,6 +45,21 @@ ENERGY_ITERATIONS = 80
 """Solver iterations."""
 
 
+object_penetration_energy: Term = partial(
+    terms.object_penetration, unit=1 / PENETRATION_WEIGHT, count=48, smoothing=SMOOTHING_LENGTH
+)
+"""w_pen E_pen = w_pen sum max(0, depth) over the spheres that cover the hand."""
+
+self_penetration_energy: Term = partial(
+    terms.self_penetration,
+    unit=1 / SELF_PENETRATION_WEIGHT,
+    margin=0.0,
+    count=16,
+    smoothing=SMOOTHING_LENGTH,
+)
+"""w_spen E_spen = w_spen sum max(0, depth) over pairs of spheres of different fingers."""
+
+
 def retarget_by_dexgraspnet(
     points: HandPoints, problem: RetargetingProblem, settings: RetargetSettings
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -52,10 +69,9 @@ def retarget_by_dexgraspnet(
     """
     wrist_pose, independent = initial_pose(points, problem)
     energy: list[Term] = [
-        force_closure_energy,
-        contact_distance_energy,
         object_penetration_energy,
         self_penetration_energy,
+        terms.residual_terms([force_closure_energy, contact_distance_energy]),
     ]
     wrist_pose, independent, _ = minimize(points, problem, energy, wrist_pose, independent, ENERGY_ITERATIONS)
     return wrist_pose, independent
@@ -104,20 +120,6 @@ def contact_distance_energy(state: HandState[RetargetingProblem]) -> Residual:
     normal = np.take_along_axis(state.normals, spheres[..., None], axis=1)
     jacobian = np.einsum("nqi,nqid->nqd", normal, state.sphere_jacobian(spheres))
     return smooth_absolute((wanted * distance, wanted[..., None] * jacobian), DISTANCE_WEIGHT)
-
-
-def object_penetration_energy(state: HandState[CollisionScene]) -> Residual:
-    """w_pen E_pen = w_pen sum max(0, depth) over the spheres that cover the hand."""
-    return smooth_absolute(
-        terms.object_penetration(state, unit=1.0, margin=0.0, count=48), PENETRATION_WEIGHT
-    )
-
-
-def self_penetration_energy(state: HandState[CollisionScene]) -> Residual:
-    """w_spen E_spen = w_spen sum max(0, depth) over pairs of spheres of different fingers."""
-    return smooth_absolute(
-        terms.self_penetration(state, unit=1.0, margin=0.0, count=16), SELF_PENETRATION_WEIGHT
-    )
 
 
 def contact_spheres(state: HandState[RetargetingProblem]) -> tuple[np.ndarray, np.ndarray]:

@@ -25,8 +25,9 @@ from fungrasp.objects import ObjectModel, load_object
 from fungrasp.optimization import terms
 from fungrasp.optimization.collision_scene import CollisionScene, project_to_surface
 from fungrasp.optimization.hand_state import HandState
-from fungrasp.optimization.levenberg_marquardt import Term, minimize
+from fungrasp.optimization.levenberg_marquardt import minimize
 from fungrasp.optimization.retargeting_problem import GRAVITY, RetargetingProblem
+from fungrasp.optimization.terms import Term
 from fungrasp.synthesis.grasp_candidates import GraspCandidates, check_candidates, join_candidates
 from fungrasp.synthesis.grasp_specification import GraspSpecification
 from fungrasp.synthesis.human_hand_terms import (
@@ -202,20 +203,23 @@ def solve_batch(
 
     def objective(factor: float) -> list[Term]:
         """Terms whose units of contact and penetration are ``factor`` times as large, of places its root."""
-        return [
-            wrist,
+        specified = [
             partial(natural_posture, kinds=[spec.kind for spec in each]),
             partial(part_gap, targets=targets, unit=factor * settings.gap_unit),
             partial(place_error, targets=targets, unit=factor**0.5 * settings.place_unit),
+        ]
+        return [
+            wrist,
             partial(terms.object_penetration, unit=factor * settings.object_unit),
             partial(table, unit=factor * settings.table_unit),
             partial(terms.self_penetration, unit=factor * settings.self_unit),
+            terms.residual_terms(specified),
         ]
 
     first, second = settings.first_iterations, settings.second_iterations
     pose, independent, _ = minimize(points, problem, objective(4.0), pose, independent, first)
     closure = partial(terms.force_closure, unit=settings.closure_unit)
-    pose, independent, cost = minimize(points, problem, [*objective(1.0), closure], pose, independent, second)
+    pose, independent, cost = minimize(points, problem, [closure, *objective(1.0)], pose, independent, second)
     return check_candidates(hand, scene, each, owner, objects, pose, independent, cost)
 
 

@@ -12,8 +12,9 @@ from fungrasp.hands import Hand
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.objects import ObjectModel
 from fungrasp.optimization.collision_scene import CollisionScene
-from fungrasp.optimization.firmness import contacts_of_links, unresisted_wrenches
-from fungrasp.optimization.hand_state import HandPoints, HandState
+from fungrasp.optimization.firmness import unresisted_wrenches
+from fungrasp.optimization.hand_state import HandPoints
+from fungrasp.optimization.link_contacts import contacts_of_links
 from fungrasp.planning.expected_loads import use_loads
 from fungrasp.planning.grip_forces import FRICTION, NEAR
 from fungrasp.task import GraspPlan
@@ -78,7 +79,7 @@ def _share(plans: GraspPlan, motion: UseMotion, hand: Hand, objects: Mapping[str
     )
     around = CollisionScene.settled(names, plans.object_pose, objects)
     points = HandPoints(HandKinematics(hand, len(plans)))
-    contacts = contacts_of_links(HandState(points, around, palm, joints))
+    contacts = contacts_of_links(points, around, palm, joints)
     reach = np.array([0.5 * float(np.max(model.size)) for model in models])
     loads[..., 3:] /= reach[:, None, None]
     size = np.linalg.norm(loads, axis=-1)

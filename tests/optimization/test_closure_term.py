@@ -1,16 +1,52 @@
-"""Contact forces that balance."""
+"""Contact forces that balance, and the edges of friction cones."""
 
 from __future__ import annotations
 
+import numba
 import numpy as np
 import pytest
+import reference_terms
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from fungrasp.optimization.contact_forces import balanced_forces, friction_cone_edges
+from fungrasp.optimization.closure_term import _balance
+from fungrasp.optimization.friction_cones import circle, friction_cone_edges
 
 FRICTION = 0.4
+EDGES = 6
+
+
+def balanced_forces(
+    lever: np.ndarray, inward: np.ndarray, used: np.ndarray, friction: float, iterations: int = 40
+) -> np.ndarray:
+    """Contact forces of N grasps, shape [N, C, 3]; zero where a contact may not press, shape [N, C] bool."""
+    result = np.zeros(lever.shape)
+    _balance_each(*(np.ascontiguousarray(x) for x in (lever, inward, used)), friction, iterations, result)
+    return result
+
+
+@numba.njit
+def _balance_each(lever, inward, used, friction, iterations, result):
+    around, most = circle(EDGES), lever.shape[1]
+    edges, matrix = np.empty((most * EDGES, 3)), np.empty((7, most * EDGES))
+    force = np.empty((most, 3))
+    for i in range(len(lever)):
+        which = np.flatnonzero(used[i])
+        if len(which):
+            _balance(
+                lever[i][which],
+                inward[i][which],
+                len(which),
+                friction,
+                around,
+                iterations,
+                edges,
+                matrix,
+                force,
+            )
+            for c in range(len(which)):
+                result[i, which[c]] = force[c]
 
 
 def unbalanced(lever: np.ndarray, force: np.ndarray) -> np.ndarray:
@@ -103,3 +139,20 @@ def test_friction_cone_edges_lie_on_the_cone(axis: list[float], count: int):
     np.testing.assert_allclose(edges @ inward, 1.0)
     np.testing.assert_allclose(np.linalg.norm(edges - inward, axis=-1), FRICTION)
     np.testing.assert_allclose(edges.mean(axis=0), inward, atol=1e-12)
+
+
+def test_forces_and_edges_are_those_of_numpy():
+    random = np.random.default_rng(0)
+    lever, inward = random.normal(size=(2, 4, 6, 3))
+    inward /= np.linalg.norm(inward, axis=-1, keepdims=True)
+    used = random.random((4, 6)) < 0.6
+    np.testing.assert_allclose(
+        balanced_forces(lever, inward, used, FRICTION),
+        reference_terms.balanced_forces(lever, inward, used, FRICTION),
+        atol=1e-9,
+    )
+    np.testing.assert_allclose(
+        friction_cone_edges(inward, FRICTION, 8),
+        reference_terms.friction_cone_edges(inward, FRICTION, 8),
+        atol=1e-12,
+    )

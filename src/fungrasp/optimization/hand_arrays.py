@@ -3,27 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
 
 from fungrasp.geometry.poses import rotation_matrix
-from fungrasp.hands.kinematics import HandKinematics
-
-if TYPE_CHECKING:
-    from fungrasp.optimization.hand_state import HandPoints
+from fungrasp.hands.collision_spheres import CollisionSpheres
+from fungrasp.hands.kinematics import BodyPoints, HandKinematics
+from fungrasp.optimization.compiling import plain
 
 GROUP_SIZE = 8
 """Most spheres in a group that is passed over together where it is far from everything."""
 
 
 class Tree(NamedTuple):
-    """Bodies and hinge joints; B bodies, M joints, U independent joints.
-
-    The joints that move a body are entries ``chain_start[body]`` to ``chain_start[body + 1]`` of the arrays
-    ``chain_...``, an entry for each independent joint that drives a joint.
-    """
+    """Bodies and joints of a hand's model; B bodies, M joints, U independent joints."""
 
     parent: np.ndarray
     """Parent of each body, shape [B]."""
@@ -37,37 +32,52 @@ class Tree(NamedTuple):
     """Of each joint in its body [m], shape [M, 3]."""
     axis: np.ndarray
     """Of each joint in its body, shape [M, 3]."""
-    zero: np.ndarray
-    """Joint position in which the model was written [rad], shape [M]."""
     coupling: np.ndarray
-    """``joint_positions = coupling @ independent + offset``, shape [M, U]."""
+    """``joint_positions - qpos0 = coupling @ independent + offset``, shape [M, U]."""
     offset: np.ndarray
-    """[rad], shape [M]."""
+    """[rad] or [m], shape [M]."""
     palm_position: np.ndarray
     """Of the palm in the model [m], shape [3]."""
     palm_rotation: np.ndarray
     """Of the palm in the model, shape [3, 3]."""
-    lower: np.ndarray
-    """Lower limits of the independent joints [rad], shape [U]."""
-    upper: np.ndarray
-    """Upper limits of the independent joints [rad], shape [U]."""
-    chain_start: np.ndarray
+
+
+class Chains(NamedTuple):
+    """The joints that move each body: entries ``start[body]`` to ``start[body + 1]``, one for each
+    independent joint that drives a joint."""
+
+    start: np.ndarray
     """First entry of each body, shape [B + 1]."""
-    chain_joint: np.ndarray
+    joint: np.ndarray
     """Joint of each entry."""
-    chain_column: np.ndarray
+    column: np.ndarray
     """Column of each entry's independent joint in a tangent vector, from 6 on."""
-    chain_factor: np.ndarray
+    factor: np.ndarray
     """How far the joint moves for a unit of the independent one."""
+    slides: np.ndarray
+    """Whether a joint slides along its axis in place of turning about it, shape [M] bool."""
 
 
-class Points(NamedTuple):
-    """Key points, or centers of spheres, that ride on bodies."""
+class Spheres(NamedTuple):
+    """Collision spheres that ride on bodies."""
 
     body: np.ndarray
     """Body ids, shape [P]."""
     offset: np.ndarray
-    """Position in the body [m], shape [P, 3]."""
+    """Centers in the body [m], shape [P, 3]."""
+    radius: np.ndarray
+    """[m], shape [P]."""
+
+
+class SelfPairs(NamedTuple):
+    """Which spheres of a hand may meet, each pair once."""
+
+    first: np.ndarray
+    """Sphere indices, shape [A]."""
+    second: np.ndarray
+    """Sphere indices, shape [B]."""
+    apart: np.ndarray
+    """Whether a pair counts, shape [A, B]."""
 
 
 class Groups(NamedTuple):
@@ -87,78 +97,84 @@ class Groups(NamedTuple):
     """Groups of link l are ``link_start[l]`` to ``link_start[l + 1]``, shape [L + 1]."""
 
 
-class Pairs(NamedTuple):
-    """Pairs of groups whose spheres may meet."""
-
-    first: np.ndarray
-    """Group indices, shape [Q]."""
-    second: np.ndarray
-    """Group indices, shape [Q]."""
-
-
 class HandArrays(NamedTuple):
     """What compiled terms know of a hand."""
 
     tree: Tree
     """Bodies and joints."""
-    keypoints: Points
+    chains: Chains
+    """Which joints move which body."""
+    keypoints: BodyPoints
     """Key points."""
-    spheres: Points
-    """Centers of the collision spheres."""
-    radius: np.ndarray
-    """Of the spheres [m], shape [P]."""
+    spheres: Spheres
+    """Collision spheres."""
     groups: Groups
     """Of the spheres."""
-    pairs: Pairs
-    """For collisions of the hand with itself."""
+    pairs: np.ndarray
+    """Pairs of groups whose spheres may meet, shape [Q, 2]."""
 
 
-def hand_arrays(points: HandPoints) -> HandArrays:
-    """Flatten a hand's points."""
-    spheres = Points(*(np.ascontiguousarray(x) for x in points.spheres.points))
-    groups = _groups(spheres, points.spheres.radius, points.spheres.link, points.spheres.geom)
+def hand_arrays(
+    kinematics: HandKinematics, keypoints: BodyPoints, spheres: CollisionSpheres, pairs: SelfPairs
+) -> HandArrays:
+    """Flatten a hand.
+
+    Args:
+        kinematics: for any number of hands.
+        keypoints: of the hand.
+        spheres: that cover it.
+        pairs: of spheres that may meet: all or none of the spheres of two shapes.
+    """
+    flat = Spheres(
+        np.array(spheres.points.bodies, dtype=np.int64), plain(spheres.points.offsets), plain(spheres.radius)
+    )
+    groups = _groups(flat, spheres.link, spheres.geom)
     return HandArrays(
-        tree=_tree(points.kinematics),
-        keypoints=Points(*(np.ascontiguousarray(x) for x in points.keypoints)),
-        spheres=spheres,
-        radius=points.spheres.radius,
+        tree=_tree(kinematics),
+        chains=_chains(kinematics),
+        keypoints=BodyPoints(plain(keypoints.bodies, np.int64), plain(keypoints.offsets)),
+        spheres=flat,
         groups=groups,
-        pairs=_pairs(points, groups),
+        pairs=_pairs(pairs, groups),
     )
 
 
 def _tree(kinematics: HandKinematics) -> Tree:
-    model, matrix = kinematics.model, kinematics.matrix
+    model = kinematics.model
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     palm = model.body(kinematics.hand.palm).id
+    return Tree(
+        parent=plain(model.body_parentid, np.int64),
+        position=plain(model.body_pos),
+        rotation=plain(rotation_matrix(model.body_quat)),
+        first_joint=np.cumsum([0, *model.body_jntnum]),
+        anchor=plain(model.jnt_pos),
+        axis=plain(model.jnt_axis),
+        coupling=plain(kinematics.matrix),
+        offset=kinematics.offset - model.qpos0[model.jnt_qposadr],
+        palm_position=plain(data.xpos[palm]),
+        palm_rotation=plain(data.xmat[palm].reshape(3, 3)),
+    )
+
+
+def _chains(kinematics: HandKinematics) -> Chains:
+    matrix = kinematics.matrix
     entries = [
         [(joint, 6 + u, matrix[joint, u]) for joint in joints for u in np.flatnonzero(matrix[joint])]
         for joints in (np.flatnonzero(row) for row in kinematics.moves)
     ]
     flat = [entry for body in entries for entry in body]
-    return Tree(
-        parent=model.body_parentid.astype(np.int64),
-        position=model.body_pos.copy(),
-        rotation=rotation_matrix(model.body_quat),
-        first_joint=np.cumsum([0, *model.body_jntnum]),
-        anchor=model.jnt_pos.copy(),
-        axis=model.jnt_axis.copy(),
-        zero=model.qpos0[model.jnt_qposadr].copy(),
-        coupling=matrix,
-        offset=kinematics.offset,
-        palm_position=data.xpos[palm].copy(),
-        palm_rotation=data.xmat[palm].reshape(3, 3).copy(),
-        lower=kinematics.lower,
-        upper=kinematics.upper,
-        chain_start=np.cumsum([0, *(len(body) for body in entries)]),
-        chain_joint=np.array([joint for joint, _, _ in flat], dtype=np.int64),
-        chain_column=np.array([column for _, column, _ in flat], dtype=np.int64),
-        chain_factor=np.array([factor for _, _, factor in flat], dtype=float),
+    return Chains(
+        start=np.cumsum([0, *(len(body) for body in entries)]),
+        joint=np.array([joint for joint, _, _ in flat], dtype=np.int64),
+        column=np.array([column for _, column, _ in flat], dtype=np.int64),
+        factor=np.array([factor for _, _, factor in flat], dtype=float),
+        slides=kinematics.model.jnt_type == mujoco.mjtJoint.mjJNT_SLIDE,
     )
 
 
-def _groups(spheres: Points, radius: np.ndarray, link: np.ndarray, geom: np.ndarray) -> Groups:
+def _groups(spheres: Spheres, link: np.ndarray, geom: np.ndarray) -> Groups:
     parts: list[np.ndarray] = []
     count = [0] * (link.max() + 1)
     for number in range(len(count)):
@@ -169,7 +185,7 @@ def _groups(spheres: Points, radius: np.ndarray, link: np.ndarray, geom: np.ndar
     low = [(spheres.offset[p].min(axis=0), spheres.offset[p].max(axis=0)) for p in parts]
     center = np.array([0.5 * (a + b) for a, b in low]).reshape(-1, 3)
     reach = [
-        np.max(np.linalg.norm(spheres.offset[p] - c, axis=1) + radius[p])
+        np.max(np.linalg.norm(spheres.offset[p] - c, axis=1) + spheres.radius[p])
         for p, c in zip(parts, center, strict=True)
     ]
     return Groups(
@@ -192,11 +208,10 @@ def _split(members: np.ndarray, offset: np.ndarray) -> Sequence[np.ndarray]:
     return [*_split(order[:half], offset), *_split(order[half:], offset)]
 
 
-def _pairs(points: HandPoints, groups: Groups) -> Pairs:
+def _pairs(given: SelfPairs, groups: Groups) -> np.ndarray:
     # The spheres of a group are of one shape of one link, so that all or none of them count.
-    given = points.self_pairs
     apart = np.zeros((len(groups.reach), len(groups.reach)), dtype=bool)
     group = np.empty(len(groups.members), dtype=int)
     group[groups.members] = np.repeat(np.arange(len(groups.reach)), np.diff(groups.start))
     apart[np.ix_(group[given.first], group[given.second])] = given.apart
-    return Pairs(*np.nonzero(apart))
+    return np.argwhere(apart)

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
-from fungrasp.optimization.compiled.compiling import compiled
-from fungrasp.optimization.compiled.hand_arrays import Tree
+from fungrasp.optimization.compiling import compiled, compiled_part
+from fungrasp.optimization.hand_arrays import Chains, HandArrays, Tree
 
 
 class Frames(NamedTuple):
@@ -24,12 +25,21 @@ class Frames(NamedTuple):
     """Of joints, shape [N, M, 3]."""
     wrist: np.ndarray
     """Positions of the palms [m], shape [N, 3]."""
+    chains: Chains
+    """Which joints move which body."""
 
 
-def empty_frames(count: int, bodies: int, joints: int) -> Frames:
+def empty_frames(count: int, hand: HandArrays) -> Frames:
     """Space for ``count`` hands."""
-    shapes = ((bodies, 3), (bodies, 3, 3), (joints, 3), (joints, 3), (3,))
-    return Frames(*(np.empty((count, *shape)) for shape in shapes))
+    bodies, joints = len(hand.tree.parent), len(hand.tree.offset)
+    return Frames(
+        position=np.empty((count, bodies, 3)),
+        rotation=np.empty((count, bodies, 3, 3)),
+        anchor=np.empty((count, joints, 3)),
+        axis=np.empty((count, joints, 3)),
+        wrist=np.empty((count, 3)),
+        chains=hand.chains,
+    )
 
 
 class Equations(NamedTuple):
@@ -45,6 +55,11 @@ class Equations(NamedTuple):
     """Which problems are still being solved, shape [N] bool; others are passed over."""
 
 
+AddTerm = Callable[[Frames, Equations, np.ndarray, np.ndarray], None]
+"""Adds a term of the objective to normal equations, given where the hands are: their frames, wrist poses and
+independent joints."""
+
+
 class Row(NamedTuple):
     """One row of a Jacobian that is mostly zero; a row's first six columns, of the wrist, always count."""
 
@@ -58,20 +73,23 @@ class Row(NamedTuple):
     """Shape [1]."""
 
 
-@compiled
+@compiled_part
 def empty_row(size: int) -> Row:
     """A row of zeros."""
-    used = np.zeros(size, dtype=np.bool_)
-    used[:6] = True
-    return Row(np.zeros(size), np.arange(size), used, np.full(1, 6))
+    values, columns = np.empty(size), np.empty(size, np.int64)
+    used, count = np.empty(size, np.bool_), np.empty(1, np.int64)
+    for k in range(size):
+        values[k], columns[k], used[k] = 0.0, k, k < 6
+    count[0] = 6
+    return Row(values, columns, used, count)
 
 
-@compiled
-def add_point(row: Row, tree: Tree, frames: Frames, i: int, body: int, point, direction) -> None:
+@compiled_part
+def add_point(row: Row, frames: Frames, i: int, body: int, point, direction) -> None:
     """Add ``direction . d point / d tangent`` for a point [m] that rides on a body of hand ``i``."""
     x, y, z = point
     a, b, c = direction
-    v = row.values
+    v, chains = row.values, frames.chains
     v[0] += a
     v[1] += b
     v[2] += c
@@ -79,24 +97,37 @@ def add_point(row: Row, tree: Tree, frames: Frames, i: int, body: int, point, di
     v[3] += ry * c - rz * b
     v[4] += rz * a - rx * c
     v[5] += rx * b - ry * a
-    for entry in range(tree.chain_start[body], tree.chain_start[body + 1]):
-        joint, column = tree.chain_joint[entry], tree.chain_column[entry]
-        rx, ry, rz = (
-            x - frames.anchor[i, joint, 0],
-            y - frames.anchor[i, joint, 1],
-            z - frames.anchor[i, joint, 2],
-        )
+    for entry in range(chains.start[body], chains.start[body + 1]):
+        joint, column = chains.joint[entry], chains.column[entry]
         ux, uy, uz = frames.axis[i, joint, 0], frames.axis[i, joint, 1], frames.axis[i, joint, 2]
-        # direction . (axis x lever) = axis . (lever x direction)
-        turn = ux * (ry * c - rz * b) + uy * (rz * a - rx * c) + uz * (rx * b - ry * a)
-        v[column] += tree.chain_factor[entry] * turn
+        if chains.slides[joint]:
+            move = ux * a + uy * b + uz * c
+        else:
+            rx = x - frames.anchor[i, joint, 0]
+            ry = y - frames.anchor[i, joint, 1]
+            rz = z - frames.anchor[i, joint, 2]
+            # direction . (axis x lever) = axis . (lever x direction)
+            move = ux * (ry * c - rz * b) + uy * (rz * a - rx * c) + uz * (rx * b - ry * a)
+        v[column] += chains.factor[entry] * move
         if not row.used[column]:
             row.used[column] = True
             row.columns[row.count[0]] = column
             row.count[0] += 1
 
 
-@compiled
+@compiled_part
+def joint_motion(frames: Frames, i: int, joint: int, point):
+    """How a point [m] of hand ``i`` moves with a joint that carries it, [m/rad] or [m/m], xyz."""
+    a, b, c = frames.axis[i, joint, 0], frames.axis[i, joint, 1], frames.axis[i, joint, 2]
+    if frames.chains.slides[joint]:
+        return a, b, c
+    rx = point[0] - frames.anchor[i, joint, 0]
+    ry = point[1] - frames.anchor[i, joint, 1]
+    rz = point[2] - frames.anchor[i, joint, 2]
+    return b * rz - c * ry, c * rx - a * rz, a * ry - b * rx
+
+
+@compiled_part
 def finish_row(row: Row, equations: Equations, i: int, residual: float) -> None:
     """Add a residual and its row to the normal equations of problem ``i``, and empty the row."""
     v, columns, number = row.values, row.columns, row.count[0]
@@ -118,7 +149,7 @@ def finish_row(row: Row, equations: Equations, i: int, residual: float) -> None:
     row.count[0] = 6
 
 
-@compiled
+@compiled_part
 def place(frames: Frames, i: int, body: int, offset):
     """Position [m] of a point of hand ``i`` from that in its body, shape [3]."""
     p, r = frames.position[i, body], frames.rotation[i, body]
@@ -128,6 +159,19 @@ def place(frames: Frames, i: int, body: int, offset):
         p[1] + r[1, 0] * x + r[1, 1] * y + r[1, 2] * z,
         p[2] + r[2, 0] * x + r[2, 1] * y + r[2, 2] * z,
     )
+
+
+@compiled
+def clear(equations: Equations) -> None:
+    """Set the normal equations of active problems to zero."""
+    size = equations.gradient.shape[1]
+    for i in range(len(equations.cost)):
+        if equations.active[i]:
+            equations.cost[i] = 0.0
+            for p in range(size):
+                equations.gradient[i, p] = 0.0
+                for q in range(size):
+                    equations.hessian[i, p, q] = 0.0
 
 
 @compiled
@@ -143,31 +187,34 @@ def move_hands(
         active: shape [N] bool.
         frames: written.
     """
-    joints = np.empty(len(tree.zero))
     part = np.empty((3, 3))
     for i in range(len(pose)):
         if not active[i]:
             continue
-        for m in range(len(joints)):
-            angle = tree.offset[m] - tree.zero[m]
-            for u in range(independent.shape[1]):
-                angle += tree.coupling[m, u] * independent[i, u]
-            joints[m] = angle
-        _place_model(tree, pose[i], frames.position[i, 0], frames.rotation[i, 0], part)
-        frames.wrist[i] = pose[i, :3]
+        _place_model(tree, pose, i, frames.position[i, 0], frames.rotation[i, 0], part)
+        for k in range(3):
+            frames.wrist[i, k] = pose[i, k]
         for body in range(1, len(tree.parent)):
             parent = tree.parent[body]
             p, r = frames.position[i, body], frames.rotation[i, body]
             _carry(frames.position[i, parent], frames.rotation[i, parent], tree.position[body], p)
             _product(frames.rotation[i, parent], tree.rotation[body], r)
             for m in range(tree.first_joint[body], tree.first_joint[body + 1]):
-                anchor = frames.anchor[i, m]
+                value = tree.offset[m]
+                for u in range(independent.shape[1]):
+                    value += tree.coupling[m, u] * independent[i, u]
+                anchor, axis = frames.anchor[i, m], frames.axis[i, m]
                 _carry(p, r, tree.anchor[m], anchor)
                 for k in range(3):
-                    frames.axis[i, m, k] = (
+                    axis[k] = (
                         r[k, 0] * tree.axis[m, 0] + r[k, 1] * tree.axis[m, 1] + r[k, 2] * tree.axis[m, 2]
                     )
-                _turn(r, tree.axis[m], joints[m], part)
+                if frames.chains.slides[m]:
+                    for k in range(3):
+                        p[k] += value * axis[k]
+                        anchor[k] += value * axis[k]
+                    continue
+                _turn(r, tree.axis[m], value, part)
                 # The anchor stays where it is.
                 for k in range(3):
                     p[k] = anchor[k] - (
@@ -177,10 +224,10 @@ def move_hands(
                     )
 
 
-@compiled
-def _place_model(tree: Tree, pose, position, rotation, part) -> None:
+@compiled_part
+def _place_model(tree: Tree, pose, i: int, position, rotation, part) -> None:
     """Frame of the model from that of the palm."""
-    w, x, y, z = pose[3], pose[4], pose[5], pose[6]
+    w, x, y, z = pose[i, 3], pose[i, 4], pose[i, 5], pose[i, 6]
     part[0, 0], part[0, 1], part[0, 2] = 1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)
     part[1, 0], part[1, 1], part[1, 2] = 2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)
     part[2, 0], part[2, 1], part[2, 2] = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
@@ -190,12 +237,12 @@ def _place_model(tree: Tree, pose, position, rotation, part) -> None:
             for m in range(3):
                 rotation[k, n] += part[k, m] * tree.palm_rotation[n, m]
     for k in range(3):
-        position[k] = pose[k]
+        position[k] = pose[i, k]
         for m in range(3):
             position[k] -= rotation[k, m] * tree.palm_position[m]
 
 
-@compiled
+@compiled_part
 def _carry(position, rotation, offset, result) -> None:
     for k in range(3):
         result[k] = (
@@ -203,14 +250,14 @@ def _carry(position, rotation, offset, result) -> None:
         )
 
 
-@compiled
+@compiled_part
 def _product(a, b, result) -> None:
     for k in range(3):
         for n in range(3):
             result[k, n] = a[k, 0] * b[0, n] + a[k, 1] * b[1, n] + a[k, 2] * b[2, n]
 
 
-@compiled
+@compiled_part
 def _turn(rotation, axis, angle: float, part) -> None:
     """``rotation`` times the rotation about an axis (Rodrigues), in place."""
     s, c = math.sin(angle), math.cos(angle)

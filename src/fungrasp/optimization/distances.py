@@ -1,14 +1,20 @@
-"""Signed distances of single points, as ``SignedDistanceBank.query`` for many."""
+"""Signed distances of single points within compiled loops; ``SignedDistanceBank.query`` asks for many."""
 
 from __future__ import annotations
 
 import math
 
 from fungrasp.geometry.signed_distance import GridArrays
-from fungrasp.optimization.compiled.compiling import compiled
+from fungrasp.optimization.compiling import compiled_part
 
 
-@compiled
+@compiled_part
+def _within(value: float, last: float) -> float:
+    """The nearest number from 0 to ``last``."""
+    return 0.0 if value < 0.0 else last if value > last else value
+
+
+@compiled_part
 def signed_distance(grids: GridArrays, grid: int, point):
     """Distance [m] and its gradient (x, y, z)."""
     h = grids.spacing[grid]
@@ -18,7 +24,7 @@ def signed_distance(grids: GridArrays, grid: int, point):
     if not math.isfinite(ux + uy + uz):
         return math.nan, math.nan, math.nan, math.nan
     lx, ly, lz = grids.last[grid, 0], grids.last[grid, 1], grids.last[grid, 2]
-    ix, iy, iz = min(max(ux, 0.0), lx), min(max(uy, 0.0), ly), min(max(uz, 0.0), lz)
+    ix, iy, iz = _within(ux, lx), _within(uy, ly), _within(uz, lz)
     cx, cy, cz = int(ix), int(iy), int(iz)
     fx, fy, fz = ix - cx, iy - cy, iz - cz
     sx, sy = grids.stride[grid, 0], grids.stride[grid, 1]
@@ -50,7 +56,7 @@ def signed_distance(grids: GridArrays, grid: int, point):
     return distance, gx, gy, gz
 
 
-@compiled
+@compiled_part
 def distance_bound(grids: GridArrays, grid: int, point) -> float:
     """A bound below the distance [m] of a point, from one corner of the grid.
 
@@ -63,24 +69,27 @@ def distance_bound(grids: GridArrays, grid: int, point) -> float:
     uz = (point[2] - grids.origin[grid, 2]) / h
     if not math.isfinite(ux + uy + uz):
         return math.nan
-    ix = min(max(ux, 0.0), grids.last[grid, 0])
-    iy = min(max(uy, 0.0), grids.last[grid, 1])
-    iz = min(max(uz, 0.0), grids.last[grid, 2])
+    ix = _within(ux, grids.last[grid, 0])
+    iy = _within(uy, grids.last[grid, 1])
+    iz = _within(uz, grids.last[grid, 2])
     at = int(ix + 0.5) * grids.stride[grid, 0] + int(iy + 0.5) * grids.stride[grid, 1] + int(iz + 0.5)
     distance = grids.values[grids.start[grid] + at] - 3 * h
     away = h * math.sqrt((ux - ix) ** 2 + (uy - iy) ** 2 + (uz - iz) ** 2)
     # The object lies within the grid: it is at least as far as the border.
-    return max(away - h, distance - away) if away > 0 else distance
+    if away > 0:
+        return away - h if away - h > distance - away else distance - away
+    return distance
 
 
-@compiled
+@compiled_part
 def unit_vector(x: float, y: float, z: float):
     """A vector over its length."""
-    length = max(math.sqrt(x * x + y * y + z * z), 1e-9)
+    length = math.sqrt(x * x + y * y + z * z)
+    length = 1e-9 if length < 1e-9 else length
     return x / length, y / length, z / length
 
 
-@compiled
+@compiled_part
 def nearest_surface(grids: GridArrays, grid: int, point, iterations: int):
     """Surface point [m] and outward normal nearest to a point, as ``project_to_surface``."""
     x, y, z = point

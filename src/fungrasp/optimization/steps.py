@@ -7,12 +7,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fungrasp.optimization.compiled.compiling import compiled
-from fungrasp.optimization.compiled.frames import Equations
+from fungrasp.optimization.compiling import compiled, compiled_part
+from fungrasp.optimization.frames import Equations
 
 
 class StepRule(NamedTuple):
-    """Constants of ``levenberg_marquardt``."""
+    """Constants of the solver."""
 
     tolerance: float
     """Share of its objective that a problem must gain to go on."""
@@ -61,11 +61,12 @@ def propose(
     """
     size = equations.gradient.shape[1]
     free, factor, step = np.empty(size, np.int64), np.empty((size, size)), np.empty(size)
+    turn = np.empty(3)
     for i in range(len(pose)):
         if not equations.active[i]:
             continue
         hessian, gradient = equations.hessian[i], equations.gradient[i]
-        number = 0
+        number = np.int64(0)
         for d in range(size):
             if d >= 6:
                 low = independent[i, d - 6] <= lower[d - 6] + 1e-9 and gradient[d] > 0
@@ -76,7 +77,8 @@ def propose(
             number += 1
         largest = 0.0
         for a in range(number):
-            largest = max(largest, hessian[free[a], free[a]])
+            if hessian[free[a], free[a]] > largest:
+                largest = hessian[free[a], free[a]]
         for a in range(number):
             for b in range(a + 1):
                 factor[a, b] = hessian[free[a], free[b]]
@@ -87,10 +89,14 @@ def propose(
         for a in range(number):
             length += step[a] * step[a]
         # Longer steps than 0.5 (meters and radians together) leave where the linearization holds.
-        scale = min(1.0, 0.5 / max(math.sqrt(length), 1e-9))
-        new_independent[i] = independent[i]
-        turn = np.zeros(3)
-        new_pose[i] = pose[i]
+        length = math.sqrt(length)
+        scale = 0.5 / length if length > 0.5 else 1.0
+        for k in range(independent.shape[1]):
+            new_independent[i, k] = independent[i, k]
+        for k in range(7):
+            new_pose[i, k] = pose[i, k]
+        for k in range(3):
+            turn[k] = 0.0
         for a in range(number):
             d = free[a]
             if d < 3:
@@ -99,11 +105,12 @@ def propose(
                 turn[d - 3] = scale * step[a]
             else:
                 value = independent[i, d - 6] + scale * step[a]
-                new_independent[i, d - 6] = min(max(value, lower[d - 6]), upper[d - 6])
+                value = lower[d - 6] if value < lower[d - 6] else value
+                new_independent[i, d - 6] = upper[d - 6] if value > upper[d - 6] else value
         _rotate(new_pose[i, 3:], turn)
 
 
-@compiled
+@compiled_part
 def _solve(matrix, vector, number: int) -> None:
     """Solve by Cholesky factors in place; matrix: its lower triangle, positive definite."""
     for a in range(number):
@@ -115,7 +122,7 @@ def _solve(matrix, vector, number: int) -> None:
         total = matrix[a, a]
         for k in range(a):
             total -= matrix[a, k] * matrix[a, k]
-        matrix[a, a] = math.sqrt(max(total, 1e-300))
+        matrix[a, a] = math.sqrt(1e-300 if total < 1e-300 else total)
     for a in range(number):
         total = vector[a]
         for k in range(a):
@@ -128,7 +135,7 @@ def _solve(matrix, vector, number: int) -> None:
         vector[a] = total / matrix[a, a]
 
 
-@compiled
+@compiled_part
 def _rotate(q, turn) -> None:
     """Turn a quaternion by a rotation vector [rad], in place."""
     angle = math.sqrt(turn[0] * turn[0] + turn[1] * turn[1] + turn[2] * turn[2])
@@ -169,26 +176,26 @@ def accept(
         # A cost that is not a number gains nothing.
         stalled[i] = 0 if gain >= rule.tolerance * equations.cost[i] else stalled[i] + 1
         if gain > 0:
-            pose[i], independent[i] = new_pose[i], new_independent[i]
+            for k in range(7):
+                pose[i, k] = new_pose[i, k]
+            for k in range(independent.shape[1]):
+                independent[i, k] = new_independent[i, k]
             equations.cost[i] = trial.cost[i]
-            equations.hessian[i], equations.gradient[i] = trial.hessian[i], trial.gradient[i]
-            damping[i] = max(damping[i] * rule.easing, rule.least_damping)
+            for p in range(equations.gradient.shape[1]):
+                equations.gradient[i, p] = trial.gradient[i, p]
+                for q in range(equations.gradient.shape[1]):
+                    equations.hessian[i, p, q] = trial.hessian[i, p, q]
+            damping[i] *= rule.easing
+            if damping[i] < rule.least_damping:
+                damping[i] = rule.least_damping
             stiffening[i] = rule.stiffening
         else:
-            damping[i] = min(damping[i] * stiffening[i], rule.most_damping)
+            damping[i] *= stiffening[i]
+            if damping[i] > rule.most_damping:
+                damping[i] = rule.most_damping
             stiffening[i] *= 2
         if stalled[i] >= rule.patience:
             equations.active[i] = False
         else:
             left += 1
     return left
-
-
-@compiled
-def clear(equations: Equations) -> None:
-    """Set the normal equations of active problems to zero."""
-    for i in range(len(equations.cost)):
-        if equations.active[i]:
-            equations.cost[i] = 0.0
-            equations.hessian[i] = 0.0
-            equations.gradient[i] = 0.0

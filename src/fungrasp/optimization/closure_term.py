@@ -1,0 +1,240 @@
+"""Force closure: contact forces within friction cones that balance as well as they can."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from fungrasp.geometry.signed_distance import GridArrays
+from fungrasp.optimization.compiling import compiled, compiled_part, plain
+from fungrasp.optimization.distances import nearest_surface, signed_distance
+from fungrasp.optimization.frames import AddTerm, Equations, Frames, joint_motion, place
+from fungrasp.optimization.friction_cones import circle, cone_edges, largest_eigenvalue
+from fungrasp.optimization.hand_state import HandPoints
+from fungrasp.optimization.retargeting_problem import RetargetingProblem
+
+BALANCE_CONE_EDGES = 6
+"""Edges of the pyramids that stand for friction cones."""
+
+BALANCE_ITERATIONS = 40
+"""Iterations of the descent to the best contact forces."""
+
+
+def force_closure(
+    points: HandPoints,
+    problem: RetargetingProblem,
+    unit: float = 0.05,
+    friction: float = 0.3,
+    reach: float = 0.006,
+) -> AddTerm:
+    """(sum f_j, sum (x_j - center) x f_j / extent) / unit, over links that should touch (L_fc of IV.A).
+
+    x_j is the surface point nearest to the far key point of link j. The f_j are the contact forces within
+    friction cones, normal parts summing to one, that balance best: with ``friction`` zero this is Liu et al.,
+    "Synthesizing diverse and physically stable grasps", 2021. As the forces are optimal, the derivative holds
+    them fixed in the contact frames.
+
+    Args:
+        points, problem: N grasps.
+        unit: dimensionless.
+        friction: coefficient to count on, well below the true one.
+        reach: half width of the difference that gives the curvature [m]; it also smooths edges.
+    """
+    far, wanted = points.match.far, plain(problem.contacts[:, 1:], bool)
+    body, offset = points.arrays.keypoints.bodies[far], points.arrays.keypoints.offsets[far]
+    grids, grid = problem.bank.arrays, plain(problem.grid, np.int64)
+    center, extent = plain(problem.center), plain(problem.extent)
+    return lambda frames, equations, *_: _add_force_closure(
+        frames, equations, grids, grid, body, offset, wanted, center, extent, unit, friction, reach
+    )
+
+
+@compiled
+def _add_force_closure(
+    frames: Frames,
+    equations: Equations,
+    grids: GridArrays,
+    grid: np.ndarray,
+    body: np.ndarray,
+    offset: np.ndarray,
+    wanted: np.ndarray,
+    center: np.ndarray,
+    extent: np.ndarray,
+    unit: float,
+    friction: float,
+    reach: float,
+) -> None:
+    """Add ``force_closure``; body, offset: of each link's far key point, shape [S] and [S, 3]."""
+    size = equations.gradient.shape[1]
+    most = len(body)
+    point, lever, inward = np.empty((most, 3)), np.empty((most, 3)), np.empty((most, 3))
+    force, curve, link = np.empty((most, 3)), np.empty((3, 3)), np.empty(most, np.int64)
+    jacobian, residual = np.empty((6, size)), np.empty(6)
+    edges = np.empty((most * BALANCE_CONE_EDGES, 3))
+    matrix = np.empty((7, most * BALANCE_CONE_EDGES))
+    around = circle(np.int64(BALANCE_CONE_EDGES))
+    for i in range(len(wanted)):
+        if not equations.active[i]:
+            continue
+        number = np.int64(0)
+        for s in range(most):
+            if wanted[i, s]:
+                p = place(frames, i, body[s], offset[s])
+                surface, n = nearest_surface(grids, grid[i], p, 2)
+                for k in range(3):
+                    point[number, k], inward[number, k] = p[k], -n[k]
+                    lever[number, k] = (surface[k] - center[i, k]) / extent[i]
+                link[number] = s
+                number += 1
+        if number < 2:
+            continue
+        _balance(lever, inward, number, friction, around, BALANCE_ITERATIONS, edges, matrix, force)
+        for k in range(6):
+            residual[k] = 0.0
+            for d in range(size):
+                jacobian[k, d] = 0.0
+        for c in range(number):
+            pressure = 0.0
+            for k in range(3):
+                pressure += force[c, k] * inward[c, k]
+                residual[k] += force[c, k] / unit
+                m, n = (k + 1) % 3, (k + 2) % 3
+                residual[3 + k] += (lever[c, m] * force[c, n] - lever[c, n] * force[c, m]) / unit
+            at = (point[c, 0], point[c, 1], point[c, 2])
+            _curvature(grids, grid[i], at, reach, curve)
+            _add_motion(
+                frames, i, body[link[c]], at, lever[c], force[c], pressure, curve, extent[i], unit, jacobian
+            )
+        for k in range(6):
+            equations.cost[i] += 0.5 * residual[k] * residual[k]
+        hessian, gradient = equations.hessian[i], equations.gradient[i]
+        for p in range(size):
+            for k in range(6):
+                value = jacobian[k, p]
+                gradient[p] += residual[k] * value
+                for q in range(p + 1):
+                    hessian[p, q] += value * jacobian[k, q]
+
+
+@compiled_part
+def _curvature(grids: GridArrays, grid: int, point, reach: float, result: np.ndarray) -> None:
+    """Derivative of the distance's gradient by central differences [1/m]."""
+    for axis in range(3):
+        x, y, z = point
+        dx, dy, dz = reach * (axis == 0), reach * (axis == 1), reach * (axis == 2)
+        _, ax, ay, az = signed_distance(grids, grid, (x + dx, y + dy, z + dz))
+        _, bx, by, bz = signed_distance(grids, grid, (x - dx, y - dy, z - dz))
+        result[0, axis] = (ax - bx) / (2 * reach)
+        result[1, axis] = (ay - by) / (2 * reach)
+        result[2, axis] = (az - bz) / (2 * reach)
+
+
+@compiled_part
+def _add_motion(
+    frames: Frames, i, body, point, lever, force, pressure, curve, extent, unit, jacobian
+) -> None:
+    """Derivative of a contact's force and moment with respect to the tangent vector."""
+    chains = frames.chains
+    rx, ry, rz = point[0] - frames.wrist[i, 0], point[1] - frames.wrist[i, 1], point[2] - frames.wrist[i, 2]
+    for k in range(6):
+        a, b, c = 1.0 * (k % 3 == 0), 1.0 * (k % 3 == 1), 1.0 * (k % 3 == 2)
+        if k >= 3:
+            a, b, c = b * rz - c * ry, c * rx - a * rz, a * ry - b * rx
+        _add_column(jacobian, k, a, b, c, lever, force, pressure, curve, extent, unit)
+    for entry in range(chains.start[body], chains.start[body + 1]):
+        factor = chains.factor[entry]
+        a, b, c = joint_motion(frames, i, chains.joint[entry], point)
+        _add_column(
+            jacobian, chains.column[entry], factor * a, factor * b, factor * c, lever, force, pressure, curve,
+            extent, unit,
+        )  # fmt: skip
+
+
+@compiled_part
+def _add_column(jacobian, column: int, mx, my, mz, lever, force, pressure, curve, extent, unit) -> None:
+    """The change of force and moment where the contact's point moves along (mx, my, mz)."""
+    # With the forces fixed in the contact frames, a force turns as the normal does: df = -pressure dn.
+    fx = -pressure * (curve[0, 0] * mx + curve[0, 1] * my + curve[0, 2] * mz) / unit
+    fy = -pressure * (curve[1, 0] * mx + curve[1, 1] * my + curve[1, 2] * mz) / unit
+    fz = -pressure * (curve[2, 0] * mx + curve[2, 1] * my + curve[2, 2] * mz) / unit
+    jacobian[0, column] += fx
+    jacobian[1, column] += fy
+    jacobian[2, column] += fz
+    ax, ay, az = mx / (extent * unit), my / (extent * unit), mz / (extent * unit)
+    jacobian[3, column] += ay * force[2] - az * force[1] + lever[1] * fz - lever[2] * fy
+    jacobian[4, column] += az * force[0] - ax * force[2] + lever[2] * fx - lever[0] * fz
+    jacobian[5, column] += ax * force[1] - ay * force[0] + lever[0] * fy - lever[1] * fx
+
+
+@compiled_part
+def _balance(
+    lever, inward, number: int, friction: float, around, iterations: int, edges, matrix, force
+) -> None:
+    """Contact forces within friction cones whose sum and moment are as small as possible; their normal parts
+    sum to one.
+
+    Minimizes |sum f|^2 + |sum lever x f|^2 + 1e-3 |w|^2 + (sum w - 1)^2 over the weights w >= 0 of the cones'
+    edges, by accelerated projected gradient descent (Nesterov), then scales the sum of the weights to one.
+
+    Args:
+        lever: contact points relative to the center over the extent, shape [C, 3]; the first ``number``.
+        inward: unit normals into the object, shape [C, 3].
+        number: of contacts.
+        friction: coefficient.
+        around: ``circle``.
+        iterations: of the descent.
+        edges, matrix: space to work in.
+        force: written, shape [C, 3].
+    """
+    count = number * BALANCE_CONE_EDGES
+    for c in range(number):
+        cone_edges(inward[c], friction, around, edges, c * BALANCE_CONE_EDGES)
+        for e in range(BALANCE_CONE_EDGES):
+            k = c * BALANCE_CONE_EDGES + e
+            x, y, z = edges[k, 0], edges[k, 1], edges[k, 2]
+            matrix[0, k], matrix[1, k], matrix[2, k] = x, y, z
+            matrix[3, k] = lever[c, 1] * z - lever[c, 2] * y
+            matrix[4, k] = lever[c, 2] * x - lever[c, 0] * z
+            matrix[5, k] = lever[c, 0] * y - lever[c, 1] * x
+            matrix[6, k] = 1.0
+    regular = 1e-3
+    # The step is one over the largest eigenvalue of the objective's Hessian, the Lipschitz constant.
+    step = 1.0 / (largest_eigenvalue(matrix, np.int64(7), count) + regular)
+    weights, ahead = np.empty(count), np.empty(count)
+    for k in range(count):
+        weights[k] = ahead[k] = 1.0 / count
+    momentum = 1.0
+    for _ in range(iterations):
+        # One accumulator for each row: sums that do not wait for each other.
+        fx, fy, fz, mx, my, mz, normal_sum = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0
+        for k in range(count):
+            w = ahead[k]
+            fx += matrix[0, k] * w
+            fy += matrix[1, k] * w
+            fz += matrix[2, k] * w
+            mx += matrix[3, k] * w
+            my += matrix[4, k] * w
+            mz += matrix[5, k] * w
+            normal_sum += w
+        following = 0.5 * (1 + math.sqrt(1 + 4 * momentum * momentum))
+        carry = (momentum - 1) / following
+        for k in range(count):
+            change = normal_sum + regular * ahead[k]
+            change += matrix[0, k] * fx + matrix[1, k] * fy + matrix[2, k] * fz
+            change += matrix[3, k] * mx + matrix[4, k] * my + matrix[5, k] * mz
+            moved = ahead[k] - step * change
+            moved = 0.0 if moved < 0.0 else moved
+            ahead[k] = moved + carry * (moved - weights[k])
+            weights[k] = moved
+        momentum = following
+    total = 0.0
+    for k in range(count):
+        total += weights[k]
+    total = 1e-9 if total < 1e-9 else total
+    for c in range(number):
+        for m in range(3):
+            force[c, m] = 0.0
+            for e in range(BALANCE_CONE_EDGES):
+                k = c * BALANCE_CONE_EDGES + e
+                force[c, m] += weights[k] * edges[k, m] / total

@@ -1,0 +1,366 @@
+"""Terms of contact and collision."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from fungrasp.geometry.signed_distance import GridArrays
+from fungrasp.optimization.collision_scene import CollisionScene
+from fungrasp.optimization.compiling import compiled, compiled_part, plain
+from fungrasp.optimization.distances import distance_bound, signed_distance
+from fungrasp.optimization.frames import (
+    AddTerm,
+    Equations,
+    Frames,
+    add_point,
+    empty_row,
+    finish_row,
+    place,
+)
+from fungrasp.optimization.hand_arrays import Groups, Spheres
+from fungrasp.optimization.hand_state import HandPoints
+from fungrasp.optimization.retargeting_problem import RetargetingProblem
+
+
+class Measure(NamedTuple):
+    """How depths [m] become residuals."""
+
+    unit: float
+    """Depth that counts as one unit [m]."""
+    margin: float
+    """Depths are counted from so far outside the surface [m]."""
+    count: int
+    """Only so many of the deepest count."""
+    smoothing: float
+    """Zero: residuals are depth / unit. Else their halved squares are (sqrt(depth^2 + smoothing^2) -
+    smoothing) / unit, about depth / unit [m]."""
+
+
+def contact_gap(points: HandPoints, problem: RetargetingProblem, unit: float = 0.003) -> AddTerm:
+    """c_j max(0, gap_j) / unit, gap_j the smallest clearance of link j's surface from the object. unit:
+    [m]."""
+    spheres, groups = points.arrays.spheres, points.arrays.groups
+    grids, grid = problem.bank.arrays, plain(problem.grid, np.int64)
+    wanted = plain(problem.contacts, bool)
+    return lambda frames, equations, *_: _add_gaps(
+        frames, equations, spheres, groups, grids, grid, wanted, unit
+    )
+
+
+@compiled
+def _add_gaps(
+    frames: Frames,
+    equations: Equations,
+    spheres: Spheres,
+    groups: Groups,
+    grids: GridArrays,
+    grid: np.ndarray,
+    wanted: np.ndarray,
+    unit: float,
+) -> None:
+    """Add ``contact_gap``. wanted: links that should touch, shape [N, L] bool."""
+    row = empty_row(equations.gradient.shape[1])
+    for i in range(len(wanted)):
+        if not equations.active[i]:
+            continue
+        for link in range(1, wanted.shape[1]):
+            if not wanted[i, link]:
+                continue
+            nearest, least, nx, ny, nz = nearest_sphere(
+                frames, i, spheres, groups, link, grids, grid[i], math.inf
+            )
+            if nearest >= 0 and least > 0:
+                body = spheres.body[nearest]
+                point = place(frames, i, body, spheres.offset[nearest])
+                add_point(row, frames, i, body, point, (nx / unit, ny / unit, nz / unit))
+                finish_row(row, equations, i, least / unit)
+
+
+@compiled_part
+def nearest_sphere(
+    frames: Frames,
+    i: int,
+    spheres: Spheres,
+    groups: Groups,
+    link: int,
+    grids: GridArrays,
+    grid: int,
+    within: float,
+):
+    """The sphere of a link that is nearest to the object.
+
+    Returns:
+        its index, -1 where none is nearer than ``within`` [m]; its clearance [m]; the distance's gradient at
+        its center.
+    """
+    nearest, least, nx, ny, nz = np.int64(-1), within, 0.0, 0.0, 0.0
+    for group in range(groups.link_start[link], groups.link_start[link + 1]):
+        if least_clearance(grids, grid, groups, frames, i, group) > least:
+            continue
+        for k in range(groups.start[group], groups.start[group + 1]):
+            ball = groups.members[k]
+            point = place(frames, i, spheres.body[ball], spheres.offset[ball])
+            distance, gx, gy, gz = signed_distance(grids, grid, point)
+            clearance = distance - spheres.radius[ball]
+            if clearance < least:
+                nearest, least, nx, ny, nz = ball, clearance, gx, gy, gz
+    return nearest, least, nx, ny, nz
+
+
+@compiled_part
+def least_clearance(grids: GridArrays, grid: int, groups: Groups, frames: Frames, i: int, group: int):
+    """A bound below the clearances [m] of a group's spheres."""
+    point = place(frames, i, groups.body[group], groups.center[group])
+    return distance_bound(grids, grid, point) - groups.reach[group]
+
+
+def object_penetration(
+    points: HandPoints,
+    problem: CollisionScene,
+    unit: float = 0.001,
+    margin: float = 0.0,
+    count: int = 24,
+    smoothing: float = 0.0,
+) -> AddTerm:
+    """max(0, margin - clearance) / unit for the ``count`` deepest spheres (L_pen of IV.A).
+
+    Args:
+        points, problem: N grasps.
+        unit, margin, count, smoothing: see ``Measure``.
+    """
+    spheres, groups = points.arrays.spheres, points.arrays.groups
+    grids, grid = problem.bank.arrays, plain(problem.grid, np.int64)
+    measure = Measure(unit, margin, count, smoothing)
+    return lambda frames, equations, *_: _add_object_penetration(
+        frames, equations, spheres, groups, grids, grid, measure
+    )
+
+
+@compiled
+def _add_object_penetration(
+    frames: Frames,
+    equations: Equations,
+    spheres: Spheres,
+    groups: Groups,
+    grids: GridArrays,
+    grid: np.ndarray,
+    measure: Measure,
+) -> None:
+    """Add ``object_penetration``."""
+    row = empty_row(equations.gradient.shape[1])
+    total = len(spheres.radius)
+    depth, ball, normal = np.empty(total), np.empty(total, np.int64), np.empty((total, 3))
+    order, margin = np.empty(total, np.int64), measure.margin
+    for i in range(len(grid)):
+        if not equations.active[i]:
+            continue
+        number = np.int64(0)
+        for group in range(len(groups.reach)):
+            size = groups.start[group + 1] - groups.start[group]
+            if size > 2 and least_clearance(grids, grid[i], groups, frames, i, group) >= margin:
+                continue
+            for k in range(groups.start[group], groups.start[group + 1]):
+                member = groups.members[k]
+                point = place(frames, i, spheres.body[member], spheres.offset[member])
+                distance, gx, gy, gz = signed_distance(grids, grid[i], point)
+                deep = margin - distance + spheres.radius[member]
+                if deep > 0:
+                    depth[number], ball[number] = deep, member
+                    normal[number, 0], normal[number, 1], normal[number, 2] = gx, gy, gz
+                    number += 1
+        for k in range(_deepest(depth, number, measure.count, order)):
+            n = order[k]
+            body = spheres.body[ball[n]]
+            point = place(frames, i, body, spheres.offset[ball[n]])
+            value, unit = _residual(depth[n], measure)
+            push = (-normal[n, 0] / unit, -normal[n, 1] / unit, -normal[n, 2] / unit)
+            add_point(row, frames, i, body, point, push)
+            finish_row(row, equations, i, value)
+
+
+@compiled_part
+def _deepest(depth: np.ndarray, number: int, count: int, order: np.ndarray) -> int:
+    """Put the indices of the ``count`` largest of the first ``number`` depths into ``order``; how many."""
+    for k in range(number):
+        order[k] = k
+    if number <= count:
+        return number
+    for k in range(count):
+        best = k
+        for m in range(k + 1, number):
+            if depth[order[m]] > depth[order[best]]:
+                best = m
+        order[k], order[best] = order[best], order[k]
+    return count
+
+
+@compiled_part
+def _residual(depth: float, measure: Measure):
+    """The residual of a depth [m], and the depth by which it changes by one [m]."""
+    if measure.smoothing > 0:
+        hypotenuse = math.sqrt(depth * depth + measure.smoothing * measure.smoothing)
+        root = math.sqrt(2 / measure.unit / (hypotenuse + measure.smoothing))
+        return root * depth, measure.unit * hypotenuse * root
+    return depth / measure.unit, measure.unit
+
+
+def table_penetration(
+    points: HandPoints, problem: CollisionScene, unit: float = 0.001, margin: float = 0.001, count: int = 12
+) -> AddTerm:
+    """max(0, margin - height) / unit for the ``count`` lowest spheres (h_{i-table} in L_col of IV.A).
+
+    Args:
+        points, problem: N grasps.
+        unit, margin, count: see ``Measure``.
+    """
+    spheres, groups = points.arrays.spheres, points.arrays.groups
+    up, height = plain(problem.up), plain(problem.height)
+    measure = Measure(unit, margin, count, 0.0)
+    return lambda frames, equations, *_: _add_table_penetration(
+        frames, equations, spheres, groups, up, height, measure
+    )
+
+
+@compiled
+def _add_table_penetration(
+    frames: Frames,
+    equations: Equations,
+    spheres: Spheres,
+    groups: Groups,
+    up: np.ndarray,
+    height: np.ndarray,
+    measure: Measure,
+) -> None:
+    """Add ``table_penetration``.
+
+    Args:
+        up: normals of the planes, shape [N, T, 3].
+        height: of the object's origin above each plane [m], shape [N, T].
+    """
+    row = empty_row(equations.gradient.shape[1])
+    total = len(spheres.radius)
+    depth, ball = np.empty(total), np.empty(total, np.int64)
+    plane, order = np.empty(total, np.int64), np.empty(total, np.int64)
+    for i in range(len(up)):
+        if not equations.active[i]:
+            continue
+        number = np.int64(0)
+        for group in range(len(groups.reach)):
+            center = place(frames, i, groups.body[group], groups.center[group])
+            if _lowest(center, up, height, i)[0] - groups.reach[group] >= measure.margin:
+                continue
+            for k in range(groups.start[group], groups.start[group + 1]):
+                member = groups.members[k]
+                point = place(frames, i, spheres.body[member], spheres.offset[member])
+                above, t = _lowest(point, up, height, i)
+                deep = measure.margin - above + spheres.radius[member]
+                if deep > 0:
+                    depth[number], ball[number], plane[number] = deep, member, t
+                    number += 1
+        for k in range(_deepest(depth, number, measure.count, order)):
+            n = order[k]
+            body, t = spheres.body[ball[n]], plane[n]
+            point = place(frames, i, body, spheres.offset[ball[n]])
+            value, unit = _residual(depth[n], measure)
+            push = (-up[i, t, 0] / unit, -up[i, t, 1] / unit, -up[i, t, 2] / unit)
+            add_point(row, frames, i, body, point, push)
+            finish_row(row, equations, i, value)
+
+
+@compiled_part
+def _lowest(point, up: np.ndarray, height: np.ndarray, i: int):
+    """Least height [m] of a point above the planes, and which plane."""
+    least, plane = math.inf, 0
+    for t in range(height.shape[1]):
+        above = up[i, t, 0] * point[0] + up[i, t, 1] * point[1] + up[i, t, 2] * point[2] + height[i, t]
+        if above < least:
+            least, plane = above, t
+    return least, plane
+
+
+def self_penetration(
+    points: HandPoints,
+    problem: CollisionScene,
+    unit: float = 0.002,
+    margin: float = 0.001,
+    count: int = 8,
+    smoothing: float = 0.0,
+) -> AddTerm:
+    """max(0, margin - d_ij) / unit for the ``count`` closest pairs of spheres of different fingers, d_ij the
+    distance between their surfaces (L_col of IV.A, with the distance of shapes in place of that of joints).
+
+    Args:
+        points, problem: N grasps.
+        unit, margin, count, smoothing: see ``Measure``.
+    """
+    spheres, groups, pairs = points.arrays.spheres, points.arrays.groups, points.arrays.pairs
+    measure = Measure(unit, margin, count, smoothing)
+    return lambda frames, equations, *_: _add_self_penetration(
+        frames, equations, spheres, groups, pairs, measure
+    )
+
+
+@compiled
+def _add_self_penetration(
+    frames: Frames,
+    equations: Equations,
+    spheres: Spheres,
+    groups: Groups,
+    pairs: np.ndarray,
+    measure: Measure,
+) -> None:
+    """Add ``self_penetration``. pairs: of groups, shape [Q, 2]."""
+    row = empty_row(equations.gradient.shape[1])
+    margin, total = measure.margin, len(spheres.radius)
+    centers = np.empty((len(groups.reach), 3))
+    # More pairs than this at once would be a hand that is folded into itself.
+    most = 4 * total
+    depth, first, second = np.empty(most), np.empty(most, np.int64), np.empty(most, np.int64)
+    order = np.empty(most, np.int64)
+    for i in range(len(equations.cost)):
+        if not equations.active[i]:
+            continue
+        for group in range(len(groups.reach)):
+            x, y, z = place(frames, i, groups.body[group], groups.center[group])
+            centers[group, 0], centers[group, 1], centers[group, 2] = x, y, z
+        number = np.int64(0)
+        for pair in range(len(pairs)):
+            g, h = pairs[pair, 0], pairs[pair, 1]
+            within = groups.reach[g] + groups.reach[h] + margin
+            x, y, z = (
+                centers[g, 0] - centers[h, 0],
+                centers[g, 1] - centers[h, 1],
+                centers[g, 2] - centers[h, 2],
+            )
+            if x * x + y * y + z * z >= within * within:
+                continue
+            for k in range(groups.start[g], groups.start[g + 1]):
+                a = groups.members[k]
+                pa = place(frames, i, spheres.body[a], spheres.offset[a])
+                for m in range(groups.start[h], groups.start[h + 1]):
+                    b = groups.members[m]
+                    within = spheres.radius[a] + spheres.radius[b] + margin
+                    pb = place(frames, i, spheres.body[b], spheres.offset[b])
+                    x, y, z = pa[0] - pb[0], pa[1] - pb[1], pa[2] - pb[2]
+                    squared = x * x + y * y + z * z
+                    if squared < within * within and number < most:
+                        squared = 1e-12 if squared < 1e-12 else squared
+                        depth[number] = within - math.sqrt(squared)
+                        first[number], second[number] = a, b
+                        number += 1
+        for k in range(_deepest(depth, number, measure.count, order)):
+            n = order[k]
+            a, b = first[n], second[n]
+            pa = place(frames, i, spheres.body[a], spheres.offset[a])
+            pb = place(frames, i, spheres.body[b], spheres.offset[b])
+            x, y, z = pa[0] - pb[0], pa[1] - pb[1], pa[2] - pb[2]
+            length = math.sqrt(x * x + y * y + z * z)
+            length = 1e-9 if length < 1e-9 else length
+            value, unit = _residual(depth[n], measure)
+            scale = 1.0 / (length * unit)
+            add_point(row, frames, i, spheres.body[a], pa, (-x * scale, -y * scale, -z * scale))
+            add_point(row, frames, i, spheres.body[b], pb, (x * scale, y * scale, z * scale))
+            finish_row(row, equations, i, value)

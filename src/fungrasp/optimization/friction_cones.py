@@ -1,0 +1,151 @@
+"""Friction cones: their edges, and how far forces lie outside them."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from fungrasp.optimization.compiling import compiled, compiled_part, plain
+from fungrasp.optimization.distances import unit_vector
+
+
+def friction_cone_edges(normals: np.ndarray, friction: float, count: int) -> np.ndarray:
+    """Edges of the pyramids inscribed in friction cones, each with a normal part of one.
+
+    Args:
+        normals: unit vectors along the cones' axes, into the object, shape [..., 3].
+        friction: coefficient, the tangent of the cones' half angle.
+        count: E, the number of edges.
+
+    Returns:
+        shape [..., E, 3].
+    """
+    axes = plain(normals).reshape(-1, 3)
+    edges = np.empty((len(axes) * count, 3))
+    _edges_of_cones(axes, float(friction), count, edges)
+    return edges.reshape(*np.shape(normals)[:-1], count, 3)
+
+
+@compiled
+def _edges_of_cones(axes: np.ndarray, friction: float, count: int, edges: np.ndarray) -> None:
+    around = circle(count)
+    for c in range(len(axes)):
+        cone_edges(axes[c], friction, around, edges, c * count)
+
+
+@compiled
+def outside_cones(
+    force: np.ndarray, answers: np.ndarray, floor: np.ndarray, axis: np.ndarray, friction: float
+) -> np.ndarray:
+    """From the nearest points of the friction cones to the forces under all loads, summed over the loads [N],
+    shape [N, C, 3]; zero for a force within its cone.
+
+    Args:
+        force: without a load [N], shape [N, C, 3].
+        answers: what each load adds to it [N], shape [N, K, C, 3].
+        floor: where the cones have their tips [N], shape [N, C, 3].
+        axis: of the cones, unit vectors, shape [N, C, 3].
+        friction: coefficient, the tangent of their half angle.
+    """
+    total = np.empty(force.shape)
+    x, tangent = np.empty(3), np.empty(3)
+    for n in range(answers.shape[0]):
+        for k in range(answers.shape[1]):
+            for c in range(answers.shape[2]):
+                a = axis[n, c]
+                if k == 0:
+                    for i in range(3):
+                        total[n, c, i] = 0.0
+                for i in range(3):
+                    x[i] = force[n, c, i] + answers[n, k, c, i] - floor[n, c, i]
+                normal = x[0] * a[0] + x[1] * a[1] + x[2] * a[2]
+                for i in range(3):
+                    tangent[i] = x[i] - normal * a[i]
+                size = math.sqrt(tangent[0] ** 2 + tangent[1] ** 2 + tangent[2] ** 2)
+                if size <= friction * normal:
+                    continue
+                if friction * size <= -normal:
+                    for i in range(3):
+                        total[n, c, i] += x[i]
+                    continue
+                along = (normal + friction * size) / (1.0 + friction * friction)
+                least = 1e-12 if size < 1e-12 else size
+                for i in range(3):
+                    total[n, c, i] += x[i] - along * (a[i] + friction * tangent[i] / least)
+    return total
+
+
+@compiled_part
+def circle(count: int):
+    """``count`` points on the unit circle, shape [count, 2]: directions of a cone's edges."""
+    points = np.empty((count, 2))
+    for e in range(count):
+        angle = 2 * math.pi * e / count
+        points[e, 0], points[e, 1] = math.cos(angle), math.sin(angle)
+    return points
+
+
+@compiled_part
+def cone_edges(inward, friction: float, around, edges, first: int) -> None:
+    """Write the edges of the pyramid inscribed in a friction cone, each with a normal part of one.
+
+    Args:
+        inward: unit vector along the cone's axis, into the object.
+        friction: coefficient, the tangent of the cone's half angle.
+        around: ``circle``.
+        edges: written from row ``first`` on, shape [K, 3].
+    """
+    nx, ny, nz = inward[0], inward[1], inward[2]
+    # Any vector that is not parallel to the normal gives a first tangent.
+    if abs(nx) < 0.9:
+        ax, ay, az = 0.0, nz, -ny
+    else:
+        ax, ay, az = -nz, 0.0, nx
+    ax, ay, az = unit_vector(ax, ay, az)
+    bx, by, bz = ny * az - nz * ay, nz * ax - nx * az, nx * ay - ny * ax
+    for e in range(len(around)):
+        c, s = friction * around[e, 0], friction * around[e, 1]
+        edges[first + e, 0] = nx + c * ax + s * bx
+        edges[first + e, 1] = ny + c * ay + s * by
+        edges[first + e, 2] = nz + c * az + s * bz
+
+
+@compiled_part
+def largest_eigenvalue(matrix, size: int, count: int) -> float:
+    """Of matrix matrix^T, from above by at most a factor size^(1/16): the sixteenth root of the sum of the
+    sixteenth powers of all eigenvalues.
+
+    Args:
+        matrix: its first ``size`` rows and ``count`` columns count.
+    """
+    gram, squared = np.empty((size, size)), np.empty((size, size))
+    trace = 0.0
+    for a in range(size):
+        for b in range(a + 1):
+            total = 0.0
+            for k in range(count):
+                total += matrix[a, k] * matrix[b, k]
+            gram[a, b] = gram[b, a] = total
+        trace += gram[a, a]
+    for a in range(size):
+        for b in range(size):
+            gram[a, b] = gram[a, b] / trace
+    for _ in range(3):
+        for a in range(size):
+            for b in range(size):
+                squared[a, b] = 0.0
+            for k in range(size):
+                factor = gram[a, k]
+                if factor != 0.0:
+                    for b in range(size):
+                        squared[a, b] += factor * gram[k, b]
+        for a in range(size):
+            for b in range(size):
+                gram[a, b] = squared[a, b]
+    # The Frobenius norm of the eighth power is the root of the sum of sixteenth powers of the eigenvalues.
+    total = 0.0
+    for a in range(size):
+        for b in range(size):
+            total += gram[a, b] * gram[a, b]
+    return trace * total ** (1.0 / 16)

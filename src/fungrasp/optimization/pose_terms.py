@@ -1,0 +1,233 @@
+"""Terms that compare poses and key points."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from fungrasp.optimization.collision_scene import CollisionScene
+from fungrasp.optimization.compiling import compiled, compiled_part, plain
+from fungrasp.optimization.distances import unit_vector
+from fungrasp.optimization.frames import (
+    AddTerm,
+    Equations,
+    Frames,
+    add_point,
+    empty_row,
+    finish_row,
+    place,
+)
+from fungrasp.optimization.hand_state import HandPoints
+from fungrasp.optimization.retargeting_problem import RetargetingProblem
+
+
+def fingertip_position(points: HandPoints, problem: RetargetingProblem, unit: float = 0.01) -> AddTerm:
+    """(p_tip - p_human tip) / unit for each finger: the first initialization of IV.A. unit: [m]."""
+    match = points.match
+    target = problem.joints[:, match.human_far[match.is_last]]
+    weight = np.full(target.shape[:2], 1.0 / unit)
+    return keypoint_position(points, problem, match.far[match.is_last], target, weight)
+
+
+def contact_position(
+    points: HandPoints, problem: RetargetingProblem, unit: float = 0.005, inner_weight: float = 0.4
+) -> AddTerm:
+    """L_pos of IV.A, on the surface: c_j (p_j - (s_j + rho_j n_j)) / unit.
+
+    p_j is the far key point of robot link j, s_j the surface point nearest to the corresponding human joint,
+    n_j the normal there and rho_j the robot finger's radius, so that thick robot fingers touch where thin
+    human fingers did.
+
+    Args:
+        points, problem: N grasps.
+        unit: [m].
+        inner_weight: factor for links that don't end in a fingertip.
+    """
+    match = points.match
+    human = match.human_far
+    target = problem.surface[:, human] + points.far_radius[:, None] * problem.normals[:, human]
+    weight = problem.contacts[:, 1:] * np.where(match.is_last, 1.0, inner_weight) / unit
+    return keypoint_position(points, problem, match.far, target, weight)
+
+
+def keypoint_position(
+    points: HandPoints, problem: CollisionScene, which: np.ndarray, target: np.ndarray, weight: np.ndarray
+) -> AddTerm:
+    """weight (p - target) for some key points p.
+
+    Args:
+        points, problem: N grasps.
+        which: key points, shape [Q].
+        target: [m], shape [N, Q, 3].
+        weight: [1/m], shape [N, Q]; nothing is added where it is zero.
+    """
+    body, offset = points.arrays.keypoints.bodies[which], points.arrays.keypoints.offsets[which]
+    target, weight = plain(target), plain(weight)
+    return lambda frames, equations, *_: _add_positions(frames, equations, body, offset, target, weight)
+
+
+@compiled
+def _add_positions(
+    frames: Frames,
+    equations: Equations,
+    body: np.ndarray,
+    offset: np.ndarray,
+    target: np.ndarray,
+    weight: np.ndarray,
+) -> None:
+    """Add ``keypoint_position``; body, offset: of the key points, shape [Q] and [Q, 3]."""
+    row = empty_row(equations.gradient.shape[1])
+    for i in range(len(target)):
+        if not equations.active[i]:
+            continue
+        for q in range(len(body)):
+            w = weight[i, q]
+            if w == 0:
+                continue
+            point = place(frames, i, body[q], offset[q])
+            for k in range(3):
+                push = (w * (k == 0), w * (k == 1), w * (k == 2))
+                add_point(row, frames, i, body[q], point, push)
+                finish_row(row, equations, i, w * (point[k] - target[i, q, k]))
+
+
+def link_direction(
+    points: HandPoints,
+    problem: RetargetingProblem,
+    unit: float = 0.5,
+    links: np.ndarray | slice = slice(None),
+) -> AddTerm:
+    """(d_robot - d_human) / unit for finger links, d the unit vector from the near to the far key point
+    (IV.A).
+
+    Args:
+        points, problem: N grasps.
+        unit: dimensionless.
+        links: which of the S finger links; all by default.
+    """
+    match = points.match
+    bodies, offsets = points.arrays.keypoints
+    near, far = match.near[links], match.far[links]
+    near_body, near_offset, far_body, far_offset = bodies[near], offsets[near], bodies[far], offsets[far]
+    human = problem.joints[:, match.human_far[links]] - problem.joints[:, match.human_near[links]]
+    target = plain(human / np.linalg.norm(human, axis=-1, keepdims=True))
+    return lambda frames, equations, *_: _add_directions(
+        frames, equations, near_body, near_offset, far_body, far_offset, target, unit
+    )
+
+
+@compiled
+def _add_directions(
+    frames: Frames,
+    equations: Equations,
+    near_body: np.ndarray,
+    near_offset: np.ndarray,
+    far_body: np.ndarray,
+    far_offset: np.ndarray,
+    target: np.ndarray,
+    unit: float,
+) -> None:
+    """Add (d - target) / unit, d the unit vector from the near to the far key point of a link.
+
+    Args:
+        near_body, near_offset, far_body, far_offset: of the key points, shape [Q] and [Q, 3].
+        target: unit vectors, shape [N, Q, 3].
+        unit: dimensionless.
+    """
+    row = empty_row(equations.gradient.shape[1])
+    for i in range(len(target)):
+        if not equations.active[i]:
+            continue
+        for q in range(len(near_body)):
+            a = place(frames, i, near_body[q], near_offset[q])
+            b = place(frames, i, far_body[q], far_offset[q])
+            x, y, z = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+            length = math.sqrt(x * x + y * y + z * z)
+            x, y, z = x / length, y / length, z / length
+            # The derivative of a normalized vector is (I - d d^T) / length: two rows, along tangents of the
+            # sphere, say what three along the axes do. The rest of the residual, along d, does not move.
+            if abs(x) < 0.9:
+                ux, uy, uz = unit_vector(0.0, z, -y)
+            else:
+                ux, uy, uz = unit_vector(-z, 0.0, x)
+            vx, vy, vz = y * uz - z * uy, z * ux - x * uz, x * uy - y * ux
+            ex, ey, ez = (
+                (x - target[i, q, 0]) / unit,
+                (y - target[i, q, 1]) / unit,
+                (z - target[i, q, 2]) / unit,
+            )
+            along = x * ex + y * ey + z * ez
+            equations.cost[i] += 0.5 * along * along
+            scale = 1.0 / (length * unit)
+            push, pull = (ux * scale, uy * scale, uz * scale), (-ux * scale, -uy * scale, -uz * scale)
+            add_point(row, frames, i, far_body[q], b, push)
+            add_point(row, frames, i, near_body[q], a, pull)
+            finish_row(row, equations, i, ux * ex + uy * ey + uz * ez)
+            push, pull = (vx * scale, vy * scale, vz * scale), (-vx * scale, -vy * scale, -vz * scale)
+            add_point(row, frames, i, far_body[q], b, push)
+            add_point(row, frames, i, near_body[q], a, pull)
+            finish_row(row, equations, i, vx * ex + vy * ey + vz * ez)
+
+
+def stay_near(
+    points: HandPoints,
+    problem: CollisionScene,
+    start: tuple[np.ndarray, np.ndarray],
+    unit: float = 1.0,
+    position_unit: float = np.inf,
+    rotation_unit: float = np.inf,
+) -> AddTerm:
+    """Differences of joints, wrist position and wrist rotation from ``start`` over their units.
+
+    Args:
+        points, problem: N grasps.
+        start: wrist poses [N, 7] and independent joints [rad], shape [N, U].
+        unit, position_unit, rotation_unit: [rad], [m], [rad].
+    """
+    start = plain(start[0]), plain(start[1])
+    units = np.repeat([position_unit, rotation_unit, unit], [3, 3, start[1].shape[1]]).astype(float)
+    return lambda frames, equations, pose, independent: _add_displacements(
+        equations, pose, independent, *start, units
+    )
+
+
+@compiled
+def _add_displacements(
+    equations: Equations,
+    pose: np.ndarray,
+    independent: np.ndarray,
+    start_pose: np.ndarray,
+    start_independent: np.ndarray,
+    units: np.ndarray,
+) -> None:
+    """Add ``stay_near``. units: shape [D]."""
+    for i in range(len(pose)):
+        if not equations.active[i]:
+            continue
+        for k in range(len(units)):
+            if k < 3:
+                value = pose[i, k] - start_pose[i, k]
+            elif k < 6:
+                value = _turn(pose, start_pose, i, k - 3)
+            else:
+                value = independent[i, k - 6] - start_independent[i, k - 6]
+            scaled = value / units[k]
+            equations.cost[i] += 0.5 * scaled * scaled
+            equations.gradient[i, k] += scaled / units[k]
+            equations.hessian[i, k, k] += 1.0 / (units[k] * units[k])
+
+
+@compiled_part
+def _turn(pose, start_pose, i: int, k: int) -> float:
+    """Component k of the rotation vector from a start's rotation to a pose's [rad]."""
+    q, start = pose[i, 3:], start_pose[i, 3:]
+    w = q[0] * start[0] + q[1] * start[1] + q[2] * start[2] + q[3] * start[3]
+    x = -q[0] * start[1] + q[1] * start[0] - q[2] * start[3] + q[3] * start[2]
+    y = -q[0] * start[2] + q[1] * start[3] + q[2] * start[0] - q[3] * start[1]
+    z = -q[0] * start[3] - q[1] * start[2] + q[2] * start[1] + q[3] * start[0]
+    if w < 0:
+        w, x, y, z = -w, -x, -y, -z
+    sine = math.sqrt(x * x + y * y + z * z)
+    factor = 2.0 if sine < 1e-12 else 2.0 * math.atan2(sine, w) / sine
+    return factor * (x if k == 0 else y if k == 1 else z)
