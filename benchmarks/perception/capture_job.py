@@ -11,7 +11,7 @@ from typing import Self
 
 import numpy as np
 
-from benchmarks.perception.measurements import CaptureResult, grasp_set, measure_absent, measure_perception
+from benchmarks.perception.measurements import CaptureResult, measure_absent, measure_perception
 from benchmarks.perception.true_landmarks import TrueLandmarks
 from fungrasp.formats.record_json import record_from_json
 from fungrasp.grasps import HumanGraspSet
@@ -132,7 +132,7 @@ class CaptureJob(Job[int]):
             no_hand, no_object = (self._lacking(index, part) for part in (Label.HAND, Label.OBJECT))
             absent = measure_absent(no_hand, no_object, model, detector)
         result, perceived = measure_perception(known, model, detector, other, mesh, trial.hands, absent)
-        return MeasuredCapture(result, grasp_set([known.grasp]), perceived)
+        return MeasuredCapture(result, HumanGraspSet.of([known.grasp]), perceived)
 
     def _lacking(self, index: int, part: Label) -> Capture:
         """The same capture without the hand or the object."""

@@ -121,6 +121,8 @@ def _print(figures: dict[str, Any]) -> None:
     print(table(rows))
     for words, part in (("with mask", "object_masked"), ("without mask", "object_unmasked")):
         pose = figures[part]
+        if pose["rotation_deg"] is None:
+            continue
         print(
             f"object {words}: rotation {pose['rotation_deg']['median']:.1f} deg in the median, "
             f"{pose['rotation_deg']['p90']:.1f} in 90 % of captures; "

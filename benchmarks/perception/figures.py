@@ -11,6 +11,7 @@ import numpy as np
 from benchmarks.perception.measurements import CaptureResult, PoseResult
 from fungrasp.evaluation.results import finite
 from fungrasp.evaluation.statistics import wilson_interval
+from fungrasp.perception.perceived import StageSeconds
 from fungrasp.perception.pipeline import ACCEPTED_HAND
 
 
@@ -63,10 +64,9 @@ TARGETS = (
 def perception_figures(results: Sequence[CaptureResult]) -> dict[str, Any]:
     """Rates and errors over the captures.
 
-    A hand that was not found counts in ``hand.found`` only; the object's pose without a mask is looked for
-    all the same. ``hand.sure`` has the errors of those that perception was confident of. ``accepted`` takes
-    every answer that was accepted: with mask, without, and those of wrong meshes and absent objects, which
-    are never right.
+    Where ``perceive`` finds no hand it gives no pose either, which is then not right. ``hand.sure`` has the
+    errors of those that perception was confident of. ``accepted`` takes every answer that was accepted: with
+    mask, without, and those of wrong meshes and absent objects, which are never right.
     """
     hands = [result.hand for result in results if result.hand.found]
     sure = [result.hand for result in results if result.hand.found and result.sure]
@@ -108,13 +108,20 @@ def perception_figures(results: Sequence[CaptureResult]) -> dict[str, Any]:
             "accepted": {"right": rate_of(accepted)},
             "seconds": {
                 stage: {
-                    **(_spread([result.seconds[stage].wall for result in results]) or {}),
-                    "median_cpu": np.median([result.seconds[stage].cpu for result in results]),
+                    **(_spread([one.wall for one in times]) or {}),
+                    "median_cpu": np.median([one.cpu for one in times]),
                 }
-                for stage in results[0].seconds
+                for stage, times in _by_stage(results).items()
             },
         }
     )
+
+
+def _by_stage(results: Sequence[CaptureResult]) -> dict[str, list[StageSeconds]]:
+    stages = dict.fromkeys(stage for result in results for stage in result.seconds)
+    return {
+        stage: [result.seconds[stage] for result in results if stage in result.seconds] for stage in stages
+    }
 
 
 def _pose_figures(answers: Sequence[PoseResult]) -> dict[str, Any]:

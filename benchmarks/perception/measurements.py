@@ -1,14 +1,12 @@
-"""How well perception does on captures whose truth is known, stage by stage, and how long it takes.
+"""How well ``perceive`` does on captures whose truth is known, stage by stage, and how long it takes.
 
 Errors are in millimeters, degrees and pixels, as results are published in them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from time import perf_counter, process_time
-from types import TracebackType
 from typing import Protocol
 
 import numpy as np
@@ -16,20 +14,14 @@ import trimesh
 
 from fungrasp.errors import FungraspError
 from fungrasp.grasps import HumanGrasp, HumanGraspSet
-from fungrasp.objects import ObjectModel
-from fungrasp.perception import Capture, HandEstimate
+from fungrasp.objects import HeldObject, ObjectModel
+from fungrasp.perception import Capture
 from fungrasp.perception.hand.contact_evidence import touching_links
-from fungrasp.perception.hand.detected_hand import DetectedHand, HandDetector, choose_hand, find_hands
-from fungrasp.perception.hand.fit import fit_hand
-from fungrasp.perception.io.capture import Box
-from fungrasp.perception.object_pose.confidence import FEATURES, features
-from fungrasp.perception.object_pose.estimate import PoseAnswers, best_estimate, search_object_pose
-from fungrasp.perception.object_pose.known_object import known_object
+from fungrasp.perception.hand.detected_hand import HandDetector
 from fungrasp.perception.object_pose.pose_error import add_s, rotation_error
-from fungrasp.perception.perceived import Perceived
+from fungrasp.perception.perceived import Perceived, StageSeconds
 from fungrasp.perception.pipeline import perceive
 from fungrasp.perception.scene.segmentation import TIPS
-from fungrasp.perception.scene.table import NO_TABLE, table_under
 
 RIGHT_MM = 10.0
 """An object's pose is right if its ADD-S is below this."""
@@ -136,17 +128,6 @@ class AbsentResult:
 
 
 @dataclass(frozen=True)
-class Seconds:
-    """How long something took."""
-
-    wall: float
-    """Wall time [s]."""
-    cpu: float
-    """Processor time of all threads together [s]; less than ``wall`` where other programs had the
-    processors."""
-
-
-@dataclass(frozen=True)
 class CaptureResult:
     """What perception made of one capture."""
 
@@ -162,36 +143,12 @@ class CaptureResult:
     """An answer that can't be right: with the true mask and the mesh of another object."""
     absent: AbsentResult | None
     """Answers to the images that lack the hand or the object; None where it was not tried."""
-    seconds: dict[str, Seconds]
+    seconds: dict[str, StageSeconds]
     """Time of each stage: "mesh" (made ready, once for all images of it), "hand" (detection and metric fit),
-    "object_masked", "object_unmasked", "perceive" (all of ``perceive`` without a mask)."""
+    "object_masked", "object_unmasked", "perceive" (all of ``perceive`` without a mask); those that came to
+    an end."""
     sure: bool
     """Whether ``perceive`` was confident of the grasp: ``Perceived.confident``."""
-
-
-class Stopwatch:
-    """Measures what happens inside ``with``."""
-
-    seconds = Seconds(float("nan"), float("nan"))
-
-    def __enter__(self) -> Stopwatch:
-        self._start = (perf_counter(), process_time())
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.seconds = Seconds(perf_counter() - self._start[0], process_time() - self._start[1])
-
-
-class _FixedHands:
-    """A detector that has its answer already."""
-
-    def __init__(self, hands: list[DetectedHand]):
-        self._hands = hands
-
-    def detect(self, color: np.ndarray, near: Box | None = None) -> list[DetectedHand]:
-        return self._hands
 
 
 def measure_perception(
@@ -218,94 +175,71 @@ def measure_perception(
         the numbers; the hands that ``perceive`` gave, the best first, in a world of their own, None where
         they are no grasp that could be tried.
     """
-    capture, mesh = known.capture, model if colored is None else colored
+    capture, obj = known.capture, HeldObject(model, colored)
     masked = capture.with_object(mask=known.object_mask) if known.object_mask.any() else capture
     points = np.asarray(trimesh.sample.sample_surface(model.mesh, 3000, seed=0)[0])
-    hand = None
-    with Stopwatch() as mesh_watch:
-        known_object(mesh)
-    with Stopwatch() as hand_watch:
-        hands = find_hands(detector, capture)
-        if hands:
-            hand = fit_hand(choose_hand(hands)[0], capture)
-    with Stopwatch() as table_watch:
-        table, under = None, None
-        if hand is not None:
-            table = table_under(capture, hand.joints_camera, np.random.default_rng(0))
-            under = NO_TABLE if table is None else table
-    with Stopwatch() as masked_watch:
-        with_mask = search_object_pose(masked, mesh, hand, under)
-    with Stopwatch() as unmasked_watch:
-        without = search_object_pose(capture, mesh, hand, under)
-    perceived = None
-    with Stopwatch() as rest_watch:
-        if hand is not None:
-            perceived = perceive(
-                capture,
-                model,
-                table=table,
-                object_estimate=best_estimate(without),
-                detector=_FixedHands(hands),
-                hands=count,
-            )
-    parts = (hand_watch, table_watch, unmasked_watch, rest_watch)
-    wrong = None if other is None else search_object_pose(masked, other, hand, under)
+    seen = perceived(capture, obj, detector, count)
+    with_mask = perceived(masked, obj, detector)
+    wrong = None if other is None else perceived(masked, HeldObject(other), detector)
     truth = known.pose_camera_object
     result = CaptureResult(
         object_name=str(known.grasp.object_name),
-        hand=_hand_result(known, model, hand, perceived),
+        hand=HandResult(False) if seen is None else _hand_result(known, model, seen),
         masked=_pose_result(with_mask, points, truth),
-        unmasked=_pose_result(without, points, truth),
-        wrong_mesh=None if wrong is None else _pose_result(wrong, points, None),
-        seconds={
-            "mesh": mesh_watch.seconds,
-            "hand": hand_watch.seconds,
-            "object_masked": masked_watch.seconds,
-            "object_unmasked": unmasked_watch.seconds,
-            "perceive": Seconds(
-                sum(part.seconds.wall for part in parts), sum(part.seconds.cpu for part in parts)
-            ),
-        },
+        unmasked=_pose_result(seen, points, truth),
+        wrong_mesh=None if other is None else _pose_result(wrong, points, None),
+        seconds=_seconds(seen, with_mask),
         absent=absent,
-        sure=perceived is not None and perceived.confident,
+        sure=seen is not None and seen.confident,
     )
-    if perceived is None:
-        return result, None
     try:
-        return result, grasp_set([one.grasp for one in perceived.hands])
+        return result, None if seen is None else seen.grasps
     except FungraspError:
         return result, None
 
 
-def grasp_set(grasps: Sequence[HumanGrasp]) -> HumanGraspSet:
-    """Some grasps, as hands whose joints are not known by angle.
+def perceived(capture: Capture, obj: HeldObject, detector: HandDetector, count: int = 1) -> Perceived | None:
+    """What ``perceive`` makes of an image; None where it finds no hand.
 
-    Raises:
-        FungraspError: one is no grasp, see ``HumanGraspSet``.
+    Args:
+        capture: the image, with what is said of the object's place.
+        obj: the object.
+        detector: finds hands.
+        count: hands that are asked for, at most.
     """
-    parts = [grasp.probability for grasp in grasps]
-    return HumanGraspSet(
-        object_name=np.array([grasp.object_name for grasp in grasps]),
-        object_mass=np.array([grasp.object_mass for grasp in grasps]),
-        object_pose=np.stack([grasp.object_pose for grasp in grasps]),
-        object_rest_pose=np.stack([grasp.object_rest_pose for grasp in grasps]),
-        hand_joints=np.stack([grasp.hand_joints for grasp in grasps]),
-        link_contacts=np.stack([grasp.link_contacts for grasp in grasps]),
-        task=np.array([grasp.task for grasp in grasps]),
-        probability=None if None in parts else np.array(parts, dtype=float),
-    )
+    try:
+        return perceive(capture, obj, detector=detector, hands=count)
+    except FungraspError:
+        return None
 
 
 def measure_absent(
     no_hand: Capture, no_object: Capture, model: ObjectModel, detector: HandDetector
 ) -> AbsentResult:
     """What perception makes of images of the same scene without the hand, and without the object."""
-    hands = [fit_hand(hand, no_hand) for hand in find_hands(detector, no_hand)]
-    seen = find_hands(detector, no_object)
-    hand = fit_hand(choose_hand(seen)[0], no_object) if seen else None
-    pose = search_object_pose(no_object, model, hand)
-    points = np.asarray(model.vertices)
-    return AbsentResult(max((hand.score for hand in hands), default=0.0), _pose_result(pose, points, None))
+    seen = perceived(no_hand, HeldObject(model), detector)
+    scores = [0.0] if seen is None else [one.hand.score for one in seen.trace.candidates]
+    empty = perceived(no_object, HeldObject(model), detector)
+    return AbsentResult(max(scores), _pose_result(empty, np.asarray(model.vertices), None))
+
+
+def together(seconds: Mapping[str, StageSeconds], *stages: str) -> StageSeconds:
+    """The time of some stages; all if none is named."""
+    chosen = [seconds[stage] for stage in stages or seconds if stage in seconds]
+    return StageSeconds(sum(one.wall for one in chosen), sum(one.cpu for one in chosen))
+
+
+def _seconds(seen: Perceived | None, with_mask: Perceived | None) -> dict[str, StageSeconds]:
+    found = {}
+    if seen is not None:
+        times = seen.trace.seconds
+        found["mesh"] = together(times, "mesh")
+        found["hand"] = together(times, "detection", "hand")
+        found["object_unmasked"] = together(times, "object")
+        found["perceive"] = together({stage: time for stage, time in times.items() if stage != "mesh"})
+    if with_mask is not None:
+        found["object_masked"] = together(with_mask.trace.seconds, "object")
+    return found
 
 
 def hidden_joints(known: KnownCapture) -> np.ndarray:
@@ -317,21 +251,15 @@ def hidden_joints(known: KnownCapture) -> np.ndarray:
     return known.object_mask[row, column] | ((depth > 0) & (truth[:, 2] - depth > HIDDEN))
 
 
-def _hand_result(
-    known: KnownCapture, model: ObjectModel, hand: HandEstimate | None, perceived: Perceived | None
-) -> HandResult:
-    if hand is None:
-        return HandResult(False)
+def _hand_result(known: KnownCapture, model: ObjectModel, seen: Perceived) -> HandResult:
+    hand = seen.trace.candidate.hand
     truth = known.joints_camera
     k = known.capture.intrinsics
     pixels = k.project(truth)
     off = np.linalg.norm(hand.pixels - pixels, axis=1)
     errors = 1000 * np.linalg.norm(hand.joints_camera - truth, axis=1)
-    several = [(hand.joints_camera, 1.0)]
-    if perceived is not None:
-        several = [(one.hand.joints_camera, one.probability) for one in perceived.hands]
-    joints = np.array([one for one, _ in several])
-    probability = np.array([part for _, part in several])
+    joints = np.array([one.hand.joints_camera for one in seen.hands])
+    probability = np.array([one.probability for one in seen.hands])
     refined_errors = 1000 * np.linalg.norm(joints - truth, axis=-1)
     touching = known.grasp.link_contacts[list(TIP_LINKS)]
     tips = refined_errors[0, list(TIPS)]
@@ -362,15 +290,16 @@ def _hand_result(
     )
 
 
-def _pose_result(answers: PoseAnswers, points: np.ndarray, truth: np.ndarray | None) -> PoseResult:
+def _pose_result(seen: Perceived | None, points: np.ndarray, truth: np.ndarray | None) -> PoseResult:
     """truth: pose, shape [7]; None if no pose is right."""
-    best = best_estimate(answers)
+    if seen is None:
+        return PoseResult(float("inf"), float("nan"), 0.0, False, {})
+    best = seen.trace.candidate.object
     pose = best.pose_camera_object
-    values = features(answers.scores)[0].tolist()
     return PoseResult(
         add_s_mm=float("inf") if truth is None else 1000 * float(add_s(points, pose, truth)),
         rotation_deg=float("nan") if truth is None else float(np.degrees(rotation_error(pose, truth))),
         score=best.score,
         accepted=best.accepted,
-        evidence={} if answers.problem is not None else dict(zip(FEATURES, values, strict=True)),
+        evidence=seen.trace.candidate.evidence,
     )

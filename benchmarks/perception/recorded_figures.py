@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -11,25 +11,15 @@ import trimesh
 from scipy import ndimage
 
 from benchmarks.perception.figures import rate_of
-from benchmarks.perception.measurements import RIGHT_MM, Stopwatch
+from benchmarks.perception.measurements import RIGHT_MM, perceived, together
 from benchmarks.perception.recorded_captures import RecordedCapture
 from fungrasp.evaluation.results import finite
-from fungrasp.perception import Capture, HandEstimate, ObjectEstimate
-from fungrasp.perception.hand.detected_hand import (
-    DetectedHand,
-    HandDetector,
-    choose_hand,
-    find_hands,
-    largest_first,
-    settle_side,
-)
-from fungrasp.perception.hand.fit import fit_hand
-from fungrasp.perception.hand.meant_hands import hands_elsewhere, may_hold, object_box
-from fungrasp.perception.object_pose.confidence import FEATURES, features
-from fungrasp.perception.object_pose.estimate import best_estimate, search_object_pose
+from fungrasp.objects import HeldObject, builtin_object
+from fungrasp.perception import Capture, HandEstimate
+from fungrasp.perception.hand.detected_hand import HandDetector
 from fungrasp.perception.object_pose.pose_error import add_s, rotation_error
+from fungrasp.perception.perceived import Perceived
 from fungrasp.perception.pipeline import ACCEPTED_HAND
-from fungrasp.perception.scene.table import NO_TABLE, table_under
 
 LOOSE = 6
 """Masks are made larger and smaller by so many pixels."""
@@ -42,10 +32,8 @@ BOX_MARGIN = 0.1
 """A person's box round an object is wider than the object by this part on each side."""
 
 
-_HandAndTable = tuple[HandEstimate | None, np.ndarray | None]
-"""A hand and the table's plane under it."""
-
-_NOBODY: _HandAndTable = (None, None)
+OTHER_OBJECT = "mug"
+"""A built-in object that is looked for in captures of which no object is known."""
 
 
 @dataclass(frozen=True)
@@ -65,9 +53,9 @@ class HintResult:
     accepted: bool
     """Whether it passed the threshold."""
     seconds: float
-    """Wall time [s], without the hand."""
+    """Wall time of the search [s]."""
     pose: tuple[float, ...]
-    """The answer, shape [7]."""
+    """The answer, shape [7]; empty if there is none."""
     evidence: dict[str, float]
     """What the score is made of."""
     note: str
@@ -144,93 +132,53 @@ def _disc(radius: int) -> np.ndarray:
 
 
 def measure_recorded(recorded: RecordedCapture, detector: HandDetector) -> RecordedResult:
-    """Run perception on one real capture, with each hint that its mask gives."""
-    capture = recorded.capture.with_object()
-    with Stopwatch() as watch:
-        hands = find_hands(detector, capture)
-        # As ``perceive`` does: where it is open which of two hands is meant, both go on.
-        held = [_with_table(hand, capture) for hand in largest_first(hands)[:2]]
-    answers, chosen = [], held[0] if held else _NOBODY
-    if recorded.model is not None and recorded.pose_camera_object is not None:
-        for hint, hinted in hinted_captures(recorded).items():
-            near = object_box(hinted, recorded.model, None)
-            meant = held or [_NOBODY]
-            if near is not None and len(hands) > 1:
-                meant = [_with_table(choose_hand(hands, near)[0], capture)]
-            answer, one = _best_answer(recorded, hint, hinted, meant)
-            if hint == "none" and hands and not _held(recorded, answer, one):
-                more = hands_elsewhere(capture, hands, None, detector)
-                held += [_under(fit_hand(one.detected, capture), capture) for one in more]
-                answer, one = _best_answer(recorded, hint, hinted, held) if more else (answer, one)
-            answers.append(answer)
-            chosen = one if hint == "none" else chosen
-    hand, table = chosen
+    """Run ``perceive`` on one capture, with each hint that its mask gives."""
+    known = recorded.model is not None and recorded.pose_camera_object is not None
+    model = builtin_object(OTHER_OBJECT) if recorded.model is None else recorded.model
+    obj = HeldObject(model, recorded.colored)
+    hints = hinted_captures(recorded) if known else {"none": recorded.capture.with_object()}
+    seen = {hint: perceived(capture, obj, detector) for hint, capture in hints.items()}
+    alone = seen["none"]
+    hand = None if alone is None else alone.trace.candidate.hand
+    table = None if alone is None else alone.trace.candidate.table
     found, pixels, joints = _hand_error(recorded, hand)
     angle, height = _table_error(recorded, table)
-    sure = hand is not None and hand.score >= ACCEPTED_HAND
+    seconds = float("nan")
+    if alone is not None:
+        seconds = together(alone.trace.seconds, "detection", "hand", "table").wall
     return RecordedResult(
-        recorded.name, found, sure, pixels, joints, angle, height, watch.seconds.wall, tuple(answers)
+        recorded.name,
+        found,
+        hand is not None and hand.score >= ACCEPTED_HAND,
+        pixels,
+        joints,
+        angle,
+        height,
+        seconds,
+        tuple(_answer(recorded, hint, one) for hint, one in seen.items()) if known else (),
     )
 
 
-def _with_table(detected: DetectedHand, capture: Capture) -> _HandAndTable:
-    return _under(fit_hand(settle_side(detected)[0], capture), capture)
-
-
-def _under(hand: HandEstimate, capture: Capture) -> _HandAndTable:
-    """A hand with the table under it."""
-    return hand, table_under(capture, hand.joints_camera, np.random.default_rng(0))
-
-
-def _best_answer(
-    recorded: RecordedCapture, hint: str, hinted: Capture, meant: Sequence[_HandAndTable]
-) -> tuple[HintResult, _HandAndTable]:
-    """The answer with the hand that holds the object more probably, with the time for all of them."""
-    answers = []
-    for hand, table in meant:
-        under = table if hand is None or table is not None else NO_TABLE
-        answers.append(_answer(recorded, hint, hinted, hand, under))
-    worth = [
-        (_held(recorded, answer, one), answer.score * (1.0 if one[0] is None else one[0].score))
-        for answer, one in zip(answers, meant, strict=True)
-    ]
-    best = max(range(len(worth)), key=lambda i: worth[i])
-    return replace(answers[best], seconds=sum(answer.seconds for answer in answers)), meant[best]
-
-
-def _held(recorded: RecordedCapture, answer: HintResult, one: _HandAndTable) -> bool:
-    """Whether the object was found, and the hand at it."""
-    assert recorded.model is not None
-    found = ObjectEstimate(np.array(answer.pose), answer.score, answer.accepted)
-    return one[0] is not None and may_hold(one[0], found, np.asarray(recorded.model.vertices))
-
-
-def _answer(
-    recorded: RecordedCapture,
-    hint: str,
-    capture: Capture,
-    hand: HandEstimate | None,
-    table: np.ndarray | None,
-) -> HintResult:
+def _answer(recorded: RecordedCapture, hint: str, seen: Perceived | None) -> HintResult:
     model, truth = recorded.model, recorded.pose_camera_object
     assert model is not None and truth is not None
-    mesh = model if recorded.colored is None else recorded.colored
-    with Stopwatch() as watch:
-        answers = search_object_pose(capture, mesh, hand, table)
-        best = best_estimate(answers)
-    pose = best.pose_camera_object
+    if seen is None:
+        nothing, nan = float("inf"), float("nan")
+        return HintResult(hint, nothing, nothing, nan, 0.0, False, nan, (), {}, "no hand was found")
+    best = seen.trace.candidate
+    pose = best.object.pose_camera_object
     points = np.asarray(trimesh.sample.sample_surface(model.mesh, 3000, seed=0)[0])
     return HintResult(
         hint=hint,
         add_s_mm=1000 * float(add_s(points, pose, truth)),
         shift_mm=1000 * float(np.linalg.norm(pose[:3] - truth[:3])),
         rotation_deg=float(np.degrees(rotation_error(pose, truth))),
-        score=best.score,
-        accepted=best.accepted,
-        seconds=watch.seconds.wall,
+        score=best.object.score,
+        accepted=best.object.accepted,
+        seconds=together(seen.trace.seconds, "object").wall,
         pose=tuple(pose.tolist()),
-        evidence=dict(zip(FEATURES, features(answers.scores)[0].tolist(), strict=True)),
-        note=best.note,
+        evidence=best.evidence,
+        note=best.object.note,
     )
 
 
@@ -283,7 +231,7 @@ def recorded_figures(results: Sequence[RecordedResult]) -> dict[str, Any]:
             "add_s_mm": float(np.median([answer.add_s_mm for answer in answers])),
             "accepted_and_right": rate_of(accepted),
             "right_and_accepted": rate_of([answer.accepted for answer in answers if answer.right]),
-            "seconds": float(np.median([answer.seconds for answer in answers])),
+            "seconds": _median([answer.seconds for answer in answers]),
         }
     known = [result for result in results if result.hand_found is not None]
     return finite(
@@ -324,10 +272,10 @@ def recorded_table(figures: Mapping[str, Any]) -> list[tuple[str, ...]]:
             (
                 hint,
                 _counted(found["right"]),
-                f"{found['add_s_mm']:.1f}",
+                _number(found["add_s_mm"], 1),
                 _counted(found["accepted_and_right"]),
                 _counted(found["right_and_accepted"]),
-                f"{found['seconds']:.2f}",
+                _number(found["seconds"], 2),
             )
         )
     return rows
@@ -337,6 +285,10 @@ def _counted(rate: Mapping[str, Any] | None) -> str:
     if rate is None:
         return "none"
     return f"{round(rate['rate'] * rate['count'])} of {rate['count']}"
+
+
+def _number(value: float | None, digits: int) -> str:
+    return "none" if value is None else f"{value:.{digits}f}"
 
 
 def _median(values: Sequence[float]) -> float | None:

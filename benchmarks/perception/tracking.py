@@ -1,7 +1,7 @@
 """``python -m benchmarks.perception tracking``: a known object followed while a hand moves it.
 
 The images are simple: object, hand and table are flat colors with noise; the depth is smoothed as a stereo
-camera's is, if wanted. The hand moves with the object, which swings by some centimetres and tens of degrees.
+camera's is, if wanted. The hand moves with the object, which swings by some centimeters and tens of degrees.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 import trimesh
 from scipy import ndimage
 
-from benchmarks.perception.measurements import RIGHT_MM, Stopwatch
+from benchmarks.perception.measurements import RIGHT_MM
 from fungrasp.cli.console import table, write_json
 from fungrasp.geometry.poses import compose, quaternion_from_rotation_vector, rotate, transform_points
 from fungrasp.grasps import HumanGrasp, load_human_grasps, load_objects
@@ -24,6 +24,7 @@ from fungrasp.perception import Intrinsics
 from fungrasp.perception.object_pose.mesh_rays import MeshRays
 from fungrasp.perception.object_pose.pose_error import add_s
 from fungrasp.perception.object_pose.tracker import FOLLOWED, ObjectTracker
+from fungrasp.perception.perceived import Stopwatch
 from fungrasp.provenance import machine
 
 LENS = Intrinsics(640, 480, 615.0, 615.0, 319.5, 239.5)
@@ -145,10 +146,11 @@ def measure_tracking(
         depth = ndimage.uniform_filter(depths.min(axis=0).reshape(LENS.height, LENS.width), smoothed)
         depth += NOISE[1] * rng.normal(size=depth.shape)
         image = np.clip(color, 0, 255).astype(np.uint8).reshape(*depth.shape, 3)
-        with Stopwatch() as watch:
+        watch = Stopwatch()
+        with watch.stage("image"):
             found = tracker.update(image, depth.astype(np.float32))
-        wall.append(watch.seconds.wall)
-        cpu.append(watch.seconds.cpu)
+        wall.append(watch.seconds["image"].wall)
+        cpu.append(watch.seconds["image"].cpu)
         errors.append(1000 * float(add_s(surface, found.pose, truth)))
         scores.append(found.score)
     right = float(np.mean(np.array(errors) < RIGHT_MM))

@@ -18,19 +18,18 @@ from benchmarks.perception.measurements import (
     CaptureResult,
     HandResult,
     PoseResult,
-    Seconds,
-    grasp_set,
     measure_absent,
     measure_perception,
 )
 from benchmarks.perception.true_landmarks import TrueLandmarks
 from fungrasp.geometry.poses import compose, invert, transform_points
-from fungrasp.grasps import HUMAN_JOINTS, HUMAN_LINKS, builtin_grasps
+from fungrasp.grasps import HUMAN_JOINTS, HUMAN_LINKS, HumanGraspSet, builtin_grasps
 from fungrasp.jobs import PartStore
 from fungrasp.objects import builtin_object
 from fungrasp.perception import Capture, Intrinsics
 from fungrasp.perception.hand.detected_hand import DetectedHand
 from fungrasp.perception.object_pose.mesh_rays import MeshRays
+from fungrasp.perception.perceived import StageSeconds
 from fungrasp.perception.scene.segmentation import TIPS
 
 GRASP = builtin_grasps()[0]
@@ -49,14 +48,14 @@ class StandIn:
 
 def result(**changes) -> CaptureResult:
     hand = HandResult(True, 0.9, True, 4.0, 10.0, 8.0, 6.0)
-    seconds = {"hand": Seconds(0.1, 0.05), "object_masked": Seconds(1.0, 0.5)}
+    seconds = {"hand": StageSeconds(0.1, 0.05), "object_masked": StageSeconds(1.0, 0.5)}
     whole = CaptureResult("mug", hand, RIGHT, RIGHT, None, None, seconds, False)
     return dataclasses.replace(whole, **changes)
 
 
 def measured(*perceived, **changes) -> MeasuredCapture:
-    hands = grasp_set(perceived) if perceived else None
-    return MeasuredCapture(result(**changes), grasp_set([GRASP]), hands)
+    hands = HumanGraspSet.of(perceived) if perceived else None
+    return MeasuredCapture(result(**changes), HumanGraspSet.of([GRASP]), hands)
 
 
 def known_capture() -> Any:
@@ -103,10 +102,10 @@ def test_a_capture_is_measured_against_its_truth():
     assert found.seconds["perceive"].wall > sum(parts)
 
 
-def test_without_a_hand_there_is_no_grasp_but_a_pose():
+def test_without_a_hand_there_is_neither_grasp_nor_pose():
     found, perceived = measure_perception(known_capture(), MODEL, StandIn())
     assert perceived is None and not found.hand.found and found.wrong_mesh is None
-    assert found.masked.right
+    assert not found.masked.right and not found.masked.accepted and found.seconds == {}
     figures = perception_figures([found])
     assert figures["hand"]["found"]["rate"] == 0 and figures["hand"]["joint_error_mm"] is None
     assert capture_rows([found])[0]["hand"]["joint_error_mm"] is None
@@ -182,7 +181,7 @@ def test_an_absent_object_is_looked_for_in_the_empty_hand():
 def test_targets_are_met_or_not():
     rows = {words: met for words, _, _, met in target_rows(perception_figures([result(), result()]))}
     assert rows["object right, no mask"] == "yes" and rows["hand, median"] == "yes"
-    poor = [result(unmasked=WRONG), result(seconds={"hand": Seconds(0.5, 0.1)})]
+    poor = [result(unmasked=WRONG), result(seconds={"hand": StageSeconds(0.5, 0.1)})]
     rows = {
         words: (value, met)
         for words, value, _, met in target_rows(perception_figures(poor[:1]) | {"peak_memory_gb": 2.5})

@@ -26,9 +26,16 @@ MUG = load_object("mug")
 SCENE = scene(MUG, MUG.rest_pose(0.3), np.array([0.05, 0.0, 0.04]))
 
 
-class NoHands:
+class StandIn:
+    def __init__(self, *hands: DetectedHand):
+        self.hands = list(hands)
+
     def detect(self, color: np.ndarray, near: Box | None = None) -> list[DetectedHand]:
-        return []
+        return self.hands
+
+
+SHAPE = SCENE.hand.joints_camera - SCENE.hand.joints_camera.mean(axis=0)
+HAND = StandIn(DetectedHand(SCENE.hand.pixels, SHAPE, "right", 1.0, 0.9))
 
 
 def written(folder: Path, **truth: object) -> Path:
@@ -49,23 +56,33 @@ def test_a_set_is_measured_with_every_hint(tmp_path: Path) -> None:
     (folder,) = recorded_folders(tmp_path)
     recorded = read_recorded(folder)
     assert recorded.joints_camera is not None and np.isnan(recorded.joints_camera[3]).all()
-    result = measure_recorded(recorded, NoHands())
+    result = measure_recorded(recorded, HAND)
     hints = [answer.hint for answer in result.objects]
     assert hints == ["none", "box", "click", "mask", "mask larger", "mask smaller"]
     right = {answer.hint: answer.right for answer in result.objects}
     assert right["mask"] and right["box"]
-    assert result.hand_found is False
+    assert result.hand_found is True and result.hand_sure and result.pixel_error < 1e-6
     figures = recorded_figures([result])
     assert figures["object"]["mask"]["right"]["rate"] == 1.0
-    assert figures["hand"]["found"]["rate"] == 0.0
+    assert figures["hand"]["found"]["rate"] == 1.0
     assert len(recorded_table(figures)) == 1 + len(hints)
+    json.dumps(recorded_rows([result]), allow_nan=False)
+
+
+def test_without_a_hand_there_is_no_answer(tmp_path: Path) -> None:
+    folder = written(tmp_path / "one", object="mug", object_pose_camera_wxyz=SCENE.pose.tolist())
+    result = measure_recorded(read_recorded(folder), StandIn())
+    assert not any(answer.right or answer.accepted for answer in result.objects)
+    figures = recorded_figures([result])
+    assert figures["object"]["mask"]["right"]["rate"] == 0.0 and figures["no_hand_sure"]["rate"] == 0.0
+    assert len(recorded_table(figures)) == 7
     json.dumps(recorded_rows([result]), allow_nan=False)
 
 
 def test_without_a_mask_or_an_object_less_is_measured(tmp_path: Path) -> None:
     folder = written(tmp_path / "one")
     recorded = read_recorded(folder)
-    assert recorded.model is None and measure_recorded(recorded, NoHands()).objects == ()
+    assert recorded.model is None and measure_recorded(recorded, StandIn()).objects == ()
     assert list(hinted_captures(recorded)) == ["none", "box", "click", "mask", "mask larger", "mask smaller"]
 
 
