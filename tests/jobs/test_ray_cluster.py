@@ -150,7 +150,7 @@ def test_synthesis_with_a_machine_lost_equals_that_of_one_process(cluster, tmp_p
     monkeypatch.setattr("fungrasp.synthesis.synthesize.BATCH_SIZE", 2)
     command = ["grasps", "make", "--objects", "tennis_ball", "--seed", "0", "1"]
     assert fungrasp([*command, "--out", str(tmp_path / "one.npz")]) == 0
-    parts = tmp_path / "many.npz.parts"
+    parts = tmp_path / "many.npz.partial"
     killing = kill_after(cluster, lambda: parts.is_dir() and any(parts.glob("*.npz")))
     assert fungrasp([*command, "--out", str(tmp_path / "many.npz"), "--ray", cluster.address]) == 0
     killing.join()

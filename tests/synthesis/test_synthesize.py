@@ -16,6 +16,7 @@ from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.objects import ObjectModel, load_object
 from fungrasp.optimization.collision_scene import CollisionScene
 from fungrasp.optimization.hand_state import HandState
+from fungrasp.synthesis import SynthesisSettings, synthesize_grasps
 from fungrasp.synthesis.builtin_specifications import BUILTIN_SPECIFICATIONS
 from fungrasp.synthesis.grasp_specification import GRASP_KINDS, WHOLE, GraspKind, GraspSpecification
 from fungrasp.synthesis.human_hand_terms import (
@@ -27,7 +28,6 @@ from fungrasp.synthesis.human_hand_terms import (
     place_error,
 )
 from fungrasp.synthesis.initial_poses import random_offsets
-from fungrasp.synthesis.synthesize import SynthesisSettings, synthesize_candidates, synthesize_grasps
 
 QUICK = SynthesisSettings(starts=2)
 CAN = GraspSpecification("can", "drink", "body", "wrap", at=(0, 0, 0), palm=(0, 1, 0), fingers=(1, 0, 0))
@@ -152,7 +152,7 @@ def test_wrong_specifications_are_named(change, words):
 
 def test_unknown_objects_and_parts_are_named():
     with pytest.raises(FungraspError, match="handel"):
-        synthesize_candidates([replace(CAN, object="mug", part="handel")], settings=QUICK)
+        synthesize_grasps([replace(CAN, object="mug", part="handel")], settings=QUICK)
     with pytest.raises(FungraspError, match="cann"):
         synthesize_grasps([replace(CAN, object="cann")], settings=QUICK)
 
@@ -230,7 +230,7 @@ def test_the_command_makes_a_file_or_says_what_is_unknown(tmp_path, capsys):
 
 
 def test_an_interrupted_command_goes_on_and_several_seeds_make_different_grasps(tmp_path, monkeypatch):
-    import fungrasp.evaluation.synthesize_in_parts as parts
+    import fungrasp.synthesis.synthesis_job as parts
 
     monkeypatch.setattr("fungrasp.synthesis.synthesize.BATCH_SIZE", 3)
     command = ["grasps", "make", "--objects", "tennis_ball", "--seed", "0", "1", "--out"]

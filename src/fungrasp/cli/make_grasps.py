@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fungrasp.cli.console import progress_bar
+from fungrasp.cli.on_cluster import on_cluster, print_use
 from fungrasp.cli.written_grasps import write_human_grasps
 from fungrasp.errors import FungraspError, UnknownNameError
 
@@ -22,8 +23,8 @@ class MakeGrasps:
     """Synthesize human grasps: those of the built-in objects again, or of any mesh."""
 
     out: Path
-    """Grasp file to write (.npz). Finished parts lie in <out>.parts until all are done: the same command goes
-    on where an interrupted one was."""
+    """Grasp file to write (.npz). Finished parts lie in <out>.partial until all are done: the same command
+    goes on where an interrupted one was."""
     objects: tuple[str, ...] = ()
     """Only grasps of these built-in objects."""
     mesh: Path | None = None
@@ -41,36 +42,26 @@ class MakeGrasps:
     all processors of this machine where none is given. Same grasps."""
 
     def run(self) -> None:
-        from fungrasp.cli.on_cluster import synthesize_on_cluster
-        from fungrasp.evaluation.synthesize_in_parts import Synthesis, synthesize_in_parts
         from fungrasp.jobs import PartStore
         from fungrasp.objects import is_plain_shape
-        from fungrasp.synthesis.synthesize import specified_objects
+        from fungrasp.synthesis import synthesize_grasps
 
         if not self.seed or len(set(self.seed)) < len(self.seed) or min(self.seed) < 0:
             raise FungraspError("--seed needs at least one number, none negative, and each once")
         specs, models, settings = self._specifications()
-        objects = specified_objects(specs, models)
-        synthesis = Synthesis(tuple(specs), objects, settings, self.seed)
-        store = PartStore(self.out.with_name(f"{self.out.name}.parts"))
-        if self.ray is not None:
-            synthesize_on_cluster(synthesis, store, self.ray)
-        done, sought = 0, len(specs) * len(self.seed)
-        with progress_bar("synthesizing grasps", sought) as show:
-
-            def progress(count: int) -> None:
-                nonlocal done
-                done += count
-                show(done)
-
-            grasps = synthesize_in_parts(synthesis, store, progress)
-        write_human_grasps(self.out, grasps)
-        store.remove()
+        sought, cluster = len(specs) * len(self.seed), on_cluster(self.ray)
+        with PartStore.beside(self.out) as store:
+            with progress_bar("synthesizing grasps", 1.0) as show:
+                grasps = synthesize_grasps(
+                    specs, self.seed, settings, models, store=store, ray=cluster, progress=show
+                )
+            write_human_grasps(self.out, grasps)
+        print_use(cluster)
         if len(grasps) < sought:
             words = "could not be met" if len(self.seed) == 1 else "could not be met, or are like another"
             print(f"left out: {sought - len(grasps)} of {sought} grasp specifications, which {words}")
         if self.mesh is not None:
-            (name,) = objects
+            (name,) = models or {}
             folder = "" if is_plain_shape(name) else f" --objects {self.mesh.parent}"
             print(f"use them with: --grasps {self.out}{folder}")
 

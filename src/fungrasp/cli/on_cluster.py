@@ -6,11 +6,9 @@ is that of one process.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
-
-import numpy as np
 
 from fungrasp.cli.console import progress_bar
 from fungrasp.errors import FungraspError
@@ -18,8 +16,6 @@ from fungrasp.jobs.ray_cluster import LOCAL, ClusterUse, RayCluster
 
 if TYPE_CHECKING:
     from fungrasp.cli.train import Train
-    from fungrasp.evaluation.synthesize_in_parts import Synthesis, SynthesisPart
-    from fungrasp.jobs import PartStore
 
 Names = tuple[str, str]
 
@@ -76,32 +72,6 @@ def _spread(
     assert cluster.use is not None
     print(f"on the cluster: {cluster.use.words}")
     return cluster.use
-
-
-# ---------------------------------------------------------------- grasps make
-
-
-def synthesize_on_cluster(synthesis: Synthesis, store: PartStore, words: tuple[str, ...]) -> None:
-    """Solve the parts of a synthesis that are not kept yet.
-
-    Args:
-        synthesis: what to make.
-        store: where parts are kept.
-        words: what follows ``--ray``.
-
-    Raises:
-        FungraspError: as ``RayCluster.run``, or a part can't be written.
-    """
-    jobs = [(part,) for part in synthesis.parts if store.load(synthesis.key(part)) is None]
-
-    def keep(job: tuple[SynthesisPart], arrays: Mapping[str, np.ndarray]) -> None:
-        store.save(synthesis.key(job[0]), arrays)
-
-    _spread(_solve_part, jobs, keep, lambda job: len(job[0].specifications), words, synthesis)
-
-
-def _solve_part(synthesis: Synthesis, part: SynthesisPart) -> dict[str, np.ndarray]:
-    return synthesis.solve(part)
 
 
 # ---------------------------------------------------------------- train

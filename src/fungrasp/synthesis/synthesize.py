@@ -1,16 +1,10 @@
 """Human grasps from specifications: the solver of retargeting, applied to the human hand, with contact
-targets on named parts of the object.
-
-from fungrasp.synthesis import GraspSpecification, synthesize_grasps
-
-spec = GraspSpecification("can", "drink", "body", "wrap", at=(0, 0, 0), palm=(0, 1, 0), fingers=(1, 0, 0))
-grasps = synthesize_grasps([spec], seed=0)
-"""
+targets on named parts of the object."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import partial
 
@@ -28,7 +22,7 @@ from fungrasp.optimization.hand_state import HandState
 from fungrasp.optimization.levenberg_marquardt import minimize
 from fungrasp.optimization.retargeting_problem import GRAVITY, RetargetingProblem
 from fungrasp.optimization.terms import Term
-from fungrasp.synthesis.grasp_candidates import GraspCandidates, check_candidates, join_candidates
+from fungrasp.synthesis.grasp_candidates import GraspCandidates, check_candidates
 from fungrasp.synthesis.grasp_specification import GraspSpecification
 from fungrasp.synthesis.human_hand_terms import (
     HumanPoints,
@@ -90,54 +84,6 @@ class SynthesisSettings:
     """Largest objective of a grasp that looks natural."""
     min_difference: float = 0.006
     """Grasps of one object whose joints are nearer than this on average are the same grasp [m]."""
-
-
-def synthesize_grasps(
-    specs: Sequence[GraspSpecification],
-    seed: int = 0,
-    settings: SynthesisSettings | None = None,
-    objects: Mapping[str, ObjectModel] | None = None,
-    progress: Callable[[int], None] = lambda count: None,
-) -> HumanGraspSet:
-    """Make human grasps of objects at rest on the table; those that cannot be met are left out.
-
-    Every grasp has bones of exactly the human hand's lengths, joints within its limits, no more than 2 mm of
-    penetration, nothing below the table, and its links on their parts; no two are alike.
-
-    Args:
-        specs: what to make. The grasps keep their order.
-        seed: of the random starts. The same specifications and seed give the same grasps.
-        settings: the defaults if None.
-        objects: by name; built-in ones that are not in it are found by themselves.
-        progress: called with the number of specifications that have just been worked on.
-
-    Raises:
-        FungraspError: an object or part does not exist, or none of the specifications can be met.
-    """
-    settings = settings or SynthesisSettings()
-    models = specified_objects(specs, objects)
-    candidates = synthesize_candidates(specs, seed, settings, models, progress)
-    return choose_grasps(candidates, specs, settings, models)
-
-
-def synthesize_candidates(
-    specs: Sequence[GraspSpecification],
-    seed: int = 0,
-    settings: SynthesisSettings | None = None,
-    objects: Mapping[str, ObjectModel] | None = None,
-    progress: Callable[[int], None] = lambda count: None,
-) -> GraspCandidates:
-    """All candidates of all specifications, good or not, to see why one is left out.
-
-    Args: as for ``synthesize_grasps``.
-    """
-    settings = settings or SynthesisSettings()
-    models = specified_objects(specs, objects)
-    batches = []
-    for part in specification_batches(specs):
-        batches.append(solve_batch(part, models, seed, settings))
-        progress(len(part))
-    return join_candidates(batches, [len(part) for part in specification_batches(specs)])
 
 
 def specification_batches(specs: Sequence[GraspSpecification]) -> list[Sequence[GraspSpecification]]:
@@ -243,9 +189,7 @@ def choose_grasps(
     """
     rows = _best(candidates, specs, settings)
     if not rows:
-        raise FungraspError(
-            "none of the specified grasps can be met; fungrasp.synthesis.synthesize_candidates shows why"
-        )
+        raise FungraspError("none of the specified grasps can be met")
     chosen = candidates.specification[rows].tolist()
     names = [specs[i].object for i in chosen]
     pose = np.array([specs[i].rest_pose(objects[specs[i].object]) for i in chosen]).reshape(-1, 7)
