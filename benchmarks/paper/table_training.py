@@ -7,7 +7,9 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from fungrasp.cli.console import progress_bar, table, write_json
+import numpy as np
+
+from fungrasp.cli.console import progress_bar, table
 from fungrasp.cli.train import check_numbers, check_packages, predictor_file, progress_lines, training_sets
 from fungrasp.errors import FungraspError
 from fungrasp.provenance import run_record
@@ -38,7 +40,8 @@ class TableOptions:
     test: str
     """File of grasps to test on, or "builtin"; human ones where retargeting or hands are compared."""
     out: Path
-    """Folder of the trainings, <hand>/seed-<N>/<policy>, and of the table, <table>.json."""
+    """Folder of the trainings, <hand>/seed-<N>/<policy>, of what was tested, and of the table,
+    <table>.json."""
     objects: Path | None = None
     """Folder of meshes <name>.obj; built-in objects need none."""
     hand: str = "allegro"
@@ -127,28 +130,17 @@ class TableOptions:
         return self.out / Path(self._hand(variant)).stem / f"seed-{seed}"
 
     def _result(self, variant: Variant, seed: int) -> dict[str, Any]:
-        """Results of a variant by condition: from their file, or trained and tested now."""
-        from fungrasp.evaluation.result_files import LARGEST
-        from fungrasp.formats.json_file import read_json
+        """Results of a variant by condition: kept ones, or trained and tested now."""
         from fungrasp.hands import load_hand
+        from fungrasp.jobs import PartStore, part_key
 
-        path = self._folder(variant, seed) / f"{variant.name}.json"
-        budget = self._budget() | {"hand": self._hand(variant), "seed": seed}
-        if path.is_file():
-            try:
-                kept = read_json(path, "result", LARGEST)
-                same, results = kept["budget"] == json.loads(json.dumps(budget)), kept["results"]
-            except (FungraspError, KeyError, TypeError) as error:
-                raise FungraspError(f"{path} is damaged: remove it to test again") from error
-            if not same:
-                raise FungraspError(f"{path} was made with other settings: give another --out")
-            return results
-        hand = load_hand(self._hand(variant))
-        policy = self._trained(variant, hand, seed)
-        results = self._tested(variant, hand, policy, seed)
-        kept = {"variant": asdict(variant), "budget": budget, "results": results}
-        write_json(path, {**run_record(seed), **kept})
-        return results
+        def made() -> dict[str, np.ndarray]:
+            hand = load_hand(self._hand(variant))
+            policy = self._trained(variant, hand, seed)
+            return {"results": np.array(json.dumps(self._tested(variant, hand, policy, seed)))}
+
+        key = part_key(self._budget(), asdict(variant), self._hand(variant), seed)
+        return json.loads(str(PartStore(self.out / "tested").kept(key, made)["results"]))
 
     def _budget(self) -> dict[str, Any]:
         """All that results depend on but hand and seed, in short."""

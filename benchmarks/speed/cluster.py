@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -56,6 +57,8 @@ class BenchCluster:
 
         if self.number < 1 or self.machines < 1 + self.lose:
             raise FungraspError("--number must be at least 1, and --machines 1, or 2 with --lose")
+        if find_spec("ray") is None:
+            raise FungraspError("this needs Ray: pip install 'fungrasp[ray]'")
         hand, given = load_hand(self.hand), load_grasps(self.grasps)
         objects = load_objects(given, self.objects)
         if isinstance(given, RobotGraspSet):
@@ -115,14 +118,12 @@ class BenchCluster:
         """Result, use of the cluster, and processor time of this process meanwhile [s]."""
         from time import process_time
 
+        import ray
+        from ray.cluster_utils import Cluster
+
         from fungrasp.evaluation import evaluate
         from fungrasp.jobs import RayCluster
 
-        try:
-            import ray
-            from ray.cluster_utils import Cluster
-        except ImportError as error:
-            raise FungraspError("this needs Ray: pip install 'fungrasp[ray]'") from error
         machines = Cluster(initialize_head=True, head_node_args={"num_cpus": 0, "include_dashboard": False})
         nodes = [machines.add_node(num_cpus=1) for _ in range(self.machines)]
         cluster = RayCluster(str(machines.address))
