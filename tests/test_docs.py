@@ -8,14 +8,17 @@ status, ``<!-- ends with 2 -->``.
 
 from __future__ import annotations
 
+import ast
 import importlib
 import json
 import re
 import runpy
 import shlex
 import sys
+import textwrap
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +27,7 @@ import pytest
 import fungrasp
 from fungrasp.cli import demo
 from fungrasp.cli.main import COMMANDS, main
+from fungrasp.deployment import deploy
 from fungrasp.evaluation import StaticQuality, Trajectory
 from fungrasp.grasps import HumanGraspSet, RobotGraspSet, grasp_files, save_human_grasps
 from fungrasp.objects import builtin_object
@@ -42,6 +46,8 @@ ENTRY_POINTS = ("fungrasp.hand_estimators", "fungrasp.object_pose_estimators")
 """Groups that share no name with a module."""
 MOST = 2
 """Built-in grasps that commands see."""
+REACHED = [3, 4]
+"""Of those of the box, two that the arm of the built-in cells reaches."""
 
 
 @dataclass(frozen=True)
@@ -98,7 +104,8 @@ def run(arguments: list[str]) -> int:
 
 @pytest.fixture
 def reader(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder with the reader's data; few built-in grasps, and films of few frames."""
+    """A folder with the reader's data; few built-in grasps, and films of few frames; twins that run
+    as fast as they go."""
     builtin = grasp_files.builtin_grasps()
     assert builtin.task is not None
     first = {
@@ -110,7 +117,8 @@ def reader(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     save_human_grasps(tmp_path / "few.npz", builtin.select(np.array([*named, *others[: MOST - 1]])))
     monkeypatch.setattr(grasp_files, "BUILTIN_PATH", tmp_path / "few.npz")
     monkeypatch.setattr(demo, "FPS", 2.0)
-    mine = builtin.select(np.flatnonzero(builtin.object_name == "box")[:2])
+    monkeypatch.setattr(deploy, "DeploymentSpec", partial(deploy.DeploymentSpec, real_time=False))
+    mine = builtin.select(np.flatnonzero(builtin.object_name == "box")[REACHED])
     (tmp_path / "meshes").mkdir()
     builtin_object("box").mesh.export(tmp_path / "meshes" / "carton.obj")
     save_human_grasps(tmp_path / "grasps.npz", replace(mine, object_name=np.full(len(mine), "carton")))
@@ -276,3 +284,34 @@ def test_every_measured_number_is_documented() -> None:
     for kind in (StaticQuality, Outcomes):
         for field in fields(kind):
             assert field.name == "success" or f"`{field.name}`" in text, field.name
+
+
+def test_names_in_blocks_of_python_exist() -> None:
+    checked = 0
+    for page in MANUAL:
+        for block in BLOCK.finditer(page.read_text()):
+            if block["language"] != "python":
+                continue
+            for module, name in used_names(block["text"]):
+                checked += 1
+                place = importlib.import_module(module)
+                if not hasattr(place, name):
+                    importlib.import_module(f"{module}.{name}")
+    assert checked > 50
+
+
+def used_names(text: str) -> Iterator[tuple[str, str]]:
+    """Modules and names of the package that a block imports, or takes from ``import fungrasp``."""
+    try:
+        nodes = list(ast.walk(ast.parse(textwrap.dedent(text))))
+    except SyntaxError:  # A part of a class.
+        return
+    aliases = set()
+    for node in nodes:
+        if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "fungrasp":
+            yield from ((node.module or "", alias.name) for alias in node.names)
+        if isinstance(node, ast.Import):
+            aliases |= {alias.asname or alias.name for alias in node.names if alias.name == "fungrasp"}
+    for node in nodes:
+        if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id in aliases:
+            yield "fungrasp", node.attr
