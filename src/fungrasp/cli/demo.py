@@ -27,7 +27,7 @@ REFERENCE = "reference"
 
 TITLE = "Human grasps, taken over by a robot hand"
 
-FPS, SPEED = 15.0, 1.5
+FPS, SPEED = 12.0, 2.0
 """Frames per second of the film, and how much faster than the simulation it runs."""
 
 INTRODUCTION = (
@@ -51,7 +51,7 @@ class Demo:
     """Folder of meshes <name>.obj; built-in objects need none."""
     pick: tuple[str, ...] = ()
     """Grasps to show: an object ("mug"), object and task ("mug:drink") or a number; else a varied few."""
-    count: int = 4
+    count: int = 3
     """How many to show if none are picked."""
     from_image: Folder = None
     """Start from an image with depth of a person holding an object: the built-in one, or that of a folder

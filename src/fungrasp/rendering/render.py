@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -221,10 +222,14 @@ class Renderer:
         return geoms, surfaces
 
     def _each(self, function: Callable[[_Frame], _Result], frames: Iterator[_Frame]) -> Iterator[_Result]:
-        """Results for the frames in their order, ``threads`` of them worked on at once."""
+        """Results for the frames in their order, ``threads`` of them worked on at once, also while the caller
+        is busy with the last one."""
         with ThreadPoolExecutor(self._threads) as pool:
-            while some := list(islice(frames, self._threads)):
-                yield from pool.map(function, some)
+            begun = deque(pool.submit(function, frame) for frame in islice(frames, 2 * self._threads))
+            while begun:
+                result = begun.popleft().result()
+                begun.extend(pool.submit(function, frame) for frame in islice(frames, 1))
+                yield result
 
 
 @dataclass(frozen=True)
