@@ -21,7 +21,7 @@ from fungrasp.grasps import HumanGrasp, load_human_grasps, load_objects
 from fungrasp.grasps.human_hand import BONES
 from fungrasp.objects import ObjectModel
 from fungrasp.perception import Intrinsics
-from fungrasp.perception.object_pose.mesh_rays import MeshRays
+from fungrasp.perception.object_pose.known_object import MeshRays
 from fungrasp.perception.object_pose.pose_error import add_s
 from fungrasp.perception.object_pose.tracker import FOLLOWED, ObjectTracker
 from fungrasp.perception.perceived import Stopwatch

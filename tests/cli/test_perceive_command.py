@@ -48,7 +48,7 @@ def landmarks() -> DetectedHand:
 
 def object_mask() -> np.ndarray:
     """Pixels that show the object and what hides it, roughly: the depth of its silhouette."""
-    from fungrasp.perception.object_pose.mesh_rays import MeshRays
+    from fungrasp.perception.object_pose.known_object import MeshRays
 
     model, capture = builtin_object(NAME), read_folder(FOLDER)
     rays = capture.intrinsics.rays().reshape(-1, 3)

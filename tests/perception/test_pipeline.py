@@ -21,7 +21,7 @@ from fungrasp.perception.hand.mediapipe_detector import MediaPipeHandDetector
 from fungrasp.perception.hand.mediapipe_models import have_weights
 from fungrasp.perception.io.scene_folders import write_folder
 from fungrasp.perception.object_pose.confidence import FEATURES
-from fungrasp.perception.object_pose.mesh_rays import MeshRays
+from fungrasp.perception.object_pose.known_object import MeshRays
 from fungrasp.perception.object_pose.pose_error import add_s
 from fungrasp.perception.perceived import Perceived
 from fungrasp.perception.pipeline import perceive
@@ -121,7 +121,7 @@ def test_the_world_is_that_of_the_architecture():
 
 @pytest.mark.parametrize("name", ["mug", "can", "hammer"])
 def test_an_object_is_put_down_on_its_nearest_stable_face(name):
-    from fungrasp.perception.scene.world_frame import put_down
+    from fungrasp.perception.scene.table import put_down
 
     model = builtin_object(name)
     tilt = np.array([0.98, 0.14, 0.1, 0.09])

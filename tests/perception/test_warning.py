@@ -7,7 +7,7 @@ import re
 import pytest
 
 from fungrasp.errors import UnknownNameError
-from fungrasp.perception.warning import MESSAGES, PerceptionWarning
+from fungrasp.perception.estimates import MESSAGES, PerceptionWarning
 
 
 def test_a_warning_reads_as_a_sentence():

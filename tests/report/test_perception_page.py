@@ -15,11 +15,11 @@ from fungrasp.grasps import HumanGrasp
 from fungrasp.grasps.human_hand import mirror_points, mirror_pose
 from fungrasp.objects import builtin_object
 from fungrasp.perception import HandEstimate, ObjectEstimate
+from fungrasp.perception.estimates import PerceptionWarning
 from fungrasp.perception.io.scene_folders import BUILTIN_CAPTURE as FOLDER
 from fungrasp.perception.io.scene_folders import read_folder
 from fungrasp.perception.perceived import Perceived
 from fungrasp.perception.quality import PerceptionQuality
-from fungrasp.perception.warning import PerceptionWarning
 from fungrasp.report import perception_page
 from fungrasp.report.demo_capture import FILES, demo_truth, true_errors
 from fungrasp.report.page_parts import Quantity

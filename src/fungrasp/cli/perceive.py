@@ -134,23 +134,25 @@ class Perceive:
 
     def _hand(self) -> Any:
         """Another program's or package's estimator of the hand; None if none is asked."""
+        if self.hand_file is None and self.hand_from is None:
+            return None
         from fungrasp.perception.adapters import load_hand_estimator, read_hand_estimate
 
         if self.hand_from is not None:
             return load_hand_estimator(self.hand_from)
-        if self.hand_file is not None:
-            return partial(read_hand_estimate, self.hand_file, side=self.hand, mano=self.mano)
-        return None
+        assert self.hand_file is not None
+        return partial(read_hand_estimate, self.hand_file, side=self.hand, mano=self.mano)
 
     def _object_pose(self) -> Any:
         """The same of the object's pose."""
+        if self.object_pose_file is None and self.object_pose_from is None:
+            return None
         from fungrasp.perception.adapters import load_object_pose_estimator, read_object_pose
 
         if self.object_pose_from is not None:
             return load_object_pose_estimator(self.object_pose_from)
-        if self.object_pose_file is not None:
-            return read_object_pose(self.object_pose_file, image=self.source.image, object_id=self.object_id)
-        return None
+        assert self.object_pose_file is not None
+        return read_object_pose(self.object_pose_file, image=self.source.image, object_id=self.object_id)
 
     @contextmanager
     def _watched(self, model: ObjectModel) -> Iterator[Callable[[LiveView], None]]:

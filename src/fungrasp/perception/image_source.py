@@ -5,7 +5,7 @@ What reads them is imported on use: ``ImageSource`` is the options of a command,
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -160,13 +160,43 @@ class ImageSource:
         return capture.with_object(mask, *hints)
 
 
+def as_capture(
+    image: ImageSource | RgbdCamera | str | Path | Sequence[str | Path], obj: ObjectModel
+) -> Capture:
+    """The capture of an image, wherever it is.
+
+    Args:
+        image: a folder (see ``read_folder``), a recording or "builtin"; paths of color image, depth and
+            intrinsics; a source; or a camera, which waits until hand, table and object are seen.
+        obj: the object.
+
+    Raises:
+        FungraspError: it can't be read.
+    """
+    from fungrasp.perception.camera.live import live_capture
+    from fungrasp.perception.io.image_files import read_capture
+    from fungrasp.perception.io.realsense import RECORDINGS, capture_from_camera
+    from fungrasp.perception.io.scene_folders import read_folder
+
+    if isinstance(image, ImageSource):
+        return image.read(obj)
+    if isinstance(image, str | Path):
+        recorded = Path(image).suffix in RECORDINGS
+        return capture_from_camera(image) if recorded else read_folder(image)
+    if not isinstance(image, Sequence):
+        return live_capture(image, obj)
+    if len(image) != 3:
+        raise FungraspError(f"an image in files is color image, depth and intrinsics, not {len(image)} files")
+    return read_capture(*image)
+
+
 def opened_camera(name: str) -> RgbdCamera:
     """The camera of that name, not yet started.
 
     Raises:
         FungraspError: it is neither "realsense" nor a folder of frames.
     """
-    from fungrasp.perception.camera.recorded import FolderCamera
+    from fungrasp.perception.camera.frames import FolderCamera
     from fungrasp.perception.io.realsense import RealSenseCamera
 
     if Path(name).is_dir():

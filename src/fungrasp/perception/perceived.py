@@ -13,12 +13,11 @@ import numpy as np
 
 from fungrasp.grasps import HUMAN_LINKS, HumanGrasp, HumanGraspSet
 from fungrasp.objects import ObjectModel, mirrored_object
-from fungrasp.perception.estimates import HandEstimate, ObjectEstimate
+from fungrasp.perception.estimates import HandEstimate, ObjectEstimate, PerceptionWarning
 from fungrasp.perception.hand.detected_hand import DetectedHand
 from fungrasp.perception.io.capture import Capture
 from fungrasp.perception.object_pose.estimate import PoseAnswers
 from fungrasp.perception.quality import PerceptionQuality
-from fungrasp.perception.warning import PerceptionWarning
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +126,7 @@ class Perceived:
     """World frame, a right hand. If the image shows a left one, the scene reflected in the plane y = 0: the
     object's name then ends in "_mirrored", and its mesh must be reflected as well (see ``mirror_pose``)."""
     pose_world_camera: np.ndarray
-    """Camera in the world, shape [7], before any reflection; see ``world_frame`` for where the world is."""
+    """Camera in the world, shape [7], before any reflection; ``world_from_table`` says where it is."""
     hand: HandEstimate
     """The hand after refinement against the object, camera frame, not mirrored."""
     object: ObjectEstimate

@@ -5,7 +5,7 @@
 3. The table: the largest plane below the hand (``scene.table``).
 4. The object's pose: the mesh fitted to the depth (``object_pose.estimate``).
 5. The hand again, which now touches the object that it holds (``hand.fit``).
-6. The grasp: links in contact, and all of it in the world frame (``scene.world_frame``).
+6. The grasp: links in contact, and all of it in the world frame (``scene.table``).
 
 Each step adds its warnings; a result of low confidence is still given, marked as such.
 """
@@ -25,27 +25,28 @@ from fungrasp.grasps import HumanGrasp
 from fungrasp.grasps.human_hand import mirror_points, mirror_pose
 from fungrasp.objects import MIRRORED, HeldObject, ObjectModel, held_object
 from fungrasp.perception.camera.frames import RgbdCamera
-from fungrasp.perception.camera.live import live_capture
-from fungrasp.perception.estimates import HandEstimate, ObjectEstimate, Side
+from fungrasp.perception.estimates import HandEstimate, ObjectEstimate, PerceptionWarning, Side
 from fungrasp.perception.hand.contact_evidence import HandSurroundings, touching_links
 from fungrasp.perception.hand.detected_hand import DetectedHand, HandDetector, find_hands
 from fungrasp.perception.hand.fit import fit_hand, fit_held_hands, refine_hand
 from fungrasp.perception.hand.meant_hands import MeantHand, hands_elsewhere, may_hold, meant_hands, object_box
 from fungrasp.perception.hand.mediapipe_detector import MediaPipeHandDetector
-from fungrasp.perception.image_source import ImageSource
+from fungrasp.perception.image_source import ImageSource, as_capture
 from fungrasp.perception.io.capture import Capture
-from fungrasp.perception.io.image_files import read_capture
-from fungrasp.perception.io.realsense import RECORDINGS, capture_from_camera
-from fungrasp.perception.io.scene_folders import read_folder
 from fungrasp.perception.object_pose.confidence import ambiguity
 from fungrasp.perception.object_pose.estimate import SIZES, best_estimate, search_object_pose
 from fungrasp.perception.object_pose.external_pose import score_given_pose
 from fungrasp.perception.object_pose.known_object import known_object
 from fungrasp.perception.perceived import HandCandidate, Perceived, PerceptionTrace, PossibleHand, Stopwatch
 from fungrasp.perception.quality import measure_quality
-from fungrasp.perception.scene.table import NO_TABLE, table_under
-from fungrasp.perception.scene.world_frame import guessed_table, in_world, put_down, world_from_table
-from fungrasp.perception.warning import PerceptionWarning
+from fungrasp.perception.scene.table import (
+    NO_TABLE,
+    guessed_table,
+    in_world,
+    put_down,
+    table_under,
+    world_from_table,
+)
 
 ACCEPTED_HAND = 0.6
 """Hands of a lower score are of low confidence. Of 85 found in rendered captures 72 have more, whose joints
@@ -55,15 +56,12 @@ are off by 9.7 mm in the mean; those of the others by 32 mm."""
 MOST_HANDS = 8
 """So many stand for the samples that are drawn: more would stand for one or two each."""
 
-Image = Capture | ImageSource | RgbdCamera | str | Path | Sequence[str | Path]
-"""An image, or where it is."""
-
 Mesh = ObjectModel | trimesh.Trimesh
 """An object's surface, with colors if they are known."""
 
 
 def perceive(
-    capture: Image,
+    capture: Capture | ImageSource | RgbdCamera | str | Path | Sequence[str | Path],
     obj: ObjectModel | HeldObject | str | Path,
     *,
     mass: float | None = None,
@@ -106,7 +104,8 @@ def perceive(
     held = obj if isinstance(obj, HeldObject) else held_object(obj, mass)
     model = held.model
     mesh = model if held.colored is None else held.colored
-    capture = _as_capture(capture, model)
+    if not isinstance(capture, Capture):
+        capture = as_capture(capture, model)
     hand = hand(capture) if callable(hand) else hand
     if callable(object_estimate):
         object_estimate = object_estimate(capture, mesh)
@@ -178,21 +177,6 @@ def perceive(
         notes=held.notes,
         trace=PerceptionTrace(tuple(detected), tuple(scenes), chosen, watch.seconds),
     )
-
-
-def _as_capture(image: Image, obj: ObjectModel) -> Capture:
-    if isinstance(image, Capture):
-        return image
-    if isinstance(image, ImageSource):
-        return image.read(obj)
-    if isinstance(image, str | Path):
-        recorded = Path(image).suffix in RECORDINGS
-        return capture_from_camera(image) if recorded else read_folder(image)
-    if not isinstance(image, Sequence):
-        return live_capture(image, obj)
-    if len(image) != 3:
-        raise FungraspError(f"an image in files is color image, depth and intrinsics, not {len(image)} files")
-    return read_capture(*image)
 
 
 def _check_size(model: ObjectModel) -> None:

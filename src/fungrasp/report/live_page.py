@@ -16,7 +16,7 @@ from fungrasp.geometry.poses import transform_points
 from fungrasp.grasps.human_hand import BONES
 from fungrasp.objects import ObjectModel
 from fungrasp.perception.camera.live import LiveView
-from fungrasp.perception.object_pose.mesh_rays import MeshRays
+from fungrasp.perception.object_pose.known_object import MeshRays
 
 HOST = "127.0.0.1"
 """Loopback: the camera's picture is for nobody else."""

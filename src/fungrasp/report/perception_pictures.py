@@ -14,7 +14,7 @@ from fungrasp.grasps import HumanGrasp
 from fungrasp.grasps.human_hand import BONES, HUMAN_FINGERS, mirror_points
 from fungrasp.objects import ObjectModel
 from fungrasp.perception import Capture, HandEstimate, Intrinsics
-from fungrasp.perception.object_pose.mesh_rays import MeshRays
+from fungrasp.perception.object_pose.known_object import MeshRays
 from fungrasp.rendering.grasp_scenes import human_grasp_scene
 from fungrasp.report.pictures import four_views
 

@@ -28,7 +28,7 @@ from fungrasp.jobs import PartStore
 from fungrasp.objects import builtin_object
 from fungrasp.perception import Capture, Intrinsics
 from fungrasp.perception.hand.detected_hand import DetectedHand
-from fungrasp.perception.object_pose.mesh_rays import MeshRays
+from fungrasp.perception.object_pose.known_object import MeshRays
 from fungrasp.perception.perceived import StageSeconds
 from fungrasp.perception.scene.segmentation import TIPS
 

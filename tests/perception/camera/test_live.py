@@ -7,10 +7,8 @@ import pytest
 
 from fungrasp.errors import FungraspError
 from fungrasp.objects import builtin_object
-from fungrasp.perception.camera.best_frame import best_first
-from fungrasp.perception.camera.frames import CameraFrame, FrameList
-from fungrasp.perception.camera.live import LiveCapture, LiveSettings, LiveView
-from fungrasp.perception.camera.recorded import FolderCamera
+from fungrasp.perception.camera.frames import CameraFrame, FolderCamera, FrameList
+from fungrasp.perception.camera.live import LiveCapture, LiveSettings, LiveView, best_first
 from fungrasp.perception.hand.detected_hand import DetectedHand
 from fungrasp.perception.io.scene_folders import BUILTIN_CAPTURE as FOLDER
 from fungrasp.perception.io.scene_folders import read_folder, write_folder

@@ -16,7 +16,7 @@ from fungrasp.perception import Capture, HandEstimate
 from fungrasp.perception.hand.contact_evidence import HandSurroundings
 from fungrasp.perception.hand.fit import fit_hand, refine_hand
 from fungrasp.perception.hand.fit_problem import image_agreement
-from fungrasp.perception.hand.least_squares import HandEvidence
+from fungrasp.perception.hand.skeleton import HandEvidence
 
 ROWS = range(0, 24, 4)
 

@@ -11,9 +11,9 @@ from hand_scenes import hand_scene
 from fungrasp.geometry.signed_distance import SignedDistanceGrid
 from fungrasp.grasps import builtin_grasps
 from fungrasp.perception.hand.contact_evidence import HandSurroundings
+from fungrasp.perception.hand.finger_search import representatives
 from fungrasp.perception.hand.fit import fit_held_hands
-from fungrasp.perception.hand.hand_samples import representatives
-from fungrasp.perception.hand.least_squares import HandEvidence, redrawn
+from fungrasp.perception.hand.skeleton import HandEvidence, redrawn
 
 
 def test_representatives_stand_for_what_is_near_them():

@@ -13,8 +13,13 @@ from fungrasp.grasps import load_human_grasps
 from fungrasp.grasps.anatomy import joint_bends
 from fungrasp.grasps.human_hand import HUMAN_JOINTS
 from fungrasp.objects import builtin_object
-from fungrasp.perception.hand.detected_hand import DetectedHand, choose_hand, find_hands, hand_lengths
-from fungrasp.perception.hand.hand_extent import possible
+from fungrasp.perception.hand.detected_hand import (
+    DetectedHand,
+    choose_hand,
+    find_hands,
+    hand_lengths,
+    possible,
+)
 from fungrasp.perception.hand.image_windows import Window, window_of_landmarks, window_of_palm
 from fungrasp.perception.hand.mediapipe_detector import (
     FROM_MODEL,

@@ -13,14 +13,18 @@ from fungrasp.grasps.human_hand import bone_lengths
 from fungrasp.perception.hand.anatomy_evidence import anatomy_evidence
 from fungrasp.perception.hand.fit import skeleton_through
 from fungrasp.perception.hand.image_evidence import FAR_BONES, NEAR_BONES, direction_evidence
-from fungrasp.perception.hand.least_squares import (
+from fungrasp.perception.hand.skeleton import (
+    ANGLE_LOW,
+    ANGLE_MEAN,
     LONGEST_STEP,
+    PARAMETERS,
+    SIZE,
     HandEvidence,
+    Skeleton,
     damped_step,
     normal_equations,
     robust_weights,
 )
-from fungrasp.perception.hand.skeleton import ANGLE_LOW, ANGLE_MEAN, PARAMETERS, SIZE, Skeleton
 
 
 def random_skeleton(seed: int) -> Skeleton:

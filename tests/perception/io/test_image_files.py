@@ -9,7 +9,7 @@ from PIL import Image
 
 from fungrasp.errors import FungraspError
 from fungrasp.perception import Capture, Intrinsics
-from fungrasp.perception.io.capture_checks import check_alignment, looks_bgr
+from fungrasp.perception.io.capture import check_alignment, looks_bgr
 from fungrasp.perception.io.image_files import parse_box, read_capture
 
 

@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-from fungrasp.perception.io.native_output import filtered_native_output
+from fungrasp.perception.hand.mediapipe_models import filtered_native_output
 
 
 def test_only_small_talk_is_left_out(capfd):

@@ -3,7 +3,7 @@ import pytest
 import trimesh
 
 from fungrasp.geometry.poses import quaternion_from_rotation_vector
-from fungrasp.perception.object_pose.mesh_rays import MeshRays
+from fungrasp.perception.object_pose.known_object import MeshRays
 
 BOX = trimesh.creation.box((0.2, 0.1, 0.06))
 

@@ -7,9 +7,8 @@ from scipy import ndimage
 
 from fungrasp.errors import FungraspError
 from fungrasp.objects import load_object
-from fungrasp.perception.scene.object_hints import MASK_SURE, pointed_pieces, told_odds
 from fungrasp.perception.scene.pixel_classes import NEVER
-from fungrasp.perception.scene.segmentation import segment
+from fungrasp.perception.scene.segmentation import MASK_SURE, pointed_pieces, segment, told_odds
 
 MUG = load_object("mug")
 SCENE = scene(MUG, MUG.rest_pose(0.3), np.array([0.05, 0.0, 0.04]))

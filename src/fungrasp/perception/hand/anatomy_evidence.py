@@ -8,7 +8,6 @@ from __future__ import annotations
 import numpy as np
 
 from fungrasp.perception.hand.hand_capsules import HAND_CAPSULES, offsets_from_lines
-from fungrasp.perception.hand.least_squares import HandEvidence
 from fungrasp.perception.hand.skeleton import (
     ALIKE_SPREAD,
     ANGLE_HIGH,
@@ -17,6 +16,7 @@ from fungrasp.perception.hand.skeleton import (
     ANGLE_SPREAD,
     PARAMETERS,
     SIZE,
+    HandEvidence,
     Skeleton,
 )
 

@@ -13,8 +13,7 @@ from fungrasp.grasps.hand_thickness import LINK_RADII
 from fungrasp.grasps.importers.contacts import link_points
 from fungrasp.perception.hand.detected_hand import MIRROR_X
 from fungrasp.perception.hand.hand_capsules import FINGERTIP_SAMPLES, SURFACE_SAMPLES
-from fungrasp.perception.hand.least_squares import HandEvidence
-from fungrasp.perception.hand.skeleton import Skeleton
+from fungrasp.perception.hand.skeleton import HandEvidence, Skeleton
 
 FINGERTIP_TOLERANCE, OTHER_TOLERANCE = 0.010, -0.005
 """Gaps between skin and surface below which a link touches [m]: the last links of the fingers, all others.

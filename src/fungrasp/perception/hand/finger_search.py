@@ -1,6 +1,7 @@
 """Where each finger may be on a palm that is about right: many postures are tried.
 
 Least squares goes downhill only; a thumb that was guessed on the wrong side of an object never gets round it.
+Where an object hides fingers, one answer is not all: several are drawn, with probabilities.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import numpy as np
 
 from fungrasp.grasps.hand_thickness import FINGER_RADII
 from fungrasp.perception.hand.anatomy_evidence import finger_overlap
+from fungrasp.perception.hand.fit_problem import HandFitProblem, HandFitStage, HandParameters
 from fungrasp.perception.hand.hand_capsules import HAND_CAPSULES, capsule_distances
 from fungrasp.perception.hand.hand_measurements import HandView
 from fungrasp.perception.hand.skeleton import (
@@ -255,3 +257,60 @@ def _points_cost(
 def _limited(residual: np.ndarray, worst: float) -> np.ndarray:
     """Geman and McClure's loss, which tends to the square of ``worst``."""
     return worst**2 * residual**2 / (worst**2 + residual**2)
+
+
+DRAWS = 16
+"""Hands that are drawn; those that are returned stand for these."""
+
+
+def sampled_hands(
+    problem: HandFitProblem, best: HandParameters, stage: HandFitStage, iterations: int, seed: int
+) -> list[HandParameters]:
+    """Hands that the evidence allows, equally probable, ``DRAWS`` of them.
+
+    Each has hidden fingers in postures chosen at random, better ones more often, and is fitted to evidence
+    with other random errors.
+
+    Args:
+        problem: of a held hand.
+        best: its best fit.
+        stage: of the fit.
+        iterations: Gauss-Newton steps.
+        seed: of everything random.
+    """
+    assert problem.seen is not None and problem.view is not None
+    found = []
+    for number in range(DRAWS):
+        skeleton = search_fingers(
+            best.skeleton,
+            problem.view,
+            problem.seen.pixels,
+            np.random.default_rng([seed, number]),
+            spread=problem.seen.spread,
+            draw=True,
+        )
+        problem.find_background(skeleton)
+        found.append(problem.solve(HandParameters(skeleton, best.turn), stage, iterations, number))
+    return found
+
+
+def representatives(joints: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """The hands that stand for all with least mean distance, the first among them.
+
+    Args:
+        joints: S hands [m], shape [S, 21, 3].
+        count: how many are wanted.
+
+    Returns:
+        Rows of at most ``count``, the first one and then by probability; the part of all hands that each
+        stands for.
+    """
+    apart = np.linalg.norm(joints[:, None] - joints, axis=-1).mean(axis=-1)
+    rows = [0]
+    while len(rows) < min(count, len(joints)):
+        gain = np.minimum(apart[rows].min(axis=0), apart).sum(axis=1)
+        gain[rows] = np.inf
+        rows.append(int(gain.argmin()))
+    part = np.bincount(apart[rows].argmin(axis=0), minlength=len(rows)) / len(joints)
+    order = sorted(range(len(rows)), key=lambda i: (i > 0, -part[i]))
+    return np.array(rows)[order], part[order]

@@ -21,7 +21,7 @@ from fungrasp.perception.estimates import HandEstimate, Side
 from fungrasp.perception.hand.anatomy_evidence import anatomy_evidence
 from fungrasp.perception.hand.contact_evidence import HandSurroundings
 from fungrasp.perception.hand.detected_hand import MIRROR_X, DetectedHand
-from fungrasp.perception.hand.finger_search import search_fingers
+from fungrasp.perception.hand.finger_search import representatives, sampled_hands, search_fingers
 from fungrasp.perception.hand.fit_problem import (
     HandFitProblem,
     HandFitSettings,
@@ -35,9 +35,14 @@ from fungrasp.perception.hand.hand_measurements import (
     hand_view,
     mirror_estimate,
 )
-from fungrasp.perception.hand.hand_samples import representatives, sampled_hands
-from fungrasp.perception.hand.least_squares import HandEvidence, damped_step, normal_equations
-from fungrasp.perception.hand.skeleton import BASES, SIZE, Skeleton
+from fungrasp.perception.hand.skeleton import (
+    BASES,
+    SIZE,
+    HandEvidence,
+    Skeleton,
+    damped_step,
+    normal_equations,
+)
 from fungrasp.perception.io.capture import Capture
 
 FREE_STAGES = tuple(HandFitStage(outlier) for outlier in ((0.06, 0.06), (0.02, 0.04), (0.008, 0.03)))

@@ -31,15 +31,16 @@ from fungrasp.perception.hand.image_evidence import (
     project,
     silhouette_evidence,
 )
-from fungrasp.perception.hand.least_squares import (
+from fungrasp.perception.hand.skeleton import (
+    SIZE,
     HandEvidence,
+    Skeleton,
     damped_step,
     normal_equations,
     redrawn,
     robust_cost,
     robust_weights,
 )
-from fungrasp.perception.hand.skeleton import SIZE, Skeleton
 
 TRUSTED_ERROR = 0.015
 """A joint's confidence is the probability that its error is smaller than this [m]."""

@@ -19,8 +19,7 @@ from fungrasp.perception.hand.hand_capsules import (
     capsule_distances,
     in_front,
 )
-from fungrasp.perception.hand.least_squares import HandEvidence
-from fungrasp.perception.hand.skeleton import Skeleton
+from fungrasp.perception.hand.skeleton import HandEvidence, Skeleton
 from fungrasp.perception.io.capture import Intrinsics
 
 NEAR_BONES, FAR_BONES = np.transpose(BONES)

@@ -12,7 +12,7 @@ from fungrasp.geometry.poses import transform_points
 from fungrasp.objects import ObjectModel
 from fungrasp.perception.camera.frames import CameraFrame
 from fungrasp.perception.camera.readiness import why_no_hand
-from fungrasp.perception.estimates import HandEstimate, ObjectEstimate, Side
+from fungrasp.perception.estimates import HandEstimate, ObjectEstimate, PerceptionWarning, Side
 from fungrasp.perception.hand.detected_hand import (
     DetectedHand,
     HandDetector,
@@ -22,7 +22,6 @@ from fungrasp.perception.hand.detected_hand import (
     settle_side,
 )
 from fungrasp.perception.io.capture import Box, Capture
-from fungrasp.perception.warning import PerceptionWarning
 
 MOST = 2
 """So many hands of an image are looked at more closely."""

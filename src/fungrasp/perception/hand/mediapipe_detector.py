@@ -15,8 +15,7 @@ from dataclasses import replace
 import numpy as np
 from PIL import Image
 
-from fungrasp.perception.hand.detected_hand import DetectedHand, which_side
-from fungrasp.perception.hand.hand_extent import length_at, possible
+from fungrasp.perception.hand.detected_hand import DetectedHand, length_at, possible, which_side
 from fungrasp.perception.hand.image_windows import (
     Window,
     search_windows,

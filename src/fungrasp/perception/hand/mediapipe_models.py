@@ -10,14 +10,17 @@ from __future__ import annotations
 
 import hashlib
 import importlib
+import os
 import subprocess
 import sys
 import tempfile
 import zipfile
 import zlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import Any
 
 import numpy as np
@@ -25,7 +28,43 @@ import numpy as np
 from fungrasp.errors import FungraspError
 from fungrasp.files import atomic_path, cache_folder, cache_path
 from fungrasp.formats.file_bytes import one_line
-from fungrasp.perception.io.native_output import filtered_native_output
+
+DROPPED_PREFIX = b"INFO:"
+"""How lines begin that are left out."""
+
+
+@contextmanager
+def filtered_native_output() -> Iterator[None]:
+    """Hold back what is written to stderr meanwhile; then pass it on without lines that begin with "INFO:".
+
+    For libraries that write past Python and have no setting for it. Keep what runs inside short: the whole
+    process's stderr is held back.
+    """
+    try:
+        stderr = os.dup(2)
+    except OSError:
+        # There is no stderr.
+        yield
+        return
+    with TemporaryFile() as held:
+        _flush()
+        os.dup2(held.fileno(), 2)
+        try:
+            yield
+        finally:
+            _flush()
+            os.dup2(stderr, 2)
+            os.close(stderr)
+            held.seek(0)
+            kept = b"".join(line for line in held if not line.startswith(DROPPED_PREFIX))
+            if kept:
+                os.write(2, kept)
+
+
+def _flush() -> None:
+    if sys.stderr is not None:
+        sys.stderr.flush()
+
 
 PACKAGE = "mediapipe==0.10.21"
 """The release, on the package index, whose wheels hold the models."""

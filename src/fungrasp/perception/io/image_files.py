@@ -13,8 +13,15 @@ from fungrasp.errors import FungraspError
 from fungrasp.formats.guarded import guarded
 from fungrasp.formats.image_file import read_image
 from fungrasp.formats.numpy_files import read_npy
-from fungrasp.perception.io.capture import Box, Capture, Intrinsics, Pixel
-from fungrasp.perception.io.capture_checks import check_alignment, check_depth_range, looks_bgr
+from fungrasp.perception.io.capture import (
+    Box,
+    Capture,
+    Intrinsics,
+    Pixel,
+    check_alignment,
+    check_depth_range,
+    looks_bgr,
+)
 from fungrasp.perception.io.intrinsics_files import read_intrinsics
 
 LONGEST_SIDE = 1920

@@ -7,13 +7,12 @@ import trimesh
 
 from fungrasp.geometry.poses import transform_points
 from fungrasp.objects import ObjectModel
-from fungrasp.perception.estimates import ObjectEstimate
+from fungrasp.perception.estimates import ObjectEstimate, PerceptionWarning
 from fungrasp.perception.hand.contact_evidence import HandSurroundings
 from fungrasp.perception.object_pose.known_object import KnownObject
 from fungrasp.perception.object_pose.pose_error import add_s, rotation_error
 from fungrasp.perception.object_pose.scoring import PoseScores
 from fungrasp.perception.scene.depth_edges import SMOOTHED
-from fungrasp.perception.warning import PerceptionWarning
 
 ACCEPT = 0.65
 """Poses of a lower score are not accepted. Cross-validated by scene, a third of them with a wrong mesh,

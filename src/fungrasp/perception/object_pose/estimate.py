@@ -8,7 +8,7 @@ import numpy as np
 import trimesh
 
 from fungrasp.objects import ObjectModel
-from fungrasp.perception.estimates import HandEstimate, ObjectEstimate
+from fungrasp.perception.estimates import HandEstimate, ObjectEstimate, PerceptionWarning
 from fungrasp.perception.io.capture import Capture
 from fungrasp.perception.object_pose.confidence import (
     ACCEPT,
@@ -41,7 +41,6 @@ from fungrasp.perception.object_pose.search import (
 from fungrasp.perception.scene.depth_edges import SHARP
 from fungrasp.perception.scene.segmentation import TIPS
 from fungrasp.perception.scene.table import largest_plane
-from fungrasp.perception.warning import PerceptionWarning
 
 SIZES = (0.01, 1.5)
 """Shortest and longest diagonal of an object that a hand holds [m]."""

@@ -8,7 +8,7 @@ import numpy as np
 import trimesh
 
 from fungrasp.objects import ObjectModel
-from fungrasp.perception.estimates import HandEstimate, ObjectEstimate
+from fungrasp.perception.estimates import HandEstimate, ObjectEstimate, PerceptionWarning
 from fungrasp.perception.io.capture import Capture
 from fungrasp.perception.object_pose.confidence import ACCEPT, RIVAL_DISTANCE, confidence, score_warnings
 from fungrasp.perception.object_pose.known_object import known_object
@@ -23,7 +23,6 @@ from fungrasp.perception.object_pose.object_view import (
 from fungrasp.perception.object_pose.pose_error import add_s
 from fungrasp.perception.object_pose.scoring import PoseScorer, PoseScores
 from fungrasp.perception.object_pose.search import PoseHypotheses, PoseSearchSettings, refine_poses
-from fungrasp.perception.warning import PerceptionWarning
 
 RAYS = 1000
 """About how many rays a pose is scored by; as many as our own answers."""

@@ -10,8 +10,7 @@ from scipy import ndimage
 from fungrasp.errors import FungraspError
 from fungrasp.geometry.poses import compose, transform_points
 from fungrasp.perception.io.capture import Capture
-from fungrasp.perception.scene.table import largest_plane
-from fungrasp.perception.scene.world_frame import world_from_table
+from fungrasp.perception.scene.table import largest_plane, world_from_table
 
 ABOVE = 0.008
 """Points so high above the table are on something [m]: depth there is wrong by up to half of that."""
