@@ -25,12 +25,12 @@ import numpy as np
 import pytest
 
 import fungrasp
-from fungrasp.cli import demo
 from fungrasp.cli.main import COMMANDS, main
 from fungrasp.deployment import deploy
 from fungrasp.evaluation import StaticQuality, Trajectory
 from fungrasp.grasps import HumanGraspSet, RobotGraspSet, grasp_files, save_human_grasps
 from fungrasp.objects import builtin_object
+from fungrasp.report import demonstration
 from fungrasp.task import Outcomes
 
 ROOT = Path(__file__).parents[1]
@@ -116,7 +116,7 @@ def reader(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     others = [row for row in first.values() if row not in named]
     save_human_grasps(tmp_path / "few.npz", builtin.select(np.array([*named, *others[: MOST - 1]])))
     monkeypatch.setattr(grasp_files, "BUILTIN_PATH", tmp_path / "few.npz")
-    monkeypatch.setattr(demo, "FPS", 2.0)
+    monkeypatch.setattr(demonstration, "FPS", 2.0)
     monkeypatch.setattr(deploy, "DeploymentSpec", partial(deploy.DeploymentSpec, real_time=False))
     mine = builtin.select(np.flatnonzero(builtin.object_name == "box")[REACHED])
     (tmp_path / "meshes").mkdir()

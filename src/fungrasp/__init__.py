@@ -28,6 +28,7 @@ _NAMES = {
     "perception.pipeline": "perceive",
     "planning": "MotionPlanner Planner",
     "policies": "make_planner make_policy plan",
+    "report.view": "view",
     "retargeting.retarget": "retarget",
     "sim2real": "Randomization",
     "simulation": "Engine build_scene",

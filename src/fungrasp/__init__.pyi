@@ -24,6 +24,7 @@ from fungrasp.planning import Planner as Planner
 from fungrasp.policies import make_planner as make_planner
 from fungrasp.policies import make_policy as make_policy
 from fungrasp.policies import plan as plan
+from fungrasp.report.view import view as view
 from fungrasp.retargeting.retarget import retarget as retarget
 from fungrasp.sim2real import Randomization as Randomization
 from fungrasp.simulation import Engine as Engine

@@ -7,6 +7,7 @@ import platform
 import shlex
 import subprocess
 import sys
+from collections.abc import Mapping
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -30,6 +31,27 @@ def run_record(seed: int | list[int]) -> dict[str, Any]:
         "seed": seed,
         "machine": machine(),
         "date": f"{datetime.now().astimezone():%Y-%m-%dT%H:%M%z}",
+    }
+
+
+def page_provenance(source: Mapping[str, str], seed: int, seconds: float | None = None) -> dict[str, str]:
+    """Program, command, source, seed, machine and date, for people.
+
+    Args:
+        source: what it was made from, by what kind of thing that is.
+        seed: of the command.
+        seconds: how long it took [s], if known.
+    """
+    record = run_record(seed)
+    revision = f", revision {record['revision'][:12]}" if record["revision"] else ""
+    took = "" if seconds is None else f", made in {seconds:.0f} s"
+    return {
+        "Made by": f"fungrasp {record['version']}{revision}",
+        "Command": record["command"],
+        **source,
+        "Seed": str(seed),
+        "Machine": record["machine"],
+        "Date": f"{record['date']}{took}",
     }
 
 

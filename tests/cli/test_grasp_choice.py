@@ -67,8 +67,7 @@ def test_a_folders_image_is_refused_too(monkeypatch: pytest.MonkeyPatch) -> None
     grasp = builtin_grasps()[0]
     model = SimpleNamespace(name=grasp.object_name)
     doubtful = SimpleNamespace(grasp=grasp, object_model=model, confident=False, warnings=())
-    seen = SimpleNamespace(perceived=doubtful)
-    monkeypatch.setattr("fungrasp.cli.demo_from_image.seen_grasp", lambda *a: seen)
+    monkeypatch.setattr("fungrasp.report.demo_capture.perceive_image", lambda *a, **k: (doubtful, []))
     with pytest.raises(FungraspError, match=r"low confidence.*fungrasp perceive"):
         GraspChoice(image="photo", mesh="mug").chosen(load_hand("allegro"))
 

@@ -2,41 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, NoReturn
 
 from fungrasp.cli.console import progress_bar
-from fungrasp.cli.demo_from_image import Folder
-from fungrasp.cli.provenance import page_provenance
+from fungrasp.cli.optional_value import optional_value
 
 if TYPE_CHECKING:
-    import numpy as np
-
-    from fungrasp.cli.demo_from_image import SeenGrasp
-    from fungrasp.evaluation import LiftTestResult, Trajectory
-    from fungrasp.grasps import HumanGraspSet, RobotGraspSet
     from fungrasp.hands import Hand
-    from fungrasp.objects import ObjectModel
+    from fungrasp.perception.perceived import Perceived
+    from fungrasp.report.demonstration import Demonstration, Opening
 
-FAVOURITES = ("drill:drill", "mug:hand over", "flashlight:light", "bottle:pour")
+FAVORITES = ("drill:drill", "mug:hand over", "flashlight:light", "bottle:pour")
 """What is shown if nothing is picked, as far as the grasps have it."""
 
-REFERENCE = "reference"
+LOW_CONFIDENCE = 3
+"""Exit status when the page was written but the robot did not try the grasp."""
 
-TITLE = "Human grasps, taken over by a robot hand"
-
-FPS, SPEED = 12.0, 2.0
-"""Frames per second of the film, and how much faster than the simulation it runs."""
-
-INTRODUCTION = (
-    "On the left of each pair, how a person holds the object for the task; on the right, the grasp that "
-    "the robot hand makes of it. The film is the episode in simulation: reach for the object on the table, "
-    "close, lift by 15 cm and hold for 3 s. Where the task has a motion, a second film shows what follows: "
-    "the wrist pours, strikes or strokes, a finger presses the trigger, or somebody pulls, and the object is "
-    f"to stay in the hand. The films run {SPEED:g} times as fast."
-)
+Folder = Annotated[str | None, optional_value("[FOLDER]", "builtin", "folder")]
+"""An option with or without a value."""
 
 
 @dataclass(frozen=True)
@@ -76,86 +62,89 @@ class Demo:
     """0 means all processors; the grasps do not depend on it."""
 
     def run(self) -> None:
-        from fungrasp.grasps import load_human_grasps, load_objects
         from fungrasp.hands import load_hand
 
         self._check()
         hand = load_hand(self.hand)
-        source = {"Policy": self._policy(hand)}
-        if self.from_image is not None:
-            self._run_from_image(hand, source)
-            return
-        everything = load_human_grasps(self.grasps)
-        rows = chosen_rows(everything, self.pick, self.count)
-        human = everything.select(rows)
-        objects = load_objects(human, self.objects)
-        source["Grasps"] = f"{self.grasps}, rows {', '.join(map(str, rows))}"
-        self._show(human, objects, hand, TITLE, INTRODUCTION, source)
-
-    def _run_from_image(self, hand: Hand, source: dict[str, str]) -> None:
-        from fungrasp.cli.demo_from_image import image_title, image_words, seen_grasp, write_low_confidence
-
-        assert self.from_image is not None
-        with progress_bar("looking at the image", 1) as show:
-            seen = seen_grasp(self.from_image, self.mesh, self.mass, self.task, self.seed)
-            show(1)
-        source["Image"] = seen.source
-        for note in seen.perceived.notes:
-            print(note)
-        if not seen.perceived.confident:
-            write_low_confidence(self.out / "index.html", seen, page_provenance(source, self.seed))
-        human, objects = seen.perceived.grasps, seen.perceived.objects
-        self._show(human, objects, hand, image_title(seen), image_words(seen), source, seen)
-
-    def _show(
-        self,
-        human: HumanGraspSet,
-        objects: Mapping[str, ObjectModel],
-        hand: Hand,
-        title: str,
-        introduction: str,
-        source: Mapping[str, str],
-        seen: SeenGrasp | None = None,
-    ) -> None:
-        """Retarget and try grasps; write film and page."""
-        from tempfile import TemporaryDirectory
-        from time import perf_counter
-
-        from fungrasp.evaluation import static_quality
-        from fungrasp.report import Page, write_page
-        from fungrasp.report.grasp_demo import grasp_report
-        from fungrasp.retargeting import retarget
-
-        start = perf_counter()
-        self.out.mkdir(parents=True, exist_ok=True)
-        with TemporaryDirectory(prefix=".demo.", dir=self.out) as name:
-            folder = Path(name)
-            with progress_bar("measuring the objects", len(objects)) as show:
-                for done, model in enumerate(objects.values()):
-                    _ = model.signed_distance
-                    show(done + 1)
-            robot = retarget(human, objects, hand, threads=self.threads)
-            quality = static_quality(robot, human, objects, hand)
-            result, trajectories, uses = self._tried(human, robot, objects, hand, folder)
-            film, clips = self._film(trajectories, uses, human, objects, hand, folder)
-            with progress_bar("drawing", len(human)) as show:
-                opening = [] if seen is None else seen.opening()
-                reports = []
-                for row, trajectory in enumerate(trajectories):
-                    thing = objects[trajectory.object_name]
-                    reports.append(
-                        grasp_report(
-                            human[row], robot[row], hand, thing, trajectory, quality, result, row, *clips[row]
-                        )
-                    )
-                    show(row + 1)
-            made = page_provenance(source, self.seed, perf_counter() - start)
-            page = Page(title, reports, hand.title, introduction, made)
-            page_path = write_page(self.out / "index.html", page, opening)
-        for report in reports:
+        policy = self._policy(hand)
+        shown = self._from_grasps(hand, policy) if self.from_image is None else self._from_image(hand, policy)
+        for report in shown.grasps:
             print(f"{report.title}: {' '.join(filter(None, (report.outcome, report.use_outcome)))}")
-        print(f"film: {film}")
-        print(f"page: {page_path}")
+        print(f"film: {shown.film}")
+        print(f"page: {shown.page}")
+
+    def _from_grasps(self, hand: Hand, policy: str) -> Demonstration:
+        from fungrasp.grasps import load_human_grasps, load_objects
+        from fungrasp.grasps.picks import picked_rows
+        from fungrasp.report.demonstration import Opening, demonstrate
+
+        everything = load_human_grasps(self.grasps)
+        rows = picked_rows(everything, self.pick, self.count, FAVORITES)
+        human = everything.select(rows)
+        source = {"Policy": policy, "Grasps": f"{self.grasps}, rows {', '.join(map(str, rows))}"}
+        return demonstrate(
+            human,
+            load_objects(human, self.objects),
+            hand,
+            policy,
+            self.out,
+            opening=Opening(source=source),
+            refine=self.refine,
+            seed=self.seed,
+            threads=self.threads,
+            stages=progress_bar,
+        )
+
+    def _from_image(self, hand: Hand, policy: str) -> Demonstration:
+        from fungrasp.report.demonstration import demonstrate
+
+        with progress_bar("looking at the image", 1) as show:
+            seen, opening = self._seen(policy)
+            show(1)
+        for note in seen.notes:
+            print(note)
+        if not seen.confident:
+            self._end_with_low_confidence(seen, opening)
+        return demonstrate(
+            seen.grasps,
+            seen.objects,
+            hand,
+            policy,
+            self.out,
+            opening=opening,
+            refine=self.refine,
+            seed=self.seed,
+            threads=self.threads,
+            stages=progress_bar,
+        )
+
+    def _seen(self, policy: str) -> tuple[Perceived, Opening]:
+        """What is in the image, and what the page says of it."""
+        from fungrasp.report.demo_capture import BUILTIN, perceive_image
+        from fungrasp.report.perception_page import perceived_opening
+
+        folder = self.from_image
+        assert folder is not None
+        seen, truth = perceive_image(folder, self.mesh, self.mass, self.task, self.seed)
+        image = "the built-in one" if folder == BUILTIN else folder
+        return seen, perceived_opening(seen, {"Policy": policy, "Image": image}, truth)
+
+    def _end_with_low_confidence(self, seen: Perceived, opening: Opening) -> NoReturn:
+        """Write the page on what was seen: the robot does not try a grasp of low confidence.
+
+        Raises:
+            SystemExit: always.
+        """
+        from fungrasp.provenance import page_provenance
+        from fungrasp.report.perception_page import write_perception_page
+
+        page = self.out / "index.html"
+        write_perception_page(page, seen, page_provenance(opening.source or {}, self.seed))
+        for warning in seen.warnings:
+            print(f"fungrasp: warning: {warning}", file=sys.stderr)
+        print("fungrasp: low confidence in the perceived grasp: the robot does not try it", file=sys.stderr)
+        print(f"page: {page}")
+        raise SystemExit(LOW_CONFIDENCE)
 
     def _check(self) -> None:
         from fungrasp.errors import FungraspError
@@ -175,56 +164,6 @@ class Demo:
             if value:
                 raise FungraspError(f"{name} needs {needs}")
 
-    def _tried(
-        self,
-        human: HumanGraspSet,
-        robot: RobotGraspSet,
-        objects: Mapping[str, ObjectModel],
-        hand: Hand,
-        folder: Path,
-    ) -> tuple[LiftTestResult, list[Trajectory], dict[int, Trajectory]]:
-        """The outcome of each grasp, refined first, and what moved how: in the lift tests, and in the use
-        tests by row."""
-        from fungrasp.evaluation import LiftTestSpec, evaluate, replay
-        from fungrasp.planning import MotionSettings
-        from fungrasp.planning.selection import SelectionSettings
-        from fungrasp.planning.selection.refinement import refine_grasps
-        from fungrasp.policies import OpenLoopPolicy, make_planner
-
-        policy = self._policy(hand)
-        refined = bool(self.refine) and policy == REFERENCE
-        if refined:
-            with progress_bar("trying variations", len(robot)) as show:
-                robot = refine_grasps(
-                    robot,
-                    objects,
-                    hand,
-                    OpenLoopPolicy(),
-                    tries=self.refine,
-                    seed=self.seed,
-                    threads=self.threads,
-                    progress=show,
-                )
-        selection = SelectionSettings.for_protocol("nominal", for_use=True)
-        # Refined grasps are played as they were tried: with the squeeze for the lift alone.
-        motions = MotionSettings(for_use=not refined)
-        with progress_bar("lifting and using", 1.0) as show:
-            result = evaluate(
-                robot,
-                objects,
-                policy,
-                spec=LiftTestSpec(use=True),
-                human=human,
-                planner=make_planner(policy, hand, objects, selection, threads=self.threads, motions=motions),
-                threads=self.threads,
-                record=folder / "episodes",
-                progress=show,
-            )
-        episodes = [replay(file) for file in (folder / "episodes").iterdir()]
-        episodes.sort(key=lambda episode: episode.index)
-        lifts = [episode for episode in episodes if not episode.is_use_test]
-        return result, lifts, {episode.index: episode for episode in episodes if episode.is_use_test}
-
     def _policy(self, hand: Hand) -> str:
         """The name of what moves the hand.
 
@@ -238,89 +177,5 @@ class Demo:
         policy_files(self.policy, hand.name)
         return self.policy
 
-    def _film(
-        self,
-        lifts: Sequence[Trajectory],
-        uses: Mapping[int, Trajectory],
-        human: HumanGraspSet,
-        objects: Mapping[str, ObjectModel],
-        hand: Hand,
-        folder: Path,
-    ) -> tuple[Path, list[tuple[Path, Path | None]]]:
-        """The whole film, and its parts for each grasp: lift, and use where the object was used."""
-        from fungrasp.report import write_video
-        from fungrasp.report.episode_film import episode_film, film_frames
-        from fungrasp.report.grasp_demo import grasp_title
-
-        clips: dict[tuple[int, bool], Path] = {}
-        parts = [(row, False, lift) for row, lift in enumerate(lifts)]
-        parts += [(row, True, use) for row, use in uses.items()]
-        parts.sort(key=lambda part: part[:2])
-        count = sum(film_frames(trajectory, FPS, SPEED) for *_, trajectory in parts)
-
-        def frames() -> Iterator[np.ndarray]:
-            done = 0
-            for row, used, trajectory in parts:
-                thing, clip = objects[trajectory.object_name], []
-                for frame in episode_film(
-                    trajectory,
-                    hand,
-                    thing,
-                    fps=FPS,
-                    speed=SPEED,
-                    title=grasp_title(human[row]),
-                    threads=self.threads,
-                ):
-                    clip.append(frame)
-                    yield frame
-                    done += 1
-                    show(done)
-                file = folder / f"{row}{'-use' if used else ''}.mp4"
-                clips[row, used] = write_video(file, clip, FPS)
-
-        with progress_bar("filming", count) as show:
-            film = write_video(self.out / "film.mp4", frames(), FPS)
-        return film, [(clips[row, False], clips.get((row, True))) for row in range(len(lifts))]
-
 
 COMMAND = Demo
-
-
-def chosen_rows(grasps: HumanGraspSet, picks: Sequence[str], count: int) -> list[int]:
-    """Rows of the picked grasps; without picks, of the favourites, then of objects not shown yet.
-
-    Args:
-        grasps: N human grasps.
-        picks: "object", "object:task" (the first of them) or a row number.
-        count: how many if there are no picks.
-
-    Raises:
-        FungraspError: there is no such grasp, or one is picked twice.
-    """
-    from fungrasp.errors import FungraspError, UnknownNameError
-
-    assert grasps.task is not None
-    first: dict[str, int] = {}
-    for row, (name, task) in enumerate(zip(grasps.object_name.tolist(), grasps.task.tolist(), strict=True)):
-        first.setdefault(name, row)
-        first.setdefault(f"{name}:{task}", row)
-    if not picks:
-        others = [row for name, row in first.items() if ":" not in name]
-        rows = [first[name] for name in FAVOURITES if name in first]
-        shown = {grasps.object_name[row] for row in rows}
-        rows += [row for row in others if grasps.object_name[row] not in shown]
-        rows += sorted(set(range(len(grasps))) - set(rows))
-        return rows[:count]
-    rows = []
-    for pick in picks:
-        if pick not in first and pick.isdecimal():
-            if int(pick) >= len(grasps):
-                raise FungraspError(f"--pick {pick}: the grasps are numbered 0 to {len(grasps) - 1}")
-            rows.append(int(pick))
-        elif pick in first:
-            rows.append(first[pick])
-        else:
-            raise UnknownNameError("grasp", pick, first)
-    if len(set(rows)) < len(rows):
-        raise FungraspError(f"--pick {' '.join(picks)}: grasp {max(rows, key=rows.count)} is picked twice")
-    return rows

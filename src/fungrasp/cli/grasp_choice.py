@@ -94,24 +94,24 @@ class GraspChoice:
         return ChosenGrasp(robot, objects[robot.object_name[0]], images, time.monotonic() - began)
 
     def _of_file(self) -> tuple[HumanGraspSet, Mapping[str, ObjectModel]]:
-        from fungrasp.cli.demo import chosen_rows
         from fungrasp.grasps import load_human_grasps, load_objects
+        from fungrasp.grasps.picks import picked_rows
 
         everything = load_human_grasps(self.grasps)
-        human = everything.select(chosen_rows(everything, (self.grasp,), 1))
+        human = everything.select(picked_rows(everything, (self.grasp,)))
         return human, load_objects(human, self.objects)
 
     def _of_folder(self, folder: str, seed: int) -> tuple[HumanGraspSet, Mapping[str, ObjectModel]]:
-        from fungrasp.cli.demo_from_image import seen_grasp
         from fungrasp.errors import FungraspError
+        from fungrasp.report.demo_capture import perceive_image
 
-        seen = seen_grasp(folder, self.mesh, self.mass, "", seed)
-        doubt = _doubt(seen.perceived, seen.perceived.object_model)
+        seen, _ = perceive_image(folder, self.mesh, self.mass, seed=seed)
+        doubt = _doubt(seen, seen.object_model)
         if doubt:
             raise FungraspError(
                 f"image {folder}: {doubt}; look at it with 'fungrasp perceive', or take another"
             )
-        return seen.perceived.grasps, seen.perceived.objects
+        return seen.grasps, seen.objects
 
     def _of_rendered_image(self, seed: int) -> tuple[HumanGraspSet, Mapping[str, ObjectModel], int, float]:
         """As if a person took images until one is good enough; and when the last one was there."""

@@ -183,9 +183,9 @@ class Perceive:
 
     def _write(self, perceived: Perceived, seconds: float) -> list[str]:
         """Write the files, the grasp last; what to say about them."""
-        from fungrasp.cli.provenance import page_provenance
         from fungrasp.grasps import save_human_grasps
         from fungrasp.objects.held_object import write_mesh
+        from fungrasp.provenance import page_provenance
         from fungrasp.report.perception_page import write_perception_page
 
         notes: list[str] = []

@@ -65,6 +65,10 @@ class LiftTestResult:
     """Of the grasps, if it was asked for and the human grasps are known."""
     conditions: Mapping[str, LiftTestResult] = field(default_factory=dict)
     """By name, this one included; empty where there is only one."""
+    grasps: RobotGraspSet | None = None
+    """The grasps that were tried; not written to files."""
+    objects: Mapping[str, ObjectModel] = field(default_factory=dict)
+    """Theirs, by name; not written to files."""
     seconds: float = 0.0
     """Time that it took, that of an earlier run that was interrupted left out [s]."""
 
@@ -186,7 +190,8 @@ def evaluate(
         quality = None if human is None else static_quality(robot, human, objects, job.hand)
         result = replace(result, six_directions=six, quality=quality)
     conditions = results if len(results) > 1 else {}
-    return replace(result, conditions=conditions, seconds=perf_counter() - start)
+    seconds = perf_counter() - start
+    return replace(result, conditions=conditions, grasps=robot, objects=objects, seconds=seconds)
 
 
 def _result(job: LiftTest, condition: str, parts: list[tuple[Episodes, Arrays]]) -> LiftTestResult:

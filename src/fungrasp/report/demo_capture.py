@@ -11,17 +11,22 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import trimesh
 
+from fungrasp.errors import FungraspError
 from fungrasp.files import atomic_path
 from fungrasp.grasps import builtin_grasps
 from fungrasp.objects import builtin_object
 from fungrasp.perception.io.scene_folders import BUILTIN_CAPTURE, COLOR_FILE, DEPTH_FILE, LENS_FILE
 from fungrasp.perception.object_pose.pose_error import add, rotation_error
 from fungrasp.perception.perceived import Perceived
+from fungrasp.perception.pipeline import perceive
 from fungrasp.report.page_parts import Quantity
 from fungrasp.synthetic_captures.capture_files import TRUTH_FILE, write_capture
 from fungrasp.synthetic_captures.capture_settings import CaptureSettings
 from fungrasp.synthetic_captures.depth_noise import ColorNoise
 from fungrasp.synthetic_captures.render_capture import render_capture
+
+BUILTIN = "builtin"
+"""Stands for the image that comes with the package."""
 
 FILES = (COLOR_FILE, DEPTH_FILE, LENS_FILE, TRUTH_FILE)
 
@@ -92,3 +97,34 @@ def make_demo_image(folder: str | Path = BUILTIN_CAPTURE) -> None:
 
 if __name__ == "__main__":
     make_demo_image()
+
+
+def perceive_image(
+    folder: str, mesh: str | None, mass: float | None = None, task: str = "", seed: int = 0
+) -> tuple[Perceived, list[Quantity]]:
+    """What is in the image of a folder, or in the built-in one.
+
+    Args:
+        folder: of the capture, or ``BUILTIN``.
+        mesh: a mesh file, or the name of a built-in object.
+        mass: of the object [kg]; None takes a built-in object's own, or guesses it from the mesh.
+        task: what the grasp is for.
+        seed: the same seed gives the same grasp.
+
+    Returns:
+        what was perceived, and its errors where the truth is known.
+
+    Raises:
+        FungraspError: the folder or the mesh is bad, no hand is seen, or the hand models are not set up.
+    """
+    if folder == BUILTIN:
+        if mesh is not None or mass is not None:
+            raise FungraspError("the built-in image has its own object: --mesh and --mass need a folder")
+        truth = demo_truth()
+        seen = perceive(BUILTIN_CAPTURE, truth.object_name, task=task or truth.task, seed=seed)
+        return seen, list(true_errors(truth, seen))
+    if mesh is None:
+        raise FungraspError(
+            f"image {folder}: --mesh must say what is held: a mesh file, or a built-in object's name"
+        )
+    return perceive(folder, mesh, mass=mass, task=task, seed=seed), []

@@ -40,7 +40,7 @@ MEANINGS: dict[str, tuple[str, str, str]] = {
 """Name, unit and meaning of the numbers of ``StaticQuality`` that a page shows."""
 
 
-def grasp_title(grasp: HumanGrasp) -> str:
+def grasp_title(grasp: HumanGrasp | RobotGrasp) -> str:
     """ "Spray bottle, to spray"."""
     name = grasp.object_name.replace("_", " ")
     return f"{name[:1].upper()}{name[1:]}, to {grasp.task}" if grasp.task else f"{name[:1].upper()}{name[1:]}"
@@ -77,7 +77,12 @@ def grasp_report(
         title=grasp_title(human),
         object_mass=human.object_mass,
         success=trajectory.success,
-        outcome=outcome(trajectory, int(result.refined_tries[row]), bool(result.rollouts[row])),
+        outcome=outcome_words(
+            trajectory.success,
+            trajectory.reason,
+            int(result.refined_tries[row]),
+            bool(result.rollouts[row]),
+        ),
         human_picture=pictures[0],
         robot_picture=pictures[1],
         film=clip,
@@ -89,16 +94,18 @@ def grasp_report(
     )
 
 
-def outcome(trajectory: Trajectory, tries: int, rollouts: bool = False) -> str:
+def outcome_words(success: bool, reason: str, tries: int, rollouts: bool = False) -> str:
     """How an episode ended, in a sentence.
 
     Args:
+        success: whether the object was lifted and held.
+        reason: why not, as a phrase.
         tries: episodes that refining took, negative if none succeeded.
         rollouts: whether the plan was chosen in simulated rollouts.
     """
-    if not trajectory.success:
+    if not success:
         tried = f"None of {-tries} variations held" if tries < -1 else "It did not hold"
-        return f"{tried}: {trajectory.reason}."
+        return f"{tried}: {reason}."
     if tries <= 1:
         how = "with a plan that was chosen in simulated rollouts" if rollouts else "at the first try"
         return f"Lifted and held for 3 s, {how}."

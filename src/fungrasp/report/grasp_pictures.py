@@ -45,11 +45,9 @@ def draw_grasps(
     hand = robot.load_hand()
     if human is not None and human.probability is not None:
         human = human.select([int(rows[0]) for rows in alternative_rows(human.probability)])
-    _, first = np.unique(robot.object_name, return_index=True)
-    others = np.setdiff1d(np.arange(len(robot)), first)
-    rows = np.concatenate([first, others])[:DRAWN_GRASPS]
+    rows = spread_rows(robot.object_name)
     images, labels = [], []
-    for done, row in enumerate(rows.tolist()):
+    for done, row in enumerate(rows):
         obj = objects[str(robot.object_name[row])]
         shape = (obj.vertices, obj.faces, robot.object_pose[row], robot.link_contacts[row])
         model, qpos = robot_grasp_scene(hand, robot.wrist_pose[row], robot.joint_positions[row], *shape)
@@ -64,3 +62,10 @@ def draw_grasps(
         progress((done + 1) / len(rows))
     with atomic_path(path) as temporary:
         Image.fromarray(grid(images, labels, columns=4)).save(temporary, format="PNG")
+
+
+def spread_rows(object_name: np.ndarray, most: int = DRAWN_GRASPS) -> list[int]:
+    """Rows spread over a set, of different objects where there are as many. object_name: shape [N] str."""
+    _, first = np.unique(object_name, return_index=True)
+    others = np.setdiff1d(np.arange(len(object_name)), first)
+    return [int(row) for row in np.concatenate([first, others])[:most]]

@@ -109,6 +109,11 @@ def quality_card(quality: Sequence[Quantity], title: str = "Quality") -> str:
     )
 
 
+def text_card(title: str, text: str) -> str:
+    """Lines of text as they are, in columns."""
+    return f'<section class="card"><h3>{escape(title)}</h3><pre>{escape(text)}</pre></section>'
+
+
 def provenance_footer(provenance: Mapping[str, str]) -> str:
     """Where it all came from, in the order given."""
     if not provenance:

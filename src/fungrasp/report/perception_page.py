@@ -17,6 +17,7 @@ from fungrasp.perception import Capture
 from fungrasp.perception.object_pose.confidence import ACCEPT
 from fungrasp.perception.perceived import Perceived
 from fungrasp.perception.pipeline import ACCEPTED_HAND
+from fungrasp.report.demonstration import Opening
 from fungrasp.report.page import Page, write_page
 from fungrasp.report.page_parts import Quantity, figure, quality_card
 from fungrasp.report.perception_alternatives import alternatives
@@ -28,6 +29,13 @@ from fungrasp.report.perception_pictures import (
     grasp_from_four_sides,
     whole_image,
 )
+
+INTRODUCTION = (
+    "One color image with depth, and a mesh of the object, become a human grasp; the robot hand takes it "
+    "over and tries it in simulation."
+)
+
+RENDERED = " The image is no photograph: it was rendered, which is why the truth is known."
 
 SIDES = ("From the camera's side", "From the right of that", "From behind", "From the left")
 """Captions of the four pictures of the grasp."""
@@ -54,6 +62,24 @@ def write_perception_page(path: str | Path, perceived: Perceived, provenance: Ma
     facts = f"{side_words(perceived)} · {1000 * perceived.object_model.mass:.0f} g"
     page = Page(perception_title(perceived), (), facts, provenance=provenance)
     return write_page(path, page, perception_parts(perceived))
+
+
+def perceived_opening(
+    perceived: Perceived, source: Mapping[str, str], truth: Sequence[Quantity] = ()
+) -> Opening:
+    """What a demonstration from an image says before the grasp.
+
+    Args:
+        perceived: what was made of the image.
+        source: where it came from.
+        truth: errors, where the truth is known, as in a rendered image.
+    """
+    return Opening(
+        f"{perception_title(perceived)}, taken over by a robot hand",
+        INTRODUCTION + (RENDERED if truth else ""),
+        source,
+        perception_parts(perceived, truth),
+    )
 
 
 def perception_title(perceived: Perceived) -> str:

@@ -1,0 +1,134 @@
+"""``view``: what a verb has returned, as a page that a browser shows."""
+
+from __future__ import annotations
+
+import webbrowser
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from fungrasp.deployment.log import read_log
+from fungrasp.errors import FungraspError
+from fungrasp.evaluation import LiftTestResult
+from fungrasp.grasps import HumanGrasp, HumanGraspSet, RobotGraspSet, load_objects
+from fungrasp.objects import ObjectModel, check_objects
+from fungrasp.perception.perceived import Perceived
+from fungrasp.provenance import page_provenance
+from fungrasp.rendering.grasp_scenes import human_grasp_scene, robot_grasp_scene
+from fungrasp.rendering.render import render
+from fungrasp.rendering.viewpoints import look_at_grasp
+from fungrasp.report.deployment_page import write_deployment_page
+from fungrasp.report.grasp_demo import grasp_title, outcome_words
+from fungrasp.report.grasp_pictures import DRAWN_GRASPS, spread_rows
+from fungrasp.report.page import GraspReport, Page, write_page
+from fungrasp.report.page_parts import text_card
+from fungrasp.report.perception_page import write_perception_page
+
+WIDTH, HEIGHT = 560, 420
+"""Size of each picture [pixels]."""
+
+Viewable = HumanGraspSet | RobotGraspSet | LiftTestResult | Perceived | str | Path
+"""What can be looked at; a path is that of a deployment's log."""
+
+
+def view(
+    what: Viewable,
+    objects: Mapping[str, ObjectModel] | None = None,
+    *,
+    out: str | Path = "view.html",
+    browser: bool = False,
+) -> Path:
+    """Write a page about grasps, the result of a lift test, what was perceived, or a deployment.
+
+    Args:
+        what: human or robot grasps, of which a few of different objects are drawn; a result, of which some
+            episodes of either outcome are; what ``perceive`` returned; or the path of a deployment's log.
+        objects: those of grasps, by name; built-in objects if None. A result has its own.
+        out: HTML file to write; it needs no other file and no network.
+        browser: whether to open it in a browser.
+
+    Returns:
+        The path of the page.
+
+    Raises:
+        FungraspError: something else, an object that is missing, or a file that can't be written.
+    """
+    path = Path(out)
+    if isinstance(what, Perceived):
+        write_perception_page(path, what, page_provenance({}, 0))
+    elif isinstance(what, str | Path):
+        write_deployment_page(path, read_log(Path(what)))
+    elif isinstance(what, LiftTestResult):
+        _write_result(path, what)
+    elif isinstance(what, HumanGraspSet | RobotGraspSet):
+        known = load_objects(what) if objects is None else objects
+        check_objects(what.object_name.tolist(), known)
+        rows = spread_rows(what.object_name)
+        reports = [_report(what, row, known) for row in rows]
+        hand = what.load_hand().title if isinstance(what, RobotGraspSet) else "Human hand"
+        count = f"{len(rows)} of {len(what)} grasps" if len(rows) < len(what) else ""
+        write_page(path, Page("Grasps", reports, hand, count, page_provenance({}, 0)))
+    else:
+        raise FungraspError(
+            f"grasps, a result, what was perceived or the path of a deployment's log can be viewed, not a "
+            f"{type(what).__name__}"
+        )
+    if browser:
+        webbrowser.open(path.absolute().as_uri())
+    return path
+
+
+def _write_result(path: Path, result: LiftTestResult) -> None:
+    grasps = result.grasps
+    if grasps is None:
+        raise FungraspError("the result does not know its grasps: view what evaluate has returned")
+    # Failures are what one looks for: as many of them as there are, up to half of the pictures.
+    failed, held = (np.flatnonzero(flags) for flags in (~result.success, result.success))
+    few = failed[spread_rows(result.object_name[failed], DRAWN_GRASPS // 2)]
+    rows = [*few, *held[spread_rows(result.object_name[held], DRAWN_GRASPS - len(few))]]
+    reports = [
+        _report(
+            grasps,
+            int(result.index[row]),
+            result.objects,
+            bool(result.success[row]),
+            outcome_words(
+                bool(result.success[row]),
+                str(result.outcomes.reason[row]),
+                int(result.refined_tries[row]),
+                bool(result.rollouts[row]),
+            ),
+        )
+        for row in rows
+    ]
+    held_count = f"{int(result.success.sum())} of {len(result.success)} episodes lifted and held"
+    introduction = f"Policy {result.policy}, protocol {result.spec.protocol}: {held_count}."
+    seeds = result.spec.seeds
+    page = Page("Lift test", reports, result.hand, introduction, page_provenance({}, seeds[0]))
+    write_page(path, page, [text_card("By object", result.table())])
+
+
+def _report(
+    grasps: HumanGraspSet | RobotGraspSet,
+    row: int,
+    objects: Mapping[str, ObjectModel],
+    success: bool | None = None,
+    outcome: str = "",
+) -> GraspReport:
+    """What the page says of one grasp, with its picture."""
+    grasp = grasps[row]
+    obj = objects[grasp.object_name]
+    shape = (obj.vertices, obj.faces, grasp.object_pose, grasp.link_contacts)
+    title, human, robot = grasp_title(grasp), None, None
+    if isinstance(grasp, HumanGrasp):
+        model = human_grasp_scene(grasp.hand_joints, *shape)
+        human = render(model, model.qpos0, look_at_grasp(model, model.qpos0, width=WIDTH, height=HEIGHT))[0]
+    else:
+        assert isinstance(grasps, RobotGraspSet)
+        model, qpos = robot_grasp_scene(grasps.load_hand(), grasp.wrist_pose, grasp.joint_positions, *shape)
+        robot = render(model, qpos, look_at_grasp(model, qpos, width=WIDTH, height=HEIGHT))[0]
+    mass = float(grasp.object_mass)
+    return GraspReport(
+        title, object_mass=mass, success=success, outcome=outcome, human_picture=human, robot_picture=robot
+    )
