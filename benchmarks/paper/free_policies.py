@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, ClassVar
 from fungrasp.cli.distill import Distill
 from fungrasp.cli.make_grasps import MakeGrasps
 from fungrasp.cli.predictor import TrainPredictor
-from fungrasp.cli.train import BUILTIN_TERMS, Train, check_numbers, check_packages
+from fungrasp.cli.train import Train
+from fungrasp.cli.training_options import check_numbers, check_packages
 from fungrasp.files import atomic_path
 from fungrasp.sim2real import PresetName
 from fungrasp.training.plan_library import Variety
@@ -73,6 +74,7 @@ class FreePolicies:
         """Train and keep what a hand lacks."""
         from fungrasp.training.run import POLICY
         from fungrasp.training.student_run import STUDENT
+        from fungrasp.training.training_sets import BUILTIN_TERMS
 
         terms = (BUILTIN_TERMS, *(SYNTHESIZED_TERMS for _ in grasps[1:]))
         folder, done = self.out / hand.name, self.out / "policies"

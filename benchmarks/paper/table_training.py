@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from fungrasp.cli.console import progress_bar, table
-from fungrasp.cli.train import check_numbers, check_packages, predictor_file, progress_lines, training_sets
+from fungrasp.cli.training_options import check_numbers, check_packages, predictor_file, progress_lines
 from fungrasp.errors import FungraspError
 from fungrasp.provenance import run_record
 from fungrasp.sim2real import PRESETS, PresetName
@@ -168,10 +168,11 @@ class TableOptions:
     def _taught(self, name: str, variant: Variant, hand: Hand, seed: int) -> Path:
         """The policy file of a training by PPO: of a variant, or of its teacher. name: of its folder."""
         from fungrasp.training.run import POLICY, RunSettings, train
+        from fungrasp.training.training_sets import load_training_sets
 
         folder = self._folder(variant, seed)
         print(f"{variant.title}, seed {seed}: training {name}")
-        sets = training_sets(self.grasps, self.objects, hand, variant.method, threads=self.threads)
+        sets = load_training_sets(self.grasps, self.objects, hand, variant.method, threads=self.threads)
         plans = None if self.plans is None else predictor_file(self.plans, hand)
         count = sum(len(s.grasps) for s in sets) * self.variety.planned(plans is not None)
         residual = self.environment.residual
@@ -217,8 +218,9 @@ class TableOptions:
         """The lift tests of a policy by condition, as JSON can hold them."""
         from benchmarks.paper.variants import CONDITIONS
         from fungrasp.evaluation import LiftTestSpec, evaluate, result_json
+        from fungrasp.training.training_sets import load_training_sets
 
-        (test,) = training_sets((self.test,), self.objects, hand, variant.method, threads=self.threads)
+        (test,) = load_training_sets((self.test,), self.objects, hand, variant.method, threads=self.threads)
         grasps, objects = test.grasps, test.objects
 
         def tested(condition: str) -> LiftTestResult:

@@ -33,7 +33,7 @@ class Training:
     """Write the numbers here (.json)."""
 
     def run(self) -> None:
-        from fungrasp.cli.train import check_packages
+        from fungrasp.cli.training_options import check_packages
 
         check_packages()
         from dataclasses import asdict

@@ -17,7 +17,7 @@ from fungrasp.sim2real import MODERATE, REALITY
         (("train", "--steps", 0), "--steps must be at least 1"),
         (("train", "--seed", -1), "must not be negative"),
         (("train", "--hand", "alegro"), "Did you mean 'allegro'?"),
-        (("train", "--method", "our"), "Did you mean 'ours'?"),
+        (("train", "--method", "contakt"), "Did you mean 'contact'?"),
         (("train", "--grasps", "none.npz"), "none.npz does not exist"),
         (("train", "--grasps", "builtin", "builtin"), "each once"),
         (("train", "--terms", "a", "b"), "one text for each of the 1 --grasps, not 2"),

@@ -11,6 +11,7 @@ from small_training import hand, training_set
 
 import fungrasp.training.success_predictor as success_predictor
 from fungrasp.errors import FungraspError
+from fungrasp.jobs import PartStore
 from fungrasp.planning.selection import SelectionSettings
 from fungrasp.policies import make_planner, make_policy
 from fungrasp.policies.checkpoint.card import Budget
@@ -21,7 +22,13 @@ from fungrasp.simulation import build_scene
 from fungrasp.task import LiftEnvironment, play
 from fungrasp.training.export import export_predictor, halved, make_card
 from fungrasp.training.settings import PredictorSettings
-from fungrasp.training.success_predictor import PlanOutcomes, cross_validate, fit_predictor, try_plans
+from fungrasp.training.success_predictor import (
+    PlanOutcomes,
+    PlanTrials,
+    cross_validate,
+    fit_predictor,
+    try_plans,
+)
 
 SMALL = PredictorSettings(attempts=3, networks=2, hidden=(16, 8), chunk=4, hold_time=0.5)
 
@@ -54,23 +61,24 @@ def test_every_variation_is_tried_once_whatever_the_chunk():
 
 def test_interrupted_episodes_go_on(tmp_path, monkeypatch):
     one, whole = training_set(), tried()[0]
-    arguments = (one.grasps, one.objects, hand(), SMALL)
+    arguments, store = (one.grasps, one.objects, hand(), SMALL), PartStore(tmp_path)
 
-    def stop(done: int) -> None:
-        if done >= SMALL.chunk:
+    def stop(share: float) -> None:
+        if share >= 0.5:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        try_plans(*arguments, threads=1, progress=stop, keep=tmp_path)
-    (tmp_path / "episodes-000004.npz").write_bytes(b"half a file")
+        try_plans(*arguments, threads=1, progress=stop, store=store)
+    (file,) = tmp_path.iterdir()
+    assert file.stem == PlanTrials(*arguments, seed=0).key(range(4)) and len(tried()[0].success) == 6
     attempt, again = success_predictor._try, []
     monkeypatch.setattr(success_predictor, "_try", lambda *a: again.append(len(a[0])) or attempt(*a))
-    outcomes, names = try_plans(*arguments, threads=1, keep=tmp_path)
+    outcomes, names = try_plans(*arguments, threads=1, store=store)
     assert again == [2], "only what was missing is tried"
     np.testing.assert_array_equal(outcomes.features, whole.features)
     np.testing.assert_array_equal(outcomes.success, whole.success)
     assert names == tried()[1]
-    try_plans(*arguments, seed=1, threads=1, keep=tmp_path)
+    try_plans(*arguments, seed=1, threads=1, store=store)
     assert again == [2, 4, 2], "outcomes of other episodes don't count"
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import ClassVar
 
-from fungrasp.cli.train import check_numbers, check_packages, progress_lines, wandb_log
+from fungrasp.cli.training_options import check_numbers, check_packages, progress_lines, wandb_log
 from fungrasp.training.settings import DistillSettings
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fungrasp.cli.console import progress_bar
-from fungrasp.cli.on_cluster import on_cluster, print_use
+from fungrasp.cli.options import on_cluster, print_use
 from fungrasp.cli.written_grasps import write_human_grasps
 from fungrasp.errors import FungraspError, UnknownNameError
 

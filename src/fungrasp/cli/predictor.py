@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from fungrasp.cli.train import check_numbers, check_packages, training_sets
+from fungrasp.cli.training_options import check_numbers, check_packages
 from fungrasp.training.settings import PredictorSettings
 
 
@@ -51,6 +51,7 @@ class TrainPredictor:
         import torch
 
         from fungrasp.cli.console import progress_bar
+        from fungrasp.jobs import PartStore
         from fungrasp.policies.checkpoint.card import Budget, TrainingData
         from fungrasp.policies.residual_action import ResidualSettings
         from fungrasp.provenance import machine
@@ -58,15 +59,16 @@ class TrainPredictor:
         from fungrasp.task import LiftProtocol
         from fungrasp.training.export import export_predictor, make_card
         from fungrasp.training.success_predictor import PlanOutcomes, cross_validate, fit_predictor, try_plans
+        from fungrasp.training.training_sets import load_training_sets
 
         check_numbers(1, self.seed, self.threads)
         start, hand = perf_counter(), identified_hand(self.hand, self.hand_dynamics)
-        sets = training_sets(self.grasps, self.objects, hand, self.method, self.terms, self.threads)
+        sets = load_training_sets(self.grasps, self.objects, hand, self.method, self.terms, self.threads)
         torch.set_num_threads(1)
         folder = self.out.with_suffix(".episodes") if self.episodes is None else self.episodes
         parts, names = [], ()
         for number, one in enumerate(sets):
-            with progress_bar(one.name, len(one.grasps) * self.settings.attempts) as show:
+            with progress_bar(one.name, 1.0) as show:
                 outcomes, names = try_plans(
                     one.grasps,
                     one.objects,
@@ -74,8 +76,8 @@ class TrainPredictor:
                     self.settings,
                     self.seed,
                     self.threads,
-                    show,
-                    folder / str(number),
+                    store=PartStore(folder / str(number)),
+                    progress=show,
                 )
             parts.append(outcomes)
         outcomes = PlanOutcomes.join(*parts)

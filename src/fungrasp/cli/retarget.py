@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from fungrasp.cli.console import progress_bar, write_json
-from fungrasp.cli.on_cluster import on_cluster, print_use
+from fungrasp.cli.options import on_cluster, print_use
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import redirect_stderr
 from dataclasses import dataclass, fields, is_dataclass, replace
 from difflib import get_close_matches
@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from fungrasp.cli.console import table
 from fungrasp.errors import FungraspError
+from fungrasp.jobs import Arrays, Job, part_key
 
 if TYPE_CHECKING:
     from fungrasp.cli.train import Train
@@ -55,6 +56,32 @@ class Sweep:
         if len(set(each)) < len(each):
             raise FungraspError(f"--sweep {text}: give each value once")
         return cls(setting, each)
+
+
+@dataclass(frozen=True, eq=False)
+class Trainings(Job["Train"]):
+    """Several trainings. What each has done is kept in its own folder, so that nothing else is."""
+
+    trainings: tuple[Train, ...]
+    """What to run."""
+
+    def parts(self) -> list[Train]:
+        """A training each."""
+        return list(self.trainings)
+
+    def key(self, part: Train) -> str:
+        """Of its folder."""
+        return part_key("training", str(part.out))
+
+    def on_one_processor(self) -> Trainings:
+        """With one thread each."""
+        return Trainings(tuple(replace(training, threads=1) for training in self.trainings))
+
+    def run(self, parts: Sequence[Train], progress: Callable[[float], None]) -> list[Arrays]:
+        """Train."""
+        for training in parts:
+            training.run()
+        return [{} for _ in parts]
 
 
 def each_training(command: Train) -> list[Train]:

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, fields, is_dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
-from typing import Any, get_type_hints
 
 import numpy as np
 from torch.utils.tensorboard import SummaryWriter
 
 from fungrasp.errors import FungraspError
 from fungrasp.files import digest
+from fungrasp.formats.record_json import record_from_json, record_to_json
 from fungrasp.hands import Hand, load_hand
 from fungrasp.objects import ObjectModel, load_object
 from fungrasp.policies.checkpoint.card import Budget, PolicyCard, TrainingData
@@ -86,10 +86,10 @@ def read_teacher(folder: Path, objects: Path | None = None) -> TeacherRun:
     try:
         if config["kind"] != "teacher":
             raise FungraspError(f"{folder} holds a {config['kind']}, not a teacher")
-        settings = RunSettings(
-            seed=wanted["seed"],
-            **{name: _settings(kind, wanted[name]) for name, kind in _kinds(RunSettings).items()},
-        )
+        told = {f.name: wanted[f.name] for f in fields(RunSettings)}
+        settings = record_from_json(RunSettings, told, str(run.config))
+        if record_to_json(settings) != told:
+            raise KeyError("a setting is missing")
         hand = load_hand(config["hand"])
         if hand_digest(hand) != wanted["hand_sha256"]:
             raise FungraspError(f"the hand '{hand.name}' has changed since {folder} was trained")
@@ -221,22 +221,3 @@ def _objects(digests: Mapping[str, str], place: Path | None, folder: Path) -> di
         if thing.mesh_digest != digests[name]:
             raise FungraspError(f"the object '{name}' is not the one that {folder} was trained on")
     return things
-
-
-def _kinds(kind: Any) -> dict[str, Any]:
-    """The fields of a dataclass that are dataclasses."""
-    return {name: hint for name, hint in get_type_hints(kind).items() if is_dataclass(hint)}
-
-
-def _settings(kind: Any, table: Mapping[str, Any]) -> Any:
-    """A dataclass from what ``asdict`` and JSON have made of it."""
-    names, nested = {f.name for f in fields(kind)}, _kinds(kind)
-    if set(table) != names:
-        raise KeyError(*(set(table) ^ names))
-
-    def value(name: str) -> Any:
-        if name in nested:
-            return _settings(nested[name], table[name])
-        return tuple(table[name]) if isinstance(table[name], list) else table[name]
-
-    return kind(**{name: value(name) for name in names})

@@ -3,33 +3,35 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from pathlib import Path
+from functools import cached_property
+from typing import Self
 
 import numpy as np
 import torch
 
 from fungrasp.errors import FungraspError
-from fungrasp.files import atomic_path, digest
 from fungrasp.formats.json_file import parse_json
-from fungrasp.formats.numpy_files import read_npz
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
+from fungrasp.jobs import Arrays, Job, PartStore, RayCluster, part_key, run_job
 from fungrasp.objects import ObjectModel
 from fungrasp.planning import MotionPlanner
 from fungrasp.planning.selection.success_predictor import plan_features
 from fungrasp.planning.selection.variations import VariationSpread, vary, with_settings
 from fungrasp.policies import OpenLoopPolicy
-from fungrasp.policies.checkpoint.checkpoint_file import hand_digest
 from fungrasp.simulation import Scene, SceneSettings, build_scene
 from fungrasp.task import GraspPlan, LiftEnvironment, LiftProtocol, play
 from fungrasp.task.features import flatten, layout
 from fungrasp.training.settings import PredictorSettings
-from fungrasp.version import __version__
 
 Layout = tuple[tuple[str, int], ...]
 """Names and sizes of the parts of a flat vector."""
+
+
+LAYOUT = "layout"
+"""Name of the layout of the features beside the arrays of a part."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,6 +61,68 @@ class PlanOutcomes:
         return PlanOutcomes(*(getattr(self, f.name)[rows] for f in fields(self)))
 
 
+@dataclass(frozen=True, eq=False)
+class PlanTrials(Job[range]):
+    """Variations of grasps that are planned and tried once in physics, open loop; a part is a range of the
+    episodes, every grasp as it is before any variation."""
+
+    grasps: RobotGraspSet
+    """N grasps of ``hand``."""
+    objects: Mapping[str, ObjectModel]
+    """By name."""
+    hand: Hand
+    """The robot hand."""
+    settings: PredictorSettings
+    """How many variations, and how they are tried."""
+    seed: int
+    """Of the variations."""
+    threads: int = 0
+    """0 means all processors."""
+
+    @cached_property
+    def scene(self) -> Scene:
+        """What is simulated."""
+        return build_scene(self.hand, self.objects, SceneSettings(timestep=self.settings.timestep))
+
+    @cached_property
+    def start(self) -> RobotGraspSet:
+        """The grasps with the controller's settings that are varied."""
+        return with_settings(self.grasps)
+
+    def parts(self) -> list[range]:
+        """So many episodes at most."""
+        count, chunk = len(self.grasps) * self.settings.attempts, self.settings.chunk
+        return [range(first, min(first + chunk, count)) for first in range(0, count, chunk)]
+
+    def key(self, part: range) -> str:
+        """Digest of all that decides the outcomes; the number of variations does not."""
+        s, objects = self.settings, {name: self.objects[name] for name in np.unique(self.grasps.object_name)}
+        numbers = (s.timestep, s.hold_time, s.early, self.seed, part.start, part.stop)
+        return part_key("plan trials", self.start, objects, self.hand, numbers)
+
+    def size(self, part: range) -> float:
+        """Number of episodes."""
+        return len(part)
+
+    def on_one_processor(self) -> Self:
+        """With one thread."""
+        return replace(self, threads=1)
+
+    def run(self, parts: Sequence[range], progress: Callable[[float], None]) -> list[Arrays]:
+        """Fields of ``PlanOutcomes``, and the layout of their features as JSON."""
+        results: list[Arrays] = []
+        for part in parts:
+            attempt, grasp = np.divmod(np.array(part), len(self.grasps))
+            varied = vary(self.start.select(grasp), self.hand, grasp, attempt, self.seed, VariationSpread())
+            plans, success, ratio = _try(varied, self.objects, self.scene, self.settings, self.threads)
+            features = plan_features(plans, self.objects)
+            flat = np.nan_to_num(flatten(features)).astype(np.float32)
+            outcomes = PlanOutcomes(flat, grasp, attempt, success, ratio)
+            arrays = {f.name: getattr(outcomes, f.name) for f in fields(PlanOutcomes)}
+            results.append(arrays | {LAYOUT: np.array(json.dumps(layout(features)))})
+        return results
+
+
 def try_plans(
     grasps: RobotGraspSet,
     objects: Mapping[str, ObjectModel],
@@ -66,8 +130,10 @@ def try_plans(
     settings: PredictorSettings | None = None,
     seed: int = 0,
     threads: int = 0,
-    progress: Callable[[int], None] = lambda done: None,
-    keep: Path | None = None,
+    *,
+    store: PartStore | None = None,
+    ray: RayCluster | None = None,
+    progress: Callable[[float], None] = lambda share: None,
 ) -> tuple[PlanOutcomes, Layout]:
     """Plan variations of grasps and try each once in physics, open loop.
 
@@ -78,77 +144,22 @@ def try_plans(
         settings: the defaults if None.
         seed: of the variations.
         threads: 0 means all processors.
-        progress: called with the number of episodes done.
-        keep: folder in which outcomes are kept as they come; those that an interrupted call has left there
-            are not tried again.
+        store: keeps outcomes as they come; those that an interrupted call, or one of fewer variations, has
+            left there are not tried again.
+        ray: tries them on a cluster. The result is the same.
+        progress: called with the share that is done, 0 to 1.
 
     Returns:
         The outcomes, and the layout of their features.
 
     Raises:
-        FungraspError: the folder can't be written to.
+        FungraspError: a part can't be written.
     """
-    s = settings or PredictorSettings()
-    scene = build_scene(hand, objects, SceneSettings(timestep=s.timestep))
-    grasp = np.tile(np.arange(len(grasps)), s.attempts)
-    attempt = np.repeat(np.arange(s.attempts), len(grasps))
-    start = with_settings(grasps)
-    key = _key(start, objects, hand, s, seed)
-    parts, names = [], ()
-    for first in range(0, len(grasp), s.chunk):
-        rows = slice(first, first + s.chunk)
-        path = None if keep is None else keep / f"episodes-{first:06d}.npz"
-        kept = None if path is None else _kept(path, key)
-        if kept is None:
-            varied = vary(
-                start.select(grasp[rows]), hand, grasp[rows], attempt[rows], seed, VariationSpread()
-            )
-            plans, success, ratio = _try(varied, objects, scene, s, threads)
-            features = plan_features(plans, objects)
-            flat = np.nan_to_num(flatten(features)).astype(np.float32)
-            kept = PlanOutcomes(flat, grasp[rows], attempt[rows], success, ratio), layout(features)
-            if path is not None:
-                _keep(path, key, *kept)
-        outcomes, names = kept
-        parts.append(outcomes)
-        progress(first + len(outcomes.success))
-    whole = PlanOutcomes(
-        *(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(PlanOutcomes))
-    )
-    return whole, names
-
-
-def _key(
-    grasps: RobotGraspSet, objects: Mapping[str, ObjectModel], hand: Hand, s: PredictorSettings, seed: int
-) -> str:
-    """Digest of all that decides the outcomes, their number aside."""
-    names = np.unique(grasps.object_name).tolist()
-    return digest(
-        __version__,
-        {name: getattr(grasps, name) for name in grasps.FIELDS},
-        grasps.extra,
-        {name: objects[name].digest for name in names},
-        hand_digest(hand),
-        (s.timestep, s.hold_time, s.early, s.chunk, seed),
-    )
-
-
-def _kept(path: Path, key: str) -> tuple[PlanOutcomes, Layout] | None:
-    """Outcomes from a file; None if there is none, it is damaged, or of other episodes."""
-    try:
-        data = read_npz(path, "kept episodes", largest=LARGEST)
-        if str(data["key"]) != key:
-            return None
-        names = tuple((str(n), int(size)) for n, size in parse_json(str(data["layout"]), str(path)))
-        return PlanOutcomes(*(data[f.name] for f in fields(PlanOutcomes))), names
-    except (ValueError, KeyError, TypeError):
-        return None
-
-
-def _keep(path: Path, key: str, outcomes: PlanOutcomes, names: Layout) -> None:
-    arrays = {f.name: getattr(outcomes, f.name) for f in fields(PlanOutcomes)}
-    with atomic_path(path) as part, part.open("wb") as stream:
-        np.savez(stream, key=np.array(key), layout=np.array(json.dumps(names)), **arrays)
+    job = PlanTrials(grasps, objects, hand, settings or PredictorSettings(), seed, threads)
+    found = run_job(job, store, ray=ray, progress=progress)
+    names = tuple((str(name), int(size)) for name, size in parse_json(str(found[-1][LAYOUT]), "kept layout"))
+    columns = [np.concatenate([part[f.name] for part in found]) for f in fields(PlanOutcomes)]
+    return PlanOutcomes(*columns), names
 
 
 def _try(
@@ -167,10 +178,6 @@ def _try(
     outcomes = play(environment, OpenLoopPolicy(), plans, end_lost=True)
     lost = outcomes.reason == "lost before the hold"
     return plans, outcomes.success, np.where(lost, 0.0, np.nan_to_num(outcomes.contact_ratio))
-
-
-LARGEST = 1 << 33
-"""Bytes of the largest file of outcomes that is read."""
 
 
 class PredictorNetwork(torch.nn.Module):
