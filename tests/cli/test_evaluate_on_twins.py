@@ -8,8 +8,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-import fungrasp.cli.grasps_from_images as grasps_from_images
 import fungrasp.evaluation.twin_episode as twin_episode
+import fungrasp.synthetic_captures.perceived_grasps as perceived_grasps
 from fungrasp.cli.evaluate_on_twins import EvaluateOnTwins
 from fungrasp.errors import FungraspError, UnknownNameError
 from fungrasp.evaluation.result_files import read_result
@@ -41,12 +41,12 @@ def evaluate(out: Path, **options) -> EvaluateOnTwins:
 
 
 def test_images_are_numbered_by_row(played, tmp_path, monkeypatch, capsys) -> None:
-    def seen(human, objects, images, seed, store):
+    def seen(human, objects, images, seed, store, progress):
         # The second image of the first grasp is refused, and both of the other's are seen.
         rows = [0, 1, 1]
-        return grasps_from_images.SeenGrasps(human.select(rows), [0, 2, 3], {1: "no hand"})
+        return perceived_grasps.SeenGrasps(human.select(rows), [0, 2, 3], {1: "no hand"})
 
-    monkeypatch.setattr(grasps_from_images, "grasps_from_images", seen)
+    monkeypatch.setattr(perceived_grasps, "grasps_from_images", seen)
     out = tmp_path / "twins.json"
     evaluate(out, images=2, places=2, variants=("ours, two attempts",)).run()
     result = read_result(out)
@@ -65,8 +65,8 @@ def test_images_are_numbered_by_row(played, tmp_path, monkeypatch, capsys) -> No
 
 
 def test_nothing_is_seen(played, tmp_path, monkeypatch) -> None:
-    nothing = grasps_from_images.SeenGrasps(None, [], {0: "no hand", 1: "no hand"})
-    monkeypatch.setattr(grasps_from_images, "grasps_from_images", lambda *arguments: nothing)
+    nothing = perceived_grasps.SeenGrasps(None, [], {0: "no hand", 1: "no hand"})
+    monkeypatch.setattr(perceived_grasps, "grasps_from_images", lambda *arguments: nothing)
     with pytest.raises(FungraspError, match="confident of no image"):
         evaluate(tmp_path / "twins.json", images=1).run()
     assert not played

@@ -18,8 +18,7 @@ from fungrasp.perception import HandEstimate, ObjectEstimate
 from fungrasp.perception.estimates import PerceptionWarning
 from fungrasp.perception.io.scene_folders import BUILTIN_CAPTURE as FOLDER
 from fungrasp.perception.io.scene_folders import read_folder
-from fungrasp.perception.perceived import Perceived
-from fungrasp.perception.quality import PerceptionQuality
+from fungrasp.perception.perceived import Perceived, PerceptionQuality
 from fungrasp.report import perception_page
 from fungrasp.report.demo_capture import FILES, demo_truth, true_errors
 from fungrasp.report.page_parts import Quantity

@@ -164,13 +164,15 @@ class EvaluateOnTwins:
     ) -> tuple[HumanGraspSet, list[int], dict[str, str]]:
         """What perception sees of grasps: the grasps, the number of the image of each, and why it does not
         trust the others, by number."""
-        from fungrasp.cli.grasps_from_images import grasps_from_images
+        from fungrasp.cli.console import progress_bar
         from fungrasp.errors import FungraspError
+        from fungrasp.synthetic_captures.perceived_grasps import grasps_from_images
 
         def number(n: int) -> int:
             return index[n // self.images] * self.images + n % self.images
 
-        seen = grasps_from_images(human, objects, self.images, self.image_seed, store)
+        with progress_bar("perceiving", 1.0) as show:
+            seen = grasps_from_images(human, objects, self.images, self.image_seed, store, show)
         if seen.human is None:
             raise FungraspError("perception is confident of no image: nothing to try")
         refused = {str(number(n)): why for n, why in seen.refused.items()}

@@ -157,10 +157,12 @@ class Perceive:
     @contextmanager
     def _watched(self, model: ObjectModel) -> Iterator[Callable[[LiveView], None]]:
         """Shows what a camera sees, on a page and in words; says when the picture is taken."""
+        if self.source.camera is None:
+            yield lambda view: None
+            return
         from fungrasp.report.live_page import LivePage
 
-        live = self.source.camera is not None
-        with LivePage(model) if live and self.source.page else nullcontext() as page:
+        with LivePage(model) if self.source.page else nullcontext() as page:
             if page is not None:
                 print(
                     f"the camera's picture: {page.address} (on this computer only); Ctrl-C ends", flush=True
@@ -178,18 +180,18 @@ class Perceive:
             yield show
             if page is not None:
                 page.say("the picture is taken", done=True)
-        if live:
-            print("the picture is taken", flush=True)
+        print("the picture is taken", flush=True)
 
     def _write(self, perceived: Perceived, seconds: float) -> list[str]:
         """Write the files, the grasp last; what to say about them."""
         from fungrasp.grasps import save_human_grasps
         from fungrasp.objects.held_object import write_mesh
-        from fungrasp.provenance import page_provenance
-        from fungrasp.report.perception_page import write_perception_page
 
         notes: list[str] = []
         if self.report is not None:
+            from fungrasp.provenance import page_provenance
+            from fungrasp.report.perception_page import write_perception_page
+
             made = page_provenance({"Image": self.source.name}, self.seed, seconds)
             write_perception_page(self.report, perceived, made)
             notes.append(f"page: {self.report}")

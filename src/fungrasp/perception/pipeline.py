@@ -37,8 +37,14 @@ from fungrasp.perception.object_pose.confidence import ambiguity
 from fungrasp.perception.object_pose.estimate import SIZES, best_estimate, search_object_pose
 from fungrasp.perception.object_pose.external_pose import score_given_pose
 from fungrasp.perception.object_pose.known_object import known_object
-from fungrasp.perception.perceived import HandCandidate, Perceived, PerceptionTrace, PossibleHand, Stopwatch
-from fungrasp.perception.quality import measure_quality
+from fungrasp.perception.perceived import (
+    HandCandidate,
+    Perceived,
+    PerceptionTrace,
+    PossibleHand,
+    Stopwatch,
+    measure_quality,
+)
 from fungrasp.perception.scene.table import (
     NO_TABLE,
     guessed_table,

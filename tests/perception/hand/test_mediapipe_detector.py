@@ -20,7 +20,6 @@ from fungrasp.perception.hand.detected_hand import (
     hand_lengths,
     possible,
 )
-from fungrasp.perception.hand.image_windows import Window, window_of_landmarks, window_of_palm
 from fungrasp.perception.hand.mediapipe_detector import (
     FROM_MODEL,
     JOINTS_OF_LANDMARKS,
@@ -28,7 +27,14 @@ from fungrasp.perception.hand.mediapipe_detector import (
     consensus,
 )
 from fungrasp.perception.hand.mediapipe_models import have_weights
-from fungrasp.perception.hand.palm_detection import anchor_centres, box_overlap, decode_palms
+from fungrasp.perception.hand.palm_windows import (
+    Window,
+    anchor_centres,
+    box_overlap,
+    decode_palms,
+    window_of_landmarks,
+    window_of_palm,
+)
 
 needs_weights = pytest.mark.skipif(
     not have_weights(), reason="the hand models are not in the cache; run 'fungrasp setup perception'"

@@ -16,14 +16,16 @@ import numpy as np
 from PIL import Image
 
 from fungrasp.perception.hand.detected_hand import DetectedHand, length_at, possible, which_side
-from fungrasp.perception.hand.image_windows import (
+from fungrasp.perception.hand.mediapipe_models import MediaPipeModel, load_weights, model_runtime
+from fungrasp.perception.hand.palm_windows import (
+    DETECTOR_PIXELS,
     Window,
+    box_overlap,
+    decode_palms,
     search_windows,
     window_of_landmarks,
     window_of_palm,
 )
-from fungrasp.perception.hand.mediapipe_models import MediaPipeModel, load_weights, model_runtime
-from fungrasp.perception.hand.palm_detection import DETECTOR_PIXELS, box_overlap, decode_palms
 from fungrasp.perception.io.capture import Box
 
 FROM_MODEL = np.array([0, *range(5, 21), *range(1, 5)])
