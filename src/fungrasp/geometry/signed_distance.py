@@ -122,27 +122,16 @@ class SignedDistanceBank:
         Args:
             grids: one per object; queries name them by index.
         """
-        self._values = np.concatenate([grid.values.ravel() for grid in grids])
         shape = np.array([grid.values.shape for grid in grids])
-        stride = np.stack([shape[:, 1] * shape[:, 2], shape[:, 2], np.ones(len(grids), dtype=int)], axis=1)
-        # What follows has an axis for the points of a query, and the axes of coordinates or corners.
-        self._start = np.cumsum([0, *(grid.values.size for grid in grids[:-1])])[:, None]
-        self._stride = stride[:, None]
-        self._corners = (np.indices((2, 2, 2)).reshape(3, 8).T @ stride.T)[..., None]
-        self._last = (shape - 1.000001)[:, None]
-        self._origin = np.array([grid.origin for grid in grids])[:, None]
-        self._spacing = np.array([grid.spacing for grid in grids])[:, None, None]
-
-    @property
-    def arrays(self) -> GridArrays:
-        """What the bank holds."""
-        start, stride, last, origin = (
-            self._start[:, 0],
-            self._stride[:, 0],
-            self._last[:, 0],
-            self._origin[:, 0],
+        self.arrays = GridArrays(
+            values=np.concatenate([grid.values.ravel() for grid in grids]),
+            start=np.cumsum([0, *(grid.values.size for grid in grids[:-1])]),
+            stride=np.stack([shape[:, 1] * shape[:, 2], shape[:, 2], np.ones(len(grids), dtype=int)], axis=1),
+            last=shape - 1.000001,
+            origin=np.array([grid.origin for grid in grids], dtype=float),
+            spacing=np.array([grid.spacing for grid in grids], dtype=float),
         )
-        return GridArrays(self._values, start, stride, last, origin, self._spacing[:, 0, 0])
+        """What the bank holds."""
 
     def query(self, grid: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Trilinear signed distance and its exact gradient.
@@ -157,34 +146,12 @@ class SignedDistanceBank:
         Returns:
             distance [m], shape [N, P]; gradient, shape [N, P, 3].
         """
-        spacing = self._spacing.take(grid, axis=0)
-        u = (points - self._origin.take(grid, axis=0)) / spacing
-        inside = np.fmin(np.fmax(u, 0.0), self._last.take(grid, axis=0))
-        cell = inside.astype(np.int64)
-        part = inside - cell
-        fx, fy, fz = part[..., 0], part[..., 1], part[..., 2]
-        first = self._start.take(grid, axis=0) + np.vecdot(cell, self._stride.take(grid, axis=0))
-        # Halves of the first axis of these differ in x, quarters in y, eighths in z.
-        corners = self._values.take(first + self._corners.take(grid, axis=1))
-        along_x = corners[4:] - corners[:4]
-        faces = corners[:4] + fx * along_x
-        along_y = faces[2:] - faces[:2]
-        # Distance, slope along x, slope along y, at the two ends of a line along z.
-        ends = np.empty((3, *along_y.shape))
-        ends[0] = faces[:2] + fy * along_y
-        ends[1] = along_x[:2] + fy * (along_x[2:] - along_x[:2])
-        ends[2] = along_y
-        along_z = ends[:, 1] - ends[:, 0]
-        mixed = ends[:, 0] + fz * along_z
-        distance = mixed[0]
-        gradient = np.empty(points.shape)
-        gradient[..., 0], gradient[..., 1], gradient[..., 2] = mixed[1], mixed[2], along_z[0]
-        gradient /= spacing
-        beyond = (u - inside) * spacing
-        if beyond.any():
-            away = np.sqrt(np.add.reduce(beyond * beyond, axis=-1))
-            distance = distance + away
-            gradient = np.where(beyond != 0, beyond / np.maximum(away, 1e-12)[..., None], gradient)
+        # Importing Numba takes half a second: not before something is asked.
+        from fungrasp.geometry.distance_queries import signed_distances
+
+        where, rows = np.array(points, dtype=float), np.array(grid, dtype=np.int64)
+        distance, gradient = np.empty(where.shape[:2]), np.empty(where.shape)
+        signed_distances(self.arrays, rows, where, distance, gradient)
         return distance, gradient
 
 

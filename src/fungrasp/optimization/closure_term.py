@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 
+from fungrasp.geometry.compiling import compiled, compiled_part, plain
+from fungrasp.geometry.distance_queries import nearest_surface, signed_distance
 from fungrasp.geometry.signed_distance import GridArrays
-from fungrasp.optimization.compiling import compiled, compiled_part, plain
-from fungrasp.optimization.distances import nearest_surface, signed_distance
 from fungrasp.optimization.frames import AddTerm, Equations, Frames, joint_motion, place
 from fungrasp.optimization.friction_cones import circle, cone_edges, largest_eigenvalue
 from fungrasp.optimization.hand_state import HandPoints

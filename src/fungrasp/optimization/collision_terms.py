@@ -7,10 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fungrasp.geometry.compiling import compiled, compiled_part, plain
+from fungrasp.geometry.distance_queries import distance_bound, signed_distance
 from fungrasp.geometry.signed_distance import GridArrays
 from fungrasp.optimization.collision_scene import CollisionScene
-from fungrasp.optimization.compiling import compiled, compiled_part, plain
-from fungrasp.optimization.distances import distance_bound, signed_distance
 from fungrasp.optimization.frames import (
     AddTerm,
     Equations,

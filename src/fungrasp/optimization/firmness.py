@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
+from fungrasp.geometry.compiling import compiled, compiled_part, plain
 from fungrasp.geometry.poses import cross
-from fungrasp.optimization.compiling import compiled, compiled_part, plain
 from fungrasp.optimization.friction_cones import circle, cone_edges, largest_eigenvalue
 from fungrasp.optimization.hand_state import HandPoints
 from fungrasp.optimization.link_contacts import CONTACT_DISTANCE, LinkContacts, contacts_of_links

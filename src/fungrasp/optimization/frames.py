@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fungrasp.optimization.compiling import compiled, compiled_part
+from fungrasp.geometry.compiling import compiled, compiled_part
 from fungrasp.optimization.hand_arrays import Chains, HandArrays, Tree
 
 

@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from fungrasp.optimization.compiling import compiled, compiled_part, plain
-from fungrasp.optimization.distances import unit_vector
+from fungrasp.geometry.compiling import compiled, compiled_part, plain
+from fungrasp.geometry.distance_queries import unit_vector
 
 
 def friction_cone_edges(normals: np.ndarray, friction: float, count: int) -> np.ndarray:

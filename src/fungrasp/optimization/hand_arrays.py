@@ -8,10 +8,10 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
+from fungrasp.geometry.compiling import plain
 from fungrasp.geometry.poses import rotation_matrix
 from fungrasp.hands.collision_spheres import CollisionSpheres
 from fungrasp.hands.kinematics import BodyPoints, HandKinematics
-from fungrasp.optimization.compiling import plain
 
 GROUP_SIZE = 8
 """Most spheres in a group that is passed over together where it is far from everything."""

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from fungrasp.geometry.compiling import plain
 from fungrasp.optimization.collision_scene import CollisionScene
-from fungrasp.optimization.compiling import plain
 from fungrasp.optimization.frames import Equations, clear, empty_frames, move_hands
 from fungrasp.optimization.hand_state import HandPoints
 from fungrasp.optimization.steps import StepRule, StepState, accept, propose

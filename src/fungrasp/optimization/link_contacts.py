@@ -7,11 +7,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fungrasp.geometry.compiling import compiled, plain
+from fungrasp.geometry.distance_queries import unit_vector
 from fungrasp.geometry.signed_distance import GridArrays
 from fungrasp.optimization.collision_scene import CollisionScene
 from fungrasp.optimization.collision_terms import nearest_sphere
-from fungrasp.optimization.compiling import compiled, plain
-from fungrasp.optimization.distances import unit_vector
 from fungrasp.optimization.frames import Frames, empty_frames, joint_motion, move_hands, place
 from fungrasp.optimization.hand_arrays import Groups, Spheres
 from fungrasp.optimization.hand_state import HandPoints

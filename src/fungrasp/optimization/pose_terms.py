@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 
+from fungrasp.geometry.compiling import compiled, compiled_part, plain
+from fungrasp.geometry.distance_queries import unit_vector
 from fungrasp.optimization.collision_scene import CollisionScene
-from fungrasp.optimization.compiling import compiled, compiled_part, plain
-from fungrasp.optimization.distances import unit_vector
 from fungrasp.optimization.frames import (
     AddTerm,
     Equations,

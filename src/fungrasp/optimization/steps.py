@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fungrasp.optimization.compiling import compiled, compiled_part
+from fungrasp.geometry.compiling import compiled, compiled_part
 from fungrasp.optimization.frames import Equations
 
 

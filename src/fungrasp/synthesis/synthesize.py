@@ -147,8 +147,9 @@ def solve_batch(
     )
     table = partial(terms.table_penetration, margin=settings.table_margin)
 
-    def objective(factor: float) -> list[Term]:
-        """Terms whose units of contact and penetration are ``factor`` times as large, of places its root."""
+    def objective(factor: float, *more: Term) -> list[Term]:
+        """``more``, and terms whose units of contact and penetration are ``factor`` times as large, of places
+        its root."""
         specified = [
             partial(natural_posture, kinds=[spec.kind for spec in each]),
             partial(part_gap, targets=targets, unit=factor * settings.gap_unit),
@@ -159,13 +160,14 @@ def solve_batch(
             partial(terms.object_penetration, unit=factor * settings.object_unit),
             partial(table, unit=factor * settings.table_unit),
             partial(terms.self_penetration, unit=factor * settings.self_unit),
+            *more,
             terms.residual_terms(specified),
         ]
 
     first, second = settings.first_iterations, settings.second_iterations
     pose, independent, _ = minimize(points, problem, objective(4.0), pose, independent, first)
     closure = partial(terms.force_closure, unit=settings.closure_unit)
-    pose, independent, cost = minimize(points, problem, [closure, *objective(1.0)], pose, independent, second)
+    pose, independent, cost = minimize(points, problem, objective(1.0, closure), pose, independent, second)
     return check_candidates(hand, scene, each, owner, objects, pose, independent, cost)
 
 

@@ -1,17 +1,32 @@
-"""Signed distances of single points within compiled loops; ``SignedDistanceBank.query`` asks for many."""
+"""Signed distances of points, in compiled loops."""
 
 from __future__ import annotations
 
 import math
 
+import numpy as np
+
+from fungrasp.geometry.compiling import compiled, compiled_part
 from fungrasp.geometry.signed_distance import GridArrays
-from fungrasp.optimization.compiling import compiled_part
 
 
 @compiled_part
 def _within(value: float, last: float) -> float:
     """The nearest number from 0 to ``last``."""
     return 0.0 if value < 0.0 else last if value > last else value
+
+
+@compiled
+def signed_distances(
+    grids: GridArrays, grid: np.ndarray, points: np.ndarray, distance: np.ndarray, gradient: np.ndarray
+) -> None:
+    """Write what ``SignedDistanceBank.query`` returns."""
+    for i in range(points.shape[0]):
+        for p in range(points.shape[1]):
+            at = (points[i, p, 0], points[i, p, 1], points[i, p, 2])
+            value, x, y, z = signed_distance(grids, grid[i], at)
+            distance[i, p] = value
+            gradient[i, p, 0], gradient[i, p, 1], gradient[i, p, 2] = x, y, z
 
 
 @compiled_part

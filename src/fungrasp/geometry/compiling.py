@@ -23,7 +23,12 @@ from numba.core import config
 
 from fungrasp.files import cache_folder
 
-SOURCES = ("optimization/*.py", "geometry/signed_distance.py")
+SOURCES = (
+    "geometry/compiling.py",
+    "geometry/distance_queries.py",
+    "geometry/signed_distance.py",
+    "optimization/*.py",
+)
 """Files that the loops are made from."""
 
 jit: Any = numba.njit
