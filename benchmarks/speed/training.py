@@ -39,6 +39,7 @@ class Training:
         from dataclasses import asdict
 
         import numpy as np
+        import torch
 
         from benchmarks.speed.training_speed import (
             acting_speed,
@@ -56,6 +57,8 @@ class Training:
         from fungrasp.training.settings import PpoSettings
 
         check_positive(worlds=self.worlds, steps=self.steps)
+        # As `fungrasp train` does: more threads make the small networks slower, many times so beside other work.
+        torch.set_num_threads(1)
         hand = load_hand(self.hand)
         network = None if self.policy is None else load_policy(self.policy)
         human = load_human_grasps(self.grasps)
