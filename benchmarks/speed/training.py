@@ -57,7 +57,7 @@ class Training:
         from fungrasp.training.settings import PpoSettings
 
         check_positive(worlds=self.worlds, steps=self.steps)
-        # As `fungrasp train` does: more threads make the small networks slower, many times so beside other work.
+        # As `fungrasp train` does: more threads make small networks slower, most of all beside other work.
         torch.set_num_threads(1)
         hand = load_hand(self.hand)
         network = None if self.policy is None else load_policy(self.policy)
