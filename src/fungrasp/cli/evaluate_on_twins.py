@@ -79,7 +79,7 @@ class EvaluateOnTwins:
         index = list(self.rows) or list(range(len(human)))
         human = human.select(index)
         objects = load_objects(human, self.objects)
-        store = PartStore(self.out.with_name(f"{self.out.name}.partial"))
+        store = PartStore.beside(self.out)
         header: dict[str, Any] = {"robot": self.robot, "policy": self.policy, "grasps": self.grasps}
         if self.images:
             human, index, header["not_seen"] = self._seen(human, index, objects, store)

@@ -8,7 +8,6 @@ from dataclasses import asdict, dataclass
 from itertools import islice
 from typing import Any
 
-import mujoco
 import numpy as np
 
 from fungrasp.deployment.deployment import DeploymentSettings
@@ -21,10 +20,9 @@ from fungrasp.deployment.twin_deployment import (
     deploy_where_reached,
     reachable_placements,
 )
-from fungrasp.files import digest
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
-from fungrasp.jobs import PartStore
+from fungrasp.jobs import PartStore, part_key
 from fungrasp.objects import ObjectModel
 from fungrasp.planning import ConstrainedPlanner, Planner
 from fungrasp.planning.selection import Feasible
@@ -32,7 +30,6 @@ from fungrasp.robots.cell import RobotCell
 from fungrasp.robots.twin.parameters import TwinParameters
 from fungrasp.robots.twin.twin_model import TwinPhysics
 from fungrasp.task import Belief, GraspPlan, Policy
-from fungrasp.version import __version__
 
 
 @dataclass(frozen=True)
@@ -253,18 +250,8 @@ class TwinSetup:
         grasp."""
         if self.store is None:
             return make()
-        about: list[Any] = [__version__, mujoco.__version__, self.cell]
-        about += [self.hand.path.read_bytes(), self.hand.model_path.read_bytes()]
-        about.append({name: asdict(servo) for name, servo in self.hand.actuators.items()})
-        if grasp is not None:
-            about.append({name: getattr(grasp, name) for name in grasp.FIELDS})
-            about += [grasp.extra, self.objects[grasp.object_name[0]].digest]
-        key = digest(what, *about, *besides)
-        found = self.store.load(key)
-        if found is None:
-            found = make()
-            self.store.save(key, found)
-        return found
+        held = None if grasp is None else (grasp, self.objects[grasp.object_name[0]])
+        return self.store.kept(part_key(what, self.cell, self.hand, held, *besides), make)
 
 
 def _measured(outcome: TwinOutcome, placements: int) -> dict[str, np.ndarray]:
