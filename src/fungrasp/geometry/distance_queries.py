@@ -106,7 +106,8 @@ def unit_vector(x: float, y: float, z: float):
 
 @compiled_part
 def nearest_surface(grids: GridArrays, grid: int, point, iterations: int):
-    """Surface point [m] and outward normal nearest to a point, as ``project_to_surface``."""
+    """Surface point [m] and outward unit normal nearest to a point, by Newton steps ``p - d(p) n(p)`` down
+    the signed distance."""
     x, y, z = point
     for _ in range(iterations):
         distance, gx, gy, gz = signed_distance(grids, grid, (x, y, z))
@@ -114,3 +115,46 @@ def nearest_surface(grids: GridArrays, grid: int, point, iterations: int):
         x, y, z = x - distance * nx, y - distance * ny, z - distance * nz
     _, gx, gy, gz = signed_distance(grids, grid, (x, y, z))
     return (x, y, z), unit_vector(gx, gy, gz)
+
+
+@compiled
+def nearest_surfaces(
+    grids: GridArrays,
+    grid: np.ndarray,
+    points: np.ndarray,
+    iterations: int,
+    surface: np.ndarray,
+    normal: np.ndarray,
+) -> None:
+    """Write ``nearest_surface`` of points of shape [N, P, 3], grid: shape [N]."""
+    for i in range(points.shape[0]):
+        for p in range(points.shape[1]):
+            at = (points[i, p, 0], points[i, p, 1], points[i, p, 2])
+            place, direction = nearest_surface(grids, grid[i], at, iterations)
+            for k in range(3):
+                surface[i, p, k], normal[i, p, k] = place[k], direction[k]
+
+
+@compiled_part
+def gradient_derivative(grids: GridArrays, grid: int, point, reach: float, result: np.ndarray) -> None:
+    """Write the derivative of the distance's gradient by central differences over ``reach`` [m], which also
+    smooth edges [1/m], shape [3, 3]; the last axis is that of the point."""
+    for axis in range(3):
+        x, y, z = point
+        dx, dy, dz = reach * (axis == 0), reach * (axis == 1), reach * (axis == 2)
+        _, ax, ay, az = signed_distance(grids, grid, (x + dx, y + dy, z + dz))
+        _, bx, by, bz = signed_distance(grids, grid, (x - dx, y - dy, z - dz))
+        result[0, axis] = (ax - bx) / (2 * reach)
+        result[1, axis] = (ay - by) / (2 * reach)
+        result[2, axis] = (az - bz) / (2 * reach)
+
+
+@compiled
+def gradient_derivatives(
+    grids: GridArrays, grid: np.ndarray, points: np.ndarray, reach: float, result: np.ndarray
+) -> None:
+    """Write ``gradient_derivative`` of points of shape [N, P, 3], grid: shape [N]."""
+    for i in range(points.shape[0]):
+        for p in range(points.shape[1]):
+            at = (points[i, p, 0], points[i, p, 1], points[i, p, 2])
+            gradient_derivative(grids, grid[i], at, reach, result[i, p])

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from fungrasp.geometry.compiling import compiled, compiled_part, plain
-from fungrasp.geometry.distance_queries import nearest_surface, signed_distance
+from fungrasp.geometry.distance_queries import gradient_derivative, nearest_surface
 from fungrasp.geometry.signed_distance import GridArrays
 from fungrasp.optimization.frames import AddTerm, Equations, Frames, joint_motion, place
 from fungrasp.optimization.friction_cones import circle, cone_edges, largest_eigenvalue
@@ -102,7 +102,7 @@ def _add_force_closure(
                 m, n = (k + 1) % 3, (k + 2) % 3
                 residual[3 + k] += (lever[c, m] * force[c, n] - lever[c, n] * force[c, m]) / unit
             at = (point[c, 0], point[c, 1], point[c, 2])
-            _curvature(grids, grid[i], at, reach, curve)
+            gradient_derivative(grids, grid[i], at, reach, curve)
             _add_motion(
                 frames, i, body[link[c]], at, lever[c], force[c], pressure, curve, extent[i], unit, jacobian
             )
@@ -115,19 +115,6 @@ def _add_force_closure(
                 gradient[p] += residual[k] * value
                 for q in range(p + 1):
                     hessian[p, q] += value * jacobian[k, q]
-
-
-@compiled_part
-def _curvature(grids: GridArrays, grid: int, point, reach: float, result: np.ndarray) -> None:
-    """Derivative of the distance's gradient by central differences [1/m]."""
-    for axis in range(3):
-        x, y, z = point
-        dx, dy, dz = reach * (axis == 0), reach * (axis == 1), reach * (axis == 2)
-        _, ax, ay, az = signed_distance(grids, grid, (x + dx, y + dy, z + dz))
-        _, bx, by, bz = signed_distance(grids, grid, (x - dx, y - dy, z - dz))
-        result[0, axis] = (ax - bx) / (2 * reach)
-        result[1, axis] = (ay - by) / (2 * reach)
-        result[2, axis] = (az - bz) / (2 * reach)
 
 
 @compiled_part

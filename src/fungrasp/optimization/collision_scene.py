@@ -9,6 +9,8 @@ from typing import Self
 import numpy as np
 
 from fungrasp.geometry import SignedDistanceBank
+from fungrasp.geometry.compiling import plain
+from fungrasp.geometry.distance_queries import gradient_derivatives, nearest_surfaces
 from fungrasp.geometry.poses import invert, rotate
 from fungrasp.objects import ObjectModel
 from fungrasp.objects.resting_pose import settled_up
@@ -92,12 +94,9 @@ def project_to_surface(
     Returns:
         surface points [m] and outward unit normals, each shape [N, P, 3].
     """
-    for _ in range(iterations):
-        distance, gradient = bank.query(grid, points)
-        gradient = gradient / np.maximum(np.linalg.norm(gradient, axis=-1, keepdims=True), 1e-9)
-        points = points - distance[..., None] * gradient
-    _, gradient = bank.query(grid, points)
-    return points, gradient / np.maximum(np.linalg.norm(gradient, axis=-1, keepdims=True), 1e-9)
+    surface, normal = np.empty(points.shape), np.empty(points.shape)
+    nearest_surfaces(bank.arrays, plain(grid, np.int64), plain(points), iterations, surface, normal)
+    return surface, normal
 
 
 def gradient_derivative(
@@ -114,7 +113,5 @@ def gradient_derivative(
         [1/m], shape [N, P, 3, 3]; the last axis is that of the point.
     """
     derivative = np.empty((*points.shape, 3))
-    for axis, shift in enumerate(reach * np.eye(3)):
-        ahead, behind = bank.query(grid, points + shift)[1], bank.query(grid, points - shift)[1]
-        derivative[..., axis] = (ahead - behind) / (2 * reach)
+    gradient_derivatives(bank.arrays, plain(grid, np.int64), plain(points), reach, derivative)
     return derivative
