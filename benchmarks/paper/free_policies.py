@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
-from fungrasp.cli.distill import Distill
-from fungrasp.cli.make_grasps import MakeGrasps
-from fungrasp.cli.predictor import TrainPredictor
-from fungrasp.cli.train import Train
-from fungrasp.cli.training_options import check_numbers, check_packages
+from fungrasp.cli.console import progress_bar
+from fungrasp.cli.training_options import check_numbers, check_packages, progress_lines
 from fungrasp.files import atomic_path
-from fungrasp.sim2real import PresetName
+from fungrasp.sim2real import PRESETS, PresetName
+from fungrasp.training.environment import EnvironmentSettings
 from fungrasp.training.plan_library import Variety
-from fungrasp.training.settings import PredictorSettings
+from fungrasp.training.settings import PpoSettings, PredictorSettings
 
 if TYPE_CHECKING:
     from fungrasp.hands import Hand
@@ -58,6 +56,8 @@ class FreePolicies:
 
     def run(self) -> None:
         check_packages()
+        import torch
+
         from fungrasp.hands import load_hand
 
         check_numbers(min(self.steps, self.distill_steps), min((self.seed, *self.grasp_seeds)), self.threads)
@@ -65,53 +65,74 @@ class FreePolicies:
         files = [self.out / f"synthesized-{seed}.npz" for seed in self.grasp_seeds]
         for seed, file in zip(self.grasp_seeds, files, strict=True):
             if not file.is_file():
-                MakeGrasps(file, seed=(seed,)).run()
-        grasps = ("builtin", *map(str, files))
-        for name, hand in zip(self.hands, hands, strict=True):
-            self._train(name, hand, grasps)
+                _synthesize(seed, file)
+        # More threads make the small networks slower.
+        torch.set_num_threads(1)
+        for hand in hands:
+            self._train(hand, files)
 
-    def _train(self, name: str, hand: Hand, grasps: tuple[str, ...]) -> None:
+    def _train(self, hand: Hand, files: list[Path]) -> None:
         """Train and keep what a hand lacks."""
-        from fungrasp.training.run import POLICY
-        from fungrasp.training.student_run import STUDENT
-        from fungrasp.training.training_sets import BUILTIN_TERMS
+        from fungrasp.training.predictor_run import train_predictor
+        from fungrasp.training.run import POLICY, RunSettings, train
+        from fungrasp.training.student_run import STUDENT, train_student
+        from fungrasp.training.training_sets import BUILTIN_TERMS, load_training_sets
 
-        terms = (BUILTIN_TERMS, *(SYNTHESIZED_TERMS for _ in grasps[1:]))
+        terms = (BUILTIN_TERMS, *(SYNTHESIZED_TERMS for _ in files))
+        names = ("builtin", *map(str, files))
+        sets = load_training_sets(names, None, hand, terms=terms, threads=self.threads)
         folder, done = self.out / hand.name, self.out / "policies"
         predictor, teacher, student = (
             folder / f"{hand.name}-{kind}-free" for kind in ("predictor", "teacher", "student")
         )
         predictor = predictor.with_suffix(".onnx")
         if not predictor.is_file():
-            TrainPredictor(
-                predictor,
-                grasps,
-                hand=name,
-                seed=self.seed,
-                threads=self.threads,
-                terms=terms,
-                licence=SYNTHESIZED_TERMS,
-                settings=self.predictor,
-            ).run()
+            with progress_bar(f"{hand.name}: trying plans", 1.0) as show:
+                train_predictor(
+                    predictor,
+                    sets,
+                    hand,
+                    self.predictor,
+                    self.seed,
+                    licence=SYNTHESIZED_TERMS,
+                    threads=self.threads,
+                    progress=show,
+                )
         _copy(predictor, done / predictor.name)
-        Train(
+        environment = EnvironmentSettings()
+        if self.worlds is not None:
+            environment = replace(environment, randomization=PRESETS[self.worlds])
+        train(
             teacher,
-            grasps,
-            hand=name,
-            steps=self.steps,
-            plans=str(predictor),
-            shrink=self.shrink,
-            worlds=self.worlds,
-            seed=self.seed,
-            threads=self.threads,
-            terms=terms,
+            sets,
+            hand,
+            RunSettings(self.seed, self.variety, environment, PpoSettings()),
+            int(self.steps),
             licence=SYNTHESIZED_TERMS,
-            variety=self.variety,
-        ).run()
+            threads=self.threads,
+            plans=predictor,
+            shrink=self.shrink,
+            progress=progress_lines(int(self.steps)),
+        )
         _copy(teacher / POLICY, done / f"{teacher.name}.onnx")
         if not (student / STUDENT).is_file():
-            Distill(teacher, student, self.distill_steps, seed=self.seed, threads=self.threads).run()
+            steps = int(self.distill_steps)
+            train_student(
+                teacher, student, steps, None, self.seed, threads=self.threads, progress=progress_lines(steps)
+            )
         _copy(student / STUDENT, done / f"{student.name}.onnx")
+
+
+def _synthesize(seed: int, path: Path) -> None:
+    """Grasps of the built-in objects, in a file."""
+    from fungrasp.grasps import save_human_grasps
+    from fungrasp.jobs import PartStore
+    from fungrasp.synthesis import synthesize_grasps
+    from fungrasp.synthesis.builtin_specifications import BUILTIN_SPECIFICATIONS
+
+    with PartStore.beside(path) as store, progress_bar("synthesizing grasps", 1.0) as show:
+        grasps = synthesize_grasps(BUILTIN_SPECIFICATIONS, (seed,), store=store, progress=show)
+        save_human_grasps(path, grasps)
 
 
 def _copy(source: Path, target: Path) -> None:

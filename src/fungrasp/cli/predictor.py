@@ -46,63 +46,34 @@ class TrainPredictor:
 
     def run(self) -> None:
         check_packages()
-        from time import perf_counter
-
         import torch
 
         from fungrasp.cli.console import progress_bar
-        from fungrasp.jobs import PartStore
-        from fungrasp.policies.checkpoint.card import Budget, TrainingData
-        from fungrasp.policies.residual_action import ResidualSettings
-        from fungrasp.provenance import machine
         from fungrasp.sim2real.joint_dynamics import identified_hand
-        from fungrasp.task import LiftProtocol
-        from fungrasp.training.export import export_predictor, make_card
-        from fungrasp.training.success_predictor import PlanOutcomes, cross_validate, fit_predictor, try_plans
+        from fungrasp.training.predictor_run import MEASURED, train_predictor
         from fungrasp.training.training_sets import load_training_sets
 
         check_numbers(1, self.seed, self.threads)
-        start, hand = perf_counter(), identified_hand(self.hand, self.hand_dynamics)
+        hand = identified_hand(self.hand, self.hand_dynamics)
         sets = load_training_sets(self.grasps, self.objects, hand, self.method, self.terms, self.threads)
         torch.set_num_threads(1)
-        folder = self.out.with_suffix(".episodes") if self.episodes is None else self.episodes
-        parts, names = [], ()
-        for number, one in enumerate(sets):
-            with progress_bar(one.name, 1.0) as show:
-                outcomes, names = try_plans(
-                    one.grasps,
-                    one.objects,
-                    hand,
-                    self.settings,
-                    self.seed,
-                    self.threads,
-                    store=PartStore(folder / str(number)),
-                    progress=show,
-                )
-            parts.append(outcomes)
-        outcomes = PlanOutcomes.join(*parts)
-        measured = cross_validate(outcomes, self.settings, seed=self.seed)
-        predictor = fit_predictor(outcomes, self.settings, self.seed)
-        card = make_card(
-            self.out.stem,
-            "predictor",
-            hand,
-            names,
-            (),
-            ResidualSettings(),
-            1 / LiftProtocol().control_period,
-            Budget(len(outcomes.grasp), perf_counter() - start, machine()),
-            training_data=tuple(TrainingData(s.name, s.terms, len(s.grasps)) for s in sets),
-            seed=self.seed,
-            licence=self.licence,
-            limits=("Its budget counts episodes where a policy of motions counts control steps.",),
-            measured={"cross-validated, no residual": measured},
-        )
-        export_predictor(predictor, self.out, card)
+        with progress_bar("trying plans", 1.0) as show:
+            card = train_predictor(
+                self.out,
+                sets,
+                hand,
+                self.settings,
+                self.seed,
+                episodes=self.episodes,
+                licence=self.licence,
+                threads=self.threads,
+                progress=show,
+            )
+        measured, budget = card.measured[MEASURED], card.budget
         print(
             f"{self.out}: of grasps it has not seen, {measured['first']:.1%} hold as they are, "
             f"{measured['chosen']:.1%} of those it chooses, {measured['any']:.1%} in some variation "
-            f"({len(outcomes.grasp)} episodes in {(perf_counter() - start) / 60:.1f} min)"
+            f"({budget.steps} episodes in {budget.seconds / 60:.1f} min)"
         )
 
 

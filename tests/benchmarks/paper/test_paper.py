@@ -62,33 +62,38 @@ def test_a_table_is_made_of_all_seeds_and_conditions_and_kept(tmp_path, capsys, 
 
 def test_free_policies_are_trained_in_turn_and_only_where_they_are_missing(tmp_path, capsys, monkeypatch):
     pytest.importorskip("rsl_rl")
+    from fungrasp.training import predictor_run, run, student_run
+
     made = []
 
-    def stand_in(name, file):
-        def run_(command):
-            made.append(name)
-            path = command.out / file if file else command.out
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_text(name)
+    def stand_in(name, path):
+        made.append(name)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(name)
 
-        return run_
+    def synthesized(seed, path):
+        made.append("grasps")
+        save_human_grasps(path, some_grasps())
 
-    kinds = {"MakeGrasps": "", "TrainPredictor": "", "Train": "policy.onnx", "Distill": "student.onnx"}
-    for name, file in kinds.items():
-        monkeypatch.setattr(getattr(free_policies, name), "run", stand_in(name, file))
+    monkeypatch.setattr(free_policies, "_synthesize", synthesized)
+    monkeypatch.setattr(
+        predictor_run, "train_predictor", lambda path, *_, **more: stand_in("predictor", path)
+    )
+    monkeypatch.setattr(run, "train", lambda folder, *_, **more: stand_in("teacher", folder / run.POLICY))
+    monkeypatch.setattr(
+        student_run,
+        "train_student",
+        lambda teacher, folder, *_, **more: stand_in("student", folder / student_run.STUDENT),
+    )
     command = ("paper", "policies", "--hands", "leap", "--grasp-seeds", 1, "--out", tmp_path)
     status, _, err = run_benchmark(capsys, *command)
     assert status == 0, err
-    assert made == list(kinds)
+    assert made == ["grasps", "predictor", "teacher", "student"]
     files = {path.name: path.read_text() for path in (tmp_path / "policies").iterdir()}
-    assert files == {
-        "leap-predictor-free.onnx": "TrainPredictor",
-        "leap-teacher-free.onnx": "Train",
-        "leap-student-free.onnx": "Distill",
-    }
+    assert files == {f"leap-{kind}-free.onnx": kind for kind in ("predictor", "teacher", "student")}
     made.clear()
     run_benchmark(capsys, *command)
-    assert made == ["Train"], "which goes on by its checkpoint"
+    assert made == ["teacher"], "which goes on by its checkpoint"
 
 
 def test_the_interval_of_a_mean_counts_groups_not_values():
