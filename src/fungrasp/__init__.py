@@ -18,12 +18,13 @@ from fungrasp.version import __version__ as __version__
 
 _NAMES = {
     "deployment.deploy": "deploy",
-    "evaluation": "evaluate static_quality",
+    "evaluation": "LiftTestSpec compare_methods evaluate static_quality",
     "grasps": (
         "HumanGrasp HumanGraspSet RobotGrasp RobotGraspSet builtin_grasps load_grasps load_human_grasps "
         "load_objects load_robot_grasps save_human_grasps save_robot_grasps"
     ),
     "hands": "Hand load_hand",
+    "jobs": "PartStore RayCluster",
     "objects": "ObjectModel load_object",
     "perception.pipeline": "perceive",
     "planning": "MotionPlanner Planner",

@@ -1,6 +1,8 @@
 """The names that ``__init__.py`` loads on use, for type checkers."""
 
 from fungrasp.deployment.deploy import deploy as deploy
+from fungrasp.evaluation import LiftTestSpec as LiftTestSpec
+from fungrasp.evaluation import compare_methods as compare_methods
 from fungrasp.evaluation import evaluate as evaluate
 from fungrasp.evaluation import static_quality as static_quality
 from fungrasp.grasps import HumanGrasp as HumanGrasp
@@ -16,6 +18,8 @@ from fungrasp.grasps import save_human_grasps as save_human_grasps
 from fungrasp.grasps import save_robot_grasps as save_robot_grasps
 from fungrasp.hands import Hand as Hand
 from fungrasp.hands import load_hand as load_hand
+from fungrasp.jobs import PartStore as PartStore
+from fungrasp.jobs import RayCluster as RayCluster
 from fungrasp.objects import ObjectModel as ObjectModel
 from fungrasp.objects import load_object as load_object
 from fungrasp.perception.pipeline import perceive as perceive
