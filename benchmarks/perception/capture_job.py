@@ -11,6 +11,12 @@ from typing import Self
 
 import numpy as np
 
+from benchmarks.perception.capture_files import (
+    TRUTH_FILE,
+    painted_mesh,
+    read_synthetic_capture,
+    write_capture,
+)
 from benchmarks.perception.measurements import CaptureResult, measure_absent, measure_perception
 from benchmarks.perception.true_landmarks import TrueLandmarks
 from fungrasp.formats.record_json import record_from_json
@@ -19,12 +25,6 @@ from fungrasp.jobs import Arrays, Job, part_key
 from fungrasp.objects import ObjectModel
 from fungrasp.perception import Capture
 from fungrasp.perception.hand.detected_hand import HandDetector
-from fungrasp.synthetic_captures.capture_files import (
-    TRUTH_FILE,
-    painted_mesh,
-    read_synthetic_capture,
-    write_capture,
-)
 from fungrasp.synthetic_captures.capture_scene import Label
 from fungrasp.synthetic_captures.capture_settings import CaptureSettings
 from fungrasp.synthetic_captures.render_capture import SyntheticCapture, capture_at

@@ -10,6 +10,8 @@ import numpy as np
 import trimesh
 from scipy.spatial.transform import Rotation
 
+from benchmarks.perception.other_people import painted_person
+from benchmarks.perception.scene_additions import varied_settings
 from fungrasp.hands import hand_files, load_hand
 from fungrasp.perception import Capture
 from fungrasp.rendering.camera import orbit_camera
@@ -18,8 +20,7 @@ from fungrasp.rendering.ray_tracing import NOTHING, RayTracer
 from fungrasp.rendering.shading import linear, model_materials
 from fungrasp.rendering.surfaces import SurfaceMesh
 from fungrasp.synthetic_captures.capture_scene import SKIN_LIKE, Label, surroundings
-from fungrasp.synthetic_captures.capture_settings import CaptureSettings, varied_settings
-from fungrasp.synthetic_captures.other_people import painted_person
+from fungrasp.synthetic_captures.capture_settings import CaptureSettings
 from fungrasp.synthetic_captures.painted_mesh import PaintedMesh
 from fungrasp.synthetic_captures.render_capture import drawn_intrinsics, photographed, posed_rays
 

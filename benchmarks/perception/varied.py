@@ -64,11 +64,11 @@ def render_varied(
         seed: decides everything.
         settings: by default varied ones.
     """
+    from benchmarks.perception.capture_files import TRUTH_FILE, write_capture
     from benchmarks.perception.no_hand_capture import no_hand_capture
+    from benchmarks.perception.scene_additions import varied_settings
     from fungrasp.objects import mirrored_name, mirrored_object
     from fungrasp.perception.io.scene_folders import LENS_FILE, write_folder
-    from fungrasp.synthetic_captures.capture_files import TRUTH_FILE, write_capture
-    from fungrasp.synthetic_captures.capture_settings import varied_settings
     from fungrasp.synthetic_captures.render_capture import capture_at
 
     settings = settings or varied_settings()

@@ -11,6 +11,7 @@ import pytest
 from benchmark_runs import run_benchmark
 from grasp_files import some_grasps
 
+from benchmarks.perception.capture_files import write_capture
 from benchmarks.perception.capture_job import CaptureJob, CaptureTrial
 from benchmarks.perception.captures import Captures
 from benchmarks.perception.chain import run_chain
@@ -19,7 +20,6 @@ from fungrasp.hands import load_hand
 from fungrasp.perception import Intrinsics
 from fungrasp.planning.selection import SelectionSettings
 from fungrasp.planning.selection.settings import FurtherSearch
-from fungrasp.synthetic_captures.capture_files import write_capture
 from fungrasp.synthetic_captures.capture_settings import CaptureSettings
 from fungrasp.synthetic_captures.render_capture import capture_at
 

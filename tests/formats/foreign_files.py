@@ -14,6 +14,7 @@ import numpy as np
 import trimesh
 from PIL import Image
 
+from benchmarks.perception.capture_files import TRUTH_FILE, read_synthetic_capture
 from fungrasp.evaluation import replay
 from fungrasp.evaluation.result_files import read_result, write_result
 from fungrasp.evaluation.trajectory import Trajectory
@@ -30,7 +31,6 @@ from fungrasp.perception.io.capture import Capture, Intrinsics
 from fungrasp.perception.io.image_files import read_color, read_depth, read_mask
 from fungrasp.perception.io.intrinsics_files import read_intrinsics
 from fungrasp.policies.checkpoint.checkpoint_file import list_policies, load_policy, read_card
-from fungrasp.synthetic_captures.capture_files import TRUTH_FILE, read_synthetic_capture
 from fungrasp.task import Action
 
 Reader = Callable[[Path], Any]

@@ -6,17 +6,18 @@ import numpy as np
 import pytest
 from scipy.spatial import KDTree
 
+from benchmarks.perception.capture_files import read_synthetic_capture, write_capture
 from benchmarks.perception.no_hand_capture import no_hand_capture
 from benchmarks.perception.recorded_captures import read_recorded, recorded_folders
+from benchmarks.perception.scene_additions import MoreInTheImage, varied_settings
 from benchmarks.perception.varied import render_varied
 from fungrasp.errors import FungraspError
 from fungrasp.geometry.poses import inverse_transform_points, transform_points
 from fungrasp.grasps import builtin_grasps
 from fungrasp.objects import builtin_object, mirrored_object
 from fungrasp.perception import Intrinsics
-from fungrasp.synthetic_captures.capture_files import read_synthetic_capture, write_capture
 from fungrasp.synthetic_captures.capture_scene import Label
-from fungrasp.synthetic_captures.capture_settings import CaptureSettings, varied_settings
+from fungrasp.synthetic_captures.capture_settings import CaptureSettings
 from fungrasp.synthetic_captures.render_capture import render_capture
 
 LENS = Intrinsics(320, 240, 300, 300, 160, 119)
@@ -73,12 +74,14 @@ def test_a_written_capture_is_one_of_a_validation_set(left, tmp_path):
 
 def test_rings_watches_and_people_are_seen_and_nothing_else_changes():
     bare = rendered(PLAIN)
-    dressed = rendered(dataclasses.replace(PLAIN, worn=1.0))
+    dressed = rendered(dataclasses.replace(PLAIN, additions=MoreInTheImage(worn=1.0)))
     assert (dressed.labels == Label.WORN).sum() > 20
     np.testing.assert_array_equal(dressed.pose_world_camera, bare.pose_world_camera)
     elsewhere = dressed.labels != bare.labels
     assert elsewhere.mean() < 0.05, "a ring and a watch are small"
-    far = dataclasses.replace(PLAIN, people=1.0, distance=(0.8, 0.9), elevation=(15, 20))
+    far = dataclasses.replace(
+        PLAIN, additions=MoreInTheImage(people=1.0), distance=(0.8, 0.9), elevation=(15, 20)
+    )
     peopled = rendered(far)
     assert (peopled.labels == Label.PERSON).sum() > 200
     assert (peopled.labels == Label.HAND).sum() > 50
@@ -98,7 +101,7 @@ def test_images_without_a_hand_have_the_same_bytes_again():
 
 def test_parts_are_from_0_to_1():
     with pytest.raises(FungraspError, match="worn is a part, from 0 to 1"):
-        CaptureSettings(worn=1.5)
+        MoreInTheImage(worn=1.5)
 
 
 def test_a_validation_set_is_rendered_once(tmp_path):

@@ -1,42 +1,22 @@
-"""The image that ``fungrasp demo --from-image`` starts from, and how it was made."""
+"""What is known about the image that ``fungrasp demo --from-image`` starts from."""
 
 from __future__ import annotations
 
 import json
-import shutil
 from dataclasses import dataclass
-from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 import trimesh
 
 from fungrasp.errors import FungraspError
-from fungrasp.files import atomic_path
-from fungrasp.grasps import builtin_grasps
-from fungrasp.objects import builtin_object
-from fungrasp.perception.io.scene_folders import BUILTIN_CAPTURE, COLOR_FILE, DEPTH_FILE, LENS_FILE
+from fungrasp.perception.io.scene_folders import BUILTIN_CAPTURE
 from fungrasp.perception.object_pose.pose_error import add, rotation_error
 from fungrasp.perception.perceived import Perceived
 from fungrasp.perception.pipeline import perceive
 from fungrasp.report.page_parts import Quantity
-from fungrasp.synthetic_captures.capture_files import TRUTH_FILE, write_capture
-from fungrasp.synthetic_captures.capture_settings import CaptureSettings
-from fungrasp.synthetic_captures.depth_noise import ColorNoise
-from fungrasp.synthetic_captures.render_capture import render_capture
 
 BUILTIN = "builtin"
 """Stands for the image that comes with the package."""
-
-FILES = (COLOR_FILE, DEPTH_FILE, LENS_FILE, TRUTH_FILE)
-
-ROW, SEED = 71, 0
-"""The built-in grasp that is shown, and the dice of camera, room and noise."""
-
-SETTINGS = CaptureSettings(
-    distance=(0.42, 0.62), elevation=(22.0, 48.0), clutter=(1, 3), color_noise=ColorNoise(noise=1.0)
-)
-"""A person's own view of a table, less grainy than usual, to be a small file."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +35,7 @@ class DemoTruth:
 
 def demo_truth() -> DemoTruth:
     """The truth about the image in ``BUILTIN_CAPTURE``."""
-    truth = json.loads((BUILTIN_CAPTURE / TRUTH_FILE).read_text())
+    truth = json.loads((BUILTIN_CAPTURE / "truth.json").read_text())
     return DemoTruth(
         truth["object_name"],
         truth["task"],
@@ -77,26 +57,6 @@ def true_errors(truth: DemoTruth, perceived: Perceived) -> list[Quantity]:
         Quantity("Error of the object", apart, "mm", "Mean distance of its points from the true ones.", 10.0),
         Quantity("Turn of the object", turned, "°", "Between its pose and the true one.", 10.0),
     ]
-
-
-def make_demo_image(folder: str | Path = BUILTIN_CAPTURE) -> None:
-    """Render the image anew. Another machine's rounding may change single pixels.
-
-    Raises:
-        FungraspError: the folder can't be written to.
-    """
-    grasp = builtin_grasps()[ROW]
-    rng = np.random.default_rng([4, ROW, SEED])
-    synthetic = render_capture(grasp, builtin_object(grasp.object_name), rng, SETTINGS)
-    with TemporaryDirectory() as name:
-        write_capture(synthetic, name)
-        for file in FILES:
-            with atomic_path(Path(folder) / file) as path:
-                shutil.copyfile(Path(name) / file, path)
-
-
-if __name__ == "__main__":
-    make_demo_image()
 
 
 def perceive_image(

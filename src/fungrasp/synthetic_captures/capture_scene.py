@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
+from typing import Protocol
 
 import numpy as np
 import trimesh
@@ -117,6 +118,31 @@ class CaptureScene:
         gone = {*missing, *([Label.SLEEVE, Label.WORN] if Label.HAND in missing else [])}
         kept = [i for i, label in enumerate(self.labels.tolist()) if label not in gone]
         return replace(self, surfaces=tuple(self.surfaces[i] for i in kept), labels=self.labels[kept])
+
+
+class SceneAdditions(Protocol):
+    """Adds things to a scene."""
+
+    def __call__(
+        self,
+        scene: CaptureScene,
+        grasp: HumanGrasp,
+        center: np.ndarray,
+        towards: float,
+        tones: Sequence[Color],
+        rng: np.random.Generator,
+    ) -> CaptureScene:
+        """The scene with more in it.
+
+        Args:
+            scene: as far as it is made.
+            grasp: what the hand does, world frame.
+            center: of the held object [m], world frame, shape [3].
+            towards: direction from the grasp to the camera along the table [rad].
+            tones: of skin, sRGB.
+            rng: random numbers.
+        """
+        ...
 
 
 def capture_scene(

@@ -1,13 +1,13 @@
-"""What test captures look like: cameras, hands, clutter, other people, noise."""
+"""What test captures look like: cameras, hands, clutter, noise."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 from fungrasp.errors import FungraspError, UnknownNameError
 from fungrasp.perception import Intrinsics
 from fungrasp.rendering.shading import Color
-from fungrasp.synthetic_captures.capture_scene import Label
+from fungrasp.synthetic_captures.capture_scene import Label, SceneAdditions
 from fungrasp.synthetic_captures.depth_cameras import DEPTH_CAMERAS, DepthCamera
 from fungrasp.synthetic_captures.depth_noise import ColorNoise, DepthNoise
 from fungrasp.synthetic_captures.skin_and_sleeve import SKIN_TONES
@@ -44,10 +44,8 @@ class CaptureSettings:
     fingertips stay where they are."""
     skin_like: float = 0.0
     """Part of the clutter, and of the table tops, with colours that some skin has."""
-    worn: float = 0.0
-    """Part of the hands that wear a ring, and part that wears a watch."""
-    people: float = 0.0
-    """Part of the scenes with a hand of somebody else beside the grasp, and part with a person behind it."""
+    additions: SceneAdditions | None = None
+    """Adds to each scene what ordinary ones don't have."""
     left: float = 0.0
     """Part of the captures that are seen in a mirror: left hands, with the mirror images of objects."""
     depth_noise: DepthNoise | tuple[DepthCamera, ...] | None = field(default_factory=DepthNoise)
@@ -65,7 +63,7 @@ class CaptureSettings:
             raise FungraspError("captures: depth_noise must name at least one camera, or be None")
         if not 0 <= self.proportions <= 0.2:
             raise FungraspError(f"captures: proportions must be from 0 to 0.2, not {self.proportions}")
-        for name in ("worn", "people", "left", "skin_like"):
+        for name in ("left", "skin_like"):
             if not 0 <= getattr(self, name) <= 1:
                 raise FungraspError(f"captures: {name} is a part, from 0 to 1, not {getattr(self, name)}")
         if self.distance[0] < 0.2 or self.elevation[1] > 85:
@@ -94,12 +92,3 @@ def camera_settings(camera: str = "mixed") -> CaptureSettings:
             noise=3.0, blur=0.6, balance=0.08, exposure=(0.6, 3.0), motion=4.0, jpeg=(60, 95)
         ),
     )
-
-
-def varied_settings(camera: str = "mixed") -> CaptureSettings:
-    """``camera_settings`` with left hands, rings, watches, and other people in the image.
-
-    Raises:
-        UnknownNameError: there is no such camera.
-    """
-    return replace(camera_settings(camera), worn=0.3, people=0.3, left=0.4)

@@ -11,6 +11,7 @@ import numpy as np
 import trimesh
 
 from fungrasp.geometry.poses import transform_points
+from fungrasp.grasps.human_hand import mirror_points
 from fungrasp.objects import ObjectModel
 from fungrasp.rendering.shading import linear
 from fungrasp.rendering.surfaces import SurfaceMesh
@@ -113,3 +114,8 @@ def _palette(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarr
 
 def _step(x: np.ndarray, width: float) -> np.ndarray:
     return np.clip(0.5 + x / width, 0.0, 1.0)
+
+
+def mirrored_mesh(mesh: PaintedMesh) -> PaintedMesh:
+    """The mesh reflected in the plane y = 0."""
+    return replace(mesh, vertices=mirror_points(mesh.vertices), faces=mesh.faces[:, ::-1].copy())

@@ -25,9 +25,7 @@ from fungrasp.synthetic_captures.capture_scene import CaptureScene, Label, captu
 from fungrasp.synthetic_captures.capture_settings import CaptureSettings
 from fungrasp.synthetic_captures.depth_cameras import camera_depth
 from fungrasp.synthetic_captures.depth_noise import ColorNoise, DepthNoise, noisy_color, noisy_depth
-from fungrasp.synthetic_captures.other_people import mirrored_mesh
-from fungrasp.synthetic_captures.painted_mesh import PaintedMesh, painted_object
-from fungrasp.synthetic_captures.scene_additions import with_other_people, with_worn_things
+from fungrasp.synthetic_captures.painted_mesh import PaintedMesh, mirrored_mesh, painted_object
 from fungrasp.synthetic_captures.varied_hand import vary_hand
 
 TRIES = 24
@@ -151,12 +149,11 @@ def render_capture(
         skin_like=settings.skin_like,
     )
     tracer = RayTracer(scene.surfaces, scene.look)
-    if settings.worn or settings.people:
+    if settings.additions is not None:
         # Numbers of their own, so that all else is as without them.
         more = rng.spawn(1)[0]
-        scene = with_worn_things(scene, grasp, settings.worn, more)
-        centre = painted.moved(grasp.object_pose).vertices.mean(axis=0)
-        scene = with_other_people(scene, centre, towards, settings.people, settings.skin, more)
+        center = painted.moved(grasp.object_pose).vertices.mean(axis=0)
+        scene = settings.additions(scene, grasp, center, towards, settings.skin, more)
         tracer = RayTracer(scene.surfaces, scene.look)
     pose = _camera(grasp, painted, tracer, scene, intrinsics, azimuth, settings, rng)
     if settings.missing:

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 import trimesh
 
-from fungrasp.grasps.human_hand import mirror_points
 from fungrasp.rendering.shading import Color
-from fungrasp.synthetic_captures.painted_mesh import PaintedMesh, mixed
+from fungrasp.synthetic_captures.painted_mesh import PaintedMesh, mirrored_mesh, mixed
 from fungrasp.synthetic_captures.skin_and_sleeve import blotches, painted_hand, painted_sleeve
 
 HEAD = (0.098, 0.076, 0.118)
@@ -46,11 +44,6 @@ def other_hand(
     if cloth is not None:
         parts.append(painted_sleeve(arm, float(rng.uniform(0.2, 0.5)), cloth, rng))
     return [mirrored_mesh(part) for part in parts] if rng.uniform() < 0.5 else parts
-
-
-def mirrored_mesh(mesh: PaintedMesh) -> PaintedMesh:
-    """The mesh reflected in the plane y = 0."""
-    return replace(mesh, vertices=mirror_points(mesh.vertices), faces=mesh.faces[:, ::-1].copy())
 
 
 def painted_person(tone: Color, rng: np.random.Generator) -> list[PaintedMesh]:

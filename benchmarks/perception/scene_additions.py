@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
+from benchmarks.perception.other_people import other_hand, painted_person
+from benchmarks.perception.worn_things import painted_ring, painted_watch
+from fungrasp.errors import FungraspError
 from fungrasp.grasps import HumanGrasp, builtin_grasps
 from fungrasp.rendering.shading import Color
 from fungrasp.rendering.surfaces import SurfaceMesh
 from fungrasp.synthetic_captures.capture_scene import SLEEVES, SLEEVES_WORN, CaptureScene, Label
-from fungrasp.synthetic_captures.other_people import other_hand, painted_person
+from fungrasp.synthetic_captures.capture_settings import CaptureSettings, camera_settings
 from fungrasp.synthetic_captures.painted_mesh import PaintedMesh
 from fungrasp.synthetic_captures.skin_and_sleeve import back_of_hand
-from fungrasp.synthetic_captures.worn_things import painted_ring, painted_watch
 
 HAND_AWAY = (0.16, 0.38)
 """Another person's hand is so far from the grasp, between their middles [m]."""
@@ -26,6 +28,42 @@ PERSON_AWAY, HEAD_HEIGHT = (0.45, 0.80), (0.24, 0.48)
 
 CLEAR = 0.02
 """Another hand is at least so far from hand and object [m]."""
+
+
+@dataclass(frozen=True)
+class MoreInTheImage:
+    """Adds worn things and other people to scenes."""
+
+    worn: float = 0.0
+    """Part of the hands that wear a ring, and part that wears a watch."""
+    people: float = 0.0
+    """Part of the scenes with a hand of somebody else beside the grasp, and part with a person behind it."""
+
+    def __post_init__(self) -> None:
+        for name in ("worn", "people"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise FungraspError(f"captures: {name} is a part, from 0 to 1, not {getattr(self, name)}")
+
+    def __call__(
+        self,
+        scene: CaptureScene,
+        grasp: HumanGrasp,
+        center: np.ndarray,
+        towards: float,
+        tones: Sequence[Color],
+        rng: np.random.Generator,
+    ) -> CaptureScene:
+        scene = with_worn_things(scene, grasp, self.worn, rng)
+        return with_other_people(scene, center, towards, self.people, tones, rng)
+
+
+def varied_settings(camera: str = "mixed") -> CaptureSettings:
+    """``camera_settings`` with left hands, rings, watches, and other people in the image.
+
+    Raises:
+        UnknownNameError: there is no such camera.
+    """
+    return replace(camera_settings(camera), additions=MoreInTheImage(0.3, 0.3), left=0.4)
 
 
 def with_worn_things(
