@@ -40,12 +40,17 @@ Residual = tuple[np.ndarray, np.ndarray]
 Term = Callable[[HandState[Any]], Residual]
 
 
+def keypoint_jacobian(state: HandState[Any], which: np.ndarray) -> np.ndarray:
+    """Jacobian of some key points. which: indices, shape [Q]; returns shape [N, Q, 3, D]."""
+    return state.points.kinematics.jacobian(state.points.keypoints.bodies[which], state.keypoints[:, which])
+
+
 def fingertip_position(state: HandState[RetargetingProblem], unit: float = 0.01) -> Residual:
     """(p_tip - p_human tip) / unit for each finger: the first initialisation of IV.A. unit: [m]."""
     match = state.points.match
     far, human = match.far[match.is_last], match.human_far[match.is_last]
     residual = (state.keypoints[:, far] - state.problem.joints[:, human]) / unit
-    return _flat(residual, state.keypoint_jacobian(far) / unit)
+    return _flat(residual, keypoint_jacobian(state, far) / unit)
 
 
 def keypoint_position(
@@ -59,7 +64,7 @@ def keypoint_position(
         weight: [1/m], shape [N, Q].
     """
     residual = weight[..., None] * (state.keypoints[:, which] - target)
-    return _flat(residual, weight[..., None, None] * state.keypoint_jacobian(which))
+    return _flat(residual, weight[..., None, None] * keypoint_jacobian(state, which))
 
 
 def link_direction(
@@ -78,7 +83,7 @@ def link_direction(
     human = state.problem.joints[:, match.human_far[links]] - state.problem.joints[:, match.human_near[links]]
     length = np.linalg.norm(robot, axis=-1, keepdims=True)
     robot, human = robot / length, human / np.linalg.norm(human, axis=-1, keepdims=True)
-    move = (state.keypoint_jacobian(far) - state.keypoint_jacobian(near)) / length[..., None]
+    move = (keypoint_jacobian(state, far) - keypoint_jacobian(state, near)) / length[..., None]
     # Derivative of a normalized vector: (I - d d^T) applied to the derivative of the vector over its length.
     jacobian = move - robot[..., None] * np.einsum("nsi,nsid->nsd", robot, move)[:, :, None]
     return _flat((robot - human) / unit, jacobian / unit)
@@ -100,7 +105,7 @@ def contact_position(
     far = state.points.match.far
     target, weight = contact_targets(state.points, state.problem, unit, inner_weight)
     residual = weight[..., None] * (state.keypoints[:, far] - target)
-    return _flat(residual, weight[..., None, None] * state.keypoint_jacobian(far))
+    return _flat(residual, weight[..., None, None] * keypoint_jacobian(state, far))
 
 
 def contact_targets(
@@ -161,9 +166,9 @@ def table_penetration(
     lowest = _smallest(state.heights, count)
     depth = margin - np.take_along_axis(state.heights, lowest, axis=1)
     active = depth > 0
-    up = np.take_along_axis(
-        state.problem.up, np.take_along_axis(state.plane, lowest, axis=1)[..., None], axis=1
-    )
+    problem = state.problem
+    plane = (np.einsum("npi,nti->npt", state.spheres, problem.up) + problem.height[:, None]).argmin(axis=2)
+    up = np.take_along_axis(problem.up, np.take_along_axis(plane, lowest, axis=1)[..., None], axis=1)
     jacobian = -(up[:, :, None] @ state.sphere_jacobian(lowest))[:, :, 0]
     return active * depth / unit, active[..., None] * jacobian / unit
 
@@ -222,7 +227,7 @@ def force_closure(
     force = balanced_forces(lever, -normal, wanted, friction)
     pressure = -np.sum(force * normal, axis=-1)
     # With the forces fixed in the contact frames, a force turns as the normal does: df = -pressure dn.
-    move = state.keypoint_jacobian(match.far)
+    move = keypoint_jacobian(state, match.far)
     force_d = -pressure[..., None, None] * np.einsum("nsij,nsjd->nsid", curvature, move)
     # Product rule of lever x force; cross products want xyz last, so that the D derivatives are swapped
     # forward.

@@ -1,4 +1,4 @@
-"""Terms of contact and collision."""
+"""Terms of collision: with the object, the table and the hand itself."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fungrasp.geometry.compiling import compiled, compiled_part, plain
-from fungrasp.geometry.distance_queries import distance_bound, signed_distance
+from fungrasp.geometry.distance_queries import signed_distance
 from fungrasp.geometry.signed_distance import GridArrays
 from fungrasp.optimization.collision_scene import CollisionScene
 from fungrasp.optimization.frames import (
@@ -22,7 +22,7 @@ from fungrasp.optimization.frames import (
 )
 from fungrasp.optimization.hand_arrays import Groups, Spheres
 from fungrasp.optimization.hand_state import HandPoints
-from fungrasp.optimization.retargeting_problem import RetargetingProblem
+from fungrasp.optimization.link_contacts import least_clearance
 
 
 class Measure(NamedTuple):
@@ -37,84 +37,6 @@ class Measure(NamedTuple):
     smoothing: float
     """Zero: residuals are depth / unit. Else their halved squares are (sqrt(depth^2 + smoothing^2) -
     smoothing) / unit, about depth / unit [m]."""
-
-
-def contact_gap(points: HandPoints, problem: RetargetingProblem, unit: float = 0.003) -> AddTerm:
-    """c_j max(0, gap_j) / unit, gap_j the smallest clearance of link j's surface from the object. unit:
-    [m]."""
-    spheres, groups = points.arrays.spheres, points.arrays.groups
-    grids, grid = problem.bank.arrays, plain(problem.grid, np.int64)
-    wanted = plain(problem.contacts, bool)
-    return lambda frames, equations, *_: _add_gaps(
-        frames, equations, spheres, groups, grids, grid, wanted, unit
-    )
-
-
-@compiled
-def _add_gaps(
-    frames: Frames,
-    equations: Equations,
-    spheres: Spheres,
-    groups: Groups,
-    grids: GridArrays,
-    grid: np.ndarray,
-    wanted: np.ndarray,
-    unit: float,
-) -> None:
-    """Add ``contact_gap``. wanted: links that should touch, shape [N, L] bool."""
-    row = empty_row(equations.gradient.shape[1])
-    for i in range(len(wanted)):
-        if not equations.active[i]:
-            continue
-        for link in range(1, wanted.shape[1]):
-            if not wanted[i, link]:
-                continue
-            nearest, least, nx, ny, nz = nearest_sphere(
-                frames, i, spheres, groups, link, grids, grid[i], math.inf
-            )
-            if nearest >= 0 and least > 0:
-                body = spheres.body[nearest]
-                point = place(frames, i, body, spheres.offset[nearest])
-                add_point(row, frames, i, body, point, (nx / unit, ny / unit, nz / unit))
-                finish_row(row, equations, i, least / unit)
-
-
-@compiled_part
-def nearest_sphere(
-    frames: Frames,
-    i: int,
-    spheres: Spheres,
-    groups: Groups,
-    link: int,
-    grids: GridArrays,
-    grid: int,
-    within: float,
-):
-    """The sphere of a link that is nearest to the object.
-
-    Returns:
-        its index, -1 where none is nearer than ``within`` [m]; its clearance [m]; the distance's gradient at
-        its center.
-    """
-    nearest, least, nx, ny, nz = np.int64(-1), within, 0.0, 0.0, 0.0
-    for group in range(groups.link_start[link], groups.link_start[link + 1]):
-        if least_clearance(grids, grid, groups, frames, i, group) > least:
-            continue
-        for k in range(groups.start[group], groups.start[group + 1]):
-            ball = groups.members[k]
-            point = place(frames, i, spheres.body[ball], spheres.offset[ball])
-            distance, gx, gy, gz = signed_distance(grids, grid, point)
-            clearance = distance - spheres.radius[ball]
-            if clearance < least:
-                nearest, least, nx, ny, nz = ball, clearance, gx, gy, gz
-    return nearest, least, nx, ny, nz
-
-
-@compiled_part
-def least_clearance(grids: GridArrays, grid: int, groups: Groups, frames: Frames, i: int, group: int):
-    """A bound below the clearances [m] of a group's spheres."""
-    point = place(frames, i, groups.body[group], groups.center[group])
-    return distance_bound(grids, grid, point) - groups.reach[group]
 
 
 def object_penetration(

@@ -114,12 +114,6 @@ class HandState(Generic[ProblemT]):
         heights = np.einsum("npi,nti->npt", self.spheres, problem.up) + problem.height[:, None]
         self.heights = heights.min(axis=2) - points.spheres.radius
         """Distance of each sphere's surface from the nearest plane [m], shape [N, P]."""
-        self.plane = heights.argmin(axis=2)
-        """Index of that plane, shape [N, P]."""
-
-    def keypoint_jacobian(self, which: np.ndarray) -> np.ndarray:
-        """Jacobian of some key points. which: indices, shape [Q]; returns shape [N, Q, 3, D]."""
-        return self.points.kinematics.jacobian(self.points.keypoints.bodies[which], self.keypoints[:, which])
 
     def sphere_jacobian(self, which: np.ndarray) -> np.ndarray:
         """Jacobian of some centers. which: sphere indices, shape [N, Q]; returns shape [N, Q, 3, D]."""

@@ -15,13 +15,13 @@ import numpy as np
 from fungrasp.optimization.closure_term import force_closure
 from fungrasp.optimization.collision_scene import CollisionScene
 from fungrasp.optimization.collision_terms import (
-    contact_gap,
     object_penetration,
     self_penetration,
     table_penetration,
 )
 from fungrasp.optimization.frames import AddTerm, Equations, Frames
 from fungrasp.optimization.hand_state import HandPoints, HandState
+from fungrasp.optimization.link_contacts import contact_gap
 from fungrasp.optimization.pose_terms import (
     contact_position,
     fingertip_position,
