@@ -114,7 +114,7 @@ def demonstrate(
             for done, model in enumerate(objects.values()):
                 _ = model.signed_distance
                 show(done + 1)
-        with stages(f"retargeting to {hand.name}", len(human)) as show:
+        with stages(f"retargeting to {hand.name}", 1.0) as show:
             robot = retarget(human, objects, hand, threads=threads, progress=show)
         quality = static_quality(robot, human, objects, hand)
         refined = bool(refine) and policy == REFERENCE
@@ -127,7 +127,7 @@ def demonstrate(
         # Refined grasps are played as they were tried: with the squeeze for the lift alone.
         motions = MotionSettings(for_use=not refined)
         selection = SelectionSettings.for_protocol("nominal", for_use=True)
-        with stages("lifting and using", len(robot)) as show:
+        with stages("lifting and using", 1.0) as show:
             result = evaluate(
                 robot,
                 objects,
