@@ -16,6 +16,7 @@ import runpy
 import shlex
 import sys
 import textwrap
+import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 from functools import partial
@@ -229,6 +230,11 @@ def test_files_named_in_the_architecture_exist() -> None:
     rooms = set(re.findall(r"^  (\w+)/ ", text, re.MULTILINE))
     package = ROOT / "src" / "fungrasp"
     assert rooms == {path.parent.name for path in package.glob("*/__init__.py")}
+    contract = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]["contracts"][0]
+    layers = [layer.split(" | ") for layer in reversed(contract["layers"])]
+    listed = re.findall(r"^  (\w+)(?:/|\.py) ", text, re.MULTILINE)
+    levels = [next(i for i, layer in enumerate(layers) if name in layer) for name in listed if name[0] != "_"]
+    assert levels == sorted(levels) and len(levels) == sum(map(len, layers)), "not in the contract's order"
 
 
 def test_the_reference_has_a_page_for_every_room_with_public_names() -> None:
