@@ -11,7 +11,6 @@ import pytest
 
 from fungrasp.cli.main import main as fungrasp
 from fungrasp.errors import FungraspError
-from fungrasp.evaluation.result_files import read_result
 from fungrasp.grasps import (
     builtin_grasps,
     load_objects,
@@ -185,27 +184,6 @@ def test_trainings_with_a_machine_lost_equal_those_of_one_process(cluster, tmp_p
         for name, weights in networks[-1].items():
             np.testing.assert_array_equal(weights, many["actor_state_dict"][name], err_msg=f"{file}: {name}")
     assert len({weights["mlp.0.weight"].numpy().tobytes() for weights in networks}) == 4
-
-
-@pytest.mark.slow
-def test_the_benchmark_compares_with_one_process_after_a_loss(grasps, tmp_path, capsys):
-    path = tmp_path / "c.json"
-    command = ["bench", "cluster", "--grasps", str(grasps), "--number", "32", "--json", str(path)]
-    assert fungrasp([*command, "--lose"]) == 0
-    out = capsys.readouterr().out
-    result = read_result(path)
-    numbers, (alone, cluster) = result.header, result.rows
-    assert "32 of 32 outcomes are the same" in out and "one machine lost" in out
-    assert numbers["equal"] == numbers["grasps"] == 32 and numbers["jobs"] == 4
-    assert 1.0 <= cluster["processors"] <= 2.0 and 0 < cluster["at_work"] <= 1.0
-    work = alone["processor_seconds"] / cluster["processor_seconds"]
-    assert numbers["work_per_processor_second"] == pytest.approx(work)
-    assert numbers["share"] == pytest.approx(work * cluster["at_work"])
-
-
-def test_the_benchmark_does_not_take_the_last_machine(capsys):
-    assert fungrasp(["bench", "cluster", "--machines", "1", "--lose"]) == 2
-    assert "2 with --lose" in capsys.readouterr().err
 
 
 def test_what_does_not_go_with_a_cluster(tmp_path, capsys):
