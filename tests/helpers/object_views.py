@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import trimesh
 from scipy.spatial.transform import Rotation
@@ -12,12 +14,27 @@ from fungrasp.perception import Capture, Intrinsics
 from fungrasp.rendering.camera import orbit_camera
 from fungrasp.rendering.ray_tracing import NOTHING, RayTracer
 from fungrasp.rendering.shading import Look
-from fungrasp.synthetic_captures.capture_scene import scan_table
+from fungrasp.rendering.surfaces import SurfaceMesh
+from fungrasp.synthetic_captures.capture_scene import capture_table
 from fungrasp.synthetic_captures.capture_settings import TYPICAL
 from fungrasp.synthetic_captures.depth_cameras import DepthCamera, camera_depth
 from fungrasp.synthetic_captures.depth_noise import ColorNoise, noisy_color
 from fungrasp.synthetic_captures.painted_mesh import painted_object
 from fungrasp.synthetic_captures.render_capture import posed_rays
+
+
+def scan_table(centre: np.ndarray, rng: np.random.Generator) -> SurfaceMesh:
+    """A table top with a sheet of print on it under an object, by which a moved camera is found again.
+
+    centre: of the object [m], world frame, shape [3].
+    """
+    table = capture_table(centre, 0.0, rng)
+    assert table.texture is not None
+    height, width = table.texture.shape[:2]
+    # Blocks of 6 mm, light and dark, as lines of print and pictures are.
+    cells = rng.uniform(0.25, 0.95, (height // 3 + 1, width // 3 + 1))
+    print_ = np.repeat(np.repeat(cells, 3, axis=0), 3, axis=1)[:height, :width, None]
+    return replace(table, texture=table.texture * 0.3 + 0.7 * print_)
 
 
 def object_views(

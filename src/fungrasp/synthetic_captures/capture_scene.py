@@ -205,7 +205,7 @@ def surroundings(
         if skin_like and rng.uniform() < skin_like:
             painted = _in_one_color(painted, SKIN_LIKE[rng.integers(len(SKIN_LIKE))])
         parts.append((Label.CLUTTER, painted.moved(pose).surface(0.3, 40.0)))
-    parts.append((Label.TABLE, _table(centre, skin_like, rng)))
+    parts.append((Label.TABLE, capture_table(centre, skin_like, rng)))
     parts += [(Label.ROOM, surface) for surface in _room(centre, rng)]
     return parts, _look(rng)
 
@@ -235,20 +235,6 @@ def _clutter(
     return placed
 
 
-def scan_table(centre: np.ndarray, rng: np.random.Generator) -> SurfaceMesh:
-    """A table top with a sheet of print on it under an object, by which a moved camera is found again.
-
-    centre: of the object [m], world frame, shape [3].
-    """
-    table = _table(centre, 0.0, rng)
-    assert table.texture is not None
-    height, width = table.texture.shape[:2]
-    # Blocks of 6 mm, light and dark, as lines of print and pictures are.
-    cells = rng.uniform(0.25, 0.95, (height // 3 + 1, width // 3 + 1))
-    print_ = np.repeat(np.repeat(cells, 3, axis=0), 3, axis=1)[:height, :width, None]
-    return replace(table, texture=table.texture * 0.3 + 0.7 * print_)
-
-
 def _in_one_color(painted: PaintedMesh, color: Color) -> PaintedMesh:
     """The same with the paint's light and dark in shades of one colour."""
     grey = painted.colors.mean(axis=1, keepdims=True)
@@ -256,7 +242,9 @@ def _in_one_color(painted: PaintedMesh, color: Color) -> PaintedMesh:
     return replace(painted, colors=np.clip(shade * np.asarray(color), 0.0, 1.0))
 
 
-def _table(centre: np.ndarray, skin_like: float, rng: np.random.Generator) -> SurfaceMesh:
+def capture_table(centre: np.ndarray, skin_like: float, rng: np.random.Generator) -> SurfaceMesh:
+    """A table top under a point [m], world frame, shape [3]; skin_like: probability that its colors are such
+    as some skin has."""
     size = np.array(TABLE_SIZE)
     box = trimesh.creation.box(size)
     vertices = np.array(box.vertices)

@@ -7,7 +7,7 @@ import pytest
 
 from fungrasp.errors import FungraspError
 from fungrasp.objects import builtin_object
-from fungrasp.perception.camera.frames import CameraFrame, FolderCamera, FrameList
+from fungrasp.perception.camera.frames import CameraFrame, FolderCamera
 from fungrasp.perception.camera.live import LiveCapture, LiveSettings, LiveView, best_first
 from fungrasp.perception.hand.detected_hand import DetectedHand
 from fungrasp.perception.io.scene_folders import BUILTIN_CAPTURE as FOLDER
@@ -36,6 +36,24 @@ class Hands:
         joints = TRUTH.joints_camera
         pixels = SEEN.intrinsics.project(joints) + np.array([shift, 0])
         return [DetectedHand(pixels, joints - joints.mean(axis=0), "right", 0.95, 0.95)]
+
+
+class FrameList:
+    """A camera that gives frames known before."""
+
+    name = "the list of frames"
+
+    def __init__(self, frames: list[CameraFrame]):
+        self._frames = frames
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *error):
+        return None
+
+    def frames(self):
+        yield from self._frames
 
 
 def taken(detector: Hands, times: list[float], countdown: float, burst: int = 1):

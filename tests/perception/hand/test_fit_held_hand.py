@@ -14,11 +14,17 @@ from fungrasp.perception import Capture
 from fungrasp.perception.hand import fit
 from fungrasp.perception.hand.contact_evidence import HandSurroundings
 from fungrasp.perception.hand.finger_search import finger_joints, postures, search_fingers
-from fungrasp.perception.hand.fit import fit_held_hand, skeleton_through
+from fungrasp.perception.hand.fit import fit_held_hands, skeleton_through
 from fungrasp.perception.hand.hand_capsules import HAND_CAPSULES, capsule_distances, explained_part
 from fungrasp.perception.hand.hand_measurements import hand_view
 from fungrasp.perception.hand.image_evidence import point_evidence
 from fungrasp.perception.hand.skeleton import SIZE
+
+
+def fit_held_hand(detected, capture, surroundings, joints, **options):
+    """The hand of least cost."""
+    ((hand, _),) = fit_held_hands(detected, capture, surroundings, joints, 1, **options)
+    return hand
 
 
 @pytest.fixture(scope="module")

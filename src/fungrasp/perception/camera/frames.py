@@ -6,7 +6,7 @@ A camera is a context manager; ``frames`` gives the newest frame again and again
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol, Self
@@ -79,29 +79,6 @@ class RgbdCamera(Protocol):
             FungraspError: no frame comes any more.
         """
         ...
-
-
-class FrameList:
-    """A camera that gives frames known before: rendered ones, or those of a test."""
-
-    def __init__(self, frames: Iterable[CameraFrame], name: str = "the list of frames"):
-        """
-        Args:
-            frames: in order of time; may be made while they are taken.
-            name: for messages.
-        """
-        self.name = name
-        self._frames = frames
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        return None
-
-    def frames(self) -> Iterator[CameraFrame]:
-        """See ``RgbdCamera.frames``."""
-        yield from self._frames
 
 
 RATE = 10.0

@@ -112,23 +112,6 @@ def fit_hand(
     return _estimate(problem, parameters, FREE_STAGES[-1], detected)
 
 
-def fit_held_hand(
-    detected: DetectedHand,
-    capture: Capture,
-    surroundings: HandSurroundings,
-    joints: np.ndarray,
-    *,
-    side: Side | None = None,
-    seed: int = 0,
-    settings: HandFitSettings | None = None,
-) -> HandEstimate:
-    """The hand that holds a known object: the first of ``fit_held_hands``, which says the arguments."""
-    ((hand, _),) = fit_held_hands(
-        detected, capture, surroundings, joints, 1, side=side, seed=seed, settings=settings
-    )
-    return hand
-
-
 def fit_held_hands(
     detected: DetectedHand,
     capture: Capture,
