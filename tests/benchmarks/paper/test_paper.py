@@ -62,7 +62,7 @@ def test_a_table_is_made_of_all_seeds_and_conditions_and_kept(tmp_path, capsys, 
 
 def test_free_policies_are_trained_in_turn_and_only_where_they_are_missing(tmp_path, capsys, monkeypatch):
     pytest.importorskip("rsl_rl")
-    from fungrasp.training import predictor_run, run, student_run
+    from fungrasp.training import predictor_run, run, student_run, training_sets
 
     made = []
 
@@ -76,6 +76,7 @@ def test_free_policies_are_trained_in_turn_and_only_where_they_are_missing(tmp_p
         save_human_grasps(path, some_grasps())
 
     monkeypatch.setattr(free_policies, "_synthesize", synthesized)
+    monkeypatch.setattr(training_sets, "load_training_sets", lambda names, *_, **more: [])
     monkeypatch.setattr(
         predictor_run, "train_predictor", lambda path, *_, **more: stand_in("predictor", path)
     )
