@@ -37,8 +37,8 @@ class BenchPlanning:
 
         import numpy as np
 
+        from fungrasp.evaluation.plans import plan
         from fungrasp.grasps import RobotGraspSet, load_grasps, load_objects
-        from fungrasp.policies import plan
         from fungrasp.provenance import machine
         from fungrasp.retargeting import retarget
 

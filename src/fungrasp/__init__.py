@@ -19,6 +19,7 @@ from fungrasp.version import __version__ as __version__
 _NAMES = {
     "deployment.deploy": "deploy",
     "evaluation": "LiftTestSpec compare_methods evaluate static_quality",
+    "evaluation.plans": "plan",
     "grasps": (
         "HumanGrasp HumanGraspSet RobotGrasp RobotGraspSet builtin_grasps load_grasps load_human_grasps "
         "load_objects load_robot_grasps save_human_grasps save_robot_grasps"
@@ -28,7 +29,7 @@ _NAMES = {
     "objects": "ObjectModel load_object",
     "perception.pipeline": "perceive",
     "planning": "MotionPlanner Planner",
-    "policies": "make_planner make_policy plan",
+    "policies": "make_planner make_policy",
     "report.view": "view",
     "retargeting.retarget": "retarget",
     "sim2real": "Randomization",

@@ -5,6 +5,7 @@ from fungrasp.evaluation import LiftTestSpec as LiftTestSpec
 from fungrasp.evaluation import compare_methods as compare_methods
 from fungrasp.evaluation import evaluate as evaluate
 from fungrasp.evaluation import static_quality as static_quality
+from fungrasp.evaluation.plans import plan as plan
 from fungrasp.grasps import HumanGrasp as HumanGrasp
 from fungrasp.grasps import HumanGraspSet as HumanGraspSet
 from fungrasp.grasps import RobotGrasp as RobotGrasp
@@ -27,7 +28,6 @@ from fungrasp.planning import MotionPlanner as MotionPlanner
 from fungrasp.planning import Planner as Planner
 from fungrasp.policies import make_planner as make_planner
 from fungrasp.policies import make_policy as make_policy
-from fungrasp.policies import plan as plan
 from fungrasp.report.view import view as view
 from fungrasp.retargeting.retarget import retarget as retarget
 from fungrasp.sim2real import Randomization as Randomization

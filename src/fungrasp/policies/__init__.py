@@ -1,6 +1,5 @@
 """Policies: they see observations and nothing else, and act ten times a second."""
 
-from fungrasp.policies.plans import plan
 from fungrasp.policies.registry import check_attempts, default_policy, make_planner, make_policy, policy_files
 from fungrasp.policies.residual_policy import StudentPolicy, TeacherPolicy
 from fungrasp.policies.scripted import OpenLoopPolicy
@@ -13,6 +12,5 @@ __all__ = [
     "default_policy",
     "make_planner",
     "make_policy",
-    "plan",
     "policy_files",
 ]
