@@ -151,7 +151,8 @@ class PlanTracker:
         [W, U]."""
         if self.settings.base == "plan" or self._now is None:
             return self._planned()
-        return self._wrist, self._now.joints
+        wrist = self._planned()[0] if self.settings.base == "guided" else self._wrist
+        return wrist, self._now.joints
 
     def _planned(self) -> tuple[np.ndarray, np.ndarray]:
         """Planned palm goal, world frame, shape [W, 7], and servo targets [rad], shape [W, U], of this

@@ -12,7 +12,7 @@ WRIST_ACTIONS = 6
 """Three along the palm's axes, three about them; then one for each finger servo."""
 
 
-Base = Literal["plan", "present"]
+Base = Literal["plan", "guided", "present"]
 """What an action changes."""
 
 
@@ -21,9 +21,10 @@ class ResidualSettings:
     """What an action changes, and by how much."""
 
     base: Base = "plan"
-    """The planned motion; or, as in the paper, where the hand is: the wrist's setpoint and the measured
-    joints. Then the planned motion is not followed, and the plan gives the grasp and the time of the lift
-    alone. Once the lift has begun, the wrist's actions change the setpoint at which it began."""
+    """"plan": the planned motion. The others do not follow one: the plan gives the grasp and the time of the
+    lift alone. "guided", as in the authors' released code: the wrist of the grasp, carried by the tracked
+    object, and the measured joints. "present", as in the paper's text: the wrist's setpoint and the measured
+    joints; once the lift has begun, the wrist's actions change the setpoint at which it began."""
 
     position: float = 0.03
     """Shift of the wrist at an action of 1, along each axis [m]."""
@@ -43,7 +44,7 @@ class ResidualSettings:
         """
         if not 0 < factor <= 1:
             raise FungraspError(f"departures can be shrunk by a factor above 0 and at most 1, not {factor}")
-        if self.base == "present":
+        if self.base != "plan":
             return self
         scales = {name: factor * getattr(self, name) for name in ("position", "rotation", "fingers")}
         return replace(self, **scales)

@@ -19,6 +19,7 @@ from fungrasp.task.features import contact_features, flatten, layout
 
 ACTION_PARTS: Mapping[Base, tuple[str, str, str]] = {
     "plan": ("position", "rotation", "fingers"),
+    "guided": ("position_from_grasp", "rotation_from_grasp", "fingers_step"),
     "present": ("position_step", "rotation_step", "fingers_step"),
 }
 """Parts of a residual action, with the scales of ``ResidualSettings``, by what it changes."""

@@ -38,13 +38,13 @@ def start_fingers(hand: Hand, grasps: RobotGraspSet, closing: float) -> np.ndarr
     return hand.independent(np.clip(closing * grasps.joint_positions, *hand.joint_limits.T))
 
 
-def start_on_line(object_pose: np.ndarray, target: np.ndarray, distance: float) -> np.ndarray:
+def start_on_line(object_pose: np.ndarray, target: np.ndarray, distance: float | np.ndarray) -> np.ndarray:
     """Palm poses on the line from objects to where palms will grasp, turned as they will be.
 
     Args:
         object_pose: world frame, shape [W, 7].
         target: palm poses in the grasp, world frame, shape [W, 7].
-        distance: from the objects' origins [m].
+        distance: from the objects' origins [m], one number or shape [W, 1].
 
     Returns:
         World frame, shape [W, 7].

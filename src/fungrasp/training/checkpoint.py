@@ -77,6 +77,7 @@ def environment_state(environment: TrainingEnvironment) -> dict[str, Any]:
         "layout": _layout(environment),
         "success_of_group": torch.from_numpy(environment.success_of_group.copy()),
         "diverged": environment.diverged,
+        "environment_steps": environment.steps,
         "random": json.dumps(environment.rng.bit_generator.state),
         "torch_random": torch.get_rng_state(),
     }
@@ -100,6 +101,7 @@ def restore_environment(state: Mapping[str, Any], environment: TrainingEnvironme
     rates = state["success_of_group"].numpy()
     if rates.shape == environment.success_of_group.shape:
         environment.success_of_group[:] = rates
+    environment.steps = int(state.get("environment_steps", 0))
     environment.diverged = int(state.get("diverged", 0))
     environment.rng.bit_generator.state = json.loads(state["random"])
     torch.set_rng_state(state["torch_random"])

@@ -8,20 +8,26 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from fungrasp.geometry.poses import compose, relative
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel, with_sizes
 from fungrasp.policies.plan_tracking import PlanTracker
 from fungrasp.policies.residual_action import ResidualSettings
 from fungrasp.sim2real import MODERATE, Randomization, draw
 from fungrasp.simulation import SceneSettings, build_scene
-from fungrasp.task import LiftEnvironment, LiftProtocol
+from fungrasp.task import GraspPlan, LiftEnvironment, LiftProtocol
 from fungrasp.task.features import contact_features, flatten, layout, value_features
 from fungrasp.task.reward import RewardWeights, total
+from fungrasp.task.start_pose import StartPoses, start_on_line
 from fungrasp.training.history import History
 from fungrasp.training.plan_library import PlanLibrary
 from fungrasp.training.rewards import LiftReward
 
 _log = logging.getLogger(__name__)
+
+NEAR, NEAR_SPREAD = 0.10, 0.02
+"""Distance of near starts behind the wrist's place in the grasp, and how far it varies to both sides [m]:
+those of the authors' released code."""
 
 
 @dataclass(frozen=True)
@@ -38,6 +44,12 @@ class EnvironmentSettings:
     """Fewest and most control steps before the fingers close at which episodes begin, on the planned path."""
     whole: float = 0.1
     """Share of episodes that begin where the lift test does; all do where no planned motion is followed."""
+    near: float = 0.0
+    """Share of the episodes without a planned motion that begin near the grasp, as in the authors' released
+    code: ``NEAR`` behind the wrist's place in it. """
+    widen: tuple[int, int] | None = None
+    """Control steps of the training between which near starts give way to those of the lift test; they stay
+    if not given."""
     lift_goal: float = 0.14
     """Height of the object that is paid in full [m]; above the test's 0.1, as what swings hangs lower."""
     randomization: Randomization = MODERATE
@@ -114,6 +126,10 @@ class TrainingEnvironment:
         self.reward = LiftReward(hand, self.protocol.control_period, s.lift_goal, distance)
         self.success_of_group = np.full(int(library.group.max()) + 1, 0.5)
         """Running success rate of each grasp, shape [G]."""
+        self.steps = 0
+        """Control steps of the training so far, of all worlds; they move the starts (``settings.widen``)."""
+        self._near_start = self._near_starts(objects) if s.near > 0 else library.plans.palm_setpoint[:, 0]
+        """Palm pose in the object's frame where an episode of each plan begins near, shape [N, 7]."""
         self.diverged = 0
         """Episodes whose physics broke down so far."""
         everyone = np.arange(s.worlds)
@@ -133,6 +149,7 @@ class TrainingEnvironment:
     def step(self, action: np.ndarray) -> Step:
         """One control period in all worlds. action: shape [W, A]."""
         episodes, tracker, s = self.episodes, self.tracker, self.settings
+        self.steps += s.worlds
         task, before = episodes.task, tracker.action
         episodes.step(tracker.act(action))
         tracker.update(episodes.observe())
@@ -191,8 +208,39 @@ class TrainingEnvironment:
         whole = s.whole if s.residual.base == "plan" else 1.0
         first[rng.random(len(ids)) < whole] = 0
         sample = draw(s.randomization, len(ids), len(self.hand.joint_names), rng)
-        self.episodes.begin(ids, plans.select(rows), first, sample, hand_followed=True)
+        begun = plans.select(rows)
+        if s.near > 0:
+            begun = self._moved_near(begun, rows)
+        self.episodes.begin(ids, begun, first, sample, hand_followed=True)
         return rows
+
+    def _near_starts(self, objects: Mapping[str, ObjectModel]) -> np.ndarray:
+        """Near starts of all plans, clear of object and table: palm poses in the object's frame, shape
+        [N, 7]."""
+        plans = self.library.plans
+        names = sorted(set(plans.object_name.tolist()))
+        index = np.array([names.index(name) for name in plans.object_name.tolist()])
+        target = compose(plans.object_pose, plans.grasp_palm_pose)
+        away = np.linalg.norm(plans.grasp_palm_pose[:, :3], axis=1)
+        start = start_on_line(plans.object_pose, target, (away + NEAR)[:, None])
+        poses = StartPoses(self.hand, [objects[name] for name in names])
+        start = poses.clear(index, plans.object_pose, start, plans.finger_targets[:, 0], np.zeros(len(plans)))
+        return relative(plans.object_pose, start)
+
+    def _moved_near(self, plans: GraspPlan, rows: np.ndarray) -> GraspPlan:
+        """The plans with starts that are near in as many as the settings say by now. plans: those of
+        ``rows``."""
+        s, rng = self.settings, self.rng
+        first, last = s.widen or (0, 0)
+        done = 0.0 if s.widen is None else np.clip((self.steps - first) / max(last - first, 1), 0.0, 1.0)
+        near = self._near_start[rows].copy()
+        away = near[:, :3] / np.maximum(np.linalg.norm(near[:, :3], axis=1, keepdims=True), 1e-9)
+        near[:, :3] += NEAR_SPREAD * rng.uniform(-1.0, 1.0, (len(rows), 1)) * away
+        chosen = rng.random(len(rows)) < s.near * (1.0 - done)
+        start = np.where(chosen[:, None], near, plans.palm_setpoint[:, 0])
+        return replace(
+            plans, palm_setpoint=np.concatenate([start[:, None], plans.palm_setpoint[:, 1:]], axis=1)
+        )
 
     def _parts(self) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray], dict[str, np.ndarray]]:
         state, p = self.tracker.state(), self._privileged
