@@ -141,6 +141,22 @@ def test_without_a_planned_motion_actions_change_where_the_hand_is():
     np.testing.assert_allclose(at_work.act(action).palm_goal, changed[0], atol=1e-12)
 
 
+def test_guided_actions_change_the_grasps_wrist_on_the_tracked_object_and_the_measured_joints():
+    settings = ResidualSettings("guided", smoothing=0.0)
+    seen, at_work, p = start().observe(), tracker(settings=settings), plan()
+    action = np.random.default_rng(0).uniform(-1, 1, (2, at_work.size))
+    elsewhere = replace(
+        seen,
+        palm_setpoint=seen.palm_setpoint + np.array([0, 0.02, 0, 0, 0, 0, 0]),
+        joint_positions=seen.joint_positions + 0.1,
+    )
+    at_work.update(elsewhere)
+    goal = compose(seen.object_pose, p.grasp_palm_pose)
+    asked, changed = at_work.act(action), add_residual(goal, elsewhere.joint_positions, action, settings)
+    np.testing.assert_allclose(asked.palm_goal, changed[0], atol=1e-9)
+    np.testing.assert_allclose(asked.finger_targets, changed[1], atol=1e-12)
+
+
 def test_beginning_anew_in_some_worlds_leaves_the_others():
     seen, at_work = start().observe(), tracker()
     for step in (1, 2):

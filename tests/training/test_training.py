@@ -17,13 +17,15 @@ import torch
 from small_training import BATCH, PPO, environment, hand, library, run_settings, training_set, unusable
 
 from fungrasp.errors import FungraspError
+from fungrasp.geometry.poses import compose
 from fungrasp.hands import load_hand
 from fungrasp.policies.checkpoint.card import Budget
 from fungrasp.policies.checkpoint.checkpoint_file import load_policy
 from fungrasp.policies.residual_action import ResidualSettings
-from fungrasp.sim2real import REALITY
+from fungrasp.sim2real import NOMINAL, REALITY
 from fungrasp.training.checkpoint import check_environment, environment_state, read_checkpoint
 from fungrasp.training.distill import make_student
+from fungrasp.training.environment import NEAR, NEAR_SPREAD, TrainingEnvironment
 from fungrasp.training.export import export_student, make_card
 from fungrasp.training.history import HISTORY
 from fungrasp.training.networks import ColoredGaussian, tensors
@@ -77,6 +79,25 @@ def test_without_a_planned_motion_episodes_begin_as_the_lift_test_does():
     followed = environment(early=(4, 4), whole=0.0)
     assert (followed.episodes.task.time > 0).all()
     assert "approach" not in followed.step(np.zeros((8, followed.actions))).terms
+
+
+def palm_distance(worlds: TrainingEnvironment) -> np.ndarray:
+    """From the palms to where they would be in the grasp [m], shape [W]."""
+    target = worlds.tracker.state().target
+    now = worlds.episodes.observe()
+    goal = compose(now.object_pose, target.palm_in_object)
+    return np.linalg.norm(now.palm_pose[:, :3] - goal[:, :3], axis=1)
+
+
+def test_near_starts_are_behind_the_grasp_and_give_way_to_those_of_the_lift_test():
+    guided = ResidualSettings("guided")
+    near = environment(residual=guided, near=1.0, randomization=NOMINAL)
+    assert (np.abs(palm_distance(near) - NEAR) < NEAR_SPREAD + 0.005).all()
+    widened = environment(residual=guided, near=1.0, widen=(0, 8), randomization=NOMINAL)
+    widened.step(np.zeros((8, widened.actions)))
+    widened.restart()
+    far = environment(residual=guided, randomization=NOMINAL)
+    assert palm_distance(widened).min() > NEAR + NEAR_SPREAD and palm_distance(far).min() > NEAR + NEAR_SPREAD
 
 
 def test_plans_are_chosen_by_how_uncertain_their_success_is():
