@@ -196,3 +196,9 @@ def test_a_field_that_is_only_shared_is_not_a_row():
     pair = Pair(0.5, np.arange(3))
     assert len(pair) == 3 and pair.select(np.array([2])).unit == 0.5
     assert replace(pair, unit=0.1).arrays().keys() == {"unit", "values"}
+
+
+@pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.__name__)
+def test_a_record_is_shown_in_a_line(kind: type[BatchRecord]):
+    shown = repr(made_up(kind, 0, 3))
+    assert shown.startswith(f"<{kind.__name__}: 3 rows of ") and len(shown) < 600

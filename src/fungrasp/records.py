@@ -27,6 +27,10 @@ class BatchRecord:
     def __len__(self) -> int:
         return next(len(value) for value in self._rows().values())
 
+    def __repr__(self) -> str:
+        known = ", ".join(name for name in self._rows())
+        return f"<{type(self).__name__}: {len(self)} rows of {known}>"
+
     def select(self, rows: np.ndarray | slice) -> Self:
         """Some rows of the batch. rows: indices, flags or a slice."""
         return self._with({name: value[rows] for name, value in self._rows().items()})

@@ -57,7 +57,7 @@ class DeploymentSettings:
     for the place where it lies. One attempt ends as it ends: nothing is judged."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class DeploymentResult:
     """How a deployment went."""
 
@@ -87,6 +87,9 @@ class DeploymentResult:
     """Whether the object was lifted and held, in truth: of a twin. Nobody knows it of a robot."""
     height: float = np.nan
     """Least height of the object's center of mass during the hold [m], of a twin; infinite without a hold."""
+
+    def __repr__(self) -> str:
+        return f"<DeploymentResult: {self.words()}>"
 
     def words(self) -> str:
         """How it went, in a line; the fault where there was one."""

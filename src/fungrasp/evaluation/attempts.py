@@ -32,7 +32,7 @@ LONGEST_LOOK = 30
 """Control steps in which the object has to come to rest before it is given up."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class AttemptRecord(BatchRecord):
     """What became of the attempts of W episodes, a number each, shape [W]."""
 

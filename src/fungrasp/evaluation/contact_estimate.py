@@ -13,7 +13,7 @@ from fungrasp.task import Action, GraspPlan, LiftEnvironment, Observation
 from fungrasp.task.features import unscaled_forces
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class ContactEstimates(BatchRecord):
     """Sums over the control steps and links of W episodes, a number each, shape [W]; all zero where nothing
     was estimated."""

@@ -34,7 +34,7 @@ ROUND_STEPS = 12
 """Way points on the way round."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Waypoints(BatchRecord):
     """Ways of W hands, K points each."""
 

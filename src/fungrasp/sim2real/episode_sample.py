@@ -12,7 +12,7 @@ from fungrasp.records import BatchRecord
 from fungrasp.sim2real.randomization import MeasurementError, Randomization, Range
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class EpisodeSample(BatchRecord):
     """What was drawn for W episodes of a hand with M joints; P pushes."""
 

@@ -9,7 +9,7 @@ import numpy as np
 from fungrasp.records import BatchRecord
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Action(BatchRecord):
     """What a policy asks of W robots during the next control period."""
 

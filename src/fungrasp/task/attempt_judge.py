@@ -90,7 +90,7 @@ def average_pose(poses: np.ndarray) -> np.ndarray:
     return np.concatenate([np.median(poses[:, :3], axis=0), turn / np.linalg.norm(turn)])
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class AttemptVerdict(BatchRecord):
     """What is thought of W attempts."""
 

@@ -10,7 +10,7 @@ from fungrasp.records import BatchRecord
 from fungrasp.simulation.scene import NOMINAL_FRICTION
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Belief(BatchRecord):
     """Nominal state and parameters of N scenes when a grasp is planned. World frame: z up."""
 

@@ -12,7 +12,7 @@ from fungrasp.geometry.poses import clip
 from fungrasp.records import BatchRecord
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class GraspPlan(BatchRecord):
     """Plans of N grasps, T control steps each; from the last step on everything stays the same.
 

@@ -9,7 +9,7 @@ import numpy as np
 from fungrasp.records import BatchRecord
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Observation(BatchRecord):
     """What W robots know at a control step. Simulated and real sensors produce the same.
 
@@ -34,7 +34,7 @@ class Observation(BatchRecord):
     """How old the tracked pose is [s], shape [W]."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Privileged(BatchRecord):
     """What only a simulation knows of W worlds; L contact links."""
 

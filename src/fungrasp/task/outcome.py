@@ -12,7 +12,7 @@ from fungrasp.simulation import Engine
 from fungrasp.task.protocol import LiftProtocol
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Outcomes(BatchRecord):
     """Outcomes of W episodes, a number each, shape [W]."""
 

@@ -54,7 +54,7 @@ class RolloutSettings:
     """Rollouts simulated together."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class RolloutResults(BatchRecord):
     """Outcomes of R rollouts."""
 

@@ -15,7 +15,7 @@ LARGEST_TURN = np.deg2rad(10.0)
 """Largest turn of the object in the palm [rad]."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class UseOutcomes(BatchRecord):
     """Outcomes of W use tests, shape [W] each; NaN and "" where nothing was tested."""
 
