@@ -259,3 +259,8 @@ def test_no_command_needs_an_extra_to_be_imported(imported: dict[str, Imports]) 
         assert third_party(imported[name].at_once) <= core, name
         todo += imported[name].at_once
     assert "fungrasp.cli.deploy" in seen and "fungrasp.training.ppo" not in seen
+
+
+def test_no_module_is_named_like_a_test() -> None:
+    found = [path for folder in (SOURCE, ROOT / "benchmarks") for path in folder.rglob("*_test.py")]
+    assert not found

@@ -10,7 +10,7 @@ from benchmarks.peers.mink_solver import solve_mink
 from benchmarks.peers.position_solvers import solve_dex_retargeting, solve_dexi
 from benchmarks.peers.problem import CpuClock, PeerProblem
 from fungrasp.evaluation.grasp_quality import StaticQuality, static_quality
-from fungrasp.evaluation.lift_test import LiftTestResult, evaluate
+from fungrasp.evaluation.lift_evaluation import LiftTestResult, evaluate
 from fungrasp.grasps import HumanGraspSet, RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel

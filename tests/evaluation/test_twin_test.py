@@ -15,7 +15,7 @@ from fungrasp.deployment.hand_knowledge import HandDynamics
 from fungrasp.deployment.preparation import UnreachableError
 from fungrasp.errors import FungraspError
 from fungrasp.evaluation.twin_episode import PlacedGrasp, TwinEpisode, TwinSetup
-from fungrasp.evaluation.twin_test import VARIANTS, placed_grasps, told_dynamics, try_on_twins
+from fungrasp.evaluation.twin_series import VARIANTS, placed_grasps, told_dynamics, try_on_twins
 from fungrasp.grasps import RobotGraspSet, builtin_grasps, load_objects
 from fungrasp.hands import load_hand
 from fungrasp.jobs import PartStore

@@ -61,7 +61,7 @@ class EvaluateOnTwins:
         from fungrasp.errors import FungraspError
         from fungrasp.evaluation.result_files import write_result
         from fungrasp.evaluation.twin_episode import PlacedGrasp, TwinSetup
-        from fungrasp.evaluation.twin_test import episode_rows, placed_grasps, told_dynamics, try_on_twins
+        from fungrasp.evaluation.twin_series import episode_rows, placed_grasps, told_dynamics, try_on_twins
         from fungrasp.files import digest
         from fungrasp.grasps import load_human_grasps, load_objects
         from fungrasp.hands import load_hand
@@ -147,7 +147,7 @@ class EvaluateOnTwins:
     def _variants(self) -> list[TwinVariant]:
         """The ways to deploy by their names."""
         from fungrasp.errors import UnknownNameError
-        from fungrasp.evaluation.twin_test import VARIANTS
+        from fungrasp.evaluation.twin_series import VARIANTS
 
         known = {variant.name: variant for variant in VARIANTS}
         for name in self.variants:

@@ -1,7 +1,7 @@
 """Protocols, metrics over many episodes, the paper's tables."""
 
 from fungrasp.evaluation.grasp_quality import StaticQuality, static_quality
-from fungrasp.evaluation.lift_test import LiftTestResult, evaluate
+from fungrasp.evaluation.lift_evaluation import LiftTestResult, evaluate
 from fungrasp.evaluation.lift_test_spec import LiftTestSpec
 from fungrasp.evaluation.method_comparison import MethodComparison, compare_methods
 from fungrasp.evaluation.result_files import ResultFile, read_result, write_result

@@ -16,8 +16,8 @@ from fungrasp.evaluation.attempts import AttemptSetting, play_attempts
 from fungrasp.evaluation.contact_estimate import ContactEstimateMeter, ContactEstimates
 from fungrasp.evaluation.lift_test_spec import LiftTestSpec
 from fungrasp.evaluation.trajectory import Recorder
+from fungrasp.evaluation.use_evaluation import UseTest
 from fungrasp.evaluation.use_recording import UseRecorder
-from fungrasp.evaluation.use_test import UseTest
 from fungrasp.grasps import HumanGraspSet, RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.jobs import Arrays, Job, part_key

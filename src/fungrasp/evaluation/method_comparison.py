@@ -9,7 +9,7 @@ from time import perf_counter
 from typing import Any
 
 from fungrasp.errors import FungraspError
-from fungrasp.evaluation.lift_test import LiftTestResult, evaluate
+from fungrasp.evaluation.lift_evaluation import LiftTestResult, evaluate
 from fungrasp.evaluation.lift_test_spec import LiftTestSpec
 from fungrasp.evaluation.result_files import save_result
 from fungrasp.evaluation.result_tables import comparison_table

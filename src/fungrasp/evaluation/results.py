@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from fungrasp.evaluation.lift_test import LiftTestResult
+from fungrasp.evaluation.lift_evaluation import LiftTestResult
 from fungrasp.evaluation.six_directions import StaticResult
 from fungrasp.evaluation.statistics import mean_over_groups, wilson_interval
-from fungrasp.evaluation.use_test import use_json
+from fungrasp.evaluation.use_evaluation import use_json
 from fungrasp.formats.record_json import record_to_json
 from fungrasp.provenance import run_record
 from fungrasp.sim2real import protocol_name
