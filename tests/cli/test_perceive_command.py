@@ -323,6 +323,7 @@ def test_a_box_instead_of_a_mask_chooses_between_two_hands(folder, found, tmp_pa
     assert status == 0 and "2 hands are in the image; the one nearest to the box was taken" in err
 
 
+@pytest.mark.slow
 def test_twenty_megapixels(folder, found, tmp_path, capsys):
     times = 8
     size = (LENS["width"] * times, LENS["height"] * times)

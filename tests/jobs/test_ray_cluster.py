@@ -132,6 +132,7 @@ def test_evaluation_with_a_machine_lost_equals_that_of_one_process(cluster, gras
     assert not parts.exists()
 
 
+@pytest.mark.slow
 def test_retargeting_on_this_machine_equals_that_of_one_process(tmp_path):
     human = builtin_grasps()
     save_human_grasps(tmp_path / "g.npz", human.select(np.arange(260) % len(human)))
