@@ -20,7 +20,7 @@ from fungrasp.deployment.safety import SafetyGuard, check_action, check_pose
 from fungrasp.errors import FungraspError
 from fungrasp.geometry.poses import compose
 from fungrasp.grasps import RobotGraspSet
-from fungrasp.planning.next_attempt import within_reach
+from fungrasp.planning.next_attempt import make_attempts
 from fungrasp.planning.withdrawal import way_off
 from fungrasp.policies.waypoints import WaypointPolicy
 from fungrasp.robots.device import RobotError, StopKind
@@ -83,6 +83,7 @@ class Deployment:
         self.ticks, self.setpoint_ticks = DeadlineMonitor(late), DeadlineMonitor(late)
         self._times: dict[str, float] = {}
         self._prepared: PreparedGrasp | None = None
+        self._object_pose = np.full(7, np.nan)
         self._last_action: Action | None = None
         self._attempts, self._missed, self._why_no_more = 0, False, ""
         clearance = ClearanceModel(robot.cell, robot.hand)
@@ -110,28 +111,18 @@ class Deployment:
         try:
             self._times[Phase.IDLE] = robot.clock.now()
             object_pose, state = look_for_object(robot, self.settings, self._check_switch)
-            prepared = self._prepare(grasp, object_pose, state.arm.positions)
+            self._prepare(grasp, object_pose, state.arm.positions)
             state = self._awake(state)
-            postures = [state.arm.positions]
-            verdict = self._attempt(prepared, object_pose, postures)
-            while verdict is not None and verdict.missed[0]:
-                self._missed = True
-                self._begin(Phase.WITHDRAW)
-                self._withdraw(prepared, verdict)
-                another = self._prepare_again(grasp, object_pose)
-                if another is None:
-                    break
-                prepared, object_pose = another
-                postures.append(robot.palm_follower_joints)
-                self._missed = False
-                verdict = self._attempt(prepared, object_pose, postures)
+            made = _RobotAttempts(self, grasp, state.arm.positions)
+            names = grasp.object_name.tolist()
+            make_attempts(made, self.settings.attempts, object_pose[None], names, self._preparer.objects)
             if self.settings.put_down or self._missed:
                 if not self._missed:
                     self._begin(Phase.PUT_DOWN)
-                    self._put_down(prepared)
+                    self._put_down(self.prepared)
                 self._begin(Phase.HOME)
-                back = [robot.palm_follower_joints, *postures[-2::-1]]
-                self._move(back, prepared.start_fingers)
+                back = [robot.palm_follower_joints, *made.postures[-2::-1]]
+                self._move(back, self.prepared.start_fingers)
                 self._begin(Phase.DONE)
             else:
                 robot.stop()
@@ -166,6 +157,12 @@ class Deployment:
             dict(self._guard.longest_silence),
         )
 
+    @property
+    def prepared(self) -> PreparedGrasp:
+        """What was planned last. Only after planning."""
+        assert self._prepared is not None
+        return self._prepared
+
     # Phases.
 
     def _begin(self, phase: Phase) -> None:
@@ -184,57 +181,12 @@ class Deployment:
             self.log.event(now, "fault", reason)
         self._on_phase(Phase.FAULT)
 
-    def _attempt(
-        self, prepared: PreparedGrasp, object_pose: np.ndarray, postures: list[np.ndarray]
-    ) -> AttemptVerdict | None:
-        """Go to the start, grasp, lift and hold; what is seen then, where several attempts are allowed.
-
-        Args:
-            prepared: what to do.
-            object_pose: where the object rests, world frame, shape [7].
-            postures: of the arm on its way so far, the last one where it is; those of this way are added.
-        """
-        self._attempts += 1
-        self._begin(Phase.MOVE_TO_START)
-        self._move([postures[-1], *prepared.corners], prepared.start_fingers)
-        postures.extend(prepared.corners)
-        several = self.settings.attempts > 1
-        judge = AttemptJudge(prepared.plan, self._preparer.objects) if several else None
-        self._follow_policy(prepared, object_pose, judge)
-        return None if judge is None else judge.verdict()
-
-    def _prepare_again(
-        self, grasp: RobotGraspSet, first: np.ndarray
-    ) -> tuple[PreparedGrasp, np.ndarray] | None:
-        """Another plan for the object where it lies now, and that place; None where there is none, or enough
-        was tried. first: where it was planned for before, world frame, shape [7]."""
-        if self._attempts == self.settings.attempts:
-            return None
-        robot, arm = self.robot, self.robot.palm_follower_joints
-        pose, state = look_for_object(robot, self.settings, self._check_switch)
-        names = grasp.object_name.tolist()
-        if not within_reach(pose[None], first[None], names, self._preparer.objects)[0]:
-            self._end_attempts("the object is not within reach on the table any more")
-            return None
-        try:
-            prepared = self._prepare(grasp, pose, arm, self._attempts)
-        except FungraspError as error:
-            self._end_attempts(str(error))
-            return None
-        self._awake(state)
-        return prepared, pose
-
-    def _end_attempts(self, why: str) -> None:
-        self._why_no_more = why
-        self.log.event(self.robot.clock.now(), "note", why)
-
     def _prepare(
         self, grasp: RobotGraspSet, object_pose: np.ndarray, arm: np.ndarray, attempt: int = 0
-    ) -> PreparedGrasp:
+    ) -> None:
         prepared = self._preparer.prepare(grasp, object_pose, arm, attempt=attempt)
-        self._prepared = prepared
+        self._prepared, self._object_pose = prepared, object_pose
         self.log.begin(prepared.plan, {"cell": self.robot.cell.name, **self._about})
-        return prepared
 
     def _awake(self, state: RobotState) -> RobotState:
         """The state after planning: drivers that heard nothing meanwhile hold, and are told to go on."""
@@ -271,11 +223,9 @@ class Deployment:
                 send(joints, fingers)
         robot.place_setpoints(corners[-1], fingers)
 
-    def _follow_policy(
-        self, prepared: PreparedGrasp, object_pose: np.ndarray, judge: AttemptJudge | None
-    ) -> None:
+    def _follow_policy(self, judge: AttemptJudge | None) -> None:
         """Grasp, lift and hold, as the policy says; the judge looks on, if there is one."""
-        robot, p, plan = self.robot, self.robot.protocol, prepared.plan
+        robot, p, plan = self.robot, self.robot.protocol, self.prepared.plan
         self._begin(Phase.GRASP)
         state = robot.state()
         robot.begin(state, p.lift_height)
@@ -288,7 +238,7 @@ class Deployment:
             if step:
                 state = robot.state()
             if state.time - start < closing:
-                problem = check_pose(state.tracked, object_pose, state.time, robot.cell)
+                problem = check_pose(state.tracked, self._object_pose, state.time, robot.cell)
                 if problem:
                     raise SafetyStop(problem, StopKind.HOLD)
             observation = robot.observation(state)
@@ -339,13 +289,13 @@ class Deployment:
             self._scripted(start, step, Action(back[-1:], prepared.start_fingers[None], np.array([False])))
             step += 1
 
-    def _withdraw(self, prepared: PreparedGrasp, verdict: AttemptVerdict) -> None:
+    def _withdraw(self, verdict: AttemptVerdict) -> None:
         """Open the hand over what is not held as it should be, and withdraw."""
         robot = self.robot
         state = robot.state()
         robot.begin(state)
         observation = robot.observation(state)
-        policy = WaypointPolicy(way_off(prepared.plan, observation, verdict.gap))
+        policy = WaypointPolicy(way_off(self.prepared.plan, observation, verdict.gap))
         start, step = robot.clock.now(), 0
         while True:
             action = policy.act(robot.get_observation())
@@ -390,3 +340,66 @@ class Deployment:
         self._check_switch()
         self.log.setpoint(self.machine.phase, state, command)
         self._on_setpoint(self.machine.phase, command)
+
+
+class _RobotAttempts:
+    """Carries out the attempts of a robot (``AttemptCarrier``): its one world is number 0."""
+
+    def __init__(self, deployment: Deployment, grasp: RobotGraspSet, arm: np.ndarray):
+        """
+        Args:
+            deployment: with the first plan.
+            grasp: one.
+            arm: joints of the arm now [rad], shape [A].
+        """
+        self._d, self._grasp = deployment, grasp
+        self.postures = [arm]
+        """Of the arm on its way so far, the last one where it is."""
+        self._verdict: AttemptVerdict | None = None
+
+    def attempt(self, ids: np.ndarray, number: int) -> np.ndarray:
+        """Go to the start, grasp, lift and hold; a single attempt ends as it ends: nothing is judged."""
+        d = self._d
+        d._attempts, d._missed = number + 1, False
+        d._begin(Phase.MOVE_TO_START)
+        d._move([self.postures[-1], *d.prepared.corners], d.prepared.start_fingers)
+        self.postures.extend(d.prepared.corners)
+        if d.settings.attempts == 1:
+            d._follow_policy(None)
+            return np.array([False])
+        judge = AttemptJudge(d.prepared.plan, d._preparer.objects)
+        d._follow_policy(judge)
+        self._verdict = judge.verdict()
+        d._missed = bool(self._verdict.missed[0])
+        return self._verdict.missed
+
+    def withdraw(self, ids: np.ndarray, number: int) -> None:
+        """Open the hand and leave the object, after the last attempt too."""
+        assert self._verdict is not None
+        self._d._begin(Phase.WITHDRAW)
+        self._d._withdraw(self._verdict)
+
+    def look(self, ids: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Where the tracker sees the object."""
+        d = self._d
+        pose, self._state = look_for_object(d.robot, d.settings, d._check_switch)
+        return ids, pose[None]
+
+    def plan(self, ids: np.ndarray, object_pose: np.ndarray, number: int) -> np.ndarray:
+        """Plan from where the arm is."""
+        d, arm = self._d, self._d.robot.palm_follower_joints
+        try:
+            d._prepare(self._grasp, object_pose[0], arm, number)
+        except FungraspError as error:
+            self.give_up(ids, str(error))
+            return ids[:0]
+        d._awake(self._state)
+        self.postures.append(d.robot.palm_follower_joints)
+        return ids
+
+    def give_up(self, ids: np.ndarray, why: str) -> None:
+        """Noted in the log."""
+        d = self._d
+        if len(ids):
+            d._why_no_more = why
+            d.log.event(d.robot.clock.now(), "note", why)

@@ -24,7 +24,7 @@ from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
 from fungrasp.planning import ConstrainedPlanner, Planner
-from fungrasp.planning.next_attempt import ATTEMPT_SEEDS, worth_trying
+from fungrasp.planning.next_attempt import ATTEMPT_SEEDS, NOT_WORTH_TRYING, worth_trying
 from fungrasp.robots.cell import RobotCell
 from fungrasp.robots.kinematics.arm_model import ArmKinematics, ClearanceModel
 from fungrasp.robots.kinematics.joint_path import FreePath
@@ -164,7 +164,7 @@ class GraspPreparer:
                 grasp, belief, start, fingers, arm, self._seed + ATTEMPT_SEEDS * attempt + number
             )
             if attempt and not worth_trying(plan)[0]:
-                obstacle = "no plan for it as it lies now is likely to succeed"
+                obstacle = NOT_WORTH_TRYING
                 continue
             found, obstacle = self._reach.best(self._path(plan, start, fingers), arm)
             free = FreePath(self._kinematics, self._clearance, self._cell.workspace)

@@ -18,7 +18,13 @@ from fungrasp.geometry.poses import compose
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.objects import ObjectModel
 from fungrasp.planning import Planner
-from fungrasp.planning.next_attempt import ATTEMPT_SEEDS, next_belief, within_reach, worth_trying
+from fungrasp.planning.next_attempt import (
+    ATTEMPT_SEEDS,
+    NOT_WORTH_TRYING,
+    make_attempts,
+    next_belief,
+    worth_trying,
+)
 from fungrasp.planning.withdrawal import Waypoints, way_off, way_round
 from fungrasp.policies.waypoints import WaypointPolicy
 from fungrasp.records import BatchRecord
@@ -108,50 +114,103 @@ def play_attempts(
         outcomes of the last attempts, what became of all, and the last plans, whose rollouts are all that
         were spent.
     """
-    s, task = setting, environment.task
-    record = AttemptRecord.none(len(environment))
-    tried = np.ones(len(environment), dtype=bool)
-    belief = s.belief
-    for attempt in range(s.attempts):
-        judge = AttemptJudge(plan, s.objects)
-        outcomes = play(environment, policy, plan, watch=watch, look=judge.watch)
-        verdict = judge.verdict()
-        _count(record, attempt, tried, outcomes.success, verdict.missed)
-        again = tried & verdict.missed
-        if attempt + 1 == s.attempts or not again.any():
-            break
-        ids = np.flatnonzero(again)
-        # A stream for each attempt: the others of a chunk do not decide what is drawn.
-        streams = [random_stream("sensor jitter", s.seed, int(row), attempt + 1) for row in s.rows[ids]]
-        environment.withdraw(ids, streams)
-        off = way_off(plan.select(ids), environment.observe().select(ids), verdict.gap[ids])
-        _go(environment, ids, off, watch)
-        ids, seen = _look(environment, s, ids, watch)
-        if len(ids):
-            ids, fresh, beliefs = _plan_anew(environment, s, ids, seen, belief, attempt + 1)
-            plan, belief = _with_plans(plan, ids, fresh), belief.replaced(ids, beliefs)
-        if len(ids):
-            ids = _start(environment, s, ids, belief.select(ids), watch)
-            environment.begin_attempt(ids, compose(plan.object_pose, plan.grasp_palm_pose)[ids])
-        tried = np.isin(np.arange(len(environment)), ids)
-        record.no_plan[again & ~tried] = True
-        if not len(ids):
-            break
-    outcomes = task.outcomes()
+    carrier = _SimulatedAttempts(environment, policy, plan, setting, watch)
+    names = setting.grasps.object_name.tolist()
+    make_attempts(carrier, setting.attempts, setting.belief.object_pose, names, setting.objects)
+    outcomes, record = environment.task.outcomes(), carrier.record
     outcomes.reason[record.no_plan & outcomes.success] = "let go though it was held"
     outcomes.success[record.no_plan] = False
-    return outcomes, record, plan
+    return outcomes, record, carrier.plans
 
 
-def _count(
-    record: AttemptRecord, attempt: int, tried: np.ndarray, success: np.ndarray, missed: np.ndarray
-) -> None:
-    """Count an attempt. tried: who made it; success: the truth; missed: the judgement; shape [W] bool."""
-    record.attempts[tried] += 1
-    if attempt == 0:
-        record.first_success[:] = success
-    record.held_given_up[tried & success & missed] += 1
-    record.misses_unnoticed[tried & ~success & ~missed] += 1
+class _SimulatedAttempts:
+    """Carries out the attempts of W simulated worlds (``AttemptCarrier``)."""
+
+    def __init__(
+        self,
+        environment: LiftEnvironment,
+        policy: Policy | PrivilegedPolicy,
+        plan: GraspPlan,
+        setting: AttemptSetting,
+        watch: Callable[[], None],
+    ):
+        self._environment, self._policy, self._setting, self._watch = environment, policy, setting, watch
+        self.plans = plan
+        """The last ones, one for each world."""
+        self.record = AttemptRecord.none(len(environment))
+        """What became of the attempts so far."""
+        self._belief = setting.belief
+        self._gap = np.zeros(len(environment))
+
+    def attempt(self, ids: np.ndarray, number: int) -> np.ndarray:
+        """Play the worlds; whether they are judged to have failed, shape [I] bool."""
+        judge = AttemptJudge(self.plans, self._setting.objects)
+        success = play(
+            self._environment, self._policy, self.plans, watch=self._watch, look=judge.watch
+        ).success
+        verdict, record = judge.verdict(), self.record
+        record.attempts[ids] += 1
+        if number == 0:
+            record.first_success[:] = success
+        record.held_given_up[ids] += success[ids] & verdict.missed[ids]
+        record.misses_unnoticed[ids] += ~success[ids] & ~verdict.missed[ids]
+        self._gap = verdict.gap
+        return verdict.missed[ids]
+
+    def withdraw(self, ids: np.ndarray, number: int) -> None:
+        """Off the objects; after the last attempt nothing more is to be seen."""
+        s, environment = self._setting, self._environment
+        if number + 1 == s.attempts:
+            return
+        # A stream for each attempt: the others of a chunk do not decide what is drawn.
+        streams = [random_stream("sensor jitter", s.seed, int(row), number + 1) for row in s.rows[ids]]
+        environment.withdraw(ids, streams)
+        off = way_off(self.plans.select(ids), environment.observe().select(ids), self._gap[ids])
+        _go(environment, ids, off, self._watch)
+
+    def look(self, ids: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Where the objects rest; hands stay where they are."""
+        environment = self._environment
+        environment.resume(ids)
+        frames, task = TrackedFrames(len(ids)), environment.task
+        for _ in range(LONGEST_LOOK):
+            environment.step(_still(environment), self._watch)
+            frames.add(environment.observe().select(ids), ~task.done[ids])
+            task.done[ids[frames.at_rest]] = True
+            if frames.at_rest.all():
+                break
+        task.done[ids] = True
+        rows = np.flatnonzero(frames.at_rest)
+        return ids[rows], frames.pose()[rows]
+
+    def plan(self, ids: np.ndarray, object_pose: np.ndarray, number: int) -> np.ndarray:
+        """Plan, and take hands to their starts, round the objects."""
+        s, environment = self._setting, self._environment
+        grasps, protocol = s.grasps.select(ids), environment.protocol
+        hand = environment.scene.hand
+        beliefs = next_belief(self._belief.select(ids), object_pose, grasps, hand, s.objects, protocol)
+        plans = s.planner.plan(grasps, beliefs, s.seed + ATTEMPT_SEEDS * number)
+        worth = worth_trying(plans)
+        self.give_up(ids[~worth], NOT_WORTH_TRYING)
+        ids = ids[worth]
+        if not len(ids):
+            return ids
+        belief = beliefs.select(worth)
+        self.plans = _with_plans(self.plans, ids, plans.select(worth))
+        self._belief = self._belief.replaced(ids, belief)
+        environment.resume(ids)
+        names = s.grasps.object_name[ids].tolist()
+        start = belief.palm_pose, belief.joint_positions
+        ways = way_round(environment.observe().select(ids), belief.object_pose, s.objects, names, *start)
+        arrived = _go(environment, ids, ways, self._watch)
+        self.give_up(ids[~arrived], "the hand does not arrive at its start")
+        ids = ids[arrived]
+        environment.begin_attempt(ids, compose(self.plans.object_pose, self.plans.grasp_palm_pose)[ids])
+        return ids
+
+    def give_up(self, ids: np.ndarray, why: str) -> None:
+        """Counted, whatever the reason."""
+        self.record.no_plan[ids] = True
 
 
 def _go(
@@ -179,79 +238,6 @@ def _go(
         environment.step(_for_all(environment, ids, action), watch)
     task.done[ids] = True
     return policy.arrived
-
-
-def _look(
-    environment: LiftEnvironment, s: AttemptSetting, ids: np.ndarray, watch: Callable[[], None]
-) -> tuple[np.ndarray, np.ndarray]:
-    """The worlds in which the object is seen to lie within reach, shape [I], and where it lies, world frame,
-    shape [I, 7]; hands stay where they are. ids: worlds that are looked at."""
-    environment.resume(ids)
-    frames, task = TrackedFrames(len(ids)), environment.task
-    for _ in range(LONGEST_LOOK):
-        environment.step(_still(environment), watch)
-        frames.add(environment.observe().select(ids), ~task.done[ids])
-        task.done[ids[frames.at_rest]] = True
-        if frames.at_rest.all():
-            break
-    task.done[ids] = True
-    rows = np.flatnonzero(frames.at_rest)
-    ids, seen = ids[rows], frames.pose()[rows]
-    if not len(ids):
-        return ids, seen
-    names = s.grasps.object_name[ids].tolist()
-    near = within_reach(seen, s.belief.object_pose[ids], names, s.objects)
-    return ids[near], seen[near]
-
-
-def _start(
-    environment: LiftEnvironment,
-    s: AttemptSetting,
-    ids: np.ndarray,
-    belief: Belief,
-    watch: Callable[[], None],
-) -> np.ndarray:
-    """Take hands to their starts, round the objects; the worlds in which they have arrived, shape [I].
-
-    Args:
-        environment: with the hands.
-        s: what attempts need.
-        ids: worlds.
-        belief: with the starts in these.
-        watch: called after each setpoint.
-    """
-    environment.resume(ids)
-    names = s.grasps.object_name[ids].tolist()
-    start = belief.palm_pose, belief.joint_positions
-    ways = way_round(environment.observe().select(ids), belief.object_pose, s.objects, names, *start)
-    return ids[_go(environment, ids, ways, watch)]
-
-
-def _plan_anew(
-    environment: LiftEnvironment,
-    s: AttemptSetting,
-    ids: np.ndarray,
-    seen: np.ndarray,
-    belief: Belief,
-    attempt: int,
-) -> tuple[np.ndarray, GraspPlan, Belief]:
-    """Plans for objects where they lie now: in which worlds there is one, shape [I], these plans, and the
-    beliefs that they were made from.
-
-    Args:
-        environment: with hand and protocol.
-        s: what attempts need.
-        ids: worlds, shape [I].
-        seen: where their objects lie, world frame, shape [I, 7].
-        belief: of the attempt before, W rows.
-        attempt: number of the new one.
-    """
-    hand, protocol = environment.scene.hand, environment.protocol
-    grasps = s.grasps.select(ids)
-    beliefs = next_belief(belief.select(ids), seen, grasps, hand, s.objects, protocol)
-    plans = s.planner.plan(grasps, beliefs, s.seed + ATTEMPT_SEEDS * attempt)
-    worth = worth_trying(plans)
-    return ids[worth], plans.select(worth), beliefs.select(worth)
 
 
 def _with_plans(plan: GraspPlan, ids: np.ndarray, fresh: GraspPlan) -> GraspPlan:
