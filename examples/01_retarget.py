@@ -1,14 +1,13 @@
 """Human grasps to grasps of a robot hand, and how good they are."""
 
 import fungrasp
-from fungrasp.retargeting import retarget
 
 human = fungrasp.builtin_grasps()
 human = human.select(human.object_name == "mug")
 objects = fungrasp.load_objects(human)
 hand = fungrasp.load_hand("shadow")
 
-robot = retarget(human, objects, hand)
+robot = fungrasp.retarget(human, objects, hand)
 
 quality = fungrasp.static_quality(robot, human, objects, hand)
 columns = zip(robot.object_name, quality.contact_error_mm, quality.object_penetration_mm, strict=True)

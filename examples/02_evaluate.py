@@ -1,12 +1,11 @@
 """The lift test: which grasps lift the object and hold it."""
 
 import fungrasp
-from fungrasp.retargeting import retarget
 
 human = fungrasp.builtin_grasps()[::12]
 objects = fungrasp.load_objects(human)
 hand = fungrasp.load_hand("allegro")
-robot = retarget(human, objects, hand)
+robot = fungrasp.retarget(human, objects, hand)
 
 result = fungrasp.evaluate(robot, objects, policy="reference")
 

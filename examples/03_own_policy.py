@@ -2,9 +2,7 @@
 
 import fungrasp
 from fungrasp import Action, GraspPlan, Observation
-from fungrasp.evaluation import LiftTestSpec
 from fungrasp.geometry.poses import compose
-from fungrasp.retargeting import retarget
 
 
 class FollowTheObject:
@@ -25,10 +23,10 @@ human = fungrasp.builtin_grasps()
 human = human.select(human.object_name == "can")
 objects = fungrasp.load_objects(human)
 hand = fungrasp.load_hand("allegro")
-robot = retarget(human, objects, hand)
+robot = fungrasp.retarget(human, objects, hand)
 
 # After planning, every object is moved by 2 cm.
 moved = fungrasp.Randomization(object_shift=(0.02, 0.02))
 for policy in ("reference", FollowTheObject()):
-    result = fungrasp.evaluate(robot, objects, policy, spec=LiftTestSpec(randomization=moved))
+    result = fungrasp.evaluate(robot, objects, policy, spec=fungrasp.LiftTestSpec(randomization=moved))
     print(f"{result.policy}: {result.outcomes.success.sum()} of {len(robot)}")

@@ -3,12 +3,11 @@
 import numpy as np
 
 import fungrasp
-from fungrasp.retargeting import retarget
 
 human = fungrasp.builtin_grasps()[50:51]
 objects = fungrasp.load_objects(human)
 hand = fungrasp.load_hand("allegro")
-robot = retarget(human, objects, hand)
+robot = fungrasp.retarget(human, objects, hand)
 
 # What is known of the scene: where the object lies, what it weighs, where the open hand is.
 start = robot.wrist_pose.copy()

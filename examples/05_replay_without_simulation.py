@@ -5,7 +5,6 @@ import numpy as np
 import fungrasp
 from fungrasp import Action, GraspPlan, Observation
 from fungrasp.policies import StudentPolicy
-from fungrasp.retargeting import retarget
 
 
 class Recorded:
@@ -29,7 +28,7 @@ class Recorded:
 human = fungrasp.builtin_grasps()[50:53]
 objects = fungrasp.load_objects(human)
 hand = fungrasp.load_hand("allegro")
-robot = retarget(human, objects, hand)
+robot = fungrasp.retarget(human, objects, hand)
 
 environment = fungrasp.LiftEnvironment(fungrasp.build_scene(hand, objects), len(robot))
 plan = fungrasp.MotionPlanner(hand, objects).plan(robot, environment.settle(robot))

@@ -3,8 +3,6 @@
 import numpy as np
 
 import fungrasp
-from fungrasp.evaluation import LiftTestSpec
-from fungrasp.retargeting import retarget
 from fungrasp.sim2real import ROBUSTNESS, MeasurementError, draw
 
 np.set_printoptions(precision=2)
@@ -23,10 +21,12 @@ human = fungrasp.builtin_grasps()
 human = human.select(human.object_name == "can")
 objects = fungrasp.load_objects(human)
 hand = fungrasp.load_hand("allegro")
-robot = retarget(human, objects, hand)
+robot = fungrasp.retarget(human, objects, hand)
 
 conditions = {"nominal": ROBUSTNESS["nominal"], "own": slippery_and_heavy}
 for name, randomization in conditions.items():
     seeds = (0, 1) if randomization.is_random else (0,)
-    result = fungrasp.evaluate(robot, objects, spec=LiftTestSpec(randomization=randomization, seeds=seeds))
+    result = fungrasp.evaluate(
+        robot, objects, spec=fungrasp.LiftTestSpec(randomization=randomization, seeds=seeds)
+    )
     print(f"{name}: {result.outcomes.success.mean():.0%}")

@@ -8,14 +8,13 @@ import numpy as np
 
 import fungrasp
 from fungrasp.evaluation import replay
-from fungrasp.retargeting import retarget
 from fungrasp.simulation import build_scene
 
 human = fungrasp.builtin_grasps()
 human = human.select(np.flatnonzero(human.object_name == "can")[:1])
 objects, hand = fungrasp.load_objects(human), fungrasp.load_hand("allegro")
 with TemporaryDirectory() as folder:
-    fungrasp.evaluate(retarget(human, objects, hand), objects, record=Path(folder))
+    fungrasp.evaluate(fungrasp.retarget(human, objects, hand), objects, record=Path(folder))
     (episode,) = (replay(path) for path in Path(folder).glob("*.npz"))
 
 model = build_scene(hand, objects).model

@@ -18,6 +18,7 @@ from fungrasp.version import __version__ as __version__
 
 _NAMES = {
     "deployment.deploy": "deploy",
+    "deployment.deployment_result": "DeploymentSpec",
     "evaluation": "LiftTestSpec compare_methods evaluate static_quality",
     "evaluation.plans": "plan",
     "grasps": (

@@ -1,6 +1,7 @@
 """The names that ``__init__.py`` loads on use, for type checkers."""
 
 from fungrasp.deployment.deploy import deploy as deploy
+from fungrasp.deployment.deployment_result import DeploymentSpec as DeploymentSpec
 from fungrasp.evaluation import LiftTestSpec as LiftTestSpec
 from fungrasp.evaluation import compare_methods as compare_methods
 from fungrasp.evaluation import evaluate as evaluate
