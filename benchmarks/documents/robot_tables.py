@@ -16,6 +16,7 @@ from benchmarks.documents.measured import (
     read,
 )
 from fungrasp.evaluation.statistics import wilson_interval
+from fungrasp.evaluation.twin_series import FORMER_VARIANTS
 
 
 def driver_faults() -> Table:
@@ -206,7 +207,8 @@ def twin_variants() -> Table:
             off = f"{np.median([row['tracking_rad'] for row in begun]):.3f}"
             sag = f"{np.rad2deg(np.median([row['sag_rad'] for row in begun])):.1f}"
             counts = (f"{n}" for n in (len(group), len(group) - len(begun), len(begun), lifted))
-            rows.append((results.header["robot"], variant, *counts, rate, off, sag))
+            name_now = FORMER_VARIANTS.get(variant, variant)
+            rows.append((results.header["robot"], name_now, *counts, rate, off, sag))
     return Table(head, rows, list(TWINS))
 
 

@@ -3,52 +3,36 @@
 from __future__ import annotations
 
 from pathlib import Path
-from types import SimpleNamespace
 
-import numpy as np
 import pytest
+from played_twins import play_twins
 
-import fungrasp.evaluation.twin_episode as twin_episode
 import fungrasp.synthetic_captures.perceived_grasps as perceived_grasps
 from fungrasp.cli.evaluate_on_twins import EvaluateOnTwins
-from fungrasp.errors import FungraspError, UnknownNameError
+from fungrasp.cli.main import main
+from fungrasp.errors import UnknownNameError
 from fungrasp.evaluation.result_files import read_result
 
 
 @pytest.fixture
 def played(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """Objects of the deployments, of which every second misses."""
-    names: list[str] = []
-
-    def deploy(cell, hand, thing, *arguments, **options):
-        names.append(thing.name)
-        result = SimpleNamespace(fault="", attempts=options["settings"].attempts)
-        return SimpleNamespace(
-            result=result, success=len(names) % 2 == 1, height=0.11, tracking=0.02, sag=0.03
-        )
-
-    def reach(cell, hand, thing, grasp, seed=0):
-        yield from (np.array([x, 0, 0, 1, 0, 0, 0]) for x in (0.1, 0.2))
-
-    monkeypatch.setattr(twin_episode, "deploy_on_twin", deploy)
-    monkeypatch.setattr(twin_episode, "reachable_placements", reach)
-    return names
+    return play_twins(monkeypatch)
 
 
 def evaluate(out: Path, **options) -> EvaluateOnTwins:
-    settings = {"rows": (0, 3), "policy": "reference", "told": True, "in_turn": True, "threads": 1}
+    settings = {"rows": (0, 3), "policy": "reference", "given_dynamics": True, "in_turn": True, "threads": 1}
     return EvaluateOnTwins(out=out, **{**settings, **options})
 
 
 def test_images_are_numbered_by_row(played, tmp_path, monkeypatch, capsys) -> None:
-    def seen(human, objects, images, seed, store, progress):
+    def seen(human, objects, images, seed, store, progress, rows):
         # The second image of the first grasp is refused, and both of the other's are seen.
-        rows = [0, 1, 1]
-        return perceived_grasps.SeenGrasps(human.select(rows), [0, 2, 3], {1: "no hand"})
+        assert rows == [0, 3]
+        return perceived_grasps.SeenGrasps(human.select([0, 1, 1]), [0, 6, 7], {1: "no hand"})
 
     monkeypatch.setattr(perceived_grasps, "grasps_from_images", seen)
     out = tmp_path / "twins.json"
-    evaluate(out, images=2, places=2, variants=("ours, two attempts",)).run()
+    evaluate(out, images_per_grasp=2, placements=2, variants=("full, two attempts",)).run()
     result = read_result(out)
     assert [(row["index"], row["place"]) for row in result.rows] == [
         (0, 0), (0, 1), (6, 0), (6, 1), (7, 0), (7, 1),
@@ -64,14 +48,20 @@ def test_images_are_numbered_by_row(played, tmp_path, monkeypatch, capsys) -> No
     assert not list(tmp_path.glob("*.partial"))
 
 
-def test_nothing_is_seen(played, tmp_path, monkeypatch) -> None:
-    nothing = perceived_grasps.SeenGrasps(None, [], {0: "no hand", 1: "no hand"})
-    monkeypatch.setattr(perceived_grasps, "grasps_from_images", lambda *arguments: nothing)
-    with pytest.raises(FungraspError, match="confident of no image"):
-        evaluate(tmp_path / "twins.json", images=1).run()
-    assert not played
-
-
 def test_unknown_variant(played, tmp_path) -> None:
     with pytest.raises(UnknownNameError, match="two attempts"):
         evaluate(tmp_path / "twins.json", variants=("two tries",)).run()
+
+
+def test_words_of_the_version_before(played, tmp_path, capsys, caplog) -> None:
+    out = tmp_path / "twins.json"
+    former = ["--each", "1", "--places", "2", "--told", "--images", "0", "--variants", "ours"]
+    now = ["--rows", "0", "3", "--policy", "reference", "--in-turn", "--threads", "1", "--out", str(out)]
+    assert main(["robots", "evaluate", *former, *now]) == 0
+    said = capsys.readouterr().err.splitlines()
+    assert "fungrasp: --each is now --grasps-per-object" in said and len(said) == 4
+    assert "'ours' is called 'full' now" in caplog.text
+    result = read_result(out)
+    assert {row["variant"] for row in result.rows} == {"full"}
+    spec = result.header["spec"]
+    assert (spec["grasps_per_object"], spec["placements"], spec["given_dynamics"]) == (1, 2, True)

@@ -15,7 +15,8 @@ from fungrasp.deployment.hand_knowledge import HandDynamics
 from fungrasp.deployment.preparation import UnreachableError
 from fungrasp.errors import FungraspError
 from fungrasp.evaluation.twin_episode import PlacedGrasp, TwinEpisode, TwinSetup
-from fungrasp.evaluation.twin_series import VARIANTS, placed_grasps, told_dynamics, try_on_twins
+from fungrasp.evaluation.twin_schedule import given_dynamics, placed_grasps, try_on_twins
+from fungrasp.evaluation.twin_series import VARIANTS
 from fungrasp.grasps import RobotGraspSet, builtin_grasps, load_objects
 from fungrasp.hands import load_hand
 from fungrasp.jobs import PartStore
@@ -84,23 +85,23 @@ def test_every_object_comes_before_any_comes_twice(grasps, monkeypatch) -> None:
     assert tried == ["mug", "mug", "can"]
 
 
-def test_variants_differ_in_what_is_told(grasps, deployed) -> None:
+def test_variants_differ_in_what_is_known(grasps, deployed) -> None:
     robot, objects = grasps
     placed = [PlacedGrasp(5, robot.select(np.array([0])), AT)]
     setup = setup_of(objects)
-    found = list(try_on_twins(setup, placed, [4], VARIANTS[:3], identify=told_dynamics(HAND)))
+    found = list(try_on_twins(setup, placed, [4], VARIANTS[:3], identify=given_dynamics(HAND)))
     assert [episode.variant for episode in found] == [variant.name for variant in VARIANTS[:3]]
     assert [dynamics is None for _, _, dynamics, _ in deployed] == [False, True, False]
     assert [compensate for *_, compensate in deployed] == [True, True, False]
     # What was not begun has failed, and says why.
     assert not found[1].success and "not reachable" in found[1].fault and found[1].tracking_rad == -1
-    assert found[0] == TwinEpisode(5, found[0].object, 4, "ours", True, 0.12, "", 0.02, -1.0, 0, 1, 1)
-    # What is told is the truth: the stiffness of a hand with gains of its own.
+    assert found[0] == TwinEpisode(5, found[0].object, 4, "full", True, 0.12, "", 0.02, -1.0, 0, 1, 1)
+    # What is given is the truth: the stiffness of a hand with gains of its own.
     driven = [HAND.joint_names.index(name) for name in HAND.actuators]
-    told = deployed[0][2].servo_stiffness[driven]
-    assert told.max() < 1.2 * deployed[0][1]
-    with pytest.raises(FungraspError, match="'ours' needs identified dynamics"):
-        next(try_on_twins(setup, placed, [4]))
+    given = deployed[0][2].servo_stiffness[driven]
+    assert given.max() < 1.2 * deployed[0][1]
+    with pytest.raises(FungraspError, match="'full' needs identified dynamics"):
+        next(try_on_twins(setup, placed, [4], VARIANTS))
 
 
 def test_the_object_is_put_elsewhere(grasps, deployed, monkeypatch) -> None:
@@ -154,7 +155,7 @@ def test_a_stopped_run_goes_on_where_it_was(grasps, deployed, monkeypatch, tmp_p
         def identify(truth) -> HandDynamics:
             def fit() -> HandDynamics:
                 fitted.append(truth.gain)
-                return told_dynamics(HAND)(truth)
+                return given_dynamics(HAND)(truth)
 
             return setup.identified(truth, fit)
 

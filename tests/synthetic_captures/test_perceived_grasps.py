@@ -3,6 +3,7 @@
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 
 from fungrasp.errors import FungraspError
 from fungrasp.grasps import HumanGraspSet, builtin_grasps, load_objects
@@ -30,10 +31,22 @@ def test_images_are_numbered_and_doubtful_ones_refused(monkeypatch, tmp_path) ->
     store = PartStore(tmp_path / "seen")
     seen = grasps_from_images(human, load_objects(human), 2, 0, store)
     assert seen.index == [0, 3]
-    assert seen.human is not None and len(seen.human) == 2
+    assert len(seen.human) == 2
     assert seen.refused == {1: "no hand was found in the image", 2: "low confidence: the depth is noisy"}
     # What is kept is not looked at again: there are no more answers.
-    again = grasps_from_images(human, load_objects(human), 2, 0, store)
-    assert (again.index, again.refused) == (seen.index, seen.refused)
-    assert again.human is not None
+    again = grasps_from_images(human, load_objects(human), 2, 0, store, rows=[4, 9])
+    assert (again.index, list(again.refused)) == ([8, 19], [9, 18])
     np.testing.assert_array_equal(again.human.hand_joints, seen.human.hand_joints)
+
+
+def test_nothing_is_seen(monkeypatch) -> None:
+    human = builtin_grasps().select([0])
+
+    def perceive(capture, model, **options):
+        raise FungraspError("no hand was found in the image")
+
+    monkeypatch.setattr(room, "render_capture", lambda *args: SimpleNamespace(capture=None))
+    monkeypatch.setattr(room, "MediaPipeHandDetector", lambda: None)
+    monkeypatch.setattr(room, "perceive", perceive)
+    with pytest.raises(FungraspError, match="confident of no image"):
+        grasps_from_images(human, load_objects(human), 1, 0)

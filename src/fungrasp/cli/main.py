@@ -57,6 +57,16 @@ MOVED: Mapping[str, str] = {
 }
 """What ``python -m benchmarks<...>`` has replaced, for one version."""
 
+RENAMED: Mapping[str, Mapping[str, str]] = {
+    "fungrasp robots evaluate": {
+        "--each": "--grasps-per-object",
+        "--images": "--images-per-grasp",
+        "--places": "--placements",
+        "--told": "--given-dynamics",
+    },
+}
+"""Options that have another name now, by command, for one version."""
+
 USAGE_ERROR = 2
 INTERRUPTED = 130
 BROKEN_PIPE = 141
@@ -157,10 +167,21 @@ def _parse(program: str, command: Any, arguments: list[str]) -> Any:
                 raise UnknownNameError(f"{program.removeprefix('fungrasp ')} command", subcommand, command)
             return _parse(f"{program} {subcommand}", command[subcommand], arguments)
         return tyro.extras.subcommand_cli_from_dict(dict(command), prog=program, args=arguments)
+    arguments = [_option_of_today(program, word) for word in arguments]
     config = [tyro.conf.FlagCreatePairsOff, tyro.conf.HelptextFromCommentsOff]
     if not getattr(command, "option_prefixes", False):
         config.append(tyro.conf.OmitArgPrefixes)
     return tyro.cli(command, prog=program, args=arguments, config=tuple(config))
+
+
+def _option_of_today(program: str, word: str) -> str:
+    """A word of the command line, with the name that its option has now."""
+    name, equals, value = word.partition("=")
+    now = RENAMED.get(program, {}).get(name)
+    if now is None:
+        return word
+    print(f"fungrasp: {name} is now {now}", file=sys.stderr)
+    return f"{now}{equals}{value}"
 
 
 def _help() -> str:

@@ -22,12 +22,12 @@ from fungrasp.synthetic_captures.render_capture import render_capture
 class SeenGrasps:
     """What perception saw."""
 
-    human: HumanGraspSet | None
-    """The grasps that it is confident of; None if there are none."""
+    human: HumanGraspSet
+    """The grasps that it is confident of."""
     index: list[int]
-    """Image of each of them."""
+    """Number of the image of each."""
     refused: dict[int, str]
-    """Why it is not, by image."""
+    """Why it is not confident of the others, by the number of the image."""
 
 
 def grasps_from_images(
@@ -37,29 +37,35 @@ def grasps_from_images(
     seed: int,
     store: PartStore | None = None,
     progress: Callable[[float], None] = lambda share: None,
+    rows: Sequence[int] | None = None,
 ) -> SeenGrasps:
-    """Render images of grasps and perceive them: neither mask nor pose is told.
+    """Render images of grasps and perceive them: neither mask nor pose is given.
 
     Args:
         human: grasps of right hands.
         objects: by name.
-        images: of each grasp; image k of grasp i has the number i images + k.
+        images: of each grasp; image k of row i has the number i images + k.
         seed: of cameras, rooms and noise.
         store: keeps what was seen, and knows what an earlier run has seen.
         progress: called with the share that is done, 0 to 1.
+        rows: of the grasps, to number their images; 0, 1, 2 ... if None.
 
     Raises:
-        FungraspError: the models of hands are not set up.
+        FungraspError: the models of hands are not set up, or perception is confident of no image.
     """
     sets, index, refused = [], [], {}
     found = run_job(_PerceivedImages(human, objects, images, seed), store, progress=progress)
-    for number, seen in enumerate(found):
+    for part, seen in enumerate(found):
+        row, image = divmod(part, images)
+        number = (row if rows is None else rows[row]) * images + image
         if "refused" in seen:
             refused[number] = str(seen["refused"])
         else:
             sets.append(HumanGraspSet(**seen))
             index.append(number)
-    return SeenGrasps(HumanGraspSet.concatenate(sets) if sets else None, index, refused)
+    if not sets:
+        raise FungraspError("perception is confident of no image: nothing to try")
+    return SeenGrasps(HumanGraspSet.concatenate(sets), index, refused)
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,121 @@
+"""Which grasps are tried on which twins, and in what order."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+
+import numpy as np
+
+from fungrasp.deployment.hand_knowledge import HandDynamics
+from fungrasp.errors import FungraspError
+from fungrasp.evaluation.twin_episode import (
+    PlacedGrasp,
+    RememberingPlanner,
+    TwinEpisode,
+    TwinSetup,
+    TwinVariant,
+)
+from fungrasp.grasps import RobotGraspSet
+from fungrasp.hands import Hand
+from fungrasp.robots.twin.parameters import TwinParameters, TwinSpread, cell_twin
+
+Identify = Callable[[TwinParameters], HandDynamics]
+"""What is known of the hand's dynamics of a twin."""
+
+
+def placed_grasps(
+    setup: TwinSetup, grasps: RobotGraspSet, index: Sequence[int], per_object: int | None = None
+) -> Iterator[PlacedGrasp]:
+    """Look for a placement of the object of every grasp, as they are asked for: the first grasp of every
+    object that can be reached comes before the second of any.
+
+    Args:
+        setup: of the test.
+        grasps: of its hand.
+        index: number of each.
+        per_object: of each object the first so many that can be reached; all if None.
+
+    Yields:
+        the grasps that were tried, in each of their places, those out of reach included.
+    """
+    waiting: dict[str, deque[int]] = {}
+    for row, name in enumerate(grasps.object_name.tolist()):
+        waiting.setdefault(name, deque()).append(row)
+    for _ in range(len(grasps) if per_object is None else per_object):
+        for rows in waiting.values():
+            while rows:
+                row = rows.popleft()
+                placed = setup.place(index[row], grasps.select(np.array([row])))
+                yield from placed
+                if len(placed[0].placements):
+                    break
+
+
+def try_on_twins(
+    setup: TwinSetup,
+    placed: Iterable[PlacedGrasp],
+    twins: Sequence[int],
+    variants: Sequence[TwinVariant],
+    *,
+    in_turn: bool = False,
+    identify: Identify | None = None,
+    spread: TwinSpread | None = None,
+) -> Iterator[TwinEpisode]:
+    """Try each grasp once on each twin in each variant.
+
+    Every grasp is tried on one of the twins, in turn, before any is tried on its next one, so that what a
+    stopped run has done is balanced. The object is not put down afterwards; all else is as on a robot.
+
+    Args:
+        setup: of the test.
+        placed: grasps, and where the objects are put; those out of reach are passed over.
+        twins: seeds of their true parameters.
+        variants: ways to deploy.
+        in_turn: each grasp on one of the twins, in turn, in place of all.
+        identify: what is known of the dynamics of a twin; needed by variants that use it.
+        spread: of the twins; the default if None.
+
+    Raises:
+        FungraspError: a variant needs ``identify``.
+    """
+    for variant in variants:
+        if variant.identified and identify is None:
+            raise FungraspError(f"the variant '{variant.name}' needs identified dynamics")
+    known: dict[int, HandDynamics] = {}
+    for one, twin in _turns(placed, twins, 1 if in_turn else len(twins)):
+        truth = cell_twin(setup.cell, setup.hand, twin, spread)
+        planner = RememberingPlanner(setup.planner)
+        for variant in variants:
+            dynamics = None
+            if variant.identified and identify is not None:
+                if twin not in known:
+                    known[twin] = identify(truth)
+                dynamics = known[twin]
+            yield setup.run(one, twin, truth, variant, dynamics, planner)
+
+
+def _turns(
+    placed: Iterable[PlacedGrasp], twins: Sequence[int], turns: int
+) -> Iterator[tuple[PlacedGrasp, int]]:
+    """Grasps within reach, each with a twin: in every turn each grasp with another one."""
+    reached: list[PlacedGrasp] = []
+    for one in placed:
+        if len(one.placements):
+            yield one, twins[len(reached) % len(twins)]
+            reached.append(one)
+    for turn in range(1, turns):
+        for row, one in enumerate(reached):
+            yield one, twins[(row + turn) % len(twins)]
+
+
+def given_dynamics(hand: Hand) -> Identify:
+    """The true stiffness and damping of twins, for comparison: an identification without error."""
+    driven = [hand.joint_names.index(name) for name in hand.actuators]
+
+    def identify(truth: TwinParameters) -> HandDynamics:
+        stiffness = np.ones(len(hand.joint_names))
+        stiffness[driven] = truth.stiffness
+        return HandDynamics(truth.damping, stiffness, stiffness.copy())
+
+    return identify
