@@ -24,7 +24,7 @@ from fungrasp.task import Action, LiftEnvironment
 from fungrasp.task.setpoints import SetpointSequence
 from fungrasp.training.distill import make_student
 from fungrasp.training.environment import EnvironmentSettings, TrainingEnvironment
-from fungrasp.training.export import export_student, make_card
+from fungrasp.training.export import export_policy, make_card
 from fungrasp.training.plan_library import PlanLibrary
 from fungrasp.training.ppo import Trainer
 from fungrasp.training.settings import PpoSettings
@@ -206,5 +206,5 @@ def untrained_student(library: PlanLibrary, objects: Mapping[str, ObjectModel], 
     )
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "untrained.onnx"
-        export_student(make_student(environment), path, card)
+        export_policy(make_student(environment), path, card)
         return load_policy(path)

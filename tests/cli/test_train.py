@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from grasp_files import run, some_grasps
 
-from fungrasp.cli.sweep import each_training
+from fungrasp.cli.sweep import draw_each_curve, each_training
 from fungrasp.cli.train import Train
 from fungrasp.grasps import save_human_grasps
 from fungrasp.sim2real import MODERATE, REALITY
@@ -80,3 +80,16 @@ def test_worlds_can_be_named_by_what_they_are_drawn_from(tmp_path, monkeypatch):
         with pytest.raises(Enough):
             Train(tmp_path / "out", (str(grasps),), worlds=worlds).run()
     assert [one.randomization for one in asked] == [REALITY, MODERATE]
+
+
+def test_curves_of_several_trainings_are_in_one_drawing(tmp_path):
+    pytest.importorskip("rsl_rl")
+    each = each_training(Train(tmp_path, seeds=(3, 5)))
+    for one in each:
+        one.out.mkdir()
+        (one.out / "curve.csv").write_text(
+            "steps,seconds,success,contact_ratio,slip_mm_s\n9,1.0,0.5,0.2,nan\n"
+        )
+    draw_each_curve(each, tmp_path)
+    drawing = (tmp_path / "curve.svg").read_text()
+    assert "seed-3" in drawing and "seed-5" in drawing

@@ -13,8 +13,9 @@ from fungrasp.hands import Hand, load_hand
 from fungrasp.retargeting import retarget
 from fungrasp.training.environment import EnvironmentSettings, TrainingEnvironment
 from fungrasp.training.plan_library import PlanLibrary, Variety, build_plan_library
-from fungrasp.training.run import RunSettings, TrainingSet
+from fungrasp.training.run import RunSettings
 from fungrasp.training.settings import PpoSettings
+from fungrasp.training.training_sets import TrainingSet
 
 WORLDS = 8
 PPO = PpoSettings(hidden=(32, 16), steps=6, epochs=2, minibatches=2, warm_up=2)

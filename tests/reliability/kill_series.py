@@ -44,8 +44,9 @@ from fungrasp.planning.selection.settings import FurtherSearch
 from fungrasp.policies import make_planner
 from fungrasp.retargeting import retarget
 from fungrasp.task import LiftProtocol
+from fungrasp.training.learning_curve import CURVE, read_curve
 from fungrasp.training.run import POLICY, train
-from fungrasp.training.settings import DistillSettings
+from fungrasp.training.settings import CurveSettings, DistillSettings
 from fungrasp.training.student_run import STUDENT, train_student
 
 UPDATES, ROUNDS = 42, 25
@@ -132,9 +133,14 @@ def training(scratch: Path) -> tuple[Work, Result]:
     one = training_set()
 
     def work(folder: Path) -> None:
-        train(folder / "run", [one], hand(), run_settings(), UPDATES * BATCH, threads=1)
+        points = CurveSettings(every=8 * BATCH)
+        train(folder / "run", [one], hand(), run_settings(), UPDATES * BATCH, threads=1, curve=points)
 
-    return work, lambda folder: (weights(folder / "run" / POLICY), progress(folder / "run"))
+    return work, lambda folder: (
+        weights(folder / "run" / POLICY),
+        progress(folder / "run"),
+        curve(folder / "run"),
+    )
 
 
 def distillation(scratch: Path) -> tuple[Work, Result]:
@@ -167,6 +173,11 @@ def weights(path: Path) -> bytes:
 def progress(folder: Path) -> list[Any]:
     lines = [json.loads(line) for line in (folder / "progress.jsonl").read_text().splitlines()]
     return [{key: value for key, value in line.items() if key != "seconds"} for line in lines]
+
+
+def curve(folder: Path) -> list[Any]:
+    """In words, as NaN is not itself."""
+    return [str(point._replace(seconds=0.0)) for point in read_curve(folder / CURVE)]
 
 
 # ---------------------------------------------------------------- who kills

@@ -26,12 +26,13 @@ from fungrasp.sim2real import NOMINAL, REALITY
 from fungrasp.training.checkpoint import check_environment, environment_state, read_checkpoint
 from fungrasp.training.distill import make_student
 from fungrasp.training.environment import NEAR, NEAR_SPREAD, TrainingEnvironment
-from fungrasp.training.export import export_student, make_card
+from fungrasp.training.export import export_policy, make_card
 from fungrasp.training.history import HISTORY
 from fungrasp.training.networks import ColoredGaussian, tensors
 from fungrasp.training.ppo import Trainer
-from fungrasp.training.run import TrainingSet, train
+from fungrasp.training.run import train
 from fungrasp.training.student import StudentGraph
+from fungrasp.training.training_sets import TrainingSet
 
 
 def test_a_world_that_diverges_is_named_and_begins_anew(caplog, monkeypatch, tmp_path):
@@ -154,7 +155,7 @@ def test_the_student_file_does_what_torch_does(tmp_path):
     card = make_card(
         "s", "student", hand(), worlds.layout, (), worlds.settings.residual, 10.0, Budget(0, 0, "")
     )
-    export_student(student, path, card)
+    export_policy(student, path, card)
     network, graph = load_policy(path), StudentGraph(student)
     state = network.initial_state(5)
     window = torch.zeros(5, HISTORY, student.encoder.input_size)

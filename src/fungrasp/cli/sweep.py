@@ -127,10 +127,32 @@ def sweep_table(trainings: Sequence[Train], root: Path) -> str:
     rows = [("training", "steps", "minutes", "success, exploring")]
     for training in trainings:
         card = load_policy(training.out / POLICY).card
-        name = str(training.out.relative_to(root.absolute()))
         success = f"{card.measured[EXPLORING]['success']:.1%}"
-        rows.append((name, f"{card.budget.steps:,}", f"{card.budget.seconds / 60:.1f}", success))
+        rows.append(
+            (_name(training, root), f"{card.budget.steps:,}", f"{card.budget.seconds / 60:.1f}", success)
+        )
     return table(rows)
+
+
+def draw_each_curve(trainings: Sequence[Train], root: Path) -> None:
+    """One drawing of the learning curves of all trainings.
+
+    Args:
+        trainings: that are done.
+        root: folder of all of them, and of the drawing.
+
+    Raises:
+        FungraspError: a curve is damaged, or the drawing can't be written.
+    """
+    from fungrasp.training.learning_curve import CURVE, DRAWING, draw_curves
+
+    curves = {_name(training, root): training.out / CURVE for training in trainings if training.curve.every}
+    if curves:
+        draw_curves(root / DRAWING, curves)
+
+
+def _name(training: Train, root: Path) -> str:
+    return str(training.out.relative_to(root.absolute()))
 
 
 def _settings(command: Any, before: str = "") -> Iterator[str]:

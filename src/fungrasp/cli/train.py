@@ -17,7 +17,7 @@ from fungrasp.errors import FungraspError
 from fungrasp.sim2real import PRESETS, PresetName
 from fungrasp.training.environment import EnvironmentSettings
 from fungrasp.training.plan_library import Variety
-from fungrasp.training.settings import PpoSettings
+from fungrasp.training.settings import CurveSettings, PpoSettings
 
 
 @dataclass(frozen=True)
@@ -76,6 +76,9 @@ class Train:
     """Licence of the policy, for its card."""
     wandb: str | None = None
     """Log to this project of Weights & Biases too."""
+    curve: CurveSettings = field(default_factory=CurveSettings)
+    """Of the learning curve, curve.csv and its drawing curve.svg in the training's folder; of several
+    trainings, <out>/curve.svg shows all."""
     environment: EnvironmentSettings = field(default_factory=EnvironmentSettings)
     """Settings of the worlds that the policy is trained in."""
     ppo: PpoSettings = field(default_factory=PpoSettings)
@@ -121,6 +124,7 @@ class Train:
                 plans=plans,
                 initial=self.initial,
                 shrink=self.shrink,
+                curve=self.curve,
                 planning=show,
                 progress=progress_lines(int(self.steps)),
                 log=log,
@@ -136,7 +140,7 @@ class Train:
 
         from fungrasp.cli.console import progress_bar
         from fungrasp.cli.options import on_cluster, print_use
-        from fungrasp.cli.sweep import Trainings, each_training, sweep_table
+        from fungrasp.cli.sweep import Trainings, draw_each_curve, each_training, sweep_table
         from fungrasp.jobs import run_job
 
         each, cluster = each_training(self), on_cluster(self.ray)
@@ -147,6 +151,7 @@ class Train:
         with bar as show:
             run_job(Trainings(tuple(each)), ray=cluster, progress=show)
         print_use(cluster)
+        draw_each_curve(each, self.out)
         print(sweep_table(each, self.out))
 
 

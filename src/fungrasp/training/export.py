@@ -34,7 +34,7 @@ normalized by stay as they are: they decide more and take no room."""
 
 
 class Normalised(torch.nn.Module):
-    """A teacher for inference: normalises what it sees, and gives the mean action."""
+    """A policy without memory for inference: normalises what it sees, and gives the mean action."""
 
     def __init__(self, actor: MLPModel):
         super().__init__()
@@ -145,19 +145,23 @@ def make_card(
     )
 
 
-def export_teacher(actor: MLPModel, path: Path, card: PolicyCard) -> None:
-    """Write a teacher's policy file."""
-    example = torch.zeros(2, card.input_size)
-    save_policy(path, graph(Normalised(actor), {"observation": example}, ("action",)), card)
-
-
-def export_student(student: StudentModel, path: Path, card: PolicyCard) -> None:
-    """Write a student's policy file; its state is the window of what its encoder looks back on."""
-    observation = torch.zeros(2, card.input_size)
-    history = torch.zeros(2, HISTORY, student.encoder.input_size)
-    inputs = {"observation": observation, "state_history": history}
+def policy_graph(actor: MLPModel, card: PolicyCard) -> bytes:
+    """A policy as an ONNX model. A student's state is the window of what its encoder looks back on."""
+    inputs = {"observation": torch.zeros(2, card.input_size)}
+    if not isinstance(actor, StudentModel):
+        return graph(Normalised(actor), inputs, ("action",))
+    inputs["state_history"] = torch.zeros(2, HISTORY, actor.encoder.input_size)
     outputs = ("action", "contacts", "forces", "next_state_history")
-    save_policy(path, graph(StudentGraph(student), inputs, outputs), card)
+    return graph(StudentGraph(actor), inputs, outputs)
+
+
+def export_policy(actor: MLPModel, path: Path, card: PolicyCard) -> None:
+    """Write the file of a trained policy.
+
+    Raises:
+        FungraspError: it can't be written.
+    """
+    save_policy(path, policy_graph(actor, card), card)
 
 
 def export_predictor(predictor: PredictorNetwork, path: Path, card: PolicyCard) -> None:

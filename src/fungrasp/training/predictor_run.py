@@ -13,9 +13,9 @@ from fungrasp.policies.residual_action import ResidualSettings
 from fungrasp.provenance import machine
 from fungrasp.task import LiftProtocol
 from fungrasp.training.export import export_predictor, make_card
-from fungrasp.training.run import TrainingSet
 from fungrasp.training.settings import PredictorSettings
 from fungrasp.training.success_predictor import PlanOutcomes, cross_validate, fit_predictor, try_plans
+from fungrasp.training.training_sets import TrainingSet
 
 MEASURED = "cross-validated, no residual"
 """Entry of a predictor's card."""

@@ -7,33 +7,33 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from torch.utils.tensorboard import SummaryWriter
 
 from fungrasp.errors import FungraspError
 from fungrasp.files import atomic_path, digest
-from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand, hand_files
-from fungrasp.objects import ObjectModel
 from fungrasp.planning.selection.success_predictor import SuccessPredictor
 from fungrasp.policies.checkpoint.card import Budget, PolicyCard, TrainingData
 from fungrasp.policies.checkpoint.checkpoint_file import SUFFIX, hand_digest, load_policy
+from fungrasp.policies.checkpoint.network import PolicyNetwork
 from fungrasp.policies.residual_action import ResidualSettings
 from fungrasp.policies.success_predictor import NetworkPredictor
 from fungrasp.provenance import git_revision, machine
 from fungrasp.task import GraspPlan
 from fungrasp.training.environment import EnvironmentSettings, TrainingEnvironment
-from fungrasp.training.export import export_student, export_teacher, make_card
+from fungrasp.training.export import export_policy, make_card, policy_graph
 from fungrasp.training.folder import RunFolder, kept_library
+from fungrasp.training.learning_curve import LearningCurve
 from fungrasp.training.plan_library import PlanLibrary, Variety, build_plan_library
 from fungrasp.training.ppo import Progress, Trainer
-from fungrasp.training.settings import PpoSettings
-from fungrasp.training.student import StudentModel
+from fungrasp.training.settings import CurveSettings, PpoSettings
+from fungrasp.training.training_sets import TrainingSet, joined_objects, split_sets
 from fungrasp.version import __version__
 
 PLANS = "plans.npz"
+HELD_OUT_PLANS = "held-out-plans.npz"
 POLICY = "policy.onnx"
 
 EXPLORING = "in training, exploring"
@@ -44,35 +44,6 @@ PLANNED_FROM = ("hand", "hand_sha256", "sets", "variety", "seed", "plans_sha256"
 
 Log = Callable[[Mapping[str, float], int], None]
 """Takes numbers by name, and the control steps so far."""
-
-
-@dataclass(frozen=True, eq=False)
-class TrainingSet:
-    """Grasps to train on."""
-
-    name: str
-    """Name of the data set, for the policy's card."""
-    grasps: RobotGraspSet
-    """Robot grasps to train on."""
-    objects: Mapping[str, ObjectModel]
-    """The grasps' objects, by name."""
-    terms: str = "not stated"
-    """Under what terms the grasps may be used."""
-    folder: Path | None = None
-    """Folder of the objects' meshes; None for built-in objects."""
-
-    def about(self) -> dict[str, Any]:
-        """What tells it from others."""
-        names = np.unique(self.grasps.object_name).tolist()
-        return {
-            "name": self.name,
-            "terms": self.terms,
-            "count": len(self.grasps),
-            "sha256": digest(
-                {name: getattr(self.grasps, name) for name in self.grasps.FIELDS}, self.grasps.extra
-            ),
-            "objects": {name: self.objects[name].mesh_digest for name in names},
-        }
 
 
 @dataclass(frozen=True)
@@ -102,6 +73,7 @@ def train(
     initial: Path | None = None,
     shrink: float = 1.0,
     plan_file: Path | None = None,
+    curve: CurveSettings | None = None,
     planning: Callable[[int], None] = lambda done: None,
     progress: Callable[[Progress], None] = lambda p: None,
     log: Log | None = None,
@@ -123,6 +95,7 @@ def train(
         shrink: factor on the finished policy's corrections, and on those of its students. A policy that has
             seen little is right about their direction more often than about their size.
         plan_file: file of the plans to train on; one in the folder if None.
+        curve: of the learning curve, ``curve.csv`` and ``curve.svg``; none if None.
         planning: called with the number of plans that are made.
         progress: called after each update.
         log: gets the numbers of each update, besides TensorBoard.
@@ -138,6 +111,8 @@ def train(
     settings = consistent(settings)
     residual = settings.environment.residual.shrunk(shrink)
     objects = joined_objects(sets)
+    curve = curve or CurveSettings(every=0)
+    sets, held_out = split_sets(sets, curve.held_out, curve.seed)
     about = [s.about() for s in sets]
     predictor = None if plans is None else NetworkPredictor(load_policy(plans), hand, objects)
     planned_from = {
@@ -169,6 +144,17 @@ def train(
         digest(__version__, json.dumps(planned_from)),
         lambda: plan_library(sets, hand, settings, threads, planning, predictor),
     )
+    unseen = library
+    if held_out:
+        planned_from["sets"] = [s.about() for s in held_out]
+        before = sum(len(s.grasps) for s in sets) * settings.variety.planned(predictor is not None)
+        unseen = kept_library(
+            folder / HELD_OUT_PLANS,
+            digest(__version__, json.dumps(planned_from)),
+            lambda: plan_library(
+                held_out, hand, settings, threads, lambda done: planning(before + done), predictor
+            ),
+        )
     if plans is not None:
         keep_beside(folder, plans)
     environment = TrainingEnvironment(library, objects, hand, settings.environment, settings.seed, threads)
@@ -178,6 +164,19 @@ def train(
     elif initial is not None:
         trainer.begin_from(RunFolder(initial).checkpoint)
     run.forget_progress_after(trainer.steps)
+
+    def card() -> PolicyCard:
+        made = training_card(folder, trainer, sets, residual, settings.seed, licence)
+        return replace(made, plans="" if plans is None else plans.stem)
+
+    def network() -> PolicyNetwork:
+        now = card()
+        return PolicyNetwork(policy_graph(trainer.actor, now), now)
+
+    measured = None
+    if curve.every:
+        measured = LearningCurve(folder, unseen, objects, environment, int(curve.every), curve.seed, threads)
+        measured.resume(trainer.steps)
     with SummaryWriter(str(folder), purge_step=trainer.steps) as events:
 
         def report(p: Progress) -> None:
@@ -190,13 +189,14 @@ def train(
                 events.add_scalar(name, value, p.steps)
             if log is not None:
                 log(numbers, p.steps)
+            if measured is not None:
+                measured.update(p.steps, p.seconds, network, p.steps >= steps)
             progress(p)
 
         trainer.learn(steps, report, run.checkpoint)
-    card = training_card(folder, trainer, sets, residual, settings.seed, licence)
-    card = replace(card, plans="" if plans is None else plans.stem)
-    export(trainer, folder / POLICY, card)
-    return card
+    finished = card()
+    export_policy(trainer.actor, folder / POLICY, finished)
+    return finished
 
 
 def checkpoint_digest(folder: Path) -> str:
@@ -266,22 +266,6 @@ def plan_library(
     )
 
 
-def joined_objects(sets: Sequence[TrainingSet]) -> dict[str, ObjectModel]:
-    """The objects of several sets, by name.
-
-    Raises:
-        FungraspError: no set, or two different objects of the same name.
-    """
-    if not sets:
-        raise FungraspError("training needs at least one set of grasps")
-    objects: dict[str, ObjectModel] = {}
-    for one in sets:
-        for name, thing in one.objects.items():
-            if objects.setdefault(name, thing).mesh_digest != thing.mesh_digest:
-                raise FungraspError(f"{one.name}: its object '{name}' is not that of another set")
-    return objects
-
-
 def training_card(
     folder: Path,
     trainer: Trainer,
@@ -308,19 +292,6 @@ def training_card(
         measured={EXPLORING: {"success": trainer.success}},
         licence=licence,
     )
-
-
-def export(trainer: Trainer, path: Path, card: PolicyCard) -> None:
-    """Write the file of a trained policy.
-
-    Raises:
-        FungraspError: it can't be written.
-    """
-    actor = trainer.actor
-    if isinstance(actor, StudentModel):
-        export_student(actor, path, card)
-    else:
-        export_teacher(actor, path, card)
 
 
 def flat(progress: Progress) -> dict[str, float]:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from fungrasp.errors import FungraspError
+
 Sees = Literal["contacts", "nothing", "history"]
 """What an actor knows of the contacts."""
 
@@ -50,6 +52,34 @@ class PpoSettings:
     hand; noise that changes slowly tries out other grasps."""
     warm_up: int = 48
     """Control steps before learning, in which only the normalisation is learned."""
+
+
+@dataclass(frozen=True)
+class CurveSettings:
+    """What a training's learning curve is measured on, and how often. It does not change the training, but
+    for the grasps that are held out."""
+
+    every: float = 1e5
+    """Control steps between two points of the curve; 0 for no curve."""
+    held_out: float = 0.0
+    """Share of the grasps that are not trained on, and that the curve is measured on; without, those that are
+    trained on."""
+    seed: int = 0
+    """Seed of the grasps and worlds that it is measured on; not of the training, so that trainings with other
+    seeds can be compared."""
+
+    def __post_init__(self) -> None:
+        """
+        Raises:
+            FungraspError: a value is impossible.
+        """
+        if not 0 <= self.every < 1e15 or not 0 <= self.held_out < 1 or self.seed < 0:
+            raise FungraspError(
+                "a curve has a point in every so many steps (0: none), a share held out of 0 to below 1 and "
+                f"a seed of 0 or more, not {self.every:g}, {self.held_out:g} and {self.seed}"
+            )
+        if self.held_out and not self.every:
+            raise FungraspError("grasps are held out for the curve, which is switched off")
 
 
 @dataclass(frozen=True)

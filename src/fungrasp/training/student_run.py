@@ -21,7 +21,7 @@ from fungrasp.provenance import git_revision, machine
 from fungrasp.sim2real.joint_dynamics import identified_hand
 from fungrasp.training.distill import DistillProgress, distill
 from fungrasp.training.environment import TrainingEnvironment
-from fungrasp.training.export import export_student, make_card
+from fungrasp.training.export import export_policy, make_card
 from fungrasp.training.folder import RunFolder, kept_library
 from fungrasp.training.plan_library import PlanLibrary
 from fungrasp.training.ppo import Trainer
@@ -198,7 +198,7 @@ def train_student(
     )
     if teacher.plans:
         keep_beside(folder, teacher_folder / (teacher.plans + SUFFIX))
-    export_student(done.student, folder / STUDENT, card)
+    export_policy(done.student, folder / STUDENT, card)
     return card
 
 

@@ -1,18 +1,53 @@
-"""Grasps to train on, from files."""
+"""Grasps to train on, and to hold out."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from fungrasp.errors import FungraspError
+from fungrasp.files import digest
 from fungrasp.grasps import RobotGraspSet, load_grasps, load_objects
 from fungrasp.grasps.grasp_files import BUILTIN
 from fungrasp.hands import Hand
+from fungrasp.objects import ObjectModel
 from fungrasp.retargeting import RetargetSpec, method_name, retarget
-from fungrasp.training.run import TrainingSet
 
 BUILTIN_TERMS = "Apache-2.0, part of fungrasp"
 """Terms of the built-in grasps."""
+
+
+@dataclass(frozen=True, eq=False)
+class TrainingSet:
+    """Grasps to train on."""
+
+    name: str
+    """Name of the data set, for the policy's card."""
+    grasps: RobotGraspSet
+    """Robot grasps to train on."""
+    objects: Mapping[str, ObjectModel]
+    """The grasps' objects, by name."""
+    terms: str = "not stated"
+    """Under what terms the grasps may be used."""
+    folder: Path | None = None
+    """Folder of the objects' meshes; None for built-in objects."""
+
+    def about(self) -> dict[str, Any]:
+        """What tells it from others."""
+        names = np.unique(self.grasps.object_name).tolist()
+        return {
+            "name": self.name,
+            "terms": self.terms,
+            "count": len(self.grasps),
+            "sha256": digest(
+                {name: getattr(self.grasps, name) for name in self.grasps.FIELDS}, self.grasps.extra
+            ),
+            "objects": {name: self.objects[name].mesh_digest for name in names},
+        }
 
 
 def load_training_sets(
@@ -56,3 +91,47 @@ def load_training_sets(
         title = "built-in grasps" if name == BUILTIN else Path(name).name
         sets.append(TrainingSet(title + label, robot, objects, said, place))
     return sets
+
+
+def joined_objects(sets: Sequence[TrainingSet]) -> dict[str, ObjectModel]:
+    """The objects of several sets, by name.
+
+    Raises:
+        FungraspError: no set, or two different objects of the same name.
+    """
+    if not sets:
+        raise FungraspError("training needs at least one set of grasps")
+    objects: dict[str, ObjectModel] = {}
+    for one in sets:
+        for name, thing in one.objects.items():
+            if objects.setdefault(name, thing).mesh_digest != thing.mesh_digest:
+                raise FungraspError(f"{one.name}: its object '{name}' is not that of another set")
+    return objects
+
+
+def split_sets(
+    sets: Sequence[TrainingSet], share: float, seed: int
+) -> tuple[list[TrainingSet], list[TrainingSet]]:
+    """Sets to train on, and what is held out of each.
+
+    Args:
+        sets: of grasps.
+        share: of the grasps of each that is held out, rounded, 0 to below 1.
+        seed: of which these are.
+
+    Raises:
+        FungraspError: a share of a set rounds to none of its grasps, or to all.
+    """
+    if not share:
+        return list(sets), []
+    rng = np.random.default_rng(seed)
+    parts: tuple[list[TrainingSet], list[TrainingSet]] = [], []
+    for one in sets:
+        count = len(one.grasps)
+        number = round(share * count)
+        if not 0 < number < count:
+            raise FungraspError(f"{one.name}: {share:g} of its {count} grasps can't be held out")
+        order = rng.permutation(count)
+        for part, rows in zip(parts, (order[number:], order[:number]), strict=True):
+            part.append(replace(one, grasps=one.grasps.select(np.sort(rows))))
+    return parts

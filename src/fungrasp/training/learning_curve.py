@@ -1,0 +1,170 @@
+"""Learning curves: how a policy does on fixed grasps while it learns, as its file would act then."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from fungrasp.errors import FungraspError
+from fungrasp.files import atomic_path
+from fungrasp.formats.file_bytes import read_bytes
+from fungrasp.objects import ObjectModel, with_sizes
+from fungrasp.policies.checkpoint.network import PolicyNetwork
+from fungrasp.policies.residual_policy import residual_policy
+from fungrasp.sim2real import draw
+from fungrasp.simulation import SceneSettings, build_scene
+from fungrasp.task import GraspPlan, LiftEnvironment, play
+from fungrasp.training.curve_drawing import curve_svg
+from fungrasp.training.environment import TrainingEnvironment
+from fungrasp.training.plan_library import PlanLibrary
+
+CURVE, DRAWING = "curve.csv", "curve.svg"
+GRASPS = 48
+"""Most grasps that a curve is measured on: about 4,000 control steps."""
+LARGEST = 100_000_000
+"""Bytes of the largest curve that is read."""
+
+
+class CurvePoint(NamedTuple):
+    """What a policy reached after some training."""
+
+    steps: int
+    """Control steps of the training."""
+    seconds: float
+    """Time that they took [s], earlier points of the curve included."""
+    success: float
+    """Share of the grasps that succeeded."""
+    contact_ratio: float
+    """Share of the target links in contact, mean over the hold; zero where the object was lost before."""
+    slip_mm_s: float
+    """Mean slip of the objects that were held [mm/s]; NaN without any."""
+
+
+class LearningCurve:
+    """The curve of one training, in its folder."""
+
+    def __init__(
+        self,
+        folder: Path,
+        library: PlanLibrary,
+        objects: Mapping[str, ObjectModel],
+        environment: TrainingEnvironment,
+        every: int,
+        seed: int,
+        threads: int = 0,
+    ):
+        """
+        Args:
+            folder: of the training.
+            library: with the grasps that it is measured on, the first plan of each; ``GRASPS`` drawn from
+                them if there are more.
+            objects: by name.
+            environment: of the training, which is left alone. The worlds are drawn once from what its worlds
+                are drawn from: all points are measured in the same ones.
+            every: control steps between two points.
+            seed: of grasps and worlds.
+            threads: 0 means all processors.
+        """
+        self._path, self._every, self._seed, self._threads = folder / CURVE, every, seed, threads
+        self._hand, self._objects = environment.hand, objects
+        self._randomization, self._protocol = environment.settings.randomization, environment.protocol
+        first = np.unique(library.group, return_index=True)[1]
+        if len(first) > GRASPS:
+            first = np.sort(np.random.default_rng(seed).choice(first, GRASPS, replace=False))
+        self.plans: GraspPlan = library.plans.select(first)
+        names = sorted(set(self.plans.object_name.tolist()))
+        sizes = with_sizes({name: objects[name] for name in names}, self._randomization.object_scales)
+        timestep = environment.settings.timestep
+        self._scene = build_scene(self._hand, sizes, SceneSettings(timestep=timestep))
+        self.points: list[CurvePoint] = []
+        """In the order of their steps."""
+
+    def resume(self, steps: int) -> None:
+        """Go on from a checkpoint. steps: of the training so far; later points are dropped.
+
+        Raises:
+            FungraspError: the file is damaged or can't be written.
+        """
+        if self._path.is_file():
+            self.points = [point for point in read_curve(self._path) if point.steps <= steps]
+            self._write()
+
+    def update(
+        self, steps: int, seconds: float, network: Callable[[], PolicyNetwork], finished: bool
+    ) -> None:
+        """Measure a point if it is time: after the first update of the training, after the last, and in
+        between once in every so many steps.
+
+        Args:
+            steps: of the training so far.
+            seconds: that they took [s].
+            network: makes that of the policy as it is by now.
+            finished: whether the training is.
+
+        Raises:
+            FungraspError: a file can't be written.
+        """
+        if self.points and not finished and steps // self._every == self.points[-1].steps // self._every:
+            return
+        count, rng = len(self.plans), np.random.default_rng(self._seed)
+        environment = LiftEnvironment(
+            self._scene, count, self._randomization, self._protocol, rng, self._threads
+        )
+        sample = draw(self._randomization, count, len(self._hand.joint_names), rng)
+        beginning = np.zeros(count, dtype=int)
+        environment.begin(np.arange(count), self.plans, beginning, sample, hand_followed=True)
+        policy = residual_policy(network(), self._hand, self._objects)
+        outcomes = play(environment, policy, self.plans, end_lost=True)
+        held = outcomes.sim_distance_hand_mm_s[outcomes.success]
+        self.points.append(
+            CurvePoint(
+                steps,
+                seconds,
+                float(outcomes.success.mean()),
+                float(np.nan_to_num(outcomes.contact_ratio).mean()),
+                float(held.mean()) if len(held) else float("nan"),
+            )
+        )
+        self._write()
+
+    def _write(self) -> None:
+        text = io.StringIO()
+        csv.writer(text, lineterminator="\n").writerows([CurvePoint._fields, *self.points])
+        with atomic_path(self._path) as part:
+            part.write_text(text.getvalue())
+        draw_curves(self._path.with_name(DRAWING), {"": self._path})
+
+
+def read_curve(path: Path) -> list[CurvePoint]:
+    """The points of a ``curve.csv``.
+
+    Raises:
+        FungraspError: it can't be read, or is none.
+    """
+    rows = list(csv.reader(read_bytes(path, "learning curve", LARGEST).decode(errors="replace").splitlines()))
+    try:
+        if tuple(rows[0]) != CurvePoint._fields:
+            raise ValueError("other columns")
+        return [CurvePoint(int(steps), *map(float, others)) for steps, *others in rows[1:]]
+    except (ValueError, TypeError, IndexError) as error:
+        raise FungraspError(f"{path} is damaged, or no learning curve") from error
+
+
+def draw_curves(path: Path, curves: Mapping[str, Path]) -> None:
+    """Draw the curves of trainings over control steps and time.
+
+    Args:
+        path: of the drawing (.svg).
+        curves: files of the curves, by the name of the training.
+
+    Raises:
+        FungraspError: a curve can't be read, or the drawing can't be written.
+    """
+    columns = {name: np.array(read_curve(file), dtype=float).reshape(-1, 5) for name, file in curves.items()}
+    with atomic_path(path) as part:
+        part.write_text(curve_svg(columns))

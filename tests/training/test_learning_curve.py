@@ -1,0 +1,115 @@
+"""Learning curves: measured beside a training, which they leave alone."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+import torch
+from small_training import BATCH, environment, hand, library, run_settings, training_set
+
+from fungrasp.errors import FungraspError
+from fungrasp.training import learning_curve
+from fungrasp.training.checkpoint import read_checkpoint
+from fungrasp.training.learning_curve import CURVE, DRAWING, LearningCurve, draw_curves, read_curve
+from fungrasp.training.run import HELD_OUT_PLANS, train
+from fungrasp.training.settings import CurveSettings
+from fungrasp.training.training_sets import split_sets
+
+
+def run(folder: Path, updates: int, curve: CurveSettings | None, **ppo) -> dict:
+    train(folder, [training_set()], hand(), run_settings(**ppo), updates * BATCH, threads=1, curve=curve)
+    return read_checkpoint(folder / "checkpoint.pt")
+
+
+@pytest.mark.parametrize("sees", ["contacts", "history"])
+def test_a_training_does_not_notice_its_curve(tmp_path, sees):
+    without = run(tmp_path / "without", 3, None, sees=sees)
+    measured = run(tmp_path / "with", 3, CurveSettings(every=2 * BATCH), sees=sees)
+    assert without["random"] == measured["random"]
+    for part in ("actor_state_dict", "critic_state_dict"):
+        for name, value in without[part].items():
+            assert torch.equal(value, measured[part][name]), name
+    points = read_curve(tmp_path / "with" / CURVE)
+    assert [point.steps for point in points] == [BATCH, 2 * BATCH, 3 * BATCH]
+    assert points[0].success == 1.0, "hardly trained, it plays the plan, which holds a can and a ball"
+    assert 0.3 < points[0].contact_ratio <= 1 and 0 < points[0].slip_mm_s < 50
+    assert not (tmp_path / "without" / CURVE).exists()
+
+
+def test_points_after_the_checkpoint_are_dropped(tmp_path):
+    curve = CurveSettings(every=BATCH)
+    run(tmp_path, 2, curve)
+    before = read_curve(tmp_path / CURVE)
+    text = (tmp_path / CURVE).read_text()
+    (tmp_path / CURVE).write_text(f"{text}{9 * BATCH},1.0,0.5,0.5,nan\n")
+    assert np.isnan(read_curve(tmp_path / CURVE)[-1].slip_mm_s)
+    run(tmp_path, 3, curve)
+    after = read_curve(tmp_path / CURVE)
+    assert after[:2] == before and [point.steps for point in after] == [BATCH, 2 * BATCH, 3 * BATCH]
+    assert after[1].seconds < after[2].seconds
+    (tmp_path / CURVE).write_text("steps\nmany\n")
+    with pytest.raises(FungraspError, match=r"curve.csv is damaged, or no learning curve$"):
+        run(tmp_path, 4, curve)
+
+
+def test_some_of_many_grasps_are_measured_the_same_in_every_training(monkeypatch, tmp_path):
+    monkeypatch.setattr(learning_curve, "GRASPS", 1)
+
+    def chosen(seed: int, of_training: int) -> np.ndarray:
+        worlds = environment(of_training)
+        curve = LearningCurve(tmp_path, library(), training_set().objects, worlds, 1, seed)
+        return curve.plans.object_name
+
+    assert {str(chosen(seed, 0)[0]) for seed in range(6)} == {"can", "tennis_ball"}
+    for seed in range(3):
+        assert chosen(seed, 0).tolist() == chosen(seed, 1).tolist()
+
+
+def test_held_out_grasps_are_measured_and_not_trained_on(tmp_path):
+    curve = CurveSettings(every=BATCH, held_out=0.5)
+    card = train(tmp_path, [training_set()], hand(), run_settings(), BATCH, threads=1, curve=curve)
+    assert card.training_data[0].count == 1
+    trained, held = (
+        str(np.load(tmp_path / name)["object_name"][0]) for name in ("plans.npz", HELD_OUT_PLANS)
+    )
+    assert {trained, held} == {"can", "tennis_ball"}
+    assert len(read_curve(tmp_path / CURVE)) == 1
+    with pytest.raises(FungraspError, match="sets is "):
+        train(tmp_path, [training_set()], hand(), run_settings(), BATCH, threads=1)
+    with pytest.raises(FungraspError, match=r"two grasps: 0.1 of its 2 grasps can't be held out"):
+        split_sets([training_set()], 0.1, 0)
+
+
+def test_every_grasp_is_on_one_side_of_the_split():
+    one = training_set()
+    many = replace(
+        one, grasps=replace(one.grasps.select(np.arange(10) % 2), object_mass=np.arange(1.0, 11.0))
+    )
+    trained, held = (part[0].grasps.object_mass for part in split_sets([many], 0.3, 4))
+    assert len(held) == 3 and sorted([*trained, *held]) == list(range(1, 11))
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"every": -1}, {"held_out": 1.0}, {"seed": -1}, {"every": 0, "held_out": 0.2}]
+)
+def test_impossible_curves(wrong):
+    with pytest.raises(FungraspError, match="curve"):
+        CurveSettings(**wrong)
+
+
+def test_several_curves_are_drawn_together(tmp_path):
+    for seed, rows in (("seed-0", "10,1.0,0.5,0.2,nan\n20,2.0,1.0,0.4,3.0\n"), ("seed-1<", "")):
+        (tmp_path / seed).mkdir()
+        (tmp_path / seed / CURVE).write_text("steps,seconds,success,contact_ratio,slip_mm_s\n" + rows)
+    curves = {name: tmp_path / name / CURVE for name in ("seed-0", "seed-1<")}
+    draw_curves(tmp_path / DRAWING, curves)
+    drawing = ElementTree.parse(tmp_path / DRAWING).getroot()
+    texts = [text.text for text in drawing.iter("{http://www.w3.org/2000/svg}text")]
+    assert {"success", "contact ratio", "slip [mm/s]", "control steps", "time [min]", *curves} <= set(texts)
+    lines = [line.get("points") for line in drawing.iter("{http://www.w3.org/2000/svg}polyline")]
+    assert len(lines) == 2 * 3 * 2
+    assert lines[0] == "200.0,90.0 350.0,30.0", "success of half over half of the steps, then of all"
