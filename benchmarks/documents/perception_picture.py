@@ -11,11 +11,11 @@ import numpy as np
 from PIL import Image
 
 from fungrasp.objects import builtin_object
+from fungrasp.perception.builtin_image import builtin_truth
 from fungrasp.perception.io.scene_folders import BUILTIN_CAPTURE as FOLDER
 from fungrasp.perception.io.scene_folders import read_folder
 from fungrasp.perception.pipeline import perceive
 from fungrasp.report import grid
-from fungrasp.report.demo_capture import demo_truth
 from fungrasp.report.perception_pictures import drawn_over, grasp_from_four_sides
 
 IMAGES = Path(__file__).parents[2] / "docs" / "images"
@@ -24,7 +24,7 @@ SIZE = (480, 360)
 
 
 def main() -> None:
-    truth, capture = demo_truth(), read_folder(FOLDER)
+    truth, capture = builtin_truth(), read_folder(FOLDER)
     model = builtin_object(truth.object_name)
     seen = perceive(capture, model, task=truth.task)
     over = drawn_over(capture, seen.hand, model, seen.object.pose_camera_object, seen.object.accepted)

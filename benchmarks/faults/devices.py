@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fungrasp.cli.console import progress_bar, table
-from fungrasp.cli.grasp_choice import GraspChoice
+from fungrasp.deployment.grasp_choice import GraspChoice
 from fungrasp.errors import FungraspError, UnknownNameError
 
 if TYPE_CHECKING:
@@ -109,8 +109,8 @@ class BenchFaults:
         from fungrasp.robots.cell import load_cell
 
         cell = load_cell(robot)
-        chosen = GraspChoice(grasp=grasp, threads=1).chosen(load_hand(cell.hand))
-        return ControlBench(cell, chosen.grasp, chosen.thing, self.patience)
+        chosen, objects = GraspChoice(grasp=grasp, threads=1).robot(load_hand(cell.hand))
+        return ControlBench(cell, chosen, objects[str(chosen.object_name[0])], self.patience)
 
 
 def _trials(

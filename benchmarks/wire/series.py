@@ -7,12 +7,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fungrasp.cli.console import table
-from fungrasp.cli.grasp_choice import ChosenGrasp, GraspChoice
 from fungrasp.deployment.deploy import deployment_task
 from fungrasp.deployment.deployment_result import DeploymentSpec
+from fungrasp.deployment.grasp_choice import GraspChoice
 from fungrasp.errors import FungraspError
 
 if TYPE_CHECKING:
+    from benchmarks.wire.timed_grasp import TimedGrasp
     from benchmarks.wire.wire_run import WireRun
     from fungrasp.hands import Hand
     from fungrasp.robots.cell import RobotCell
@@ -26,7 +27,9 @@ class BenchWire:
     robot: str = "ur5e-allegro-emulated"
     """A cell whose addresses are on the loopback."""
     choice: GraspChoice = field(default_factory=lambda: GraspChoice(grasp="wine_glass"))
-    """The grasp; one that is seen in rendered images is another one in each run."""
+    """The grasp."""
+    rendered: bool = False
+    """Take what perception sees in an image of the grasp, another one that is rendered for each run."""
     policy: str = "plan"
     """What moves the hand: "plan", "reference", "student", or a policy file."""
     runs: int = 20
@@ -35,6 +38,7 @@ class BenchWire:
     """Write every run here (.json, with a .csv beside), anew after each."""
 
     def run(self) -> None:
+        from benchmarks.wire.timed_grasp import rendered_grasp, timed_grasp
         from fungrasp.evaluation.result_files import write_result
         from fungrasp.hands import load_hand
         from fungrasp.provenance import run_record
@@ -44,11 +48,13 @@ class BenchWire:
             raise FungraspError(f"--runs must be 1 or more, not {self.runs}")
         cell = load_cell(self.robot)
         hand = load_hand(cell.hand)
-        header = {"robot": self.robot, "policy": self.policy, "image": self.choice.image or "none"}
+        image = "rendered" if self.rendered else self.choice.image or "none"
+        header = {"robot": self.robot, "policy": self.policy, "image": image}
+        find = rendered_grasp if self.rendered else timed_grasp
         chosen, runs = None, []
         for twin in range(self.runs):
-            if chosen is None or self.choice.varies:
-                chosen = self.choice.chosen(hand, twin)
+            if chosen is None or self.rendered:
+                chosen = find(self.choice, hand, twin)
             runs.append(self._run(cell, hand, chosen, twin))
             if self.json is not None:
                 write_result(self.json, {**header, **run_record(0)}, [asdict(run) for run in runs])
@@ -58,14 +64,14 @@ class BenchWire:
         home = sum(run.success and not run.fault for run in runs)
         print(f"of {len(runs)} runs: {lifted} lifted and held, {home} of them put down and home again")
 
-    def _run(self, cell: RobotCell, hand: Hand, chosen: ChosenGrasp, twin: int) -> WireRun:
+    def _run(self, cell: RobotCell, hand: Hand, chosen: TimedGrasp, twin: int) -> WireRun:
         from benchmarks.wire.wire_run import run_over_the_wire
 
         task = deployment_task(
             cell,
             hand,
-            chosen.grasp,
-            chosen.thing,
+            chosen.robot,
+            chosen.objects[str(chosen.robot.object_name[0])],
             DeploymentSpec(policy=self.policy, seed=twin),
             self.choice.threads,
         )

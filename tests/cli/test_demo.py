@@ -16,12 +16,11 @@ from fungrasp.cli.main import main
 from fungrasp.grasps import HumanGraspSet, builtin_grasps, save_human_grasps
 from fungrasp.grasps.picks import picked_rows
 from fungrasp.objects import builtin_object
-from fungrasp.perception import HandEstimate, ObjectEstimate
+from fungrasp.perception import HandEstimate, ObjectEstimate, builtin_image
 from fungrasp.perception.io.scene_folders import BUILTIN_CAPTURE as FOLDER
 from fungrasp.perception.io.scene_folders import read_folder
 from fungrasp.perception.perceived import Perceived
-from fungrasp.report import demo_capture, demonstration
-from fungrasp.report.demo_capture import demo_truth, perceive_image
+from fungrasp.report import demonstration
 
 
 @pytest.fixture(autouse=True)
@@ -152,10 +151,10 @@ def test_picks_keep_their_order_and_may_be_numbers() -> None:
 @pytest.fixture
 def see(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
     """Lets the next image be seen as it truly is, without the hand models."""
-    truth = demo_truth()
+    truth = builtin_image.builtin_truth()
 
     def set_up(side: str = "right", score: float = 0.9) -> None:
-        real = demo_capture.perceive
+        real = builtin_image.perceive
 
         def seen(capture, model, **options) -> Perceived:
             pixels = read_folder(FOLDER).intrinsics.project(truth.joints_camera)
@@ -164,7 +163,7 @@ def see(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
             thing = ObjectEstimate(truth.pose_camera_object, 0.95, True)
             return real(capture, model, hand=hand, object_estimate=thing, **options)
 
-        monkeypatch.setattr(demo_capture, "perceive", seen)
+        monkeypatch.setattr(builtin_image, "perceive", seen)
 
     return set_up
 
@@ -202,7 +201,7 @@ def test_what_is_not_sure_is_not_tried(
 
 def test_a_left_hand_holds_a_reflected_object(see: Callable[..., None]) -> None:
     see(side="left")
-    seen, _ = perceive_image(str(FOLDER), "spray_bottle", None, "spray", 0)
+    seen = builtin_image.perceive_folder(str(FOLDER), "spray_bottle", None, "spray", 0)
     model = builtin_object("spray_bottle")
     ((name, mirrored),) = seen.objects.items()
     assert mirrored.name == name == seen.grasps.object_name[0] == "spray_bottle_mirrored"

@@ -26,13 +26,13 @@ from fungrasp.objects.held_object import DENSITY, held_object
 from fungrasp.perception import HandEstimate, ObjectEstimate
 from fungrasp.perception import pipeline as room
 from fungrasp.perception.adapters import entry_point
+from fungrasp.perception.builtin_image import builtin_truth
 from fungrasp.perception.hand.detected_hand import DetectedHand
 from fungrasp.perception.hand.fit_problem import joint_confidence
 from fungrasp.perception.io.scene_folders import BUILTIN_CAPTURE as FOLDER
 from fungrasp.perception.io.scene_folders import read_folder
-from fungrasp.report.demo_capture import demo_truth
 
-TRUTH = demo_truth()
+TRUTH = builtin_truth()
 NAME = TRUTH.object_name
 LENS = json.loads((FOLDER / "K.json").read_text())
 

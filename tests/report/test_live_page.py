@@ -10,16 +10,16 @@ from PIL import Image
 
 from fungrasp.errors import FungraspError
 from fungrasp.objects import builtin_object
+from fungrasp.perception.builtin_image import builtin_truth
 from fungrasp.perception.camera.frames import CameraFrame
 from fungrasp.perception.camera.live import LiveView
 from fungrasp.perception.camera.readiness import FrameProblem, FrameReadiness
 from fungrasp.perception.hand.detected_hand import DetectedHand
 from fungrasp.perception.io.scene_folders import BUILTIN_CAPTURE as FOLDER
 from fungrasp.perception.io.scene_folders import read_folder
-from fungrasp.report.demo_capture import demo_truth
 from fungrasp.report.live_page import MISSING, READY, LivePage
 
-TRUTH = demo_truth()
+TRUTH = builtin_truth()
 SEEN = read_folder(FOLDER)
 FRAME = CameraFrame(SEEN.color, SEEN.depth, SEEN.intrinsics, 0.0)
 HAND = DetectedHand(SEEN.intrinsics.project(TRUTH.joints_camera), np.zeros((21, 3)), "right", 0.9, 0.9)

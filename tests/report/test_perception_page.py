@@ -15,15 +15,20 @@ from fungrasp.grasps import HumanGrasp
 from fungrasp.grasps.human_hand import mirror_points, mirror_pose
 from fungrasp.objects import builtin_object
 from fungrasp.perception import HandEstimate, ObjectEstimate
+from fungrasp.perception.builtin_image import builtin_truth
 from fungrasp.perception.estimates import PerceptionWarning
 from fungrasp.perception.io.scene_folders import BUILTIN_CAPTURE as FOLDER
 from fungrasp.perception.io.scene_folders import read_folder
 from fungrasp.perception.perceived import Perceived, PerceptionQuality
 from fungrasp.report import perception_page
-from fungrasp.report.demo_capture import demo_truth, true_errors
 from fungrasp.report.page_parts import Quantity
 from fungrasp.report.perception_alternatives import alternatives
-from fungrasp.report.perception_page import contact_words, perception_quantities, write_perception_page
+from fungrasp.report.perception_page import (
+    contact_words,
+    perception_quantities,
+    true_errors,
+    write_perception_page,
+)
 from fungrasp.report.perception_pictures import (
     FINGER_COLORS,
     REJECTED_LINE,
@@ -36,7 +41,7 @@ from fungrasp.report.perception_pictures import (
 )
 
 CAPTURE = read_folder(FOLDER)
-TRUTH = demo_truth()
+TRUTH = builtin_truth()
 MODEL = builtin_object(TRUTH.object_name)
 TURN = Rotation.from_euler("x", -120, degrees=True).as_quat(scalar_first=True)
 LEVEL = np.concatenate([[0.0, -0.5, 0.4], TURN])

@@ -120,14 +120,17 @@ class Demo:
 
     def _seen(self, policy: str) -> tuple[Perceived, Opening]:
         """What is in the image, and what the page says of it."""
-        from fungrasp.report.demo_capture import BUILTIN, perceive_image
-        from fungrasp.report.perception_page import perceived_opening
+        from fungrasp.perception.builtin_image import builtin_truth, perceive_folder
+        from fungrasp.perception.image_source import BUILTIN
+        from fungrasp.report.perception_page import perceived_opening, true_errors
 
         folder = self.from_image
         assert folder is not None
-        seen, truth = perceive_image(folder, self.mesh, self.mass, self.task, self.seed)
-        image = "the built-in one" if folder == BUILTIN else folder
-        return seen, perceived_opening(seen, {"Policy": policy, "Image": image}, truth)
+        seen = perceive_folder(folder, self.mesh, self.mass, self.task, self.seed)
+        known = folder == BUILTIN
+        errors = true_errors(builtin_truth(), seen) if known else []
+        image = "the built-in one" if known else folder
+        return seen, perceived_opening(seen, {"Policy": policy, "Image": image}, errors)
 
     def _end_with_low_confidence(self, seen: Perceived, opening: Opening) -> NoReturn:
         """Write the page on what was seen: the robot does not try a grasp of low confidence.

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import tyro
 
-from fungrasp.cli.grasp_choice import GraspChoice
+from fungrasp.deployment.grasp_choice import GraspChoice
 
 
 @dataclass(frozen=True)
@@ -69,12 +69,12 @@ class Deploy:
             twin=self.twin,
             real_time=not self.fast,
         )
-        chosen = self.choice.chosen(hand, self.seed)
+        grasp, objects = self.choice.robot(hand, self.seed)
         log = self.log or Path(strftime("deploy-%Y%m%d-%H%M%S.mcap"))
         with StopSwitch(cell.stop_file, keyboard=True) as switch:
             result = deploy(
-                chosen.grasp,
-                {chosen.thing.name: chosen.thing},
+                grasp,
+                objects,
                 spec=spec,
                 log=log,
                 about={"grasp": self.choice.words},

@@ -11,7 +11,7 @@ import tyro
 from fungrasp.cli.calibrate import Calibrate
 from fungrasp.cli.deploy import ReplayLog
 from fungrasp.cli.evaluate_on_twins import EvaluateOnTwins
-from fungrasp.cli.grasp_choice import GraspChoice
+from fungrasp.deployment.grasp_choice import GraspChoice
 
 if TYPE_CHECKING:
     import numpy as np
@@ -111,11 +111,11 @@ class Emulate:
 
         cell = load_cell(self.cell)
         hand = load_hand(cell.hand)
-        chosen = self.choice.chosen(hand)
-        thing = chosen.thing
+        grasp, objects = self.choice.robot(hand)
+        thing = objects[str(grasp.object_name[0])]
         truth = cell_twin(cell, hand, self.twin)
         world = TwinWorld(cell, hand, thing, truth)
-        world.settle(reachable_placement(cell, hand, thing, chosen.grasp))
+        world.settle(reachable_placement(cell, hand, thing, grasp))
         rest = world.center_of_mass()[2]
         raise_priority()
         with CellEmulation(cell, world, thing.name) as emulation:

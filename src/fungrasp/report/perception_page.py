@@ -9,12 +9,15 @@ from html import escape
 from pathlib import Path
 
 import numpy as np
+import trimesh
 
 from fungrasp.grasps import HUMAN_LINKS
 from fungrasp.grasps.human_hand import HUMAN_FINGERS
 from fungrasp.objects import MIRRORED, ObjectModel
 from fungrasp.perception import Capture
+from fungrasp.perception.builtin_image import BuiltinTruth
 from fungrasp.perception.object_pose.confidence import ACCEPT
+from fungrasp.perception.object_pose.pose_error import add, rotation_error
 from fungrasp.perception.perceived import Perceived
 from fungrasp.perception.pipeline import ACCEPTED_HAND
 from fungrasp.report.demonstration import Opening
@@ -154,6 +157,21 @@ def perception_quantities(perceived: Perceived) -> list[Quantity]:
             "Deepest point of the hand inside the object; soft fingertips that press give a few millimetres.",
             limit=1e3 * PENETRATION,
         ),
+    ]
+
+
+def true_errors(truth: BuiltinTruth, perceived: Perceived) -> list[Quantity]:
+    """How far what was perceived is from the truth."""
+    joints = 1e3 * np.linalg.norm(perceived.hand.joints_camera - truth.joints_camera, axis=1)
+    pose = perceived.object.pose_camera_object
+    points = np.asarray(trimesh.sample.sample_surface(perceived.object_model.mesh, 2000, seed=0)[0])
+    apart = 1e3 * float(add(points, pose, truth.pose_camera_object))
+    turned = float(np.degrees(rotation_error(pose, truth.pose_camera_object)))
+    return [
+        Quantity("Error of the joints", float(joints.mean()), "mm", "Mean of the 21 joints.", 12.0),
+        Quantity("Error of the worst joint", float(joints.max()), "mm", "Usually one that is hidden."),
+        Quantity("Error of the object", apart, "mm", "Mean distance of its points from the true ones.", 10.0),
+        Quantity("Turn of the object", turned, "°", "Between its pose and the true one.", 10.0),
     ]
 
 

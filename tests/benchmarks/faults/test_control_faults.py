@@ -8,7 +8,7 @@ import pytest
 from benchmarks.faults.control_bench import CONTROL, ControlBench
 from benchmarks.faults.control_faults import control_reactions
 from benchmarks.faults.control_session import ControlFault
-from fungrasp.cli.grasp_choice import GraspChoice
+from fungrasp.deployment.grasp_choice import GraspChoice
 from fungrasp.hands import load_hand
 from fungrasp.robots.cell import load_cell
 
@@ -23,8 +23,8 @@ PATIENCE = 10.0
 def bench() -> ControlBench:
     robot, grasp = CONTROL["control-allegro"]
     cell = load_cell(robot)
-    chosen = GraspChoice(grasp=grasp, threads=1).chosen(load_hand(cell.hand))
-    return ControlBench(cell, chosen.grasp, chosen.thing, PATIENCE)
+    chosen, objects = GraspChoice(grasp=grasp, threads=1).robot(load_hand(cell.hand))
+    return ControlBench(cell, chosen, objects[str(chosen.object_name[0])], PATIENCE)
 
 
 @pytest.mark.slow

@@ -7,14 +7,14 @@ import pytest
 
 from fungrasp.errors import FungraspError
 from fungrasp.objects import builtin_object
+from fungrasp.perception.builtin_image import builtin_truth
 from fungrasp.perception.camera.frames import CameraFrame, FolderCamera
 from fungrasp.perception.camera.live import LiveCapture, LiveSettings, LiveView, best_first
 from fungrasp.perception.hand.detected_hand import DetectedHand
 from fungrasp.perception.io.scene_folders import BUILTIN_CAPTURE as FOLDER
 from fungrasp.perception.io.scene_folders import read_folder, write_folder
-from fungrasp.report.demo_capture import demo_truth
 
-TRUTH = demo_truth()
+TRUTH = builtin_truth()
 SEEN = read_folder(FOLDER)
 BOX = (200.0, 150.0, 400.0, 350.0)
 
