@@ -181,6 +181,32 @@ def test_a_disturbed_bus_does_not_throw_the_hand(fault: Fault):
             time.sleep(0.01)
 
 
+def test_error_frames_are_counted_and_no_positions():
+    """The identifier of a bus error, 0x80, is that of the index finger's positions."""
+    with emulated(friction=0.0) as device:
+        device.driver.connect()
+        reach(device, device.near)
+        device.emulator.inject(Fault.BUS_ERRORS)
+        end = time.monotonic() + 0.5
+        while time.monotonic() < end:
+            device.driver.command(device.near)
+            state = device.driver.read()
+            assert np.abs(state.positions - device.near).max() < 0.1, state
+            time.sleep(0.002)
+        assert state.status is DeviceStatus.READY and "error frames" in state.message
+
+
+def test_a_bus_that_is_off_is_a_fault():
+    with emulated(stale_after=5.0) as device:
+        device.driver.connect()
+        device.emulator.inject(Fault.BUS_OFF)
+        assert wait_for(lambda: device.driver.read().status is not DeviceStatus.READY, 2.0)
+        assert "bus is off" in device.driver.read().message
+        device.emulator.clear()
+        device.driver.connect()
+        reach(device, device.near)
+
+
 def test_the_driver_takes_the_torque_away_when_its_process_has_died():
     channel = str(20000 + os.getpid() % 10000)
     # With a stop: joints without torque fall, further than is believed while a busy machine starts a driver.

@@ -29,6 +29,7 @@ def three():
         can.Message(arbitration_id=0x7FF, data=b"\x00\x01\xfe\xff1234", is_extended_id=False),
         can.Message(arbitration_id=0x80, data=b"123", is_extended_id=False),
         can.Message(arbitration_id=0x1FFFFFFF, data=b"", is_extended_id=True),
+        can.Message(arbitration_id=0x40, is_error_frame=True, data=bytes(8), is_extended_id=False),
         can.Message(arbitration_id=0x200, is_remote_frame=True, dlc=7, is_extended_id=False),
     ],
 )

@@ -14,6 +14,9 @@ SERIAL_ADAPTERS = ("pcan", "kvaser", "ixxat", "slcan", "gs_usb")
 LOOPBACK = "loopback"
 """Interface of emulated devices."""
 
+BUS_ERROR, BUS_OFF = 0x80, 0x40
+"""Classes in the identifier of an error frame, as SocketCAN sets them (``linux/can/error.h``)."""
+
 
 def open_can_bus(interface: str, channel: str, bitrate: int = 1_000_000) -> Any:
     """A ``can.Bus``.

@@ -66,7 +66,7 @@ class JointState:
     status: DeviceStatus
     """What the device is able to do."""
     message: str = ""
-    """What the device says of a fault, in words."""
+    """What the device says of a fault, in words; of a ready one, what is worth a look."""
 
 
 @dataclass(frozen=True, eq=False)

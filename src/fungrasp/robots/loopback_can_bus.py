@@ -21,7 +21,7 @@ HOST = "127.0.0.1"
 
 _FRAME = struct.Struct("=IB3x8s")
 """As ``can_frame`` of Linux: identifier with flags, length, data."""
-_REMOTE, _EXTENDED, _STANDARD_BITS, _EXTENDED_BITS = 1 << 30, 1 << 31, 0x7FF, 0x1FFFFFFF
+_ERROR, _REMOTE, _EXTENDED, _STANDARD_BITS, _EXTENDED_BITS = 1 << 29, 1 << 30, 1 << 31, 0x7FF, 0x1FFFFFFF
 
 
 class LoopbackCanBus(can.BusABC):
@@ -56,7 +56,7 @@ class LoopbackCanBus(can.BusABC):
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         """Send a frame to all others on the bus; nobody may be there."""
-        flags = _REMOTE * msg.is_remote_frame | _EXTENDED * msg.is_extended_id
+        flags = _ERROR * msg.is_error_frame | _REMOTE * msg.is_remote_frame | _EXTENDED * msg.is_extended_id
         try:
             self._out.send(_FRAME.pack(msg.arbitration_id | flags, msg.dlc, bytes(msg.data)))
         except OSError as error:
@@ -98,6 +98,7 @@ def _message(data: bytes) -> can.Message:
         arbitration_id=word & (_EXTENDED_BITS if extended else _STANDARD_BITS),
         is_extended_id=extended,
         is_remote_frame=bool(word & _REMOTE),
+        is_error_frame=bool(word & _ERROR),
         dlc=min(length, 8),
         data=None if word & _REMOTE else content[:length],
     )

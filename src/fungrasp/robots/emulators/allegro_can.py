@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from fungrasp.robots.can_bus import LOOPBACK, open_can_bus
+from fungrasp.robots.can_bus import BUS_ERROR, BUS_OFF, LOOPBACK, open_can_bus
 from fungrasp.robots.codecs import allegro as codec
 from fungrasp.robots.emulators.emulator import Emulator, Fault
 from fungrasp.robots.emulators.plant import Plant, PlantCommand
@@ -15,6 +15,10 @@ from fungrasp.robots.optional_packages import import_client
 
 BUS = "43113"
 """Default channel of "loopback"; a second hand has one of its own, "43114"."""
+
+
+SILENT = (Fault.STALLED, Fault.POWER_LOSS, Fault.BUS_OFF)
+"""Faults in which nothing is heard and nothing sent."""
 
 
 class AllegroEmulator(Emulator):
@@ -30,6 +34,8 @@ class AllegroEmulator(Emulator):
             Fault.POWER_LOSS,
             Fault.WRONG_DEVICE,
             Fault.SATURATED,
+            Fault.BUS_ERRORS,
+            Fault.BUS_OFF,
         }
     )
 
@@ -95,6 +101,8 @@ class AllegroEmulator(Emulator):
         super().inject(fault)
         if fault is Fault.POWER_LOSS:
             self._servos_on, self._period = False, 0.0
+        if fault is Fault.BUS_OFF:
+            self._send_error(BUS_OFF)
 
     def _serve(self) -> None:
         due = time.monotonic()
@@ -111,7 +119,7 @@ class AllegroEmulator(Emulator):
 
     def _take(self, message: Any) -> None:
         code, data = codec.code_of(message.arbitration_id), bytes(message.data)
-        if self.shows(Fault.POWER_LOSS) or self.shows(Fault.STALLED):
+        if any(map(self.shows, SILENT)):
             # A hand without power hears nothing; a stalled one keeps its last torques.
             if self.shows(Fault.POWER_LOSS):
                 self.plant.apply(PlantCommand(), time.monotonic())
@@ -149,13 +157,15 @@ class AllegroEmulator(Emulator):
             self._send(code, b"50A" + (b"L" if left else b"R") + b"0001")
 
     def _send_positions(self, now: float) -> None:
-        if self.shows(Fault.POWER_LOSS) or self.shows(Fault.STALLED):
+        if any(map(self.shows, SILENT)):
             return
         positions = self.plant.state(now).positions
         data = codec.encode_positions(self._units, positions)
         frames = [(codec.POSITION + finger, frame) for finger, frame in enumerate(data)]
         for code, data in self._disturbed(frames):
             self._send(code, data)
+            if self.shows(Fault.BUS_ERRORS) and self._rng.random() < 0.1:
+                self._send_error(BUS_ERROR)
 
     def _disturbed(self, frames: list[tuple[int, bytes]]) -> list[tuple[int, bytes]]:
         if self.shows(Fault.SATURATED):
@@ -180,3 +190,11 @@ class AllegroEmulator(Emulator):
             arbitration_id=codec.identifier(code, self._device), data=data, is_extended_id=False
         )
         self._bus.send(message)
+
+    def _send_error(self, classes: int) -> None:
+        """An error frame, as the host's own adapter makes it; its eight bytes are no positions."""
+        self._bus.send(
+            self._can.Message(
+                arbitration_id=classes, data=bytes(8), is_extended_id=False, is_error_frame=True
+            )
+        )

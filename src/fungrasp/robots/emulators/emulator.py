@@ -43,6 +43,10 @@ class Fault(StrEnum):
     """Values jump."""
     GONE = "gone"
     """It says that it sees nothing."""
+    BUS_ERRORS = "bus errors"
+    """The host's CAN adapter reports an error on the bus after one in ten frames."""
+    BUS_OFF = "bus off"
+    """The host's CAN adapter has gone off the bus: it says so once, and no frame comes or goes."""
     CLOCK_JUMP = "clock jump"
     """Its clock is set to another time."""
 

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from fungrasp.robots.can_bus import open_can_bus
+from fungrasp.robots.can_bus import BUS_OFF, open_can_bus
 from fungrasp.robots.codecs import allegro as codec
 from fungrasp.robots.control_loop.device_loop import LoopGoal, LoopMode
 from fungrasp.robots.control_loop.loop_driver import LoopDriver
@@ -112,6 +112,7 @@ class AllegroLoop:
         self._setpoint: np.ndarray | None = None
         self._frames: dict[int, bytes] = {}
         self._jumps = 0
+        self._error_frames = 0
         self._servos_on = False
 
     def open(self) -> None:
@@ -140,7 +141,9 @@ class AllegroLoop:
         assert state is not None
         if state is before:
             self.halt()
-            raise RobotError(f"{self.name} is silent for {1e3 * self.settings.stale_after:.0f} ms")
+            raise RobotError(
+                f"{self.name} is silent for {1e3 * self.settings.stale_after:.0f} ms{self._errors_in_words()}"
+            )
         if state.status is DeviceStatus.READY:
             self._send_torques(self._torques(goal, state, state.received - before.received))
         return state
@@ -223,7 +226,13 @@ class AllegroLoop:
             message = self._bus.recv(max(timeout, 0.0))
         except (self._can.CanError, OSError) as error:
             raise RobotError(f"{self.name}: the CAN bus failed: {error}") from error
-        if message is None or message.arbitration_id & 3 != self.settings.device or message.is_remote_frame:
+        if message is None:
+            return None
+        if message.is_error_frame:
+            # Its identifier holds bits of what went wrong on the bus: some look like those of positions.
+            self._take_error(message.arbitration_id)
+            return None
+        if message.arbitration_id & 3 != self.settings.device or message.is_remote_frame:
             return None
         code = codec.code_of(message.arbitration_id)
         finger = code - codec.POSITION
@@ -256,7 +265,21 @@ class AllegroLoop:
             velocities = (self.settings.velocity_filter / window) * before.velocities + move / window
         self._frames.clear()
         self._jumps = 0
-        self._state = JointState(joints, velocities, None, stamp, time.monotonic(), DeviceStatus.READY)
+        self._state = JointState(
+            joints, velocities, None, stamp, time.monotonic(), DeviceStatus.READY, self._errors_in_words()
+        )
+
+    def _take_error(self, classes: int) -> None:
+        """An error frame of the adapter; classes: bits of its identifier."""
+        self._error_frames += 1
+        if classes & BUS_OFF:
+            raise RobotError(
+                f"{self.name}: the CAN bus is off{self._errors_in_words()}; check cable, termination and "
+                "bit rate"
+            )
+
+    def _errors_in_words(self) -> str:
+        return f" ({self._error_frames} error frames on the bus)" if self._error_frames else ""
 
     def _drop(self, jumps: np.ndarray) -> None:
         """Frames of the fingers of which a joint jumps; jumps: shape [16]."""
