@@ -25,7 +25,7 @@ from fungrasp.policies.residual_action import ResidualSettings
 from fungrasp.sim2real import NOMINAL, REALITY
 from fungrasp.training.checkpoint import check_environment, environment_state, read_checkpoint
 from fungrasp.training.distill import make_student
-from fungrasp.training.environment import NEAR, NEAR_SPREAD, TrainingEnvironment
+from fungrasp.training.environment import NEAR, NEAR_SPREAD, NEAR_STEPS, TrainingEnvironment
 from fungrasp.training.export import export_policy, make_card
 from fungrasp.training.history import HISTORY
 from fungrasp.training.networks import ColoredGaussian, tensors
@@ -94,6 +94,10 @@ def test_near_starts_are_behind_the_grasp_and_give_way_to_those_of_the_lift_test
     guided = ResidualSettings("guided")
     near = environment(residual=guided, near=1.0, randomization=NOMINAL)
     assert (np.abs(palm_distance(near) - NEAR) < NEAR_SPREAD + 0.005).all()
+    plans = library().plans.select(near.tracker.rows)
+    left = plans.lift_step - near.episodes.task.time / plans.control_period
+    assert (left > NEAR_STEPS[0] - 0.5).all() and (left < NEAR_STEPS[1] + 0.5).all()
+    np.testing.assert_allclose(near.episodes.observe().joint_positions, plans.finger_targets[:, 0], atol=0.05)
     widened = environment(residual=guided, near=1.0, widen=(0, 8), randomization=NOMINAL)
     widened.step(np.zeros((8, widened.actions)))
     widened.restart()

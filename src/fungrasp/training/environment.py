@@ -28,6 +28,9 @@ _log = logging.getLogger(__name__)
 NEAR, NEAR_SPREAD = 0.10, 0.02
 """Distance of near starts behind the wrist's place in the grasp, and how far it varies to both sides [m]:
 those of the authors' released code."""
+NEAR_STEPS = (20, 30)
+"""Fewest and most control steps from a near start to the lift: the way takes about ten, closing as many. An
+episode from there is half as long as one of the lift test, whose hand waits beside the object."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +49,7 @@ class EnvironmentSettings:
     """Share of episodes that begin where the lift test does; all do where no planned motion is followed."""
     near: float = 0.0
     """Share of the episodes without a planned motion that begin near the grasp, as in the authors' released
-    code: ``NEAR`` behind the wrist's place in it. """
+    code: ``NEAR`` behind the wrist's place in it, ``NEAR_STEPS`` before the lift, with an open hand."""
     widen: tuple[int, int] | None = None
     """Control steps of the training between which near starts give way to those of the lift test; they stay
     if not given."""
@@ -210,7 +213,10 @@ class TrainingEnvironment:
         sample = draw(s.randomization, len(ids), len(self.hand.joint_names), rng)
         begun = plans.select(rows)
         if s.near > 0:
-            begun = self._moved_near(begun, rows)
+            near = rng.random(len(ids)) < s.near * (1.0 - self._widened)
+            late = begun.lift_step - rng.integers(NEAR_STEPS[0], NEAR_STEPS[1] + 1, size=len(ids))
+            first = np.where(near, np.maximum(late, 0), first)
+            begun = self._moved_near(begun, rows, near)
         self.episodes.begin(ids, begun, first, sample, hand_followed=True)
         return rows
 
@@ -227,19 +233,26 @@ class TrainingEnvironment:
         start = poses.clear(index, plans.object_pose, start, plans.finger_targets[:, 0], np.zeros(len(plans)))
         return relative(plans.object_pose, start)
 
-    def _moved_near(self, plans: GraspPlan, rows: np.ndarray) -> GraspPlan:
-        """The plans with starts that are near in as many as the settings say by now. plans: those of
-        ``rows``."""
-        s, rng = self.settings, self.rng
-        first, last = s.widen or (0, 0)
-        done = 0.0 if s.widen is None else np.clip((self.steps - first) / max(last - first, 1), 0.0, 1.0)
+    @property
+    def _widened(self) -> float:
+        """Share of near starts that have given way by now."""
+        if self.settings.widen is None:
+            return 0.0
+        first, last = self.settings.widen
+        return float(np.clip((self.steps - first) / max(last - first, 1), 0.0, 1.0))
+
+    def _moved_near(self, plans: GraspPlan, rows: np.ndarray, chosen: np.ndarray) -> GraspPlan:
+        """The plans with hands near and open at every step where chosen. plans: those of ``rows``; chosen:
+        shape [I] bool."""
         near = self._near_start[rows].copy()
         away = near[:, :3] / np.maximum(np.linalg.norm(near[:, :3], axis=1, keepdims=True), 1e-9)
-        near[:, :3] += NEAR_SPREAD * rng.uniform(-1.0, 1.0, (len(rows), 1)) * away
-        chosen = rng.random(len(rows)) < s.near * (1.0 - done)
-        start = np.where(chosen[:, None], near, plans.palm_setpoint[:, 0])
+        near[:, :3] += NEAR_SPREAD * self.rng.uniform(-1.0, 1.0, (len(rows), 1)) * away
+        which = chosen[:, None, None]
         return replace(
-            plans, palm_setpoint=np.concatenate([start[:, None], plans.palm_setpoint[:, 1:]], axis=1)
+            plans,
+            palm_setpoint=np.where(which, near[:, None], plans.palm_setpoint),
+            palm_velocity=np.where(which, 0.0, plans.palm_velocity),
+            finger_targets=np.where(which, plans.finger_targets[:, :1], plans.finger_targets),
         )
 
     def _parts(self) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray], dict[str, np.ndarray]]:
