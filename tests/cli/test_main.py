@@ -122,6 +122,14 @@ def test_a_table_of_commands(install, capsys):
     assert capsys.readouterr().out == "hello Bo\n"
 
 
+def test_a_subcommand_of_a_table_is_imported_on_use(install, capsys):
+    install({"one": "fungrasp_no_such_module:Greet", "two": f"{__name__}:Greet"})
+    assert cli.main(["greet", "two", "--name", "Bo"]) == 0
+    assert capsys.readouterr().out == "hello Bo\n"
+    with pytest.raises(ModuleNotFoundError):
+        cli.main(["greet", "one"])
+
+
 def test_unknown_names_get_a_suggestion(install, capsys):
     install({"list": Greet, "show": Greet})
     assert cli.main(["gret"]) == 2

@@ -1,4 +1,4 @@
-"""What several commands print: tables, progress bars; and the JSON files they write."""
+"""What several commands print: tables, progress bars; and the files they write."""
 
 from __future__ import annotations
 
@@ -8,11 +8,14 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from time import monotonic
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from fungrasp.text_table import table
 
-__all__ = ["progress_bar", "table", "write_json"]
+if TYPE_CHECKING:
+    from fungrasp.grasps import HumanGraspSet
+
+__all__ = ["progress_bar", "table", "write_human_grasps", "write_json"]
 
 LINE_PERIOD = 30.0
 """Time between two lines of progress where there is no terminal [s]."""
@@ -76,3 +79,22 @@ def write_json(path: Path, value: Any) -> None:
 
     with atomic_path(path) as temporary:
         temporary.write_text(json.dumps(value, indent=1, allow_nan=False) + "\n")
+
+
+def write_human_grasps(path: Path, grasps: HumanGraspSet) -> None:
+    """Write a file, and print how many grasps it holds and what is unusual in them.
+
+    Raises:
+        FungraspError: it can't be written.
+    """
+    from fungrasp.grasps import save_human_grasps
+    from fungrasp.grasps.anatomy import check_anatomy, grouped
+    from fungrasp.grasps.diagnosis import table_remarks
+
+    save_human_grasps(path, grasps)
+    findings = check_anatomy(grasps)
+    print(f"{path}: {len(grasps)} grasps of {len(set(grasps.object_name.tolist()))} objects")
+    for remark in table_remarks(grasps.hand_joints):
+        print(f"{remark}; 'fungrasp grasps convert --below-table lift' or 'drop' mends it")
+    for finding in grouped(findings):
+        print(f"unusual anatomy: {finding}")

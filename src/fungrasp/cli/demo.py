@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NoReturn
 
 from fungrasp.cli.console import progress_bar
-from fungrasp.cli.optional_value import optional_value
+from fungrasp.cli.options import optional_value
 
 if TYPE_CHECKING:
     from fungrasp.hands import Hand

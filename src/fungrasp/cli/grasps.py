@@ -9,9 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from fungrasp.cli.console import table
-from fungrasp.cli.make_grasps import MakeGrasps
-from fungrasp.cli.written_grasps import write_human_grasps
+from fungrasp.cli.console import table, write_human_grasps
 
 if TYPE_CHECKING:
     from fungrasp.grasps import HumanGrasp, RobotGrasp
@@ -291,7 +289,7 @@ COMMAND = {
     "convert": ConvertGrasps,
     "select": SelectGrasps,
     "import": ImportGrasps,
-    "make": MakeGrasps,
+    "make": "fungrasp.cli.make_grasps:MakeGrasps",
 }
 
 

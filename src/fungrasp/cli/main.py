@@ -1,7 +1,7 @@
 """The program ``fungrasp``: finds the command asked for, makes it from the arguments and runs it.
 
 Only the module of that command is imported. It holds ``COMMAND``: a dataclass with a method ``run``, or a
-table of them by subcommand name.
+table of them by subcommand name, in which "module:class" stands for one that is imported on use.
 """
 
 from __future__ import annotations
@@ -165,13 +165,22 @@ def _parse(program: str, command: Any, arguments: list[str]) -> Any:
             subcommand, *arguments = arguments
             if subcommand not in command:
                 raise UnknownNameError(f"{program.removeprefix('fungrasp ')} command", subcommand, command)
-            return _parse(f"{program} {subcommand}", command[subcommand], arguments)
-        return tyro.extras.subcommand_cli_from_dict(dict(command), prog=program, args=arguments)
+            return _parse(f"{program} {subcommand}", _loaded(command[subcommand]), arguments)
+        every = {name: _loaded(one) for name, one in command.items()}
+        return tyro.extras.subcommand_cli_from_dict(every, prog=program, args=arguments)
     arguments = [_option_of_today(program, word) for word in arguments]
     config = [tyro.conf.FlagCreatePairsOff, tyro.conf.HelptextFromCommentsOff]
     if not getattr(command, "option_prefixes", False):
         config.append(tyro.conf.OmitArgPrefixes)
     return tyro.cli(command, prog=program, args=arguments, config=tuple(config))
+
+
+def _loaded(command: Any) -> Any:
+    """A command of a table, imported where only its place is said."""
+    if not isinstance(command, str):
+        return command
+    module, _, name = command.partition(":")
+    return getattr(importlib.import_module(module), name)
 
 
 def _option_of_today(program: str, word: str) -> str:

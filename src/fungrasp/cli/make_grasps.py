@@ -6,9 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fungrasp.cli.console import progress_bar
+from fungrasp.cli.console import progress_bar, write_human_grasps
 from fungrasp.cli.options import on_cluster, print_use
-from fungrasp.cli.written_grasps import write_human_grasps
 from fungrasp.errors import FungraspError, UnknownNameError
 
 if TYPE_CHECKING:

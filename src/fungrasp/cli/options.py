@@ -1,8 +1,8 @@
-"""What several commands make of the same option."""
+"""Options that several commands have."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from fungrasp.errors import FungraspError
 
@@ -32,3 +32,29 @@ def print_use(cluster: RayCluster | None) -> None:
     """Say how well a cluster was used, if there was one."""
     if cluster is not None and cluster.use is not None:
         print(f"on the cluster: {cluster.use.words}")
+
+
+def optional_value(metavar: str, default: str, what: str) -> Any:
+    """How tyro reads an option that stands for a default where no value follows; for ``Annotated[str | None,
+    ...]``.
+
+    Args:
+        metavar: of the value, in the help.
+        default: where none follows.
+        what: may be given only once, "folder".
+    """
+
+    import tyro
+
+    def one(words: list[str]) -> str:
+        if len(words) > 1:
+            raise ValueError(f"give one {what}")
+        return words[0] if words else default
+
+    return tyro.constructors.PrimitiveConstructorSpec(
+        nargs="*",
+        metavar=metavar,
+        instance_from_str=one,
+        is_instance=lambda value: value is None or isinstance(value, str),
+        str_from_instance=lambda value: [str(value)],
+    )

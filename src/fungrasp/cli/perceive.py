@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from fungrasp.cli.console import table, write_json
-from fungrasp.cli.optional_value import optional_value
+from fungrasp.cli.options import optional_value
 from fungrasp.perception.image_source import REALSENSE, ImageSource
 
 if TYPE_CHECKING:

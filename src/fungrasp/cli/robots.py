@@ -8,9 +8,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from fungrasp.cli.calibrate import Calibrate
-from fungrasp.cli.deploy import ReplayLog
-from fungrasp.cli.evaluate_on_twins import EvaluateOnTwins
 from fungrasp.deployment.grasp_choice import GraspChoice
 
 if TYPE_CHECKING:
@@ -163,6 +160,42 @@ class ShowLog:
             print(f"page: {write_deployment_page(self.page, log)}")
 
 
+@dataclass(frozen=True)
+class ReplayLog:
+    """Show the observations of a log to a policy again: it must act as it did."""
+
+    log: Annotated[Path, tyro.conf.Positional]
+    """An MCAP file of `fungrasp deploy`."""
+    objects: Path | None = None
+    """Folder of meshes <name>.obj; built-in objects need none."""
+    policy: str = ""
+    """Another policy than the one that is named in the log."""
+
+    def run(self) -> None:
+        from fungrasp.deployment.log import read_log
+        from fungrasp.deployment.replay import replay_log
+        from fungrasp.errors import FungraspError
+        from fungrasp.hands import load_hand
+        from fungrasp.objects import load_object
+        from fungrasp.policies import make_policy
+        from fungrasp.task import Policy
+
+        log = read_log(self.log)
+        if log.plan is None:
+            raise FungraspError(f"{self.log} ends before a plan was made: nothing to replay")
+        name, mass = str(log.plan.object_name[0]), float(log.plan.object_mass[0])
+        objects = {name: load_object(name, mass, self.objects)}
+        policy = make_policy(self.policy or log.about["policy"], load_hand(log.plan.hand), objects)
+        if not isinstance(policy, Policy):
+            raise FungraspError("this policy needs what only a simulation knows")
+        result = replay_log(log, policy)
+        if result.different:
+            raise FungraspError(
+                f"{result.different} of {result.steps} actions differ, by {result.largest:.3g} at most"
+            )
+        print(f"{result.steps} actions, all the same")
+
+
 def _range(values: np.ndarray) -> str:
     """Least and largest value, one where they are the same."""
     low, high = f"{values.min():.2g}", f"{values.max():.2g}"
@@ -170,11 +203,11 @@ def _range(values: np.ndarray) -> str:
 
 
 COMMAND = {
-    "calibrate": Calibrate,
+    "calibrate": "fungrasp.cli.calibrate:Calibrate",
     "list": ListCells,
     "check": Check,
     "emulate": Emulate,
-    "evaluate": EvaluateOnTwins,
+    "evaluate": "fungrasp.cli.evaluate_on_twins:EvaluateOnTwins",
     "log": ShowLog,
     "replay": ReplayLog,
 }
