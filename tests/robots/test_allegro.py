@@ -207,6 +207,22 @@ def test_a_bus_that_is_off_is_a_fault():
         reach(device, device.near)
 
 
+@pytest.mark.parametrize(("fault", "reason"), [(Fault.TOO_HOT, "too hot (85"), (Fault.INTERNAL, "internal")])
+def test_heat_and_faults_that_the_hand_says_on_request_only_end_control(fault: Fault, reason: str):
+    with emulated() as device:
+        device.driver.connect()
+        reach(device, device.near)
+        device.emulator.inject(fault)
+        assert wait_for(lambda: device.driver.read().status is not DeviceStatus.READY, 3.0)
+        assert reason in device.driver.read().message
+        assert wait_for(lambda: not device.emulator.servos_on and not device.emulator.torques.any())
+        with pytest.raises(RobotError, match=r"internal|hot"):
+            device.driver.connect()
+        device.emulator.clear()
+        device.driver.connect()
+        reach(device, device.near)
+
+
 def test_the_driver_takes_the_torque_away_when_its_process_has_died():
     channel = str(20000 + os.getpid() % 10000)
     # With a stop: joints without torque fall, further than is believed while a busy machine starts a driver.

@@ -17,6 +17,9 @@ BUS = "43113"
 """Default channel of "loopback"; a second hand has one of its own, "43114"."""
 
 
+WARM, HOT = 35, 85
+"""Temperatures that the hand says [°C]."""
+
 SILENT = (Fault.STALLED, Fault.POWER_LOSS, Fault.BUS_OFF)
 """Faults in which nothing is heard and nothing sent."""
 
@@ -36,6 +39,8 @@ class AllegroEmulator(Emulator):
             Fault.SATURATED,
             Fault.BUS_ERRORS,
             Fault.BUS_OFF,
+            Fault.TOO_HOT,
+            Fault.INTERNAL,
         }
     )
 
@@ -146,13 +151,16 @@ class AllegroEmulator(Emulator):
         wrong = self.shows(Fault.WRONG_DEVICE)
         left = (self._side == "left") != wrong
         if code == codec.INFO:
-            hardware = self._units.number << 8
-            self._send(
-                code,
-                codec.encode_info(
-                    codec.AllegroInfo(hardware, 0x0100, left, 35, self._servos_on, False, False)
-                ),
+            info = codec.AllegroInfo(
+                hardware=self._units.number << 8,
+                firmware=0x0100,
+                left=left,
+                temperature=HOT if self.shows(Fault.TOO_HOT) else WARM,
+                servos_on=self._servos_on,
+                overheated=self.shows(Fault.TOO_HOT),
+                communication_fault=self.shows(Fault.INTERNAL),
             )
+            self._send(code, codec.encode_info(info))
         elif code == codec.SERIAL:
             self._send(code, b"50A" + (b"L" if left else b"R") + b"0001")
 

@@ -47,6 +47,10 @@ class Fault(StrEnum):
     """The host's CAN adapter reports an error on the bus after one in ten frames."""
     BUS_OFF = "bus off"
     """The host's CAN adapter has gone off the bus: it says so once, and no frame comes or goes."""
+    TOO_HOT = "too hot"
+    """It says that it is; motors are on until the host takes their torque away."""
+    INTERNAL = "internal fault"
+    """It says that its electronics have lost touch with its motors."""
     CLOCK_JUMP = "clock jump"
     """Its clock is set to another time."""
 

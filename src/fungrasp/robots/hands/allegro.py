@@ -33,6 +33,8 @@ BEYOND = 0.5
 """Nor is one so far beyond the joint's limits [rad]: a real hand's zero is off by less."""
 JUMPS = 40
 """So many frames beyond belief in a row, ten sets, are a fault of the hand, not of a frame."""
+INFO_INTERVAL = 1.0
+"""The hand is asked so often for its temperature and faults [s]: it says them on request only."""
 OPEN_SPEED = 0.5
 """Of opening after a fault [rad/s]: full stroke in about 3 s, so that an object is let go, not thrown."""
 
@@ -113,6 +115,7 @@ class AllegroLoop:
         self._frames: dict[int, bytes] = {}
         self._jumps = 0
         self._error_frames = 0
+        self._info_due = 0.0
         self._servos_on = False
 
     def open(self) -> None:
@@ -139,6 +142,10 @@ class AllegroLoop:
             pass
         state = self._state
         assert state is not None
+        if time.monotonic() >= self._info_due:
+            # One that isn't answered is no fault: firmware of the V5 may ignore it.
+            self._info_due = time.monotonic() + INFO_INTERVAL
+            self._send(codec.INFO, request=True)
         if state is before:
             self.halt()
             raise RobotError(
@@ -291,9 +298,13 @@ class AllegroLoop:
             del self._frames[finger]
 
     def _take_info(self, info: codec.AllegroInfo) -> None:
-        if self._state is not None and (info.overheated or info.communication_fault):
-            what = "is too hot" if info.overheated else "has an internal communication fault"
-            raise RobotError(f"{self.name} {what} ({info.temperature} °C)")
+        if info.overheated:
+            raise RobotError(f"{self.name} is too hot ({info.temperature} °C): let it cool down")
+        if info.communication_fault:
+            raise RobotError(
+                f"{self.name} has an internal communication fault ({info.temperature} °C): "
+                "switch it off and on"
+            )
 
     def _verify(self) -> None:
         answers: dict[int, bytes] = {}
