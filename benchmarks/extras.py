@@ -53,7 +53,7 @@ except FungraspError as error:
 """The one thing that is asked of Python: every command that needs MANO needs its licensed files first."""
 
 TRAIN = "fungrasp train --out t --grasps few.npz --steps 100 --environment.worlds 4 --variety.copies 1"
-FIT = "fungrasp identify fit --log step.csv --hand inspire --method"
+FIT = "fungrasp identify fit step.csv --hand inspire --method"
 PEERS = "python -m benchmarks.peers --grasps few.npz --method"
 DRIVER = "python -m benchmarks.speed drivers --seconds 0.5 --devices"
 

@@ -8,12 +8,12 @@ from collections.abc import Iterator
 import numpy as np
 
 from benchmarks.faults.reaction_times import ReactionTrial
-from fungrasp.deployment.safety import check_pose
 from fungrasp.robots.cell import RobotCell
 from fungrasp.robots.device import RobotError, TrackedPose, TrackingStatus
 from fungrasp.robots.emulators.emulator import Fault
 from fungrasp.robots.emulators.tracker import TrackerEmulator
 from fungrasp.robots.pose.stream import PoseStream
+from fungrasp.robots.safety import check_pose
 
 TRACKER = "tracker"
 """Name of the device."""

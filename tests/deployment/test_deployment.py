@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from robot_cells import cell_and_hand, deploy, grasp_and_object, near_cell, placed
 
-from fungrasp.deployment.emergency_stop import StopSwitch
 from fungrasp.deployment.log import McapLog, read_log
 from fungrasp.deployment.phases import Phase, PhaseMachine
 from fungrasp.deployment.preparation import GraspPreparer, UnreachableError
@@ -19,6 +18,7 @@ from fungrasp.errors import FungraspError
 from fungrasp.planning import MotionPlanner
 from fungrasp.policies import OpenLoopPolicy
 from fungrasp.robots.device import RobotError
+from fungrasp.robots.stop_switch import StopSwitch
 from fungrasp.robots.twin.devices import TwinArm, TwinHand
 from fungrasp.task import Action, Observation
 

@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 from driver_contract import wait_for
 
-from fungrasp.deployment.safety import check_pose
 from fungrasp.robots.cell import RobotCell
 from fungrasp.robots.codecs.pose_message import PoseMessage, message_entries, read_message
 from fungrasp.robots.device import RobotError, TrackingStatus
 from fungrasp.robots.emulators.emulator import Fault
 from fungrasp.robots.emulators.tracker import TrackerEmulator, TrackerErrors
 from fungrasp.robots.pose.stream import PoseStream
+from fungrasp.robots.safety import check_pose
 
 IDENTITY = np.array([0.1, 0.2, 0.3, 1.0, 0.0, 0.0, 0.0])
 MESSAGE = PoseMessage(

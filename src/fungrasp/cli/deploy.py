@@ -45,10 +45,10 @@ class Deploy:
 
         from fungrasp.deployment.deploy import deploy
         from fungrasp.deployment.deployment_result import DeploymentSpec
-        from fungrasp.deployment.emergency_stop import StopSwitch
         from fungrasp.errors import FungraspError
         from fungrasp.hands import load_hand
         from fungrasp.robots.cell import load_cell
+        from fungrasp.robots.stop_switch import StopSwitch
 
         cell = load_cell(self.robot)
         hand = load_hand(cell.hand)

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
 
 from fungrasp.cli.console import table
 from fungrasp.errors import FungraspError
-from fungrasp.robots.hands.allegro import AllegroSettings
-from fungrasp.robots.hands.inspire import InspireSettings
-from fungrasp.robots.hands.leap import LeapSettings
 from fungrasp.sim2real.identification.excitation import Excitation
 
 if TYPE_CHECKING:
@@ -24,15 +23,17 @@ HELD_OUT = 0.5
 
 @dataclass(frozen=True)
 class Collect:
-    """Move every joint of a hand about its present place, within limits, and record it.
+    """Move every joint of a cell's hand about its present place, within limits, and record it. The arm may be
+    off.
 
-    Keep the hand free of anything to touch, its palm still, and a hand on the emergency stop.
+    Keep the hand free of anything to touch, its palm still, and a hand on the emergency stop. The cell's stop
+    file stops the hand, and so does Enter in a terminal.
     """
 
-    log: Path
+    log: Annotated[Path, tyro.conf.Positional]
     """Write the log here (.npz)."""
-    device: AllegroSettings | InspireSettings | LeapSettings
-    """Which hand, and how it is connected."""
+    cell: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME|FILE")]
+    """The robot cell: a TOML file, or one that comes with the package."""
     excitation: Excitation = field(default_factory=Excitation)
     """How it is moved."""
     gravity: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -46,25 +47,22 @@ class Collect:
         import numpy as np
 
         from fungrasp.hands import load_hand
-        from fungrasp.robots.hands.allegro import allegro_driver
-        from fungrasp.robots.hands.inspire import inspire_driver
-        from fungrasp.robots.hands.joint_order import hand_joint_names
-        from fungrasp.robots.hands.leap import leap_driver
+        from fungrasp.robots.assembly import guarded_hand
+        from fungrasp.robots.cell import load_cell
         from fungrasp.robots.motion_recording import record_motion
+        from fungrasp.robots.stop_switch import StopSwitch
         from fungrasp.sim2real.identification.excitation import excitation_commands
         from fungrasp.sim2real.identification.finger_chains import clear_of_itself, place_in_finger
         from fungrasp.sim2real.identification.motion_log import save_motion_log
 
-        if isinstance(self.device, AllegroSettings):
-            driver = allegro_driver(self.device)
-        elif isinstance(self.device, InspireSettings):
-            driver = inspire_driver(self.device)
-        else:
-            driver = leap_driver(self.device)
-        joints = hand_joint_names(self.device.hand)
-        with driver:
-            rest = driver.read().positions
-            hand, limits = load_hand(self.device.hand), driver.limits
+        cell = load_cell(self.cell)
+        hand = load_hand(cell.hand)
+        joints = tuple(hand.actuators)
+        with (
+            StopSwitch(cell.stop_file, keyboard=True) as switch,
+            guarded_hand(cell, hand, switch) as driver,
+        ):
+            rest, limits = driver.read().positions, driver.limits
             alike = place_in_finger(hand, joints)
             commands = excitation_commands(self.excitation, rest, limits.lower, limits.upper, alike)
             commands = clear_of_itself(hand, commands)
@@ -84,7 +82,7 @@ class Collect:
 class Fit:
     """Fit stiffness, damping, friction, armature and delay to the first half of a log, predict the second."""
 
-    log: Path
+    log: Annotated[Path, tyro.conf.Positional]
     """Log of ``identify collect`` (.npz), or a step response of an Inspire hand (.csv)."""
     hand: str = "allegro"
     """Name of a hand, or the path of a hand's TOML file."""

@@ -8,7 +8,6 @@ from dataclasses import replace
 from pathlib import Path
 
 from fungrasp.deployment.deployment_result import DeploymentResult, DeploymentSettings, DeploymentSpec
-from fungrasp.deployment.emergency_stop import StopSwitch
 from fungrasp.deployment.hand_knowledge import hand_knowledge
 from fungrasp.deployment.log import DeploymentLog, McapLog
 from fungrasp.deployment.phases import Phase
@@ -23,6 +22,7 @@ from fungrasp.planning.selection import SelectionSettings
 from fungrasp.policies import OpenLoopPolicy, check_attempts, make_planner, make_policy
 from fungrasp.robots.assembly import is_twin
 from fungrasp.robots.cell import RobotCell, check_calibrated, load_cell
+from fungrasp.robots.stop_switch import StopSwitch
 from fungrasp.robots.twin.parameters import cell_twin
 from fungrasp.task import Policy
 from fungrasp.version import __version__

@@ -11,12 +11,10 @@ import numpy as np
 
 from fungrasp.deployment.deadlines import DeadlineMonitor
 from fungrasp.deployment.deployment_result import DeploymentResult, DeploymentSettings
-from fungrasp.deployment.emergency_stop import StopSwitch
 from fungrasp.deployment.log import DeploymentLog, NoLog
 from fungrasp.deployment.looking import look_for_object
 from fungrasp.deployment.phases import Phase, PhaseMachine
 from fungrasp.deployment.preparation import PreparedGrasp, Preparer
-from fungrasp.deployment.safety import SafetyGuard, check_action, check_pose
 from fungrasp.errors import FungraspError
 from fungrasp.geometry.poses import compose
 from fungrasp.grasps import RobotGraspSet
@@ -24,10 +22,10 @@ from fungrasp.planning.next_attempt import make_attempts
 from fungrasp.planning.withdrawal import way_off
 from fungrasp.policies.waypoints import WaypointPolicy
 from fungrasp.robots.device import RobotError, StopKind
-from fungrasp.robots.kinematics.arm_model import ClearanceModel
 from fungrasp.robots.kinematics.joint_path import timed_leg
 from fungrasp.robots.robot import Robot
 from fungrasp.robots.robot_state import RobotCommand, RobotState, SafetyStop
+from fungrasp.robots.safety import check_action, check_pose
 from fungrasp.task import Action, Policy
 from fungrasp.task.attempt_judge import AttemptJudge, AttemptVerdict
 
@@ -53,7 +51,6 @@ class Deployment:
         preparer: Preparer,
         *,
         log: DeploymentLog | None = None,
-        switch: StopSwitch | None = None,
         settings: DeploymentSettings | None = None,
         about: dict[str, str] | None = None,
         on_phase: Callable[[Phase], None] = lambda phase: None,
@@ -65,7 +62,6 @@ class Deployment:
             policy: what acts.
             preparer: plans.
             log: of every tick; none if None.
-            switch: stops the robot; none if None.
             settings: the defaults if None.
             about: what the log says of it.
             on_phase: called as a phase begins.
@@ -73,7 +69,6 @@ class Deployment:
         """
         self.robot, self.policy, self._preparer = robot, policy, preparer
         self.log: DeploymentLog = log or NoLog()
-        self._switch = switch or StopSwitch()
         self.settings = settings or DeploymentSettings()
         self._about = about or {}
         self._on_phase, self._on_setpoint = on_phase, on_setpoint
@@ -86,15 +81,6 @@ class Deployment:
         self._object_pose = np.full(7, np.nan)
         self._last_action: Action | None = None
         self._attempts, self._missed, self._why_no_more = 0, False, ""
-        clearance = ClearanceModel(robot.cell, robot.hand)
-        self._guard = SafetyGuard(
-            robot.cell,
-            robot.arm.limits,
-            robot.hand_driver.limits,
-            clearance.measure,
-            robot.setpoints.period,
-            moving=not robot.dry_run,
-        )
 
     def run(self, grasp: RobotGraspSet) -> DeploymentResult:
         """Grasp, lift, hold, put down, go home. Never raises for what goes wrong with the robot.
@@ -106,11 +92,11 @@ class Deployment:
             FungraspError: the grasp can't be planned or reached; nothing has moved.
         """
         robot = self.robot
-        robot.guard, robot.watch = self._guard, self._watch
+        robot.watch = self._watch
         robot.due = lambda planned: self.setpoint_ticks.record(planned, robot.clock.now())
         try:
             self._times[Phase.IDLE] = robot.clock.now()
-            object_pose, state = look_for_object(robot, self.settings, self._check_switch)
+            object_pose, state = look_for_object(robot, self.settings, robot.check_switch)
             self._prepare(grasp, object_pose, state.arm.positions)
             state = self._awake(state)
             made = _RobotAttempts(self, grasp, state.arm.positions)
@@ -154,7 +140,7 @@ class Deployment:
             self._missed,
             self._why_no_more,
             dict(self._times),
-            dict(self._guard.longest_silence),
+            dict(self.robot.guard.longest_silence),
         )
 
     @property
@@ -203,13 +189,12 @@ class Deployment:
         """Move the fingers while the arm stands still, then the arm from posture to posture: the way of the
         arm is clear for the fingers as they are then."""
         robot, period = self.robot, self.robot.setpoints.period
-        self._guard.reset()
+        robot.guard.reset()
         when = robot.clock.now()
 
         def send(arm: np.ndarray, hand: np.ndarray) -> None:
             nonlocal when
             robot.wait(when)
-            self._check_switch()
             robot.send(arm, hand)
             when += period
 
@@ -247,7 +232,7 @@ class Deployment:
             if not step:
                 self.policy.reset(plan, observation)
             action = self.policy.act(observation)
-            problem = check_action(action, observation, robot.cell)
+            problem = check_action(action, observation.palm_pose[0], robot.cell)
             if problem:
                 raise SafetyStop(problem, StopKind.HOLD)
             forced = action.lift | (observation.time >= p.approach_time - 1e-9)
@@ -323,12 +308,8 @@ class Deployment:
         late = self.ticks.record(planned, now)
         if late > robot.cell.watchdog.overrun:
             raise SafetyStop(f"the control period was overrun by {1e3 * late:.0f} ms", StopKind.HOLD)
-        self._check_switch()
+        self.robot.check_switch()
         return now
-
-    def _check_switch(self) -> None:
-        if self._switch.reason:
-            raise SafetyStop(self._switch.reason, StopKind.HOLD)
 
     def _arrived(self, goal: np.ndarray, above: float) -> bool:
         """Whether the palm's setpoint is at a goal [1, 7], raised by a height [m]."""
@@ -337,7 +318,6 @@ class Deployment:
 
     def _watch(self, state: RobotState, command: RobotCommand) -> None:
         """After each setpoint."""
-        self._check_switch()
         self.log.setpoint(self.machine.phase, state, command)
         self._on_setpoint(self.machine.phase, command)
 
@@ -382,7 +362,7 @@ class _RobotAttempts:
     def look(self, ids: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Where the tracker sees the object."""
         d = self._d
-        pose, self._state = look_for_object(d.robot, d.settings, d._check_switch)
+        pose, self._state = look_for_object(d.robot, d.settings, d.robot.check_switch)
         return ids, pose[None]
 
     def plan(self, ids: np.ndarray, object_pose: np.ndarray, number: int) -> np.ndarray:

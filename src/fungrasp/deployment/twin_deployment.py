@@ -11,7 +11,6 @@ from typing import TypeVar
 import numpy as np
 
 from fungrasp.deployment.deployment import Deployment, DeploymentResult, DeploymentSettings
-from fungrasp.deployment.emergency_stop import StopSwitch
 from fungrasp.deployment.hand_knowledge import HandDynamics
 from fungrasp.deployment.log import DeploymentLog
 from fungrasp.deployment.phases import Phase
@@ -30,6 +29,7 @@ from fungrasp.planning import MotionPlanner, Planner
 from fungrasp.robots.cell import RobotCell
 from fungrasp.robots.clock import Clock, WallClock
 from fungrasp.robots.robot import Robot, RobotCommand
+from fungrasp.robots.stop_switch import StopSwitch
 from fungrasp.robots.twin.clocks import RealTimeTwin, TwinClock
 from fungrasp.robots.twin.devices import TwinArm, TwinHand, TwinTracker
 from fungrasp.robots.twin.judge import TwinJudge
@@ -225,7 +225,7 @@ def deploy_on_twin(
         seed: of the plan and of the tracker's noise.
         physics: of the twin; the default if None.
         log: of every tick; none if None.
-        switch: stops the robot; none if None.
+        switch: stops the robot; that of the cell's stop file if None.
         settings: times; the defaults if None.
         about: what the log says of it.
         on_phase: called as a phase begins.
@@ -269,6 +269,7 @@ def deploy_on_twin(
             stiffness=stiffness,
             compensate=compensate,
             dry_run=dry_run,
+            switch=switch,
         )
         stack.enter_context(robot)
         deployment = Deployment(
@@ -276,7 +277,6 @@ def deploy_on_twin(
             policy,
             GraspPreparer(cell, hand, thing, planner, dynamics, seed, advise=advise),
             log=log,
-            switch=switch,
             settings=settings,
             about=about,
             on_phase=begun,

@@ -10,7 +10,6 @@ import numpy as np
 
 from fungrasp.deployment.deployment import Deployment
 from fungrasp.deployment.deployment_result import DeploymentResult, DeploymentSettings
-from fungrasp.deployment.emergency_stop import StopSwitch
 from fungrasp.deployment.hand_knowledge import HandDynamics
 from fungrasp.deployment.log import DeploymentLog
 from fungrasp.deployment.phases import Phase
@@ -28,6 +27,7 @@ from fungrasp.robots.process_priority import (
     raise_priority,
 )
 from fungrasp.robots.robot import Robot
+from fungrasp.robots.stop_switch import StopSwitch
 from fungrasp.task import Policy
 
 
@@ -75,7 +75,7 @@ def deploy_on_robot(
     Args:
         task: what is to be done.
         log: of every tick; none if None.
-        switch: stops the robot; none if None.
+        switch: stops the robot; that of the cell's stop file if None.
         settings: times; the defaults if None.
         about: what the log says of it.
         on_phase: called as a phase begins.
@@ -92,7 +92,12 @@ def deploy_on_robot(
 
     usual = present_priority()
     robot = wired_robot(
-        task.cell, task.hand, stiffness=task.stiffness, compensate=task.compensate, dry_run=task.dry_run
+        task.cell,
+        task.hand,
+        stiffness=task.stiffness,
+        compensate=task.compensate,
+        dry_run=task.dry_run,
+        switch=switch,
     )
     with ExitStack() as stack:
         stack.enter_context(at_priority(usual))
@@ -104,7 +109,6 @@ def deploy_on_robot(
             task.policy,
             _PreparerAt(preparer, usual),
             log=log,
-            switch=switch,
             settings=settings,
             about=about,
             on_phase=begun,

@@ -13,7 +13,9 @@ from fungrasp.hands import Hand
 from fungrasp.robots.cell import DeviceSettings, RobotCell, check_calibrated
 from fungrasp.robots.clock import WallClock
 from fungrasp.robots.device import JointDriver, PoseSource
+from fungrasp.robots.guarded_driver import GuardedDriver
 from fungrasp.robots.robot import Robot
+from fungrasp.robots.stop_switch import StopSwitch
 
 TWIN = "twin"
 """Driver of a device of a twin in the same process."""
@@ -39,7 +41,7 @@ def is_twin(cell: RobotCell) -> bool:
 
 
 def arm_driver(cell: RobotCell) -> JointDriver:
-    """The driver of a cell's arm.
+    """The driver of a cell's arm, without a guard: to look at. What moves is ``wired_robot``'s.
 
     Raises:
         FungraspError: no such driver, or bad options.
@@ -48,7 +50,8 @@ def arm_driver(cell: RobotCell) -> JointDriver:
 
 
 def hand_driver(cell: RobotCell, hand: Hand) -> JointDriver:
-    """The driver of a cell's hand.
+    """The driver of a cell's hand, without a guard: to look at. What moves is ``wired_robot``'s or
+    ``guarded_hand``'s.
 
     Args:
         cell: the robot.
@@ -85,6 +88,7 @@ def wired_robot(
     stiffness: np.ndarray | None = None,
     compensate: bool = True,
     dry_run: bool = False,
+    switch: StopSwitch | None = None,
 ) -> Robot:
     """The robot of a cell, not connected.
 
@@ -94,6 +98,7 @@ def wired_robot(
         stiffness: identified stiffness of the hand's servos [N m/rad], shape [U]; the model's if None.
         compensate: whether the hand's own weight is carried.
         dry_run: read everything, send nothing.
+        switch: stops the robot; that of the cell's stop file if None.
 
     Raises:
         FungraspError: an unknown driver, bad options, or another hand.
@@ -108,7 +113,22 @@ def wired_robot(
         stiffness=stiffness,
         compensate=compensate,
         dry_run=dry_run,
+        switch=switch,
     )
+
+
+def guarded_hand(cell: RobotCell, hand: Hand, switch: StopSwitch | None = None) -> GuardedDriver:
+    """The hand of a cell alone, not connected; the arm may be off.
+
+    Args:
+        cell: the robot; no twin.
+        hand: the model of its hand.
+        switch: stops the hand; that of the cell's stop file if None.
+
+    Raises:
+        FungraspError: an unknown driver, bad options, or another hand.
+    """
+    return GuardedDriver(hand_driver(cell, hand), cell, "hand", switch=switch)
 
 
 def _ur(values: Mapping[str, Any]) -> JointDriver:

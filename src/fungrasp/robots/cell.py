@@ -104,7 +104,7 @@ class MotionLimits:
 
 @dataclass(frozen=True)
 class Watchdog:
-    """When a robot is no longer trusted, each with its reaction (``fungrasp.deployment.safety``)."""
+    """When a robot is no longer trusted, each with its reaction (``fungrasp.robots.safety``)."""
 
     arm_silence: float = 0.04
     """The arm stops where its time stamp has not advanced for so long [s]."""
@@ -145,6 +145,8 @@ class RobotCell:
     none."""
     stop_file: str = ""
     """The robot stops as soon as this file exists; "" for none."""
+    guard: str = "on"
+    """"on"; "off": nothing checks what is sent (``fungrasp.robots.safety``), and every start says so."""
 
 
 def cell_files() -> dict[str, Path]:
@@ -234,6 +236,8 @@ def cell_faults(cell: RobotCell) -> list[str]:
             faults.append(f"'{name}' must be 3 metres and a unit quaternion wxyz, not {list(pose)}")
     if cell.arm.model not in arm_files():
         faults.append(str(UnknownNameError("arm", cell.arm.model, arm_files())))
+    if cell.guard not in ("on", "off"):
+        faults.append(f"'guard' must be \"on\" or \"off\", not '{cell.guard}'")
     if cell.watchdog.late_tick >= cell.watchdog.overrun:
         faults.append("'watchdog.overrun' must be greater than 'watchdog.late_tick'")
     return faults

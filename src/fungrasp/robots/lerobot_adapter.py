@@ -10,8 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from fungrasp.robots.device import RobotError
+from fungrasp.robots.device import RobotError, StopKind
 from fungrasp.robots.robot import Robot
+from fungrasp.robots.robot_state import SafetyStop
+from fungrasp.robots.safety import check_action
 from fungrasp.task import Action
 
 _POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
@@ -87,6 +89,7 @@ class LeRobotRobot:
         """Do what is asked. Returns what was really sent.
 
         Raises:
+            SafetyStop: the guard or the stop file stopped the robot: ``connect`` begins anew.
             RobotError: it is not connected, a number of the action is missing, or a device follows no more.
         """
         self._check_connected()
@@ -94,7 +97,12 @@ class LeRobotRobot:
         if missing:
             raise RobotError(f"the action lacks {', '.join(missing)}: it needs all of action_features")
         values = np.array([float(action[name]) for name in self.action_features])[None]
-        sent = self._robot.send_action(Action(values[:, :7], values[:, 7:-1], values[:, -1] > 0.5))
+        asked, robot = Action(values[:, :7], values[:, 7:-1], values[:, -1] > 0.5), self._robot
+        problem = check_action(asked, robot.kinematics.palm_pose(robot.state().arm.positions), robot.cell)
+        if problem:
+            robot.stop()
+            raise SafetyStop(problem, StopKind.HOLD)
+        sent = robot.send_action(asked)
         numbers = [*sent.palm_goal[0], *sent.finger_targets[0], *sent.lift]
         return dict(zip(self.action_features, map(float, numbers), strict=True))
 

@@ -21,9 +21,11 @@ from fungrasp.robots.device import (
     TrackedPose,
     TrackingStatus,
 )
-from fungrasp.robots.kinematics.arm_model import ArmKinematics
+from fungrasp.robots.kinematics.arm_model import ArmKinematics, ClearanceModel
 from fungrasp.robots.kinematics.differential import PalmFollower
-from fungrasp.robots.robot_state import Guard, RobotCommand, RobotState, SafetyStop
+from fungrasp.robots.robot_state import RobotCommand, RobotState, SafetyStop
+from fungrasp.robots.safety import SafetyGuard, warn_unguarded
+from fungrasp.robots.stop_switch import StopSwitch
 from fungrasp.sim2real.gravity_compensation import GravityCompensation, setpoint_offset
 from fungrasp.task import Action, LiftProtocol, Observation
 from fungrasp.task.sensors import NO_LIFT
@@ -34,7 +36,7 @@ class Robot:
     """Arm, hand and tracker behind the interface of a policy: observations in, actions out.
 
     Setpoints advance as in simulation (``fungrasp.task.setpoints``), every 20 ms. All calls come from one
-    thread.
+    thread. No setpoint reaches a device past the stop switch and the guard; either stops the robot.
     """
 
     def __init__(
@@ -49,6 +51,7 @@ class Robot:
         stiffness: np.ndarray | None = None,
         compensate: bool = True,
         dry_run: bool = False,
+        switch: StopSwitch | None = None,
     ):
         """
         Args:
@@ -61,6 +64,7 @@ class Robot:
             stiffness: identified stiffness of the hand's servos [N m/rad], shape [U]; the model's if None.
             compensate: whether the hand's own weight is carried.
             dry_run: read everything, send nothing.
+            switch: stops the robot; that of the cell's stop file if None.
         """
         self.cell, self.hand, self.clock = cell, hand, clock
         self.arm, self.hand_driver, self.tracker = arm, hand_driver, tracker
@@ -75,7 +79,16 @@ class Robot:
         """Limits of the palm's motion, and the numbers of the task."""
         servo_limits = np.stack([hand_driver.limits.lower, hand_driver.limits.upper], axis=1)
         self.setpoints = SetpointGenerator(servo_limits, 1, self.protocol)
-        self.guard: Guard = lambda state, command: command
+        self.switch = StopSwitch(cell.stop_file) if switch is None else switch
+        """Stops the robot."""
+        self.guard = SafetyGuard(
+            cell,
+            arm.limits,
+            hand_driver.limits,
+            ClearanceModel(cell, hand).measure,
+            self.setpoints.period,
+            moving=not dry_run,
+        )
         """Sees every command before it is sent."""
         self.watch: Callable[[RobotState, RobotCommand], None] = lambda state, command: None
         """Called after each command that was sent, to record."""
@@ -93,11 +106,12 @@ class Robot:
         """How much higher than asked the palm goes once the lift has begun [m]."""
 
     def connect(self) -> None:
-        """Connect to all devices. Nothing moves.
+        """Connect to all devices. Nothing moves. A cell without a guard is warned of.
 
         Raises:
             RobotError: one of them is not there or not the one configured; the others are closed again.
         """
+        warn_unguarded(self.cell)
         opened: list[JointDriver | PoseSource] = []
         try:
             for device in (self.arm, self.hand_driver, self.tracker):
@@ -152,6 +166,7 @@ class Robot:
         if self._follower is None:
             self._follower = PalmFollower(self.kinematics, self.cell.limits.arm_speed)
         self._follower.begin(arm)
+        self.guard.reset()
         palm = self.kinematics.palm_pose(arm)[None]
         self.setpoints.begin(np.array([0]), palm, np.zeros((1, 3)), fingers[None])
 
@@ -247,16 +262,34 @@ class Robot:
             what was really sent.
 
         Raises:
-            SafetyStop: the guard stopped the robot.
-            RobotError: a device follows no more.
+            SafetyStop: the guard or the switch stopped the robot.
+            RobotError: a device follows no more; the other one was stopped.
         """
+        try:
+            return self._send(arm, fingers)
+        except SafetyStop as stop:
+            self.stop(stop.kind)
+            raise
+        except RobotError:
+            self.stop()
+            raise
+
+    def check_switch(self) -> None:
+        """Raises: SafetyStop: the stop switch is pressed."""
+        if self.switch.reason:
+            raise SafetyStop(self.switch.reason, StopKind.HOLD)
+
+    def _send(self, arm: np.ndarray, fingers: np.ndarray) -> RobotCommand:
+        self.check_switch()
         state = self.state()
         palm = self.kinematics.palm_pose(arm)
         torques = np.zeros(len(fingers))
         if self.compensate:
             rotation = self.kinematics.palm_pose(state.arm.positions)[3:]
             torques = self._gravity.torques(rotation, state.hand.positions)
-        command = self.guard(state, RobotCommand(arm, fingers, torques, palm))
+        command = RobotCommand(arm, fingers, torques, palm)
+        if self.cell.guard != "off":
+            command = self.guard(state, command)
         if not self.dry_run:
             sent_arm = self.arm.command(command.arm)
             if self.hand_driver.takes_feedforward:

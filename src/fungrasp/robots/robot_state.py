@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -49,7 +48,3 @@ class SafetyStop(RobotError):
         """
         super().__init__(f"the robot was stopped ({kind}): {reason}")
         self.reason, self.kind = reason, kind
-
-
-Guard = Callable[[RobotState, RobotCommand], RobotCommand]
-"""Sees every command before it is sent and returns what may be sent; raises ``SafetyStop``."""

@@ -27,6 +27,7 @@ opens. After either the robot is in the state of fault until a person starts ane
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import StrEnum
@@ -38,7 +39,9 @@ from fungrasp.robots.cell import RobotCell
 from fungrasp.robots.device import DeviceStatus, JointLimits, StopKind, TrackedPose
 from fungrasp.robots.kinematics.arm_model import MARGIN, Clearance
 from fungrasp.robots.robot_state import RobotCommand, RobotState, SafetyStop
-from fungrasp.task import Action, Observation
+from fungrasp.task import Action
+
+_log = logging.getLogger(__name__)
 
 TOLERANCE = 1.02
 """Commanded speeds may exceed their limits by this factor, for rounding."""
@@ -117,9 +120,9 @@ def check_setpoint(
             return Verdict(command, Reaction.HOLD, f"the {name} does not follow ({joint.status}{said})")
         if silence > most:
             return Verdict(command, Reaction.HOLD, f"the {name} has been silent for {1e3 * silence:.0f} ms")
-    if _beyond(state.arm.torques, limits.arm_torque):
+    if torque_beyond(state.arm.torques, limits.arm_torque):
         return Verdict(command, Reaction.HOLD, "the torque of an arm joint is beyond its limit")
-    if _beyond(state.hand.torques, limits.hand_torque):
+    if torque_beyond(state.hand.torques, limits.hand_torque):
         return Verdict(command, Reaction.OPEN, "the torque of a hand joint is beyond its limit")
     if c.moving and np.abs(command.arm - state.arm.positions).max() > limits.setpoint_lead:
         return Verdict(command, Reaction.HOLD, "the arm's setpoint is far from where the arm is")
@@ -194,27 +197,47 @@ def check_pose(tracked: TrackedPose | None, reference: np.ndarray, time: float, 
     return ""
 
 
-def check_action(action: Action, observation: Observation, cell: RobotCell) -> str:
+def check_action(action: Action, palm: np.ndarray, cell: RobotCell) -> str:
     """What is wrong with what a policy wants, as a phrase; "" if nothing is. What is not finite is found by
     ``check_setpoint``.
 
     Args:
         action: of one robot.
-        observation: that it answers.
+        palm: where it is measured, world frame, shape [7].
         cell: with the limits.
     """
-    far = float(np.linalg.norm(action.palm_goal[0, :3] - observation.palm_pose[0, :3]))
+    far = float(np.linalg.norm(action.palm_goal[0, :3] - palm[:3]))
     if far > cell.limits.goal_distance:
         return f"the palm would move by {far:.2f} m at once"
     return ""
 
 
-def _beyond(torques: np.ndarray | None, limit: float) -> bool:
+def torque_beyond(torques: np.ndarray | None, limit: float) -> bool:
+    """Whether a measured torque is beyond a limit [N m]. torques: shape [U]; None where none is measured."""
     return torques is not None and bool(np.abs(torques).max(initial=0.0) > limit)
 
 
+def warn_unguarded(cell: RobotCell) -> None:
+    """Say at a start that a cell has no guard."""
+    if cell.guard == "off":
+        _log.warning("cell '%s' says guard = \"off\": nothing checks what is sent to its devices", cell.name)
+
+
+class StandingStamp:
+    """For how long a device's time stamp has stood still."""
+
+    def __init__(self) -> None:
+        self._stamp, self._since = np.nan, np.nan
+
+    def age(self, stamp: float, now: float) -> float:
+        """Since when it stands still [s]. stamp: of the device [s]; now: time of the robot's clock [s]."""
+        if stamp != self._stamp:
+            self._stamp, self._since = stamp, now
+        return now - self._since
+
+
 class SafetyGuard:
-    """A ``fungrasp.robots.robot_state.Guard`` that remembers what ``check_setpoint`` needs to know."""
+    """Sees every command before it is sent, and remembers what ``check_setpoint`` needs to know."""
 
     def __init__(
         self,
@@ -237,7 +260,7 @@ class SafetyGuard:
         self._cell, self._arm, self._hand, self._clearance = cell, arm, hand, clearance
         self._period, self._moving = period, moving
         self._sent: tuple[RobotCommand | None, RobotCommand | None] = (None, None)
-        self._stamps: dict[str, tuple[float, float]] = {}
+        self._stamps = {"arm": StandingStamp(), "hand": StandingStamp()}
         self.verdict: Verdict | None = None
         """The last one."""
         self.longest_silence = {"arm": 0.0, "hand": 0.0}
@@ -245,10 +268,11 @@ class SafetyGuard:
 
     def reset(self) -> None:
         """Forget the setpoints before: the robot stands still."""
-        self._sent, self._stamps = (None, None), {}
+        self._sent = (None, None)
+        self._stamps = {"arm": StandingStamp(), "hand": StandingStamp()}
 
     def __call__(self, state: RobotState, command: RobotCommand) -> RobotCommand:
-        """See ``fungrasp.robots.robot_state.Guard``."""
+        """What may be sent of a command. Raises: SafetyStop: nothing may."""
         before, previous = self._sent
         context = SafetyContext(
             self._cell,
@@ -277,9 +301,6 @@ class SafetyGuard:
 
     def _silence(self, name: str, stamp: float, now: float) -> float:
         """How long a device's time stamp has stood still [s]."""
-        last, since = self._stamps.get(name, (np.nan, now))
-        if stamp != last:
-            self._stamps[name] = stamp, now
-            return 0.0
-        self.longest_silence[name] = max(self.longest_silence[name], now - since)
-        return now - since
+        silence = self._stamps[name].age(stamp, now)
+        self.longest_silence[name] = max(self.longest_silence[name], silence)
+        return silence

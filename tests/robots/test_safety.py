@@ -8,14 +8,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from fungrasp.deployment.safety import (
-    TOLERANCE,
-    Reaction,
-    SafetyContext,
-    SafetyGuard,
-    check_pose,
-    check_setpoint,
-)
 from fungrasp.robots.cell import RobotCell
 from fungrasp.robots.device import (
     DeviceStatus,
@@ -27,6 +19,14 @@ from fungrasp.robots.device import (
 )
 from fungrasp.robots.kinematics.arm_model import Clearance
 from fungrasp.robots.robot_state import RobotCommand, RobotState, SafetyStop
+from fungrasp.robots.safety import (
+    TOLERANCE,
+    Reaction,
+    SafetyContext,
+    SafetyGuard,
+    check_pose,
+    check_setpoint,
+)
 
 CELL = RobotCell("allegro")
 ARM = JointLimits(np.full(6, -3.0), np.full(6, 3.0), np.full(6, 1.5), np.full(6, 100.0))

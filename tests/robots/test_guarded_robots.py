@@ -1,0 +1,160 @@
+"""Whoever makes a robot or a device of a cell gets its guard, its stop switch and its limits."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from robot_cells import cell_and_hand, grasp_and_object, placed
+
+from fungrasp.cli.main import main
+from fungrasp.hands import load_hand
+from fungrasp.robots.assembly import guarded_hand, wired_robot
+from fungrasp.robots.cell import RobotCell, load_cell
+from fungrasp.robots.device import DeviceStatus, RobotError
+from fungrasp.robots.emulators.inspire_modbus import InspireEmulator
+from fungrasp.robots.emulators.plant import ServoPlant
+from fungrasp.robots.guarded_driver import GuardedDriver
+from fungrasp.robots.lerobot_adapter import LeRobotRobot
+from fungrasp.robots.robot import Robot
+from fungrasp.robots.robot_state import SafetyStop
+from fungrasp.robots.twin.clocks import TwinClock
+from fungrasp.robots.twin.devices import TwinArm, TwinHand, TwinTracker
+from fungrasp.robots.twin.parameters import IDEAL, draw_twin
+from fungrasp.robots.twin.world import TwinWorld
+
+pytest.importorskip("mink")
+
+
+def twin(cell: RobotCell) -> tuple[Robot, TwinWorld]:
+    """A robot as ``wired_robot`` makes it, with a twin in the place of its wires."""
+    hand = cell_and_hand()[1]
+    truth = draw_twin(0, len(hand.joint_names), len(hand.actuators), IDEAL)
+    world = TwinWorld(cell, hand, grasp_and_object()[1], truth)
+    world.settle(placed())
+    devices = TwinArm(world, cell), TwinHand(world, cell, hand), TwinTracker(world)
+    return Robot(cell, hand, *devices, TwinClock(world)), world
+
+
+def sink(robot: Robot, world: TwinWorld, until: float = -0.2) -> None:
+    """As LeRobot's loop does, ask again and again for a palm that is a little lower."""
+    adapter = LeRobotRobot(robot)
+    adapter.connect()
+    world.advance(world.time + 0.2)
+    seen = adapter.get_observation()
+    action = {name: seen.get(name, 0.0) for name in adapter.action_features}
+    while action["palm.z"] > until:
+        action["palm.z"] -= 0.02
+        adapter.send_action(action)
+        world.advance(world.time + 0.02)
+
+
+def test_lerobots_actions_pass_the_guard() -> None:
+    robot, world = twin(cell_and_hand()[0])
+    with pytest.raises(SafetyStop, match=r"table|touch the arm|workspace"):
+        sink(robot, world)
+    assert robot.state().arm.status is robot.state().hand.status is DeviceStatus.STOPPED
+    with pytest.raises(RobotError):
+        sink(robot, world)
+
+
+def test_lerobots_goals_may_not_be_far() -> None:
+    robot, world = twin(cell_and_hand()[0])
+    adapter = LeRobotRobot(robot)
+    adapter.connect()
+    world.advance(world.time + 0.2)
+    seen = adapter.get_observation()
+    action = {name: seen.get(name, 0.0) for name in adapter.action_features}
+    action["palm.x"] += 0.5
+    with pytest.raises(SafetyStop, match=r"0\.50 m at once"):
+        adapter.send_action(action)
+    assert robot.state().arm.status is DeviceStatus.STOPPED
+
+
+def test_the_stop_file_of_the_cell_stops_lerobot(tmp_path: Path) -> None:
+    robot, world = twin(replace(cell_and_hand()[0], stop_file=str(tmp_path / "stop")))
+    (tmp_path / "stop").touch()
+    with pytest.raises(SafetyStop, match="stop file"):
+        sink(robot, world)
+    assert robot.state().arm.status is DeviceStatus.STOPPED
+
+
+def test_without_a_guard_only_by_a_word_that_every_start_says(caplog: pytest.LogCaptureFixture) -> None:
+    robot, world = twin(replace(cell_and_hand()[0], guard="off"))
+    below = placed()[2] - 0.1
+    try:
+        sink(robot, world, until=below)
+    except SafetyStop as stop:
+        assert "reach" in stop.reason
+    assert caplog.text.count('guard = "off"') == 1
+    robot.connect()
+    assert caplog.text.count('guard = "off"') == 2
+
+
+def test_a_wired_robot_has_the_cells_guard_and_switch(tmp_path: Path) -> None:
+    cell = replace(load_cell("ur5e-inspire-emulated"), stop_file=str(tmp_path / "stop"))
+    hand = load_hand(cell.hand)
+    for made in (wired_robot(cell, hand), guarded_hand(cell, hand)):
+        assert made.switch.reason == ""
+    (tmp_path / "stop").touch()
+    for made in (wired_robot(cell, hand), guarded_hand(cell, hand)):
+        assert "stop file" in made.switch.reason
+
+
+def hand_alone(cell: RobotCell | None = None) -> tuple[GuardedDriver, TwinHand, TwinWorld]:
+    cell = cell or cell_and_hand()[0]
+    robot, world = twin(cell)
+    assert isinstance(robot.hand_driver, TwinHand)
+    guarded = GuardedDriver(robot.hand_driver, cell, "hand", clock=robot.clock, clear=lambda q: "")
+    guarded.connect()
+    return guarded, robot.hand_driver, world
+
+
+def test_a_device_alone_keeps_the_limits_of_speed() -> None:
+    guarded, driver, world = hand_alone()
+    goal = np.minimum(driver.limits.upper, driver.read().positions + 2.0)
+    before = guarded.command(driver.read().positions)
+    most = cell_and_hand()[0].limits.hand_speed
+    for _ in range(5):
+        world.advance(world.time + 0.02)
+        sent = guarded.command(goal)
+        assert np.abs(sent - before).max() <= 1.03 * 0.02 * most
+        before = sent
+
+
+@pytest.mark.parametrize("what", ["fault", "frozen", "torque"])
+def test_a_device_alone_stops_for_what_is_wrong(what: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    guarded, driver, world = hand_alone()
+    rest = guarded.command(driver.read().positions)
+    if what == "torque":
+        read = driver.read
+        torques = np.full(16, 9.0)
+        monkeypatch.setattr(driver, "read", lambda: replace(read(), torques=torques))
+    else:
+        setattr(driver, what, "hot" if what == "fault" else True)
+    with pytest.raises(RobotError, match={"fault": "hot", "frozen": "silent", "torque": "torque"}[what]):
+        for _ in range(10):
+            world.advance(world.time + 0.02)
+            guarded.command(rest)
+    assert driver._status is DeviceStatus.STOPPED
+
+
+def test_identification_stops_for_the_stop_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("pymodbus")
+    plant = ServoPlant(np.full(6, 0.3), time_constant=0.02, velocity=10.0)
+    with InspireEmulator(plant, port=0) as emulator:
+        cell = tmp_path / "cell.toml"
+        cell.write_text(
+            f'hand = "inspire"\nstop_file = "{tmp_path / "stop"}"\n[hand_device]\ndriver = "inspire-modbus"\n'
+            f'address = "{emulator.address}"\noptions = {{ port = {emulator.port}, stale_after = 1.0 }}\n'
+        )
+        (tmp_path / "stop").touch()
+        before = plant.state(time.monotonic()).positions
+        words = ["identify", "collect", str(tmp_path / "log.npz"), str(cell), "--excitation.seconds", "2"]
+        assert main(words) != 0
+        assert "stop file" in capsys.readouterr().err
+        assert np.abs(plant.state(time.monotonic()).positions - before).max() < 0.01
+    assert not (tmp_path / "log.npz").exists()
