@@ -186,6 +186,50 @@ while True:
         assert np.allclose(device.true_positions(), before)
 
 
+def test_below_full_speed_the_controller_is_refused():
+    with emulated() as device:
+        device.emulator.set_speed_slider(0.5)
+        with pytest.raises(RobotError, match=r"50 %.*slider"):
+            device.driver.connect()
+        device.emulator.set_speed_slider(1.0)
+        device.driver.connect()
+        reach(device, device.near)
+
+
+def test_a_slider_that_is_lowered_during_motion_stops_the_arm():
+    with emulated() as device:
+        device.driver.connect()
+        far = HOME + 1.0
+        assert wait_for(lambda: device.driver.command(far) is not None and moved(device) > 0.1)
+        device.emulator.set_speed_slider(0.8)
+        assert wait_for(lambda: device.driver.read().status is DeviceStatus.FAULT)
+        assert "80 %" in device.driver.read().message
+        with pytest.raises(RobotError):
+            device.driver.command(far)
+        time.sleep(0.5)
+        before = device.true_positions()
+        time.sleep(0.2)
+        assert np.abs(device.true_positions() - before).max() < 1e-3 and moved(device) < 0.9
+        assert device.emulator.program_running
+        with pytest.raises(RobotError, match="slider"):
+            device.driver.connect()
+        device.emulator.set_speed_slider(1.0)
+        assert wait_for(lambda: connects(device))
+        reach(device, device.near)
+
+
+def moved(device: DeviceUnderTest) -> float:
+    return float(np.abs(device.true_positions() - HOME).max())
+
+
+def connects(device: DeviceUnderTest) -> bool:
+    try:
+        device.driver.connect()
+    except RobotError:
+        return False
+    return True
+
+
 def test_the_dashboard_answers_like_the_real_one():
     with emulated() as device, socket.create_connection((device.emulator.address, DASHBOARD_PORT)) as client:
         file = client.makefile("rw")

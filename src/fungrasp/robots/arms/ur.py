@@ -23,7 +23,16 @@ from fungrasp.robots.device import DeviceStatus, JointLimits, JointState, RobotE
 from fungrasp.robots.optional_packages import import_client
 from fungrasp.robots.timer_slack import timer_slack
 
-VARIABLES = ["timestamp", "actual_q", "actual_qd", "runtime_state", "safety_status_bits", "robot_status_bits"]
+VARIABLES = [
+    "timestamp",
+    "actual_q",
+    "actual_qd",
+    "runtime_state",
+    "safety_status_bits",
+    "robot_status_bits",
+    "speed_scaling",
+    "target_speed_fraction",
+]
 PLAYING = 2
 EMERGENCY_BITS = 1 << 5 | 1 << 6 | 1 << 7
 PROTECTIVE_BIT = 1 << 2
@@ -37,6 +46,9 @@ STATE_RATE = 125.0
 """Of the states that the controller sends [Hz]; setpoints go out at the controller's own rate, which on an
 e-Series is four times as high. The client library takes about as long to receive a state as we to make a
 setpoint."""
+FULL_SPEED = 0.99
+"""Below this share the controller stretches the time of its motions: ``servoj`` takes longer than our period,
+setpoints are left out, and the arm falls behind, or catches up when the slider is raised."""
 LARGEST_JUMP = 0.1
 """A measured joint this far from the one before is not believed [rad] ..."""
 LARGEST_SPEED = 6.3
@@ -115,6 +127,7 @@ class URLoop:
         self._going: tuple[Any, ...] = ()
         self._target: np.ndarray | None = None
         self._known: JointState | None = None
+        self._slowed = False
 
     def open(self) -> None:
         """See ``DeviceLoop.open``: model, serial number and state of the controller are checked."""
@@ -137,6 +150,9 @@ class URLoop:
         if not self._receive.getActualQ():
             raise RobotError(f"{self.name}: the controller sends no joint positions; restart it")
         self._set_watchdog()
+        slowed = self._slowed_in_words()
+        if slowed:
+            raise RobotError(f"{self.name}: {slowed}")
         self._path = self._ruckig.Ruckig(JOINTS, self._period)
         # Kept between steps: it holds the path that the steps are taken from.
         self._step = self._ruckig.OutputParameter(JOINTS)
@@ -162,7 +178,8 @@ class URLoop:
         elif now - self._advanced > self.settings.stale_after:
             waited = 1e3 * (now - self._advanced)
             raise RobotError(f"{self.name}: the controller's clock stands still for {waited:.0f} ms")
-        if state.status is DeviceStatus.READY:
+        if state.status is DeviceStatus.READY or self._slowed:
+            # An arm that is slowed down is braked by setpoints, as one that is told to hold.
             self._move(goal, state)
         elif state.status is DeviceStatus.FAULT and goal.mode is LoopMode.IDLE:
             # Somebody has connected anew after the program was stopped.
@@ -256,8 +273,22 @@ class URLoop:
             status, message = DeviceStatus.FAULT, f"safety status {safety:#x}: look at the pendant"
         elif not running:
             status, message = DeviceStatus.FAULT, "the controller has stopped the program: connect again"
+        self._slowed = False
+        if status is DeviceStatus.READY and (slowed := self._slowed_in_words()):
+            status, message, self._slowed = DeviceStatus.FAULT, slowed, True
         return JointState(
             np.array(positions), np.array(velocities), None, self._clock, self._advanced, status, message
+        )
+
+    def _slowed_in_words(self) -> str:
+        """What slows the controller down; "" at full speed."""
+        combined = self._receive.getSpeedScalingCombined()
+        if combined >= FULL_SPEED:
+            return ""
+        return (
+            f"the controller runs at {100 * combined:.0f} % of its speed (slider at "
+            f"{100 * self._receive.getTargetSpeedFraction():.0f} %): set the slider to 100 %; slow motion is "
+            "for the cell's limits"
         )
 
     def _move(self, goal: LoopGoal, state: JointState) -> None:

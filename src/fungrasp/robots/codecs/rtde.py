@@ -41,6 +41,7 @@ _VARIABLES = {
     "robot_status_bits": "UINT32",
     "safety_status_bits": "UINT32",
     "speed_scaling": "DOUBLE",
+    "target_speed_fraction": "DOUBLE",
     "speed_slider_mask": "UINT32",
     "speed_slider_fraction": "DOUBLE",
     "external_force_torque": "VECTOR6D",

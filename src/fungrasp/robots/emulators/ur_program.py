@@ -13,6 +13,8 @@ from fungrasp.robots.emulators.plant import Plant, PlantCommand
 COMMAND = "input_int_register_0"
 READY, DONE = 1, 2
 """What the program answers."""
+SERVO_TIME = "input_double_register_8"
+"""Duration of ``servoj`` [s]."""
 SERVO_JOINTS, SERVO_STOP, SET_WATCHDOG, KICK_WATCHDOG, STOP_PROGRAM = 11, 16, 35, 99, 255
 """Commands that are carried out; any other is answered and does nothing."""
 
@@ -29,6 +31,9 @@ class ServoProgram:
         """Its output register."""
         self.goal: np.ndarray | None = None
         """Of ``servoj`` [rad], shape [6]; None where there is none."""
+        self.slider = 1.0
+        """Speed slider of the pendant, 0 to 1: a ``servoj`` takes as much longer."""
+        self._servo_ends = 0.0
         self._executing = False
         self._registers: dict[str, Any] = {}
         self._heard, self._watchdog = 0.0, 0.0
@@ -66,8 +71,13 @@ class ServoProgram:
         if not self.running:
             return
         if command == SERVO_JOINTS:
-            self.goal = np.array([self._registers[f"input_double_register_{i}"] for i in range(6)])
-            self._plant.apply(PlantCommand(positions=self.goal), time.monotonic())
+            now = time.monotonic()
+            # One that comes while the last one is being carried out is left out. At full speed none is: the
+            # client's timing is not ours.
+            if self.slider == 1.0 or now >= self._servo_ends:
+                self._servo_ends = now + float(self._registers[SERVO_TIME]) / max(self.slider, 0.01)
+                self.goal = np.array([self._registers[f"input_double_register_{i}"] for i in range(6)])
+                self._plant.apply(PlantCommand(positions=self.goal), now)
             self.answer = READY
         elif command == STOP_PROGRAM:
             self.stop()

@@ -99,6 +99,10 @@ class URControllerEmulator(Emulator):
         """Whether the client's program runs."""
         return self._program.running
 
+    def set_speed_slider(self, share: float) -> None:
+        """What a person does at the pendant; share: 0 to 1."""
+        self._program.slider = share
+
     def start(self) -> None:
         """See ``Emulator.start``."""
         self._ended.clear()
@@ -222,6 +226,8 @@ class URControllerEmulator(Emulator):
             "target_q": state.positions if self._program.goal is None else self._program.goal,
             "target_moment": state.torques,
             "runtime_state": PLAYING if self.program_running else STOPPED,
+            "speed_scaling": 1.0,
+            "target_speed_fraction": self._program.slider,
             "robot_mode": 7,
             "safety_mode": 3 if self.shows(Fault.PROTECTIVE_STOP) else 7 if stopped else 1,
             "robot_status_bits": 1 | self.program_running << 1,
