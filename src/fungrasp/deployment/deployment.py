@@ -21,7 +21,7 @@ from fungrasp.grasps import RobotGraspSet
 from fungrasp.planning.next_attempt import make_attempts
 from fungrasp.planning.withdrawal import way_off
 from fungrasp.policies.waypoints import WaypointPolicy
-from fungrasp.robots.device import RobotError, StopKind
+from fungrasp.robots.device import DeviceStatus, RobotError, StopKind
 from fungrasp.robots.kinematics.joint_path import timed_leg
 from fungrasp.robots.robot import Robot
 from fungrasp.robots.robot_state import RobotCommand, RobotState, SafetyStop
@@ -35,6 +35,10 @@ ARRIVED = 2e-3
 
 MOVED = 0.02
 """A joint of the arm that is farther from where it was has moved [rad]."""
+
+
+AWAKE = 1.0
+"""Drivers that held because nobody asked them follow again within this time [s]."""
 
 
 FINGER_SHARE = 0.2
@@ -175,12 +179,23 @@ class Deployment:
         self.log.begin(prepared.plan, {"cell": self.robot.cell.name, **self._about})
 
     def _awake(self, state: RobotState) -> RobotState:
-        """The state after planning: drivers that heard nothing meanwhile hold, and are told to go on."""
-        robot = self.robot
-        if not robot.ready:
-            robot.arm.connect()
-            robot.hand_driver.connect()
-        now = robot.state()
+        """The state after planning. Drivers that heard nothing meanwhile held, and follow again once they are
+        read; whatever else ended is looked at by a person, though its cause may be gone: a fault is latched.
+        """
+        robot, waited = self.robot, self.robot.clock.now() + AWAKE
+        while True:
+            robot.check_switch()
+            now = robot.state()
+            joints = {"arm": now.arm, "hand": now.hand}
+            for name, said in joints.items():
+                if said.status is DeviceStatus.READY:
+                    continue
+                if said.status is not DeviceStatus.STOPPED or robot.clock.now() > waited:
+                    why = f"{said.status}: {said.message}" if said.message else said.status
+                    raise RobotError(f"the {name} stopped while the grasp was planned ({why}): start anew")
+            if all(said.status is DeviceStatus.READY for said in joints.values()):
+                break
+            robot.clock.sleep_until(robot.clock.now() + 0.02)
         if np.abs(now.arm.positions - state.arm.positions).max() > MOVED:
             raise RobotError("the arm was moved while the grasp was planned: start anew")
         return now
