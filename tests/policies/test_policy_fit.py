@@ -11,7 +11,7 @@ from small_policies import OBSERVATION, allegro_card
 from fungrasp.errors import FungraspError
 from fungrasp.hands import load_hand
 from fungrasp.hands.hand import read_hand_toml
-from fungrasp.policies.checkpoint.card import Part, PolicyCard
+from fungrasp.policies.checkpoint.card import Part, PolicyCard, card_from_text, card_text
 from fungrasp.policies.checkpoint.checkpoint_file import (
     check_fits,
     hand_digest,
@@ -130,3 +130,10 @@ def test_a_hand_is_another_when_its_files_say_something_else(copy_of_allegro, fi
         return
     with pytest.raises(FungraspError, match="the model of the hand 'allegro' has changed since"):
         fits(allegro_card(), hand=changed)
+
+
+def test_a_layout_that_is_not_known() -> None:
+    text = card_text(allegro_card())
+    assert card_from_text(text.replace('"layout_name": "full", ', "")).layout_name == "full", "older files"
+    with pytest.raises(FungraspError, match=r"^unknown observation layout 'tiny'. Known: full, paper.$"):
+        card_from_text(text.replace('"layout_name": "full"', '"layout_name": "tiny"'))

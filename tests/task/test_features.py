@@ -22,6 +22,7 @@ from fungrasp.task.features import (
     value_features,
 )
 from fungrasp.task.observation import Privileged
+from fungrasp.task.observation_layouts import LAYOUTS, encoder_parts, network_parts
 
 HALF = np.sqrt(0.5)
 LEFT = [HALF, 0, 0, HALF]
@@ -115,6 +116,28 @@ def check(parts: dict[str, Any], expected: dict[str, list[float]]) -> None:
 
 def test_every_part_of_an_observation_by_hand():
     check(robot_features(*example()), EXPECTED)
+
+
+PAPER = ["joints", "up", "palm_change", "object_center", "object_deviation", "object_change"]
+PAPER += ["object_moved", "palm_height", "keypoint_errors", "target_contacts"]
+"""phi(s) of the paper, section IV.B.1, without what is privileged."""
+
+
+def test_what_the_layouts_hold(allegro):
+    parts = robot_features(*example())
+    assert list(network_parts(parts, "full", encoder=False)) == list(EXPECTED)
+    assert list(network_parts(parts, "full", encoder=True)) == list(EXPECTED)
+    assert list(network_parts(parts, "paper", encoder=False)) == PAPER
+    assert list(network_parts(parts, "paper", encoder=True)) == [*PAPER, "palm_goal", "last_action"]
+    assert list(encoder_parts(parts, "paper")) == ["joints", "palm_goal", "target_contacts", "last_action"]
+    told = {name for name in EXPECTED if name.startswith(("surface", "target_d", "target_n"))}
+    told |= {"servo_errors", "joint_errors", "palm_error"}
+    assert not told & {*LAYOUTS["paper"].network, *LAYOUTS["paper"].encoder}, "contacts could be told from it"
+    rng = np.random.default_rng(0)
+    states = measured_state(rng, allegro, 2), measured_state(rng, allegro, 2)
+    parts = robot_features(*states, plan_target(rng, allegro, 2), action(rng, allegro, 2))
+    numbers = [flatten(network_parts(parts, "paper", encoder)).shape[1] for encoder in (False, True)]
+    assert numbers == [16 + 3 + 6 + 3 + 6 + 6 + 3 + 1 + 3 * 17 + 13, 108 + 6 + 22]
 
 
 def test_torch_sees_the_same():

@@ -134,6 +134,11 @@ def test_checkpoints_of_other_hands_are_refused(tmp_path):
         check_environment(tmp_path, state | {"hand": load_hand("leap").name}, worlds)
     with pytest.raises(FungraspError, match="other observations"):
         check_environment(tmp_path, state | {"layout": "[]"}, worlds)
+    with pytest.raises(FungraspError, match=r"the observation layout 'paper', not 'full'$"):
+        check_environment(tmp_path, environment_state(environment(layout="paper")), worlds)
+    with pytest.raises(FungraspError, match=r"the observation layout 'tiny', not 'full'$"):
+        check_environment(tmp_path, state | {"layout_name": "tiny"}, worlds)
+    check_environment(tmp_path, {k: v for k, v in state.items() if k != "layout_name"}, worlds)
 
 
 def test_a_student_without_estimates_does_not_look_back():
@@ -150,14 +155,15 @@ def test_a_student_without_estimates_does_not_look_back():
         assert (difference > 0) == estimates
 
 
-def test_the_student_file_does_what_torch_does(tmp_path):
-    worlds = environment(history=True)
+@pytest.mark.parametrize("layout", ["full", "paper"])
+def test_the_student_file_does_what_torch_does(tmp_path, layout):
+    worlds = environment(history=True, layout=layout)
     torch.manual_seed(1)
     student = make_student(worlds, (32, 16))
     student.eval()
     path = tmp_path / "student.onnx"
     card = make_card(
-        "s", "student", hand(), worlds.layout, (), worlds.settings.residual, 10.0, Budget(0, 0, "")
+        "s", "student", hand(), worlds.student_layout, (), worlds.settings.residual, 10.0, Budget(0, 0, "")
     )
     export_policy(student, path, card)
     network, graph = load_policy(path), StudentGraph(student)

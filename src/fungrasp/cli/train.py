@@ -15,6 +15,7 @@ from fungrasp.cli.training_options import (
 )
 from fungrasp.errors import FungraspError
 from fungrasp.sim2real import PRESETS, PresetName
+from fungrasp.task.observation_layouts import LayoutName
 from fungrasp.training.environment import EnvironmentSettings
 from fungrasp.training.plan_library import Variety
 from fungrasp.training.settings import CurveSettings, PpoSettings
@@ -54,6 +55,8 @@ class Train:
     """Factor on the finished policy's corrections, and on those of its students."""
     sees: Literal["contacts", "nothing", "history"] | None = None
     """Short for --ppo.sees."""
+    layout: LayoutName | None = None
+    """Short for --environment.layout."""
     worlds: PresetName | None = None
     """What episodes draw their worlds from, in the place of --environment.randomization: "reality" is what
     the reality protocol of evaluation draws from."""
@@ -104,6 +107,8 @@ class Train:
         hand = identified_hand(self.hand, self.hand_dynamics)
         ppo = self.ppo if self.sees is None else replace(self.ppo, sees=self.sees)
         environment = self.environment
+        if self.layout is not None:
+            environment = replace(environment, layout=self.layout)
         if self.worlds is not None:
             environment = replace(environment, randomization=PRESETS[self.worlds])
         log = None if self.wandb is None else wandb_log(self.wandb, self.out)

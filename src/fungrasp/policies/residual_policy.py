@@ -16,6 +16,7 @@ from fungrasp.policies.plan_tracking import PlanTracker
 from fungrasp.policies.residual_action import Base, ResidualSettings
 from fungrasp.task import Action, GraspPlan, Observation, Privileged
 from fungrasp.task.features import contact_features, flatten, layout
+from fungrasp.task.observation_layouts import network_parts
 
 ACTION_PARTS: Mapping[Base, tuple[str, str, str]] = {
     "plan": ("position", "rotation", "fingers"),
@@ -41,6 +42,7 @@ class _ResidualNetwork:
         check_card(network.card, hand)
         self.network, self._hand, self._objects = network, hand, objects
         self._settings = residual_settings(network.card)
+        self._remembers = bool(network.initial_state(0))
 
     def reset(self, plan: GraspPlan, observation: Observation) -> None:
         """See ``Policy.reset``.
@@ -51,15 +53,20 @@ class _ResidualNetwork:
         everyone = np.arange(len(observation))
         self._tracker = PlanTracker(self._hand, self._objects, plan, len(everyone), self._settings)
         self._tracker.begin(everyone, everyone, observation)
-        seen = layout(self._tracker.state().robot_features())
+        seen = layout(self._seen())
         none = np.zeros(plan.link_contacts.shape)
         contacts = layout(contact_features(none, none, plan.link_contacts))
         check_fits(self.network.card, self._hand, seen, contacts, 1 / plan.control_period)
         self._memory = self.network.initial_state(len(everyone))
 
+    def _seen(self) -> dict[str, np.ndarray]:
+        """What the network gets of what the robot has."""
+        features = self._tracker.state().robot_features()
+        return network_parts(features, self.network.card.layout_name, encoder=self._remembers)
+
     def _act(self, observation: Observation, contacts: Mapping[str, np.ndarray]) -> Action:
         self._tracker.update(observation)
-        seen = flatten({**self._tracker.state().robot_features(), **contacts})
+        seen = flatten({**self._seen(), **contacts})
         # A finished or diverged world may hold anything; its action is not used.
         finite = np.where(np.isfinite(seen), seen, 0.0).astype(np.float32)
         action, self.outputs, self._memory = self.network(finite, self._memory)

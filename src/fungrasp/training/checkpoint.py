@@ -74,6 +74,7 @@ def environment_state(environment: TrainingEnvironment) -> dict[str, Any]:
     """What tells an environment from others, and what it has learned and drawn so far."""
     return {
         "hand": environment.hand.name,
+        "layout_name": environment.settings.layout,
         "layout": _layout(environment),
         "success_of_group": torch.from_numpy(environment.success_of_group.copy()),
         "diverged": environment.diverged,
@@ -92,6 +93,12 @@ def check_environment(path: Path, state: Mapping[str, Any], environment: Trainin
     hand = environment.hand.name
     if state.get("hand") != hand:
         raise FungraspError(f"the checkpoint {path} is of the hand '{state.get('hand')}', not of '{hand}'")
+    # Absent in checkpoints of earlier versions, which had no other.
+    name, wanted = state.get("layout_name", "full"), environment.settings.layout
+    if name != wanted:
+        raise FungraspError(
+            f"the checkpoint {path} was trained with the observation layout '{name}', not '{wanted}'"
+        )
     if state.get("layout") != _layout(environment):
         raise FungraspError(f"the checkpoint {path} was trained on other observations")
 

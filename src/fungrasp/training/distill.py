@@ -66,7 +66,8 @@ def make_student(
         {},
         "actor",
         environment.actions,
-        layout=environment.layout,
+        layout=environment.student_layout,
+        encoder=environment.encoder_layout,
         estimates=estimates,
         hidden_dims=list(hidden),
         activation="elu",
@@ -110,9 +111,7 @@ def distill(
     optimizer = torch.optim.Adam(student.parameters(), lr=s.learning_rate)
     rounds = max(1, round(steps / (s.steps * environment.settings.worlds)))
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, rounds, 0.1 * s.learning_rate)
-    kept = KeptRounds(
-        s.kept_rounds, None if checkpoint is None else checkpoint.with_name(ROUNDS), student.history_columns
-    )
+    kept = KeptRounds(s.kept_rounds, None if checkpoint is None else checkpoint.with_name(ROUNDS))
     recent: deque[bool] = deque(maxlen=1000)
     state = Distillation(student, optimizer, schedule, environment, recent)
     if checkpoint is not None and checkpoint.exists():

@@ -17,6 +17,7 @@ from fungrasp.sim2real import MODERATE, Randomization, draw
 from fungrasp.simulation import SceneSettings, build_scene
 from fungrasp.task import GraspPlan, LiftEnvironment, LiftProtocol
 from fungrasp.task.features import contact_features, flatten, layout, value_features
+from fungrasp.task.observation_layouts import LayoutName, encoder_parts, network_parts
 from fungrasp.task.reward import RewardWeights, total
 from fungrasp.task.start_pose import StartPoses, start_on_line
 from fungrasp.training.history import History
@@ -57,6 +58,10 @@ class EnvironmentSettings:
     """Height of the object that is paid in full [m]; above the test's 0.1, as what swings hangs lower."""
     randomization: Randomization = MODERATE
     """How worlds differ from the nominal ones, drawn anew in each episode."""
+    layout: LayoutName = "full"
+    """What networks get of what a robot has. "paper": what the paper names (section IV.B.1); "full": besides,
+    distances from the object's surface, errors of servos and joints, the plan's phase, size and mass of the
+    object."""
     history: bool = False
     """Whether observations hold a student's history."""
     residual: ResidualSettings = field(default_factory=ResidualSettings)
@@ -138,10 +143,14 @@ class TrainingEnvironment:
         everyone = np.arange(s.worlds)
         self.tracker.begin(everyone, self._begin(everyone), self.episodes.observe())
         self._privileged = self.episodes.privileged()
-        parts, contacts, more = self._parts()
-        self.layout, self.privileged_layout = layout(parts), layout(contacts)
-        self.value_layout = layout(more)
-        self._history = History(s.worlds, self.layout) if s.history else None
+        features, contacts, more = self._parts()
+        self.layout = layout(network_parts(features, s.layout, encoder=False))
+        self.privileged_layout, self.value_layout = layout(contacts), layout(more)
+        self.encoder_layout = layout(encoder_parts(features, s.layout))
+        """Of what a student's encoder gets of a control step."""
+        self.student_layout = layout(network_parts(features, s.layout, encoder=True))
+        """Of what a student with an encoder gets."""
+        self._history = History(s.worlds, sum(n for _, n in self.encoder_layout)) if s.history else None
         self.observations = self._observe(everyone)
 
     @property
@@ -264,7 +273,10 @@ class TrainingEnvironment:
         )
 
     def _observe(self, begun: np.ndarray) -> NetworkInputs:
-        seen = NetworkInputs(*(flatten(part).astype(np.float32) for part in self._parts()))
+        features, *others = self._parts()
+        robot = network_parts(features, self.settings.layout, encoder=False)
+        seen = NetworkInputs(*(flatten(part).astype(np.float32) for part in (robot, *others)))
         if self._history is None:
             return seen
-        return replace(seen, history=self._history.push(seen.robot, begun))
+        encoded = flatten(encoder_parts(features, self.settings.layout)).astype(np.float32)
+        return replace(seen, history=self._history.push(encoded, begun))

@@ -102,7 +102,7 @@ def make_card(
     name: str,
     kind: str,
     hand: Hand,
-    layout: tuple[tuple[str, int], ...],
+    observation: tuple[tuple[str, int], ...],
     privileged: tuple[tuple[str, int], ...],
     residual: ResidualSettings,
     rate: float,
@@ -115,7 +115,7 @@ def make_card(
         name: of the policy.
         kind: "teacher", "student" or "predictor".
         hand: that it moves.
-        layout: of the observation.
+        observation: layout of the observation.
         privileged: layout of the privileged observation; empty but for a teacher.
         residual: of its actions.
         rate: of control [Hz].
@@ -135,7 +135,7 @@ def make_card(
         joint_names=tuple(gains),
         gains=gains,
         rate_hz=rate,
-        observation=tuple(Part(*part) for part in layout),
+        observation=tuple(Part(*part) for part in observation),
         privileged=tuple(Part(*part) for part in privileged),
         action=tuple(ActionPart(*part) for part in zip(parts, sizes, scales, strict=True)),
         action_smoothing=residual.smoothing,

@@ -7,17 +7,6 @@ import numpy as np
 HISTORY = 10
 """Control steps that the encoder looks back on, the present one included."""
 
-HISTORY_PARTS = (
-    "joints",
-    "servo_errors",
-    "joint_changes",
-    "palm_error",
-    "target_contacts",
-    "last_action",
-    "surface_distances",
-)
-"""Parts of the robot's observation that the encoder sees."""
-
 Layout = tuple[tuple[str, int], ...]
 
 
@@ -33,13 +22,17 @@ def columns(layout: Layout, names: tuple[str, ...]) -> np.ndarray:
 class History:
     """The last observations of W worlds, zeros before an episode's first."""
 
-    def __init__(self, worlds: int, layout: Layout):
-        self._columns = columns(layout, HISTORY_PARTS)
-        self.window = np.zeros((worlds, HISTORY, len(self._columns)), dtype=np.float32)
+    def __init__(self, worlds: int, size: int):
+        """size: H, numbers of a control step."""
+        self.window = np.zeros((worlds, HISTORY, size), dtype=np.float32)
 
-    def push(self, observation: np.ndarray, begun: np.ndarray) -> np.ndarray:
-        """The windows with one more observation, shape [W, HISTORY, H]. begun: worlds whose episode is
-        new."""
+    def push(self, seen: np.ndarray, begun: np.ndarray) -> np.ndarray:
+        """The windows with one more control step, shape [W, HISTORY, H].
+
+        Args:
+            seen: what the encoder gets of it, shape [W, H].
+            begun: worlds whose episode is new.
+        """
         self.window[begun] = 0.0
-        self.window = np.concatenate([self.window[:, 1:], observation[:, None, self._columns]], axis=1)
+        self.window = np.concatenate([self.window[:, 1:], seen[:, None]], axis=1)
         return self.window

@@ -33,16 +33,15 @@ class Round:
 class KeptRounds:
     """The last rounds, in memory and in a folder."""
 
-    def __init__(self, most: int, folder: Path | None, columns: torch.Tensor):
+    def __init__(self, most: int, folder: Path | None):
         """
         Args:
             most: rounds that are kept.
             folder: for their files; in memory only if None.
-            columns: of the robot's observation that the history holds, shape [H].
         """
         self.batches: deque[TensorDict] = deque(maxlen=most)
         """The rounds, the last one last."""
-        self._folder, self._columns = folder, columns
+        self._folder = folder
 
     def add(self, number: int, one: Round) -> None:
         """One more round. number: counted from 0.
@@ -54,8 +53,9 @@ class KeptRounds:
         if self._folder is not None:
             steps, worlds = one.begun.shape
             parts = {name: one.batch[name].unflatten(0, (steps, worlds)) for name in GROUPS}
-            first = one.batch["history"][:worlds]
-            write_checkpoint(self._path(number), parts | {"begun": one.begun, "first": first})
+            window = one.batch["history"].unflatten(0, (steps, worlds)).unflatten(2, (HISTORY, -1))
+            parts |= {"begun": one.begun, "first": window[0].clone(), "seen": window[:, :, -1].clone()}
+            write_checkpoint(self._path(number), parts)
 
     def load(self, rounds: int) -> None:
         """Read the last of so many rounds back.
@@ -69,7 +69,7 @@ class KeptRounds:
                 _log.warning("%s is missing: going on without these episodes", self._path(number))
                 continue
             state = read_checkpoint(self._path(number))
-            windows = _windows(state["robot"], state["begun"], state["first"], self._columns)
+            windows = _windows(state["seen"], state["begun"], state["first"])
             groups = {name: state[name].flatten(0, 1) for name in GROUPS}
             groups["history"] = windows.flatten(0, 1)
             self.batches.append(TensorDict(groups, batch_size=[len(groups["robot"])]))
@@ -91,21 +91,18 @@ class KeptRounds:
         return self._folder / f"{number:06d}.pt"
 
 
-def _windows(
-    robot: torch.Tensor, begun: torch.Tensor, first: torch.Tensor, columns: torch.Tensor
-) -> torch.Tensor:
+def _windows(seen: torch.Tensor, begun: torch.Tensor, first: torch.Tensor) -> torch.Tensor:
     """The histories of a round, shape [S, W, HISTORY H], as ``History`` made them.
 
     Args:
-        robot: observations, shape [S, W, R].
+        seen: what was added at each step, shape [S, W, H].
         begun: shape [S, W] bool.
-        first: the histories at the first step, shape [W, HISTORY H].
-        columns: shape [H].
+        first: the histories at the first step, shape [W, HISTORY, H].
     """
-    window = first.unflatten(1, (HISTORY, -1))
+    window = first
     windows = [window]
-    for seen, new in zip(robot[1:], begun[1:], strict=True):
+    for last, new in zip(seen[1:], begun[1:], strict=True):
         window = torch.where(new[:, None, None], 0.0, window)
-        window = torch.cat([window[:, 1:], seen[:, None, columns]], dim=1)
+        window = torch.cat([window[:, 1:], last[:, None]], dim=1)
         windows.append(window)
     return torch.stack(windows).flatten(2)

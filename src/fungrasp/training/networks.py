@@ -55,7 +55,9 @@ def make_networks(
     model: dict[str, Any] = {"hidden_dims": list(hidden), "activation": "elu", "obs_normalization": True}
     student = sees == "history"
     kind: type[MLPModel] = StudentModel if student else MLPModel
-    own: dict[str, Any] = {"layout": environment.layout} if student else {}
+    own: dict[str, Any] = {}
+    if student:
+        own = {"layout": environment.student_layout, "encoder": environment.encoder_layout}
     actor = kind(
         observations,
         groups,

@@ -11,7 +11,7 @@ from rsl_rl.models import MLPModel
 from rsl_rl.modules import EmpiricalNormalization
 from tensordict import TensorDict
 
-from fungrasp.training.history import HISTORY, HISTORY_PARTS, Layout, columns
+from fungrasp.training.history import HISTORY, Layout, columns
 
 
 class StudentModel(MLPModel):
@@ -25,15 +25,31 @@ class StudentModel(MLPModel):
         obs_set: str,
         output_dim: int,
         layout: Layout,
+        encoder: Layout,
         units: int = 64,
         layers: int = 2,
         estimates: bool = True,
         **settings: Any,
     ):
+        """
+        Args:
+            obs: an example.
+            obs_groups: not looked at.
+            obs_set: name of the networks' groups.
+            output_dim: numbers in an action.
+            layout: of all that it gets (``TrainingEnvironment.student_layout``): the group ``robot``, then
+                what only its encoder needs.
+            encoder: what of it the encoder gets.
+            units: of the encoder's layers.
+            layers: of the encoder.
+            estimates: whether it infers the contacts.
+            settings: of the network.
+        """
         super().__init__(obs, {obs_set: ["robot", "privileged"]}, obs_set, output_dim, **settings)
+        self.robot_size = int(obs["robot"].shape[-1])
         self.links = dict(layout)["target_contacts"]
         self.estimates = estimates
-        history = columns(layout, HISTORY_PARTS)
+        history = columns(layout, tuple(name for name, _ in encoder))
         self.history_columns: torch.Tensor
         self.register_buffer("history_columns", torch.from_numpy(history))
         self.target_columns: torch.Tensor
@@ -44,12 +60,18 @@ class StudentModel(MLPModel):
     def infer(self, window: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Contacts as probabilities and scaled forces, [W, L] each. window: shape [W, HISTORY, H]."""
         normaliser = cast(EmpiricalNormalization, self.obs_normalizer)
-        mean, std = normaliser.mean[self.history_columns], normaliser.std[self.history_columns]
+        mean, std = self._scaling(normaliser.mean, 0.0), self._scaling(normaliser.std, 1.0)
         hidden, _ = self.encoder((window - mean) / (std + normaliser.eps))
         # Zeros where nothing is estimated: the network then is as large, and knows nothing of the contacts.
         inferred = torch.sigmoid(self.head(hidden[:, -1])) * float(self.estimates)
         contacts, forces = inferred.split(self.links, dim=-1)
         return contacts, forces
+
+    def _scaling(self, known: torch.Tensor, other: float) -> torch.Tensor:
+        """Mean or standard deviation of what the encoder gets. Of what the network does not get, none is
+        learned: it is of the order of one."""
+        among = self.history_columns < self.robot_size
+        return torch.where(among, known[torch.where(among, self.history_columns, 0)], other)
 
     def act(self, robot: torch.Tensor, contacts: torch.Tensor, forces: torch.Tensor) -> torch.Tensor:
         """The network's input, normalised, with inferred contacts."""
@@ -91,4 +113,5 @@ class StudentGraph(torch.nn.Module):
         present = observation[:, self.student.history_columns]
         window = torch.cat([state_history[:, 1:], present[:, None]], dim=1)
         contacts, forces = self.student.infer(window)
-        return self.student.mlp(self.student.act(observation, contacts, forces)), contacts, forces, window
+        robot = observation[:, : self.student.robot_size]
+        return self.student.mlp(self.student.act(robot, contacts, forces)), contacts, forces, window

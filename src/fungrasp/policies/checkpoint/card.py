@@ -7,10 +7,11 @@ import math
 from collections.abc import Mapping
 from dataclasses import MISSING, asdict, dataclass, field, fields
 from datetime import datetime
-from typing import Any, NamedTuple, get_args, get_origin, get_type_hints
+from typing import Any, Literal, NamedTuple, get_args, get_origin, get_type_hints
 
 from fungrasp.errors import FungraspError
 from fungrasp.formats.json_file import parse_json
+from fungrasp.task.observation_layouts import LayoutName, check_layout
 
 FORMAT_VERSION = 1
 KINDS = ("teacher", "student", "predictor")
@@ -91,6 +92,8 @@ class PolicyCard:
     """What training took."""
     privileged: tuple[Part, ...] = ()
     """What it sees that only a simulation knows; nothing for a student."""
+    layout_name: LayoutName = "full"
+    """Name of the layout of what it sees (``fungrasp.task.observation_layouts``)."""
     plans: str = ""
     """Name of the success predictor that chooses the plans it follows, a policy file beside it; none if
     empty."""
@@ -135,6 +138,7 @@ class PolicyCard:
             raise FungraspError(
                 f"gains must be given for the joints {', '.join(self.joint_names)}, in this order"
             )
+        check_layout(self.layout_name)
         for parts in (self.inputs, self.action):
             names = [part.name for part in parts]
             if not parts or len(set(names)) < len(names) or any(part.size < 1 for part in parts):
@@ -223,6 +227,8 @@ def _value(name: str, kind: Any, value: Any) -> Any:
         return value
     if kind is float and isinstance(value, int | float) and not isinstance(value, bool):
         return float(value)
+    if get_origin(kind) is Literal and isinstance(value, str):
+        return value
     if kind in (int, str) and isinstance(value, kind) and not isinstance(value, bool):
         return value
     if origin is Mapping and isinstance(value, dict):
