@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, ClassVar
 from fungrasp.cli.console import progress_bar
 from fungrasp.cli.training_options import check_numbers, check_packages, progress_lines
 from fungrasp.files import atomic_path
-from fungrasp.sim2real import PRESETS, PresetName
+from fungrasp.sim2real import preset
 from fungrasp.training.environment import EnvironmentSettings
 from fungrasp.training.plan_library import Variety
 from fungrasp.training.settings import PpoSettings, PredictorSettings
@@ -43,7 +43,7 @@ class FreePolicies:
     """Control steps of each student's distillation."""
     shrink: float = 0.25
     """Factor on the corrections of teachers and students."""
-    worlds: PresetName | None = None
+    worlds: str | None = None
     """What the episodes of teachers and students draw their worlds from, as for `fungrasp train`."""
     seed: int = 0
     """Seed of all random numbers but those of the grasps."""
@@ -101,7 +101,7 @@ class FreePolicies:
         _copy(predictor, done / predictor.name)
         environment = EnvironmentSettings()
         if self.worlds is not None:
-            environment = replace(environment, randomization=PRESETS[self.worlds])
+            environment = replace(environment, randomization=preset(self.worlds))
         train(
             teacher,
             sets,

@@ -13,7 +13,7 @@ from fungrasp.cli.console import progress_bar, table
 from fungrasp.cli.training_options import check_numbers, check_packages, predictor_file, progress_lines
 from fungrasp.errors import FungraspError
 from fungrasp.provenance import run_record
-from fungrasp.sim2real import PRESETS, PresetName
+from fungrasp.sim2real import preset
 from fungrasp.training.environment import EnvironmentSettings
 from fungrasp.training.plan_library import Variety
 from fungrasp.training.settings import DistillSettings, PpoSettings
@@ -50,7 +50,7 @@ class TableOptions:
     """Control steps that each policy is trained for."""
     distill_steps: float | None = None
     """Control steps for which a student is distilled; a sixth of --steps by default."""
-    worlds: PresetName = "reality"
+    worlds: str = "reality"
     """What episodes of the trainings draw their worlds from."""
     plans: str | None = None
     """A success predictor that chooses the plans to follow, in training and test ("predictor" is short for
@@ -178,7 +178,7 @@ class TableOptions:
         residual = self.environment.residual
         if not variant.planned_motion:
             residual = replace(residual, base="present")
-        environment = replace(self.environment, randomization=PRESETS[self.worlds], residual=residual)
+        environment = replace(self.environment, randomization=preset(self.worlds), residual=residual)
         with progress_bar("planning", count) as show:
             train(
                 folder / name,

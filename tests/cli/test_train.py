@@ -7,7 +7,9 @@ from grasp_files import run, some_grasps
 
 from fungrasp.cli.sweep import draw_each_curve, each_training
 from fungrasp.cli.train import Train
-from fungrasp.grasps import save_human_grasps
+from fungrasp.grasps import load_objects, save_human_grasps, save_robot_grasps
+from fungrasp.hands import load_hand
+from fungrasp.retargeting import retarget
 from fungrasp.sim2real import MODERATE, REALITY
 
 
@@ -20,6 +22,8 @@ from fungrasp.sim2real import MODERATE, REALITY
         (("train", "--method", "contakt"), "Did you mean 'contact'?"),
         (("train", "--grasps", "none.npz"), "none.npz does not exist"),
         (("train", "--grasps", "builtin", "builtin"), "each once"),
+        (("train", "--worlds", "realty"), "unknown preset of worlds 'realty'. Did you mean 'reality'?"),
+        (("train", "--initial", "nowhere"), "nowhere has no checkpoint yet"),
         (("train", "--terms", "a", "b"), "one text for each of the 1 --grasps, not 2"),
         (("train", "--sweep", "ppo.noise"), "SETTING=VALUE,VALUE..."),
         (("train", "--sweep", "ppo.nose=1,2"), "Did you mean 'ppo.noise'?"),
@@ -35,6 +39,34 @@ def test_mistakes_are_one_line(arguments, words, tmp_path, capsys):
     status, out, err = run(capsys, *arguments, "--out", tmp_path / "out")
     assert status == 2 and out == "" and err.count("\n") == 1 and words in err
     assert not (tmp_path / "out" / "checkpoint.pt").exists()
+
+
+def test_grasps_of_another_hand_are_named(tmp_path, capsys):
+    pytest.importorskip("rsl_rl")
+    human = some_grasps(("can",))
+    grasps = tmp_path / "leap.npz"
+    save_robot_grasps(grasps, retarget(human, load_objects(human), load_hand("leap"), threads=1))
+    status, out, err = run(capsys, "train", "--grasps", grasps, "--out", tmp_path / "out")
+    assert (status, out) == (2, "") and err.count("\n") == 1
+    assert err.endswith(f"{grasps}: the grasps are of the hand 'leap', not of 'allegro'\n")
+
+
+def test_what_differs_from_an_interrupted_training_is_named(tmp_path, capsys):
+    pytest.importorskip("rsl_rl")
+    human = some_grasps(("can",))
+    grasps, out = tmp_path / "g.npz", tmp_path / "out"
+    save_robot_grasps(grasps, retarget(human, load_objects(human), load_hand("allegro"), threads=1))
+    small = ("--environment.worlds", 4, "--ppo.steps", 2, "--ppo.warm-up", 1, "--ppo.hidden", 8, 8)
+    command = ("train", "--grasps", grasps, "--out", out, "--threads", 1, "--variety.copies", 1, *small)
+    assert run(capsys, *command, "--steps", 8, "--curve.every", 0)[0] == 0
+    for others, words in (
+        (("--ppo.gamma", 0.9), "ppo.gamma is 0.99 there, 0.9 here"),
+        (("--layout", "paper"), 'environment.layout is "full" there, "paper" here'),
+        (("--worlds", "nominal"), "environment.randomization."),
+        (("--seed", 3), "seed is 0 there, 3 here"),
+    ):
+        status, _, err = run(capsys, *command, "--steps", 16, *others)
+        assert status == 2 and err.count("\n") == 1 and words in err and str(out) in err
 
 
 def test_wandb_is_asked_for_in_words(tmp_path, capsys):

@@ -14,7 +14,7 @@ from fungrasp.cli.training_options import (
     wandb_log,
 )
 from fungrasp.errors import FungraspError
-from fungrasp.sim2real import PRESETS, PresetName
+from fungrasp.sim2real import preset
 from fungrasp.task.observation_layouts import LayoutName
 from fungrasp.training.environment import EnvironmentSettings
 from fungrasp.training.plan_library import Variety
@@ -57,9 +57,9 @@ class Train:
     """Short for --ppo.sees."""
     layout: LayoutName | None = None
     """Short for --environment.layout."""
-    worlds: PresetName | None = None
-    """What episodes draw their worlds from, in the place of --environment.randomization: "reality" is what
-    the reality protocol of evaluation draws from."""
+    worlds: str | None = None
+    """What episodes draw their worlds from, in the place of --environment.randomization: "nominal",
+    "moderate", "wide", or "reality", what the reality protocol of evaluation draws from."""
     seed: int = 0
     """Seed of all random numbers."""
     seeds: tuple[int, ...] = ()
@@ -110,7 +110,7 @@ class Train:
         if self.layout is not None:
             environment = replace(environment, layout=self.layout)
         if self.worlds is not None:
-            environment = replace(environment, randomization=PRESETS[self.worlds])
+            environment = replace(environment, randomization=preset(self.worlds))
         log = None if self.wandb is None else wandb_log(self.wandb, self.out)
         sets = load_training_sets(self.grasps, self.objects, hand, self.method, self.terms, self.threads)
         # More threads make the small networks slower.

@@ -7,6 +7,7 @@ from typing import Literal
 
 import numpy as np
 
+from fungrasp.errors import UnknownNameError
 from fungrasp.sim2real.randomization import MeasurementError, Randomization, Range
 
 NOMINAL = Randomization()
@@ -108,8 +109,17 @@ PRESETS: dict[str, Randomization] = {
 }
 """What training can draw from, by name."""
 
-PresetName = Literal["nominal", "moderate", "wide", "reality"]
-"""Names of ``PRESETS``."""
+
+def preset(name: str) -> Randomization:
+    """One of ``PRESETS``.
+
+    Raises:
+        UnknownNameError: there is none of this name.
+    """
+    if name not in PRESETS:
+        raise UnknownNameError("preset of worlds", name, PRESETS)
+    return PRESETS[name]
+
 
 ROBUSTNESS: dict[str, Randomization] = {
     "nominal": NOMINAL,

@@ -82,7 +82,10 @@ def load_training_sets(
         place = None if name == BUILTIN else folder
         objects = load_objects(grasps, place)
         if isinstance(grasps, RobotGraspSet):
-            grasps.check_hand(hand)
+            try:
+                grasps.check_hand(hand)
+            except FungraspError as error:
+                raise FungraspError(f"{name}: {error}") from error
             robot, label = grasps, ""
         else:
             robot = retarget(grasps, objects, hand, method, threads=threads)
