@@ -391,51 +391,6 @@ def contacts_of_links(state: HandState[Any]) -> LinkContacts:
     return LinkContacts(place, -normal, clearance, jacobian)
 
 
-def unresisted_load(
-    contacts: LinkContacts,
-    used: np.ndarray,
-    center: np.ndarray,
-    reach: np.ndarray,
-    weight: np.ndarray,
-    up: np.ndarray,
-    torque_limit: np.ndarray,
-    friction: float = FRICTION,
-    disturbance: float = DISTURBANCE,
-    iterations: int = LOAD_ITERATIONS,
-) -> tuple[np.ndarray, np.ndarray]:
-    """The force [N] and torque [N m] that the contacts cannot take of the worst of six loads, shape [N] each.
-
-    A load is the object's weight at its center of mass and a disturbance of ``disturbance`` times the weight
-    there, up, down or in one of four horizontal directions. The acceleration of the lift is small against it.
-    The contact forces f within their friction cones minimize
-
-        |sum f + load|^2 + |sum (x - center) x f|^2 / reach^2
-        + sum_j (LIMIT_WEIGHT weight max(0, |tau_j| / torque_limit_j - 1))^2,   tau = sum J^T f.
-
-    What is left of the first two terms is what they cannot take. Both are zero for a firm grasp.
-
-    Args:
-        contacts: of N hands.
-        used: which links touch, shape [N, L] bool.
-        center: center of mass [m], object frame, shape [N, 3].
-        reach: lever arm at which a torque counts like a force [m], shape [N].
-        weight: of the object [N], shape [N].
-        up: unit vector against gravity, object frame, shape [N, 3].
-        torque_limit: of the independent joints [N m], shape [U].
-        friction: coefficient.
-        disturbance: in weights.
-        iterations: of the accelerated projected gradient descent.
-    """
-    loads = np.zeros((len(weight), 6, 6))
-    loads[..., :3] = weight[:, None, None] * (disturbance * load_directions(up) - up[:, None])
-    left = unresisted_wrenches(
-        contacts, used, center, reach, loads, weight, torque_limit, friction, iterations
-    )
-    worst = np.argmax(np.sum(left**2, axis=-1), axis=1)
-    left = left[np.arange(len(weight)), worst]
-    return np.linalg.norm(left[:, :3], axis=1), np.linalg.norm(left[:, 3:], axis=1) * reach
-
-
 def unresisted_wrenches(
     contacts: LinkContacts,
     used: np.ndarray,
@@ -447,14 +402,7 @@ def unresisted_wrenches(
     friction: float = FRICTION,
     iterations: int = LOAD_ITERATIONS,
 ) -> np.ndarray:
-    """What the contacts cannot take of each load: force [N] and torque over ``reach`` [N], shape [N, K, 6].
-    The contact forces minimize what ``unresisted_load`` says.
-
-    Args:
-        contacts, used, center, reach, torque_limit, friction, iterations: as for ``unresisted_load``.
-        loads: forces [N], and torques over ``reach`` [N], on the object, shape [N, K, 6].
-        unit: force against which a torque beyond its limit counts [N], shape [N].
-    """
+    """``fungrasp.optimization.firmness.unresisted_wrenches``."""
     count, number = loads.shape[:2]
     edges = friction_cone_edges(contacts.inward, friction, LOAD_CONE_EDGES)
     lever = (contacts.place - center[:, None]) / reach[:, None, None]
@@ -487,30 +435,16 @@ def unresisted_share(
     independent: np.ndarray,
     which: np.ndarray,
 ) -> np.ndarray:
-    """``unresisted_load`` of the links in contact as a share of the objects' weight, shape [N]: force and
-    torque over the object's extent together; zero for a firm grasp, ``NO_GRIP`` without contacts and where
-    the hand goes into the object by more than ``DEEPEST``.
-
-    Args:
-        points: kinematics made for N hands; the denser, the less goes into the object unseen.
-        problem: N grasps, object frame.
-        wrist_pose: object frame, shape [N, 7].
-        independent: joints [rad], shape [N, U].
-        which: grasps to judge, shape [N] bool; others have infinity. All if None.
-    """
+    """``fungrasp.optimization.firmness.unresisted_share``."""
     limits = np.array([servo.force_limit for servo in points.kinematics.hand.actuators.values()])
     state = HandState(points, problem, wrist_pose, independent)
     contacts = contacts_of_links(state)
-    force, torque = unresisted_load(
-        contacts,
-        contacts.clearance < CONTACT_DISTANCE,
-        problem.center,
-        problem.extent,
-        problem.weight,
-        problem.up[:, -1],
-        limits,
-    )
-    share = np.hypot(force, torque / problem.extent) / problem.weight
+    weight, up = problem.weight, problem.up[:, -1]
+    loads = np.zeros((len(weight), 6, 6))
+    loads[..., :3] = weight[:, None, None] * (DISTURBANCE * load_directions(up) - up[:, None])
+    used = contacts.clearance < CONTACT_DISTANCE
+    left = unresisted_wrenches(contacts, used, problem.center, problem.extent, loads, weight, limits)
+    share = np.sqrt(np.max(np.sum(left**2, axis=-1), axis=1)) / weight
     share = np.where(state.clearance.min(axis=1) < -DEEPEST, NO_GRIP, share)
     return np.where(which, share, np.inf)
 
