@@ -94,7 +94,9 @@ def _run_at(task: DeploymentTask, twin: int, placement: np.ndarray) -> WireRun:
     meter = _ProcessMeter()
     with EmulationProcess(EmulationTask(task.cell, task.thing, placement, twin)) as process:
         try:
-            result = deploy_on_robot(task, on_connect=meter.watch, on_phase=meter.note)
+            result = deploy_on_robot(
+                task, on_connect=meter.watch, on_phase=meter.note, hold=lambda robot: None
+            )
         except UnreachableError:
             process.end()
             raise

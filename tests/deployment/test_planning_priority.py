@@ -85,7 +85,8 @@ def test_every_plan_is_made_at_the_usual_priority_and_control_runs_ahead(monkeyp
     monkeypatch.setattr(wired_deployment, "wired_robot", on_twin)
     usual, policy, planner = niceness(), LowAtFirst(), Planner(hand, {thing.name: thing})
     task = DeploymentTask(cell, hand, thing, grasp, policy, planner)
-    result = deploy_on_robot(task, settings=DeploymentSettings(look_time=0.3, put_down=False, attempts=2))
+    settings = DeploymentSettings(look_time=0.3, put_down=False, attempts=2)
+    result = deploy_on_robot(task, settings=settings, hold=lambda robot: None)
     assert result.attempts == 2 and not result.fault
     own, started = planner.seen
     assert len(own) >= 2 and set(own) == set(started) == {usual}

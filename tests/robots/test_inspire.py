@@ -44,6 +44,25 @@ def test_a_serial_line_carries_the_same():
         assert wait_for(lambda: device.true_positions().max() < 0.01)
 
 
+@pytest.mark.parametrize("closing", [False, True])
+def test_a_stop_keeps_the_squeeze_of_fingers_that_something_holds_up(closing):
+    with emulated() as device:
+        device.driver.connect()
+        reach(device, device.near)
+        # The object: fingers go no farther.
+        device.plant.apply = lambda command, now: None
+        device.driver.command(device.near + 0.3)
+        time.sleep(0.4)
+        lower, upper = device.driver.limits.lower, device.driver.limits.upper
+        asked = codec.encode_angles(device.near + 0.3, lower, upper)
+        device.driver.stop()
+        time.sleep(0.2)
+        if closing:
+            device.driver.close()
+        registers = device.emulator._registers
+        assert [registers[codec.ANGLE_SET + motor] for motor in range(6)] == asked
+
+
 def test_angles():
     lower, upper = np.zeros(6), np.array([1.47, 1.47, 1.47, 1.47, 1.308, 0.6])
     # Index half closed, pinky closed, thumb rotation a quarter, thumb bend open.

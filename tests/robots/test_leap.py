@@ -78,14 +78,17 @@ def test_the_order_of_the_model_is_kept():
         assert np.allclose(device.true_positions(), goal, atol=0.01)
 
 
-def test_torque_comes_with_the_first_goal_and_goes_with_closing():
+def test_torque_comes_with_the_first_goal_and_a_closed_driver_leaves_it():
     with emulated() as device:
         device.driver.connect()
         assert not device.emulator.torque_on
         reach(device, device.near)
         assert device.emulator.torque_on
+        device.driver.stop()
         device.driver.close()
-        assert wait_for(lambda: not device.emulator.torque_on)
+        time.sleep(0.2)
+        assert device.emulator.torque_on
+        assert np.abs(device.true_positions() - device.near).max() < 0.02
 
 
 def test_a_missing_servo_is_named():

@@ -78,7 +78,7 @@ class Deploy:
                 switch=switch,
                 threads=self.choice.threads,
                 on_phase=lambda phase: print(phase, flush=True),
-                on_connect=lambda: print("press Enter to stop", flush=True),
+                on_connect=lambda: print(f"to stop: {switch.ways or 'Ctrl-C'}", flush=True),
             )
         print(f"10 Hz: {result.ticks.summary()}")
         print(f"50 Hz: {result.setpoints.summary()}")

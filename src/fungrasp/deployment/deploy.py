@@ -44,7 +44,9 @@ def deploy(
 ) -> DeploymentResult:
     """Look, plan, move to the start, grasp, lift, hold, put down and go home.
 
-    On a twin the object is put where the arm can reach it; on a robot it stands where the tracker sees it.
+    A robot that was stopped, or is to stay, holds what it holds until a person says open at the keyboard of
+    ``switch`` or interrupts the program (``fungrasp.deployment.holding``). On a twin the object is put where
+    the arm can reach it; on a robot it stands where the tracker sees it.
 
     Args:
         robot: one grasp, of the cell's hand.

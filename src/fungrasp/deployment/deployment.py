@@ -148,6 +148,13 @@ class Deployment:
         )
 
     @property
+    def may_hold(self) -> bool:
+        """Whether the hand may hold something: the robot has moved, and did not end at home with an open
+        hand."""
+        moved = Phase.MOVE_TO_START in self._times and not self.robot.dry_run
+        return moved and not (self.machine.phase is Phase.DONE and Phase.HOME in self._times)
+
+    @property
     def prepared(self) -> PreparedGrasp:
         """What was planned last. Only after planning."""
         assert self._prepared is not None
@@ -166,10 +173,11 @@ class Deployment:
         self.machine.fail(reason)
         now = self.robot.clock.now()
         self._times.setdefault(Phase.FAULT, now)
-        # The log may be what has failed.
-        with suppress(OSError, ValueError):
+        # The log, or where phases are printed, may be what has failed.
+        with suppress(Exception):
             self.log.event(now, "fault", reason)
-        self._on_phase(Phase.FAULT)
+        with suppress(Exception):
+            self._on_phase(Phase.FAULT)
 
     def _prepare(
         self, grasp: RobotGraspSet, object_pose: np.ndarray, arm: np.ndarray, attempt: int = 0

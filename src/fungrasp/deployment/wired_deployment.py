@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -11,6 +12,7 @@ import numpy as np
 from fungrasp.deployment.deployment import Deployment
 from fungrasp.deployment.deployment_result import DeploymentResult, DeploymentSettings
 from fungrasp.deployment.hand_knowledge import HandDynamics
+from fungrasp.deployment.holding import endings_as_interrupts, hold_until_told
 from fungrasp.deployment.log import DeploymentLog
 from fungrasp.deployment.phases import Phase
 from fungrasp.deployment.preparation import GraspPreparer, PreparedGrasp, Preparer
@@ -20,6 +22,7 @@ from fungrasp.objects import ObjectModel
 from fungrasp.planning import Planner
 from fungrasp.robots.assembly import wired_robot
 from fungrasp.robots.cell import RobotCell
+from fungrasp.robots.device import StopKind
 from fungrasp.robots.process_priority import (
     Priority,
     at_priority,
@@ -29,6 +32,9 @@ from fungrasp.robots.process_priority import (
 from fungrasp.robots.robot import Robot
 from fungrasp.robots.stop_switch import StopSwitch
 from fungrasp.task import Policy
+
+POWERING_OFF = 0.1
+"""Time in which an empty hand's driver takes the torque away [s]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,9 +74,14 @@ def deploy_on_robot(
     about: dict[str, str] | None = None,
     on_phase: Callable[[Phase], None] = lambda phase: None,
     on_connect: Callable[[Robot], None] = lambda robot: None,
+    hold: Callable[[Robot], None] = hold_until_told,
 ) -> DeploymentResult:
     """Connect to a robot and deploy one grasp. What keeps time runs ahead of other work from the first
     motion on; planning never does, nor what follows this call.
+
+    Whatever ends a motion, but at home with an open hand, leaves the arm braked and the hand holding: a
+    fault, Ctrl-C, ``kill``, an error of ours, a full disk, an object that is to stay held. ``hold`` then says
+    when the connection may end.
 
     Args:
         task: what is to be done.
@@ -80,6 +91,7 @@ def deploy_on_robot(
         about: what the log says of it.
         on_phase: called as a phase begins.
         on_connect: called with the connected robot, before anything moves.
+        hold: called with the stopped robot where the hand may hold something; returns when it may let go.
 
     Raises:
         FungraspError: a device is not there, or the grasp can't be planned or reached; nothing has moved.
@@ -113,7 +125,15 @@ def deploy_on_robot(
             about=about,
             on_phase=begun,
         )
-        return deployment.run(task.grasp)
+        stack.enter_context(endings_as_interrupts())
+        try:
+            return deployment.run(task.grasp)
+        finally:
+            if deployment.may_hold:
+                hold(robot)
+            else:
+                robot.hand_driver.stop(StopKind.POWER_OFF)
+                time.sleep(POWERING_OFF)
 
 
 class _PreparerAt:

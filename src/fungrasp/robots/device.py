@@ -93,6 +93,9 @@ class JointDriver(Protocol):
     """What the driver accepts."""
     takes_feedforward: bool
     """Whether ``command`` uses feed-forward torques; a driver of position servos ignores them."""
+    lets_go: str
+    """When a hand lets go of what it holds though nobody said so, as a phrase that begins with "when"; "" for
+    arms, and where only a lack of power does so."""
 
     def connect(self) -> None:
         """Open the connection and verify type, generation and side of the device. Nothing moves.
@@ -127,7 +130,8 @@ class JointDriver(Protocol):
         ...
 
     def close(self) -> None:
-        """Stop and end the connection. May be called twice."""
+        """Stop and end the connection; a hand keeps its hold, but for what ``lets_go`` says. May be called
+        twice."""
         ...
 
     def __enter__(self) -> Self: ...

@@ -42,6 +42,7 @@ class GuardedDriver:
             switch: stops the device; that of the cell's stop file if None.
         """
         self.name, self.limits, self.takes_feedforward = driver.name, driver.limits, driver.takes_feedforward
+        self.lets_go = driver.lets_go
         self.switch = StopSwitch(cell.stop_file) if switch is None else switch
         """Stops the device."""
         arm, limits, dog = part == "arm", cell.limits, cell.watchdog

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Self
@@ -30,6 +31,8 @@ from fungrasp.sim2real.gravity_compensation import GravityCompensation, setpoint
 from fungrasp.task import Action, LiftProtocol, Observation
 from fungrasp.task.sensors import NO_LIFT
 from fungrasp.task.setpoints import SetpointGenerator
+
+_log = logging.getLogger(__name__)
 
 
 class Robot:
@@ -106,12 +109,15 @@ class Robot:
         """How much higher than asked the palm goes once the lift has begun [m]."""
 
     def connect(self) -> None:
-        """Connect to all devices. Nothing moves. A cell without a guard is warned of.
+        """Connect to all devices. Nothing moves. A cell without a guard is warned of, and a hand that may let
+        go though nobody said so.
 
         Raises:
             RobotError: one of them is not there or not the one configured; the others are closed again.
         """
         warn_unguarded(self.cell)
+        if self.hand_driver.lets_go:
+            _log.warning("%s lets go of an object %s", self.hand_driver.name, self.hand_driver.lets_go)
         opened: list[JointDriver | PoseSource] = []
         try:
             for device in (self.arm, self.hand_driver, self.tracker):

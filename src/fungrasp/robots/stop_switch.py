@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import queue
 import sys
 import threading
 from collections.abc import Callable
@@ -16,11 +17,13 @@ class StopSwitch:
         """
         Args:
             file: pressed as soon as it exists; "" for none.
-            keyboard: whether Enter or the space bar followed by Enter presses it.
+            keyboard: whether Enter presses it, where there is a terminal.
         """
         self._file = Path(file) if file else None
-        self._keyboard = keyboard and sys.stdin is not None and sys.stdin.isatty()
-        self._reason = ""
+        self.keyboard = keyboard and sys.stdin is not None and sys.stdin.isatty()
+        """Whether there is a keyboard to listen to."""
+        self._reason, self._asking = "", False
+        self._answers: queue.Queue[str] = queue.Queue()
 
     def press(self, reason: str) -> None:
         """Press it. reason: a phrase."""
@@ -33,8 +36,33 @@ class StopSwitch:
             self._reason = f"the stop file {self._file} exists"
         return self._reason
 
+    @property
+    def ways(self) -> str:
+        """How a person presses it, as a phrase; "" if there is no way."""
+        ways = ["press Enter"] * self.keyboard
+        if self._file is not None:
+            ways.append(f"make the file {self._file}")
+        return " or ".join(ways)
+
+    def ask(self, question: str) -> str:
+        """Ask the person at the keyboard; the next line is the answer, and stops nothing.
+
+        Raises:
+            EOFError: there is no keyboard.
+        """
+        if not self.keyboard:
+            raise EOFError("no terminal")
+        self._asking = True
+        sys.stderr.write(question)
+        sys.stderr.flush()
+        answer = self._answers.get()
+        self._asking = False
+        if not answer:
+            raise EOFError("the terminal is gone")
+        return answer.strip()
+
     def __enter__(self) -> Self:
-        if self._keyboard:
+        if self.keyboard:
             threading.Thread(target=self._listen, args=(sys.stdin.readline,), daemon=True).start()
         return self
 
@@ -42,5 +70,10 @@ class StopSwitch:
         pass
 
     def _listen(self, readline: Callable[[], str]) -> None:
-        if readline():
-            self.press("the stop key was pressed")
+        line = "first"
+        while line:
+            line = readline()
+            if self._asking or not line:
+                self._answers.put(line)
+            else:
+                self.press("the stop key was pressed")

@@ -53,6 +53,8 @@ class DeviceLoop(Protocol):
     """What is accepted."""
     takes_feedforward: bool
     """Whether feed-forward torques have an effect."""
+    lets_go: str
+    """See ``JointDriver.lets_go``."""
     stale_after: float
     """A state older than this is no state: the device counts as disconnected [s]."""
 
@@ -75,7 +77,8 @@ class DeviceLoop(Protocol):
         ...
 
     def halt(self) -> None:
-        """Take torque or motion away, on exit and on errors. Never raises."""
+        """End motion, on exit and on errors; a hand that holds without us keeps its hold, another one loses
+        its torque. Never raises."""
         ...
 
     def close(self) -> None:
@@ -83,5 +86,5 @@ class DeviceLoop(Protocol):
         ...
 
     def rescue(self) -> None:
-        """Take torque away from outside, where the process that ran this loop has died. Never raises."""
+        """As ``halt`` from outside, where the process that ran this loop has died. Never raises."""
         ...

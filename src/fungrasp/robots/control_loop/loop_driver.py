@@ -51,7 +51,7 @@ class LoopDriver:
     """``JointDriver`` of a ``DeviceLoop``, in a process of its own or, for buses that live in one process
     and for tests, in a thread.
 
-    The process takes torque away when this one dies, however it dies; a thread can't.
+    The process halts the device when this one dies, however it dies; a thread can't.
     """
 
     def __init__(self, loop: DeviceLoop, process: bool = True, driver_timeout: float = DRIVER_TIMEOUT):
@@ -64,6 +64,7 @@ class LoopDriver:
         """
         self.name = loop.name
         self.takes_feedforward = loop.takes_feedforward
+        self.lets_go = loop.lets_go
         self.limits: JointLimits = loop.limits
         self._loop = loop
         self._process = process

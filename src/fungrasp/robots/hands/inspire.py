@@ -27,6 +27,8 @@ ERROR_INTERVAL = 0.2
 """Errors are read so often [s]; they change slowly, and every read takes a real hand 6 ms."""
 OPEN_SPEED_SETTING = 250
 """Of opening after a fault: full stroke in about 1.5 s."""
+HOLD_AHEAD, HOLD_STILL = 0.1, 6
+"""A motor that moves by no more than so many units within so long [s] stands still."""
 ANGLE_TOLERANCE = 50
 """Angles outside 0 to 1000 by more are not believed."""
 
@@ -84,6 +86,7 @@ class InspireLoop:
         self.name = f"Inspire RH56 at {settings.address}"
         self.stale_after = settings.stale_after
         self.takes_feedforward = False
+        self.lets_go = ""
         lower, upper = hand_joint_limits(settings.hand, codec.MOTORS)
         self._range = upper - lower
         speed = codec.closing_speed(settings.speed) / codec.OPEN_ANGLE * self._range
@@ -137,9 +140,9 @@ class InspireLoop:
         return state
 
     def halt(self) -> None:
-        """See ``DeviceLoop.halt``: the fingers stay where they are; the drives hold without power."""
+        """See ``DeviceLoop.halt``: fingers that squeeze go on, others stay; the drives hold without power."""
         with contextlib.suppress(Exception):
-            if self._state is not None and self._client is not None:
+            if self._state is not None and self._mode in (LoopMode.FOLLOW, LoopMode.OPEN):
                 self._hold(self._state)
 
     def close(self) -> None:
@@ -168,8 +171,16 @@ class InspireLoop:
         self._mode = goal.mode
 
     def _hold(self, state: JointState) -> None:
-        self._sent = None
+        """Fingers that move stay where they are; those that something holds up keep squeezing it."""
         angles = codec.encode_angles(state.positions, self.limits.lower, self.limits.upper)
+        if self._mode is LoopMode.FOLLOW and self._sent is not None:
+            # In the order of the hand's motors, as registers are.
+            moving = codec.encode_angles(
+                state.positions + HOLD_AHEAD * state.velocities, self.limits.lower, self.limits.upper
+            )
+            still = [abs(a - b) <= HOLD_STILL for a, b in zip(moving, angles, strict=True)]
+            angles = [s if rest else a for s, rest, a in zip(self._sent, still, angles, strict=True)]
+        self._sent = None
         self._write(codec.ANGLE_SET, angles)
 
     def _read_state(self) -> JointState:

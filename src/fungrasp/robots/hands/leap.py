@@ -73,6 +73,7 @@ class LeapLoop:
         self.name = f"LEAP hand at {settings.port}"
         self.stale_after = settings.stale_after
         self.takes_feedforward = False
+        self.lets_go = "when a servo is overloaded or too hot, and switches itself off"
         lower, upper = hand_joint_limits(settings.hand, SERVOS)
         names = hand_joint_names(settings.hand)
         if sorted(names) != sorted(map(str, range(SERVOS))):
@@ -141,11 +142,7 @@ class LeapLoop:
         return state
 
     def halt(self) -> None:
-        """See ``DeviceLoop.halt``: torque off."""
-        with contextlib.suppress(Exception):
-            if self._packets is not None:
-                self._write_all(codec.TORQUE_ENABLE, 1, 0)
-                self._powered = False
+        """See ``DeviceLoop.halt``: the servos keep their last setpoint and its limit of current."""
 
     def close(self) -> None:
         """See ``DeviceLoop.close``."""
@@ -153,11 +150,7 @@ class LeapLoop:
             self._port.closePort()
 
     def rescue(self) -> None:
-        """See ``DeviceLoop.rescue``: torque off."""
-        with contextlib.suppress(Exception):
-            self._open_port()
-            self.halt()
-            self.close()
+        """See ``DeviceLoop.rescue``: nothing to do, the servos keep their last setpoint."""
 
     def _open_port(self) -> None:
         self._sdk = import_client("dynamixel_sdk", "leap", "a LEAP hand")
@@ -175,7 +168,8 @@ class LeapLoop:
         if goal.mode is LoopMode.POWER_OFF:
             self._setpoint = None
             if self._powered:
-                self.halt()
+                self._write_all(codec.TORQUE_ENABLE, 1, 0)
+                self._powered = False
             return
         if self._setpoint is None:
             if goal.mode is LoopMode.IDLE:

@@ -27,6 +27,7 @@ class _TwinJoints:
     name: str
     limits: JointLimits
     takes_feedforward = False
+    lets_go = ""
 
     def __init__(self, world: TwinWorld):
         self._world = world
