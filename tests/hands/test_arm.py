@@ -59,13 +59,13 @@ def inertia(model: mujoco.MjModel, body: int) -> np.ndarray:
 
 
 def test_arms_are_no_hands():
-    assert list(arm_files()) == ["ur5e"]
+    assert list(arm_files()) == ["ur5", "ur5e"]
     assert "ur5e" not in hand_files() and "arms" not in hand_files()
 
 
 def test_an_unknown_arm():
-    with pytest.raises(UnknownNameError, match=r"unknown arm 'ur5'\. Did you mean 'ur5e'"):
-        mount(load_hand("allegro"), "ur5")
+    with pytest.raises(UnknownNameError, match=r"unknown arm 'ur6'\. Did you mean 'ur5'"):
+        mount(load_hand("allegro"), "ur6")
 
 
 def test_forward_kinematics_is_that_of_the_reference():

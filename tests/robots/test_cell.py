@@ -28,7 +28,7 @@ def test_shipped_cells_load(name: str) -> None:
         (GOOD + "[limits]\npalm_speed = nan\n", "'limits.palm_speed' must be a finite number"),
         (GOOD + "[workspace]\nlower = [0, 0, 0.95]\n", "'workspace.lower' must be below"),
         (GOOD + "[workspace]\nlower = [0, 0]\n", "must have 3 numbers"),
-        (GOOD + "[arm]\nmodel = 'ur6'\n", "unknown arm 'ur6'. Did you mean 'ur5e'?"),
+        (GOOD + "[arm]\nmodel = 'ur6'\n", "unknown arm 'ur6'. Did you mean 'ur5'?"),
         (GOOD + "[arm]\npose_world_base = [0, 0, 0, 2, 0, 0, 0]\n", "unit quaternion"),
         (GOOD + "[watchdog]\noverrun = 0.01\n", "'watchdog.overrun' must be greater"),
         (GOOD + "arm = 3\n", "'arm' must be a table"),

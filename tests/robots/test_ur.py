@@ -22,7 +22,9 @@ from fungrasp.robots.codecs import rtde as codec
 from fungrasp.robots.device import DeviceStatus, RobotError
 from fungrasp.robots.emulators.emulator import Fault
 from fungrasp.robots.emulators.plant import ServoPlant
+from fungrasp.robots.emulators.ur_kinematics import UR5, UR5E, tool_pose
 from fungrasp.robots.emulators.ur_rtde import DASHBOARD_PORT, URControllerEmulator
+from fungrasp.robots.kinematics.flange_chain import flange_chain
 
 for module in ("rtde_control", "ruckig"):
     pytest.importorskip(module)
@@ -32,11 +34,13 @@ ADDRESSES = (f"127.0.{os.getpid() % 200 + 1}.{n}" for n in itertools.count(2))
 
 
 @contextlib.contextmanager
-def emulated(**settings) -> Iterator[DeviceUnderTest]:
+def emulated(
+    version: tuple[int, int, int] = (5, 11, 0), tool: tuple[float, ...] = (0.0,) * 6, **settings
+) -> Iterator[DeviceUnderTest]:
     address = next(ADDRESSES)
     plant = ServoPlant(HOME, time_constant=0.02)
     driver = ur_driver(URSettings(address, **({"stale_after": 1.0} | settings)))
-    with URControllerEmulator(plant, address, release_time=0.0) as emulator:
+    with URControllerEmulator(plant, address, version, release_time=0.0, tool=tool) as emulator:
         yield DeviceUnderTest(driver, emulator, plant, HOME + 0.1, 0.005)
         driver.close()
 
@@ -184,6 +188,37 @@ while True:
         before = device.true_positions()
         time.sleep(0.2)
         assert np.allclose(device.true_positions(), before)
+
+
+@pytest.mark.parametrize(("arm", "lengths"), [("ur5", UR5), ("ur5e", UR5E)])
+def test_our_models_put_the_flange_where_the_makers_parameters_do(arm, lengths):
+    """Our base_link is half a turn from the controller's Base."""
+    chain = flange_chain(arm)
+    for joints in np.random.default_rng(0).uniform(-3, 3, (20, 6)):
+        x, y, z, *_ = tool_pose(lengths, joints, np.zeros(6))
+        np.testing.assert_allclose(chain.flange_pose(joints)[:3], [-x, -y, z], atol=1e-6)
+
+
+def test_the_stretched_out_ur5_is_where_its_parameters_add_up():
+    # x = a2 + a3, y = -(d4 + d6), z = d1 - d5
+    x, y, z, *_ = tool_pose(UR5, np.zeros(6), np.zeros(6))
+    np.testing.assert_allclose([x, y, z], [-0.81725, -0.19145, -0.005491], atol=1e-9)
+
+
+@pytest.mark.parametrize(("version", "arm"), [((3, 15, 0), "ur5e"), ((5, 11, 0), "ur5")])
+def test_an_arm_of_another_generation_is_refused(version, arm):
+    """Both controllers say "UR5"."""
+    with (
+        emulated(version, tool=(0.0, 0.0, 0.15, 0.0, 0.0, 1.0), arm=arm) as device,
+        pytest.raises(RobotError, match=rf"model '{arm}' the flange is \d\d mm"),
+    ):
+        device.driver.connect()
+
+
+def test_a_cb3_arm_follows_with_a_tool_on_its_flange():
+    with emulated((3, 15, 0), tool=(0.0, 0.02, 0.15, 0.0, 0.5, 1.0), arm="ur5") as device:
+        device.driver.connect()
+        reach(device, device.near)
 
 
 def test_below_full_speed_the_controller_is_refused():

@@ -46,7 +46,7 @@ def arm_driver(cell: RobotCell) -> JointDriver:
     Raises:
         FungraspError: no such driver, or bad options.
     """
-    return _make("arm", cell.arm, ARM_DRIVERS)
+    return _make("arm", cell.arm, ARM_DRIVERS, arm=cell.arm.model)
 
 
 def hand_driver(cell: RobotCell, hand: Hand) -> JointDriver:
@@ -198,11 +198,13 @@ TRACKERS: dict[str, Callable[[Mapping[str, Any]], Any]] = {"pose-stream": _strea
 """Sources of object poses by name."""
 
 
-def _make(kind: str, device: DeviceSettings, known: Mapping[str, Callable[[Mapping[str, Any]], Any]]) -> Any:
+def _make(
+    kind: str, device: DeviceSettings, known: Mapping[str, Callable[[Mapping[str, Any]], Any]], **more: str
+) -> Any:
     if device.driver not in known:
         more = [CAMERA, TWIN] if kind == "tracker" else [TWIN]
         raise UnknownNameError(f"driver of a {kind}", device.driver, [*known, *more])
-    return known[device.driver]({"address": device.address, **device.options})
+    return known[device.driver]({"address": device.address, **device.options, **more})
 
 
 def _settings(kind: type, driver: str, values: Mapping[str, Any], address: str = "address") -> Any:

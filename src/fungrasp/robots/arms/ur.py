@@ -17,9 +17,11 @@ from typing import Any
 
 import numpy as np
 
+from fungrasp.geometry.poses import compose, invert, quaternion_from_rotation_vector
 from fungrasp.robots.control_loop.device_loop import LoopGoal, LoopMode
 from fungrasp.robots.control_loop.loop_driver import LoopDriver
 from fungrasp.robots.device import DeviceStatus, JointLimits, JointState, RobotError
+from fungrasp.robots.kinematics.flange_chain import flange_chain
 from fungrasp.robots.optional_packages import import_client
 from fungrasp.robots.timer_slack import timer_slack
 
@@ -32,6 +34,7 @@ VARIABLES = [
     "robot_status_bits",
     "speed_scaling",
     "target_speed_fraction",
+    "actual_TCP_pose",
 ]
 PLAYING = 2
 EMERGENCY_BITS = 1 << 5 | 1 << 6 | 1 << 7
@@ -46,6 +49,11 @@ STATE_RATE = 125.0
 """Of the states that the controller sends [Hz]; setpoints go out at the controller's own rate, which on an
 e-Series is four times as high. The client library takes about as long to receive a state as we to make a
 setpoint."""
+BASE = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+"""The controller's frame Base in our models' ``base_link``: half a turn about z."""
+FLANGE_TOLERANCE = 0.005
+"""Distance of the model's flange from the controller's that is refused [m]: the calibration of an arm changes
+a millimeter or two; a UR5 and a UR5e differ by 60 to 90 mm."""
 FULL_SPEED = 0.99
 """Below this share the controller stretches the time of its motions: ``servoj`` takes longer than our period,
 setpoints are left out, and the arm falls behind, or catches up when the slider is raised."""
@@ -63,6 +71,9 @@ class URSettings:
     """Address of the controller."""
     model: str = "UR5"
     """As the controller says it ("UR5" for UR5 and UR5e); another one is refused."""
+    arm: str = "ur5e"
+    """Model of the arm, "ur5" (CB3) or "ur5e"; one whose flange is not where the controller says is refused.
+    In a cell it is the arm's ``model``."""
     serial: str = ""
     """Serial number of the arm; another one is refused. Empty: any."""
     velocity: float = 1.0
@@ -110,6 +121,7 @@ class URLoop:
         self.stale_after = settings.stale_after
         self.takes_feedforward = False
         self.lets_go = ""
+        self._chain = flange_chain(settings.arm)
         reach = np.full(JOINTS, settings.range)
         speed = np.full(JOINTS, settings.velocity)
         self.limits = JointLimits(-reach, reach, speed, np.array(settings.torque_limits))
@@ -154,6 +166,7 @@ class URLoop:
         slowed = self._slowed_in_words()
         if slowed:
             raise RobotError(f"{self.name}: {slowed}")
+        self._check_kinematics()
         self._path = self._ruckig.Ruckig(JOINTS, self._period)
         # Kept between steps: it holds the path that the steps are taken from.
         self._step = self._ruckig.OutputParameter(JOINTS)
@@ -226,6 +239,19 @@ class URLoop:
                 )
         finally:
             dashboard.disconnect()
+
+    def _check_kinematics(self) -> None:
+        """The model's flange must be where the controller's is: plans are made with the model."""
+        tool = compose(BASE, _pose(self._receive.getActualTCPPose()))
+        flange = compose(tool, invert(_pose(self._control.getTCPOffset())))
+        ours = self._chain.flange_pose(self._receive.getActualQ())
+        apart = float(np.linalg.norm(flange[:3] - ours[:3]))
+        if not apart <= FLANGE_TOLERANCE:
+            raise RobotError(
+                f"{self.name}: by the model '{self.settings.arm}' the flange is {1e3 * apart:.0f} mm from "
+                'where the controller says: is the arm of another generation ("ur5" for CB3, "ur5e"), or is '
+                "its calibration far from nominal?"
+            )
 
     def _set_watchdog(self) -> None:
         if not self._control.setWatchdog(self.settings.watchdog):
@@ -334,6 +360,11 @@ def _controller_period(version: str) -> float:
     """Of an e-Series (software 5 and later) or a CB3 controller [s]. version: "URSoftware 5.11.0.1 (...)"."""
     found = re.search(r"(\d+)\.\d+", version)
     return 0.002 if found is None or int(found[1]) >= 5 else 0.008
+
+
+def _pose(vector: list[float]) -> np.ndarray:
+    """Pose, shape [7], of the controller's position and rotation vector."""
+    return np.concatenate([vector[:3], quaternion_from_rotation_vector(np.array(vector[3:]))])
 
 
 def _one_line(error: Exception) -> str:

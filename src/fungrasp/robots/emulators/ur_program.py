@@ -15,16 +15,22 @@ READY, DONE = 1, 2
 """What the program answers."""
 SERVO_TIME = "input_double_register_8"
 """Duration of ``servoj`` [s]."""
-SERVO_JOINTS, SERVO_STOP, SET_WATCHDOG, KICK_WATCHDOG, STOP_PROGRAM = 11, 16, 35, 99, 255
+SERVO_JOINTS, SERVO_STOP, SET_WATCHDOG, TOOL_OFFSET, KICK_WATCHDOG, STOP_PROGRAM = 11, 16, 35, 40, 99, 255
 """Commands that are carried out; any other is answered and does nothing."""
 
 
 class ServoProgram:
     """Reads commands from the controller's input registers and moves a plant."""
 
-    def __init__(self, plant: Plant):
-        """plant: six joints."""
-        self._plant = plant
+    def __init__(self, plant: Plant, tool: np.ndarray):
+        """
+        Args:
+            plant: six joints.
+            tool: the tool center point on the flange, position [m] and rotation vector [rad], shape [6].
+        """
+        self._plant, self._tool = plant, tool
+        self.outputs = np.zeros(6)
+        """Its first output registers of real numbers."""
         self.running = False
         """Whether it runs."""
         self.answer = 0
@@ -88,4 +94,6 @@ class ServoProgram:
                 self._stop_servo()
             elif command == SET_WATCHDOG:
                 self._watchdog = float(self._registers["input_double_register_0"])
+            elif command == TOOL_OFFSET:
+                self.outputs = self._tool
             self.answer, self._executing = DONE, True

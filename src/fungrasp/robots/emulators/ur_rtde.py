@@ -20,6 +20,7 @@ from fungrasp.robots.device import RobotError
 from fungrasp.robots.emulators.emulator import Emulator, Fault
 from fungrasp.robots.emulators.plant import Plant
 from fungrasp.robots.emulators.ur_connections import URClient, URConnections
+from fungrasp.robots.emulators.ur_kinematics import UR5, UR5E, tool_pose
 from fungrasp.robots.emulators.ur_program import ServoProgram
 
 RTDE_PORT, DASHBOARD_PORT, SCRIPT_PORT = 30004, 29999, 30003
@@ -70,26 +71,30 @@ class URControllerEmulator(Emulator):
         serial: str = "20205500001",
         seed: int = 0,
         release_time: float = RELEASE_TIME,
+        tool: tuple[float, ...] = (0.0,) * 6,
     ):
         """
         Args:
             plant: six joints.
             address: of the loopback.
-            version: of the controller's software; 3 is a CB3 controller (125 Hz), 5 an e-Series (500 Hz).
+            version: of the controller's software; 3 is a CB3 controller (125 Hz) with a UR5, 5 an e-Series
+                (500 Hz) with a UR5e.
             model: "UR3", "UR5", "UR10", ...
             serial: number of the robot.
             seed: of the packages that faults take.
             release_time: a protective stop can't be unlocked before [s].
+            tool: the tool center point on the flange, position [m] and rotation vector [rad].
         """
         super().__init__()
         self.plant = plant
         self.address = address
         self._version, self._model, self._serial = version, model, serial
         self._period = 0.008 if version[0] < 5 else 0.002
+        self._lengths, self._tool = UR5 if version[0] < 5 else UR5E, np.array(tool)
         self._release_time = release_time
         self._rng = np.random.default_rng(seed)
         self._net = URConnections(address, (RTDE_PORT, DASHBOARD_PORT, SCRIPT_PORT), self._greet)
-        self._program = ServoProgram(plant)
+        self._program = ServoProgram(plant, self._tool)
         self._stop_began = 0.0
         self._origin = time.monotonic()
         self._frozen_time: float | None = None
@@ -233,9 +238,13 @@ class URControllerEmulator(Emulator):
             "robot_status_bits": 1 | self.program_running << 1,
             "safety_status_bits": self._safety_bits(),
             STATE: self._program.answer,
+            **{f"output_double_register_{i}": value for i, value in enumerate(self._program.outputs)},
         }
         for client in list(self._net.clients):
             if client.started and client.outputs is not None and client.outputs.valid and now >= client.due:
+                if "actual_TCP_pose" in client.outputs.names and "actual_TCP_pose" not in values:
+                    # Not for every tick: it takes longer than all the rest.
+                    values["actual_TCP_pose"] = tool_pose(self._lengths, state.positions, self._tool)
                 client.due = max(client.due + client.interval, now)
                 self._net.send(
                     client, self._disturbed(client, codec.encode_values(client.outputs, 1, values))

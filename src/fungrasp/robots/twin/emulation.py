@@ -7,7 +7,7 @@ from contextlib import ExitStack
 from typing import Any, Self
 
 from fungrasp.errors import FungraspError
-from fungrasp.robots.cell import DeviceSettings, RobotCell
+from fungrasp.robots.cell import ArmSettings, DeviceSettings, RobotCell
 from fungrasp.robots.emulators.emulator import Emulator
 from fungrasp.robots.pose.stream import PosePublisher
 from fungrasp.robots.twin.clocks import RealTimeTwin
@@ -69,12 +69,13 @@ class CellEmulation:
                 last = frame
 
 
-def _arm(device: DeviceSettings, world: TwinWorld) -> Emulator:
+def _arm(device: ArmSettings, world: TwinWorld) -> Emulator:
     if device.driver != "ur-rtde":
         raise FungraspError(f"an arm with the driver '{device.driver}' can't be emulated")
     from fungrasp.robots.emulators.ur_rtde import URControllerEmulator
 
-    return URControllerEmulator(TwinArmPlant(world), _loopback(device))
+    version = (3, 15, 0) if device.model == "ur5" else (5, 11, 0)
+    return URControllerEmulator(TwinArmPlant(world), _loopback(device), version)
 
 
 def _hand(device: DeviceSettings, world: TwinWorld) -> Emulator:
