@@ -1,11 +1,14 @@
 """From poses of the palm to joints of the arm."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
 from robot_cells import cell_and_hand
 
-from fungrasp.geometry.poses import relative, rotation_vector
+from fungrasp.geometry.poses import compose, relative, rotate, rotation_vector
+from fungrasp.hands.arm import Mount, mounting_pose
 from fungrasp.objects import ObjectModel
 from fungrasp.robots.kinematics.arm_model import MARGIN, ArmKinematics, ClearanceModel
 from fungrasp.robots.kinematics.joint_path import OBJECT_CLEAR, FreePath, timed_leg
@@ -151,3 +154,30 @@ def test_a_hand_may_begin_beside_a_long_object(kinematics: ArmKinematics) -> Non
     assert way is not None
     for one, other in zip([start, *way[:-1]], way, strict=True):
         assert all(free.clear(q, fingers, distance - 1e-6) for q in np.linspace(one, other, 12))
+
+
+def test_the_palm_is_where_the_cell_says_that_the_hand_is_mounted(kinematics: ArmKinematics) -> None:
+    """On an adapter of 156 mm, turned by 90 degrees about the flange's axis."""
+    cell, hand = cell_and_hand()
+    mount = Mount((0.0, 0.0, 0.156, np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)))
+    pose = mounting_pose(hand, mount)
+    np.testing.assert_allclose(rotate(pose[3:], hand.palm_normal), [0, 1, 0], atol=1e-6)
+    np.testing.assert_allclose(pose[2] - mounting_pose(hand)[2], 0.155, atol=1e-9)
+    mounted = ArmKinematics(replace(cell, mount=mount), hand).palm_pose(POSTURE)
+    moved = compose(relative(mounting_pose(hand), pose), np.array([0, 0, 0, 1, 0, 0, 0]))
+    np.testing.assert_allclose(mounted[:3], compose(kinematics.palm_pose(POSTURE), moved)[:3], atol=1e-9)
+
+
+def test_the_adapter_keeps_its_distance_from_the_table() -> None:
+    """The flange points straight down; the hand is far to the side, so that only the adapter comes near."""
+    cell, hand = cell_and_hand()
+    base = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+    down = np.array([0.0, -1.5708, 1.5708, -1.5708, -1.5708, 0.0])
+    aside = (0.0, 0.0, -0.5, 1.0, 0.0, 0.0, 0.0)
+    cell = replace(cell, arm=replace(cell.arm, pose_world_base=base), mount=Mount(aside))
+    flange = ArmKinematics(cell, hand).palm_pose(down)[2] - mounting_pose(hand, cell.mount)[2] * -1.0
+    fingers = hand.independent(np.clip(np.zeros(len(hand.joint_names)), *hand.joint_limits.T))
+    bare = ClearanceModel(cell, hand).measure(down, fingers)
+    assert bare.table == MARGIN
+    longer = replace(cell, mount=Mount(aside, adapter_radius=0.04, adapter_length=float(flange) - 0.01))
+    assert ClearanceModel(longer, hand).measure(down, fingers).table == pytest.approx(0.01, abs=1e-3)

@@ -30,6 +30,12 @@ def test_shipped_cells_load(name: str) -> None:
         (GOOD + "[workspace]\nlower = [0, 0]\n", "must have 3 numbers"),
         (GOOD + "[arm]\nmodel = 'ur6'\n", "unknown arm 'ur6'. Did you mean 'ur5'?"),
         (GOOD + "[arm]\npose_world_base = [0, 0, 0, 2, 0, 0, 0]\n", "unit quaternion"),
+        (
+            GOOD + "[arm]\ndriver = 'ur-rtde'\naddress = '192.168.0.10'\n",
+            "'mount.pose_flange_hand' is missing",
+        ),
+        (GOOD + "[mount]\npose_flange_hand = [0, 0, 0.1, 2, 0, 0, 0]\n", "unit quaternion"),
+        (GOOD + "[mount]\nadapter_radius = 0.04\n", "'mount.adapter_length'"),
         (GOOD + "[watchdog]\noverrun = 0.01\n", "'watchdog.overrun' must be greater"),
         (GOOD + "arm = 3\n", "'arm' must be a table"),
         (GOOD + "hand_dynamics = 'none.toml'\n", "run 'fungrasp identify fit'"),
@@ -48,3 +54,10 @@ def test_bad_cells_are_refused_in_one_line(tmp_path: Path, text: str, said: str)
 def test_unknown_names() -> None:
     with pytest.raises(FungraspError, match="Did you mean 'ur5e-allegro'"):
         load_cell("ur5-allegro")
+
+
+def test_a_wired_cell_that_says_how_its_hand_is_mounted(tmp_path: Path) -> None:
+    path = tmp_path / "cell.toml"
+    mount = "[mount]\npose_flange_hand = [0, 0, 0.156, 0.7071, 0, 0, 0.7071]\n"
+    path.write_text(GOOD + "[arm]\ndriver = 'ur-rtde'\naddress = '192.168.0.10'\n" + mount)
+    assert load_cell(path).mount.pose_flange_hand[2] == 0.156

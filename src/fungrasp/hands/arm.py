@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import re
+from dataclasses import dataclass
 from pathlib import Path
 
 import mujoco
 import numpy as np
 
 from fungrasp.errors import UnknownNameError
+from fungrasp.geometry.poses import compose
 from fungrasp.hands.hand import Hand
 from fungrasp.hands.self_contained_mjcf import self_contained_xml
 
@@ -19,9 +21,30 @@ PALM_SITE = "mounted_palm"
 """Site that ``mount`` puts at the origin of the palm body."""
 
 MOUNTING_GAP = 0.001
-"""Clearance between the flange and the palm [m]."""
+"""Clearance between the flange and the palm where nobody says how the hand is mounted [m]."""
+
+ADAPTER = "hand_adapter"
+"""Shape between flange and hand."""
 
 _PREFIX = "mounted/"
+
+
+@dataclass(frozen=True)
+class Mount:
+    """How a hand is fixed to a flange. The hand's frame here: z along the fingers, x out of the palm, its
+    origin in the middle of the palm's lower end."""
+
+    pose_flange_hand: tuple[float, ...] = ()
+    """Pose of that frame on the flange, whose z axis points out of it: metres and a quaternion wxyz. Empty:
+    ``MOUNTING_GAP`` above the flange, the palm facing the flange's x axis."""
+    adapter_radius: float = 0.0
+    """Radius of a cylinder that adapter and cables fit into, around the flange's z axis [m]; 0: none."""
+    adapter_length: float = 0.0
+    """Its length from the flange [m]."""
+
+
+DIRECT = Mount()
+"""Of a hand without an adapter."""
 
 
 def arm_files() -> dict[str, Path]:
@@ -40,11 +63,12 @@ def arm_spec(arm: str) -> mujoco.MjSpec:
     return mujoco.MjSpec.from_file(str(arm_files()[arm]))
 
 
-def mounting_pose(hand: Hand) -> np.ndarray:
+def mounting_pose(hand: Hand, mount: Mount = DIRECT) -> np.ndarray:
     """Pose of the palm body on a flange whose z axis points out of it.
 
-    The fingers point along the flange's z axis and the palm faces its x axis; the shapes of the palm are
-    centered on the z axis and begin ``MOUNTING_GAP`` above the flange.
+    Args:
+        hand: whose palm.
+        mount: of the hand on the flange.
 
     Returns:
         ``pose_flange_palm``, shape [7].
@@ -54,13 +78,14 @@ def mounting_pose(hand: Hand) -> np.ndarray:
     x = x / np.linalg.norm(x)
     rows = np.stack([x, np.cross(z, x), z])
     lower, upper = _palm_bounds(hand, rows)
-    position = -np.array([*(0.5 * (lower + upper))[:2], lower[2] - MOUNTING_GAP])
+    position = -np.array([*(0.5 * (lower + upper))[:2], lower[2]])
     quaternion = np.zeros(4)
     mujoco.mju_mat2Quat(quaternion, rows.ravel())
-    return np.concatenate([position, quaternion])
+    given = mount.pose_flange_hand or (0.0, 0.0, MOUNTING_GAP, 1.0, 0.0, 0.0, 0.0)
+    return compose(np.array(given), np.concatenate([position, quaternion]))
 
 
-def mount(hand: Hand, arm: str = "ur5e") -> mujoco.MjSpec:
+def mount(hand: Hand, arm: str = "ur5e", how: Mount = DIRECT) -> mujoco.MjSpec:
     """The hand on the flange of an arm, the arm's base at the world's origin.
 
     Names of both stay as they are; meshes are held in the spec itself. The weight of the palm is compensated
@@ -76,8 +101,18 @@ def mount(hand: Hand, arm: str = "ur5e") -> mujoco.MjSpec:
     palm = child.body(hand.palm)
     palm.gravcomp = 1.0
     palm.add_site(name=PALM_SITE, size=[0.001, 0, 0])
-    pose = mounting_pose(hand)
+    pose = mounting_pose(hand, how)
     flange = spec.site(FLANGE_SITE)
+    if how.adapter_radius > 0:
+        half = 0.5 * how.adapter_length
+        flange.parent.add_geom(
+            name=ADAPTER,
+            type=mujoco.mjtGeom.mjGEOM_CYLINDER,
+            size=[how.adapter_radius, half, 0],
+            pos=compose(np.array([*flange.pos, *flange.quat]), np.array([0, 0, half, 1, 0, 0, 0]))[:3],
+            quat=flange.quat,
+            mass=0,
+        )
     frame = flange.parent.add_frame(pos=pose[:3], quat=pose[3:])
     spec.attach(child, prefix=_PREFIX, frame=frame)
     # Default classes keep the prefix, since both models have a class "main"; all else gets its name back.

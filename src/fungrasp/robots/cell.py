@@ -12,7 +12,7 @@ import numpy as np
 from fungrasp.errors import FungraspError, UnknownNameError
 from fungrasp.formats.guarded import guarded
 from fungrasp.formats.toml_file import read_toml
-from fungrasp.hands.arm import arm_files
+from fungrasp.hands.arm import Mount, arm_files
 
 Vector = tuple[float, ...]
 """Numbers as a TOML file gives them."""
@@ -130,6 +130,8 @@ class RobotCell:
     """Name for logs and messages."""
     arm: ArmSettings = field(default_factory=ArmSettings)
     """The arm."""
+    mount: Mount = field(default_factory=Mount)
+    """How the hand is fixed to the flange; a cell of real devices must say it."""
     hand_device: DeviceSettings = field(default_factory=DeviceSettings)
     """The hand's device."""
     tracker: TrackerSettings = field(default_factory=TrackerSettings)
@@ -209,6 +211,11 @@ def _calibrated(tracker: TrackerSettings, folder: Path) -> TrackerSettings:
     )
 
 
+def is_wired(cell: RobotCell) -> bool:
+    """Whether a cell's arm is a real one: neither a twin nor an emulator, which is on the loopback."""
+    return cell.arm.driver != "twin" and not cell.arm.address.startswith("127.")
+
+
 def cell_faults(cell: RobotCell) -> list[str]:
     """What can't be in a cell, one phrase each."""
     faults = []
@@ -228,9 +235,20 @@ def cell_faults(cell: RobotCell) -> list[str]:
             faults.append(f"'workspace.{name}' must have 3 numbers")
     if not faults and not all(a < b for a, b in zip(cell.workspace.lower, cell.workspace.upper, strict=True)):
         faults.append("'workspace.lower' must be below 'workspace.upper' along all axes")
+    mount = cell.mount
+    if not mount.pose_flange_hand and is_wired(cell):
+        faults.append(
+            "'mount.pose_flange_hand' is missing: where the hand is on the flange of this arm, 3 metres and "
+            "a unit quaternion wxyz"
+        )
+    if min(mount.adapter_radius, mount.adapter_length) < 0 or (
+        (mount.adapter_radius > 0) != (mount.adapter_length > 0)
+    ):
+        faults.append("'mount.adapter_radius' and 'mount.adapter_length' go together, and are positive")
     for name, pose in (
         ("arm.pose_world_base", cell.arm.pose_world_base),
         ("tracker.pose_world_camera", cell.tracker.pose_world_camera),
+        *([("mount.pose_flange_hand", mount.pose_flange_hand)] if mount.pose_flange_hand else ()),
     ):
         if len(pose) != 7 or not np.isclose(np.linalg.norm(pose[3:]), 1.0, atol=1e-3):
             faults.append(f"'{name}' must be 3 metres and a unit quaternion wxyz, not {list(pose)}")

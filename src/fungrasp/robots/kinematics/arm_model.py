@@ -32,7 +32,7 @@ class ArmKinematics:
         spec = arm_spec(cell.arm.model)
         base = spec.worldbody.first_body()
         base.pos, base.quat = cell.arm.pose_world_base[:3], cell.arm.pose_world_base[3:]
-        flange, pose = spec.site(FLANGE_SITE), mounting_pose(hand)
+        flange, pose = spec.site(FLANGE_SITE), mounting_pose(hand, cell.mount)
         flange.parent.add_site(name=PALM_SITE, pos=pose[:3], quat=pose[3:])
         self.model = spec.compile()
         """The compiled arm in the world of the cell."""
@@ -90,7 +90,7 @@ class ClearanceModel:
             hand: on the arm.
             thing: what the robot may keep clear of; nothing if None.
         """
-        spec = mount(hand, cell.arm.model)
+        spec = mount(hand, cell.arm.model, cell.mount)
         base = spec.worldbody.first_body()
         base.pos, base.quat = cell.arm.pose_world_base[:3], cell.arm.pose_world_base[3:]
         spec.worldbody.add_geom(name="table", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[2, 2, 0.1])

@@ -72,7 +72,7 @@ def twin_model(
         physics: the default if None.
     """
     p = physics or TwinPhysics()
-    spec = mount(hand, cell.arm.model)
+    spec = mount(hand, cell.arm.model, cell.mount)
     option = spec.option
     option.timestep, option.impratio = p.timestep, p.impratio
     option.cone = getattr(mujoco.mjtCone, f"mjCONE_{p.cone.upper()}")
