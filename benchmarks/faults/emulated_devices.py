@@ -98,7 +98,7 @@ def emulated_leap(patience: float = 1.0) -> EmulatedDevice:
     plant = ServoPlant(home, velocity=8.0)
     emulator = DynamixelEmulator(plant, tuple(int(name) for name in load_hand("leap").actuators))
     emulator.start()
-    settings = _patient(LeapSettings(emulator.address), patience)
+    settings = _patient(LeapSettings(emulator.address, build="full"), patience)
     return EmulatedDevice(
         "leap", leap_driver(settings), emulator, plant, home, home + 0.3, settings.stale_after
     )

@@ -29,7 +29,8 @@ def emulated(**settings) -> Iterator[DeviceUnderTest]:
     plant = ServoPlant(np.full(16, 0.1), time_constant=0.02, velocity=8.0)
     with DynamixelEmulator(plant, SERVOS) as emulator:
         driver = leap_driver(
-            LeapSettings(emulator.address, **({"stale_after": 1.0} | settings)), process=False
+            LeapSettings(emulator.address, **({"stale_after": 1.0, "build": "full"} | settings)),
+            process=False,
         )
         yield DeviceUnderTest(driver, emulator, plant, np.full(16, 0.3), 0.01)
         driver.close()
@@ -97,7 +98,7 @@ def test_a_missing_servo_is_named():
         with pytest.raises(RobotError, match=f"servo {SERVOS[-1]} "):
             device.driver.connect()
     with pytest.raises(RobotError, match="cannot open the port"):
-        leap_driver(LeapSettings("/dev/no-such-port"), process=False).connect()
+        leap_driver(LeapSettings("/dev/no-such-port", build="full"), process=False).connect()
 
 
 def test_a_hardware_error_is_a_fault():
@@ -155,3 +156,26 @@ def test_a_loop_that_ended_with_an_error_of_a_library_is_started_again(monkeypat
         monkeypatch.undo()
         device.driver.connect()
         reach(device, device.near)
+
+
+@pytest.mark.parametrize(("build", "current"), [("full", 550), ("lite", 350)])
+def test_currents_and_gains_are_those_of_the_makers_examples(build: str, current: int):
+    with emulated(build=build) as device:
+        reach_after_connecting(device)
+        for servo in SERVOS:
+            share = 0.75 if servo in (0, 4, 8) else 1.0
+            written = [
+                device.emulator.register(servo, address)
+                for address in (codec.CURRENT_LIMIT, codec.GOAL_CURRENT, codec.P_GAIN, codec.D_GAIN)
+            ]
+            assert written == [current, current, 600 * share, 200 * share]
+
+
+def reach_after_connecting(device: DeviceUnderTest) -> None:
+    device.driver.connect()
+    reach(device, device.near)
+
+
+def test_a_hand_whose_build_nobody_says_is_refused():
+    with pytest.raises(RobotError, match="full"):
+        LeapSettings("/dev/ttyUSB0")

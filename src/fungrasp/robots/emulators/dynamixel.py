@@ -93,6 +93,10 @@ class DynamixelEmulator(Emulator):
                 memory[codec.TORQUE_ENABLE] = 0
             self.plant.apply(PlantCommand(), time.monotonic())
 
+    def register(self, servo: int, address: int) -> int:
+        """Two bytes of a servo's memory, without a sign."""
+        return int.from_bytes(self._memory[servo][address : address + 2], "little")
+
     def report_error(self, servo: int, bits: int) -> None:
         """Set the hardware error bits of a servo."""
         self._memory[servo][codec.HARDWARE_ERROR] = bits

@@ -18,6 +18,10 @@ from fungrasp.robots.hands.joint_order import hand_joint_limits, hand_joint_name
 from fungrasp.robots.optional_packages import import_client
 
 SERVOS = 16
+CURRENT_LIMITS = {"full": 550, "lite": 350}
+"""Of the maker's examples, by build [mA]."""
+SIDE_JOINTS, SIDE_SHARE = (0, 4, 8), 0.75
+"""Servos that move fingers sideways, and the share of the gains that the maker's examples give them."""
 OPEN_SPEED = 0.5
 """Of opening after a fault [rad/s]."""
 ERROR_INTERVAL = 0.5
@@ -42,8 +46,11 @@ class LeapSettings:
     """Of the servos' position control, as the maker's examples set it."""
     d_gain: int = 200
     """Of the servos' position control."""
-    current_limit: int = 350
-    """Highest current of a servo [mA], as the maker's examples set it for the full-size hand."""
+    build: str = ""
+    """"full" or "lite", which have other motors: must be said."""
+    current_limit: int = 0
+    """Highest current of a servo [mA]; 0: as the maker's examples set it, 550 for the full hand, 350 for the
+    lite one."""
     speed: float = 4.0
     """Highest speed of the setpoints [rad/s]."""
     period: float = 0.02
@@ -52,8 +59,15 @@ class LeapSettings:
     """Silence after which the hand counts as disconnected [s]."""
 
     def __post_init__(self) -> None:
-        if not 0 < self.current_limit <= 1750:
-            raise RobotError(f"current_limit of a LEAP hand is 1 to 1750 mA, not {self.current_limit}")
+        if self.build not in CURRENT_LIMITS:
+            raise RobotError(f'the build of a LEAP hand must be said, "full" or "lite", not "{self.build}"')
+        if not 0 <= self.current_limit <= 1750:
+            raise RobotError(f"current_limit of a LEAP hand is up to 1750 mA, not {self.current_limit}")
+
+    @property
+    def current(self) -> int:
+        """Highest current of a servo [mA]."""
+        return self.current_limit or CURRENT_LIMITS[self.build]
 
 
 def leap_driver(settings: LeapSettings, process: bool = True) -> LoopDriver:
@@ -81,7 +95,7 @@ class LeapLoop:
                 f"the joints of hand '{settings.hand}' are not named by the numbers of LEAP's servos"
             )
         self._servos = [int(name) for name in names]
-        torque = settings.current_limit * codec.AMPERES_PER_COUNT * codec.TORQUE_PER_AMPERE
+        torque = settings.current * codec.AMPERES_PER_COUNT * codec.TORQUE_PER_AMPERE
         self.limits = JointLimits(lower, upper, np.full(SERVOS, settings.speed), np.full(SERVOS, torque))
         self._sdk: Any = None
         self._port: Any = None
@@ -110,11 +124,12 @@ class LeapLoop:
             self._reader.addParam(servo)
         self._write_all(codec.TORQUE_ENABLE, 1, 0)
         self._write_all(codec.OPERATING_MODE, 1, codec.CURRENT_BASED_POSITION)
-        self._write_all(codec.CURRENT_LIMIT, 2, self.settings.current_limit)
-        self._write_all(codec.GOAL_CURRENT, 2, self.settings.current_limit)
-        self._write_all(codec.P_GAIN, 2, self.settings.p_gain)
+        self._write_all(codec.CURRENT_LIMIT, 2, self.settings.current)
+        self._write_all(codec.GOAL_CURRENT, 2, self.settings.current)
         self._write_all(codec.I_GAIN, 2, 0)
-        self._write_all(codec.D_GAIN, 2, self.settings.d_gain)
+        for address, gain in ((codec.P_GAIN, self.settings.p_gain), (codec.D_GAIN, self.settings.d_gain)):
+            self._write_all(address, 2, gain)
+            self._write_all(address, 2, round(SIDE_SHARE * gain), SIDE_JOINTS)
         for _ in range(5):
             if self._read() is not None:
                 self._due = time.monotonic()
@@ -232,9 +247,11 @@ class LeapLoop:
                     return f"servo {servo}: {what}; switch the hand off and on"
         return ""
 
-    def _write_all(self, address: int, size: int, value: int) -> None:
+    def _write_all(
+        self, address: int, size: int, value: int, servos: tuple[int, ...] = tuple(range(SERVOS))
+    ) -> None:
         writer = self._sdk.GroupSyncWrite(self._port, self._packets, address, size)
-        for servo in self._servos:
+        for servo in servos:
             writer.addParam(servo, value.to_bytes(size, "little"))
         self._send(writer.txPacket)
 
