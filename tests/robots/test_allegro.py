@@ -104,6 +104,11 @@ def test_another_generation_is_refused(generation: int):
             allegro_driver(wrong, process=False).connect()
 
 
+def test_a_left_hand_with_the_model_of_a_right_one_is_refused():
+    with pytest.raises(RobotError, match="model of a right hand"):
+        allegro_driver(AllegroSettings("virtual", "none", side="left"))
+
+
 @pytest.mark.parametrize("generation", [4, 5])
 def test_another_side_is_refused_before_anything_moves(generation: int):
     with emulated(generation) as device:

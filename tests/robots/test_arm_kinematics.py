@@ -175,7 +175,7 @@ def test_the_adapter_keeps_its_distance_from_the_table() -> None:
     down = np.array([0.0, -1.5708, 1.5708, -1.5708, -1.5708, 0.0])
     aside = (0.0, 0.0, -0.5, 1.0, 0.0, 0.0, 0.0)
     cell = replace(cell, arm=replace(cell.arm, pose_world_base=base), mount=Mount(aside))
-    flange = ArmKinematics(cell, hand).palm_pose(down)[2] - mounting_pose(hand, cell.mount)[2] * -1.0
+    flange = ArmKinematics(cell, hand).palm_pose(down)[2] + mounting_pose(hand, cell.mount)[2]
     fingers = hand.independent(np.clip(np.zeros(len(hand.joint_names)), *hand.joint_limits.T))
     bare = ClearanceModel(cell, hand).measure(down, fingers)
     assert bare.table == MARGIN

@@ -60,7 +60,7 @@ def hand_driver(cell: RobotCell, hand: Hand) -> JointDriver:
     Raises:
         FungraspError: no such driver, bad options, or a driver of another hand.
     """
-    driver = _make("hand", cell.hand_device, HAND_DRIVERS)
+    driver = _make("hand", cell.hand_device, HAND_DRIVERS, hand=cell.hand)
     joints = len(driver.limits.lower)
     if joints != len(hand.actuators):
         raise FungraspError(
@@ -204,7 +204,7 @@ def _make(
     if device.driver not in known:
         more = [CAMERA, TWIN] if kind == "tracker" else [TWIN]
         raise UnknownNameError(f"driver of a {kind}", device.driver, [*known, *more])
-    return known[device.driver]({"address": device.address, **device.options, **more})
+    return known[device.driver]({"address": device.address, **more, **device.options})
 
 
 def _settings(kind: type, driver: str, values: Mapping[str, Any], address: str = "address") -> Any:

@@ -20,7 +20,7 @@ from fungrasp.robots.codecs import allegro as codec
 from fungrasp.robots.control_loop.device_loop import LoopGoal, LoopMode
 from fungrasp.robots.control_loop.loop_driver import LoopDriver
 from fungrasp.robots.device import DeviceStatus, JointLimits, JointState, RobotError
-from fungrasp.robots.hands.joint_order import hand_joint_limits
+from fungrasp.robots.hands.joint_order import hand_joint_limits, hand_side
 from fungrasp.robots.optional_packages import import_client
 
 ANSWER_TIMEOUT = 1.0
@@ -104,6 +104,11 @@ class AllegroLoop:
         self.lets_go = "when this program ends or the bus fails: the computer makes its torques"
         self._units = codec.ALLEGRO_V4 if settings.generation == 4 else codec.ALLEGRO_V5
         lower, upper = hand_joint_limits(settings.hand, 16)
+        if hand_side(settings.hand) != settings.side:
+            raise RobotError(
+                f"{self.name}: side = \"{settings.side}\", but hand '{settings.hand}' is a model of a "
+                f"{hand_side(settings.hand)} hand"
+            )
         torque = settings.torque_share * self._units.torque_limits
         self.limits = JointLimits(lower, upper, np.full(16, settings.speed), torque)
         # In steps every array operation counts: 333 times a second, it finds the processor's caches cold.

@@ -30,6 +30,13 @@ def hand_joint_limits(name: str, count: int) -> tuple[np.ndarray, np.ndarray]:
     return lower, upper
 
 
+def hand_side(name: str) -> str:
+    """ "right" or "left"; name: of a hand model."""
+    from fungrasp.hands import load_hand
+
+    return load_hand(name).side
+
+
 def hand_joint_names(name: str) -> tuple[str, ...]:
     """Names of a hand's independent joints, in model order; name: of a hand model."""
     from fungrasp.hands import load_hand
