@@ -131,6 +131,26 @@ def jump_tracker(world: Any) -> None:
     world._track = track
 
 
+def flip_tracker(world: Any) -> None:
+    """Every other pose is turned about the vertical by half a turn, from the beginning."""
+    original = world._track
+
+    def track() -> None:
+        before = len(world._frames)
+        original()
+        if len(world._frames) > before and int(world.time / 0.05) % 2:
+            pose = world._frames[-1].pose_world_object
+            pose[3:] = [-pose[6], -pose[5], pose[4], pose[3]]
+
+    world._track = track
+
+
+def test_a_tracker_that_flips_is_refused_before_anything_is_planned() -> None:
+    result = deploy(prepare_world=flip_tracker).result
+    assert result.phase is Phase.FAULT and result.prepared is None
+    assert "turned by" in result.fault and "look at the tracker" in result.fault
+
+
 @pytest.mark.parametrize(
     ("spoil", "said"),
     [(spoil_tracker, "the tracked pose is"), (jump_tracker, "the tracked object has jumped")],

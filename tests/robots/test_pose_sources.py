@@ -4,19 +4,23 @@ from __future__ import annotations
 
 import contextlib
 import os
+import threading
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from driver_contract import wait_for
 
-from fungrasp.robots.cell import RobotCell
+from fungrasp.errors import FungraspError
+from fungrasp.robots.assembly import pose_source
+from fungrasp.robots.cell import RobotCell, TrackerSettings
 from fungrasp.robots.codecs.pose_message import PoseMessage, message_entries, read_message
-from fungrasp.robots.device import RobotError, TrackingStatus
+from fungrasp.robots.device import RobotError, TrackedPose, TrackingStatus
 from fungrasp.robots.emulators.emulator import Fault
 from fungrasp.robots.emulators.tracker import TrackerEmulator, TrackerErrors
-from fungrasp.robots.pose.stream import PoseStream
+from fungrasp.robots.pose.stream import PosePublisher, PoseStream
 from fungrasp.robots.safety import check_pose
 
 IDENTITY = np.array([0.1, 0.2, 0.3, 1.0, 0.0, 0.0, 0.0])
@@ -101,6 +105,55 @@ def test_an_object_that_jumps_is_refused():
         assert wait_for(lambda: not problem(stream))
         emulator.inject(Fault.JUMPING)
         assert wait_for(lambda: "has jumped" in problem(stream))
+
+
+def test_poses_in_the_cameras_frame_become_those_of_the_world():
+    """As a cell says it: through the calibrated pose of the camera, refused without a calibration."""
+    pytest.importorskip("zmq")
+    pytest.importorskip("msgpack")
+    # A camera that looks straight down from a meter above the table.
+    camera = (0.5, 0.0, 1.0, 0.0, 1.0, 0.0, 0.0)
+    address = f"{ADDRESS}-camera"
+    tracker = TrackerSettings(
+        "pose-stream", address, {"frame": "camera", "timeout": 10.0}, camera, calibration_residual=0.001
+    )
+    cell = RobotCell("allegro", tracker=tracker)
+    publisher = PosePublisher(address, "mug", frame="camera")
+    ended = threading.Event()
+
+    def publish() -> None:
+        while not ended.wait(0.02):
+            publisher.publish(np.array([0.1, 0.2, 0.9, 1.0, 0.0, 0.0, 0.0]), time.monotonic())
+
+    thread = threading.Thread(target=publish)
+    thread.start()
+    try:
+        with pose_source(cell) as source:
+            seen = source.read()
+        assert seen is not None
+        assert np.allclose(seen.pose_world_object, [0.6, -0.2, 0.1, 0.0, 1.0, 0.0, 0.0], atol=1e-9)
+        with pytest.raises(RobotError, match="frame 'camera', not 'world'"):
+            PoseStream(address, timeout=10.0).connect()
+    finally:
+        ended.set()
+        thread.join()
+        publisher.close()
+    with pytest.raises(FungraspError, match="no calibration of the camera"):
+        pose_source(replace(cell, tracker=replace(tracker, calibration_residual=-1.0)))
+    with pytest.raises(RobotError, match="needs the pose of the camera"):
+        PoseStream(address, frame="camera")
+    with pytest.raises(RobotError, match="not 'gripper'"):
+        PoseStream(address, frame="gripper")
+
+
+def test_flips_and_doubts_are_refused():
+    flipped = np.array([*IDENTITY[:3], 0.0, 0.0, 0.0, 1.0])
+    for pose, score, said in (
+        (flipped, 1.0, "turned by 180 degrees"),
+        (IDENTITY, 0.05, "confidence is 0.05"),
+    ):
+        tracked_pose = TrackedPose(pose, 1.0, score, TrackingStatus.TRACKING)
+        assert said in check_pose(tracked_pose, IDENTITY, 1.0, CELL)
 
 
 def test_an_object_that_is_gone_is_lost():

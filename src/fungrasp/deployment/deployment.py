@@ -201,7 +201,10 @@ class Deployment:
                 if said.status is not DeviceStatus.STOPPED or robot.clock.now() > waited:
                     why = f"{said.status}: {said.message}" if said.message else said.status
                     raise RobotError(f"the {name} stopped while the grasp was planned ({why}): start anew")
-            if all(said.status is DeviceStatus.READY for said in joints.values()):
+            problem = check_pose(now.tracked, self._object_pose, now.time, robot.cell)
+            if problem and robot.clock.now() > waited:
+                raise RobotError(f"{problem} while the grasp was planned: start anew")
+            if not problem and all(said.status is DeviceStatus.READY for said in joints.values()):
                 break
             robot.clock.sleep_until(robot.clock.now() + 0.02)
         if np.abs(now.arm.positions - state.arm.positions).max() > MOVED:

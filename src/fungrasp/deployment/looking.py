@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from fungrasp.deployment.deployment_result import DeploymentSettings
-from fungrasp.robots.device import DeviceStatus, RobotError
+from fungrasp.robots.device import DeviceStatus, RobotError, TrackedPose
 from fungrasp.robots.robot import Robot
 from fungrasp.robots.robot_state import RobotState
 from fungrasp.robots.safety import check_pose
@@ -28,7 +28,7 @@ def look_for_object(
         Pose of the object, world frame, shape [7]; the state.
 
     Raises:
-        RobotError: no pose comes that can be used, or a device does not follow.
+        RobotError: no pose comes that can be used, poses disagree, or a device does not follow.
     """
     s = settings
     state = robot.state()
@@ -43,13 +43,27 @@ def look_for_object(
         check()
         robot.clock.sleep_until(robot.clock.now() + 0.02)
         state = robot.state()
-    poses, end = [], robot.clock.now() + s.look_time
+    while True:
+        pose, state, problem = _looked(robot, s.look_time, check)
+        if not problem:
+            return pose, state
+        # What rolls comes to rest, and a tracker may find its way back.
+        if robot.clock.now() > deadline:
+            raise RobotError(f"{problem}: look at the tracker, then start anew")
+
+
+def _looked(robot: Robot, seconds: float, check: Callable[[], None]) -> tuple[np.ndarray, RobotState, str]:
+    """The average pose over some time, the state at its end, and what is wrong with the poses."""
+    seen: list[TrackedPose] = []
+    end, state = robot.clock.now() + seconds, robot.state()
     while robot.clock.now() < end:
         robot.clock.sleep_until(robot.clock.now() + 0.02)
+        check()
         state = robot.state()
         assert state.tracked is not None
-        poses.append(state.tracked.pose_world_object)
-    problem = check_pose(state.tracked, average_pose(np.array(poses)), robot.clock.now(), robot.cell)
-    if problem:
-        raise RobotError(f"{problem}: look at the tracker, then start anew")
-    return average_pose(np.array(poses)), state
+        seen.append(state.tracked)
+    pose = average_pose(np.array([tracked.pose_world_object for tracked in seen]))
+    problem = check_pose(state.tracked, pose, robot.clock.now(), robot.cell)
+    for tracked in seen:
+        problem = problem or check_pose(tracked, pose, tracked.captured, robot.cell)
+    return pose, state, problem

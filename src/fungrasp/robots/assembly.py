@@ -76,9 +76,9 @@ def pose_source(cell: RobotCell) -> PoseSource:
     Raises:
         FungraspError: no such driver, or bad options.
     """
-    if cell.tracker.driver == CAMERA:
-        return _camera(cell)
-    return _make("tracker", cell.tracker, TRACKERS)
+    if cell.tracker.driver not in TRACKERS:
+        raise UnknownNameError("driver of a tracker", cell.tracker.driver, [*TRACKERS, TWIN])
+    return TRACKERS[cell.tracker.driver](cell)
 
 
 def wired_robot(
@@ -155,15 +155,6 @@ def _leap(values: Mapping[str, Any]) -> JointDriver:
     return leap_driver(_settings(LeapSettings, "leap-dynamixel", values, address="port"))
 
 
-def _stream(values: Mapping[str, Any]) -> PoseSource:
-    from fungrasp.robots.pose.stream import PoseStream
-
-    try:
-        return PoseStream(**values)
-    except TypeError as error:
-        raise FungraspError(f"options of the driver pose-stream make no sense: {error}") from error
-
-
 ARM_DRIVERS: dict[str, Callable[[Mapping[str, Any]], Any]] = {"ur-rtde": _ur}
 """Drivers of arms by name."""
 
@@ -194,7 +185,23 @@ def _camera(cell: RobotCell) -> PoseSource:
     return CameraTracker(frames, thing, np.array(cell.tracker.pose_world_camera))
 
 
-TRACKERS: dict[str, Callable[[Mapping[str, Any]], Any]] = {"pose-stream": _stream}
+def _stream(cell: RobotCell) -> PoseSource:
+    """Poses of another process: options ``object_name``, ``frame`` and ``timeout``."""
+    from fungrasp.robots.pose.stream import PoseStream
+
+    options = dict(cell.tracker.options)
+    known = ("object_name", "frame", "timeout")
+    for name in options:
+        if name not in known:
+            raise UnknownNameError("option of the driver pose-stream", name, known)
+    camera = None
+    if options.get("frame") == "camera":
+        check_calibrated(cell)
+        camera = np.array(cell.tracker.pose_world_camera)
+    return PoseStream(cell.tracker.address, **options, pose_world_camera=camera)
+
+
+TRACKERS: dict[str, Callable[[RobotCell], PoseSource]] = {"pose-stream": _stream, CAMERA: _camera}
 """Sources of object poses by name."""
 
 
@@ -202,8 +209,7 @@ def _make(
     kind: str, device: DeviceSettings, known: Mapping[str, Callable[[Mapping[str, Any]], Any]], **more: str
 ) -> Any:
     if device.driver not in known:
-        more = [CAMERA, TWIN] if kind == "tracker" else [TWIN]
-        raise UnknownNameError(f"driver of a {kind}", device.driver, [*known, *more])
+        raise UnknownNameError(f"driver of a {kind}", device.driver, [*known, TWIN])
     return known[device.driver]({"address": device.address, **more, **device.options})
 
 

@@ -111,9 +111,14 @@ class Watchdog:
     hand_silence: float = 0.1
     """The arm stops where the hand has been silent for so long [s]."""
     pose_stale: float = 0.5
-    """Before the fingers close, the arm stops where the tracked pose is older than this [s]."""
+    """Before planning and until the fingers close, the arm stops where the tracked pose is older than this
+    [s]."""
     pose_jump: float = 0.05
-    """Before the fingers close, the arm stops where the tracked object jumps farther than this [m]."""
+    """The same where the tracked object jumps farther than this [m]."""
+    pose_turn: float = 0.52
+    """The same where it turns farther than this [rad]: trackers flip what looks alike from two sides."""
+    pose_score: float = 0.1
+    """The same where the tracker's confidence is below this, 0 to 1."""
     late_tick: float = 0.02
     """A tick that is later than this is counted [s]."""
     overrun: float = 0.25

@@ -18,7 +18,7 @@ robot's own controller, with its limits set, and an emergency stop within reach.
 | torque of a hand joint | open |
 | device reports that it does not follow | hold |
 | time stamp of a device stands still | hold |
-| tracked pose stale, lost or jumping before the fingers close | hold |
+| tracked pose stale, lost, doubtful, jumping or turning until the fingers close | hold |
 | control period overrun | hold |
 
 "Hold": the arm brakes and keeps its position, the hand keeps its targets. "Open": the arm holds and the hand
@@ -34,7 +34,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from fungrasp.geometry.poses import relative
+from fungrasp.geometry.poses import relative, rotation_vector
 from fungrasp.robots.cell import RobotCell
 from fungrasp.robots.device import DeviceStatus, JointLimits, StopKind, TrackedPose
 from fungrasp.robots.kinematics.arm_model import MARGIN, Clearance
@@ -176,11 +176,12 @@ def _clipped(command: RobotCommand, c: SafetyContext) -> Verdict:
 
 
 def check_pose(tracked: TrackedPose | None, reference: np.ndarray, time: float, cell: RobotCell) -> str:
-    """What is wrong with the tracked pose before the fingers close, as a phrase; "" for nothing.
+    """What is wrong with a tracked pose, from before planning until the fingers close, as a phrase; "" for
+    nothing.
 
     Args:
         tracked: the last pose; None where there was none.
-        reference: where the object was when the grasp was planned, world frame, shape [7].
+        reference: where the object is taken to be, world frame, shape [7].
         time: of the robot's clock [s].
         cell: with the watchdog.
     """
@@ -191,9 +192,14 @@ def check_pose(tracked: TrackedPose | None, reference: np.ndarray, time: float, 
     age = time - tracked.captured
     if age > cell.watchdog.pose_stale:
         return f"the tracked pose is {1e3 * age:.0f} ms old"
-    jump = float(np.linalg.norm(relative(reference, tracked.pose_world_object)[:3]))
+    if tracked.score < cell.watchdog.pose_score:
+        return f"the tracker's confidence is {tracked.score:.2f}"
+    apart = relative(reference, tracked.pose_world_object)
+    jump, turn = float(np.linalg.norm(apart[:3])), float(np.linalg.norm(rotation_vector(apart[3:])))
     if jump > cell.watchdog.pose_jump:
         return f"the tracked object has jumped by {100 * jump:.1f} cm"
+    if turn > cell.watchdog.pose_turn:
+        return f"the tracked object has turned by {np.rad2deg(turn):.0f} degrees"
     return ""
 
 

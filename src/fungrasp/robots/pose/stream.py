@@ -8,6 +8,7 @@ from typing import Any, Self
 
 import numpy as np
 
+from fungrasp.geometry.poses import compose
 from fungrasp.robots.codecs.pose_message import PoseMessage, message_entries, read_message
 from fungrasp.robots.device import RobotError, TrackedPose, TrackingStatus
 from fungrasp.robots.optional_packages import import_client
@@ -22,14 +23,30 @@ class PoseStream:
     """``PoseSource`` of a publisher. A message whose time stamps can't be is ignored, so that the pose before
     it grows old: only the age of the capture says whether a pose may be used."""
 
-    def __init__(self, address: str, object_name: str = "", frame: str = "world", timeout: float = 2.0):
+    def __init__(
+        self,
+        address: str,
+        object_name: str = "",
+        frame: str = "world",
+        timeout: float = 2.0,
+        pose_world_camera: np.ndarray | None = None,
+    ):
         """
         Args:
             address: of the publisher, "tcp://127.0.0.1:5556".
             object_name: of the object; another one is refused. Empty: any.
-            frame: that poses must be in.
+            frame: that poses must be in: "world", or "camera" (OpenCV: x right, y down, z forward).
             timeout: to wait for the first message on connecting [s].
+            pose_world_camera: where the camera stands, from calibration, shape [7]; of the frame "camera".
+
+        Raises:
+            RobotError: another frame, or the camera's without its pose.
         """
+        if frame not in ("world", "camera"):
+            raise RobotError(f'a pose stream is in the frame "world" or "camera", not \'{frame}\'')
+        if frame == "camera" and pose_world_camera is None:
+            raise RobotError("a pose stream in the camera's frame needs the pose of the camera in the world")
+        self._camera = np.asarray(pose_world_camera) if frame == "camera" else None
         self.name = f"pose stream {address}"
         self.ignored = 0
         """Messages that could not be used."""
@@ -111,7 +128,10 @@ class PoseStream:
         captured = message.captured if message.clock == self._clock else now - delay
         if captured > now + FUTURE:
             raise RobotError("the tracker's clock is ahead of ours")
-        return TrackedPose(np.array(message.pose), captured, message.score, message.status)
+        pose = np.array(message.pose)
+        if self._camera is not None:
+            pose = compose(self._camera, pose)
+        return TrackedPose(pose, captured, message.score, message.status)
 
 
 class PosePublisher:
