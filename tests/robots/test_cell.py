@@ -6,6 +6,7 @@ import pytest
 
 from fungrasp.errors import FungraspError
 from fungrasp.robots.cell import cell_files, load_cell
+from fungrasp.robots.cell_template import write_cell_template
 
 GOOD = 'hand = "allegro"\n'
 
@@ -36,6 +37,12 @@ def test_shipped_cells_load(name: str) -> None:
         ),
         (GOOD + "[mount]\npose_flange_hand = [0, 0, 0.1, 2, 0, 0, 0]\n", "unit quaternion"),
         (GOOD + "[mount]\nadapter_radius = 0.04\n", "'mount.adapter_length'"),
+        (
+            GOOD + "[tracker]\ncalibration_residual = 0.5\n",
+            "is 500.0 mm, more than 5 mm",
+        ),
+        (GOOD + "[limits]\narm_torque = 300\n", "'arm_torque' may be at most 150, not 300"),
+        (GOOD + "guard = 'no'\n", '\'guard\' must be "on" or "off"'),
         (GOOD + "[watchdog]\noverrun = 0.01\n", "'watchdog.overrun' must be greater"),
         (GOOD + "arm = 3\n", "'arm' must be a table"),
         (GOOD + "hand_dynamics = 'none.toml'\n", "run 'fungrasp identify fit'"),
@@ -49,6 +56,38 @@ def test_bad_cells_are_refused_in_one_line(tmp_path: Path, text: str, said: str)
         load_cell(path)
     assert said in str(error.value)
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("hand", ["allegro", "inspire", "leap"])
+def test_a_new_cell_is_slow_and_refused_until_it_is_filled_in(tmp_path: Path, hand: str) -> None:
+    path = tmp_path / "mine.toml"
+    write_cell_template(path, hand)
+    with pytest.raises(FungraspError, match="exists already"):
+        write_cell_template(path, hand)
+    text = path.read_text()
+    filled = {
+        'address = ""': 'address = "192.168.0.10"',
+        "pose_world_base = []": "pose_world_base = [-0.5, 0.0, 0.3, 1.0, 0.0, 0.0, 0.0]",
+        "home = []": "home = [0.0, -1.9, 1.9, -1.5708, -1.5708, 0.0]",
+        "pose_flange_hand = []": "pose_flange_hand = [0.0, 0.0, 0.02, 1.0, 0.0, 0.0, 0.0]",
+    }
+    for empty, measured in filled.items():
+        with pytest.raises(FungraspError, match=r"missing|must be|must have"):
+            load_cell(path)
+        text = text.replace(empty, measured, 1)
+        path.write_text(text)
+    cell = load_cell(path)
+    assert cell.limits.palm_speed <= 0.05 and cell.workspace.hand_depth < 0
+    assert cell.tracker.calibration_residual < 0
+
+
+@pytest.mark.parametrize("name", [name for name in cell_files() if "emulated" in name])
+def test_an_emulators_cell_is_none_of_a_robot(tmp_path: Path, name: str) -> None:
+    path = tmp_path / "copied.toml"
+    text = cell_files()[name].read_text().replace("127.0.0.2", "192.168.0.10")
+    path.write_text(text + "[mount]\npose_flange_hand = [0.0, 0.0, 0.02, 1.0, 0.0, 0.0, 0.0]\n")
+    with pytest.raises(FungraspError, match=r"'arm.options.acceleration' may be at most 10 on a real arm"):
+        load_cell(path)
 
 
 def test_unknown_names() -> None:

@@ -31,11 +31,30 @@ class ListCells:
 
 
 @dataclass(frozen=True)
+class New:
+    """Write a slow cell for a real robot, to be filled in. It is refused until what is measured is there."""
+
+    file: Annotated[Path, tyro.conf.Positional]
+    """TOML file, which must not exist."""
+    hand: str = "allegro"
+    """The hand on the arm."""
+
+    def run(self) -> None:
+        from fungrasp.robots.cell_template import write_cell_template
+
+        write_cell_template(self.file, self.hand)
+        print(f"{self.file}: fill in what is empty, then 'fungrasp robots check {self.file}'")
+
+
+@dataclass(frozen=True)
 class Check:
     """Check a robot cell's file. Nothing is connected."""
 
     cell: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME|FILE")]
     """A cell that comes with fungrasp, or a TOML file."""
+    touched: Path | None = None
+    """JSON file with postures of the arm (joints) and the points that the middle of its flange touched
+    (flange): whether the base is where the cell says."""
 
     def run(self) -> None:
         import numpy as np
@@ -44,6 +63,7 @@ class Check:
         from fungrasp.errors import FungraspError
         from fungrasp.hands import load_hand
         from fungrasp.robots.assembly import arm_driver, hand_driver, is_twin, pose_source
+        from fungrasp.robots.calibration.base_check import check_base, load_touched
         from fungrasp.robots.cell import check_calibrated, load_cell
         from fungrasp.robots.kinematics.arm_model import ArmKinematics, ClearanceModel
         from fungrasp.robots.kinematics.joint_path import FreePath
@@ -64,6 +84,14 @@ class Check:
             )
         palm = ", ".join(f"{x:.2f}" for x in kinematics.palm_pose(home)[:3])
         print(f"{cell.name}: {hand.title} on a {cell.arm.model}; palm at home: {palm} m")
+        if self.touched is not None:
+            joints, points = load_touched(self.touched)
+            if joints.shape[1] != len(home):
+                raise FungraspError(f"{self.touched}: a posture has {len(home)} joints")
+            base = check_base(np.array([kinematics.flange_position(q) for q in joints]), points)
+            if base.fault:
+                raise FungraspError(base.fault)
+            print(f"base: {len(points)} touched points within {1e3 * base.miss:.1f} mm")
         if is_twin(cell):
             print("a twin in the same process")
         else:
@@ -205,6 +233,7 @@ def _range(values: np.ndarray) -> str:
 COMMAND = {
     "calibrate": "fungrasp.cli.calibrate:Calibrate",
     "list": ListCells,
+    "new": New,
     "check": Check,
     "emulate": Emulate,
     "evaluate": "fungrasp.cli.evaluate_on_twins:EvaluateOnTwins",

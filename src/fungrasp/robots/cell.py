@@ -21,6 +21,14 @@ SHIPPED = Path(__file__).parent / "cells"
 """Folder of the cells that come with the package."""
 
 
+LARGEST_RESIDUAL = 0.005
+"""A camera's calibration that misses by more is refused [m]."""
+
+REAL_ARM_OPTIONS = {"velocity": 3.14, "acceleration": 10.0, "jerk": 200.0}
+"""Most that a real arm's driver is told: [rad/s] of the data sheet, [rad/s^2] and [rad/s^3] of our judgment,
+four times the driver's defaults. Emulators keep up with more."""
+
+
 @dataclass(frozen=True)
 class DeviceSettings:
     """How a device is reached."""
@@ -40,7 +48,9 @@ class ArmSettings(DeviceSettings):
     model: str = "ur5e"
     """Name of the arm's model."""
     pose_world_base: Vector = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
-    """Pose of the arm's base in the world: metres and a quaternion wxyz; the table top is z = 0."""
+    """Pose of the arm's base in the world: metres and a quaternion wxyz; the table top is z = 0. The base is
+    ROS's ``base_link``: z up, x and y opposite to those of the frame "Base" on a UR's pendant, which is
+    turned by 180 degrees about z."""
     home: Vector = (0.0, -1.5708, 1.5708, -1.5708, -1.5708, 0.0)
     """Joints where the arm waits [rad]."""
 
@@ -67,9 +77,10 @@ class Workspace:
     """Highest corner of the box, world frame [m]."""
     table_clearance: float = 0.005
     """Least distance of the arm from the table [m]."""
-    hand_depth: float = 0.012
-    """How far the hand's commanded posture may reach below the table top [m]: hands touch the table where
-    objects are thin, and their servos yield."""
+    hand_depth: float = -0.005
+    """How far the hand may reach below the table top [m]; negative: how far it stays above, as in first runs.
+    Cells of twins and emulators say 0.012: hands touch the table where objects are thin, and their servos
+    yield."""
 
 
 @dataclass(frozen=True)
@@ -230,7 +241,15 @@ def cell_faults(cell: RobotCell) -> list[str]:
             if not (np.isfinite(value) and value > 0):
                 faults.append(f"'{f.name}' must be positive, not {value:g}")
     # Limits above what the paper and the data sheets allow are refused, not clipped silently.
-    most = {"palm_speed": 0.25, "palm_acceleration": 0.3, "palm_rotation_speed": 1.0, "arm_speed": 3.14}
+    most = {
+        "palm_speed": 0.25,
+        "palm_acceleration": 0.3,
+        "palm_rotation_speed": 1.0,
+        "arm_speed": 3.14,
+        "arm_torque": 150.0,
+        "setpoint_acceleration": 400.0,
+        "setpoint_lead": 0.35,
+    }
     for name, largest in most.items():
         value = getattr(cell.limits, name)
         if value > largest:
@@ -240,6 +259,22 @@ def cell_faults(cell: RobotCell) -> list[str]:
             faults.append(f"'workspace.{name}' must have 3 numbers")
     if not faults and not all(a < b for a, b in zip(cell.workspace.lower, cell.workspace.upper, strict=True)):
         faults.append("'workspace.lower' must be below 'workspace.upper' along all axes")
+    residual = cell.tracker.calibration_residual
+    if residual > LARGEST_RESIDUAL:
+        faults.append(
+            f"'tracker.calibration_residual' is {1e3 * residual:.1f} mm, more than "
+            f"{1e3 * LARGEST_RESIDUAL:g} mm: calibrate the camera anew"
+        )
+    if is_wired(cell):
+        if not cell.arm.address:
+            faults.append("'arm.address' is missing: where the arm's controller is")
+        for name, largest in REAL_ARM_OPTIONS.items():
+            value = cell.arm.options.get(name, 0.0)
+            if isinstance(value, int | float) and value > largest:
+                faults.append(
+                    f"'arm.options.{name}' may be at most {largest:g} on a real arm, not {value:g}: that is "
+                    "an emulator's; begin with 'fungrasp robots new'"
+                )
     mount = cell.mount
     if not mount.pose_flange_hand and is_wired(cell):
         faults.append(
@@ -257,6 +292,8 @@ def cell_faults(cell: RobotCell) -> list[str]:
     ):
         if len(pose) != 7 or not np.isclose(np.linalg.norm(pose[3:]), 1.0, atol=1e-3):
             faults.append(f"'{name}' must be 3 metres and a unit quaternion wxyz, not {list(pose)}")
+    if len(cell.arm.home) == 0:
+        faults.append("'arm.home' is missing: joints where the arm waits [rad]")
     if cell.arm.model not in arm_files():
         faults.append(str(UnknownNameError("arm", cell.arm.model, arm_files())))
     if cell.guard not in ("on", "off"):
