@@ -2,11 +2,14 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from fungrasp.errors import FungraspError
-from fungrasp.robots.cell import cell_files, load_cell
+from fungrasp.robots.cell import RobotCell, cell_files, load_cell
 from fungrasp.robots.cell_template import write_cell_template
+from fungrasp.robots.kinematics.arm_model import Clearance
+from fungrasp.robots.safety import check_posture
 
 GOOD = 'hand = "allegro"\n'
 
@@ -88,6 +91,13 @@ def test_an_emulators_cell_is_none_of_a_robot(tmp_path: Path, name: str) -> None
     path.write_text(text + "[mount]\npose_flange_hand = [0.0, 0.0, 0.02, 1.0, 0.0, 0.0, 0.0]\n")
     with pytest.raises(FungraspError, match=r"'arm.options.acceleration' may be at most 10 on a real arm"):
         load_cell(path)
+
+
+def test_a_hand_stays_above_the_table_unless_its_cell_says_otherwise() -> None:
+    box, palm = RobotCell("allegro").workspace, np.array([0.0, 0.0, 0.3, 1.0, 0.0, 0.0, 0.0])
+    assert check_posture(palm, Clearance(0.03, 0.006, 0.03), box) == ""
+    assert "too near" in check_posture(palm, Clearance(0.03, 0.004, 0.03), box)
+    assert check_posture(palm, Clearance(0.03, -0.01, 0.03), load_cell("ur5e-allegro").workspace) == ""
 
 
 def test_unknown_names() -> None:

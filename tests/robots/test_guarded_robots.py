@@ -12,6 +12,7 @@ from robot_cells import cell_and_hand, grasp_and_object, placed
 
 from fungrasp.cli.main import main
 from fungrasp.hands import load_hand
+from fungrasp.robots import assembly
 from fungrasp.robots.assembly import guarded_hand, wired_robot
 from fungrasp.robots.cell import RobotCell, load_cell
 from fungrasp.robots.device import DeviceStatus, RobotError
@@ -140,6 +141,22 @@ def test_a_device_alone_stops_for_what_is_wrong(what: str, monkeypatch: pytest.M
             world.advance(world.time + 0.02)
             guarded.command(rest)
     assert driver._status is DeviceStatus.STOPPED
+
+
+def test_an_arm_alone_keeps_off_the_table(monkeypatch: pytest.MonkeyPatch) -> None:
+    cell, hand = cell_and_hand()
+    robot, world = twin(cell)
+    monkeypatch.setattr(assembly, "arm_driver", lambda cell: robot.arm)
+    guarded = assembly.guarded_arm(cell, hand)
+    guarded._clock = robot.clock
+    guarded.connect()
+    goal = robot.arm.read().positions.copy()
+    with pytest.raises(SafetyStop, match=r"table|workspace"):
+        for _ in range(200):
+            goal[1] += 0.02
+            guarded.command(goal)
+            world.advance(world.time + 0.02)
+    assert robot.arm.read().status is DeviceStatus.STOPPED
 
 
 def test_identification_stops_for_the_stop_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

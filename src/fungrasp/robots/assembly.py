@@ -14,7 +14,9 @@ from fungrasp.robots.cell import DeviceSettings, RobotCell, check_calibrated
 from fungrasp.robots.clock import WallClock
 from fungrasp.robots.device import JointDriver, PoseSource
 from fungrasp.robots.guarded_driver import GuardedDriver
+from fungrasp.robots.kinematics.arm_model import ArmKinematics, ClearanceModel
 from fungrasp.robots.robot import Robot
+from fungrasp.robots.safety import check_posture
 from fungrasp.robots.stop_switch import StopSwitch
 
 TWIN = "twin"
@@ -129,6 +131,27 @@ def guarded_hand(cell: RobotCell, hand: Hand, switch: StopSwitch | None = None) 
         FungraspError: an unknown driver, bad options, or another hand.
     """
     return GuardedDriver(hand_driver(cell, hand), cell, "hand", switch=switch)
+
+
+def guarded_arm(cell: RobotCell, hand: Hand, switch: StopSwitch | None = None) -> GuardedDriver:
+    """The arm of a cell alone, not connected; the hand on it may be off, and counts as open.
+
+    Args:
+        cell: the robot; no twin.
+        hand: the model of its hand.
+        switch: stops the arm; that of the cell's stop file if None.
+
+    Raises:
+        FungraspError: an unknown driver or bad options.
+    """
+    kinematics, clearance = ArmKinematics(cell, hand), ClearanceModel(cell, hand)
+    fingers = hand.independent(np.clip(np.zeros(len(hand.joint_names)), *hand.joint_limits.T))
+
+    def wrong(joints: np.ndarray) -> str:
+        gap = clearance.measure(joints, fingers)
+        return check_posture(kinematics.palm_pose(joints), gap, cell.workspace)
+
+    return GuardedDriver(arm_driver(cell), cell, "arm", clear=wrong, switch=switch)
 
 
 def _ur(values: Mapping[str, Any]) -> JointDriver:

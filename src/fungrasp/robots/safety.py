@@ -35,7 +35,7 @@ from enum import StrEnum
 import numpy as np
 
 from fungrasp.geometry.poses import relative, rotation_vector
-from fungrasp.robots.cell import RobotCell
+from fungrasp.robots.cell import RobotCell, Workspace
 from fungrasp.robots.device import DeviceStatus, JointLimits, StopKind, TrackedPose
 from fungrasp.robots.kinematics.arm_model import MARGIN, Clearance
 from fungrasp.robots.robot_state import RobotCommand, RobotState, SafetyStop
@@ -126,19 +126,32 @@ def check_setpoint(
         return Verdict(command, Reaction.OPEN, "the torque of a hand joint is beyond its limit")
     if c.moving and np.abs(command.arm - state.arm.positions).max() > limits.setpoint_lead:
         return Verdict(command, Reaction.HOLD, "the arm's setpoint is far from where the arm is")
-    box = context.cell.workspace
-    if (command.palm[:3] < box.lower).any() or (command.palm[:3] > box.upper).any():
-        return Verdict(command, Reaction.HOLD, "the palm would leave the workspace box")
-    if clearance.table < box.table_clearance:
-        return Verdict(command, Reaction.HOLD, "the arm would touch the table")
-    if clearance.hand < -box.hand_depth:
-        return Verdict(command, Reaction.HOLD, "the hand would press into the table")
-    if clearance.itself < 0.0:
-        return Verdict(command, Reaction.HOLD, "the arm or the hand would touch the arm")
+    problem = check_posture(command.palm, clearance, context.cell.workspace)
+    if problem:
+        return Verdict(command, Reaction.HOLD, problem)
     too_fast = _too_fast(command, c)
     if too_fast:
         return Verdict(command, Reaction.HOLD, too_fast)
     return _clipped(command, c)
+
+
+def check_posture(palm: np.ndarray, clearance: Clearance, box: Workspace) -> str:
+    """What is wrong with where a robot would be, as a phrase; "" for nothing.
+
+    Args:
+        palm: world frame, shape [7].
+        clearance: of the robot there.
+        box: where it may be.
+    """
+    if (palm[:3] < box.lower).any() or (palm[:3] > box.upper).any():
+        return "the palm would leave the workspace box"
+    if clearance.table < box.table_clearance:
+        return "the arm would touch the table"
+    if clearance.hand < -box.hand_depth:
+        return "the hand would press into the table, or come too near to it"
+    if clearance.itself < 0.0:
+        return "the arm or the hand would touch the arm"
+    return ""
 
 
 def _too_fast(command: RobotCommand, c: SafetyContext) -> str:
