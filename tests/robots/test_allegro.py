@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from driver_contract import DeviceUnderTest, DriverContract, reach, wait_for
 
+from fungrasp.robots.can_bus import open_can_bus
 from fungrasp.robots.codecs import allegro as codec
 from fungrasp.robots.device import DeviceStatus, RobotError, StopKind
 from fungrasp.robots.emulators.allegro_can import AllegroEmulator
@@ -22,7 +23,7 @@ from fungrasp.robots.emulators.emulator import Fault
 from fungrasp.robots.emulators.plant import TorquePlant
 from fungrasp.robots.hands.allegro import AllegroLoop, AllegroSettings, allegro_driver
 
-pytest.importorskip("can")
+Message = pytest.importorskip("can").Message
 
 
 @contextlib.contextmanager
@@ -133,6 +134,33 @@ def test_feedforward_carries_the_weight():
 
         assert error(None) == pytest.approx(0.08 / 4.0, rel=0.1)
         assert error(np.full(16, 0.08)) < 0.003
+
+
+def test_a_hand_that_somebody_else_drives_is_left_alone_while_it_is_looked_at():
+    with emulated(load=0.05, friction=0.0) as device:
+        settings = device.driver._loop.settings
+        other = open_can_bus(settings.interface, settings.channel)
+
+        def say(code: int, data: bytes = b"") -> None:
+            other.send(Message(arbitration_id=codec.identifier(code), data=data, is_extended_id=False))
+
+        say(codec.PERIODS, codec.encode_periods(3))
+        say(codec.SERVOS_ON)
+        for finger, data in enumerate(codec.encode_torques(codec.ALLEGRO_V4, np.full(16, 0.05))):
+            say(codec.TORQUE + finger, data)
+        assert wait_for(lambda: device.emulator.servos_on and device.emulator.torques.all())
+        before = device.emulator.torques
+        device.driver.connect()
+        time.sleep(0.2)
+        assert device.driver.read().status is DeviceStatus.READY
+        device.driver.stop(StopKind.POWER_OFF)
+        time.sleep(0.1)
+        device.driver.close()
+        while other.recv(0.0) is not None:
+            pass
+        assert device.emulator.servos_on and np.array_equal(device.emulator.torques, before)
+        assert other.recv(1.0) is not None
+        other.shutdown()
 
 
 def test_closing_takes_the_torque_away():

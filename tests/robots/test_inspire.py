@@ -160,3 +160,17 @@ def test_a_connection_that_was_reset_is_opened_again():
         device.emulator.inject(Fault.RESET)
         time.sleep(0.1)
         reach(device, device.near)
+
+
+def test_a_hand_that_is_looked_at_keeps_its_settings_and_its_errors():
+    with emulated() as device:
+        device.emulator.report_error(0, 1 << 1)
+        before = dict(device.emulator._registers)
+        device.driver.connect()
+        assert wait_for(lambda: device.driver.read().status is DeviceStatus.FAULT)
+        device.driver.stop()
+        time.sleep(0.1)
+        device.driver.close()
+        written = (codec.CLEAR_ERRORS, codec.ANGLE_SET, codec.SPEED_SET, codec.FORCE_SET, codec.ERRORS)
+        for register in written:
+            assert device.emulator._registers.get(register) == before.get(register)

@@ -171,6 +171,18 @@ def test_currents_and_gains_are_those_of_the_makers_examples(build: str, current
             assert written == [current, current, 600 * share, 200 * share]
 
 
+def test_servos_with_torque_are_left_alone_while_they_are_looked_at():
+    with emulated() as device:
+        for servo in SERVOS:
+            device.emulator._write(servo, codec.TORQUE_ENABLE, b"\x01")
+        device.driver.connect()
+        device.driver.stop(StopKind.POWER_OFF)
+        time.sleep(0.1)
+        device.driver.close()
+        assert device.emulator.torque_on
+        assert all(device.emulator.register(servo, codec.P_GAIN) == 0 for servo in SERVOS)
+
+
 def reach_after_connecting(device: DeviceUnderTest) -> None:
     device.driver.connect()
     reach(device, device.near)

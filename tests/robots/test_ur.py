@@ -110,6 +110,8 @@ def test_a_safety_stop_latches_until_a_person_has_acknowledged_it(fault: Fault):
         assert device.driver.read().status is expected
         assert not device.emulator.program_running
         device.driver.connect()
+        assert not device.emulator.program_running
+        device.driver.take_control()
         assert device.emulator.program_running
         reach(device, device.near)
 
@@ -208,11 +210,11 @@ def test_the_stretched_out_ur5_is_where_its_parameters_add_up():
 @pytest.mark.parametrize(("version", "arm"), [((3, 15, 0), "ur5e"), ((5, 11, 0), "ur5")])
 def test_an_arm_of_another_generation_is_refused(version, arm):
     """Both controllers say "UR5"."""
-    with (
-        emulated(version, tool=(0.0, 0.0, 0.15, 0.0, 0.0, 1.0), arm=arm) as device,
-        pytest.raises(RobotError, match=rf"model '{arm}' the flange is \d\d mm"),
-    ):
+    with emulated(version, tool=(0.0, 0.0, 0.15, 0.0, 0.0, 1.0), arm=arm) as device:
         device.driver.connect()
+        with pytest.raises(RobotError, match=rf"model '{arm}' the flange is \d\d mm"):
+            device.driver.command(device.near)
+        assert np.array_equal(device.true_positions(), HOME)
 
 
 def test_a_cb3_arm_follows_with_a_tool_on_its_flange():
@@ -221,11 +223,25 @@ def test_a_cb3_arm_follows_with_a_tool_on_its_flange():
         reach(device, device.near)
 
 
+def test_a_running_program_survives_looking():
+    with emulated() as device:
+        device.emulator.play_other_program()
+        device.driver.connect()
+        assert np.allclose(device.driver.read().positions, HOME)
+        device.driver.stop()
+        device.driver.close()
+        assert device.emulator.other_program_running and not device.emulator.program_running
+        device.driver.connect()
+        reach(device, device.near)
+        assert device.emulator.program_running and not device.emulator.other_program_running
+
+
 def test_below_full_speed_the_controller_is_refused():
     with emulated() as device:
         device.emulator.set_speed_slider(0.5)
+        device.driver.connect()
         with pytest.raises(RobotError, match=r"50 %.*slider"):
-            device.driver.connect()
+            device.driver.take_control()
         device.emulator.set_speed_slider(1.0)
         device.driver.connect()
         reach(device, device.near)

@@ -209,6 +209,7 @@ class Deployment:
             robot.clock.sleep_until(robot.clock.now() + 0.02)
         if np.abs(now.arm.positions - state.arm.positions).max() > MOVED:
             raise RobotError("the arm was moved while the grasp was planned: start anew")
+        robot.take_control()
         return now
 
     def _move(self, corners: list[np.ndarray], fingers: np.ndarray) -> None:

@@ -98,10 +98,20 @@ class JointDriver(Protocol):
     arms, and where only a lack of power does so."""
 
     def connect(self) -> None:
-        """Open the connection and verify type, generation and side of the device. Nothing moves.
+        """Open the connection and verify type, generation and side of the device, which stays as it is:
+        torque, settings, errors and a program that runs on it.
 
         Raises:
             RobotError: nobody answers, or another device than the one configured does.
+        """
+        ...
+
+    def take_control(self) -> None:
+        """Make the device ready to follow; a program that runs on it ends. Nothing moves. ``command`` does
+        so, too, where nobody did, which may take seconds.
+
+        Raises:
+            RobotError: the device can't be controlled now.
         """
         ...
 

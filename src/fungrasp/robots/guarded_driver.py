@@ -59,6 +59,10 @@ class GuardedDriver:
         self._driver.connect()
         self._stamp, self._last, self._when = StandingStamp(), np.zeros(0), -np.inf
 
+    def take_control(self) -> None:
+        """See ``JointDriver.take_control``."""
+        self._driver.take_control()
+
     def read(self) -> JointState:
         """See ``JointDriver.read``."""
         return self._driver.read()

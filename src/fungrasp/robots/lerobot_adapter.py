@@ -69,6 +69,7 @@ class LeRobotRobot:
         """Connect to all devices; setpoints begin where the robot stands. Nothing moves."""
         robot = self._robot
         robot.connect()
+        robot.take_control()
         state = robot.state()
         robot.place_setpoints(state.arm.positions, state.hand.positions)
         robot.begin(state)

@@ -128,6 +128,16 @@ class Robot:
                 device.close()
             raise
 
+    def take_control(self) -> None:
+        """Make arm and hand ready to follow, before a motion begins: it may take seconds. Not on a dry run.
+
+        Raises:
+            RobotError: one of them can't be controlled now.
+        """
+        if not self.dry_run:
+            self.arm.take_control()
+            self.hand_driver.take_control()
+
     def close(self) -> None:
         """Stop and end all connections. May be called twice."""
         for device in (self.arm, self.hand_driver, self.tracker):

@@ -12,6 +12,7 @@ from __future__ import annotations
 import contextlib
 import re
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -140,38 +141,55 @@ class URLoop:
         self._going: tuple[Any, ...] = ()
         self._target: np.ndarray | None = None
         self._known: JointState | None = None
-        self._slowed = False
+        self._slowed = self._taken = False
 
     def open(self) -> None:
-        """See ``DeviceLoop.open``: model, serial number and state of the controller are checked."""
+        """See ``DeviceLoop.open``: model, serial number and state of the controller are checked. A program
+        that runs goes on."""
         dashboard = import_client("dashboard_client", "ur", "a UR arm")
         receive = import_client("rtde_receive", "ur", "a UR arm")
-        control = import_client("rtde_control", "ur", "a UR arm")
         self._ruckig = import_client("ruckig", "ur", "a UR arm")
-        try:
+        with self._errors_as_ours():
             self._check(dashboard.DashboardClient(self.settings.address))
-            # Both receive in threads of their own, at the controller's rate if they are not told another one.
+            # It receives in a thread of its own, at the controller's rate if it is not told another one.
             with timer_slack(POLL_SLACK):
                 self._receive = receive.RTDEReceiveInterface(self.settings.address, STATE_RATE, VARIABLES)
+        if not self._receive.getActualQ():
+            raise RobotError(f"{self.name}: the controller sends no joint positions; restart it")
+        self._path = self._ruckig.Ruckig(JOINTS, self._period)
+        # Kept between steps: it holds the path that the steps are taken from.
+        self._step = self._ruckig.OutputParameter(JOINTS)
+        self._going = (self._ruckig.Result.Working, self._ruckig.Result.Finished)
+        self._advanced = self._due = time.monotonic()
+
+    def take_control(self) -> None:
+        """See ``DeviceLoop.take_control``: the client library's program takes the place of any other one.
+        Speed and kinematics are checked."""
+        slowed = self._slowed_in_words()
+        if slowed:
+            raise RobotError(f"{self.name}: {slowed}")
+        if self._control is None:
+            control = import_client("rtde_control", "ur", "a UR arm")
+            with self._errors_as_ours(), timer_slack(POLL_SLACK):
                 self._control = control.RTDEControlInterface(self.settings.address, STATE_RATE)
+            self._set_watchdog()
+            self._check_kinematics()
+        elif not self._control.isProgramRunning():
+            self._restart()
+        self._taken = True
+        self._advanced = self._due = time.monotonic()
+
+    @contextlib.contextmanager
+    def _errors_as_ours(self) -> Iterator[None]:
+        """Errors of connecting, in one line."""
+        try:
+            yield
         except RuntimeError as error:
             raise RobotError(
                 f"{self.name}: {_one_line(error)}; check address, power and remote control"
             ) from error
         except ValueError as error:
             raise RobotError(f"{self.name}: {_one_line(error)}") from error
-        if not self._receive.getActualQ():
-            raise RobotError(f"{self.name}: the controller sends no joint positions; restart it")
-        self._set_watchdog()
-        slowed = self._slowed_in_words()
-        if slowed:
-            raise RobotError(f"{self.name}: {slowed}")
-        self._check_kinematics()
-        self._path = self._ruckig.Ruckig(JOINTS, self._period)
-        # Kept between steps: it holds the path that the steps are taken from.
-        self._step = self._ruckig.OutputParameter(JOINTS)
-        self._going = (self._ruckig.Result.Working, self._ruckig.Result.Finished)
-        self._advanced = self._due = time.monotonic()
 
     def step(self, goal: LoopGoal) -> JointState:
         """See ``DeviceLoop.step``."""
@@ -196,8 +214,8 @@ class URLoop:
             # An arm that is slowed down is braked by setpoints, as one that is told to hold.
             self._move(goal, state)
         elif state.status is DeviceStatus.FAULT and goal.mode is LoopMode.IDLE:
-            # Somebody has connected anew after the program was stopped.
-            self._restart()
+            # Somebody has connected anew after the program was stopped: it starts when control is taken.
+            self._taken = False
             state = self._known = self._state()
         return state
 
@@ -298,10 +316,10 @@ class URLoop:
             status, message = DeviceStatus.PROTECTIVE_STOP, "protective stop: acknowledge it on the pendant"
         elif safety & SAFETY_FAULT_BITS:
             status, message = DeviceStatus.FAULT, f"safety status {safety:#x}: look at the pendant"
-        elif not running:
+        elif self._taken and not running:
             status, message = DeviceStatus.FAULT, "the controller has stopped the program: connect again"
         self._slowed = False
-        if status is DeviceStatus.READY and (slowed := self._slowed_in_words()):
+        if self._taken and status is DeviceStatus.READY and (slowed := self._slowed_in_words()):
             status, message, self._slowed = DeviceStatus.FAULT, slowed, True
         return JointState(
             np.array(positions), np.array(velocities), None, self._clock, self._advanced, status, message
@@ -319,7 +337,10 @@ class URLoop:
         )
 
     def _move(self, goal: LoopGoal, state: JointState) -> None:
-        if goal.mode is LoopMode.IDLE or (goal.mode is LoopMode.POWER_OFF and self._lead is None):
+        if not self._taken:
+            return
+        resting = goal.mode in (LoopMode.IDLE, LoopMode.STAND_BY)
+        if resting or (goal.mode is LoopMode.POWER_OFF and self._lead is None):
             self._control.kickWatchdog()
             return
         if self._lead is None:

@@ -15,7 +15,7 @@ class LoopMode(IntEnum):
     """What a device is to do."""
 
     IDLE = 0
-    """Connected, nothing commanded yet: no motion."""
+    """Connected: looked at, and left as it is."""
     FOLLOW = 1
     """Move to the goal within the limits."""
     HOLD = 2
@@ -26,6 +26,8 @@ class LoopMode(IntEnum):
     """No torque."""
     CLOSE = 5
     """End the loop."""
+    STAND_BY = 6
+    """Under our control, nothing commanded yet: no motion."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +61,12 @@ class DeviceLoop(Protocol):
     """A state older than this is no state: the device counts as disconnected [s]."""
 
     def open(self) -> None:
-        """Connect and verify the device; nothing moves. Raises: RobotError."""
+        """Connect and verify the device, which stays as it is. Raises: RobotError."""
+        ...
+
+    def take_control(self) -> None:
+        """Make the device ready to follow; called before the first goal, and again after an acknowledged
+        stop. Nothing moves. Raises: RobotError."""
         ...
 
     def step(self, goal: LoopGoal) -> JointState:

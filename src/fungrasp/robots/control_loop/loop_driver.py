@@ -13,6 +13,7 @@ import numpy as np
 
 from fungrasp.robots.control_loop.device_loop import DeviceLoop, LoopMode
 from fungrasp.robots.control_loop.loop_host import LoopProcess, LoopThread
+from fungrasp.robots.control_loop.loop_runner import FOLLOWING
 from fungrasp.robots.control_loop.records import (
     ENDED,
     STARTING,
@@ -74,6 +75,7 @@ class LoopDriver:
         self._host: LoopProcess | LoopThread | None = None
         self._goal = np.zeros((), dtype=goal_kind(self._count))
         self._stopped: str | None = None
+        self._controls = self._was_taken = False
         self._rescued = False
 
     def connect(self) -> None:
@@ -87,7 +89,13 @@ class LoopDriver:
                 # A loop that waits in a client library for a device that is gone is not waited for.
                 self._end(LOST_TIMEOUT)
                 self._start()
-            self._stopped = None
+            self._stopped, self._controls = None, False
+
+    def take_control(self) -> None:
+        """See ``JointDriver.take_control``."""
+        with self._lock:
+            self._check_ready()
+            self._take_control()
 
     def read(self) -> JointState:
         """See ``JointDriver.read``. A state older than the device's ``stale_after`` is disconnected."""
@@ -104,11 +112,8 @@ class LoopDriver:
             if not np.isfinite(values).all():
                 raise RobotError(f"{self.name}: the {what} of joint {_first_bad(values)} is not finite")
         with self._lock:
-            state = self._read()
-            if self._stopped is not None:
-                raise RobotError(f"{self.name} was stopped ({self._stopped}): call connect() first")
-            if state.status is not DeviceStatus.READY and not _waits_for_driver(state, self._goal):
-                raise RobotError(f"{self.name} takes no command, {state.status}: {state.message}")
+            self._check_ready()
+            self._take_control()
             sent = np.clip(positions, self.limits.lower, self.limits.upper)
             self._goal["positions"] = sent
             self._goal["feedforward"] = np.clip(torques, -self.limits.torque, self.limits.torque)
@@ -146,10 +151,24 @@ class LoopDriver:
         self.stop()
         self.close()
 
+    def _check_ready(self) -> None:
+        state = self._read()
+        if self._stopped is not None:
+            raise RobotError(f"{self.name} was stopped ({self._stopped}): call connect() first")
+        if state.status is not DeviceStatus.READY and not _waits_for_driver(state, self._goal):
+            raise RobotError(f"{self.name} takes no command, {state.status}: {state.message}")
+
+    def _take_control(self) -> None:
+        if not self._controls:
+            self._was_taken = True
+            self._tell(LoopMode.STAND_BY)
+            self._await_acknowledgement()
+            self._controls = True
+
     def _start(self) -> None:
         host = LoopProcess if self._process else LoopThread
         self._goal["mode"], self._goal["sent"] = LoopMode.IDLE, time.monotonic()
-        self._rescued = False
+        self._rescued = self._was_taken = False
         self._host = host(self._loop, self._goal, self._driver_timeout)
         deadline = time.monotonic() + CONNECT_TIMEOUT
         while time.monotonic() < deadline:
@@ -203,7 +222,7 @@ class LoopDriver:
             return state
         age = now - state.received
         if not self._host.alive():
-            if not self._rescued:
+            if self._was_taken and not self._rescued:
                 self._rescued = True
                 # A copy: this one stays as it was made, to be sent to the next process.
                 pickle.loads(pickle.dumps(self._loop)).rescue()
@@ -228,7 +247,7 @@ class LoopDriver:
 
 def _waits_for_driver(state: JointState, goal: np.ndarray) -> bool:
     """Whether the device holds only because the driver was not heard of."""
-    return state.status is DeviceStatus.STOPPED and goal["mode"] in (LoopMode.FOLLOW, LoopMode.IDLE)
+    return state.status is DeviceStatus.STOPPED and goal["mode"] in FOLLOWING
 
 
 def _first_bad(values: np.ndarray) -> int:

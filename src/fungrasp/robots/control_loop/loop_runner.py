@@ -14,7 +14,7 @@ from fungrasp.robots.control_loop.mailbox import Mailbox
 from fungrasp.robots.control_loop.records import ENDED, RUNNING, STATUSES, loop_goal, put_state, state_kind
 from fungrasp.robots.device import DeviceStatus, JointState
 
-FOLLOWING = (LoopMode.IDLE, LoopMode.FOLLOW)
+FOLLOWING = (LoopMode.IDLE, LoopMode.STAND_BY, LoopMode.FOLLOW)
 
 
 def run_device_loop(
@@ -35,12 +35,15 @@ def run_device_loop(
     """
     count = len(loop.limits.lower)
     record = np.zeros((), dtype=state_kind(count))
+    control = _Control()
     try:
         try:
             loop.open()
-            _follow(loop, goals, states, record, driver_timeout, abandoned)
+            _follow(loop, goals, states, record, driver_timeout, abandoned, control)
         finally:
-            loop.halt()
+            # A device that was only looked at is somebody else's.
+            if control.was_taken:
+                loop.halt()
         message, status = "", DeviceStatus.DISCONNECTED
     except FungraspError as error:
         message, status = str(error), DeviceStatus.DISCONNECTED
@@ -53,6 +56,14 @@ def run_device_loop(
     loop.close()
 
 
+@dataclasses.dataclass
+class _Control:
+    """Whether the device is ours."""
+
+    taken: bool = False
+    was_taken: bool = False
+
+
 def _follow(
     loop: DeviceLoop,
     goals: Mailbox,
@@ -60,6 +71,7 @@ def _follow(
     record: np.ndarray,
     driver_timeout: float,
     abandoned: Callable[[], bool],
+    control: _Control,
 ) -> None:
     latched: JointState | None = None
     stopped_order, order, told_last, state_last = -1, -1, None, None
@@ -81,15 +93,23 @@ def _follow(
         late = goal.mode is LoopMode.FOLLOW and time.monotonic() - sent > driver_timeout
         if late:
             goal = dataclasses.replace(goal, mode=LoopMode.HOLD)
+        wanted = goal.mode
+        if wanted is LoopMode.IDLE:
+            control.taken = False
+        elif wanted in FOLLOWING and not control.taken:
+            control.was_taken = True
+            loop.take_control()
+            control.taken = True
+        if not control.was_taken and wanted is not LoopMode.IDLE:
+            # What we did not take we do not stop.
+            goal = dataclasses.replace(goal, mode=LoopMode.IDLE)
         state = _step(loop, goal, record)
         if latched is None and state.status is not DeviceStatus.READY:
             latched, stopped_order = state, order
         if latched is not None:
             state = dataclasses.replace(state, status=latched.status, message=latched.message)
-        elif goal.mode not in FOLLOWING:
-            message = (
-                f"no command for {driver_timeout} s" if late else f"told to stop: {goal.mode.name.lower()}"
-            )
+        elif wanted not in FOLLOWING:
+            message = f"no command for {driver_timeout} s" if late else f"told to stop: {wanted.name.lower()}"
             state = dataclasses.replace(state, status=DeviceStatus.STOPPED, message=message)
         # Most steps of a fast loop bring no news of the device: writing costs as much as all the rest.
         if state is not state_last or news:

@@ -94,6 +94,7 @@ class URControllerEmulator(Emulator):
         self._release_time = release_time
         self._rng = np.random.default_rng(seed)
         self._net = URConnections(address, (RTDE_PORT, DASHBOARD_PORT, SCRIPT_PORT), self._greet)
+        self._other_program = False
         self._program = ServoProgram(plant, self._tool)
         self._stop_began = 0.0
         self._origin = time.monotonic()
@@ -103,6 +104,15 @@ class URControllerEmulator(Emulator):
     def program_running(self) -> bool:
         """Whether the client's program runs."""
         return self._program.running
+
+    @property
+    def other_program_running(self) -> bool:
+        """Whether somebody else's program runs that was running before."""
+        return self._other_program
+
+    def play_other_program(self) -> None:
+        """What a person does at the pendant: a program runs that is not ours, until another one starts."""
+        self._other_program = True
 
     def set_speed_slider(self, share: float) -> None:
         """What a person does at the pendant; share: 0 to 1."""
@@ -213,6 +223,7 @@ class URControllerEmulator(Emulator):
     def _start_program(self) -> None:
         if self.shows(Fault.PROTECTIVE_STOP) or self.shows(Fault.EMERGENCY_STOP):
             return
+        self._other_program = False
         self._program.start()
 
     def _tick(self, now: float) -> None:
@@ -230,7 +241,7 @@ class URControllerEmulator(Emulator):
             "actual_qd": state.velocities,
             "target_q": state.positions if self._program.goal is None else self._program.goal,
             "target_moment": state.torques,
-            "runtime_state": PLAYING if self.program_running else STOPPED,
+            "runtime_state": PLAYING if self.program_running or self._other_program else STOPPED,
             "speed_scaling": 1.0,
             "target_speed_fraction": self._program.slider,
             "robot_mode": 7,

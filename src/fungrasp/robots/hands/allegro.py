@@ -33,6 +33,8 @@ BEYOND = 0.5
 """Nor is one so far beyond the joint's limits [rad]: a real hand's zero is off by less."""
 JUMPS = 40
 """So many frames beyond belief in a row, ten sets, are a fault of the hand, not of a frame."""
+LISTENING = 0.1
+"""Positions that come within so long are sent for somebody else [s]; then the hand is asked for them."""
 INFO_INTERVAL = 1.0
 """The hand is asked so often for its temperature and faults [s]: it says them on request only."""
 OPEN_SPEED = 0.5
@@ -123,18 +125,34 @@ class AllegroLoop:
         self._error_frames = 0
         self._info_due = 0.0
         self._servos_on = False
+        self._taken = self._periodic = False
 
     def open(self) -> None:
         """See ``DeviceLoop.open``: the hand must name the generation and side that are expected."""
         self._open_bus()
-        self._send(codec.SERVOS_OFF)
         self._verify()
-        self._send(codec.PERIODS, codec.encode_periods(self.settings.period_ms))
+        listening = time.monotonic() + LISTENING
+        while self._state is None and time.monotonic() < listening:
+            self._receive(listening - time.monotonic())
+        if self._state is None:
+            # Nobody else has asked for them.
+            self._ask_for_positions()
         deadline = time.monotonic() + ANSWER_TIMEOUT
         while self._state is None:
             self._receive(deadline - time.monotonic())
             if time.monotonic() > deadline:
                 raise RobotError(f"{self.name} names itself but sends no positions: switch it off and on")
+
+    def take_control(self) -> None:
+        """See ``DeviceLoop.take_control``: whoever had the hand before leaves no torque."""
+        if not self._servos_on:
+            self._send(codec.SERVOS_OFF)
+        self._ask_for_positions()
+        self._taken = True
+
+    def _ask_for_positions(self) -> None:
+        self._send(codec.PERIODS, codec.encode_periods(self.settings.period_ms))
+        self._periodic = True
 
     def step(self, goal: LoopGoal) -> JointState:
         """See ``DeviceLoop.step``."""
@@ -153,11 +171,12 @@ class AllegroLoop:
             self._info_due = time.monotonic() + INFO_INTERVAL
             self._send(codec.INFO, request=True)
         if state is before:
-            self.halt()
+            if self._taken:
+                self.halt()
             raise RobotError(
                 f"{self.name} is silent for {1e3 * self.settings.stale_after:.0f} ms{self._errors_in_words()}"
             )
-        if state.status is DeviceStatus.READY:
+        if state.status is DeviceStatus.READY and self._taken:
             self._send_torques(self._torques(goal, state, state.received - before.received))
         return state
 
@@ -172,8 +191,9 @@ class AllegroLoop:
     def close(self) -> None:
         """See ``DeviceLoop.close``."""
         if self._bus is not None:
-            with contextlib.suppress(Exception):
-                self._send(codec.PERIODS, codec.encode_periods(0))
+            if self._periodic:
+                with contextlib.suppress(Exception):
+                    self._send(codec.PERIODS, codec.encode_periods(0))
             with contextlib.suppress(Exception):
                 self._bus.shutdown()
             self._bus = None
@@ -182,6 +202,7 @@ class AllegroLoop:
         """See ``DeviceLoop.rescue``: the hand may keep the last torques it was sent."""
         with contextlib.suppress(Exception):
             self._open_bus()
+            self._periodic = True
             self.halt()
             self.close()
 
@@ -197,7 +218,7 @@ class AllegroLoop:
                 self.halt()
             return np.zeros(16)
         if self._setpoint is None:
-            if goal.mode is LoopMode.IDLE:
+            if goal.mode in (LoopMode.IDLE, LoopMode.STAND_BY):
                 return np.zeros(16)
             self._setpoint = np.clip(state.positions, self.limits.lower, self.limits.upper)
         if not self._servos_on:

@@ -97,7 +97,7 @@ class InspireLoop:
         self._state: JointState | None = None
         self._sent: list[int] | None = None
         self._due = self._errors_due = 0.0
-        self._mode = LoopMode.IDLE
+        self._mode, self._taken = LoopMode.IDLE, False
         self._fault = ""
 
     def open(self) -> None:
@@ -118,11 +118,15 @@ class InspireLoop:
         number = self._first_answer(codec.HAND_ID, 1)[0] & 0xFF
         if number != s.device:
             raise RobotError(f"{self.name}: the hand says that it is number {number}, not {s.device}")
-        self._write(codec.CLEAR_ERRORS, [1])
-        self._write(codec.SPEED_SET, [s.speed] * codec.MOTORS)
-        self._write(codec.FORCE_SET, [s.force] * codec.MOTORS)
         self._first_answer(codec.ANGLE_ACTUAL, codec.MOTORS)
         self._due = time.monotonic()
+
+    def take_control(self) -> None:
+        """See ``DeviceLoop.take_control``."""
+        self._taken = True
+        self._write(codec.CLEAR_ERRORS, [1])
+        self._write(codec.SPEED_SET, [self.settings.speed] * codec.MOTORS)
+        self._write(codec.FORCE_SET, [self.settings.force] * codec.MOTORS)
 
     def step(self, goal: LoopGoal) -> JointState:
         """See ``DeviceLoop.step``."""
@@ -133,7 +137,7 @@ class InspireLoop:
         state = self._read_state()
         if state.status is DeviceStatus.READY:
             self._move(goal, state)
-        elif goal.mode is LoopMode.IDLE:
+        elif goal.mode is LoopMode.IDLE and self._taken:
             # Somebody has connected anew after a fault.
             self._write(codec.CLEAR_ERRORS, [1])
             self._fault, self._errors_due = "", 0.0

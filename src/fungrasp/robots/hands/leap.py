@@ -122,6 +122,16 @@ class LeapLoop:
                     f"{self.name}: servo {servo} does not answer; check power, cable and baud rate"
                 )
             self._reader.addParam(servo)
+        for _ in range(5):
+            if self._read() is not None:
+                self._due = time.monotonic()
+                return
+        raise RobotError(f"{self.name}: the servos answer, but send no positions")
+
+    def take_control(self) -> None:
+        """See ``DeviceLoop.take_control``: modes, limits and gains can be set without torque only."""
+        if self._powered:
+            return
         self._write_all(codec.TORQUE_ENABLE, 1, 0)
         self._write_all(codec.OPERATING_MODE, 1, codec.CURRENT_BASED_POSITION)
         self._write_all(codec.CURRENT_LIMIT, 2, self.settings.current)
@@ -130,11 +140,6 @@ class LeapLoop:
         for address, gain in ((codec.P_GAIN, self.settings.p_gain), (codec.D_GAIN, self.settings.d_gain)):
             self._write_all(address, 2, gain)
             self._write_all(address, 2, round(SIDE_SHARE * gain), SIDE_JOINTS)
-        for _ in range(5):
-            if self._read() is not None:
-                self._due = time.monotonic()
-                return
-        raise RobotError(f"{self.name}: the servos answer, but send no positions")
 
     def step(self, goal: LoopGoal) -> JointState:
         """See ``DeviceLoop.step``."""
@@ -187,7 +192,7 @@ class LeapLoop:
                 self._powered = False
             return
         if self._setpoint is None:
-            if goal.mode is LoopMode.IDLE:
+            if goal.mode in (LoopMode.IDLE, LoopMode.STAND_BY):
                 return
             self._setpoint = np.clip(state.positions, self.limits.lower, self.limits.upper)
         wanted, speed = self._setpoint, self.settings.speed

@@ -66,6 +66,9 @@ class _TwinJoints:
         self._send(sent, feedforward)
         return sent
 
+    def take_control(self) -> None:
+        """See ``JointDriver.take_control``: a twin is nobody else's."""
+
     def stop(self, kind: StopKind = StopKind.HOLD) -> None:
         """See ``JointDriver.stop``."""
         if self._status is DeviceStatus.READY:
