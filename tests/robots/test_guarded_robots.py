@@ -14,11 +14,12 @@ from fungrasp.cli.main import main
 from fungrasp.hands import load_hand
 from fungrasp.robots import assembly
 from fungrasp.robots.assembly import guarded_hand, wired_robot
-from fungrasp.robots.cell import RobotCell, load_cell
+from fungrasp.robots.cell import Obstacle, RobotCell, load_cell
 from fungrasp.robots.device import DeviceStatus, RobotError
 from fungrasp.robots.emulators.inspire_modbus import InspireEmulator
 from fungrasp.robots.emulators.plant import ServoPlant
 from fungrasp.robots.guarded_driver import GuardedDriver
+from fungrasp.robots.kinematics.arm_model import MARGIN, ArmKinematics, ClearanceModel
 from fungrasp.robots.lerobot_adapter import LeRobotRobot
 from fungrasp.robots.robot import Robot
 from fungrasp.robots.robot_state import SafetyStop
@@ -141,6 +142,22 @@ def test_a_device_alone_stops_for_what_is_wrong(what: str, monkeypatch: pytest.M
             world.advance(world.time + 0.02)
             guarded.command(rest)
     assert driver._status is DeviceStatus.STOPPED
+
+
+def test_boxes_of_the_cell_are_kept_clear_of() -> None:
+    cell, hand = cell_and_hand()
+    home = np.array(cell.arm.home)
+    palm = ArmKinematics(cell, hand).palm_pose(home)[:3]
+    fingers = hand.independent(np.clip(np.zeros(len(hand.joint_names)), *hand.joint_limits.T))
+    pedestal = Obstacle((-0.5, 0.0, 0.14), (0.25, 0.25, 0.28))
+    ahead = Obstacle(tuple(palm - [0.0, 0.0, 0.3]), (0.1, 0.1, 0.2))
+    boxed = replace(cell, obstacles=(pedestal, ahead))
+    assert ClearanceModel(cell, hand).measure(home, fingers).obstacle == MARGIN
+    free = ClearanceModel(boxed, hand).measure(home, fingers)
+    assert free.obstacle == MARGIN and free.table == MARGIN
+    robot, world = twin(boxed)
+    with pytest.raises(SafetyStop, match="would touch an obstacle"):
+        sink(robot, world)
 
 
 def test_an_arm_alone_keeps_off_the_table(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, is_dataclass, replace
+from dataclasses import MISSING, dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any, get_type_hints
 
@@ -84,6 +84,18 @@ class Workspace:
 
 
 @dataclass(frozen=True)
+class Obstacle:
+    """A box that the robot keeps clear of: a pedestal, a wall, a camera's post."""
+
+    center: Vector
+    """World frame [m], length 3."""
+    size: Vector
+    """Whole edges along its axes [m], length 3."""
+    rotation: Vector = (1.0, 0.0, 0.0, 0.0)
+    """Of its axes in the world, quaternion wxyz."""
+
+
+@dataclass(frozen=True)
 class MotionLimits:
     """Limits of every motion; what is commanded is within them."""
 
@@ -158,6 +170,9 @@ class RobotCell:
     """Limits of every motion."""
     watchdog: Watchdog = field(default_factory=Watchdog)
     """When the robot is no longer trusted."""
+    obstacles: tuple[Obstacle, ...] = ()
+    """What else stands there, ``[[obstacles]]`` each: arm and hand keep ``workspace.table_clearance`` from
+    it; the arm's base and shoulder may touch it."""
     hand_dynamics: str = ""
     """File of the hand's identified dynamics (``fungrasp identify fit``), relative to the cell's file; "" for
     none."""
@@ -294,6 +309,17 @@ def cell_faults(cell: RobotCell) -> list[str]:
             faults.append(f"'{name}' must be 3 metres and a unit quaternion wxyz, not {list(pose)}")
     if len(cell.arm.home) == 0:
         faults.append("'arm.home' is missing: joints where the arm waits [rad]")
+    for number, box in enumerate(cell.obstacles, 1):
+        lengths = len(box.center), len(box.size), len(box.rotation)
+        if (
+            lengths != (3, 3, 4)
+            or min(box.size) <= 0
+            or not np.isclose(np.linalg.norm(box.rotation), 1.0, atol=1e-3)
+        ):
+            faults.append(
+                f"obstacle {number} needs a center of 3 numbers, a size of 3 positive ones, and a unit "
+                "quaternion wxyz"
+            )
     if cell.arm.model not in arm_files():
         faults.append(str(UnknownNameError("arm", cell.arm.model, arm_files())))
     if cell.guard not in ("on", "off"):
@@ -316,6 +342,10 @@ def _build(kind: type, tree: Mapping[str, Any], path: str, where: str) -> Any:
             if not isinstance(value, Mapping):
                 raise FungraspError(f"{path}: '{name}' must be a table")
             values[key] = _build(hint, value, path, f"{name}.")  # pyright: ignore[reportArgumentType]
+        elif hint == tuple[Obstacle, ...]:
+            if not isinstance(value, list) or not all(isinstance(one, Mapping) for one in value):
+                raise FungraspError(f"{path}: '{name}' must be tables, each begins with [[{name}]]")
+            values[key] = tuple(_build(Obstacle, one, path, f"{name}.") for one in value)
         elif hint is float:
             values[key] = _number(value, path, name)
         elif hint is str:
@@ -330,9 +360,9 @@ def _build(kind: type, tree: Mapping[str, Any], path: str, where: str) -> Any:
             if not isinstance(value, Mapping):
                 raise FungraspError(f"{path}: '{name}' must be a table, not {value!r}")
             values[key] = dict(value)
-    missing = [f.name for f in fields(kind) if f.name == "hand" and "hand" not in values]
-    if missing:
-        raise FungraspError(f"{path}: the field 'hand' is missing")
+    for f in fields(kind):
+        if f.default is MISSING and f.default_factory is MISSING and f.name not in values:
+            raise FungraspError(f"{path}: the field '{where}{f.name}' is missing")
     return kind(**values)
 
 

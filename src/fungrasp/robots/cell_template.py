@@ -43,6 +43,11 @@ driver = "pose-stream"
 address = "tcp://127.0.0.1:5556"
 # calibration = "camera.toml" # of 'fungrasp robots calibrate'
 
+# The pedestal, and whatever else the robot could touch.
+# [[obstacles]]
+# center = [-0.5, 0.0, 0.14] # [m]
+# size = [0.25, 0.25, 0.28]
+
 [workspace] # of the palm, as small as the task allows
 lower = [-0.3, -0.3, 0.0]
 upper = [0.3, 0.3, 0.5]

@@ -13,7 +13,7 @@ robot's own controller, with its limits set, and an emergency stop within reach.
 | wrist goal of the policy far from the palm | hold |
 | palm outside the workspace box | hold |
 | arm near the table, hand below its top | hold |
-| arm or hand near the arm itself | hold |
+| arm or hand near the arm itself, or near an obstacle of the cell | hold |
 | torque of an arm joint | hold |
 | torque of a hand joint | open |
 | device reports that it does not follow | hold |
@@ -149,6 +149,8 @@ def check_posture(palm: np.ndarray, clearance: Clearance, box: Workspace) -> str
         return "the arm would touch the table"
     if clearance.hand < -box.hand_depth:
         return "the hand would press into the table, or come too near to it"
+    if clearance.obstacle < box.table_clearance:
+        return "the arm or the hand would touch an obstacle"
     if clearance.itself < 0.0:
         return "the arm or the hand would touch the arm"
     return ""

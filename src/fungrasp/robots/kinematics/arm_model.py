@@ -16,6 +16,9 @@ from fungrasp.robots.cell import RobotCell
 OBJECT = "object to keep clear of"
 """Name of its body, mesh and geom."""
 
+OBSTACLE = "obstacle"
+"""Beginning of the names of their geoms."""
+
 MARGIN = 0.03
 """Distances beyond this are not told apart [m]."""
 
@@ -83,6 +86,8 @@ class Clearance:
     """From the hand to the table."""
     itself: float
     """From the arm to itself and to the hand."""
+    obstacle: float = MARGIN
+    """From arm and hand to the nearest of the cell's obstacles."""
 
 
 class ClearanceModel:
@@ -99,6 +104,10 @@ class ClearanceModel:
         base = spec.worldbody.first_body()
         base.pos, base.quat = cell.arm.pose_world_base[:3], cell.arm.pose_world_base[3:]
         spec.worldbody.add_geom(name="table", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[2, 2, 0.1])
+        for number, box in enumerate(cell.obstacles):
+            half, turn = 0.5 * np.array(box.size), list(box.rotation)
+            kind, name = mujoco.mjtGeom.mjGEOM_BOX, f"{OBSTACLE} {number}"
+            spec.worldbody.add_geom(name=name, type=kind, size=half, pos=list(box.center), quat=turn)
         if thing is not None:
             _add_object(spec, thing)
         for geom in spec.geoms:
@@ -126,7 +135,9 @@ class ClearanceModel:
             kind[model.body(OBJECT).id] = 0
             self._object = model.geom(OBJECT).id
         self._kind = kind[model.geom_bodyid]
-        """0 table and object, 1 the arm, 2 the hand; of each geom."""
+        """-1 obstacles, 0 table and object, 1 the arm, 2 the hand; of each geom."""
+        for number in range(len(cell.obstacles)):
+            self._kind[model.geom(f"{OBSTACLE} {number}").id] = -1
 
     def measure(self, arm: np.ndarray, fingers: np.ndarray) -> Clearance:
         """Distances in a posture. arm: [rad], shape [M]; fingers: independent joints [rad], shape [U]."""
@@ -147,6 +158,7 @@ class ClearanceModel:
             table=least((low == 0) & (high == 1)),
             hand=least((low == 0) & (high == 2)),
             itself=least(low == 1),
+            obstacle=least(low == -1),
         )
 
     def place_object(self, pose: np.ndarray) -> None:

@@ -91,7 +91,7 @@ class FreePath:
         if (palm < box.lower).any() or (palm > box.upper).any():
             return False
         gap = self._clearance.measure(arm, fingers)
-        if min(gap.table, gap.hand, gap.itself) < CLEAR:
+        if min(gap.table, gap.hand, gap.itself, gap.obstacle) < CLEAR:
             return False
         return keep is None or self._clearance.distance_to_object() >= keep
 

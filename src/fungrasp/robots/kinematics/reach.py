@@ -162,6 +162,8 @@ class ReachChecker:
                 obstacle = "the arm would touch the table"
             elif hand_matters and gap.hand < -workspace.hand_depth:
                 obstacle = "the hand would press into the table"
+            elif gap.obstacle < workspace.table_clearance + TABLE_ROOM:
+                obstacle = "the arm or the hand would touch an obstacle"
             elif share < LEAST_MANIPULABILITY:
                 obstacle = "the arm would be singular"
             if obstacle:
