@@ -292,3 +292,17 @@ def test_the_dashboard_answers_like_the_real_one():
             file.write(line + "\n")
             file.flush()
             assert file.readline().strip() == answer
+
+
+def test_a_payload_that_is_not_the_pendants_is_refused():
+    weight = {"payload": 1.2, "payload_center": (0.0, 0.0, 0.06)}
+    with emulated(**weight) as device:
+        device.emulator.payload, device.emulator.payload_center = 1.25, (0.0, 0.0, 0.063)
+        device.driver.connect()
+        reach(device, device.near)
+    for mass, center in ((0.0, (0.0, 0.0, 0.06)), (1.2, (0.0, 0.0, 0.0))):
+        with emulated(**weight) as device:
+            device.emulator.payload, device.emulator.payload_center = mass, center
+            with pytest.raises(RobotError, match="the pendant says a payload of"):
+                device.driver.connect()
+                reach(device, device.near)

@@ -28,6 +28,7 @@ model = "ur5e" # or "ur5", with a CB3 controller
 driver = "ur-rtde"
 address = "" # of the controller
 options = {{ velocity = 0.3, acceleration = 1.0, jerk = 20.0 }} # [rad/s], [rad/s^2], [rad/s^3]
+# Further options: payload = 1.5, payload_center = [0.0, 0.0, 0.06] # [kg], [m]: compared with the pendant's
 # ROS's base_link in the world: z = 0 is the table top. The pendant's Base is turned by 180 degrees about z.
 pose_world_base = [] # [m], wxyz
 home = [] # [rad]: above the table, hand free

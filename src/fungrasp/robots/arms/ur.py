@@ -37,6 +37,8 @@ VARIABLES = [
     "target_speed_fraction",
     "actual_TCP_pose",
 ]
+PAYLOAD_TOLERANCE, PAYLOAD_CENTER_TOLERANCE = 0.1, 0.01
+"""Of the payload [kg] and of its center along each axis [m]."""
 PLAYING = 2
 EMERGENCY_BITS = 1 << 5 | 1 << 6 | 1 << 7
 PROTECTIVE_BIT = 1 << 2
@@ -93,10 +95,17 @@ class URSettings:
     """The controller stops its program when it hears less often [Hz]."""
     stale_after: float = 0.04
     """A controller's clock that stands still so long is a lost connection [s]."""
+    payload: float = -1.0
+    """Mass of hand, adapter and cables [kg]; the arm is refused where the pendant says another. Negative: not
+    compared."""
+    payload_center: tuple[float, ...] = ()
+    """Center of that mass from the flange, in its frame [m]; empty: not compared."""
     torque_limits: tuple[float, ...] = field(default=(150.0, 150.0, 150.0, 28.0, 28.0, 28.0))
     """Of the joints, from the data sheet [N m]; for reports only, the controller takes positions."""
 
     def __post_init__(self) -> None:
+        if len(self.payload_center) not in (0, 3):
+            raise RobotError("payload_center has 3 numbers")
         if not 0.03 <= self.lookahead <= 0.2 or not 100 <= self.gain <= 2000:
             raise RobotError("servoj takes a lookahead of 0.03 to 0.2 s and a gain of 100 to 2000")
         if not 0 < self.velocity <= 3.14 or not 0 < self.acceleration <= 40 or self.jerk <= 0:
@@ -153,7 +162,9 @@ class URLoop:
             self._check(dashboard.DashboardClient(self.settings.address))
             # It receives in a thread of its own, at the controller's rate if it is not told another one.
             with timer_slack(POLL_SLACK):
-                self._receive = receive.RTDEReceiveInterface(self.settings.address, STATE_RATE, VARIABLES)
+                # Controllers before 3.11 don't say what they carry.
+                variables = VARIABLES + ["payload", "payload_cog"] * (self.settings.payload >= 0)
+                self._receive = receive.RTDEReceiveInterface(self.settings.address, STATE_RATE, variables)
         if not self._receive.getActualQ():
             raise RobotError(f"{self.name}: the controller sends no joint positions; restart it")
         self._path = self._ruckig.Ruckig(JOINTS, self._period)
@@ -174,6 +185,7 @@ class URLoop:
                 self._control = control.RTDEControlInterface(self.settings.address, STATE_RATE)
             self._set_watchdog()
             self._check_kinematics()
+            self._check_payload()
         elif not self._control.isProgramRunning():
             self._restart()
         self._taken = True
@@ -269,6 +281,24 @@ class URLoop:
                 f"{self.name}: by the model '{self.settings.arm}' the flange is {1e3 * apart:.0f} mm from "
                 'where the controller says: is the arm of another generation ("ur5" for CB3, "ur5e"), or is '
                 "its calibration far from nominal?"
+            )
+
+    def _check_payload(self) -> None:
+        """What the controller takes the arm to carry: with a wrong mass it feels contacts that are none, or
+        none that are."""
+        s = self.settings
+        if s.payload < 0:
+            return
+        mass, center = self._receive.getPayload(), np.array(self._receive.getPayloadCog())
+        wrong = not abs(mass - s.payload) <= PAYLOAD_TOLERANCE
+        if s.payload_center:
+            wrong |= not np.abs(center - s.payload_center).max() <= PAYLOAD_CENTER_TOLERANCE
+        if wrong:
+            x, y, z = 1e3 * center
+            raise RobotError(
+                f"{self.name}: the pendant says a payload of {mass:.2f} kg at ({x:.0f}, {y:.0f}, {z:.0f}) "
+                f"mm, the cell {s.payload:g} kg at {[round(1e3 * v) for v in s.payload_center]}: "
+                "weigh the hand, and correct the one that is wrong"
             )
 
     def _set_watchdog(self) -> None:

@@ -26,6 +26,8 @@ _FORMATS |= {"VECTOR6D": "6d", "VECTOR3D": "3d", "VECTOR6INT32": "6i", "VECTOR6U
 
 _VARIABLES = {
     "timestamp": "DOUBLE",
+    "payload": "DOUBLE",
+    "payload_cog": "VECTOR3D",
     "target_q": "VECTOR6D",
     "target_qd": "VECTOR6D",
     "actual_q": "VECTOR6D",

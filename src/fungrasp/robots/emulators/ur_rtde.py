@@ -88,6 +88,8 @@ class URControllerEmulator(Emulator):
         super().__init__()
         self.plant = plant
         self.address = address
+        self.payload, self.payload_center = 0.0, (0.0, 0.0, 0.0)
+        """What the pendant says that the arm carries: mass [kg] and its center from the flange [m]."""
         self._version, self._model, self._serial = version, model, serial
         self._period = 0.008 if version[0] < 5 else 0.002
         self._lengths, self._tool = UR5 if version[0] < 5 else UR5E, np.array(tool)
@@ -242,6 +244,8 @@ class URControllerEmulator(Emulator):
             "target_q": state.positions if self._program.goal is None else self._program.goal,
             "target_moment": state.torques,
             "runtime_state": PLAYING if self.program_running or self._other_program else STOPPED,
+            "payload": self.payload,
+            "payload_cog": self.payload_center,
             "speed_scaling": 1.0,
             "target_speed_fraction": self._program.slider,
             "robot_mode": 7,
