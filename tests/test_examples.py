@@ -10,7 +10,7 @@ import pytest
 import fungrasp
 
 EXAMPLES = sorted((Path(__file__).parents[1] / "examples").glob("*.py"))
-SLOW = ("05_replay_without_simulation", "06_own_randomization", "08_perceive")
+SLOW = ("05_replay_without_simulation", "06_own_randomization", "08_perceive", "11_deploy_on_a_twin")
 """Take ten seconds and more on two busy cores."""
 
 

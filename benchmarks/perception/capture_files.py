@@ -29,7 +29,7 @@ TRUTH_FILE, LABELS_FILE, OBJECT_MASK_FILE = "truth.json", "labels.png", "object_
 """What a photograph's folder would not have."""
 
 MESH_FILE = "object.stl"
-"""The object's mesh without colours [m]."""
+"""The object's mesh without colors [m]."""
 
 HIDING = 0.025
 """What is farther in front of a joint than this [m] is not its own skin."""
@@ -48,7 +48,7 @@ def write_capture(synthetic: SyntheticCapture, folder: str | Path, model: Object
     Args:
         synthetic: the capture.
         folder: where to write it.
-        model: the object, a left hand's mirrored; its mesh without colours becomes ``object.stl``.
+        model: the object, a left hand's mirrored; its mesh without colors becomes ``object.stl``.
 
     Raises:
         FungraspError: the folder can't be written to.
@@ -91,7 +91,7 @@ def write_capture(synthetic: SyntheticCapture, folder: str | Path, model: Object
 
 
 def painted_mesh(painted: PaintedMesh) -> trimesh.Trimesh:
-    """The same as a mesh with a colour per vertex."""
+    """The same as a mesh with a color per vertex."""
     colors = np.round(255 * painted.colors).astype(np.uint8)
     return trimesh.Trimesh(painted.vertices, painted.faces, vertex_colors=colors, process=False)
 

@@ -124,7 +124,7 @@ def edge_widths(depth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     size = np.nan_to_num(np.abs(far - near))
     curved = np.maximum(np.abs(near_slope), np.abs(far_slope)) * REACH
     chosen = (size > STEP[0]) & (size < STEP[1]) & (curved < FLAT * size) & (np.fmax(near, far) < FARTHEST)
-    # Of neighbouring places one counts, where the surfaces differ most.
+    # Of neighboring places one counts, where the surfaces differ most.
     size = np.where(chosen, size, 0.0)
     chosen &= size >= ndimage.maximum_filter1d(size, 2 * REACH + 1, axis=1)
     inner = places[PLATEAU:-PLATEAU]
@@ -150,8 +150,8 @@ def edge_widths(depth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def _line(values: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Height at place 0 and slope of the lines through values, shape [..., N]; NaN where one is missing."""
-    centred = places - places.mean()
-    slope = values @ (centred / (centred @ centred))
+    centered = places - places.mean()
+    slope = values @ (centered / (centered @ centered))
     return values.mean(-1) - slope * places.mean(), slope
 
 
@@ -193,7 +193,7 @@ def plane_noise(depth: np.ndarray, intrinsics: Intrinsics, window: int) -> tuple
 
 
 def _part_without_depth(depth: np.ndarray) -> float:
-    """Of the pixels whose nearest measured neighbour is nearer than 1.5 m."""
+    """Of the pixels whose nearest measured neighbor is nearer than 1.5 m."""
     missing = depth <= 0
     if missing.all():
         return 1.0

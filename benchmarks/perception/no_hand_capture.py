@@ -1,5 +1,5 @@
 """Captures without a human hand, but with much that looks like one: faces, robot hands, limbs of dolls, and
-things with the colours of skin. They are for measuring how often a hand is seen where there is none."""
+things with the colors of skin. They are for measuring how often a hand is seen where there is none."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ ELEVATION = (3.0, 60.0)
 """Range of elevations of the camera above the table [degrees]: low ones see faces."""
 
 SKIN_LIKE_PART = 0.7
-"""Part of the things, and of the tables, with the colours of skin."""
+"""Part of the things, and of the tables, with the colors of skin."""
 
 ROBOT_COLORED = 0.4
-"""Part of the robot hands that are painted in a colour of skin."""
+"""Part of the robot hands that are painted in a color of skin."""
 
 
 def no_hand_capture(seed: int, index: int, settings: CaptureSettings | None = None) -> tuple[Capture, str]:
@@ -53,7 +53,7 @@ def no_hand_capture(seed: int, index: int, settings: CaptureSettings | None = No
     settings = settings or varied_settings()
     rng = np.random.default_rng([seed, index])
     azimuth = float(rng.uniform(0, 2 * np.pi))
-    centre = np.array([0.0, 0.0, 0.05])
+    center = np.array([0.0, 0.0, 0.05])
     chosen = {("person", "robot hand", "limbs", "clutter")[index % 4]}
     chosen |= {kind for kind in ("person", "robot hand", "limbs") if rng.uniform() < 0.2}
     parts: list[tuple[Label, SurfaceMesh]] = []
@@ -66,9 +66,9 @@ def no_hand_capture(seed: int, index: int, settings: CaptureSettings | None = No
         parts += [(Label.CLUTTER, mesh.surface(0.25, 20.0)) for mesh in _limbs(rng)]
         words.append("limbs")
     if "person" in chosen:
-        centre = _add_person(parts, azimuth, settings, rng)
+        center = _add_person(parts, azimuth, settings, rng)
         words.append("person")
-    taken = np.concatenate([surface.vertices for _, surface in parts]) if parts else centre[None]
+    taken = np.concatenate([surface.vertices for _, surface in parts]) if parts else center[None]
     count = int(rng.integers(CLUTTER[0], CLUTTER[1] + 1))
     around, look = surroundings(
         taken[:: max(1, len(taken) // 2000)],
@@ -82,7 +82,7 @@ def no_hand_capture(seed: int, index: int, settings: CaptureSettings | None = No
     tracer = RayTracer([surface for _, surface in parts], look)
     lens = drawn_intrinsics(settings, rng)
     camera = orbit_camera(
-        (centre + rng.normal(size=3) * 0.03).tolist(),
+        (center + rng.normal(size=3) * 0.03).tolist(),
         rng.uniform(*settings.distance),
         float(np.degrees(azimuth)) + rng.normal() * 10,
         rng.uniform(*((ELEVATION[0], 25.0) if "person" in chosen else ELEVATION)),
@@ -117,7 +117,7 @@ def _add_person(
 
 
 def _robot_hand(rng: np.random.Generator) -> tuple[str, list[SurfaceMesh]]:
-    """A robot's hand that lies or stands on the table with its joints anyhow, in its own colours or in one of
+    """A robot's hand that lies or stands on the table with its joints anyhow, in its own colors or in one of
     skin."""
     names = [name for name in sorted(hand_files()) if name != "human"]
     name = names[int(rng.integers(len(names)))]
@@ -145,7 +145,7 @@ def _robot_hand(rng: np.random.Generator) -> tuple[str, list[SurfaceMesh]]:
 
 
 def _limbs(rng: np.random.Generator) -> list[PaintedMesh]:
-    """A few tapered rods and balls in a colour of skin, as dolls and dummies have for limbs."""
+    """A few tapered rods and balls in a color of skin, as dolls and dummies have for limbs."""
     color = np.asarray(SKIN_LIKE[int(rng.integers(len(SKIN_LIKE)))])
     meshes = []
     for _ in range(int(rng.integers(3, 8))):

@@ -21,7 +21,7 @@ HAIR: tuple[Color, ...] = (
     (0.70, 0.68, 0.66),
     (0.42, 0.20, 0.12),
 )
-"""Black, brown, blond, grey and red hair, sRGB."""
+"""Black, brown, blond, gray and red hair, sRGB."""
 
 SHIRTS: tuple[Color, ...] = ((0.75, 0.75, 0.77), (0.18, 0.24, 0.40), (0.62, 0.20, 0.18), (0.30, 0.32, 0.30))
 """What people on the other side of the table wear, sRGB."""
@@ -36,7 +36,7 @@ def other_hand(
     Args:
         joints: of a right hand [m], wherever it is above a table at z = 0, shape [21, 3].
         tone: of the skin, sRGB.
-        cloth: colour of the sleeve; None: bare.
+        cloth: color of the sleeve; None: bare.
         rng: decides the side, and the skin's blotches.
     """
     skin, arm = painted_hand(joints, tone, rng)
@@ -97,7 +97,7 @@ def painted_person(tone: Color, rng: np.random.Generator) -> list[PaintedMesh]:
     return parts
 
 
-def _eye(centre: np.ndarray, iris: np.ndarray) -> PaintedMesh:
+def _eye(center: np.ndarray, iris: np.ndarray) -> PaintedMesh:
     ball = trimesh.creation.icosphere(subdivisions=4)
     unit = np.array(ball.vertices)
     off = np.degrees(np.arccos(np.clip(unit[:, 0], -1, 1)))
@@ -106,10 +106,10 @@ def _eye(centre: np.ndarray, iris: np.ndarray) -> PaintedMesh:
     # The lids leave a slit of the eye open.
     lid = np.abs(unit[:, 2]) > 0.5
     colors = np.where(lid[:, None], 0.5 * colors + 0.25 * np.array([0.7, 0.5, 0.42]), colors)
-    return PaintedMesh(centre + 0.0125 * unit, np.array(ball.faces), colors)
+    return PaintedMesh(center + 0.0125 * unit, np.array(ball.faces), colors)
 
 
-def _ball(centre: np.ndarray, size: Sequence[float], color: np.ndarray) -> PaintedMesh:
+def _ball(center: np.ndarray, size: Sequence[float], color: np.ndarray) -> PaintedMesh:
     ball = trimesh.creation.icosphere(subdivisions=4)
-    vertices = centre + np.array(ball.vertices) * size
+    vertices = center + np.array(ball.vertices) * size
     return PaintedMesh(vertices, np.array(ball.faces), np.tile(color, (len(vertices), 1)))

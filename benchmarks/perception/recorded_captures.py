@@ -58,7 +58,7 @@ class RecordedCapture:
     model: ObjectModel | None
     """The object; None where no object is to be found."""
     colored: trimesh.Trimesh | None
-    """Its mesh with the colours of its file, if it has any."""
+    """Its mesh with the colors of its file, if it has any."""
     pose_camera_object: np.ndarray | None
     """True pose of the object in the camera frame, shape [7]."""
     joints_camera: np.ndarray | None

@@ -81,7 +81,7 @@ def with_worn_things(
 
 def with_other_people(
     scene: CaptureScene,
-    centre: np.ndarray,
+    center: np.ndarray,
     towards: float,
     part: float,
     tones: Sequence[Color],
@@ -92,7 +92,7 @@ def with_other_people(
 
     Args:
         scene: as far as it is made.
-        centre: of the held object [m], world frame, shape [3].
+        center: of the held object [m], world frame, shape [3].
         towards: direction from the grasp to the camera along the table [rad].
         part: of the scenes.
         tones: of skin, sRGB.
@@ -106,16 +106,16 @@ def with_other_people(
             for surface, label in zip(scene.surfaces, scene.labels, strict=True)
             if label in (Label.HAND, Label.OBJECT, Label.SLEEVE)
         ]
-        held = np.concatenate(taken) if taken else centre[None]
-        meshes = _placed_hand(held, centre, towards, tone, rng)
+        held = np.concatenate(taken) if taken else center[None]
+        meshes = _placed_hand(held, center, towards, tone, rng)
         parts += [(Label.PERSON, mesh.surface(0.15, 15.0)) for mesh in meshes]
     if rng.uniform() < part:
-        parts += [(Label.PERSON, mesh.surface(0.12, 15.0)) for mesh in _seated(centre, towards, tone, rng)]
+        parts += [(Label.PERSON, mesh.surface(0.12, 15.0)) for mesh in _seated(center, towards, tone, rng)]
     return scene.with_parts(parts)
 
 
 def _placed_hand(
-    taken: np.ndarray, centre: np.ndarray, towards: float, tone: Color, rng: np.random.Generator
+    taken: np.ndarray, center: np.ndarray, towards: float, tone: Color, rng: np.random.Generator
 ) -> list[PaintedMesh]:
     """A hand that meets neither the grasp nor hides it; none if it finds no place."""
     grasps = builtin_grasps()
@@ -128,7 +128,7 @@ def _placed_hand(
         yaw, away = rng.uniform(0, 2 * np.pi), rng.uniform(*HAND_AWAY)
         azimuth = towards + rng.uniform(0.35, 1.65) * np.pi
         turn = Rotation.from_euler("z", yaw)
-        place = centre[:2] + away * np.array([np.cos(azimuth), np.sin(azimuth)])
+        place = center[:2] + away * np.array([np.cos(azimuth), np.sin(azimuth)])
         moved = []
         for mesh in meshes:
             vertices = turn.apply(mesh.vertices - np.array([*middle, 0.0])) + np.array([*place, 0.0])
@@ -138,12 +138,12 @@ def _placed_hand(
     return []
 
 
-def _seated(centre: np.ndarray, towards: float, tone: Color, rng: np.random.Generator) -> list[PaintedMesh]:
+def _seated(center: np.ndarray, towards: float, tone: Color, rng: np.random.Generator) -> list[PaintedMesh]:
     """A person behind the grasp, as the camera sees it, who looks at it."""
     azimuth = towards + np.pi + rng.uniform(-0.8, 0.8)
     away = rng.uniform(*PERSON_AWAY)
     place = [
-        *(centre[:2] + away * np.array([np.cos(azimuth), np.sin(azimuth)])),
+        *(center[:2] + away * np.array([np.cos(azimuth), np.sin(azimuth)])),
         rng.uniform(*HEAD_HEIGHT),
     ]
     yaw = azimuth + np.pi + rng.normal() * 0.4

@@ -85,9 +85,9 @@ def painted_watch(arm: Forearm, back_of_hand: np.ndarray, rng: np.random.Generat
     )
 
 
-def _placed(along: np.ndarray, centre: np.ndarray) -> np.ndarray:
+def _placed(along: np.ndarray, center: np.ndarray) -> np.ndarray:
     """Matrix that turns z to a direction and moves the origin to a point, shape [4, 4]."""
     matrix = np.eye(4)
     matrix[:3, :3] = axes_along(along[None] / np.linalg.norm(along))[0]
-    matrix[:3, 3] = centre
+    matrix[:3, 3] = center
     return matrix

@@ -34,7 +34,7 @@ class WireRun:
     success: bool
     """Whether the object was lifted and held, in truth."""
     height_m: float
-    """Least height of its centre of mass during the hold [m]; -1 where there was none."""
+    """Least height of its center of mass during the hold [m]; -1 where there was none."""
     phase: str
     """Where it ended."""
     fault: str

@@ -90,6 +90,7 @@ def interrupted(method, after):
     return interrupting
 
 
+@pytest.mark.slow
 def test_perception_on_kept_captures(human, tmp_path, capsys, monkeypatch):
     small = CaptureSettings(Intrinsics(320, 240, 300, 300, 160, 120), intrinsics_spread=0, clutter=(0, 0))
     grasps = some_grasps()

@@ -32,7 +32,7 @@ def test_list_as_json(capsys):
 def test_show(capsys):
     assert main(["hands", "show", "allegro"]) == 0
     out = capsys.readouterr().out
-    assert "ff_proximal > ff_medial > ff_distal > ff_tip_centre" in out
+    assert "ff_proximal > ff_medial > ff_distal > ff_tip_center" in out
     assert "0.263 to 1.396" in out
 
 
@@ -40,7 +40,7 @@ def test_show_as_json_is_only_json(capsys):
     assert main(["hands", "show", "allegro", "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["palm"] == "palm"
-    assert told["fingers"]["thumb"]["contact_points"] == ["th_medial", "th_distal", "th_tip_centre"]
+    assert told["fingers"]["thumb"]["contact_points"] == ["th_medial", "th_distal", "th_tip_center"]
 
 
 def test_show_draws_a_picture(tmp_path: Path, capsys):

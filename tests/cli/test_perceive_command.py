@@ -178,7 +178,7 @@ def test_a_recorded_stream_is_taken_when_all_is_seen(folder, found, tmp_path, ca
 
 
 def room_detector():
-    """What ``found`` has put in the place of the detector; on a grey image it finds nothing."""
+    """What ``found`` has put in the place of the detector; on a gray image it finds nothing."""
     stand_in = room.MediaPipeHandDetector
 
     class Seeing:
@@ -333,8 +333,8 @@ def test_twenty_megapixels(folder, found, tmp_path, capsys):
     metres = np.array(depth, np.float32) * LENS["depth_unit"]
     np.save(tmp_path / "depth.npy", metres.repeat(times, axis=0).repeat(times, axis=1))
     scaled = {name: times * LENS[name] for name in ("width", "height", "fx", "fy")}
-    centre = {name: times * (LENS[name] + 0.5) - 0.5 for name in ("cx", "cy")}
-    (tmp_path / "K.json").write_text(json.dumps(scaled | centre))
+    center = {name: times * (LENS[name] + 0.5) - 0.5 for name in ("cx", "cy")}
+    (tmp_path / "K.json").write_text(json.dumps(scaled | center))
     large = files(tmp_path, rgb=tmp_path / "rgb.jpg", depth=tmp_path / "depth.npy")
     pose = ("--object-pose-file", folder / "pose.txt")
     result = tmp_path / "r.json"
@@ -370,9 +370,9 @@ def glove(folder: Path, tmp: Path) -> list[object]:
 
 BAD = {
     "a truncated PNG": (truncated, "damaged or cut short"),
-    "no colour image": (lambda f, t: files(f, rgb=t / "none.png"), "does not exist"),
-    "the depth as colour": (lambda f, t: files(f, rgb=f / "depth.png"), "is it the depth?"),
-    "the colour as depth": (lambda f, t: files(f, depth=f / "rgb.png"), "16-bit"),
+    "no color image": (lambda f, t: files(f, rgb=t / "none.png"), "does not exist"),
+    "the depth as color": (lambda f, t: files(f, rgb=f / "depth.png"), "is it the depth?"),
+    "the color as depth": (lambda f, t: files(f, depth=f / "rgb.png"), "16-bit"),
     "metres for millimetres": (lambda f, t: [*files(f), "--depth-unit", 1], "with units of 0.001 m"),
     "intrinsics of another resolution": (rescaled_lens, "1280 x 960"),
     "a mask of another size": (small_mask, "320 x 240"),

@@ -24,7 +24,7 @@ def grasps():
 
 @pytest.fixture(scope="module")
 def surface(grasps):
-    """Balls along the finger links in the objects' frames: centres [N, 15, 12, 3], radii [15]."""
+    """Balls along the finger links in the objects' frames: centers [N, 15, 12, 3], radii [15]."""
     model = load_hand("human").model
     joints = inverse_transform_points(grasps.object_pose, grasps.hand_joints)
     radius = np.array([model.geom(name).size[0] for name in FINGER_LINKS])

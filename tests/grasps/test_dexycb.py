@@ -87,9 +87,9 @@ def write_dataset(root: Path, side: str = "right", lift: tuple[float, ...] = LIF
 
 def write_label(path: Path, camera: int, side: str, height: float, seen: bool) -> None:
     up = np.array([0, 0, height])
-    centre = in_camera((REST + up)[None], camera)[0]
+    center = in_camera((REST + up)[None], camera)[0]
     turn = CAMERAS[camera][0].inv() * TAG[0] * TURN
-    pose_y = np.stack([np.zeros((3, 4)), np.column_stack([turn.as_matrix(), centre])])
+    pose_y = np.stack([np.zeros((3, 4)), np.column_stack([turn.as_matrix(), center])])
     ours = palm_on_box() + up
     if side == "left":
         ours = mirror_points(ours - REST) + REST

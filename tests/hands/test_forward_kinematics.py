@@ -114,11 +114,11 @@ def test_finger_joints_lie_on_their_axes(name: str, reference: Reference):
     ours, row = Posed(hand.model, hand.palm), CONFIGURATIONS - 1
     ours.set(our_angles(hand, reference, numbers, row))
     for finger in hand.fingers.values():
-        for link, centre in zip(finger.links, finger.joints, strict=True):
+        for link, center in zip(finger.links, finger.joints, strict=True):
             for joint in joints_of(hand, link):
                 theirs = numbers.axes[reference.joints.get(joint, joint)][row]
-                gap = np.linalg.norm(np.cross(theirs[3:], ours.point(centre) - theirs[:3]))
-                assert gap < POSITION_TOLERANCE, f"{centre} is {1e3 * gap:.2f} mm off the axis of {joint}"
+                gap = np.linalg.norm(np.cross(theirs[3:], ours.point(center) - theirs[:3]))
+                assert gap < POSITION_TOLERANCE, f"{center} is {1e3 * gap:.2f} mm off the axis of {joint}"
 
 
 @pytest.mark.parametrize("name", sorted(hand_files()))
@@ -137,13 +137,13 @@ def test_finger_joints_lie_in_the_middle_of_the_finger(name: str):
     model, posed = hand.model, Posed(hand.model, hand.palm)
     posed.set({})
     for finger in hand.fingers.values():
-        for link, centre in zip(finger.links, finger.joints, strict=True):
+        for link, center in zip(finger.links, finger.joints, strict=True):
             geom = int(model.body(link).geomadr[0])
             assert model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_CAPSULE
             middle, axis = posed.capsule(geom)
-            off = np.linalg.norm(np.cross(axis, posed.point(centre) - middle))
+            off = np.linalg.norm(np.cross(axis, posed.point(center) - middle))
             assert off < 0.5 * model.geom_size[geom, 0], (
-                f"{centre} is {1e3 * off:.1f} mm off the axis of {link}"
+                f"{center} is {1e3 * off:.1f} mm off the axis of {link}"
             )
 
 

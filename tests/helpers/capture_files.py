@@ -19,7 +19,7 @@ OURS = {
 
 
 def scene() -> tuple[np.ndarray, np.ndarray]:
-    """A box in front of a wall: RGB, and depth [m]; steps in depth are edges in colour."""
+    """A box in front of a wall: RGB, and depth [m]; steps in depth are edges in color."""
     color = np.full((HEIGHT, WIDTH, 3), (40, 90, 60), np.uint8)
     depth = np.full((HEIGHT, WIDTH), 0.9, np.float32)
     color[80:180, 100:220], depth[80:180, 100:220] = (210, 160, 130), 0.6
@@ -28,7 +28,7 @@ def scene() -> tuple[np.ndarray, np.ndarray]:
 
 
 def write_scene(folder: Path, lens=OURS, unit: float = 0.001) -> tuple[Path, Path, Path]:
-    """Colour, depth and intrinsics as files."""
+    """Color, depth and intrinsics as files."""
     folder.mkdir(parents=True, exist_ok=True)
     color, depth = scene()
     paths = folder / "rgb.png", folder / "depth.png", folder / "K.json"

@@ -89,5 +89,5 @@ class FakeRealSense:
                     get_timestamp=lambda: 1000 * (time.time() - self.age),
                 )
             ),
-            get_color_frame=lambda: None if self.missing == "colour" else color,
+            get_color_frame=lambda: None if self.missing == "color" else color,
         )

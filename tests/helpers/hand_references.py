@@ -45,7 +45,7 @@ class Reference:
     sites: Mapping[str, str] = field(default_factory=dict)
     """Their body (a fingertip frame) of each of our sites that has one."""
     sites_beyond: float = 0.0
-    """Those frames lie this far beyond our sites along z [m]: at a round tip's end, not its centre."""
+    """Those frames lie this far beyond our sites along z [m]: at a round tip's end, not its center."""
     mass: float | None = None
     """Mass of the hand from the palm on [kg] where the file's masses don't tell it."""
     true_masses: bool = True
@@ -84,7 +84,7 @@ REFERENCES: Mapping[str, tuple[Reference, ...]] = {
                 for j in range(4)
             },
             sites={
-                f"{f}_tip_centre": f"link_{4 * i + 3}.0_tip" for i, f in enumerate(("ff", "mf", "rf", "th"))
+                f"{f}_tip_center": f"link_{4 * i + 3}.0_tip" for i, f in enumerate(("ff", "mf", "rf", "th"))
             },
             sites_beyond=0.012,
         ),

@@ -45,10 +45,10 @@ def hand_scene(row: int, rng: np.random.Generator) -> HandScene:
     grasps = load_human_grasps("builtin")
     grasp = grasps[row % len(grasps)]
     model = builtin_object(grasp.object_name)
-    centre = grasp.hand_joints.mean(axis=0)
+    center = grasp.hand_joints.mean(axis=0)
     up, round_ = rng.uniform(0.5, 1.2), rng.uniform(0, 2 * np.pi)
     away = np.array([np.cos(up) * np.cos(round_), np.cos(up) * np.sin(round_), np.sin(up)])
-    eye = centre + rng.uniform(0.5, 0.7) * away
+    eye = center + rng.uniform(0.5, 0.7) * away
     right = np.cross(-away, [0, 0, 1.0])
     right /= np.linalg.norm(right)
     turn = np.stack([right, np.cross(-away, right), -away])
@@ -97,10 +97,10 @@ def _depth(joints: np.ndarray, surface: np.ndarray, table: np.ndarray) -> np.nda
     return depth
 
 
-def _ball(depth: np.ndarray, rays: np.ndarray, centre: np.ndarray, radius: float) -> None:
-    u, v = np.rint(CAMERA.project(centre)).astype(int)
-    reach = int(np.ceil(CAMERA.fx * radius / centre[2])) + 1
+def _ball(depth: np.ndarray, rays: np.ndarray, center: np.ndarray, radius: float) -> None:
+    u, v = np.rint(CAMERA.project(center)).astype(int)
+    reach = int(np.ceil(CAMERA.fx * radius / center[2])) + 1
     part = np.s_[max(v - reach, 0) : max(v + reach, 0), max(u - reach, 0) : max(u + reach, 0)]
-    aside = np.linalg.norm(rays[part][..., :2] * centre[2] - centre[:2], axis=-1)
-    skin = centre[2] - np.sqrt(np.maximum(radius**2 - aside**2, 0.0))
+    aside = np.linalg.norm(rays[part][..., :2] * center[2] - center[:2], axis=-1)
+    skin = center[2] - np.sqrt(np.maximum(radius**2 - aside**2, 0.0))
     depth[part] = np.where(aside < radius, np.minimum(depth[part], skin), depth[part])

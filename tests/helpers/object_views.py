@@ -23,12 +23,12 @@ from fungrasp.synthetic_captures.painted_mesh import painted_object
 from fungrasp.synthetic_captures.render_capture import posed_rays
 
 
-def scan_table(centre: np.ndarray, rng: np.random.Generator) -> SurfaceMesh:
+def scan_table(center: np.ndarray, rng: np.random.Generator) -> SurfaceMesh:
     """A table top with a sheet of print on it under an object, by which a moved camera is found again.
 
-    centre: of the object [m], world frame, shape [3].
+    center: of the object [m], world frame, shape [3].
     """
-    table = capture_table(centre, 0.0, rng)
+    table = capture_table(center, 0.0, rng)
     assert table.texture is not None
     height, width = table.texture.shape[:2]
     # Blocks of 6 mm, light and dark, as lines of print and pictures are.
@@ -55,7 +55,7 @@ def object_views(
         count: of views.
         rng: decides table, light and noise.
         camera: errors of depth; None: none.
-        color_noise: errors of colour; None: none.
+        color_noise: errors of color; None: none.
         intrinsics: of the camera.
         distance: from the camera to the object's middle [m].
         elevation: of the camera above the table [degrees].
@@ -65,14 +65,14 @@ def object_views(
     """
     pose = model.rest_pose(float(rng.uniform(0, 2 * np.pi)))
     painted = painted_object(model).moved(pose)
-    centre = painted.vertices.mean(axis=0)
-    surfaces = [painted.surface(0.1, 20.0), scan_table(centre, rng)]
+    center = painted.vertices.mean(axis=0)
+    surfaces = [painted.surface(0.1, 20.0), scan_table(center, rng)]
     look = Look(light=(0.6, -0.5, 1.6), light_radius=10.0, key=1.4, fill=1.0)
     tracer = RayTracer(surfaces, look)
     captures = []
     for i in range(count):
         eye = orbit_camera(
-            centre + rng.normal(size=3) * 0.008,
+            center + rng.normal(size=3) * 0.008,
             distance * rng.uniform(0.95, 1.05),
             360.0 * i / count + rng.uniform(-3, 3),
             elevation + rng.uniform(-4, 4),

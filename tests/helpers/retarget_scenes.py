@@ -30,7 +30,7 @@ RADIUS = 0.035
 
 @cache
 def plain_objects() -> Mapping[str, ObjectModel]:
-    """A ball, a can and a box, each centred on its origin."""
+    """A ball, a can and a box, each centered on its origin."""
     meshes = {
         "ball": trimesh.creation.icosphere(subdivisions=3, radius=RADIUS),
         "can": trimesh.creation.cylinder(radius=RADIUS, height=0.14, sections=48),

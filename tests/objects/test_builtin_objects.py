@@ -66,7 +66,7 @@ def test_parts_share_out_all_faces(name):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_origin_is_the_centre_of_the_box(name):
+def test_origin_is_the_center_of_the_box(name):
     vertices = builtin_object(name).vertices
     np.testing.assert_allclose(vertices.min(axis=0) + vertices.max(axis=0), 0, atol=1e-12)
 
@@ -110,13 +110,13 @@ def test_vessels_are_hollow(name):
     model = builtin_object(name)
     top = model.vertices[:, 2].max()
     axis = model.vertices[np.isclose(model.vertices[:, 2], top, atol=0.01)].mean(axis=0)
-    axis[0] = 0.0 if name in ("bowl", "wine_glass") else _opening_centre(model)
+    axis[0] = 0.0 if name in ("bowl", "wine_glass") else _opening_center(model)
     inside = [axis * [1, 1, 0] + [0, 0, top - depth] for depth in (0.01, 0.025, 0.035)]
     for point in inside:
         assert all(_outside(piece, point) > 0.01 for piece in model.pieces)
 
 
-def _opening_centre(model: ObjectModel) -> float:
+def _opening_center(model: ObjectModel) -> float:
     """x of the middle of the body, which the handle has moved away from the origin."""
     base = model.vertices[model.vertices[:, 2] < model.vertices[:, 2].min() + 1e-6]
     return float((base[:, 0].min() + base[:, 0].max()) / 2)

@@ -38,7 +38,7 @@ def test_a_box_has_the_inertia_of_a_box(folder):
     assert len(model.pieces) == 1
 
 
-def test_inertia_is_about_the_centre_of_mass():
+def test_inertia_is_about_the_center_of_mass():
     box = trimesh.creation.box((0.2, 0.1, 0.05))
     here = ObjectModel("box", 1.0, box.vertices, box.faces)
     there = ObjectModel("box", 1.0, box.vertices + np.array([0.3, -0.2, 0.1]), box.faces)
@@ -126,8 +126,8 @@ def test_signed_distance_is_computed_once_and_kept(tmp_path, monkeypatch):
     monkeypatch.setenv("FUNGRASP_CACHE", str(tmp_path))
     box = trimesh.creation.box((0.04, 0.03, 0.02))
     grid = ObjectModel("box", 1.0, box.vertices, box.faces).signed_distance
-    centre = np.round(-grid.origin / grid.spacing).astype(int)
-    assert grid.values[tuple(centre)] == pytest.approx(-0.01, abs=0.003)
+    center = np.round(-grid.origin / grid.spacing).astype(int)
+    assert grid.values[tuple(center)] == pytest.approx(-0.01, abs=0.003)
     assert grid.values[0, 0, 0] > 0.03
     monkeypatch.setattr(
         "fungrasp.objects.object_model.SignedDistanceGrid.from_mesh", lambda *_: pytest.fail("computed again")

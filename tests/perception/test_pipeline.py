@@ -109,8 +109,8 @@ def test_the_world_is_that_of_the_architecture():
     np.testing.assert_allclose(heights, scene.joints @ plane[:3] + plane[3], atol=1e-9)
     held = compose(invert(camera), grasp.object_pose)
     np.testing.assert_allclose(held[:3], perceived.object.pose_camera_object[:3], atol=1e-9)
-    centre = transform_points(grasp.object_pose, scene.model.center_of_mass[None])[0]
-    np.testing.assert_allclose(centre[:2], 0.0, atol=1e-9)
+    center = transform_points(grasp.object_pose, scene.model.center_of_mass[None])[0]
+    np.testing.assert_allclose(center[:2], 0.0, atol=1e-9)
     looks = transform_points(camera, np.array([[0.0, 0.0, 0.3], [0.1, 0.0, 0.3]])) - camera[:3]
     assert camera[2] > 0.2 and looks[0, 1] > 0.05 and abs(looks[0, 0]) < 1e-9
     assert (looks[1] - looks[0])[0] > 0.09
@@ -130,8 +130,8 @@ def test_an_object_is_put_down_on_its_nearest_stable_face(name):
     heights = transform_points(rest, model.vertices)[:, 2]
     assert heights.min() == pytest.approx(0.0, abs=1e-9)
     assert (heights < 1e-4).sum() >= 3
-    centres = [transform_points(pose, model.center_of_mass[None])[0, :2] for pose in (held, rest)]
-    np.testing.assert_allclose(*centres, atol=1e-9)
+    centers = [transform_points(pose, model.center_of_mass[None])[0, :2] for pose in (held, rest)]
+    np.testing.assert_allclose(*centers, atol=1e-9)
     np.testing.assert_allclose(put_down(model, rest), rest, atol=1e-6)
     # A tilt of some 20 degrees is not the other way up.
     assert abs(rest[3:] @ held[3:]) > 0.95
@@ -301,9 +301,9 @@ def test_fingers_tell_which_hand_it_is_where_the_model_is_in_doubt():
 
 def test_no_hand_or_one_in_a_glove():
     scene, _ = mug()
-    grey = dataclasses.replace(scene.capture, color=np.full_like(scene.capture.color, 120))
+    gray = dataclasses.replace(scene.capture, color=np.full_like(scene.capture.color, 120))
     with pytest.raises(FungraspError, match=r"no hand was found .* must be bare"):
-        perceive(grey, scene.model, detector=StandIn())
+        perceive(gray, scene.model, detector=StandIn())
     dark = dataclasses.replace(scene.capture, color=np.full_like(scene.capture.color, 12))
     with pytest.raises(FungraspError, match=r"no hand was found .* too dark"):
         perceive(dark, scene.model, detector=StandIn())

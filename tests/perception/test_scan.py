@@ -62,7 +62,7 @@ def test_a_box_is_scanned_to_within_the_errors_of_the_camera(views):
     assert scan.residuals.max() < 0.003
 
 
-def test_colours_are_those_of_the_views(views):
+def test_colors_are_those_of_the_views(views):
     captures, _ = views
     scan = scan_object(captures, ScanSettings(cell=0.004))
     visual: Any = scan.mesh.visual

@@ -273,6 +273,7 @@ def test_a_weight_tells_the_scale_of_a_geared_joint():
     assert abs(without.stiffness[0] / true.stiffness[0] - 1) > 0.06
 
 
+@pytest.mark.slow
 def test_gains_far_from_the_model_are_found(log: MotionLog):
     hand = load_hand("allegro")
     soft = replace(TRUTH, stiffness=0.25 * TRUTH.stiffness, damping=0.25 * TRUTH.damping)

@@ -25,7 +25,7 @@ def turned(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 @settings(max_examples=25, deadline=None)
 @given(st.integers(0, 2**32 - 1))
-def test_an_offset_turns_about_the_centre_and_moves_it_by_its_first_half(seed: int):
+def test_an_offset_turns_about_the_center_and_moves_it_by_its_first_half(seed: int):
     random = np.random.default_rng(seed)
     pose, offset, center = random_poses(seed, 6), random.normal(size=(6, 6)), random.normal(size=(6, 3))
     result = offset_pose(pose, offset, center)

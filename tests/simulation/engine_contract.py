@@ -19,7 +19,7 @@ from fungrasp.objects import ObjectModel, builtin_object
 from fungrasp.simulation import Engine, Scene, build_scene
 
 OBJECTS = ("mug", "box", "tennis_ball", "can", "scissors", "drill", "bowl")
-"""Many pieces and one, centre of mass at the origin and away from it."""
+"""Many pieces and one, center of mass at the origin and away from it."""
 MUG, BOX, BALL, CAN, DRILL = 0, 1, 2, 3, 5
 STEP = 0.005
 """Physics step of the scene [s]."""

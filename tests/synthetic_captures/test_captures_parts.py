@@ -22,9 +22,9 @@ LENS = Intrinsics(80, 60, 70, 70, 39.5, 29.5)
 AT_ORIGIN = posed_rays(LENS, np.array([0, 0, 0, 1.0, 0, 0, 0]))
 
 
-def a_ball(radius=0.1, centre=(0, 0, 0.5), color=(0.8, 0.2, 0.2)) -> PaintedMesh:
+def a_ball(radius=0.1, center=(0, 0, 0.5), color=(0.8, 0.2, 0.2)) -> PaintedMesh:
     ball = trimesh.creation.icosphere(subdivisions=4, radius=radius)
-    vertices = np.array(ball.vertices) + centre
+    vertices = np.array(ball.vertices) + center
     return PaintedMesh(vertices, np.array(ball.faces), np.tile(color, (len(vertices), 1)))
 
 
@@ -41,16 +41,16 @@ def test_a_ball_is_seen_where_geometry_puts_it():
     np.testing.assert_array_equal((surface == 0)[sure], (inside > 0)[sure])
     np.testing.assert_allclose(points.distance.reshape(60, 80)[sure], distance[sure], atol=1e-3)
     assert (surface[~(inside > 0) & sure] == NOTHING).all()
-    centre = tracer.picture(AT_ORIGIN, points)[30, 40]
+    center = tracer.picture(AT_ORIGIN, points)[30, 40]
     ratio = linear(np.array([0.8, 0.2, 0.2]))
-    assert centre[0] / centre[1] == pytest.approx(ratio[0] / ratio[1], rel=0.35)
+    assert center[0] / center[1] == pytest.approx(ratio[0] / ratio[1], rel=0.35)
 
 
 def test_things_throw_shadows():
     floor = trimesh.creation.box((1, 1, 0.01))
     vertices = np.array(floor.vertices) + np.array([0, 0, 0.8])
     ground = PaintedMesh(vertices, np.array(floor.faces), np.ones((len(vertices), 3))).surface(0.0)
-    ball = a_ball(radius=0.05, centre=(0.08, 0, 0.7)).surface()
+    ball = a_ball(radius=0.05, center=(0.08, 0, 0.7)).surface()
     look = Look(light=(1, 0, -1.0), light_radius=0.0)
     alone, both = RayTracer([ground], look), RayTracer([ground, ball], look)
     points = both.see(AT_ORIGIN)

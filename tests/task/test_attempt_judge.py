@@ -77,7 +77,7 @@ def test_nothing_is_judged_by_what_was_seen_before_the_lift():
 
 
 def test_a_gap_is_below_the_lowest_point():
-    """A tilted object hangs lower than its centre of mass tells."""
+    """A tilted object hangs lower than its center of mass tells."""
     watching, half = judge(), np.sqrt(0.5)
     up = plan().object_pose.copy()
     up[:, 2] += 0.2

@@ -100,7 +100,7 @@ def test_a_higher_table_carries_the_objects_higher():
     np.testing.assert_array_equal(believed.table_height, 0.0)
 
 
-def test_the_believed_pose_is_off_by_what_was_drawn_about_the_centre_of_mass():
+def test_the_believed_pose_is_off_by_what_was_drawn_about_the_center_of_mass():
     error = Randomization(
         object_position_error=MeasurementError(offset=0.01),
         object_rotation_error=MeasurementError(offset=float(np.deg2rad(10))),

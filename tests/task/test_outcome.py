@@ -64,7 +64,7 @@ def test_a_thrown_object_is_not_held():
 
 
 def test_an_object_that_touches_the_table_has_not_been_lifted(touching):
-    """A stick stood on its end: its centre rises by 17.5 cm, but it stands on the table."""
+    """A stick stood on its end: its center rises by 17.5 cm, but it stands on the table."""
     task = ready([STICK])
     upright = np.array([[0.3, 0.0, 0.2, np.sqrt(0.5), 0.0, np.sqrt(0.5), 0.0]])
     run(task, lift_from=0.0, after=held_at(task, upright))

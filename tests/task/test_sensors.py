@@ -124,7 +124,7 @@ def test_poses_are_off_by_the_bias_and_a_fresh_jitter(what):
     true = getattr(environment.engine, f"{what}_pose")
     seen = [getattr(environment.observe(), f"{what}_pose") for _ in range(400)]
     center = np.zeros((2, 3))
-    if what == "object":  # It turns about its centre of mass.
+    if what == "object":  # It turns about its center of mass.
         center = rotate(invert(true)[:, 3:], environment.engine.center_of_mass - true[:, :3])
     at = [transform_points(pose, center[:, None])[:, 0] for pose in seen]
     moved = np.stack(at) - transform_points(true, center[:, None])[:, 0]

@@ -25,7 +25,7 @@ def run(folder: Path, updates: int, curve: CurveSettings | None, **ppo) -> dict:
     return read_checkpoint(folder / "checkpoint.pt")
 
 
-@pytest.mark.parametrize("sees", ["contacts", "history"])
+@pytest.mark.parametrize("sees", ["contacts", pytest.param("history", marks=pytest.mark.slow)])
 def test_a_training_does_not_notice_its_curve(tmp_path, sees):
     without = run(tmp_path / "without", 3, None, sees=sees)
     measured = run(tmp_path / "with", 3, CurveSettings(every=2 * BATCH), sees=sees)

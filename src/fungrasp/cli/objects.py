@@ -124,7 +124,7 @@ def _text(d: dict[str, Any]) -> str:
         *(("repaired", phrase) for phrase in d["repairs"]),
         ("volume", f"{d['volume'] * 1e6:.1f} cm3"),
         ("mass", "unknown: give --mass" if d["mass"] is None else f"{d['mass']:.4g} kg"),
-        ("centre", f"({', '.join(f'{x * 100:.2f}' for x in d['center_of_mass'])}) cm"),
+        ("center", f"({', '.join(f'{x * 100:.2f}' for x in d['center_of_mass'])}) cm"),
     ]
     if d["inertia"] is not None:
         rows += [("inertia", f"[{', '.join(f'{x:.3e}' for x in row)}] kg m2") for row in d["inertia"]]

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 MESHES = (".ply", ".obj", ".stl", ".glb")
-"""Kinds of files that can be written; ``.ply`` and ``.glb`` keep the colours."""
+"""Kinds of files that can be written; ``.ply`` and ``.glb`` keep the colors."""
 
 
 @dataclass(frozen=True)

@@ -60,7 +60,7 @@ class TwinOutcome:
     success: bool
     """Whether the object was lifted and held, in truth."""
     height: float
-    """Least height of its centre of mass during the hold [m]; infinite where there was none."""
+    """Least height of its center of mass during the hold [m]; infinite where there was none."""
     tracking: float
     """RMS error of the hand's joints from their setpoints before the fingers close [rad]; nan where the
     motion did not begin."""

@@ -54,7 +54,7 @@ class StaticResult:
     passed: np.ndarray
     """Whether all six pushes held, shape [N] bool."""
     displacement_m: np.ndarray
-    """Displacement of the object's centre of mass in the palm's frame, from before the squeeze to the end of
+    """Displacement of the object's center of mass in the palm's frame, from before the squeeze to the end of
     each push [m], shape [N, 6]."""
     angle_rad: np.ndarray
     """Turn of the object in the palm's frame over the same time [rad], shape [N, 6]."""
@@ -157,5 +157,5 @@ def _push(
 
 
 def _center_in_palm(engine: Engine) -> np.ndarray:
-    """Object's centre of mass, palm frame [m], shape [W, 3]."""
+    """Object's center of mass, palm frame [m], shape [W, 3]."""
     return inverse_transform_points(engine.palm_pose, engine.center_of_mass[:, None])[:, 0]

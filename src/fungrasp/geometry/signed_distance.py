@@ -44,7 +44,7 @@ class SignedDistanceGrid:
         max_cells: int = 2_000_000,
     ) -> SignedDistanceGrid:
         """Distance at each corner: to the exact triangles near the surface, to the surface point nearest to a
-        neighbouring cell farther away.
+        neighboring cell farther away.
 
         The sign is that of the winding number, so that small holes do no harm.
 

@@ -42,7 +42,7 @@ DEVIATION_LIMIT = np.radians([20.0, 0.0, 0.0])
 """Motion to either side of a finger's MCP, PIP, DIP [rad]."""
 
 JOINT_RANGE_SLACK = np.radians(25.0)
-"""Allowed beyond the ranges [rad]: joint centres lie off the bones' lines, and objects bend fingers further
+"""Allowed beyond the ranges [rad]: joint centers lie off the bones' lines, and objects bend fingers further
 than the hand alone does."""
 
 

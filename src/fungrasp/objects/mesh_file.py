@@ -111,7 +111,7 @@ def _volume(mesh: trimesh.Trimesh) -> float:
 def _mend(path: Path, mesh: trimesh.Trimesh, repairs: list[str]) -> trimesh.Trimesh:
     if not mesh.is_winding_consistent:
         mesh = consistent_winding(mesh)
-        repairs.append("made neighbouring faces wind the same way")
+        repairs.append("made neighboring faces wind the same way")
     if not mesh.is_watertight:
         mesh, closed = fill_holes(mesh, WIDEST_HOLE * float(np.max(mesh.extents)))
         if closed:

@@ -47,11 +47,11 @@ def bodies(mesh: trimesh.Trimesh) -> list[trimesh.Trimesh]:
 
 
 def consistent_winding(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
-    """The mesh with faces flipped so that neighbours agree with the first face of each connected surface."""
+    """The mesh with faces flipped so that neighbors agree with the first face of each connected surface."""
     first, second = mesh.face_adjacency.T
     edges = mesh.face_adjacency_edges
     same_way = _runs_along(mesh.faces[first], edges) == _runs_along(mesh.faces[second], edges)
-    # Two nodes for each face, as it is and flipped; neighbours are joined where they agree.
+    # Two nodes for each face, as it is and flipped; neighbors are joined where they agree.
     count = len(mesh.faces)
     ends = (
         np.concatenate([first, first + count]),

@@ -29,7 +29,7 @@ def is_plain_shape(name: str) -> bool:
 
 @lru_cache(maxsize=256)
 def plain_shape(name: str, mass: float) -> ObjectModel:
-    """The object that a name describes, its centre at the origin, a cylinder's axis along z.
+    """The object that a name describes, its center at the origin, a cylinder's axis along z.
 
     Args:
         name: "box:LENGTHxWIDTHxHEIGHT", "cylinder:DIAMETERxHEIGHT" or "sphere:DIAMETER", in millimetres.

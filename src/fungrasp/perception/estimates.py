@@ -98,7 +98,7 @@ class HandEstimate:
     """An estimated hand."""
 
     joints_camera: np.ndarray
-    """Joint centres [m], camera frame, shape [21, 3], in the order of ``HUMAN_JOINTS``."""
+    """Joint centers [m], camera frame, shape [21, 3], in the order of ``HUMAN_JOINTS``."""
     pixels: np.ndarray
     """Where the joints were seen in the image [pixels], shape [21, 2]."""
     confidence: np.ndarray

@@ -15,7 +15,7 @@ from fungrasp.rendering.ray_tracing import PixelRays
 class Camera:
     """A pinhole camera with square pixels and the principal point in the middle of the picture.
 
-    Camera frame: OpenCV (x right, y down, z forward). The centre of pixel (column u, row v) has image
+    Camera frame: OpenCV (x right, y down, z forward). The center of pixel (column u, row v) has image
         coordinates (u, v).
     """
 
@@ -96,8 +96,8 @@ class Camera:
         local = (np.asarray(points, dtype=float) - self.position) @ self.rotation
         depth = local[..., 2]
         safe = np.where(np.abs(depth) < 1e-9, 1e-9, depth)
-        centre = 0.5 * np.array([self.width - 1, self.height - 1])
-        return local[..., :2] / safe[..., None] * self.focal + centre, depth
+        center = 0.5 * np.array([self.width - 1, self.height - 1])
+        return local[..., :2] / safe[..., None] * self.focal + center, depth
 
     def sized(self, width: int, height: int) -> Camera:
         """The same view with another number of pixels."""
@@ -130,7 +130,7 @@ def orbit_camera(
 
 
 def fit_camera(
-    centres: np.ndarray,
+    centers: np.ndarray,
     radii: np.ndarray,
     azimuth: float,
     elevation: float,
@@ -143,7 +143,7 @@ def fit_camera(
     """The nearest orbit camera that sees all of some spheres, and has them in the middle.
 
     Args:
-        centres: [m], world frame, shape [S, 3].
+        centers: [m], world frame, shape [S, 3].
         radii: [m], shape [S].
         azimuth: as ``orbit_camera`` [degrees].
         elevation: as ``orbit_camera`` [degrees].
@@ -151,7 +151,7 @@ def fit_camera(
     """
     probe = orbit_camera((0.0, 0.0, 0.0), 1.0, azimuth, elevation, fov_y=fov_y, width=width, height=height)
     axes = probe.rotation
-    local = np.asarray(centres, dtype=float) @ axes
+    local = np.asarray(centers, dtype=float) @ axes
     radii = np.asarray(radii, dtype=float)
     low, high = (local - radii[:, None]).min(0), (local + radii[:, None]).max(0)
     middle = 0.5 * (low + high)

@@ -1,4 +1,4 @@
-"""Models of a grasp to be rendered: a human or a robot hand and an object, links in contact coloured."""
+"""Models of a grasp to be rendered: a human or a robot hand and an object, links in contact colored."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from fungrasp.rendering.hand_mesh import human_hand_mesh
 from fungrasp.rendering.shading import model_materials
 
 SKIN = (0.86, 0.68, 0.57)
-"""Colour of a human hand, sRGB."""
+"""Color of a human hand, sRGB."""
 
 CONTACT = (0.95, 0.49, 0.16)
-"""Colour of links in contact, sRGB."""
+"""Color of links in contact, sRGB."""
 
 OBJECT = (0.36, 0.55, 0.72)
-"""Colour of an object, sRGB."""
+"""Color of an object, sRGB."""
 
 OBJECT_BODY = "object"
 """Name of the object's body in the scenes made here."""
@@ -31,7 +31,7 @@ HAND_BODY = "hand"
 """Name of the body that carries the hand in the scenes made here."""
 
 PALM_TINT = 0.75
-"""How much of ``CONTACT`` goes into the colour of a robot's palm in contact: it is large."""
+"""How much of ``CONTACT`` goes into the color of a robot's palm in contact: it is large."""
 
 _PALETTE = 64
 _PREFIX = "robot/"
@@ -47,7 +47,7 @@ def human_grasp_scene(
     *,
     object_color: Sequence[float] = OBJECT,
 ) -> mujoco.MjModel:
-    """A human hand, its links in contact coloured, holding an object. The model has no joints.
+    """A human hand, its links in contact colored, holding an object. The model has no joints.
 
     Args:
         joints: [m], world frame, shape [21, 3].
@@ -99,7 +99,7 @@ def robot_grasp_scene(
     *,
     object_color: Sequence[float] = OBJECT,
 ) -> tuple[mujoco.MjModel, np.ndarray]:
-    """A robot hand, its links in contact coloured, holding an object. Hand and object can move freely.
+    """A robot hand, its links in contact colored, holding an object. Hand and object can move freely.
 
     Args:
         wrist_pose: of the palm body, world frame, shape [7].
@@ -177,7 +177,7 @@ def robot_scene_states(
 
 
 def robot_scene_colors(model: mujoco.MjModel, hand: Hand, link_contacts: np.ndarray) -> np.ndarray:
-    """Colours of a ``robot_grasp_scene`` whose links light up while they touch, for a film.
+    """Colors of a ``robot_grasp_scene`` whose links light up while they touch, for a film.
 
     Args:
         model: made by ``robot_grasp_scene`` for the same hand, without contacts.

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 PATTERN = 4
-"""Every second pixel of a square of this side takes a sample of its own; they are shared. Neighbouring
+"""Every second pixel of a square of this side takes a sample of its own; they are shared. Neighboring
 squares take samples that lie between one another."""
 
 _SAMPLES = PATTERN * PATTERN // 2

@@ -28,7 +28,7 @@ _Result = TypeVar("_Result")
 @dataclass(frozen=True)
 class Views:
     """What cameras see: F pictures of H x W pixels. Depth and segmentation are those of the pixels'
-    centres.
+    centers.
     """
 
     color: np.ndarray | None
@@ -52,7 +52,7 @@ def render(
     antialias: int = 2,
     threads: int = 0,
 ) -> np.ndarray:
-    """Colour pictures of a model in given states; see ``Renderer``, which saves its preparations for more
+    """Color pictures of a model in given states; see ``Renderer``, which saves its preparations for more
     calls.
 
     Returns:
@@ -111,7 +111,7 @@ class Renderer:
         mocap: np.ndarray | None = None,
         geom_rgba: np.ndarray | None = None,
     ) -> Iterator[np.ndarray]:
-        """Colour pictures, one by one, shape [H, W, 3] uint8; no more than a few are held at once.
+        """Color pictures, one by one, shape [H, W, 3] uint8; no more than a few are held at once.
 
         Args:
             qpos: joint positions, shape [F, nq] or [nq].
@@ -120,7 +120,7 @@ class Renderer:
             mocap: poses of the mocap bodies, world frame, shape [F, nmocap, 7] or [nmocap, 7]; None for the
                 model's.
             geom_rgba: sRGB and opacity (only whether it is 0 matters), shape [ngeom, 4] or [F, ngeom, 4];
-                None for the model's colours and materials.
+                None for the model's colors and materials.
 
         Raises:
             FungraspError: an argument has the wrong shape, or is not finite.
@@ -140,7 +140,7 @@ class Renderer:
         """Pictures with depth and segmentation. Arguments and errors as ``stream``.
 
         Args:
-            color: False leaves out the colours, which take most of the time.
+            color: False leaves out the colors, which take most of the time.
         """
         frames = self._frames(qpos, camera, mocap, geom_rgba)
         seen = list(self._each(lambda frame: self._view(frame, color), frames))

@@ -18,13 +18,13 @@ class Look:
     """Light, table top and backdrop."""
 
     backdrop_top: Color = (0.78, 0.83, 0.88)
-    """Colour overhead."""
+    """Color overhead."""
     backdrop_horizon: Color = (0.955, 0.96, 0.965)
-    """Colour at the horizon, into which the table top fades."""
+    """Color at the horizon, into which the table top fades."""
     table: Color = (0.800, 0.812, 0.824)
-    """Colour of the light squares."""
+    """Color of the light squares."""
     table_dark: Color = (0.752, 0.766, 0.780)
-    """Colour of the dark squares."""
+    """Color of the dark squares."""
     square: float = 0.05
     """Side of a square of the table top [m]."""
     fade: tuple[float, float] = (0.45, 1.7)
@@ -60,7 +60,7 @@ class Look:
 
 @dataclass(frozen=True)
 class Materials:
-    """Colours and gloss of a model's geoms."""
+    """Colors and gloss of a model's geoms."""
 
     colors: np.ndarray
     """sRGB and opacity, shape [ngeom, 4]."""
@@ -71,7 +71,7 @@ class Materials:
 
 
 def model_materials(model: mujoco.MjModel) -> Materials:
-    """What the model says: a geom's own colour, or its material's if it has one and the geom's was left
+    """What the model says: a geom's own color, or its material's if it has one and the geom's was left
     alone.
     """
     colors = model.geom_rgba.astype(np.float32).copy()
@@ -112,7 +112,7 @@ def soft_clip(light: np.ndarray) -> np.ndarray:
 
 
 def backdrop(look: Look, directions: np.ndarray) -> np.ndarray:
-    """Linear colour of the sky. directions: unit, world frame, shape [R, 3]. Returns shape [R, 3]."""
+    """Linear color of the sky. directions: unit, world frame, shape [R, 3]. Returns shape [R, 3]."""
     height = np.clip(directions[:, 2:] * 1.6, 0.0, 1.0).astype(np.float32)
     return (
         linear(np.asarray(look.backdrop_horizon)) * (1 - height)
@@ -121,7 +121,7 @@ def backdrop(look: Look, directions: np.ndarray) -> np.ndarray:
 
 
 def table_top(look: Look, points: np.ndarray, directions: np.ndarray, width: np.ndarray) -> np.ndarray:
-    """Linear colour of the table, its squares filtered over the width of a pixel.
+    """Linear color of the table, its squares filtered over the width of a pixel.
 
     Args:
         points: (x, y) [m], world frame, shape [P, 2].
@@ -160,7 +160,7 @@ def lit(
     faint rim.
 
     Args:
-        albedo: linear colours, shape [P, 3].
+        albedo: linear colors, shape [P, 3].
         normals: unit, world frame, shape [P, 3].
         views: unit directions from the eye to the surface, shape [P, 3].
         sun: unit direction towards the key light, shape [3].

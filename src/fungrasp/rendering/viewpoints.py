@@ -32,7 +32,7 @@ def look_at_grasp(
 ) -> Camera:
     """A camera above the table that frames hand and object, and from which most of the contact can be seen.
 
-    Of all views tried, it has the largest weighted sum of shares: of the coloured links, of the object, and
+    Of all views tried, it has the largest weighted sum of shares: of the colored links, of the object, and
     of each geom of the hand, each compared with the view that shows most of it.
 
     Args:

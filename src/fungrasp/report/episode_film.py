@@ -118,7 +118,7 @@ def _cameras(
     model: mujoco.MjModel, states: np.ndarray, trajectory: Trajectory, at: np.ndarray, width: int, height: int
 ) -> list[Camera]:
     """Cameras of the frames, from all of the motion to that from the first touch on; an object that gets away
-    is not followed. The model's links that touch during the hold are coloured, to be seen well."""
+    is not followed. The model's links that touch during the hold are colored, to be seen well."""
     touch = _first_touch(trajectory)
     travel = np.linalg.norm(trajectory.object_pose[:, :3] - trajectory.object_pose[0, :3], axis=1)
     close = travel < FARTHEST

@@ -40,7 +40,7 @@ def film(
         fps: frames per second.
         camera: as it stands at the start, or one for each frame (``frame_times`` says how many).
         mocap: poses of the mocap bodies, shape [T, nmocap, 7]; a frame takes the latest.
-        geom_rgba: colours, shape [ngeom, 4] or [T, ngeom, 4]; a frame takes the latest.
+        geom_rgba: colors, shape [ngeom, 4] or [T, ngeom, 4]; a frame takes the latest.
         follow: body with which a single camera moves, smoothly, without turning.
         orbit: angle that a single camera circles its target from start to end, half of it to each side of
             where it was placed [degrees].

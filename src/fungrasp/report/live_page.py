@@ -25,7 +25,7 @@ QUALITY = 80
 """JPEG quality of the pictures."""
 
 READY, MISSING = (60, 214, 125), (255, 90, 60)
-"""Colour of what is drawn over the picture when all is seen, and when something is missing; sRGB."""
+"""Color of what is drawn over the picture when all is seen, and when something is missing; sRGB."""
 
 _PAGE = """<!doctype html>
 <html lang="en"><meta charset="utf-8"><title>fungrasp: camera</title>

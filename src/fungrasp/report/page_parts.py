@@ -63,7 +63,7 @@ def document(title: str, parts: Sequence[str]) -> str:
 
 
 def badge(kind: str, words: str) -> str:
-    """A few words in a coloured pill. kind: "good" or "bad"."""
+    """A few words in a colored pill. kind: "good" or "bad"."""
     return f'<span class="badge {kind}">{escape(words)}</span>'
 
 

@@ -208,7 +208,7 @@ def _seen(capture: Capture, model: ObjectModel, perceived: Perceived) -> str:
         f'<li><i style="background:rgb{FINGER_COLORS[finger]}"></i>{finger}</li>' for finger in HUMAN_FINGERS
     )
     words = (
-        "The hand's skeleton, a colour for each finger, and the outline of the object's mesh, hidden parts "
+        "The hand's skeleton, a color for each finger, and the outline of the object's mesh, hidden parts "
         "included. The pale disc round a joint is its standard deviation; a joint with a dark middle has "
         "low confidence."
     )

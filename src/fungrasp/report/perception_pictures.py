@@ -1,4 +1,4 @@
-"""Pictures of what was perceived in an image: drawn over it, its depth in false colour, the grasp in 3D."""
+"""Pictures of what was perceived in an image: drawn over it, its depth in false color, the grasp in 3D."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ FINGER_COLORS = {
 """sRGB; distinct for color-blind readers as well, and unlike the orange of contacts."""
 
 ACCEPTED_LINE, REJECTED_LINE = (255, 255, 255), (255, 90, 60)
-"""Colour of the outline of an object whose pose is accepted, and of one whose pose is not; sRGB."""
+"""Color of the outline of an object whose pose is accepted, and of one whose pose is not; sRGB."""
 
 TRUSTED = 0.5
 """Joints of a lower confidence are drawn hollow."""
@@ -71,7 +71,7 @@ class CloseUp:
     def cut(self, image: Image.Image) -> np.ndarray:
         """The part of an image, enlarged: smoothly, but for numbers (mode "F")."""
         how = Image.Resampling.NEAREST if image.mode == "F" else Image.Resampling.BICUBIC
-        # Pillow's coordinates are those of pixels' corners, ours those of their centres.
+        # Pillow's coordinates are those of pixels' corners, ours those of their centers.
         step = 1 / self.scale
         left, top = (edge + 0.5 - 0.5 * step for edge in (self.left, self.top))
         return np.array(
@@ -102,9 +102,9 @@ def close_up(capture: Capture, hand: HandEstimate, model: ObjectModel, pose: np.
 def drawn_over(
     capture: Capture, hand: HandEstimate, model: ObjectModel, pose: np.ndarray, accepted: bool
 ) -> np.ndarray:
-    """The part of the colour image with hand and object, the hand's skeleton and the object's outline on it.
+    """The part of the color image with hand and object, the hand's skeleton and the object's outline on it.
 
-    Each finger has its colour. The disc round a joint says how far off it may be (one standard deviation);
+    Each finger has its color. The disc round a joint says how far off it may be (one standard deviation);
     joints that are not trusted are hollow.
 
     Args:
@@ -128,7 +128,7 @@ def drawn_over(
 def pose_over(
     capture: Capture, hand: HandEstimate, model: ObjectModel, pose: np.ndarray, other: np.ndarray
 ) -> np.ndarray:
-    """The part of the colour image that ``drawn_over`` shows, with the outline of the object in another pose.
+    """The part of the color image that ``drawn_over`` shows, with the outline of the object in another pose.
 
     pose, other: camera frame, shape [7]. Returns sRGB, shape [720, 960, 3] uint8.
     """
@@ -160,7 +160,7 @@ def false_colors(
 
 
 def whole_image(capture: Capture, view: CloseUp, width: int = 960) -> np.ndarray:
-    """The colour image, smaller if it is wide, with a frame round the part that ``view`` enlarges."""
+    """The color image, smaller if it is wide, with a frame round the part that ``view`` enlarges."""
     image = Image.fromarray(capture.color)
     share = min(1.0, width / image.width)
     if share < 1:
@@ -266,7 +266,7 @@ def _with_skeleton(picture: np.ndarray, view: CloseUp, lens: Intrinsics, hand: H
 
 
 def _with_scale(picture: np.ndarray, near: float, far: float) -> np.ndarray:
-    """The picture with a bar of the colours and the depths at its ends."""
+    """The picture with a bar of the colors and the depths at its ends."""
     image = Image.fromarray(picture)
     draw, font = ImageDraw.Draw(image), ImageFont.load_default(22)
     width, height = image.size

@@ -1,11 +1,11 @@
 """Torques that carry a hand's own weight, in whatever pose the arm holds it (section IV.C.4 of the paper).
 
 Simulated hands are weightless; a real one's servos, which know nothing of gravity, let it sag by
-``g(q) / stiffness``. With ``y`` the positions of the bodies' centres of mass and ``m`` their masses,
+``g(q) / stiffness``. With ``y`` the positions of the bodies' centers of mass and ``m`` their masses,
 
     g(q, R) = - sum_b m_b J_b(q)^T R^T (0, 0, -9.81 m/s^2)
 
-holds it up: R turns the palm's frame into the world's, J_b is the Jacobian of body b's centre of mass in the
+holds it up: R turns the palm's frame into the world's, J_b is the Jacobian of body b's center of mass in the
 palm's frame. It is added to what the servos make of errors of position; servos that take positions only get a
 shift of their targets instead, ``g / stiffness``.
 """

@@ -104,7 +104,7 @@ class Randomization:
     object_position_error: MeasurementError = MeasurementError()
     """Error of the object's estimated and tracked position [m]."""
     object_rotation_error: MeasurementError = MeasurementError()
-    """Error of the object's estimated and tracked rotation, as a rotation vector [rad] about its centre of
+    """Error of the object's estimated and tracked rotation, as a rotation vector [rad] about its center of
     mass."""
     tracker_delay: Range = (0.0, 0.0)
     """Age of the tracked object pose when a policy sees it [s]."""
@@ -121,7 +121,7 @@ class Randomization:
     push_phase: Literal["lift", "hold"] = "hold"
     """Phase from whose beginning the times of the pushes count."""
     push_times: tuple[Range, ...] = ()
-    """Time of each push on the object's centre of mass, from the beginning of that phase [s]."""
+    """Time of each push on the object's center of mass, from the beginning of that phase [s]."""
     push_force: Range = (0.0, 0.0)
     """Force of each push [N], in a random direction."""
     push_weights: Range = (0.0, 0.0)

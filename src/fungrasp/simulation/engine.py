@@ -44,7 +44,7 @@ class Engine(Protocol):
 
     @property
     def center_of_mass(self) -> np.ndarray:
-        """Centre of mass of the object [m], world frame, shape [W, 3]."""
+        """Center of mass of the object [m], world frame, shape [W, 3]."""
         ...
 
     @property
@@ -171,7 +171,7 @@ class Engine(Protocol):
         """Apply forces to the objects until the next call or reset.
 
         Args:
-            force: at the centres of mass, world frame [N], shape [W, 3].
+            force: at the centers of mass, world frame [N], shape [W, 3].
             torque: world frame [N m], shape [W, 3]; none if None.
         """
         ...

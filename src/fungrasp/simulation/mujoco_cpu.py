@@ -107,7 +107,7 @@ class MujocoCpuEngine:
 
     @property
     def center_of_mass(self) -> np.ndarray:
-        """Centre of mass of the object [m], world frame, shape [W, 3]."""
+        """Center of mass of the object [m], world frame, shape [W, 3]."""
         return self._xipos[:, self._object].copy()
 
     @property

@@ -214,9 +214,9 @@ def _add_object(
 
 
 def _off_origin(center: np.ndarray) -> np.ndarray:
-    """The centre of mass, but never within a micrometre of the body's origin.
+    """The center of mass, but never within a micrometre of the body's origin.
 
-    MuJoCo stores the inertia of a body with its centre of mass at its origin in another, smaller layout,
+    MuJoCo stores the inertia of a body with its center of mass at its origin in another, smaller layout,
     which can't differ between worlds.
     """
     return center if np.linalg.norm(center) > 1e-6 else np.array([1e-6, 0.0, 0.0])

@@ -53,7 +53,7 @@ CLUTTER = (
 """Built-in objects that stand or lie about."""
 
 CLUTTER_REACH = (0.10, 0.38)
-"""Clutter stands so far from the grasp, measured between centres [m]."""
+"""Clutter stands so far from the grasp, measured between centers [m]."""
 
 SLEEVES_WORN = 0.7
 """Fraction of the people who wear a sleeve."""
@@ -75,7 +75,7 @@ SKIN_LIKE: tuple[Color, ...] = (
     (0.62, 0.44, 0.30),
     (0.88, 0.74, 0.64),
 )
-"""Cardboard, light and dark wood, leather, plaster: things whose colour is that of some skin, sRGB."""
+"""Cardboard, light and dark wood, leather, plaster: things whose color is that of some skin, sRGB."""
 
 WALL_DISTANCE = (1.4, 2.6)
 """Range of distances of the walls from the grasp [m]."""
@@ -164,7 +164,7 @@ def capture_scene(
         tones: of skin, sRGB; one is taken.
         clutter: how many other things to put on the table; fewer if they don't find a place.
         towards: direction from the grasp to the camera along the table [rad]; the clutter keeps out of it.
-        skin_like: part of the clutter, and of the table tops, with colours that some skin has.
+        skin_like: part of the clutter, and of the table tops, with colors that some skin has.
     """
     skin, arm = painted_hand(grasp.hand_joints, tones[int(rng.integers(len(tones)))], rng)
     held = painted.moved(grasp.object_pose)
@@ -174,15 +174,15 @@ def capture_scene(
         cloth = SLEEVES[rng.integers(len(SLEEVES))]
         sleeve = painted_sleeve(arm, rng.uniform(0.25, 0.6), cloth, rng)
         parts.append((Label.SLEEVE, sleeve.surface(0.02, 6.0)))
-    taken, centre = np.concatenate([held.vertices, skin.vertices]), held.vertices.mean(0)
-    around, look = surroundings(taken, centre, rng, clutter=clutter, towards=towards, skin_like=skin_like)
+    taken, center = np.concatenate([held.vertices, skin.vertices]), held.vertices.mean(0)
+    around, look = surroundings(taken, center, rng, clutter=clutter, towards=towards, skin_like=skin_like)
     labels, surfaces = zip(*parts, *around, strict=True)
     return CaptureScene(surfaces, np.array(labels, np.uint8), look, arm)
 
 
 def surroundings(
     taken: np.ndarray,
-    centre: np.ndarray,
+    center: np.ndarray,
     rng: np.random.Generator,
     *,
     clutter: int,
@@ -193,25 +193,25 @@ def surroundings(
 
     Args:
         taken: points that the clutter must keep off [m], world frame, shape [P, 3].
-        centre: what it stands around [m], shape [3].
+        center: what it stands around [m], shape [3].
         rng: random numbers.
         clutter: how many things; fewer if they don't find a place.
         towards: direction to the camera along the table [rad]; the clutter keeps out of it.
-        skin_like: part of the clutter, and of the table tops, with colours that some skin has.
+        skin_like: part of the clutter, and of the table tops, with colors that some skin has.
     """
     parts: list[tuple[Label, SurfaceMesh]] = []
-    for model, pose in _clutter(taken, centre, clutter, towards, rng):
+    for model, pose in _clutter(taken, center, clutter, towards, rng):
         painted = painted_object(model)
         if skin_like and rng.uniform() < skin_like:
             painted = _in_one_color(painted, SKIN_LIKE[rng.integers(len(SKIN_LIKE))])
         parts.append((Label.CLUTTER, painted.moved(pose).surface(0.3, 40.0)))
-    parts.append((Label.TABLE, capture_table(centre, skin_like, rng)))
-    parts += [(Label.ROOM, surface) for surface in _room(centre, rng)]
+    parts.append((Label.TABLE, capture_table(center, skin_like, rng)))
+    parts += [(Label.ROOM, surface) for surface in _room(center, rng)]
     return parts, _look(rng)
 
 
 def _clutter(
-    taken: np.ndarray, centre: np.ndarray, count: int, towards: float, rng: np.random.Generator
+    taken: np.ndarray, center: np.ndarray, count: int, towards: float, rng: np.random.Generator
 ) -> list[tuple[ObjectModel, np.ndarray]]:
     """Things on the table that meet neither the grasp nor one another."""
     placed = []
@@ -221,7 +221,7 @@ def _clutter(
         for _ in range(12):
             away, azimuth = rng.uniform(*CLUTTER_REACH), towards + rng.uniform(0.2, 1.8) * np.pi
             pose = model.rest_pose(rng.uniform(0, 2 * np.pi))
-            pose[:2] = centre[:2] + away * np.array([np.cos(azimuth), np.sin(azimuth)])
+            pose[:2] = center[:2] + away * np.array([np.cos(azimuth), np.sin(azimuth)])
             points = transform_points(pose, model.vertices)[:, :2]
             low, high = points.min(0) - _SPACE, points.max(0) + _SPACE
             if not any(((other > low) & (other < high)).all(1).any() for other in occupied):
@@ -236,13 +236,13 @@ def _clutter(
 
 
 def _in_one_color(painted: PaintedMesh, color: Color) -> PaintedMesh:
-    """The same with the paint's light and dark in shades of one colour."""
-    grey = painted.colors.mean(axis=1, keepdims=True)
-    shade = 1.0 + 0.25 * (grey - grey.mean())
+    """The same with the paint's light and dark in shades of one color."""
+    gray = painted.colors.mean(axis=1, keepdims=True)
+    shade = 1.0 + 0.25 * (gray - gray.mean())
     return replace(painted, colors=np.clip(shade * np.asarray(color), 0.0, 1.0))
 
 
-def capture_table(centre: np.ndarray, skin_like: float, rng: np.random.Generator) -> SurfaceMesh:
+def capture_table(center: np.ndarray, skin_like: float, rng: np.random.Generator) -> SurfaceMesh:
     """A table top under a point [m], world frame, shape [3]; skin_like: probability that its colors are such
     as some skin has."""
     size = np.array(TABLE_SIZE)
@@ -251,12 +251,12 @@ def capture_table(centre: np.ndarray, skin_like: float, rng: np.random.Generator
     places = vertices[:, :2] / size[:2] + 0.5
     image = _table_image(rng)
     if skin_like and rng.uniform() < skin_like:
-        grey = image.mean(axis=-1, keepdims=True)
+        gray = image.mean(axis=-1, keepdims=True)
         color = np.asarray(SKIN_LIKE[rng.integers(len(SKIN_LIKE))])
-        image = np.clip(color * grey / grey.mean(), 0, 1)
+        image = np.clip(color * gray / gray.mean(), 0, 1)
     offset = rng.uniform(-0.5, 0.5, 2) * (0.5 * size[1] - 0.25)
     yaw = rng.uniform(0, np.pi)
-    pose = np.array([*(centre[:2] + offset), -0.5 * size[2], np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)])
+    pose = np.array([*(center[:2] + offset), -0.5 * size[2], np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)])
     vertices, faces = transform_points(pose, vertices), np.array(box.faces)
     normals, specular = fine_mesh_normals(vertices, faces), float(rng.uniform(0, 0.15))
     return SurfaceMesh(vertices, faces, normals, np.ones(3), specular, 50.0, image, places[faces])
@@ -281,12 +281,12 @@ def _table_image(rng: np.random.Generator) -> np.ndarray:
     return np.clip(image, 0, 1)
 
 
-def _room(centre: np.ndarray, rng: np.random.Generator) -> list[SurfaceMesh]:
+def _room(center: np.ndarray, rng: np.random.Generator) -> list[SurfaceMesh]:
     """Floor and four walls."""
-    grey = rng.uniform(0.45, 0.9)
-    wall = np.clip(grey + rng.uniform(-0.08, 0.08, 3), 0, 1)
-    floor = np.clip(0.6 * grey + rng.uniform(-0.1, 0.1, 3), 0, 1)
-    middle = np.array([*centre[:2], _FLOOR])
+    gray = rng.uniform(0.45, 0.9)
+    wall = np.clip(gray + rng.uniform(-0.08, 0.08, 3), 0, 1)
+    floor = np.clip(0.6 * gray + rng.uniform(-0.1, 0.1, 3), 0, 1)
+    middle = np.array([*center[:2], _FLOOR])
     things = [_block(middle - np.array([0, 0, 0.05]), (8, 8, 0.1), floor)]
     for i, (x, y) in enumerate(((1, 0), (-1, 0), (0, 1), (0, -1))):
         away = rng.uniform(*WALL_DISTANCE)
@@ -295,9 +295,9 @@ def _room(centre: np.ndarray, rng: np.random.Generator) -> list[SurfaceMesh]:
     return things
 
 
-def _block(centre: np.ndarray, size: Sequence[float], color: np.ndarray) -> SurfaceMesh:
+def _block(center: np.ndarray, size: Sequence[float], color: np.ndarray) -> SurfaceMesh:
     box = trimesh.creation.box(size)
-    vertices = np.array(box.vertices) + centre
+    vertices = np.array(box.vertices) + center
     return PaintedMesh(vertices, np.array(box.faces), np.tile(color, (len(vertices), 1))).surface(0.0)
 
 

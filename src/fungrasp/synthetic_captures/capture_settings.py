@@ -13,7 +13,7 @@ from fungrasp.synthetic_captures.depth_noise import ColorNoise, DepthNoise
 from fungrasp.synthetic_captures.skin_and_sleeve import SKIN_TONES
 
 TYPICAL = Intrinsics(640, 480, 615.0, 615.0, 321.5, 238.0)
-"""A colour camera of the kind that is sold with a depth sensor for robots."""
+"""A color camera of the kind that is sold with a depth sensor for robots."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class CaptureSettings:
     clutter: tuple[int, int] = (0, 5)
     """Fewest and most other objects on the table."""
     skin: tuple[Color, ...] = SKIN_TONES
-    """Tones of skin, sRGB; another colour makes a glove."""
+    """Tones of skin, sRGB; another color makes a glove."""
     object_seen: float = 0.012
     """Part of the image that must show the object, where a camera can be found that does."""
     hand_seen: float = 0.015
@@ -43,7 +43,7 @@ class CaptureSettings:
     """Standard deviation of the size of hands, and of the lengths of their fingers, as a part; their
     fingertips stay where they are."""
     skin_like: float = 0.0
-    """Part of the clutter, and of the table tops, with colours that some skin has."""
+    """Part of the clutter, and of the table tops, with colors that some skin has."""
     additions: SceneAdditions | None = None
     """Adds to each scene what ordinary ones don't have."""
     left: float = 0.0

@@ -21,13 +21,13 @@ class DepthNoise:
     disparity: float = 0.08
     """Standard deviation of the disparity [pixels]: noise is depth^2 * disparity / (focal * baseline)."""
     blob: float = 1.2
-    """Neighbouring pixels this near share their noise [pixels]."""
+    """Neighboring pixels this near share their noise [pixels]."""
     edge: float = 0.6
     """Standard deviation of how far edges are displaced [pixels]."""
     dropout: float = 0.35
     """Part of the pixels beside a step in depth that give nothing."""
     step: float = 0.015
-    """Difference in depth between neighbouring pixels that counts as an edge [m]."""
+    """Difference in depth between neighboring pixels that counts as an edge [m]."""
     grazing: tuple[float, float] = (68.0, 86.0)
     """Angles between view and normal where pixels begin to give nothing, and where none is left [degrees]."""
     speckle: float = 0.002
@@ -40,10 +40,10 @@ class DepthNoise:
 
 @dataclass(frozen=True)
 class ColorNoise:
-    """Errors of a small colour camera."""
+    """Errors of a small color camera."""
 
     noise: float = 2.0
-    """Standard deviation of a pixel in mid grey [of 255]."""
+    """Standard deviation of a pixel in mid gray [of 255]."""
     blur: float = 0.45
     """Standard deviation of the lens's blur [pixels]."""
     balance: float = 0.05
@@ -92,7 +92,7 @@ def noisy_depth(
 
 
 def noisy_color(light: np.ndarray, noise: ColorNoise, rng: np.random.Generator) -> np.ndarray:
-    """What a colour camera would make of linear light.
+    """What a color camera would make of linear light.
 
     Args:
         light: shape [H, W, 3].
@@ -128,7 +128,7 @@ def _moved(light: np.ndarray, way: float, angle: float) -> np.ndarray:
 
 
 def smooth_field(shape: tuple[int, ...], width: float, rng: np.random.Generator) -> np.ndarray:
-    """Normally distributed, neighbours alike within ``width`` pixels."""
+    """Normally distributed, neighbors alike within ``width`` pixels."""
     field = ndimage.gaussian_filter(rng.normal(size=shape), width, mode="wrap")
     return field / field.std()
 

@@ -1,4 +1,4 @@
-"""Meshes with a colour per vertex, and paint for objects that have none."""
+"""Meshes with a color per vertex, and paint for objects that have none."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ EDGE = 0.006
 
 @dataclass(frozen=True)
 class PaintedMesh:
-    """A triangle mesh with colours."""
+    """A triangle mesh with colors."""
 
     vertices: np.ndarray
     """Positions of the vertices [m], object frame, shape [V, 3]."""
@@ -63,13 +63,13 @@ def fine_mesh_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 
 def mixed(a: np.ndarray, b: np.ndarray, part: np.ndarray) -> np.ndarray:
-    """Colours from ``a`` (part 0) to ``b`` (part 1). part: shape [V]. Returns shape [V, 3]."""
+    """Colors from ``a`` (part 0) to ``b`` (part 1). part: shape [V]. Returns shape [V, 3]."""
     return a + part[:, None] * (b - a)
 
 
 @lru_cache(maxsize=64)
 def painted_object(model: ObjectModel) -> PaintedMesh:
-    """An object with paint of our own: one colour per part, a band, a label and fine grain.
+    """An object with paint of our own: one color per part, a band, a label and fine grain.
 
     The same object always gets the same paint: it is decided by the object's name.
     """

@@ -245,12 +245,12 @@ def _camera(
 ) -> np.ndarray:
     """Pose of a camera that sees hand and object: the first that sees enough, else the best, shape [7]."""
     held = painted.moved(grasp.object_pose).vertices
-    centre = 0.5 * (grasp.hand_joints.mean(0) + np.clip(held.mean(0), *np.quantile(held, (0.2, 0.8), axis=0)))
+    center = 0.5 * (grasp.hand_joints.mean(0) + np.clip(held.mean(0), *np.quantile(held, (0.2, 0.8), axis=0)))
     probe = intrinsics.resized(intrinsics.width // _PROBE, intrinsics.height // _PROBE)
     best, most = np.zeros(7), -np.inf
     for i in range(TRIES):
         camera = orbit_camera(
-            centre + rng.normal(size=3) * 0.015,
+            center + rng.normal(size=3) * 0.015,
             rng.uniform(*settings.distance),
             azimuth + rng.normal() * 12 * (1 + i),
             rng.uniform(*settings.elevation),

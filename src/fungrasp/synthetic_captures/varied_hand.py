@@ -31,9 +31,9 @@ def vary_hand(grasp: HumanGrasp, spread: float, rng: np.random.Generator) -> np.
     joints = grasp.hand_joints
     tips = np.array([4, 8, 12, 16, 20])
     touching = grasp.link_contacts[[3, 6, 9, 12, 15]]
-    centre = joints[tips[touching] if touching.any() else tips].mean(axis=0)
+    center = joints[tips[touching] if touching.any() else tips].mean(axis=0)
     draw = np.clip(rng.normal(size=6), -LARGEST, LARGEST) * spread
-    scaled = centre + (1 + draw[0]) * (joints - centre)
+    scaled = center + (1 + draw[0]) * (joints - center)
     for finger in range(5):
         chain = slice(1 + 4 * finger, 5 + 4 * finger)
         knuckle, tip = scaled[1 + 4 * finger], joints[4 + 4 * finger]

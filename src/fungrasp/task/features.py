@@ -90,7 +90,7 @@ class PlanTarget:
     mass: Array
     """Nominal mass of the object [kg], shape [W]."""
     center: Array
-    """Object's centre of mass, object frame [m], shape [W, 3]."""
+    """Object's center of mass, object frame [m], shape [W, 3]."""
     size: Array
     """Object's extents, object frame [m], shape [W, 3]."""
     since_closing: Array

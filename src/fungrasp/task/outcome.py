@@ -20,7 +20,7 @@ class Outcomes(BatchRecord):
     """Whether the object stayed up, in the hand, and touched nothing but the hand during the whole hold,
     bool."""
     lifted_height_m: np.ndarray
-    """Smallest height of the centre of mass above where it settled, during the hold [m]."""
+    """Smallest height of the center of mass above where it settled, during the hold [m]."""
     contact_ratio: np.ndarray
     """Share of the target links in contact, mean over the hold."""
     contact_precision: np.ndarray
@@ -73,7 +73,7 @@ class LiftMeasurements:
         count = len(engine)
         self._engine, self._protocol = engine, protocol
         self.settled_height = np.zeros(count)
-        """Height of the objects' centres of mass at rest, world frame [m], shape [W]."""
+        """Height of the objects' centers of mass at rest, world frame [m], shape [W]."""
         self._lifted = np.full(count, np.inf)
         self._touched_table = np.zeros(count, dtype=bool)
         self._pushed = np.zeros(count)
@@ -85,7 +85,7 @@ class LiftMeasurements:
 
     @property
     def height(self) -> np.ndarray:
-        """Height of the objects' centres of mass above where they settled [m], -1 where physics has broken
+        """Height of the objects' centers of mass above where they settled [m], -1 where physics has broken
         down, shape [W]."""
         height = self._engine.center_of_mass[:, 2] - self.settled_height
         return np.where(np.isfinite(height) & ~self._engine.diverged, height, -1.0)

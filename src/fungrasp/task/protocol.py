@@ -12,7 +12,7 @@ class LiftProtocol:
     settle_time: float = 1.0
     """Time in which the object settles from its rest pose [s]."""
     start_distance: float = 0.30
-    """Distance from the wrist to the object's centre at the start [m]."""
+    """Distance from the wrist to the object's center at the start [m]."""
     start_closing: float = 0.5
     """Fingers at the start, as a fraction of their target angles."""
     control_period: float = 0.1
@@ -24,7 +24,7 @@ class LiftProtocol:
     hold_time: float = 3.0
     """The object is held for this long [s]."""
     success_height: float = 0.10
-    """The object's centre of mass stays this far above where it settled [m]."""
+    """The object's center of mass stays this far above where it settled [m]."""
     wrist_speed: float = 0.25
     """Largest speed of the wrist's setpoint [m/s]."""
     wrist_acceleration: float = 0.3

@@ -208,7 +208,7 @@ def lift_reward(height: Array, goal: float) -> Array:
     """The object is up: ``clip(height / goal, 0, 1)``.
 
     Args:
-        height: of the object's centre of mass above where it settled [m], shape [W].
+        height: of the object's center of mass above where it settled [m], shape [W].
         goal: [m].
 
     Returns:

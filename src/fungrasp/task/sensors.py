@@ -183,7 +183,7 @@ class SimulatedSensors:
         return self._filtered.copy()
 
     def _center(self) -> np.ndarray:
-        """Centres of mass in the frames of objects [m], shape [W, 3]: a tracked object turns about its
+        """Centers of mass in the frames of objects [m], shape [W, 3]: a tracked object turns about its
         own."""
         now = self._task.engine.object_pose
         return inverse_transform_points(now, self._task.engine.center_of_mass[:, None])[:, 0]

@@ -59,7 +59,7 @@ def measured(*perceived, **changes) -> MeasuredCapture:
 
 
 def known_capture() -> Any:
-    """The first built-in grasp in depth, without noise and clutter: blue object, grey table, no skin."""
+    """The first built-in grasp in depth, without noise and clutter: blue object, gray table, no skin."""
     camera = Intrinsics(160, 120, 150.0, 150.0, 80.0, 60.0)
     middle = GRASP.object_pose[:3]
     # Half a metre in front of the object, 45 degrees above it.

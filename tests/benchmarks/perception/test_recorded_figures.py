@@ -44,6 +44,7 @@ def written(folder: Path, **truth: object) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_a_set_is_measured_with_every_hint(tmp_path: Path) -> None:
     joints = [None if i == 3 else row for i, row in enumerate(SCENE.hand.joints_camera.tolist())]
     written(

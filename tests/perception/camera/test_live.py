@@ -131,7 +131,7 @@ def test_a_folder_of_frames_is_a_camera(tmp_path):
 
 
 def test_a_frame_is_checked():
-    with pytest.raises(FungraspError, match="colour must be uint8"):
+    with pytest.raises(FungraspError, match="color must be uint8"):
         dataclasses.replace(frame(0.0), color=SEEN.color.astype(float))
     with pytest.raises(FungraspError, match="depth must be float32"):
         dataclasses.replace(frame(0.0), depth=SEEN.depth[:-1])

@@ -29,7 +29,7 @@ from fungrasp.perception.hand.mediapipe_detector import (
 from fungrasp.perception.hand.mediapipe_models import have_weights
 from fungrasp.perception.hand.palm_windows import (
     Window,
-    anchor_centres,
+    anchor_centers,
     box_overlap,
     decode_palms,
     window_of_landmarks,
@@ -42,11 +42,11 @@ needs_weights = pytest.mark.skipif(
 
 
 def test_anchors_cover_the_image_in_two_grids():
-    centres = anchor_centres()
-    assert centres.shape == (2016, 2)
-    np.testing.assert_allclose(centres[:3], np.array([[4, 4], [4, 4], [12, 4]]) / 192)
-    np.testing.assert_allclose(centres[24 * 24 * 2], np.array([8, 8]) / 192)
-    np.testing.assert_allclose(centres.mean(axis=0), 0.5)
+    centers = anchor_centers()
+    assert centers.shape == (2016, 2)
+    np.testing.assert_allclose(centers[:3], np.array([[4, 4], [4, 4], [12, 4]]) / 192)
+    np.testing.assert_allclose(centers[24 * 24 * 2], np.array([8, 8]) / 192)
+    np.testing.assert_allclose(centers.mean(axis=0), 0.5)
 
 
 def test_overlapping_answers_are_one_palm_weighted_by_score():

@@ -39,7 +39,7 @@ def test_points_behind_the_camera_have_no_pixel():
 
 
 def test_resizing_keeps_where_rays_go():
-    # Pixel centres are whole numbers: the left edge is at -0.5 before and after.
+    # Pixel centers are whole numbers: the left edge is at -0.5 before and after.
     small = LENS.resized(32, 24)
     for edge in (-0.5, 20.0, 63.5):
         ray = LENS.deproject(np.array([edge, 10.0]), np.array(1.0))
@@ -59,7 +59,7 @@ def test_points_are_in_the_camera_frame_and_holes_are_nan():
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"color": np.zeros((48, 60, 3), np.uint8)}, "colour image has shape"),
+        ({"color": np.zeros((48, 60, 3), np.uint8)}, "color image has shape"),
         ({"color": np.zeros((48, 64, 3), np.float32)}, "array of uint8, not float32"),
         ({"depth": np.ones((24, 32), np.float32)}, "depth image has shape"),
         ({"depth": np.ones((48, 64))}, "array of float32, not float64"),

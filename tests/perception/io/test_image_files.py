@@ -93,11 +93,11 @@ def nothing_measured(path):
 @pytest.mark.parametrize(
     ("which", "mistake", "message"),
     [
-        (0, cut_short, "colour image .* damaged or cut short"),
+        (0, cut_short, "color image .* damaged or cut short"),
         (1, cut_short, "depth image .* damaged or cut short"),
         (0, words, "not an image"),
         (1, words, "not an image"),
-        (1, not_aligned, "848 x 480 pixels and the colour image 320 x 240: align"),
+        (1, not_aligned, "848 x 480 pixels and the color image 320 x 240: align"),
         (1, a_picture_of_depth, "picture of depth"),
         (1, nothing_measured, "no pixel has a measurement"),
         (0, lambda path: path.unlink(), "does not exist"),

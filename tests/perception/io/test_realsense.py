@@ -49,10 +49,10 @@ def test_a_recording_is_played_once_and_in_its_own_format(realsense, tmp_path, f
     ("options", "words"),
     [
         ({"start_error": "No device connected"}, "no RealSense camera is connected"),
-        ({"start_error": "Couldn't resolve requests"}, "no depth and colour together"),
+        ({"start_error": "Couldn't resolve requests"}, "no depth and color together"),
         ({"images": 0}, "gives no images"),
         ({"missing": "depth"}, "has no depth image"),
-        ({"missing": "colour"}, "has no colour image"),
+        ({"missing": "color"}, "has no color image"),
         ({"fmt": "yuyv"}, "format yuyv; one of rgb8, bgr8"),
         ({"millimetres": 0}, "no pixel has a measurement"),
     ],

@@ -17,8 +17,8 @@ def test_depth_of_a_box_seen_straight_on() -> None:
     assert np.isinf(seen[0, 2])
 
 
-def test_off_centre_meshes_stay_where_they_are() -> None:
-    # A mesh whose own centre is far from its origin, turned by 90 degrees about y.
+def test_off_center_meshes_stay_where_they_are() -> None:
+    # A mesh whose own center is far from its origin, turned by 90 degrees about y.
     rays = MeshRays(BOX.vertices + np.array([0.0, 0.0, 0.3]), BOX.faces)
     turned = np.concatenate([[-0.3, 0.0, 0.6], quaternion_from_rotation_vector(np.array([0, np.pi / 2, 0]))])
     seen = rays.cast(turned[None], np.array([[0.0, 0.0, 1.0]]))

@@ -20,7 +20,7 @@ def pose_at(time: float) -> np.ndarray:
 
 
 def image(pose: np.ndarray | None, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Colour and depth of the object in front of a wall, or of the wall alone."""
+    """Color and depth of the object in front of a wall, or of the wall alone."""
     rng = np.random.default_rng(seed)
     color = np.full((CAMERA.height, CAMERA.width, 3), (150, 140, 120), np.uint8)
     depth = np.full(color.shape[:2], 1.1)

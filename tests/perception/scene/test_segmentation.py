@@ -37,7 +37,7 @@ def test_one_mask_is_the_object() -> None:
     support = found.support
     assert support[SCENE.mask].mean() > 0.7
     height = SCENE.capture.points() @ SCENE.table[:3] + SCENE.table[3]
-    # But for its border, where neighbouring pixels share their evidence.
+    # But for its border, where neighboring pixels share their evidence.
     assert (support[height < 0.003] > 0.5).mean() < 0.01
 
 

@@ -1,6 +1,6 @@
 """Convex solids, as the points they are the hull of: [m], shape [N, 3], object frame.
 
-Neighbouring solids of a row (``ring``, ``sweep``) share their corners exactly: their union has no seams.
+Neighboring solids of a row (``ring``, ``sweep``) share their corners exactly: their union has no seams.
 """
 
 from __future__ import annotations
@@ -90,7 +90,7 @@ def ellipse(
 
 
 def sweep(sections: Sequence[np.ndarray]) -> list[Solid]:
-    """A bar through convex ``sections``, each [m], shape [S, 3]: one solid between each two neighbours."""
+    """A bar through convex ``sections``, each [m], shape [S, 3]: one solid between each two neighbors."""
     return [np.concatenate(pair) for pair in pairwise(sections)]
 
 

@@ -172,8 +172,8 @@ def _seen(fields: HandFields, joints: np.ndarray, intrinsics: Intrinsics) -> tup
         )
     directions = placed.mean(axis=1)
     if pixels is None:
-        focal, centre = _lens(fields, intrinsics, size, count, scale)
-        pixels = placed[..., :2] / placed[..., 2:] * focal[:, None] + centre
+        focal, center = _lens(fields, intrinsics, size, count, scale)
+        pixels = placed[..., :2] / placed[..., 2:] * focal[:, None] + center
     return pixels, directions
 
 

@@ -34,7 +34,7 @@ SEEN_THROUGH = 0.03
 """What is measured so far behind the skin [m] shows that no hand is there."""
 
 SAMPLE_WEIGHT = 0.5
-"""Weight of a surface sample that agrees [logarithm of likelihood]; neighbours err alike."""
+"""Weight of a surface sample that agrees [logarithm of likelihood]; neighbors err alike."""
 
 THROUGH_WEIGHT = 1.0
 """Weight of a sample that is seen through, against the hand."""
@@ -63,7 +63,7 @@ def read_hand_estimate(
     hand: int | None = None,
     mano: str | Path | None = None,
 ) -> HandEstimate:
-    """Read a hand that HaMeR, WiLoR, METRO or another program found in the capture's colour image.
+    """Read a hand that HaMeR, WiLoR, METRO or another program found in the capture's color image.
 
     The file is JSON or ``.npz`` with named arrays; docs/adapters.md says which. Size and distance of the hand
     are not taken from it but measured in the depth image (see ``place_hand``), unless it says ``metric``.
@@ -122,7 +122,7 @@ def place_hand(detected: DetectedHand, capture: Capture, *, keep_size: bool = Fa
     if not known.any():
         raise FungraspError(
             "there is no depth where the hand is in the image: is it too near or too far for the camera, "
-            "or is the depth not aligned to the colour?"
+            "or is the depth not aligned to the color?"
         )
     factors = measured[known] / (samples - radius[:, None] * [0, 0, 1])[known, 2]
     factor, certainty = _common_factor(factors, float(points[:, 2].mean()), size)

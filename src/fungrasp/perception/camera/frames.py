@@ -20,7 +20,7 @@ from fungrasp.perception.io.scene_folders import own_files, read_folder
 
 @dataclass(frozen=True, eq=False)
 class CameraFrame:
-    """One colour image and the depth aligned to it. Unlike a ``Capture``, it may lack all depth."""
+    """One color image and the depth aligned to it. Unlike a ``Capture``, it may lack all depth."""
 
     color: np.ndarray
     """RGB, uint8, shape [H, W, 3]."""
@@ -36,7 +36,7 @@ class CameraFrame:
         shape = (self.intrinsics.height, self.intrinsics.width)
         if self.color.dtype != np.uint8 or self.color.shape != (*shape, 3):
             raise FungraspError(
-                f"a frame's colour must be uint8 of shape {[*shape, 3]}, not {self.color.dtype} of "
+                f"a frame's color must be uint8 of shape {[*shape, 3]}, not {self.color.dtype} of "
                 f"{list(self.color.shape)}"
             )
         if self.depth.dtype != np.float32 or self.depth.shape != shape:

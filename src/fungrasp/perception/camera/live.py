@@ -30,7 +30,7 @@ from fungrasp.perception.object_pose.tracker import FOLLOWED, ObjectTracker
 from fungrasp.perception.scene.table import NO_TABLE
 
 STEADY = 1.5
-"""Frames that differ from their neighbours by no more than so many times the least count as steady."""
+"""Frames that differ from their neighbors by no more than so many times the least count as steady."""
 
 MARGIN = 0.3
 """The hand's box is widened by this part on each side: the object is beside it."""
@@ -46,11 +46,11 @@ def best_first(frames: Sequence[CameraFrame], around: Box) -> list[int]:
         frames: one after the other, of one size.
         around: the hand's box ``x0, y0, x1, y1`` [pixels]; only it and what is beside it counts.
     """
-    grey = [frame.color[_part(frame, around)].mean(axis=-1, dtype=np.float32) for frame in frames]
-    sharp = np.array([np.var(ndimage.laplace(image)) for image in grey])
-    change = [float(np.abs(a - b).mean()) for a, b in pairwise(grey)]
-    # The first and the last frame have one neighbour.
-    moved = np.array([max(change[max(i - 1, 0) : i + 1], default=0.0) for i in range(len(grey))])
+    gray = [frame.color[_part(frame, around)].mean(axis=-1, dtype=np.float32) for frame in frames]
+    sharp = np.array([np.var(ndimage.laplace(image)) for image in gray])
+    change = [float(np.abs(a - b).mean()) for a, b in pairwise(gray)]
+    # The first and the last frame have one neighbor.
+    moved = np.array([max(change[max(i - 1, 0) : i + 1], default=0.0) for i in range(len(gray))])
     shaky = moved > STEADY * moved.min() + 1e-6
     return [int(i) for i in np.lexsort((-sharp, shaky))]
 

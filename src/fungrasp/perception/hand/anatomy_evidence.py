@@ -52,7 +52,7 @@ def anatomy_evidence(hand: Skeleton) -> list[HandEvidence]:
 
 
 def _alike() -> np.ndarray:
-    """Differences of what neighbouring fingers' flexion is beyond the usual, over their spread, by angle,
+    """Differences of what neighboring fingers' flexion is beyond the usual, over their spread, by angle,
     shape [9, 45]."""
     rows = np.zeros((3, 3, 5, 3, 3))
     for finger in range(3):

@@ -281,7 +281,7 @@ def initial_skeleton(seen: HandMeasurements) -> Skeleton:
     if not known.any():
         raise FungraspError(
             "there is no depth where the hand is in the image: is it too near or too far for the camera, or "
-            "is the depth not aligned to the colour?"
+            "is the depth not aligned to the color?"
         )
     rough = float(np.median(measured[known]))
     radius = np.concatenate([[WRIST_RADIUS], FINGER_RADII.ravel()])

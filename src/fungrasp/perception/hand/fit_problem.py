@@ -46,7 +46,7 @@ TRUSTED_ERROR = 0.015
 """A joint's confidence is the probability that its error is smaller than this [m]."""
 
 COVARIANCE_FACTOR = 1.3
-"""Factor from the covariance of least squares to that of the errors: neighbouring measurements err alike.
+"""Factor from the covariance of least squares to that of the errors: neighboring measurements err alike.
 Measured on rendered scenes with known truth."""
 
 
@@ -65,7 +65,7 @@ class HandFitSettings:
     hidden_landmarks: float = 0.5
     """Further factor of the residual of a hidden joint's landmark then."""
     depth_spread: float = 0.012
-    """Standard deviation of depth at a surface sample [m]: camera, thickness, and that neighbours err
+    """Standard deviation of depth at a surface sample [m]: camera, thickness, and that neighbors err
     alike."""
     object_depth: float = 0.004
     """What is seen so near to the known object's surface [m] is the object."""
@@ -88,7 +88,7 @@ class HandFitSettings:
     point_spread: tuple[float, float, float] = (0.004, 0.008, 0.025)
     """Standard deviation of a measured point's distance from the skin [m]: of fingers, palm and arm."""
     points_worth: float = 85.0
-    """Number of independent measurements that all measured points together count as: neighbours err alike."""
+    """Number of independent measurements that all measured points together count as: neighbors err alike."""
     front_spread: float = 0.016
     """Standard deviation of how far skin may be in front of what is seen there [m]."""
     front_outlier: float = 0.05

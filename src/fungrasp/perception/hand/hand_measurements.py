@@ -30,7 +30,7 @@ TABLE_NEAR = 0.008
 """What is seen so low above the table [m] is the table."""
 
 EDGE = 0.015
-"""Where neighbouring pixels differ by more [m], a depth camera sees the mean of what is on both sides."""
+"""Where neighboring pixels differ by more [m], a depth camera sees the mean of what is on both sides."""
 
 POINTS = 400
 """Points of the hand that are looked at."""
@@ -39,7 +39,7 @@ FEW = 12
 """Factor on that number for the points that are sorted: most show something else."""
 
 BONE = 0.006
-"""Points that are seen so near to a guessed hand's bones [m] show what colour it has."""
+"""Points that are seen so near to a guessed hand's bones [m] show what color it has."""
 
 LEAST_SKIN = 40
 """Least number of points from which the color of the skin is learned."""
@@ -48,10 +48,10 @@ MOST_SKIN = 400
 """Largest number of points from which the color of the skin is learned."""
 
 OTHER_COLOR = 4.0
-"""Colours farther from the skin's [standard deviations] are another thing's."""
+"""Colors farther from the skin's [standard deviations] are another thing's."""
 
 COLOR_SPREAD = 0.04
-"""Least standard deviation of the skin's colour: logarithm of red over green, and blue over green."""
+"""Least standard deviation of the skin's color: logarithm of red over green, and blue over green."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,7 +142,7 @@ class HandView:
 def hand_view(capture: Capture, surroundings: HandSurroundings, guesses: list[np.ndarray]) -> HandView:
     """Find the points of the hand.
 
-    They are near a guess, neither object nor table, of the colour that most of what is seen at the guesses'
+    They are near a guess, neither object nor table, of the color that most of what is seen at the guesses'
     bones has: landmarks that are wrong are on the hand nevertheless, or each on something else.
 
     Args:
@@ -192,7 +192,7 @@ def _edges(depth: np.ndarray) -> np.ndarray:
 
 
 def _skin_colored(pixels: np.ndarray, color: np.ndarray, bones: list[np.ndarray], reach: float) -> np.ndarray:
-    """Which pixels have the colour of the hand, bool, shape [P].
+    """Which pixels have the color of the hand, bool, shape [P].
 
     Args:
         pixels: shape [P, 2].

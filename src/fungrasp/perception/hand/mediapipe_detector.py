@@ -73,7 +73,7 @@ HAND_PRESENCE = 0.5
 
 LEAST_HAND_SCORE = 0.45
 """Least score of a hand that many windows were cut for. In 69 images without a hand (52 of them rendered:
-tables and things with the colour of skin) up to 0.40 was seen; of 52 rendered hands four had less than this,
+tables and things with the color of skin) up to 0.40 was seen; of 52 rendered hands four had less than this,
 three of them off by 24 to 30 pixels in the median of their landmarks."""
 
 LEAST_ANSWER = 0.18
@@ -212,11 +212,11 @@ class MediaPipeHandDetector:
     ) -> DetectedHand | None:
         """What windows about a palm make of its hand; None as soon as they show none. palm: the window that
         the hand should be in."""
-        length = length_at(np.array([palm.centre]), lengths, palm.size / WINDOW_LENGTHS)
-        centres = palm.centre + length * np.array(WINDOW_OFFSETS)
+        length = length_at(np.array([palm.center]), lengths, palm.size / WINDOW_LENGTHS)
+        centers = palm.center + length * np.array(WINDOW_OFFSETS)
         every: list[DetectedHand] = []
-        for looked, least in ((centres[:1], FIRST_LOOK), (centres[1:], SECOND_LOOK)):
-            places = [(centre, turn) for centre in looked for turn in WINDOW_TURNS[::2]]
+        for looked, least in ((centers[:1], FIRST_LOOK), (centers[1:], SECOND_LOOK)):
+            places = [(center, turn) for center in looked for turn in WINDOW_TURNS[::2]]
             every += self._answers(image, places, length)
             if max(answer.score for answer in every) < least:
                 return None
@@ -304,7 +304,7 @@ def _apart(palms: list[tuple[float, Window]]) -> list[Window]:
     """Windows of palms, best first, without those in the middle half of a better one."""
     kept: list[Window] = []
     for _, window in sorted(palms, key=lambda palm: -palm[0]):
-        if all(math.dist(window.centre, other.centre) > 0.25 * other.size for other in kept):
+        if all(math.dist(window.center, other.center) > 0.25 * other.size for other in kept):
             kept.append(window)
     return kept
 

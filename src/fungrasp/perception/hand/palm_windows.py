@@ -28,8 +28,8 @@ PALM_OUTLINE = np.array([0, 1, 2, 3, 5, 6, 9, 10, 13, 14, 17, 18])
 class Window:
     """A square window of an image, which may reach beyond the image."""
 
-    centre: tuple[float, float]
-    """Column and row of the centre [pixels]."""
+    center: tuple[float, float]
+    """Column and row of the center [pixels]."""
     size: float
     """Length of an edge [pixels]."""
     angle: float = 0.0
@@ -37,7 +37,7 @@ class Window:
 
     def to_image(self, points: np.ndarray) -> np.ndarray:
         """Pixels of points in window coordinates. Both: shape [..., 2]."""
-        return (np.asarray(points) - 0.5) * self.size @ self._rotation().T + self.centre
+        return (np.asarray(points) - 0.5) * self.size @ self._rotation().T + self.center
 
     def turn(self, vectors: np.ndarray) -> np.ndarray:
         """Vectors ``[x y z]`` in the window's axes (right, down, into the image) in the image's. Both: shape
@@ -60,13 +60,13 @@ class Window:
         left, top = (0, 0)
         if shrink > 1:
             reach = self.size * 0.75
-            left, top = (max(0, math.floor(c - reach)) for c in self.centre)
-            right = min(image.width, math.ceil(self.centre[0] + reach))
-            bottom = min(image.height, math.ceil(self.centre[1] + reach))
+            left, top = (max(0, math.floor(c - reach)) for c in self.center)
+            right = min(image.width, math.ceil(self.center[0] + reach))
+            bottom = min(image.height, math.ceil(self.center[1] + reach))
             if right - left < shrink or bottom - top < shrink:
                 return np.zeros((pixels, pixels, 3), dtype=np.float32)
             image = image.reduce(shrink, (left, top, right, bottom))
-        # Pillow's coordinates have pixel centres at halves.
+        # Pillow's coordinates have pixel centers at halves.
         step = self._rotation() * (self.size / pixels / shrink)
         corner = self.to_image(np.zeros(2)) + 0.5 - np.array([left, top])
         corner = corner / shrink
@@ -89,8 +89,8 @@ def window_of_palm(box: np.ndarray, wrist: np.ndarray, middle_mcp: np.ndarray) -
     width, height = box[2] - box[0], box[3] - box[1]
     angle = _upright(middle_mcp - wrist)
     up = np.array([math.sin(angle), -math.cos(angle)])
-    centre = (box[:2] + box[2:]) / 2 + 0.5 * height * up
-    return Window((float(centre[0]), float(centre[1])), 2.6 * float(max(width, height)), angle)
+    center = (box[:2] + box[2:]) / 2 + 0.5 * height * up
+    return Window((float(center[0]), float(center[1])), 2.6 * float(max(width, height)), angle)
 
 
 def window_of_landmarks(pixels: np.ndarray) -> Window:
@@ -104,8 +104,8 @@ def window_of_landmarks(pixels: np.ndarray) -> Window:
     upright = pixels[PALM_OUTLINE] @ turn
     low, high = upright.min(axis=0), upright.max(axis=0)
     width, height = high - low
-    centre = turn @ ((low + high) / 2 - [0.0, 0.1 * height])
-    return Window((float(centre[0]), float(centre[1])), 2.0 * float(max(width, height)), angle)
+    center = turn @ ((low + high) / 2 - [0.0, 0.1 * height])
+    return Window((float(center[0]), float(center[1])), 2.0 * float(max(width, height)), angle)
 
 
 def search_windows(width: int, height: int, near: Box | None) -> Iterator[Window]:
@@ -117,15 +117,15 @@ def search_windows(width: int, height: int, near: Box | None) -> Iterator[Window
     whole = Window(middle, float(max(width, height)))
     yield whole
     if near is not None:
-        centre = ((near[0] + near[2]) / 2, (near[1] + near[3]) / 2)
-        yield Window(centre, 3.0 * max(near[2] - near[0], near[3] - near[1]))
+        center = ((near[0] + near[2]) / 2, (near[1] + near[3]) / 2)
+        yield Window(center, 3.0 * max(near[2] - near[0], near[3] - near[1]))
     part = 0.6 * min(width, height)
     across, down = (
         np.linspace(part / 2, edge - part / 2, math.ceil(2 * edge / part) - 1) for edge in (width, height)
     )
     yield from (Window((float(u), float(v)), part) for v in down for u in across)
     for angle in (np.pi / 2, -np.pi / 2, np.pi):
-        yield Window(whole.centre, whole.size, angle)
+        yield Window(whole.center, whole.size, angle)
 
 
 def _upright(direction: np.ndarray) -> float:
@@ -154,8 +154,8 @@ class Palm:
     """Probability that this is a palm, 0 to 1."""
 
 
-def anchor_centres() -> np.ndarray:
-    """Centres of the detector's anchors, 0 to 1, shape [2016, 2]."""
+def anchor_centers() -> np.ndarray:
+    """Centers of the detector's anchors, 0 to 1, shape [2016, 2]."""
     layers = []
     for cell, copies in ANCHOR_LAYERS:
         count = DETECTOR_PIXELS // cell
@@ -179,11 +179,11 @@ def decode_palms(offsets: np.ndarray, logits: np.ndarray, threshold: float) -> l
     scores = 1.0 / (1.0 + np.exp(-np.clip(logits, -100.0, 100.0)))
     chosen = np.flatnonzero(scores >= threshold)
     chosen = chosen[np.argsort(-scores[chosen], kind="stable")]
-    centres = anchor_centres()[chosen]
+    centers = anchor_centers()[chosen]
     values = offsets[chosen] / DETECTOR_PIXELS
-    middle, half = centres + values[:, :2], values[:, 2:4] / 2
+    middle, half = centers + values[:, :2], values[:, 2:4] / 2
     boxes = np.concatenate([middle - half, middle + half], axis=1)
-    points = centres[:, None] + values[:, 4:].reshape(-1, 7, 2)
+    points = centers[:, None] + values[:, 4:].reshape(-1, 7, 2)
     scores = scores[chosen]
     palms = []
     left = np.arange(len(chosen))

@@ -97,7 +97,7 @@ finger, joint, (deviation, flexion, twist). Fingers hinge: only their first join
 spread of flexion and deviation are about those of the built-in grasps and of 289 of DexYCB, pooled."""
 
 ALIKE_SPREAD = np.radians([12.0, 13.0, 9.0])
-"""Standard deviation of how differently, by joint, neighbouring fingers are bent from what is usual [rad].
+"""Standard deviation of how differently, by joint, neighboring fingers are bent from what is usual [rad].
 In the same grasps, what other fingers do tells each flexion to 4 to 10 degrees."""
 
 

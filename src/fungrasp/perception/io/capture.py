@@ -1,7 +1,7 @@
 """What a depth camera saw: one color image, the depth aligned to it, and the lens; usual mistakes are found.
 
 Camera frame: OpenCV (x right, y down, z forward) [m]. Pixels are ``[u v]``: column and row, and whole numbers
-are pixel centres, so that the top left pixel is ``[0 0]`` and covers -0.5 to 0.5.
+are pixel centers, so that the top left pixel is ``[0 0]`` and covers -0.5 to 0.5.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ class Intrinsics:
         return np.concatenate([slopes, np.ones_like(slopes[..., :1])], axis=-1) * depth
 
     def rays(self) -> np.ndarray:
-        """Direction of every pixel's centre with z = 1, camera frame, shape [height, width, 3]."""
+        """Direction of every pixel's center with z = 1, camera frame, shape [height, width, 3]."""
         columns, rows = np.meshgrid(np.arange(self.width), np.arange(self.height))
         return self.deproject(np.stack([columns, rows], axis=-1), np.ones((self.height, self.width)))
 
@@ -98,7 +98,7 @@ class Intrinsics:
 
 @dataclass(frozen=True, eq=False)
 class Capture:
-    """One colour image with the depth aligned to it, checked."""
+    """One color image with the depth aligned to it, checked."""
 
     color: np.ndarray
     """RGB, uint8, shape [H, W, 3]."""
@@ -115,7 +115,7 @@ class Capture:
 
     def __post_init__(self) -> None:
         height, width = self.intrinsics.height, self.intrinsics.width
-        _check_array("colour image", self.color, np.uint8, (height, width, 3))
+        _check_array("color image", self.color, np.uint8, (height, width, 3))
         _check_array("depth image", self.depth, np.float32, (height, width))
         if self.mask is not None:
             _check_array("object's mask", self.mask, np.bool_, (height, width))
@@ -193,13 +193,13 @@ UNITS = (0.001, 0.0001, 0.00025, 0.01, 1.0)
 """Units of depth that cameras and data sets use [m]."""
 
 SHIFTS = np.arange(-28, 29, 4)
-"""Shifts between colour and depth that are tried [pixels at 640 x 480]."""
+"""Shifts between color and depth that are tried [pixels at 640 x 480]."""
 
 SHIFT_GAIN = 1.4
 """How much better than where it is the depth must fit elsewhere to be called shifted."""
 
 STEP = 0.05
-"""Neighbouring pixels whose depth differs by this [m] are the edge of a thing."""
+"""Neighboring pixels whose depth differs by this [m] are the edge of a thing."""
 
 EDGES_WITHIN = 1.5
 """Only things nearer than this [m] count: farther away, noise makes steps where nothing ends."""
@@ -243,9 +243,9 @@ def check_depth_range(depth: np.ndarray, unit: float, where: str) -> None:
 
 
 def check_alignment(capture: Capture) -> tuple[int, int] | None:
-    """Is the depth shifted against the colour?
+    """Is the depth shifted against the color?
 
-    Where a thing ends in depth, it mostly ends in the colour image, too. The strength of colour edges at the
+    Where a thing ends in depth, it mostly ends in the color image, too. The strength of color edges at the
     steps in depth is compared with that at the same steps shifted. Only a peak among the shifts counts: where
     the strongest is at the end of the range, a busy background draws it there.
 
@@ -264,8 +264,8 @@ def check_alignment(capture: Capture) -> tuple[int, int] | None:
     rows, columns = np.nonzero(steps)
     if len(rows) < LEAST_EDGE * scale:
         return None
-    grey = ndimage.gaussian_filter(capture.color.mean(axis=-1), 1.5 * scale)
-    edges = np.hypot(ndimage.sobel(grey, 0), ndimage.sobel(grey, 1))
+    gray = ndimage.gaussian_filter(capture.color.mean(axis=-1), 1.5 * scale)
+    edges = np.hypot(ndimage.sobel(gray, 0), ndimage.sobel(gray, 1))
     fit = np.array([[edges[rows + dy, columns + dx].mean() for dx in shifts] for dy in shifts])
     here = np.argmin(np.abs(shifts))
     near = fit[here - 1 : here + 2, here - 1 : here + 2].max()
@@ -286,7 +286,7 @@ def looks_bgr(color: np.ndarray) -> bool:
 
 
 def _skin(color: np.ndarray) -> float:
-    """Part of the pixels that have the colour of skin, light or dark."""
+    """Part of the pixels that have the color of skin, light or dark."""
     red, green, blue = np.moveaxis(color[::2, ::2].astype(np.float32), -1, 0)
     total = red + green + blue + 1e-6
     r, g = red / total, green / total

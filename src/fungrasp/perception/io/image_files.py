@@ -42,7 +42,7 @@ def read_capture(
     point: Pixel | None = None,
     image: int | None = None,
 ) -> Capture:
-    """Read a colour image, the depth aligned to it and the camera's intrinsics.
+    """Read a color image, the depth aligned to it and the camera's intrinsics.
 
     Args:
         color: PNG or JPEG.
@@ -76,15 +76,15 @@ def read_capture(
     distance = read_depth(depth, unit, float_unit=1.0 if depth_unit is None else depth_unit)
     if distance.shape != picture.shape[:2]:
         raise FungraspError(
-            f"the depth image {depth} has {distance.shape[1]} x {distance.shape[0]} pixels and the colour "
-            f"image {size[0]} x {size[1]}: align the depth to the colour first"
+            f"the depth image {depth} has {distance.shape[1]} x {distance.shape[0]} pixels and the color "
+            f"image {size[0]} x {size[1]}: align the depth to the color first"
         )
     marked = None if mask is None else read_mask(mask, picture.shape[:2])
     capture = _not_too_large(Capture(picture, distance, lens, marked, box, point))
     shift = check_alignment(capture)
     if shift is not None:
         _log.warning(
-            "%s looks shifted by %d, %d pixels against %s: is the depth aligned to the colour?",
+            "%s looks shifted by %d, %d pixels against %s: is the depth aligned to the color?",
             depth,
             *shift,
             color,
@@ -104,10 +104,10 @@ def read_color(path: str | Path) -> np.ndarray:
     Raises:
         FungraspError: it is missing, cut short, no image, too large or has 16 bits per channel.
     """
-    image = read_image(path, "colour image")
+    image = read_image(path, "color image")
     if image.mode in ("1", "F", *_DEPTH_MODES):
         raise FungraspError(
-            f"{path} is not a colour image (its pixels are of type '{image.mode}'): is it the depth?"
+            f"{path} is not a color image (its pixels are of type '{image.mode}'): is it the depth?"
         )
     return np.array(image.convert("RGB"))
 
@@ -165,7 +165,7 @@ def read_mask(path: str | Path, shape: tuple[int, ...]) -> np.ndarray:
     mask = mask[..., :3].any(axis=-1) if mask.ndim == 3 else mask
     if mask.shape != shape:
         raise FungraspError(
-            f"the mask {path} has {mask.shape[1]} x {mask.shape[0]} pixels and the colour image {shape[1]} x "
+            f"the mask {path} has {mask.shape[1]} x {mask.shape[0]} pixels and the color image {shape[1]} x "
             f"{shape[0]}"
         )
     return mask

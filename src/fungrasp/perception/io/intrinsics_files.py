@@ -52,7 +52,7 @@ def read_intrinsics(path: str | Path, size: tuple[int, int], *, image: int | Non
 
     Args:
         path: the JSON file.
-        size: of the colour image, width and height [pixels].
+        size: of the color image, width and height [pixels].
         image: number of the image, for BOP's ``scene_camera.json``.
 
     Raises:
@@ -70,7 +70,7 @@ def intrinsics_from(
         return FileIntrinsics(_from_matrix(content, size, where))
     if not isinstance(content, Mapping):
         raise FungraspError(f"{where}: intrinsics are fields or a 3 x 3 matrix, not {content!r:.40}")
-    for name in ("color", "colour", "intrinsics"):
+    for name in ("color", "color", "intrinsics"):
         if isinstance(content.get(name), Mapping):
             content = {**content, **content[name]}
     if content and all(str(key).isdigit() and isinstance(content[key], Mapping) for key in content):
@@ -87,7 +87,7 @@ def intrinsics_from(
     width, height = (value or own for value, own in zip(given, size, strict=True))
     if (width, height) != size:
         raise FungraspError(
-            f"{where}: the intrinsics are for an image of {width} x {height} pixels, but the colour image "
+            f"{where}: the intrinsics are for an image of {width} x {height} pixels, but the color image "
             f"has {size[0]} x {size[1]}{_scale_hint((width, height), size)}"
         )
     coefficients = np.abs(np.asarray(content.get("coeffs") or [0.0], dtype=float))
@@ -125,9 +125,9 @@ def _checked(width: int, height: int, fx: float, fy: float, cx: float, cy: float
         lens = Intrinsics(width, height, fx, fy, cx, cy)
     except FungraspError as error:
         raise FungraspError(f"{where}: {error}") from error
-    centred = max(abs(cx / width - 0.5), abs(cy / height - 0.5)) <= OFF_CENTRE
+    centered = max(abs(cx / width - 0.5), abs(cy / height - 0.5)) <= OFF_CENTRE
     low, high = (part * max(width, height) for part in FOCAL_RANGE)
-    if not (centred and low <= min(fx, fy) and max(fx, fy) <= high and 0.5 < fx / fy < 2):
+    if not (centered and low <= min(fx, fy) and max(fx, fy) <= high and 0.5 < fx / fy < 2):
         raise FungraspError(
             f"{where}: fx = {fx:g}, fy = {fy:g}, cx = {cx:g}, cy = {cy:g} [pixels] don't fit an image of "
             f"{width} x {height} pixels: intrinsics of another resolution, or not in pixels?"

@@ -30,7 +30,7 @@ WAIT = 2000
 """Longest time that each further one may take [ms]; a recording that gives none is at its end."""
 
 CHANNELS = {"rgb8": [0, 1, 2], "bgr8": [2, 1, 0], "rgba8": [0, 1, 2], "bgra8": [2, 1, 0]}
-"""Formats of colour that are understood, and where red, green and blue are in them."""
+"""Formats of color that are understood, and where red, green and blue are in them."""
 
 RECORDED_RATE = 30.0
 """Frames per second that a recording's time stamps are counted with: what these cameras are set to."""
@@ -47,7 +47,7 @@ _log = logging.getLogger(__name__)
 def capture_from_camera(
     recording: str | Path | None = None, warm_up: int = 30, *, image: int | None = None
 ) -> Capture:
-    """Take one capture: colour, and depth aligned to it.
+    """Take one capture: color, and depth aligned to it.
 
     Args:
         recording: a recording (``.bag``, newer ``.db3``) to take it from; None takes the first camera that is
@@ -58,7 +58,7 @@ def capture_from_camera(
 
     Raises:
         FungraspError: pyrealsense2 is not installed or can't be loaded, no camera is there or it gives no
-            images, the recording is missing, damaged, too short or without colour or depth, or its depth
+            images, the recording is missing, damaged, too short or without color or depth, or its depth
             can't be right.
     """
     if warm_up < 0:
@@ -112,7 +112,7 @@ class RealSenseCamera:
 
         Raises:
             FungraspError: pyrealsense2 is not installed or can't be loaded, no camera is there, or the
-                recording is missing, damaged or without colour or depth.
+                recording is missing, damaged or without color or depth.
         """
         if self._recording is not None and not Path(self._recording).is_file():
             raise FungraspError(f"the recording {self._recording} does not exist")
@@ -202,7 +202,7 @@ class RealSenseCamera:
         return frame.capture()
 
     def _aligned(self, frames: Any) -> CameraFrame:
-        """The frame with its depth aligned to its colour."""
+        """The frame with its depth aligned to its color."""
         aligned = self._rs.align(self._rs.stream.color).process(frames)
         if not self._checked and _distorted(aligned):
             _log.warning("%s: the lens's distortion is not taken into account", self.name)
@@ -229,14 +229,14 @@ def _why_not_started(recording: str | Path | None, serial: str, error: RuntimeEr
     reason = _line(error)
     if recording is not None:
         return (
-            f"the recording {recording} can't be played: is it damaged, or is colour or depth missing? "
+            f"the recording {recording} can't be played: is it damaged, or is color or depth missing? "
             f"({reason})"
         )
     if "No device" in reason:
         which = f"no RealSense camera {serial}".rstrip()
         return f"{which} is connected, or this user may not use it (librealsense's udev rules)"
     return (
-        "the RealSense camera gives no depth and colour together: is another program using it, or is it on a "
+        "the RealSense camera gives no depth and color together: is another program using it, or is it on a "
         f"slow USB port? ({reason})"
     )
 
@@ -259,13 +259,13 @@ def _wait(pipeline: Any, warm_up: int, image: int | None, where: str) -> Any:
 def _frame(rs: Any, frames: Any, unit: float, where: str) -> CameraFrame:
     depth, color = frames.get_depth_frame(), frames.get_color_frame()
     if not depth or not color:
-        missing = "colour" if depth else "depth"
+        missing = "color" if depth else "depth"
         raise FungraspError(f"{where} has no {missing} image: both are needed, taken at the same time")
     profile = color.profile.as_video_stream_profile()
     order = {getattr(rs.format, name): channels for name, channels in CHANNELS.items()}.get(profile.format())
     if order is None:
         raise FungraspError(
-            f"{where} has colour in the format {profile.format()}; one of {', '.join(CHANNELS)} is needed"
+            f"{where} has color in the format {profile.format()}; one of {', '.join(CHANNELS)} is needed"
         )
     lens = profile.get_intrinsics()
     return CameraFrame(
@@ -278,7 +278,7 @@ def _frame(rs: Any, frames: Any, unit: float, where: str) -> CameraFrame:
 
 
 def _distorted(frames: Any) -> bool:
-    """Whether the colour image has a distortion worth mentioning."""
+    """Whether the color image has a distortion worth mentioning."""
     color = frames.get_color_frame()
     if not color:
         return False

@@ -64,7 +64,7 @@ def read_folder(folder: str | Path, image: int | None = None) -> Capture:
 
 
 def own_files(folder: str | Path) -> tuple[Path, Path, Path, Path | None] | None:
-    """Colour, depth, intrinsics and, if there is one, mask of a capture's own folder; None for other folders.
+    """Color, depth, intrinsics and, if there is one, mask of a capture's own folder; None for other folders.
 
     The files need not exist; reading them says so.
     """

@@ -107,8 +107,8 @@ def estimate_object_pose(
     ``accepted`` False and warnings.
 
     Args:
-        capture: colour and depth.
-        mesh: the object [m]; a trimesh with colours settles which way round a nearly symmetric object is.
+        capture: color and depth.
+        mesh: the object [m]; a trimesh with colors settles which way round a nearly symmetric object is.
         hand: what holds it, if known.
         table: plane ``[nx ny nz d]`` with ``n . x + d`` the height of a point above it [m], camera frame,
             shape [4]; looked for in the image if None.
@@ -189,7 +189,7 @@ def best_estimate(answers: PoseAnswers) -> ObjectEstimate:
 def _answers(
     view: ObjectView, rng: np.random.Generator, settings: PoseSearchSettings
 ) -> tuple[PoseHypotheses, PoseScores, np.ndarray]:
-    """Different poses, their scores, and the agreement of their colours."""
+    """Different poses, their scores, and the agreement of their colors."""
     few, many = view.scorer(250), view.scorer(1000)
     known, evidence = view.known, view.evidence
     found = search_poses(known, evidence, (few, many), rng, settings)
@@ -219,7 +219,7 @@ def _answers(
                 np.concatenate([found.poses, poses]), np.concatenate([found.owner, found.owner[:3]])
             )
     if len(known.symmetries):
-        # What tells the sides apart may be hidden: then all are answers, and colours may tell.
+        # What tells the sides apart may be hidden: then all are answers, and colors may tell.
         found = refine_poses(
             known, evidence, with_symmetries(best_poses(found, known, many, 2), known), settings.rounds[3]
         )

@@ -48,7 +48,7 @@ def score_given_pose(
 
     Args:
         thing: poses as another program gave them.
-        capture: colour and depth.
+        capture: color and depth.
         mesh: the object [m].
         hand: what holds it, if known.
         table: plane ``[nx ny nz d]``, camera frame, shape [4], if known.

@@ -27,7 +27,7 @@ BEHIND = 0.01
 """A pixel shows something behind the object if it is deeper by this [m] than the object's nearest pixel."""
 
 NOWHERE = 0.2
-"""Pixels whose colour is the background's forbid the object so far behind what is seen of it [m]."""
+"""Pixels whose color is the background's forbid the object so far behind what is seen of it [m]."""
 
 
 @dataclass(frozen=True, eq=False)

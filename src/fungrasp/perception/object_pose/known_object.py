@@ -43,7 +43,7 @@ class MeshRays:
 
         Args:
             poses: mesh in the camera frame, shape [H, 7].
-            directions: of the rays from the camera's centre, with z = 1, shape [R, 3].
+            directions: of the rays from the camera's center, with z = 1, shape [R, 3].
 
         Returns:
             depth along the optical axis [m], infinite where the mesh is missed, shape [H, R].
@@ -60,7 +60,7 @@ SAMPLES = 1000
 """Surface samples of a known object."""
 
 LEAST_COLOR = 0.03
-"""Colours that differ by less (standard deviation of a channel, 0 to 1) say nothing."""
+"""Colors that differ by less (standard deviation of a channel, 0 to 1) say nothing."""
 
 
 AXIS_STEPS = 8
@@ -84,7 +84,7 @@ class KnownObject:
     symmetries: np.ndarray
     """Poses, not the identity, that map the surface nearly onto itself, shape [S, 7]."""
     colors: np.ndarray | None
-    """RGB of the surface's samples, 0 to 1, shape [M, 3], if the mesh has colours that differ."""
+    """RGB of the surface's samples, 0 to 1, shape [M, 3], if the mesh has colors that differ."""
 
 
 def known_object(mesh: ObjectModel | trimesh.Trimesh) -> KnownObject:
@@ -154,7 +154,7 @@ def _near_symmetries(points: np.ndarray) -> np.ndarray:
 
 
 def _colors(mesh: trimesh.Trimesh, points: np.ndarray) -> np.ndarray | None:
-    """RGB at surface points, 0 to 1, shape [P, 3]; None where the mesh has no colours, or only one."""
+    """RGB at surface points, 0 to 1, shape [P, 3]; None where the mesh has no colors, or only one."""
     visual: Any = mesh.visual
     if visual is None:
         return None
@@ -224,12 +224,12 @@ def starting_poses(known: KnownObject, points: np.ndarray, quaternions: np.ndarr
     side = np.einsum("hm,hmi->hi", seen, turned) / np.maximum(seen.sum(axis=1), 1e-9)[:, None]
     measured = points @ axes.T
     target = measured.mean(axis=0)
-    centred = target - side
+    centered = target - side
     low = np.percentile(measured, 2, axis=0) - turned.min(axis=1)
     high = np.percentile(measured, 98, axis=0) - turned.max(axis=1)
     depth = low[:, :1]
     positions = [
-        centred,
+        centered,
         *(np.concatenate([depth, x[:, 1:2], y[:, 2:]], axis=1) for x in (low, high) for y in (low, high)),
     ]
     poses = [np.concatenate([position @ axes, quaternions], axis=1) for position in positions]

@@ -23,7 +23,7 @@ size: those of a stick are 0.5 away at most, if its middle is seen."""
 
 OUTLIERS = 0.3
 """Part of a mask's points that may be farther: 6 pixels too many around an object of 50 make a third, which
-their colours leave a few of."""
+their colors leave a few of."""
 
 SMOOTHED = 2.0
 """Where depth is smoothed, a surface may be in front of it by so many standard deviations more."""

@@ -81,7 +81,7 @@ class PoseScorer:
     skin: np.ndarray
     """Confidence that it shows skin, which may hide the object, 0 to 1, shape [R]."""
     background: np.ndarray
-    """Confidence that its colour is that of table or room, where depth is smoothed, 0 to 1, shape [R]."""
+    """Confidence that its color is that of table or room, where depth is smoothed, 0 to 1, shape [R]."""
     masks: np.ndarray
     """Confidence that the ray's pixel shows the object if a mask is right, 0 to 1, shape [N, R]."""
     opaque: np.ndarray
@@ -187,7 +187,7 @@ def pose_scorer(
 def color_agreement(
     known: KnownObject, capture: Capture, poses: np.ndarray, allowed: np.ndarray
 ) -> np.ndarray:
-    """Correlation of the mesh's colours with those of the image, over the visible surface samples and the
+    """Correlation of the mesh's colors with those of the image, over the visible surface samples and the
     three channels together: it does not depend on the brightness and the tint of the light.
 
     Args:
@@ -197,7 +197,7 @@ def color_agreement(
         allowed: pixels that may show the object, shape [H, W] bool.
 
     Returns:
-        -1 to 1, shape [H]; 0 where the mesh has no colours or too little of it is seen.
+        -1 to 1, shape [H]; 0 where the mesh has no colors or too little of it is seen.
     """
     result = np.zeros(len(poses))
     if known.colors is None:

@@ -2,7 +2,7 @@
 
 A fit from near the answer needs a hundredth of the search's work, so that it keeps up with a camera. Only
 the part
-of the image around the object is looked at. What the object's colours are is learned at its first pose.
+of the image around the object is looked at. What the object's colors are is learned at its first pose.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ LEAST_POINTS = 25
 """With fewer measured points the object is not seen."""
 
 LEARNING = 0.05
-"""Part of the object's colours that each image of a sure pose renews: light changes as it turns."""
+"""Part of the object's colors that each image of a sure pose renews: light changes as it turns."""
 
 FOLLOWED = 0.5
 """Poses of a lower score are not learned from, and the motion is forgotten: the object may be lost."""
@@ -83,7 +83,7 @@ class ObjectTracker:
         """
         Args:
             mesh: the object [m].
-            intrinsics: of colour and depth.
+            intrinsics: of color and depth.
             pose: where the object is in the first image, camera frame, shape [7]: of
             ``estimate_object_pose``.
             seed: the same seed and images give the same poses.
@@ -112,7 +112,7 @@ class ObjectTracker:
         k = self._intrinsics
         if depth.shape != (k.height, k.width) or color.shape != (k.height, k.width, 3):
             raise FungraspError(
-                f"ObjectTracker: colour and depth must be images of {k.width} x {k.height}, not of shape "
+                f"ObjectTracker: color and depth must be images of {k.width} x {k.height}, not of shape "
                 f"{list(color.shape)} and {list(depth.shape)}"
             )
         starts = self._starts()
@@ -149,7 +149,7 @@ class ObjectTracker:
     ) -> tuple[ObjectEvidence, np.ndarray, np.ndarray] | None:
         """What the image says near a pose: evidence for the fit; rays' pixels [u v], shape [R, 2]; cells of
         their
-        colours, shape [R]. None where too little is measured."""
+        colors, shape [R]. None where too little is measured."""
         k = self._intrinsics
         corners = transform_points(pose, self._known.surface.samples[:200])
         if corners[:, 2].min() < 0.05:
@@ -207,7 +207,7 @@ class ObjectTracker:
         return agrees.sum(axis=1) / counted, agrees
 
     def _learn(self, cells: np.ndarray, shown: np.ndarray) -> None:
-        """Take over the colours of the object, and of what is around it."""
+        """Take over the colors of the object, and of what is around it."""
         if shown.sum() < LEAST_POINTS or (~shown).sum() < LEAST_POINTS:
             return
         new = table_of_colors(cells[shown]), table_of_colors(cells[~shown])

@@ -49,14 +49,14 @@ SAME = 0.006
 
 
 def fused_mesh(views: Sequence[TableView], cell: float) -> trimesh.Trimesh:
-    """The mesh of the object that stands on the table in all views, with colours.
+    """The mesh of the object that stands on the table in all views, with colors.
 
     Args:
         views: in one table frame.
         cell: edge of the grid's cells [m].
 
     Returns:
-        Closed, table frame, colours per vertex.
+        Closed, table frame, colors per vertex.
 
     Raises:
         FungraspError: the grid would be too large, or the views agree on no surface.
@@ -130,7 +130,7 @@ def _largest(values: np.ndarray) -> np.ndarray:
 
 
 def _colors(vertices: np.ndarray, views: Sequence[TableView]) -> np.ndarray:
-    """Mean colour of each vertex in the views that see it, grey where none does, uint8, shape [V, 3]."""
+    """Mean color of each vertex in the views that see it, gray where none does, uint8, shape [V, 3]."""
     total, count = np.zeros((len(vertices), 3)), np.zeros(len(vertices))
     for view in views:
         there = inverse_transform_points(view.pose_table_camera, vertices)

@@ -62,11 +62,11 @@ def view_from_above(view: TableView) -> tuple[np.ndarray, np.ndarray]:
     depth = view.depth[np.rint(v).astype(int), np.rint(u).astype(int)]
     height_off = np.abs(depth / np.maximum(there[:, 2], 1e-6) - 1.0) * np.abs(view.pose_table_camera[2])
     seen = (inside & (depth > 0) & (height_off < ON_TABLE)).reshape(size, size)
-    grey = ndimage.map_coordinates(view.capture.color.mean(axis=-1), [v, u], order=1).reshape(size, size)
+    gray = ndimage.map_coordinates(view.capture.color.mean(axis=-1), [v, u], order=1).reshape(size, size)
     wide = FINEST / TOP_CELL
     known = ndimage.gaussian_filter(seen.astype(float), wide)
-    mean = ndimage.gaussian_filter(np.where(seen, grey, 0.0), wide) / np.maximum(known, 1e-3)
-    return np.where(seen, grey - mean, 0.0), seen
+    mean = ndimage.gaussian_filter(np.where(seen, gray, 0.0), wide) / np.maximum(known, 1e-3)
+    return np.where(seen, gray - mean, 0.0), seen
 
 
 def match_prints(

@@ -56,7 +56,7 @@ class ObjectScan:
     """What was scanned."""
 
     mesh: trimesh.Trimesh
-    """Closed, [m], z up as it stood, origin on the table below its middle, colours per vertex."""
+    """Closed, [m], z up as it stood, origin on the table below its middle, colors per vertex."""
     yaws: np.ndarray
     """How the camera of each view is turned about the object, against the first [rad], shape [views]."""
     residuals: np.ndarray

@@ -40,7 +40,7 @@ class TableView:
     points: np.ndarray
     """Points of the object [m], table frame, shape [P, 3]."""
     colors: np.ndarray
-    """Their colours, RGB from 0 to 1, shape [P, 3]."""
+    """Their colors, RGB from 0 to 1, shape [P, 3]."""
     depth: np.ndarray
     """Depth without what is beside its jumps [m], shape [H, W]; 0: none."""
 

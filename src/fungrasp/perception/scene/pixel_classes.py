@@ -1,11 +1,11 @@
-"""How probable it is that a pixel shows the held object, skin, or the background: by colour, depth and place.
+"""How probable it is that a pixel shows the held object, skin, or the background: by color, depth and place.
 
-Depth alone fails where a camera smooths it over a hand and a small object, colour alone where things look
-alike. So each class says how likely a pixel's colour and depth are, and Bayes' rule puts them together:
+Depth alone fails where a camera smooths it over a hand and a small object, color alone where things look
+alike. So each class says how likely a pixel's color and depth are, and Bayes' rule puts them together:
 
-- background: colours seen on the table around, and the height of the table;
-- skin: colours seen at the hand's bones, and the distance from the hand in the image;
-- the object: any colour alike, then those of what was found, or of its mesh; within reach of the fingertips.
+- background: colors seen on the table around, and the height of the table;
+- skin: colors seen at the hand's bones, and the distance from the hand in the image;
+- the object: any color alike, then those of what was found, or of its mesh; within reach of the fingertips.
 
 Camera frame: OpenCV [m].
 """
@@ -21,11 +21,11 @@ from fungrasp.grasps.human_hand import BONES
 from fungrasp.perception.io.capture import Capture
 
 LEVELS = 12
-"""Levels of each channel in a table of colours: fine enough to tell shades of blue, coarse enough for some
+"""Levels of each channel in a table of colors: fine enough to tell shades of blue, coarse enough for some
 hundred samples."""
 
 UNKNOWN = 0.03
-"""Part of a class's colours that were not among its samples: shadows, highlights, other things."""
+"""Part of a class's colors that were not among its samples: shadows, highlights, other things."""
 
 SKIN_EDGE = (0.004, 0.005)
 """Beyond the hand's surface by the first, a pixel is as likely skin as not; width of that decision [m]: hands
@@ -35,24 +35,24 @@ HEIGHTS = 0.08
 """The object may be so high above the table as well as lower [m]: its depth is spread evenly over that."""
 
 FARTHEST_OUT = 8.0
-"""No depth or place speaks more strongly against a class (logarithm): colours may still win by far."""
+"""No depth or place speaks more strongly against a class (logarithm): colors may still win by far."""
 
 TONE = 0.12
-"""Standard deviation of a mesh's colours from those of the image: logarithms of red and blue over green.
+"""Standard deviation of a mesh's colors from those of the image: logarithms of red and blue over green.
 Light and
 white balance shift them by some tenths."""
 
 DARKEST = 8.0
-"""Added to colours, 0 to 255, before the logarithm is taken: darker ones have no tone."""
+"""Added to colors, 0 to 255, before the logarithm is taken: darker ones have no tone."""
 
 SHADED = 0.2
-"""Part of a surface's colours that are brighter or darker than where it was looked at: shadows of the
+"""Part of a surface's colors that are brighter or darker than where it was looked at: shadows of the
 hand."""
 
 ALIKE = 0.1
-"""Part of the objects that have the colour of the hand that holds them, and of those that have the table's:
+"""Part of the objects that have the color of the hand that holds them, and of those that have the table's:
 so
-much colours may say against a pixel, and no more."""
+much colors may say against a pixel, and no more."""
 
 SKIN_TONES = 2.0
 """Skin is of one tone, overexposed or not, to so many ``TONE``; what else was sampled is in front of it."""
@@ -61,21 +61,21 @@ TONE_BINS = 15
 """Bins of each tone, for +- 1.5."""
 
 ROUNDS = 2
-"""How often the object's colours are learned from what was found: more rounds changed nothing."""
+"""How often the object's colors are learned from what was found: more rounds changed nothing."""
 
 LEAST_SAMPLES = 25
-"""Fewer pixels say nothing about the object's colours."""
+"""Fewer pixels say nothing about the object's colors."""
 
 NEVER = -16.0
 """Logarithm of the odds of a pixel that can't show the object."""
 
 SMOOTHING = 1.2
-"""Neighbouring pixels (standard deviation) show the same thing: they share their evidence [pixels]."""
+"""Neighboring pixels (standard deviation) show the same thing: they share their evidence [pixels]."""
 
 _CELL_COLORS = (np.stack(np.unravel_index(np.arange(LEVELS**3), (LEVELS,) * 3), axis=-1) + 0.5) * (
     256.0 / LEVELS
 )
-"""Colour of each cell, shape [LEVELS^3, 3]."""
+"""Color of each cell, shape [LEVELS^3, 3]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +92,7 @@ class PixelClasses:
 
 @dataclass(frozen=True, eq=False)
 class PixelEvidence:
-    """What is known of each pixel besides its colour, shape [H, W] each."""
+    """What is known of each pixel besides its color, shape [H, W] each."""
 
     prior: np.ndarray
     """Logarithm of the odds that it shows the object, by what was told and by the reach of the fingertips;
@@ -116,19 +116,19 @@ class PixelEvidence:
 def classify(
     capture: Capture, evidence: PixelEvidence, mesh_colors: np.ndarray | None = None
 ) -> PixelClasses:
-    """Put colours, depth and place together.
+    """Put colors, depth and place together.
 
     Args:
         capture: the image.
         evidence: of each pixel.
-        mesh_colors: RGB of the object's surface, 0 to 1, shape [M, 3], if it has colours.
+        mesh_colors: RGB of the object's surface, 0 to 1, shape [M, 3], if it has colors.
     """
     color = ndimage.gaussian_filter(capture.color.astype(np.float32), (SMOOTHING / 2, SMOOTHING / 2, 0))
     index = color_cells(color)
     ground = table_of_colors(index[evidence.ground], SHADED)[index]
     palm = index[evidence.palm]
     skin = table_of_colors(_alike(palm) if len(palm) else palm, SHADED)[index]
-    # Of any colour, the hand's and the table's among them.
+    # Of any color, the hand's and the table's among them.
     thing = (1.0 - 2 * ALIKE) / LEVELS**3 + ALIKE * (skin + ground)
     if mesh_colors is not None:
         thing = 0.5 * thing + 0.5 * _mesh_likelihood(color, mesh_colors) / LEVELS**3
@@ -165,16 +165,16 @@ def classify(
 
 
 def color_cells(color: np.ndarray) -> np.ndarray:
-    """Cell of each colour in a table of colours. color: RGB, 0 to 255, shape [..., 3]. Returns shape
+    """Cell of each color in a table of colors. color: RGB, 0 to 255, shape [..., 3]. Returns shape
     [...]."""
     cell = np.minimum((color * (LEVELS / 256.0)).astype(np.int64), LEVELS - 1)
     return (cell[..., 0] * LEVELS + cell[..., 1]) * LEVELS + cell[..., 2]
 
 
 def table_of_colors(samples: np.ndarray, brightness: float = 0.0) -> np.ndarray:
-    """How likely each colour is, shape [LEVELS^3], from cells of pixels; all alike without samples.
+    """How likely each color is, shape [LEVELS^3], from cells of pixels; all alike without samples.
 
-    brightness: part of the colours that have the tone of the samples in any brightness.
+    brightness: part of the colors that have the tone of the samples in any brightness.
     """
     cells = LEVELS**3
     if len(samples) < 20:
@@ -202,7 +202,7 @@ def _alike(samples: np.ndarray) -> np.ndarray:
 
 
 def _mesh_likelihood(color: np.ndarray, mesh_colors: np.ndarray) -> np.ndarray:
-    """How much likelier a pixel's tone is with the mesh's colours than with any, shape [H, W]."""
+    """How much likelier a pixel's tone is with the mesh's colors than with any, shape [H, W]."""
     some = mesh_colors[:: max(1, len(mesh_colors) // 40)] * 255.0
     tone, known = _tone(color), _tone(some)
     near = np.zeros(color.shape[:2])
@@ -213,7 +213,7 @@ def _mesh_likelihood(color: np.ndarray, mesh_colors: np.ndarray) -> np.ndarray:
 
 
 def _tone_bins() -> tuple[np.ndarray, np.ndarray]:
-    """Bin of tone of each cell of colours, shape [LEVELS^3] int; number of cells in each bin."""
+    """Bin of tone of each cell of colors, shape [LEVELS^3] int; number of cells in each bin."""
     bins = np.clip(((_tone(_CELL_COLORS) / 3.0 + 0.5) * TONE_BINS).astype(int), 0, TONE_BINS - 1)
     flat = bins[:, 0] * TONE_BINS + bins[:, 1]
     return flat, np.bincount(flat, minlength=TONE_BINS**2).astype(float)

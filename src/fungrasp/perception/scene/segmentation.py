@@ -55,13 +55,13 @@ FARTHEST = 3.0
 """Nobody holds an object farther away [m]."""
 
 GROUND_MARGIN = 60
-"""The table's colours are learned within so many pixels of where the object may be."""
+"""The table's colors are learned within so many pixels of where the object may be."""
 
 LEAST_GROUND = 500
 """If fewer pixels show the table there, it is looked at everywhere."""
 
 JUMP = 0.012
-"""Neighbouring pixels whose depth differs by more than this [m], and by more than 2 % of it, do not belong
+"""Neighboring pixels whose depth differs by more than this [m], and by more than 2 % of it, do not belong
 together."""
 
 
@@ -132,7 +132,7 @@ def segment(
         joints: of the hand [m], camera frame, shape [21, 3], if known.
         table: plane ``[nx ny nz d]``, ``n . x + d`` the height above it [m], shape [4], if there is one.
         size: longest distance between two points of the object [m].
-        mesh_colors: RGB of the object's surface, 0 to 1, shape [M, 3], if it has colours.
+        mesh_colors: RGB of the object's surface, 0 to 1, shape [M, 3], if it has colors.
     """
     points = capture.points()
     prior, samples = told_odds(capture, size)
@@ -250,7 +250,7 @@ MASK_TRUST = 2.5
 believed."""
 
 MASK_SURE = 4.0
-"""Logarithm of the odds of what is deep in a mask, or clicked at: colours that say otherwise may still win,
+"""Logarithm of the odds of what is deep in a mask, or clicked at: colors that say otherwise may still win,
 as masks have holes and clicks go beside."""
 
 MASK_REACH = 12.0

@@ -196,7 +196,7 @@ def world_from_table(table: np.ndarray, below: np.ndarray) -> np.ndarray:
 def put_down(model: ObjectModel, pose: np.ndarray) -> np.ndarray:
     """The object let down: turned onto its nearest stable face, lying on the table, shape [7].
 
-    Its centre of mass stays above the same spot.
+    Its center of mass stays above the same spot.
 
     Args:
         model: the object.
@@ -205,8 +205,8 @@ def put_down(model: ObjectModel, pose: np.ndarray) -> np.ndarray:
     face_up = rotate(pose[3:], settled_up(model, rotate(quaternion_conjugate(pose[3:]), Z)))
     turn = Rotation.align_vectors(Z[None], face_up[None])[0].as_quat(scalar_first=True)
     laid = np.concatenate([np.zeros(3), quaternion_multiply(turn, pose[3:])])
-    centre = transform_points(pose, model.center_of_mass[None])[0]
-    offset = centre - transform_points(laid, model.center_of_mass[None])[0]
+    center = transform_points(pose, model.center_of_mass[None])[0]
+    offset = center - transform_points(laid, model.center_of_mass[None])[0]
     lowest = transform_points(laid, model.vertices)[:, 2].min()
     return np.concatenate([[offset[0], offset[1], -lowest], laid[3:] / np.linalg.norm(laid[3:])])
 

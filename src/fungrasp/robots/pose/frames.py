@@ -15,7 +15,7 @@ from fungrasp.robots.device import RobotError
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """Colour with aligned depth."""
+    """Color with aligned depth."""
 
     capture: Capture
     """The images."""

@@ -19,7 +19,7 @@ class HoldSample:
     time: float
     """Of the robot's clock [s]."""
     height: float
-    """Of the centre of mass above where it settled [m]."""
+    """Of the center of mass above where it settled [m]."""
     alone: bool
     """Whether the object touches neither table nor arm."""
     in_hand: bool
@@ -31,7 +31,7 @@ def hold_sample(world: TwinWorld, settled: float) -> HoldSample:
 
     Args:
         world: the twin.
-        settled: height at which the centre of mass settled [m].
+        settled: height at which the center of mass settled [m].
     """
     truth = world.look()
     height = float(world.center_of_mass()[2] - settled)
@@ -80,7 +80,7 @@ class TwinJudge:
 
     @property
     def height(self) -> float:
-        """Least height of the centre of mass above where it settled during the hold [m]; infinite before."""
+        """Least height of the center of mass above where it settled during the hold [m]; infinite before."""
         return min((s.height for s in self._samples), default=np.inf)
 
     @property

@@ -64,7 +64,7 @@ class TwinSpread:
     mass: tuple[float, float] = (0.8, 1.25)
     """Factor on the object's mass."""
     center_of_mass: float = 0.1
-    """Displacement of the centre of mass along each axis, as a share of the object's size."""
+    """Displacement of the center of mass along each axis, as a share of the object's size."""
     object_friction: tuple[float, float] = (0.7, 1.0)
     """Sliding friction of hand, object and table."""
     surface: float = 0.001
@@ -119,7 +119,7 @@ class TwinParameters:
     mass: float
     """Factor on the object's mass."""
     center_of_mass: np.ndarray
-    """Displacement of the centre of mass, as a share of the object's size, shape [3]."""
+    """Displacement of the center of mass, as a share of the object's size, shape [3]."""
     object_friction: float
     """Sliding friction of hand, object and table."""
     surface_amplitude: float

@@ -202,7 +202,7 @@ class TwinWorld:
             )
 
     def center_of_mass(self) -> np.ndarray:
-        """True centre of mass of the object, world frame [m], shape [3]."""
+        """True center of mass of the object, world frame [m], shape [3]."""
         with self.lock:
             return self.data.xipos[self._object].copy()
 

@@ -96,7 +96,7 @@ class _Use:
     def load_at(
         self, time: float, object_pose: np.ndarray, center: np.ndarray, palm: np.ndarray, weight: float
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Force at the centre of mass [N] and torque [N m] of the world on the object, world frame.
+        """Force at the center of mass [N] and torque [N m] of the world on the object, world frame.
 
         Args:
             time: since the motion began [s].
@@ -236,7 +236,7 @@ def _begin(environment: LiftEnvironment, world: int, motion: UseMotion) -> _Use:
 
 
 def _in_palm(environment: LiftEnvironment, worlds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Centre of mass [m], shape [I, 3], and rotation, shape [I, 4], of objects in the palm's frame."""
+    """Center of mass [m], shape [I, 3], and rotation, shape [I, 4], of objects in the palm's frame."""
     engine = environment.engine
     palm, pose = engine.palm_pose[worlds], engine.object_pose[worlds]
     center = inverse_transform_points(palm, engine.center_of_mass[worlds][:, None])[:, 0]

@@ -9,7 +9,7 @@ import numpy as np
 from fungrasp.records import BatchRecord
 
 LARGEST_SHIFT = 0.01
-"""Largest displacement of the object's centre of mass in the palm [m]."""
+"""Largest displacement of the object's center of mass in the palm [m]."""
 
 LARGEST_TURN = np.deg2rad(10.0)
 """Largest turn of the object in the palm [rad]."""
@@ -24,7 +24,7 @@ class UseOutcomes(BatchRecord):
     success: np.ndarray
     """Whether the object stayed in the palm and did what it is for, bool."""
     shift_m: np.ndarray
-    """Largest displacement of the object's centre of mass in the palm during the motion [m]."""
+    """Largest displacement of the object's center of mass in the palm during the motion [m]."""
     turn_rad: np.ndarray
     """Largest turn of the object in the palm during the motion [rad]."""
     trigger_force_n: np.ndarray
