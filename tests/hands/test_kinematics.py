@@ -160,11 +160,11 @@ def test_keypoints_of_full_joint_vectors(kinematics: HandKinematics):
 
 def test_sites_and_bodies_are_found_by_name():
     kinematics = HandKinematics(load_hand("allegro"), 1)
-    points = kinematics.body_points(("ff_proximal", "ff_tip_center"))
+    points = kinematics.body_points(("ff_proximal", "ff_tip_centre"))
     model = kinematics.model
     assert [model.body(int(b)).name for b in points.bodies] == ["ff_proximal", "ff_distal"]
     np.testing.assert_array_equal(points.offsets[0], 0)
-    np.testing.assert_array_equal(points.offsets[1], model.site("ff_tip_center").pos)
+    np.testing.assert_array_equal(points.offsets[1], model.site("ff_tip_centre").pos)
     some = points[np.array([1])]
     assert isinstance(some, BodyPoints)
     np.testing.assert_array_equal(some.offsets, points.offsets[1:])

@@ -84,7 +84,7 @@ REFERENCES: Mapping[str, tuple[Reference, ...]] = {
                 for j in range(4)
             },
             sites={
-                f"{f}_tip_center": f"link_{4 * i + 3}.0_tip" for i, f in enumerate(("ff", "mf", "rf", "th"))
+                f"{f}_tip_centre": f"link_{4 * i + 3}.0_tip" for i, f in enumerate(("ff", "mf", "rf", "th"))
             },
             sites_beyond=0.012,
         ),

@@ -115,7 +115,7 @@ def copy_of_allegro(tmp_path: Path) -> Path:
         ("allegro.xml", "<worldbody>", "<!-- note -->\n   <worldbody>", True),
         ("hand.toml", 'title = "', 'title = "My ', True),
         ("hand.toml", "force_limit = 0.7", "force_limit = 0.8", False),
-        ("allegro.xml", 'name="ff_tip_center" pos="', 'name="ff_tip_center" pos="0.00', False),
+        ("allegro.xml", 'name="ff_tip_centre" pos="', 'name="ff_tip_centre" pos="0.00', False),
     ],
 )
 def test_a_hand_is_another_when_its_files_say_something_else(copy_of_allegro, file, old, new, same) -> None:

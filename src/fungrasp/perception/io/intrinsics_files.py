@@ -70,7 +70,7 @@ def intrinsics_from(
         return FileIntrinsics(_from_matrix(content, size, where))
     if not isinstance(content, Mapping):
         raise FungraspError(f"{where}: intrinsics are fields or a 3 x 3 matrix, not {content!r:.40}")
-    for name in ("color", "color", "intrinsics"):
+    for name in ("color", "colour", "intrinsics"):
         if isinstance(content.get(name), Mapping):
             content = {**content, **content[name]}
     if content and all(str(key).isdigit() and isinstance(content[key], Mapping) for key in content):
