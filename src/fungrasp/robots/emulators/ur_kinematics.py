@@ -20,11 +20,17 @@ class URLengths:
     """DH parameters that are not zero [m]."""
 
     d1: float
+    """Height of the shoulder's axis."""
     a2: float
+    """Length of the upper arm."""
     a3: float
+    """Length of the forearm."""
     d4: float
+    """Offset of the first wrist joint along its axis."""
     d5: float
+    """Offset of the second wrist joint along its axis."""
     d6: float
+    """Offset of the flange along the third wrist joint's axis."""
 
 
 UR5 = URLengths(0.089159, -0.425, -0.39225, 0.10915, 0.09465, 0.0823)
