@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -77,7 +78,16 @@ def world(monkeypatch: pytest.MonkeyPatch) -> TwinWorld:
     return world
 
 
+@pytest.fixture
+def interruptible() -> Iterator[None]:
+    """Programs that a shell starts in the background are deaf to Ctrl-C."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
 @pytest.mark.parametrize("name", ENDINGS)
+@pytest.mark.usefixtures("interruptible")
 def test_the_object_stays_held_until_a_person_says_otherwise(name: str, world: TwinWorld) -> None:
     hand = cell_and_hand()[1]
     grasp, thing = grasp_and_object()
