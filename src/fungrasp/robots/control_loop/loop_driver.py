@@ -190,8 +190,9 @@ class LoopDriver:
     def _await_acknowledgement(self) -> None:
         order, deadline = int(self._goal["order"]), time.monotonic() + CONNECT_TIMEOUT
         while time.monotonic() < deadline:
-            seen, state = self._seen_order(), self._read()
-            if seen >= order or self._ended():
+            if self._seen_order() >= order or self._ended():
+                # Read afterwards: a loop may refuse, and end, between the two.
+                state = self._read()
                 if state.status is not DeviceStatus.READY:
                     raise RobotError(f"{self.name} is not ready, {state.status}: {state.message}")
                 return
