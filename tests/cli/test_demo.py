@@ -168,6 +168,7 @@ def see(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
     return set_up
 
 
+@pytest.mark.slow
 def test_from_the_built_in_image_to_the_lift(
     see: Callable[..., None], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

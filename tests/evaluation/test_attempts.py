@@ -74,6 +74,7 @@ def test_what_is_held_is_kept(good, things, allegro):
     assert twice.attempts is not None and twice.attempts.attempts.tolist() == [1, 1]
 
 
+@pytest.mark.slow
 def test_an_episode_of_several_attempts_does_not_depend_on_the_others(good, things, allegro):
     some = good.select([0, 2])
     spec = LiftTestSpec(attempts=3, randomization=REALITY, seeds=(1, 2))

@@ -164,6 +164,7 @@ def test_unknown_method():
 
 
 @needs_dexycb
+@pytest.mark.slow
 def test_quality_on_real_grasps():
     human = load_human_grasps(DEXYCB).select(slice(0, None, 10))
     objects, hand = load_objects(human, YCB), load_hand("allegro")

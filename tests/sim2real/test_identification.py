@@ -194,6 +194,7 @@ def test_a_multi_sine_stays_within_limits_and_moves_fingers_alike():
     assert np.allclose(share[:, 0], share[:, 4]) and np.ptp(share[:, 1]) > 0.15
 
 
+@pytest.mark.slow
 def test_logs_of_two_sides_of_gravity_tell_the_scale_of_a_joint():
     # Without weight, stiffness and all else of a joint may be scaled together; with it they may not.
     hand = load_hand("allegro")
