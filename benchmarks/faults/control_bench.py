@@ -105,7 +105,7 @@ def _private(cell: RobotCell, patience: float) -> RobotCell:
 
     hands = {
         "allegro-can": str(20000 + number % 20000),
-        "inspire-modbus": f"127.{number % 200 + 1}.0.5",
+        "inspire": f"127.{number % 200 + 1}.0.5",
     }
     if cell.arm.driver != "ur-rtde" or cell.hand_device.driver not in hands:
         raise FungraspError(f"the devices of cell '{cell.name}' can't be emulated for this")
@@ -127,7 +127,7 @@ def _private(cell: RobotCell, patience: float) -> RobotCell:
 def _emulators(cell: RobotCell, arm: Plant, hand: Plant) -> tuple[URControllerEmulator, Emulator]:
     device, options = cell.hand_device, cell.hand_device.options
     controller = URControllerEmulator(arm, cell.arm.address)
-    if device.driver == "inspire-modbus":
+    if device.driver == "inspire":
         return controller, InspireEmulator(hand, device.address, options.get("port", 6000))
     return controller, AllegroEmulator(
         hand, options["interface"], device.address, options.get("generation", 4), options.get("side", "right")

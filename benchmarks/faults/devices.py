@@ -25,8 +25,8 @@ class BenchFaults:
     """Measure how drivers react to faults of emulated devices, while the joints move."""
 
     devices: tuple[str, ...] = ()
-    """Devices to measure: ur, allegro-v4, allegro-v5, inspire, inspire-serial, leap, tracker, and
-    control-allegro and control-inspire, the computer that controls a UR5e with that hand; all by default."""
+    """Devices to measure: ur, allegro-v4, allegro-v5, inspire, inspire-serial, inspire-eb90, leap, tracker,
+    and control-allegro and control-inspire, the computer that controls a UR5e with that hand; by default all."""
     faults: tuple[str, ...] = ()
     """Faults to bring, as the table names them ("frames lost"); all by default."""
     trials: int = 50

@@ -70,19 +70,20 @@ def emulated_allegro(generation: int, patience: float = 1.0) -> EmulatedDevice:
     )
 
 
-def emulated_inspire(serial: bool = False, patience: float = 1.0) -> EmulatedDevice:
-    """An Inspire RH56; serial: on a serial line instead of TCP; patience: times the driver's usual limit of
-    silence."""
+def emulated_inspire(protocol: str = "tcp", patience: float = 1.0) -> EmulatedDevice:
+    """An Inspire RH56; protocol: "tcp" or, on a serial line, "rtu" or "serial"; patience: times the driver's
+    usual limit of silence."""
     from fungrasp.robots.emulators.inspire_modbus import InspireEmulator
     from fungrasp.robots.hands.inspire import InspireSettings, inspire_driver
 
     home = np.full(6, 0.2)
     plant = ServoPlant(home, velocity=10.0)
-    emulator = InspireEmulator(plant, port=0, serial=serial)
+    emulator = InspireEmulator(plant, port=0, protocol=protocol)
     # The address is known only when the emulator listens.
     emulator.start()
-    settings = _patient(InspireSettings(emulator.address, emulator.port), patience)
-    name = "inspire, serial" if serial else "inspire, TCP"
+    settings = InspireSettings(emulator.address, emulator.port, protocol=protocol)
+    settings = _patient(settings, patience)
+    name = {"tcp": "inspire, TCP", "rtu": "inspire, serial", "serial": "inspire, EB 90"}[protocol]
     return EmulatedDevice(
         name, inspire_driver(settings), emulator, plant, home, home + 0.3, settings.stale_after
     )
@@ -134,8 +135,9 @@ EMULATED: Mapping[str, Callable[[float], EmulatedDevice]] = {
     "ur": emulated_ur,
     "allegro-v4": lambda patience: emulated_allegro(4, patience),
     "allegro-v5": lambda patience: emulated_allegro(5, patience),
-    "inspire": lambda patience: emulated_inspire(False, patience),
-    "inspire-serial": lambda patience: emulated_inspire(True, patience),
+    "inspire": lambda patience: emulated_inspire("tcp", patience),
+    "inspire-serial": lambda patience: emulated_inspire("rtu", patience),
+    "inspire-eb90": lambda patience: emulated_inspire("serial", patience),
     "leap": emulated_leap,
 }
 """By name on the command line; the argument: times the driver's usual limit of silence."""

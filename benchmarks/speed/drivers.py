@@ -13,7 +13,8 @@ class BenchRobot:
     """Measure what the drivers cost and how fast they answer, against emulated devices."""
 
     devices: tuple[str, ...] = ()
-    """Devices to measure: ur, allegro-v4, allegro-v5, inspire, inspire-serial, leap; all by default."""
+    """Devices to measure: ur, allegro-v4, allegro-v5, inspire, inspire-serial, inspire-eb90, leap; all by
+    default."""
     seconds: float = 5.0
     """Of measuring each [s]."""
     json: Path | None = None

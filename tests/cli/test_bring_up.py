@@ -27,7 +27,7 @@ def emulated(tmp_path: Path) -> Any:
             f'hand = "inspire"\nstop_file = "{tmp_path / "stop"}"\n'
             '[arm]\ndriver = "ur-rtde"\naddress = "127.0.0.99"\n'
             '[tracker]\ndriver = "pose-stream"\naddress = "tcp://127.0.0.1:9"\noptions = { timeout = 0.1 }\n'
-            f'[hand_device]\ndriver = "inspire-modbus"\naddress = "{emulator.address}"\n'
+            f'[hand_device]\ndriver = "inspire"\naddress = "{emulator.address}"\n'
             f"options = {{ port = {emulator.port}, stale_after = 1.0 }}\n[watchdog]\nhand_silence = 1.0\n"
         )
         yield str(cell), plant

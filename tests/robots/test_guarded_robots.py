@@ -182,7 +182,7 @@ def test_identification_stops_for_the_stop_file(tmp_path: Path, capsys: pytest.C
     with InspireEmulator(plant, port=0) as emulator:
         cell = tmp_path / "cell.toml"
         cell.write_text(
-            f'hand = "inspire"\nstop_file = "{tmp_path / "stop"}"\n[hand_device]\ndriver = "inspire-modbus"\n'
+            f'hand = "inspire"\nstop_file = "{tmp_path / "stop"}"\n[hand_device]\ndriver = "inspire"\n'
             f'address = "{emulator.address}"\noptions = {{ port = {emulator.port}, stale_after = 1.0 }}\n'
         )
         (tmp_path / "stop").touch()

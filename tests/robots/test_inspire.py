@@ -1,9 +1,12 @@
-"""Inspire RH56: registers and frames, the driver against an emulated hand over TCP and a serial line."""
+"""Inspire RH56: registers and frames, the driver against an emulated hand over TCP and serial lines."""
 
 from __future__ import annotations
 
 import contextlib
+import os
+import threading
 import time
+import tty
 from collections.abc import Iterator
 
 import numpy as np
@@ -11,21 +14,23 @@ import pytest
 from driver_contract import DeviceUnderTest, DriverContract, reach, wait_for
 
 from fungrasp.robots.codecs import inspire as codec
+from fungrasp.robots.codecs import inspire_serial as own
 from fungrasp.robots.codecs import modbus
 from fungrasp.robots.device import DeviceStatus, RobotError, StopKind
 from fungrasp.robots.emulators.emulator import Fault
 from fungrasp.robots.emulators.inspire_modbus import InspireEmulator
 from fungrasp.robots.emulators.plant import ServoPlant
 from fungrasp.robots.hands.inspire import InspireSettings, inspire_driver
+from fungrasp.robots.hands.inspire_link import open_link
 
 pytest.importorskip("pymodbus")
 
 
 @contextlib.contextmanager
-def emulated(serial: bool = False, **settings) -> Iterator[DeviceUnderTest]:
+def emulated(protocol: str = "tcp", **settings) -> Iterator[DeviceUnderTest]:
     plant = ServoPlant(np.full(6, 0.2), time_constant=0.02, velocity=10.0)
-    with InspireEmulator(plant, port=0, serial=serial) as emulator:
-        options = {"stale_after": 1.0, "answer_timeout": 0.5} | settings
+    with InspireEmulator(plant, port=0, protocol=protocol) as emulator:
+        options = {"stale_after": 1.0, "answer_timeout": 0.5, "protocol": protocol} | settings
         driver = inspire_driver(InspireSettings(emulator.address, emulator.port, **options), process=False)
         yield DeviceUnderTest(driver, emulator, plant, np.full(6, 0.4), 0.01)
         driver.close()
@@ -36,8 +41,13 @@ class TestInspireTCP(DriverContract):
         return emulated()
 
 
-def test_a_serial_line_carries_the_same():
-    with emulated(serial=True) as device:
+class TestInspireSerial(DriverContract):
+    def running(self):
+        return emulated("serial")
+
+
+def test_modbus_on_a_serial_line_carries_the_same():
+    with emulated("rtu") as device:
         device.driver.connect()
         reach(device, device.near)
         device.driver.stop(StopKind.OPEN)
@@ -93,6 +103,91 @@ def test_modbus_frames():
     assert modbus.split_tcp_requests(stream) == ([(7, 1, frame[1:])], b"\x00")
 
 
+SERIAL_REQUESTS = {
+    # Maker: manual of the RH56 series, examples of the protocol, as two published clients test against them.
+    "read ANGLE_ACT (maker)": ("eb90 01 04 11 0a06 0c 32", 1546, b"\x0c"),
+    "write ANGLE_SET (maker)": (
+        "eb90 01 0f 12 ce05 6400 6400 6400 6400 d007 0000 5c",
+        1486,
+        own.register_bytes([100, 100, 100, 100, 2000, 0]),
+    ),
+    # brVrzl/embodied-hand-lab, a hand behind a JAKA arm: all open, all closed.
+    "open (JAKA)": ("eb90 01 0f 12 ce05 e803e803e803e803e803e803 77", 1486, own.register_bytes([1000] * 6)),
+    "close (JAKA)": ("eb90 01 0f 12 ce05 000000000000000000000000 f5", 1486, bytes(12)),
+    # rh56_sdk's tests of its frames: two motors; the force sensors' calibration, one byte to 1009.
+    "two motors (rh56_sdk)": ("eb90 01 07 12 ce05 e8038403 5f", 1486, own.register_bytes([1000, 900])),
+    "calibrate (rh56_sdk)": ("eb90 01 04 12 f103 01 0c", 1009, b"\x01"),
+}
+
+
+@pytest.mark.parametrize("case", SERIAL_REQUESTS)
+def test_frames_of_published_clients_on_a_serial_line(case: str):
+    text, address, data = SERIAL_REQUESTS[case]
+    frame = bytes.fromhex(text)
+    request = own.InspireFrame(1, own.READ if case.startswith("read") else own.WRITE, address, data)
+    assert own.encode_frame(own.REQUEST, request) == frame
+    assert own.split_frames(own.REQUEST, b"\x00\xeb" + frame + b"\xeb") == ([request], b"\xeb")
+    wrong = frame[:-1] + bytes([frame[-1] ^ 1])
+    assert own.split_frames(own.REQUEST, wrong + frame)[0] == [request]
+
+
+def test_answers_on_a_serial_line():
+    # Both of the maker's manual: the angles, and a write that was taken.
+    angles = bytes.fromhex("90eb 01 0f 11 0a06 6400 6400 6400 6400 d007 0000 98")
+    (answer,), rest = own.split_frames(own.ANSWER, angles)
+    assert own.registers_of(answer.data) == [100, 100, 100, 100, 2000, 0] and rest == b""
+    taken = bytes.fromhex("90eb 01 04 12 ce05 01 eb")
+    assert own.split_frames(own.ANSWER, taken)[0] == [own.InspireFrame(1, own.WRITE, 1486, own.TAKEN)]
+    # Half of an answer waits for the rest; a length that can't be is skipped.
+    assert own.split_frames(own.ANSWER, b"\x90\xeb\x01\x00" + angles[:9]) == ([], angles[:9])
+
+
+def test_the_driver_sends_frames_of_the_makers_protocol():
+    """As seen by a bare terminal: nothing of the project answers."""
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    heard: list[bytes] = []
+
+    def hand() -> None:
+        answers = {
+            "eb900104 11 e803 01 02": "90eb0104 11 e803 01 02",
+            "eb900104 12 ec03 01 07": "90eb0104 12 ec03 01 07",
+            "eb90010f 12 ce05 e803e803e803e803e803e803 77": "90eb0104 12 ce05 01 eb",
+        }
+        for _ in answers:
+            heard.append(os.read(master, 64))
+            # An adapter that echoes what was sent, and an answer in two parts.
+            os.write(master, heard[-1])
+            answer = bytes.fromhex({bytes.fromhex(k): v for k, v in answers.items()}.get(heard[-1], ""))
+            os.write(master, answer[:4])
+            time.sleep(0.01)
+            os.write(master, answer[4:])
+
+    thread = threading.Thread(target=hand, daemon=True)
+    thread.start()
+    link = open_link(os.ttyname(slave), 0, 115200, "serial", 1, 5.0)
+    assert link.read(codec.HAND_ID, 1) == [1]
+    assert link.write(codec.CLEAR_ERRORS, [1])
+    assert link.write(codec.ANGLE_SET, [1000] * 6)
+    thread.join(5.0)
+    link.close()
+    os.close(master)
+    os.close(slave)
+
+
+@pytest.mark.parametrize(
+    ("address", "protocol", "words"),
+    [
+        ("/dev/ttyUSB0", "", "'protocol' is missing"),
+        ("/dev/ttyUSB0", "tcp", "'protocol' is not 'tcp'"),
+        ("192.168.11.210", "serial", "'protocol' is not 'serial'"),
+    ],
+)
+def test_a_serial_port_says_its_protocol(address: str, protocol: str, words: str):
+    with pytest.raises(RobotError, match=words):
+        InspireSettings(address, protocol=protocol)
+
+
 def test_a_command_moves_after_its_delay_at_the_measured_speed():
     with emulated(speed=250) as device:
         device.driver.connect()
@@ -105,15 +200,17 @@ def test_a_command_moves_after_its_delay_at_the_measured_speed():
     assert device.driver.limits.velocity[0] == pytest.approx(expected)
 
 
-def test_a_hand_with_another_number_is_refused():
-    with emulated() as device:
+@pytest.mark.parametrize("protocol", ["tcp", "serial"])
+def test_a_hand_with_another_number_is_refused(protocol: str):
+    with emulated(protocol) as device:
         device.emulator.inject(Fault.WRONG_DEVICE)
         with pytest.raises(RobotError, match="number 2"):
             device.driver.connect()
 
 
-def test_a_fault_of_a_motor_latches_until_somebody_connects():
-    with emulated() as device:
+@pytest.mark.parametrize("protocol", ["tcp", "serial"])
+def test_a_fault_of_a_motor_latches_until_somebody_connects(protocol: str):
+    with emulated(protocol) as device:
         device.driver.connect()
         reach(device, device.near)
         device.emulator.report_error(3, 0b00101)
@@ -127,8 +224,9 @@ def test_a_fault_of_a_motor_latches_until_somebody_connects():
 
 
 @pytest.mark.parametrize("fault", [Fault.KILLED, Fault.STALLED, Fault.POWER_LOSS, Fault.SATURATED])
-def test_a_lost_hand_is_seen(fault: Fault):
-    with emulated(stale_after=0.5, answer_timeout=0.2) as device:
+@pytest.mark.parametrize("protocol", ["tcp", "serial"])
+def test_a_lost_hand_is_seen(fault: Fault, protocol: str):
+    with emulated(protocol, stale_after=0.5, answer_timeout=0.2) as device:
         device.driver.connect()
         reach(device, device.near)
         device.emulator.inject(fault)
@@ -139,10 +237,10 @@ def test_a_lost_hand_is_seen(fault: Fault):
         reach(device, device.near)
 
 
-@pytest.mark.parametrize("serial", [False, True])
+@pytest.mark.parametrize("protocol", ["tcp", "rtu", "serial"])
 @pytest.mark.parametrize("fault", [Fault.LOST, Fault.LATE, Fault.CORRUPT])
-def test_a_disturbed_line_still_carries(fault: Fault, serial: bool):
-    with emulated(serial, answer_timeout=0.1) as device:
+def test_a_disturbed_line_still_carries(fault: Fault, protocol: str):
+    with emulated(protocol, answer_timeout=0.1) as device:
         device.driver.connect()
         device.emulator.inject(fault)
         goal = np.full(6, 0.5)
@@ -162,8 +260,9 @@ def test_a_connection_that_was_reset_is_opened_again():
         reach(device, device.near)
 
 
-def test_a_hand_that_is_looked_at_keeps_its_settings_and_its_errors():
-    with emulated() as device:
+@pytest.mark.parametrize("protocol", ["tcp", "serial"])
+def test_a_hand_that_is_looked_at_keeps_its_settings_and_its_errors(protocol: str):
+    with emulated(protocol) as device:
         device.emulator.report_error(0, 1 << 1)
         before = dict(device.emulator._registers)
         device.driver.connect()

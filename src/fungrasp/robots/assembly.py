@@ -169,7 +169,7 @@ def _allegro(values: Mapping[str, Any]) -> JointDriver:
 def _inspire(values: Mapping[str, Any]) -> JointDriver:
     from fungrasp.robots.hands.inspire import InspireSettings, inspire_driver
 
-    return inspire_driver(_settings(InspireSettings, "inspire-modbus", values))
+    return inspire_driver(_settings(InspireSettings, "inspire", values))
 
 
 def _leap(values: Mapping[str, Any]) -> JointDriver:
@@ -183,7 +183,7 @@ ARM_DRIVERS: dict[str, Callable[[Mapping[str, Any]], Any]] = {"ur-rtde": _ur}
 
 HAND_DRIVERS: dict[str, Callable[[Mapping[str, Any]], Any]] = {
     "allegro-can": _allegro,
-    "inspire-modbus": _inspire,
+    "inspire": _inspire,
     "leap-dynamixel": _leap,
 }
 """Drivers of hands by name."""

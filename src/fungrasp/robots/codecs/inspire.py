@@ -20,6 +20,10 @@ ANGLE_ACTUAL, FORCE_ACTUAL, CURRENT = 1546, 1582, 1594
 ERRORS, STATUS, TEMPERATURES = 1606, 1612, 1618
 """Of these three the six values are bytes, two to a register, the first in the low byte."""
 
+SINGLE_BYTES = frozenset({HAND_ID, CLEAR_ERRORS})
+"""Registers of one byte. Over Modbus each is a register of its own; on a serial line a second byte would be
+written to the next one, which after CLEAR_ERRORS is SAVE."""
+
 OPEN_ANGLE = 1000
 LEAVE = 65535
 """Written to a motor's angle: leave as it is."""

@@ -1,23 +1,27 @@
-"""An Inspire RH56 hand on Modbus: TCP on the loopback, or a serial line on a pseudo terminal.
+"""An Inspire RH56 hand: Modbus over TCP on the loopback, or Modbus or the maker's own protocol on a serial
+line, a pseudo terminal.
 
 A real hand's behavior is in it: it begins to move 66 ms after a command, at the speed that was measured for
-each setting, and takes 6 ms for an answer.
+each setting, and takes 6 ms for an answer (the time that published clients wait for one; it may be less).
 """
 
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import os
 import selectors
 import socket
 import struct
 import time
 import tty
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from fungrasp.robots.codecs import inspire as codec
+from fungrasp.robots.codecs import inspire_serial as own
 from fungrasp.robots.codecs import modbus
 from fungrasp.robots.device import RobotError
 from fungrasp.robots.emulators.emulator import Emulator, Fault
@@ -53,7 +57,7 @@ class InspireEmulator(Emulator):
         plant: Plant,
         address: str = "127.0.0.1",
         port: int = 6000,
-        serial: bool = False,
+        protocol: str = "tcp",
         hand: str = "inspire",
         device: int = 1,
         delay: float = COMMAND_DELAY,
@@ -66,7 +70,7 @@ class InspireEmulator(Emulator):
             plant: six joints.
             address: of the loopback, for TCP.
             port: of TCP; 0: any that is free.
-            serial: a pseudo terminal instead of TCP.
+            protocol: "tcp" or, on a pseudo terminal, "rtu" (both Modbus) or "serial" (frames EB 90).
             hand: model of the hand: limits of the joints.
             device: number of the hand.
             delay: from a command to its effect [s].
@@ -77,7 +81,8 @@ class InspireEmulator(Emulator):
         super().__init__()
         self.plant = plant
         self.address, self.port = address, port
-        self._serial, self._device, self._delay = serial, device, delay
+        self._protocol, self._serial = protocol, protocol != "tcp"
+        self._device, self._delay = device, delay
         self._answer_time, self._baud = answer_time, baud
         self._lower, self._upper = hand_joint_limits(hand, codec.MOTORS)
         self._rng = np.random.default_rng(seed)
@@ -185,13 +190,23 @@ class InspireEmulator(Emulator):
         assert self._terminal is not None
         with contextlib.suppress(BlockingIOError, OSError):
             self._stream += os.read(self._terminal[0], 4096)
+        if self._protocol == "serial":
+            requests, self._stream = own.split_frames(own.REQUEST, self._stream)
+            for request in requests:
+                self._send_serial(own.encode_frame(own.REQUEST, request), self._own_answer(request))
+            return
         requests, self._stream = modbus.split_serial_requests(self._stream)
         for device, data in requests:
             answer = self._answer(device, data)
-            if answer is not None:
-                frame = self._disturbed(modbus.serial_frame(device, answer))
-                time.sleep(BITS_PER_BYTE * (len(data) + 3 + len(frame)) / self._baud)
-                os.write(self._terminal[0], frame)
+            frame = None if answer is None else modbus.serial_frame(device, answer)
+            self._send_serial(modbus.serial_frame(device, data), frame)
+
+    def _send_serial(self, request: bytes, answer: bytes | None) -> None:
+        if answer is not None:
+            assert self._terminal is not None
+            frame = self._disturbed(answer)
+            time.sleep(BITS_PER_BYTE * (len(request) + len(frame)) / self._baud)
+            os.write(self._terminal[0], frame)
 
     def _read_socket(self, client: Any) -> None:
         try:
@@ -212,22 +227,41 @@ class InspireEmulator(Emulator):
                 self._drop(client)
                 return
 
+    def _own_answer(self, request: own.InspireFrame) -> bytes | None:
+        if not self._answers(request.device):
+            return None
+        if request.command == own.READ:
+            count = (request.data[0] + 1) // 2
+            data = own.register_bytes(self._values(request.address, count))[: request.data[0]]
+        elif request.command == own.WRITE:
+            self._write(request.address, own.registers_of(request.data))
+            data = own.TAKEN
+        else:
+            return None
+        return own.encode_frame(own.ANSWER, dataclasses.replace(request, data=data))
+
     def _answer(self, device: int, data: bytes) -> bytes | None:
-        silent = (Fault.STALLED, Fault.KILLED, Fault.POWER_LOSS)
-        if device != self._device or any(self.shows(fault) for fault in silent):
+        if not self._answers(device):
             return None
-        if self.shows(Fault.LOST) and self._rng.random() < 0.1:
-            return None
-        time.sleep(self._answer_time)
-        if self.shows(Fault.LATE) and self._rng.random() < 0.1:
-            time.sleep(0.05)
         request = modbus.decode_request(data)
         if request.function == modbus.READ:
             return modbus.encode_answer(request, tuple(self._values(request.address, request.count)))
         if request.function not in (modbus.WRITE, modbus.WRITE_ONE):
             return modbus.encode_refusal(request.function, modbus.ILLEGAL_FUNCTION)
-        self._write(request)
+        self._write(request.address, request.values)
         return modbus.encode_answer(request)
+
+    def _answers(self, device: int) -> bool:
+        """Whether a request is answered; takes the time that the hand takes."""
+        silent = (Fault.STALLED, Fault.KILLED, Fault.POWER_LOSS)
+        if device != self._device or any(self.shows(fault) for fault in silent):
+            return False
+        if self.shows(Fault.LOST) and self._rng.random() < 0.1:
+            return False
+        time.sleep(self._answer_time)
+        if self.shows(Fault.LATE) and self._rng.random() < 0.1:
+            time.sleep(0.05)
+        return True
 
     def _disturbed(self, frame: bytes) -> bytes:
         if self.shows(Fault.CORRUPT) and self._rng.random() < 0.1:
@@ -247,14 +281,14 @@ class InspireEmulator(Emulator):
             return self._frozen[:count]
         return [self._registers.get(address + i, 0) for i in range(count)]
 
-    def _write(self, request: modbus.RegisterRequest) -> None:
-        for i, value in enumerate(request.values):
-            known = self._registers.get(request.address + i, 0)
-            leave = value == codec.LEAVE and codec.ANGLE_SET <= request.address + i < codec.FORCE_SET
-            self._registers[request.address + i] = known if leave else value
-        if request.address == codec.CLEAR_ERRORS:
+    def _write(self, first: int, values: Sequence[int]) -> None:
+        for address, value in enumerate(values, first):
+            known = self._registers.get(address, 0)
+            leave = value == codec.LEAVE and codec.ANGLE_SET <= address < codec.FORCE_SET
+            self._registers[address] = known if leave else value
+        if first == codec.CLEAR_ERRORS:
             self._registers |= {codec.ERRORS + i: 0 for i in range(3)}
-        if request.address == codec.ANGLE_SET:
+        if first == codec.ANGLE_SET:
             angles = [self._registers[codec.ANGLE_SET + i] for i in range(codec.MOTORS)]
             speeds = codec.signed([self._registers[codec.SPEED_SET + i] for i in range(codec.MOTORS)])
             share = codec.closing_speed(speeds[codec.MODEL_ORDER]) / codec.OPEN_ANGLE

@@ -1,4 +1,4 @@
-"""Inspire RH56 over Modbus, TCP or a serial line.
+"""Inspire RH56 over Modbus, TCP or a serial line, or the maker's own serial protocol.
 
 The hand has position servos of its own: a goal is written once, at the speed and force that were set on
 connecting. It begins to move about 66 ms after a command.
@@ -10,7 +10,6 @@ import contextlib
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -18,8 +17,8 @@ from fungrasp.robots.codecs import inspire as codec
 from fungrasp.robots.control_loop.device_loop import LoopGoal, LoopMode
 from fungrasp.robots.control_loop.loop_driver import LoopDriver
 from fungrasp.robots.device import DeviceStatus, JointLimits, JointState, RobotError
+from fungrasp.robots.hands.inspire_link import InspireLink, open_link
 from fungrasp.robots.hands.joint_order import hand_joint_limits
-from fungrasp.robots.optional_packages import import_client
 
 COMMAND_DELAY = 0.066
 """From a command to the first motion, median over a real hand's steps [s]."""
@@ -29,6 +28,8 @@ OPEN_SPEED_SETTING = 250
 """Of opening after a fault: full stroke in about 1.5 s."""
 HOLD_AHEAD, HOLD_STILL = 0.1, 6
 """A motor that moves by no more than so many units within so long [s] stands still."""
+SERIAL_PROTOCOLS = ("serial", "rtu")
+"""Protocols on a serial port."""
 ANGLE_TOLERANCE = 50
 """Angles outside 0 to 1000 by more are not believed."""
 
@@ -43,6 +44,10 @@ class InspireSettings:
     """Of TCP."""
     baud: int = 115200
     """Of a serial port."""
+    protocol: str = ""
+    """"tcp", Modbus over a network, is meant where nothing is said; on a serial port one of two must be said:
+    "serial", the maker's own with frames EB 90, or "rtu", Modbus. A hand speaks one of them, as it was
+    ordered."""
     device: int = 1
     """Number of the hand (its register HAND_ID); another one is refused."""
     hand: str = "inspire"
@@ -62,11 +67,14 @@ class InspireSettings:
         for name, value in (("speed", self.speed), ("force", self.force)):
             if not 0 < value <= 1000:
                 raise RobotError(f"{name} of an Inspire hand is 1 to 1000, not {value}")
-
-    @property
-    def serial(self) -> bool:
-        """Whether the address is a serial port."""
-        return self.address.startswith(("/", "COM"))
+        serial = self.address.startswith(("/", "COM"))
+        known = SERIAL_PROTOCOLS if serial else ("tcp",)
+        if self.protocol not in known and (serial or self.protocol):
+            given = f"is not '{self.protocol}'" if self.protocol else "is missing"
+            raise RobotError(
+                f"'protocol' {given}: an Inspire hand at '{self.address}' speaks "
+                + ('"serial" (frames EB 90) or "rtu" (Modbus)' if serial else '"tcp"')
+            )
 
 
 def inspire_driver(settings: InspireSettings, process: bool = True) -> LoopDriver:
@@ -92,8 +100,7 @@ class InspireLoop:
         speed = codec.closing_speed(settings.speed) / codec.OPEN_ANGLE * self._range
         # The hand takes no torques; what it can give is in the model.
         self.limits = JointLimits(lower, upper, speed, np.full(codec.MOTORS, np.inf))
-        self._client: Any = None
-        self._modbus: Any = None
+        self._link: InspireLink | None = None
         self._state: JointState | None = None
         self._sent: list[int] | None = None
         self._due = self._errors_due = 0.0
@@ -102,19 +109,11 @@ class InspireLoop:
 
     def open(self) -> None:
         """See ``DeviceLoop.open``."""
-        self._modbus = import_client("pymodbus.client", "inspire", "an Inspire hand")
         s = self.settings
-        if s.serial:
-            import_client("serial", "inspire", "an Inspire hand on a serial port")
-            options = {"port": s.address, "baudrate": s.baud}
-            self._client = self._modbus.ModbusSerialClient(**options, timeout=s.answer_timeout, retries=0)
-        else:
-            options = {"port": s.port, "timeout": s.answer_timeout, "retries": 0}
-            self._client = self._modbus.ModbusTcpClient(s.address, **options)
-        with contextlib.redirect_stderr(None):
-            connected = self._client.connect()
-        if not connected:
-            raise RobotError(f"{self.name}: nobody answers; check power, cable and address")
+        try:
+            self._link = open_link(s.address, s.port, s.baud, s.protocol, s.device, s.answer_timeout)
+        except RobotError as error:
+            raise RobotError(f"{self.name}: {error}") from error
         number = self._first_answer(codec.HAND_ID, 1)[0] & 0xFF
         if number != s.device:
             raise RobotError(f"{self.name}: the hand says that it is number {number}, not {s.device}")
@@ -151,8 +150,8 @@ class InspireLoop:
 
     def close(self) -> None:
         """See ``DeviceLoop.close``."""
-        with contextlib.suppress(Exception):
-            self._client.close()
+        if self._link is not None:
+            self._link.close()
 
     def rescue(self) -> None:
         """See ``DeviceLoop.rescue``: nothing to do, the drives hold without power."""
@@ -204,7 +203,7 @@ class InspireLoop:
             velocities = (positions - before.positions) / max(now - before.received, 1e-3)
         if now >= self._errors_due:
             self._errors_due = now + ERROR_INTERVAL
-            # Over TCP a value has no checksum: a fault counts when it is read twice.
+            # Values have no checksum over TCP, a weak one on a serial line: a fault counts when read twice.
             self._fault = self._read_faults() and self._read_faults()
         status = DeviceStatus.FAULT if self._fault else DeviceStatus.READY
         self._state = JointState(positions, velocities, None, now, now, status, self._fault)
@@ -233,27 +232,14 @@ class InspireLoop:
             registers = self._read(address, count)
             if registers is not None:
                 return registers
-        raise RobotError(f"{self.name}: connected, but no answers; check device number and baud rate")
+        raise RobotError(
+            f"{self.name}: connected, but no answers; check device number, baud rate and protocol"
+        )
 
     def _read(self, address: int, count: int) -> Sequence[int] | None:
-        try:
-            answer = self._client.read_holding_registers(address, count=count, device_id=self.settings.device)
-        except (self._modbus_error(), OSError):
-            return self._reconnect()
-        return None if answer.isError() or len(answer.registers) != count else answer.registers
+        assert self._link is not None, "open() comes first"
+        return self._link.read(address, count)
 
     def _write(self, address: int, values: list[int]) -> bool:
-        try:
-            return not self._client.write_registers(address, values, device_id=self.settings.device).isError()
-        except (self._modbus_error(), OSError):
-            self._reconnect()
-            return False
-
-    def _reconnect(self) -> None:
-        """A connection that was reset is opened again; the state's age says whether that was in time."""
-        with contextlib.suppress(Exception):
-            if not self._client.is_socket_open():
-                self._client.connect()
-
-    def _modbus_error(self) -> type[Exception]:
-        return import_client("pymodbus.exceptions", "inspire", "an Inspire hand").ModbusException
+        assert self._link is not None, "open() comes first"
+        return self._link.write(address, values)

@@ -94,7 +94,7 @@ def _hand(device: DeviceSettings, world: TwinWorld) -> Emulator:
             options.get("generation", 4),
             options.get("side", "right"),
         )
-    if device.driver == "inspire-modbus":
+    if device.driver == "inspire":
         from fungrasp.robots.emulators.inspire_modbus import InspireEmulator
 
         return InspireEmulator(plant, _loopback(device), options.get("port", 6000))
