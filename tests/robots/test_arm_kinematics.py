@@ -176,7 +176,7 @@ def test_the_adapter_keeps_its_distance_from_the_table() -> None:
     aside = (0.0, 0.0, -0.5, 1.0, 0.0, 0.0, 0.0)
     cell = replace(cell, arm=replace(cell.arm, pose_world_base=base), mount=Mount(aside))
     flange = ArmKinematics(cell, hand).palm_pose(down)[2] + mounting_pose(hand, cell.mount)[2]
-    fingers = hand.independent(np.clip(np.zeros(len(hand.joint_names)), *hand.joint_limits.T))
+    fingers = hand.open_joints
     bare = ClearanceModel(cell, hand).measure(down, fingers)
     assert bare.table == MARGIN
     longer = replace(cell, mount=Mount(aside, adapter_radius=0.04, adapter_length=float(flange) - 0.01))

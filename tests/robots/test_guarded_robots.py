@@ -148,7 +148,7 @@ def test_boxes_of_the_cell_are_kept_clear_of() -> None:
     cell, hand = cell_and_hand()
     home = np.array(cell.arm.home)
     palm = ArmKinematics(cell, hand).palm_pose(home)[:3]
-    fingers = hand.independent(np.clip(np.zeros(len(hand.joint_names)), *hand.joint_limits.T))
+    fingers = hand.open_joints
     pedestal = Obstacle((-0.5, 0.0, 0.14), (0.25, 0.25, 0.28))
     ahead = Obstacle(tuple(palm - [0.0, 0.0, 0.3]), (0.1, 0.1, 0.2))
     boxed = replace(cell, obstacles=(pedestal, ahead))

@@ -76,7 +76,7 @@ class Check:
             raise FungraspError(f"'arm.home' must have {len(kinematics.lower)} joints, not {len(home)}")
         if (home < kinematics.lower).any() or (home > kinematics.upper).any():
             raise FungraspError(f"'arm.home' is beyond the joint limits of the {cell.arm.model}")
-        fingers = hand.independent(np.clip(np.zeros(len(hand.joint_names)), *hand.joint_limits.T))
+        fingers = hand.open_joints
         clearance = ClearanceModel(cell, hand)
         if not FreePath(kinematics, clearance, cell.workspace).clear(home, fingers, None):
             raise FungraspError(

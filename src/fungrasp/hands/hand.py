@@ -186,6 +186,11 @@ class Hand:
         return independent @ matrix.T + offset
 
     @property
+    def open_joints(self) -> np.ndarray:
+        """Independent joints of the open hand: all at zero, or at the limit nearest to it [rad], shape [U]."""
+        return self.independent(np.clip(np.zeros(len(self.joint_names)), *self.joint_limits.T))
+
+    @property
     def index_side(self) -> np.ndarray:
         """Unit vector across the palm to the side of index finger and thumb, palm frame, shape [3]."""
         across = np.cross(self.palm_fingers, self.palm_normal)

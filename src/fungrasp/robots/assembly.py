@@ -145,7 +145,7 @@ def guarded_arm(cell: RobotCell, hand: Hand, switch: StopSwitch | None = None) -
         FungraspError: an unknown driver or bad options.
     """
     kinematics, clearance = ArmKinematics(cell, hand), ClearanceModel(cell, hand)
-    fingers = hand.independent(np.clip(np.zeros(len(hand.joint_names)), *hand.joint_limits.T))
+    fingers = hand.open_joints
 
     def wrong(joints: np.ndarray) -> str:
         gap = clearance.measure(joints, fingers)

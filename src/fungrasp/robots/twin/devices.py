@@ -145,7 +145,7 @@ class TwinHand(_TwinJoints):
         torque = np.array([servo.force_limit for servo in hand.actuators.values()])
         torque = np.minimum(torque, twin_torque_limits(cell, hand))
         self.limits = JointLimits(low, high, np.full(len(rows), cell.limits.hand_speed), torque)
-        self._open = hand.independent(np.clip(np.zeros(len(hand.joint_names)), *hand.joint_limits.T))
+        self._open = hand.open_joints
 
     def connect(self) -> None:
         """See ``JointDriver.connect``."""

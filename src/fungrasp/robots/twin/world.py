@@ -102,7 +102,7 @@ class TwinWorld:
         """The world's time is that of the robot's clock less this [s]."""
         data.qpos[self._arm_qpos] = cell.arm.home
         data.ctrl[self._arm] = cell.arm.home
-        open_hand = hand.independent(np.clip(np.zeros(len(hand.joint_names)), *hand.joint_limits.T))
+        open_hand = hand.open_joints
         data.qpos[self._all_qpos] = hand.all_joints(open_hand)
         self._finger_target = open_hand.copy()
         self._feedforward = np.zeros(len(fingers))
