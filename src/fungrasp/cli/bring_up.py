@@ -11,11 +11,15 @@ import tyro
 if TYPE_CHECKING:
     from fungrasp.hands import Hand
     from fungrasp.robots.cell import RobotCell
+    from fungrasp.robots.device import JointDriver
     from fungrasp.robots.guarded_driver import GuardedDriver
     from fungrasp.robots.stop_switch import StopSwitch
 
 CellName = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME|FILE")]
 Part = Annotated[Literal["arm", "hand"], tyro.conf.Positional]
+
+PARTS = ("arm", "hand")
+"""Devices of a cell that move."""
 
 
 @dataclass(frozen=True)
@@ -27,15 +31,14 @@ class Doctor:
 
     def run(self) -> None:
         from fungrasp.errors import FungraspError
-        from fungrasp.robots.assembly import arm_driver, hand_driver, pose_source
+        from fungrasp.robots.assembly import pose_source
         from fungrasp.robots.device import DeviceStatus
 
         cell, hand = _wired(self.cell)
-        devices = {"arm": lambda: arm_driver(cell), "hand": lambda: hand_driver(cell, hand)}
         ill = 0
-        for name, made in devices.items():
+        for name in PARTS:
             try:
-                with made() as driver:
+                with _driver(name, cell, hand) as driver:
                     state = driver.read()
                 well = state.status is DeviceStatus.READY
                 print(f"{name}: {driver.name}, {state.status} {state.message}".rstrip())
@@ -70,10 +73,8 @@ class Read:
     def run(self) -> None:
         import time
 
-        from fungrasp.robots.assembly import arm_driver, hand_driver
-
         cell, hand = _wired(self.cell)
-        driver = arm_driver(cell) if self.part == "arm" else hand_driver(cell, hand)
+        driver = _driver(self.part, cell, hand)
         names = _joint_names(self.part, cell, hand)
         with driver:
             end = time.monotonic() + self.seconds
@@ -171,7 +172,15 @@ def _switch(cell: RobotCell) -> StopSwitch:
     return StopSwitch(cell.stop_file, keyboard=True)
 
 
+def _driver(part: str, cell: RobotCell, hand: Hand) -> JointDriver:
+    """To look at."""
+    from fungrasp.robots.assembly import arm_driver, hand_driver
+
+    return arm_driver(cell) if part == "arm" else hand_driver(cell, hand)
+
+
 def _guarded(part: str, cell: RobotCell, hand: Hand, switch: StopSwitch) -> GuardedDriver:
+    """To move."""
     from fungrasp.robots.assembly import guarded_arm, guarded_hand
 
     return (guarded_arm if part == "arm" else guarded_hand)(cell, hand, switch)
