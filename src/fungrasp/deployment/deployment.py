@@ -103,7 +103,7 @@ class Deployment:
             object_pose, state = look_for_object(robot, self.settings, robot.check_switch)
             self._prepare(grasp, object_pose, state.arm.positions)
             state = self._awake(state)
-            made = _RobotAttempts(self, grasp, state.arm.positions)
+            made = _RobotAttempts(self, grasp, state)
             names = grasp.object_name.tolist()
             make_attempts(made, self.settings.attempts, object_pose[None], names, self._preparer.objects)
             if self.settings.put_down or self._missed:
@@ -352,15 +352,15 @@ class Deployment:
 class _RobotAttempts:
     """Carries out the attempts of a robot (``AttemptCarrier``): its one world is number 0."""
 
-    def __init__(self, deployment: Deployment, grasp: RobotGraspSet, arm: np.ndarray):
+    def __init__(self, deployment: Deployment, grasp: RobotGraspSet, state: RobotState):
         """
         Args:
             deployment: with the first plan.
             grasp: one.
-            arm: joints of the arm now [rad], shape [A].
+            state: of the robot now.
         """
-        self._d, self._grasp = deployment, grasp
-        self.postures = [arm]
+        self._d, self._grasp, self._state = deployment, grasp, state
+        self.postures = [state.arm.positions]
         """Of the arm on its way so far, the last one where it is."""
         self._verdict: AttemptVerdict | None = None
 
