@@ -26,7 +26,8 @@ class BenchFaults:
 
     devices: tuple[str, ...] = ()
     """Devices to measure: ur, allegro-v4, allegro-v5, inspire, inspire-serial, inspire-eb90, leap, tracker,
-    and control-allegro and control-inspire, the computer that controls a UR5e with that hand; by default all."""
+    and control-allegro and control-inspire, the computer that controls a UR5e with that hand; all by
+    default."""
     faults: tuple[str, ...] = ()
     """Faults to bring, as the table names them ("frames lost"); all by default."""
     trials: int = 50
