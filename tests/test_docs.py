@@ -43,7 +43,13 @@ BLOCK = re.compile(
     re.MULTILINE | re.DOTALL,
 )
 COMMENT = re.compile(r"<!-- (not run: (?P<reason>.+)|ends with (?P<status>\d+)) -->\n$")
-ENTRY_POINTS = ("fungrasp.hand_estimators", "fungrasp.object_pose_estimators")
+ENTRY_POINTS = (
+    "fungrasp.hand_estimators",
+    "fungrasp.object_pose_estimators",
+    "fungrasp.arm_drivers",
+    "fungrasp.hand_drivers",
+    "fungrasp.pose_sources",
+)
 """Groups that share no name with a module."""
 MOST = 2
 """Built-in grasps that commands see."""

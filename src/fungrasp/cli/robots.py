@@ -16,10 +16,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ListCells:
-    """List the robot cells that come with fungrasp."""
+    """List the robot cells that come with fungrasp, and the drivers that are installed."""
 
     def run(self) -> None:
         from fungrasp.cli.console import table
+        from fungrasp.robots.assembly import ARM_DRIVERS, HAND_DRIVERS, TRACKERS
         from fungrasp.robots.cell import cell_files, load_cell
 
         rows = [("name", "hand", "arm", "arm driver", "hand driver", "tracker")]
@@ -28,6 +29,10 @@ class ListCells:
             devices = cell.arm.driver, cell.hand_device.driver, cell.tracker.driver
             rows.append((name, cell.hand, cell.arm.model, *devices))
         print(table(rows, left=None))
+        drivers = [("driver", "of", "package")]
+        for registry in (ARM_DRIVERS, HAND_DRIVERS, TRACKERS):
+            drivers += [(name, registry.what, package) for name, package in registry.known().items()]
+        print(f"\n{table(drivers, left=None)}")
 
 
 @dataclass(frozen=True)

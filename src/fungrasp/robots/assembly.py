@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
 from dataclasses import fields
 from typing import Any
 
@@ -13,6 +12,7 @@ from fungrasp.hands import Hand
 from fungrasp.robots.cell import DeviceSettings, RobotCell, check_calibrated
 from fungrasp.robots.clock import WallClock
 from fungrasp.robots.device import JointDriver, PoseSource
+from fungrasp.robots.driver_registry import DriverRegistry
 from fungrasp.robots.guarded_driver import GuardedDriver
 from fungrasp.robots.kinematics.arm_model import ArmKinematics, ClearanceModel
 from fungrasp.robots.robot import Robot
@@ -48,7 +48,14 @@ def arm_driver(cell: RobotCell) -> JointDriver:
     Raises:
         FungraspError: no such driver, or bad options.
     """
-    return _make("arm", cell.arm, ARM_DRIVERS, arm=cell.arm.model)
+    driver = ARM_DRIVERS.make(cell.arm.driver, cell)
+    joints = len(driver.limits.lower)
+    if joints != len(cell.arm.home):
+        raise FungraspError(
+            f"cell '{cell.name}': the driver '{cell.arm.driver}' moves {joints} joints, and 'arm.home' has "
+            f"{len(cell.arm.home)}: one of the two is wrong"
+        )
+    return driver
 
 
 def hand_driver(cell: RobotCell, hand: Hand) -> JointDriver:
@@ -62,7 +69,7 @@ def hand_driver(cell: RobotCell, hand: Hand) -> JointDriver:
     Raises:
         FungraspError: no such driver, bad options, or a driver of another hand.
     """
-    driver = _make("hand", cell.hand_device, HAND_DRIVERS, hand=cell.hand)
+    driver = HAND_DRIVERS.make(cell.hand_device.driver, cell)
     joints = len(driver.limits.lower)
     if joints != len(hand.actuators):
         raise FungraspError(
@@ -78,9 +85,7 @@ def pose_source(cell: RobotCell) -> PoseSource:
     Raises:
         FungraspError: no such driver, or bad options.
     """
-    if cell.tracker.driver not in TRACKERS:
-        raise UnknownNameError("driver of a tracker", cell.tracker.driver, [*TRACKERS, TWIN])
-    return TRACKERS[cell.tracker.driver](cell)
+    return TRACKERS.make(cell.tracker.driver, cell)
 
 
 def wired_robot(
@@ -154,39 +159,28 @@ def guarded_arm(cell: RobotCell, hand: Hand, switch: StopSwitch | None = None) -
     return GuardedDriver(arm_driver(cell), cell, "arm", clear=wrong, switch=switch)
 
 
-def _ur(values: Mapping[str, Any]) -> JointDriver:
+def _ur(cell: RobotCell) -> JointDriver:
     from fungrasp.robots.arms.ur import URSettings, ur_driver
 
-    return ur_driver(_settings(URSettings, "ur-rtde", values))
+    return ur_driver(_settings(URSettings, cell.arm, arm=cell.arm.model))
 
 
-def _allegro(values: Mapping[str, Any]) -> JointDriver:
+def _allegro(cell: RobotCell) -> JointDriver:
     from fungrasp.robots.hands.allegro import AllegroSettings, allegro_driver
 
-    return allegro_driver(_settings(AllegroSettings, "allegro-can", values, address="channel"))
+    return allegro_driver(_settings(AllegroSettings, cell.hand_device, "channel", hand=cell.hand))
 
 
-def _inspire(values: Mapping[str, Any]) -> JointDriver:
+def _inspire(cell: RobotCell) -> JointDriver:
     from fungrasp.robots.hands.inspire import InspireSettings, inspire_driver
 
-    return inspire_driver(_settings(InspireSettings, "inspire", values))
+    return inspire_driver(_settings(InspireSettings, cell.hand_device, hand=cell.hand))
 
 
-def _leap(values: Mapping[str, Any]) -> JointDriver:
+def _leap(cell: RobotCell) -> JointDriver:
     from fungrasp.robots.hands.leap import LeapSettings, leap_driver
 
-    return leap_driver(_settings(LeapSettings, "leap-dynamixel", values, address="port"))
-
-
-ARM_DRIVERS: dict[str, Callable[[Mapping[str, Any]], Any]] = {"ur-rtde": _ur}
-"""Drivers of arms by name."""
-
-HAND_DRIVERS: dict[str, Callable[[Mapping[str, Any]], Any]] = {
-    "allegro-can": _allegro,
-    "inspire": _inspire,
-    "leap-dynamixel": _leap,
-}
-"""Drivers of hands by name."""
+    return leap_driver(_settings(LeapSettings, cell.hand_device, "port", hand=cell.hand))
 
 
 def _camera(cell: RobotCell) -> PoseSource:
@@ -224,26 +218,40 @@ def _stream(cell: RobotCell) -> PoseSource:
     return PoseStream(cell.tracker.address, **options, pose_world_camera=camera)
 
 
-TRACKERS: dict[str, Callable[[RobotCell], PoseSource]] = {"pose-stream": _stream, CAMERA: _camera}
-"""Sources of object poses by name."""
+def _settings(kind: type, device: DeviceSettings, address: str = "address", **more: str) -> Any:
+    """Settings of a driver from the address and the options of a cell.
 
-
-def _make(
-    kind: str, device: DeviceSettings, known: Mapping[str, Callable[[Mapping[str, Any]], Any]], **more: str
-) -> Any:
-    if device.driver not in known:
-        raise UnknownNameError(f"driver of a {kind}", device.driver, [*known, TWIN])
-    return known[device.driver]({"address": device.address, **more, **device.options})
-
-
-def _settings(kind: type, driver: str, values: Mapping[str, Any], address: str = "address") -> Any:
-    """Settings of a driver from the address and the options of a cell. address: its field's name."""
-    given = {address if name == "address" else name: value for name, value in values.items() if value != ""}
+    Args:
+        kind: of the settings.
+        device: of the cell.
+        address: name of the address's field.
+        more: values that the cell says elsewhere; options may say another one.
+    """
+    given: dict[str, Any] = {address: device.address, **more, **device.options}
+    given = {name: value for name, value in given.items() if value != ""}
     known = [f.name for f in fields(kind)]
     for name in given:
         if name not in known:
-            raise UnknownNameError(f"option of the driver {driver}", name, known)
+            raise UnknownNameError(f"option of the driver {device.driver}", name, known)
     try:
         return kind(**given)
     except TypeError as error:
-        raise FungraspError(f"options of the driver {driver} make no sense: {error}") from error
+        raise FungraspError(f"options of the driver {device.driver} make no sense: {error}") from error
+
+
+ARM_DRIVERS = DriverRegistry("arm", "fungrasp.arm_drivers", {"ur-rtde": _ur}, TWIN, JointDriver)
+"""Drivers of arms."""
+
+HAND_DRIVERS = DriverRegistry(
+    "hand_device",
+    "fungrasp.hand_drivers",
+    {"allegro-can": _allegro, "inspire": _inspire, "leap-dynamixel": _leap},
+    TWIN,
+    JointDriver,
+)
+"""Drivers of hands."""
+
+TRACKERS = DriverRegistry(
+    "tracker", "fungrasp.pose_sources", {"pose-stream": _stream, CAMERA: _camera}, TWIN, PoseSource
+)
+"""Sources of object poses."""
