@@ -12,7 +12,8 @@ class LiftProtocol:
     settle_time: float = 1.0
     """Time in which the object settles from its rest pose [s]."""
     start_distance: float = 0.30
-    """Distance from the wrist to the object's center at the start [m]."""
+    """Distance from the wrist to the object's center at the start [m]; of a palm whose origin lies far from
+    the hand, from a place near it."""
     start_closing: float = 0.5
     """Fingers at the start, as a fraction of their target angles."""
     control_period: float = 0.1

@@ -15,6 +15,7 @@ from fungrasp.geometry.poses import (
 )
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
+from fungrasp.hands.palm_offset import palm_offset
 from fungrasp.objects import ObjectModel
 from fungrasp.task.hand_clearance import HandClearance
 
@@ -66,6 +67,8 @@ class StartPoses:
             models: objects.
         """
         self._hand, self._models = hand, models
+        bases = [finger.joints[0] for name, finger in hand.fingers.items() if name != "thumb"]
+        self._offset = palm_offset(hand.model, hand.palm, bases)
 
     def facing(
         self,
@@ -82,7 +85,8 @@ class StartPoses:
             grasps: W grasps.
             object_index: object of each, as ``models`` has them, shape [W].
             object_pose: of the objects at rest, world frame, shape [W, 7].
-            distance: from the objects' origins [m].
+            distance: of palms from the objects' origins [m]; where a palm's origin lies far from the hand,
+                of a place near it (``palm_offset``).
             fingers: independent joints [rad], shape [W, U].
             table_height: of the table top [m], shape [W].
 
@@ -90,7 +94,11 @@ class StartPoses:
             the start and where the palm will grasp, world frame, shape [W, 7] each.
         """
         target = compose(object_pose, compose(invert(grasps.object_pose), grasps.wrist_pose))
-        start = start_on_line(object_pose, target, distance)
+        shift = rotate(target[:, 3:], np.tile(self._offset, (len(target), 1)))
+        near = target.copy()
+        near[:, :3] += shift
+        start = start_on_line(object_pose, near, distance)
+        start[:, :3] -= shift
         return self.clear(object_index, object_pose, start, fingers, table_height), target
 
     def clear(

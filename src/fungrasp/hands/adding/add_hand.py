@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -67,7 +68,8 @@ def add_hand(
         raise FungraspError(f"{path} would be overwritten; choose another folder than {folder}")
     if not force and (toml_path.exists() or model_path.exists()):
         raise FungraspError(f"{folder} holds a hand already; --force overwrites it")
-    foreign = read_foreign(path)
+    foreign = read_foreign(path, answers.palm)
+    answers = replace(answers, palm=foreign.palm)
     findings = foreign.findings
     couplings = find_couplings(foreign.model, findings, answers.couplings)
     ends = far_ends(foreign)

@@ -15,6 +15,7 @@ from fungrasp.errors import FungraspError
 from fungrasp.formats.mesh_file import read_mesh
 from fungrasp.formats.mujoco_model import check_model_numbers, parse_model
 from fungrasp.hands.adding.joint_repairs import repair_joints
+from fungrasp.hands.adding.world_palm import wrap_world
 from fungrasp.hands.checking.finding import Finding, listed, note, warning
 from fungrasp.hands.checking.model_source import one_line, parse_xml, principal_inertias, quiet
 
@@ -57,12 +58,18 @@ class ForeignModel:
     """Ids of bodies that lost a collision mesh whose file is missing."""
     massless: frozenset[int]
     """Ids of bodies with neither an inertial that can be nor shapes that weigh something."""
+    palm: str | None = None
+    """Name of the palm body, where it is known."""
     findings: list[Finding] = field(default_factory=list)
     """What was found wrong or was assumed on the way."""
 
 
-def read_foreign(path: Path) -> ForeignModel:
+def read_foreign(path: Path, palm: str | None = None) -> ForeignModel:
     """Read a URDF or MJCF.
+
+    Args:
+        path: the file.
+        palm: the palm body, if it is known; "world" where the fingers stand on it.
 
     Raises:
         FungraspError: it can't be read at all.
@@ -75,6 +82,7 @@ def read_foreign(path: Path) -> ForeignModel:
         _keep_everything(root)
     else:
         _flatten(root, path.parent)
+    palm = wrap_world(root, palm, findings)
     with quiet():
         spec = _spec(path, root, findings)
         carriers, stripped = _take_meshes(spec, path.parent, root.tag == "robot", findings)
@@ -113,7 +121,7 @@ def read_foreign(path: Path) -> ForeignModel:
     def ids(names: set[str]) -> frozenset[int]:
         return frozenset(b for b in range(1, model.nbody) if model.body(b).name in names)
 
-    return ForeignModel(model, meshes, ids(stripped), ids(massless), findings)
+    return ForeignModel(model, meshes, ids(stripped), ids(massless), palm, findings)
 
 
 def _keep_everything(robot: ElementTree.Element) -> None:

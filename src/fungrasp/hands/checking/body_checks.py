@@ -97,10 +97,8 @@ def check_shapes(source: ModelSource, parts: HandParts) -> Iterator[Finding]:
     bare = [
         name
         for name in links
-        if not _stripped(source, _weld(model, name))
-        and not collides[
-            np.isin(model.geom_bodyid, np.flatnonzero(model.body_weldid == _weld(model, name)))
-        ].any()
+        if not any(_stripped(source, model.body_weldid[body]) for body in _owned(model, name, links))
+        and not collides[np.isin(model.geom_bodyid, _owned(model, name, links))].any()
     ]
     if bare:
         yield error(f"no collision shape on the link {listed(bare)}: it can't touch anything")
@@ -188,5 +186,13 @@ def _stripped(source: ModelSource, weld: int | np.integer) -> bool:
     return any(source.model.body(int(body)).name in source.stripped for body in members)
 
 
-def _weld(model: mujoco.MjModel, name: str) -> int:
-    return int(model.body_weldid[model.body(name).id])
+def _owned(model: mujoco.MjModel, link: str, links: list[str]) -> list[int]:
+    """Bodies that belong to a link: what is fixed to it, and what hangs on it and on no other link."""
+    body = model.body(link).id
+    others = {model.body(other).id for other in links} - {body}
+    hanging = {
+        member
+        for member in subtree(model, body)
+        if next(above for above in ancestors(model, member) if above == body or above in others) == body
+    }
+    return sorted(hanging | set(np.flatnonzero(model.body_weldid == model.body_weldid[body]).tolist()))

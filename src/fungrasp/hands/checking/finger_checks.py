@@ -10,6 +10,10 @@ import numpy as np
 
 from fungrasp.hands.checking.finding import Finding, HandParts, error, warning
 from fungrasp.hands.checking.kinematic_tree import ancestors, body_name, coupled_positions
+from fungrasp.hands.palm_offset import FARTHEST, palm_offset
+
+FAR_ORIGIN = 0.02
+"""A palm's origin this much too far from the fingers is mentioned [m]."""
 
 SHORTEST_LINK = 1e-3
 """Key points of a finger nearer than this are one and the same [m]."""
@@ -49,6 +53,21 @@ def is_site(model: mujoco.MjModel, name: str) -> bool:
 def carrier_of(model: mujoco.MjModel, name: str) -> int:
     """Id of the body on which a site or body lies."""
     return int(model.site(name).bodyid[0]) if is_site(model, name) else int(model.body(name).id)
+
+
+def check_palm_origin(model: mujoco.MjModel, parts: HandParts) -> Iterator[Finding]:
+    """Is the palm's origin, whose poses grasps hold, near the hand?"""
+    fingers = [name for name in parts.fingers if name != "thumb"]
+    if parts.palm is None or not fingers:
+        return
+    bases = [parts.joints.get(name, parts.fingers[name])[0] for name in fingers]
+    excess = float(np.linalg.norm(palm_offset(model, parts.palm, bases)))
+    if excess > FAR_ORIGIN:
+        yield warning(
+            f"the origin of the palm '{parts.palm}' lies {excess + FARTHEST:.2f} m from the bases of the "
+            "fingers: grasps hold the poses of a place outside the hand, as of a flange; hands start as far "
+            "from objects as others do"
+        )
 
 
 def check_palm_frame(

@@ -14,7 +14,7 @@ from fungrasp.formats.guarded import guarded
 from fungrasp.formats.toml_file import read_toml, type_faults
 from fungrasp.hands.checking.body_checks import check_masses, check_palm, check_shapes, check_size
 from fungrasp.hands.checking.finding import Finding, HandParts, error, note, warning
-from fungrasp.hands.checking.finger_checks import check_fingers, check_palm_frame
+from fungrasp.hands.checking.finger_checks import check_fingers, check_palm_frame, check_palm_origin
 from fungrasp.hands.checking.joint_checks import check_actuators, check_couplings, check_joints
 from fungrasp.hands.checking.model_source import ModelSource, read_source
 from fungrasp.hands.checking.named_parts import guess_parts
@@ -91,6 +91,7 @@ def _check_toml(path: Path) -> list[Finding]:
             parts = _named_parts(path, data, source.model, findings)
             findings += _check_model(source, parts)
             findings += check_fingers(source.model, parts)
+            findings += check_palm_origin(source.model, parts)
             findings += _palm_frame(source.model, parts, data)
     if not any(finding.severity == "error" for finding in findings):
         try:

@@ -44,7 +44,7 @@ def guess_parts(model: mujoco.MjModel) -> HandParts:
         chain = [
             body
             for body in reversed(ancestors(model, end))
-            if body in moving and palm in ancestors(model, body)[1:]
+            if body in moving and palm in (*ancestors(model, body)[1:], 0)
         ]
         names = tuple(body_name(model, body) for body in _distinct(model, chain)[-3:])
         votes = Counter(finger for body in chain if (finger := finger_of(body_name(model, body))))

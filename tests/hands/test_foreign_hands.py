@@ -1,0 +1,123 @@
+"""``hands add`` and ``hands check`` on what descriptions by other makers have and ours don't."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from odd_hands import odd_hand
+
+from fungrasp.geometry.poses import compose, invert
+from fungrasp.grasps import RobotGraspSet
+from fungrasp.hands import Hand, load_hand
+from fungrasp.hands.adding.add_hand import Answers, add_hand
+from fungrasp.hands.checking.hand_checks import check_hand_files
+from fungrasp.objects import load_object
+from fungrasp.task.protocol import LiftProtocol
+from fungrasp.task.start_pose import StartPoses
+
+
+def added(folder: Path, text: str, suffix: str = ".xml", **answers) -> tuple[Hand, list[str]]:
+    """The hand, and what adding and the check said."""
+    (folder / f"odd{suffix}").write_text(text)
+    path, findings = add_hand(folder / f"odd{suffix}", folder / "out", answers=Answers(**answers), force=True)
+    findings = [*findings, *check_hand_files(path)]
+    assert not [finding.message for finding in findings if finding.severity == "error"]
+    return load_hand(path), [finding.message for finding in findings]
+
+
+def on_flange(text: str) -> str:
+    """The hand of ``odd_hand`` on a body half a meter behind its palm."""
+    return text.replace('<body name="p" >', '<body name="flange"><body name="p" pos="0 0 0.5">').replace(
+        "</worldbody>", "</body></worldbody>"
+    )
+
+
+def test_a_palm_whose_origin_is_far_starts_as_far_from_the_object(tmp_path: Path):
+    """The flange is nearer to the object's other side than to the hand where starts count from it."""
+    (tmp_path / "near").mkdir()
+    near, said = added(tmp_path / "near", odd_hand())
+    assert not any("the origin of the palm" in message for message in said)
+    far, said = added(tmp_path, on_flange(odd_hand()), palm="flange")
+    assert any("the origin of the palm 'flange' lies 0.59 m from the bases" in message for message in said)
+    model = load_object("can", 0.3)
+    thing = np.array([[0.0, 0.0, 0.05, 1.0, 0.0, 0.0, 0.0]])
+    grasp = np.array([[-0.05, 0.0, 0.3, 0.0, 0.0, 1.0, 0.0]])
+    from_palm = {"near": np.zeros(3), "far": np.array([0.0, 0.0, 0.5])}
+    tips = []
+    for name, hand in (("near", near), ("far", far)):
+        at_palm = np.array([[*from_palm[name], 1.0, 0.0, 0.0, 0.0]])
+        wrist = compose(grasp, invert(at_palm))
+        count = len(hand.joint_names)
+        grasps = RobotGraspSet(
+            object_name=np.array(["can"]),
+            object_mass=np.array([0.3]),
+            object_pose=thing,
+            object_rest_pose=thing,
+            hand=hand.name,
+            joint_names=hand.joint_names,
+            wrist_pose=wrist,
+            joint_positions=np.zeros((1, count)),
+            keypoints=np.zeros((1, len(hand.keypoint_names), 3)),
+            link_contacts=np.zeros((1, len(hand.links)), dtype=bool),
+        )
+        fingers = np.zeros((1, len(hand.actuators)))
+        start, target = StartPoses(hand, [model]).facing(
+            grasps, np.zeros(1, dtype=int), thing, LiftProtocol.start_distance, fingers, np.zeros(1)
+        )
+        np.testing.assert_allclose(target, wrist)
+        tips.append(compose(start, at_palm)[0, :3] - thing[0, :3])
+    distance = np.linalg.norm(tips, axis=1)
+    # The palm's own frame begins 9 cm before the bases, and the place that counts 15 cm.
+    assert distance[0] == pytest.approx(0.30) and 0.2 < distance[1] < 0.30
+
+
+def test_a_link_may_have_its_shapes_on_bodies_that_belong_to_it(tmp_path: Path):
+    """Universal joints: the named link is a bare cross, the shapes are on the body behind its second axis."""
+    hand, _ = added(tmp_path, odd_hand())
+    text = hand.model_path.read_text()
+    body = re.search(r'<body name="b2".*?>', text)
+    assert body is not None
+    split = (
+        f'{body[0].replace("b2", "cross")}<inertial pos="0 0 0" mass="0.01" diaginertia="1e-6 1e-6 1e-6"/>'
+    )
+    split += '<joint name="turn" axis="1 0 0" range="-0.1 0.1"/><body name="b2">'
+    text = text.replace(body[0], split)
+    end = text.index("</body>", text.index('<body name="b3"'))
+    end = text.index("</body>", end + 1)
+    hand.model_path.write_text(text[:end] + "</body>" + text[end:])
+    toml = hand.path.read_text().replace('"b2"', '"cross"')
+    hand.path.write_text(toml + '"turn" = { kp = 1.0, kd = 0.03, force_limit = 0.3 }\n')
+    assert not [f.message for f in check_hand_files(hand.path) if "no collision shape" in f.message]
+
+
+def test_fingers_on_the_world_get_a_palm(tmp_path: Path):
+    text = odd_hand().replace('<body name="p" >', "").replace("</body></worldbody>", "</worldbody>")
+    (tmp_path / "bare.xml").write_text(text)
+    findings = check_hand_files(tmp_path / "bare.xml")
+    assert any("fused with the world" in finding.message for finding in findings)
+    hand, said = added(tmp_path, text)
+    assert hand.palm == "palm" and len(hand.fingers) == 5
+    assert any("5 fingers stand on the world" in message for message in said)
+    assert added(tmp_path, text, palm="world")[0].palm == "palm"
+    # The shapes of the world are the palm's.
+    assert hand.model.geom_bodyid[0] == hand.model.body("palm").id
+
+
+def test_a_link_called_world_may_be_the_palm(tmp_path: Path):
+    box = '<collision><geometry><box size="0.01 0.01 0.02"/></geometry></collision>'
+    parts = [f'<link name="world">{box}</link>']
+    for letter, place in {"a": "0 0.03 0.05", "b": "0 0 0.05", "z": "0 0.05 -0.02"}.items():
+        for i in (1, 2):
+            turn = ' rpy="-0.9 0.4 -1.9"' if letter == "z" and i == 1 else ""
+            parts.append(
+                f'<link name="{letter}{i}">{box}</link><joint name="{letter}{i}_j" type="revolute">'
+                f'<origin xyz="{place if i == 1 else "0 0 0.035"}"{turn}/>'
+                f'<parent link="{"world" if i == 1 else f"{letter}1"}"/><child link="{letter}{i}"/>'
+                '<axis xyz="0 1 0"/><limit lower="0" upper="1.4" effort="1" velocity="1"/></joint>'
+            )
+    hand, said = added(tmp_path, f'<robot name="h">{"".join(parts)}</robot>', ".urdf", side="right")
+    assert hand.palm == "palm" and len(hand.fingers) == 3
+    assert any("3 fingers stand on the link 'world'" in message for message in said)
