@@ -11,7 +11,8 @@ HAND_DEVICES = {
     "allegro": 'driver = "allegro-can"\naddress = "can0"\n'
     'options = { generation = 4, side = "right", torque_share = 0.2 } # the generation is on the label',
     "inspire": 'driver = "inspire"\naddress = "192.168.11.210"\noptions = { speed = 100, force = 100 }',
-    "leap": 'driver = "leap-dynamixel"\naddress = "/dev/ttyUSB0"\noptions = { current_limit = 100 }',
+    "leap": 'driver = "leap-dynamixel"\naddress = "/dev/ttyUSB0"\n'
+    'options = { build = "", current_limit = 100 } # build: "full" or "lite"; [mA]',
 }
 """How the device of a hand is told to begin, weak and slow."""
 
