@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import fields
-from typing import Any
+from typing import Any, get_origin, get_type_hints
 
 import numpy as np
 
@@ -218,6 +218,15 @@ def _stream(cell: RobotCell) -> PoseSource:
     return PoseStream(cell.tracker.address, **options, pose_world_camera=camera)
 
 
+OPTION_TYPES: dict[type, tuple[tuple[type, ...], str]] = {
+    float: ((int, float), "a number"),
+    int: ((int,), "a whole number"),
+    str: ((str,), "a text"),
+    tuple: ((list, tuple), "a list of numbers"),
+}
+"""What a cell's file says for a field of a driver's settings, by the field's type."""
+
+
 def _settings(kind: type, device: DeviceSettings, address: str = "address", **more: str) -> Any:
     """Settings of a driver from the address and the options of a cell.
 
@@ -230,13 +239,16 @@ def _settings(kind: type, device: DeviceSettings, address: str = "address", **mo
     given: dict[str, Any] = {address: device.address, **more, **device.options}
     given = {name: value for name, value in given.items() if value != ""}
     known = [f.name for f in fields(kind)]
-    for name in given:
+    hints = get_type_hints(kind)
+    for name, value in given.items():
         if name not in known:
             raise UnknownNameError(f"option of the driver {device.driver}", name, known)
-    try:
-        return kind(**given)
-    except TypeError as error:
-        raise FungraspError(f"options of the driver {device.driver} make no sense: {error}") from error
+        allowed, words = OPTION_TYPES[get_origin(hints[name]) or hints[name]]
+        numbers = value if isinstance(value, list | tuple) else ()
+        fits = isinstance(value, allowed) and all(isinstance(v, int | float) for v in numbers)
+        if not fits or isinstance(value, bool):
+            raise FungraspError(f"the option '{name}' must be {words}, not {value!r}")
+    return kind(**{name: tuple(v) if isinstance(v, list) else v for name, v in given.items()})
 
 
 ARM_DRIVERS = DriverRegistry("arm", "fungrasp.arm_drivers", {"ur-rtde": _ur}, TWIN, JointDriver)

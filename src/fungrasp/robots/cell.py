@@ -13,6 +13,7 @@ from fungrasp.errors import FungraspError, UnknownNameError
 from fungrasp.formats.guarded import guarded
 from fungrasp.formats.toml_file import read_toml
 from fungrasp.hands.arm import Mount, arm_files
+from fungrasp.robots.cell_units import obstacle_faults, unit_faults
 
 Vector = tuple[float, ...]
 """Numbers as a TOML file gives them."""
@@ -249,7 +250,7 @@ def is_wired(cell: RobotCell) -> bool:
 
 def cell_faults(cell: RobotCell) -> list[str]:
     """What can't be in a cell, one phrase each."""
-    faults = []
+    faults = unit_faults(cell)
     for section in (cell.limits, cell.watchdog):
         for f in fields(section):
             value = getattr(section, f.name)
@@ -326,7 +327,7 @@ def cell_faults(cell: RobotCell) -> list[str]:
         faults.append(f"'guard' must be \"on\" or \"off\", not '{cell.guard}'")
     if cell.watchdog.late_tick >= cell.watchdog.overrun:
         faults.append("'watchdog.overrun' must be greater than 'watchdog.late_tick'")
-    return faults
+    return faults or obstacle_faults(cell)
 
 
 def _build(kind: type, tree: Mapping[str, Any], path: str, where: str) -> Any:

@@ -54,12 +54,13 @@ class DriverRegistry:
                 f"'{self.what}.driver': '{name}' is brought by several packages, {self.known()[name]}: "
                 "uninstall all but one"
             )
-        if name in self.own:
-            return self.own[name](cell)
-        if not entries:
+        if name not in self.own and not entries:
             error = UnknownNameError("driver", name, self.known())
             raise FungraspError(f"'{self.what}.driver': {error}")
-        return self._make_of_others(entries[0], cell)
+        try:
+            return self.own[name](cell) if name in self.own else self._make_of_others(entries[0], cell)
+        except FungraspError as error:
+            raise FungraspError(f"[{self.what}] {error}") from error
 
     def _make_of_others(self, entry: EntryPoint, cell: RobotCell) -> Any:
         origin = f"the driver '{entry.name}' of the package {_distribution(entry)}"
