@@ -56,7 +56,7 @@ class ControlBench:
         )
         self.grasp = grasp
         self.prepared: PreparedGrasp = replace(prepared, corners=(prepared.reach.start,))
-        self.cell = _private(cell, patience)
+        self.cell = private_cell(cell, patience)
         self.arm_plant = ServoPlant(prepared.reach.start)
         fingers = prepared.start_fingers
         torque = cell.hand_device.driver == "allegro-can"
@@ -93,8 +93,16 @@ class ControlBench:
         return not isinstance(self.hand, AllegroEmulator) or self.hand.servos_on
 
 
-def _private(cell: RobotCell, patience: float) -> RobotCell:
-    """The cell with addresses that no other process has, and its limits of silence times ``patience``."""
+def private_cell(cell: RobotCell, patience: float) -> RobotCell:
+    """The cell with addresses that no other process has.
+
+    Args:
+        cell: of a UR arm with an Allegro or an Inspire hand.
+        patience: times the usual limits of silence.
+
+    Raises:
+        FungraspError: the cell can't be emulated.
+    """
     number = os.getpid()
 
     def patient(device: DeviceSettings, address: str) -> Any:

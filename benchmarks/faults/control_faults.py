@@ -3,20 +3,17 @@ each spoiled at a random moment."""
 
 from __future__ import annotations
 
-import contextlib
-import multiprocessing
-import os
 import signal
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, Self
 
 import numpy as np
 
 from benchmarks.faults.control_bench import ControlBench
+from benchmarks.faults.control_process import ControlProcess
 from benchmarks.faults.control_session import INSIDE, ControlFault, ControlSession, run_session
 from benchmarks.faults.reaction_times import ReactionTrial, motion_after
 from fungrasp.deployment.log import read_log
@@ -87,48 +84,25 @@ class _Watched:
     let_go: dict[str, float | None]
 
 
-class _Session:
-    """One process of control and what it says; a context manager that leaves none of its processes."""
+class _Session(ControlProcess):
+    """One process of control and what it says."""
 
     def __init__(self, bench: ControlBench, fault: ControlFault | None, log: Path, after: float):
         self._bench, self._log, self._after = bench, log, after
         inside = fault if fault in INSIDE else None
         session = ControlSession(bench.cell, bench.grasp, bench.prepared, log, inside, after)
-        # A server that has imported everything forks the sessions: each begins at once, without the threads
-        # of the emulators in this process.
-        context = multiprocessing.get_context("forkserver")
-        context.set_forkserver_preload(["benchmarks.faults.control_session", "mink"])
-        self._pipe, other = context.Pipe()
-        self._process = context.Process(target=run_session, args=(session, other), daemon=False)
-        self._process.start()
-        other.close()
-        self._drivers: tuple[int | None, ...] = ()
-        self._heard: dict[str, tuple[Any, ...]] = {}
+        super().__init__(run_session, session)
         self.said = ""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self._kill(self._process.pid)
-        self._process.join()
-        self._pipe.close()
-        # Drivers end by themselves when their input ends; those of a killed computer have been killed.
-        deadline = time.monotonic() + 10.0
-        while any(map(_alive, self._drivers)) and time.monotonic() < deadline:
-            time.sleep(0.01)
-        for process in self._drivers:
-            self._kill(process)
 
     def begins(self) -> bool:
         """Wait until it moves; whether it does."""
         deadline = time.monotonic() + BEGIN_TIMEOUT
-        while time.monotonic() < deadline and "moving" not in self._heard:
-            self._listen(0.05)
-            if "ended" in self._heard or not self._process.is_alive():
+        while time.monotonic() < deadline and "moving" not in self.heard:
+            self.listen(0.05)
+            if "ended" in self.heard or not self.alive:
                 break
-        self.said = str(self._heard["ended"][1]) if "ended" in self._heard else "it did not begin"
-        return "moving" in self._heard
+        self.said = str(self.heard["ended"][1]) if "ended" in self.heard else "it did not begin"
+        return "moving" in self.heard
 
     def spoiled(self, fault: ControlFault) -> list[ReactionTrial]:
         """Let the fault come; what arm and hand do."""
@@ -136,11 +110,11 @@ class _Session:
         if when is None:
             return [_false_alarm(self.said)]
         seen = self._watch(when)
-        self._listen(0.0)
-        ended = self._heard.get("ended")
+        self.listen(0.0)
+        ended = self.heard.get("ended")
         reacted = None if ended is None or not np.isfinite(ended[2]) else float(ended[2]) - when
         # Those that are stopped say nothing more.
-        self._kill(self._process.pid)
+        self.signal(signal.SIGKILL)
         readable = _readable(self._log, when)
         what = "" if ended is None else str(ended[1])
         rows = []
@@ -165,32 +139,26 @@ class _Session:
         """When the fault came [s]; None where the session ended before."""
         if fault in INSIDE:
             deadline = time.monotonic() + 30.0
-            while "fault" not in self._heard and time.monotonic() < deadline:
-                self._listen(0.02)
-                if "ended" in self._heard and "fault" not in self._heard:
+            while "fault" not in self.heard and time.monotonic() < deadline:
+                self.listen(0.02)
+                if "ended" in self.heard and "fault" not in self.heard:
                     break
-            return self._heard["fault"][0] if "fault" in self._heard else self._ended_early()
-        while time.monotonic() < self._heard["moving"][0] + self._after:
-            self._listen(0.01)
-        if "ended" in self._heard or not _alive(self._pid):
+            return self.heard["fault"][0] if "fault" in self.heard else self._ended_early()
+        while time.monotonic() < self.heard["moving"][0] + self._after:
+            self.listen(0.01)
+        if "ended" in self.heard or not self.alive:
             # Its last words may still be on their way.
-            self._listen(0.1)
+            self.listen(0.1)
             return self._ended_early()
         when = time.monotonic()
         if fault is ControlFault.ALL_KILLED:
             # They first: as the control process ends, each would switch its device off.
-            for process in self._drivers:
-                self._kill(process)
-        self._kill(self._pid, signal.SIGSTOP if fault is ControlFault.HUNG else signal.SIGKILL)
+            self.kill_drivers()
+        self.signal(signal.SIGSTOP if fault is ControlFault.HUNG else signal.SIGKILL)
         return when
 
-    @property
-    def _pid(self) -> int:
-        assert self._process.pid is not None
-        return self._process.pid
-
     def _ended_early(self) -> None:
-        self.said = f"false alarm, {self._heard['ended'][1]}" if "ended" in self._heard else "no fault came"
+        self.said = f"false alarm, {self.heard['ended'][1]}" if "ended" in self.heard else "no fault came"
 
     def _watch(self, since: float) -> _Watched:
         bench = self._bench
@@ -206,33 +174,6 @@ class _Session:
                     let_go[name] = time.monotonic() - since
             time.sleep(SAMPLE)
         return _Watched(np.array(times), {name: np.array(rows) for name, rows in joints.items()}, let_go)
-
-    def _listen(self, timeout: float) -> None:
-        try:
-            while self._pipe.poll(timeout):
-                what, *values = self._pipe.recv()
-                self._heard[what] = tuple(values)
-                if what == "drivers":
-                    self._drivers = values[0]
-                timeout = 0.0
-        except (EOFError, OSError):
-            # It was killed.
-            time.sleep(timeout)
-
-    def _kill(self, process: int | None, how: signal.Signals = signal.SIGKILL) -> None:
-        # On a busy machine one may end by itself meanwhile.
-        with contextlib.suppress(ProcessLookupError):
-            if process is not None and _alive(process):
-                os.kill(process, how)
-
-
-def _alive(process: int | None) -> bool:
-    """Whether a process runs; one that has ended and was not waited for does not."""
-    try:
-        stat = Path(f"/proc/{process}/stat").read_text()
-    except OSError:
-        return False
-    return stat.rpartition(")")[2].split()[0] not in ("Z", "X")
 
 
 def _readable(log: Path, when: float) -> bool:

@@ -92,7 +92,7 @@ def run_session(session: ControlSession, pipe: Connection) -> None:
     wrong, reacted = "", np.nan
     try:
         with McapLog(session.log) as log, wired_robot(cell, hand) as robot:
-            pipe.send(("drivers", (_process(robot.arm), _process(robot.hand_driver))))
+            pipe.send(("drivers", (driver_process(robot.arm), driver_process(robot.hand_driver))))
             policy = _Sway(session, pipe)
             preparer = _Prepared(session.prepared)
             settings = DeploymentSettings(look_time=0.2, put_down=False)
@@ -104,7 +104,8 @@ def run_session(session: ControlSession, pipe: Connection) -> None:
     pipe.send(("ended", time.monotonic(), wrong, reacted))
 
 
-def _process(driver: JointDriver) -> int | None:
+def driver_process(driver: JointDriver) -> int | None:
+    """The process of a driver; None where it has none of its own."""
     return driver.process_id if isinstance(driver, LoopDriver) else None
 
 

@@ -129,11 +129,12 @@ class Deployment:
             raise
         except OSError as error:
             self._fail(f"the log can't be written: {error.strerror or error}", StopKind.HOLD)
+        except KeyboardInterrupt as error:
+            self._fail(f"interrupted ({str(error) or 'Ctrl-C'})", StopKind.HOLD)
         except BaseException as error:
-            # Interrupted by the keyboard, or a mistake of ours: the robot stops before anybody hears of it.
+            # A mistake of ours: the robot stops before anybody hears of it.
             self._fail(f"{type(error).__name__}: {error}", StopKind.HOLD)
-            if not isinstance(error, KeyboardInterrupt):
-                raise
+            raise
         return DeploymentResult(
             self.machine.phase,
             self.machine.fault,
@@ -250,9 +251,7 @@ class Deployment:
             if step:
                 state = robot.state()
             if state.time - start < closing:
-                problem = check_pose(state.tracked, self._object_pose, state.time, robot.cell)
-                if problem:
-                    raise SafetyStop(problem, StopKind.HOLD)
+                self._check_object(state)
             observation = robot.observation(state)
             if judge is not None:
                 judge.watch(observation)
@@ -347,6 +346,15 @@ class Deployment:
         """After each setpoint."""
         self.log.setpoint(self.machine.phase, state, command)
         self._on_setpoint(self.machine.phase, command)
+        if self.machine.phase is Phase.MOVE_TO_START:
+            # The way is clear of the object where it stood.
+            self._check_object(state)
+
+    def _check_object(self, state: RobotState) -> None:
+        """Raises: SafetyStop: the object is not seen where it was planned for."""
+        problem = check_pose(state.tracked, self._object_pose, state.time, self.robot.cell)
+        if problem:
+            raise SafetyStop(problem, StopKind.HOLD)
 
 
 class _RobotAttempts:

@@ -42,7 +42,8 @@ PAYLOAD_TOLERANCE, PAYLOAD_CENTER_TOLERANCE = 0.1, 0.01
 PLAYING = 2
 EMERGENCY_BITS = 1 << 5 | 1 << 6 | 1 << 7
 PROTECTIVE_BIT = 1 << 2
-SAFETY_FAULT_BITS = 1 << 3 | 1 << 4 | 1 << 8 | 1 << 9 | 1 << 10
+SAFEGUARD_BIT = 1 << 4
+SAFETY_FAULT_BITS = 1 << 3 | 1 << 8 | 1 << 9 | 1 << 10
 JOINTS = 6
 POLL_SLACK = 2e-3
 """By how much the client library's two receiving threads may oversleep [s]: they look for data every 0.1 ms,
@@ -344,6 +345,9 @@ class URLoop:
             status, message = DeviceStatus.EMERGENCY_STOP, "emergency stop: release it, then connect again"
         elif safety & PROTECTIVE_BIT:
             status, message = DeviceStatus.PROTECTIVE_STOP, "protective stop: acknowledge it on the pendant"
+        elif safety & SAFEGUARD_BIT:
+            # The controller resumes by itself as the guard is closed; we don't.
+            status, message = DeviceStatus.FAULT, "safeguard stop: close the guard, then connect again"
         elif safety & SAFETY_FAULT_BITS:
             status, message = DeviceStatus.FAULT, f"safety status {safety:#x}: look at the pendant"
         elif self._taken and not running:

@@ -31,6 +31,8 @@ class Fault(StrEnum):
     """The device stops by itself and waits for a person."""
     EMERGENCY_STOP = "emergency stop"
     """Its emergency stop is pressed."""
+    SAFEGUARD_STOP = "safeguard stop"
+    """A guard, such as the door of a cell, is open: it pauses until that is closed."""
     POWER_LOSS = "power loss"
     """Motors without power; the electronics may answer or not, as on the real device."""
     WRONG_DEVICE = "wrong device"

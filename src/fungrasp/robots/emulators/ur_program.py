@@ -39,6 +39,8 @@ class ServoProgram:
         """Of ``servoj`` [rad], shape [6]; None where there is none."""
         self.slider = 1.0
         """Speed slider of the pendant, 0 to 1: a ``servoj`` takes as much longer."""
+        self.paused = False
+        """Whether its servo commands are left out, as while a guard is open."""
         self._servo_ends = 0.0
         self._executing = False
         self._registers: dict[str, Any] = {}
@@ -53,6 +55,12 @@ class ServoProgram:
         """End it; the joints stay where they are."""
         if self.running:
             self.running, self._watchdog = False, 0.0
+            self._stop_servo()
+
+    def pause(self) -> None:
+        """The joints stay where they are until ``paused`` is false again."""
+        if not self.paused:
+            self.paused = True
             self._stop_servo()
 
     def take(self, registers: Mapping[str, Any]) -> None:
@@ -80,7 +88,7 @@ class ServoProgram:
             now = time.monotonic()
             # One that comes while the last one is being carried out is left out. At full speed none is: the
             # client's timing is not ours.
-            if self.slider == 1.0 or now >= self._servo_ends:
+            if not self.paused and (self.slider == 1.0 or now >= self._servo_ends):
                 self._servo_ends = now + float(self._registers[SERVO_TIME]) / max(self.slider, 0.01)
                 self.goal = np.array([self._registers[f"input_double_register_{i}"] for i in range(6)])
                 self._plant.apply(PlantCommand(positions=self.goal), now)

@@ -37,6 +37,7 @@ class SafetyBit(IntEnum):
 
     NORMAL = 0
     PROTECTIVE_STOP = 2
+    SAFEGUARD_STOP = 4
     ROBOT_EMERGENCY_STOP = 6
     EMERGENCY_STOP = 7
     STOPPED = 10
@@ -56,6 +57,7 @@ class URControllerEmulator(Emulator):
             Fault.CORRUPT,
             Fault.PROTECTIVE_STOP,
             Fault.EMERGENCY_STOP,
+            Fault.SAFEGUARD_STOP,
             Fault.WRONG_DEVICE,
             Fault.FROZEN,
             Fault.CLOCK_JUMP,
@@ -178,6 +180,10 @@ class URControllerEmulator(Emulator):
             self._active = self._active - {Fault.RESET}
         if self.shows(Fault.PROTECTIVE_STOP) or self.shows(Fault.EMERGENCY_STOP):
             self._program.stop()
+        if self.shows(Fault.SAFEGUARD_STOP):
+            self._program.pause()
+        else:
+            self._program.paused = False
 
     def _greet(self, client: URClient) -> None:
         if client.kind == DASHBOARD_PORT:
@@ -269,6 +275,8 @@ class URControllerEmulator(Emulator):
         bits = {SafetyBit.NORMAL}
         if self.shows(Fault.PROTECTIVE_STOP):
             bits = {SafetyBit.PROTECTIVE_STOP, SafetyBit.STOPPED}
+        if self.shows(Fault.SAFEGUARD_STOP):
+            bits = {SafetyBit.SAFEGUARD_STOP, SafetyBit.STOPPED}
         if self.shows(Fault.EMERGENCY_STOP):
             bits = {SafetyBit.ROBOT_EMERGENCY_STOP, SafetyBit.EMERGENCY_STOP, SafetyBit.STOPPED}
         return sum(1 << bit for bit in bits)
@@ -309,6 +317,8 @@ class URControllerEmulator(Emulator):
     def _safety_status(self) -> str:
         if self.shows(Fault.EMERGENCY_STOP):
             return "ROBOT_EMERGENCY_STOP"
+        if self.shows(Fault.SAFEGUARD_STOP):
+            return "SAFEGUARD_STOP"
         return "PROTECTIVE_STOP" if self.shows(Fault.PROTECTIVE_STOP) else "NORMAL"
 
     def _stopped_by_dashboard(self) -> str:

@@ -1,0 +1,1 @@
+"""Series of faults over every phase of a deployment."""
