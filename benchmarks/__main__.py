@@ -9,6 +9,7 @@ BENCHMARKS = {
     "perception": "perceived hands and objects against the truth: rendered, varied and recorded captures",
     "wire": "deployments on twins over emulated wires, on the clock of the wall",
     "faults": "how drivers and the control computer react to faults of emulated devices",
+    "fault_series": "faults of all kinds in every phase of deployments on twins and over emulated wires",
     "identification": "fitted joint dynamics against known ones",
     "paper": "the free policies of all hands, and the paper's tables",
     "cold_start": "a newcomer's first commands, from nothing",

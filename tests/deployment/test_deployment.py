@@ -162,6 +162,22 @@ def test_a_tracker_that_fails_before_the_hand_closes_stops_the_arm(spoil: Any, s
     assert "lift" not in result.times
 
 
+def test_an_object_that_is_moved_while_the_arm_goes_to_the_start_stops_it() -> None:
+    def carry_away(world: Any) -> None:
+        original = world._track
+
+        def track() -> None:
+            original()
+            if world.time > 2.0 and world._frames:
+                world._frames[-1].pose_world_object[0] += 0.1
+
+        world._track = track
+
+    result = deploy(cell=cell_and_hand()[0], prepare_world=carry_away).result
+    assert "the tracked object has jumped" in result.fault
+    assert result.times["fault"] < 2.5 and "grasp" not in result.times
+
+
 @pytest.mark.parametrize(
     ("change", "said"),
     [

@@ -38,6 +38,14 @@ ENDINGS = {
     "full disk": None,
     "stay": None,
 }
+REASONS = {
+    "fault": "not finite",
+    "Ctrl-C": "interrupted (Ctrl-C)",
+    "kill": "interrupted (SIGTERM)",
+    "a terminal that is closed": "interrupted (SIGHUP)",
+    "full disk": "the log can't be written: No space left on device",
+    "stay": "",
+}
 
 
 class Ending(OpenLoopPolicy):
@@ -108,6 +116,7 @@ def test_the_object_stays_held_until_a_person_says_otherwise(name: str, world: T
     try:
         result = deploy_on_robot(task, settings=settings, hold=hold, log=log)
         assert result.phase is (Phase.DONE if name == "stay" else Phase.FAULT)
+        assert REASONS[name] in result.fault
     except IndexError:
         assert name == "a mistake of ours"
     assert len(heights) == 2, "nobody was asked"

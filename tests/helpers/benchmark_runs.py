@@ -9,6 +9,7 @@ from fungrasp.cli.main import run_command
 
 MODULES = {
     "engines": "simulation",
+    "fault_series": "series",
     "faults": "devices",
     "identification": "comparison",
     "paper": "commands",

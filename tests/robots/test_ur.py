@@ -116,6 +116,24 @@ def test_a_safety_stop_latches_until_a_person_has_acknowledged_it(fault: Fault):
         reach(device, device.near)
 
 
+def test_a_guard_that_opens_is_named_and_its_closing_moves_nothing():
+    with emulated() as device:
+        device.driver.connect()
+        reach(device, device.near)
+        device.emulator.inject(Fault.SAFEGUARD_STOP)
+        assert wait_for(lambda: "safeguard stop: close the guard" in device.driver.read().message)
+        time.sleep(0.2)
+        stood = device.driver.read().positions
+        # The controller itself would go on.
+        device.emulator.clear()
+        time.sleep(0.3)
+        assert "safeguard stop" in device.driver.read().message
+        assert np.abs(device.driver.read().positions - stood).max() < 1e-3
+        device.driver.connect()
+        device.driver.take_control()
+        reach(device, device.near)
+
+
 def test_a_protective_stop_before_connecting_is_named():
     with emulated() as device:
         device.emulator.inject(Fault.PROTECTIVE_STOP)
