@@ -138,6 +138,12 @@ def test_selecting_grasps(tmp_path, capsys, robot_grasps):
     assert "Did you mean 'other'?" in out
     _, out = run(capsys, "select", "builtin", "--objects", "mug", "--out", tmp_path / "m.npz")
     assert set(load_human_grasps(tmp_path / "m.npz").object_name) == {"mug"}
+    _, out = run(capsys, "select", "builtin", "--rows", "0::3", "1", "--out", tmp_path / "m.npz")
+    assert out.endswith("41 of 120 grasps\n")
+    first = builtin_grasps().select([0, 1, 3])
+    np.testing.assert_array_equal(load_grasps(tmp_path / "m.npz").hand_joints[:3], first.hand_joints)
+    for rows in ("120", "3-5", "0:9:0"):
+        assert "--rows" in run(capsys, "select", "builtin", "--rows", rows, "--out", tmp_path / "s")[1]
     assert (
         "none of" in run(capsys, "select", tmp_path / "r.npz", "--at-most", "0", "--out", tmp_path / "s")[1]
     )

@@ -16,6 +16,7 @@ from fungrasp.cli.main import main
 from fungrasp.errors import FungraspError
 from fungrasp.hands import Hand, load_hand
 from fungrasp.hands.adding.add_hand import Answers, add_hand
+from fungrasp.hands.adding.couplings import GivenCoupling
 from fungrasp.hands.adding.shape_fitting import Box, Capsule, fit_boxes, fit_capsule, mesh_points
 from fungrasp.hands.checking.hand_checks import check_hand_files
 from fungrasp.hands.collision_spheres import self_collision_depth
@@ -98,10 +99,10 @@ def test_couplings_are_kept(tmp_path: Path, coupled: str, slope: float, constant
 
 
 def test_coupling_by_option(tmp_path: Path):
-    hand, _ = added(tmp_path, odd_hand(), couplings=(("a3_j", 0.9, "a2_j"),))
+    hand, _ = added(tmp_path, odd_hand(), couplings=(GivenCoupling("a3_j", 0.9, "a2_j"),))
     assert "a3_j" not in hand.actuators
     with pytest.raises(FungraspError, match="--couple: unknown joint"):
-        added(tmp_path, odd_hand(), couplings=(("a3_k", 0.9, "a2_j"),))
+        added(tmp_path, odd_hand(), couplings=(GivenCoupling("a3_k", 0.9, "a2_j"),))
 
 
 def test_mirrored_file_gives_the_mirrored_hand(tmp_path: Path):

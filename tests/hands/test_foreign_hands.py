@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 from odd_hands import odd_hand
 
+from fungrasp.errors import FungraspError
 from fungrasp.geometry.poses import compose, invert
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand, load_hand
-from fungrasp.hands.adding.add_hand import Answers, add_hand
+from fungrasp.hands.adding.add_hand import Answers, add_hand, parse_couplings
 from fungrasp.hands.checking.hand_checks import check_hand_files
 from fungrasp.objects import load_object
 from fungrasp.task.protocol import LiftProtocol
@@ -121,3 +122,73 @@ def test_a_link_called_world_may_be_the_palm(tmp_path: Path):
     hand, said = added(tmp_path, f'<robot name="h">{"".join(parts)}</robot>', ".urdf", side="right")
     assert hand.palm == "palm" and len(hand.fingers) == 3
     assert any("3 fingers stand on the link 'world'" in message for message in said)
+
+
+def renamed(text: str, prefix: str) -> str:
+    """All names with a prefix, references too."""
+    return re.sub(r'((?:name|joint1|joint2)=")', rf"\g<1>{prefix}", text)
+
+
+def middle_thumb(prefix: str) -> str:
+    """Two fingers and a thumb that stands between them."""
+    text = renamed(odd_hand(fingers=2), prefix).replace('pos="0.015 0.04 0.03"', 'pos="0.015 0.0235 0.03"')
+    return re.sub(r'xyaxes="[^"]*"', 'xyaxes="0.7 0 -0.7 0 1 0"', text)
+
+
+def test_the_side_is_that_of_the_names_below_the_palm(tmp_path: Path):
+    """A robot with two hands, more of whose bodies are called right."""
+    left = middle_thumb("left_").split("<worldbody>")[1].split("</worldbody>")[0]
+    right = renamed(odd_hand(arm=True), "right_").split("<worldbody>")[1]
+    head = odd_hand().split("<worldbody>")[0]
+    hand, said = added(tmp_path, f"{head}<worldbody>{left}{right}", palm="left_p")
+    assert hand.side == "left"
+    assert any("taken as a left hand, as its names say" in message for message in said)
+    # On a left hand the first finger lies on the other side.
+    assert hand.fingers["index"].links[0] == "left_b1"
+
+
+def test_a_side_that_contradicts_the_hand_is_doubted(tmp_path: Path):
+    hand, said = added(tmp_path, odd_hand(left=True), side="right")
+    assert hand.side == "right"
+    assert any("stands where that of a left hand does; --side right is taken" in message for message in said)
+    _, said = added(tmp_path, middle_thumb("left_"), side="right")
+    assert any("the names say left hand; --side right is taken" in message for message in said)
+    _, said = added(tmp_path, odd_hand(left=True), side="left")
+    assert not any("--side" in message for message in said)
+
+
+def with_torques(torques: dict[str, float]) -> str:
+    limits = "".join(
+        f'<motor joint="{joint}" forcelimited="true" forcerange="-{torque} {torque}"/>'
+        for joint, torque in torques.items()
+    )
+    return odd_hand().replace("</mujoco>", f"<actuator>{limits}</actuator></mujoco>")
+
+
+def test_torque_limits_are_judged_by_the_hand(tmp_path: Path):
+    """A strong thumb is believed in a hand whose other limits are sound; a slip of a factor of 100 is not."""
+    sound = {f"{letter}{i}_j": 0.5 for letter in "abcdz" for i in (1, 2)}
+    hand, said = added(tmp_path, with_torques(sound | {"z1_j": 3.3}))
+    assert hand.actuators["z1_j"].force_limit == pytest.approx(3.3)
+    hand, said = added(tmp_path, with_torques(sound | {"z1_j": 60.0}))
+    assert hand.actuators["z1_j"].force_limit < 2
+    assert any(re.search(r"changed \[N m\]: z1_j 60 to 0\.\d+;", message) for message in said)
+    hand, said = added(tmp_path, with_torques(dict.fromkeys(sound, 30.0)))
+    assert hand.actuators["a1_j"].force_limit < 2
+    assert any("those of fingers are changed" in message and "and 4 more" in message for message in said)
+
+
+def test_a_coupling_may_have_an_offset(tmp_path: Path):
+    (given,) = parse_couplings(("a3_j=0.3+1.1*a2_j",))
+    hand, said = added(tmp_path, odd_hand(), couplings=(given,))
+    matrix, offset = hand.coupling
+    row, column = hand.joint_names.index("a3_j"), list(hand.actuators).index("a2_j")
+    assert matrix[row, column] == pytest.approx(1.1) and offset[row] == pytest.approx(0.3)
+    # The driver turns as far as the one that it drives keeps its limits, -0.1 to 1.5.
+    low, high = hand.joint_limits[hand.joint_names.index("a2_j")]
+    assert low == pytest.approx(-0.1) and high == pytest.approx((1.5 - 0.3) / 1.1)
+    assert any("a2_j -0.10 to 1.09, not -0.10 to 1.50" in message for message in said)
+    assert parse_couplings(("j-2=1.0*j-1+3",)) == (("j-2", 1.0, "j-1+3", 0.0),)
+    assert parse_couplings(("m = -0.7 - 1e-1*p",)) == (("m", -0.1, "p", -0.7),)
+    with pytest.raises(FungraspError, match=r"OFFSET\+SLOPE\*DRIVER"):
+        parse_couplings(("a=0.5+b",))

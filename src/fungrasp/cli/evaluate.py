@@ -25,6 +25,9 @@ class Evaluate:
     hand: str | None = None
     """Name of a hand, or the path of a hand's TOML file: that of robot grasps, and allegro for human ones, by
     default."""
+    mirror: bool = False
+    """Mirror human grasps and their objects first: those of right hands for a left hand, or the other way
+    round."""
     hand_dynamics: Path | None = None
     """Identified dynamics of the hand (`fungrasp identify fit`); the model's if not given."""
     policy: str = "reference"
@@ -93,7 +96,7 @@ class Evaluate:
 
         from fungrasp.errors import FungraspError
         from fungrasp.evaluation import compare_methods, evaluate
-        from fungrasp.grasps import RobotGraspSet, load_grasps, load_objects
+        from fungrasp.grasps import RobotGraspSet, load_grasps, load_objects, mirrored_grasps
         from fungrasp.jobs import PartStore
         from fungrasp.report.grasp_pictures import draw_grasps
         from fungrasp.retargeting import RetargetSpec, method_name, retarget
@@ -109,6 +112,10 @@ class Evaluate:
         methods = tuple(map(method_name, self.method))
         if given is not None and methods != (RetargetSpec.method,):
             raise FungraspError(f"--method {' '.join(self.method)}: {self.grasps} holds robot grasps already")
+        if self.mirror:
+            if isinstance(grasps, RobotGraspSet):
+                raise FungraspError(f"--mirror: {self.grasps} holds robot grasps; give it to 'retarget'")
+            grasps = mirrored_grasps(grasps)
         objects = load_objects(grasps, self.objects)
         robot, human = given, None if isinstance(grasps, RobotGraspSet) else grasps
         if human is not None and len(methods) == 1:

@@ -12,6 +12,8 @@ import tyro
 from fungrasp.cli.console import table, write_human_grasps
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from fungrasp.grasps import HumanGrasp, RobotGrasp
     from fungrasp.objects import ObjectModel
 
@@ -177,7 +179,7 @@ class CheckGrasps:
         if joints is None or joints.dtype.kind != "f" or joints.ndim != 3 or joints.shape[1:] != (21, 3):
             human_grasps_from_fields(fields, self.file)
             raise FungraspError(f"{self.file} holds no human grasps")
-        remarks = hand_remarks(joints.astype(float))
+        remarks = hand_remarks(joints.astype(float), fields.get("object_name"))
         options = " ".join(dict.fromkeys(remark.remedy for remark in remarks if remark.remedy))
         if not remarks:
             remarks += table_remarks(joints.astype(float))
@@ -228,7 +230,7 @@ class ConvertGrasps:
 
 @dataclass(frozen=True)
 class SelectGrasps:
-    """Write some of the grasps of a file to another: of some objects or tasks, or the best."""
+    """Write some of the grasps of a file to another: of some objects or tasks, some rows, or the best."""
 
     file: GraspFile
     """A file of human or robot grasps, or "builtin"."""
@@ -238,6 +240,9 @@ class SelectGrasps:
     """Only grasps of these objects."""
     tasks: tuple[str, ...] = ()
     """Only grasps for these tasks."""
+    rows: tuple[str, ...] = ()
+    """Only these rows of the file, from 0: numbers, FIRST:END or FIRST:END:STEP as in Python (0::3 is every
+    third)."""
     by: str = "force_closure_residual"
     """The number by which robot grasps are compared, one of those that 'fungrasp grasps show' prints."""
     best: float | None = None
@@ -260,6 +265,8 @@ class SelectGrasps:
                     raise UnknownNameError("object or task", name, set(names.tolist()))
             if wanted:
                 kept &= np.isin(names, wanted)
+        if self.rows:
+            kept &= _rows(self.rows, len(grasps))
         if self.best is not None or self.at_most is not None:
             if not isinstance(grasps, RobotGraspSet):
                 raise FungraspError("only robot grasps carry numbers to compare: give the file of 'retarget'")
@@ -291,6 +298,25 @@ COMMAND = {
     "import": ImportGrasps,
     "make": "fungrasp.cli.make_grasps:MakeGrasps",
 }
+
+
+def _rows(entries: tuple[str, ...], count: int) -> np.ndarray:
+    """Which of ``count`` rows some numbers and slices name, shape [count] bool."""
+    import re
+
+    import numpy as np
+
+    from fungrasp.errors import FungraspError
+
+    chosen = np.zeros(count, dtype=bool)
+    for entry in entries:
+        if not re.fullmatch(r"\d+|\d*:\d*(:[1-9]\d*)?", entry):
+            raise FungraspError(f"--rows takes numbers or FIRST:END:STEP, as in 0:120:3, not '{entry}'")
+        parts = [int(part) if part else None for part in entry.split(":")]
+        if len(parts) == 1 and int(entry) >= count:
+            raise FungraspError(f"--rows {entry}: the file holds rows 0 to {count - 1}")
+        chosen[int(entry) if len(parts) == 1 else slice(*parts)] = True
+    return chosen
 
 
 def _known_objects(fields: Mapping[str, Any], folder: Path | None) -> dict[str, ObjectModel]:

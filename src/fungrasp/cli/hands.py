@@ -143,13 +143,14 @@ class AddHand:
     normal: tuple[float, float, float] | None = None
     """Direction out of the palm towards a held object, in the frame of the palm body."""
     couple: tuple[str, ...] = ()
-    """Joints that move together, as JOINT=SLOPE*DRIVER."""
+    """Joints that move together, as JOINT=SLOPE*DRIVER or JOINT=OFFSET+SLOPE*DRIVER, angles in radians."""
     radius: float | None = None
     """Of fingers whose shapes are missing [m]."""
     force: bool = False
     """Overwrite the hand in the folder."""
 
     def run(self) -> None:
+        from fungrasp.hands import load_hand
         from fungrasp.hands.adding.add_hand import Answers, add_hand, parse_couplings, parse_fingers
         from fungrasp.hands.checking.hand_checks import check_hand_files
 
@@ -164,7 +165,10 @@ class AddHand:
         print(f"{path}: {_count(errors, 'error')}, {_count(warnings, 'warning')}")
         if errors:
             raise SystemExit(1)
-        print(f"next: fungrasp retarget --hand {path} --out {path.parent.name}.npz")
+        mirror = "--mirror " if load_hand(path).side == "left" else ""
+        grasps = f"{path.parent.name}.npz"
+        print(f"next: fungrasp retarget {mirror}--hand {path} --out {grasps}")
+        print(f"then: fungrasp evaluate --grasps {grasps} --hand {path}")
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ from fungrasp.grasps.anatomy import ADULT_BONES, joint_bends
 from fungrasp.grasps.human_hand import bone_lengths
 from fungrasp.grasps.joint_orders import ORDERS
 from fungrasp.objects import ObjectModel
+from fungrasp.objects.mirroring import MIRRORED
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 """Metres per unit."""
@@ -78,11 +79,13 @@ def rows_in_words(rows: np.ndarray, most: int = 6) -> str:
     return f"grasps {shown}" + (f" and {len(rows) - most} more" if len(rows) > most else "")
 
 
-def hand_remarks(hand_joints: np.ndarray) -> list[Remark]:
+def hand_remarks(hand_joints: np.ndarray, object_name: np.ndarray | None = None) -> list[Remark]:
     """Wrong units, another order of joints, left hands.
 
     Args:
         hand_joints: as a file has them, finite, shape [N, 21, 3].
+        object_name: shape [N]; left hands on objects that are mirror images are meant to be. None: no object
+            is one.
     """
     if not len(hand_joints):
         return []
@@ -106,6 +109,8 @@ def hand_remarks(hand_joints: np.ndarray) -> list[Remark]:
     known = np.flatnonzero(misfit.min(axis=0) < BONE_MISFIT)
     bends = joint_bends(joints[known])[0][:, :4].sum(axis=(1, 2))
     left = known[bends < -BENT]
+    if object_name is not None and object_name.shape == (len(joints),) and object_name.dtype.kind == "U":
+        left = left[~np.char.endswith(object_name[left], MIRRORED)]
     if len(left):
         words = "the fingers bend backwards: a left hand, or a mirrored frame"
         remarks.append(Remark(words, left, True, "--side left"))

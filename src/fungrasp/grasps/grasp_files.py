@@ -116,7 +116,8 @@ def _human(path: Path, arrays: Mapping[str, np.ndarray]) -> HumanGraspSet:
     readable = joints.ndim == 3 and joints.shape[1:] == (21, 3) and joints.dtype.kind == "f"
     if readable and path != BUILTIN_PATH and np.isfinite(joints).all():
         joints = joints.astype(np.float64)
-        for remark in refuse_or_list(hand_remarks(joints) + table_remarks(joints), len(joints), str(path)):
+        remarks = hand_remarks(joints, arrays.get("object_name")) + table_remarks(joints)
+        for remark in refuse_or_list(remarks, len(joints), str(path)):
             _log.warning("%s: %s", path, remark)
     return _build(path, HumanGraspSet, arrays, {})
 

@@ -13,12 +13,12 @@ import numpy as np
 from fungrasp.errors import FungraspError
 from fungrasp.files import atomic_path
 from fungrasp.formats.guarded import guarded
-from fungrasp.hands.adding.couplings import find_couplings
+from fungrasp.hands.adding.couplings import GivenCoupling, find_couplings
 from fungrasp.hands.adding.link_points import far_ends
 from fungrasp.hands.adding.link_shapes import HandShapes, hand_shapes
 from fungrasp.hands.adding.model_file import read_foreign
 from fungrasp.hands.adding.new_model import new_model
-from fungrasp.hands.adding.poses import Poses
+from fungrasp.hands.adding.poses import Poses, narrowed_ranges
 from fungrasp.hands.adding.servos import (
     FULL_TORQUE_ERROR,
     TIP_FORCE,
@@ -32,6 +32,8 @@ from fungrasp.hands.checking.kinematic_tree import body_name
 from fungrasp.hands.self_contained_mjcf import self_contained_xml
 
 __all__ = ["Answers", "add_hand"]
+
+NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 
 
 @guarded("hand's model")
@@ -73,6 +75,7 @@ def add_hand(
     findings = foreign.findings
     couplings = find_couplings(foreign.model, findings, answers.couplings)
     ends = far_ends(foreign)
+    findings += narrowed_ranges(foreign.model, couplings)
     structure = find_structure(foreign.model, couplings, ends, answers, findings)
     findings.append(_summary(structure, foreign.model))
     poses = Poses(foreign.model, couplings, structure.palm)
@@ -100,22 +103,28 @@ def parse_fingers(entries: tuple[str, ...]) -> Mapping[str, str]:
     return dict(entry.split("=", 1) for entry in entries)
 
 
-def parse_couplings(entries: tuple[str, ...]) -> tuple[tuple[str, float, str], ...]:
-    """``JOINT=SLOPE*DRIVER`` ... as joint, slope, driver.
+def parse_couplings(entries: tuple[str, ...]) -> tuple[GivenCoupling, ...]:
+    """``JOINT=SLOPE*DRIVER`` or ``JOINT=OFFSET+SLOPE*DRIVER`` ... [rad].
+
+    The offset comes first, as a joint's name may hold signs and digits.
 
     Raises:
         FungraspError: an entry of another form.
     """
     found = []
     for entry in entries:
-        match = re.fullmatch(r"([^=]+)=([-+.\deE]+)\*(.+)", entry)
-        try:
-            slope = float(match[2]) if match else np.nan
-        except ValueError:
-            slope = np.nan
-        if match is None or not np.isfinite(slope):
-            raise FungraspError(f"--couple takes JOINT=SLOPE*DRIVER, as in j2=1.0*j1, not '{entry}'")
-        found.append((match[1], slope, match[3]))
+        match = re.fullmatch(
+            rf"\s*([^=]+?)\s*=\s*({NUMBER}(?=\s*[-+]))?\s*([-+]?)\s*({NUMBER})\s*\*\s*(.+?)\s*", entry
+        )
+        if match is None:
+            raise FungraspError(
+                "--couple takes JOINT=SLOPE*DRIVER or JOINT=OFFSET+SLOPE*DRIVER, as in j2=1.0*j1 or "
+                f"j2=0.7+1.0*j1, not '{entry}'"
+            )
+        joint, offset, sign, slope, driver = match.groups()
+        found.append(
+            GivenCoupling(joint, float(slope) * (-1 if sign == "-" else 1), driver, float(offset or 0.0))
+        )
     return tuple(found)
 
 
@@ -174,7 +183,7 @@ def _toml(
         *common,
         "source = "
         + json.dumps(
-            f"torque limits: the file's where they are within a factor of about three of those that press "
+            f"torque limits: the file's where most are within a factor of about three of those that press "
             f"with {TIP_FORCE:g} N at a tip, else those; reached at {FULL_TORQUE_ERROR:g} rad from the target"
         ),
     ]

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -17,6 +18,19 @@ LEAST_ROOM = 0.1
 
 TIGHT_TENDON = 0.05
 """A fixed tendon whose length may vary by less is a rigid coupling [rad]."""
+
+
+class GivenCoupling(NamedTuple):
+    """``joint = offset + slope * driver``, as the user says it."""
+
+    joint: str
+    """Name of the joint that is driven."""
+    slope: float
+    """Change of the driven joint per change of the driver."""
+    driver: str
+    """Name of the joint that drives it."""
+    offset: float = 0.0
+    """Position of the driven joint where the driver is at zero [rad]."""
 
 
 @dataclass(frozen=True)
@@ -39,14 +53,14 @@ class Coupling:
 
 
 def find_couplings(
-    model: mujoco.MjModel, findings: list[Finding], given: tuple[tuple[str, float, str], ...] = ()
+    model: mujoco.MjModel, findings: list[Finding], given: Sequence[GivenCoupling] = ()
 ) -> list[Coupling]:
     """All linear couplings of a model, no joint driven twice and no loop.
 
     Args:
         model: any.
         findings: what is left out or assumed is added.
-        given: further couplings, joint, slope and driver, that come before the model's.
+        given: further couplings, that come before the model's.
 
     Raises:
         FungraspError: a given coupling names a joint that does not exist, or closes a loop.
@@ -69,11 +83,11 @@ def find_couplings(
         return add(joint, driver, change + float(reference[joint] - slope * reference[driver]), slope)
 
     names = {joint_name(model, j): j for j in range(model.njnt)}
-    for joint, slope, driver in given:
+    for joint, slope, driver, offset in given:
         for name in (joint, driver):
             if name not in names:
                 raise FungraspError(f"--couple: {UnknownNameError('joint', name, names)}")
-        if not add(names[joint], names[driver], 0.0, slope):
+        if not add(names[joint], names[driver], offset, slope):
             raise FungraspError(f"--couple: '{joint}' is driven already, or drives '{driver}'")
     for e in range(model.neq):
         if model.eq_type[e] == mujoco.mjtEq.mjEQ_JOINT and model.eq_obj2id[e] >= 0 and model.eq_active0[e]:

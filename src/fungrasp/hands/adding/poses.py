@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import mujoco
 import numpy as np
 
 from fungrasp.hands.adding.couplings import Coupling, coupling_matrix
+from fungrasp.hands.checking.finding import Finding, listed, note, warning
+from fungrasp.hands.checking.kinematic_tree import joint_name
+
+NOTICED = 0.1
+"""Change of a joint's range that is mentioned [rad]."""
 
 
 class Poses:
@@ -63,3 +70,29 @@ def independent_limits(
         if high[u] - low[u] < 0.5 * np.ptp(own):
             low[u], high[u] = own
     return low, high
+
+
+def narrowed_ranges(model: mujoco.MjModel, couplings: list[Coupling]) -> Iterator[Finding]:
+    """Joints whose range shrinks because one that they drive would leave its own, or that push it beyond."""
+    matrix, offset = coupling_matrix(model.njnt, couplings)
+    low, high = independent_limits(model, matrix, offset)
+    narrower, beyond = [], []
+    for u in range(matrix.shape[1]):
+        rows = np.flatnonzero(matrix[:, u])
+        driver = int(rows[np.argmax(matrix[rows, u] == 1.0)])
+        own, name = model.jnt_range[driver], joint_name(model, driver)
+        ends = np.sort(matrix[rows, u, None] * [low[u], high[u]] + offset[rows, None], axis=1)
+        outside = (ends - model.jnt_range[rows]) * [-1.0, 1.0]
+        beyond += [f"{joint_name(model, j)} by {name}" for j in rows[outside.max(axis=1) > NOTICED]]
+        if max(low[u] - own[0], own[1] - high[u]) > NOTICED:
+            narrower.append(f"{name} {low[u]:.2f} to {high[u]:.2f}, not {own[0]:.2f} to {own[1]:.2f}")
+    remedy = "if a coupling is wrong, give it with --couple JOINT=OFFSET+SLOPE*DRIVER"
+    if narrower:
+        yield note(
+            "joints turn only as far as those that they drive let them [rad]: "
+            f"{'; '.join(narrower[:6])}{' and more' if len(narrower) > 6 else ''}; {remedy}"
+        )
+    if beyond:
+        yield warning(
+            f"limits that couplings do not keep are taken to be wrong, of {listed(beyond)}; {remedy}"
+        )

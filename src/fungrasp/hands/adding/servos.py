@@ -17,7 +17,12 @@ TIP_FORCE = 10.0
 """What a firm robot finger presses with at its tip [N]; the data sheets of Shadow and Inspire say so."""
 
 BELIEVABLE = (0.25, 3.0)
-"""A stated torque limit is believed within these multiples of the torque for ``TIP_FORCE``."""
+"""The stated torque limits of a hand are believed if their median is within these multiples of the torques
+for ``TIP_FORCE``."""
+
+POSSIBLE = (0.05, 20.0)
+"""In a hand whose limits are believed, one beyond these multiples is a slip: a thumb's base may be ten times
+as strong as its lever needs."""
 
 FULL_TORQUE_ERROR = 0.2
 """Distance from the target at which a servo gives all its torque [rad]."""
@@ -55,19 +60,27 @@ def joint_physics(
         # A motor may sit on a driven joint.
         own = int(np.argmax(poses.matrix[:, driver] == 1.0))
         stated[own] = min(stated[own], stated[j] * abs(poses.matrix[j, driver]))
-    believed = (stated >= BELIEVABLE[0] * proposed) & (stated <= BELIEVABLE[1] * proposed)
-    force = np.where(believed, stated, proposed)
     inside = np.array([_in_hand(model, structure.palm, j) for j in range(model.njnt)], dtype=bool)
     independent = inside & _own(poses.matrix)
-    unsaid, wrong = independent & ~np.isfinite(stated), independent & np.isfinite(stated) & ~believed
+    said = independent & np.isfinite(stated)
+    ratio = stated / proposed
+    sound = said.any() and BELIEVABLE[0] <= np.median(ratio[said]) <= BELIEVABLE[1]
+    believed = (ratio >= POSSIBLE[0]) & (ratio <= POSSIBLE[1]) & sound
+    force = np.where(believed, stated, proposed)
+    unsaid, wrong = independent & ~said, said & ~believed
     reason = f"the torque that presses with {TIP_FORCE:g} N at the tip of the half bent finger is proposed"
     if unsaid.any():
         findings.append(warning(f"no torque limit for {_named(model, unsaid)}: {reason}"))
     if wrong.any():
+        changes = [
+            f"{joint_name(model, j)} {stated[j]:.3g} to {proposed[j]:.2g}" for j in np.flatnonzero(wrong)
+        ]
+        more = f" and {len(changes) - 6} more" if len(changes) > 6 else ""
         findings.append(
             warning(
-                f"the torque limit of {_named(model, wrong)} ({stated[wrong].min():g} to "
-                f"{stated[wrong].max():g} N m) is not that of a finger: {reason}"
+                f"torque limits that are not those of {'a finger' if sound else 'fingers'} are changed "
+                "[N m]: "
+                f"{', '.join(changes[:6])}{more}; {reason}"
             )
         )
     kp = force / FULL_TORQUE_ERROR

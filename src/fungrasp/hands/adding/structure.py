@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -11,7 +10,7 @@ import mujoco
 import numpy as np
 
 from fungrasp.errors import FungraspError, UnknownNameError
-from fungrasp.hands.adding.couplings import Coupling
+from fungrasp.hands.adding.couplings import Coupling, GivenCoupling
 from fungrasp.hands.adding.finger_chains import (
     Chain,
     chain_joints,
@@ -20,6 +19,7 @@ from fungrasp.hands.adding.finger_chains import (
     flexing_joints,
     straight_fingers,
 )
+from fungrasp.hands.adding.hand_side import hand_side
 from fungrasp.hands.adding.poses import Poses
 from fungrasp.hands.checking.finding import Finding, listed, warning
 from fungrasp.hands.checking.kinematic_tree import body_name
@@ -31,9 +31,6 @@ SIDE_RATIO = 0.15
 
 ALIKE = 1.2
 """Fingers whose lengths differ by less than this factor may be copies of one another."""
-
-SIDES = {"right": {"right", "rh", "r"}, "left": {"left", "lh", "l"}}
-"""Parts of names that tell the side of a hand."""
 
 ONE_SIDED = 1.5
 """Joints with this many times more range to one side bend the finger to that side."""
@@ -71,8 +68,8 @@ class Answers:
     """Out of the palm, frame of the palm body."""
     fingers: Mapping[str, str] | None = None
     """A body of each finger that counts, by its name."""
-    couplings: tuple[tuple[str, float, str], ...] = ()
-    """Joints that move together: joint, slope, driver."""
+    couplings: Sequence[GivenCoupling] = ()
+    """Joints that move together."""
     radius: float | None = None
     """Of fingers without shapes [m]."""
 
@@ -122,7 +119,7 @@ def find_structure(
         normal = np.array(answers.normal, dtype=float)
         normal = normal - (normal @ along) * along
     normal /= np.linalg.norm(normal)
-    names, side = _names(model, chains, features, thumb, np.cross(along, normal), answers, findings)
+    names, side = _names(model, palm, chains, features, thumb, np.cross(along, normal), answers, findings)
     fingers = {name: chains[names[name]] for name in FINGERS if name in names}
     return HandStructure(palm, fingers, along, normal, side, joints)
 
@@ -248,6 +245,7 @@ def _thumbs_by_name(model: mujoco.MjModel, chains: list[Chain]) -> list[int]:
 
 def _names(
     model: mujoco.MjModel,
+    palm: int,
     chains: list[Chain],
     features: list[_Features],
     thumb: int,
@@ -261,33 +259,11 @@ def _names(
     offset = float(features[thumb].base @ across - bases.mean())
     leaning = float(features[thumb].middle @ across - bases.mean())
     length = float(np.mean([features[i].length for i in long]))
-    side = answers.side
-    if side is None:
-        distance = offset if abs(offset) > SIDE_RATIO * length else 0.5 * (offset + leaning)
-        named = _named_side(model)
-        if abs(distance) >= 0.5 * SIDE_RATIO * length:
-            side = "right" if distance > 0 else "left"
-            if named not in (None, side):
-                findings.append(
-                    warning(
-                        f"the names say {named} hand, the thumb stands where that of a {side} one does: "
-                        f"taken as a {side} hand; --side {named} changes it"
-                    )
-                )
-        elif named is not None or len(long) <= 2:
-            # Two fingers and a thumb in the middle are their own mirror image.
-            side = named or "right"
-            findings.append(
-                warning(
-                    f"the thumb stands in the middle: taken as a {side} hand, "
-                    f"{'as its names say' if named else 'as it would do for either'}; --side changes it"
-                )
-            )
-        else:
-            raise FungraspError(
-                "the thumb stands in the middle, so that a left hand can't be told from a right one: say "
-                "--side right or --side left"
-            )
+    distance = offset if abs(offset) > SIDE_RATIO * length else 0.5 * (offset + leaning)
+    standing = None
+    if abs(distance) >= 0.5 * SIDE_RATIO * length:
+        standing = "right" if distance > 0 else "left"
+    side = hand_side(model, palm, standing, len(long), answers.side, findings)
     if answers.fingers:
         names = {
             name: _chain_of(model, chains, body, f"--finger {name}=")
@@ -301,15 +277,6 @@ def _names(
         )
     order = np.argsort(-bases if side == "right" else bases, kind="stable")
     return {name: long[i] for name, i in zip(FINGERS, order, strict=False)} | {"thumb": thumb}, side
-
-
-def _named_side(model: mujoco.MjModel) -> str | None:
-    """The side that the names of most bodies say."""
-    words = [set(re.split(r"[^a-z]+", body_name(model, b).lower())) for b in range(1, model.nbody)]
-    for side, signs in SIDES.items():
-        if sum(bool(signs & parts) for parts in words) > 0.5 * len(words):
-            return side
-    return None
 
 
 def _chain_of(model: mujoco.MjModel, chains: list[Chain], body: str, option: str) -> int:
