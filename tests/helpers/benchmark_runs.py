@@ -11,6 +11,7 @@ MODULES = {
     "engines": "simulation",
     "fault_series": "series",
     "faults": "devices",
+    "grasp_set": "commands",
     "identification": "comparison",
     "paper": "commands",
     "peers": "compare",

@@ -3,7 +3,7 @@ and at its thin parts and handles."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -40,14 +40,17 @@ SAMPLES, JOIN = 3000, 0.008
 """Surface samples, and how far apart those of one part are at most [m]."""
 
 
-def automatic_specifications(model: ObjectModel) -> list[GraspSpecification]:
-    """About a dozen specifications, likely ones first. The object stands on its stable face nearest to its
-    frame's bottom.
+def automatic_specifications(
+    model: ObjectModel, up: Sequence[float] = (0.0, 0.0, 1.0)
+) -> list[GraspSpecification]:
+    """About a dozen specifications, likely ones first.
 
     Args:
         model: the object. Its named parts, if it has any, are held; else thin parts that are found.
+        up: unit vector, object frame: the object rests on the stable face with which this direction points
+            up most nearly.
     """
-    up = settled_up(model, np.array([0.0, 0.0, 1.0]))
+    up = settled_up(model, np.array(up, dtype=float))
     points = np.asarray(trimesh.sample.sample_surface(model.mesh, SAMPLES, seed=0)[0])
     specs = _whole(model.name, points, up)
     if model.parts:

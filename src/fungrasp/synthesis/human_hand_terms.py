@@ -29,6 +29,9 @@ the radius of the capsule."""
 SAMPLE_GAP = 0.003
 """Largest edge of the triangles whose corners and centers sample a part's surface [m]."""
 
+SAMPLE_CELL = 0.001
+"""Edge of the cubes of which each holds one sample at most [m]."""
+
 
 class HumanPoints(HandPoints):
     """``HandPoints`` of the human hand, with finger pads, thumb sides and pairs of spheres that include the
@@ -111,7 +114,10 @@ def part_samples(model: ObjectModel, part: str) -> KDTree:
         raise UnknownNameError(f"part of object '{model.name}'", part, (*model.parts, WHOLE))
     chosen = model.faces if part == WHOLE else model.faces[model.parts[part]]
     corners, faces = trimesh.remesh.subdivide_to_size(model.vertices, chosen, SAMPLE_GAP, max_iter=30)[:2]
-    return KDTree(np.concatenate([corners[np.unique(faces)], corners[faces].mean(axis=1)]))
+    points = np.concatenate([corners[np.unique(faces)], corners[faces].mean(axis=1)])
+    # Long thin triangles give points by the hundred on a millimeter, which only take time.
+    first = np.unique(np.floor(points / SAMPLE_CELL).astype(np.int64), axis=0, return_index=True)[1]
+    return KDTree(points[np.sort(first)])
 
 
 def _touching_points(state: HandState[CollisionScene], targets: PartTargets) -> np.ndarray:
