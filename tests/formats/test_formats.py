@@ -231,6 +231,31 @@ def test_models_with_numbers_that_make_no_sense(tmp_path):
         parse_model(SMALL.replace('<geom size="1"/>', MANY), "x")
 
 
+@pytest.mark.parametrize("order", ["<", ">"])
+def test_a_binary_ply_of_polygons_of_several_sizes(tmp_path: Path, order: str) -> None:
+    corners = np.array([[x, y, z] for z in (0, 1) for y in (0, 1) for x in (0, 1)])
+    faces = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [1, 3, 7, 5], [3, 2, 6, 7], [2, 0, 4], [2, 4, 6]]
+    name = {"<": "little", ">": "big"}[order]
+    head = (
+        f"ply\nformat binary_{name}_endian 1.0\ncomment a cube\nelement vertex 8\nproperty float x\n"
+        f"property float y\nproperty float z\nproperty uchar red\nproperty uchar green\nproperty uchar blue\n"
+        f"element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"
+    )
+    body = b"".join(struct.pack(f"{order}3f3B", *p, 200, 100, 0) for p in corners)
+    body += b"".join(struct.pack(f"{order}B{len(f)}i", len(f), *f) for f in faces)
+    (tmp_path / "cube.ply").write_bytes(head.encode() + body)
+    vertices, triangles = read_mesh(tmp_path / "cube.ply")
+    assert len(triangles) == 12
+    assert trimesh.Trimesh(vertices, triangles).volume == pytest.approx(1.0)
+    colored = read_colored_mesh(tmp_path / "cube.ply")
+    assert colored is not None
+    assert np.asarray(colored.visual.vertex_colors)[0].tolist() == [200, 100, 0, 255]
+
+    (tmp_path / "short.ply").write_bytes(head.encode() + body[:-9])
+    with pytest.raises(FungraspError, match="ends too early"):
+        read_mesh(tmp_path / "short.ply")
+
+
 def test_xml_that_is_nested_too_deeply():
     assert parse_xml_text("<a><b/></a>", "x").tag == "a"
     for text, words in (

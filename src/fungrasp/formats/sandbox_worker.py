@@ -11,6 +11,7 @@ import struct
 import sys
 from collections.abc import Callable
 from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 HEAD = struct.Struct("<BQ")
@@ -25,9 +26,8 @@ LONGEST_REASON = 300
 def read_triangles(path: str) -> bytes:
     """Vertices [V, 3] and faces [F, 3] of a mesh file, as an ``.npz`` file."""
     import numpy as np
-    import trimesh
 
-    mesh: Any = trimesh.load(path, force="mesh", process=False, skip_materials=True)
+    mesh = _load_mesh(path, skip_materials=True)
     vertices = np.asarray(mesh.vertices, dtype=np.float64).reshape(-1, 3)
     faces = np.asarray(mesh.faces, dtype=np.int64).reshape(-1, 3)
     if len(faces) and not 0 <= faces.min() <= faces.max() < len(vertices):
@@ -41,9 +41,8 @@ def read_colored_triangles(path: str) -> bytes:
     """The same with "vertex_colors" [V, 3] or "face_colors" [F, 3], or with "uv" [V, 2] and "texture"
     [H, W, 3], where the file has colors; these are uint8."""
     import numpy as np
-    import trimesh
 
-    mesh: Any = trimesh.load(path, force="mesh", process=False)
+    mesh = _load_mesh(path)
     arrays = {"vertices": np.asarray(mesh.vertices, np.float64), "faces": np.asarray(mesh.faces, np.int32)}
     visual = mesh.visual
     if visual.kind == "face":
@@ -68,6 +67,22 @@ def read_colored_triangles(path: str) -> bytes:
     result = io.BytesIO()
     np.savez(result, **arrays)  # pyright: ignore[reportArgumentType]
     return result.getvalue()
+
+
+def _load_mesh(path: str, **options: bool) -> Any:
+    """What trimesh reads of a mesh file; of a binary PLY whose faces have different numbers of corners, which
+    it reads as text only, too."""
+    import trimesh
+
+    from fungrasp.formats.binary_ply import as_text
+
+    try:
+        return trimesh.load(path, force="mesh", process=False, **options)
+    except ValueError as error:
+        if "PLY is unexpected length" not in str(error):
+            raise
+        text = io.BytesIO(as_text(Path(path).read_bytes()))
+        return trimesh.load(text, file_type="ply", force="mesh", process=False, **options)
 
 
 def compile_model(path: str) -> bytes:

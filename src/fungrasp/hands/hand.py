@@ -187,7 +187,7 @@ class Hand:
 
     @property
     def open_joints(self) -> np.ndarray:
-        """Independent joints of the open hand: all at zero, or at the limit nearest to it [rad], shape [U]."""
+        """Independent joints of the open hand: at zero, or at the limit nearest to it [rad], shape [U]."""
         return self.independent(np.clip(np.zeros(len(self.joint_names)), *self.joint_limits.T))
 
     @property

@@ -4,6 +4,7 @@ from object_pose_scenes import HERE, hand_joints, scene
 
 from fungrasp.objects import load_object
 from fungrasp.perception import Capture
+from fungrasp.perception.scene import segmentation
 from fungrasp.perception.scene.segmentation import distance_from_hand, segment
 from fungrasp.perception.scene.table import largest_plane
 
@@ -62,3 +63,18 @@ def test_distance_from_hand() -> None:
     points = tip + np.array([[-0.03, 0.0, 0.0], [0.0, 0.0, 0.0]])
     # The flesh round the last bone of a finger is 8 mm thick.
     assert distance_from_hand(points, joints) == pytest.approx([0.022, -0.008], abs=1e-3)
+
+
+def test_pieces_whose_distance_from_the_hand_is_not_known(recwarn: pytest.WarningsRecorder) -> None:
+    """They come after those near it, and nothing is said on the terminal."""
+    hand = np.full((20, 40), np.inf)
+    hand[5:15, 25:30] = 0.01
+    unknown, near, partly = np.zeros((3, 20, 40), dtype=bool)
+    unknown[2:18, 2:18] = True
+    near[5:15, 25:30] = True
+    partly[5:15, 25:35] = True
+    found = segmentation._groups([unknown, near], hand, held=True)
+    assert [mask.tolist() for mask in found[:2]] == [near.tolist(), near.tolist()]
+    assert segmentation._near_end(hand[unknown]) == np.inf
+    assert segmentation._near_end(hand[partly]) == pytest.approx(0.01)
+    assert not [w for w in recwarn if issubclass(w.category, RuntimeWarning)]

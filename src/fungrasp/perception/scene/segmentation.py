@@ -210,11 +210,18 @@ def _groups(pieces: list[np.ndarray], hand: np.ndarray, held: bool) -> list[np.n
     """Masks out of connected pieces: all those near the hand, and single ones."""
     if not pieces or not held:
         return pieces[:5]
-    distance = np.array([np.percentile(hand[piece], 2) for piece in pieces])
+    # Pixels that were not measured against the hand are far from it.
+    distance = np.array([_near_end(hand[piece]) for piece in pieces])
     near = [piece for piece, d in zip(pieces, distance, strict=True) if d < NEAR_HAND]
     together = [np.logical_or.reduce(near)] if near else []
     likely = sorted(range(len(pieces)), key=lambda i: distance[i] - 0.05 * np.log(pieces[i].sum()))
     return [*together, *(pieces[i] for i in likely[:2])]
+
+
+def _near_end(distance: np.ndarray) -> float:
+    """The 2nd percentile of distances [m] that are known; infinite where none is. distance: shape [P]."""
+    known = distance[np.isfinite(distance)]
+    return float(np.percentile(known, 2)) if len(known) else np.inf
 
 
 def _pieces(mask: np.ndarray, depth: np.ndarray) -> list[np.ndarray]:
