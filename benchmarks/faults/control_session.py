@@ -95,7 +95,7 @@ def run_session(session: ControlSession, pipe: Connection) -> None:
             pipe.send(("drivers", (driver_process(robot.arm), driver_process(robot.hand_driver))))
             policy = _Sway(session, pipe)
             preparer = _Prepared(session.prepared)
-            settings = DeploymentSettings(look_time=0.2, put_down=False)
+            settings = DeploymentSettings(look_time=0.2, until=Phase.HOLD)
             deployment = Deployment(robot, policy, preparer, log=log, settings=settings, on_phase=phase)
             result = deployment.run(session.grasp)
             wrong, reacted = result.fault, result.times.get(Phase.FAULT, np.nan)

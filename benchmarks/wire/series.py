@@ -15,8 +15,6 @@ from fungrasp.errors import FungraspError
 if TYPE_CHECKING:
     from benchmarks.wire.timed_grasp import TimedGrasp
     from benchmarks.wire.wire_run import WireRun
-    from fungrasp.hands import Hand
-    from fungrasp.robots.cell import RobotCell
 
 
 @dataclass(frozen=True)
@@ -46,8 +44,7 @@ class BenchWire:
 
         if self.runs < 1:
             raise FungraspError(f"--runs must be 1 or more, not {self.runs}")
-        cell = load_cell(self.robot)
-        hand = load_hand(cell.hand)
+        hand = load_hand(load_cell(self.robot).hand)
         image = "rendered" if self.rendered else self.choice.image or "none"
         header = {"robot": self.robot, "policy": self.policy, "image": image}
         find = rendered_grasp if self.rendered else timed_grasp
@@ -55,7 +52,7 @@ class BenchWire:
         for twin in range(self.runs):
             if chosen is None or self.rendered:
                 chosen = find(self.choice, hand, twin)
-            runs.append(self._run(cell, hand, chosen, twin))
+            runs.append(self._run(chosen, twin))
             if self.json is not None:
                 write_result(self.json, {**header, **run_record(0)}, [asdict(run) for run in runs])
             print(_line(runs[-1]), flush=True)
@@ -64,17 +61,11 @@ class BenchWire:
         home = sum(run.success and not run.fault for run in runs)
         print(f"of {len(runs)} runs: {lifted} lifted and held, {home} of them put down and home again")
 
-    def _run(self, cell: RobotCell, hand: Hand, chosen: TimedGrasp, twin: int) -> WireRun:
+    def _run(self, chosen: TimedGrasp, twin: int) -> WireRun:
         from benchmarks.wire.wire_run import run_over_the_wire
 
-        task = deployment_task(
-            cell,
-            hand,
-            chosen.robot,
-            chosen.objects[str(chosen.robot.object_name[0])],
-            DeploymentSpec(policy=self.policy, seed=twin),
-            self.choice.threads,
-        )
+        spec = DeploymentSpec(self.robot, self.policy, seed=twin)
+        task = deployment_task(chosen.robot, chosen.objects, spec, self.choice.threads)
         run = run_over_the_wire(task, twin)
         return replace(run, images=chosen.images, grasp_seconds=chosen.seconds)
 

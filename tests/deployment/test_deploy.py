@@ -10,7 +10,7 @@ from fungrasp.deployment.log import read_log
 from fungrasp.errors import FungraspError
 from fungrasp.formats.record_json import record_from_json, record_to_json
 
-FAST = DeploymentSpec(policy="reference", put_down=False, real_time=False)
+FAST = DeploymentSpec(policy="reference", until="lift", real_time=False)
 
 
 @pytest.fixture(scope="module")

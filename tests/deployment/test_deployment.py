@@ -43,7 +43,7 @@ def lifted(tmp_path_factory: pytest.TempPathFactory) -> tuple[Any, Path]:
     pytest.importorskip("mcap")
     path = tmp_path_factory.mktemp("log") / "log.mcap"
     with McapLog(path) as log:
-        return deploy(log=log, put_down=True, about={"policy": "reference"}), path
+        return deploy(log=log, until=Phase.HOME, about={"policy": "reference"}), path
 
 
 def test_a_grasp_is_lifted_put_down_and_the_arm_goes_home(lifted: tuple[Any, Path]) -> None:

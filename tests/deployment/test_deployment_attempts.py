@@ -45,7 +45,7 @@ def twice(tmp_path_factory: pytest.TempPathFactory) -> tuple[Any, Path, Low]:
     pytest.importorskip("mcap")
     path, policy = tmp_path_factory.mktemp("log") / "log.mcap", Low(1)
     with McapLog(path) as log:
-        return deploy(log=log, policy=policy, put_down=True, attempts=2), path, policy
+        return deploy(log=log, policy=policy, until=Phase.HOME, attempts=2), path, policy
 
 
 def test_what_is_held_too_low_is_put_down_and_lifted_by_another_attempt(twice: tuple[Any, Path, Low]) -> None:
@@ -72,7 +72,7 @@ def test_the_log_of_two_attempts_replays_to_the_same_actions(twice: tuple[Any, P
 def test_the_last_attempt_that_fails_ends_at_home_with_an_open_hand(tmp_path: Path) -> None:
     pytest.importorskip("mcap")
     with McapLog(tmp_path / "log.mcap") as log:
-        outcome = deploy(log=log, policy=Low(2), put_down=True, attempts=2)
+        outcome = deploy(log=log, policy=Low(2), until=Phase.HOME, attempts=2)
     assert outcome.result.fault == "" and outcome.result.phase is Phase.DONE
     assert outcome.result.missed and outcome.result.attempts == 2 and not outcome.success
     assert phases(tmp_path / "log.mcap")[-3:] == [Phase.WITHDRAW, Phase.HOME, Phase.DONE]

@@ -111,7 +111,7 @@ def test_the_object_stays_held_until_a_person_says_otherwise(name: str, world: T
             assert np.abs(world.arm_state()[1]).max() < 0.02
 
     rest = float(world.center_of_mass()[2])
-    settings = DeploymentSettings(look_time=0.3, put_down=name != "stay")
+    settings = DeploymentSettings(look_time=0.3, until=Phase.HOLD if name == "stay" else Phase.HOME)
     log = Full() if name == "full disk" else None
     try:
         result = deploy_on_robot(task, settings=settings, hold=hold, log=log)

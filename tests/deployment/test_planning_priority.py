@@ -12,6 +12,7 @@ from robot_cells import cell_and_hand, grasp_and_object, near_cell, placed
 
 from fungrasp.deployment import wired_deployment
 from fungrasp.deployment.deployment_result import DeploymentSettings
+from fungrasp.deployment.phases import Phase
 from fungrasp.deployment.wired_deployment import DeploymentTask, deploy_on_robot
 from fungrasp.planning import MotionPlanner
 from fungrasp.policies import OpenLoopPolicy
@@ -85,7 +86,7 @@ def test_every_plan_is_made_at_the_usual_priority_and_control_runs_ahead(monkeyp
     monkeypatch.setattr(wired_deployment, "wired_robot", on_twin)
     usual, policy, planner = niceness(), LowAtFirst(), Planner(hand, {thing.name: thing})
     task = DeploymentTask(cell, hand, thing, grasp, policy, planner)
-    settings = DeploymentSettings(look_time=0.3, put_down=False, attempts=2)
+    settings = DeploymentSettings(look_time=0.3, until=Phase.HOLD, attempts=2)
     result = deploy_on_robot(task, settings=settings, hold=lambda robot: None)
     assert result.attempts == 2 and not result.fault
     own, started = planner.seen

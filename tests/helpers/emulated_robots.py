@@ -100,7 +100,7 @@ class MeanwhilePreparer:
 
     def prepare(self, grasp: Any, object_pose: np.ndarray, arm: np.ndarray, *, attempt: int = 0) -> Any:
         self._meanwhile()
-        return SimpleNamespace(plan=None, start_fingers=np.full(6, 0.2), corners=(arm + 0.05,))
+        return SimpleNamespace(plan=None, start_fingers=np.full(6, 0.2), corners=(arm + 0.05,), behind=())
 
 
 GRASP: Any = SimpleNamespace(object_name=np.array(["box"]))

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from fungrasp.deployment.deployment import DeploymentSettings
+from fungrasp.deployment.phases import Phase
 from fungrasp.deployment.preparation import GraspPreparer
 from fungrasp.deployment.twin_deployment import TwinOutcome, deploy_on_twin, reachable_placement
 from fungrasp.grasps import RobotGraspSet, builtin_grasps, load_objects
@@ -57,7 +58,8 @@ def near_cell() -> RobotCell:
 
 def deploy(
     *,
-    put_down: bool = False,
+    until: Phase = Phase.HOLD,
+    speed: float = 1.0,
     policy: Any = None,
     cell: RobotCell | None = None,
     attempts: int = 1,
@@ -76,6 +78,6 @@ def deploy(
         policy or OpenLoopPolicy(),
         MotionPlanner(hand, {thing.name: thing}),
         truth,
-        settings=DeploymentSettings(look_time=0.3, put_down=put_down, attempts=attempts),
+        settings=DeploymentSettings(look_time=0.3, until=until, attempts=attempts, speed=speed),
         **options,
     )

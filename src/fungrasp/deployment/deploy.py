@@ -7,7 +7,13 @@ from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 
-from fungrasp.deployment.deployment_result import DeploymentResult, DeploymentSettings, DeploymentSpec
+from fungrasp.deployment.deployment import Confirm
+from fungrasp.deployment.deployment_result import (
+    LAST_PHASES,
+    DeploymentResult,
+    DeploymentSettings,
+    DeploymentSpec,
+)
 from fungrasp.deployment.hand_knowledge import hand_knowledge
 from fungrasp.deployment.log import DeploymentLog, McapLog
 from fungrasp.deployment.phases import Phase
@@ -21,7 +27,7 @@ from fungrasp.planning import Planner
 from fungrasp.planning.selection import SelectionSettings
 from fungrasp.policies import OpenLoopPolicy, check_attempts, make_planner, make_policy
 from fungrasp.robots.assembly import is_twin
-from fungrasp.robots.cell import RobotCell, check_calibrated, load_cell
+from fungrasp.robots.cell import check_calibrated, load_cell
 from fungrasp.robots.stop_switch import StopSwitch
 from fungrasp.robots.twin.parameters import cell_twin
 from fungrasp.task import Policy
@@ -41,6 +47,7 @@ def deploy(
     threads: int = 0,
     on_phase: Callable[[Phase], None] = lambda phase: None,
     on_connect: Callable[[], None] = lambda: None,
+    confirm: Confirm | None = None,
 ) -> DeploymentResult:
     """Look, plan, move to the start, grasp, lift, hold, put down and go home.
 
@@ -60,6 +67,8 @@ def deploy(
         threads: of the planner; 0 means all processors.
         on_phase: called as a phase begins.
         on_connect: called when the robot is connected, before anything moves.
+        confirm: called before each phase in which the robot moves, with what has to be called again and
+            again until it returns: then the phase begins. ``SafetyStop`` ends the run. Not if None.
 
     Returns:
         How it went. Faults of the robot are in it; they raise nothing.
@@ -71,25 +80,49 @@ def deploy(
     """
     spec = spec or DeploymentSpec()
     spec = replace(spec, cell=cell or spec.cell, policy=policy or spec.policy)
-    if len(robot) != 1:
-        raise FungraspError(f"one grasp is deployed at a time, not {len(robot)}: select one, as in robot[:1]")
-    check_objects(robot.object_name.tolist(), objects)
-    obj, loaded = objects[str(robot.object_name[0])], load_cell(spec.cell)
-    if not is_twin(loaded):
-        check_calibrated(loaded)
-    hand = load_hand(loaded.hand)
-    if robot.hand != hand.name:
+    return run_task(
+        deployment_task(robot, objects, spec, threads),
+        spec,
+        log=log,
+        about=about,
+        switch=switch,
+        on_phase=on_phase,
+        on_connect=on_connect,
+        confirm=confirm,
+    )
+
+
+def run_task(
+    task: DeploymentTask,
+    spec: DeploymentSpec,
+    *,
+    log: str | Path | None = None,
+    about: Mapping[str, str] | None = None,
+    switch: StopSwitch | None = None,
+    on_phase: Callable[[Phase], None] = lambda phase: None,
+    on_connect: Callable[[], None] = lambda: None,
+    confirm: Confirm | None = None,
+) -> DeploymentResult:
+    """Carry a task out on the robot, or on the twin, of its cell. Arguments and result: as of ``deploy``.
+
+    Raises:
+        FungraspError: several attempts or another speed with a policy for which these make no sense, a
+            device that is not there, or a grasp that can't be planned or reached; nothing has moved then.
+    """
+    cell, hand, watches = task.cell, task.hand, not isinstance(task.policy, OpenLoopPolicy)
+    check_attempts(spec.attempts, watches)
+    if spec.speed < 1.0 and watches:
         raise FungraspError(
-            f"robot cell '{loaded.name}' carries the hand '{hand.name}', and the grasp is of '{robot.hand}'"
+            f"the policy '{spec.policy}' watches what it does and acts at 10 Hz: it can't be slowed down to "
+            f'{spec.speed:g}; the policies "plan" and "reference" can'
         )
-    task = deployment_task(loaded, hand, robot, obj, spec, threads)
-    check_attempts(spec.attempts, not isinstance(task.policy, OpenLoopPolicy))
-    settings = DeploymentSettings(put_down=spec.put_down, attempts=spec.attempts)
+    last = LAST_PHASES[spec.until]
+    settings = DeploymentSettings(until=last, attempts=spec.attempts, speed=spec.speed)
     said = {"version": __version__, "robot": spec.cell, "policy": spec.policy, **(about or {})}
     with ExitStack() as stack:
         written: DeploymentLog | None = None if log is None else stack.enter_context(McapLog(Path(log)))
-        switch = stack.enter_context(StopSwitch(loaded.stop_file)) if switch is None else switch
-        if not is_twin(loaded):
+        switch = stack.enter_context(StopSwitch(cell.stop_file)) if switch is None else switch
+        if not is_twin(cell):
             result = deploy_on_robot(
                 task,
                 log=written,
@@ -98,61 +131,71 @@ def deploy(
                 about=said,
                 on_phase=on_phase,
                 on_connect=lambda connected: on_connect(),
+                confirm=confirm,
             )
             return replace(result, spec=spec)
+        on_connect()
         outcome = deploy_on_twin(
-            loaded,
+            cell,
             hand,
-            obj,
-            robot,
-            reachable_placement(loaded, hand, obj, robot, spec.seed),
+            task.thing,
+            task.grasp,
+            reachable_placement(cell, hand, task.thing, task.grasp, spec.seed),
             task.policy,
             task.planner,
-            cell_twin(loaded, hand, spec.twin),
+            cell_twin(cell, hand, spec.twin),
             wall_clock=spec.real_time,
             dynamics=task.dynamics,
             compensate=task.compensate,
-            dry_run=spec.dry_run,
+            dry_run=task.dry_run,
             seed=spec.seed,
             log=written,
             switch=switch,
             settings=settings,
             about=said,
             on_phase=on_phase,
+            confirm=confirm,
+            preparer=task.preparer,
         )
+        if last in (Phase.IDLE, Phase.MOVE_TO_START, Phase.GRASP):
+            return replace(outcome.result, spec=spec)
         return replace(outcome.result, spec=spec, success=outcome.success, height=outcome.height)
 
 
 def deployment_task(
-    cell: RobotCell,
-    hand: Hand,
-    grasp: RobotGraspSet,
-    obj: ObjectModel,
-    spec: DeploymentSpec,
-    threads: int = 0,
+    robot: RobotGraspSet, objects: Mapping[str, ObjectModel], spec: DeploymentSpec, threads: int = 0
 ) -> DeploymentTask:
-    """A grasp with the policy, its planner, and what is known of the hand.
+    """A grasp with the cell, the policy, its planner, and what is known of the hand.
 
     Args:
-        cell: the robot.
-        hand: on its arm.
-        grasp: one.
-        obj: its object.
+        robot: one grasp, of the cell's hand.
+        objects: its object, by name.
         spec: what is asked.
         threads: of the planner; 0 means all processors.
 
     Raises:
-        FungraspError: as ``deployable_policy``, ``hand_knowledge`` and ``robot_planner``.
+        FungraspError: several grasps, grasps of another hand, no such cell or policy, or a cell that is not
+            calibrated.
     """
-    objects = {obj.name: obj}
+    if len(robot) != 1:
+        raise FungraspError(f"one grasp is deployed at a time, not {len(robot)}: select one, as in robot[:1]")
+    check_objects(robot.object_name.tolist(), objects)
+    obj, cell = objects[str(robot.object_name[0])], load_cell(spec.cell)
+    if not is_twin(cell):
+        check_calibrated(cell)
+    hand = load_hand(cell.hand)
+    if robot.hand != hand.name:
+        raise FungraspError(
+            f"robot cell '{cell.name}' carries the hand '{hand.name}', and the grasp is of '{robot.hand}'"
+        )
     known = hand_knowledge(cell, hand, spec.hand_dynamics or None)
     return DeploymentTask(
         cell,
         hand,
         obj,
-        grasp,
-        deployable_policy(spec.policy, hand, objects),
-        robot_planner(spec.policy, known.planned, objects, threads),
+        robot,
+        deployable_policy(spec.policy, hand, {obj.name: obj}),
+        robot_planner(spec.policy, known.planned, {obj.name: obj}, threads),
         known.dynamics,
         known.stiffness,
         spec.gravity_compensation,

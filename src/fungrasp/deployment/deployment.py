@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 
@@ -15,34 +14,26 @@ from fungrasp.deployment.log import DeploymentLog, NoLog
 from fungrasp.deployment.looking import look_for_object
 from fungrasp.deployment.phases import Phase, PhaseMachine
 from fungrasp.deployment.preparation import PreparedGrasp, Preparer
+from fungrasp.deployment.scripted_motion import ScriptedMotion
 from fungrasp.errors import FungraspError
-from fungrasp.geometry.poses import compose
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.planning.next_attempt import make_attempts
-from fungrasp.planning.withdrawal import way_off
-from fungrasp.policies.waypoints import WaypointPolicy
 from fungrasp.robots.device import DeviceStatus, RobotError, StopKind
-from fungrasp.robots.kinematics.joint_path import timed_leg
 from fungrasp.robots.robot import Robot
 from fungrasp.robots.robot_state import RobotCommand, RobotState, SafetyStop
 from fungrasp.robots.safety import check_action, check_pose
-from fungrasp.task import Action, Policy
+from fungrasp.task import Policy
 from fungrasp.task.attempt_judge import AttemptJudge, AttemptVerdict
-
-ARRIVED = 2e-3
-"""A setpoint is where it should be if it is this near [m]: the hold begins as in the lift test."""
-
 
 MOVED = 0.02
 """A joint of the arm that is farther from where it was has moved [rad]."""
 
-
 AWAKE = 1.0
 """Drivers that held because nobody asked them follow again within this time [s]."""
 
-
-FINGER_SHARE = 0.2
-"""Of their largest speed, for fingers that move before the arm does."""
+Confirm = Callable[[Phase, Callable[[], None]], None]
+"""Called before a phase in which the robot moves, with what must be called meanwhile again and again; returns
+when it may go on, and raises ``SafetyStop`` if it may not."""
 
 
 class Deployment:
@@ -59,6 +50,7 @@ class Deployment:
         about: dict[str, str] | None = None,
         on_phase: Callable[[Phase], None] = lambda phase: None,
         on_setpoint: Callable[[Phase, RobotCommand], None] = lambda phase, command: None,
+        confirm: Confirm | None = None,
     ):
         """
         Args:
@@ -70,20 +62,28 @@ class Deployment:
             about: what the log says of it.
             on_phase: called as a phase begins.
             on_setpoint: called after each setpoint, with what was sent.
+            confirm: called before each phase in which the robot moves, and before the lift; not if None.
+
+        Raises:
+            FungraspError: a speed that can't be.
         """
         self.robot, self.policy, self._preparer = robot, policy, preparer
         self.log: DeploymentLog = log or NoLog()
         self.settings = settings or DeploymentSettings()
         self._about = about or {}
-        self._on_phase, self._on_setpoint = on_phase, on_setpoint
+        self._on_phase, self._on_setpoint, self._confirm = on_phase, on_setpoint, confirm
         self.machine = PhaseMachine()
         """Phase and fault."""
         late = robot.cell.watchdog.late_tick
         self.ticks, self.setpoint_ticks = DeadlineMonitor(late), DeadlineMonitor(late)
+        robot.slow_down(self.settings.speed)
+        self.scripted = ScriptedMotion(robot, self.settings, self.ticks)
+        """What moves as no policy says."""
         self._times: dict[str, float] = {}
+        self._before: RobotState | None = None
         self._prepared: PreparedGrasp | None = None
         self._object_pose = np.full(7, np.nan)
-        self._last_action: Action | None = None
+        self._last_goal = np.full((1, 7), np.nan)
         self._attempts, self._missed, self._why_no_more = 0, False, ""
 
     def run(self, grasp: RobotGraspSet) -> DeploymentResult:
@@ -101,21 +101,11 @@ class Deployment:
         try:
             self._times[Phase.IDLE] = robot.clock.now()
             object_pose, state = look_for_object(robot, self.settings, robot.check_switch)
+            self._before = state
             self._prepare(grasp, object_pose, state.arm.positions)
-            state = self._awake(state)
-            made = _RobotAttempts(self, grasp, state)
-            names = grasp.object_name.tolist()
-            make_attempts(made, self.settings.attempts, object_pose[None], names, self._preparer.objects)
-            if self.settings.put_down or self._missed:
-                if not self._missed:
-                    self._begin(Phase.PUT_DOWN)
-                    self._put_down(self.prepared)
-                self._begin(Phase.HOME)
-                back = [robot.palm_follower_joints, *made.postures[-2::-1]]
-                self._move(back, self.prepared.start_fingers)
-                self._begin(Phase.DONE)
+            if self.goes_on_to(Phase.MOVE_TO_START):
+                self._carry_out(grasp, object_pose, state)
             else:
-                robot.stop()
                 self.machine.phase = Phase.DONE
         except SafetyStop as stop:
             self._fail(stop.reason, stop.kind)
@@ -146,14 +136,44 @@ class Deployment:
             self._why_no_more,
             dict(self._times),
             dict(self.robot.guard.longest_silence),
+            before=self._before,
         )
+
+    def _carry_out(self, grasp: RobotGraspSet, object_pose: np.ndarray, state: RobotState) -> None:
+        """All that moves."""
+        robot = self.robot
+        self._ask(Phase.MOVE_TO_START)
+        state = self._awake(state)
+        made = _RobotAttempts(self, grasp, state)
+        names = grasp.object_name.tolist()
+        make_attempts(made, self.settings.attempts, object_pose[None], names, self._preparer.objects)
+        if not self._missed and self.goes_on_to(Phase.PUT_DOWN):
+            self._ask(Phase.PUT_DOWN)
+            self._begin(Phase.PUT_DOWN)
+            self.scripted.put_down(self.prepared, self._last_goal)
+        if not (self._missed or self.goes_on_to(Phase.HOME)):
+            robot.stop()
+            self.machine.phase = Phase.DONE
+            return
+        self._ask(Phase.HOME)
+        self._begin(Phase.HOME)
+        back = [robot.palm_follower_joints, *made.postures[-2::-1]]
+        self.scripted.move(back, self.prepared.start_fingers)
+        self._begin(Phase.DONE)
+
+    def goes_on_to(self, phase: Phase) -> bool:
+        """Whether a phase is among those that are asked for."""
+        order = list(Phase)
+        return order.index(phase) <= order.index(self.settings.until)
 
     @property
     def may_hold(self) -> bool:
-        """Whether the hand may hold something: the robot has moved, and did not end at home with an open
-        hand."""
-        moved = Phase.MOVE_TO_START in self._times and not self.robot.dry_run
-        return moved and not (self.machine.phase is Phase.DONE and Phase.HOME in self._times)
+        """Whether the hand may hold something: the robot has moved, and did not end as it should before it
+        grasped or after it let go."""
+        if Phase.MOVE_TO_START not in self._times or self.robot.dry_run:
+            return False
+        empty = Phase.GRASP not in self._times or any(p in self._times for p in (Phase.PUT_DOWN, Phase.HOME))
+        return not (self.machine.phase is Phase.DONE and empty)
 
     @property
     def prepared(self) -> PreparedGrasp:
@@ -213,44 +233,45 @@ class Deployment:
         robot.take_control()
         return now
 
-    def _move(self, corners: list[np.ndarray], fingers: np.ndarray) -> None:
-        """Move the fingers while the arm stands still, then the arm from posture to posture: the way of the
-        arm is clear for the fingers as they are then."""
-        robot, period = self.robot, self.robot.setpoints.period
-        robot.guard.reset()
-        when = robot.clock.now()
+    def _ask(self, phase: Phase) -> float:
+        """Ask whether a phase may begin; meanwhile the robot stands still, and is watched as in motion. How
+        long that took [s]."""
+        if self._confirm is None:
+            return 0.0
+        robot, moving = self.robot, Phase.MOVE_TO_START in self._times
+        asked = when = robot.clock.now()
 
-        def send(arm: np.ndarray, hand: np.ndarray) -> None:
+        def meanwhile() -> None:
             nonlocal when
             robot.wait(when)
-            robot.send(arm, hand)
-            when += period
+            robot.check_switch()
+            if moving:
+                robot.send(robot.palm_follower_joints, robot.setpoints.fingers[0])
+            else:
+                robot.state()
+            when += robot.setpoints.period
 
-        last = robot.hand_driver.read().positions
-        step = robot.cell.limits.hand_speed * FINGER_SHARE * period
-        count = int(np.ceil(np.abs(fingers - last).max() / step))
-        for i in range(count):
-            send(corners[0], last + (i + 1) / count * (fingers - last))
-        for start, end in pairwise(corners):
-            for joints in timed_leg(start, end, robot.kinematics, robot.cell.limits, period):
-                send(joints, fingers)
-        robot.place_setpoints(corners[-1], fingers)
+        self._confirm(phase, meanwhile)
+        if moving:
+            robot.clock.sleep_until(when)
+        return robot.clock.now() - asked
 
     def _follow_policy(self, judge: AttemptJudge | None) -> None:
         """Grasp, lift and hold, as the policy says; the judge looks on, if there is one."""
         robot, p, plan = self.robot, self.robot.protocol, self.prepared.plan
+        self._ask(Phase.GRASP)
         self._begin(Phase.GRASP)
         state = robot.state()
         robot.begin(state, p.lift_height)
         start, step, held_since = state.time, 0, np.inf
         closing = float(plan.closing_step[0]) * plan.control_period
         while True:
-            now = self._wait_for_tick(start, step)
+            now = self.scripted.wait_for_tick(start, step)
             if now - held_since >= p.hold_time - 1e-6:
                 return
             if step:
                 state = robot.state()
-            if state.time - start < closing:
+            if robot.plan_time(state.time) < closing:
                 self._check_object(state)
             observation = robot.observation(state)
             if judge is not None:
@@ -262,85 +283,24 @@ class Deployment:
             if problem:
                 raise SafetyStop(problem, StopKind.HOLD)
             forced = action.lift | (observation.time >= p.approach_time - 1e-9)
-            sent = robot.send_action(replace(action, lift=forced), start + step * p.control_period)
+            if forced[0] and not np.isfinite(robot.lift_time):
+                if not self.goes_on_to(Phase.LIFT):
+                    return
+                stood = self._ask(Phase.LIFT)
+                robot.stand_still(stood)
+                start += stood
+            sent = robot.send_action(replace(action, lift=forced), start + step * robot.control_period)
             late = self.ticks.lateness[-1]
             self.log.step(state.time, self.machine.phase, observation, action, sent, late)
             if self.machine.phase is Phase.GRASP and np.isfinite(robot.lift_time):
                 self._begin(Phase.LIFT)
-            if self.machine.phase is Phase.LIFT and self._arrived(action.palm_goal, p.lift_height):
+            if self.machine.phase is Phase.LIFT and self.scripted.arrived(action.palm_goal, p.lift_height):
                 self._begin(Phase.HOLD)
                 held_since = robot.clock.now()
-            self._last_action = action
+            self._last_goal = action.palm_goal
             step += 1
             if step * p.control_period > self.settings.longest_phase:
                 raise SafetyStop("the grasp takes too long", StopKind.HOLD)
-
-    def _put_down(self, prepared: PreparedGrasp) -> None:
-        """Lower the object, open the hand, withdraw along the way that the palm came."""
-        robot, plan, period = self.robot, prepared.plan, self.robot.protocol.control_period
-        robot.begin(robot.state())
-        assert self._last_action is not None
-        low = self._last_action.palm_goal
-        fingers = self.robot.setpoints.fingers.copy()
-        start, step, opened = robot.clock.now(), 0, 0.0
-        # The same goal until the object stands; then the hand opens.
-        while opened < 1.0:
-            if self._arrived(low, 0.0):
-                opened = min(1.0, opened + period / self.settings.open_time)
-            targets = fingers + opened * (prepared.start_fingers - fingers)
-            self._scripted(start, step, Action(low, targets, np.array([False])))
-            step += 1
-        # Backwards along the approach, as fast as it allows.
-        back = compose(plan.object_pose, plan.palm_setpoint[0, : int(plan.closing_step[0]) + 1][::-1])
-        for pose in back:
-            targets = prepared.start_fingers[None]
-            self._scripted(start, step, Action(pose[None], targets, np.array([False])))
-            step += 1
-        while not self._arrived(back[-1:], 0.0):
-            self._scripted(start, step, Action(back[-1:], prepared.start_fingers[None], np.array([False])))
-            step += 1
-
-    def _withdraw(self, verdict: AttemptVerdict) -> None:
-        """Open the hand over what is not held as it should be, and withdraw."""
-        robot = self.robot
-        state = robot.state()
-        robot.begin(state)
-        observation = robot.observation(state)
-        policy = WaypointPolicy(way_off(self.prepared.plan, observation, verdict.gap))
-        start, step = robot.clock.now(), 0
-        while True:
-            action = policy.act(robot.get_observation())
-            if policy.arrived.all():
-                return
-            self._scripted(start, step, action)
-            step += 1
-
-    def _scripted(self, start: float, step: int, action: Action) -> None:
-        """One control step that no policy has a say in."""
-        period = self.robot.protocol.control_period
-        self._wait_for_tick(start, step)
-        self.robot.send_action(action, start + step * period)
-        if step * period > self.settings.longest_phase:
-            raise SafetyStop(f"the phase '{self.machine.phase}' takes too long", StopKind.HOLD)
-
-    # What every tick does.
-
-    def _wait_for_tick(self, start: float, step: int) -> float:
-        """Wait for a control step; the time."""
-        robot = self.robot
-        planned = start + step * robot.protocol.control_period
-        robot.clock.sleep_until(planned)
-        now = robot.clock.now()
-        late = self.ticks.record(planned, now)
-        if late > robot.cell.watchdog.overrun:
-            raise SafetyStop(f"the control period was overrun by {1e3 * late:.0f} ms", StopKind.HOLD)
-        self.robot.check_switch()
-        return now
-
-    def _arrived(self, goal: np.ndarray, above: float) -> bool:
-        """Whether the palm's setpoint is at a goal [1, 7], raised by a height [m]."""
-        apart = goal[0, :3] + np.array([0.0, 0.0, above]) - self.robot.setpoints.wrist.pose[0, :3]
-        return float(np.linalg.norm(apart)) < ARRIVED
 
     def _watch(self, state: RobotState, command: RobotCommand) -> None:
         """After each setpoint."""
@@ -368,7 +328,7 @@ class _RobotAttempts:
             state: of the robot now.
         """
         self._d, self._grasp, self._state = deployment, grasp, state
-        self.postures = [state.arm.positions]
+        self.postures = [*deployment.prepared.behind[::-1], state.arm.positions]
         """Of the arm on its way so far, the last one where it is."""
         self._verdict: AttemptVerdict | None = None
 
@@ -377,8 +337,10 @@ class _RobotAttempts:
         d = self._d
         d._attempts, d._missed = number + 1, False
         d._begin(Phase.MOVE_TO_START)
-        d._move([self.postures[-1], *d.prepared.corners], d.prepared.start_fingers)
+        d.scripted.move([self.postures[-1], *d.prepared.corners], d.prepared.start_fingers)
         self.postures.extend(d.prepared.corners)
+        if not d.goes_on_to(Phase.GRASP):
+            return np.array([False])
         if d.settings.attempts == 1:
             d._follow_policy(None)
             return np.array([False])
@@ -392,7 +354,7 @@ class _RobotAttempts:
         """Open the hand and leave the object, after the last attempt too."""
         assert self._verdict is not None
         self._d._begin(Phase.WITHDRAW)
-        self._d._withdraw(self._verdict)
+        self._d.scripted.withdraw(self._d.prepared.plan, self._verdict.gap)
 
     def look(self, ids: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Where the tracker sees the object."""

@@ -3,12 +3,27 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 
 from fungrasp.deployment.deadlines import DeadlineMonitor
 from fungrasp.deployment.phases import Phase
 from fungrasp.deployment.preparation import PreparedGrasp
+from fungrasp.robots.robot_state import RobotState
+
+Until = Literal["plan", "approach", "grasp", "lift", "put-down", "home"]
+"""Where a deployment ends."""
+
+LAST_PHASES: dict[Until, Phase] = {
+    "plan": Phase.IDLE,
+    "approach": Phase.MOVE_TO_START,
+    "grasp": Phase.GRASP,
+    "lift": Phase.HOLD,
+    "put-down": Phase.PUT_DOWN,
+    "home": Phase.HOME,
+}
+"""The last phase of each."""
 
 
 @dataclass(frozen=True)
@@ -22,8 +37,11 @@ class DeploymentSpec:
     attempts: int = 1
     """Most attempts. A policy that watches (a student) sees that the object is not held: the hand withdraws,
     looks where the object lies, plans anew and tries again."""
-    put_down: bool = True
-    """Put the object down again, and go home; else end after the hold, with the object held."""
+    until: Until = "home"
+    """Where to end: "plan" (nothing moves), "approach" (at the start of the grasp), "grasp" (fingers closed),
+    "lift" (after the hold, with the object held), "put-down" or "home"."""
+    speed: float = 1.0
+    """Share of the cell's speed, above 0 and at most 1: the time of all motion is stretched."""
     dry_run: bool = False
     """Read everything, decide everything, log everything, and send nothing."""
     gravity_compensation: bool = True
@@ -46,8 +64,11 @@ class DeploymentSettings:
     """Time in which poses of the object are collected before planning [s]."""
     wait_time: float = 10.0
     """Longest wait for the first of them [s]."""
-    put_down: bool = True
-    """Whether the object is put down again, and the arm goes home."""
+    until: Phase = Phase.HOME
+    """The last phase: IDLE, MOVE_TO_START, GRASP, HOLD, PUT_DOWN or HOME. The robot ends where it is then."""
+    speed: float = 1.0
+    """Share of the cell's speed, above 0 and at most 1: time of the plan is stretched, as ``Robot.slow_down``
+    says. The hold takes its time."""
     open_time: float = 1.5
     """Time in which the hand opens to let go [s]."""
     longest_phase: float = 30.0
@@ -81,6 +102,8 @@ class DeploymentResult:
     """When each phase began, on the robot's clock [s]."""
     longest_silence: dict[str, float] = field(default_factory=dict)
     """Longest time that the time stamp of arm and hand stood still between setpoints [s]."""
+    before: RobotState | None = None
+    """What the devices said before planning; None where it did not come to that."""
     spec: DeploymentSpec | None = None
     """What was asked, where ``fungrasp.deploy`` was."""
     success: bool | None = None

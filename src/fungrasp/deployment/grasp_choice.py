@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from fungrasp.deployment.saved_plan import ObjectSource
     from fungrasp.grasps import HumanGraspSet, RobotGraspSet
     from fungrasp.hands import Hand
     from fungrasp.objects import ObjectModel
@@ -73,6 +74,19 @@ class GraspChoice:
 
         human, objects = self.human(seed)
         return retarget(human, objects, hand, threads=self.threads), objects
+
+    def source(self, thing: ObjectModel) -> ObjectSource:
+        """Where the object is read from again when a saved plan is carried out.
+
+        Args:
+            thing: the object.
+        """
+        from fungrasp.deployment.saved_plan import ObjectSource
+
+        file = self.mesh if self.image is not None else None
+        file = str(Path(file).resolve()) if file and Path(file).is_file() else file or ""
+        folder = "" if self.objects is None else str(self.objects.resolve())
+        return ObjectSource(thing.name, thing.mass, folder, file)
 
     def _of_image(self, folder: str, seed: int) -> tuple[HumanGraspSet, dict[str, ObjectModel]]:
         from fungrasp.errors import FungraspError

@@ -66,6 +66,9 @@ class PreparedGrasp:
     corners: tuple[np.ndarray, ...]
     """Postures between where the arm is and the start of the plan, the start included [rad], each of shape
     [A]."""
+    behind: tuple[np.ndarray, ...] = ()
+    """Postures of the way home from where the arm is, where that is not home already [rad], each of shape
+    [A]."""
 
 
 class Preparer(Protocol):

@@ -10,11 +10,11 @@ from typing import TypeVar
 
 import numpy as np
 
-from fungrasp.deployment.deployment import Deployment, DeploymentResult, DeploymentSettings
+from fungrasp.deployment.deployment import Confirm, Deployment, DeploymentResult, DeploymentSettings
 from fungrasp.deployment.hand_knowledge import HandDynamics
 from fungrasp.deployment.log import DeploymentLog
 from fungrasp.deployment.phases import Phase
-from fungrasp.deployment.preparation import GraspPreparer, UnreachableError
+from fungrasp.deployment.preparation import GraspPreparer, Preparer, UnreachableError
 from fungrasp.geometry.poses import (
     invert,
     quaternion_from_rotation_vector,
@@ -204,7 +204,9 @@ def deploy_on_twin(
     settings: DeploymentSettings | None = None,
     about: dict[str, str] | None = None,
     on_phase: Callable[[Phase], None] = lambda phase: None,
+    confirm: Confirm | None = None,
     prepare_world: Callable[[TwinWorld], None] = lambda world: None,
+    preparer: Preparer | None = None,
     advise: bool = True,
 ) -> TwinOutcome:
     """Deploy one grasp on a fresh twin.
@@ -229,7 +231,9 @@ def deploy_on_twin(
         settings: times; the defaults if None.
         about: what the log says of it.
         on_phase: called as a phase begins.
+        confirm: called before each phase in which the robot moves; not if None.
         prepare_world: called with the twin after the object has settled, to spoil it.
+        preparer: what has a plan already; None to plan.
         advise: whether a grasp that can't be reached is refused with a placement that would do.
 
     Raises:
@@ -275,12 +279,13 @@ def deploy_on_twin(
         deployment = Deployment(
             robot,
             policy,
-            GraspPreparer(cell, hand, thing, planner, dynamics, seed, advise=advise),
+            preparer or GraspPreparer(cell, hand, thing, planner, dynamics, seed, advise=advise),
             log=log,
             settings=settings,
             about=about,
             on_phase=begun,
             on_setpoint=watch,
+            confirm=confirm,
         )
         result = deployment.run(grasp)
         latest = 0.0 if real_time is None else real_time.latest

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fungrasp.deployment.deployment import Deployment
+from fungrasp.deployment.deployment import Confirm, Deployment
 from fungrasp.deployment.deployment_result import DeploymentResult, DeploymentSettings
 from fungrasp.deployment.hand_knowledge import HandDynamics
 from fungrasp.deployment.holding import endings_as_interrupts, hold_until_told
@@ -63,6 +63,8 @@ class DeploymentTask:
     """Read everything, send nothing."""
     seed: int = 0
     """Of the plan."""
+    preparer: Preparer | None = None
+    """What has a plan already; None to plan."""
 
 
 def deploy_on_robot(
@@ -74,6 +76,7 @@ def deploy_on_robot(
     about: dict[str, str] | None = None,
     on_phase: Callable[[Phase], None] = lambda phase: None,
     on_connect: Callable[[Robot], None] = lambda robot: None,
+    confirm: Confirm | None = None,
     hold: Callable[[Robot], None] = hold_until_told,
 ) -> DeploymentResult:
     """Connect to a robot and deploy one grasp. What keeps time runs ahead of other work from the first
@@ -91,6 +94,7 @@ def deploy_on_robot(
         about: what the log says of it.
         on_phase: called as a phase begins.
         on_connect: called with the connected robot, before anything moves.
+        confirm: called before each phase in which the robot moves; not if None.
         hold: called with the stopped robot where the hand may hold something; returns when it may let go.
 
     Raises:
@@ -115,7 +119,9 @@ def deploy_on_robot(
         stack.enter_context(at_priority(usual))
         stack.enter_context(robot)
         on_connect(robot)
-        preparer = GraspPreparer(task.cell, task.hand, task.thing, task.planner, task.dynamics, task.seed)
+        preparer = task.preparer or GraspPreparer(
+            task.cell, task.hand, task.thing, task.planner, task.dynamics, task.seed
+        )
         deployment = Deployment(
             robot,
             task.policy,
@@ -124,6 +130,7 @@ def deploy_on_robot(
             settings=settings,
             about=about,
             on_phase=begun,
+            confirm=confirm,
         )
         stack.enter_context(endings_as_interrupts())
         try:

@@ -12,6 +12,7 @@ import numpy as np
 
 from fungrasp.deployment.deployment import DeploymentSettings
 from fungrasp.deployment.hand_knowledge import HandDynamics
+from fungrasp.deployment.phases import Phase
 from fungrasp.deployment.preparation import UnreachableError
 from fungrasp.deployment.twin_deployment import (
     MOST_PLACEMENTS,
@@ -216,7 +217,7 @@ class TwinSetup:
                 dynamics=dynamics,
                 compensate=variant.compensate,
                 physics=self.physics,
-                settings=DeploymentSettings(look_time=0.4, put_down=False, attempts=variant.attempts),
+                settings=DeploymentSettings(look_time=0.4, until=Phase.HOLD, attempts=variant.attempts),
                 advise=False,
             )
 

@@ -99,12 +99,30 @@ def save_robot_grasps(path: str | Path, grasps: RobotGraspSet) -> None:
     Raises:
         FungraspError: the set is empty or the file can't be written.
     """
-    extra = {EXTRA + name: value for name, value in grasps.extra.items()}
-    joint_names = np.array(grasps.joint_names, dtype=str)
-    whole = {"hand": np.array(grasps.hand), "joint_names": joint_names}
+    _write(path, grasps, _whole_of_robot(grasps))
+
+
+def robot_grasp_fields(grasps: RobotGraspSet) -> dict[str, np.ndarray]:
+    """Robot grasps as arrays by name, to be kept in a file with other things."""
+    fields = {name: getattr(grasps, name) for name in grasps.FIELDS} | _whole_of_robot(grasps)
+    return {name: value for name, value in fields.items() if value is not None}
+
+
+def robot_grasps_from_fields(arrays: Mapping[str, np.ndarray], where: str) -> RobotGraspSet:
+    """Robot grasps from what ``robot_grasp_fields`` gave; where: begins the messages.
+
+    Raises:
+        FungraspError: bad content; names field, shapes and row.
+    """
+    return _robot(Path(where), arrays)
+
+
+def _whole_of_robot(grasps: RobotGraspSet) -> dict[str, np.ndarray]:
+    """What belongs to a set of robot grasps as a whole."""
+    whole = {"hand": np.array(grasps.hand), "joint_names": np.array(grasps.joint_names, dtype=str)}
     if grasps.hand_file:
         whole["hand_file"] = np.array(grasps.hand_file)
-    _write(path, grasps, whole | extra)
+    return whole | {EXTRA + name: value for name, value in grasps.extra.items()}
 
 
 def _human(path: Path, arrays: Mapping[str, np.ndarray]) -> HumanGraspSet:

@@ -30,9 +30,12 @@ from fungrasp.robots.stop_switch import StopSwitch
 from fungrasp.sim2real.gravity_compensation import GravityCompensation, setpoint_offset
 from fungrasp.task import Action, LiftProtocol, Observation
 from fungrasp.task.sensors import NO_LIFT
-from fungrasp.task.setpoints import SetpointGenerator
+from fungrasp.task.setpoints import SetpointGenerator, more_setpoints
 
 _log = logging.getLogger(__name__)
+
+LEAST_SPEED = 0.02
+"""A robot is not slowed down further, as a share of the plan's speed: a grasp would take half an hour."""
 
 
 class Robot:
@@ -103,6 +106,7 @@ class Robot:
         self._stiffness = servos if stiffness is None else stiffness
         self._seen: TrackedPose | None = None
         self._began = 0.0
+        self._count = self.setpoints.number
         self.lift_time = np.inf
         """When the lift began, on the plan's clock [s]; infinite before."""
         self.lift_height = 0.0
@@ -192,10 +196,39 @@ class Robot:
         assert self._follower is not None, "place_setpoints() comes first"
         return self._follower.joints
 
+    def slow_down(self, speed: float) -> None:
+        """Carry plans out more slowly from now on: their time is stretched by adding setpoints between
+        theirs, at the same rate. What watches the devices, their silence and the age of poses, stays on the
+        robot's clock.
+
+        Args:
+            speed: share of the plans' speed, above 0 and at most 1. A control period becomes whole setpoint
+                periods, so that it is as fast as that or a little slower.
+
+        Raises:
+            FungraspError: another speed.
+        """
+        if not LEAST_SPEED <= speed <= 1.0:
+            raise FungraspError(f"the speed is a share of the plan's, {LEAST_SPEED:g} to 1, not {speed:g}")
+        self._count = int(np.ceil(self.setpoints.number / speed - 1e-9))
+
     @property
-    def plan_time(self) -> float:
-        """Time since the plan began [s]."""
-        return self.clock.now() - self._began
+    def speed(self) -> float:
+        """Time of the plan in a time of the robot's clock, 1 unless it is slowed down."""
+        return self.setpoints.number / self._count
+
+    @property
+    def control_period(self) -> float:
+        """Between two actions, on the robot's clock [s]."""
+        return self._count * self.setpoints.period
+
+    def plan_time(self, time: float) -> float:
+        """Time since the plan began, on the plan's clock [s]. time: of the robot's clock [s]."""
+        return (time - self._began) * self.speed
+
+    def stand_still(self, seconds: float) -> None:
+        """Take a time in which the robot stood still out of the plan's clock. seconds: [s]."""
+        self._began += seconds
 
     def get_observation(self) -> Observation:
         """What the robot's sensors say now, as a policy sees it: one row.
@@ -209,7 +242,7 @@ class Robot:
         """What a policy sees of a state: one row."""
         if state.tracked is None:
             raise RobotError(f"{self.tracker.name} has not seen the object yet: look where the camera points")
-        time = state.time - self._began
+        time = self.plan_time(state.time)
         return Observation(
             time=np.array([time]),
             time_since_lift=np.array([max(time - self.lift_time, NO_LIFT)]),
@@ -222,8 +255,8 @@ class Robot:
         )
 
     def send_action(self, action: Action, start: float | None = None) -> Action:
-        """Do what a policy asks: five setpoints, 20 ms apart. Returns when the last one is sent, 80 ms after
-        the first.
+        """Do what a policy asks: five setpoints, 20 ms apart, or more of them if the robot is slowed down.
+        Returns when the last one is sent, 80 ms after the first at full speed.
 
         Args:
             action: one row.
@@ -241,19 +274,23 @@ class Robot:
             raise RobotError("the policy's action is not finite: its file may be damaged")
         start = self.clock.now() if start is None else start
         if action.lift[0] and not np.isfinite(self.lift_time):
-            self.lift_time = start - self._began
+            self.lift_time = self.plan_time(start)
         goal = action.palm_goal.copy()
         goal[:, 2] += self.lift_height * np.isfinite(self.lift_time)
+        palm, joints = self.setpoints.wrist.pose[0].copy(), self.setpoints.fingers[0].copy()
         sequence = self.setpoints.advance(goal, action.finger_targets)
+        palms, fingers = sequence.palm[:, 0], sequence.fingers[:, 0]
+        if self._count > len(palms):
+            palms, fingers = more_setpoints(palm, palms, joints, fingers, self._count)
         assert self._follower is not None, "begin() comes first"
         sent = None
-        for i in range(len(sequence.palm)):
+        for i in range(len(palms)):
             self.wait(start + i * self.setpoints.period)
-            joints, place, turn = self._follower.follow(sequence.palm[i, 0], self.setpoints.period)
+            joints, place, turn = self._follower.follow(palms[i], self.setpoints.period)
             if place > 0.02 or turn > 0.1:
                 self.stop()
                 raise SafetyStop("the arm can't reach the palm's setpoint", StopKind.HOLD)
-            sent = self.send(joints, sequence.fingers[i, 0])
+            sent = self.send(joints, fingers[i])
         assert sent is not None
         return replace(
             action,

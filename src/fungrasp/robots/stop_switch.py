@@ -44,8 +44,12 @@ class StopSwitch:
             ways.append(f"make the file {self._file}")
         return " or ".join(ways)
 
-    def ask(self, question: str) -> str:
+    def ask(self, question: str, meanwhile: Callable[[], None] | None = None) -> str:
         """Ask the person at the keyboard; the next line is the answer, and stops nothing.
+
+        Args:
+            question: shown on the terminal.
+            meanwhile: called again and again until there is an answer; what it raises ends the question.
 
         Raises:
             EOFError: there is no keyboard.
@@ -55,8 +59,12 @@ class StopSwitch:
         self._asking = True
         sys.stderr.write(question)
         sys.stderr.flush()
-        answer = self._answers.get()
-        self._asking = False
+        try:
+            while meanwhile is not None and self._answers.empty():
+                meanwhile()
+            answer = self._answers.get()
+        finally:
+            self._asking = False
         if not answer:
             raise EOFError("the terminal is gone")
         return answer.strip()

@@ -7,6 +7,12 @@ from itertools import pairwise
 
 import numpy as np
 
+from fungrasp.geometry.poses import (
+    quaternion_conjugate,
+    quaternion_from_rotation_vector,
+    quaternion_multiply,
+    rotation_vector,
+)
 from fungrasp.task.protocol import LiftProtocol
 from fungrasp.task.wrist_limits import WristSetpoint
 
@@ -121,3 +127,31 @@ class SetpointGenerator:
         rate = (fingers - self.fingers) / self.number
         self._goal = np.where(which[:, None], goal, self._goal)
         self._finger_rate = np.where(which[:, None], rate, self._finger_rate)
+
+
+def more_setpoints(
+    palm: np.ndarray, palms: np.ndarray, joints: np.ndarray, fingers: np.ndarray, count: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """More setpoints on the way of S others, evenly: a motion that is slowed down.
+
+    Args:
+        palm: where the palm begins, shape [7].
+        palms: its S setpoints, shape [S, 7].
+        joints: where the fingers begin [rad], shape [U].
+        fingers: their S setpoints [rad], shape [S, U].
+        count: how many are wanted, S or more.
+
+    Returns:
+        setpoints of palm, shape [count, 7], and fingers, shape [count, U]; the last are those given.
+    """
+    palms, fingers = np.concatenate([palm[None], palms]), np.concatenate([joints[None], fingers])
+    when = np.arange(1, count + 1) * (len(palms) - 1) / count
+    low = np.minimum(when.astype(int), len(palms) - 2)
+    share = (when - low)[:, None]
+    turn = rotation_vector(quaternion_multiply(palms[low + 1, 3:], quaternion_conjugate(palms[low, 3:])))
+    turned = quaternion_multiply(quaternion_from_rotation_vector(share * turn), palms[low, 3:])
+    place = palms[low, :3] + share * (palms[low + 1, :3] - palms[low, :3])
+    return (
+        np.concatenate([place, turned], axis=1),
+        fingers[low] + share * (fingers[low + 1] - fingers[low]),
+    )

@@ -28,7 +28,12 @@ as that. What is seen of an object is up to a centimeter off."""
 
 
 def timed_leg(
-    start: np.ndarray, end: np.ndarray, kinematics: ArmKinematics, limits: MotionLimits, period: float
+    start: np.ndarray,
+    end: np.ndarray,
+    kinematics: ArmKinematics,
+    limits: MotionLimits,
+    period: float,
+    speed: float = 1.0,
 ) -> np.ndarray:
     """Setpoints of the joints on a straight line, with the least jerk: ``s(u) = 10 u^3 - 15 u^4 + 6 u^5``.
 
@@ -38,14 +43,19 @@ def timed_leg(
         kinematics: of the arm.
         limits: of joints and palm.
         period: time between two setpoints [s].
+        speed: share of that speed, above 0.
 
     Returns:
-        Shape [S, M], the last one ``end``; as fast as the limits allow.
+        Shape [S, M], the last one ``end``; as fast as the limits allow, or slower.
     """
+
+    def line(count: int) -> np.ndarray:
+        u = np.arange(1, count + 1)[:, None] / count
+        return start + (10 * u**3 - 15 * u**4 + 6 * u**5) * (end - start)
+
     duration = 10 * period
     for _ in range(20):
-        u = np.arange(1, max(1, round(duration / period)) + 1)[:, None] / max(1, round(duration / period))
-        path = start + (10 * u**3 - 15 * u**4 + 6 * u**5) * (end - start)
+        path = line(max(1, round(duration / period)))
         joints = np.concatenate([start[None], start[None], path, end[None]])
         palm = np.array([kinematics.palm_pose(q)[:3] for q in joints])
         excess = max(
@@ -57,7 +67,7 @@ def timed_leg(
         if excess <= 1.0:
             break
         duration *= 1.02 * excess
-    return path
+    return path if speed == 1.0 else line(int(np.ceil(len(path) / speed)))
 
 
 def _largest(values: np.ndarray, order: int, whole: bool = False) -> float:

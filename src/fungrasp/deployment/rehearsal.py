@@ -1,0 +1,233 @@
+"""A plan carried out by a robot that follows perfectly: every setpoint of the whole way, seen by the safety
+filter, before anything moves."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+
+from fungrasp.deployment.deployment import Deployment
+from fungrasp.deployment.deployment_result import DeploymentSettings
+from fungrasp.deployment.phases import Phase
+from fungrasp.deployment.preparation import PreparedGrasp
+from fungrasp.deployment.scripted_motion import ARRIVED
+from fungrasp.errors import FungraspError
+from fungrasp.geometry.poses import compose, relative
+from fungrasp.grasps import RobotGraspSet
+from fungrasp.hands import Hand
+from fungrasp.objects import ObjectModel
+from fungrasp.policies import OpenLoopPolicy
+from fungrasp.robots.cell import RobotCell
+from fungrasp.robots.device import (
+    DeviceStatus,
+    JointLimits,
+    JointState,
+    StopKind,
+    TrackedPose,
+    TrackingStatus,
+)
+from fungrasp.robots.kinematics.arm_model import ArmKinematics
+from fungrasp.robots.robot import Robot
+from fungrasp.robots.robot_state import RobotCommand
+from fungrasp.robots.stop_switch import StopSwitch
+
+LOOK_TIME = 0.1
+"""Of the tracker, which sees where the plan has the object [s]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """The whole way of a plan at full speed: T setpoints, 20 ms apart."""
+
+    times: np.ndarray
+    """Since the first [s], shape [T]."""
+    phases: np.ndarray
+    """Name of each one's phase, shape [T] str."""
+    arm: np.ndarray
+    """Joints of the arm [rad], shape [T, A]."""
+    fingers: np.ndarray
+    """Independent joints of the hand, which the object stops where the grasp has them [rad], shape [T, U]."""
+    palm: np.ndarray
+    """Palm, world frame, shape [T, 7]."""
+    object_pose: np.ndarray
+    """The object, held fast from the lift until it stands again, world frame, shape [T, 7]."""
+
+
+def rehearse(
+    cell: RobotCell,
+    hand: Hand,
+    grasp: RobotGraspSet,
+    prepared: PreparedGrasp,
+    arm: np.ndarray,
+    fingers: np.ndarray,
+) -> Motion:
+    """Carry a plan out without a robot, from the way to the start to the way home. What a policy that watches
+    corrects on the way is not in it.
+
+    Args:
+        cell: the robot.
+        hand: on its arm.
+        grasp: that was planned.
+        prepared: the plan.
+        arm: joints of the arm where it begins [rad], shape [A].
+        fingers: independent joints of the hand where it begins [rad], shape [U].
+
+    Raises:
+        FungraspError: the safety filter would stop it.
+    """
+    clock, plan = _SteppedClock(), prepared.plan
+    count = len(hand.actuators)
+    kinematics = ArmKinematics(cell, hand)
+    fast = np.full(len(arm), cell.limits.arm_speed)
+    reach = JointLimits(kinematics.lower, kinematics.upper, fast, np.full(len(arm), np.inf))
+    low, high = hand.joint_limits[[hand.joint_names.index(name) for name in hand.actuators]].T
+    servos = JointLimits(low, high, np.full(count, cell.limits.hand_speed), np.full(count, np.inf))
+    driven, closing = _PerfectJoints("arm", arm, reach, clock), _PerfectJoints("hand", fingers, servos, clock)
+    robot = Robot(
+        cell,
+        hand,
+        driven,
+        closing,
+        _StandingObject(plan.object_pose[0], clock),
+        clock,
+        compensate=False,
+        switch=StopSwitch(),
+    )
+    rows: list[tuple[float, str, np.ndarray, np.ndarray, np.ndarray]] = []
+
+    def record(phase: Phase, command: RobotCommand) -> None:
+        begun = robot.plan_time(clock.now())
+        if phase is Phase.GRASP and begun >= float(plan.closing_step[0]) * plan.control_period - 1e-9:
+            closing.stop_at(plan.grasp_joints[0], prepared.start_fingers)
+        rows.append((clock.now(), phase, command.arm, closing.positions.copy(), command.palm))
+
+    with robot:
+        settings = DeploymentSettings(look_time=LOOK_TIME)
+        run = Deployment(robot, OpenLoopPolicy(), _Planned(prepared), settings=settings, on_setpoint=record)
+        result = run.run(grasp)
+    if result.fault:
+        during = f" while '{rows[-1][1]}'" if rows else ""
+        raise FungraspError(f"the safety filter would stop this plan{during}: {result.fault}")
+    columns = [np.array(column) for column in zip(*rows, strict=True)]
+    # A phase may begin at the time of the last setpoint before: the later one counts.
+    last = np.append(np.diff(columns[0]) > 0, True)
+    times, phases, joints, closed, palms = (column[last] for column in columns)
+    pose = _carried(plan.object_pose[0], palms, phases)
+    return Motion(times - times[0], phases, joints, closed, palms, pose)
+
+
+def _carried(rest: np.ndarray, palm: np.ndarray, phases: np.ndarray) -> np.ndarray:
+    """The object along the way: fast in the hand from the lift until the palm is down again."""
+    held = np.flatnonzero(np.isin(phases, [Phase.LIFT, Phase.HOLD, Phase.PUT_DOWN]))
+    pose = np.tile(rest, (len(palm), 1))
+    first = palm[held[0] - 1]
+    apart = np.linalg.norm(palm[held, :3] - first[:3], axis=1)
+    down = (phases[held] == Phase.PUT_DOWN) & (apart < ARRIVED)
+    held = held[: int(np.argmax(down))]
+    pose[held] = compose(palm[held], relative(first, rest))
+    return pose
+
+
+class _Planned:
+    """A ``Preparer`` that has its plan already."""
+
+    objects: Mapping[str, ObjectModel] = {}
+
+    def __init__(self, prepared: PreparedGrasp):
+        self._prepared = prepared
+
+    def prepare(
+        self, grasp: RobotGraspSet, object_pose: np.ndarray, arm: np.ndarray, *, attempt: int = 0
+    ) -> PreparedGrasp:
+        """See ``Preparer.prepare``."""
+        return self._prepared
+
+
+class _SteppedClock:
+    """Waiting takes no time."""
+
+    def __init__(self) -> None:
+        self._now = 0.0
+
+    def now(self) -> float:
+        """See ``Clock.now``."""
+        return self._now
+
+    def sleep_until(self, when: float) -> None:
+        """See ``Clock.sleep_until``."""
+        self._now = max(self._now, when)
+
+
+class _PerfectJoints:
+    """Joints that are at once where they are told to be, unless something stops them."""
+
+    takes_feedforward = False
+    lets_go = ""
+
+    def __init__(self, name: str, positions: np.ndarray, limits: JointLimits, clock: _SteppedClock):
+        self.name, self.limits, self._clock = name, limits, clock
+        self.positions = np.clip(positions, limits.lower, limits.upper)
+        """Where they are [rad]."""
+        self._low, self._high = limits.lower, limits.upper
+
+    def stop_at(self, held: np.ndarray, free: np.ndarray) -> None:
+        """From now on joints stay between where something stops them and where they are free, or where they
+        are now [rad], each of shape [U]."""
+        if self._low is self.limits.lower:
+            both = np.array([held, free, self.positions])
+            self._low, self._high = both.min(axis=0), both.max(axis=0)
+
+    def connect(self) -> None:
+        """See ``JointDriver.connect``."""
+
+    def take_control(self) -> None:
+        """See ``JointDriver.take_control``."""
+
+    def read(self) -> JointState:
+        """See ``JointDriver.read``."""
+        now = self._clock.now()
+        return JointState(self.positions, np.zeros_like(self.positions), None, now, now, DeviceStatus.READY)
+
+    def command(self, positions: np.ndarray, feedforward: np.ndarray | None = None) -> np.ndarray:
+        """See ``JointDriver.command``."""
+        sent = np.clip(positions, self.limits.lower, self.limits.upper)
+        self.positions = np.clip(sent, self._low, self._high)
+        return sent
+
+    def stop(self, kind: StopKind = StopKind.HOLD) -> None:
+        """See ``JointDriver.stop``."""
+
+    def close(self) -> None:
+        """See ``JointDriver.close``."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None: ...
+
+
+class _StandingObject:
+    """A tracker that sees the object where the plan has it."""
+
+    name = "the plan's object"
+
+    def __init__(self, pose: np.ndarray, clock: _SteppedClock):
+        self._pose, self._clock = pose, clock
+
+    def connect(self) -> None:
+        """See ``PoseSource.connect``."""
+
+    def read(self) -> TrackedPose:
+        """See ``PoseSource.read``."""
+        return TrackedPose(self._pose, self._clock.now(), 1.0, TrackingStatus.TRACKING)
+
+    def close(self) -> None:
+        """See ``PoseSource.close``."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None: ...

@@ -1,0 +1,149 @@
+"""Motions of a robot that no policy has a say in: from posture to posture, putting down, withdrawing."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+
+from fungrasp.deployment.deadlines import DeadlineMonitor
+from fungrasp.deployment.deployment_result import DeploymentSettings
+from fungrasp.deployment.phases import Phase
+from fungrasp.deployment.preparation import PreparedGrasp
+from fungrasp.geometry.poses import compose
+from fungrasp.planning.withdrawal import way_off
+from fungrasp.policies.waypoints import WaypointPolicy
+from fungrasp.robots.device import StopKind
+from fungrasp.robots.kinematics.joint_path import timed_leg
+from fungrasp.robots.robot import Robot
+from fungrasp.robots.robot_state import SafetyStop
+from fungrasp.task import Action, GraspPlan
+
+ARRIVED = 2e-3
+"""A setpoint is where it should be if it is this near [m]: the hold begins as in the lift test."""
+
+FINGER_SHARE = 0.2
+"""Of their largest speed, for fingers that move before the arm does."""
+
+
+class ScriptedMotion:
+    """Moves a robot as told, at the speed that it has been slowed down to, and watches its control steps."""
+
+    def __init__(self, robot: Robot, settings: DeploymentSettings, ticks: DeadlineMonitor):
+        """
+        Args:
+            robot: connected.
+            settings: times.
+            ticks: told of each control step.
+        """
+        self._robot, self._settings, self._ticks = robot, settings, ticks
+
+    def move(self, corners: list[np.ndarray], fingers: np.ndarray) -> None:
+        """Move the fingers while the arm stands still, then the arm from posture to posture: the way of the
+        arm is clear for the fingers as they are then.
+
+        Args:
+            corners: postures of the arm, the first one where it is [rad], each of shape [A].
+            fingers: independent joints [rad], shape [U].
+        """
+        robot, period = self._robot, self._robot.setpoints.period
+        robot.guard.reset()
+        when = robot.clock.now()
+
+        def send(arm: np.ndarray, hand: np.ndarray) -> None:
+            nonlocal when
+            robot.wait(when)
+            robot.send(arm, hand)
+            when += period
+
+        last = robot.hand_driver.read().positions
+        step = robot.cell.limits.hand_speed * FINGER_SHARE * period * robot.speed
+        count = int(np.ceil(np.abs(fingers - last).max() / step))
+        for i in range(count):
+            send(corners[0], last + (i + 1) / count * (fingers - last))
+        for start, end in pairwise(corners):
+            for joints in timed_leg(start, end, robot.kinematics, robot.cell.limits, period, robot.speed):
+                send(joints, fingers)
+        robot.place_setpoints(corners[-1], fingers)
+
+    def put_down(self, prepared: PreparedGrasp, low: np.ndarray) -> None:
+        """Lower the object, open the hand, withdraw along the way that the palm came.
+
+        Args:
+            prepared: what was done.
+            low: where the palm is when the object stands, world frame, shape [1, 7].
+        """
+        robot, plan, period = self._robot, prepared.plan, self._robot.protocol.control_period
+        robot.begin(robot.state())
+        fingers = robot.setpoints.fingers.copy()
+        start, step, opened = robot.clock.now(), 0, 0.0
+
+        def go(palm: np.ndarray, targets: np.ndarray) -> None:
+            nonlocal step
+            self._step(Phase.PUT_DOWN, start, step, Action(palm, targets, np.array([False])))
+            step += 1
+
+        closing = int(plan.closing_step[0])
+        # As the approach had fingers and palm, step by step: those postures are clear of table and object.
+        back = compose(plan.object_pose, plan.palm_setpoint[0, : closing + 1][::-1])
+        opening = np.concatenate([prepared.start_fingers[None], plan.finger_targets[0, :closing]])[::-1]
+        # The same goal until the object stands; then the hand opens.
+        while opened < 1.0:
+            if self.arrived(low, 0.0):
+                opened = min(1.0, opened + period / self._settings.open_time)
+            go(low, fingers + opened * (opening[:1] - fingers))
+        for pose, targets in zip(back, opening, strict=True):
+            go(pose[None], targets[None])
+        while not self.arrived(back[-1:], 0.0):
+            go(back[-1:], prepared.start_fingers[None])
+
+    def withdraw(self, plan: GraspPlan, gap: np.ndarray) -> None:
+        """Open the hand over what is not held as it should be, and withdraw.
+
+        Args:
+            plan: that was followed.
+            gap: of the judge's verdict.
+        """
+        robot = self._robot
+        state = robot.state()
+        robot.begin(state)
+        policy = WaypointPolicy(way_off(plan, robot.observation(state), gap))
+        start, step = robot.clock.now(), 0
+        while True:
+            action = policy.act(robot.get_observation())
+            if policy.arrived.all():
+                return
+            self._step(Phase.WITHDRAW, start, step, action)
+            step += 1
+
+    def wait_for_tick(self, start: float, step: int) -> float:
+        """Wait for a control step; the time [s].
+
+        Args:
+            start: of the first one, time of the robot's clock [s].
+            step: its number.
+
+        Raises:
+            SafetyStop: it begins too late, or the switch is pressed.
+        """
+        robot = self._robot
+        planned = start + step * robot.control_period
+        robot.clock.sleep_until(planned)
+        now = robot.clock.now()
+        late = self._ticks.record(planned, now)
+        if late > robot.cell.watchdog.overrun:
+            raise SafetyStop(f"the control period was overrun by {1e3 * late:.0f} ms", StopKind.HOLD)
+        robot.check_switch()
+        return now
+
+    def arrived(self, goal: np.ndarray, above: float) -> bool:
+        """Whether the palm's setpoint is at a goal, world frame, shape [1, 7], raised by a height [m]."""
+        apart = goal[0, :3] + np.array([0.0, 0.0, above]) - self._robot.setpoints.wrist.pose[0, :3]
+        return float(np.linalg.norm(apart)) < ARRIVED
+
+    def _step(self, phase: Phase, start: float, step: int, action: Action) -> None:
+        """One control step."""
+        self.wait_for_tick(start, step)
+        self._robot.send_action(action, start + step * self._robot.control_period)
+        if step * self._robot.protocol.control_period > self._settings.longest_phase:
+            raise SafetyStop(f"the phase '{phase}' takes too long", StopKind.HOLD)
