@@ -14,6 +14,8 @@ from fungrasp.task.setpoints import SETPOINT_PERIOD
 
 BRAKING = 0.1
 """An arm at its largest speed is at rest after this time [s]."""
+TRACKER = 0.25
+"""A tracker's delay and two of its frames [s]: what it sees is heard of so much later."""
 CONTROL_PERIOD = 0.1
 """Between two looks at the tracker and the log [s]."""
 WATCHDOG = 1.0 / URSettings.watchdog
@@ -82,6 +84,10 @@ def _control(cell: RobotCell) -> float:
     return CONTROL_PERIOD + SETPOINT_PERIOD
 
 
+def _tracker(cell: RobotCell) -> float:
+    return TRACKER + CONTROL_PERIOD
+
+
 def _driver_silence(cell: RobotCell) -> float:
     said = float(cell.hand_device.options.get("stale_after", 0.1))
     return max(said, cell.watchdog.hand_silence) + CONTROL_PERIOD
@@ -99,7 +105,7 @@ KINDS = (
     FaultKind("arm silent", Place.TWIN, "the arm has been silent|arm.*silent", _arm_silence, MOVING),
     FaultKind("hand silent", Place.TWIN, "the hand has been silent", _hand_silence, MOVING),
     FaultKind("fault of the hand", Place.TWIN, "the hand .*motor hot"),
-    FaultKind("tracker jumps", Place.TWIN, "has jumped by", _control, carried=LATER),
+    FaultKind("tracker jumps", Place.TWIN, "has jumped by", _tracker, carried=LATER),
     FaultKind(
         "tracker silent",
         Place.TWIN,

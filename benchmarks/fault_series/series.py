@@ -57,7 +57,8 @@ class BenchFaultSeries:
         trials = self._known(asked)
         # Real devices don't wait for a computer's other work.
         raise_priority()
-        for one in drawn[len(trials) :]:
+        done = {trial.number for trial in trials}
+        for one in (fault for fault in drawn if fault.number not in done):
             trials.append(self._trial(scenes[one.number % len(scenes)], one))
             if self.json is not None:
                 write_result(self.json, {**asked, **run_record(self.seed)}, [asdict(t) for t in trials])

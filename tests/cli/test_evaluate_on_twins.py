@@ -32,7 +32,8 @@ def test_images_are_numbered_by_row(played, tmp_path, monkeypatch, capsys) -> No
 
     monkeypatch.setattr(perceived_grasps, "grasps_from_images", seen)
     out = tmp_path / "twins.json"
-    evaluate(out, images_per_grasp=2, placements=2, variants=("full, two attempts",)).run()
+    again = {"variants": ("full, two attempts",), "policy": "student"}
+    evaluate(out, images_per_grasp=2, placements=2, **again).run()
     result = read_result(out)
     assert [(row["index"], row["place"]) for row in result.rows] == [
         (0, 0), (0, 1), (6, 0), (6, 1), (7, 0), (7, 1),
@@ -51,6 +52,17 @@ def test_images_are_numbered_by_row(played, tmp_path, monkeypatch, capsys) -> No
 def test_unknown_variant(played, tmp_path) -> None:
     with pytest.raises(UnknownNameError, match="two attempts"):
         evaluate(tmp_path / "twins.json", variants=("two tries",)).run()
+
+
+@pytest.mark.parametrize("policy", ["plan", "reference"])
+def test_a_second_attempt_of_a_blind_policy_is_refused_before_images_are_seen(
+    policy: str, played, tmp_path, capsys
+) -> None:
+    given = ["--variants", "full, two attempts", "--policy", policy, "--images-per-grasp", "2"]
+    assert main(["robots", "evaluate", *given, "--out", str(tmp_path / "twins.json")]) == 2
+    said = capsys.readouterr().err.strip()
+    assert "'full, two attempts' needs a policy that watches" in said and "\n" not in said
+    assert not list(tmp_path.iterdir())
 
 
 def test_words_of_the_version_before(played, tmp_path, capsys, caplog) -> None:

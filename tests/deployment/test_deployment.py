@@ -18,6 +18,7 @@ from fungrasp.errors import FungraspError
 from fungrasp.planning import MotionPlanner
 from fungrasp.policies import OpenLoopPolicy
 from fungrasp.robots.device import RobotError
+from fungrasp.robots.kinematics.joint_path import FreePath
 from fungrasp.robots.stop_switch import StopSwitch
 from fungrasp.robots.twin.devices import TwinArm, TwinHand
 from fungrasp.task import Action, Observation
@@ -261,6 +262,59 @@ def test_a_dry_run_moves_nothing() -> None:
     assert outcome.result.fault == ""
     assert not outcome.success
     assert np.abs(seen["world"].arm_state()[0] - seen["before"]).max() < 0.01
+
+
+def test_where_one_plan_has_no_free_way_the_next_is_tried(monkeypatch: pytest.MonkeyPatch) -> None:
+    cell, hand = cell_and_hand()
+    (grasp, thing), where = grasp_and_object(), placed()
+    seeds: list[int] = []
+    find, plan = FreePath.find, MotionPlanner.plan
+
+    def planned(self: Any, grasps: Any, belief: Any, seed: int = 0, *rest: Any) -> Any:
+        seeds.append(seed)
+        return plan(self, grasps, belief, seed, *rest)
+
+    monkeypatch.setattr(MotionPlanner, "plan", planned)
+    monkeypatch.setattr(FreePath, "find", lambda self, *a: find(self, *a) if len(seeds) > 1 else None)
+    preparer = GraspPreparer(cell, hand, thing, MotionPlanner(hand, {thing.name: thing}))
+    home = np.array(cell.arm.home)
+    prepared = preparer.prepare(grasp, where, home)
+    assert seeds == [0, 1] and len(prepared.corners)
+    monkeypatch.setattr(FreePath, "find", lambda self, *a: None)
+    with pytest.raises(UnreachableError, match="no free way"):
+        preparer.prepare(grasp, where, home)
+    assert seeds == [0, 1, 0, 1, 2]
+
+
+def test_the_hand_opens_only_where_the_arm_is_seen_to_be_low(monkeypatch: pytest.MonkeyPatch) -> None:
+    cell = near_cell()
+    cell = replace(cell, watchdog=replace(cell.watchdog, arm_silence=1.5))
+    seen: dict[str, Any] = {}
+    send, read = TwinArm._send, TwinArm.read
+
+    def lost(self: Any) -> bool:
+        return self._world.time > seen.get("put down", np.inf) + 0.8
+
+    def silent(self: Any) -> Any:
+        self.frozen = lost(self)
+        return read(self)
+
+    monkeypatch.setattr(TwinArm, "_send", lambda self, *goal: None if lost(self) else send(self, *goal))
+    monkeypatch.setattr(TwinArm, "read", silent)
+
+    def phase(now: Phase) -> None:
+        if now is Phase.PUT_DOWN:
+            seen["put down"] = seen["world"].time
+
+    result = deploy(
+        cell=cell, put_down=True, prepare_world=lambda world: seen.update(world=world), on_phase=phase
+    ).result
+    assert "the arm has been silent" in result.fault
+    world = seen["world"]
+    high = float(world.center_of_mass()[2])
+    world.advance(world.time + 1.0)
+    assert world.look().in_hand and not world.look().on_table
+    assert float(world.center_of_mass()[2]) == pytest.approx(high, abs=0.005)
 
 
 def test_a_grasp_out_of_reach_is_said_before_anything_moves() -> None:

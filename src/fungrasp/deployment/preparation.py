@@ -40,7 +40,7 @@ PLACEMENTS = 60
 
 PLANS = 3
 """Plans, of as many seeds, that are made before a grasp counts as not reachable: the planner knows nothing of
-the arm, and what one plan can't do the next often can."""
+the arm, and what one plan can't do, or to whose start it finds no free way, the next often can."""
 
 LOW_PALM = 0.09
 """A palm lower than this beside an object [m] is often out of reach of a UR, wherever the object stands: the
@@ -161,7 +161,7 @@ class GraspPreparer:
         obstacle = self._reach.possible(self._straight(grasp, object_pose, start, fingers), arm)
         if obstacle:
             raise UnreachableError(self._advice(grasp, object_pose, obstacle))
-        belief = self._belief(grasp, object_pose, start, fingers)
+        belief, blocked = self._belief(grasp, object_pose, start, fingers), False
         for number in range(plans):
             plan = self._plan(
                 grasp, belief, start, fingers, arm, self._seed + ATTEMPT_SEEDS * attempt + number
@@ -175,11 +175,12 @@ class GraspPreparer:
                 corners = free.find(arm, reach.start, fingers, object_pose, self._rng)
                 if corners is not None:
                     return PreparedGrasp(plan, fingers, reach, tuple(corners))
-            if found:
-                raise UnreachableError(
-                    f"the arm finds no free way from where it is to the start of '{self._thing.name}': "
-                    "move it by hand to a higher place"
-                )
+            blocked = blocked or bool(found)
+        if blocked:
+            raise UnreachableError(
+                f"the arm finds no free way from where it is to the start of '{self._thing.name}': "
+                "move it by hand to a higher place"
+            )
         raise UnreachableError(self._advice(grasp, object_pose, obstacle))
 
     def _plan(

@@ -22,6 +22,10 @@ from fungrasp.task import Action, GraspPlan
 ARRIVED = 2e-3
 """A setpoint is where it should be if it is this near [m]: the hold begins as in the lift test."""
 
+LOWERED = 0.01
+"""An object stands once the palm is measured this near to where it had taken it [m]: an arm that follows no
+more is noticed only after a while."""
+
 FINGER_SHARE = 0.2
 """Of their largest speed, for fingers that move before the arm does."""
 
@@ -89,7 +93,7 @@ class ScriptedMotion:
         opening = np.concatenate([prepared.start_fingers[None], plan.finger_targets[0, :closing]])[::-1]
         # The same goal until the object stands; then the hand opens.
         while opened < 1.0:
-            if self.arrived(low, 0.0):
+            if self.arrived(low, 0.0) and (opened or self._lowered(low)):
                 opened = min(1.0, opened + period / self._settings.open_time)
             go(low, fingers + opened * (opening[:1] - fingers))
         for pose, targets in zip(back, opening, strict=True):
@@ -140,6 +144,11 @@ class ScriptedMotion:
         """Whether the palm's setpoint is at a goal, world frame, shape [1, 7], raised by a height [m]."""
         apart = goal[0, :3] + np.array([0.0, 0.0, above]) - self._robot.setpoints.wrist.pose[0, :3]
         return float(np.linalg.norm(apart)) < ARRIVED
+
+    def _lowered(self, goal: np.ndarray) -> bool:
+        """Whether the palm is measured at the height of a goal, shape [1, 7]; on a dry run nothing moves."""
+        palm = self._robot.kinematics.palm_pose(self._robot.arm.read().positions)
+        return self._robot.dry_run or float(palm[2] - goal[0, 2]) < LOWERED
 
     def _step(self, phase: Phase, start: float, step: int, action: Action) -> None:
         """One control step."""

@@ -71,7 +71,7 @@ class TwinSeriesSpec:
     def __post_init__(self) -> None:
         """
         Raises:
-            FungraspError: a number that can't be, or an unknown variant.
+            FungraspError: a number that can't be, an unknown variant, or one that the policy is not for.
         """
         object.__setattr__(self, "variants", tuple(map(variant_name, self.variants)))
         for name in ("variants", "twins"):
@@ -84,6 +84,14 @@ class TwinSeriesSpec:
             value = getattr(self, name)
             if value is not None and value < 1:
                 raise FungraspError(f"--{name.replace('_', '-')} must be at least 1, not {value}")
+        again = [
+            variant.name for variant in VARIANTS if variant.attempts > 1 and variant.name in self.variants
+        ]
+        if again and policy_files(self.policy, load_hand(load_cell(self.cell).hand).name).network is None:
+            raise FungraspError(
+                f"the variant '{again[0]}' needs a policy that watches, and '{self.policy}' plays its plan "
+                "blindly: take --policy student, or leave the variant out"
+            )
 
 
 def variant_name(name: str) -> str:
