@@ -20,7 +20,7 @@ from fungrasp.robots.device import DeviceStatus, RobotError, StopKind
 from fungrasp.robots.emulators.emulator import Fault
 from fungrasp.robots.emulators.inspire_modbus import InspireEmulator
 from fungrasp.robots.emulators.plant import ServoPlant
-from fungrasp.robots.hands.inspire import InspireSettings, inspire_driver
+from fungrasp.robots.hands.inspire import InspireLoop, InspireSettings, inspire_driver
 from fungrasp.robots.hands.inspire_link import open_link
 
 pytest.importorskip("pymodbus")
@@ -221,6 +221,25 @@ def test_a_fault_of_a_motor_latches_until_somebody_connects(protocol: str):
         assert device.driver.read().message == "index finger: too hot"
         with pytest.raises(RobotError, match="too hot"):
             device.driver.command(device.near)
+
+
+def test_a_fault_counts_where_the_same_is_read_twice(monkeypatch: pytest.MonkeyPatch):
+    loop = InspireLoop(InspireSettings(address="127.0.0.1"))
+    hot, broken, stalled = ([bits, 0, 0] for bits in (0b00010, 0b01000, 0b00001))
+    answers: list[list[int]] = []
+
+    def read(self, address: int, count: int):
+        return answers.pop(0) if address == codec.ERRORS else [500] * count
+
+    monkeypatch.setattr(InspireLoop, "_read", read)
+    for said, message in (
+        ([hot, broken], ""),
+        ([hot, [0, 0, 0]], ""),
+        ([stalled], ""),
+        ([hot, [a + b for a, b in zip(hot, stalled, strict=True)]], "little finger: too hot"),
+    ):
+        answers, loop._errors_due = said, 0.0
+        assert loop._read_state().message == message and not answers
 
 
 @pytest.mark.parametrize("fault", [Fault.KILLED, Fault.STALLED, Fault.POWER_LOSS, Fault.SATURATED])

@@ -203,29 +203,23 @@ class InspireLoop:
             velocities = (positions - before.positions) / max(now - before.received, 1e-3)
         if now >= self._errors_due:
             self._errors_due = now + ERROR_INTERVAL
-            # Values have no checksum over TCP, a weak one on a serial line: a fault counts when read twice.
-            self._fault = self._read_faults() and self._read_faults()
+            # Values have no checksum over TCP, a weak one on a serial line: a fault counts when the same is
+            # read twice.
+            said = self._read_faults()
+            self._fault = _faults_in_words(said) if said is not None and said == self._read_faults() else ""
         status = DeviceStatus.FAULT if self._fault else DeviceStatus.READY
         self._state = JointState(positions, velocities, None, now, now, status, self._fault)
         return self._state
 
-    def _read_faults(self) -> str:
+    def _read_faults(self) -> list[int] | None:
+        """Bits of faults by motor, those that belong to grasping left out; None where there is none, or nobody
+        answers."""
         registers = self._read(codec.ERRORS, codec.MOTORS // 2)
         if registers is None:
-            return ""
-        names = (
-            "little finger",
-            "ring finger",
-            "middle finger",
-            "index finger",
-            "thumb bend",
-            "thumb rotation",
-        )
-        for motor, bits in enumerate(codec.unpack_bytes(registers)):
-            for bit, what in codec.FAULTS.items():
-                if bits >> bit & 1:
-                    return f"{names[motor]}: {what}"
-        return ""
+            return None
+        mask = sum(1 << bit for bit in codec.FAULTS)
+        faults = [bits & mask for bits in codec.unpack_bytes(registers)]
+        return faults if any(faults) else None
 
     def _first_answer(self, address: int, count: int) -> Sequence[int]:
         for _ in range(5):
@@ -243,3 +237,10 @@ class InspireLoop:
     def _write(self, address: int, values: list[int]) -> bool:
         assert self._link is not None, "open() comes first"
         return self._link.write(address, values)
+
+
+def _faults_in_words(faults: list[int]) -> str:
+    """The first of some faults, as a phrase. faults: bits by motor, of which at least one is set."""
+    names = ("little finger", "ring finger", "middle finger", "index finger", "thumb bend", "thumb rotation")
+    motor = next(motor for motor, bits in enumerate(faults) if bits)
+    return f"{names[motor]}: {next(what for bit, what in codec.FAULTS.items() if faults[motor] >> bit & 1)}"
