@@ -307,7 +307,7 @@ def test_the_hand_opens_only_where_the_arm_is_seen_to_be_low(monkeypatch: pytest
             seen["put down"] = seen["world"].time
 
     result = deploy(
-        cell=cell, put_down=True, prepare_world=lambda world: seen.update(world=world), on_phase=phase
+        cell=cell, until=Phase.HOME, prepare_world=lambda world: seen.update(world=world), on_phase=phase
     ).result
     assert "the arm has been silent" in result.fault
     world = seen["world"]

@@ -212,7 +212,7 @@ class InspireLoop:
         return self._state
 
     def _read_faults(self) -> list[int] | None:
-        """Bits of faults by motor, those that belong to grasping left out; None where there is none, or nobody
+        """Bits of faults by motor, without those that belong to grasping; None where there is none, or nobody
         answers."""
         registers = self._read(codec.ERRORS, codec.MOTORS // 2)
         if registers is None:
