@@ -1,0 +1,285 @@
+"""The node that grasps: an action ``grasp``, services ``stop`` and ``release``, joint states and diagnostics.
+
+    ros2 run fungrasp_ros2 grasp_node --ros-args -p cell:=lab.toml
+
+What the command ``fungrasp deploy`` does is done here, in the thread of the action. The node's services are
+answered meanwhile.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from fungrasp.deployment.deploy import deployment_task
+from fungrasp.deployment.deployment_result import DeploymentResult, DeploymentSettings, DeploymentSpec
+from fungrasp.deployment.grasp_choice import GraspChoice
+from fungrasp.deployment.holding import OPENING
+from fungrasp.deployment.log import DeploymentLog, McapLog
+from fungrasp.deployment.phases import Phase
+from fungrasp.deployment.wired_deployment import deploy_on_robot
+from fungrasp.errors import FungraspError
+from fungrasp.hands import load_hand
+from fungrasp.hands.arm import arm_spec
+from fungrasp.robots.assembly import is_twin
+from fungrasp.robots.cell import RobotCell, check_calibrated, load_cell
+from fungrasp.robots.device import JointState, StopKind
+from fungrasp.robots.robot import Robot
+from fungrasp.robots.stop_switch import StopSwitch
+from fungrasp_ros2.conversions import diagnostic_fields, fill, joint_state_fields
+from fungrasp_ros2.ros_side import ros_module
+
+PUBLISHING = 0.1
+"""Between two messages of diagnostics [s]."""
+
+
+@dataclass(frozen=True)
+class GraspRequest:
+    """The goal of the action."""
+
+    choice: GraspChoice
+    """Which grasp."""
+    stay: bool = False
+    """End with the object held."""
+    dry_run: bool = False
+    """Send nothing."""
+
+
+class PublishingLog:
+    """A ``DeploymentLog`` that keeps the newest states and passes everything on to another one."""
+
+    def __init__(self, log: DeploymentLog):
+        """
+        Args:
+            log: of everything.
+        """
+        self._log = log
+        self.states: dict[str, JointState] = {}
+        """Of arm and hand, the newest."""
+
+    def begin(self, plan: Any, about: Mapping[str, str]) -> None:
+        """See ``DeploymentLog.begin``."""
+        self._log.begin(plan, about)
+
+    def setpoint(self, phase: str, state: Any, command: Any) -> None:
+        """See ``DeploymentLog.setpoint``."""
+        self.states = {"arm": state.arm, "hand": state.hand}
+        self._log.setpoint(phase, state, command)
+
+    def step(self, *arguments: Any) -> None:
+        """See ``DeploymentLog.step``."""
+        self._log.step(*arguments)
+
+    def event(self, time: float, what: str, text: str) -> None:
+        """See ``DeploymentLog.event``."""
+        self._log.event(time, what, text)
+
+
+class GraspJob:
+    """One grasp at a time, and what may stop or release it. Needs no ROS."""
+
+    def __init__(
+        self,
+        cell: RobotCell,
+        name: str,
+        policy: str = "plan",
+        logs: Path = Path(),
+        deploy: Callable[..., DeploymentResult] = deploy_on_robot,
+    ):
+        """
+        Args:
+            cell: the robot; no twin.
+            name: of the cell or its file.
+            policy: what moves the hand.
+            logs: folder of the logs.
+            deploy: deploys one grasp.
+
+        Raises:
+            FungraspError: the cell is a twin, or not calibrated.
+        """
+        if is_twin(cell):
+            raise FungraspError(f"cell '{cell.name}' is a twin: it has no devices to talk to")
+        check_calibrated(cell)
+        self.cell, self.hand = cell, load_hand(cell.hand)
+        self._name, self._policy, self._logs, self._deploy = name, policy, logs, deploy
+        self._busy, self._released = threading.Lock(), threading.Event()
+        self._switch: StopSwitch | None = None
+        self._log: PublishingLog | None = None
+        self.phase, self.fault, self.holding = "", "", False
+
+    @property
+    def states(self) -> dict[str, JointState]:
+        """Of arm and hand, the newest; empty before the first setpoint."""
+        return {} if self._log is None else self._log.states
+
+    def stop(self) -> tuple[bool, str]:
+        """Stop what moves. Returns: whether something was running, and words."""
+        if self._switch is None:
+            return False, "nothing is running"
+        self._switch.press("the service 'stop' was called")
+        return True, "stopping; what is held stays held until 'release'"
+
+    def release(self) -> tuple[bool, str]:
+        """Open a hand that holds after a stop or with ``stay``. Returns: whether it did hold, and words."""
+        if not self.holding:
+            return False, "the hand does not hold after a run"
+        self._released.set()
+        return True, "opening"
+
+    def run(self, request: GraspRequest, on_phase: Callable[[str], None]) -> tuple[bool, str, str]:
+        """Grasp.
+
+        Args:
+            request: what.
+            on_phase: called as a phase begins.
+
+        Returns:
+            whether it was done, how it went in words, and the log.
+        """
+        if not self._busy.acquire(blocking=False):
+            return False, "another grasp is running", ""
+        path = self._logs / time.strftime("grasp-%Y%m%d-%H%M%S.mcap")
+        self.phase, self.fault, self.holding = "", "", False
+        self._released.clear()
+
+        def begun(phase: Phase) -> None:
+            self.phase = phase.value
+            on_phase(phase.value)
+
+        try:
+            result = self._deployed(request, path, begun)
+        except FungraspError as error:
+            self.fault = str(error)
+            return False, str(error), ""
+        finally:
+            self._switch = None
+            self._busy.release()
+        self.fault = result.fault
+        return not result.fault, result.words(), str(path)
+
+    def _deployed(
+        self, request: GraspRequest, path: Path, begun: Callable[[Phase], None]
+    ) -> DeploymentResult:
+        grasp, objects = request.choice.robot(self.hand)
+        thing = objects[str(grasp.object_name[0])]
+        spec = DeploymentSpec(self._name, self._policy, put_down=not request.stay, dry_run=request.dry_run)
+        task = deployment_task(self.cell, self.hand, grasp, thing, spec, request.choice.threads)
+        about = {"robot": self._name, "policy": self._policy, "grasp": request.choice.words}
+        with McapLog(path) as written, StopSwitch(self.cell.stop_file) as switch:
+            self._log, self._switch = PublishingLog(written), switch
+            return self._deploy(
+                task,
+                log=self._log,
+                switch=switch,
+                settings=DeploymentSettings(put_down=spec.put_down),
+                about=about,
+                on_phase=begun,
+                hold=self.hold,
+            )
+
+    def hold(self, robot: Robot) -> None:
+        """Hold until ``release``, then open the hand slowly. robot: connected and stopped."""
+        self.holding = True
+        while not self._released.wait(0.1):
+            # A driver that is not heard of stops by itself.
+            robot.state()
+        self.holding = False
+        robot.hand_driver.stop(StopKind.OPEN)
+        time.sleep(OPENING)
+
+
+class GraspNode:
+    """The node around a ``GraspJob``."""
+
+    def __init__(self, node: Any, job: GraspJob, action: Any = None):
+        """
+        Args:
+            node: of rclpy.
+            job: what it does.
+            action: class of an action server; that of rclpy if None.
+        """
+        self._node, self._job = node, job
+        groups = ros_module("rclpy.callback_groups")
+        sensor, diagnostic, services = (
+            ros_module(f"{package}") for package in ("sensor_msgs.msg", "diagnostic_msgs.msg", "std_srvs.srv")
+        )
+        self._joint_state, self._diagnostics = sensor.JointState, diagnostic.DiagnosticArray
+        self._kinds = {"status": diagnostic.DiagnosticStatus, "values": diagnostic.KeyValue}
+        # A grasp takes a minute: the others are answered meanwhile.
+        group = groups.ReentrantCallbackGroup()
+        model = arm_spec(job.cell.arm.model).compile()
+        self._names = {
+            "arm": [model.joint(i).name for i in range(model.njnt)],
+            "hand": list(job.hand.actuators),
+        }
+        self._joints = node.create_publisher(sensor.JointState, "~/joint_states", 10)
+        self._diagnostic = node.create_publisher(diagnostic.DiagnosticArray, "/diagnostics", 10)
+        trigger = services.Trigger
+        node.create_service(trigger, "~/stop", self._answer(job.stop), callback_group=group)
+        node.create_service(trigger, "~/release", self._answer(job.release), callback_group=group)
+        node.create_timer(PUBLISHING, self.publish, callback_group=group)
+        kind = ros_module("fungrasp_msgs.action").Grasp
+        server = action or ros_module("rclpy.action").ActionServer
+        self._result, self._feedback = kind.Result, kind.Feedback
+        self._server = server(node, kind, "~/grasp", self.execute, callback_group=group)
+
+    def execute(self, goal: Any) -> Any:
+        """The action. goal: its handle."""
+        asked = goal.request
+        choice = GraspChoice(
+            asked.grasp or "wine_glass",
+            asked.grasps or "builtin",
+            Path(asked.objects) if asked.objects else None,
+        )
+        request = GraspRequest(choice, asked.stay, asked.dry_run)
+        done, words, log = self._job.run(
+            request, lambda phase: goal.publish_feedback(fill(self._feedback(), {"phase": phase}))
+        )
+        (goal.succeed if done else goal.abort)()
+        return fill(self._result(), {"done": done, "message": words, "log": log})
+
+    def publish(self) -> None:
+        """Joint states and diagnostics, as they are now."""
+        now, job = self._node.get_clock().now().nanoseconds, self._job
+        for device, state in job.states.items():
+            message = joint_state_fields(self._names[device], state, now)
+            self._joints.publish(fill(self._joint_state(), message))
+        fields = diagnostic_fields(job.states, job.phase, job.fault, now)
+        self._diagnostic.publish(fill(self._diagnostics(), fields, self._kinds))
+
+    def _answer(self, act: Callable[[], tuple[bool, str]]) -> Callable[[Any, Any], Any]:
+        def answer(request: Any, response: Any) -> Any:
+            response.success, response.message = act()
+            return response
+
+        return answer
+
+
+def main() -> None:
+    """``grasp_node``; parameters: ``cell``, ``policy``, ``logs``."""
+    rclpy, executors = ros_module("rclpy"), ros_module("rclpy.executors")
+    rclpy.init()
+    node = rclpy.create_node("fungrasp")
+    parameters = {"cell": "", "policy": "plan", "logs": "."}
+    given = {name: node.declare_parameter(name, value).value for name, value in parameters.items()}
+    try:
+        if not given["cell"]:
+            raise FungraspError("the parameter 'cell' is missing: -p cell:=FILE")
+        job = GraspJob(load_cell(given["cell"]), given["cell"], given["policy"], Path(given["logs"]))
+        GraspNode(node, job)
+    except FungraspError as error:
+        node.get_logger().fatal(str(error))
+        raise SystemExit(2) from error
+    executor = executors.MultiThreadedExecutor(4)
+    executor.add_node(node)
+    try:
+        executor.spin()
+    except KeyboardInterrupt:
+        job.stop()
+    finally:
+        node.destroy_node()
+        rclpy.try_shutdown()
