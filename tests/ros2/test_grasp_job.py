@@ -15,6 +15,7 @@ from driver_contract import wait_for
 from fungrasp.deployment.grasp_choice import GraspChoice
 from fungrasp.deployment.phases import Phase
 from fungrasp.errors import FungraspError
+from fungrasp.policies import OpenLoopPolicy
 from fungrasp.robots.cell import RobotCell, load_cell
 from fungrasp.robots.device import DeviceStatus, JointState, StopKind
 from fungrasp_ros2 import grasp_node
@@ -22,7 +23,7 @@ from fungrasp_ros2.grasp_node import GraspJob, GraspRequest
 
 pytest.importorskip("mcap")
 STATE = JointState(np.zeros(6), np.zeros(6), None, 0.0, 0.0, DeviceStatus.READY)
-MUG = GraspRequest(GraspChoice("mug"), stay=True)
+MUG = GraspRequest(GraspChoice("mug"), until="lift", speed=0.5)
 
 
 def wired() -> RobotCell:
@@ -35,7 +36,8 @@ def job(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
     """A job whose deployment waits until it is stopped, then holds."""
     grasp = SimpleNamespace(object_name=np.array(["mug"]))
     monkeypatch.setattr(GraspChoice, "robot", lambda self, hand, seed=0: (grasp, {"mug": "a mug"}))
-    monkeypatch.setattr(grasp_node, "deployment_task", lambda *arguments: arguments)
+    task = SimpleNamespace(policy=OpenLoopPolicy.__new__(OpenLoopPolicy))
+    monkeypatch.setattr(grasp_node, "deployment_task", lambda *arguments: task)
     monkeypatch.setattr(grasp_node, "OPENING", 0.0)
     stops: list[StopKind] = []
     robot: Any = SimpleNamespace(state=lambda: None, hand_driver=SimpleNamespace(stop=stops.append))
@@ -43,7 +45,7 @@ def job(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
     def deploy(
         task: Any, *, log: Any, switch: Any, on_phase: Any, hold: Any, settings: Any, about: Any
     ) -> Any:
-        assert settings.put_down is False and about["grasp"] == "mug"
+        assert settings.until is Phase.HOLD and settings.speed == 0.5 and about["grasp"] == "mug"
         on_phase(Phase.GRASP)
         log.setpoint("grasp", SimpleNamespace(arm=STATE, hand=STATE), None)
         assert wait_for(lambda: switch.reason)
@@ -87,6 +89,22 @@ def test_what_is_refused_is_said(job: Any, monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.setattr(GraspChoice, "robot", refuse)
     assert job.run(MUG, lambda phase: None) == (False, "no such grasp", "")
     assert job.fault == "no such grasp"
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [({"until": "left"}, "unknown end of a grasp 'left'"), ({"speed": 1.5}, "at most 1, not 1.5")],
+)
+def test_goals_that_can_not_be_are_refused(job: Any, wrong: dict[str, Any], words: str) -> None:
+    done, said, _ = job.run(replace(MUG, **wrong), lambda phase: None)
+    assert not done and words in said
+
+
+def test_a_policy_that_watches_is_not_slowed_down(job: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    task = SimpleNamespace(policy=SimpleNamespace())
+    monkeypatch.setattr(grasp_node, "deployment_task", lambda *arguments: task)
+    done, said, _ = job.run(MUG, lambda phase: None)
+    assert not done and "its speed is 1" in said
 
 
 def test_cells_that_are_no_robots_are_refused() -> None:

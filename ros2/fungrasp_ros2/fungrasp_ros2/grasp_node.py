@@ -16,15 +16,21 @@ from pathlib import Path
 from typing import Any
 
 from fungrasp.deployment.deploy import deployment_task
-from fungrasp.deployment.deployment_result import DeploymentResult, DeploymentSettings, DeploymentSpec
+from fungrasp.deployment.deployment_result import (
+    LAST_PHASES,
+    DeploymentResult,
+    DeploymentSettings,
+    DeploymentSpec,
+)
 from fungrasp.deployment.grasp_choice import GraspChoice
 from fungrasp.deployment.holding import OPENING
 from fungrasp.deployment.log import DeploymentLog, McapLog
 from fungrasp.deployment.phases import Phase
 from fungrasp.deployment.wired_deployment import deploy_on_robot
-from fungrasp.errors import FungraspError
+from fungrasp.errors import FungraspError, UnknownNameError
 from fungrasp.hands import load_hand
 from fungrasp.hands.arm import arm_spec
+from fungrasp.policies import OpenLoopPolicy
 from fungrasp.robots.assembly import is_twin
 from fungrasp.robots.cell import RobotCell, check_calibrated, load_cell
 from fungrasp.robots.device import JointState, StopKind
@@ -43,8 +49,10 @@ class GraspRequest:
 
     choice: GraspChoice
     """Which grasp."""
-    stay: bool = False
-    """End with the object held."""
+    until: str = "home"
+    """Where to end, as ``DeploymentSpec.until``."""
+    speed: float = 1.0
+    """Share of the cell's speed."""
     dry_run: bool = False
     """Send nothing."""
 
@@ -124,7 +132,7 @@ class GraspJob:
         return True, "stopping; what is held stays held until 'release'"
 
     def release(self) -> tuple[bool, str]:
-        """Open a hand that holds after a stop or with ``stay``. Returns: whether it did hold, and words."""
+        """Open a hand that holds after a stop or at the end. Returns: whether it did hold, and words."""
         if not self.holding:
             return False, "the hand does not hold after a run"
         self._released.set()
@@ -164,10 +172,21 @@ class GraspJob:
     def _deployed(
         self, request: GraspRequest, path: Path, begun: Callable[[Phase], None]
     ) -> DeploymentResult:
+        if request.until not in LAST_PHASES:
+            raise UnknownNameError("end of a grasp", request.until, LAST_PHASES)
+        if not 0 < request.speed <= 1:
+            raise FungraspError(f"the speed is a share above 0 and at most 1, not {request.speed:g}")
         grasp, objects = request.choice.robot(self.hand)
-        thing = objects[str(grasp.object_name[0])]
-        spec = DeploymentSpec(self._name, self._policy, put_down=not request.stay, dry_run=request.dry_run)
-        task = deployment_task(self.cell, self.hand, grasp, thing, spec, request.choice.threads)
+        spec = DeploymentSpec(
+            self._name,
+            self._policy,
+            until=request.until,  # pyright: ignore[reportArgumentType]
+            speed=request.speed,
+            dry_run=request.dry_run,
+        )
+        task = deployment_task(grasp, objects, spec, request.choice.threads)
+        if request.speed < 1 and not isinstance(task.policy, OpenLoopPolicy):
+            raise FungraspError(f"the policy '{self._policy}' watches what it does: its speed is 1")
         about = {"robot": self._name, "policy": self._policy, "grasp": request.choice.words}
         with McapLog(path) as written, StopSwitch(self.cell.stop_file) as switch:
             self._log, self._switch = PublishingLog(written), switch
@@ -175,7 +194,7 @@ class GraspJob:
                 task,
                 log=self._log,
                 switch=switch,
-                settings=DeploymentSettings(put_down=spec.put_down),
+                settings=DeploymentSettings(until=LAST_PHASES[spec.until], speed=spec.speed),
                 about=about,
                 on_phase=begun,
                 hold=self.hold,
@@ -235,7 +254,7 @@ class GraspNode:
             asked.grasps or "builtin",
             Path(asked.objects) if asked.objects else None,
         )
-        request = GraspRequest(choice, asked.stay, asked.dry_run)
+        request = GraspRequest(choice, asked.until or "home", asked.speed or 1.0, asked.dry_run)
         done, words, log = self._job.run(
             request, lambda phase: goal.publish_feedback(fill(self._feedback(), {"phase": phase}))
         )

@@ -79,7 +79,8 @@ def make_arm(cell: RobotCell) -> LoopDriver:
     names = tuple(model.joint(i).name for i in range(model.njnt))
     settings = _settings(cell.arm.options)
     count = len(names)
-    limits = JointLimits(*model.jnt_range.T.copy(), np.full(count, settings.velocity), np.full(count, np.inf))
+    lower, upper = model.jnt_range.T.copy()
+    limits = JointLimits(lower, upper, np.full(count, settings.velocity), np.full(count, np.inf))
     return LoopDriver(JointTopicLoop(cell.arm.address, settings, names, limits))
 
 
