@@ -7,6 +7,7 @@ BENCHMARKS = {
     "engines": "physics steps per second: the environment beside bare physics",
     "peers": "retargeting beside other packages",
     "grasp_set": "makes human grasps of many objects, in parts to train, to choose and to confirm",
+    "choose": "two variants on the same grasps of that set: the difference and its interval",
     "perception": "perceived hands and objects against the truth: rendered, varied and recorded captures",
     "wire": "deployments on twins over emulated wires, on the clock of the wall",
     "faults": "how drivers and the control computer react to faults of emulated devices",

@@ -163,7 +163,7 @@ def _parts_as_of(model: ObjectModel, same: ObjectModel) -> dict[str, np.ndarray]
     """The parts of an object for other triangles of the same surface: those of the nearest sample."""
     if not model.parts:
         return {}
-    points, face = trimesh.sample.sample_surface(model.mesh, SAMPLES, seed=0)
+    points, face = trimesh.sample.sample_surface(model.mesh, SAMPLES, seed=0)[:2]
     nearest = face[KDTree(points).query(same.vertices[same.faces].mean(axis=1))[1]]
     return {name: mask[nearest] for name, mask in model.parts.items()}
 

@@ -95,10 +95,9 @@ def _board(rng: np.random.Generator) -> DrawnShape:
 
 def _block(rng: np.random.Generator) -> DrawnShape:
     size = (rng.uniform(0.05, 0.09), rng.uniform(0.05, 0.085), rng.uniform(0.1, 0.2))
-    mass = min(np.prod(size) * rng.uniform(700, 2000), 1.4)
-    return DrawnShape(
-        {"body": [box(size, bevel=rng.uniform(0.001, 0.004))]}, mass, tasks={"body": "carry"}, lies=True
-    )
+    mass = min(size[0] * size[1] * size[2] * rng.uniform(700, 2000), 1.4)
+    body = box(size, bevel=rng.uniform(0.001, 0.004))
+    return DrawnShape({"body": [body]}, mass, tasks={"body": "carry"}, lies=True)
 
 
 def _full_bottle(rng: np.random.Generator) -> DrawnShape:

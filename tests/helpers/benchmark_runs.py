@@ -8,6 +8,7 @@ from typing import Any
 from fungrasp.cli.main import run_command
 
 MODULES = {
+    "choose": "commands",
     "engines": "simulation",
     "fault_series": "series",
     "faults": "devices",

@@ -50,18 +50,18 @@ def automatic_specifications(
         up: unit vector, object frame: the object rests on the stable face with which this direction points
             up most nearly.
     """
-    up = settled_up(model, np.array(up, dtype=float))
+    settled = settled_up(model, np.array(up, dtype=float))
     points = np.asarray(trimesh.sample.sample_surface(model.mesh, SAMPLES, seed=0)[0])
-    specs = _whole(model.name, points, up)
+    specs = _whole(model.name, points, settled)
     if model.parts:
         for name, mask in model.parts.items():
             part = trimesh.Trimesh(model.vertices, model.faces[mask], process=False)
             on_part = np.asarray(trimesh.sample.sample_surface(part, SAMPLES // 3, seed=0)[0])
-            specs += _part(model.name, name, on_part, points, up)
+            specs += _part(model.name, name, on_part, points, settled)
     else:
-        for cluster in _thin_clusters(model, points, up):
-            specs += _part(model.name, WHOLE, cluster, points, up)
-    return [replace(spec, up=_vector(up)) for spec in specs]
+        for cluster in _thin_clusters(model, points, settled):
+            specs += _part(model.name, WHOLE, cluster, points, settled)
+    return [replace(spec, up=_vector(settled)) for spec in specs]
 
 
 def parts_from_boxes(model: ObjectModel, path: str | Path) -> ObjectModel:

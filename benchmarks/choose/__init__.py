@@ -1,0 +1,1 @@
+"""Two variants compared on the same grasps and worlds."""
