@@ -52,6 +52,14 @@ except FungraspError as error:
 """
 """The one thing that is asked of Python: every command that needs MANO needs its licensed files first."""
 
+WORLDS = """
+from fungrasp.errors import FungraspError
+try:
+    from fungrasp.training.gymnasium_env import LiftEnv
+except FungraspError as error:
+    raise SystemExit(f"fungrasp: error: {error}")
+LiftEnv(grasps="few.npz").reset(seed=0)
+"""
 TRAIN = "fungrasp train --out t --grasps few.npz --steps 100 --environment.worlds 4 --variety.copies 1"
 FIT = "fungrasp identify fit step.csv --hand inspire --method"
 PEERS = "python -m benchmarks.peers --grasps few.npz --method"
@@ -87,6 +95,7 @@ TRIALS = {
         SEQUENCE,
         ends_with="the field 'serials' is missing",
     ),
+    "gymnasium": Trial("python worlds.py", f"{GRASPS}\nopen('worlds.py', 'w').write({WORLDS!r})"),
     "inspire": Trial(f"{DRIVER} inspire inspire-serial"),
     "leap": Trial(f"{DRIVER} leap"),
     "learning": Trial(TRAIN, GRASPS),

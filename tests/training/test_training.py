@@ -49,7 +49,7 @@ def test_a_world_that_diverges_is_named_and_begins_anew(caplog, monkeypatch, tmp
     assert str(library().plans.object_name[row]) in caplog.text and f"plan {row}" in caplog.text
     assert np.isfinite(step.reward).all()
     for name in ("robot", "privileged", "value"):
-        assert np.isfinite(getattr(step.observations, name)).all(), name
+        assert np.isfinite(getattr(worlds.observations, name)).all(), name
     assert not engine.diverged.any()
     worlds.step(np.zeros((8, worlds.actions)))
     assert worlds.diverged == 1

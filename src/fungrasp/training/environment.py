@@ -88,12 +88,10 @@ class NetworkInputs:
 class Step:
     """Outcome of a step in W worlds."""
 
-    observations: NetworkInputs
-    """Inputs of the networks after the step; where ``done``, those of the next episode's beginning."""
     reward: np.ndarray
     """Weighted sum of the reward terms, shape [W]."""
     done: np.ndarray
-    """Episodes that ended, shape [W] bool; their observations are those of the next one's beginning."""
+    """Episodes that ended, shape [W] bool."""
     success: np.ndarray
     """Whether an episode that ended succeeded, shape [W] bool."""
     terms: dict[str, float]
@@ -141,8 +139,7 @@ class TrainingEnvironment:
         self.diverged = 0
         """Episodes whose physics broke down so far."""
         everyone = np.arange(s.worlds)
-        self.tracker.begin(everyone, self._begin(everyone), self.episodes.observe())
-        self._privileged = self.episodes.privileged()
+        self.begin(everyone)
         features, contacts, more = self._parts()
         self.layout = layout(network_parts(features, s.layout, encoder=False))
         self.privileged_layout, self.value_layout = layout(contacts), layout(more)
@@ -159,7 +156,17 @@ class TrainingEnvironment:
         return self.tracker.size
 
     def step(self, action: np.ndarray) -> Step:
-        """One control period in all worlds. action: shape [W, A]."""
+        """One control period in all worlds; where an episode ends, the next one begins, and ``observations``
+        are of its beginning. action: shape [W, A]."""
+        step = self.advance(action)
+        ended = np.flatnonzero(step.done)
+        self.begin(ended)
+        self.observations = self._observe(ended)
+        return step
+
+    def advance(self, action: np.ndarray) -> Step:
+        """One control period in all worlds, no more: what ended has to ``begin`` anew, and ``observations``
+        stay as they are. action: shape [W, A]."""
         episodes, tracker, s = self.episodes, self.tracker, self.settings
         self.steps += s.worlds
         task, before = episodes.task, tracker.action
@@ -175,29 +182,35 @@ class TrainingEnvironment:
         )
         reward = np.where(diverged, s.reward.drop, np.nan_to_num(reward))
         self._report(np.flatnonzero(diverged))
-        ids = np.flatnonzero(done)
+        for g, won in zip(self.library.group[tracker.rows[done]], success[done], strict=True):
+            self.success_of_group[g] += 0.1 * (float(won) - self.success_of_group[g])
+        return Step(reward, done, success, {name: float(np.nanmean(v)) for name, v in terms.items()})
+
+    def begin(self, ids: np.ndarray) -> None:
+        """New episodes in some worlds. ids: shape [I]; nothing happens if there is none."""
         if len(ids):
-            group = self.library.group[tracker.rows[ids]]
-            for g, won in zip(group, success[ids], strict=True):
-                self.success_of_group[g] += 0.1 * (float(won) - self.success_of_group[g])
-            rows = self._begin(ids)
-            tracker.begin(ids, rows, episodes.observe())
-            self._privileged = episodes.privileged()
-        self.observations = self._observe(ids)
-        return Step(
-            self.observations,
-            reward,
-            done,
-            success,
-            {name: float(np.nanmean(v)) for name, v in terms.items()},
-        )
+            self.tracker.begin(ids, self._begin(ids), self.episodes.observe())
+            self._privileged = self.episodes.privileged()
+
+    def named_observations(self, privileged: bool) -> dict[str, np.ndarray]:
+        """What the networks get of the worlds as they are now, without a history: by name of each part, of
+        shape [W, number] float32. privileged: the contacts, too."""
+        features, contacts, _ = self._parts()
+        parts = network_parts(features, self.settings.layout, encoder=False)
+        parts |= contacts if privileged else {}
+        return {name: part.astype(np.float32) for name, part in parts.items()}
+
+    def reseed(self, seed: int) -> None:
+        """Draw everything that is random here from another seed, as after construction; ``begin`` comes
+        next."""
+        self.rng.bit_generator.state = np.random.default_rng(seed).bit_generator.state
+        self.success_of_group[:] = 0.5
 
     def restart(self) -> None:
         """Begin new episodes in all worlds: what follows depends on the random numbers, the success rates and
         the actions alone, so that it can be repeated from a checkpoint."""
         everyone = np.arange(self.settings.worlds)
-        self.tracker.begin(everyone, self._begin(everyone), self.episodes.observe())
-        self._privileged = self.episodes.privileged()
+        self.begin(everyone)
         self.observations = self._observe(everyone)
 
     def _report(self, diverged: np.ndarray) -> None:

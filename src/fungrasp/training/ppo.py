@@ -172,7 +172,8 @@ class Trainer:
         """Play the plans without a residual, to learn the normalization of observations."""
         still = np.zeros((self.environment.settings.worlds, self.environment.actions))
         for _ in range(self.settings.warm_up):
-            observations = tensors(self.environment.step(still).observations)
+            self.environment.step(still)
+            observations = tensors(self.environment.observations)
             self.actor.update_normalization(observations)
             self.algorithm.critic.update_normalization(observations)
 
@@ -185,7 +186,7 @@ class Trainer:
             for _ in range(self.settings.steps):
                 action = algorithm.act(observations)
                 step = environment.step(action.numpy())
-                observations = tensors(step.observations)
+                observations = tensors(environment.observations)
                 reward = torch.from_numpy(self.settings.reward_scale * step.reward.astype(np.float32))
                 algorithm.process_env_step(observations, reward, torch.from_numpy(step.done), {})
                 self._recent.extend(step.success[step.done].tolist())
