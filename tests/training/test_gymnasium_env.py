@@ -85,5 +85,5 @@ def test_what_is_thrown_away_stays_within_the_bounds() -> None:
 def test_grasps_of_another_hand_and_unknown_worlds() -> None:
     with pytest.raises(FungraspError, match="nominal"):
         LiftVectorEnv(1, grasps=FEW["grasps"], worlds="mars")
-    with pytest.raises(FungraspError, match="no such file|not found|does not exist"):
+    with pytest.raises(FungraspError, match="does not exist"):
         LiftVectorEnv(1, grasps="nowhere.npz")

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, ClassVar, cast
 
 import numpy as np
 
@@ -36,8 +36,8 @@ ID = "fungrasp/Lift-v0"
 """Id of the environment."""
 
 LIMIT = 100.0
-"""Bound of the observations' numbers. They are scaled to be of the order of one; what lies beyond, as where an
-object has been thrown away, is cut."""
+"""Bound of the observations' numbers. They are scaled to be of the order of one; what lies beyond, as where
+an object has been thrown away, is cut."""
 
 Named = dict[str, np.ndarray]
 """Observations by name of their part."""
@@ -95,7 +95,7 @@ class LiftVectorEnv(VectorEnv[Named, np.ndarray, np.ndarray]):
     ended. All episodes terminate, none is truncated.
     """
 
-    metadata: dict[str, Any] = {"render_modes": [], "autoreset_mode": AutoresetMode.SAME_STEP}
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": [], "autoreset_mode": AutoresetMode.SAME_STEP}
 
     def __init__(self, num_envs: int = 1, privileged: bool = False, **arguments: Any):
         """
@@ -142,7 +142,7 @@ class LiftVectorEnv(VectorEnv[Named, np.ndarray, np.ndarray]):
 class LiftEnv(gymnasium.Env[Named, np.ndarray]):
     """One world of the lift test; see ``LiftVectorEnv``. ``info`` holds "success" where an episode ends."""
 
-    metadata: dict[str, Any] = {"render_modes": []}
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": []}
 
     def __init__(self, privileged: bool = False, render_mode: None = None, **arguments: Any):
         """
