@@ -1,25 +1,22 @@
-"""``fungrasp robots doctor | read | hold | jog``: devices one by one, before anything is grasped."""
+"""``fungrasp robots doctor | read | hold | jog | bring-up``: what comes before anything is grasped."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
+from fungrasp.deployment.grasp_choice import GraspChoice
+
 if TYPE_CHECKING:
     from fungrasp.hands import Hand
     from fungrasp.robots.cell import RobotCell
-    from fungrasp.robots.device import JointDriver
-    from fungrasp.robots.guarded_driver import GuardedDriver
     from fungrasp.robots.stop_switch import StopSwitch
 
 CellName = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME|FILE")]
 Part = Annotated[Literal["arm", "hand"], tyro.conf.Positional]
-
-PARTS = ("arm", "hand")
-"""Devices of a cell that move."""
 
 
 @dataclass(frozen=True)
@@ -31,30 +28,12 @@ class Doctor:
 
     def run(self) -> None:
         from fungrasp.errors import FungraspError
-        from fungrasp.robots.assembly import pose_source
-        from fungrasp.robots.device import DeviceStatus
+        from fungrasp.robots.single_devices import examine_devices
 
-        cell, hand = _wired(self.cell)
         ill = 0
-        for name in PARTS:
-            try:
-                with _driver(name, cell, hand) as driver:
-                    state = driver.read()
-                well = state.status is DeviceStatus.READY
-                print(f"{name}: {driver.name}, {state.status} {state.message}".rstrip())
-                if driver.lets_go:
-                    print(f"{name}: lets go of an object {driver.lets_go}")
-            except FungraspError as error:
-                well = False
-                print(f"{name}: {error}")
-            ill += not well
-        try:
-            with pose_source(cell) as tracker:
-                seen = tracker.read()
-            print(f"tracker: {tracker.name}, {'nothing seen' if seen is None else seen.status}")
-        except FungraspError as error:
-            ill += 1
-            print(f"tracker: {error}")
+        for report in examine_devices(*_wired(self.cell)):
+            print(report.words)
+            ill += not report.well
         if ill:
             raise FungraspError(f"{ill} of 3 devices can't be used")
 
@@ -71,20 +50,14 @@ class Read:
     """For so long [s]."""
 
     def run(self) -> None:
-        import time
+        from fungrasp.robots.single_devices import bare_driver, joint_names, read_joints
 
         cell, hand = _wired(self.cell)
-        driver = _driver(self.part, cell, hand)
-        names = _joint_names(self.part, cell, hand)
-        with driver:
-            end = time.monotonic() + self.seconds
-            while True:
-                state = driver.read()
+        names = joint_names(self.part, cell, hand)
+        with bare_driver(self.part, cell, hand) as driver:
+            for state in read_joints(driver, self.seconds):
                 joints = "  ".join(f"{n} {q:.3f}" for n, q in zip(names, state.positions, strict=True))
                 print(f"{state.status}  {joints} rad", flush=True)
-                if time.monotonic() + 0.5 > end:
-                    return
-                time.sleep(0.5)
 
 
 @dataclass(frozen=True)
@@ -99,18 +72,13 @@ class Hold:
     """For so long [s]."""
 
     def run(self) -> None:
-        import numpy as np
-
-        from fungrasp.robots.jog import PERIOD, follow
+        from fungrasp.robots.single_devices import guarded_driver, hold_in_place
 
         cell, hand = _wired(self.cell)
         with _switch(cell) as switch:
             _ask(switch, f"hold the {self.part} where it is for {self.seconds:g} s")
-            with _guarded(self.part, cell, hand, switch) as driver:
-                rest = driver.read().positions
-                count = max(1, int(self.seconds / PERIOD))
-                state = follow(driver, np.tile(rest, (count, 1)))
-                moved = float(np.abs(state.positions - rest).max())
+            with guarded_driver(self.part, cell, hand, switch) as driver:
+                moved = hold_in_place(driver, self.seconds)
         print(f"held within {moved:.3f} rad")
 
 
@@ -130,14 +98,15 @@ class Jog:
     def run(self) -> None:
         from fungrasp.errors import UnknownNameError
         from fungrasp.robots.jog import jog
+        from fungrasp.robots.single_devices import guarded_driver, joint_names
 
         cell, hand = _wired(self.cell)
-        names = _joint_names(self.part, cell, hand)
+        names = joint_names(self.part, cell, hand)
         if self.joint not in names:
             raise UnknownNameError("joint", self.joint, names)
         with _switch(cell) as switch:
             _ask(switch, f"move '{self.joint}' of the {self.part} by {self.by:g} rad and back")
-            with _guarded(self.part, cell, hand, switch) as driver:
+            with guarded_driver(self.part, cell, hand, switch) as driver:
                 number = names.index(self.joint)
                 rest = driver.read().positions[number]
                 far, back = jog(driver, number, self.by)
@@ -145,45 +114,80 @@ class Jog:
         print(f"{self.joint}: moved by {there:.3f} rad, and back to {here:.3f} rad from where it was")
 
 
+@dataclass(frozen=True)
+class BringUp:
+    """Walk through what comes before a robot's first grasp, one step after the other, up to a lift in slow
+    motion; what was measured is written to a log, which goes on where it ended."""
+
+    cell: CellName
+    """A robot cell: a TOML file, or one that comes with the package; emulated devices will do, a twin not."""
+    log: Path = Path("bring-up.md")
+    """Markdown file of what was done. If it is there it goes on after the last step that did not fail."""
+    choice: GraspChoice = field(default_factory=GraspChoice)
+    """The grasp of the last steps."""
+    policy: str = "plan"
+    """What moves the hand: "plan" or "reference"."""
+    speed: float = 0.1
+    """Share of the cell's speed in the last steps."""
+    touched: Path | None = None
+    """JSON file of touched points, as `robots check --touched` takes it."""
+    start: str = ""
+    """Begin with this step though it was passed."""
+    yes: bool = False
+    """Answer yes to everything; for emulated devices only."""
+    seed: int = 0
+    """Seed of the plan."""
+
+    def run(self) -> None:
+        from fungrasp.deployment.bring_up.operator import Operator
+        from fungrasp.deployment.bring_up.session import bring_up
+        from fungrasp.deployment.bring_up.steps import BringUpTask
+        from fungrasp.deployment.saved_plan import SavedPlan
+        from fungrasp.report.plan_pictures import write_plan_pictures
+
+        cell, hand = _wired(self.cell)
+
+        def draw(path: Path, saved: SavedPlan) -> tuple[Path, ...]:
+            thing = saved.origin.source.load()
+            return write_plan_pictures(path, saved, cell, hand, thing, self.choice.threads)
+
+        with _switch(cell) as switch:
+            task = BringUpTask(
+                self.cell,
+                cell,
+                hand,
+                switch,
+                Operator(switch, cell, _say, self.yes),
+                self.choice,
+                self.policy,
+                self.speed,
+                self.seed,
+                self.touched,
+                self.log.with_name(f"{self.log.stem}-plan.npz"),
+                draw,
+            )
+            bring_up(task, self.log, self.start)
+
+
 def _wired(name: str) -> tuple[RobotCell, Hand]:
     """A cell of real or emulated devices, and its hand."""
-    from fungrasp.errors import FungraspError
     from fungrasp.hands import load_hand
-    from fungrasp.robots.assembly import is_twin
     from fungrasp.robots.cell import load_cell
+    from fungrasp.robots.single_devices import check_wired
 
     cell = load_cell(name if Path(name).suffix != ".toml" else Path(name))
-    if is_twin(cell):
-        raise FungraspError(f"cell '{cell.name}' is a twin: it has no devices to connect to")
+    check_wired(cell)
     return cell, load_hand(cell.hand)
 
 
-def _joint_names(part: str, cell: RobotCell, hand: Hand) -> list[str]:
-    from fungrasp.hands.arm import arm_spec
-
-    if part == "hand":
-        return list(hand.actuators)
-    return [actuator.name for actuator in arm_spec(cell.arm.model).actuators]
+def _say(line: str) -> None:
+    print(line, flush=True)
 
 
 def _switch(cell: RobotCell) -> StopSwitch:
     from fungrasp.robots.stop_switch import StopSwitch
 
     return StopSwitch(cell.stop_file, keyboard=True)
-
-
-def _driver(part: str, cell: RobotCell, hand: Hand) -> JointDriver:
-    """To look at."""
-    from fungrasp.robots.assembly import arm_driver, hand_driver
-
-    return arm_driver(cell) if part == "arm" else hand_driver(cell, hand)
-
-
-def _guarded(part: str, cell: RobotCell, hand: Hand, switch: StopSwitch) -> GuardedDriver:
-    """To move."""
-    from fungrasp.robots.assembly import guarded_arm, guarded_hand
-
-    return (guarded_arm if part == "arm" else guarded_hand)(cell, hand, switch)
 
 
 def _ask(switch: StopSwitch, what: str) -> None:

@@ -244,6 +244,7 @@ COMMAND = {
     "read": "fungrasp.cli.bring_up:Read",
     "hold": "fungrasp.cli.bring_up:Hold",
     "jog": "fungrasp.cli.bring_up:Jog",
+    "bring-up": "fungrasp.cli.bring_up:BringUp",
     "emulate": Emulate,
     "evaluate": "fungrasp.cli.evaluate_on_twins:EvaluateOnTwins",
     "log": ShowLog,

@@ -152,6 +152,7 @@ class URLoop:
         self._target: np.ndarray | None = None
         self._known: JointState | None = None
         self._slowed = self._taken = False
+        self._compared = ""
 
     def open(self) -> None:
         """See ``DeviceLoop.open``: model, serial number and state of the controller are checked. A program
@@ -185,8 +186,7 @@ class URLoop:
             with self._errors_as_ours(), timer_slack(POLL_SLACK):
                 self._control = control.RTDEControlInterface(self.settings.address, STATE_RATE)
             self._set_watchdog()
-            self._check_kinematics()
-            self._check_payload()
+            self._compared = f"{self._check_kinematics()}; {self._check_payload()}"
         elif not self._control.isProgramRunning():
             self._restart()
         self._taken = True
@@ -271,8 +271,8 @@ class URLoop:
         finally:
             dashboard.disconnect()
 
-    def _check_kinematics(self) -> None:
-        """The model's flange must be where the controller's is: plans are made with the model."""
+    def _check_kinematics(self) -> str:
+        """The model's flange must be where the controller's is: plans are made with the model. In words."""
         tool = compose(BASE, _pose(self._receive.getActualTCPPose()))
         flange = compose(tool, invert(_pose(self._control.getTCPOffset())))
         ours = self._chain.flange_pose(self._receive.getActualQ())
@@ -283,13 +283,14 @@ class URLoop:
                 'where the controller says: is the arm of another generation ("ur5" for CB3, "ur5e"), or is '
                 "its calibration far from nominal?"
             )
+        return f"the model's flange is {1e3 * apart:.1f} mm from the controller's"
 
-    def _check_payload(self) -> None:
+    def _check_payload(self) -> str:
         """What the controller takes the arm to carry: with a wrong mass it feels contacts that are none, or
-        none that are."""
+        none that are. In words."""
         s = self.settings
         if s.payload < 0:
-            return
+            return "payload not compared"
         mass, center = self._receive.getPayload(), np.array(self._receive.getPayloadCog())
         wrong = not abs(mass - s.payload) <= PAYLOAD_TOLERANCE
         if s.payload_center:
@@ -301,6 +302,7 @@ class URLoop:
                 f"mm, the cell {s.payload:g} kg at {[round(1e3 * v) for v in s.payload_center]}: "
                 "weigh the hand, and correct the one that is wrong"
             )
+        return f"payload {mass:.2f} kg, as the cell says"
 
     def _set_watchdog(self) -> None:
         if not self._control.setWatchdog(self.settings.watchdog):
@@ -340,7 +342,7 @@ class URLoop:
         ):
             raise RobotError(f"{self.name}: positions that can't be; check the cable to the controller")
         self._last, self._last_clock = positions, self._clock
-        status, message = DeviceStatus.READY, ""
+        status, message = DeviceStatus.READY, self._compared if self._taken else ""
         if safety & EMERGENCY_BITS:
             status, message = DeviceStatus.EMERGENCY_STOP, "emergency stop: release it, then connect again"
         elif safety & PROTECTIVE_BIT:

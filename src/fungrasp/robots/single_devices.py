@@ -1,0 +1,117 @@
+"""Devices of a cell one by one: whether each answers, what it measures, whether it holds where it is."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from fungrasp.errors import FungraspError
+from fungrasp.hands import Hand
+from fungrasp.hands.arm import arm_spec
+from fungrasp.robots.assembly import (
+    arm_driver,
+    guarded_arm,
+    guarded_hand,
+    hand_driver,
+    is_twin,
+    pose_source,
+)
+from fungrasp.robots.cell import RobotCell
+from fungrasp.robots.device import DeviceStatus, JointDriver, JointState
+from fungrasp.robots.guarded_driver import GuardedDriver
+from fungrasp.robots.jog import PERIOD, follow
+from fungrasp.robots.stop_switch import StopSwitch
+
+PARTS = ("arm", "hand")
+"""Devices of a cell that move."""
+
+READ_PERIOD = 0.5
+"""Between two states that are shown [s]."""
+
+
+@dataclass(frozen=True)
+class DeviceReport:
+    """What a device says when it is connected to."""
+
+    words: str
+    """In a line, its part first."""
+    well: bool
+    """Whether it can be used."""
+
+
+def check_wired(cell: RobotCell) -> None:
+    """Raises: FungraspError: the cell is a twin, which has no devices."""
+    if is_twin(cell):
+        raise FungraspError(f"cell '{cell.name}' is a twin: it has no devices to connect to")
+
+
+def bare_driver(part: str, cell: RobotCell, hand: Hand) -> JointDriver:
+    """The driver of an arm or a hand without a guard, to look at. part: one of ``PARTS``."""
+    return arm_driver(cell) if part == "arm" else hand_driver(cell, hand)
+
+
+def guarded_driver(part: str, cell: RobotCell, hand: Hand, switch: StopSwitch) -> GuardedDriver:
+    """The driver of an arm or a hand behind guard and switch, to move. part: one of ``PARTS``."""
+    return (guarded_arm if part == "arm" else guarded_hand)(cell, hand, switch)
+
+
+def joint_names(part: str, cell: RobotCell, hand: Hand) -> list[str]:
+    """Joints of an arm or a hand in the order of its driver. part: one of ``PARTS``."""
+    if part == "hand":
+        return list(hand.actuators)
+    return [actuator.name for actuator in arm_spec(cell.arm.model).actuators]
+
+
+def examine_devices(cell: RobotCell, hand: Hand) -> Iterator[DeviceReport]:
+    """Connect to arm, hand and tracker in turn. Nothing moves.
+
+    Args:
+        cell: the robot; no twin.
+        hand: on its arm.
+    """
+    for part in PARTS:
+        try:
+            with bare_driver(part, cell, hand) as driver:
+                state = driver.read()
+            held = f"; lets go of an object {driver.lets_go}" if driver.lets_go else ""
+            said = f"{part}: {driver.name}, {state.status} {state.message}".rstrip() + held
+            yield DeviceReport(said, state.status is DeviceStatus.READY)
+        except FungraspError as error:
+            yield DeviceReport(f"{part}: {error}", False)
+    try:
+        with pose_source(cell) as tracker:
+            seen = tracker.read()
+        yield DeviceReport(
+            f"tracker: {tracker.name}, {'nothing seen' if seen is None else seen.status}", True
+        )
+    except FungraspError as error:
+        yield DeviceReport(f"tracker: {error}", False)
+
+
+def read_joints(driver: JointDriver, seconds: float) -> Iterator[JointState]:
+    """States of a connected device, twice a second. seconds: for so long; one state at least [s]."""
+    end = time.monotonic() + seconds
+    while True:
+        yield driver.read()
+        if time.monotonic() + READ_PERIOD > end:
+            return
+        time.sleep(READ_PERIOD)
+
+
+def hold_in_place(driver: GuardedDriver, seconds: float) -> float:
+    """Hold a connected device where it is; by how much a joint has moved at the end, the largest [rad].
+
+    Args:
+        driver: connected.
+        seconds: for so long [s].
+
+    Raises:
+        SafetyStop: the guard or the switch stopped the device.
+        RobotError: the device follows no more.
+    """
+    rest = driver.read().positions
+    state = follow(driver, np.tile(rest, (max(1, int(seconds / PERIOD)), 1)))
+    return float(np.abs(state.positions - rest).max())
