@@ -18,7 +18,7 @@ from fungrasp.deployment.saved_plan import SavedPlan
 from fungrasp.errors import FungraspError
 from fungrasp.geometry.poses import rotate
 from fungrasp.hands import Hand
-from fungrasp.hands.arm import mounting_pose
+from fungrasp.hands.arm import MOUNTING_GAP, mounting_pose
 from fungrasp.robots import jog
 from fungrasp.robots.calibration.base_check import check_base, load_touched
 from fungrasp.robots.cell import RobotCell, is_wired
@@ -238,7 +238,7 @@ def check_touched(task: BringUpTask) -> StepResult:
 def check_mount(task: BringUpTask) -> StepResult:
     """Say how the hand is on the flange by the cell, and let a person measure."""
     pose = mounting_pose(task.hand, task.cell.mount)
-    x, y, z = 1e3 * np.array((task.cell.mount.pose_flange_hand or (0.0, 0.0, 0.0))[:3])
+    x, y, z = 1e3 * np.array((task.cell.mount.pose_flange_hand or (0.0, 0.0, MOUNTING_GAP))[:3])
     out = rotate(pose[3:], task.hand.palm_normal)
     fingers = rotate(pose[3:], task.hand.palm_fingers)
     measured = [
