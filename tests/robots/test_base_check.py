@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import re
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +14,10 @@ from robot_cells import cell_and_hand
 
 from fungrasp.cli.main import main
 from fungrasp.errors import FungraspError
+from fungrasp.geometry.poses import compose, invert, transform_points
+from fungrasp.hands.arm import Mount, mounting_pose
 from fungrasp.robots.calibration.base_check import check_base
+from fungrasp.robots.calibration.mount_check import check_touched_mount
 from fungrasp.robots.kinematics.arm_model import ArmKinematics
 
 JOINTS = np.array([[turn, -1.5, 2.0, -2.0, -1.57, 0.0] for turn in (-0.6, 0.0, 0.7)])
@@ -48,3 +54,36 @@ def test_too_few_or_too_near_points_are_refused() -> None:
         check_base(points[:2], points[:2])
     with pytest.raises(FungraspError, match="too near"):
         check_base(0.1 * points, 0.1 * points)
+
+
+def touched_by_hand(cell: Any, hand: Any, point: list[float], error: np.ndarray) -> dict[str, Any]:
+    """What a file says of a hand that is mounted off by an error, frame of the flange [m]."""
+    kinematics = ArmKinematics(cell, hand)
+    joints = np.array([[0.0, -1.9, 1.9, -1.57, -1.57, 0.0], [0.3, -1.7, 1.6, -1.2, -1.0, 0.8]])
+    flange = compose(
+        np.array([kinematics.palm_pose(q) for q in joints]), invert(mounting_pose(hand, cell.mount))
+    )
+    given = np.array(cell.mount.pose_flange_hand)
+    there = transform_points(given, np.array([point]))[0] + error
+    touched = np.array([transform_points(one, there[None])[0] for one in flange])
+    return {"hand_joints": joints.tolist(), "hand": touched.tolist(), "hand_point": point}
+
+
+def test_a_hand_mounted_otherwise_is_seen_by_what_it_touches(tmp_path: Path) -> None:
+    (cell, hand), path = cell_and_hand(), tmp_path / "touched.json"
+    turned = Mount(pose_flange_hand=(0.0, 0.0, 0.04, 0.7071068, 0.0, 0.0, 0.7071068))
+    cell = replace(cell, mount=turned)
+    path.write_text(json.dumps({"joints": [], "flange": []}))
+    assert check_touched_mount(path, cell, hand) is None
+    for error, said in (([0.0, 0.0, 0.0], ""), ([0.0, 0.0, 0.116], r"116 mm.*\(0, 0, 116\) mm")):
+        path.write_text(json.dumps(touched_by_hand(cell, hand, [0.02, 0.0, 0.15], np.array(error))))
+        found = check_touched_mount(path, cell, hand)
+        assert found is not None and found.count == 2
+        assert bool(found.fault) is bool(said) and re.search(said, found.fault)
+    # Not turned as the cell says: a point beside the axis is elsewhere.
+    straight = replace(cell, mount=Mount(pose_flange_hand=(0.0, 0.0, 0.04, 1.0, 0.0, 0.0, 0.0)))
+    found = check_touched_mount(path, straight, hand)
+    assert found is not None and "pose_flange_hand" in found.fault
+    path.write_text(json.dumps({"hand": [[0, 0, 0]]}))
+    with pytest.raises(FungraspError, match="'hand_joints' and 'hand_point'"):
+        check_touched_mount(path, cell, hand)

@@ -324,3 +324,13 @@ def test_a_payload_that_is_not_the_pendants_is_refused():
             with pytest.raises(RobotError, match="the pendant says a payload of"):
                 device.driver.connect()
                 reach(device, device.near)
+
+
+def test_what_was_compared_is_said_once_control_is_taken():
+    with emulated(payload=1.2, payload_center=(0.0, 0.0, 0.06)) as device:
+        device.emulator.payload, device.emulator.payload_center = 1.2, (0.0, 0.0, 0.06)
+        device.driver.connect()
+        assert device.driver.read().message == ""
+        device.driver.take_control()
+        said = "the model's flange is 0.0 mm from the controller's; payload 1.20 kg, as the cell says"
+        assert wait_for(lambda: device.driver.read().message == said), device.driver.read().message

@@ -59,7 +59,8 @@ class Check:
     """A cell that comes with fungrasp, or a TOML file."""
     touched: Path | None = None
     """JSON file with postures of the arm (joints) and the points that the middle of its flange touched
-    (flange): whether the base is where the cell says."""
+    (flange): whether the base is where the cell says. With points that the hand touched (hand_joints, hand,
+    hand_point): whether the hand is on the flange as it says."""
 
     def run(self) -> None:
         import numpy as np
@@ -68,7 +69,7 @@ class Check:
         from fungrasp.errors import FungraspError
         from fungrasp.hands import load_hand
         from fungrasp.robots.assembly import arm_driver, hand_driver, is_twin, pose_source
-        from fungrasp.robots.calibration.base_check import check_base, load_touched
+        from fungrasp.robots.calibration.mount_check import check_touched_base, check_touched_mount
         from fungrasp.robots.cell import check_calibrated, load_cell
         from fungrasp.robots.kinematics.arm_model import ArmKinematics, ClearanceModel
         from fungrasp.robots.kinematics.joint_path import FreePath
@@ -90,13 +91,15 @@ class Check:
         palm = ", ".join(f"{x:.2f}" for x in kinematics.palm_pose(home)[:3])
         print(f"{cell.name}: {hand.title} on a {cell.arm.model}; palm at home: {palm} m")
         if self.touched is not None:
-            joints, points = load_touched(self.touched)
-            if joints.shape[1] != len(home):
-                raise FungraspError(f"{self.touched}: a posture has {len(home)} joints")
-            base = check_base(np.array([kinematics.flange_position(q) for q in joints]), points)
+            base = check_touched_base(self.touched, cell, hand)
             if base.fault:
                 raise FungraspError(base.fault)
-            print(f"base: {len(points)} touched points within {1e3 * base.miss:.1f} mm")
+            print(f"base: {base.count} touched points within {1e3 * base.miss:.1f} mm")
+            mount = check_touched_mount(self.touched, cell, hand)
+            if mount is not None and mount.fault:
+                raise FungraspError(mount.fault)
+            if mount is not None:
+                print(f"mount: {mount.count} points that the hand touched within {1e3 * mount.miss:.1f} mm")
         if is_twin(cell):
             print("a twin in the same process")
         else:

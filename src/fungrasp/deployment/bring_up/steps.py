@@ -20,11 +20,10 @@ from fungrasp.geometry.poses import rotate
 from fungrasp.hands import Hand
 from fungrasp.hands.arm import MOUNTING_GAP, mounting_pose
 from fungrasp.robots import jog
-from fungrasp.robots.calibration.base_check import check_base, load_touched
+from fungrasp.robots.calibration.mount_check import check_touched_base, check_touched_mount
 from fungrasp.robots.cell import RobotCell, is_wired
 from fungrasp.robots.device import RobotError
 from fungrasp.robots.guarded_driver import GuardedDriver
-from fungrasp.robots.kinematics.arm_model import ArmKinematics
 from fungrasp.robots.robot_state import SafetyStop
 from fungrasp.robots.single_devices import (
     bare_driver,
@@ -225,18 +224,17 @@ def check_touched(task: BringUpTask) -> StepResult:
     """Whether the base is where the cell says, by points that the flange has touched."""
     if task.touched is None:
         raise StepSkipped("no touched points were given (--touched FILE)")
-    kinematics = ArmKinematics(task.cell, task.hand)
-    joints, points = load_touched(task.touched)
-    if joints.shape[1] != len(kinematics.lower):
-        raise FungraspError(f"{task.touched}: a posture has {len(kinematics.lower)} joints")
-    base = check_base(np.array([kinematics.flange_position(q) for q in joints]), points)
+    base = check_touched_base(task.touched, task.cell, task.hand)
     if base.fault:
         raise FungraspError(base.fault)
-    return StepResult(PASSED, (f"{len(points)} touched points within {1e3 * base.miss:.1f} mm",))
+    return StepResult(PASSED, (f"{base.count} touched points within {1e3 * base.miss:.1f} mm",))
 
 
 def check_mount(task: BringUpTask) -> StepResult:
-    """Say how the hand is on the flange by the cell, and let a person measure."""
+    """Whether the hand is on the flange as the cell says: by points that it has touched, and by a ruler."""
+    touched = None if task.touched is None else check_touched_mount(task.touched, task.cell, task.hand)
+    if touched is not None and touched.fault:
+        raise FungraspError(touched.fault)
     pose = mounting_pose(task.hand, task.cell.mount)
     x, y, z = 1e3 * np.array((task.cell.mount.pose_flange_hand or (0.0, 0.0, MOUNTING_GAP))[:3])
     out = rotate(pose[3:], task.hand.palm_normal)
@@ -245,6 +243,8 @@ def check_mount(task: BringUpTask) -> StepResult:
         f"the middle of the palm's lower end is ({x:.0f}, {y:.0f}, {z:.0f}) mm from the flange's middle",
         f"the palm faces {_direction(out)} and the fingers point along {_direction(fingers)} of the flange",
     ]
+    if touched is not None:
+        measured.append(f"{touched.count} points that the hand touched within {1e3 * touched.miss:.1f} mm")
     return judged(task, "Does a ruler on the hand say so, too?", measured)
 
 

@@ -31,6 +31,8 @@ class BaseCheck:
     """From where the cell has the points to where they are, at their middle, world frame [m], shape [3]."""
     turn: float
     """By which the base is turned about the vertical from what the cell says [rad]."""
+    count: int
+    """Number of points."""
 
     @property
     def fault(self) -> str:
@@ -69,7 +71,7 @@ def check_base(computed: np.ndarray, touched: np.ndarray) -> BaseCheck:
     sine = float(np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]))
     turn = float(np.arctan2(sine, np.sum(a[:, :2] * b[:, :2])))
     miss = float(np.linalg.norm(touched - computed, axis=1).max())
-    return BaseCheck(miss, touched.mean(axis=0) - computed.mean(axis=0), turn)
+    return BaseCheck(miss, touched.mean(axis=0) - computed.mean(axis=0), turn, len(touched))
 
 
 @guarded("touched points")
