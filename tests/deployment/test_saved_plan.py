@@ -29,6 +29,7 @@ from fungrasp.errors import FungraspError
 from fungrasp.geometry.poses import quaternion_from_rotation_vector, quaternion_multiply
 from fungrasp.objects import load_object
 from fungrasp.planning import MotionPlanner
+from fungrasp.robots.cell import Obstacle
 from fungrasp.robots.kinematics.arm_model import ClearanceModel
 from fungrasp.robots.twin.devices import TwinArm, TwinHand
 
@@ -184,8 +185,14 @@ def test_a_picture_and_a_film_are_drawn(saved: Any, tmp_path: Path) -> None:
     from fungrasp.report.plan_pictures import write_plan_pictures
 
     plan, (cell, hand), thing = saved[0], cell_and_hand(), grasp_and_object()[1]
+    pedestal = Obstacle((-0.5, 0.0, 0.14), (0.25, 0.25, 0.28))
+    cell = replace(cell, obstacles=(pedestal,))
     rows = [int(np.argmax(plan.motion.phases == phase)) for phase in dict.fromkeys(plan.motion.phases)]
     few = replace(plan.motion, **{name: value[rows] for name, value in vars(plan.motion).items()})
     few = replace(few, times=0.2 * np.arange(len(rows)))
     picture, film = write_plan_pictures(tmp_path / "lift.npz", replace(plan, motion=few), cell, hand, thing)
-    assert np.asarray(Image.open(picture)).std() > 10 and film.stat().st_size > 1000
+    seen = np.asarray(Image.open(picture)).astype(int)
+    assert seen.std() > 10 and film.stat().st_size > 1000
+    # The pedestal is drawn: nothing else is as red.
+    red, green, blue = np.moveaxis(seen, -1, 0)
+    assert ((red > green + 25) & (red > blue + 25)).sum() > 2000

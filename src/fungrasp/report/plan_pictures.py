@@ -30,7 +30,7 @@ WIDTH, HEIGHT = 480, 360
 FPS, SPEED = 10.0, 2.0
 """Frames of the film in a second, and seconds of the plan in a second of the film."""
 
-TABLE, OBSTACLE = (0.72, 0.66, 0.58, 1.0), (0.80, 0.42, 0.32, 0.45)
+TABLE, OBSTACLE = (0.72, 0.66, 0.58, 1.0), (0.80, 0.42, 0.32, 1.0)
 """Colors, sRGB and opacity."""
 
 WAY = {
