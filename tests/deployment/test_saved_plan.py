@@ -179,6 +179,20 @@ def test_the_command_refuses_without_a_terminal_and_options_of_the_plan(
         assert said in capsys.readouterr().err
 
 
+def test_a_real_robot_moves_for_nobody_who_is_not_asked(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    cell = tmp_path / "cell.toml"
+    cell.write_text(
+        'hand = "allegro"\n[arm]\ndriver = "ur-rtde"\naddress = "192.0.2.1"\n'
+        "[mount]\npose_flange_hand = [0.0, 0.0, 0.04, 1.0, 0.0, 0.0, 0.0]\n"
+        '[hand_device]\ndriver = "allegro-can"\naddress = "can0"\n'
+        '[tracker]\ndriver = "pose-stream"\naddress = "tcp://192.0.2.2:5556"\ncalibration_residual = 0.002\n'
+    )
+    assert main(["deploy", "--robot", str(cell), "--log", str(tmp_path / "log.mcap")]) == 2
+    assert "it needs a terminal, or --yes" in capsys.readouterr().err
+
+
 def test_a_picture_and_a_film_are_drawn(saved: Any, tmp_path: Path) -> None:
     from PIL import Image
 

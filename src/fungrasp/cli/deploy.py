@@ -46,7 +46,7 @@ class Deploy:
     speed: float = 1.0
     """Share of the cell's speed, 0.02 to 1: slow motion. Not for policies that watch (a student)."""
     yes: bool = False
-    """Do not ask before each phase of --execute."""
+    """Do not ask before each phase of --execute, or of a real robot."""
     dry_run: bool = False
     """Read everything, decide everything, log everything, and send nothing."""
     no_gravity_compensation: bool = False
@@ -73,12 +73,13 @@ class Deploy:
 
     def _deploy(self) -> None:
         from fungrasp.deployment.deploy import deploy
-        from fungrasp.robots.cell import load_cell
+        from fungrasp.robots.cell import is_wired, load_cell
 
         spec, hand = self._spec()
-        grasp, objects = self.choice.robot(hand, self.seed)
-        log = self._log()
-        with _listening(load_cell(self.robot).stop_file) as switch:
+        cell, log = load_cell(self.robot), self._log()
+        with _listening(cell.stop_file) as switch:
+            confirm = self._confirm(switch) if is_wired(cell) and not self.dry_run else None
+            grasp, objects = self.choice.robot(hand, self.seed)
             result = deploy(
                 grasp,
                 objects,
@@ -89,6 +90,7 @@ class Deploy:
                 threads=self.choice.threads,
                 on_phase=_say,
                 on_connect=_say_how_to_stop(switch),
+                confirm=confirm,
             )
         self._report(result, log)
 
@@ -122,7 +124,6 @@ class Deploy:
         print(f"to carry it out: fungrasp deploy --execute {path} --speed 0.1")
 
     def _execute(self, path: Path) -> None:
-        from fungrasp.deployment.confirmation import ask_before_phases
         from fungrasp.deployment.plan_ahead import execute_plan
         from fungrasp.deployment.saved_plan import load_plan
         from fungrasp.errors import FungraspError
@@ -135,11 +136,7 @@ class Deploy:
                 raise FungraspError(f"--execute takes everything from the plan: leave out {name}")
         saved, log = load_plan(path), self._log()
         with _listening(load_cell(saved.origin.spec.cell).stop_file) as switch:
-            confirm: Confirm | None = None
-            if not self.yes:
-                if not switch.keyboard:
-                    raise FungraspError("--execute asks before each phase: it needs a terminal, or --yes")
-                confirm = ask_before_phases(switch)
+            confirm = self._confirm(switch)
             result = execute_plan(
                 saved,
                 until=self.until,
@@ -152,6 +149,17 @@ class Deploy:
                 confirm=confirm,
             )
         self._report(result, log)
+
+    def _confirm(self, switch: StopSwitch) -> Confirm | None:
+        """Asks before each phase; None if nobody wants to be asked."""
+        from fungrasp.deployment.confirmation import ask_before_phases
+        from fungrasp.errors import FungraspError
+
+        if self.yes:
+            return None
+        if not switch.keyboard:
+            raise FungraspError("this asks before each phase: it needs a terminal, or --yes")
+        return ask_before_phases(switch)
 
     def _spec(self) -> tuple[DeploymentSpec, Hand]:
         """What is asked, and the hand of the cell."""
