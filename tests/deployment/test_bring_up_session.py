@@ -20,7 +20,7 @@ from fungrasp.cli.main import main
 from fungrasp.deployment.bring_up import grasp_steps, session, steps
 from fungrasp.deployment.bring_up.log import FAILED, PASSED, SKIPPED, BringUpLog, StepResult
 from fungrasp.deployment.bring_up.operator import BringUpEnded, Operator, StepSkipped
-from fungrasp.deployment.bring_up.steps import BringUpTask, Step
+from fungrasp.deployment.bring_up.steps import BringUpStep, BringUpTask
 from fungrasp.deployment.grasp_choice import GraspChoice
 from fungrasp.deployment.plan_ahead import execute_plan
 from fungrasp.errors import FungraspError
@@ -56,8 +56,10 @@ class Played:
     def __init__(self, ends: dict[str, Any]):
         self.ends, self.run = ends, []
 
-    def steps(self) -> tuple[Step, ...]:
-        return tuple(Step(name, f"{name} is tried.", functools.partial(self._do, name)) for name in self.ends)
+    def steps(self) -> tuple[BringUpStep, ...]:
+        return tuple(
+            BringUpStep(name, f"{name} is tried.", functools.partial(self._do, name)) for name in self.ends
+        )
 
     def _do(self, name: str, task: BringUpTask) -> StepResult:
         self.run.append(name)

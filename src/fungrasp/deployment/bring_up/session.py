@@ -7,27 +7,27 @@ from pathlib import Path
 from fungrasp.deployment.bring_up import grasp_steps, steps
 from fungrasp.deployment.bring_up.log import FAILED, SKIPPED, BringUpLog, StepResult
 from fungrasp.deployment.bring_up.operator import BringUpEnded, StepSkipped
-from fungrasp.deployment.bring_up.steps import BringUpTask, Step
+from fungrasp.deployment.bring_up.steps import BringUpStep, BringUpTask
 from fungrasp.errors import FungraspError, UnknownNameError
 from fungrasp.files import digest
 from fungrasp.robots.robot_state import SafetyStop
 
 STEPS = (
-    Step("doctor", "Every device answers; nothing moves.", steps.examine),
-    Step("read-arm", "The arm's joints are those of the pendant.", steps.read("arm")),
-    Step("kinematics", "The model's flange is where the controller has it.", steps.compare_kinematics),
-    Step("payload", "Cell and pendant say the same payload.", steps.compare_payload),
-    Step("hold-arm", "The arm holds still where it is.", steps.hold("arm")),
-    Step("jog-arm", "Each joint of the arm moves alone, as asked.", steps.jog_each("arm")),
-    Step("stop", "What stops the arm stops it, and it stays stopped.", steps.try_stops),
-    Step("base", "The base is where the cell has it.", steps.check_touched),
-    Step("mount", "The hand is on the flange as the cell says.", steps.check_mount),
-    Step("read-hand", "The hand's joints are the right ones.", steps.read("hand")),
-    Step("hold-hand", "The hand holds still where it is.", steps.hold("hand")),
-    Step("jog-hand", "Each joint of the hand moves alone, as asked.", steps.jog_each("hand")),
-    Step("plan", "The whole way is planned, and looked at.", grasp_steps.make_plan),
-    Step("approach", "The arm goes to the start of the grasp in slow motion.", grasp_steps.approach),
-    Step("lift", "Grasp, lift, put down and home in slow motion.", grasp_steps.lift),
+    BringUpStep("doctor", "Every device answers; nothing moves.", steps.examine),
+    BringUpStep("read-arm", "The arm's joints are those of the pendant.", steps.read("arm")),
+    BringUpStep("kinematics", "The model's flange is where the controller has it.", steps.compare_kinematics),
+    BringUpStep("payload", "Cell and pendant say the same payload.", steps.compare_payload),
+    BringUpStep("hold-arm", "The arm holds still where it is.", steps.hold("arm")),
+    BringUpStep("jog-arm", "Each joint of the arm moves alone, as asked.", steps.jog_each("arm")),
+    BringUpStep("stop", "What stops the arm stops it, and it stays stopped.", steps.try_stops),
+    BringUpStep("base", "The base is where the cell has it.", steps.check_touched),
+    BringUpStep("mount", "The hand is on the flange as the cell says.", steps.check_mount),
+    BringUpStep("read-hand", "The hand's joints are the right ones.", steps.read("hand")),
+    BringUpStep("hold-hand", "The hand holds still where it is.", steps.hold("hand")),
+    BringUpStep("jog-hand", "Each joint of the hand moves alone, as asked.", steps.jog_each("hand")),
+    BringUpStep("plan", "The whole way is planned, and looked at.", grasp_steps.make_plan),
+    BringUpStep("approach", "The arm goes to the start of the grasp in slow motion.", grasp_steps.approach),
+    BringUpStep("lift", "Grasp, lift, put down and home in slow motion.", grasp_steps.lift),
 )
 """In order."""
 
@@ -71,7 +71,7 @@ def bring_up(task: BringUpTask, path: str | Path, start: str = "") -> None:
     say(f"brought up; the log is {path}")
 
 
-def _done(step: Step, task: BringUpTask) -> StepResult:
+def _done(step: BringUpStep, task: BringUpTask) -> StepResult:
     """How a step went, whatever came of it."""
     try:
         return step.run(task)

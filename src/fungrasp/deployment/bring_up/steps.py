@@ -85,7 +85,7 @@ class BringUpTask:
 
 
 @dataclass(frozen=True)
-class Step:
+class BringUpStep:
     """One step."""
 
     name: str
