@@ -14,7 +14,7 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
-from benchmarks.documents import other_tables, policy_tables, robot_tables
+from benchmarks.documents import choice_tables, other_tables, policy_tables, robot_tables
 from benchmarks.documents.measured import (
     RESULTS,
     ROOT,
@@ -45,6 +45,9 @@ BUILDERS: dict[str, Callable[[], Table]] = {
     "use_test": policy_tables.use_test,
     "policies_in_full": policy_tables.policies_in_full,
     "students": policy_tables.students,
+    "chosen_peers": choice_tables.chosen_peers,
+    "chosen_strata": choice_tables.chosen_strata,
+    "chosen_decisions": choice_tables.chosen_decisions,
     "methods": policy_tables.methods,
     "peers": policy_tables.peers,
     "robustness": policy_tables.robustness,

@@ -1,0 +1,103 @@
+"""Tables of variants compared on the part "choose" of the grasp set."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from benchmarks.documents.measured import NONE, RESULTS, Table, percent, read
+
+PEERS = {
+    "mink": "mink",
+    "dexi-rs": "dexi",
+    "dex-retargeting": "dex-retargeting",
+    "`dexgraspnet`": "dexgraspnet",
+    "`angle-copy`": "angle-copy",
+}
+"""Name in the result's file of each method beside ours."""
+
+DECISIONS = {
+    "firmness": "[0035](decisions/0035-firm-grasps.md): other starts, chosen by firmness",
+    "likeness": "[0035](decisions/0035-firm-grasps.md): firmness counts in the choice among starts",
+    "approach": "[0041](decisions/0041-clear-approaches.md): clear approaches",
+    "waypoints": "[0041](decisions/0041-clear-approaches.md): five waypoints for three, alone",
+    "closing": "[0041](decisions/0041-clear-approaches.md): the closing is looked at, alone",
+    "squeeze": "[0047](decisions/0047-squeeze-for-loads.md): the squeeze is what the loads need",
+    "table": "[0016](decisions/0016-table-under-settled-object.md): the table also under the settled object",
+    "terms": "[0035](decisions/0035-firm-grasps.md): closure counts three times, inner links twice as much",
+    "press": "the wrist presses down and in while the fingers close",
+}
+"""What is compared with its absence, by the name in the result's file."""
+
+TESTS = {"unadapted": "not adapted", "adapted": "adapted"}
+"""Ends of the files' names."""
+
+DECISION_TESTS = {**TESTS, "faive": "not adapted, Faive P0"}
+"""The same of ``DECISIONS``."""
+
+
+def chosen_peers() -> Table:
+    """Other methods beside ours, on the same grasps."""
+    rows, files = [], []
+    ours: dict[str, Any] = {}
+    for name, file in PEERS.items():
+        cells = []
+        for test in TESTS:
+            rate = _all(f"choose-{file}-{test}")
+            if rate is None:
+                cells += [NONE, NONE]
+                continue
+            files.append(f"choose-{file}-{test}")
+            ours[test] = rate["second"]
+            cells += [percent(rate["first"]), _difference(rate)]
+        if cells != [NONE] * 4:
+            rows.append((name, *cells))
+    mean = [cell for test in TESTS for cell in (percent(ours.get(test)), "")]
+    head = ("method", "not adapted", "ours less it [points]", "adapted", "ours less it [points]")
+    return Table(head, [("ours (`contact`)", *mean), *rows], files)
+
+
+def chosen_strata() -> Table:
+    """Not adapted, by kind of object."""
+    files = {name: f"choose-{file}-unadapted" for name, file in PEERS.items()}
+    files = {name: file for name, file in files.items() if (RESULTS / f"{file}.json").is_file()}
+    rates = {}
+    for name, file in files.items():
+        rates[name] = {rate["stratum"]: rate for rate in read(file).header["rates"]}
+    first = next(iter(rates.values()))
+    rows = [
+        (
+            stratum,
+            f"{rate['grasps']} of {rate['objects']}",
+            percent(rate["second"]),
+            *(percent(rates[name][stratum]["first"]) for name in files),
+        )
+        for stratum, rate in first.items()
+    ]
+    return Table(("objects", "grasps", "ours", *files), rows, list(files.values()))
+
+
+def chosen_decisions() -> Table:
+    """Decisions of the past, each with and without."""
+    rows, files = [], []
+    for file, words in DECISIONS.items():
+        for test, label in DECISION_TESTS.items():
+            rate = _all(f"choose-{file}-{test}")
+            if rate is None:
+                continue
+            files.append(f"choose-{file}-{test}")
+            stands = "yes" if rate["interval"][0] > 0 else "no"
+            both = f"{rate['only_second']}, {rate['only_first']}"
+            shares = (percent(rate["first"]), percent(rate["second"]))
+            rows.append((words, label, str(rate["grasps"]), *shares, _difference(rate), both, stands))
+    head = ("decision", "test", "grasps", "without", "with", "gain [points]", "only with, without", "> 0")
+    return Table(head, rows, files)
+
+
+def _all(name: str) -> dict[str, Any] | None:
+    """Rates of all objects of a result; None where it was not measured."""
+    return read(name).header["rates"][-1] if (RESULTS / f"{name}.json").is_file() else None
+
+
+def _difference(rate: dict[str, Any]) -> str:
+    low, high = rate["interval"]
+    return f"{100 * (rate['second'] - rate['first']):+.1f} ({100 * low:+.1f} to {100 * high:+.1f})"
