@@ -5,10 +5,12 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 from odd_hands import odd_hand
 
+from fungrasp.cli.main import main
 from fungrasp.errors import FungraspError
 from fungrasp.geometry.poses import compose, invert
 from fungrasp.grasps import RobotGraspSet
@@ -192,3 +194,112 @@ def test_a_coupling_may_have_an_offset(tmp_path: Path):
     assert parse_couplings(("m = -0.7 - 1e-1*p",)) == (("m", -0.1, "p", -0.7),)
     with pytest.raises(FungraspError, match=r"OFFSET\+SLOPE\*DRIVER"):
         parse_couplings(("a=0.5+b",))
+
+
+def with_rods(text: str, offset: float = 0.008) -> str:
+    """The links a1 and a2 of ``odd_hand`` tied by a crossed rod on the palm, so that a2 follows a1."""
+    rod = (
+        f'<body name="rod" pos="{offset} 0.035 0.09"><joint name="rod_j" axis="0 1 0" range="-3 3"/>'
+        f'<geom size="0.002" fromto="0 0 0.004 {-2 * offset} 0 0.041" contype="0" conaffinity="0" '
+        'mass="0.01"/>'
+        "</body>"
+    )
+    text = text.replace('<body name="a1"', f'{rod}<body name="a1"', 1)
+    close = f'<connect name="loop" body1="rod" body2="a2" anchor="{-2 * offset} 0 0.045"/>'
+    return text.replace("</mujoco>", f"<equality>{close}</equality></mujoco>")
+
+
+def test_a_closed_loop_is_solved_into_couplings(tmp_path: Path):
+    hand, said = added(tmp_path, with_rods(odd_hand()))
+    assert list(hand.fingers) == ["index", "middle", "ring", "pinky", "thumb"]
+    assert hand.fingers["index"].links == ("a1", "a2", "a3")
+    assert not {"a2_j", "rod_j"} & set(hand.actuators) and "a1_j" in hand.actuators
+    assert any("closed loop 'loop' was solved into couplings to 'a1_j'" in message for message in said)
+    # The rod's end stays at its place on a2 where the hand moves.
+    data = mujoco.MjData(hand.model)
+    low, high = hand.joint_limits[hand.joint_names.index("a1_j")]
+    assert low == pytest.approx(-0.1) and high > 0.9
+    gaps = []
+    for angle in np.linspace(low, high, 8):
+        joints = np.zeros(len(hand.actuators))
+        joints[list(hand.actuators).index("a1_j")] = angle
+        data.qpos[:] = hand.all_joints(joints)
+        mujoco.mj_kinematics(hand.model, data)
+        ends = [
+            data.body(name).xpos + data.body(name).xmat.reshape(3, 3) @ point
+            for name, point in (("rod", [-0.016, 0, 0.045]), ("a2", [-0.008, 0, 0]))
+        ]
+        gaps.append(np.linalg.norm(ends[0] - ends[1]))
+    assert max(gaps) < 0.004
+
+
+def test_a_loop_with_several_motions_is_refused_in_a_line(tmp_path: Path):
+    """The rod stands on another finger, so that two joints move it."""
+    text = with_rods(odd_hand())
+    rod = re.search(r'<body name="rod".*?</body>', text)
+    assert rod is not None
+    text = text.replace(rod[0], "").replace('<body name="b2"', rod[0] + '<body name="b2"', 1)
+    with pytest.raises(
+        FungraspError, match=r"the closed loop 'loop' leaves its \d joints \d motions"
+    ) as said:
+        added(tmp_path, text)
+    assert "--couple" in str(said.value) and "\n" not in str(said.value)
+    # What the user ties is left alone.
+    ties = parse_couplings(
+        ("a2_j=1.0*a1_j", "rod_j=1.0*a1_j", "a1_j=1.0*b1_j", "a_s=1.0*b1_j", "b_s=1.0*b1_j")
+    )
+    assert "a2_j" not in added(tmp_path, text, couplings=ties)[0].actuators
+
+
+def test_grippers_are_said_to_be_grippers(tmp_path: Path):
+    jaw = '<body name="{0}" pos="0 {1} 0.05"><joint name="{0}_j" {2}/>'
+    jaw += '<geom fromto="0 0 0 0 0 0.05" mass="0.1"/>{3}</body>'
+    frame = '<mujoco><default><geom type="capsule" size="0.008"/></default><worldbody><body name="base">'
+    frame += '<geom type="box" size="0.03 0.05 0.03" mass="0.3"/>{}</body></worldbody>{}</mujoco>'
+
+    def gripper(joint: str, rest: str = "", tips: str = "") -> str:
+        jaws = [
+            jaw.format(name, y, joint, tips.format(name)) for name, y in (("left", 0.04), ("right", -0.04))
+        ]
+        return frame.format("".join(jaws), rest)
+
+    sliding = gripper('type="slide" axis="0 1 0" range="0 0.04"')
+    with pytest.raises(FungraspError, match=r"'left_j', 'right_j' slides, as in a gripper"):
+        added(tmp_path, sliding)
+    turning = 'axis="1 0 0" range="-1 1"'
+    tie = '<equality><joint joint1="left_j" joint2="right_j" polycoef="0 -1 0 0 0"/></equality>'
+    with pytest.raises(FungraspError, match="gripper: one motor moves its 2 joints"):
+        added(tmp_path, gripper(turning, tie))
+    tip = (
+        '<body name="{0}_tip" pos="0 0 0.05"><joint name="{0}_k" axis="1 0 0" range="-1 1"/>'
+        '<geom fromto="0 0 0 0 0 0.03" mass="0.1"/></body>'
+    )
+    with pytest.raises(FungraspError, match="gripper: two fingers whose joints are all parallel"):
+        added(tmp_path, gripper(turning, tips=tip))
+
+
+def test_a_frame_that_the_check_contradicts_ends_in_an_error(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    (tmp_path / "odd.xml").write_text(odd_hand())
+    arguments = ["hands", "add", str(tmp_path / "odd.xml"), "--out", str(tmp_path / "out"), "--side", "right"]
+    with pytest.raises(SystemExit, match="1"):
+        main([*arguments, "--normal", "-1", "0", "0"])
+    said = capsys.readouterr().out
+    assert "error: palm_frame.normal points out of the back of the hand" in said and "next:" not in said
+
+
+def test_fingers_that_are_bent_at_zero_are_no_contradiction(tmp_path: Path):
+    """Straight at the lower limit; from zero, which is the fist, the middle pose lies backwards."""
+    text = odd_hand()
+    for letter in "abcdz":
+        for i, length in ((1, 0.045), (2, 0.03)):
+            name = f"{letter}{i + 1}"
+            text = text.replace(
+                f'<body name="{name}" pos="0 0 {length}"><joint name="{name}_j" axis="0 1 0" range="-0.1 1.5"/>',
+                f'<body name="{name}" pos="0 0 {length}" euler="0 1.4 0">'
+                f'<joint name="{name}_j" axis="0 1 0" range="-1.5 0.1"/>',
+            )
+    assert text.count("euler") == 10
+    hand, _ = added(tmp_path, text)
+    assert not [f.message for f in check_hand_files(hand.path) if "palm_frame" in f.message]

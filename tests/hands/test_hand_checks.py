@@ -171,7 +171,7 @@ MESH = '<collision><geometry><mesh filename="package://x/a.stl"/></geometry></co
         (JOINT, joint('range="0 0"'), "error", "no limits.*'index_j1'"),
         (JOINT, joint('limited="false"'), "error", "'index_j1'.*ignored"),
         (JOINT, joint('type="ball" range="0 1"'), "error", "'index_j1' is a ball"),
-        (JOINT, joint('type="slide"'), "warning", "'index_j1' slides"),
+        (JOINT, joint('type="slide"'), "error", "'index_j1' slides"),
         ('angle="radian"', 'angle="degree"', "error", "radians read as degrees"),
         (JOINT, joint('pos="0.012 0.5 0"'), "warning", "'index_a' is 12.0 mm off"),
         (
@@ -281,11 +281,11 @@ def test_faults_of_an_mjcf(tmp_path, old, new, severity, pattern):
         ('tip = "index_tip"', 'tip = "index_tip"\njoints = ["index_a"]', "error", "2 links and 1 joints"),
         ("[fingers.thumb]", "[fingers.pinky]", "error", "no thumb"),
         ("force_limit = 0.5", "", "error", "actuators.force_limit for joint"),
-        ("normal = [1.0, 0.0, 0.0]", "normal = [-1.0, 0.0, 0.0]", "warning", "out of the back of the hand"),
+        ("normal = [1.0, 0.0, 0.0]", "normal = [-1.0, 0.0, 0.0]", "error", "out of the back of the hand"),
         (
             "fingers = [0.0, 0.0, 1.0]",
             "fingers = [0.0, 1.0, 0.0]",
-            "warning",
+            "error",
             "palm_frame.fingers is 90 degrees off",
         ),
         ("fingers = [0.0, 0.0, 1.0]", "fingers = [1.0, 0.0, 0.0]", "warning", "perpendicular"),

@@ -13,7 +13,10 @@ import numpy as np
 from fungrasp.errors import FungraspError
 from fungrasp.files import atomic_path
 from fungrasp.formats.guarded import guarded
+from fungrasp.hands.adding.closed_loops import closed_loops, solve_loops
 from fungrasp.hands.adding.couplings import GivenCoupling, find_couplings
+from fungrasp.hands.adding.finger_chains import find_palm
+from fungrasp.hands.adding.grippers import refuse_sliding_or_one_motor
 from fungrasp.hands.adding.link_points import far_ends
 from fungrasp.hands.adding.link_shapes import HandShapes, hand_shapes
 from fungrasp.hands.adding.model_file import read_foreign
@@ -74,9 +77,14 @@ def add_hand(
     answers = replace(answers, palm=foreign.palm)
     findings = foreign.findings
     couplings = find_couplings(foreign.model, findings, answers.couplings)
-    ends = far_ends(foreign)
+    palm = find_palm(foreign.model, answers.palm)
+    refuse_sliding_or_one_motor(foreign.model, palm, couplings)
+    loops = closed_loops(foreign.model, palm)
+    couplings = solve_loops(foreign.model, loops, couplings, findings)
     findings += narrowed_ranges(foreign.model, couplings)
-    structure = find_structure(foreign.model, couplings, ends, answers, findings)
+    ends = far_ends(foreign)
+    ties = [loop.ends for loop in loops]
+    structure = find_structure(foreign.model, palm, couplings, ties, ends, answers, findings)
     findings.append(_summary(structure, foreign.model))
     poses = Poses(foreign.model, couplings, structure.palm)
     shapes = hand_shapes(foreign, structure, poses, ends, answers.radius, findings)

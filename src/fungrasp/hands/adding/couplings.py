@@ -106,13 +106,6 @@ def find_couplings(
                         f"joint '{joint_name(model, joint)}' follows by a curve: its straight part is kept"
                     )
                 )
-        elif int(model.eq_type[e]) in (mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD):
-            findings.append(
-                warning(
-                    f"the closed loop '{model.equality(e).name or e}' is left open: joints behind it move "
-                    "freely, unless --couple JOINT=SLOPE*DRIVER ties them"
-                )
-            )
     for tendon in range(model.ntendon):
         _tendon(model, tendon, tie, add, findings)
     return [found[joint] for joint in sorted(found)]

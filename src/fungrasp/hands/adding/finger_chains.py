@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -87,9 +87,21 @@ def _palms(model: mujoco.MjModel, moving: set[int]) -> list[int]:
 
 
 def find_chains(
-    model: mujoco.MjModel, poses: Poses, palm: int, tips: Mapping[int, np.ndarray]
+    model: mujoco.MjModel,
+    poses: Poses,
+    palm: int,
+    tips: Mapping[int, np.ndarray],
+    ties: Sequence[tuple[int, int]] = (),
 ) -> list[Chain]:
     """The fingers on a palm.
+
+    Args:
+        model: any.
+        poses: of it.
+        palm: the palm body.
+        tips: by moving body: its far end, its own frame [m].
+        ties: pairs of bodies that close loops; of two branches that one ties, the shorter is a part of the
+            other's mechanism.
 
     Raises:
         FungraspError: there are fewer than two.
@@ -106,6 +118,18 @@ def find_chains(
         longest = max((len(o) - shared for o in rivals), default=0)
         if shared == 0 or own >= 2 or longest < 2:
             kept.append(chain)
+
+    def reach(chain: list[int]) -> float:
+        return float(np.linalg.norm(poses.of_body(chain[-1], tips[chain[-1]]) - poses.anchor(chain[0])))
+
+    rods = []
+    for pair in ties:
+        ends = [
+            [c for c in kept if set(ancestors(model, body)) & set(c) and c[0] in ancestors(model, body)]
+            for body in pair
+        ]
+        rods += [min(one, other, key=reach) for one in ends[0] for other in ends[1] if one[0] != other[0]]
+    kept = [chain for chain in kept if chain not in rods]
     result = [Chain(tuple(chain), _links(model, poses, chain, tips)) for chain in kept]
     if len(result) < 2:
         raise FungraspError(

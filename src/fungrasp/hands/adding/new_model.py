@@ -22,6 +22,9 @@ DENSITY = 1000.0
 VISUAL_GROUP, COLLISION_GROUP = 2, 3
 """Geom groups, by MuJoCo's convention, where a link has meshes for pictures."""
 
+STILL = 1e-3
+"""A joint that closed loops hold still turns by so much [rad], as no range may be empty."""
+
 MAX_VISUAL_FACES = 4000
 """Of a mesh for pictures; finer ones are coarsened."""
 
@@ -106,7 +109,8 @@ def _clean(values: np.ndarray) -> np.ndarray:
 def _ranges(poses: Poses) -> np.ndarray:
     """Limits of all joints such that couplings push none beyond its own [rad], shape [M, 2]."""
     ends = poses.matrix @ np.stack([poses.low, poses.high], axis=1) + poses.offset[:, None]
-    return np.sort(ends, axis=1)
+    still = np.ptp(ends, axis=1, keepdims=True) < STILL
+    return np.sort(ends, axis=1) + still * [-STILL, STILL]
 
 
 def _add_joints(
@@ -215,7 +219,7 @@ def _add_mass(new: mujoco.MjsBody, foreign: ForeignModel, poses: Poses, link: Li
         if any(geom.contype for geom in new.geoms):
             return False
         # Joints of several axes have bodies of no size between them.
-        new.mass, new.inertia, new.explicitinertial = 1e-3, [1e-7] * 3, True
+        new.mass, new.ipos, new.inertia, new.explicitinertial = 1e-3, np.zeros(3), [1e-7] * 3, True
         return True
     masses = model.body_mass[known]
     to_body = data.xmat[link.body].reshape(3, 3)

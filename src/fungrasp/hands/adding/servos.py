@@ -58,6 +58,8 @@ def joint_physics(
     stated = _stated_limits(model)
     for j, driver in enumerate(np.argmax(np.abs(poses.matrix) > 0, axis=1)):
         # A motor may sit on a driven joint.
+        if not poses.matrix[j, driver]:
+            continue
         own = int(np.argmax(poses.matrix[:, driver] == 1.0))
         stated[own] = min(stated[own], stated[j] * abs(poses.matrix[j, driver]))
     inside = np.array([_in_hand(model, structure.palm, j) for j in range(model.njnt)], dtype=bool)

@@ -15,10 +15,10 @@ from fungrasp.hands.adding.finger_chains import (
     Chain,
     chain_joints,
     find_chains,
-    find_palm,
     flexing_joints,
     straight_fingers,
 )
+from fungrasp.hands.adding.grippers import refuse_two_jaws
 from fungrasp.hands.adding.hand_side import hand_side
 from fungrasp.hands.adding.poses import Poses
 from fungrasp.hands.checking.finding import Finding, listed, warning
@@ -76,7 +76,9 @@ class Answers:
 
 def find_structure(
     model: mujoco.MjModel,
+    palm: int,
     couplings: list[Coupling],
+    ties: Sequence[tuple[int, int]],
     tips: Mapping[int, np.ndarray],
     answers: Answers,
     findings: list[Finding],
@@ -85,7 +87,9 @@ def find_structure(
 
     Args:
         model: any hand, its bodies named.
+        palm: of ``find_palm``.
         couplings: of its joints.
+        ties: pairs of bodies that close loops.
         tips: by moving body: the far end of the shapes and frames that move with it, its frame [m].
         answers: what is known.
         findings: what was decided without certainty is added.
@@ -93,11 +97,11 @@ def find_structure(
     Raises:
         FungraspError: something can't be decided; the message names the option that does.
     """
-    palm = find_palm(model, answers.palm)
     poses = Poses(model, couplings, palm)
     start = np.clip(0.0, poses.low, poses.high)
     poses.set(start)
-    chains = find_chains(model, poses, palm, tips)
+    chains = find_chains(model, poses, palm, tips, ties)
+    refuse_two_jaws(poses, chains)
     straight = straight_fingers(poses, chains, tips, start)
     joints = poses.set(straight)
     middle = np.mean([poses.of_body(chain.bodies[-1], tips[chain.bodies[-1]]) for chain in chains], axis=0)

@@ -15,6 +15,12 @@ from fungrasp.hands.palm_offset import FARTHEST, palm_offset
 FAR_ORIGIN = 0.02
 """A palm's origin this much too far from the fingers is mentioned [m]."""
 
+STRAIGHTER = 1.1
+"""A finger that is this much longer at an end of its joints' range than at zero is bent at zero."""
+
+LEAST_BEND = 5e-3
+"""Motion of fingertips from the straight to the middle pose that tells where they bend to [m]."""
+
 SHORTEST_LINK = 1e-3
 """Key points of a finger nearer than this are one and the same [m]."""
 
@@ -86,24 +92,32 @@ def check_palm_frame(
     fingers = [name for name in parts.fingers if name != "thumb" and name in parts.tips]
     if parts.palm is None or not fingers:
         return
-    zero = coupled_positions(model, np.clip(np.zeros(model.nq), *_limits(model)))
-    bent = coupled_positions(model, np.mean(_limits(model), axis=0))
+    lower, upper = _limits(model)
+    open_poses = [
+        coupled_positions(model, p) for p in (np.clip(np.zeros(model.nq), lower, upper), lower, upper)
+    ]
+    bent = coupled_positions(model, 0.5 * (lower + upper))
     directions, motions = [], []
     for finger in fingers:
-        base, tip = _key_points(model, parts, finger, zero)
-        directions.append((tip - base) / max(float(np.linalg.norm(tip - base)), 1e-9))
+        spans = [tip - base for base, tip in (_key_points(model, parts, finger, pose) for pose in open_poses)]
+        lengths = np.linalg.norm(spans, axis=1)
+        # Where zero is a bent pose, the finger is straight at an end of its range.
+        straight = int(np.argmax(lengths)) if lengths.max() > STRAIGHTER * lengths[0] else 0
+        tip = _key_points(model, parts, finger, open_poses[straight])[1]
+        directions.append(spans[straight] / max(float(lengths[straight]), 1e-9))
         motions.append(_key_points(model, parts, finger, bent)[1] - tip)
     direction, motion = np.mean(directions, axis=0), np.mean(motions, axis=0)
     angle = np.degrees(
         np.arccos(np.clip(direction @ along / max(float(np.linalg.norm(direction)), 1e-9), -1, 1))
     )
     if angle > 60.0:
-        yield warning(
-            f"palm_frame.fingers is {angle:.0f} degrees off the direction of the fingers at the zero pose, "
+        yield error(
+            f"palm_frame.fingers is {angle:.0f} degrees off the direction of the straight fingers, "
             f"{_numbers(direction)}"
         )
-    if motion @ normal < 0.0:
-        yield warning(
+    across = motion - (motion @ along) * along
+    if across @ normal < -0.3 * np.linalg.norm(across) - LEAST_BEND:
+        yield error(
             f"palm_frame.normal points out of the back of the hand: fingers bend along {_numbers(motion)}"
         )
 

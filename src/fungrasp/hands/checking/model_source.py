@@ -151,7 +151,7 @@ def _joint_kinds(spec: mujoco.MjSpec) -> Iterator[Finding]:
             word = "free" if joint.type == kinds.mjJNT_FREE else "ball"
             yield error(f"joint '{joint.name}' is a {word} joint; the joints of a hand must be hinges")
         elif joint.type == kinds.mjJNT_SLIDE:
-            yield warning(f"joint '{joint.name}' slides; the joints of a hand are expected to be hinges")
+            yield error(f"joint '{joint.name}' slides; the joints of a hand must be hinges")
 
 
 def _mend_limits(spec: mujoco.MjSpec) -> Iterator[Finding]:
