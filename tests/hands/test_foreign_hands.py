@@ -8,7 +8,9 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+import trimesh
 from odd_hands import odd_hand
+from scipy.spatial import KDTree
 
 from fungrasp.cli.main import main
 from fungrasp.errors import FungraspError
@@ -16,6 +18,7 @@ from fungrasp.geometry.poses import compose, invert
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand, load_hand
 from fungrasp.hands.adding.add_hand import Answers, add_hand, parse_couplings
+from fungrasp.hands.adding.visual_meshes import coarse
 from fungrasp.hands.checking.hand_checks import check_hand_files
 from fungrasp.objects import load_object
 from fungrasp.task.protocol import LiftProtocol
@@ -296,10 +299,80 @@ def test_fingers_that_are_bent_at_zero_are_no_contradiction(tmp_path: Path):
         for i, length in ((1, 0.045), (2, 0.03)):
             name = f"{letter}{i + 1}"
             text = text.replace(
-                f'<body name="{name}" pos="0 0 {length}"><joint name="{name}_j" axis="0 1 0" range="-0.1 1.5"/>',
+                f'<body name="{name}" pos="0 0 {length}">'
+                f'<joint name="{name}_j" axis="0 1 0" range="-0.1 1.5"/>',
                 f'<body name="{name}" pos="0 0 {length}" euler="0 1.4 0">'
                 f'<joint name="{name}_j" axis="0 1 0" range="-1.5 0.1"/>',
             )
     assert text.count("euler") == 10
     hand, _ = added(tmp_path, text)
     assert not [f.message for f in check_hand_files(hand.path) if "palm_frame" in f.message]
+
+
+def test_overlaps_are_said_once_for_a_pair_of_fingers(tmp_path: Path):
+    hand, _ = added(tmp_path, odd_hand())
+    # Thick links of two fingers lie in each other.
+    text = hand.model_path.read_text()
+    for name in ("a1", "a2", "a3", "b1", "b2", "b3"):
+        text = re.sub(
+            rf'(<body name="{name}".*?<geom size=")0.008', r"\g<1>0.0145", text, count=1, flags=re.DOTALL
+        )
+    hand.model_path.write_text(text)
+    findings = [f.message for f in check_hand_files(hand.path) if "overlap" in f.message]
+    assert len(findings) == 1
+    assert "'a1' and 'b1'" in findings[0] and "'a3' and 'b3'" in findings[0] and "up to 6" in findings[0]
+
+
+@pytest.mark.parametrize("closed", [True, False])
+def test_fine_meshes_keep_their_shape(closed: bool):
+    """Clustering of vertices has crumpled thin walls, and opened them."""
+    # A bowl with a wall of 2 mm.
+    outer = trimesh.creation.icosphere(subdivisions=5, radius=0.02)
+    bowl = trimesh.boolean.difference(
+        [
+            outer,
+            trimesh.creation.icosphere(subdivisions=5, radius=0.018),
+            trimesh.creation.box(
+                (0.1, 0.1, 0.02), transform=trimesh.transformations.translation_matrix([0, 0, 0.02])
+            ),
+        ],
+        engine="manifold",
+    )
+    faces = bowl.faces if closed else np.delete(bowl.faces, 7, axis=0)
+    vertices, triangles = coarse(
+        np.asarray(bowl.vertices)[faces].reshape(-1, 3), np.arange(3 * len(faces)).reshape(-1, 3)
+    )
+    assert len(faces) > 10000 and len(triangles) <= 4000
+    mesh = trimesh.Trimesh(vertices, triangles)
+    assert mesh.is_watertight
+    there, back = (trimesh.sample.sample_surface(m, 40000, seed=0)[0] for m in (mesh, bowl))
+    distances = KDTree(back).query(there)[0], KDTree(there).query(back)[0]
+    # Samples lie up to 1 mm apart.
+    assert max(d.max() for d in distances) < (0.002 if closed else 0.003)
+
+
+def test_meshes_that_cannot_be_read_say_why(tmp_path: Path):
+    """A file is there, and what reads its format may not be."""
+    (tmp_path / "link.dae").write_text("<COLLADA/>")
+    text = odd_hand().replace("<worldbody>", '<asset><mesh name="m" file="link.dae"/></asset><worldbody>')
+    text = text.replace(
+        '<body name="a3" pos="0 0 0.03">', '<body name="a3" pos="0 0 0.03"><geom type="mesh" mesh="m"/>'
+    )
+    _, said = added(tmp_path, text)
+    assert not any("no file is found" in message for message in said)
+    assert any("the mesh 'link.dae' can't be read" in m and "collada" in m.lower() for m in said)
+
+
+def test_the_folder_of_meshes_may_lie_above(tmp_path: Path):
+    (tmp_path / "assets" / "more").mkdir(parents=True)
+    (tmp_path / "mjcf").mkdir()
+    trimesh.creation.box((0.01, 0.01, 0.02)).export(tmp_path / "assets" / "more" / "link.stl")
+    text = odd_hand().replace(
+        "<worldbody>", '<asset><mesh name="m" file="more/link.stl"/></asset><worldbody>'
+    )
+    text = text.replace("<compiler ", '<compiler meshdir="assets" ')
+    text = text.replace(
+        '<body name="a3" pos="0 0 0.03">', '<body name="a3" pos="0 0 0.03"><geom type="mesh" mesh="m"/>'
+    )
+    _, said = added(tmp_path / "mjcf", text)
+    assert not any("no file is found" in message for message in said)

@@ -8,7 +8,7 @@ import trimesh
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from fungrasp.objects.shell_from_triangles import shell_from_triangles
+from fungrasp.geometry.shell_from_triangles import shell_from_triangles
 
 SHELL_THICKNESS = 0.002
 """Thickness of the shell that a surface beyond repair becomes [m]; more for large ones."""

@@ -190,9 +190,10 @@ def _take_meshes(
     """
     loaded: dict[str, trimesh.Trimesh | None] = {}
     missing: list[str] = []
+    unreadable: dict[str, str] = {}
     carriers = {}
     stripped: set[str] = set()
-    base = folder if urdf else folder / spec.compiler.meshdir
+    meshdir = "" if urdf else spec.compiler.meshdir
     by_name = {mesh.name or Path(mesh.file).stem: mesh for mesh in spec.meshes}
     for geom in list(spec.geoms):
         if geom.type == mujoco.mjtGeom.mjGEOM_HFIELD or geom.type == mujoco.mjtGeom.mjGEOM_PLANE:
@@ -203,7 +204,7 @@ def _take_meshes(
             continue
         collides = bool(geom.contype or geom.conaffinity)
         if geom.meshname not in loaded:
-            loaded[geom.meshname] = _load(mesh, base, missing)
+            loaded[geom.meshname] = _load(mesh, folder, meshdir, missing, unreadable)
         shape = loaded[geom.meshname]
         if shape is None:
             if collides:
@@ -219,14 +220,21 @@ def _take_meshes(
     if missing:
         findings.append(
             warning(
-                f"no file is found for the mesh {listed(missing)}, looked for from {base} up; its shape is "
-                "left out"
+                f"no file is found for the mesh {listed(missing)}, looked for from {folder / meshdir} up; its "
+                "shape is left out"
             )
         )
+    for reason in dict.fromkeys(unreadable.values()):
+        files = [file for file, other in unreadable.items() if other == reason]
+        findings.append(warning(f"the mesh {listed(files)} can't be read, its shape is left out: {reason}"))
     return carriers, stripped
 
 
-def _load(mesh: mujoco.MjsMesh, base: Path, missing: list[str]) -> trimesh.Trimesh | None:
+def _load(
+    mesh: mujoco.MjsMesh, folder: Path, meshdir: str, missing: list[str], unreadable: dict[str, str]
+) -> trimesh.Trimesh | None:
+    """A mesh in the frame and scale of its asset; None if it is added to those that are missing or, with the
+    reason, that can't be read."""
     if not mesh.file:
         vertices = np.asarray(mesh.uservert).reshape(-1, 3)
         faces = np.asarray(mesh.userface).reshape(-1, 3)
@@ -234,10 +242,17 @@ def _load(mesh: mujoco.MjsMesh, base: Path, missing: list[str]) -> trimesh.Trime
         if not len(faces) and len(vertices) > 3:
             shape = trimesh.convex.convex_hull(vertices)
     else:
-        path = find_mesh(mesh.file, base)
-        shape = None if path is None else _read_mesh(path)
-    if shape is None or len(shape.vertices) < 4 or not np.isfinite(shape.vertices).all():
-        missing.append(mesh.file or mesh.name)
+        path = find_mesh(mesh.file, folder, meshdir)
+        if path is None:
+            missing.append(mesh.file)
+            return None
+        try:
+            shape = trimesh.Trimesh(*read_mesh(path), process=False)
+        except FungraspError as problem:
+            unreadable[mesh.file] = _reason(path, problem)
+            return None
+    if len(shape.vertices) < 4 or not np.isfinite(shape.vertices).all():
+        unreadable[mesh.file or mesh.name] = "it has no surface"
         return None
     rotation = np.empty(9)
     mujoco.mju_quat2Mat(rotation, np.asarray(mesh.refquat))
@@ -250,26 +265,30 @@ def _load(mesh: mujoco.MjsMesh, base: Path, missing: list[str]) -> trimesh.Trime
     return trimesh.Trimesh(placed, faces, process=False)
 
 
-def find_mesh(name: str, base: Path) -> Path | None:
+def find_mesh(name: str, folder: Path, meshdir: str = "") -> Path | None:
     """The file of a mesh by its address: package:// and file:// prefixes, folders above the model's, and
-    addresses that lack the name of the package are tried."""
+    addresses that lack the name of the package are tried.
+
+    Args:
+        name: its address.
+        folder: of the model.
+        meshdir: folder of meshes that the model names, tried in each of the folders.
+    """
     relative = re.sub(r"^(package|model|file)://", "", name).replace("\\", "/")
     parts = [part for part in relative.split("/") if part]
     tries = [Path(relative)] if relative.startswith("/") else []
-    folders = [base, *base.resolve().parents[:MAX_PARENTS]]
+    above = [folder, *folder.resolve().parents[:MAX_PARENTS]]
+    folders = [*(place / meshdir for place in above if meshdir), *above]
     # With and without the leading parts, of which the first may be the name of a package.
     for skip in range(min(3, len(parts))):
-        tries += [folder.joinpath(*parts[skip:]) for folder in folders]
-    tries += [base / "meshes" / parts[-1]] if parts else []
+        tries += [place.joinpath(*parts[skip:]) for place in folders]
+    tries += [place / "meshes" / parts[-1] for place in folders[:2]] if parts else []
     return next((path for path in tries if path.is_file()), None)
 
 
-def _read_mesh(path: Path) -> trimesh.Trimesh | None:
-    try:
-        vertices, faces = read_mesh(path)
-    except FungraspError:
-        return None
-    return trimesh.Trimesh(vertices, faces, process=False)
+def _reason(path: Path, problem: FungraspError) -> str:
+    """Why a mesh can't be read, without its name."""
+    return str(problem).split(str(path))[-1].strip(" :")
 
 
 def _drop_bad_inertias(spec: mujoco.MjSpec, findings: list[Finding]) -> set[str]:

@@ -13,6 +13,7 @@ from fungrasp.hands.adding.poses import Poses
 from fungrasp.hands.adding.servos import JointPhysics
 from fungrasp.hands.adding.shape_fitting import Box, Capsule
 from fungrasp.hands.adding.structure import HandStructure
+from fungrasp.hands.adding.visual_meshes import coarse
 from fungrasp.hands.checking.finding import Finding, listed, warning
 from fungrasp.hands.checking.kinematic_tree import body_name, joint_name
 
@@ -24,9 +25,6 @@ VISUAL_GROUP, COLLISION_GROUP = 2, 3
 
 STILL = 1e-3
 """A joint that closed loops hold still turns by so much [rad], as no range may be empty."""
-
-MAX_VISUAL_FACES = 4000
-"""Of a mesh for pictures; finer ones are coarsened."""
 
 
 def new_model(
@@ -146,7 +144,7 @@ def _add_shapes(
     meshes = [(member, mesh) for member in link.members for mesh in foreign.meshes.get(member, [])]
     shown = [pair for pair in meshes if not pair[1].collides] or meshes
     for i, (member, mesh) in enumerate(shown):
-        vertices, faces = _coarse(poses.moved(mesh.vertices, member, link.body), mesh.faces)
+        vertices, faces = coarse(poses.moved(mesh.vertices, member, link.body), mesh.faces)
         if len(faces) < 4:
             continue
         asset = spec.add_mesh(name=f"{new.name}_{i}")
@@ -196,19 +194,6 @@ def _kept(new: mujoco.MjsBody, model: mujoco.MjModel, poses: Poses, body: int, g
         quat=_clean(turned),
         rgba=model.geom_rgba[geom].astype(float),
     )
-
-
-def _coarse(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A surface of at most ``MAX_VISUAL_FACES``: vertices in one cell of a grid become one."""
-    cell = float(np.ptp(vertices, axis=0).max()) / 100
-    while len(faces) > MAX_VISUAL_FACES:
-        _, first, which = np.unique(
-            np.round(vertices / cell).astype(int), axis=0, return_index=True, return_inverse=True
-        )
-        vertices, faces = vertices[first], which.reshape(-1)[faces]
-        whole = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 0] != faces[:, 2])
-        faces, cell = faces[whole], 1.3 * cell
-    return vertices, faces
 
 
 def _add_mass(new: mujoco.MjsBody, foreign: ForeignModel, poses: Poses, link: LinkShapes) -> bool:

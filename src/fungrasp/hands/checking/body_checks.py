@@ -104,30 +104,75 @@ def check_shapes(source: ModelSource, parts: HandParts) -> Iterator[Finding]:
         yield error(f"no collision shape on the link {listed(bare)}: it can't touch anything")
     elif not links and not collides.any() and not source.stripped:
         yield error("the model has no collision shapes: it can't touch anything")
+    yield from _overlaps(source, parts)
+
+
+def _overlaps(source: ModelSource, parts: HandParts) -> Iterator[Finding]:
+    """Shapes that overlap, a finding for each pair of fingers."""
+    model = source.model
     reported: set[tuple[str, str]] = set()
     for pose, positions in (("zero", _zero(model)), ("middle", _middle(model))):
-        for pair, depth in overlapping_shapes(model, positions).items():
-            if pair in reported:
-                continue
-            reported.add(pair)
-            say = error if pose == "zero" and depth > LARGE_OVERLAP else warning
+        found = overlapping_shapes(model, positions)
+        found = {pair: depth for pair, depth in found.items() if pair not in reported}
+        reported |= set(found)
+        for pairs in _by_finger(model, parts, found).values():
+            deepest = max(found[pair] for pair in pairs)
+            say = error if pose == "zero" and deepest > LARGE_OVERLAP else warning
             yield say(
-                f"the shapes of '{pair[0]}' and '{pair[1]}' overlap by {1000 * depth:.1f} mm at the {pose} "
-                "pose; shrink "
-                f'them, or if they may, write <contact><exclude body1="{pair[0]}" '
-                f'body2="{pair[1]}"/></contact>'
+                f"the shapes of {_pairs(pairs)} overlap by {_millimetres(deepest, pairs)} at the {pose} "
+                f"pose; shrink them, or if they may, write {_exclude(pairs)}"
             )
     if not source.stripped and model.nq == model.njnt and np.all(model.jnt_limited):
-        for contact in self_contacts(model, zero_and_random_poses(model)[1:]):
-            pair = contact.first, contact.second
-            if contact.share > BY_SHAPE and pair not in reported:
-                yield warning(
-                    f"the shapes of '{pair[0]}' and '{pair[1]}' penetrate each other by up to "
-                    f"{1000 * contact.depth:.1f} mm in {100 * contact.share:.0f} % of all poses, "
-                    "so that they will in grasps; shrink them, or if they may, write "
-                    f'<contact><exclude body1="{pair[0]}" '
-                    f'body2="{pair[1]}"/></contact>'
-                )
+        contacts = {
+            (contact.first, contact.second): contact
+            for contact in self_contacts(model, zero_and_random_poses(model)[1:])
+            if contact.share > BY_SHAPE and (contact.first, contact.second) not in reported
+        }
+        for pairs in _by_finger(model, parts, {pair: c.depth for pair, c in contacts.items()}).values():
+            deepest = max(contacts[pair].depth for pair in pairs)
+            share = max(contacts[pair].share for pair in pairs)
+            yield warning(
+                f"the shapes of {_pairs(pairs)} penetrate each other by up to {1000 * deepest:.1f} mm in "
+                f"{100 * share:.0f} % of all poses, so that they will in grasps; shrink them, or if they "
+                f"may, write {_exclude(pairs)}"
+            )
+
+
+Pairs = list[tuple[str, str]]
+
+
+def _by_finger(
+    model: mujoco.MjModel, parts: HandParts, depths: dict[tuple[str, str], float]
+) -> dict[tuple[str, ...], Pairs]:
+    """Pairs of bodies, the deepest first, by the fingers that they belong to."""
+    fingers = {model.body(link).id: name for name, links in parts.fingers.items() for link in links}
+
+    def finger(name: str) -> str:
+        above = ancestors(model, mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name))
+        return next((fingers[body] for body in above if body in fingers), "palm")
+
+    groups: dict[tuple[str, ...], Pairs] = {}
+    for pair in sorted(depths, key=lambda pair: -depths[pair]):
+        groups.setdefault(tuple(sorted(map(finger, pair))), []).append(pair)
+    return groups
+
+
+def _pairs(pairs: Pairs) -> str:
+    words = f"'{pairs[0][0]}' and '{pairs[0][1]}'"
+    others = [f"'{first}' and '{second}'" for first, second in pairs[1:4]]
+    more = f", and {len(pairs) - 4} more pairs of these fingers" if len(pairs) > 4 else ""
+    return ", ".join([words, *others]) + more
+
+
+def _millimetres(depth: float, pairs: Pairs) -> str:
+    return f"{'' if len(pairs) == 1 else 'up to '}{1000 * depth:.1f} mm"
+
+
+def _exclude(pairs: Pairs) -> str:
+    """What lets a pair pass through each other. pairs: the first is named."""
+    each = "" if len(pairs) == 1 else " for each pair, as"
+    first, second = pairs[0]
+    return f'{each} <contact><exclude body1="{first}" body2="{second}"/></contact>'.strip()
 
 
 def overlapping_shapes(model: mujoco.MjModel, positions: np.ndarray) -> dict[tuple[str, str], float]:

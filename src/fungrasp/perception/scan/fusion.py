@@ -16,8 +16,8 @@ from trimesh.visual import ColorVisuals
 
 from fungrasp.errors import FungraspError
 from fungrasp.geometry.poses import inverse_transform_points
+from fungrasp.geometry.shell_from_triangles import zero_surface
 from fungrasp.objects.mesh_repair import simplify
-from fungrasp.objects.shell_from_triangles import zero_surface
 from fungrasp.perception.io.capture import depth_noise
 from fungrasp.perception.scan.table_view import TableView, depth_at
 
