@@ -40,6 +40,32 @@ def chain() -> Table:
     return Table(head, rows, ["perception-chain"])
 
 
+def hands_added() -> Table:
+    """Hands of other makers: what became of their descriptions, and how many grasps they lift."""
+    head = (
+        "hand",
+        "fingers",
+        "joints, driven / all",
+        "contact error, largest self-penetration [mm]",
+        "success",
+    )
+    rows = []
+    for row in read("hands-added").rows:
+        if row["refused"] is not None:
+            rows.append((row["hand"], NONE, NONE, NONE, f"refused: {row['refused']}"))
+            continue
+        rows.append(
+            (
+                row["hand"],
+                str(row["fingers"]),
+                f"{row['driven']} / {row['joints']}",
+                f"{row['contact_error_mm']:.1f}, {row['self_penetration_mm']:.1f}",
+                f"{100 * row['lifted'] / row['grasps']:.0f} %",
+            )
+        )
+    return Table(head, rows, ["hands-added"])
+
+
 def varied_captures() -> Table:
     """Objects in varied captures that nothing was chosen by, by what perception is told of them."""
     head = (

@@ -77,7 +77,7 @@ BUILDERS: dict[str, Callable[[], Table]] = {
     "experiments_hand_fit": recorded("experiments-hand-fit"),
     "experiments_policies": recorded("experiments-policies"),
     "experiments_left": recorded("experiments-left"),
-    "hands_added": recorded("hands-added"),
+    "hands_added": other_tables.hands_added,
     "perception_varied": recorded("perception-varied"),
     "perception_varied_held_out": other_tables.varied_captures,
     "select_by_quality": recorded("select-by-quality"),

@@ -277,8 +277,11 @@ def test_grippers_are_said_to_be_grippers(tmp_path: Path):
         '<body name="{0}_tip" pos="0 0 0.05"><joint name="{0}_k" axis="1 0 0" range="-1 1"/>'
         '<geom fromto="0 0 0 0 0 0.03" mass="0.1"/></body>'
     )
-    with pytest.raises(FungraspError, match="gripper: two fingers whose joints are all parallel"):
+    with pytest.raises(FungraspError, match="gripper: its 4 joints are all parallel"):
         added(tmp_path, gripper(turning, tips=tip))
+    one = frame.format(jaw.format("mover", 0.0, turning, ""), "")
+    with pytest.raises(FungraspError, match="one chain of joints is all there is, up to 'mover'"):
+        added(tmp_path, one)
 
 
 def test_a_frame_that_the_check_contradicts_ends_in_an_error(

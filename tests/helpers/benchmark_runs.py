@@ -13,6 +13,7 @@ MODULES = {
     "fault_series": "series",
     "faults": "devices",
     "grasp_set": "commands",
+    "hands": "added_hands",
     "identification": "comparison",
     "paper": "commands",
     "peers": "compare",

@@ -13,10 +13,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fungrasp.errors import FungraspError
+from fungrasp.geometry.shell_from_triangles import zero_surface
 from fungrasp.objects import load_mesh, mesh_file
 from fungrasp.objects.disk_cache import cached_on_disk
 from fungrasp.objects.mesh_repair import consistent_winding, fill_holes
-from fungrasp.geometry.shell_from_triangles import zero_surface
 
 SHARED = Path(__file__).resolve().parents[2] / ".." / "shared"
 

@@ -58,6 +58,11 @@ def find_palm(model: mujoco.MjModel, answer: str | None) -> int:
             "palm with --palm BODY"
         )
     ends = _ends(model, moving)
+    if len(ends) == 1:
+        raise FungraspError(
+            f"one chain of joints is all there is, up to '{body_name(model, ends[0])}': a gripper with one "
+            "jaw, or an arm without a hand"
+        )
     # A scene may hold things beside the hand: the tree with most ends is the hand's.
     roots = [ancestors(model, end)[-1] for end in ends]
     root = max(dict.fromkeys(roots), key=roots.count)

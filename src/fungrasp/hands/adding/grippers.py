@@ -39,18 +39,19 @@ def refuse_sliding_or_one_motor(model: mujoco.MjModel, palm: int, couplings: lis
         )
 
 
-def refuse_two_jaws(poses: Poses, chains: list[Chain]) -> None:
-    """Refuse two fingers that move in one plane.
+def refuse_jaws(poses: Poses, chains: list[Chain]) -> None:
+    """Refuse two fingers that move in one plane, and several that one or two motors move in planes that are
+    parallel.
 
     Raises:
         FungraspError: they do.
     """
-    if len(chains) > 2:
-        return
-    axes = np.array([poses.axis(j) for chain in chains for j in chain_joints(poses.model, chain)])
-    if np.abs(axes @ axes[0]).min() > PARALLEL:
+    joints = [j for chain in chains for j in chain_joints(poses.model, chain)]
+    motors = int(np.any(poses.matrix[joints], axis=0).sum())
+    axes = np.array([poses.axis(j) for j in joints])
+    if np.abs(axes @ axes[0]).min() > PARALLEL and (len(chains) == 2 or motors <= 2):
         raise FungraspError(
-            f"'{body_name(poses.model, poses.palm)}' carries a gripper: two fingers whose joints are all "
+            f"'{body_name(poses.model, poses.palm)}' carries a gripper: its {len(joints)} joints are all "
             "parallel; a hand needs a thumb that moves across the fingers"
         )
 

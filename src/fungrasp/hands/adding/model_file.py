@@ -220,13 +220,14 @@ def _take_meshes(
     if missing:
         findings.append(
             warning(
-                f"no file is found for the mesh {listed(missing)}, looked for from {folder / meshdir} up; its "
-                "shape is left out"
+                f"no file is found for the mesh {listed(missing)}, looked for from {folder / meshdir} up; "
+                "its shape is left out"
             )
         )
     for reason in dict.fromkeys(unreadable.values()):
         files = [file for file, other in unreadable.items() if other == reason]
-        findings.append(warning(f"the mesh {listed(files)} can't be read, its shape is left out: {reason}"))
+        words = f"the mesh {listed(files)} can't be read, its shape is left out: {reason}"
+        findings.append(warning(words))
     return carriers, stripped
 
 

@@ -18,7 +18,7 @@ from fungrasp.hands.adding.finger_chains import (
     flexing_joints,
     straight_fingers,
 )
-from fungrasp.hands.adding.grippers import refuse_two_jaws
+from fungrasp.hands.adding.grippers import refuse_jaws
 from fungrasp.hands.adding.hand_side import hand_side
 from fungrasp.hands.adding.poses import Poses
 from fungrasp.hands.checking.finding import Finding, listed, warning
@@ -101,7 +101,7 @@ def find_structure(
     start = np.clip(0.0, poses.low, poses.high)
     poses.set(start)
     chains = find_chains(model, poses, palm, tips, ties)
-    refuse_two_jaws(poses, chains)
+    refuse_jaws(poses, chains)
     straight = straight_fingers(poses, chains, tips, start)
     joints = poses.set(straight)
     middle = np.mean([poses.of_body(chain.bodies[-1], tips[chain.bodies[-1]]) for chain in chains], axis=0)

@@ -99,21 +99,22 @@ def check_palm_frame(
     bent = coupled_positions(model, 0.5 * (lower + upper))
     directions, motions = [], []
     for finger in fingers:
-        spans = [tip - base for base, tip in (_key_points(model, parts, finger, pose) for pose in open_poses)]
+        spans = np.array(
+            [tip - base for base, tip in (_key_points(model, parts, finger, pose) for pose in open_poses)]
+        )
         lengths = np.linalg.norm(spans, axis=1)
         # Where zero is a bent pose, the finger is straight at an end of its range.
         straight = int(np.argmax(lengths)) if lengths.max() > STRAIGHTER * lengths[0] else 0
         tip = _key_points(model, parts, finger, open_poses[straight])[1]
-        directions.append(spans[straight] / max(float(lengths[straight]), 1e-9))
+        directions.append(spans / np.maximum(lengths, 1e-9)[:, None])
         motions.append(_key_points(model, parts, finger, bent)[1] - tip)
     direction, motion = np.mean(directions, axis=0), np.mean(motions, axis=0)
-    angle = np.degrees(
-        np.arccos(np.clip(direction @ along / max(float(np.linalg.norm(direction)), 1e-9), -1, 1))
-    )
-    if angle > 60.0:
+    length = np.maximum(np.linalg.norm(direction, axis=1), 1e-9)
+    angles = np.degrees(np.arccos(np.clip(direction @ along / length, -1, 1)))
+    if angles.min() > 60.0:
         yield error(
-            f"palm_frame.fingers is {angle:.0f} degrees off the direction of the straight fingers, "
-            f"{_numbers(direction)}"
+            f"palm_frame.fingers is {angles[0]:.0f} degrees off the direction of the fingers at the zero "
+            f"pose, {_numbers(direction[0])}"
         )
     across = motion - (motion @ along) * along
     if across @ normal < -0.3 * np.linalg.norm(across) - LEAST_BEND:
