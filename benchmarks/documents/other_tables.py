@@ -51,7 +51,7 @@ def hands_added() -> Table:
     )
     rows = []
     for row in read("hands-added").rows:
-        if row["refused"] is not None:
+        if row["refused"]:
             rows.append((row["hand"], NONE, NONE, NONE, f"refused: {row['refused']}"))
             continue
         rows.append(
