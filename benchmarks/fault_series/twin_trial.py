@@ -13,8 +13,8 @@ import numpy as np
 
 from benchmarks.fault_series.moments import Scene, TwinRun, twin_run, twin_world
 from benchmarks.fault_series.trial import WATCHED, Drawn, FaultTrial, TruthWatch, judged
+from fungrasp.deployment.holding import endings_as_interrupts
 from fungrasp.deployment.log import NoLog
-from fungrasp.deployment.wired_deployment import endings_as_interrupts
 from fungrasp.policies import OpenLoopPolicy
 from fungrasp.robots.twin.clocks import TwinClock
 from fungrasp.robots.twin.world import TwinWorld
@@ -80,7 +80,7 @@ class FullLog(NoLog):
         if self.full:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    begin = setpoint = step = event = _write
+    begin = setpoint = step = event = _write  # pyright: ignore[reportAssignmentType]
 
 
 def twin_trial(scene: Scene, drawn: Drawn) -> FaultTrial:

@@ -9,7 +9,8 @@ from pathlib import Path
 
 from benchmarks.fault_series.moments import LOOK, PreparerOf, Scene
 from benchmarks.faults.control_session import driver_process
-from fungrasp.deployment.deployment import Deployment, DeploymentSettings
+from fungrasp.deployment.deployment import Deployment
+from fungrasp.deployment.deployment_result import DeploymentSettings
 from fungrasp.deployment.log import McapLog
 from fungrasp.errors import FungraspError
 from fungrasp.policies import OpenLoopPolicy

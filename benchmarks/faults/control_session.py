@@ -14,7 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from fungrasp.deployment.deployment import Deployment, DeploymentSettings
+from fungrasp.deployment.deployment import Deployment
+from fungrasp.deployment.deployment_result import DeploymentSettings
 from fungrasp.deployment.log import McapLog
 from fungrasp.deployment.phases import Phase
 from fungrasp.deployment.preparation import PreparedGrasp

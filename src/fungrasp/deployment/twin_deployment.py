@@ -10,7 +10,8 @@ from typing import TypeVar
 
 import numpy as np
 
-from fungrasp.deployment.deployment import Confirm, Deployment, DeploymentResult, DeploymentSettings
+from fungrasp.deployment.deployment import Confirm, Deployment
+from fungrasp.deployment.deployment_result import DeploymentResult, DeploymentSettings
 from fungrasp.deployment.hand_knowledge import HandDynamics
 from fungrasp.deployment.log import DeploymentLog
 from fungrasp.deployment.phases import Phase
@@ -28,7 +29,8 @@ from fungrasp.objects.resting_pose import broad_settled_up
 from fungrasp.planning import MotionPlanner, Planner
 from fungrasp.robots.cell import RobotCell
 from fungrasp.robots.clock import Clock, WallClock
-from fungrasp.robots.robot import Robot, RobotCommand
+from fungrasp.robots.robot import Robot
+from fungrasp.robots.robot_state import RobotCommand
 from fungrasp.robots.stop_switch import StopSwitch
 from fungrasp.robots.twin.clocks import RealTimeTwin, TwinClock
 from fungrasp.robots.twin.devices import TwinArm, TwinHand, TwinTracker

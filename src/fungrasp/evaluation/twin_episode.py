@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from fungrasp.deployment.deployment import DeploymentSettings
+from fungrasp.deployment.deployment_result import DeploymentSettings
 from fungrasp.deployment.hand_knowledge import HandDynamics
 from fungrasp.deployment.phases import Phase
 from fungrasp.deployment.preparation import UnreachableError

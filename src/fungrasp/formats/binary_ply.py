@@ -6,7 +6,7 @@ import struct
 from typing import Any
 
 NAMES = "char uchar short ushort int uint float double int8 uint8 int16 uint16 int32 uint32 float32 float64"
-TYPES = dict(zip(NAMES.split(), 2 * "bBhHiIfd", strict=True))
+TYPES: dict[str, str] = dict(zip(NAMES.split(), 2 * "bBhHiIfd", strict=True))
 """Codes of ``struct`` for the types of PLY, by both their names."""
 
 

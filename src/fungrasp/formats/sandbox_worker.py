@@ -76,13 +76,14 @@ def _load_mesh(path: str, **options: bool) -> Any:
 
     from fungrasp.formats.binary_ply import as_text
 
+    load: Any = trimesh.load
     try:
-        return trimesh.load(path, force="mesh", process=False, **options)
+        return load(path, force="mesh", process=False, **options)
     except ValueError as error:
         if "PLY is unexpected length" not in str(error):
             raise
         text = io.BytesIO(as_text(Path(path).read_bytes()))
-        return trimesh.load(text, file_type="ply", force="mesh", process=False, **options)
+        return load(text, file_type="ply", force="mesh", process=False, **options)
 
 
 def compile_model(path: str) -> bytes:

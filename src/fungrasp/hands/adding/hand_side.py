@@ -17,7 +17,7 @@ SIDES = {
 """Parts of names that tell the side of a hand; "l1" is a link."""
 
 
-def hand_side(
+def find_side(
     model: mujoco.MjModel,
     palm: int,
     standing: str | None,

@@ -12,12 +12,13 @@ import numpy as np
 import trimesh
 
 from fungrasp.errors import FungraspError
+from fungrasp.formats.file_bytes import one_line
 from fungrasp.formats.mesh_file import read_mesh
 from fungrasp.formats.mujoco_model import check_model_numbers, parse_model
 from fungrasp.hands.adding.joint_repairs import repair_joints
 from fungrasp.hands.adding.world_palm import wrap_world
 from fungrasp.hands.checking.finding import Finding, listed, note, warning
-from fungrasp.hands.checking.model_source import one_line, parse_xml, principal_inertias, quiet
+from fungrasp.hands.checking.model_source import parse_xml, principal_inertias, quiet
 
 MAX_INCLUDES = 100
 """Files that a model may include."""

@@ -19,7 +19,7 @@ from fungrasp.hands.adding.finger_chains import (
     straight_fingers,
 )
 from fungrasp.hands.adding.grippers import refuse_jaws
-from fungrasp.hands.adding.hand_side import hand_side
+from fungrasp.hands.adding.hand_side import find_side
 from fungrasp.hands.adding.poses import Poses
 from fungrasp.hands.checking.finding import Finding, listed, warning
 from fungrasp.hands.checking.kinematic_tree import body_name
@@ -267,7 +267,7 @@ def _names(
     standing = None
     if abs(distance) >= 0.5 * SIDE_RATIO * length:
         standing = "right" if distance > 0 else "left"
-    side = hand_side(model, palm, standing, len(long), answers.side, findings)
+    side = find_side(model, palm, standing, len(long), answers.side, findings)
     if answers.fingers:
         names = {
             name: _chain_of(model, chains, body, f"--finger {name}=")
