@@ -5,6 +5,8 @@ from __future__ import annotations
 
 import contextlib
 import os
+import pickle
+import subprocess
 import sys
 import threading
 import time
@@ -18,12 +20,19 @@ import numpy as np
 import pytest
 from driver_contract import DeviceUnderTest, DriverContract, reach, wait_for
 
-from fungrasp.hands.arm import arm_spec
+from fungrasp.deployment.deploy import deployment_task
+from fungrasp.deployment.deployment_result import DeploymentSpec
+from fungrasp.deployment.grasp_choice import GraspChoice
+from fungrasp.deployment.phases import Phase
+from fungrasp.deployment.twin_deployment import reachable_placement
+from fungrasp.deployment.wired_deployment import deploy_on_robot
+from fungrasp.hands import load_hand
+from fungrasp.robots import assembly
 from fungrasp.robots.cell import load_cell
 from fungrasp.robots.control_loop.loop_driver import LoopDriver
 from fungrasp.robots.device import DeviceStatus, JointLimits, JointState, RobotError
-from fungrasp.robots.emulators.emulator import Emulator
-from fungrasp.robots.emulators.plant import PlantCommand, ServoPlant
+from fungrasp.robots.emulators.plant import ServoPlant
+from fungrasp.robots.worker_environment import worker_environment
 
 rclpy = pytest.importorskip("rclpy")
 # Before the first context: nobody else's topics.
@@ -31,8 +40,8 @@ os.environ["ROS_DOMAIN_ID"] = str(1 + os.getpid() % 100)
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 
 from geometry_msgs.msg import PoseStamped  # noqa: E402
+from ros_joints import JOINTS, MODEL, RosJoints  # noqa: E402
 from sensor_msgs.msg import JointState as JointStateMessage  # noqa: E402
-from std_msgs.msg import Bool, Float64, Float64MultiArray  # noqa: E402
 from std_srvs.srv import Trigger  # noqa: E402
 
 from fungrasp_ros2.grasp_node import GraspNode  # noqa: E402
@@ -40,63 +49,9 @@ from fungrasp_ros2.joint_loop import JointTopicLoop, TopicSettings, make_arm, ma
 from fungrasp_ros2.pose_source import RosPoseSource, make_pose_source  # noqa: E402
 from fungrasp_ros2.ros_side import RosSide  # noqa: E402
 
-MODEL = arm_spec("ur5e").compile()
-JOINTS = tuple(MODEL.joint(i).name for i in range(6))
 HOME = np.array([0.0, -1.5, 1.5, -1.5, -1.5, 0.0])
 # ur_dashboard_msgs is no package of pip: its topic is watched in the tests of ArmWatch only.
 WATCHED = {"safety_mode": ""}
-
-
-class RosJoints(Emulator):
-    """Joint states, a forward controller, and what ur_robot_driver says besides."""
-
-    def __init__(
-        self, plant: ServoPlant, names: tuple[str, ...] = JOINTS, commands: str = TopicSettings.commands
-    ):
-        super().__init__()
-        self.plant, self.heard = plant, []
-        self.scaling, self.running = 100.0, True
-        self._names, self._commands = names, commands
-        self._ros: RosSide | None = None
-
-    def start(self) -> None:
-        self._ended.clear()
-        self._ros = ros = RosSide("ur_robot_driver")
-        ros.node.create_subscription(Float64MultiArray, self._commands, self._move, 100)
-        self._states = ros.node.create_publisher(JointStateMessage, TopicSettings.states, 10)
-        self._speed = ros.node.create_publisher(Float64, TopicSettings.speed_scaling, 10)
-        latched = ros.qos.QoSProfile(depth=1, durability=ros.qos.DurabilityPolicy.TRANSIENT_LOCAL)
-        self._program = ros.node.create_publisher(Bool, TopicSettings.robot_program_running, latched)
-        self._program.publish(Bool(data=self.running))
-        self._run(self._serve)
-
-    def close(self) -> None:
-        self._end_threads()
-        if self._ros is not None:
-            self._ros.close()
-            self._ros = None
-
-    def stop_program(self) -> None:
-        self._program.publish(Bool(data=False))
-
-    def _move(self, message: Any) -> None:
-        self.heard.append((time.monotonic(), list(message.data)))
-        self.plant.apply(PlantCommand(positions=np.array(message.data)), time.monotonic())
-
-    def _serve(self) -> None:
-        assert self._ros is not None
-        order, due = np.arange(len(self._names))[::-1], time.monotonic()
-        while not self._ended.is_set():
-            due = max(due, time.monotonic() - 0.01) + 0.008
-            while (rest := due - time.monotonic()) > 0:
-                self._ros.spin(rest)
-            message, state = JointStateMessage(), self.plant.state(time.monotonic())
-            message.header.stamp = self._ros.node.get_clock().now().to_msg()
-            message.name = [self._names[i] for i in order]
-            message.position = state.positions[order].tolist()
-            message.velocity = state.velocities[order].tolist()
-            self._states.publish(message)
-            self._speed.publish(Float64(data=self.scaling))
 
 
 @contextlib.contextmanager
@@ -196,6 +151,44 @@ def test_an_arm_and_a_hand_of_a_cell_run_in_processes() -> None:
     finally:
         for one in (*drivers, *sides):
             one.close()
+
+
+@pytest.mark.slow
+def test_a_bowl_is_grasped_on_a_twin_with_everything_over_ros(tmp_path: Path) -> None:
+    patient = {"timeout": 20.0, "stale_after": 1.0}
+    cell = load_cell("ur5e-inspire-emulated")
+    options = {"velocity": 2.0, "acceleration": 20.0, "jerk": 1000.0, **patient, **WATCHED}
+    dog = replace(cell.watchdog, arm_silence=0.5, hand_silence=0.5, overrun=1.0, pose_stale=2.0)
+    fingers = {"commands": "/hand/commands", **patient}
+    cell = replace(
+        cell,
+        arm=replace(cell.arm, driver="ros2", address="", options=options),
+        hand_device=replace(cell.hand_device, driver="ros2", address="fungrasp_hand", options=fingers),
+        tracker=replace(cell.tracker, driver="ros2", address="/object_pose", options={"timeout": 20.0}),
+        watchdog=dog,
+    )
+    hand = load_hand(cell.hand)
+    grasp, objects = GraspChoice("bowl").robot(hand)
+    thing = objects["bowl"]
+    task = deployment_task(grasp, objects, DeploymentSpec("ur5e-inspire-emulated"))
+    task = replace(task, cell=cell)
+    # Of the package's own drivers, by name; these two are not installed here.
+    arm, side, poses = make_arm(cell), make_hand(cell), make_pose_source(cell)
+    said = tmp_path / "task"
+    said.write_bytes(pickle.dumps((cell, thing, reachable_placement(cell, hand, thing, grasp))))
+    worker = Path(__file__).with_name("twin_over_ros.py")
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
+    with subprocess.Popen([sys.executable, worker, said], env=worker_environment(), **pipes) as twin:
+        assert twin.stdout is not None and twin.stdin is not None
+        assert twin.stdout.readline() == "ready\n"
+        with pytest.MonkeyPatch.context() as patched:
+            for name, device in (("arm_driver", arm), ("hand_driver", side), ("pose_source", poses)):
+                patched.setattr(assembly, name, lambda *arguments, device=device: device)
+            result = deploy_on_robot(task, hold=lambda robot: None)
+        twin.stdin.close()
+        held = float(twin.stdout.readline())
+    assert result.phase is Phase.DONE, result
+    assert held >= 2.0
 
 
 @contextlib.contextmanager
