@@ -95,9 +95,10 @@ def _urdf() -> str:
     ]
     tree = [("palm", "index", "0 .03 .1"), ("index", "index_end", "0 0 .05")]
     tree += [("palm", "thumb", "0 .06 .03"), ("thumb", "thumb_end", "0 0 .05")]
+    # The thumb's joints turn across the finger's: a hand, and no gripper.
     joints = [
         f'<joint name="{child}_joint" type="revolute"><parent link="{parent}"/><child link="{child}"/>'
-        f'<origin xyz="{place}" rpy="0 0 0"/><axis xyz="0 1 0"/>'
+        f'<origin xyz="{place}" rpy="0 0 0"/><axis xyz="{"1 0 0" if "thumb" in child else "0 1 0"}"/>'
         '<limit lower="0" upper="1.6" effort="1" velocity="1"/></joint>'
         for parent, child, place in tree
     ]
