@@ -33,6 +33,10 @@ class TwinFit:
     stiffness: all that the motion of joints without load depends on."""
     uncertainty: dict[str, float]
     """Median over the joints of the standard deviation that the fit says of itself, relative, by quantity."""
+    identified: dict[str, float]
+    """Share of the joints whose quantity the logs tell; the others keep the model's value."""
+    identified_errors: dict[str, float | None]
+    """Median of the errors of these; of damping, friction and armature of the ratios to the stiffness."""
     largest_error: float
     """Over all quantities of all joints."""
     model_error: float
@@ -77,14 +81,18 @@ def twin_fit(
     errors = {name: _errors(found, true, name) for name in QUANTITIES}
     unfitted = np.concatenate([_errors(model, true, name) for name in QUANTITIES])
     everything = np.concatenate(list(errors.values()))
+    off = {"stiffness": errors["stiffness"], **_ratio_errors(found, true, truth)}
+    told = identified.found.identified
     return TwinFit(
         hand.name,
         twin,
         method,
         float(np.median(everything)),
         {name: float(np.median(values)) for name, values in errors.items()},
-        _ratio_errors(found, true, truth),
+        {name: float(np.median(off[name])) for name in QUANTITIES[1:]},
         {name: float(np.median(identified.found.relative_error[name])) for name in QUANTITIES},
+        {name: float(np.mean(told[name])) for name in QUANTITIES},
+        {name: _median(off[name][told[name]]) for name in QUANTITIES},
         float(everything.max()),
         float(np.median(unfitted)),
         found.delay - truth.hand_delay,
@@ -121,10 +129,14 @@ def _errors(found: JointDynamics, true: JointDynamics, name: str) -> np.ndarray:
     return np.abs(getattr(found, name) / getattr(true, name) - 1.0)
 
 
-def _ratio_errors(found: JointDynamics, true: JointDynamics, truth: TwinParameters) -> dict[str, float]:
-    """See ``TwinFit.ratio_errors``. A motion that never rests shows the friction of sliding."""
+def _median(values: np.ndarray) -> float | None:
+    return float(np.median(values)) if len(values) else None
+
+
+def _ratio_errors(found: JointDynamics, true: JointDynamics, truth: TwinParameters) -> dict[str, np.ndarray]:
+    """See ``TwinFit.ratio_errors``; of each joint. Motion that never rests shows friction of sliding."""
     actual = {"damping": true.damping, "friction": true.friction * truth.sliding, "armature": true.armature}
     return {
-        name: float(np.median(np.abs(getattr(found, name) / found.stiffness * true.stiffness / values - 1.0)))
+        name: np.abs(getattr(found, name) / found.stiffness * true.stiffness / values - 1.0)
         for name, values in actual.items()
     }

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from dataclasses import replace
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -11,17 +12,28 @@ import pytest
 
 from fungrasp.errors import FungraspError
 from fungrasp.hands import load_hand
-from fungrasp.sim2real.identification.excitation import Excitation, excitation_commands
-from fungrasp.sim2real.identification.finger_chains import place_in_finger
+from fungrasp.sim2real.identification.excitation import Excitation, excitation_motion
+from fungrasp.sim2real.identification.finger_chains import chain_of
 from fungrasp.sim2real.identification.fingertip_weights import hang_weights
 from fungrasp.sim2real.identification.fit import FitSettings, fit_dynamics
-from fungrasp.sim2real.identification.log_simulation import DriveErrors, play_operator, simulate_log
-from fungrasp.sim2real.identification.motion_log import (
-    MotionLog,
-    load_motion_log,
-    read_step_csv,
-    save_motion_log,
+from fungrasp.sim2real.identification.joint_samples import joint_samples
+from fungrasp.sim2real.identification.log_simulation import (
+    DriveErrors,
+    driver_setpoints,
+    play_operator,
+    prediction_rms,
+    simulate_log,
 )
+from fungrasp.sim2real.identification.motion_log import (
+    MotionHeader,
+    MotionLog,
+    MotionLogWriter,
+    MotionSample,
+    load_motion_log,
+    motion_log,
+    read_step_csv,
+)
+from fungrasp.sim2real.identification.safe_motion import safe_motion
 from fungrasp.sim2real.joint_dynamics import (
     JointDynamics,
     identified_hand,
@@ -42,13 +54,19 @@ TRUTH = JointDynamics(
 )
 
 
+def one_finger(e: Excitation, rest: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+    """Commands of joints of one finger, at any speed."""
+    finger, speed = np.zeros(len(rest)), np.full(len(rest), np.inf)
+    return excitation_motion(e, rest, lower, upper, speed, finger).commands
+
+
 @pytest.fixture(scope="module")
 def log() -> MotionLog:
     hand = load_hand("allegro")
     rest = np.full(2, 0.7)
     lower, upper = np.full(2, 0.0), np.full(2, 1.5)
-    excitation = Excitation(seconds=2.5)
-    commands = excitation_commands(excitation, rest, lower, upper)
+    excitation = Excitation(seconds=5.0)
+    commands = one_finger(excitation, rest, lower, upper)
     times = np.arange(len(commands)) / excitation.rate
     empty = MotionLog(JOINTS, times, commands, np.tile(rest, (len(times), 1)), np.array([0, 0, -9.81]))
     positions = simulate_log(hand, empty, [TRUTH])[0]
@@ -58,11 +76,11 @@ def log() -> MotionLog:
 
 def test_parameters_are_found_again(log: MotionLog):
     hand = load_hand("allegro")
-    found = fit_dynamics(hand, log, FitSettings(fixed=("stiffness",)))
-    assert found.dynamics.delay == pytest.approx(TRUTH.delay, abs=5e-4)
+    found = fit_dynamics(hand, log, FitSettings(fixed=("stiffness",), bound=np.inf))
+    assert found.dynamics.delay == pytest.approx(TRUTH.delay, abs=2e-3)
     assert np.allclose(found.dynamics.damping, TRUTH.damping, rtol=0.05)
     assert np.allclose(found.dynamics.friction, TRUTH.friction, rtol=0.2)
-    assert np.allclose(found.dynamics.armature, TRUTH.armature, rtol=0.2)
+    assert np.allclose(found.dynamics.armature, TRUTH.armature, rtol=0.4)
     assert found.rms < 0.003
     assert set(found.relative_error) == {"damping", "friction", "armature", "delay"}
 
@@ -82,14 +100,155 @@ def test_a_command_takes_effect_after_the_delay(log: MotionLog):
     assert np.allclose(early[10:90], later[13:93], atol=1e-6)
 
 
-def test_excitation_stays_within_limits_and_begins_at_rest():
-    lower, upper = np.array([-0.2, 0.3]), np.array([1.0, 1.4])
-    rest = np.array([0.0, 1.35])
-    commands = excitation_commands(Excitation(seconds=4.0), rest, lower, upper)
+def test_excitation_is_slow_small_and_begins_and_ends_at_rest():
+    lower, upper = np.array([-0.2, 0.3, 0.0]), np.array([1.0, 1.4, 2.0])
+    rest, speed = np.array([0.0, 1.35, 1.0]), np.array([4.0, 4.0, 1.0])
+    e = Excitation()
+    motion = excitation_motion(e, rest, lower, upper, speed, np.array([0, 0, 1]))
+    commands = motion.commands
     assert (commands >= lower).all() and (commands <= upper).all()
-    assert (commands[:20] == rest).all() and (commands[-1] == rest).all()
-    assert (np.ptp(commands, axis=0) > 0.2 * (upper - lower)).all()
-    assert np.array_equal(commands, excitation_commands(Excitation(seconds=4.0), rest, lower, upper))
+    assert (commands[[0, -1]] == rest).all()
+    # No jump anywhere: a command is no farther from the last than half the driver's speed allows.
+    assert (np.abs(np.diff(commands, axis=0)) <= 0.5 * speed / e.rate + 1e-9).all()
+    assert (np.ptp(commands, axis=0) > [0.25, 0.2, 0.05]).all()
+    # One finger after the other, the other one holds.
+    half = len(commands) // 2
+    assert motion.moving[:half].tolist() == [[True, True, False]] * half
+    assert (commands[:half, 2] == rest[2]).all() and (commands[half:, :2] == rest[:2]).all()
+    again = excitation_motion(e, rest, lower, upper, speed, np.array([0, 0, 1]))
+    assert np.array_equal(commands, again.commands)
+
+
+def test_the_sines_of_a_finger_share_no_line_and_have_low_peaks():
+    e = Excitation(seconds=13.0)
+    commands = one_finger(e, np.full(2, 1.0), np.zeros(2), np.full(2, 2.0))
+    # Two periods at full swing.
+    waves = commands[150:1150] - commands[150:1150].mean(axis=0)
+    power = np.abs(np.fft.rfft(waves, axis=0)) ** 2
+    lines = power > 1e-4 * power.max(axis=0)
+    frequencies = [np.flatnonzero(column) / 10.0 for column in lines.T]
+    assert not (lines[:, 0] & lines[:, 1]).any()
+    assert min(f.min() for f in frequencies) == 0.2 and max(f.max() for f in frequencies) > 7.0
+    assert all(f.max() / f.min() > 8 for f in frequencies)
+    # In phase they would reach three times and more.
+    assert (np.abs(waves).max(axis=0) < 2.2 * waves.std(axis=0)).all()
+
+
+def test_bad_excitations_are_refused():
+    for bad in ({"seconds": 2.0}, {"reach": 0.0}, {"speed": 1.5}, {"fastest": 40.0}, {"slowest": 0.0}):
+        with pytest.raises(FungraspError, match="excitation"):
+            Excitation(**bad)
+
+
+def test_a_hand_does_not_touch_itself_and_needs_no_more_torque_than_it_may():
+    hand = load_hand("allegro")
+    limits = np.array([hand.joint_limits[hand.joint_names.index(name)] for name in hand.actuators])
+    # Fingers side by side, spread so that the next one is near.
+    rest = np.clip(np.full(16, 0.3), *limits.T)
+    rest[[0, 4, 8]] = [-0.1, 0.1, 0.1]
+    wide = Excitation(seconds=4.0, reach=0.5, speed=1.0, torque=1.0)
+    weak, free = np.full(16, 0.2), np.full(16, np.inf)
+    motion = safe_motion(wide, hand, rest, *limits.T, np.full(16, 20.0), free, np.zeros(3))
+    plain = excitation_motion(wide, rest, *limits.T, np.full(16, 20.0), chain_of(hand, list(hand.actuators)))
+    data = mujoco.MjData(hand.model)
+
+    def touches(commands: np.ndarray) -> bool:
+        for posture in hand.all_joints(commands[::2]):
+            data.qpos[:] = posture
+            mujoco.mj_fwdPosition(hand.model, data)
+            if any(contact.dist < 0 for contact in data.contact):
+                return True
+        return False
+
+    assert touches(plain.commands) and not touches(motion.commands)
+    gentle = safe_motion(wide, hand, rest, *limits.T, np.full(16, 20.0), weak, np.zeros(3))
+    assert np.ptp(gentle.commands, axis=0).max() < 0.7 * np.ptp(motion.commands, axis=0).max()
+
+
+def test_fingers_one_after_the_other_are_fitted_side_by_side(log: MotionLog):
+    hand, rows = load_hand("allegro"), len(log.times)
+    two = ("ffj1", "ffj2", "mfj1", "mfj2")
+    rest = np.full((rows, 2), 0.7)
+    commands = np.block([[log.commands, rest], [rest, log.commands]])
+    positions = np.block([[log.positions, rest], [rest, log.positions]])
+    moving = np.kron(np.eye(2, dtype=bool), np.ones((rows, 2), dtype=bool))
+    times = np.arange(2 * rows) / 100.0
+    both = MotionLog(two, times, commands, positions, log.gravity, moving=moving)
+    samples = joint_samples(both)
+    assert samples.positions.shape == (rows, 4)
+    doubled = JointDynamics(two, *(np.tile(v, 2) for v in list(vars(TRUTH).values())[1:5]), TRUTH.delay)
+    simulated = simulate_log(hand, both, [doubled])[0]
+    assert np.abs(simulated[:, :2] - log.positions).max() < 1e-3
+    assert np.abs(simulated[:, 2:] - simulated[:, :2]).max() < 5e-3
+    half = both.part(0.0, 0.5)
+    assert half.moving.all(axis=0).tolist() == [False] * 4 and half.moving.any(axis=0).all()
+
+
+def test_samples_are_compared_when_the_device_measured_them(log: MotionLog):
+    # A hand that is polled every 20 ms by a clock of its own, and commanded and looked at every 10 ms.
+    hand, clock, poll = load_hand("allegro"), 4711.0, 0.02
+    finger = TRUTH
+    rest = np.full(2, 0.7)
+    commands = one_finger(Excitation(seconds=6.0), rest, np.zeros(2), np.full(2, 1.5))
+    times = np.arange(len(commands)) * 0.01
+    stamps = 0.0031 + poll * np.arange(len(commands) // 2 + 1)
+    # Commands are taken at the next poll.
+    polled = MotionLog(
+        JOINTS,
+        stamps,
+        commands[np.searchsorted(times, stamps, side="right") - 1],
+        np.tile(rest, (len(stamps), 1)),
+        np.zeros(3),
+    )
+    measured = simulate_log(hand, polled, [finger])[0]
+    last = np.maximum(np.searchsorted(stamps, times, side="right") - 1, 0)
+    samples = [
+        MotionSample(t, clock + stamps[i], stamps[i], (0, 1), c, measured[i])
+        for t, i, c in zip(times, last, commands, strict=True)
+    ]
+    log = motion_log(MotionHeader(JOINTS, np.zeros(3), 0.0, np.full(2, np.inf)), samples)
+    assert np.abs(log.measured - stamps[last]).max() < 1e-9
+    none = DriveErrors(np.zeros(2), np.zeros(2))
+    as_commanded = replace(log, measured=times)
+    assert prediction_rms(hand, [log], finger, none, 0.0) < 6e-4
+    assert prediction_rms(hand, [as_commanded], finger, none, 0.0) > 3e-3
+
+
+def test_setpoints_run_no_faster_than_the_driver_lets_them():
+    hand = load_hand("allegro")
+    commands = np.where(np.arange(100)[:, None] % 40 < 20, 0.7, 1.3) * np.ones(2)
+    times = np.arange(100) * 0.02
+    at_rest = np.tile(commands[0], (100, 1))
+    limited = MotionLog(JOINTS, times, commands, at_rest, np.zeros(3), speed=np.full(2, 4.0))
+    setpoints = driver_setpoints(joint_samples(limited), np.arange(0.0, 2.0, 0.002))
+    assert np.abs(np.diff(setpoints, axis=0)).max() <= 4.0 * 0.002 + 1e-12
+    assert setpoints[:200].min() == 0.7 and setpoints.max() == pytest.approx(1.3)
+    # What a driver with such a limit makes of steps is no slower servo's.
+    measured = simulate_log(hand, limited, [TRUTH])[0]
+    logs = replace(limited, positions=measured), replace(limited, positions=measured, speed=np.zeros(0))
+    none = DriveErrors(np.zeros(2), np.zeros(2))
+    known, unknown = (prediction_rms(hand, [one], TRUTH, none, 0.0) for one in logs)
+    assert known < 1e-6 and unknown > 0.02
+
+
+def test_what_a_log_does_not_tell_keeps_the_models_value(tmp_path):
+    # Of an Inspire's finger weight and inertia are next to nothing beside its drive's: ratios are seen only.
+    hand, joints = load_hand("inspire"), ("index_proximal_joint",)
+    model = model_dynamics(hand)
+    row = [model.joints.index(joints[0])]
+    values = {name: 0.7 * getattr(model, name)[row] for name in ("stiffness", "damping", "armature")}
+    true = JointDynamics(joints, **values, friction=np.array([0.05]), delay=0.02)
+    commands = one_finger(Excitation(seconds=4.0, reach=0.06), np.full(1, 0.7), np.zeros(1), np.full(1, 1.4))
+    times, rest = np.arange(len(commands)) / 100.0, np.full((len(commands), 1), 0.7)
+    empty = MotionLog(joints, times, commands, rest, np.zeros(3))
+    noise = np.random.default_rng(0).normal(0, 4e-4, rest.shape)
+    log = replace(empty, positions=simulate_log(hand, empty, [true])[0] + noise)
+    found = fit_dynamics(hand, log, FitSettings(iterations=10))
+    assert not found.identified["stiffness"][0] and found.relative_error["stiffness"][0] > 0.5
+    assert found.dynamics.stiffness[0] == model.stiffness[row[0]]
+    assert found.identified["damping"][0]
+    ratio = found.dynamics.damping / found.dynamics.stiffness
+    assert ratio == pytest.approx(true.damping / true.stiffness, rel=0.1)
 
 
 def test_bad_logs_are_refused(log: MotionLog, tmp_path):
@@ -97,7 +256,7 @@ def test_bad_logs_are_refused(log: MotionLog, tmp_path):
     still = MotionLog(JOINTS, log.times, log.commands, np.zeros_like(log.positions), log.gravity)
     with pytest.raises(FungraspError, match="moves less than"):
         fit_dynamics(hand, still)
-    with pytest.raises(FungraspError, match="s at least"):
+    with pytest.raises(FungraspError, match=r"excited for|moves less"):
         fit_dynamics(hand, log.part(0.0, 0.1))
     with pytest.raises(FungraspError, match="no driven joint"):
         fit_dynamics(load_hand("inspire"), log)
@@ -105,19 +264,51 @@ def test_bad_logs_are_refused(log: MotionLog, tmp_path):
         MotionLog(JOINTS, log.times[::-1], log.commands, log.positions, log.gravity)
     with pytest.raises(FungraspError, match="mass on each fingertip"):
         replace(log, weight=-0.1)
-    np.savez(tmp_path / "log.npz", times=log.times)
-    with pytest.raises(FungraspError, match="missing"):
-        load_motion_log(tmp_path / "log.npz")
+    for text in ("", "{}", '{"kind": "other"}', '{"kind": "fungrasp motion log", "joints": 3}', "\x00"):
+        (tmp_path / "log.jsonl").write_text(text)
+        with pytest.raises(FungraspError, match="no motion log"):
+            load_motion_log(tmp_path / "log.jsonl")
     (tmp_path / "steps.csv").write_text("a,b\n1,2\n")
     with pytest.raises(FungraspError, match="step response"):
         read_step_csv(tmp_path / "steps.csv", "x", 0.0, 1.0)
 
 
+def written(path: Path, log: MotionLog, weight: float = 0.0) -> None:
+    """A log in a file, as it is recorded."""
+    header = MotionHeader(log.joints, log.gravity, weight, np.full(2, 4.0))
+    with MotionLogWriter(path) as writer:
+        for t, c, q in zip(log.times, log.commands, log.positions, strict=True):
+            writer.add(header, MotionSample(t, t + 100.0, t, (0, 1), c, q))
+
+
+def test_a_log_that_was_broken_off_can_be_read_and_fitted(log: MotionLog, tmp_path):
+    path = tmp_path / "log.jsonl"
+    written(path, log)
+    data = path.read_bytes()
+    path.write_bytes(data[: int(0.7 * len(data))])
+    left = load_motion_log(path)
+    assert 0.6 * len(log.times) < len(left.times) < 0.8 * len(log.times)
+    assert np.allclose(left.positions, log.positions[: len(left.times)], atol=1e-6)
+    left.check_excitation()
+    with pytest.raises(FungraspError, match="exists already"):
+        MotionLogWriter(path)
+
+
+def test_joints_whose_turn_did_not_come_are_left_out(log: MotionLog):
+    rows = len(log.times)
+    moving = np.tile([True, False], (rows, 1))
+    half = replace(log, positions=log.positions * [1.0, 0.0], moving=moving)
+    assert half.excited().joints == ("ffj1",)
+    with pytest.raises(FungraspError, match="excited for"):
+        half.check_excitation()
+
+
 def test_files_keep_what_they_hold(log: MotionLog, tmp_path):
-    save_motion_log(tmp_path / "log.npz", replace(log, weight=0.2))
-    again = load_motion_log(tmp_path / "log.npz")
-    assert again.joints == log.joints and np.array_equal(again.positions, log.positions)
+    written(tmp_path / "log.jsonl", log, 0.2)
+    again = load_motion_log(tmp_path / "log.jsonl")
+    assert again.joints == log.joints and np.allclose(again.positions, log.positions, atol=1e-7)
     assert again.weight == again.part(0.0, 0.5).weight == 0.2
+    assert (again.speed == 4.0).all() and np.allclose(again.measured, log.times)
     hand = load_hand("allegro")
     save_dynamics(tmp_path / "hand.toml", TRUTH)
     read = load_dynamics(tmp_path / "hand.toml", hand)
@@ -175,23 +366,12 @@ def test_a_hand_takes_what_was_identified(tmp_path):
 
 def test_lost_motion_keeps_what_moves_behind_the_command():
     commands = np.array([0.0, 0.1, 0.3, 0.25, 0.1])[:, None]
-    moved = play_operator(commands, np.array([[0.0], [0.1]]))
+    moved = play_operator(commands, np.array([[0.0], [0.1]]), np.zeros((2, 1)))
     assert np.array_equal(moved[0], commands)
     assert np.allclose(moved[1, :, 0], [0.0, 0.0, 0.2, 0.2, 0.2])
-
-
-def test_a_multi_sine_stays_within_limits_and_moves_fingers_alike():
-    hand = load_hand("allegro")
-    names = tuple(hand.actuators)
-    limits = np.array([hand.joint_limits[hand.joint_names.index(name)] for name in names])
-    rest, alike = limits.mean(axis=1), place_in_finger(hand, names)
-    e = Excitation(kind="multi-sine", seconds=6.0, rate=100.0, reach=0.12)
-    commands = excitation_commands(e, rest, *limits.T, alike)
-    assert (commands >= limits[:, 0]).all() and (commands <= limits[:, 1]).all()
-    assert np.allclose(commands[:40], rest) and np.allclose(commands[-1], rest)
-    # The same joint of the index and of the middle finger, as shares of their ranges.
-    share = (commands - rest) / (limits[:, 1] - limits[:, 0])
-    assert np.allclose(share[:, 0], share[:, 4]) and np.ptp(share[:, 1]) > 0.15
+    # A joint that rests off its command, as far as the slack allows, is not pulled there.
+    moved = play_operator(np.zeros((2, 1)), np.array([[0.1]]), np.array([[0.08]]))
+    assert np.allclose(moved, 0.08)
 
 
 @pytest.mark.slow
@@ -202,8 +382,8 @@ def test_logs_of_two_sides_of_gravity_tell_the_scale_of_a_joint():
     rows = [model.joints.index(joint) for joint in JOINTS]
     values = {name: getattr(model, name)[rows] for name in ("damping", "friction", "armature")}
     true = JointDynamics(JOINTS, 0.6 * model.stiffness[rows], **values, delay=0.02)
-    rest, e = np.full(2, 0.7), Excitation(kind="multi-sine", seconds=3.0, reach=0.1, small_step=0.0)
-    commands = excitation_commands(e, rest, np.zeros(2), np.full(2, 1.5))
+    rest, e = np.full(2, 0.7), Excitation(seconds=5.0, rate=50.0)
+    commands = one_finger(e, rest, np.zeros(2), np.full(2, 1.5))
     times = np.arange(len(commands)) / e.rate
     error = DriveErrors(np.array([0.008, -0.006]), np.zeros(2))
     logs = []
@@ -258,8 +438,8 @@ def test_a_weight_tells_the_scale_of_a_geared_joint():
         scale * model.armature[row],
         0.02,
     )
-    rest, e = np.full(1, 0.7), Excitation(kind="multi-sine", seconds=3.0, reach=0.1, small_step=0.01)
-    commands = excitation_commands(e, rest, np.zeros(1), np.full(1, 1.4))
+    rest, e = np.full(1, 0.7), Excitation(seconds=5.0, rate=50.0, reach=0.05)
+    commands = one_finger(e, rest, np.zeros(1), np.full(1, 1.4))
     times = np.arange(len(commands)) / e.rate
     logs = []
     for weight in (0.0, 0.2):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -45,6 +47,20 @@ def test_speed_acceleration_and_rotation_stay_within_limits(seed, reach, period)
     assert np.linalg.norm(np.diff(velocity, axis=0), axis=-1).max() <= DT * p.wrist_acceleration + 1e-9
     assert turned(moved[1:, :, 3:], moved[:-1, :, 3:]).max() <= DT * p.wrist_rotation_speed + 1e-6
     np.testing.assert_allclose(np.linalg.norm(moved[..., 3:], axis=-1), 1.0, atol=1e-9)
+
+
+def test_a_turn_with_a_limit_of_acceleration_begins_and_ends_with_a_ramp():
+    p = LiftProtocol(wrist_rotation_acceleration=2.0)
+    start, goal = poses(3, 2, 4, 0.1)
+    point, path = WristSetpoint(start, p), [start]
+    for _ in range(50):
+        path.extend(point.advance(goal, DT, 5)[0])
+    places = [Rotation.from_quat(pose[:, 3:], scalar_first=True) for pose in path]
+    rates = np.array([(b * a.inv()).as_rotvec() for a, b in pairwise(places)]) / DT
+    assert np.linalg.norm(rates, axis=-1).max() <= p.wrist_rotation_speed + 1e-6
+    changes = np.diff(rates, axis=0, prepend=0.0)
+    assert np.linalg.norm(changes, axis=-1).max() <= 2.0 * DT + 1e-3
+    assert turned(path[-1][:, 3:], goal[:, 3:]).max() < 1e-3 and np.abs(point.turning).max() < 1e-3
 
 
 @settings(max_examples=20, deadline=None)

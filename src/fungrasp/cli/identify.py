@@ -23,19 +23,21 @@ HELD_OUT = 0.5
 
 @dataclass(frozen=True)
 class Collect:
-    """Move every joint of a cell's hand about its present place, within limits, and record it. The arm may be
-    off.
+    """Move the joints of a cell's hand about their present place, one finger after the other, within limits,
+    and record it. The arm may be off.
 
     Keep the hand free of anything to touch, its palm still, and a hand on the emergency stop. The cell's stop
-    file stops the hand, and so does Enter in a terminal.
+    file stops the hand, and so do Enter in a terminal and Ctrl-C. What was recorded until then can be fitted.
     """
 
     log: Annotated[Path, tyro.conf.Positional]
-    """Write the log here (.npz)."""
+    """Write the log here (.jsonl); it must not exist."""
     cell: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME|FILE")]
     """The robot cell: a TOML file, or one that comes with the package."""
     excitation: Excitation = field(default_factory=Excitation)
     """How it is moved."""
+    torque_share: float = 0.5
+    """The hand is told to make no more than this share of the torque that the cell says."""
     gravity: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Gravity in the palm's frame [m/s^2]; zero leaves weight out of the fit."""
     weight: float = 0.0
@@ -44,37 +46,49 @@ class Collect:
     option_prefixes = True
 
     def run(self) -> None:
+        import sys
+
         import numpy as np
 
         from fungrasp.hands import load_hand
         from fungrasp.robots.assembly import guarded_hand
         from fungrasp.robots.cell import load_cell
+        from fungrasp.robots.hands.weaker_hand import with_torque_share
         from fungrasp.robots.motion_recording import record_motion
         from fungrasp.robots.stop_switch import StopSwitch
-        from fungrasp.sim2real.identification.excitation import excitation_commands
-        from fungrasp.sim2real.identification.finger_chains import clear_of_itself, place_in_finger
-        from fungrasp.sim2real.identification.motion_log import save_motion_log
+        from fungrasp.sim2real.identification.motion_log import MotionLogWriter
+        from fungrasp.sim2real.identification.safe_motion import safe_motion
 
-        cell = load_cell(self.cell)
+        cell = with_torque_share(load_cell(self.cell), self.torque_share)
         hand = load_hand(cell.hand)
-        joints = tuple(hand.actuators)
-        with (
-            StopSwitch(cell.stop_file, keyboard=True) as switch,
-            guarded_hand(cell, hand, switch) as driver,
-        ):
-            rest, limits = driver.read().positions, driver.limits
-            alike = place_in_finger(hand, joints)
-            commands = excitation_commands(self.excitation, rest, limits.lower, limits.upper, alike)
-            commands = clear_of_itself(hand, commands)
-            log = record_motion(
-                driver,
-                joints,
-                commands,
-                self.excitation.rate,
-                np.array(self.gravity),
-                weight=self.weight,
-            )
-        save_motion_log(self.log, log)
+        joints, gravity = tuple(hand.actuators), np.array(self.gravity)
+        with MotionLogWriter(self.log) as writer:
+            try:
+                with (
+                    StopSwitch(cell.stop_file, keyboard=True) as switch,
+                    guarded_hand(cell, hand, switch) as driver,
+                ):
+                    rest, limits = driver.read().positions, driver.limits
+                    speed = np.minimum(limits.velocity, cell.limits.hand_speed)
+                    motion = safe_motion(
+                        self.excitation, hand, rest, limits.lower, limits.upper, speed, limits.torque, gravity
+                    )
+                    seconds = len(motion.commands) / self.excitation.rate
+                    print(f"{seconds:.0f} s; to stop: {switch.ways or 'Ctrl-C'}", flush=True)
+                    log = record_motion(
+                        driver,
+                        joints,
+                        motion,
+                        self.excitation.rate,
+                        gravity,
+                        weight=self.weight,
+                        keep=writer.add,
+                    )
+            except (FungraspError, KeyboardInterrupt):
+                if writer.rows:
+                    said = driver.lets_go and f"; the hand lets go {driver.lets_go}"
+                    print(f"broken off: {writer.rows} rows are in {self.log}{said}", file=sys.stderr)
+                raise
         print(f"{len(log.times)} rows, {log.times[-1]:.1f} s, {len(joints)} joints -> {self.log}")
 
 
@@ -83,7 +97,7 @@ class Fit:
     """Fit stiffness, damping, friction, armature and delay to the first half of a log, predict the second."""
 
     log: Annotated[Path, tyro.conf.Positional]
-    """Log of ``identify collect`` (.npz), or a step response of an Inspire hand (.csv)."""
+    """Log of ``identify collect`` (.jsonl), or a step response of an Inspire hand (.csv)."""
     hand: str = "allegro"
     """Name of a hand, or the path of a hand's TOML file."""
     out: Path | None = None
@@ -99,6 +113,9 @@ class Fit:
     """Quantities that keep the model's values; stiffness, where the host computes the torques (Allegro)."""
     errors: tuple[str, ...] = ()
     """Errors of the drives that are fitted too: offset (of the encoders), backlash."""
+    bound: float = 0.5
+    """A quantity whose standard deviation, relative to it, is larger by the log alone is not identifiable
+    from it, and keeps the model's value."""
     prior: float = float("inf")
     """Standard deviation of the logarithms of the factors on the model's values, which decides where the log
     does not; 1: within a factor of e. Infinite: none."""
@@ -127,6 +144,8 @@ class Fit:
             log = load_motion_log(self.log)
         # A single step has no second half of its own: every other row is held out instead.
         logs = [log, *(load_motion_log(path) for path in self.others)]
+        if not step:
+            logs = self._excited(logs)
         fitted = [one.part(0, 1 - HELD_OUT) for one in logs]
         if step:
             fitted[0] = log.rows(np.r_[0 : len(log.times) : 2])
@@ -136,13 +155,14 @@ class Fit:
                 method=method,
                 fixed=self.fixed,
                 errors=self.errors,
+                bound=self.bound,
                 prior=self.prior,
                 evaluations=self.evaluations,
             )
             results.append((method, fit_dynamics(hand, fitted, settings)))
-        if self.out is not None:
-            save_dynamics(self.out, results[0][1].dynamics)
         found = results[0][1]
+        if self.out is not None:
+            save_dynamics(self.out, found.dynamics, self._notes(found))
         rows: list[tuple[str, ...]] = [("joint", *QUANTITIES)]
         for j, joint in enumerate(found.dynamics.joints):
             rows.append((joint, *(self._value(found, quantity, j) for quantity in QUANTITIES)))
@@ -153,28 +173,58 @@ class Fit:
             (
                 m,
                 f"{r.rms:.4f}",
-                f"{self._held_out(hand, log, r, step):.4f}",
+                f"{self._held_out(hand, logs, r, step):.4f}",
                 str(r.simulations),
                 f"{r.seconds:.1f}",
             )
             for m, r in results
         ]
         print(table([head, *rows]))
+        vague = sum(int((~known).sum()) for known in found.identified.values())
+        if vague:
+            print(
+                f"{vague} quantities are not identifiable from this log (standard deviation above "
+                f"{self.bound:.0%} by it alone): they keep the model's values. Logs with the palm turned to "
+                "other sides, or with weights on the fingertips, may tell them"
+            )
 
-    def _held_out(self, hand: Hand, log: MotionLog, found: IdentifiedDynamics, step: bool) -> float:
+    def _held_out(self, hand: Hand, logs: list[MotionLog], found: IdentifiedDynamics, step: bool) -> float:
         import numpy as np
 
-        from fungrasp.sim2real.identification.log_simulation import simulate_log
+        from fungrasp.sim2real.identification.log_simulation import prediction_rms, simulate_log
 
-        error = simulate_log(hand, log, [found.dynamics], errors=[found.errors])[0] - log.positions
-        after = log.times > log.times[0] + (1 - HELD_OUT) * (log.times[-1] - log.times[0])
-        return float(np.sqrt(np.mean((error[1::2] if step else error[after]) ** 2)))
+        if not step:
+            return prediction_rms(hand, logs, found.dynamics, found.errors, 1 - HELD_OUT)
+        error = simulate_log(hand, logs[0], [found.dynamics], errors=[found.errors])[0] - logs[0].positions
+        return float(np.sqrt(np.mean(error[1::2] ** 2)))
+
+    def _excited(self, logs: list[MotionLog]) -> list[MotionLog]:
+        """The joints that were excited in all logs."""
+        some = [log.excited() for log in logs]
+        common = [name for name in some[0].joints if all(name in log.joints for log in some)]
+        missing = [name for name in logs[0].joints if name not in common]
+        if missing:
+            print(f"hardly moved, not fitted: {', '.join(missing)}")
+        return [log.of_joints(common) for log in some]
 
     def _value(self, found: IdentifiedDynamics, quantity: str, joint: int) -> str:
         value = getattr(found.dynamics, quantity)[joint]
         if quantity in self.fixed:
             return f"{value:.4g} (fixed)"
+        if not found.identified[quantity][joint]:
+            return f"{value:.4g} (model's: not identifiable)"
         return f"{value:.4g} ± {found.relative_error[quantity][joint]:.0%}"
+
+    def _notes(self, found: IdentifiedDynamics) -> dict[str, list[str]]:
+        """What the file says beside each value."""
+        notes: dict[str, list[str]] = {}
+        for name, known in found.identified.items():
+            deviation = found.relative_error[name]
+            notes[name] = [
+                f"+- {own:.0%}" if told else "not identifiable from the log: the model's value"
+                for told, own in zip(known, deviation, strict=True)
+            ]
+        return notes
 
 
 COMMAND = {"collect": Collect, "fit": Fit}

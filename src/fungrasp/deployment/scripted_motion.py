@@ -22,6 +22,9 @@ from fungrasp.task import Action, GraspPlan
 ARRIVED = 2e-3
 """A setpoint is where it should be if it is this near [m]: the hold begins as in the lift test."""
 
+STILL = 0.05
+"""A palm's setpoint that turns slower does not turn [rad/s]."""
+
 LOWERED = 0.01
 """An object stands once the palm is measured this near to where it had taken it [m]: an arm that follows no
 more is noticed only after a while."""
@@ -98,7 +101,8 @@ class ScriptedMotion:
             go(low, fingers + opened * (opening[:1] - fingers))
         for pose, targets in zip(back, opening, strict=True):
             go(pose[None], targets[None])
-        while not self.arrived(back[-1:], 0.0):
+        # The way home begins at rest.
+        while not self.arrived(back[-1:], 0.0) or np.abs(self.robot.setpoints.wrist.turning).max() > STILL:
             go(back[-1:], prepared.start_fingers[None])
 
     def withdraw(self, plan: GraspPlan, gap: np.ndarray) -> None:

@@ -16,15 +16,13 @@ from fungrasp.robots.twin.clocks import TwinClock
 from fungrasp.robots.twin.devices import TwinHand
 from fungrasp.robots.twin.parameters import TwinParameters
 from fungrasp.robots.twin.world import TwinWorld
-from fungrasp.sim2real.identification.excitation import Excitation, excitation_commands
-from fungrasp.sim2real.identification.finger_chains import clear_of_itself, place_in_finger
+from fungrasp.sim2real.identification.excitation import Excitation
+from fungrasp.sim2real.identification.finger_chains import place_in_finger
 from fungrasp.sim2real.identification.fingertip_weights import hang_weights
 from fungrasp.sim2real.identification.fit import FitSettings, IdentifiedDynamics, fit_dynamics
-from fungrasp.sim2real.identification.log_simulation import simulate_log
+from fungrasp.sim2real.identification.log_simulation import prediction_rms
 from fungrasp.sim2real.identification.motion_log import MotionLog
-
-MULTI_SINE = Excitation(kind="multi-sine", seconds=6.0, rate=100.0, reach=0.12, hold=0.5, fastest=2.5)
-"""On an Allegro twin servos then make at most 75 % of their torque."""
+from fungrasp.sim2real.identification.safe_motion import safe_motion
 
 ALL_ERRORS = FitSettings(errors=("offset", "backlash"), prior=1.0, iterations=20)
 """Encoder offsets and lost motion are fitted too; where a log says nothing the model's values are right
@@ -74,10 +72,10 @@ def record_on_twin(
         hand: on its arm.
         thing: an object, which lies aside.
         truth: what is true of the twin.
-        excitation: of the joints; ``MULTI_SINE`` if None.
+        excitation: of the joints; the default if None.
         weight: mass that is fixed to each fingertip [kg].
     """
-    e = excitation or MULTI_SINE
+    e = excitation or Excitation()
     world = TwinWorld(cell, hand, thing, truth)
     if weight:
         hang_weights(world.model, hand, weight)
@@ -87,31 +85,20 @@ def record_on_twin(
     driver, clock = TwinHand(world, cell, hand), TwinClock(world)
     with driver:
         rest = driver.read().positions
-    names = tuple(hand.actuators)
-    alike = place_in_finger(hand, names)
-    e = replace(e, small_step=min(e.small_step, largest_step(hand)))
-    low, high = driver.limits.lower, driver.limits.upper
-    commands = excitation_commands(e, rest, low, high, alike)
-    more = np.ones(len(names))
+    names, limits = tuple(hand.actuators), driver.limits
+    motion = safe_motion(e, hand, rest, limits.lower, limits.upper, limits.velocity, limits.torque, gravity)
+    alike, more = place_in_finger(hand, names), np.ones(len(names))
     for _ in range(MOST_LOGS):
-        larger = clear_of_itself(hand, np.clip(rest + more * (commands - rest), low, high))
+        larger = np.clip(rest + more * (motion.commands - rest), limits.lower, limits.upper)
         with driver:
-            log = record_motion(driver, names, larger, e.rate, gravity, clock=clock, weight=weight)
-        weak = np.ptp(log.part(0.0, 0.5).positions, axis=0) < ENOUGH
-        if not weak.any():
+            log = record_motion(
+                driver, names, replace(motion, commands=larger), e.rate, gravity, clock=clock, weight=weight
+            )
+        weak = [np.ptp(log.positions[log.moving[:, joint], joint]) < ENOUGH for joint in range(len(names))]
+        if not any(weak):
             break
         more[np.isin(alike, alike[weak])] *= GROWTH
     return log
-
-
-def largest_step(hand: Hand) -> float:
-    """A step of any joint, as a share of its range, for which its servo makes 40 % of its torque as it
-    changes sides: those of stiff servos must be smaller."""
-    shares = []
-    for name, servo in hand.actuators.items():
-        low, high = hand.joint_limits[hand.joint_names.index(name)]
-        shares.append(0.2 * servo.force_limit / (servo.kp * (high - low)))
-    return float(min(shares))
 
 
 def identify_on_twin(
@@ -131,11 +118,11 @@ def identify_on_twin(
         hand: on its arm.
         thing: an object, which lies aside.
         truth: what is true of the twin; it is used to simulate, and hidden from the fit.
-        excitation: of the joints; ``MULTI_SINE`` if None.
+        excitation: of the joints; the default if None.
         settings: of the fit; ``ALL_ERRORS`` if None.
         weight: mass that a person fixes to each fingertip [kg]; 0 for none.
     """
-    e = excitation or MULTI_SINE
+    e = excitation or Excitation()
     logs = []
     turns = [(turn, mass) for mass in ((0.0, weight) if weight else (0.0,)) for turn in WRIST_TURNS]
     for number, ((wrist_1, wrist_3), mass) in enumerate(turns):
@@ -143,10 +130,5 @@ def identify_on_twin(
         turned = replace(cell, arm=replace(cell.arm, home=home))
         logs.append(record_on_twin(turned, hand, thing, truth, replace(e, seed=e.seed + number), mass))
     found = fit_dynamics(hand, [log.part(0.0, 0.5) for log in logs], settings or ALL_ERRORS)
-    missed = [
-        (simulate_log(hand, log, [found.dynamics], errors=[found.errors])[0] - log.positions)[
-            len(log.times) // 2 :
-        ]
-        for log in logs
-    ]
-    return TwinIdentification(found, float(np.sqrt(np.mean(np.concatenate(missed) ** 2))))
+    missed = prediction_rms(hand, logs, found.dynamics, found.errors, after=0.5)
+    return TwinIdentification(found, missed)

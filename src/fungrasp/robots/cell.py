@@ -106,6 +106,9 @@ class MotionLimits:
     """Largest acceleration of the palm [m/s^2]."""
     palm_rotation_speed: float = 1.0
     """Largest rotation speed of the palm [rad/s]."""
+    palm_rotation_acceleration: float = 2.0
+    """Its largest acceleration [rad/s^2]: joints of the wrist turn up to 1.3 times as fast as the palm, and
+    an arm's driver has 2.5 rad/s^2 for them."""
     arm_speed: float = 2.0
     """Largest speed of an arm joint [rad/s]."""
     arm_acceleration: float = 2.0

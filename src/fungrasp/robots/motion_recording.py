@@ -1,4 +1,4 @@
-"""Plays commands on a hand and records its motion."""
+"""Plays an excitation on a hand and records its motion."""
 
 from __future__ import annotations
 
@@ -8,49 +8,64 @@ import numpy as np
 
 from fungrasp.robots.clock import Clock, WallClock
 from fungrasp.robots.device import DeviceStatus, JointDriver, RobotError
-from fungrasp.sim2real.identification.motion_log import MotionLog
+from fungrasp.sim2real.identification.excitation import Motion
+from fungrasp.sim2real.identification.motion_log import (
+    MotionHeader,
+    MotionLog,
+    MotionSample,
+    motion_log,
+)
 
 
 def record_motion(
     driver: JointDriver,
     joints: tuple[str, ...],
-    commands: np.ndarray,
+    motion: Motion,
     rate: float,
     gravity: np.ndarray,
-    stopped: Callable[[], bool] = lambda: False,
     clock: Clock | None = None,
     weight: float = 0.0,
+    keep: Callable[[MotionHeader, MotionSample], None] = lambda header, sample: None,
 ) -> MotionLog:
-    """Command goals at a rate and record what was sent and measured at each; stop when anything is wrong.
+    """Command goals at a rate and record what was sent and measured at each; stop when anything is wrong. In
+    the end, however it comes, the device is told to hold.
 
     Args:
         driver: connected.
         joints: names of its joints, length U.
-        commands: goals [rad], shape [T, U].
+        motion: of these.
         rate: [Hz].
         gravity: in the palm's frame [m/s^2], shape [3].
-        stopped: whether to end early.
         clock: of the device; that of the wall if None.
         weight: mass that is fixed to each fingertip [kg].
+        keep: called with each row at once.
 
     Raises:
         RobotError: the device stopped.
     """
-    times, sent, measured = [], [], []
     clock = clock or WallClock()
-    began = clock.now()
+    header, samples = MotionHeader(joints, gravity, weight, driver.limits.velocity), []
     try:
-        for row, goal in enumerate(commands):
+        # A device that must be made ready first is not waited for while it moves.
+        driver.take_control()
+        began = clock.now()
+        for row, goal in enumerate(motion.commands):
             clock.sleep_until(began + row / rate)
-            if stopped():
-                break
             now = clock.now()
-            sent.append(driver.command(goal))
+            sent = driver.command(goal)
             state = driver.read()
             if state.status is not DeviceStatus.READY:
                 raise RobotError(f"{driver.name} stopped while moving: {state.status} {state.message}")
-            times.append(now - began)
-            measured.append(state.positions)
+            sample = MotionSample(
+                now - began,
+                state.device_time,
+                state.received - began,
+                tuple(np.flatnonzero(motion.moving[row]).tolist()),
+                sent,
+                state.positions,
+            )
+            keep(header, sample)
+            samples.append(sample)
     finally:
         driver.stop()
-    return MotionLog(joints, np.array(times), np.array(sent), np.array(measured), gravity, weight)
+    return motion_log(header, samples)

@@ -81,6 +81,7 @@ class Robot:
             wrist_speed=limits.palm_speed,
             wrist_acceleration=limits.palm_acceleration,
             wrist_rotation_speed=limits.palm_rotation_speed,
+            wrist_rotation_acceleration=limits.palm_rotation_acceleration,
         )
         """Limits of the palm's motion, and the numbers of the task."""
         servo_limits = np.stack([hand_driver.limits.lower, hand_driver.limits.upper], axis=1)

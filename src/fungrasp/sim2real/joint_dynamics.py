@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -127,12 +128,22 @@ def identified_hand(hand: Hand | str, path: str | Path | None) -> Hand:
     return replace(hand, actuators=servos, dynamics_path=Path(path))
 
 
-def save_dynamics(path: str | Path, dynamics: JointDynamics) -> None:
-    """Write dynamics as TOML."""
+def save_dynamics(
+    path: str | Path, dynamics: JointDynamics, notes: Mapping[str, Sequence[str]] | None = None
+) -> None:
+    """Write dynamics as TOML.
+
+    Args:
+        path: the file.
+        dynamics: of some joints.
+        notes: by quantity, a comment beside the value of each joint, length J; none if None.
+    """
     lines = [f"delay = {dynamics.delay:.6g} # s", ""]
     for j, name in enumerate(dynamics.joints):
         lines.append(f'[joints."{name}"]')
-        lines += [f"{quantity} = {getattr(dynamics, quantity)[j]:.6g}" for quantity in QUANTITIES]
+        for quantity in QUANTITIES:
+            note = f" # {notes[quantity][j]}" if notes and quantity in notes else ""
+            lines.append(f"{quantity} = {getattr(dynamics, quantity)[j]:.6g}{note}")
         if dynamics.torque_limit is not None:
             lines.append(f"{TORQUE_LIMIT} = {dynamics.torque_limit[j]:.6g} # N m")
         lines.append("")

@@ -73,7 +73,7 @@ class SetpointGenerator:
             velocity: of the palm, world frame [m/s], shape [I, 3].
             fingers: independent joints [rad], shape [I, U].
         """
-        self.wrist.pose[ids], self.wrist.velocity[ids] = palm_pose, velocity
+        self.wrist.pose[ids], self.wrist.velocity[ids], self.wrist.turning[ids] = palm_pose, velocity, 0.0
         self.fingers[ids] = fingers
         self._goal[ids], self._finger_rate[ids] = palm_pose, 0.0
 
@@ -87,7 +87,8 @@ class SetpointGenerator:
             array[which] = values
 
     def _arrays(self) -> list[np.ndarray]:
-        return [self.wrist.pose, self.wrist.velocity, self.fingers, self._goal, self._finger_rate]
+        wrist = self.wrist
+        return [wrist.pose, wrist.velocity, wrist.turning, self.fingers, self._goal, self._finger_rate]
 
     def advance(self, goal: np.ndarray, fingers: np.ndarray) -> SetpointSequence:
         """The setpoints of the next control period; the generator then is where it ends.

@@ -4,7 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from fungrasp.geometry.poses import norm, turned_towards
+from fungrasp.geometry.poses import (
+    norm,
+    quaternion_conjugate,
+    quaternion_from_rotation_vector,
+    quaternion_multiply,
+    rotation_vector,
+    turned_towards,
+)
 from fungrasp.task.protocol import LiftProtocol
 
 
@@ -15,6 +22,8 @@ class WristSetpoint:
         """pose: shape [W, 7]."""
         self.pose = pose.copy()
         self.velocity = np.zeros((len(pose), 3))
+        self.turning = np.zeros((len(pose), 3))
+        """Angular velocity, world frame [rad/s], shape [W, 3]; kept where it may not jump."""
         self._protocol = protocol
 
     def advance(self, goal: np.ndarray, duration: float, steps: int = 1) -> tuple[np.ndarray, np.ndarray]:
@@ -30,9 +39,12 @@ class WristSetpoint:
         """
         p = self._protocol
         poses = np.empty((steps, *self.pose.shape))
-        # A turn has no inertia.
-        turns = p.wrist_rotation_speed * duration * np.arange(1, steps + 1)[:, None, None]
-        poses[..., 3:] = turned_towards(self.pose[:, 3:], goal[:, 3:], turns)
+        if np.isinf(p.wrist_rotation_acceleration):
+            # A turn has no inertia.
+            turns = p.wrist_rotation_speed * duration * np.arange(1, steps + 1)[:, None, None]
+            poses[..., 3:] = turned_towards(self.pose[:, 3:], goal[:, 3:], turns)
+        else:
+            poses[..., 3:] = self._turn(goal[:, 3:], duration, steps)
         # In units of a step and of what the velocity may change in it.
         reach = p.wrist_acceleration * duration
         offset = (goal[:, :3] - self.pose[:, :3]) / (reach * duration)
@@ -47,6 +59,21 @@ class WristSetpoint:
         poses[..., :3] = self.pose[:, :3] + duration * np.cumsum(velocities, axis=0)
         self.pose, self.velocity = poses[-1], velocities[-1]
         return poses, velocities
+
+    def _turn(self, goal: np.ndarray, duration: float, steps: int) -> np.ndarray:
+        """Turn towards goals as the position moves, with an acceleration, shape [S, W, 4]."""
+        p = self._protocol
+        reach = p.wrist_rotation_acceleration * duration
+        orientations = np.empty((steps, *goal.shape))
+        orientation, rate = self.pose[:, 3:], self.turning / reach
+        for i in range(steps):
+            way = rotation_vector(quaternion_multiply(goal, quaternion_conjugate(orientation)))
+            change = _wanted(way / (reach * duration), p.wrist_rotation_speed / reach) - rate
+            rate = rate + change / np.maximum(1.0, norm(change))
+            step = quaternion_from_rotation_vector(rate * reach * duration)
+            orientation = orientations[i] = quaternion_multiply(step, orientation)
+        self.turning = rate * reach
+        return orientations
 
 
 def _wanted(offset: np.ndarray, speed: float) -> np.ndarray:

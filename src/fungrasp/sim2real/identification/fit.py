@@ -21,6 +21,7 @@ from mujoco import minimize
 from fungrasp.errors import FungraspError
 from fungrasp.hands import Hand
 from fungrasp.sim2real.identification.finger_chains import chain_of, place_in_finger
+from fungrasp.sim2real.identification.joint_samples import joint_samples
 from fungrasp.sim2real.identification.log_simulation import DriveErrors, simulate_log
 from fungrasp.sim2real.identification.motion_log import MotionLog
 from fungrasp.sim2real.joint_dynamics import QUANTITIES, JointDynamics, model_dynamics
@@ -45,6 +46,9 @@ class FitSettings:
     """Errors of the drives that are fitted too: "offset" of the encoders, "backlash"."""
     largest_error: float = 0.05
     """Bound of both [rad]."""
+    bound: float = 0.5
+    """A quantity whose standard deviation, relative to it, is larger by the log alone is not identified: it
+    keeps the model's value."""
     prior: float = float("inf")
     """Standard deviation of the logarithms of the factors on the model's values; infinite for none. It
     decides where the log does not."""
@@ -76,7 +80,10 @@ class IdentifiedDynamics:
     dynamics: JointDynamics
     """Of the joints of the log."""
     relative_error: dict[str, np.ndarray]
-    """Standard deviation by quantity, relative to it, shape [J], by the curvature; delay: [s]."""
+    """Standard deviation by quantity, relative to it, shape [J], by the curvature; delay: [s]. Of what is not
+    identified: by the log alone; what stands beside it is as good as the model's value."""
+    identified: dict[str, np.ndarray]
+    """By quantity, which joints' the logs tell, shape [J]; the others have the model's values."""
     rms: float
     """Of positions on the log that was fitted [rad]."""
     simulations: int
@@ -119,17 +126,54 @@ def _fit(hand: Hand, logs: Sequence[MotionLog], settings: FitSettings) -> Identi
     problem = _Problem(hand, logs, settings)
     began = time.perf_counter()
     best = _from_gains(problem) if settings.method == "gauss-newton" else _cma_es(problem, problem.start(1.0))
+    errors = _withhold(problem, best)
+    if problem.withheld.any():
+        best[problem.withheld] = 0.0
+        best = _gauss_newton(problem, best) if settings.method == "gauss-newton" else _cma_es(problem, best)
     seconds = time.perf_counter() - began
     residual = problem.residuals(best[:, None])
     rms = float(np.sqrt(np.mean(residual[: problem.measured] ** 2)) * settings.noise)
     return IdentifiedDynamics(
         problem.dynamics(best),
-        problem.uncertainty(best, residual),
+        problem.by_quantity(errors),
+        {name: ~problem.by_quantity(problem.withheld)[name] for name in problem.free},
         rms,
         problem.simulations,
         seconds,
         problem.errors(best),
     )
+
+
+def _withhold(problem: _Problem, best: np.ndarray) -> np.ndarray:
+    """Decide at a solution which quantities the logs do not tell, and mark them: of each joint the stiffness
+    first, because where the scale of a joint's dynamics is not seen the ratios to it are, then the worst one,
+    until the others are known.
+
+    Returns:
+        the standard deviations, shape [P]: with stiffnesses that are withheld as they are, and other
+        quantities that are withheld as uncertain as the model; of those withheld, what they were by the logs.
+    """
+    information = problem.information(best)
+    joints, factors = problem.joint_of_factor, slice(1, 1 + problem.factors)
+    scale = np.zeros(problem.count, dtype=bool)
+    if problem.free[:1] == ["stiffness"]:
+        scale[1 : 1 + len(np.unique(joints))] = True
+    final = np.zeros(problem.count)
+    while True:
+        free = ~(problem.withheld & scale)
+        assumed = np.diag(np.where(problem.withheld, MODEL_DEVIATION**-2.0, 0.0))
+        deviation = np.zeros(problem.count)
+        deviation[free] = np.sqrt(np.diag(np.linalg.inv((information + assumed)[np.ix_(free, free)])))
+        final[~problem.withheld] = deviation[~problem.withheld]
+        vague = np.zeros(problem.count, dtype=bool)
+        vague[factors] = deviation[factors] > problem.settings.bound
+        vague &= ~problem.withheld
+        if not vague.any():
+            return final
+        for joint in np.unique(joints[vague[factors]]):
+            own = 1 + np.flatnonzero(joints == joint)
+            worst = own[np.argmax(np.where(vague[own], deviation[own], 0.0))]
+            problem.withheld[own[0] if vague[own[0]] and scale[own[0]] else worst] = True
 
 
 def _rescaled(
@@ -139,17 +183,24 @@ def _rescaled(
     share with that of the stiffness is taken for the scale's."""
     scale = heavy.dynamics.stiffness / light.dynamics.stiffness
     free = [name for name in QUANTITIES if name not in settings.fixed]
-    scaled = {name: scale * getattr(light.dynamics, name) for name in free}
-    errors = dict(light.relative_error)
+    scaled = {}
+    for name in free:
+        own = getattr(light.dynamics, name)
+        told = light.identified[name] | (name == "stiffness")
+        scaled[name] = np.where(told, scale * own, own)
+    errors, identified = dict(light.relative_error), dict(light.identified)
     if "stiffness" in free:
-        new = heavy.relative_error["stiffness"]
-        shared = errors["stiffness"] ** 2
+        new, identified["stiffness"] = heavy.relative_error["stiffness"], heavy.identified["stiffness"]
+        # Where the stiffness was withheld, the others' are those of ratios to it already.
+        shared = np.where(light.identified["stiffness"], errors["stiffness"] ** 2, 0.0)
         for name in free:
-            errors[name] = np.sqrt(np.maximum(errors[name] ** 2 - shared, 0.0) + new**2)
+            ratio = np.maximum(errors[name] ** 2 - shared, 0.0) * (name != "stiffness")
+            errors[name] = np.sqrt(ratio + new**2)
     return replace(
         light,
         dynamics=replace(light.dynamics, **scaled),
         relative_error=errors,
+        identified=identified,
         simulations=light.simulations + heavy.simulations,
         seconds=light.seconds + heavy.seconds,
     )
@@ -160,7 +211,7 @@ class _Problem:
     free error of each joint's drive [units of 10 mrad]."""
 
     def __init__(self, hand: Hand, logs: Sequence[MotionLog], settings: FitSettings):
-        self._hand, self._logs, self._settings = hand, logs, settings
+        self._hand, self.settings = hand, settings
         model = model_dynamics(hand)
         self._joints = joints = logs[0].joints
         columns = [model.joints.index(joint) for joint in joints]
@@ -171,15 +222,24 @@ class _Problem:
         self.free = [name for name in self.nominal if name not in settings.fixed]
         self.factors = len(self.free) * len(joints)
         self.count = 1 + self.factors + len(settings.errors) * len(joints)
+        self.joint_of_factor = np.arange(self.factors) % len(joints)
+        self.withheld = np.zeros(self.count, dtype=bool)
         reach = np.log(settings.range)
+        highest_factor = np.full(self.factors, reach)
+        if "friction" in self.free:
+            # The model's may be next to nothing.
+            limits = np.array([hand.actuators[joint].force_limit for joint in joints])
+            most = np.log(MOST_FRICTION * limits / self.nominal["friction"])
+            begin = self.free.index("friction") * len(joints)
+            highest_factor[begin : begin + len(joints)] = np.maximum(reach, most)
         slack = settings.largest_error / ERROR_UNIT
         lowest = [np.full(len(joints), -slack if name == "offset" else 0.0) for name in settings.errors]
         highest = np.full(self.count - 1 - self.factors, slack)
         self.lower = np.concatenate([[0.0], np.full(self.factors, -reach), *lowest])
-        self.upper = np.concatenate(
-            [[settings.longest_delay / DELAY_UNIT], np.full(self.factors, reach), highest]
-        )
-        self.measured = sum(log.positions.size for log in logs)
+        self.upper = np.concatenate([[settings.longest_delay / DELAY_UNIT], highest_factor, highest])
+        self._samples = [joint_samples(log) for log in logs]
+        self._column = np.concatenate([np.nonzero(one.known)[1] for one in self._samples])
+        self.measured = len(self._column)
         self.simulations = 0
         self._fingers, self._places = chain_of(hand, joints), place_in_finger(hand, joints)
 
@@ -192,7 +252,7 @@ class _Problem:
 
     def errors(self, parameters: np.ndarray) -> DriveErrors:
         found = {"offset": np.zeros(len(self._joints)), "backlash": np.zeros(len(self._joints))}
-        for i, name in enumerate(self._settings.errors):
+        for i, name in enumerate(self.settings.errors):
             found[name] = ERROR_UNIT * self._part(parameters, len(self.free) + i)
         return DriveErrors(**found)
 
@@ -203,16 +263,16 @@ class _Problem:
     def residuals(self, parameters: np.ndarray) -> np.ndarray:
         """Of the logs, then of the prior, shape [R, W]; parameters: shape [P, W]."""
         worlds = parameters.shape[1]
-        self.simulations += worlds * len(self._logs)
+        self.simulations += worlds * len(self._samples)
         dynamics = [self.dynamics(column) for column in parameters.T]
-        errors = [self.errors(column) for column in parameters.T] if self._settings.errors else None
+        errors = [self.errors(column) for column in parameters.T] if self.settings.errors else None
         parts = []
-        for log in self._logs:
-            found = simulate_log(self._hand, log, dynamics, errors=errors)
+        for one in self._samples:
+            found = simulate_log(self._hand, one, dynamics, errors=errors)[:, one.known]
             found = np.nan_to_num(found, nan=10.0, posinf=10.0, neginf=-10.0)
-            parts.append(((found - log.positions) / self._settings.noise).reshape(worlds, -1).T)
-        if np.isfinite(self._settings.prior):
-            parts.append(parameters[1 : 1 + self.factors] / self._settings.prior)
+            parts.append((found - one.positions[one.known]).T / self.settings.noise)
+        if np.isfinite(self.settings.prior):
+            parts.append(parameters[1 : 1 + self.factors] / self.settings.prior)
         return np.concatenate(parts)
 
     def jacobian(self, parameters: np.ndarray, residual: np.ndarray) -> np.ndarray:
@@ -232,16 +292,16 @@ class _Problem:
         changed = self.residuals(moved) - residual.reshape(-1, 1)
         jacobian = np.zeros((len(changed), self.count))
         jacobian[:, 0] = changed[:, 0] / signs[0]
-        column_finger = finger[np.arange(self.measured) % joints]
+        column_finger = finger[self._column]
         for column, group in enumerate(groups[1:], start=1):
             for parameter in group:
                 own = column_finger == finger[(parameter - 1) % joints]
                 jacobian[: self.measured][own, parameter] = (
                     changed[: self.measured][own, column] / signs[parameter]
                 )
-        if np.isfinite(self._settings.prior):
+        if np.isfinite(self.settings.prior):
             rows = self.measured + np.arange(self.factors)
-            jacobian[rows, 1 + np.arange(self.factors)] = 1.0 / self._settings.prior
+            jacobian[rows, 1 + np.arange(self.factors)] = 1.0 / self.settings.prior
         return jacobian
 
     def start(self, gain: float) -> np.ndarray:
@@ -254,14 +314,49 @@ class _Problem:
                 self._part(tries, i)[:] = np.log(gain)
         return tries[:, np.argmin((self.residuals(tries) ** 2).sum(axis=0))]
 
-    def uncertainty(self, best: np.ndarray, residual: np.ndarray) -> dict[str, np.ndarray]:
-        jacobian = self.jacobian(best, residual)
-        scale = max(1.0, float(np.mean(residual**2)))
-        variance = scale * np.diag(np.linalg.pinv(jacobian.T @ jacobian, rcond=1e-12))
-        deviation = np.sqrt(np.maximum(variance, 0.0))
-        parts = {name: self._part(deviation, i) for i, name in enumerate(self.free)}
-        return parts | {"delay": np.array([deviation[0] * DELAY_UNIT])}
+    def information(self, best: np.ndarray) -> np.ndarray:
+        """What the logs alone say of the parameters at a solution: inverse of their covariance, shape [P, P].
 
+        What the simulation misses is no white noise: samples that miss alike count as one.
+        """
+        residual = self.residuals(best[:, None])
+        data = self.jacobian(best, residual)[: self.measured]
+        misses = residual[: self.measured, 0]
+        variance = max(1.0, float(np.mean(misses**2)) * self._alike(misses))
+        widest = np.concatenate(
+            [[self.upper[0]], np.full(self.factors, WIDEST), self.upper[1 + self.factors :]]
+        )
+        return data.T @ data / variance + np.diag(widest**-2.0)
+
+    def _alike(self, misses: np.ndarray) -> float:
+        """How many samples of a joint in a row miss alike: its integrated autocorrelation, mean of all."""
+        begin, times = 0, []
+        for one in self._samples:
+            grid = np.zeros(one.positions.shape)
+            grid[one.known] = misses[begin : begin + int(one.known.sum())]
+            begin += int(one.known.sum())
+            spectrum = np.abs(np.fft.rfft(grid, 2 * len(grid), axis=0)) ** 2
+            correlation = np.fft.irfft(spectrum, axis=0)[: len(grid)]
+            correlation /= np.maximum(correlation[0], 1e-12)
+            # Up to where it first is lost in the noise.
+            lost = np.argmax(correlation < CORRELATED, axis=0)
+            times += [1.0 + 2.0 * c[1:end].sum() for c, end in zip(correlation.T, lost, strict=True)]
+        return max(1.0, float(np.mean(times)))
+
+    def by_quantity(self, values: np.ndarray) -> dict[str, np.ndarray]:
+        """Values of parameters, shape [P], by quantity, shape [J], and of the delay [s], shape [1]."""
+        parts = {name: self._part(values, i) for i, name in enumerate(self.free)}
+        return parts | {"delay": values[:1] * DELAY_UNIT}
+
+
+MODEL_DEVIATION = 0.5
+"""Standard deviation of the logarithm of the model's own quantities: those of twins are drawn about so."""
+
+WIDEST = 3.0
+"""Standard deviation of the logarithm of a quantity of which nothing is known: a factor of 20."""
+
+CORRELATED = 0.05
+"""Correlation below which two samples count as different."""
 
 STARTING_GAINS = (1.0, 0.25, 0.5, 2.0)
 """Common factors on stiffness and damping of the model that a fit starts from, one after the other until it
@@ -272,26 +367,35 @@ GOOD_FIT = 5.0
 """Times the noise of measured positions: a fit that misses by less is good enough. Good ones of twins miss by
 0.6 to 2 times, those in wrong minima by more than 15."""
 
+MOST_FRICTION = 0.2
+"""Of a servo's torque limit."""
+
 DELAY_UNIT, ERROR_UNIT = 0.01, 0.01
 """[s] and [rad]: parameters of about the size of the others."""
 
 
 def _gauss_newton(problem: _Problem, start: np.ndarray) -> np.ndarray:
-    """Bounded Gauss-Newton of mujoco.minimize with finite differences."""
-    bounds = [problem.lower[:, None], problem.upper[:, None]]
+    """Bounded Gauss-Newton of mujoco.minimize with finite differences; what is withheld stays at zero."""
+    free = ~problem.withheld
+
+    def full(some: np.ndarray) -> np.ndarray:
+        parameters = np.zeros((problem.count, some.shape[1]))
+        parameters[free] = some
+        return parameters
+
     found, _ = minimize.least_squares(
-        np.clip(start, problem.lower, problem.upper)[:, None],
-        problem.residuals,
-        bounds=bounds,
-        jacobian=problem.jacobian,
+        np.clip(start, problem.lower, problem.upper)[free, None],
+        lambda some: problem.residuals(full(some)),
+        bounds=[problem.lower[free, None], problem.upper[free, None]],
+        jacobian=lambda some, residual: problem.jacobian(full(some.reshape(-1, 1))[:, 0], residual)[:, free],
         eps=1e-3,
-        max_iter=problem._settings.iterations,
+        max_iter=problem.settings.iterations,
         x_scale="jac",
         xtol=1e-5,
         verbose=minimize.Verbosity.SILENT,
         output=io.StringIO(),
     )
-    return found[:, 0]
+    return full(found)[:, 0]
 
 
 def _from_gains(problem: _Problem) -> np.ndarray:
@@ -315,19 +419,22 @@ def _cma_es(problem: _Problem, start: np.ndarray) -> np.ndarray:
         raise FungraspError(
             "the method cma-es needs the package cma: pip install 'fungrasp[sysid]'"
         ) from error
-    settings = problem._settings
+    settings = problem.settings
+    free = ~problem.withheld
+    lower, upper = problem.lower[free], problem.upper[free]
     options = {
-        "bounds": [problem.lower.tolist(), problem.upper.tolist()],
+        "bounds": [lower.tolist(), upper.tolist()],
         "seed": settings.seed + 1,
         "maxfevals": settings.evaluations,
         "verbose": -9,
         "verb_log": 0,
     }
-    search = cma.CMAEvolutionStrategy(
-        np.clip(start, problem.lower + 1e-3, problem.upper - 1e-3), 0.5, options
-    )
+    search = cma.CMAEvolutionStrategy(np.clip(start[free], lower + 1e-3, upper - 1e-3), 0.5, options)
     while not search.stop():
-        tries = np.array(search.ask()).T
-        search.tell(list(tries.T), ((problem.residuals(tries) ** 2).sum(axis=0)).tolist())
-    assert search.result.xbest is not None
-    return np.asarray(search.result.xbest)
+        some = search.ask()
+        tries = np.zeros((problem.count, len(some)))
+        tries[free] = np.array(some).T
+        search.tell(some, ((problem.residuals(tries) ** 2).sum(axis=0)).tolist())
+    found = np.zeros(problem.count)
+    found[free] = search.result.xbest
+    return found

@@ -11,6 +11,7 @@ import numpy as np
 
 from fungrasp.hands import Hand
 from fungrasp.sim2real.identification.fingertip_weights import hang_weights
+from fungrasp.sim2real.identification.joint_samples import JointSamples, joint_samples
 from fungrasp.sim2real.identification.motion_log import MotionLog
 from fungrasp.sim2real.joint_dynamics import JointDynamics, set_dynamics
 from fungrasp.simulation.joint_response import STEP, joint_response
@@ -32,12 +33,14 @@ class DriveErrors:
 
 def simulate_log(
     hand: Hand,
-    log: MotionLog,
+    log: MotionLog | JointSamples,
     dynamics: Sequence[JointDynamics],
     start: np.ndarray | None = None,
     errors: Sequence[DriveErrors] | None = None,
 ) -> np.ndarray:
-    """What the log's joints would measure at its times, shape [W, T, J], for W dynamics of those joints.
+    """What the log's joints would measure, at the times at which they were measured, shape [W, T, J], for W
+    dynamics of those joints; T of the log's samples side by side (``joint_samples``), which are its rows
+    where all joints move at once.
 
     The delay shifts the response: the joints do not change with time, and the log begins at rest. Shifting
     the commands would give a staircase in the delay, as a step drives a servo to its force limit.
@@ -49,51 +52,95 @@ def simulate_log(
         start: first positions of the log's joints [rad], shape [J]; measured ones by default.
         errors: of their drives, length W; none by default.
     """
+    samples = joint_samples(log) if isinstance(log, MotionLog) else log
     model = copy.copy(hand.model)
     model.opt.timestep = STEP
     # Dry friction holds a joint: without these it creeps.
     model.opt.noslip_iterations = NOSLIP
-    model.opt.gravity = log.gravity
+    model.opt.gravity = samples.gravity
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
-    if log.weight:
-        hang_weights(model, hand, log.weight)
+    if samples.weight:
+        hang_weights(model, hand, samples.weight)
     names = list(hand.actuators)
-    columns = [names.index(joint) for joint in log.joints]
-    first = log.positions[0] if start is None else start
-    count, joints = len(dynamics), len(log.joints)
+    columns = [names.index(joint) for joint in samples.joints]
+    first = samples.positions[0] if start is None else start
+    count, joints = len(dynamics), len(samples.joints)
     offset, slack = np.zeros((2, count, joints))
     if errors is not None:
         offset, slack = np.stack([e.offset for e in errors]), np.stack([e.backlash for e in errors])
     begin = first - offset
-    times = np.arange(log.times[0], log.times[-1] + STEP, STEP)
-    held = np.searchsorted(log.times, times + STEP / 2, side="right") - 1
+    end = max(samples.times[-1].max(), samples.measured[-1].max())
+    times = np.arange(0.0, end + STEP, STEP)
     low, high = _limits(hand)
     independent = np.tile(np.clip(np.zeros(len(names)), low, high), (count, 1))
     independent[:, columns] = begin
     controls = np.tile(independent[:, None], (1, len(times), 1))
-    controls[:, :, columns] = play_operator(log.commands, slack)[:, held]
+    controls[:, :, columns] = play_operator(driver_setpoints(samples, times), slack, begin)
     changes = [lambda m, d=d: set_dynamics(m, d) for d in dynamics]
     response = joint_response(model, changes, hand.all_joints(independent), controls)
-    rows = [hand.joint_names.index(joint) for joint in log.joints]
+    rows = [hand.joint_names.index(joint) for joint in samples.joints]
     response = np.concatenate([begin[:, None], response[:, :-1, rows]], axis=1) + offset[:, None]
     delays = np.array([d.delay for d in dynamics])
-    at = np.maximum(log.times - log.times[0] - delays[:, None], 0.0) / STEP
+    at = np.maximum(samples.measured - delays[:, None, None], 0.0) / STEP
     below = np.minimum(at.astype(int), len(times) - 2)
-    share = (at - below)[..., None]
-    worlds = np.arange(count)[:, None]
-    return (1 - share) * response[worlds, below] + share * response[worlds, below + 1]
+    share = at - below
+    lower, upper = (np.take_along_axis(response, below + i, axis=1) for i in (0, 1))
+    return (1 - share) * lower + share * upper
 
 
-def play_operator(commands: np.ndarray, slack: np.ndarray) -> np.ndarray:
+def prediction_rms(
+    hand: Hand, logs: Sequence[MotionLog], dynamics: JointDynamics, errors: DriveErrors | None, after: float
+) -> float:
+    """Root mean square of what a simulation of logs misses after a share of each segment [rad].
+
+    Args:
+        hand: its model.
+        logs: of the joints of the dynamics.
+        dynamics: of their joints.
+        errors: of their drives; None for none.
+        after: 0 to 1.
+    """
+    missed = []
+    for log in logs:
+        samples = joint_samples(log)
+        found = simulate_log(hand, samples, [dynamics], errors=None if errors is None else [errors])[0]
+        missed.append((found - samples.positions)[samples.known & (samples.share > after)])
+    return float(np.sqrt(np.mean(np.concatenate(missed) ** 2)))
+
+
+def driver_setpoints(samples: JointSamples, times: np.ndarray) -> np.ndarray:
+    """Where a driver's setpoints are that run to the commands no faster than its limit [rad], shape [S, J].
+
+    Args:
+        samples: with commands and speed.
+        times: evenly spaced, shape [S].
+    """
+    held = np.stack(
+        [np.searchsorted(column, times + STEP / 2, side="right") - 1 for column in samples.times.T], axis=1
+    )
+    commands = np.take_along_axis(samples.commands, np.maximum(held, 0), axis=0)
+    if np.isinf(samples.speed).all():
+        return commands
+    largest, setpoints = samples.speed * STEP, np.empty_like(commands)
+    last = samples.commands[0]
+    for row, command in enumerate(commands):
+        last = last + np.clip(command - last, -largest, largest)
+        setpoints[row] = last
+    return setpoints
+
+
+def play_operator(commands: np.ndarray, slack: np.ndarray, start: np.ndarray) -> np.ndarray:
     """What moves joints whose drives have lost motion, shape [W, T, J]: it stays until the command has gone
     ahead by the slack, then follows at that distance.
 
     Args:
         commands: shape [T, J].
         slack: shape [W, J].
+        start: where the joints rest before [rad], shape [W, J]: there, as far as the slack allows, their
+            drives rest as well.
     """
     moved = np.empty((len(slack), *commands.shape))
-    last = np.tile(commands[0], (len(slack), 1))
+    last = start
     for row, command in enumerate(commands):
         last = np.clip(last, command - slack, command + slack)
         moved[:, row] = last

@@ -1,36 +1,40 @@
-"""A log of a hand's motion: what was commanded and what was measured."""
+"""A log of a hand's motion: what was commanded and what was measured, each with its own time."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import IO, Any, NamedTuple, Self
 
 import numpy as np
 
 from fungrasp.errors import FungraspError
-from fungrasp.files import atomic_path
-from fungrasp.formats.file_bytes import check_file
-from fungrasp.formats.numpy_files import read_npz
+from fungrasp.formats.file_bytes import check_file, read_bytes
 
 SHORTEST = 0.5
 """Of a log [s]."""
 LARGEST_TEXT = 50_000_000
-"""Of a step response [bytes]."""
+"""Of a file [bytes]."""
 HEAVIEST = 2.0
 """Of the masses on fingertips [kg]."""
 LEAST_MOTION = 0.05
 """A joint that moves less is not identified [rad]."""
+LARGEST_LATENCY = 0.05
+"""A device whose own clock seems to deliver states later than this has no clock to go by [s]."""
+KIND = "fungrasp motion log"
+"""What the first line of a file says it is."""
 
 
 @dataclass(frozen=True, eq=False)
 class MotionLog:
-    """Commands and positions at the same times."""
+    """Commands and positions, T rows of J joints."""
 
     joints: tuple[str, ...]
     """Names of the joints, length J."""
     times: np.ndarray
-    """[s], shape [T], increasing."""
+    """When each row was commanded [s], shape [T], increasing."""
     commands: np.ndarray
     """Goals of the joints that held from each time on [rad], shape [T, J]."""
     positions: np.ndarray
@@ -39,79 +43,243 @@ class MotionLog:
     """Gravity in the palm's frame [m/s^2], shape [3]; zero where it is to be left out."""
     weight: float = 0.0
     """Mass that was fixed to each fingertip [kg]."""
+    measured: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    """When the device measured each row's positions, in the time of ``times`` [s], shape [T]; the same again
+    where it had measured nothing new. As ``times`` if not given."""
+    speed: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    """At which the driver's setpoints run to the commands [rad/s], shape [J]; unlimited if not given."""
+    moving: np.ndarray = field(default_factory=lambda: np.zeros((0, 0), dtype=bool))
+    """Which joints are excited in each row, the others hold, shape [T, J]; all if not given."""
 
     def __post_init__(self) -> None:
         shape = (len(self.times), len(self.joints))
+        absent = {
+            "measured": np.asarray(self.times),
+            "speed": np.full(shape[1], np.inf),
+            "moving": np.ones(shape, dtype=bool),
+        }
+        for name, value in absent.items():
+            if not getattr(self, name).size:
+                object.__setattr__(self, name, value)
         if self.commands.shape != shape or self.positions.shape != shape or self.gravity.shape != (3,):
             raise FungraspError(
                 f"a motion log of {shape[1]} joints and {shape[0]} times needs as many commands and positions"
             )
-        if not all(np.isfinite(a).all() for a in (self.times, self.commands, self.positions, self.gravity)):
-            raise FungraspError("a motion log holds values that are not finite")
+        if self.measured.shape != shape[:1] or self.speed.shape != shape[1:] or self.moving.shape != shape:
+            raise FungraspError("stamps, speeds or segments of a motion log do not fit its joints and times")
+        numbers = (self.times, self.commands, self.positions, self.gravity, self.measured)
+        if not all(np.isfinite(values).all() for values in numbers) or not (self.speed > 0).all():
+            raise FungraspError("a motion log holds values that are not finite, or a speed that is none")
         if not 0 <= self.weight < HEAVIEST:
             raise FungraspError(
                 f"the mass on each fingertip lies from 0 to {HEAVIEST} kg, not {self.weight:g} kg"
             )
-        if len(self.times) < 2 or (np.diff(self.times) <= 0).any():
+        if len(self.times) < 2 or (np.diff(self.times) <= 0).any() or (np.diff(self.measured) < 0).any():
             raise FungraspError("the times of a motion log do not increase")
 
+    @property
+    def segments(self) -> list[np.ndarray]:
+        """Rows of each part of the log in which the same joints are excited."""
+        changes = (self.moving[1:] != self.moving[:-1]).any(axis=1)
+        return np.split(np.arange(len(self.times)), np.flatnonzero(changes) + 1)
+
     def part(self, begin: float, end: float) -> MotionLog:
-        """The rows between two shares of the duration, 0 to 1."""
-        at = self.times[0] + np.array([begin, end]) * (self.times[-1] - self.times[0])
-        first, last = np.searchsorted(self.times, at + np.array([0.0, 1e-9]))
-        return self.rows(np.arange(first, last))
+        """The rows between two shares of the duration, 0 to 1, of each segment."""
+        rows = []
+        for segment in self.segments:
+            times = self.times[segment]
+            at = times[0] + np.array([begin, end]) * (times[-1] - times[0])
+            rows.append(segment[slice(*np.searchsorted(times, at + np.array([0.0, 1e-9])))])
+        return self.rows(np.concatenate(rows))
 
     def rows(self, rows: np.ndarray) -> MotionLog:
         """Some rows, shape [R]."""
-        return replace(
-            self, times=self.times[rows], commands=self.commands[rows], positions=self.positions[rows]
+        per_row = ("times", "commands", "positions", "measured", "moving")
+        return replace(self, **{name: getattr(self, name)[rows] for name in per_row})
+
+    def excited(self) -> MotionLog:
+        """The joints that were excited; of a log that was broken off, some were not.
+
+        Raises:
+            FungraspError: none was.
+        """
+        kept = np.flatnonzero([not self._too_little(joint) for joint in range(len(self.joints))])
+        if not len(kept):
+            self.check_excitation()
+        return self.of_joints([self.joints[joint] for joint in kept])
+
+    def of_joints(self, joints: Sequence[str]) -> MotionLog:
+        """Some joints, and the rows in which one of them is excited."""
+        kept = [self.joints.index(joint) for joint in joints]
+        per_joint = ("commands", "positions", "moving")
+        some = replace(
+            self,
+            joints=tuple(joints),
+            speed=self.speed[kept],
+            **{name: getattr(self, name)[:, kept] for name in per_joint},
         )
+        return some.rows(np.flatnonzero(some.moving.any(axis=1)))
 
     def check_excitation(self) -> None:
         """Raises FungraspError: the log is too short, or a joint hardly moves."""
-        duration = self.times[-1] - self.times[0]
+        for joint in range(len(self.joints)):
+            problem = self._too_little(joint)
+            if problem:
+                raise FungraspError(problem)
+
+    def _too_little(self, joint: int) -> str:
+        """What is missing of a joint's motion; "" for nothing."""
+        rows = np.flatnonzero(self.moving[:, joint])
+        duration = self.times[rows[-1]] - self.times[rows[0]] if len(rows) else 0.0
         if duration < SHORTEST:
-            raise FungraspError(
-                f"the motion log is {duration:.2f} s long; identification needs {SHORTEST} s at least"
+            return (
+                f"joint '{self.joints[joint]}' is excited for {duration:.2f} s in the motion log; "
+                f"identification needs {SHORTEST} s at least"
             )
-        still = np.ptp(self.positions, axis=0) < LEAST_MOTION
-        if still.any():
-            name = self.joints[int(np.flatnonzero(still)[0])]
-            raise FungraspError(
-                f"joint '{name}' moves less than {LEAST_MOTION} rad in the log; excite it more"
-            )
+        if np.ptp(self.positions[rows, joint]) < LEAST_MOTION:
+            name = self.joints[joint]
+            return f"joint '{name}' moves less than {LEAST_MOTION} rad in the log; excite it more"
+        return ""
 
 
-def save_motion_log(path: str | Path, log: MotionLog) -> None:
-    """Write a log as ``.npz``."""
-    arrays: dict[str, Any] = {
-        "joints": np.array(log.joints),
-        "times": log.times,
-        "commands": log.commands,
-        "positions": log.positions,
-        "gravity": log.gravity,
-        "weight": np.array(log.weight),
-    }
-    with atomic_path(path) as temporary, temporary.open("wb") as file:
-        np.savez_compressed(file, **arrays)
+@dataclass(frozen=True, eq=False)
+class MotionHeader:
+    """What holds for a whole log; see ``MotionLog``."""
+
+    joints: tuple[str, ...]
+    """Names of the joints, length J."""
+    gravity: np.ndarray
+    """[m/s^2], shape [3]."""
+    weight: float
+    """[kg]."""
+    speed: np.ndarray
+    """[rad/s], shape [J]."""
+
+
+class MotionSample(NamedTuple):
+    """A row as it is recorded."""
+
+    commanded: float
+    """Host time of the command, since the log began [s]."""
+    device_time: float
+    """The device's stamp of the positions [s], of its own clock."""
+    received: float
+    """Host time at which they were received, since the log began [s]."""
+    moving: tuple[int, ...]
+    """Numbers of the joints that are excited."""
+    command: Sequence[float]
+    """Goals that were sent [rad], length J."""
+    position: Sequence[float]
+    """Measured positions [rad], length J."""
+
+
+class MotionLogWriter:
+    """Writes a log line by line, each of them at once on its way to the disk: a file whose writer was killed
+    holds all lines but perhaps the last. A context manager; the file is made with the first row, and one that
+    is there already is not touched."""
+
+    def __init__(self, path: str | Path):
+        """
+        Args:
+            path: the file.
+
+        Raises:
+            FungraspError: the file exists.
+        """
+        self.path, self.rows = Path(path), 0
+        self._stream: IO[str] | None = None
+        if self.path.exists():
+            raise FungraspError(f"the log {path} exists already: give another name")
+
+    def add(self, header: MotionHeader, sample: MotionSample) -> None:
+        """Write a row, before the first one the header. Raises: FungraspError: it can't be written."""
+        row = [*np.round(sample[:3], 6).tolist(), list(sample.moving)]
+        row += [np.round(values, 7).tolist() for values in sample[4:]]
+        try:
+            if self._stream is None:
+                self.path.parent.mkdir(parents=True, exist_ok=True)
+                self._stream = self.path.open("x", encoding="utf-8", buffering=1)
+                self._stream.write(json.dumps(_header_words(header)) + "\n")
+            self._stream.write(json.dumps(row, separators=(",", ":")) + "\n")
+        except OSError as error:
+            raise FungraspError(f"cannot write {self.path}: {error.strerror or error}") from error
+        self.rows += 1
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        if self._stream is not None:
+            self._stream.close()
+
+
+def motion_log(header: MotionHeader, samples: Sequence[MotionSample]) -> MotionLog:
+    """The log of some samples.
+
+    The device's clock is put beside the host's by the state that came fastest; of a device whose clock runs
+    otherwise, times of receipt are taken.
+
+    Raises:
+        FungraspError: they are inconsistent.
+    """
+    count = len(header.joints)
+    times, device, received = (np.array([sample[i] for sample in samples], dtype=float) for i in range(3))
+    measured = device + (received - device).min(initial=np.inf)
+    if (received - measured).max(initial=0.0) > LARGEST_LATENCY or (np.diff(measured) < 0).any():
+        measured = received
+    moving = np.zeros((len(samples), count), dtype=bool)
+    for row, sample in zip(moving, samples, strict=True):
+        row[list(sample.moving)] = True
+    commands, positions = (
+        np.array([sample[i] for sample in samples], dtype=float).reshape(len(samples), -1) for i in (4, 5)
+    )
+    return MotionLog(
+        header.joints,
+        times,
+        commands,
+        positions,
+        header.gravity,
+        header.weight,
+        measured,
+        header.speed,
+        moving,
+    )
 
 
 def load_motion_log(path: str | Path) -> MotionLog:
-    """Read what ``save_motion_log`` has written.
+    """Read what ``MotionLogWriter`` has written, one that was broken off included.
 
     Raises:
         FungraspError: the file is missing, of another kind or inconsistent.
     """
-    arrays = read_npz(path, "motion log")
-    for name in ("joints", "times", "commands", "positions", "gravity"):
-        if name not in arrays:
-            raise FungraspError(f"{path} is no motion log: '{name}' is missing")
-    joints = tuple(str(name) for name in arrays.pop("joints"))
+    lines = read_bytes(path, "motion log", LARGEST_TEXT).split(b"\n")
     try:
-        weight = float(arrays.pop("weight", np.zeros(())))
-        return MotionLog(joints, **{k: np.asarray(v, dtype=float) for k, v in arrays.items()}, weight=weight)
-    except (FungraspError, TypeError, ValueError) as error:
+        about = json.loads(lines[0])
+        if about["kind"] != KIND:
+            raise FungraspError(f"{path} is no motion log")
+        header = MotionHeader(
+            tuple(str(name) for name in about["joints"]),
+            np.array(about["gravity"], dtype=float),
+            float(about["weight"]),
+            np.array([np.inf if v is None else v for v in about["speed"]], dtype=float),
+        )
+        # What a killed writer has left ends within a line; a whole file ends with an empty one.
+        samples = [MotionSample(*json.loads(line)) for line in lines[1:-1]]
+        return motion_log(header, samples)
+    except FungraspError as error:
         raise FungraspError(f"{path}: {error}") from error
+    except (ValueError, TypeError, KeyError, IndexError, UnicodeDecodeError, RecursionError) as error:
+        raise FungraspError(f"{path} is no motion log, or a damaged one") from error
+
+
+def _header_words(header: MotionHeader) -> dict[str, Any]:
+    return {
+        "kind": KIND,
+        "joints": list(header.joints),
+        "gravity": header.gravity.tolist(),
+        "weight": header.weight,
+        "speed": [None if np.isinf(v) else float(v) for v in header.speed],
+    }
 
 
 def read_step_csv(path: str | Path, joint: str, open_position: float, closed_position: float) -> MotionLog:
