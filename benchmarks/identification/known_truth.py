@@ -67,7 +67,7 @@ def known_truth_fit(hand: Hand, finger: str, method: str, seed: int, evaluations
     truth = JointDynamics(joints, model.stiffness[columns], **values, delay=float(rng.uniform(*DELAYS)))
     limits = np.array([hand.joint_limits[hand.joint_names.index(joint)] for joint in joints])
     rest, excitation, one = limits.mean(axis=1), Excitation(seconds=8.0, seed=seed), np.ones(len(joints))
-    motion = excitation_motion(excitation, rest, *limits.T, np.inf * one, 0 * one)
+    motion = excitation_motion(excitation, rest, limits[:, 0], limits[:, 1], np.inf * one, 0 * one)
     commands, times = motion.commands, np.arange(len(motion.commands)) / excitation.rate
     gravity = np.array([0.0, 0.0, -9.81])
     log = MotionLog(joints, times, commands, np.tile(rest, (len(times), 1)), gravity)

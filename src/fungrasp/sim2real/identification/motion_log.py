@@ -167,9 +167,9 @@ class MotionSample(NamedTuple):
     """Host time at which they were received, since the log began [s]."""
     moving: tuple[int, ...]
     """Numbers of the joints that are excited."""
-    command: Sequence[float]
+    command: np.ndarray | Sequence[float]
     """Goals that were sent [rad], length J."""
-    position: Sequence[float]
+    position: np.ndarray | Sequence[float]
     """Measured positions [rad], length J."""
 
 
