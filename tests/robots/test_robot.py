@@ -7,7 +7,7 @@ import pytest
 from robot_cells import cell_and_hand, grasp_and_object, placed
 
 from fungrasp.errors import FungraspError
-from fungrasp.geometry.poses import relative
+from fungrasp.geometry.poses import quaternion_multiply, relative
 from fungrasp.robots.cell import load_cell
 from fungrasp.robots.device import DeviceStatus, RobotError, StopKind
 from fungrasp.robots.lerobot_adapter import LeRobotRobot
@@ -51,6 +51,31 @@ def test_actions_move_the_palm_and_say_what_was_sent() -> None:
         np.testing.assert_allclose(world.look().palm_pose[:3], goal[0, :3], atol=5e-3)
         with pytest.raises(RobotError, match="not finite"):
             robot.send_action(Action(goal * np.nan, seen.joint_setpoints, np.array([False])))
+
+
+def test_an_arm_stays_near_its_setpoints_where_the_palm_turns() -> None:
+    robot, world = robot_on_twin()
+    sent, apart = [], []
+    robot.watch = lambda state, command: (
+        sent.append(command.arm),
+        apart.append(np.abs(command.arm - state.arm.positions).max()),
+    )
+    with robot:
+        world.advance(world.time + 0.2)
+        state = robot.state()
+        robot.place_setpoints(state.arm.positions, state.hand.positions)
+        robot.begin(state)
+        seen = robot.get_observation()
+        goal, start = seen.palm_pose.copy(), robot.clock.now()
+        half = np.array([np.cos(0.3), 0.0, 0.0, np.sin(0.3)])
+        goal[:, 3:] = quaternion_multiply(half, goal[:, 3:])
+        for tick in range(15):
+            robot.send_action(Action(goal, seen.joint_setpoints, np.array([False])), start + 0.1 * tick)
+    joints = np.array([state.arm.positions, *sent])
+    np.testing.assert_allclose(robot.kinematics.palm_pose(joints[-1])[3:], goal[0, 3:], atol=5e-3)
+    # A turn that begins at its full speed asks joints for 50 rad/s^2, and an arm that has 2.5 falls behind.
+    assert np.abs(np.diff(joints, n=2, axis=0)).max() / 0.02**2 < 4.0
+    assert max(apart) < 0.06
 
 
 def test_a_stopped_device_takes_no_command_until_it_is_connected_again() -> None:

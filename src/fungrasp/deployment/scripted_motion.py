@@ -102,7 +102,7 @@ class ScriptedMotion:
         for pose, targets in zip(back, opening, strict=True):
             go(pose[None], targets[None])
         # The way home begins at rest.
-        while not self.arrived(back[-1:], 0.0) or np.abs(self.robot.setpoints.wrist.turning).max() > STILL:
+        while not self.arrived(back[-1:], 0.0) or np.abs(robot.setpoints.wrist.turning).max() > STILL:
             go(back[-1:], prepared.start_fingers[None])
 
     def withdraw(self, plan: GraspPlan, gap: np.ndarray) -> None:

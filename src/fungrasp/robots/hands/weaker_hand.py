@@ -25,7 +25,7 @@ def with_torque_share(cell: RobotCell, share: float) -> RobotCell:
     options = dict(device.options)
     if device.driver == "allegro-can":
         options["torque_share"] = share * float(options.get("torque_share", 1.0))
-    elif device.driver == "inspire-modbus":
+    elif device.driver == "inspire":
         from fungrasp.robots.hands.inspire import InspireSettings
 
         options["force"] = max(1, round(share * options.get("force", InspireSettings.force)))
