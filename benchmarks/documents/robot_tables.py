@@ -94,6 +94,36 @@ def identification() -> Table:
     return Table(head, rows, ["identification"])
 
 
+def fault_series() -> Table:
+    """What became of deployments with faults drawn over all phases, by cell and fault."""
+    names = ["fault-series-allegro", "fault-series-inspire"]
+    trials = [row for name in names for row in read(name).rows]
+    head = (
+        "cell",
+        "fault",
+        "trials",
+        "phases",
+        "arm at rest within the limit",
+        "way to rest, largest, limit [mm]",
+    )
+    head += ("still held, of those that held and that hardware lets hold", "reason right, or carried on")
+    rows = []
+    for cell, fault in dict.fromkeys(sorted((t["cell"], t["fault"]) for t in trials)):
+        group = [t for t in trials if (t["cell"], t["fault"]) == (cell, fault)]
+        rest = sum(t["at_rest"] and t["distance_m"] <= t["limit_m"] for t in group)
+        stopped = [t for t in group if not t["carried"]]
+        way = NONE
+        if stopped:
+            farthest = max(t["distance_m"] for t in stopped)
+            way = f"{1e3 * farthest:.0f}, {1e3 * max(t['limit_m'] for t in stopped):.0f}"
+        holding = [t for t in group if t["held_before"] and not t["lets_go"]]
+        held = f"{sum(t['held_after'] for t in holding)} of {len(holding)}" if holding else NONE
+        phases = str(len({t["moment"] for t in group}))
+        told = f"{sum(t['named'] or t['carried'] for t in group)}"
+        rows.append((cell, fault, str(len(group)), phases, str(rest), way, held, told))
+    return Table(head, rows, names)
+
+
 def identification_twins() -> Table:
     """Identified dynamics of twins' hands against their truth, by hand and method."""
     head = ("hand", "method", "twins", "median error, of the model", "stiffness", "damping", "friction")
@@ -120,6 +150,24 @@ def identification_twins() -> Table:
             f"{median('seconds'):.0f}",
         )
         rows.append((hand, method, str(len(group)), error, *parts, *end))
+    return Table(head, rows, names)
+
+
+def identification_sines() -> Table:
+    """Identified dynamics of twins' hands that moved one finger at a time."""
+    names = ["identification-sines-allegro", "identification-sines-inspire"]
+    kinds = ("stiffness", "damping", "friction", "armature")
+    head = ("hand", "twin", "median error, of the model")
+    head += tuple(f"{kind}: error, not told" for kind in kinds)
+    head += ("delay error [ms]", "held-out RMS [rad]")
+    rows = []
+    for row in (row for name in names for row in read(name).rows):
+        parts = [
+            f"{percent(row[f'errors.{kind}'])}, {percent(1.0 - row[f'identified.{kind}'])}" for kind in kinds
+        ]
+        error = f"{percent(row['median_error'])}, {percent(row['model_error'])}"
+        end = (f"{1e3 * row['delay_error']:.1f}", f"{row['held_out_rms']:.4f}")
+        rows.append((row["hand"], str(row["twin"]), error, *parts, *end))
     return Table(head, rows, names)
 
 

@@ -62,6 +62,8 @@ BUILDERS: dict[str, Callable[[], Table]] = {
     "driver_speed": robot_tables.driver_speed,
     "identification": robot_tables.identification,
     "identification_step": robot_tables.identification_step,
+    "fault_series": robot_tables.fault_series,
+    "identification_sines": robot_tables.identification_sines,
     "identification_twins": robot_tables.identification_twins,
     "identification_ratios": robot_tables.identification_ratios,
     "twin_variants": robot_tables.twin_variants,
