@@ -176,6 +176,7 @@ WIRE = {
     "wire-student": "UR5e, Allegro, `student`",
     "wire-image": "UR5e, Allegro, `plan`, from images",
     "wire-image-student": "UR5e, Allegro, `student`, from images",
+    "wire-image-inspire": "UR5e, Inspire, `student`, from images",
     "wire-inspire": "UR5e, Inspire, `plan`",
 }
 """Results of ``bench wire``, as far as they are there."""
