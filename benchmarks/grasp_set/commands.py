@@ -38,7 +38,7 @@ class MakeGraspSet:
         from benchmarks.command import check_positive
         from benchmarks.grasp_set.generation import made_grasps
         from benchmarks.grasp_set.objects import (
-            YCB_MASSES,
+            MASSES,
             builtin_objects,
             drawn_objects,
             written_meshes,
@@ -55,7 +55,7 @@ class MakeGraspSet:
         if self.dexycb is not None and self.objects is None:
             raise FungraspError("--dexycb needs the meshes of its objects: give --objects too")
         shown = None if self.dexycb is None else load_human_grasps(self.dexycb)
-        masses = dict(YCB_MASSES)
+        masses = dict(MASSES)
         if shown is not None:
             masses |= dict(zip(shown.object_name.tolist(), shown.object_mass.tolist(), strict=True))
         given = [] if self.objects is None else ycb_objects(self.objects, masses)

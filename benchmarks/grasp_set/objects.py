@@ -14,6 +14,7 @@ from scipy.spatial import KDTree
 from benchmarks.grasp_set.shapes import DRAWN_KINDS
 from fungrasp.errors import FungraspError
 from fungrasp.files import atomic_path
+from fungrasp.grasps.importers.ycb import YCB_MASSES
 from fungrasp.objects import ObjectModel, load_object, object_from_file
 from fungrasp.objects.builtin import BUILTINS
 from fungrasp.objects.builtin.assembly import assemble
@@ -31,30 +32,8 @@ APART = 2e-6
 SAMPLES = 20_000
 """Points of a surface that tell which part a face belongs to."""
 
-YCB_MASSES: Mapping[str, float] = {
-    "002_master_chef_can": 0.414,
-    "003_cracker_box": 0.411,
-    "004_sugar_box": 0.514,
-    "005_tomato_soup_can": 0.349,
-    "006_mustard_bottle": 0.603,
-    "007_tuna_fish_can": 0.171,
-    "008_pudding_box": 0.187,
-    "009_gelatin_box": 0.097,
-    "010_potted_meat_can": 0.370,
-    "011_banana": 0.066,
-    "019_pitcher_base": 0.178,
-    "021_bleach_cleanser": 0.602,
-    "024_bowl": 0.147,
-    "025_mug": 0.118,
-    "035_power_drill": 0.895,
-    "036_wood_block": 0.729,
-    "037_scissors": 0.082,
-    "040_large_marker": 0.0158,
-    "052_extra_large_clamp": 0.202,
-    "061_foam_brick": 0.028,
-}
-"""Masses of the objects of the YCB set that DexYCB shows [kg] (Calli et al., "Benchmarking in Manipulation
-Research", 2015, table I)."""
+MASSES: Mapping[str, float] = YCB_MASSES | {"021_bleach_cleanser": 0.602}
+"""Masses of YCB objects [kg]; of the bleach cleanser about half, as its full 1.13 kg are beyond most hands."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,7 +102,7 @@ def builtin_objects(count: int, seed: int) -> list[SetObject]:
     return objects
 
 
-def ycb_objects(folder: Path, masses: Mapping[str, float] = YCB_MASSES) -> list[SetObject]:
+def ycb_objects(folder: Path, masses: Mapping[str, float] = MASSES) -> list[SetObject]:
     """The meshes of a folder whose masses are known.
 
     Raises:
