@@ -33,7 +33,7 @@ SAMPLES = 20_000
 """Points of a surface that tell which part a face belongs to."""
 
 MASSES: Mapping[str, float] = YCB_MASSES | {"021_bleach_cleanser": 0.602}
-"""Masses of YCB objects [kg]; of the bleach cleanser about half, as its full 1.13 kg are beyond most hands."""
+"""Masses of YCB objects [kg]; of the bleach cleanser about half: full, it is beyond most hands."""
 
 
 @dataclass(frozen=True, eq=False)
