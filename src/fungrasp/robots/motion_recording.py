@@ -8,7 +8,7 @@ import numpy as np
 
 from fungrasp.robots.clock import Clock, WallClock
 from fungrasp.robots.device import DeviceStatus, JointDriver, RobotError
-from fungrasp.sim2real.identification.excitation import Motion
+from fungrasp.sim2real.identification.excitation import ExcitationMotion
 from fungrasp.sim2real.identification.motion_log import (
     MotionHeader,
     MotionLog,
@@ -20,7 +20,7 @@ from fungrasp.sim2real.identification.motion_log import (
 def record_motion(
     driver: JointDriver,
     joints: tuple[str, ...],
-    motion: Motion,
+    motion: ExcitationMotion,
     rate: float,
     gravity: np.ndarray,
     clock: Clock | None = None,

@@ -62,7 +62,7 @@ class Excitation:
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class ExcitationMotion:
     """Commands of an excitation."""
 
     commands: np.ndarray
@@ -79,7 +79,7 @@ def excitation_motion(
     speed: np.ndarray,
     finger: np.ndarray,
     share: np.ndarray | None = None,
-) -> Motion:
+) -> ExcitationMotion:
     """Commands of joints within their limits; the first and the last are ``rest``.
 
     Args:
@@ -110,7 +110,7 @@ def excitation_motion(
             offsets *= min(1.0, e.speed * speed[joint] / max(fastest, 1e-9))
             commands[rows, joint] += offsets
         moving[rows, joints] = True
-    return Motion(np.clip(commands, lower, upper), moving)
+    return ExcitationMotion(np.clip(commands, lower, upper), moving)
 
 
 def _wave(e: Excitation, times: np.ndarray, place: int, joints: int, begin: float) -> np.ndarray:

@@ -7,7 +7,7 @@ import numpy as np
 
 from fungrasp.errors import FungraspError
 from fungrasp.hands import Hand
-from fungrasp.sim2real.identification.excitation import Excitation, Motion, excitation_motion
+from fungrasp.sim2real.identification.excitation import Excitation, ExcitationMotion, excitation_motion
 from fungrasp.sim2real.identification.finger_chains import chain_of
 from fungrasp.sim2real.identification.joint_samples import joint_samples
 from fungrasp.sim2real.identification.log_simulation import simulate_log
@@ -34,7 +34,7 @@ def safe_motion(
     speed: np.ndarray,
     torque: np.ndarray,
     gravity: np.ndarray,
-) -> Motion:
+) -> ExcitationMotion:
     """The excitation of a hand's independent joints from where it is, with amplitudes that are small enough.
 
     Args:
@@ -56,7 +56,7 @@ def safe_motion(
     most = excitation.torque * np.minimum(torque, [servo.force_limit for servo in servos])
     share = np.ones(len(joints))
 
-    def motion() -> Motion:
+    def motion() -> ExcitationMotion:
         return excitation_motion(excitation, rest, lower, upper, speed, finger, share)
 
     for _ in range(SIZINGS):
@@ -81,7 +81,7 @@ def safe_motion(
     return motion()
 
 
-def _torques(hand: Hand, motion: Motion, rate: float, gravity: np.ndarray) -> np.ndarray:
+def _torques(hand: Hand, motion: ExcitationMotion, rate: float, gravity: np.ndarray) -> np.ndarray:
     """Largest torques of the servos by the hand's model [N m], shape [U]."""
     times = np.arange(len(motion.commands)) / rate
     dynamics = model_dynamics(hand)
