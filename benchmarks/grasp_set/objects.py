@@ -32,7 +32,7 @@ APART = 2e-6
 SAMPLES = 20_000
 """Points of a surface that tell which part a face belongs to."""
 
-MASSES: Mapping[str, float] = YCB_MASSES | {"021_bleach_cleanser": 0.602}
+MASSES: Mapping[str, float] = {**YCB_MASSES, "021_bleach_cleanser": 0.602}
 """Masses of YCB objects [kg]; of the bleach cleanser about half: full, it is beyond most hands."""
 
 

@@ -187,7 +187,7 @@ def test_identification_stops_for_the_stop_file(tmp_path: Path, capsys: pytest.C
         )
         (tmp_path / "stop").touch()
         before = plant.state(time.monotonic()).positions
-        words = ["identify", "collect", str(tmp_path / "log.npz"), str(cell), "--excitation.seconds", "2"]
+        words = ["identify", "collect", str(tmp_path / "log.npz"), str(cell), "--excitation.seconds", "4"]
         assert main(words) != 0
         assert "stop file" in capsys.readouterr().err
         assert np.abs(plant.state(time.monotonic()).positions - before).max() < 0.01

@@ -39,12 +39,12 @@ class WristSetpoint:
         """
         p = self._protocol
         poses = np.empty((steps, *self.pose.shape))
-        if np.isinf(p.wrist_rotation_acceleration):
+        if p.wrist_rotation_acceleration is None:
             # A turn has no inertia.
             turns = p.wrist_rotation_speed * duration * np.arange(1, steps + 1)[:, None, None]
             poses[..., 3:] = turned_towards(self.pose[:, 3:], goal[:, 3:], turns)
         else:
-            poses[..., 3:] = self._turn(goal[:, 3:], duration, steps)
+            poses[..., 3:] = self._turn(goal[:, 3:], p.wrist_rotation_acceleration, duration, steps)
         # In units of a step and of what the velocity may change in it.
         reach = p.wrist_acceleration * duration
         offset = (goal[:, :3] - self.pose[:, :3]) / (reach * duration)
@@ -60,10 +60,10 @@ class WristSetpoint:
         self.pose, self.velocity = poses[-1], velocities[-1]
         return poses, velocities
 
-    def _turn(self, goal: np.ndarray, duration: float, steps: int) -> np.ndarray:
-        """Turn towards goals as the position moves, with an acceleration, shape [S, W, 4]."""
+    def _turn(self, goal: np.ndarray, acceleration: float, duration: float, steps: int) -> np.ndarray:
+        """Turn towards goals as the position moves, with an acceleration [rad/s^2], shape [S, W, 4]."""
         p = self._protocol
-        reach = p.wrist_rotation_acceleration * duration
+        reach = acceleration * duration
         orientations = np.empty((steps, *goal.shape))
         orientation, rate = self.pose[:, 3:], self.turning / reach
         for i in range(steps):

@@ -54,7 +54,9 @@ class Excitation:
 
     def __post_init__(self) -> None:
         if not 2 * (REST + RAMP) < self.seconds <= 300 or not 5 <= self.rate <= 500:
-            raise FungraspError("an excitation takes 3 to 300 s for each finger, and 5 to 500 Hz")
+            raise FungraspError(
+                "an excitation takes more than 3 s and at most 300 s for each finger, and 5 to 500 Hz"
+            )
         if not 0 < self.reach <= 0.5 or not 0 < self.speed <= 1 or not 0 < self.torque <= 1:
             raise FungraspError("an excitation takes a reach above 0 up to 0.5, and shares above 0 up to 1")
         if not 0 < self.slowest <= self.fastest <= self.rate / 5:
