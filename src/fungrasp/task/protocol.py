@@ -33,7 +33,7 @@ class LiftProtocol:
     wrist_rotation_speed: float = 1.0
     """Largest rotation speed of the wrist's setpoint [rad/s]."""
     wrist_rotation_acceleration: float | None = None
-    """Largest acceleration of that rotation [rad/s^2]; None in simulation, where turns begin without a ramp."""
+    """Largest acceleration of that rotation [rad/s^2]; None in simulation: turns have no ramp."""
     lost_height: float = 0.03
     """An object that is lower than this above where it settled [m] ``lost_after`` the lift began is lost."""
     lost_after: float = 1.0
