@@ -113,16 +113,6 @@ def result_json(result: LiftTestResult) -> dict[str, Any]:
     )
 
 
-def _static(result: LiftTestResult) -> dict[str, Any]:
-    """Static measurements, if there are any."""
-    numbers: dict[str, Any] = {}
-    if result.six_directions is not None:
-        numbers["six_directions"] = static_json(result.six_directions)
-    if result.quality is not None:
-        numbers["quality"] = result.quality.summary()
-    return numbers
-
-
 def result_record(numbers: Mapping[str, Any], seconds: float) -> dict[str, Any]:
     """Numbers of one result or of several, with command, versions, machine and date."""
     return run_record(numbers.get("seed", 0)) | dict(numbers) | {"seconds": seconds}
