@@ -95,6 +95,8 @@ TRIALS = {
         SEQUENCE,
         ends_with="the field 'serials' is missing",
     ),
+    # Kernels are compiled first, which takes minutes.
+    "gpu": Trial("fungrasp evaluate --grasps few.npz --device cpu-warp --json result.json", GRASPS),
     "gymnasium": Trial("python worlds.py", f"{GRASPS}\nopen('worlds.py', 'w').write({WORLDS!r})"),
     "inspire": Trial(f"{DRIVER} inspire inspire-serial"),
     "leap": Trial(f"{DRIVER} leap"),

@@ -29,11 +29,12 @@ FREE = "Apache-2.0"
 FOREIGN = re.compile(r"(mano_|dex-?ycb|research)(?!.*\.(py|md)$)", re.IGNORECASE)
 """Parts of the names of files (other than code and pages) and data sets that may not be shipped."""
 
-IMPORTED_BY_OTHERS = {"daqp", "embreex", "pyserial", "tensorboard"}
+IMPORTED_BY_OTHERS = {"mujoco", "daqp", "embreex", "pyserial", "tensorboard"}
 """Distributions that are declared for other packages: solver of mink, ray casts of trimesh, ports of pymodbus
-and dynamixel_sdk, event files of torch."""
+and dynamixel_sdk, event files of torch; mujoco itself of mujoco-warp, beside mujoco-core."""
 
 DISTRIBUTIONS = {
+    "warp": "warp-lang",
     "PIL": "pillow",
     "ai_edge_litert": "ai-edge-litert",
     "can": "python-can",

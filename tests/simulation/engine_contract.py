@@ -85,8 +85,17 @@ class EngineContract:
 
     readback = 1e-9
     """How well what is written is read back [m, rad]."""
+    turned = 1e-6
+    """How well an orientation is read back [rad]: of the angle between two, which doubles the digits lost."""
     alone = 1e-10
     """How far a world among others may differ from one by itself [m, rad]."""
+    alike = 1e-7
+    """How far an object may differ from the same one that is described in another way [m, rad]."""
+    together: int | None = None
+    """Samples of a path in contact over which what differs by rounding stays together; None for all."""
+    apart: tuple[int, ...] = ()
+    """Objects in which the fingers begin centimeters deep, where the order of contacts decides how they are
+    pushed out, and an engine that stops at a tolerance may differ."""
 
     def make(self, scene: Scene, count: int, threads: int = 1) -> Engine:
         """An engine with so many worlds."""
@@ -133,12 +142,12 @@ class EngineContract:
         engine.set_state(object_pose=thing, wrist_frame=frame, palm_pose=palm, joint_positions=joints)
         for seen, written in ((engine.object_pose, thing), (engine.palm_pose, palm)):
             np.testing.assert_allclose(seen[:, :3], written[:, :3], atol=self.readback)
-            np.testing.assert_allclose(angle(seen[:, 3:], written[:, 3:]), 0, atol=1e-6)
+            np.testing.assert_allclose(angle(seen[:, 3:], written[:, 3:]), 0, atol=self.turned)
         np.testing.assert_allclose(engine.wrist_frame, frame, atol=self.readback)
         np.testing.assert_allclose(engine.joint_positions, joints, atol=self.readback)
         centers = np.tile(contract_objects()[OBJECTS[0]].center_of_mass, (4, 1))
         center = transform_points(thing, centers[:, None])[:, 0]
-        np.testing.assert_allclose(engine.center_of_mass, center, atol=1e-6)
+        np.testing.assert_allclose(engine.center_of_mass, center, atol=self.turned)
         np.testing.assert_allclose(engine.object_velocity, 0, atol=self.readback)
         assert engine.positions.shape == (4, contract_scene().model.nq)
         links = len(contract_scene().hand.links)
@@ -152,7 +161,7 @@ class EngineContract:
         frame = random_poses(0, 3)
         engine.set_state(wrist_frame=frame)
         np.testing.assert_allclose(engine.palm_pose[:, :3], frame[:, :3], atol=self.readback)
-        np.testing.assert_allclose(angle(engine.palm_pose[:, 3:], frame[:, 3:]), 0, atol=1e-6)
+        np.testing.assert_allclose(angle(engine.palm_pose[:, 3:], frame[:, 3:]), 0, atol=self.turned)
         there = compose(frame, pose(3, 0.1, 0.2, -0.1))
         engine.set_state(palm_pose=there)
         np.testing.assert_allclose(engine.palm_pose[:, :3], there[:, :3], atol=self.readback)
@@ -287,6 +296,8 @@ class EngineContract:
         assert np.isfinite(path[-1]).all()
         assert (np.abs(path[-1] - path[0]).max(axis=1) > 0.01).all()
         for world, kind in enumerate(index):
+            if kind in self.apart:
+                continue
             name = OBJECTS[kind]
             engine = self.make(build_scene(load_hand("allegro"), {name: contract_objects()[name]}), 1)
             engine.set_parameters(object_mass=mass[[world]], friction=friction[[world]])
@@ -462,7 +473,7 @@ class EngineContract:
         own = self.make(build_scene(hand, {"mug": heavy}), 1)
         stood = standing(np.array([MUG]))
         one, other = (self._collide_alone(engine, stood, 0) for engine in (scaled, own))
-        np.testing.assert_allclose(one[20], other[20], rtol=0, atol=1e-7)
+        np.testing.assert_allclose(one[20], other[20], rtol=0, atol=self.alike)
 
     def test_a_world_that_is_given_another_object_moves_as_a_fresh_one(self):
         index, mass = np.array([3, 1, 5]), np.array([0.3, 0.2, 1.1])
@@ -557,7 +568,8 @@ class EngineContract:
         )
         own.set_parameters(object_mass=mass)
         one, other = (self.collide(engine, np.arange(1), 20) for engine in (told, own))
-        np.testing.assert_allclose(one, other, rtol=0, atol=1e-6)
+        some = slice(self.together)
+        np.testing.assert_allclose(one[some], other[some], rtol=0, atol=10 * self.alike)
 
     def test_an_object_turns_about_the_center_of_mass_that_it_is_given(self):
         """Pushed at that center, in free fall: it does not turn, and the center is where it was said."""
@@ -571,7 +583,7 @@ class EngineContract:
         place[:, :3] = [[0.6, 0.0, 1.0], [0.6, 0.2, 1.0]]
         engine.set_state(object_pose=place)
         expected = transform_points(place, centers[:, None])[:, 0]
-        np.testing.assert_allclose(engine.center_of_mass, expected, atol=1e-9)
+        np.testing.assert_allclose(engine.center_of_mass, expected, atol=self.readback)
         engine.push_object(np.tile([3.0, 0.0, 9.81 * 0.5], (2, 1)))
         engine.step(still(engine), 20)
         np.testing.assert_allclose(engine.object_velocity[:, 3:], 0.0, atol=1e-6)
@@ -769,5 +781,7 @@ class EngineContract:
         moved = compose(pose(1, 0.3, -0.2, 0.4, turn=np.array([0.8, 0.0, 0.0, 0.6])), engine.palm_pose)
         engine.set_state(wrist_frame=moved, object_pose=compose(moved, before))
         after = compose(invert(engine.palm_pose), engine.object_pose)
-        np.testing.assert_allclose(after[:, :3], before[:, :3], atol=1e-9)
-        np.testing.assert_allclose(rotation_vector(after[:, 3:]), rotation_vector(before[:, 3:]), atol=1e-6)
+        np.testing.assert_allclose(after[:, :3], before[:, :3], atol=self.readback)
+        np.testing.assert_allclose(
+            rotation_vector(after[:, 3:]), rotation_vector(before[:, 3:]), atol=self.turned
+        )

@@ -9,7 +9,7 @@ from engine_contract import CAN, OBJECTS, EngineContract, contract_scene, pose, 
 from fungrasp.hands import load_hand
 from fungrasp.objects import builtin_object
 from fungrasp.simulation import MujocoCpuEngine, Scene, build_scene
-from fungrasp.simulation.mujoco_cpu import INERTIAL
+from fungrasp.simulation.world_parameters import INERTIAL
 
 
 class TestMujocoCpuEngine(EngineContract):

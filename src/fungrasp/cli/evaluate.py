@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from fungrasp.cli.console import progress_bar
-from fungrasp.cli.options import on_cluster, print_use
+from fungrasp.cli.options import device_and_buffers, on_cluster, print_use
 
 if TYPE_CHECKING:
     from fungrasp.evaluation import LiftTestSpec
@@ -86,6 +86,12 @@ class Evaluate:
     """Iterations that take the creep out of the solver's friction; 5 make physics 1.6 times as slow."""
     threads: int = 0
     """0 means all processors; the result does not depend on it."""
+    device: Literal["cuda", "cpu-warp", "cpu"] | None = None
+    """Where worlds and rollouts are simulated: a GPU of NVIDIA's, the GPU's code on the processor (slow), or
+    the processor. By default a GPU if there is one with the extra "gpu"."""
+    buffers: tuple[int, int] | None = None
+    """Room on a GPU for contacts of a world (on average) and rows of constraints (at most); found by a probe
+    by default."""
     ray: tuple[str, ...] | None = None
     """Plan and play on a Ray cluster: on that of this address ("auto": the one that this machine is part of),
     or on all processors of this machine where none is given. Same results. Every machine must see the files
@@ -148,12 +154,15 @@ class Evaluate:
         from fungrasp.evaluation import LiftTestSpec
         from fungrasp.simulation import SceneSettings
 
+        device, buffers = device_and_buffers(self.device, self.buffers)
+        if self.noslip and self.device is None:
+            device = "cpu"
         return LiftTestSpec(
             policy=self.policy,
             protocol=self.protocol,
             seeds=self.seed,
             randomization=self._randomization(),
-            physics=SceneSettings(noslip_iterations=self.noslip),
+            physics=SceneSettings(noslip_iterations=self.noslip, device=device, buffers=buffers),
             adapt=self.adapt,
             rollouts=self.rollouts,
             refine=self.refine,

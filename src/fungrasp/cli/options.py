@@ -8,6 +8,7 @@ from fungrasp.errors import FungraspError
 
 if TYPE_CHECKING:
     from fungrasp.jobs import RayCluster
+    from fungrasp.simulation import BufferSizes, Device
 
 
 def on_cluster(words: tuple[str, ...] | None) -> RayCluster | None:
@@ -26,6 +27,23 @@ def on_cluster(words: tuple[str, ...] | None) -> RayCluster | None:
     if len(words) > 1:
         raise FungraspError(f"--ray takes one address, not {len(words)}")
     return RayCluster(*words)
+
+
+def device_and_buffers(
+    device: str | None, buffers: tuple[int, int] | None
+) -> tuple[Device, BufferSizes | None]:
+    """What ``--device`` and ``--buffers`` mean: a GPU, if there is one, where no device is given.
+
+    Args:
+        device: as given.
+        buffers: contacts and rows of a world, as given.
+
+    Raises:
+        FungraspError: an impossible value.
+    """
+    from fungrasp.simulation import BufferSizes, found_device
+
+    return found_device(device), None if buffers is None else BufferSizes(*buffers)
 
 
 def print_use(cluster: RayCluster | None) -> None:

@@ -73,6 +73,12 @@ class Train:
     Every machine must see the same files."""
     threads: int = 0
     """Threads of the simulation; 0 means all processors. The result does not depend on it."""
+    device: Literal["cuda", "cpu-warp", "cpu"] | None = None
+    """Where the worlds are simulated: a GPU of NVIDIA's, the GPU's code on the processor (slow), or the
+    processor. By default a GPU if there is one with the extra "gpu"."""
+    buffers: tuple[int, int] | None = None
+    """Room on a GPU for contacts of a world (on average) and rows of constraints (at most); found by a probe
+    by default."""
     terms: tuple[str, ...] = ()
     """Under what terms each of --grasps may be used, for the policy's card."""
     licence: str = ""
@@ -99,11 +105,13 @@ class Train:
         import torch
 
         from fungrasp.cli.console import progress_bar
+        from fungrasp.cli.options import device_and_buffers
         from fungrasp.sim2real.joint_dynamics import identified_hand
         from fungrasp.training.run import POLICY, RunSettings, train
         from fungrasp.training.training_sets import load_training_sets
 
         check_numbers(self.steps, self.seed, self.threads)
+        device, buffers = device_and_buffers(self.device, self.buffers)
         hand = identified_hand(self.hand, self.hand_dynamics)
         ppo = self.ppo if self.sees is None else replace(self.ppo, sees=self.sees)
         environment = self.environment
@@ -126,6 +134,8 @@ class Train:
                 int(self.steps),
                 licence=self.licence,
                 threads=self.threads,
+                device=device,
+                buffers=buffers,
                 plans=plans,
                 initial=self.initial,
                 shrink=self.shrink,

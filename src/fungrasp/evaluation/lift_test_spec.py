@@ -73,5 +73,8 @@ class LiftTestSpec:
 
     @property
     def selection_settings(self) -> SelectionSettings:
-        """``selection``, or what suits the rest."""
-        return self.selection or SelectionSettings.for_protocol(self.protocol, self.rollouts, self.use)
+        """``selection``, or what suits the rest, on the device of the physics."""
+        if self.selection is not None:
+            return self.selection
+        settings = SelectionSettings.for_protocol(self.protocol, self.rollouts, self.use)
+        return settings.on(self.physics.device, self.physics.buffers)

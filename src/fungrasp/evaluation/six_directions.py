@@ -12,7 +12,7 @@ from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand, as_hand
 from fungrasp.objects import ObjectModel, check_objects
 from fungrasp.planning.grasp_motion import squeeze_offsets
-from fungrasp.simulation import Engine, MujocoCpuEngine, Scene, SceneSettings, build_scene
+from fungrasp.simulation import Engine, Scene, SceneSettings, build_scene, make_engine
 from fungrasp.task import Belief
 
 DIRECTIONS = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], dtype=float)
@@ -117,7 +117,7 @@ def _push(
     """Displacement and angle, shape [W, 6] each."""
     hand, count = scene.hand, len(grasps)
     index = scene.indices(grasps.object_name.tolist())
-    engine = MujocoCpuEngine(scene, count, threads)
+    engine = make_engine(scene, count, threads)
     engine.set_parameters(
         object_index=index, object_mass=np.full(count, p.mass), table_height=np.full(count, -100.0)
     )

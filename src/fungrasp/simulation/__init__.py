@@ -1,7 +1,19 @@
 """Scenes, and engines that step many worlds of one at once."""
 
+from fungrasp.simulation.devices import BufferSizes, Device, found_device
 from fungrasp.simulation.engine import Engine
+from fungrasp.simulation.engine_choice import make_engine
 from fungrasp.simulation.mujoco_cpu import MujocoCpuEngine
 from fungrasp.simulation.scene import Scene, SceneSettings, build_scene
 
-__all__ = ["Engine", "MujocoCpuEngine", "Scene", "SceneSettings", "build_scene"]
+__all__ = [
+    "BufferSizes",
+    "Device",
+    "Engine",
+    "MujocoCpuEngine",
+    "Scene",
+    "SceneSettings",
+    "build_scene",
+    "found_device",
+    "make_engine",
+]

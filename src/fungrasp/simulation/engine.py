@@ -88,6 +88,12 @@ class Engine(Protocol):
         numbers mean nothing and need not show it."""
         ...
 
+    def problems(self) -> list[str]:
+        """What has gone wrong beyond worlds that diverged, since the last call: contacts or constraints that
+        did not fit, worlds that stood still, commands that are no numbers; a line each, which names worlds
+        and says what to do. Empty if nothing has. Asked for after each batch of episodes."""
+        ...
+
     @property
     def positions(self) -> np.ndarray:
         """Generalised positions of ``scene.model``, shape [W, nq]: for recordings and pictures."""

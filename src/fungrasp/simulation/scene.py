@@ -17,6 +17,7 @@ from mujoco.batch import MODEL_FIELDS
 from fungrasp.errors import FungraspError
 from fungrasp.hands import Hand, as_hand
 from fungrasp.objects import ObjectModel
+from fungrasp.simulation.devices import BufferSizes, Device
 
 WRIST_JOINTS = ("wrist_x", "wrist_y", "wrist_z", "wrist_roll", "wrist_pitch", "wrist_yaw")
 """Three slides and three hinges between the wrist's reference frame (a mocap body) and the palm."""
@@ -59,6 +60,10 @@ class SceneSettings:
     """Damping of the wrist servo for position [N s/m] and rotation [N m s/rad]."""
     wrist_force: tuple[float, float] = (100.0, 15.0)
     """Largest force [N] and torque [N m] of the wrist servo; a UR5e carries 5 kg."""
+    device: Device = "cpu"
+    """Where the worlds are stepped (docs/gpu.md)."""
+    buffers: BufferSizes | None = None
+    """Room for contacts on a GPU; found by a probe if None."""
 
 
 @dataclass(frozen=True, eq=False)

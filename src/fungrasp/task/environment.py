@@ -3,6 +3,7 @@ sensors."""
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
@@ -12,7 +13,7 @@ from fungrasp.geometry.poses import compose, relative
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.objects import scaled_name, shifted_mass
 from fungrasp.sim2real import NOMINAL, EpisodeSample, Randomization, draw, shift_on_table
-from fungrasp.simulation import Engine, MujocoCpuEngine, Scene
+from fungrasp.simulation import Engine, Scene, make_engine
 from fungrasp.task.action import Action
 from fungrasp.task.belief import Belief
 from fungrasp.task.grasp_plan import GraspPlan
@@ -23,6 +24,8 @@ from fungrasp.task.outcome import Outcomes
 from fungrasp.task.policy import Policy, PrivilegedPolicy
 from fungrasp.task.protocol import LiftProtocol
 from fungrasp.task.sensors import SimulatedSensors
+
+_log = logging.getLogger(__name__)
 
 
 class LiftEnvironment:
@@ -48,10 +51,10 @@ class LiftEnvironment:
             protocol: the published one if None.
             rng: of the sensors' jitter, one for all worlds or one for each; seeded with zero if None.
             threads: 0 means all processors. Results do not depend on it.
-            engine: with W worlds of the scene; the CPU engine if None.
+            engine: with W worlds of the scene; that of the scene's device if None.
         """
         self.scene, self.randomization = scene, randomization
-        self.engine: Engine = engine or MujocoCpuEngine(scene, count, threads)
+        self.engine: Engine = engine or make_engine(scene, count, threads)
         self.task = LiftTask(self.engine, protocol)
         self.sensors = SimulatedSensors(self.task, randomization, rng or np.random.default_rng(0))
         joints = len(scene.hand.joint_names)
@@ -305,6 +308,12 @@ class LiftEnvironment:
         self.engine.push_object((size[..., None] * s.push_direction).sum(axis=1))
 
 
+def report_problems(engine: Engine) -> None:
+    """Warn of what has gone wrong in worlds: after a batch of episodes."""
+    for problem in engine.problems():
+        _log.warning("%s", problem)
+
+
 def play(
     environment: LiftEnvironment,
     policy: Policy | PrivilegedPolicy,
@@ -340,6 +349,7 @@ def play(
             task.done |= gone
         observation = environment.observe()
         look(observation)
+    report_problems(environment.engine)
     outcomes = task.outcomes()
     outcomes.success[lost] = False
     outcomes.reason[lost] = "lost before the hold"

@@ -14,7 +14,7 @@ from fungrasp.objects import ObjectModel, with_sizes
 from fungrasp.policies.plan_tracking import PlanTracker
 from fungrasp.policies.residual_action import ResidualSettings
 from fungrasp.sim2real import MODERATE, Randomization, draw
-from fungrasp.simulation import SceneSettings, build_scene
+from fungrasp.simulation import BufferSizes, Device, SceneSettings, build_scene
 from fungrasp.task import GraspPlan, LiftEnvironment, LiftProtocol
 from fungrasp.task.features import contact_features, flatten, layout, value_features
 from fungrasp.task.observation_layouts import LayoutName, encoder_parts, network_parts
@@ -109,6 +109,8 @@ class TrainingEnvironment:
         settings: EnvironmentSettings | None = None,
         seed: int = 0,
         threads: int = 0,
+        device: Device = "cpu",
+        buffers: BufferSizes | None = None,
     ):
         """
         Args:
@@ -118,13 +120,15 @@ class TrainingEnvironment:
             settings: the defaults if None.
             seed: of everything random here.
             threads: 0 means all processors. Results do not depend on it.
+            device: where the worlds are simulated.
+            buffers: room for contacts on a GPU; found by a probe if None.
         """
         s = self.settings = settings or EnvironmentSettings()
         self.library, self.hand = library, hand
         self.rng = np.random.default_rng(seed)
         names = sorted(set(library.plans.object_name.tolist()))
         sizes = with_sizes({name: objects[name] for name in names}, s.randomization.object_scales)
-        scene = build_scene(hand, sizes, SceneSettings(timestep=s.timestep))
+        scene = build_scene(hand, sizes, SceneSettings(timestep=s.timestep, device=device, buffers=buffers))
         self.protocol = replace(LiftProtocol(), hold_time=s.hold_time)
         self.episodes = LiftEnvironment(scene, s.worlds, s.randomization, self.protocol, self.rng, threads)
         self.tracker = PlanTracker(hand, objects, library.plans, s.worlds, s.residual)

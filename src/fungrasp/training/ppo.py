@@ -18,6 +18,7 @@ from rsl_rl.storage import RolloutStorage
 from tensordict import TensorDict
 
 from fungrasp.errors import FungraspError
+from fungrasp.task.environment import report_problems
 from fungrasp.training.checkpoint import (
     check_environment,
     environment_state,
@@ -195,6 +196,7 @@ class Trainer:
             algorithm.compute_returns(observations)
             self.actor(observations, stochastic_output=True)
             before = tuple(p.clone() for p in self.actor.output_distribution_params)
+        report_problems(environment.episodes.engine)
         losses = algorithm.update()
         losses["kl"] = self._adapt(observations, before)
         if isinstance(self.actor, StudentModel):

@@ -21,6 +21,7 @@ from fungrasp.policies.checkpoint.network import PolicyNetwork
 from fungrasp.policies.residual_action import ResidualSettings
 from fungrasp.policies.success_predictor import NetworkPredictor
 from fungrasp.provenance import git_revision, machine
+from fungrasp.simulation import BufferSizes, Device
 from fungrasp.task import GraspPlan
 from fungrasp.training.environment import EnvironmentSettings, TrainingEnvironment
 from fungrasp.training.export import export_policy, make_card, policy_graph
@@ -69,6 +70,8 @@ def train(
     *,
     licence: str = "",
     threads: int = 0,
+    device: Device = "cpu",
+    buffers: BufferSizes | None = None,
     plans: Path | None = None,
     initial: Path | None = None,
     shrink: float = 1.0,
@@ -89,6 +92,8 @@ def train(
         steps: control steps of all worlds together, earlier calls included.
         licence: of the policy, for its card.
         threads: 0 means all processors. The result does not depend on it.
+        device: where the worlds that it learns in are simulated.
+        buffers: room for contacts on a GPU; found by a probe if None.
         plans: file of a success predictor that chooses the plans to follow, in training and at work; a copy
             of it is kept beside the policy. The grasps' own plans if None.
         initial: folder of a training whose networks this one begins with; fresh ones if None.
@@ -157,7 +162,9 @@ def train(
         )
     if plans is not None:
         keep_beside(folder, plans)
-    environment = TrainingEnvironment(library, objects, hand, settings.environment, settings.seed, threads)
+    environment = TrainingEnvironment(
+        library, objects, hand, settings.environment, settings.seed, threads, device, buffers
+    )
     trainer = Trainer(environment, settings.ppo, settings.seed)
     if run.checkpoint.exists():
         trainer.load(run.checkpoint)

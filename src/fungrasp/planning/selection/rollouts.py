@@ -13,7 +13,7 @@ from fungrasp.objects import ObjectModel, with_sizes
 from fungrasp.planning.selection.candidates import Candidates
 from fungrasp.records import BatchRecord
 from fungrasp.sim2real import MODERATE, EpisodeSample, MeasurementError, Randomization, draw, random_stream
-from fungrasp.simulation import Scene, SceneSettings, build_scene
+from fungrasp.simulation import BufferSizes, Device, Scene, SceneSettings, build_scene
 from fungrasp.task import Belief, GraspPlan, LiftEnvironment, LiftProtocol, Policy, play
 from fungrasp.task.use import LARGEST_SHIFT, LARGEST_TURN, load_use_motions, motion_of, play_use
 
@@ -52,6 +52,10 @@ class RolloutSettings:
     it, counts half, and up to ``NEARLY_WITHSTOOD`` where it comes near."""
     chunk: int = 512
     """Rollouts simulated together."""
+    device: Device = "cpu"
+    """Where they are simulated."""
+    buffers: BufferSizes | None = None
+    """Room for contacts on a GPU; found by a probe if None."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -185,7 +189,9 @@ def _scene(
 ) -> Scene:
     present = {name: objects[name] for name in sorted(set(plans.object_name.tolist()))}
     sizes = with_sizes(present, settings.randomization.object_scales)
-    return build_scene(hand, sizes, SceneSettings(timestep=settings.timestep))
+    s = settings
+    physics = SceneSettings(timestep=s.timestep, device=s.device, buffers=s.buffers)
+    return build_scene(hand, sizes, physics)
 
 
 def _without_jitter(randomization: Randomization) -> Randomization:

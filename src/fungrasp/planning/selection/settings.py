@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from fungrasp.errors import FungraspError
 from fungrasp.planning.selection.rollouts import RolloutSettings, Rounds
 from fungrasp.planning.selection.variations import VariationSpread
 from fungrasp.sim2real import MODERATE, REALITY_ROLLOUTS, ProtocolName
+from fungrasp.simulation import BufferSizes, Device
 
 WIDE_SPREAD = VariationSpread(position=0.015, rotation=0.2, joints=0.1, closing=0.15, force=0.5, press=0.02)
+
+
+GPU_CHUNK = 8192
+"""Rollouts that a GPU makes together: about 1 GB of its memory."""
 
 
 @dataclass(frozen=True)
@@ -88,6 +93,14 @@ class SelectionSettings:
             search=FurtherSearch(enough=0.8),
             for_use=True,
         )
+
+    def on(self, device: Device, buffers: BufferSizes | None = None) -> SelectionSettings:
+        """The same with rollouts on a device; a GPU makes those of many grasps together."""
+        if self.rollouts is None or device == self.rollouts.device:
+            return self
+        chunk = GPU_CHUNK if device == "cuda" else self.rollouts.chunk
+        moved = replace(self.rollouts, device=device, buffers=buffers, chunk=chunk)
+        return replace(self, rollouts=moved, chunk=max(self.chunk, chunk))
 
     @property
     def rollouts_per_grasp(self) -> tuple[int, int]:

@@ -1,0 +1,185 @@
+"""The physical parameters of worlds as fields of MuJoCo's model: one table for all engines.
+
+What an object, a mass, a table or a servo's factor changes in the model is the same on every device; an
+engine writes the changes to where its fields are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import NamedTuple, TypedDict
+
+import mujoco
+import numpy as np
+
+from fungrasp.errors import FungraspError
+from fungrasp.geometry.poses import quaternion_from_rotation_vector
+from fungrasp.simulation.floating_body import floating_body_fields
+from fungrasp.simulation.scene import HAND_PREFIX, Scene
+
+INERTIAL = (
+    "body_mass",
+    "body_subtreemass",
+    "body_ipos",
+    "body_iquat",
+    "body_inertia",
+    "body_invweight0",
+    "dof_invweight0",
+    "dof_M0",
+)
+"""Model fields that follow from the object's mass and where it is."""
+
+_SAMEFRAME_NONE = int(mujoco.mjtSameFrame.mjSAMEFRAME_NONE)
+
+
+class Parameters(TypedDict, total=False):
+    """What ``Engine.set_parameters`` takes besides the objects, with its shapes and units."""
+
+    object_mass: np.ndarray | None
+    object_center: np.ndarray | None
+    object_inertia: np.ndarray | None
+    friction: np.ndarray | None
+    table_height: np.ndarray | None
+    table_tilt: np.ndarray | None
+    joint_friction: np.ndarray | None
+    joint_damping: np.ndarray | None
+    servo_stiffness: np.ndarray | None
+    servo_damping: np.ndarray | None
+    wrist_stiffness: np.ndarray | None
+
+
+class FieldChange(NamedTuple):
+    """Numbers of a model field in some worlds."""
+
+    field: str
+    """Its name in MuJoCo's model."""
+    index: tuple[np.ndarray | int | slice, ...]
+    """Which of its numbers, worlds first, as indices that broadcast."""
+    values: np.ndarray | float
+    """What they become."""
+
+
+class WorldParameters:
+    """What parameters change in the model of a scene. It remembers nothing of the worlds."""
+
+    def __init__(self, scene: Scene):
+        model, hand = scene.model, scene.hand
+        self._scene, self._model = scene, model
+        self._object = model.body("object").id
+        self._table = model.geom("table").id
+        self._object_geoms = np.flatnonzero(model.geom_bodyid == self._object)
+        self._object_dofs = int(model.joint("object").dofadr[0]) + np.arange(6)
+        names = [HAND_PREFIX + name for name in hand.joint_names]
+        self._finger_dofs = np.array([model.joint(name).dofadr[0] for name in names])
+
+    def changes(
+        self, ids: np.ndarray, held: np.ndarray, parameters: Parameters, anew: bool = False
+    ) -> Iterator[FieldChange]:
+        """What parameters change, in the order in which it is to be written.
+
+        Args:
+            ids: worlds, shape [I].
+            held: index of the object that each of them holds, shape [I].
+            parameters: as ``Engine.set_parameters`` takes them; those that are None stay.
+            anew: whether the worlds are given these objects now.
+
+        Raises:
+            FungraspError: a center of mass without mass and inertia.
+        """
+        given = {name: np.asarray(v, dtype=float) for name, v in parameters.items() if v is not None}
+        if anew:
+            for name, table in self._scene.fields.items():
+                yield FieldChange(name, (ids,), table[held])
+            given.setdefault("object_mass", self._nominal("body_mass", held)[:, self._object])
+            given.setdefault("table_height", np.zeros(len(ids)))
+        if "object_mass" in given:
+            yield from self._mass(ids, held, given["object_mass"])
+        if "object_center" in given:
+            if not {"object_mass", "object_inertia"} <= set(given):
+                raise FungraspError("a center of mass is given together with mass and inertia")
+            yield from self._center(ids, given)
+        if "friction" in given:
+            yield FieldChange("geom_friction", (ids, slice(None), 0), given["friction"][:, None])
+        yield from self._joints_and_servos(ids[:, None], given)
+        yield from self._table_top(ids, given)
+
+    def _mass(self, ids: np.ndarray, held: np.ndarray, mass: np.ndarray) -> Iterator[FieldChange]:
+        """Inertial fields scale with the mass; everything derived from them scales along, as the body floats
+        freely."""
+        body, dofs = self._object, self._object_dofs
+        nominal = {name: self._nominal(name, held) for name in INERTIAL}
+        own = nominal["body_mass"][:, body].copy()
+        ratio = (mass / own)[:, None]
+        nominal["body_subtreemass"][:, 0] += mass - own
+        for name in ("body_mass", "body_subtreemass", "body_inertia"):
+            nominal[name][:, body] *= ratio.reshape(-1, *(1,) * (nominal[name].ndim - 2))
+        nominal["body_invweight0"][:, body] /= ratio
+        nominal["dof_invweight0"][:, dofs] /= ratio
+        nominal["dof_M0"][:, dofs] *= ratio
+        for name, values in nominal.items():
+            yield FieldChange(name, (ids,), values)
+
+    def _center(self, ids: np.ndarray, given: Mapping[str, np.ndarray]) -> Iterator[FieldChange]:
+        """Where the object's mass is, and its inertia about there."""
+        fields = floating_body_fields(given["object_mass"], given["object_center"], given["object_inertia"])
+        body, joint = fields
+        for name, values in body.items():
+            yield FieldChange(name, (ids, self._object), values)
+        for name, values in joint.items():
+            yield FieldChange(name, (ids[:, None], self._object_dofs), values)
+        # MuJoCo skips the frame of an inertia that the compiler found aligned with its body, and turns geoms
+        # that it found aligned with the inertia along with that.
+        yield FieldChange("body_sameframe", (ids, self._object), _SAMEFRAME_NONE)
+        yield FieldChange("geom_sameframe", (ids[:, None], self._object_geoms), _SAMEFRAME_NONE)
+
+    def _joints_and_servos(self, rows: np.ndarray, given: Mapping[str, np.ndarray]) -> Iterator[FieldChange]:
+        """Fields of the fingers' joints and of all servos. rows: worlds, shape [I, 1]."""
+        model, dofs = self._model, self._finger_dofs
+        if "joint_friction" in given:
+            total = model.dof_frictionloss[dofs] + given["joint_friction"]
+            yield FieldChange("dof_frictionloss", (rows, dofs), total)
+        if "joint_damping" in given:
+            yield self._scaled("dof_damping", rows, (dofs,), given["joint_damping"])
+        # A position servo pulls with gain[0] * ctrl + bias[1] * angle + bias[2] * velocity.
+        fingers, wrist = self._scene.finger_actuators, self._scene.wrist_actuators
+        stiffness = (("actuator_gainprm", 0), ("actuator_biasprm", 1))
+        damping = (("actuator_biasprm", 2),)
+        for name, servos, numbers in (
+            ("servo_stiffness", fingers, stiffness),
+            ("servo_damping", fingers, damping),
+            ("wrist_stiffness", wrist, stiffness + damping),
+        ):
+            if name in given:
+                factor = given[name].reshape(len(rows), -1)
+                for field, column in numbers:
+                    yield self._scaled(field, rows, (servos, column), factor)
+
+    def _table_top(self, ids: np.ndarray, given: Mapping[str, np.ndarray]) -> Iterator[FieldChange]:
+        table = self._table
+        if "table_height" in given:
+            top = self._model.geom_pos[table, 2] + given["table_height"]
+            yield FieldChange("geom_pos", (ids, table, 2), top)
+        if "table_tilt" in given:
+            turn = np.concatenate([given["table_tilt"], np.zeros((len(ids), 1))], axis=1)
+            yield FieldChange("geom_quat", (ids, table), quaternion_from_rotation_vector(turn))
+        if {"table_height", "table_tilt"} & set(given):
+            # MuJoCo skips the pose of a geom that the compiler found at its body's origin.
+            yield FieldChange("geom_sameframe", (ids, table), _SAMEFRAME_NONE)
+
+    def _scaled(
+        self,
+        name: str,
+        rows: np.ndarray,
+        index: tuple[np.ndarray] | tuple[np.ndarray, int],
+        factor: np.ndarray,
+    ) -> FieldChange:
+        """The scene's values of a field, times factors, shape [I, ...]."""
+        return FieldChange(name, (rows, *index), getattr(self._model, name)[index] * factor)
+
+    def _nominal(self, name: str, held: np.ndarray) -> np.ndarray:
+        """A model field with the objects' own masses, one row for each object index given."""
+        table = self._scene.fields.get(name)
+        if table is not None:
+            return table[held].copy()
+        value = getattr(self._model, name)
+        return np.broadcast_to(value, (len(held), *value.shape)).copy()
