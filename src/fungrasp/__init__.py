@@ -31,10 +31,10 @@ _NAMES = {
     "perception.pipeline": "perceive",
     "planning": "MotionPlanner Planner",
     "policies": "make_planner make_policy",
-    "report.view": "view",
     "retargeting.retarget": "retarget",
     "sim2real": "Randomization",
     "simulation": "Engine build_scene",
+    "viewer.view": "view",
     "task": "Action Belief GraspPlan LiftEnvironment Observation Policy play",
 }
 """Names that are offered here, by the module that they come from."""

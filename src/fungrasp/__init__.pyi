@@ -29,7 +29,6 @@ from fungrasp.planning import MotionPlanner as MotionPlanner
 from fungrasp.planning import Planner as Planner
 from fungrasp.policies import make_planner as make_planner
 from fungrasp.policies import make_policy as make_policy
-from fungrasp.report.view import view as view
 from fungrasp.retargeting.retarget import retarget as retarget
 from fungrasp.sim2real import Randomization as Randomization
 from fungrasp.simulation import Engine as Engine
@@ -41,5 +40,6 @@ from fungrasp.task import LiftEnvironment as LiftEnvironment
 from fungrasp.task import Observation as Observation
 from fungrasp.task import Policy as Policy
 from fungrasp.task import play as play
+from fungrasp.viewer.view import view as view
 
 __version__: str

@@ -26,6 +26,7 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
     "train": ("fungrasp.cli.train", "train a policy on grasps: a teacher that knows the contacts"),
     "distill": ("fungrasp.cli.distill", "train a student, that sees what a robot has, from a teacher"),
     "deploy": ("fungrasp.cli.deploy", "grasp an object with a robot or its twin"),
+    "view": ("fungrasp.cli.view", "look at grasps, episodes, results, logs, captures and hands in a browser"),
     "robots": ("fungrasp.cli.robots", "list, check and emulate robot cells; read and replay their logs"),
     "hands": ("fungrasp.cli.hands", "list, show, check, add and export robot hands"),
     "objects": ("fungrasp.cli.objects", "list and show objects"),

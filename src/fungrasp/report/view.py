@@ -1,8 +1,7 @@
-"""``view``: what a verb has returned, as a page that a browser shows."""
+"""What a verb has returned, as a page that needs no other file."""
 
 from __future__ import annotations
 
-import webbrowser
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -32,13 +31,7 @@ Viewable = HumanGraspSet | RobotGraspSet | LiftTestResult | Perceived | str | Pa
 """What can be looked at; a path is that of a deployment's log."""
 
 
-def view(
-    what: Viewable,
-    objects: Mapping[str, ObjectModel] | None = None,
-    *,
-    out: str | Path = "view.html",
-    browser: bool = False,
-) -> Path:
+def write_view(what: Viewable, objects: Mapping[str, ObjectModel] | None, out: str | Path) -> Path:
     """Write a page about grasps, the result of a lift test, what was perceived, or a deployment.
 
     Args:
@@ -46,7 +39,6 @@ def view(
             episodes of either outcome are; what ``perceive`` returned; or the path of a deployment's log.
         objects: those of grasps, by name; built-in objects if None. A result has its own.
         out: HTML file to write; it needs no other file and no network.
-        browser: whether to open it in a browser.
 
     Returns:
         The path of the page.
@@ -74,8 +66,6 @@ def view(
             f"grasps, a result, what was perceived or the path of a deployment's log can be viewed, not a "
             f"{type(what).__name__}"
         )
-    if browser:
-        webbrowser.open(path.absolute().as_uri())
     return path
 
 

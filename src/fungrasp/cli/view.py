@@ -1,0 +1,97 @@
+"""``fungrasp view``: look at grasps, episodes, results, logs, captures and hands in a browser."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import tyro
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from fungrasp.objects import ObjectModel
+
+
+@dataclass(frozen=True)
+class View:
+    """Look at something in a browser: drag a grasp and a robot hand follows, play an episode, replay the
+    episodes of a result. Only this machine reaches the page, unless --host says otherwise."""
+
+    what: Annotated[str | None, tyro.conf.Positional] = None
+    """A file of grasps or of an episode (.npz), a result (.json), a deployment's log (.mcap), a hand (.toml,
+    or its name) or the folder of a capture; the built-in grasps if left out."""
+    hand: str = "allegro"
+    """Hand that imitates human grasps at first: its name, or the path of its TOML file."""
+    objects: Path | None = None
+    """Folder of meshes <name>.obj; built-in objects need none."""
+    mesh: str | None = None
+    """The object in a capture: a mesh file [m], or the name of a built-in object."""
+    grasps: Path | None = None
+    """Robot grasps of a result, where they are not where they were when it was made."""
+    recordings: Path | None = None
+    """Folder of a result's recorded episodes, where it is not where it was."""
+    out: Path | None = None
+    """Write a page to this file in place of it, that needs no server."""
+    host: str = "127.0.0.1"
+    """Address to listen at; 0.0.0.0 lets everyone in the network reach the page, and use this machine's
+    processors."""
+    port: int | None = None
+    """Port to listen at; by default the first free one from 8080 on."""
+    browser: bool = False
+    """Open a browser."""
+
+    def run(self) -> None:
+        from fungrasp.viewer.view import view
+
+        what, objects = self._what()
+        shown = view(
+            what,
+            objects,
+            out=self.out,
+            hand=self.hand,
+            host=self.host,
+            port=self.port,
+            browser=self.browser,
+            wait=True,
+        )
+        if self.out is not None:
+            print(shown)
+
+    def _what(self) -> tuple[Any, Mapping[str, ObjectModel] | None]:
+        from fungrasp.errors import FungraspError
+
+        if self.mesh is not None:
+            from fungrasp.viewer.choose_page import perceived_capture
+
+            if self.what is None:
+                raise FungraspError("--mesh needs the folder of a capture")
+            return perceived_capture(self.what, self.mesh), None
+        if self.grasps is not None or self.recordings is not None:
+            from fungrasp.viewer.choose_page import shown_result
+
+            if self.what is None or not self.what.endswith(".json"):
+                raise FungraspError("--grasps and --recordings need a result (.json)")
+            return shown_result(self.what, self.grasps, self.objects, self.recordings), None
+        return self.what, self._objects()
+
+    def _objects(self) -> Mapping[str, ObjectModel] | None:
+        from fungrasp.errors import FungraspError
+
+        if self.objects is None:
+            return None
+        from fungrasp.formats.numpy_files import read_npz
+        from fungrasp.grasps import load_grasps, load_objects
+        from fungrasp.objects import load_object
+
+        if self.what is None or not self.what.endswith(".npz"):
+            raise FungraspError("--objects needs a file of grasps or of an episode (.npz)")
+        fields = read_npz(Path(self.what), "file", lambda name: name in ("qpos", "object_name"))
+        if "qpos" in fields:
+            name = str(fields["object_name"])
+            return {name: load_object(self.objects / f"{name}.obj")}
+        return load_objects(load_grasps(self.what), self.objects)
+
+
+COMMAND = View

@@ -1,0 +1,192 @@
+"""Which page shows what: by what it is, or by what the file holds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from fungrasp.errors import FungraspError
+from fungrasp.evaluation import LiftTestResult, Trajectory, read_result, replay
+from fungrasp.formats.numpy_files import read_npz
+from fungrasp.grasps import HumanGraspSet, RobotGraspSet, load_grasps, load_objects
+from fungrasp.hands import Hand, hand_origin, load_hand
+from fungrasp.hands.hand_registry import hand_files
+from fungrasp.objects import ObjectModel, check_objects
+from fungrasp.perception.perceived import Perceived
+
+if TYPE_CHECKING:
+    from viser import ClientHandle
+
+    from fungrasp.viewer.page import Page
+
+Maker = Callable[["ClientHandle"], "Page"]
+"""Makes what a browser sees."""
+
+
+@dataclass(frozen=True)
+class _Made:
+    """A page that is known already."""
+
+    title: str
+    make: Maker
+
+
+def page_maker(what: Any, objects: Mapping[str, ObjectModel] | None, hand: str | Hand) -> tuple[str, Maker]:
+    """Title of the page, and what makes it. Everything is read here, so that mistakes are met before the
+    server runs.
+
+    Args:
+        what: see ``view``.
+        objects: those of grasps, by name; built-in objects if None.
+        hand: that imitates human grasps at first.
+
+    Raises:
+        FungraspError: it can't be viewed.
+    """
+    if isinstance(what, str | Path):
+        what = _read(what)
+    if what is None:
+        what = load_grasps("builtin")
+    if isinstance(what, HumanGraspSet):
+        from fungrasp.viewer.grasp_page import GraspChoice, GraspPage
+
+        if not len(what):
+            raise FungraspError("there are no grasps to view: the set is empty")
+        name = (hand_origin(hand) or hand.name) if isinstance(hand, Hand) else hand
+        load_hand(name)
+        return "Grasps", partial(GraspPage, choice=GraspChoice(what, _objects(what, objects), name))
+    if isinstance(what, RobotGraspSet):
+        from fungrasp.viewer.robot_grasps_page import RobotGraspsPage
+
+        if not len(what):
+            raise FungraspError("there are no grasps to view: the set is empty")
+        what.load_hand()
+        return "Robot grasps", partial(RobotGraspsPage, grasps=what, objects=_objects(what, objects))
+    if isinstance(what, LiftTestResult):
+        from fungrasp.viewer.result_page import ResultPage, ShownResult
+
+        return "Result", partial(ResultPage, shown=ShownResult.of(what))
+    if isinstance(what, Trajectory):
+        from fungrasp.viewer.recording_page import RecordingPage
+
+        return "Episode", partial(RecordingPage, trajectory=what, objects=objects)
+    if isinstance(what, Perceived):
+        from fungrasp.viewer.capture_page import CapturePage
+
+        return "Capture", partial(CapturePage, capture=what.capture, perceive=lambda: what)
+    if isinstance(what, Hand):
+        from fungrasp.viewer.hand_page import HandPage
+
+        return what.title, partial(HandPage, path=what.path)
+    if isinstance(what, _Made):
+        return what.title, what.make
+    raise FungraspError(
+        "grasps, a result, a recorded episode, what was perceived, a hand, or the path of one of their "
+        f"files, of a deployment's log or of a capture can be viewed, not a {type(what).__name__}"
+    )
+
+
+def _objects(
+    grasps: HumanGraspSet | RobotGraspSet, objects: Mapping[str, ObjectModel] | None
+) -> Mapping[str, ObjectModel]:
+    known = load_objects(grasps) if objects is None else objects
+    check_objects(grasps.object_name.tolist(), known)
+    return known
+
+
+def _read(what: str | Path) -> Any:
+    """What a file or folder holds: something to view, or what makes its page."""
+    name, path = str(what), Path(what)
+    if name == "builtin":
+        return load_grasps(name)
+    if not path.exists() and name in hand_files():
+        return load_hand(name)
+    if path.is_dir():
+        if (path / "hand.toml").is_file():
+            return _hand(path / "hand.toml")
+        return _capture(path)
+    if not path.exists():
+        raise FungraspError(f"there is no file, folder or hand '{what}' to view")
+    if path.suffix == ".toml":
+        return _hand(path)
+    if path.suffix == ".json":
+        from fungrasp.viewer.result_page import ResultPage, ShownResult
+
+        return _Made("Result", partial(ResultPage, shown=ShownResult.read(path, read_result(path))))
+    if path.suffix == ".mcap":
+        from fungrasp.deployment.log import read_log
+        from fungrasp.viewer.log_page import LogPage, check_log
+
+        log = read_log(path)
+        check_log(log, path)
+        return _Made("Deployment", partial(LogPage, log=log))
+    if path.suffix == ".npz":
+        if "qpos" in read_npz(path, "file", lambda name: name == "qpos"):
+            return replay(path)
+        return load_grasps(path)
+    raise FungraspError(
+        f"{path}: a .npz of grasps or of an episode, a result .json, a log .mcap, a hand .toml or the folder "
+        "of a capture can be viewed"
+    )
+
+
+def _hand(path: Path) -> Any:
+    from fungrasp.viewer.hand_page import HandPage
+
+    return _Made(path.parent.name, partial(HandPage, path=path))
+
+
+def _capture(folder: Path) -> Any:
+    from fungrasp.perception.io.scene_folders import read_folder
+    from fungrasp.viewer.capture_page import CapturePage
+
+    return _Made("Capture", partial(CapturePage, capture=read_folder(folder), perceive=None))
+
+
+def perceived_capture(folder: str, mesh: str) -> Any:
+    """The page of a capture in which hand and object are looked for.
+
+    Args:
+        folder: of the capture.
+        mesh: file of the object's mesh, or the name of a built-in object.
+
+    Raises:
+        FungraspError: no such folder or mesh, or the perception is not set up.
+    """
+    from fungrasp.objects.held_object import held_object
+    from fungrasp.perception.io.scene_folders import read_folder
+    from fungrasp.perception.pipeline import perceive
+    from fungrasp.viewer.capture_page import CapturePage
+
+    held = held_object(mesh, None)
+    capture = read_folder(folder)
+    return _Made("Capture", partial(CapturePage, capture=capture, perceive=lambda: perceive(capture, held)))
+
+
+def shown_result(path: str, grasps: Path | None, objects: Path | None, recordings: Path | None) -> Any:
+    """The page of a result whose files are somewhere else than they were.
+
+    Args:
+        path: of the result.
+        grasps: file of the robot grasps.
+        objects: folder of their meshes.
+        recordings: folder of recorded episodes.
+
+    Raises:
+        FungraspError: a file can't be read.
+    """
+    from fungrasp.grasps import load_robot_grasps
+    from fungrasp.viewer.result_page import ResultPage, ShownResult
+
+    shown = ShownResult.read(Path(path), read_result(path))
+    if grasps is not None:
+        robot = load_robot_grasps(grasps)
+        shown = replace(shown, grasps=robot, objects=load_objects(robot, objects), missing="")
+    if recordings is not None:
+        if not recordings.is_dir():
+            raise FungraspError(f"there is no folder {recordings} of recorded episodes")
+        shown = replace(shown, recordings=recordings)
+    return _Made("Result", partial(ResultPage, shown=shown))

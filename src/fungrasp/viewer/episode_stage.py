@@ -1,0 +1,230 @@
+"""An episode in a page: the hand and the object as they were at any time, plots, a film."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from fungrasp.evaluation import Trajectory
+from fungrasp.hands import Hand
+from fungrasp.objects import ObjectModel
+from fungrasp.viewer.episode_frames import Curves, EpisodeFrames, Frame
+from fungrasp.viewer.figures import ContactMarks, ObjectFigure, RobotFigure
+from fungrasp.viewer.page import Page
+from fungrasp.viewer.robot_view import LinkDistances
+
+if TYPE_CHECKING:
+    from viser import SceneApi
+
+PLOT_PERIOD = 0.5
+"""Time between two updates of the plots while an episode runs [s]."""
+
+PICTURE_PERIOD = 1 / 25
+"""Time between two states that are shown [s]."""
+
+
+class EpisodeScene:
+    """Hand, commanded hand, object and forces."""
+
+    def __init__(self, scene: SceneApi, name: str, place: np.ndarray, hand: Hand, model: ObjectModel):
+        """
+        Args:
+            scene: of the page.
+            name: of the node that carries all of it.
+            place: of that node [m], shape [3].
+            hand: any hand.
+            model: the object.
+        """
+        self.hand, self.model = hand, model
+        self._root = scene.add_frame(name, show_axes=False, position=place)
+        self._hand = RobotFigure(scene, f"{name}/hand", hand)
+        self._told = RobotFigure(scene, f"{name}/commanded", hand, opacity=0.25)
+        self.object = ObjectFigure(scene, f"{name}/object", model)
+        self._marks = ContactMarks(scene, f"{name}/object")
+        self._distances = LinkDistances(hand, model)
+        self.show_commanded, self.show_forces, self.show_estimates = True, True, False
+
+    def show(self, frame: Frame) -> None:
+        """Put everything where it was."""
+        self._hand.place(frame.palm_pose, frame.joints)
+        self.object.place(frame.object_pose)
+        estimated = frame.estimated_contacts if self.show_estimates else None
+        self._hand.paint(frame.contacts, estimated)
+        told = self.show_commanded and frame.commanded_palm is not None
+        self._told.show(told)
+        if told and frame.commanded_palm is not None and frame.commanded_joints is not None:
+            self._told.place(frame.commanded_palm, frame.commanded_joints)
+        if not self.show_forces or frame.forces is None or not frame.forces.any():
+            self._marks.forces(np.zeros((1, 3)), np.zeros((1, 3)))
+            return
+        # Sizes are the simulation's; directions are those of the surface at the nearest point.
+        touch = self._distances.of(frame.palm_pose, frame.joints, frame.object_pose)
+        self._marks.forces(touch.place, frame.forces[:, None] * touch.inward)
+
+    def remove(self) -> None:
+        """Take it out of the scene."""
+        self._marks.clear()
+        self._root.remove()
+
+
+class EpisodePlayer:
+    """Controls and plots of an episode, in a tab of a page."""
+
+    def __init__(self, page: Page):
+        self._page, gui = page, page.client.gui
+        self._scene: EpisodeScene | None = None
+        self._frames = EpisodeFrames()
+        self._plotted = self._shown = 0.0
+        self._playing = False
+        self._syncing = False
+        self.status = gui.add_markdown("")
+        """What is being done, and how it ended."""
+        self._time = gui.add_slider("Time [s]", 0.0, 10.0, 0.02, 0.0, disabled=True)
+        self._play = gui.add_button("Play again", disabled=True)
+        self._commanded = gui.add_checkbox("Commanded hand", True, hint="Where the hand was told to be")
+        self._forces = gui.add_checkbox("Contact forces", True, hint="1.5 cm of arrow for 1 N")
+        self._estimates = gui.add_checkbox(
+            "Policy's estimated contacts",
+            False,
+            hint="Orange: touches, and the policy knows. Pink: only it says so. Yellow: it does not know",
+        )
+        empty = np.zeros(2)
+        self._motion_plot = gui.add_uplot(
+            (empty, empty, empty, empty), _series("height [mm]", "slip [mm]", "palm off [mm]"), **_style("mm")
+        )
+        self._force_plot = gui.add_uplot((empty, empty), _series("force on the object [N]"), **_style("N"))
+        self._time.on_update(lambda _: self._scrub())
+        self._play.on_click(lambda _: self._toggle())
+        for box in (self._commanded, self._forces, self._estimates):
+            box.on_update(lambda _: self._scrub())
+
+    def begin(self, scene: EpisodeScene, frames: EpisodeFrames) -> None:
+        """Another episode."""
+        if self._scene is not None and self._scene is not scene:
+            self._scene.remove()
+        self._scene, self._frames = scene, frames
+        self._playing = False
+        self._time.disabled = self._play.disabled = True
+
+    def live(self, frame: Frame) -> None:
+        """Show the newest state, as often as it helps."""
+        now = time.perf_counter()
+        if now - self._shown >= PICTURE_PERIOD:
+            self._shown = now
+            self._show(frame)
+        if now - self._plotted >= PLOT_PERIOD and len(self._frames) > 1:
+            self._plotted = now
+            self._plot(self._frames.curves())
+
+    def finish(self) -> None:
+        """It is over: it can be looked at again."""
+        if not len(self._frames):
+            return
+        last = self._frames[len(self._frames) - 1]
+        self._syncing = True
+        self._time.max = max(last.time, 0.02)
+        self._time.value = last.time
+        self._syncing = False
+        self._time.disabled = self._play.disabled = False
+        self._plot(self._frames.curves())
+        self._show(last)
+
+    def go_to(self, time: float) -> None:
+        """Show a time [s]."""
+        self._playing = False
+        self._time.value = min(time, float(self._time.max))
+        self._page.worker.ask("scrub", self._show_time)
+
+    def trajectory(self, mass: float, success: bool, reason: str) -> Trajectory | None:
+        """The episode, to be filmed; None where there is none."""
+        if self._scene is None or not len(self._frames):
+            return None
+        return self._frames.as_trajectory(
+            self._scene.hand.name, self._scene.model.name, mass, success, reason
+        )
+
+    def clear(self) -> None:
+        """Take the episode out of the scene."""
+        self._playing = False
+        if self._scene is not None:
+            self._scene.remove()
+        self._scene = None
+
+    def _scrub(self) -> None:
+        if not self._syncing and not self._playing:
+            self._page.worker.ask("scrub", self._show_time)
+
+    def _show_time(self) -> None:
+        if len(self._frames):
+            self._show(self._frames[self._frames.index_at(float(self._time.value))])
+
+    def _toggle(self) -> None:
+        if self._playing:
+            self._playing = False
+            return
+        self._playing = True
+        self._page.worker.ask("replay", self._replay)
+
+    def _replay(self) -> None:
+        end = self._frames[len(self._frames) - 1].time
+        self._play.label = "Pause"
+        begin = float(self._time.value)
+        begin = 0.0 if begin > end - 0.1 else begin
+        start = time.perf_counter()
+        # Anything else that was asked for ends it.
+        while self._playing and not self._page.worker.closed and not self._page.worker.busy:
+            now = begin + time.perf_counter() - start
+            self._show(self._frames[self._frames.index_at(now)])
+            self._syncing = True
+            self._time.value = round(min(now, end), 2)
+            self._syncing = False
+            if now >= end:
+                break
+            time.sleep(PICTURE_PERIOD)
+        self._playing = False
+        self._play.label = "Play again"
+
+    def _show(self, frame: Frame) -> None:
+        if self._scene is None:
+            return
+        self._scene.show_commanded = self._commanded.value
+        self._scene.show_forces = self._forces.value
+        self._scene.show_estimates = self._estimates.value
+        with self._page.client.atomic():
+            self._scene.show(frame)
+
+    def _plot(self, curves: Curves) -> None:
+        step = max(len(curves.time) // 400, 1)
+        some = slice(None, None, step)
+        self._motion_plot.data = (
+            curves.time[some],
+            curves.height[some],
+            curves.slip[some],
+            np.nan_to_num(curves.palm_error[some]),
+        )
+        # Recordings do not hold the forces.
+        self._force_plot.visible = bool(np.isfinite(curves.force).any())
+        self._force_plot.data = (curves.time[some], np.nan_to_num(curves.force[some]))
+
+
+def place_in_front(object_pose: np.ndarray) -> np.ndarray:
+    """Where to put a scene so that its object is in the middle [m], shape [3]."""
+    return np.array([-object_pose[0], -object_pose[1], 0.0])
+
+
+def _series(*names: str) -> tuple[Any, ...]:
+    colors = ("#1f77b4", "#d62728", "#7f7f7f")
+    lines = [{"label": name, "stroke": color, "width": 2} for name, color in zip(names, colors, strict=False)]
+    return ({"label": "time [s]"}, *lines)
+
+
+def _style(unit: str) -> dict[str, Any]:
+    return {
+        "axes": ({"label": "time [s]"}, {"label": unit}),
+        "scales": {"x": {"time": False}},
+        "aspect": 1.6,
+        "padding": (14, 24, 0, 0),
+        "legend": {"show": True, "live": True},
+    }

@@ -1,0 +1,410 @@
+"""The page of grasps: a person's beside a robot's; what is dragged is followed at once."""
+
+from __future__ import annotations
+
+import io
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from fungrasp.errors import FungraspError
+from fungrasp.geometry.poses import compose, invert, transform_points
+from fungrasp.grasps import HumanGrasp, HumanGraspSet
+from fungrasp.hands import load_hand
+from fungrasp.hands.hand_registry import hand_files
+from fungrasp.objects import ObjectModel
+from fungrasp.retargeting.retarget import METHODS
+from fungrasp.viewer.episode_tab import EpisodeTab, Trial
+from fungrasp.viewer.figures import HumanFigure, ObjectFigure, move, pose_of
+from fungrasp.viewer.page import Page, add_table, look_at, values_table
+from fungrasp.viewer.robot_view import RobotView
+
+if TYPE_CHECKING:
+    from viser import ClientHandle
+
+    from fungrasp.evaluation import StaticQuality
+
+APART = 0.3
+"""Distance between the hands that stand side by side [m]."""
+
+NOTHING = "nothing"
+
+LEGEND = (
+    "Orange: asked to touch, and touches. Pink: asked to, and does not. Yellow: touches without being asked. "
+    "Points: green on the surface, red inside the object."
+)
+
+IDENTITY = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+
+
+@dataclass(frozen=True)
+class GraspChoice:
+    """What a page of grasps begins with."""
+
+    grasps: HumanGraspSet
+    """What can be picked."""
+    objects: Mapping[str, ObjectModel]
+    """Theirs, by name."""
+    hand: str = "allegro"
+    """Name of a hand, or the path of its TOML file."""
+    row: int = 0
+    """Of the grasp that is shown first."""
+
+
+class GraspPage(Page):
+    """Pick a grasp and a hand; drag the object or the wrist; compare, bend, save."""
+
+    def __init__(self, client: ClientHandle, choice: GraspChoice):
+        """
+        Args:
+            client: the browser.
+            choice: what can be picked.
+        """
+        super().__init__(client)
+        self._choice = choice
+        self._human: HumanGrasp = choice.grasps[choice.row]
+        self._picked = self._human
+        self._motion = IDENTITY
+        self._figures: list[Any] = []
+        self._robots: list[RobotView] = []
+        self._syncing = False
+        self._rate = 0.0
+        add_table(client)
+        self._controls()
+        self.worker.ask("pick", self._show_picked)
+
+    # What can be clicked.
+
+    def _controls(self) -> None:
+        gui, choice = self.client.gui, self._choice
+        names = sorted(set(choice.grasps.object_name.tolist()))
+        hands = list(dict.fromkeys([choice.hand, *hand_files()]))
+        tabs = gui.add_tab_group()
+        with tabs.add_tab("Grasp"):
+            self._object = gui.add_dropdown("Object", names, initial_value=self._human.object_name)
+            rows = self._rows(self._human.object_name)
+            self._row = gui.add_dropdown("Grasp", list(rows), initial_value=self._label(choice.row))
+            self._hand = gui.add_dropdown("Hand", hands, initial_value=choice.hand)
+            self._method = gui.add_dropdown("Method", list(METHODS))
+            self._other = gui.add_dropdown(
+                "Compare with", [NOTHING, *hands], hint="A second hand beside the first"
+            )
+            self._other_method = gui.add_dropdown("Its method", list(METHODS), visible=False)
+            self._numbers = gui.add_markdown("Retargeting …")
+            with gui.add_folder("Move", expand_by_default=True):
+                self._what = gui.add_button_group("Handles on", ("object", "wrist", "none"))
+                self._shift = gui.add_vector3(
+                    "Object [mm]", (0.0, 0.0, 0.0), step=1.0, hint="Where the object is, from where it was"
+                )
+                self._turn = gui.add_slider("Turn object [°]", -180, 180, 1, 0)
+                self._back = gui.add_button("Put back", hint="As the person held it")
+            with gui.add_folder("Joints", expand_by_default=False) as self._joint_folder:
+                pass
+            with gui.add_folder("Keep", expand_by_default=False):
+                save = gui.add_button("Save grasp (.npz)")
+                picture = gui.add_button("Save picture (.png)")
+        with tabs.add_tab("Lift"):
+            self._lift = EpisodeTab(self, self._trial, self._show_episode)
+        self._sliders: list[Any] = []
+        self._object.on_update(lambda _: self._on_object())
+        self._row.on_update(lambda _: self._on_row())
+        for control in (self._hand, self._method, self._other, self._other_method):
+            control.on_update(lambda _: self._on_hand())
+        self._what.on_click(lambda _: self.worker.ask("handles", self._show_handles))
+        self._shift.on_update(lambda _: self._on_numbers())
+        self._turn.on_update(lambda _: self._on_numbers())
+        self._back.on_click(lambda _: self.worker.ask("pick", self._show_picked))
+        save.on_click(lambda _: self.worker.ask("save", self._save))
+        picture.on_click(lambda _: self.worker.ask("picture", self._save_picture))
+
+    def _rows(self, name: str) -> dict[str, int]:
+        found = np.flatnonzero(self._choice.grasps.object_name == name)
+        return {self._label(int(row)): int(row) for row in found}
+
+    def _label(self, row: int) -> str:
+        task = "" if self._choice.grasps.task is None else str(self._choice.grasps.task[row])
+        return f"{row}: {task}" if task else f"{row}"
+
+    def _on_object(self) -> None:
+        labels = list(self._rows(self._object.value))
+        # Setting the options picks the first of them, which counts as an update.
+        self._row.options = labels
+        self._on_row()
+
+    def _on_row(self) -> None:
+        row = self._rows(self._object.value).get(self._row.value)
+        if row is None:
+            return
+        self._picked = self._choice.grasps[row]
+        self.worker.ask("pick", self._show_picked)
+
+    def _on_hand(self) -> None:
+        self._other_method.visible = self._other.value != NOTHING
+        self.worker.ask("pick", self._show_picked)
+
+    # What is shown.
+
+    def _show_picked(self) -> None:
+        grasp = self._picked
+        model = self._choice.objects[grasp.object_name]
+        wanted = [(self._hand.value, self._method.value)]
+        if self._other.value != NOTHING:
+            wanted.append((self._other.value, self._other_method.value))
+        hands = [(load_hand(name), method) for name, method in wanted]
+        self._clear()
+        self._human, self._motion = grasp, IDENTITY
+        # Grasps may be anywhere on the table: they are shown around the middle, side by side for the eye.
+        aside, count = view_across(grasp), 1 + len(hands)
+        center = np.array([*-grasp.object_pose[:2], 0.0])
+        places = [center + (i - (count - 1) / 2) * APART * aside for i in range(count)]
+        scene = self.client.scene
+        height = float(grasp.object_pose[2])
+        look_at(self.client, (0.0, 0.0, height), 0.36 + 0.17 * count, aside)
+        with self.client.atomic():
+            root = scene.add_frame("/human", show_axes=False, position=places[0])
+            self._person = HumanFigure(scene, "/human/hand", grasp.hand_joints, grasp.link_contacts)
+            self._thing = ObjectFigure(scene, "/human/object", model)
+            self._thing.place(grasp.object_pose)
+            self._figures = [root]
+            self._label_at("/human/label", "person", grasp)
+            self._add_handles(grasp)
+        for i, (hand, _) in enumerate(hands):
+            name = f"/robot{i}"
+            with self.client.atomic():
+                self._robots.append(RobotView(scene, name, places[1 + i], hand, model))
+                self._label_at(f"{name}/label", hand.name, grasp)
+        self._reset_numbers()
+        self._show_handles()
+        self._imitate()
+        self._lift.choose_policy(hands[0][0])
+        self._make_sliders()
+
+    def _label_at(self, name: str, words: str, grasp: HumanGrasp) -> None:
+        x, y, _ = grasp.object_pose[:3]
+        self.client.scene.add_label(name, words, position=(x, y, 0.0), anchor="top-center")
+
+    def _trial(self) -> Trial:
+        if not self._robots or self._robots[0].grasp is None:
+            raise FungraspError("there is no robot grasp yet")
+        robot = self._robots[0]
+        return Trial(robot.hand, robot.model, robot.grasp_set())
+
+    def _show_episode(self) -> None:
+        """The episode takes the place of the grasps."""
+        self._stand(False)
+
+    def _stand(self, visible: bool) -> None:
+        """Show the grasps, or make room."""
+        if visible:
+            self._lift.player.clear()
+        for node in self._figures:
+            node.visible = visible
+        for robot in self._robots:
+            robot.show(visible)
+
+    def _clear(self) -> None:
+        self._lift.player.clear()
+        with self.client.atomic():
+            for robot in self._robots:
+                robot.remove()
+            for figure in self._figures:
+                figure.remove()
+            for slider in self._sliders:
+                slider.remove()
+        self._robots, self._figures, self._sliders = [], [], []
+
+    def _imitate(self) -> None:
+        self._stand(True)
+        methods = [self._method.value, self._other_method.value]
+        start = time.perf_counter()
+        for robot, method in zip(self._robots, methods, strict=False):
+            robot.imitate(self._human, method)
+        took = time.perf_counter() - start
+        if self.worker.waits("pick") or self.worker.waits("follow"):
+            return
+        quality = [robot.quality(self._human) for robot in self._robots]
+        self._say(f"retargeted in {1e3 * took:.0f} ms", [q for q in quality if q is not None])
+        self._set_sliders()
+
+    def _follow(self) -> None:
+        start = time.perf_counter()
+        with self.client.atomic():
+            for robot in self._robots:
+                robot.follow(self._human)
+        took = time.perf_counter() - start
+        self._rate = 0.8 * self._rate + 0.2 / max(took, 1e-6)
+        self._say(f"follows in {1e3 * took:.0f} ms", [])
+
+    def _say(self, words: str, quality: list[StaticQuality]) -> None:
+        """Put the numbers beside the hands."""
+        heads = ("", *(robot.hand.name for robot in self._robots))
+        rows: list[tuple[str, ...]] = []
+        if quality:
+            for name, (title, unit) in QUANTITIES.items():
+                values = [float(getattr(each, name)[0]) for each in quality]
+                rows.append((title, *(_worded(name, value, unit) for value in values)))
+        else:
+            deepest = [max(0.0, -float(r.touch.clearance.min())) if r.touch else 0.0 for r in self._robots]
+            rows.append(("Penetration of the object", *(f"{1e3 * d:.1f} mm" for d in deepest)))
+        touches = []
+        for robot in self._robots:
+            if robot.touch is not None and robot.grasp is not None:
+                asked = np.asarray(robot.grasp.link_contacts, dtype=bool)
+                touches.append(f"{int((robot.touch.reached & asked).sum())} of {int(asked.sum())}")
+        rows.append(("Contacts reached", *touches))
+        table = values_table(rows, heads)  # type: ignore[arg-type]
+        self._numbers.content = f"{table}\n\n*{words}.* {LEGEND}"
+
+    # Moving.
+
+    def _add_handles(self, grasp: HumanGrasp) -> None:
+        scene = self.client.scene
+        limits = {"scale": 0.11, "depth_test": False, "line_width": 3.0}
+        self._object_handle = scene.add_transform_controls("/human/move object", **limits)
+        self._wrist_handle = scene.add_transform_controls("/human/move wrist", **limits)
+        move(self._object_handle, grasp.object_pose)
+        self._wrist_start = np.concatenate([grasp.hand_joints[0], [1.0, 0.0, 0.0, 0.0]])
+        move(self._wrist_handle, self._wrist_start)
+        for handle in (self._object_handle, self._wrist_handle):
+            handle.on_update(lambda event: self._on_handles(event.phase == "end"))
+
+    def _show_handles(self) -> None:
+        self._object_handle.visible = self._what.value == "object"
+        self._wrist_handle.visible = self._what.value == "wrist"
+
+    def _on_handles(self, released: bool = False) -> None:
+        self._moved(pose_of(self._object_handle), pose_of(self._wrist_handle))
+        if released:
+            self.worker.ask("imitate", self._imitate)
+
+    def _on_numbers(self) -> None:
+        """The object has been moved by its numbers: what the keyboard can do."""
+        if self._syncing:
+            return
+        angle = np.radians(self._turn.value)
+        turn = np.array([np.cos(angle / 2), 0, 0, np.sin(angle / 2)])
+        start = self._picked.object_pose
+        place = start[:3] + 1e-3 * np.array(self._shift.value)
+        turned = compose(np.concatenate([np.zeros(3), turn]), np.concatenate([np.zeros(3), start[3:]]))
+        pose = np.concatenate([place, turned[3:]])
+        move(self._object_handle, pose)
+        self._moved(pose, pose_of(self._wrist_handle))
+        self.worker.ask("imitate", self._imitate)
+
+    def _moved(self, object_pose: np.ndarray, wrist: np.ndarray) -> None:
+        motion = compose(wrist, invert(self._wrist_start))
+        joints = transform_points(motion, self._picked.hand_joints)
+        self._human = replace(self._picked, object_pose=object_pose, hand_joints=joints)
+        with self.client.atomic():
+            self._thing.place(object_pose)
+            self._person.place(motion)
+        self.worker.ask("follow", self._follow)
+
+    def _reset_numbers(self) -> None:
+        self._syncing = True
+        self._shift.value, self._turn.value = (0.0, 0.0, 0.0), 0
+        self._syncing = False
+
+    # Joints.
+
+    def _make_sliders(self) -> None:
+        robot = self._robots[0]
+        with self._joint_folder:
+            for j, name in enumerate(robot.hand.joint_names):
+                low, high = robot.hand.joint_limits[j]
+                low, high = max(float(low), -np.pi), min(float(high), np.pi)
+                slider = self.client.gui.add_slider(name, low, high, 0.01, float(np.clip(0.0, low, high)))
+                slider.on_update(lambda _: self._on_slider())
+                self._sliders.append(slider)
+        self._set_sliders()
+
+    def _set_sliders(self) -> None:
+        grasp = self._robots[0].grasp if self._robots else None
+        if grasp is None or len(self._sliders) != len(grasp.joint_positions):
+            return
+        self._syncing = True
+        for slider, value in zip(self._sliders, grasp.joint_positions, strict=True):
+            slider.value = float(np.clip(value, slider.min, slider.max))
+        self._syncing = False
+
+    def _on_slider(self) -> None:
+        if not self._syncing:
+            self.worker.ask("bend", self._bend)
+
+    def _bend(self) -> None:
+        if not self._robots:
+            return
+        robot, values = self._robots[0], np.array([slider.value for slider in self._sliders])
+        with self.client.atomic():
+            # What is coupled follows.
+            robot.set_joints(robot.hand.all_joints(robot.hand.independent(values)))
+        self._say("bent by hand", [])
+
+    # Keeping.
+
+    def _save(self) -> None:
+        from tempfile import TemporaryDirectory
+
+        from fungrasp.grasps import save_robot_grasps
+
+        if not self._robots or self._robots[0].grasp is None:
+            raise FungraspError("there is no robot grasp yet")
+        robot = self._robots[0]
+        with TemporaryDirectory() as folder:
+            file = Path(folder) / "grasp.npz"
+            save_robot_grasps(file, robot.grasp_set())
+            content = file.read_bytes()
+        self.client.send_file_download(f"{robot.model.name}-{robot.hand.name}.npz", content)
+
+    def _save_picture(self) -> None:
+        from PIL import Image
+
+        try:
+            picture = self.client.get_render(720, 1280, transport_format="png", timeout=20.0)
+        except (RuntimeError, TimeoutError) as error:
+            raise FungraspError(f"the browser gave no picture: {error}") from error
+        background = np.full((*picture.shape[:2], 4), 255, np.uint8)
+        whole = Image.alpha_composite(Image.fromarray(background), Image.fromarray(picture))
+        buffer = io.BytesIO()
+        whole.convert("RGB").save(buffer, "PNG")
+        self.client.send_file_download(f"{self._human.object_name}.png", buffer.getvalue())
+
+
+def view_across(grasp: HumanGrasp) -> np.ndarray:
+    """The unit vector to the right of somebody who looks at the grasp from where thumb and fingertips are
+    seen, across the forearm; horizontal, shape [3]."""
+    forearm = (grasp.hand_joints[0] - grasp.hand_joints[9])[:2]
+    size = float(np.linalg.norm(forearm))
+    aside = forearm / size if size > 0.02 else np.array([1.0, 0.0])
+    towards = np.array([aside[1], -aside[0]])
+    # The eye is at that side of the knuckles where the tips are.
+    tips = grasp.hand_joints[[4, 8, 12, 20]][:, :2].mean(axis=0) - grasp.hand_joints[[5, 17]][:, :2].mean(
+        axis=0
+    )
+    if float(tips @ towards) < 0:
+        aside = -aside
+    return np.array([aside[0], aside[1], 0.0])
+
+
+QUANTITIES = {
+    "object_penetration_mm": ("Penetration of the object", "mm"),
+    "contact_gap_mm": ("Gap at wanted contacts", "mm"),
+    "contact_error_mm": ("Contacts off the person's", "mm"),
+    "link_direction_error_deg": ("Directions off the person's", "°"),
+    "force_closure_residual": ("Forces that stay unbalanced", ""),
+    "force_closure_epsilon": ("Weakest wrench resisted", ""),
+}
+"""Numbers of ``StaticQuality`` that are shown: title and unit."""
+
+
+def _worded(name: str, value: float, unit: str) -> str:
+    """A number, marked where it is good or bad."""
+    if not np.isfinite(value):
+        return "–"
+    good = {"object_penetration_mm": value < 2.0, "force_closure_residual": value < 0.1}.get(name)
+    mark = "" if good is None else " ✓" if good else " ✗"
+    return f"{value:.2f} {unit}".strip() + mark

@@ -1,0 +1,252 @@
+"""The page of a lift test's result: a table that can be filtered, and episodes that are played again."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+
+from fungrasp.errors import FungraspError
+from fungrasp.evaluation import LiftTestResult, LiftTestSpec, ResultFile, replay
+from fungrasp.formats.record_json import record_from_json
+from fungrasp.grasps import RobotGraspSet, load_objects, load_robot_grasps
+from fungrasp.objects import ObjectModel
+from fungrasp.viewer.episode_stage import EpisodePlayer
+from fungrasp.viewer.page import Page, add_table, look_at, values_table
+from fungrasp.viewer.recording_page import show_recording
+
+if TYPE_CHECKING:
+    from viser import ClientHandle
+
+ALL = "all"
+LISTED = 12
+"""Episodes in the list at once."""
+
+
+@dataclass(frozen=True, eq=False)
+class ShownResult:
+    """A result, and where its episodes can be had from."""
+
+    title: str
+    """Hand, policy and protocol in words."""
+    episodes: list[dict[str, Any]]
+    """One for each: index, object, task, seed, success, reason."""
+    spec: LiftTestSpec | None = None
+    """What was asked; None where an old result does not know."""
+    grasps: RobotGraspSet | None = None
+    """What was tried, if it is there."""
+    objects: Mapping[str, ObjectModel] = field(default_factory=dict)
+    """Theirs."""
+    recordings: Path | None = None
+    """Folder of recorded episodes."""
+    missing: str = ""
+    """Why episodes can't be played again; "" where they can."""
+
+    @classmethod
+    def of(cls, result: LiftTestResult) -> Self:
+        """A result that ``evaluate`` has returned."""
+        episodes = [
+            {
+                "index": int(result.index[i]),
+                "object": str(result.object_name[i]),
+                "task": str(result.task[i]),
+                "seed": int(result.seed[i]),
+                "success": bool(result.success[i]),
+                "reason": str(result.outcomes.reason[i]),
+            }
+            for i in range(len(result.index))
+        ]
+        title = f"{result.hand}, policy {result.policy}, protocol {result.spec.protocol}"
+        return cls(title, episodes, result.spec, result.grasps, result.objects)
+
+    @classmethod
+    def read(cls, path: Path, file: ResultFile) -> Self:
+        """A result file. Grasps, objects and recordings are looked for where the command that wrote it had
+        them.
+
+        Raises:
+            FungraspError: it is no result of a lift test.
+        """
+        header = file.header
+        rows = [row for row in file.rows if {"index", "object", "success"} <= set(row)]
+        if not rows:
+            raise FungraspError(f"{path} holds no episodes of a lift test")
+        title = f"{header.get('hand', '')}, policy {header.get('policy', '')}, {header.get('protocol', '')}"
+        options = _options(str(header.get("command", "")))
+        spec = header.get("spec")
+        missing, grasps, objects = "", None, {}
+        recordings = _beside(path, options.get("--record"))
+        try:
+            where = _beside(path, options.get("--grasps"))
+            if where is None:
+                raise FungraspError("the file of the grasps is not where it was")
+            grasps = load_robot_grasps(where)
+            objects = load_objects(grasps, _beside(path, options.get("--objects")))
+        except FungraspError as error:
+            missing = str(error)
+        read = None if spec is None else record_from_json(LiftTestSpec, spec, f"{path}: spec")
+        return cls(title, rows, read, grasps, objects, recordings, missing)
+
+
+class ResultPage(Page):
+    """Episodes of a lift test."""
+
+    def __init__(self, client: ClientHandle, shown: ShownResult):
+        """
+        Args:
+            client: the browser.
+            shown: the result.
+        """
+        super().__init__(client)
+        self._shown, self._first = shown, 0
+        add_table(client)
+        look_at(client, (0.0, 0.0, 0.12), 0.75)
+        gui, episodes = client.gui, shown.episodes
+        held = sum(bool(e["success"]) for e in episodes)
+        gui.add_markdown(f"**{shown.title}**\n\n{held} of {len(episodes)} lifted and held")
+        tabs = gui.add_tab_group()
+        with tabs.add_tab("Episodes"):
+            self._outcome = gui.add_dropdown("Outcome", [ALL, "failed", "held"])
+            self._object = gui.add_dropdown("Object", [ALL, *sorted({str(e["object"]) for e in episodes})])
+            reasons = sorted({str(e.get("reason") or "") for e in episodes} - {""})
+            self._reason = gui.add_dropdown("Reason", [ALL, *reasons])
+            self._count = gui.add_markdown("")
+            self._list = [gui.add_button("–", visible=False, color="gray") for _ in range(LISTED)]
+            self._pages = gui.add_button_group("More", ("earlier", "later"))
+        with tabs.add_tab("Replay"):
+            self._player = EpisodePlayer(self)
+        with tabs.add_tab("By object"):
+            gui.add_markdown(_by_object(episodes))
+        for control in (self._outcome, self._object, self._reason):
+            control.on_update(lambda _: self._filter())
+        self._pages.on_click(lambda _: self._turn(1 if self._pages.value == "later" else -1))
+        for number, button in enumerate(self._list):
+            button.on_click(lambda _, number=number: self.worker.ask("replay", lambda: self._replay(number)))
+        self._filter()
+
+    def _rows(self) -> list[dict[str, Any]]:
+        rows = self._shown.episodes
+        if self._outcome.value != ALL:
+            rows = [e for e in rows if bool(e["success"]) == (self._outcome.value == "held")]
+        if self._object.value != ALL:
+            rows = [e for e in rows if e["object"] == self._object.value]
+        if self._reason.value != ALL:
+            rows = [e for e in rows if e.get("reason") == self._reason.value]
+        return rows
+
+    def _filter(self) -> None:
+        self._first = 0
+        self._show_list()
+
+    def _turn(self, step: int) -> None:
+        last = max((len(self._rows()) - 1) // LISTED, 0)
+        self._first = LISTED * min(max(self._first // LISTED + step, 0), last)
+        self._show_list()
+
+    def _show_list(self) -> None:
+        rows = self._rows()
+        here = rows[self._first : self._first + LISTED]
+        with self.client.atomic():
+            for button, row in zip(self._list, [*here, *[None] * LISTED], strict=False):
+                button.visible = row is not None
+                if row is not None:
+                    how = "held" if row["success"] else f"failed: {row.get('reason') or '?'}"
+                    button.label = f"{row['index']} {row['object']} {row.get('task') or ''}: {how}"
+                    button.color = "green" if row["success"] else "red"
+            end = self._first + len(here)
+            self._count.content = f"{len(rows)} episodes" + (
+                f", {self._first + 1} to {end} here; click one to play it" if rows else ""
+            )
+
+    def _replay(self, number: int) -> None:
+        rows = self._rows()
+        if self._first + number >= len(rows):
+            return
+        row, shown = rows[self._first + number], self._shown
+        self._player.status.content = f"*{row['object']}, row {row['index']} …*"
+        recorded = self._recording(row)
+        if recorded is not None:
+            show_recording(self, self._player, replay(recorded), shown.objects)
+            self.note("recorded episode: it is in the tab Replay")
+            return
+        if shown.grasps is None or shown.spec is None:
+            raise FungraspError(
+                "this episode was not recorded, and can't be simulated again: "
+                f"{shown.missing or 'the result is old'}; evaluate --record FOLDER keeps episodes"
+            )
+        self.note("not recorded: it is simulated again from its seed")
+        self._simulate(row)
+
+    def _recording(self, row: dict[str, Any]) -> Path | None:
+        folder = self._shown.recordings
+        if folder is None:
+            return None
+        names = (
+            f"{row['index']:04d}_{row['object']}.npz",
+            f"{row['index']:04d}_{row.get('seed', 0)}_{row['object']}.npz",
+        )
+        part = str(row.get("part", "")).rpartition("/")[2].replace(",", "").replace(" ", "-")
+        places = (folder / name for name in names), (folder / part / name for name in names)
+        return next((file for group in places for file in group if file.is_file()), None)
+
+    def _simulate(self, row: dict[str, Any]) -> None:
+        shown = self._shown
+        grasps, spec = shown.grasps, shown.spec
+        assert grasps is not None and spec is not None
+        # What is drawn depends on seed and row alone: the other episodes are not needed.
+        spec = replace(spec, seeds=(int(row.get("seed", 0)),), attempts=1, use=False, static=False)
+        with TemporaryDirectory() as folder:
+            again = evaluate_row(grasps, shown.objects, spec, int(row["index"]), Path(folder))
+            show_recording(self, self._player, replay(again), shown.objects)
+
+
+def evaluate_row(
+    grasps: RobotGraspSet, objects: Mapping[str, ObjectModel], spec: LiftTestSpec, row: int, folder: Path
+) -> Path:
+    """Play the episode of one row again, as it was played among the others.
+
+    Raises:
+        FungraspError: of ``evaluate``.
+    """
+    from fungrasp.evaluation.lift_test_job import Episodes, LiftTest
+
+    job = LiftTest(grasps, objects, grasps.load_hand(), spec, record=folder, threads=1)
+    condition = next(iter(spec.conditions))
+    job.run([Episodes(condition, spec.seeds[0], np.array([row]))], lambda done: None)
+    return next(folder.rglob("*.npz"))
+
+
+def _by_object(episodes: list[dict[str, Any]]) -> str:
+    rows = []
+    for name in sorted({str(e["object"]) for e in episodes}):
+        flags = [bool(e["success"]) for e in episodes if e["object"] == name]
+        rows.append((name, f"{sum(flags)} of {len(flags)}"))
+    return values_table(rows, ("object", "held"))
+
+
+def _options(command: str) -> dict[str, str]:
+    """Options of a command line that take a value."""
+    try:
+        words = shlex.split(command)
+    except ValueError:
+        return {}
+    pairs = [word.partition("=") for word in words if word.startswith("--") and "=" in word]
+    found = {name: value for name, _, value in pairs}
+    found |= {a: b for a, b in pairwise(words) if a.startswith("--") and not b.startswith("--")}
+    return found
+
+
+def _beside(result: Path, name: str | None) -> Path | None:
+    """A path of the command that wrote a result: as it is, or beside the result."""
+    if name is None:
+        return None
+    for path in (Path(name), result.parent / name, result.parent / Path(name).name):
+        if path.exists():
+            return path
+    return None

@@ -1,0 +1,129 @@
+"""What pages are made of, without a browser; and what can not be viewed, in a line each."""
+
+from __future__ import annotations
+
+import json
+import socket
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import fungrasp
+from fungrasp.cli.main import main
+from fungrasp.errors import FungraspError
+from fungrasp.viewer.choose_page import page_maker
+from fungrasp.viewer.episode_frames import EpisodeFrames, Frame
+from fungrasp.viewer.page import Worker
+from fungrasp.viewer.result_page import ShownResult
+
+pytest.importorskip("viser", reason="the extra viewer is not installed")
+
+
+def test_a_port_in_use_is_said():
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        other.listen()
+        port = other.getsockname()[1]
+        with pytest.raises(FungraspError, match=f"127.0.0.1:{port}: Address already in use; choose --port"):
+            fungrasp.view("allegro", port=port, wait=False)
+
+
+def test_it_listens_where_only_this_machine_reaches_it():
+    with fungrasp.view("allegro", port=0, wait=False) as viewer:
+        assert "only this machine" in viewer.words
+        port = int(viewer.url.rpartition(":")[2])
+        with socket.create_connection(("127.0.0.1", port), timeout=5):
+            pass
+        own = socket.gethostbyname(socket.gethostname())
+        if own != "127.0.0.1":
+            with pytest.raises(OSError), socket.create_connection((own, port), timeout=2):
+                pass
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        ("nothing.npz", None, "there is no file, folder or hand"),
+        ("damaged.npz", b"PK\x03\x04 not really", "damaged.npz"),
+        ("damaged.json", b'{"rows": ', "damaged.json"),
+        ("other.json", b'{"trials": [{"a": 1}]}', "no episodes of a lift test"),
+        ("short.mcap", b"\x89MCAP0\r\n", "ends before a plan was made"),
+        ("text.txt", b"words", "can be viewed"),
+    ],
+)
+def test_what_is_damaged_is_said_in_a_line(name, content, words, tmp_path, capsys):
+    path = tmp_path / name
+    if content is not None:
+        path.write_bytes(content)
+    assert main(["view", str(path)]) == 2
+    error = capsys.readouterr().err
+    assert words in error and error.count("\n") == 1
+
+
+def test_options_that_do_not_fit_are_said(capsys):
+    assert main(["view", "--mesh", "mug"]) == 2
+    assert main(["view", "--grasps", "a.npz"]) == 2
+    assert main(["view", "allegro", "--objects", "meshes"]) == 2
+    assert capsys.readouterr().err.count("error: ") == 3
+    with pytest.raises(FungraspError, match="can be viewed, not a list"):
+        page_maker([1], None, "allegro")
+
+
+def test_a_result_without_recordings_or_grasps_says_why(tmp_path):
+    trials = [{"index": 0, "object": "mug", "success": False, "reason": "dropped", "seed": 0}]
+    (tmp_path / "result.json").write_text(
+        json.dumps({"hand": "allegro", "command": "fungrasp evaluate --grasps gone.npz", "trials": trials})
+    )
+    from fungrasp.evaluation import read_result
+
+    shown = ShownResult.read(tmp_path / "result.json", read_result(tmp_path / "result.json"))
+    assert shown.grasps is None and shown.recordings is None
+    assert "grasps is not where it was" in shown.missing
+
+
+def test_curves_of_an_episode():
+    frames = EpisodeFrames()
+    pose = np.array([0.0, 0, 0.1, 1, 0, 0, 0])
+
+    def up(height: float) -> np.ndarray:
+        return np.array([0, 0, height, 0, 0, 0, 0])
+
+    base = Frame(0.0, "approach", pose, pose, np.zeros(2), np.zeros(3, dtype=bool))
+    lifted = replace(base, time=1.0, phase="lift", object_pose=pose + up(0.1))
+    slipped = replace(lifted, time=2.0, palm_pose=pose + up(0.03))
+    for frame in (base, lifted, slipped):
+        frames.add(frame)
+    curves = frames.curves()
+    assert curves.height == pytest.approx([0, 100, 100]) and curves.slip == pytest.approx([0, 0, 30])
+    assert np.isnan(curves.force).all()
+    assert [frames.index_at(t) for t in (-1, 0.5, 1.0, 9)] == [0, 0, 1, 2]
+
+
+def test_of_jobs_of_a_kind_the_last_counts():
+    import threading
+
+    began, go, done, failed = threading.Event(), threading.Event(), [], []
+    worker = Worker(failed.append)
+
+    def wait() -> None:
+        began.set()
+        go.wait(10)
+
+    worker.ask("a", wait)
+    assert began.wait(10)
+    for number in range(5):
+        worker.ask("b", lambda number=number: done.append(number))
+
+    def fail() -> None:
+        raise FungraspError("a reason")
+
+    worker.ask("c", fail)
+    last = threading.Event()
+    worker.ask("d", last.set)
+    go.set()
+    assert last.wait(10)
+    assert done == [4] and failed == ["a reason"]
+    worker.close()
+    worker._thread.join(5)
+    assert not worker._thread.is_alive()
