@@ -13,7 +13,7 @@ import fungrasp
 from fungrasp.cli.main import main
 from fungrasp.errors import FungraspError
 from fungrasp.viewer.choose_page import page_maker
-from fungrasp.viewer.episode_frames import EpisodeFrames, Frame
+from fungrasp.viewer.episode_states import EpisodeState, EpisodeStates
 from fungrasp.viewer.page import Worker
 from fungrasp.viewer.result_page import ShownResult
 
@@ -83,13 +83,13 @@ def test_a_result_without_recordings_or_grasps_says_why(tmp_path):
 
 
 def test_curves_of_an_episode():
-    frames = EpisodeFrames()
+    frames = EpisodeStates()
     pose = np.array([0.0, 0, 0.1, 1, 0, 0, 0])
 
     def up(height: float) -> np.ndarray:
         return np.array([0, 0, height, 0, 0, 0, 0])
 
-    base = Frame(0.0, "approach", pose, pose, np.zeros(2), np.zeros(3, dtype=bool))
+    base = EpisodeState(0.0, "approach", pose, pose, np.zeros(2), np.zeros(3, dtype=bool))
     lifted = replace(base, time=1.0, phase="lift", object_pose=pose + up(0.1))
     slipped = replace(lifted, time=2.0, palm_pose=pose + up(0.03))
     for frame in (base, lifted, slipped):

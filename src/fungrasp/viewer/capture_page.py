@@ -13,7 +13,7 @@ from fungrasp.perception.io.capture import Capture
 from fungrasp.perception.perceived import Perceived
 from fungrasp.rendering.grasp_scenes import CONTACT
 from fungrasp.viewer.figures import HumanFigure, ObjectFigure
-from fungrasp.viewer.page import Page, look_at, values_table
+from fungrasp.viewer.page import BrowserPage, look_at, values_table
 
 if TYPE_CHECKING:
     from viser import ClientHandle
@@ -25,7 +25,7 @@ LEVEL_CAMERA = np.array([0.0, 0.0, 0.4, 0.5, -0.5, 0.5, -0.5])
 """Where a camera is taken to be as long as nothing is known: level, forward along x."""
 
 
-class CapturePage(Page):
+class CapturePage(BrowserPage):
     """A capture in space."""
 
     def __init__(

@@ -20,9 +20,9 @@ from fungrasp.perception.perceived import Perceived
 if TYPE_CHECKING:
     from viser import ClientHandle
 
-    from fungrasp.viewer.page import Page
+    from fungrasp.viewer.page import BrowserPage
 
-Maker = Callable[["ClientHandle"], "Page"]
+Maker = Callable[["ClientHandle"], "BrowserPage"]
 """Makes what a browser sees."""
 
 
@@ -51,13 +51,13 @@ def page_maker(what: Any, objects: Mapping[str, ObjectModel] | None, hand: str |
     if what is None:
         what = load_grasps("builtin")
     if isinstance(what, HumanGraspSet):
-        from fungrasp.viewer.grasp_page import GraspChoice, GraspPage
+        from fungrasp.viewer.grasp_page import GraspPage, PickableGrasps
 
         if not len(what):
             raise FungraspError("there are no grasps to view: the set is empty")
         name = (hand_origin(hand) or hand.name) if isinstance(hand, Hand) else hand
         load_hand(name)
-        return "Grasps", partial(GraspPage, choice=GraspChoice(what, _objects(what, objects), name))
+        return "Grasps", partial(GraspPage, choice=PickableGrasps(what, _objects(what, objects), name))
     if isinstance(what, RobotGraspSet):
         from fungrasp.viewer.robot_grasps_page import RobotGraspsPage
 

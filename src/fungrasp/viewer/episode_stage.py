@@ -10,9 +10,9 @@ import numpy as np
 from fungrasp.evaluation import Trajectory
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
-from fungrasp.viewer.episode_frames import Curves, EpisodeFrames, Frame
+from fungrasp.viewer.episode_states import Curves, EpisodeState, EpisodeStates
 from fungrasp.viewer.figures import ContactMarks, ObjectFigure, RobotFigure
-from fungrasp.viewer.page import Page
+from fungrasp.viewer.page import BrowserPage
 from fungrasp.viewer.robot_view import LinkDistances
 
 if TYPE_CHECKING:
@@ -46,7 +46,7 @@ class EpisodeScene:
         self._distances = LinkDistances(hand, model)
         self.show_commanded, self.show_forces, self.show_estimates = True, True, False
 
-    def show(self, frame: Frame) -> None:
+    def show(self, frame: EpisodeState) -> None:
         """Put everything where it was."""
         self._hand.place(frame.palm_pose, frame.joints)
         self.object.place(frame.object_pose)
@@ -72,10 +72,10 @@ class EpisodeScene:
 class EpisodePlayer:
     """Controls and plots of an episode, in a tab of a page."""
 
-    def __init__(self, page: Page):
+    def __init__(self, page: BrowserPage):
         self._page, gui = page, page.client.gui
         self._scene: EpisodeScene | None = None
-        self._frames = EpisodeFrames()
+        self._frames = EpisodeStates()
         self._plotted = self._shown = 0.0
         self._playing = False
         self._syncing = False
@@ -100,7 +100,7 @@ class EpisodePlayer:
         for box in (self._commanded, self._forces, self._estimates):
             box.on_update(lambda _: self._scrub())
 
-    def begin(self, scene: EpisodeScene, frames: EpisodeFrames) -> None:
+    def begin(self, scene: EpisodeScene, frames: EpisodeStates) -> None:
         """Another episode."""
         if self._scene is not None and self._scene is not scene:
             self._scene.remove()
@@ -108,7 +108,7 @@ class EpisodePlayer:
         self._playing = False
         self._time.disabled = self._play.disabled = True
 
-    def live(self, frame: Frame) -> None:
+    def live(self, frame: EpisodeState) -> None:
         """Show the newest state, as often as it helps."""
         now = time.perf_counter()
         if now - self._shown >= PICTURE_PERIOD:
@@ -186,7 +186,7 @@ class EpisodePlayer:
         self._playing = False
         self._play.label = "Play again"
 
-    def _show(self, frame: Frame) -> None:
+    def _show(self, frame: EpisodeState) -> None:
         if self._scene is None:
             return
         self._scene.show_commanded = self._commanded.value

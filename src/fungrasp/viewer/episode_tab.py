@@ -20,10 +20,10 @@ from fungrasp.policies import default_policy
 from fungrasp.policies.registry import REFERENCE
 from fungrasp.viewer.episode_stage import EpisodePlayer, EpisodeScene, place_in_front
 from fungrasp.viewer.live_episode import EpisodeEnd, EpisodeSettings, LiveEpisode
-from fungrasp.viewer.page import Page
+from fungrasp.viewer.page import BrowserPage
 
 if TYPE_CHECKING:
-    from fungrasp.viewer.episode_frames import Frame
+    from fungrasp.viewer.episode_states import EpisodeState
 
 STIFFNESS = 40.0
 """Force with which a drag of the mouse pulls at the object [N/m]."""
@@ -47,7 +47,7 @@ class Trial:
 class EpisodeTab:
     """Controls of an episode. What is tried is asked for when it begins."""
 
-    def __init__(self, page: Page, trial: Callable[[], Trial], begin: Callable[[], None]):
+    def __init__(self, page: BrowserPage, trial: Callable[[], Trial], begin: Callable[[], None]):
         """
         Args:
             page: that it is a part of.
@@ -116,7 +116,7 @@ class EpisodeTab:
         self._episode = episode
         begun: float | None = None
 
-        def watch(frame: Frame) -> bool:
+        def watch(frame: EpisodeState) -> bool:
             nonlocal begun
             now = time.perf_counter()
             begun = now - frame.time if begun is None else begun

@@ -20,7 +20,7 @@ from fungrasp.objects import ObjectModel
 from fungrasp.retargeting.retarget import METHODS
 from fungrasp.viewer.episode_tab import EpisodeTab, Trial
 from fungrasp.viewer.figures import HumanFigure, ObjectFigure, move, pose_of
-from fungrasp.viewer.page import Page, add_table, look_at, values_table
+from fungrasp.viewer.page import BrowserPage, add_table, look_at, values_table
 from fungrasp.viewer.robot_view import RobotView
 
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ IDENTITY = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
 
 
 @dataclass(frozen=True)
-class GraspChoice:
+class PickableGrasps:
     """What a page of grasps begins with."""
 
     grasps: HumanGraspSet
@@ -55,10 +55,10 @@ class GraspChoice:
     """Of the grasp that is shown first."""
 
 
-class GraspPage(Page):
+class GraspPage(BrowserPage):
     """Pick a grasp and a hand; drag the object or the wrist; compare, bend, save."""
 
-    def __init__(self, client: ClientHandle, choice: GraspChoice):
+    def __init__(self, client: ClientHandle, choice: PickableGrasps):
         """
         Args:
             client: the browser.

@@ -13,7 +13,7 @@ from fungrasp.hands import Hand, load_hand
 from fungrasp.hands.checking.hand_checks import check_hand_files
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.viewer.figures import RobotFigure
-from fungrasp.viewer.page import Page, add_table, look_at
+from fungrasp.viewer.page import BrowserPage, add_table, look_at
 
 if TYPE_CHECKING:
     from viser import ClientHandle
@@ -22,7 +22,7 @@ STANDING = 0.1
 """Height of the lowest point of a hand that is shown [m]."""
 
 
-class HandPage(Page):
+class HandPage(BrowserPage):
     """A hand that stands on the table and can be bent."""
 
     def __init__(self, client: ClientHandle, path: Path):

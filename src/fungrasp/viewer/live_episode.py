@@ -17,7 +17,7 @@ from fungrasp.sim2real import NOMINAL, MeasurementError, Randomization
 from fungrasp.sim2real.episode_sample import draw_each
 from fungrasp.simulation import build_scene
 from fungrasp.task import Action, LiftEnvironment, PrivilegedPolicy
-from fungrasp.viewer.episode_frames import EpisodeFrames, Frame
+from fungrasp.viewer.episode_states import EpisodeState, EpisodeStates
 
 
 @dataclass(frozen=True)
@@ -73,12 +73,12 @@ class LiveEpisode:
             settings: of the world.
         """
         self.hand, self.model, self._grasp, self._settings = hand, model, grasp, settings
-        self.frames = EpisodeFrames()
+        self.frames = EpisodeStates()
         """What has happened so far."""
         self.push = np.zeros(3)
         """Force on the object's center of mass [N], world frame."""
 
-    def run(self, say: Callable[[str], None], watch: Callable[[Frame], bool]) -> EpisodeEnd | None:
+    def run(self, say: Callable[[str], None], watch: Callable[[EpisodeState], bool]) -> EpisodeEnd | None:
         """Plan and play.
 
         Args:
@@ -131,7 +131,7 @@ class LiveEpisode:
         outcomes = task.outcomes()
         return EpisodeEnd(bool(outcomes.success[0]), str(outcomes.reason[0]))
 
-    def _frame(self, environment: LiftEnvironment, policy: object) -> Frame:
+    def _frame(self, environment: LiftEnvironment, policy: object) -> EpisodeState:
         task, engine, hand = environment.task, environment.engine, self.hand
         phase = (
             "hold"
@@ -143,7 +143,7 @@ class LiveEpisode:
         estimated = None
         if isinstance(policy, StudentPolicy) and policy.estimates_contacts and len(self.frames):
             estimated = policy.outputs["contacts"][0] > 0.5
-        return Frame(
+        return EpisodeState(
             time=float(task.time[0]),
             phase=phase,
             object_pose=engine.object_pose[0],

@@ -11,9 +11,9 @@ from fungrasp.deployment.log import RecordedDeployment
 from fungrasp.errors import FungraspError
 from fungrasp.hands import load_hand
 from fungrasp.objects import load_object
-from fungrasp.viewer.episode_frames import EpisodeFrames, Frame
 from fungrasp.viewer.episode_stage import EpisodePlayer, EpisodeScene, place_in_front
-from fungrasp.viewer.page import Page, add_table, look_at
+from fungrasp.viewer.episode_states import EpisodeState, EpisodeStates
+from fungrasp.viewer.page import BrowserPage, add_table, look_at
 
 if TYPE_CHECKING:
     from viser import ClientHandle
@@ -33,7 +33,7 @@ def check_log(log: RecordedDeployment, path: Path) -> None:
         raise FungraspError(f"{path} holds no setpoint: there is nothing to show")
 
 
-class LogPage(Page):
+class LogPage(BrowserPage):
     """A deployment."""
 
     def __init__(self, client: ClientHandle, log: RecordedDeployment):
@@ -59,7 +59,7 @@ class LogPage(Page):
         plan = log.plan
         assert plan is not None
         hand, name = load_hand(plan.hand), str(plan.object_name[0])
-        frames, start = logged_frames(log, hand.all_joints, plan.object_pose[0])
+        frames, start = logged_states(log, hand.all_joints, plan.object_pose[0])
         look_at(self.client, (0.0, 0.0, 0.15), 0.9)
         try:
             model = load_object(name)
@@ -83,9 +83,9 @@ class LogPage(Page):
             self._player.go_to(time)
 
 
-def logged_frames(
+def logged_states(
     log: RecordedDeployment, all_joints, object_pose: np.ndarray
-) -> tuple[EpisodeFrames, float]:
+) -> tuple[EpisodeStates, float]:
     """Frames of a log, and the time at which it begins.
 
     Args:
@@ -96,7 +96,7 @@ def logged_frames(
     setpoints, steps = log.messages["/setpoint"], log.messages["/step"]
     start = float(setpoints[0]["time"])
     step_times = np.array([float(step["time"]) for step in steps])
-    frames, thing = EpisodeFrames(), np.asarray(object_pose, dtype=float)
+    frames, thing = EpisodeStates(), np.asarray(object_pose, dtype=float)
     links = log.plan.link_contacts.shape[1] if log.plan is not None else 0
     for message in setpoints:
         time = float(message["time"])
@@ -109,7 +109,7 @@ def logged_frames(
             palm = seen
         thing = thing if message["object"] is None else np.asarray(message["object"], dtype=float)
         frames.add(
-            Frame(
+            EpisodeState(
                 time - start,
                 PHASES.get(str(message["phase"]), "approach"),
                 thing,

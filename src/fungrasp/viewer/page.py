@@ -79,7 +79,7 @@ class Worker:
                     self._fail(f"internal error: {type(error).__name__}: {error}")
 
 
-class Page:
+class BrowserPage:
     """What all pages have: the browser's handle, a worker, a line for what went wrong."""
 
     def __init__(self, client: ClientHandle):

@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING
 from fungrasp.evaluation import Trajectory
 from fungrasp.hands import load_hand
 from fungrasp.objects import ObjectModel, load_object
-from fungrasp.viewer.episode_frames import recorded_frames
 from fungrasp.viewer.episode_stage import EpisodePlayer, EpisodeScene, place_in_front
-from fungrasp.viewer.page import Page, add_table, look_at
+from fungrasp.viewer.episode_states import recorded_states
+from fungrasp.viewer.page import BrowserPage, add_table, look_at
 
 if TYPE_CHECKING:
     from viser import ClientHandle
 
 
-class RecordingPage(Page):
+class RecordingPage(BrowserPage):
     """Scrub through an episode, and play it again."""
 
     def __init__(
@@ -40,7 +40,7 @@ class RecordingPage(Page):
 
 
 def show_recording(
-    page: Page, player: EpisodePlayer, trajectory: Trajectory, objects: Mapping[str, ObjectModel]
+    page: BrowserPage, player: EpisodePlayer, trajectory: Trajectory, objects: Mapping[str, ObjectModel]
 ) -> None:
     """Put a recorded episode into a page.
 
@@ -54,6 +54,6 @@ def show_recording(
     with page.client.atomic():
         place = place_in_front(trajectory.object_pose[0])
         scene = EpisodeScene(page.client.scene, f"/episode{id(trajectory)}", place, hand, model)
-    player.begin(scene, recorded_frames(trajectory))
+    player.begin(scene, recorded_states(trajectory))
     player.finish()
     player.status.content = "**success**" if trajectory.success else f"**failed: {trajectory.reason}**"

@@ -18,7 +18,7 @@ from fungrasp.formats.record_json import record_from_json
 from fungrasp.grasps import RobotGraspSet, load_objects, load_robot_grasps
 from fungrasp.objects import ObjectModel
 from fungrasp.viewer.episode_stage import EpisodePlayer
-from fungrasp.viewer.page import Page, add_table, look_at, values_table
+from fungrasp.viewer.page import BrowserPage, add_table, look_at, values_table
 from fungrasp.viewer.recording_page import show_recording
 
 if TYPE_CHECKING:
@@ -94,7 +94,7 @@ class ShownResult:
         return cls(title, rows, read, grasps, objects, recordings, missing)
 
 
-class ResultPage(Page):
+class ResultPage(BrowserPage):
     """Episodes of a lift test."""
 
     def __init__(self, client: ClientHandle, shown: ShownResult):

@@ -10,14 +10,14 @@ import numpy as np
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.objects import ObjectModel
 from fungrasp.viewer.episode_tab import EpisodeTab, Trial
-from fungrasp.viewer.page import Page, add_table, look_at, values_table
+from fungrasp.viewer.page import BrowserPage, add_table, look_at, values_table
 from fungrasp.viewer.robot_view import RobotView
 
 if TYPE_CHECKING:
     from viser import ClientHandle
 
 
-class RobotGraspsPage(Page):
+class RobotGraspsPage(BrowserPage):
     """Grasps of one hand."""
 
     def __init__(self, client: ClientHandle, grasps: RobotGraspSet, objects: Mapping[str, ObjectModel]):

@@ -13,7 +13,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Self
 
 from fungrasp.errors import FungraspError
-from fungrasp.viewer.page import Page
+from fungrasp.viewer.page import BrowserPage
 
 if TYPE_CHECKING:
     from viser import ClientHandle
@@ -34,7 +34,7 @@ class Viewer:
 
     def __init__(
         self,
-        make_page: Callable[[ClientHandle], Page],
+        make_page: Callable[[ClientHandle], BrowserPage],
         title: str = "fungrasp",
         host: str = LOOPBACK,
         port: int | None = None,
@@ -63,7 +63,7 @@ class Viewer:
             control_width="large", show_logo=False, show_share_button=False, brand_color=(32, 96, 150)
         )
         self._server.gui.main_panel.dock_right()
-        self._host, self._make_page, self._pages = host, make_page, dict[int, Page]()
+        self._host, self._make_page, self._pages = host, make_page, dict[int, BrowserPage]()
         self._lock, self._closed = threading.Lock(), threading.Event()
         self._server.on_client_connect(self._open)
         self._server.on_client_disconnect(self._leave)
@@ -83,7 +83,7 @@ class Viewer:
         return f"{self.url} ({who})"
 
     @property
-    def pages(self) -> list[Page]:
+    def pages(self) -> list[BrowserPage]:
         """Of the browsers that are there."""
         with self._lock:
             return list(self._pages.values())

@@ -13,7 +13,7 @@ from fungrasp.geometry.poses import relative
 
 
 @dataclass(frozen=True, eq=False)
-class Frame:
+class EpisodeState:
     """A state. World frame; a hand with M joints of which U are driven, and L links."""
 
     time: float
@@ -54,20 +54,20 @@ class Curves:
     """Distance of the palm from where it was told to be [mm]; NaN where not known."""
 
 
-class EpisodeFrames:
+class EpisodeStates:
     """Frames of an episode, to which a simulation adds while a page reads."""
 
     def __init__(self) -> None:
-        self._frames: list[Frame] = []
+        self._frames: list[EpisodeState] = []
         self._lock = threading.Lock()
 
     def __len__(self) -> int:
         return len(self._frames)
 
-    def __getitem__(self, index: int) -> Frame:
+    def __getitem__(self, index: int) -> EpisodeState:
         return self._frames[index]
 
-    def add(self, frame: Frame) -> None:
+    def add(self, frame: EpisodeState) -> None:
         """Add the next one."""
         with self._lock:
             self._frames.append(frame)
@@ -119,12 +119,12 @@ class EpisodeFrames:
         )
 
 
-def recorded_frames(trajectory: Trajectory) -> EpisodeFrames:
+def recorded_states(trajectory: Trajectory) -> EpisodeStates:
     """The frames of a recorded episode."""
-    frames = EpisodeFrames()
+    frames = EpisodeStates()
     for i, time in enumerate(trajectory.times):
         frames.add(
-            Frame(
+            EpisodeState(
                 float(time),
                 PHASES[int(trajectory.phase[i])],
                 trajectory.object_pose[i].astype(float),
