@@ -42,6 +42,7 @@ DISTRIBUTIONS = {
     "dashboard_client": "ur-rtde",
     "dex_retargeting": "dex-retargeting",
     "dexi": "dexi-rs",
+    "pydrake": "drake",
     "dynamixel_sdk": "dynamixel-sdk",
     "mujoco": "mujoco-core",
     "rsl_rl": "rsl-rl-lib",

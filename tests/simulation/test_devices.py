@@ -99,13 +99,13 @@ def test_packages_that_do_not_fit_together_are_refused(packages, name, version, 
     else:
         packages[name] = version
     with pytest.raises(FungraspError, match=words):
-        warp_device.check_packages("cuda")
+        warp_device.check_warp_packages("cuda")
 
 
 def test_an_engine_that_is_not_installed_says_how_to_install_it(monkeypatch):
     monkeypatch.setattr(warp_device, "find_spec", lambda name: None)
     with pytest.raises(FungraspError, match=r'warp, which is not installed: pip install "fungrasp\[gpu\]"'):
-        warp_device.check_packages("cuda")
+        warp_device.check_warp_packages("cuda")
 
 
 def test_buffers_have_room():

@@ -49,7 +49,7 @@ def open_warp(device: Device) -> Warp:
         FungraspError: a package is missing or of another version, there is no GPU, or its driver does not do;
             one line that says what to do.
     """
-    check_packages(device)
+    check_warp_packages(device)
     import mujoco_warp  # pyright: ignore[reportMissingImports]
     import torch
     import warp  # pyright: ignore[reportMissingImports]
@@ -92,7 +92,7 @@ def check_memory(needed: int, worlds: int, warp: Warp) -> None:
         )
 
 
-def check_packages(device: Device) -> None:
+def check_warp_packages(device: Device) -> None:
     """Complain about packages that are missing or do not fit together.
 
     Raises:

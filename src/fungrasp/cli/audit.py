@@ -1,0 +1,53 @@
+"""``fungrasp audit``: whether recorded grasps hold in other physics engines as well."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from fungrasp.cli.console import progress_bar
+
+
+@dataclass(frozen=True)
+class Audit:
+    """Play recorded episodes open loop in another physics engine: what holds there, how much slips, what
+    differs and why."""
+
+    recordings: Annotated[tuple[Path, ...], tyro.conf.Positional]
+    """Episodes that `fungrasp evaluate --record` wrote in the nominal world, or folders of them."""
+    engine: Literal["drake", "sapien", "mujoco"] = "drake"
+    """Drake (extra "drake"), PhysX 5 through SAPIEN (extra "sapien"), or MuJoCo built anew from what was
+    recorded: the control."""
+    objects: Path | None = None
+    """Folder of meshes <name>.obj; built-in objects need none."""
+    json: Path | None = None
+    """Write what is found of each episode here (.json). Given again after an interruption, the command goes
+    on."""
+    bundles: Path | None = None
+    """Write what the engines are given of each episode to this folder: a file that holds everything, which
+    this command reads as well."""
+
+    def run(self) -> None:
+        from fungrasp.evaluation.audit import audit, load_bundles
+        from fungrasp.evaluation.audit.other_engines import world_maker
+        from fungrasp.evaluation.audit.result_file import KeptEpisodes
+        from fungrasp.objects import load_object
+
+        world_maker(self.engine)
+        made = load_bundles(
+            self.recordings, lambda one: load_object(one.object_name, one.object_mass, self.objects)
+        )
+        if self.bundles is not None:
+            self.bundles.mkdir(parents=True, exist_ok=True)
+            for bundle in made:
+                bundle.save(self.bundles)
+        kept = KeptEpisodes(self.json, self.engine)
+        with progress_bar(f"in {self.engine}", len(made)) as show:
+            result = audit(made, self.engine, kept.known, kept.add, show)
+        print(result.table())
+
+
+COMMAND = Audit

@@ -1,0 +1,156 @@
+"""Recorded grasps in other physics engines: which hold there as well, how much slips, and what differs."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from fungrasp.errors import FungraspError, UnknownNameError
+from fungrasp.evaluation.audit.bundle import SUFFIX as BUNDLE
+from fungrasp.evaluation.audit.bundle import EpisodeBundle, load_bundle, make_bundle, scene_of
+from fungrasp.evaluation.audit.replay import EpisodeWorld, Replayed, play_bundle
+from fungrasp.evaluation.statistics import wilson_interval
+from fungrasp.evaluation.trajectory import Trajectory, replay
+from fungrasp.formats.record_json import record_to_json
+from fungrasp.objects import ObjectModel
+from fungrasp.simulation.scene import Scene
+from fungrasp.text_table import table
+
+EngineName = Literal["mujoco", "drake", "sapien"]
+"""MuJoCo built anew from what was recorded, as the control; Drake; PhysX 5 through SAPIEN."""
+
+PACKAGES = {"drake": "pydrake", "sapien": "sapien", "mujoco": "mujoco"}
+
+
+@dataclass(frozen=True)
+class AuditResult:
+    """N recorded episodes in another engine."""
+
+    engine: EngineName
+    episodes: tuple[Replayed, ...]
+
+    @property
+    def agreeing(self) -> int:
+        """How many ended as recorded."""
+        return sum(one.success == one.recorded for one in self.episodes)
+
+    def table(self) -> str:
+        """What holds, what differs and why, as text."""
+        held = [one for one in self.episodes if one.recorded]
+        lost = [one for one in self.episodes if not one.recorded]
+        rows = [("recorded", "episodes", f"held in {self.engine}", "95 % interval")]
+        for name, some in (("held", held), ("lost", lost)):
+            if some:
+                both = sum(one.success for one in some)
+                low, high = wilson_interval(both, len(some))
+                rows.append((name, str(len(some)), str(both), f"{low:.0%} to {high:.0%}"))
+        lines = [table(rows)]
+        kept = [one for one in held if one.success]
+        if kept:
+            before = np.median([one.recorded_slip_mm_s for one in kept])
+            here = np.median([one.slip_mm_s for one in kept])
+            lines.append(f"slip of what is held in both, median: {before:.2f} mm/s recorded, {here:.2f} here")
+        for title, some in (("held only when recorded", held), ("held only here", lost)):
+            apart = [one for one in some if one.success != one.recorded]
+            why = Counter((one.difference, one.reason) for one in apart)
+            lines += [
+                f"{title}: {count:3d} {why}" + (f" ({reason})" if reason else "")
+                for (why, reason), count in why.most_common()
+            ]
+        return "\n".join(lines)
+
+    def json(self) -> dict[str, Any]:
+        """All numbers."""
+        return {"engine": self.engine, "each": [record_to_json(one) for one in self.episodes]}
+
+
+def audit(
+    bundles: Sequence[EpisodeBundle],
+    engine: EngineName,
+    known: Mapping[str, Replayed] | None = None,
+    keep: Callable[[Replayed], None] = lambda one: None,
+    progress: Callable[[int], None] = lambda done: None,
+) -> AuditResult:
+    """Play recorded episodes open loop in another engine.
+
+    Args:
+        bundles: N of them.
+        engine: its name.
+        known: what was found before, by the name of the recording.
+        keep: called with what is found of each episode.
+        progress: called with the number of episodes that are done.
+
+    Raises:
+        FungraspError: an unknown engine, or one that is not installed.
+    """
+    make, found = world_maker(engine), []
+    for number, bundle in enumerate(bundles):
+        one = (known or {}).get(bundle.name)
+        if one is None:
+            one = play_bundle(bundle, make(bundle))
+            keep(one)
+        found.append(one)
+        progress(number + 1)
+    return AuditResult(engine, tuple(found))
+
+
+def world_maker(engine: EngineName) -> Callable[[EpisodeBundle], EpisodeWorld]:
+    """What makes an episode's world in an engine.
+
+    Raises:
+        FungraspError: an unknown engine, or one that is not installed.
+    """
+    if engine not in PACKAGES:
+        raise UnknownNameError("engine", engine, PACKAGES)
+    if find_spec(PACKAGES[engine]) is None:
+        raise FungraspError(f'--engine {engine} is not installed: pip install "fungrasp[{engine}]"')
+    if engine == "drake":
+        from fungrasp.evaluation.audit.drake_world import DrakeWorld
+
+        return DrakeWorld
+    if engine == "sapien":
+        from fungrasp.evaluation.audit.sapien_world import SapienWorld
+
+        return SapienWorld
+    from fungrasp.evaluation.audit.mujoco_world import MujocoWorld
+
+    return MujocoWorld
+
+
+def load_bundles(paths: Sequence[Path], objects: Callable[[Trajectory], ObjectModel]) -> list[EpisodeBundle]:
+    """The bundles of recordings.
+
+    Args:
+        paths: recorded episodes, bundles, or folders of them; files of use tests in folders are left out.
+        objects: gives the object of a recording.
+
+    Raises:
+        FungraspError: no recordings, or one that can't be replayed.
+    """
+    files: list[Path] = []
+    for path in paths:
+        if path.is_dir():
+            inside = sorted([*path.glob("*.npz"), *path.glob(f"*{BUNDLE}")])
+            files += [file for file in inside if not file.stem.endswith("_use")]
+        else:
+            files.append(path)
+    if not files:
+        raise FungraspError(f"there are no recorded episodes in {', '.join(map(str, paths))}")
+    scenes: dict[tuple[str, str], Scene] = {}
+    found = []
+    for file in files:
+        if file.name.endswith(BUNDLE):
+            found.append(load_bundle(file))
+            continue
+        recorded = replay(file)
+        key = recorded.hand, recorded.object_name
+        if key not in scenes:
+            scenes[key] = scene_of(recorded, {recorded.object_name: objects(recorded)})
+        found.append(make_bundle(file.stem, recorded, scenes[key]))
+    return found

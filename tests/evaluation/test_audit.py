@@ -1,0 +1,109 @@
+"""Recorded episodes in other engines. MuJoCo, built anew from what was recorded, is the control; Drake and
+SAPIEN are tried where they are installed."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import fungrasp
+from fungrasp.cli.main import main
+from fungrasp.errors import FungraspError
+from fungrasp.evaluation.audit import EpisodeBundle, audit, load_bundle, load_bundles, other_engines
+from fungrasp.evaluation.audit.result_file import KeptEpisodes
+from fungrasp.objects import builtin_object
+
+
+@cache
+def recorded(hand: str, folder: Path) -> Path:
+    """The folder of a can's and a ball's recorded grasps."""
+    human = fungrasp.builtin_grasps()
+    rows = [int(np.flatnonzero(human.object_name == name)[0]) for name in ("can", "tennis_ball")]
+    human = human.select(np.array(rows))
+    objects = fungrasp.load_objects(human)
+    robot = fungrasp.retarget(human, objects, hand=hand)
+    fungrasp.evaluate(robot, objects, threads=1, record=folder / hand)
+    return folder / hand
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("recorded")
+
+
+def bundles_of(path: Path) -> list[EpisodeBundle]:
+    return load_bundles([path], lambda one: builtin_object(one.object_name, one.object_mass))
+
+
+@pytest.mark.parametrize("hand", ["allegro", "inspire"])
+def test_mujoco_built_anew_from_the_recordings_ends_as_they_did(hand, folder):
+    """Of a hand with coupled joints too; slip agrees, so that it is the same motion."""
+    bundles = bundles_of(recorded(hand, folder))
+    result = audit(bundles, "mujoco")
+    assert result.agreeing == len(bundles) == 2 and any(one.recorded for one in result.episodes)
+    for one in result.episodes:
+        assert one.settled_mm < 0.5 and one.difference == ""
+        if one.recorded:
+            assert one.slip_mm_s == pytest.approx(one.recorded_slip_mm_s, abs=0.3)
+    assert len(bundles[0].couplings) == (6 if hand == "inspire" else 0)
+
+
+def test_a_grasp_that_is_spoiled_is_lost_and_it_is_said_why(folder):
+    bundle = next(one for one in bundles_of(recorded("allegro", folder)) if one.success)
+    told = bundle.told.copy()
+    told[:, 6:] = told[0, 6:]
+    open_hand = replace(bundle, setpoints=tuple(map(tuple, told.tolist())))
+    (one,) = audit([open_hand], "mujoco").episodes
+    assert one.recorded and not one.success
+    assert (one.reason, one.difference) == ("lost before the hold", "fewer links touched as the lift began")
+    assert "held only when recorded:   1 fewer links" in audit([open_hand], "mujoco").table()
+    slippery = replace(bundle, friction=0.05)
+    (one,) = audit([slippery], "mujoco").episodes
+    assert not one.success and one.difference
+
+
+def test_a_bundle_holds_everything_and_is_read_as_it_was_written(folder, tmp_path):
+    (bundle, other) = bundles_of(recorded("inspire", folder))
+    bundle.save(tmp_path)
+    (path,) = tmp_path.iterdir()
+    assert load_bundle(path) == bundle
+    assert load_bundles([tmp_path], lambda one: pytest.fail("it needs no object")) == [bundle]
+    assert other.name != bundle.name
+
+
+def test_the_command_goes_on_and_says_what_holds(folder, tmp_path, capsys):
+    where, file = recorded("allegro", folder), tmp_path / "audit.json"
+    assert main(["audit", str(where), "--engine", "mujoco", "--json", str(file)]) == 0
+    assert "held in mujoco" in capsys.readouterr().out
+    before = KeptEpisodes(file, "mujoco").known
+    assert len(before) == 2
+    assert audit(bundles_of(where), "mujoco", before, lambda one: pytest.fail("it is known")).agreeing == 2
+    with pytest.raises(FungraspError, match="no audit by drake"):
+        KeptEpisodes(file, "drake")
+
+
+def test_what_can_not_be_replayed_is_refused_in_words(folder, tmp_path, monkeypatch, capsys):
+    first = sorted(recorded("allegro", folder).iterdir())[0]
+    moved = replace(fungrasp.evaluation.trajectory.replay(first), differs="friction")
+    moved.save(tmp_path / "other.npz")
+    with pytest.raises(FungraspError, match=r"other is of a world in which .*: friction"):
+        bundles_of(tmp_path / "other.npz")
+    (tmp_path / "none").mkdir()
+    with pytest.raises(FungraspError, match="no recorded episodes"):
+        bundles_of(tmp_path / "none")
+    monkeypatch.setattr(other_engines, "find_spec", lambda name: None)
+    assert main(["audit", str(first), "--engine", "sapien"]) == 2
+    assert 'not installed: pip install "fungrasp[sapien]"' in capsys.readouterr().err
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("engine", "package"), [("drake", "pydrake"), ("sapien", "sapien")])
+def test_good_grasps_hold_in_other_engines(engine, package, folder):
+    pytest.importorskip(package, reason=f'the extra "{engine}" is not installed')
+    for hand in ("allegro", "inspire"):
+        result = audit(bundles_of(recorded(hand, folder)), engine)
+        assert all(one.success for one in result.episodes if one.recorded), result.table()
