@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from fungrasp.cli.console import table
 from fungrasp.deployment.deploy import deployment_task
@@ -15,6 +15,7 @@ from fungrasp.errors import FungraspError
 if TYPE_CHECKING:
     from benchmarks.wire.timed_grasp import TimedGrasp
     from benchmarks.wire.wire_run import WireRun
+    from fungrasp.evaluation.result_files import Row
 
 
 @dataclass(frozen=True)
@@ -30,13 +31,15 @@ class BenchWire:
     """Take what perception sees in an image of the grasp, another one that is rendered for each run."""
     policy: str = "plan"
     """What moves the hand: "plan", "reference", "student", or a policy file."""
+    attempts: int = 1
+    """Most attempts of a policy that watches (a student)."""
     runs: int = 20
     """Deployments; the first is on twin 0, the next on twin 1, and so on."""
     json: Path | None = None
-    """Write every run here (.json, with a .csv beside), anew after each."""
+    """Write every run here (.json, with a .csv beside), anew after each; a stopped series goes on."""
 
     def run(self) -> None:
-        from benchmarks.wire.timed_grasp import rendered_grasp, timed_grasp
+        from benchmarks.wire.timed_grasp import MOST_IMAGES, rendered_grasp, timed_grasp
         from fungrasp.evaluation.result_files import write_result
         from fungrasp.hands import load_hand
         from fungrasp.provenance import run_record
@@ -46,13 +49,17 @@ class BenchWire:
             raise FungraspError(f"--runs must be 1 or more, not {self.runs}")
         hand = load_hand(load_cell(self.robot).hand)
         image = "rendered" if self.rendered else self.choice.image or "none"
-        header = {"robot": self.robot, "policy": self.policy, "image": image}
-        find = rendered_grasp if self.rendered else timed_grasp
-        chosen, runs = None, []
-        for twin in range(self.runs):
-            if chosen is None or self.rendered:
-                chosen = find(self.choice, hand, twin)
-            runs.append(self._run(chosen, twin))
+        header = {"robot": self.robot, "policy": self.policy, "image": image, "attempts": self.attempts}
+        chosen = None if self.rendered else timed_grasp(self.choice, hand, 0)
+        runs = self._known(header)
+        for twin in range(len(runs), self.runs):
+            grasp = chosen or rendered_grasp(self.choice, hand, twin)
+            run = self._run(grasp, twin)
+            while self.rendered and run.refused and grasp.images < MOST_IMAGES:
+                # A person who is told that it can't be reached shows it again.
+                grasp = rendered_grasp(self.choice, hand, twin, grasp.images)
+                run = self._run(grasp, twin)
+            runs.append(run)
             if self.json is not None:
                 write_result(self.json, {**header, **run_record(0)}, [asdict(run) for run in runs])
             print(_line(runs[-1]), flush=True)
@@ -61,13 +68,39 @@ class BenchWire:
         home = sum(run.success and not run.fault for run in runs)
         print(f"of {len(runs)} runs: {lifted} lifted and held, {home} of them put down and home again")
 
+    def _known(self, header: dict[str, object]) -> list[WireRun]:
+        """What a stopped series has done already."""
+        from fungrasp.evaluation.result_files import read_result
+
+        if self.json is None or not self.json.exists():
+            return []
+        result = read_result(self.json)
+        if any(result.header.get(key) != value for key, value in header.items()):
+            raise FungraspError(f"{self.json} holds another series: give another name, or delete it")
+        return [_read_run(row) for row in result.rows]
+
     def _run(self, chosen: TimedGrasp, twin: int) -> WireRun:
         from benchmarks.wire.wire_run import run_over_the_wire
 
         spec = DeploymentSpec(self.robot, self.policy, seed=twin)
         task = deployment_task(chosen.robot, chosen.objects, spec, self.choice.threads)
-        run = run_over_the_wire(task, twin)
+        run = run_over_the_wire(task, twin, self.attempts)
         return replace(run, images=chosen.images, grasp_seconds=chosen.seconds)
+
+
+def _read_run(row: Row) -> WireRun:
+    """A run as a table has it."""
+    from benchmarks.wire.wire_run import WireRun
+
+    values: dict[str, Any] = {}
+    for key, value in row.items():
+        name, _, part = key.partition(".")
+        if not part:
+            values[name] = value
+        elif value is not None:
+            values.setdefault(name, {})[part] = value
+    # Of a run in which nothing moved these are empty.
+    return WireRun(**{"longest_silence_ms": {}, "cores": {}, **values})
 
 
 def _line(run: WireRun) -> str:

@@ -47,7 +47,7 @@ def timed_grasp(choice: GraspChoice, hand: Hand, seed: int) -> TimedGrasp:
     return TimedGrasp(robot, objects, int(choice.image is not None), time.monotonic() - began)
 
 
-def rendered_grasp(choice: GraspChoice, hand: Hand, seed: int) -> TimedGrasp:
+def rendered_grasp(choice: GraspChoice, hand: Hand, seed: int, taken: int = 0) -> TimedGrasp:
     """The chosen grasp as it is seen in an image that is rendered for this, as if a person took images until
     one is good enough.
 
@@ -55,6 +55,7 @@ def rendered_grasp(choice: GraspChoice, hand: Hand, seed: int) -> TimedGrasp:
         choice: a grasp of a file.
         hand: of the robot.
         seed: of the images.
+        taken: how many were taken before, of which the robot could reach none.
 
     Raises:
         FungraspError: no such grasp, or ``MOST_IMAGES`` images were not good enough.
@@ -63,8 +64,8 @@ def rendered_grasp(choice: GraspChoice, hand: Hand, seed: int) -> TimedGrasp:
         raise FungraspError("--rendered makes an image of the grasp: give no --image beside it")
     human, objects = choice.human()
     true = human[0]
-    model, said = objects[true.object_name], ""
-    for attempt in range(MOST_IMAGES):
+    model, said = objects[true.object_name], "the robot can reach none"
+    for attempt in range(taken, MOST_IMAGES):
         capture = render_capture(true, model, np.random.default_rng([seed, attempt])).capture
         began = time.monotonic()
         try:

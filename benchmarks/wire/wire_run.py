@@ -11,7 +11,7 @@ import numpy as np
 from benchmarks.processor_time import processor_time
 from benchmarks.wire.emulation_worker import EmulationProcess, EmulationRecord, EmulationTask
 from fungrasp.deployment.deadlines import DeadlineMonitor
-from fungrasp.deployment.deployment_result import DeploymentResult
+from fungrasp.deployment.deployment_result import DeploymentResult, DeploymentSettings
 from fungrasp.deployment.phases import Phase
 from fungrasp.deployment.preparation import UnreachableError
 from fungrasp.deployment.twin_deployment import deploy_where_reached, reachable_placements
@@ -64,14 +64,22 @@ class WireRun:
     """Images that were looked at, those of low confidence included; 0 where the grasp is not from one."""
     grasp_seconds: float = 0.0
     """From the image, or the file of grasps, to the robot grasp [s]."""
+    attempts: int = 0
+    """Of the robot at the object; success is of the last."""
+
+    @property
+    def refused(self) -> bool:
+        """Whether the robot said that it can't reach the grasp, and nothing moved."""
+        return self.phase == Phase.IDLE
 
 
-def run_over_the_wire(task: DeploymentTask, twin: int) -> WireRun:
+def run_over_the_wire(task: DeploymentTask, twin: int, attempts: int = 1) -> WireRun:
     """Start emulators with a twin in another process and deploy on them.
 
     Args:
         task: its cell's addresses are on the loopback.
         twin: which one.
+        attempts: most of them at the object.
 
     Returns:
         how it went. Where the robot says that it can't reach the grasp, the object is put elsewhere, as a
@@ -82,20 +90,26 @@ def run_over_the_wire(task: DeploymentTask, twin: int) -> WireRun:
     """
     began = time.monotonic()
     placements = reachable_placements(task.cell, task.hand, task.thing, task.grasp, task.seed)
-    run, count, said = deploy_where_reached(placements, lambda placement: _run_at(task, twin, placement))
+    run, count, said = deploy_where_reached(
+        placements, lambda placement: _run_at(task, twin, placement, attempts)
+    )
     seconds = time.monotonic() - began
     if run is None:
         return _not_begun(task, twin, said, count, seconds)
     return replace(run, placements=count, seconds=seconds)
 
 
-def _run_at(task: DeploymentTask, twin: int, placement: np.ndarray) -> WireRun:
+def _run_at(task: DeploymentTask, twin: int, placement: np.ndarray, attempts: int) -> WireRun:
     """A run with the object at a placement, shape [7]."""
     meter = _ProcessMeter()
     with EmulationProcess(EmulationTask(task.cell, task.thing, placement, twin)) as process:
         try:
             result = deploy_on_robot(
-                task, on_connect=meter.watch, on_phase=meter.note, hold=lambda robot: None
+                task,
+                settings=DeploymentSettings(attempts=attempts),
+                on_connect=meter.watch,
+                on_phase=meter.note,
+                hold=lambda robot: None,
             )
         except UnreachableError:
             process.end()
@@ -121,6 +135,7 @@ def _run_at(task: DeploymentTask, twin: int, placement: np.ndarray) -> WireRun:
         twin_latest_ms=1e3 * record.late,
         twin_lost_ms=1e3 * record.lost,
         cores=cores,
+        attempts=result.attempts,
     )
 
 

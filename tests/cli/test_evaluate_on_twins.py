@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 from played_twins import play_twins
 
-import fungrasp.synthetic_captures.perceived_grasps as perceived_grasps
 from fungrasp.cli.evaluate_on_twins import EvaluateOnTwins
 from fungrasp.cli.main import main
 from fungrasp.errors import UnknownNameError
 from fungrasp.evaluation.result_files import read_result
+from fungrasp.synthetic_captures.perceived_grasps import PerceivedGrasps
 
 
 @pytest.fixture
@@ -25,15 +26,22 @@ def evaluate(out: Path, **options) -> EvaluateOnTwins:
 
 
 def test_images_are_numbered_by_row(played, tmp_path, monkeypatch, capsys) -> None:
-    def seen(human, objects, images, seed, store, progress, rows):
-        # The second image of the first grasp is refused, and both of the other's are seen.
-        assert rows == [0, 3]
-        return perceived_grasps.SeenGrasps(human.select([0, 1, 1]), [0, 6, 7], {1: "no hand"})
+    # The second image of the first grasp is refused, and both of the other's are seen.
+    taken = []
 
-    monkeypatch.setattr(perceived_grasps, "grasps_from_images", seen)
+    def seen(source, grasp, image, model):
+        taken.append((grasp, image))
+        if (grasp, image) == (0, 1):
+            return {"refused": np.asarray("no hand")}
+        human = source._human.select([grasp])
+        known = {name: getattr(human, name) for name in human.FIELDS}
+        return {name: value for name, value in known.items() if value is not None}
+
+    monkeypatch.setattr(PerceivedGrasps, "_seen", seen)
     out = tmp_path / "twins.json"
     again = {"variants": ("full, two attempts",), "policy": "student"}
     evaluate(out, images_per_grasp=2, placements=2, **again).run()
+    assert sorted(taken) == [(0, 0), (0, 1), (1, 0), (1, 1)]
     result = read_result(out)
     assert [(row["index"], row["place"]) for row in result.rows] == [
         (0, 0), (0, 1), (6, 0), (6, 1), (7, 0), (7, 1),
@@ -47,6 +55,20 @@ def test_images_are_numbered_by_row(played, tmp_path, monkeypatch, capsys) -> No
     assert "4 images: 1 refused; of the others 0 were found out of reach, 3 tried" in said
     assert "50%" in said
     assert not list(tmp_path.glob("*.partial"))
+
+
+def test_images_that_are_not_needed_are_not_taken(played, tmp_path, monkeypatch) -> None:
+    taken = []
+
+    def seen(source, grasp, image, model):
+        taken.append((grasp, image))
+        human = source._human.select([grasp])
+        return {name: value for name in human.FIELDS if (value := getattr(human, name)) is not None}
+
+    monkeypatch.setattr(PerceivedGrasps, "_seen", seen)
+    out = tmp_path / "twins.json"
+    evaluate(out, images_per_grasp=3, grasps_per_object=1, variants=("full",)).run()
+    assert len(taken) == read_result(out).header["images"] == len({row for row, _ in taken})
 
 
 def test_unknown_variant(played, tmp_path) -> None:

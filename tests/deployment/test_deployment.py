@@ -252,6 +252,20 @@ def test_a_full_disk_stops_the_robot() -> None:
     assert "No space left" in result.fault
 
 
+def test_a_disk_that_is_full_at_the_end_hides_no_result(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    with McapLog(tmp_path / "a.mcap") as log:
+        log.event(0.0, "phase", "done")
+
+        def full() -> None:
+            raise OSError(28, "No space left on device")
+
+        monkeypatch.setattr(log._writer, "finish", full)
+    assert "a.mcap breaks off: No space left on device" in caplog.text
+    assert not read_log(tmp_path / "a.mcap").complete
+
+
 def test_a_dry_run_moves_nothing() -> None:
     seen = {}
 

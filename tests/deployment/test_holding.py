@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 from collections.abc import Iterator
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -143,3 +144,49 @@ def test_the_hand_opens_at_the_word_and_at_no_other(
     monkeypatch.setattr(robot.hand_driver, "stop", opened.append)
     holding.hold_until_told(robot)
     assert opened == ["open"] and not answers
+
+
+def test_ctrl_c_twice_does_not_drop_what_is_held(
+    world: TwinWorld, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    switch, robot, clock = StopSwitch(), wired_deployment.wired_robot(switch=None), iter([0.0, 0.3, 5.0, 9.0])
+    monkeypatch.setattr(holding, "time", SimpleNamespace(monotonic=lambda: next(clock)))
+    robot.switch, asked = switch, []
+
+    def interrupted(question: str) -> str:
+        asked.append(question)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(switch, "ask", interrupted)
+    monkeypatch.setattr(robot.hand_driver, "lets_go", "when this program ends")
+    with pytest.raises(KeyboardInterrupt):
+        holding.hold_until_told(robot)
+    # The one that comes at once is of the press that stopped the arm; the next one warns; the third ends it.
+    assert len(asked) == 3 and "lets go when this program ends: Ctrl-C once more" in caplog.text
+
+
+@pytest.mark.usefixtures("interruptible")
+def test_a_second_ctrl_c_while_the_first_is_dealt_with_still_stops(world: TwinWorld) -> None:
+    hand = cell_and_hand()[1]
+    grasp, thing = grasp_and_object()
+    end = Ending(lambda action: signal.raise_signal(signal.SIGINT))
+    task = DeploymentTask(near_cell(), hand, thing, grasp, end, MotionPlanner(hand, {thing.name: thing}))
+    statuses = []
+
+    def again(robot: Robot) -> None:
+        stop = robot.stop
+
+        def interrupted(*kind: Any) -> None:
+            robot.stop = stop
+            signal.raise_signal(signal.SIGINT)
+
+        robot.stop = interrupted
+
+    def hold(robot: Robot) -> None:
+        statuses.extend((robot.state().arm.status, robot.state().hand.status))
+
+    with pytest.raises(KeyboardInterrupt):
+        deploy_on_robot(
+            task, settings=DeploymentSettings(look_time=0.3, until=Phase.HOME), on_connect=again, hold=hold
+        )
+    assert statuses == [DeviceStatus.STOPPED] * 2

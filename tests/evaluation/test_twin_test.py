@@ -15,7 +15,7 @@ from fungrasp.deployment.hand_knowledge import HandDynamics
 from fungrasp.deployment.preparation import UnreachableError
 from fungrasp.errors import FungraspError
 from fungrasp.evaluation.twin_episode import PlacedGrasp, TwinEpisode, TwinSetup
-from fungrasp.evaluation.twin_schedule import given_dynamics, placed_grasps, try_on_twins
+from fungrasp.evaluation.twin_schedule import KnownGrasps, given_dynamics, placed_grasps, try_on_twins
 from fungrasp.evaluation.twin_series import VARIANTS
 from fungrasp.grasps import RobotGraspSet, builtin_grasps, load_objects
 from fungrasp.hands import load_hand
@@ -73,14 +73,14 @@ def test_every_object_comes_before_any_comes_twice(grasps, monkeypatch) -> None:
 
     monkeypatch.setattr(twin_episode, "reachable_placements", reach)
     setup = setup_of(objects)
-    placed = list(placed_grasps(setup, robot, [10, 11, 20, 21]))
+    placed = list(placed_grasps(setup, KnownGrasps(robot, [10, 11, 20, 21])))
     assert [one.number for one in placed] == [10, 11, 20, 21]
     assert [len(one.placements) for one in placed] == [0, 1, 1, 1]
-    placed = list(placed_grasps(setup, robot, [10, 11, 20, 21], 1))
+    placed = list(placed_grasps(setup, KnownGrasps(robot, [10, 11, 20, 21]), 1))
     assert [one.number for one in placed] == [10, 20]
     # The second grasp of the mug is asked for, and looked for, after the first of the can.
     tried.clear()
-    stream = placed_grasps(setup, robot, [10, 11, 20, 21])
+    stream = placed_grasps(setup, KnownGrasps(robot, [10, 11, 20, 21]))
     assert [next(stream).number for _ in range(3)] == [10, 11, 20]
     assert tried == ["mug", "mug", "can"]
 
@@ -159,7 +159,7 @@ def test_a_stopped_run_goes_on_where_it_was(grasps, deployed, monkeypatch, tmp_p
 
             return setup.identified(truth, fit)
 
-        placed = placed_grasps(setup, robot, [0, 1, 2, 3])
+        placed = placed_grasps(setup, KnownGrasps(robot, [0, 1, 2, 3]))
         return try_on_twins(setup, placed, [4, 5], VARIANTS[:3], identify=identify)
 
     stopped = list(islice(episodes(), 7))

@@ -17,6 +17,7 @@ from driver_contract import DeviceUnderTest, DriverContract, reach, wait_for
 
 from fungrasp.robots.can_bus import open_can_bus
 from fungrasp.robots.codecs import allegro as codec
+from fungrasp.robots.control_loop.device_loop import LoopGoal, LoopMode
 from fungrasp.robots.device import DeviceStatus, RobotError, StopKind
 from fungrasp.robots.emulators.allegro_can import AllegroEmulator
 from fungrasp.robots.emulators.emulator import Fault
@@ -161,6 +162,29 @@ def test_a_hand_that_somebody_else_drives_is_left_alone_while_it_is_looked_at():
         assert device.emulator.servos_on and np.array_equal(device.emulator.torques, before)
         assert other.recv(1.0) is not None
         other.shutdown()
+
+
+def test_a_hand_that_another_program_drives_keeps_its_torques():
+    with emulated(load=0.05, friction=0.0) as device:
+        settings = device.driver._loop.settings
+        device.driver.connect()
+        reach(device, device.near)
+        held = device.emulator.torques.copy()
+        second = allegro_driver(settings, process=False)
+        second.connect()
+        with pytest.raises(RobotError, match="moved by another program on this computer"):
+            second.take_control()
+        second.close()
+        # One on another computer has no such lock: its torques are seen on the bus.
+        third = AllegroLoop(settings)
+        third.open()
+        time.sleep(0.05)
+        third.step(LoopGoal(LoopMode.IDLE, np.zeros(16), np.zeros(16)))
+        with pytest.raises(RobotError, match="another program sends torques"):
+            third.take_control()
+        third.close()
+        assert device.emulator.servos_on and held.any()
+        assert device.driver.read().status is DeviceStatus.READY
 
 
 def test_closing_takes_the_torque_away():

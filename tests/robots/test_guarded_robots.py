@@ -176,19 +176,26 @@ def test_an_arm_alone_keeps_off_the_table(monkeypatch: pytest.MonkeyPatch) -> No
     assert robot.arm.read().status is DeviceStatus.STOPPED
 
 
-def test_identification_stops_for_the_stop_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize("real", [False, True])
+def test_identification_stops_for_the_stop_file_and_asks_at_a_real_robot(
+    real: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     pytest.importorskip("pymodbus")
+    arm = "[arm]\ndriver = 'ur-rtde'\naddress = '192.168.0.10'\n" if real else ""
+    mount = "[mount]\npose_flange_hand = [0, 0, 0.1, 1, 0, 0, 0]\n" if real else ""
     plant = ServoPlant(np.full(6, 0.3), time_constant=0.02, velocity=10.0)
     with InspireEmulator(plant, port=0) as emulator:
         cell = tmp_path / "cell.toml"
         cell.write_text(
-            f'hand = "inspire"\nstop_file = "{tmp_path / "stop"}"\n[hand_device]\ndriver = "inspire"\n'
+            # Beside the cell's file, wherever the command was given.
+            f'hand = "inspire"\nstop_file = "stop"\n{arm}{mount}[hand_device]\ndriver = "inspire"\n'
             f'address = "{emulator.address}"\noptions = {{ port = {emulator.port}, stale_after = 1.0 }}\n'
         )
         (tmp_path / "stop").touch()
         before = plant.state(time.monotonic()).positions
         words = ["identify", "collect", str(tmp_path / "log.npz"), str(cell), "--excitation.seconds", "4"]
         assert main(words) != 0
-        assert "stop file" in capsys.readouterr().err
+        said = capsys.readouterr().err
+        assert "moves a robot and asks first" in said if real else f"stop file {tmp_path}" in said
         assert np.abs(plant.state(time.monotonic()).positions - before).max() < 0.01
     assert not (tmp_path / "log.npz").exists()

@@ -254,6 +254,28 @@ def test_a_running_program_survives_looking():
         assert device.emulator.program_running and not device.emulator.other_program_running
 
 
+def test_a_second_program_is_refused_and_the_first_goes_on(tmp_path, monkeypatch):
+    with emulated() as device:
+        device.driver.connect()
+        reach(device, device.near)
+        second = ur_driver(device.driver._loop.settings)
+        # A program on another computer finds no lock; there the controller refuses its registers.
+        for elsewhere, said in ((False, "moved by another program on this"), (True, "registers are in use")):
+            if elsewhere:
+                monkeypatch.setenv("TMPDIR", str(tmp_path))
+            second.connect()
+            assert second.read().status is DeviceStatus.READY
+            with pytest.raises(RobotError, match=said):
+                second.take_control()
+            second.close()
+        monkeypatch.undo()
+        reach(device, device.near + 0.05)
+        device.driver.close()
+        second.connect()
+        second.take_control()
+        second.close()
+
+
 def test_below_full_speed_the_controller_is_refused():
     with emulated() as device:
         device.emulator.set_speed_slider(0.5)

@@ -3,13 +3,12 @@
 from types import SimpleNamespace
 
 import numpy as np
-import pytest
 
 from fungrasp.errors import FungraspError
 from fungrasp.grasps import HumanGraspSet, builtin_grasps, load_objects
+from fungrasp.hands import load_hand
 from fungrasp.jobs import PartStore
 from fungrasp.synthetic_captures import perceived_grasps as room
-from fungrasp.synthetic_captures.perceived_grasps import grasps_from_images
 
 
 def test_images_are_numbered_and_doubtful_ones_refused(monkeypatch, tmp_path) -> None:
@@ -28,25 +27,23 @@ def test_images_are_numbered_and_doubtful_ones_refused(monkeypatch, tmp_path) ->
     monkeypatch.setattr(room, "render_capture", lambda *args: SimpleNamespace(capture=None))
     monkeypatch.setattr(room, "MediaPipeHandDetector", lambda: None)
     monkeypatch.setattr(room, "perceive", perceive)
-    store = PartStore(tmp_path / "seen")
-    seen = grasps_from_images(human, load_objects(human), 2, 0, store)
-    assert seen.index == [0, 3]
-    assert len(seen.human) == 2
-    assert seen.refused == {1: "no hand was found in the image", 2: "low confidence: the depth is noisy"}
+    monkeypatch.setattr(room, "retarget", lambda human, *args, **options: human)
+
+    def images(rows: list[int] | None = None) -> room.PerceivedGrasps:
+        store, objects = PartStore(tmp_path / "seen"), load_objects(human)
+        return room.PerceivedGrasps(human, objects, load_hand("allegro"), 2, 0, store, rows, threads=1)
+
+    source = images()
+    assert source.names == [n for n in human.object_name.tolist() for _ in range(2)]
+    # Nothing is looked at before its turn.
+    assert source.about == {"images": 0, "not_seen": {}} and next(answers) == 0
+    answers = iter(range(4))
+    seen = [source.take(row) for row in range(4)]
+    assert [one is None for one in seen] == [False, True, True, False]
+    assert source.refused == {1: "no hand was found in the image", 2: "low confidence: the depth is noisy"}
     # What is kept is not looked at again: there are no more answers.
-    again = grasps_from_images(human, load_objects(human), 2, 0, store, rows=[4, 9])
-    assert (again.index, list(again.refused)) == ([8, 19], [9, 18])
-    np.testing.assert_array_equal(again.human.hand_joints, seen.human.hand_joints)
-
-
-def test_nothing_is_seen(monkeypatch) -> None:
-    human = builtin_grasps().select([0])
-
-    def perceive(capture, model, **options):
-        raise FungraspError("no hand was found in the image")
-
-    monkeypatch.setattr(room, "render_capture", lambda *args: SimpleNamespace(capture=None))
-    monkeypatch.setattr(room, "MediaPipeHandDetector", lambda: None)
-    monkeypatch.setattr(room, "perceive", perceive)
-    with pytest.raises(FungraspError, match="confident of no image"):
-        grasps_from_images(human, load_objects(human), 1, 0)
+    again = images([4, 9])
+    assert again.numbers == [8, 9, 18, 19]
+    np.testing.assert_array_equal(again.take(0).hand_joints, seen[0].hand_joints)
+    assert again.take(2) is None
+    assert again.about == {"images": 2, "not_seen": {"18": "low confidence: the depth is noisy"}}

@@ -1,4 +1,4 @@
-"""``fungrasp robots doctor | read | hold | jog | bring-up``: what comes before anything is grasped."""
+"""``fungrasp robots doctor | read | touch | hold | jog | bring-up``: what comes before a grasp."""
 
 from __future__ import annotations
 
@@ -61,6 +61,45 @@ class Read:
 
 
 @dataclass(frozen=True)
+class Touch:
+    """Add a marked point that the robot touches now to a file, which `robots check --touched` and `robots
+    bring-up --touched` take. Guide the arm there by hand (freedrive on the pendant). Nothing moves by
+    itself."""
+
+    cell: CellName
+    """A robot cell: a TOML file, or one that comes with the package."""
+    file: Annotated[Path, tyro.conf.Positional]
+    """JSON file; one that is there goes on."""
+    at: tuple[float, float, float]
+    """The marked point, in the world of the cell [m]."""
+    hand_point: tuple[float, float, float] | None = None
+    """The point of the hand that touches it, in the frame that `pose_flange_hand` is the pose of [m]; by
+    default the middle of the flange touches."""
+
+    def run(self) -> None:
+        import numpy as np
+
+        from fungrasp.errors import FungraspError
+        from fungrasp.robots.calibration.touched_checks import touched_point
+        from fungrasp.robots.calibration.touched_file import add_touched
+        from fungrasp.robots.single_devices import arm_at_rest
+
+        cell, hand = _wired(self.cell)
+        joints, at = arm_at_rest(cell, hand), np.array(self.at)
+        if not np.isfinite(at).all():
+            raise FungraspError("a point is 3 finite numbers")
+        point = None if self.hand_point is None else np.array(self.hand_point)
+        apart = at - touched_point(joints, point, cell, hand)
+        count = add_touched(self.file, joints, at, point)
+        x, y, z = np.round(1e3 * apart) + 0.0
+        what = "flange" if point is None else "hand"
+        print(
+            f"{self.file}: {count} touched by the {what}; this one is ({x:.0f}, {y:.0f}, {z:.0f}) mm from "
+            "where the cell has it"
+        )
+
+
+@dataclass(frozen=True)
 class Hold:
     """Switch an arm or a hand on where it is, and hold; a device that moves now is not ready."""
 
@@ -72,11 +111,12 @@ class Hold:
     """For so long [s]."""
 
     def run(self) -> None:
+        from fungrasp.deployment.confirmation import ask_before_motion
         from fungrasp.robots.single_devices import guarded_driver, hold_in_place
 
         cell, hand = _wired(self.cell)
         with _switch(cell) as switch:
-            _ask(switch, f"hold the {self.part} where it is for {self.seconds:g} s")
+            ask_before_motion(switch, f"hold the {self.part} where it is for {self.seconds:g} s")
             with guarded_driver(self.part, cell, hand, switch) as driver:
                 moved = hold_in_place(driver, self.seconds)
         print(f"held within {moved:.3f} rad")
@@ -96,6 +136,7 @@ class Jog:
     """Angle [rad], 0.2 at most."""
 
     def run(self) -> None:
+        from fungrasp.deployment.confirmation import ask_before_motion
         from fungrasp.errors import UnknownNameError
         from fungrasp.robots.jog import jog
         from fungrasp.robots.single_devices import guarded_driver, joint_names
@@ -105,7 +146,7 @@ class Jog:
         if self.joint not in names:
             raise UnknownNameError("joint", self.joint, names)
         with _switch(cell) as switch:
-            _ask(switch, f"move '{self.joint}' of the {self.part} by {self.by:g} rad and back")
+            ask_before_motion(switch, f"move '{self.joint}' of the {self.part} by {self.by:g} rad and back")
             with guarded_driver(self.part, cell, hand, switch) as driver:
                 number = names.index(self.joint)
                 rest = driver.read().positions[number]
@@ -188,17 +229,3 @@ def _switch(cell: RobotCell) -> StopSwitch:
     from fungrasp.robots.stop_switch import StopSwitch
 
     return StopSwitch(cell.stop_file, keyboard=True)
-
-
-def _ask(switch: StopSwitch, what: str) -> None:
-    """Nothing moves before a person says yes."""
-    from fungrasp.errors import FungraspError
-
-    question = f"This will {what}. Nobody within reach, a hand on the emergency stop? Type 'yes': "
-    try:
-        answer = switch.ask(question)
-    except EOFError:
-        raise FungraspError("this moves a robot and asks first: it needs a terminal") from None
-    if answer.lower() != "yes":
-        raise FungraspError("not confirmed: nothing has moved")
-    print(f"to stop: {switch.ways}", flush=True)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 
 @dataclass(frozen=True)
@@ -46,14 +45,13 @@ class EvaluateOnTwins:
     """Of planning; 0 means all processors."""
 
     def run(self) -> None:
-        from fungrasp.cli.console import progress_bar
         from fungrasp.evaluation.twin_series import TwinSeriesSpec, evaluate_on_twins
         from fungrasp.grasps import load_human_grasps, load_objects
         from fungrasp.hands import load_hand
         from fungrasp.jobs import PartStore
         from fungrasp.retargeting import retarget
         from fungrasp.robots.cell import load_cell
-        from fungrasp.synthetic_captures.perceived_grasps import grasps_from_images
+        from fungrasp.synthetic_captures.perceived_grasps import PerceivedGrasps
 
         spec = TwinSeriesSpec(
             self.robot,
@@ -70,29 +68,30 @@ class EvaluateOnTwins:
         numbers = list(self.rows) or list(range(len(human)))
         human = human.select(numbers)
         objects = load_objects(human, self.objects)
-        about: dict[str, Any] = {"grasps": self.grasps}
-        seen = None
+        images = None
         if self.images_per_grasp:
-            with progress_bar("perceiving", 1.0) as show:
-                seen = grasps_from_images(
-                    human,
-                    objects,
-                    self.images_per_grasp,
-                    self.image_seed,
-                    PartStore.beside(self.out),
-                    show,
-                    rows=numbers,
-                )
-            human, numbers = seen.human, seen.index
-            about["not_seen"] = {str(number): why for number, why in seen.refused.items()}
-            about["images"] = len(numbers) + len(seen.refused)
-        robot = retarget(human, objects, hand, threads=self.threads)
+            images = PerceivedGrasps(
+                human,
+                objects,
+                hand,
+                self.images_per_grasp,
+                self.image_seed,
+                PartStore.beside(self.out),
+                numbers,
+                self.threads,
+            )
         result = evaluate_on_twins(
-            spec, self.out, robot, objects, numbers=numbers, about=about, threads=self.threads
+            spec,
+            self.out,
+            images or retarget(human, objects, hand, threads=self.threads),
+            objects,
+            numbers=numbers,
+            about={"grasps": self.grasps},
+            threads=self.threads,
         )
         print(result.table())
-        if seen is not None:
+        if images is not None:
             print(
-                f"{about['images']} images: {len(seen.refused)} refused; of the others "
+                f"{images.about['images']} images: {len(images.refused)} refused; of the others "
                 f"{len(result.out_of_reach)} were found out of reach, {len(result.reached)} tried"
             )

@@ -43,6 +43,8 @@ class Collect:
     weight: float = 0.0
     """Mass that is fixed to each fingertip [kg]: 0.2 kg in one of several logs tell the scale of the dynamics
     of a hand whose fingers are light against their drives."""
+    yes: bool = False
+    """Do not ask before a real hand moves."""
     option_prefixes = True
 
     def run(self) -> None:
@@ -50,9 +52,10 @@ class Collect:
 
         import numpy as np
 
+        from fungrasp.deployment.confirmation import ask_before_motion
         from fungrasp.hands import load_hand
         from fungrasp.robots.assembly import guarded_hand
-        from fungrasp.robots.cell import load_cell
+        from fungrasp.robots.cell import is_wired, load_cell
         from fungrasp.robots.hands.weaker_hand import with_torque_share
         from fungrasp.robots.motion_recording import record_motion
         from fungrasp.robots.stop_switch import StopSwitch
@@ -74,6 +77,10 @@ class Collect:
                         self.excitation, hand, rest, limits.lower, limits.upper, speed, limits.torque, gravity
                     )
                     seconds = len(motion.commands) / self.excitation.rate
+                    if is_wired(cell) and not self.yes:
+                        ask_before_motion(
+                            switch, f"move the fingers, one after the other, for {seconds:.0f} s"
+                        )
                     print(f"{seconds:.0f} s; to stop: {switch.ways or 'Ctrl-C'}", flush=True)
                     log = record_motion(
                         driver,

@@ -69,7 +69,7 @@ class Check:
         from fungrasp.errors import FungraspError
         from fungrasp.hands import load_hand
         from fungrasp.robots.assembly import arm_driver, hand_driver, is_twin, pose_source
-        from fungrasp.robots.calibration.mount_check import check_touched_base, check_touched_mount
+        from fungrasp.robots.calibration.touched_checks import check_touched_base, check_touched_mount
         from fungrasp.robots.cell import check_calibrated, load_cell
         from fungrasp.robots.kinematics.arm_model import ArmKinematics, ClearanceModel
         from fungrasp.robots.kinematics.joint_path import FreePath
@@ -245,6 +245,7 @@ COMMAND = {
     "check": Check,
     "doctor": "fungrasp.cli.bring_up:Doctor",
     "read": "fungrasp.cli.bring_up:Read",
+    "touch": "fungrasp.cli.bring_up:Touch",
     "hold": "fungrasp.cli.bring_up:Hold",
     "jog": "fungrasp.cli.bring_up:Jog",
     "bring-up": "fungrasp.cli.bring_up:BringUp",

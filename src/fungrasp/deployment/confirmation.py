@@ -1,11 +1,13 @@
-"""A person says at each phase of a deployment whether it may begin."""
+"""A person says whether a robot may move: at each phase of a deployment, and before one device does."""
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 
 from fungrasp.deployment.deployment import Confirm
 from fungrasp.deployment.phases import Phase
+from fungrasp.errors import FungraspError
 from fungrasp.robots.device import StopKind
 from fungrasp.robots.robot_state import SafetyStop
 from fungrasp.robots.stop_switch import StopSwitch
@@ -40,3 +42,23 @@ def ask_before_phases(switch: StopSwitch) -> Confirm:
             raise SafetyStop(f"the phase '{phase}' was not confirmed", StopKind.HOLD)
 
     return confirm
+
+
+def ask_before_motion(switch: StopSwitch, what: str) -> None:
+    """Ask at the keyboard of a switch before a device moves, and say how to stop it.
+
+    Args:
+        switch: that listens to the keyboard.
+        what: will be done, as a phrase.
+
+    Raises:
+        FungraspError: any other answer than yes, or no terminal.
+    """
+    question = f"This will {what}. Nobody within reach, a hand on the emergency stop? Type '{YES}': "
+    try:
+        answer = switch.ask(question)
+    except EOFError:
+        raise FungraspError("this moves a robot and asks first: it needs a terminal") from None
+    if answer.lower() != YES:
+        raise FungraspError("not confirmed: nothing has moved")
+    sys.stderr.write(f"to stop: {switch.ways}\n")

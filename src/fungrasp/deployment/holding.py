@@ -21,6 +21,9 @@ OPEN = "open"
 OPENING = 4.0
 """Time in which a hand opens [s]."""
 
+ONE_PRESS = 1.0
+"""Interrupts that come sooner after the one before are one and the same [s]."""
+
 QUESTION = f"The arm has braked and the hand holds. Put a hand under the object, then type '{OPEN}': "
 
 ENDINGS = ("SIGTERM", "SIGHUP")
@@ -29,11 +32,31 @@ ENDINGS = ("SIGTERM", "SIGHUP")
 
 def hold_until_told(robot: Robot) -> None:
     """Hold until a person says open at the keyboard of the robot's switch, then open the hand slowly. Ctrl-C
-    ends holding without opening: whether the object stays held is then the device's matter (``lets_go``).
+    ends holding without opening: where the hand would let go then (``lets_go``) only a second one does.
 
     Args:
         robot: connected and stopped.
     """
+    lets_go, since, warned = robot.hand_driver.lets_go, time.monotonic(), False
+    while True:
+        try:
+            _wait_for_the_word(robot)
+            break
+        except KeyboardInterrupt:
+            now, pressed = time.monotonic(), since
+            since = now
+            if now - pressed < ONE_PRESS:
+                # Of somebody who pressed it more than once to stop the arm.
+                continue
+            if warned or not lets_go:
+                raise
+            warned = True
+            _log.warning("the hand lets go %s: Ctrl-C once more does it", lets_go)
+    robot.hand_driver.stop(StopKind.OPEN)
+    time.sleep(OPENING)
+
+
+def _wait_for_the_word(robot: Robot) -> None:
     try:
         while robot.switch.ask(QUESTION).lower() != OPEN:
             pass
@@ -42,8 +65,6 @@ def hold_until_told(robot: Robot) -> None:
         while True:
             robot.state()
             time.sleep(0.1)
-    robot.hand_driver.stop(StopKind.OPEN)
-    time.sleep(OPENING)
 
 
 @contextmanager

@@ -17,8 +17,10 @@ from __future__ import annotations
 
 import io
 import json
+import logging
 import struct
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol, Self
@@ -28,6 +30,8 @@ import numpy as np
 from fungrasp.errors import FungraspError
 from fungrasp.robots.robot_state import RobotCommand, RobotState
 from fungrasp.task import Action, GraspPlan, Observation
+
+_log = logging.getLogger(__name__)
 
 TOPICS = ("/setpoint", "/step", "/event")
 """Topics of a log."""
@@ -111,13 +115,17 @@ class McapLog:
         self.close()
 
     def close(self) -> None:
-        """Finish the file. Without it, it still can be read up to the last control step."""
+        """Finish the file. Without it, it still can be read up to the last control step: a disk that is full
+        is warned of, as how the deployment went is to be said yet."""
         if self._stream.closed:
             return
         try:
             self._writer.finish()
-        finally:
             self._stream.close()
+        except OSError as error:
+            _log.warning("the log %s breaks off: %s", self.path, error.strerror or error)
+            with suppress(OSError):
+                self._stream.close()
 
     def begin(self, plan: GraspPlan, about: Mapping[str, str]) -> None:
         """See ``DeploymentLog.begin``."""

@@ -170,7 +170,7 @@ def digests(cell: RobotCell, hand: Hand, thing: ObjectModel, policy: str, dynami
         dynamics: file of the hand's identified dynamics, "" for the model's.
     """
     return {
-        "robot cell": digest(replace(cell, hand_dynamics="")),
+        "robot cell": digest(replace(cell, hand_dynamics="", stop_file="")),
         "hand": hand.digest,
         "object": digest(thing.vertices, thing.faces, thing.mass),
         "policy": digest(policy_files(policy, hand.name).digests()),

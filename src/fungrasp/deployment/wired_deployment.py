@@ -136,6 +136,9 @@ def deploy_on_robot(
         try:
             return deployment.run(task.grasp)
         finally:
+            if deployment.machine.phase not in (Phase.DONE, Phase.FAULT):
+                # A second Ctrl-C while the first one was being dealt with.
+                robot.stop()
             if deployment.may_hold:
                 hold(robot)
             else:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -24,29 +26,80 @@ Identify = Callable[[TwinParameters], HandDynamics]
 """What is known of the hand's dynamics of a twin."""
 
 
+class GraspSource(Protocol):
+    """Grasps of which each is made when its turn comes, such as those in images: most may not be needed."""
+
+    hand: str
+    """Name of the hand that they are of."""
+    numbers: Sequence[int]
+    """Of each in results."""
+    names: Sequence[str]
+    """Name of the object of each."""
+
+    def take(self, row: int) -> RobotGraspSet | None:
+        """One grasp; None where it turns out to be none. row: which."""
+        ...
+
+    @property
+    def about(self) -> Mapping[str, Any]:
+        """What the header of a result says of those that were taken so far."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class KnownGrasps:
+    """``GraspSource`` of grasps that are known already."""
+
+    grasps: RobotGraspSet
+    """N of them."""
+    numbers: Sequence[int]
+    """Of each in results, N."""
+
+    @property
+    def hand(self) -> str:
+        """See ``GraspSource``."""
+        return self.grasps.hand
+
+    @property
+    def names(self) -> Sequence[str]:
+        """See ``GraspSource``."""
+        return self.grasps.object_name.tolist()
+
+    def take(self, row: int) -> RobotGraspSet:
+        """See ``GraspSource.take``."""
+        return self.grasps.select(np.array([row]))
+
+    @property
+    def about(self) -> Mapping[str, Any]:
+        """See ``GraspSource``."""
+        return {}
+
+
 def placed_grasps(
-    setup: TwinSetup, grasps: RobotGraspSet, index: Sequence[int], per_object: int | None = None
+    setup: TwinSetup, source: GraspSource, per_object: int | None = None
 ) -> Iterator[PlacedGrasp]:
     """Look for a placement of the object of every grasp, as they are asked for: the first grasp of every
     object that can be reached comes before the second of any.
 
     Args:
         setup: of the test.
-        grasps: of its hand.
-        index: number of each.
+        source: of grasps of its hand.
         per_object: of each object the first so many that can be reached; all if None.
 
     Yields:
         the grasps that were tried, in each of their places, those out of reach included.
     """
     waiting: dict[str, deque[int]] = {}
-    for row, name in enumerate(grasps.object_name.tolist()):
+    for row, name in enumerate(source.names):
         waiting.setdefault(name, deque()).append(row)
-    for _ in range(len(grasps) if per_object is None else per_object):
+    for _ in range(len(source.names) if per_object is None else per_object):
         for rows in waiting.values():
             while rows:
                 row = rows.popleft()
-                placed = setup.place(index[row], grasps.select(np.array([row])))
+                grasp = source.take(row)
+                if grasp is None:
+                    continue
+                placed = setup.place(source.numbers[row], grasp)
                 yield from placed
                 if len(placed[0].placements):
                     break

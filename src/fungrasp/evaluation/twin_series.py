@@ -18,7 +18,14 @@ from fungrasp.errors import FungraspError, UnknownNameError
 from fungrasp.evaluation.result_files import write_result
 from fungrasp.evaluation.statistics import wilson_interval
 from fungrasp.evaluation.twin_episode import PlacedGrasp, TwinEpisode, TwinSetup, TwinVariant
-from fungrasp.evaluation.twin_schedule import Identify, given_dynamics, placed_grasps, try_on_twins
+from fungrasp.evaluation.twin_schedule import (
+    GraspSource,
+    Identify,
+    KnownGrasps,
+    given_dynamics,
+    placed_grasps,
+    try_on_twins,
+)
 from fungrasp.files import digest
 from fungrasp.formats.record_json import record_to_json
 from fungrasp.grasps import RobotGraspSet
@@ -198,7 +205,7 @@ class TwinSeriesResult:
 def evaluate_on_twins(
     spec: TwinSeriesSpec,
     out: str | Path,
-    robot: RobotGraspSet,
+    robot: RobotGraspSet | GraspSource,
     objects: Mapping[str, ObjectModel],
     *,
     numbers: Sequence[int] | None = None,
@@ -211,9 +218,9 @@ def evaluate_on_twins(
     Args:
         spec: what is asked.
         out: JSON file to write, with a CSV file beside it.
-        robot: N grasps, of the cell's hand.
+        robot: N grasps, of the cell's hand, or a source that makes each as its turn comes.
         objects: theirs, by name.
-        numbers: of the grasps in the result, N; 0 to N - 1 if None.
+        numbers: of the grasps in the result, N; 0 to N - 1 if None. A source has its own.
         about: what else the header of the file says.
         threads: of planning; 0 means all processors.
 
@@ -223,11 +230,14 @@ def evaluate_on_twins(
     """
     cell = load_cell(spec.cell)
     hand = load_hand(cell.hand)
-    if robot.hand != hand.name:
+    if isinstance(robot, RobotGraspSet):
+        robot = KnownGrasps(robot, range(len(robot)) if numbers is None else numbers)
+    source = robot
+    if source.hand != hand.name:
         raise FungraspError(
-            f"robot cell '{cell.name}' carries the hand '{hand.name}', and the grasps are of '{robot.hand}'"
+            f"robot cell '{cell.name}' carries the hand '{hand.name}', and the grasps are of '{source.hand}'"
         )
-    check_objects(robot.object_name.tolist(), objects)
+    check_objects(list(source.names), objects)
     about = {**(about or {}), **run_record(0)}
     placed: list[PlacedGrasp] = []
     result = None
@@ -235,12 +245,11 @@ def evaluate_on_twins(
         setup = _setup(spec, cell, hand, objects, store, threads)
 
         def watched() -> Iterator[PlacedGrasp]:
-            index = range(len(robot)) if numbers is None else numbers
-            for one in placed_grasps(setup, robot, index, spec.grasps_per_object):
+            for one in placed_grasps(setup, source, spec.grasps_per_object):
                 placed.append(one)
                 yield one
 
-        obj = objects[str(robot.object_name[0])]
+        obj = objects[source.names[0]]
         known = {variant.name: variant for variant in VARIANTS}
         episodes: list[TwinEpisode] = []
         for episode in try_on_twins(
@@ -256,7 +265,8 @@ def evaluate_on_twins(
                 tuple(sorted({one.number for one in placed if bool(len(one.placements)) is within}))
                 for within in (True, False)
             )
-            result = TwinSeriesResult(spec, tuple(episodes), reached, beyond, about)
+            said = {**about, **source.about}
+            result = TwinSeriesResult(spec, tuple(episodes), reached, beyond, said)
             result.save(out)
         if result is None:
             raise FungraspError(

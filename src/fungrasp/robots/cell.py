@@ -181,7 +181,7 @@ class RobotCell:
     """File of the hand's identified dynamics (``fungrasp identify fit``), relative to the cell's file; "" for
     none."""
     stop_file: str = ""
-    """The robot stops as soon as this file exists; "" for none."""
+    """The robot stops as soon as this file exists, which is relative to the cell's file; "" for none."""
     guard: str = "on"
     """"on"; "off": nothing checks what is sent (``fungrasp.robots.safety``), and every start says so."""
 
@@ -212,6 +212,9 @@ def load_cell(name: str | Path) -> RobotCell:
         cell = replace(cell, tracker=_calibrated(cell.tracker, path.parent))
     for fault in cell_faults(cell):
         raise FungraspError(f"{path}: {fault}")
+    if cell.stop_file:
+        # Whoever makes it is in another terminal, in another folder perhaps.
+        cell = replace(cell, stop_file=str((path.parent / cell.stop_file).absolute()))
     if cell.hand_dynamics:
         dynamics = path.parent / cell.hand_dynamics
         if not dynamics.is_file():

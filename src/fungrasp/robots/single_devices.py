@@ -31,6 +31,9 @@ PARTS = ("arm", "hand")
 READ_PERIOD = 0.5
 """Between two states that are shown [s]."""
 
+AT_REST = 0.002
+"""An arm whose joints move by less within a second stands still [rad]: 2 mm at its full reach."""
+
 
 @dataclass(frozen=True)
 class DeviceReport:
@@ -99,6 +102,23 @@ def read_joints(driver: JointDriver, seconds: float) -> Iterator[JointState]:
         if time.monotonic() + READ_PERIOD > end:
             return
         time.sleep(READ_PERIOD)
+
+
+def arm_at_rest(cell: RobotCell, hand: Hand) -> np.ndarray:
+    """Joints of a cell's arm, which is looked at until it is known to stand still [rad], shape [A].
+
+    Args:
+        cell: the robot; no twin.
+        hand: on its arm.
+
+    Raises:
+        FungraspError: no arm answers, or it moves.
+    """
+    with arm_driver(cell) as driver:
+        rows = np.array([state.positions for state in read_joints(driver, 2 * READ_PERIOD)])
+    if np.ptp(rows, axis=0).max() > AT_REST:
+        raise FungraspError("the arm moves: hold it still, and try again")
+    return rows.mean(axis=0)
 
 
 def hold_in_place(driver: GuardedDriver, seconds: float) -> float:

@@ -2,106 +2,91 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from fungrasp.errors import FungraspError
-from fungrasp.grasps import HumanGraspSet
-from fungrasp.jobs import Arrays, Job, PartStore, part_key, run_job
+from fungrasp.grasps import HumanGraspSet, RobotGraspSet
+from fungrasp.hands import Hand
+from fungrasp.jobs import Arrays, PartStore, part_key
 from fungrasp.objects import ObjectModel
 from fungrasp.perception.hand.detected_hand import HandDetector
 from fungrasp.perception.hand.mediapipe_detector import MediaPipeHandDetector
 from fungrasp.perception.pipeline import perceive
+from fungrasp.retargeting import retarget
 from fungrasp.synthetic_captures.render_capture import render_capture
 
 
-@dataclass(frozen=True, eq=False)
-class SeenGrasps:
-    """What perception saw."""
+class PerceivedGrasps:
+    """``GraspSource`` of images of grasps, each rendered, perceived and retargeted when its turn comes;
+    neither mask nor pose is given."""
 
-    human: HumanGraspSet
-    """The grasps that it is confident of."""
-    index: list[int]
-    """Number of the image of each."""
-    refused: dict[int, str]
-    """Why it is not confident of the others, by the number of the image."""
+    def __init__(
+        self,
+        human: HumanGraspSet,
+        objects: Mapping[str, ObjectModel],
+        hand: Hand,
+        images: int,
+        seed: int,
+        store: PartStore,
+        rows: Sequence[int] | None = None,
+        threads: int = 0,
+    ):
+        """
+        Args:
+            human: grasps of right hands.
+            objects: by name.
+            hand: of the robot.
+            images: of each grasp; image k of row i has the number i images + k.
+            seed: of cameras, rooms and noise.
+            store: keeps what was seen, and knows what an earlier run has seen.
+            rows: of the grasps, to number their images; 0, 1, 2 ... if None.
+            threads: of retargeting; 0 means all processors.
+        """
+        rows = range(len(human)) if rows is None else rows
+        self.hand = hand.name
+        self.numbers = [row * images + image for row in rows for image in range(images)]
+        self.names = [name for name in human.object_name.tolist() for _ in range(images)]
+        self.refused: dict[int, str] = {}
+        """Why perception is not confident of an image, by its number."""
+        self._human, self._objects, self._hand, self._images = human, objects, hand, images
+        self._seed, self._store, self._threads, self._taken = seed, store, threads, 0
 
+    def take(self, row: int) -> RobotGraspSet | None:
+        """See ``GraspSource.take``.
 
-def grasps_from_images(
-    human: HumanGraspSet,
-    objects: Mapping[str, ObjectModel],
-    images: int,
-    seed: int,
-    store: PartStore | None = None,
-    progress: Callable[[float], None] = lambda share: None,
-    rows: Sequence[int] | None = None,
-) -> SeenGrasps:
-    """Render images of grasps and perceive them: neither mask nor pose is given.
-
-    Args:
-        human: grasps of right hands.
-        objects: by name.
-        images: of each grasp; image k of row i has the number i images + k.
-        seed: of cameras, rooms and noise.
-        store: keeps what was seen, and knows what an earlier run has seen.
-        progress: called with the share that is done, 0 to 1.
-        rows: of the grasps, to number their images; 0, 1, 2 ... if None.
-
-    Raises:
-        FungraspError: the models of hands are not set up, or perception is confident of no image.
-    """
-    sets, index, refused = [], [], {}
-    found = run_job(_PerceivedImages(human, objects, images, seed), store, progress=progress)
-    for part, seen in enumerate(found):
-        row, image = divmod(part, images)
-        number = (row if rows is None else rows[row]) * images + image
+        Raises:
+            FungraspError: the models of hands are not set up.
+        """
+        grasp, image = divmod(row, self._images)
+        model = self._objects[self.names[row]]
+        key = part_key("image", self._human.select([grasp]), model, self._seed, grasp, image)
+        seen = self._store.kept(key, lambda: self._seen(grasp, image, model))
+        self._taken += 1
         if "refused" in seen:
-            refused[number] = str(seen["refused"])
-        else:
-            sets.append(HumanGraspSet(**seen))
-            index.append(number)
-    if not sets:
-        raise FungraspError("perception is confident of no image: nothing to try")
-    return SeenGrasps(HumanGraspSet.concatenate(sets), index, refused)
+            self.refused[self.numbers[row]] = str(seen["refused"])
+            return None
+        return retarget(HumanGraspSet(**seen), self._objects, self._hand, threads=self._threads)
 
-
-@dataclass(frozen=True, eq=False)
-class _PerceivedImages(Job[int]):
-    """Images of grasps, rendered and perceived; a part is the number of an image."""
-
-    human: HumanGraspSet
-    objects: Mapping[str, ObjectModel]
-    images: int
-    seed: int
-
-    def parts(self) -> list[int]:
-        return list(range(len(self.human) * self.images))
-
-    def key(self, part: int) -> str:
-        row, image = divmod(part, self.images)
-        model = self.objects[self.human.object_name[row]]
-        return part_key("image", self.human.select([row]), model, self.seed, row, image)
-
-    def run(self, parts: Sequence[int], progress: Callable[[float], None]) -> list[Arrays]:
-        return [self._seen(part) for part in parts]
+    @property
+    def about(self) -> Mapping[str, Any]:
+        """See ``GraspSource``."""
+        return {"images": self._taken, "not_seen": {str(n): why for n, why in self.refused.items()}}
 
     @cached_property
     def _detector(self) -> HandDetector:
         return MediaPipeHandDetector()
 
-    def _seen(self, number: int) -> Arrays:
+    def _seen(self, grasp: int, image: int, model: ObjectModel) -> Arrays:
         """Fields of the grasp that is seen in an image; ``refused`` alone, with why it is not trusted."""
         # Models that are missing are nothing that an image is refused for.
         detector = self._detector
-        row, image = divmod(number, self.images)
-        true = self.human[row]
-        model = self.objects[true.object_name]
-        made = render_capture(true, model, np.random.default_rng([self.seed, row, image]))
+        made = render_capture(self._human[grasp], model, np.random.default_rng([self._seed, grasp, image]))
         try:
-            seen = perceive(made.capture, model, detector=detector, seed=self.seed)
+            seen = perceive(made.capture, model, detector=detector, seed=self._seed)
         except FungraspError as error:
             return {"refused": np.asarray(str(error))}
         if not seen.confident:

@@ -20,7 +20,7 @@ from fungrasp.geometry.poses import rotate
 from fungrasp.hands import Hand
 from fungrasp.hands.arm import MOUNTING_GAP, mounting_pose
 from fungrasp.robots import jog
-from fungrasp.robots.calibration.mount_check import check_touched_base, check_touched_mount
+from fungrasp.robots.calibration.touched_checks import check_touched_base, check_touched_mount
 from fungrasp.robots.cell import RobotCell, is_wired
 from fungrasp.robots.device import RobotError
 from fungrasp.robots.guarded_driver import GuardedDriver
@@ -223,7 +223,11 @@ def _jogged(driver: GuardedDriver, joint: int, part: str) -> tuple[str, bool]:
 def check_touched(task: BringUpTask) -> StepResult:
     """Whether the base is where the cell says, by points that the flange has touched."""
     if task.touched is None:
-        raise StepSkipped("no touched points were given (--touched FILE)")
+        said = "no touched points (--touched FILE): 'fungrasp robots touch' makes a file of them"
+        if not is_wired(task.cell):
+            raise StepSkipped(said)
+        task.operator.begin(f"There are {said}.")
+        return StepResult(FAILED, (said,))
     base = check_touched_base(task.touched, task.cell, task.hand)
     if base.fault:
         raise FungraspError(base.fault)

@@ -198,6 +198,11 @@ class URLoop:
         try:
             yield
         except RuntimeError as error:
+            if "already in use" in str(error):
+                raise RobotError(
+                    f"{self.name}: another program, or a fieldbus, controls this arm: its input registers "
+                    "are in use; end that one first"
+                ) from error
             raise RobotError(
                 f"{self.name}: {_one_line(error)}; check address, power and remote control"
             ) from error

@@ -9,6 +9,7 @@ from collections.abc import Callable
 import numpy as np
 
 from fungrasp.errors import FungraspError
+from fungrasp.robots.control_loop.device_lock import DeviceLock
 from fungrasp.robots.control_loop.device_loop import DeviceLoop, LoopGoal, LoopMode
 from fungrasp.robots.control_loop.mailbox import Mailbox
 from fungrasp.robots.control_loop.records import ENDED, RUNNING, STATUSES, loop_goal, put_state, state_kind
@@ -35,7 +36,7 @@ def run_device_loop(
     """
     count = len(loop.limits.lower)
     record = np.zeros((), dtype=state_kind(count))
-    control = _Control()
+    control = _Control(DeviceLock(loop.name))
     try:
         try:
             loop.open()
@@ -44,6 +45,7 @@ def run_device_loop(
             # A device that was only looked at is somebody else's.
             if control.was_taken:
                 loop.halt()
+            control.lock.release()
         message, status = "", DeviceStatus.DISCONNECTED
     except FungraspError as error:
         message, status = str(error), DeviceStatus.DISCONNECTED
@@ -60,6 +62,7 @@ def run_device_loop(
 class _Control:
     """Whether the device is ours."""
 
+    lock: DeviceLock
     taken: bool = False
     was_taken: bool = False
 
@@ -97,6 +100,7 @@ def _follow(
         if wanted is LoopMode.IDLE:
             control.taken = False
         elif wanted in FOLLOWING and not control.taken:
+            control.lock.take()
             control.was_taken = True
             loop.take_control()
             control.taken = True

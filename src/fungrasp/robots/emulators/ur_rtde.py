@@ -221,9 +221,13 @@ class URControllerEmulator(Emulator):
             self._net.send(client, codec.package(kind, b"\x01" + ",".join(client.outputs.types).encode()))
         elif kind == codec.SETUP_INPUTS:
             recipe = codec.make_recipe(content.decode())
-            client.inputs.append(recipe)
-            number = bytes([len(client.inputs)])
-            self._net.send(client, codec.package(kind, number + ",".join(recipe.types).encode()))
+            others = {n for c in self._net.clients if c is not client for r in c.inputs for n in r.names}
+            types = ["IN_USE" if n in others else t for n, t in zip(recipe.names, recipe.types, strict=True)]
+            number = b"\0"
+            if not others.intersection(recipe.names):
+                client.inputs.append(recipe)
+                number = bytes([len(client.inputs)])
+            self._net.send(client, codec.package(kind, number + ",".join(types).encode()))
         elif kind in (codec.START, codec.PAUSE):
             client.started = kind == codec.START
             self._net.send(client, codec.package(kind, b"\x01"))

@@ -35,6 +35,8 @@ JUMPS = 40
 """So many frames beyond belief in a row, ten sets, are a fault of the hand, not of a frame."""
 LISTENING = 0.1
 """Positions that come within so long are sent for somebody else [s]; then the hand is asked for them."""
+OTHERS = 0.1
+"""Torques that somebody else has sent within so long are a program that drives the hand [s]."""
 INFO_INTERVAL = 1.0
 """The hand is asked so often for its temperature and faults [s]: it says them on request only."""
 OPEN_SPEED = 0.5
@@ -123,7 +125,7 @@ class AllegroLoop:
         self._frames: dict[int, bytes] = {}
         self._jumps = 0
         self._error_frames = 0
-        self._info_due = 0.0
+        self._info_due, self._others = 0.0, -np.inf
         self._servos_on = False
         self._taken = self._periodic = False
 
@@ -144,7 +146,10 @@ class AllegroLoop:
                 raise RobotError(f"{self.name} names itself but sends no positions: switch it off and on")
 
     def take_control(self) -> None:
-        """See ``DeviceLoop.take_control``: whoever had the hand before leaves no torque."""
+        """See ``DeviceLoop.take_control``: whoever had the hand before leaves no torque, and whoever has it
+        now keeps it."""
+        if time.monotonic() - self._others < OTHERS:
+            raise RobotError(f"{self.name}: another program sends torques to this hand: end that one first")
         if not self._servos_on:
             self._send(codec.SERVOS_OFF)
         self._ask_for_positions()
@@ -274,6 +279,9 @@ class AllegroLoop:
             self._frames[finger] = bytes(message.data)
             if len(self._frames) == codec.FINGERS_ON_BUS:
                 self._take_positions(message.timestamp)
+        elif 0 <= code - codec.TORQUE < codec.FINGERS_ON_BUS:
+            # Our own frames don't come back.
+            self._others = time.monotonic()
         elif code == codec.INFO and message.dlc >= 7:
             self._take_info(codec.decode_info(bytes(message.data)))
         return message

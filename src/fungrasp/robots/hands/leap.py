@@ -178,6 +178,8 @@ class LeapLoop:
         try:
             if not self._port.setBaudRate(self.settings.baud):
                 raise RobotError(f"{self.name}: the port has no {self.settings.baud} bit/s")
+            # Another program on the same port would take half of the answers.
+            self._port.ser.exclusive = True
         except OSError as error:
             raise RobotError(f"{self.name}: cannot open the port: {error}") from error
         # The library polls without a pause; a read that may wait a little leaves the processor to others.

@@ -1,4 +1,4 @@
-"""Whether the base of an arm is where its cell says."""
+"""Whether base and mount are where a cell says, by points that the robot has touched."""
 
 from __future__ import annotations
 
@@ -16,8 +16,13 @@ from fungrasp.cli.main import main
 from fungrasp.errors import FungraspError
 from fungrasp.geometry.poses import compose, invert, transform_points
 from fungrasp.hands.arm import Mount, mounting_pose
-from fungrasp.robots.calibration.base_check import check_base
-from fungrasp.robots.calibration.mount_check import check_touched_mount
+from fungrasp.robots.calibration.touched_checks import (
+    check_base,
+    check_touched_base,
+    check_touched_mount,
+    touched_point,
+)
+from fungrasp.robots.calibration.touched_file import add_touched
 from fungrasp.robots.kinematics.arm_model import ArmKinematics
 
 JOINTS = np.array([[turn, -1.5, 2.0, -2.0, -1.57, 0.0] for turn in (-0.6, 0.0, 0.7)])
@@ -85,5 +90,30 @@ def test_a_hand_mounted_otherwise_is_seen_by_what_it_touches(tmp_path: Path) -> 
     found = check_touched_mount(path, straight, hand)
     assert found is not None and "pose_flange_hand" in found.fault
     path.write_text(json.dumps({"hand": [[0, 0, 0]]}))
-    with pytest.raises(FungraspError, match="'hand_joints' and 'hand_point'"):
+    with pytest.raises(FungraspError, match="'hand' needs 'hand_joints'"):
         check_touched_mount(path, cell, hand)
+
+
+def test_points_are_written_down_as_the_arm_touches_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (cell, hand), path = cell_and_hand(), tmp_path / "touched.json"
+    kinematics, postures = ArmKinematics(cell, hand), iter(JOINTS)
+    monkeypatch.setattr("fungrasp.robots.single_devices.arm_at_rest", lambda *cell: next(postures))
+    for joints in JOINTS:
+        x, y, z = np.add(kinematics.flange_position(joints), (0.0, 0.003, 0.0))
+        command = ["robots", "touch", "ur5e-allegro-emulated", str(path), "--at", f"{x}", f"{y}", f"{z}"]
+        assert main(command) == 0, capsys.readouterr().err
+        assert "(0, 3, 0) mm from where the cell has it" in capsys.readouterr().out
+    assert check_touched_base(path, cell, hand).miss == pytest.approx(0.003)
+    # The hand's own points go into the same file, of one point of it.
+    point = np.array([0.02, 0.0, 0.15])
+    for joints in JOINTS[:2]:
+        there = touched_point(joints, point, cell, hand)
+        assert add_touched(path, joints, there, point) > 0
+    found = check_touched_mount(path, cell, hand)
+    assert found is not None and found.count == 2 and found.miss < 1e-6
+    before = path.read_text()
+    with pytest.raises(FungraspError, match="another point of the hand"):
+        add_touched(path, JOINTS[2], there, 2 * point)
+    assert path.read_text() == before
