@@ -59,6 +59,9 @@ class BenchWire:
                 # A person who is told that it can't be reached shows it again.
                 grasp = rendered_grasp(self.choice, hand, twin, grasp.images)
                 run = self._run(grasp, twin)
+            if run.fault.startswith("interrupted"):
+                # What it was stopped in is not kept; the same command goes on there.
+                raise KeyboardInterrupt
             runs.append(run)
             if self.json is not None:
                 write_result(self.json, {**header, **run_record(0)}, [asdict(run) for run in runs])
