@@ -34,9 +34,11 @@ class Warp(NamedTuple):
     """The libraries, ready."""
 
     warp: ModuleType
+    """``warp``."""
     mujoco: ModuleType
     """``mujoco_warp``."""
     torch: ModuleType
+    """``torch``."""
     device: str
     """Warp's and torch's name of the device."""
 

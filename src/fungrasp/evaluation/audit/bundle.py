@@ -48,23 +48,29 @@ class EpisodeBundle:
     name: str
     """Of the recording."""
     hand: str
+    """Name of the hand."""
     palm: str
     """Name of the palm's body."""
     links: tuple[tuple[str, ...], ...]
     """Bodies of each contact link."""
     bodies: tuple[Body, ...]
+    """Of the floating wrist and the hand, parents first."""
     couplings: tuple[CoupledJoints, ...]
+    """Joints that move with others."""
     apart: tuple[tuple[str, str], ...]
     """Pairs of bodies that do not collide."""
     object_name: str
+    """Name of the object."""
     object_inertia: Inertia
+    """Of the object, object frame."""
     pieces: tuple[tuple[Vector, ...], ...]
     """Corners of the object's convex pieces [m], object frame."""
     gravity: float
     """[m/s^2]; the hand's weight is compensated."""
     friction: float
+    """Sliding friction of hand, object and table."""
     torsional_friction: float
-    """[m]."""
+    """Of all contacts, where an engine has it [m]."""
     timestep: float
     """Physics step of the own engine [s]."""
     wrist_reference: Vector
@@ -90,6 +96,7 @@ class EpisodeBundle:
     poses_in_palm: tuple[Vector, ...]
     """Of the object, after each setpoint, 7 numbers each."""
     object_poses: tuple[Vector, ...]
+    """Of the object then, world frame, 7 numbers each."""
     contacts: tuple[tuple[bool, ...], ...]
     """Which links touched the object then."""
 

@@ -52,7 +52,9 @@ class Joint:
     """A hinge or a slide at the origin of its body."""
 
     name: str
+    """Name without the scene's prefix."""
     slide: bool
+    """Whether it slides; otherwise it turns."""
     axis: Vector
     """Body frame."""
     limits: Vector
@@ -72,14 +74,17 @@ class Body:
     """A link of the hand, or of the floating wrist."""
 
     name: str
+    """Name without the scene's prefix."""
     parent: str
     """Name of a body that comes earlier; "" for the wrist's reference frame."""
     pose: Vector
     """Of the body in its parent, 7 numbers."""
     inertia: Inertia
+    """Of the body, body frame."""
     joints: tuple[Joint, ...]
     """From the parent on; none for a body that is fixed to it."""
     shapes: tuple[Shape, ...]
+    """What of it touches."""
 
 
 @dataclass(frozen=True)
@@ -87,9 +92,13 @@ class CoupledJoints:
     """A joint that moves with another: ``follower = offset + ratio * leader``."""
 
     follower: str
+    """Name of the joint that follows."""
     leader: str
+    """Name of the joint that it follows."""
     offset: float
+    """[rad]."""
     ratio: float
+    """Of the two positions."""
 
 
 def short(name: str) -> str:
@@ -177,6 +186,11 @@ def _shapes(model: mujoco.MjModel, body: int) -> tuple[Shape, ...]:
 
 
 def hand_couplings(name: str, model: mujoco.MjModel) -> tuple[CoupledJoints, ...]:
+    """Joints that move with others.
+
+    Raises:
+        FungraspError: some do in a way that other engines are not told of.
+    """
     result = []
     for e in range(model.neq):
         offset, ratio, *higher = model.eq_data[e, :5].tolist()

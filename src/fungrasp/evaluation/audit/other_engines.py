@@ -33,7 +33,9 @@ class AuditResult:
     """N recorded episodes in another engine."""
 
     engine: EngineName
+    """Where they were played."""
     episodes: tuple[Replayed, ...]
+    """What came of each."""
 
     @property
     def agreeing(self) -> int:

@@ -52,7 +52,9 @@ class Replayed:
     """What came of an episode in another engine."""
 
     name: str
+    """Of the recording."""
     object_name: str
+    """Name of the object."""
     recorded: bool
     """Whether the object was held when it was recorded."""
     success: bool
