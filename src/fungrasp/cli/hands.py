@@ -215,11 +215,12 @@ def _upright(hand: Hand) -> mujoco.MjModel:
     import mujoco
 
     from fungrasp.hands.arm import mounting_pose
+    from fungrasp.rendering.hand_shells import dressed_spec
 
     pose = mounting_pose(hand)
     spec = mujoco.MjSpec()
     frame = spec.worldbody.add_frame(pos=pose[:3], quat=pose[3:])
-    spec.attach(hand.spec(), prefix="hand/", frame=frame)
+    spec.attach(dressed_spec(hand), prefix="hand/", frame=frame)
     model = spec.compile()
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)

@@ -13,6 +13,7 @@ from fungrasp.errors import FungraspError
 from fungrasp.geometry.poses import compose, inverse_transform_points, invert
 from fungrasp.hands import Hand
 from fungrasp.rendering.hand_mesh import human_hand_mesh
+from fungrasp.rendering.hand_shells import dressed_spec
 from fungrasp.rendering.shading import model_materials
 
 SKIN = (0.86, 0.68, 0.57)
@@ -121,7 +122,7 @@ def robot_grasp_scene(
     body = spec.worldbody.add_body(name=HAND_BODY, mass=0.1, inertia=[1e-4, 1e-4, 1e-4])
     body.explicitinertial = True
     body.add_freejoint(name=HAND_BODY)
-    spec.attach(hand.spec(), prefix=_PREFIX, frame=body.add_frame())
+    spec.attach(dressed_spec(hand), prefix=_PREFIX, frame=body.add_frame())
     _add_object(spec, vertices, faces, object_color).add_freejoint(name=OBJECT_BODY)
     model = _compiled(spec)
     if link_contacts is not None:

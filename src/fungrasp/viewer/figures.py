@@ -12,6 +12,7 @@ from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
 from fungrasp.rendering.grasp_scenes import CONTACT, OBJECT, SKIN
 from fungrasp.rendering.hand_mesh import human_hand_mesh
+from fungrasp.rendering.hand_shells import dressed_model
 from fungrasp.rendering.model_surfaces import drawn_geoms, geom_surface
 from fungrasp.rendering.shading import model_materials
 
@@ -57,7 +58,8 @@ class RobotFigure:
             collision: draw the shapes that collide in the place of those that look like the hand.
         """
         self.hand = hand
-        self._model, self._data = hand.model, mujoco.MjData(hand.model)
+        self._model = dressed_model(hand)
+        self._data = mujoco.MjData(self._model)
         mujoco.mj_kinematics(self._model, self._data)
         palm = self._data.body(hand.palm)
         self._back = invert(np.concatenate([palm.xpos, palm.xquat]))
