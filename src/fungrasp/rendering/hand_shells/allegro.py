@@ -5,14 +5,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from fungrasp.rendering.hand_shells.frames import HandFrames, Look, Shell
+from fungrasp.rendering.hand_shells.frames import Finish, HandFrames, Shell
 from fungrasp.rendering.hand_shells.shapes import bar, bullet, disc, housing, plate
 
-BLACK: Look = ((0.115, 0.12, 0.135), 0.35, 0.35)
-PLATE: Look = ((0.30, 0.31, 0.33), 0.5, 0.5)
-STEEL: Look = ((0.66, 0.67, 0.69), 0.7, 0.7)
-RUBBER: Look = ((0.13, 0.13, 0.14), 0.05, 0.05)
-WHITE: Look = ((0.93, 0.92, 0.88), 0.15, 0.2)
+BLACK: Finish = ((0.115, 0.12, 0.135), 0.35, 0.35)
+PLATE: Finish = ((0.30, 0.31, 0.33), 0.5, 0.5)
+STEEL: Finish = ((0.66, 0.67, 0.69), 0.7, 0.7)
+RUBBER: Finish = ((0.13, 0.13, 0.14), 0.05, 0.05)
+WHITE: Finish = ((0.93, 0.92, 0.88), 0.15, 0.2)
 
 WIDTH, HEIGHT = 0.0098, 0.0135
 """Half of a link's section, along and across the bending axis [m]: 19.6 x 27.5 mm in the data sheet."""
@@ -32,7 +32,7 @@ OUTLINE = np.array(
 """Of the palm: across to the index finger, to the fingers [m]."""
 
 
-def shells(frames: HandFrames) -> list[Shell]:
+def allegro_shells(frames: HandFrames) -> list[Shell]:
     """All parts of the hand."""
     parts: list[Shell] = []
     for finger in ("ff", "mf", "rf", "th"):

@@ -72,7 +72,8 @@ def _shells(hand: Hand) -> list[Shell]:
     name = known.get(Path(hand.path).resolve())
     if name is None:
         return []
-    make: Callable[[HandFrames], list[Shell]] = import_module(f"fungrasp.rendering.hand_shells.{name}").shells
+    module = import_module(f"fungrasp.rendering.hand_shells.{name}")
+    make: Callable[[HandFrames], list[Shell]] = getattr(module, f"{name}_shells")
     return make(HandFrames(hand))
 
 

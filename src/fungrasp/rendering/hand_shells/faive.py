@@ -5,14 +5,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from fungrasp.rendering.hand_shells.frames import HandFrames, LinkFrame, Look, Shell
+from fungrasp.rendering.hand_shells.frames import Finish, HandFrames, LinkFrame, Shell
 from fungrasp.rendering.hand_shells.shapes import bar, bullet, disc, housing, plate
 
-BONE: Look = ((0.92, 0.92, 0.89), 0.2, 0.2)
-ROLLER: Look = ((0.20, 0.21, 0.23), 0.3, 0.3)
-RUBBER: Look = ((0.16, 0.17, 0.19), 0.05, 0.05)
-STRING: Look = ((0.20, 0.62, 0.75), 0.2, 0.3)
-SKIN: Look = ((0.30, 0.31, 0.34), 0.05, 0.05)
+BONE: Finish = ((0.92, 0.92, 0.89), 0.2, 0.2)
+ROLLER: Finish = ((0.20, 0.21, 0.23), 0.3, 0.3)
+RUBBER: Finish = ((0.16, 0.17, 0.19), 0.05, 0.05)
+STRING: Finish = ((0.20, 0.62, 0.75), 0.2, 0.3)
+SKIN: Finish = ((0.30, 0.31, 0.34), 0.05, 0.05)
 
 OUTLINE = np.array(
     [
@@ -31,7 +31,7 @@ OUTLINE = np.array(
 """Of the palm: across to the index finger, to the fingers [m]."""
 
 
-def shells(frames: HandFrames) -> list[Shell]:
+def faive_shells(frames: HandFrames) -> list[Shell]:
     """All parts of the hand."""
     parts: list[Shell] = []
     for finger in ("index", "middle", "ring", "pinky"):

@@ -10,7 +10,7 @@ import numpy as np
 from fungrasp.hands import Hand
 from fungrasp.rendering.hand_shells.shapes import Solid
 
-Look = tuple[tuple[float, float, float], float, float]
+Finish = tuple[tuple[float, float, float], float, float]
 """Color (sRGB), strength and narrowness of the highlight, both from 0 to 1."""
 
 
@@ -22,7 +22,7 @@ class Shell:
     """Body that carries it."""
     solid: Solid
     """Frame of that body."""
-    look: Look
+    look: Finish
     """Of its surface."""
 
 
@@ -42,7 +42,7 @@ class LinkFrame:
     radius: float
     """[m]"""
 
-    def shell(self, solid: Solid, look: Look) -> Shell:
+    def shell(self, solid: Solid, look: Finish) -> Shell:
         """A part that is described in this frame."""
         return Shell(self.body, solid.moved(self.axes, self.origin), look)
 
@@ -95,7 +95,7 @@ class HandFrames:
         hand = self.hand
         return np.stack([hand.index_side, hand.palm_fingers, hand.palm_normal], axis=-1)
 
-    def on_palm(self, solid: Solid, look: Look) -> Shell:
+    def on_palm(self, solid: Solid, look: Finish) -> Shell:
         """A part that is described by ``palm_axes``."""
         axes = self.palm_axes()
         if np.linalg.det(axes) < 0:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from fungrasp.rendering.hand_shells.frames import HandFrames, Look, Shell
+from fungrasp.rendering.hand_shells.frames import Finish, HandFrames, Shell
 from fungrasp.rendering.hand_shells.shapes import bar, bullet, disc, housing, plate
 
-SILVER: Look = ((0.72, 0.74, 0.77), 0.7, 0.45)
-BLACK: Look = ((0.11, 0.115, 0.125), 0.15, 0.2)
-GRAY: Look = ((0.40, 0.42, 0.45), 0.5, 0.4)
-BLUE: Look = ((0.10, 0.42, 0.75), 0.4, 0.4)
+SILVER: Finish = ((0.72, 0.74, 0.77), 0.7, 0.45)
+BLACK: Finish = ((0.11, 0.115, 0.125), 0.15, 0.2)
+GRAY: Finish = ((0.40, 0.42, 0.45), 0.5, 0.4)
+BLUE: Finish = ((0.10, 0.42, 0.75), 0.4, 0.4)
 
 OUTLINE = np.array(
     [
@@ -29,7 +29,7 @@ OUTLINE = np.array(
 """Of the palm: across to the index finger, to the fingers [m]."""
 
 
-def shells(frames: HandFrames) -> list[Shell]:
+def inspire_shells(frames: HandFrames) -> list[Shell]:
     """All parts of the hand."""
     parts: list[Shell] = []
     for finger in ("index", "middle", "ring", "pinky"):

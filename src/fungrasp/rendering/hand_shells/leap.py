@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from fungrasp.rendering.hand_shells.frames import HandFrames, LinkFrame, Look, Shell
+from fungrasp.rendering.hand_shells.frames import Finish, HandFrames, LinkFrame, Shell
 from fungrasp.rendering.hand_shells.shapes import Solid, bar, bullet, disc, housing
 
-SERVO: Look = ((0.12, 0.125, 0.135), 0.3, 0.3)
-PRINT: Look = ((0.86, 0.85, 0.82), 0.12, 0.15)
-HORN: Look = ((0.74, 0.75, 0.77), 0.8, 0.6)
-TIP: Look = ((0.95, 0.94, 0.90), 0.10, 0.15)
-LABEL: Look = ((0.55, 0.57, 0.60), 0.3, 0.3)
+SERVO: Finish = ((0.12, 0.125, 0.135), 0.3, 0.3)
+PRINT: Finish = ((0.86, 0.85, 0.82), 0.12, 0.15)
+HORN: Finish = ((0.74, 0.75, 0.77), 0.8, 0.6)
+TIP: Finish = ((0.95, 0.94, 0.90), 0.10, 0.15)
+LABEL: Finish = ((0.55, 0.57, 0.60), 0.3, 0.3)
 
 FINGERS = (
     ("mcp_joint", "pip", "dip", "fingertip"),
@@ -19,7 +19,7 @@ FINGERS = (
 )
 
 
-def shells(frames: HandFrames) -> list[Shell]:
+def leap_shells(frames: HandFrames) -> list[Shell]:
     """All parts of the hand."""
     parts: list[Shell] = []
     for base, side, middle, tip in FINGERS:

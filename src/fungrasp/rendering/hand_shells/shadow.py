@@ -5,14 +5,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from fungrasp.rendering.hand_shells.frames import HandFrames, Look, Shell
+from fungrasp.rendering.hand_shells.frames import Finish, HandFrames, Shell
 from fungrasp.rendering.hand_shells.shapes import ball, bar, bullet, disc, housing, plate
 
-DARK: Look = ((0.14, 0.14, 0.15), 0.3, 0.3)
-METAL: Look = ((0.70, 0.71, 0.73), 0.8, 0.6)
-FLESH: Look = ((0.42, 0.43, 0.45), 0.08, 0.1)
-NAIL: Look = ((0.80, 0.80, 0.80), 0.5, 0.5)
-BRASS: Look = ((0.72, 0.60, 0.36), 0.6, 0.5)
+DARK: Finish = ((0.14, 0.14, 0.15), 0.3, 0.3)
+METAL: Finish = ((0.70, 0.71, 0.73), 0.8, 0.6)
+FLESH: Finish = ((0.42, 0.43, 0.45), 0.08, 0.1)
+NAIL: Finish = ((0.80, 0.80, 0.80), 0.5, 0.5)
+BRASS: Finish = ((0.72, 0.60, 0.36), 0.6, 0.5)
 
 OUTLINE = np.array(
     [
@@ -30,7 +30,7 @@ OUTLINE = np.array(
 """Of the palm: across to the index finger, to the fingers [m]."""
 
 
-def shells(frames: HandFrames) -> list[Shell]:
+def shadow_shells(frames: HandFrames) -> list[Shell]:
     """All parts of the hand."""
     parts: list[Shell] = []
     for finger in ("ff", "mf", "rf", "lf"):

@@ -17,7 +17,7 @@ class Solid:
     faces: np.ndarray
     """Counter-clockwise from outside, shape [T, 3]."""
 
-    def moved(self, rotation: np.ndarray, position: np.ndarray) -> Solid:
+    def moved(self, rotation: np.ndarray, position: np.ndarray | Sequence[float]) -> Solid:
         """After a rigid motion. rotation: shape [3, 3], of determinant 1; position: [m], shape [3]."""
         return replace(self, vertices=self.vertices @ np.asarray(rotation).T + position)
 
