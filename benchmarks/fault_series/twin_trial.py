@@ -14,7 +14,7 @@ import numpy as np
 from benchmarks.fault_series.moments import Scene, TwinRun, twin_run, twin_world
 from benchmarks.fault_series.trial import WATCHED, Drawn, FaultTrial, TruthWatch, judged
 from fungrasp.deployment.holding import endings_as_interrupts
-from fungrasp.deployment.log import NoLog
+from fungrasp.deployment.log import DeploymentLog
 from fungrasp.policies import OpenLoopPolicy
 from fungrasp.robots.twin.clocks import TwinClock
 from fungrasp.robots.twin.world import TwinWorld
@@ -69,7 +69,7 @@ class SpoiledPolicy(OpenLoopPolicy):
         return action
 
 
-class FullLog(NoLog):
+class FullLog(DeploymentLog):
     """Can't be written once the disk is full."""
 
     def __init__(self) -> None:

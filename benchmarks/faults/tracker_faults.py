@@ -8,10 +8,10 @@ from collections.abc import Iterator
 import numpy as np
 
 from benchmarks.faults.reaction_times import ReactionTrial
+from benchmarks.faults.tracker_emulator import TrackerEmulator
 from fungrasp.robots.cell import RobotCell
 from fungrasp.robots.device import RobotError, TrackedPose, TrackingStatus
 from fungrasp.robots.emulators.emulator import Fault
-from fungrasp.robots.emulators.tracker import TrackerEmulator
 from fungrasp.robots.pose.stream import PoseStream
 from fungrasp.robots.safety import check_pose
 

@@ -10,6 +10,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -24,7 +25,7 @@ from fungrasp.deployment.bring_up.steps import BringUpStep, BringUpTask
 from fungrasp.deployment.grasp_choice import GraspChoice
 from fungrasp.deployment.plan_ahead import execute_plan
 from fungrasp.errors import FungraspError
-from fungrasp.robots import jog
+from fungrasp.robots import single_devices
 from fungrasp.robots.device import DeviceStatus, JointLimits, JointState
 from fungrasp.robots.stop_switch import StopSwitch
 
@@ -160,9 +161,22 @@ class Turning:
 def test_a_joint_that_moves_otherwise_is_wrong(
     follow: np.ndarray, well: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(jog, "PERIOD", 1e-4)
-    monkeypatch.setattr(jog, "SPEED", 100.0)
+    monkeypatch.setattr(single_devices, "GOAL_PERIOD", 1e-4)
+    monkeypatch.setattr(single_devices, "JOG_SPEED", 100.0)
     assert steps._jogged(Turning(follow), 0, "hand")[1] is well  # pyright: ignore[reportArgumentType]
+
+
+@pytest.mark.parametrize("answer", ["yes", "skip nobody has a ruler"])
+def test_a_real_arms_base_is_not_passed_over(answer: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(steps, "is_wired", lambda cell: True)
+    monkeypatch.setattr(Operator, "ask", lambda operator, question: answer)
+    task: Any = SimpleNamespace(cell=None, touched=None, operator=object.__new__(Operator))
+    if answer == "yes":
+        result = steps.check_touched(task)
+        assert result.status == "failed" and "fungrasp robots touch" in result.measured[0]
+        return
+    with pytest.raises(StepSkipped, match="nobody has a ruler"):
+        steps.check_touched(task)
 
 
 def test_the_last_steps_plan_go_there_and_lift(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -189,7 +203,7 @@ def emulated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     from fungrasp.robots.emulators.ur_rtde import URControllerEmulator
     from fungrasp.robots.pose.stream import PosePublisher
 
-    monkeypatch.setattr(jog, "SPEED", 0.4)
+    monkeypatch.setattr(single_devices, "JOG_SPEED", 0.4)
     monkeypatch.setattr(steps, "HOLD_TIME", 0.3)
     monkeypatch.setattr(steps, "STOP_AFTER", 0.2)
     home = [0.0, -1.9, 1.9, -1.5708, -1.5708, 0.0]

@@ -237,9 +237,9 @@ def test_the_stop_file_stops_the_arm_and_it_comes_to_rest(tmp_path: Path) -> Non
 
 
 def test_a_full_disk_stops_the_robot() -> None:
-    from fungrasp.deployment.log import NoLog
+    from fungrasp.deployment.log import DeploymentLog
 
-    class Full(NoLog):
+    class Full(DeploymentLog):
         count = 0
 
         def step(self, *given: Any) -> None:

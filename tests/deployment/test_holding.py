@@ -14,7 +14,7 @@ from robot_cells import cell_and_hand, grasp_and_object, near_cell, placed
 
 from fungrasp.deployment import holding, wired_deployment
 from fungrasp.deployment.deployment_result import DeploymentSettings
-from fungrasp.deployment.log import NoLog
+from fungrasp.deployment.log import DeploymentLog
 from fungrasp.deployment.phases import Phase
 from fungrasp.deployment.wired_deployment import DeploymentTask, deploy_on_robot
 from fungrasp.planning import MotionPlanner
@@ -62,7 +62,7 @@ class Ending(OpenLoopPolicy):
         return action
 
 
-class Full(NoLog):
+class Full(DeploymentLog):
     steps = 0
 
     def step(self, *given: Any) -> None:

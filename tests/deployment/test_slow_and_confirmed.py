@@ -10,7 +10,7 @@ import pytest
 from robot_cells import cell_and_hand, deploy, near_cell
 
 from fungrasp.deployment.confirmation import ask_before_phases
-from fungrasp.deployment.log import NoLog
+from fungrasp.deployment.log import DeploymentLog
 from fungrasp.deployment.phases import Phase
 from fungrasp.errors import FungraspError
 from fungrasp.robots.device import StopKind
@@ -23,7 +23,7 @@ from fungrasp.robots.twin.devices import TwinHand
 pytest.importorskip("mink")
 
 
-class Kept(NoLog):
+class Kept(DeploymentLog):
     """Keeps setpoints."""
 
     def __init__(self) -> None:

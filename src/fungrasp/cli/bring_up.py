@@ -138,8 +138,7 @@ class Jog:
     def run(self) -> None:
         from fungrasp.deployment.confirmation import ask_before_motion
         from fungrasp.errors import UnknownNameError
-        from fungrasp.robots.jog import jog
-        from fungrasp.robots.single_devices import guarded_driver, joint_names
+        from fungrasp.robots.single_devices import guarded_driver, jog, joint_names
 
         cell, hand = _wired(self.cell)
         names = joint_names(self.part, cell, hand)

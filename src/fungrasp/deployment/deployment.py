@@ -10,7 +10,7 @@ import numpy as np
 
 from fungrasp.deployment.deadlines import DeadlineMonitor
 from fungrasp.deployment.deployment_result import DeploymentResult, DeploymentSettings
-from fungrasp.deployment.log import DeploymentLog, NoLog
+from fungrasp.deployment.log import DeploymentLog
 from fungrasp.deployment.looking import look_for_object
 from fungrasp.deployment.phases import Phase, PhaseMachine
 from fungrasp.deployment.preparation import PreparedGrasp, Preparer
@@ -68,7 +68,7 @@ class Deployment:
             FungraspError: a speed that can't be.
         """
         self.robot, self.policy, self._preparer = robot, policy, preparer
-        self.log: DeploymentLog = log or NoLog()
+        self.log = log or DeploymentLog()
         self.settings = settings or DeploymentSettings()
         self._about = about or {}
         self._on_phase, self._on_setpoint, self._confirm = on_phase, on_setpoint, confirm

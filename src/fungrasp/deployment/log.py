@@ -23,7 +23,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol, Self
+from typing import Any, Self
 
 import numpy as np
 
@@ -39,47 +39,25 @@ TOPICS = ("/setpoint", "/step", "/event")
 _MISSING = "logs are MCAP files: pip install 'fungrasp[deploy]'"
 
 
-class DeploymentLog(Protocol):
-    """What a deployment tells."""
+class DeploymentLog:
+    """What a deployment tells; this one keeps nothing."""
 
     def begin(self, plan: GraspPlan, about: Mapping[str, str]) -> None:
         """The plan that is followed, and what else there is to know."""
-        ...
 
     def setpoint(self, phase: str, state: RobotState, command: RobotCommand) -> None:
         """A setpoint was sent."""
-        ...
 
     def step(
         self, time: float, phase: str, observation: Observation, action: Action, sent: Action, late: float
     ) -> None:
         """A control step was made. late: by how much it began late [s]."""
-        ...
 
     def event(self, time: float, what: str, text: str) -> None:
         """Something happened. what: "phase", "fault" or "note"."""
-        ...
 
 
-class NoLog:
-    """Keeps nothing."""
-
-    def begin(self, plan: GraspPlan, about: Mapping[str, str]) -> None:
-        """See ``DeploymentLog.begin``."""
-
-    def setpoint(self, phase: str, state: RobotState, command: RobotCommand) -> None:
-        """See ``DeploymentLog.setpoint``."""
-
-    def step(
-        self, time: float, phase: str, observation: Observation, action: Action, sent: Action, late: float
-    ) -> None:
-        """See ``DeploymentLog.step``."""
-
-    def event(self, time: float, what: str, text: str) -> None:
-        """See ``DeploymentLog.event``."""
-
-
-class McapLog:
+class McapLog(DeploymentLog):
     """Writes a log file; a context manager. A file that is there already is not touched."""
 
     def __init__(self, path: str | Path):

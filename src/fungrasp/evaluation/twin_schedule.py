@@ -29,12 +29,20 @@ Identify = Callable[[TwinParameters], HandDynamics]
 class GraspSource(Protocol):
     """Grasps of which each is made when its turn comes, such as those in images: most may not be needed."""
 
-    hand: str
-    """Name of the hand that they are of."""
-    numbers: Sequence[int]
-    """Of each in results."""
-    names: Sequence[str]
-    """Name of the object of each."""
+    @property
+    def hand(self) -> str:
+        """Name of the hand that they are of."""
+        ...
+
+    @property
+    def numbers(self) -> Sequence[int]:
+        """Of each in results."""
+        ...
+
+    @property
+    def names(self) -> Sequence[str]:
+        """Name of the object of each."""
+        ...
 
     def take(self, row: int) -> RobotGraspSet | None:
         """One grasp; None where it turns out to be none. row: which."""

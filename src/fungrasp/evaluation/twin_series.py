@@ -230,9 +230,11 @@ def evaluate_on_twins(
     """
     cell = load_cell(spec.cell)
     hand = load_hand(cell.hand)
+    source: GraspSource
     if isinstance(robot, RobotGraspSet):
-        robot = KnownGrasps(robot, range(len(robot)) if numbers is None else numbers)
-    source = robot
+        source = KnownGrasps(robot, range(len(robot)) if numbers is None else numbers)
+    else:
+        source = robot
     if source.hand != hand.name:
         raise FungraspError(
             f"robot cell '{cell.name}' carries the hand '{hand.name}', and the grasps are of '{source.hand}'"

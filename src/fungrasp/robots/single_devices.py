@@ -1,4 +1,5 @@
-"""Devices of a cell one by one: whether each answers, what it measures, whether it holds where it is."""
+"""Devices of a cell one by one, before anything is grasped: whether each answers, what it measures, whether
+it holds where it is, whether a joint moves as asked."""
 
 from __future__ import annotations
 
@@ -20,9 +21,9 @@ from fungrasp.robots.assembly import (
     pose_source,
 )
 from fungrasp.robots.cell import RobotCell
-from fungrasp.robots.device import DeviceStatus, JointDriver, JointState
+from fungrasp.robots.clock import Clock, WallClock
+from fungrasp.robots.device import DeviceStatus, JointDriver, JointState, RobotError
 from fungrasp.robots.guarded_driver import GuardedDriver
-from fungrasp.robots.jog import PERIOD, follow
 from fungrasp.robots.stop_switch import StopSwitch
 
 PARTS = ("arm", "hand")
@@ -33,6 +34,16 @@ READ_PERIOD = 0.5
 
 AT_REST = 0.002
 """An arm whose joints move by less within a second stands still [rad]: 2 mm at its full reach."""
+
+
+GOAL_PERIOD = 0.02
+"""Between goals [s]."""
+
+JOG_SPEED = 0.1
+"""Of a joint that is jogged [rad/s]."""
+
+LARGEST_JOG = 0.2
+"""It moves no farther at once [rad]."""
 
 
 @dataclass(frozen=True)
@@ -133,5 +144,61 @@ def hold_in_place(driver: GuardedDriver, seconds: float) -> float:
         RobotError: the device follows no more.
     """
     rest = driver.read().positions
-    state = follow(driver, np.tile(rest, (max(1, int(seconds / PERIOD)), 1)))
+    state = follow(driver, np.tile(rest, (max(1, int(seconds / GOAL_PERIOD)), 1)))
     return float(np.abs(state.positions - rest).max())
+
+
+def jog(
+    driver: GuardedDriver, joint: int, by: float, clock: Clock | None = None
+) -> tuple[JointState, JointState]:
+    """Move one joint slowly by an angle, then back; the others hold where they are.
+
+    Args:
+        driver: connected.
+        joint: its number.
+        by: angle [rad].
+        clock: of the device; that of the wall if None.
+
+    Returns:
+        the state at the far end, and at the end.
+
+    Raises:
+        SafetyStop: the guard or the switch stopped the device.
+        RobotError: the angle is too large or beyond the joint's limits, or the device follows no more.
+    """
+    if not 0 < abs(by) <= LARGEST_JOG:
+        raise RobotError(f"a joint is moved by {LARGEST_JOG:g} rad at most, and not by nothing: {by:g}")
+    rest = driver.read().positions
+    far = rest.copy()
+    far[joint] += by
+    if not driver.limits.lower[joint] <= far[joint] <= driver.limits.upper[joint]:
+        raise RobotError(f"{far[joint]:.2f} rad are beyond the limits of the joint")
+    count = int(np.ceil(abs(by) / (JOG_SPEED * GOAL_PERIOD)))
+    share = np.linspace(0.0, 1.0, count + 1)[1:, None]
+    # A fifth more, to arrive.
+    there = np.concatenate([rest + share * (far - rest), np.tile(far, (count // 5 + 10, 1))])
+    middle = follow(driver, there, clock)
+    return middle, follow(driver, rest + far - there, clock)
+
+
+def follow(driver: GuardedDriver, goals: np.ndarray, clock: Clock | None = None) -> JointState:
+    """Command goals, ``GOAL_PERIOD`` apart; the state after the last.
+
+    Args:
+        driver: connected.
+        goals: [rad], shape [T, U].
+        clock: of the device; that of the wall if None.
+
+    Raises:
+        SafetyStop: the guard or the switch stopped the device.
+        RobotError: the device follows no more.
+    """
+    clock = clock or WallClock()
+    began = clock.now()
+    for row, goal in enumerate(goals):
+        clock.sleep_until(began + row * GOAL_PERIOD)
+        driver.command(goal)
+    state = driver.read()
+    if state.status is not DeviceStatus.READY:
+        raise RobotError(f"{driver.name} stopped while moving: {state.status} {state.message}")
+    return state

@@ -19,17 +19,19 @@ from fungrasp.errors import FungraspError
 from fungrasp.geometry.poses import rotate
 from fungrasp.hands import Hand
 from fungrasp.hands.arm import MOUNTING_GAP, mounting_pose
-from fungrasp.robots import jog
 from fungrasp.robots.calibration.touched_checks import check_touched_base, check_touched_mount
 from fungrasp.robots.cell import RobotCell, is_wired
 from fungrasp.robots.device import RobotError
 from fungrasp.robots.guarded_driver import GuardedDriver
 from fungrasp.robots.robot_state import SafetyStop
 from fungrasp.robots.single_devices import (
+    GOAL_PERIOD,
+    JOG_SPEED,
     bare_driver,
     examine_devices,
     guarded_driver,
     hold_in_place,
+    jog,
     joint_names,
     read_joints,
 )
@@ -151,7 +153,7 @@ def compare_kinematics(task: BringUpTask) -> StepResult:
         driver.take_control()
         end, said = time.monotonic() + COMPARED, ""
         while not said and time.monotonic() < end:
-            time.sleep(jog.PERIOD)
+            time.sleep(GOAL_PERIOD)
             said = driver.read().message
     if not said:
         return StepResult(SKIPPED, (f"the driver '{task.cell.arm.driver}' compares nothing",))
@@ -192,7 +194,7 @@ def jog_each(part: str) -> Callable[[BringUpTask], StepResult]:
         with guarded_driver(part, task.cell, task.hand, task.switch) as driver:
             for number, name in enumerate(names):
                 try:
-                    task.operator.begin(f"'{name}' moves by {BY:g} rad at {jog.SPEED:g} rad/s, and back.")
+                    task.operator.begin(f"'{name}' moves by {BY:g} rad at {JOG_SPEED:g} rad/s, and back.")
                 except StepSkipped as skipped:
                     measured.append(f"{name}: left out: {skipped}")
                     left_out += 1
@@ -211,7 +213,7 @@ def _jogged(driver: GuardedDriver, joint: int, part: str) -> tuple[str, bool]:
     """Move a joint to where it has more room, and back; what was measured, and whether it was right."""
     rest, limits = driver.read().positions, driver.limits
     by = BY if limits.upper[joint] - rest[joint] > rest[joint] - limits.lower[joint] else -BY
-    far, back = jog.jog(driver, joint, by)
+    far, back = jog(driver, joint, by)
     moved = far.positions - back.positions
     others = float(np.abs(np.delete(moved, joint)).max())
     missed = abs(float(back.positions[joint] - rest[joint]))
@@ -285,7 +287,7 @@ def _stopped(task: BringUpTask, file: Path | None, person: bool) -> tuple[str, b
         rest = driver.read().positions[joint]
         by = 2 * BY if driver.limits.upper[joint] - rest > rest - driver.limits.lower[joint] else -2 * BY
         try:
-            jog.jog(driver, joint, by)
+            jog(driver, joint, by)
             return "it was not stopped", False
         except SafetyStop:
             begun, place = time.monotonic(), driver.read().positions.copy()
