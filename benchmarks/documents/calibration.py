@@ -20,13 +20,11 @@ from benchmarks.perception.measurements import RIGHT_MM
 from fungrasp.evaluation.results import finite
 from fungrasp.evaluation.statistics import wilson_interval
 from fungrasp.perception.object_pose.confidence import ACCEPT
+from fungrasp.plots import PlotLine, PlotPanel, panels_svg
 
 LAB = Path(__file__).parents[2] / "docs" / "lab"
 EDGES = np.array([0.0, 0.1, 0.25, 0.5, ACCEPT, 0.9, 0.97, 1.0])
 """Ranges of scores."""
-
-SIZE, LEFT, TOP = 300, 60, 20
-"""Of the plot [pixels]: edge of the square, space to its left and above."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,37 +76,21 @@ def figures(answers: Answers) -> dict[str, Any]:
 def plot(numbers: dict[str, Any]) -> str:
     """Part that is right over mean score, with 95 % intervals and counts, as SVG."""
 
-    def x(value: float) -> float:
-        return LEFT + SIZE * value
-
-    def y(value: float) -> float:
-        return TOP + SIZE * (1 - value)
-
-    parts = [
-        f'<svg xmlns="http://www.w3.org/2000/svg" width="{SIZE + 90}" height="{SIZE + 80}" '
-        'font-family="sans-serif" font-size="12">',
-        '<rect width="100%" height="100%" fill="white"/>',
-        f'<rect x="{LEFT}" y="{TOP}" width="{SIZE}" height="{SIZE}" fill="none" stroke="#888"/>',
-        f'<path d="M{x(0)} {y(0)}L{x(1)} {y(1)}" stroke="#bbb" stroke-dasharray="4"/>',
-        f'<path d="M{x(ACCEPT)} {y(0)}V{y(1)}" stroke="#c60"/>',
-        f'<text x="{x(ACCEPT) - 4}" y="{y(0.04)}" text-anchor="end" fill="#c60">accepted</text>',
+    rows = numbers["ranges"]
+    score, right = (np.array([row[name] for row in rows]) for name in ("mean_score", "right"))
+    ends = np.array([row["interval"] for row in rows])
+    gap = np.full(len(rows), np.nan)
+    bars = PlotLine(
+        np.column_stack([score, score, gap]).ravel(), np.column_stack([ends, gap]).ravel(), "95 % interval"
+    )
+    lines = [
+        PlotLine(np.array([0.0, 1.0]), np.array([0.0, 1.0]), "as it should be", "#bbbbbb", "--"),
+        PlotLine(np.array([ACCEPT, ACCEPT]), np.array([0.0, 1.0]), "accepted from here on", "#cc6600"),
+        bars,
+        PlotLine(score, right, "part that is right", "#2277cc", "o"),
     ]
-    for tick in (0, 0.25, 0.5, 0.75, 1):
-        parts.append(f'<text x="{x(tick)}" y="{y(0) + 18}" text-anchor="middle">{tick:g}</text>')
-        parts.append(f'<text x="{LEFT - 8}" y="{y(tick) + 4}" text-anchor="end">{tick:g}</text>')
-    for row in numbers["ranges"]:
-        across, (low, high) = x(row["mean_score"]), row["interval"]
-        parts.append(f'<path d="M{across:.1f} {y(low):.1f}V{y(high):.1f}" stroke="#27c" stroke-width="1.5"/>')
-        parts.append(f'<circle cx="{across:.1f}" cy="{y(row["right"]):.1f}" r="4" fill="#27c"/>')
-        parts.append(f'<text x="{across + 7:.1f}" y="{y(row["right"]) + 14:.1f}">{row["count"]}</text>')
-    parts += [
-        f'<text x="{x(0.5)}" y="{y(0) + 38}" text-anchor="middle">score</text>',
-        f'<text transform="translate(16 {y(0.5)}) rotate(-90)" text-anchor="middle">part right</text>',
-        f'<text x="{x(0.5)}" y="{y(0) + 56}" text-anchor="middle">{numbers["answers"]} answers; their number '
-        "beside each mark</text>",
-        "</svg>",
-    ]
-    return "\n".join(parts) + "\n"
+    title = f"{numbers['answers']} answers; in the ranges {', '.join(str(row['count']) for row in rows)}"
+    return panels_svg([PlotPanel(title, "score", "part right", lines, limits=(0.0, 1.02))], width=6, height=4)
 
 
 def reliability(score: np.ndarray, right: np.ndarray, edges: np.ndarray) -> list[dict[str, Any]]:

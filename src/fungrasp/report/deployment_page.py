@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from html import escape
 from pathlib import Path
 
@@ -11,13 +11,9 @@ import numpy as np
 from fungrasp.deployment.log import RecordedDeployment
 from fungrasp.errors import FungraspError
 from fungrasp.files import atomic_path
+from fungrasp.hands import load_hand
+from fungrasp.plots import PlotLine, PlotPanel, panels_svg
 from fungrasp.report.page_parts import Quantity, badge, document, provenance_footer, quality_card
-
-WIDTH, HEIGHT = 900, 180
-"""Size of a chart [pixels]."""
-
-COLORS = ("#3366cc", "#dc3912", "#109618", "#ff9900", "#990099", "#0099c6", "#dd4477", "#66aa00")
-"""Of the lines of a chart, by turns."""
 
 
 def write_deployment_page(path: str | Path, log: RecordedDeployment) -> Path:
@@ -53,15 +49,19 @@ def write_deployment_page(path: str | Path, log: RecordedDeployment) -> Path:
             "The largest of all joints.",
         ),
     ]
+    phases = _begun([message["phase"] for message in setpoints], time)
     parts = [
         f"<h1>Deployment</h1><p>{verdict}</p>",
         quality_card(quality, "In figures"),
-        _phases([message["phase"] for message in setpoints], time),
-        _chart("Palm: x, y, z of the setpoint [m]", time, palm),
-        _chart("Tracked height of the object's origin [m]", time, height[:, None]),
-        _chart("Hand: setpoints [rad]", time, hand),
-        _chart("Hand: measured [rad]", time, hand_seen),
-        _chart("Arm: setpoint less measured [rad]", time, arm - arm_seen),
+        _phases(phases),
+        _plots(
+            log,
+            phases,
+            time,
+            {"palm": palm, "height": height, "late": late},
+            (arm, arm_seen),
+            (hand, hand_seen),
+        ),
         provenance_footer(log.about),
     ]
     path = Path(path)
@@ -70,30 +70,66 @@ def write_deployment_page(path: str | Path, log: RecordedDeployment) -> Path:
     return path
 
 
-def _phases(names: Sequence[str], time: np.ndarray) -> str:
-    """A table of phases and when they began."""
-    rows, last = [], None
+def _begun(names: Sequence[str], time: np.ndarray) -> list[tuple[float, str]]:
+    """Start [s] and name of each phase."""
+    found: list[tuple[float, str]] = []
     for name, when in zip(names, time, strict=True):
-        if name != last:
-            rows.append(f'<tr><th scope="row">{escape(name)}</th><td class="number">{when:.2f} s</td></tr>')
-            last = name
+        if not found or name != found[-1][1]:
+            found.append((float(when), name))
+    return found
+
+
+def _phases(phases: Sequence[tuple[float, str]]) -> str:
+    """A table of phases and when they began."""
+    rows = [
+        f'<tr><th scope="row">{escape(name)}</th><td class="number">{when:.2f} s</td></tr>'
+        for when, name in phases
+    ]
     return f'<section class="card"><h3>Phases</h3><table class="quality">{"".join(rows)}</table></section>'
 
 
-def _chart(title: str, time: np.ndarray, values: np.ndarray) -> str:
-    """Lines over time. time: [s], shape [N]; values: shape [N, K], gaps where they are NaN."""
-    low, high = float(np.nanmin(values, initial=0.0)), float(np.nanmax(values, initial=0.0))
-    span, end = max(high - low, 1e-6), max(float(time[-1]), 1e-6)
-    lines = []
-    for k, column in enumerate(values.T):
-        seen = np.isfinite(column)
-        x, y = WIDTH * time[seen] / end, HEIGHT * (high - column[seen]) / span
-        points = " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(x, y, strict=True))
-        color = COLORS[k % len(COLORS)]
-        lines.append(f'<polyline fill="none" stroke="{color}" stroke-width="1.5" points="{points}"/>')
-    return (
-        f'<figure><svg viewBox="0 0 {WIDTH} {HEIGHT}" width="100%" role="img" '
-        f'aria-label="{escape(title)}">'
-        f"{''.join(lines)}</svg><figcaption>{escape(title)}: {low:.3g} to {high:.3g}, {end:.1f} s"
-        "</figcaption></figure>"
-    )
+def _plots(
+    log: RecordedDeployment,
+    phases: Sequence[tuple[float, str]],
+    time: np.ndarray,
+    curves: Mapping[str, np.ndarray],
+    arm: tuple[np.ndarray, np.ndarray],
+    hand: tuple[np.ndarray, np.ndarray],
+) -> str:
+    """Palm, object, hand and arm over time.
+
+    Args:
+        log: what is shown.
+        phases: start [s] and name of each.
+        time: of the setpoints [s], shape [N].
+        curves: "palm" [m], shape [N, 3]; "height" of the object's origin [m], shape [N]; "late" [ms], of
+            each control step.
+        arm, hand: joints as told and as measured [rad], shape [N, J] each.
+    """
+
+    def panel(title: str, y: str, lines: Sequence[PlotLine]) -> PlotPanel:
+        return PlotPanel(title, "time [s]", y, lines, phases)
+
+    def joints(values: np.ndarray, names: Sequence[str]) -> list[PlotLine]:
+        return [PlotLine(time, column, name) for column, name in zip(values.T, names, strict=True)]
+
+    fingers, bones = _joint_names(log, hand[0].shape[1]), [f"joint {j + 1}" for j in range(arm[0].shape[1])]
+    steps = np.linspace(0.0, float(time[-1]), len(curves["late"]))
+    panels = [
+        panel("Palm: setpoint", "place [m]", joints(curves["palm"], ("x", "y", "z"))),
+        panel("Tracked object: height of its origin", "height [m]", [PlotLine(time, curves["height"])]),
+        panel("Hand: setpoints", "angle [rad]", joints(hand[0], fingers)),
+        panel("Hand: setpoint less measured", "angle [rad]", joints(hand[0] - hand[1], fingers)),
+        panel("Arm: setpoint less measured", "angle [rad]", joints(arm[0] - arm[1], bones)),
+        panel("Lateness of control steps", "time [ms]", [PlotLine(steps, curves["late"])]),
+    ]
+    return f"<figure>{panels_svg(panels)}</figure>"
+
+
+def _joint_names(log: RecordedDeployment, count: int) -> list[str]:
+    """Of the driven joints of the hand, by numbers where the hand is not known."""
+    try:
+        names = [] if log.plan is None else list(load_hand(log.plan.hand).actuators)
+    except FungraspError:
+        names = []
+    return names if len(names) == count else [f"joint {j + 1}" for j in range(count)]

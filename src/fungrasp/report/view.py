@@ -10,9 +10,11 @@ import numpy as np
 from fungrasp.deployment.log import read_log
 from fungrasp.errors import FungraspError
 from fungrasp.evaluation import LiftTestResult
+from fungrasp.evaluation.statistics import wilson_interval
 from fungrasp.grasps import HumanGrasp, HumanGraspSet, RobotGraspSet, load_objects
 from fungrasp.objects import ObjectModel, check_objects
 from fungrasp.perception.perceived import Perceived
+from fungrasp.plots import RateBars, rates_svg
 from fungrasp.provenance import page_provenance
 from fungrasp.rendering.grasp_scenes import human_grasp_scene, robot_grasp_scene
 from fungrasp.rendering.render import render
@@ -96,7 +98,21 @@ def _write_result(path: Path, result: LiftTestResult) -> None:
     introduction = f"Policy {result.policy}, protocol {result.spec.protocol}: {held_count}."
     seeds = result.spec.seeds
     page = Page("Lift test", reports, result.hand, introduction, page_provenance({}, seeds[0]))
-    write_page(path, page, [text_card("By object", result.table())])
+    write_page(path, page, [_by_object(result), text_card("By object", result.table())])
+
+
+def _by_object(result: LiftTestResult) -> str:
+    """Rates of success by object, drawn."""
+    names = sorted(set(result.object_name.tolist()))
+    flags = [result.success[result.object_name == name] for name in names]
+    bars = RateBars(
+        "Lifted and held, with 95 % intervals",
+        names,
+        np.array([each.mean() for each in flags]),
+        np.array([wilson_interval(int(each.sum()), len(each)) for each in flags]),
+        [f"{int(each.sum())} of {len(each)}" for each in flags],
+    )
+    return f"<figure>{rates_svg(bars)}</figure>"
 
 
 def _report(
