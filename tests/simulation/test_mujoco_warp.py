@@ -80,7 +80,7 @@ def test_twenty_steps_from_the_same_states_are_those_of_the_cpu_engine(hand_name
     environment.begin(np.arange(len(plans)), plans, np.maximum(plans.closing_step - 2, 0), environment.sample)
     policy.reset(plans, environment.observe())
     begun(scene, plans, gpu, np.maximum(plans.closing_step - 2, 0))
-    apart, flags, last = [], 0, int((plans.lift_step - plans.closing_step).max()) + 4
+    apart, flags, last = [], [], int((plans.lift_step - plans.closing_step).max()) + 4
     for step in range(last):
         if step in (0, last // 2, last - 1):
             state = cpu.get_state()
@@ -89,15 +89,16 @@ def test_twenty_steps_from_the_same_states_are_those_of_the_cpu_engine(hand_name
             for engine in (cpu, gpu):
                 engine.step(controls, 20)
             apart.append(np.abs(cpu.positions - gpu.positions).max(axis=1))
-            flags += int((cpu.link_contacts != gpu.link_contacts).sum())
+            flags.append((cpu.link_contacts != gpu.link_contacts).sum(axis=1))
             cpu.restore(state)
         environment.step(policy.act(environment.observe()))
     found = np.concatenate(apart)
     print(hand_name, np.sort(found)[::-1][:5], (found <= 1e-4).mean())
     assert gpu.problems() == []
-    assert (found <= 1e-4).mean() >= 0.85 and flags == 0, (np.sort(found), flags)
+    assert (found <= 1e-4).mean() >= 0.85, np.sort(found)
     # A box against a mesh, the palm on the drill, has two contacts in MuJoCo and one in MuJoCo Warp.
     drill = np.tile(plans.object_name == "drill", len(apart))
+    assert not np.concatenate(flags)[~drill].any()
     assert found[~drill].max() <= 3e-3 and found[drill].max() <= 5e-3, np.sort(found)
 
 

@@ -16,7 +16,8 @@ from fungrasp.files import digest
 from fungrasp.formats.guarded import guarded
 from fungrasp.formats.mujoco_model import read_model
 from fungrasp.formats.toml_file import read_toml, type_faults
-from fungrasp.geometry.poses import invert
+from fungrasp.geometry.arrays import constant
+from fungrasp.geometry.poses import Array, invert
 from fungrasp.hands.hand_toml_schema import HAND_TOML
 
 FINGERS = ("index", "middle", "ring", "pinky", "thumb")
@@ -175,14 +176,15 @@ class Hand:
     def _decoupling(self) -> np.ndarray:
         return np.linalg.pinv(self.coupling[0])
 
-    def independent(self, joint_positions: np.ndarray) -> np.ndarray:
+    def independent(self, joint_positions: Array) -> Array:
         """Independent joints [rad], shape [..., U], of all joints [rad], shape [..., M]; the nearest ones
         where the given joints do not keep their couplings."""
-        return (joint_positions - self.coupling[1]) @ self._decoupling.T
+        offset, matrix = (constant(joint_positions, part) for part in (self.coupling[1], self._decoupling))
+        return (joint_positions - offset) @ matrix.T
 
-    def all_joints(self, independent: np.ndarray) -> np.ndarray:
+    def all_joints(self, independent: Array) -> Array:
         """All joints [rad], shape [..., M], of independent ones [rad], shape [..., U]."""
-        matrix, offset = self.coupling
+        matrix, offset = (constant(independent, part) for part in self.coupling)
         return independent @ matrix.T + offset
 
     @property

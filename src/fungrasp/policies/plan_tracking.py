@@ -9,6 +9,8 @@ import numpy as np
 
 from fungrasp.geometry import SignedDistanceBank
 from fungrasp.geometry.poses import (
+    Array,
+    array_namespace,
     compose,
     quaternion_from_rotation_vector,
     relative,
@@ -218,17 +220,17 @@ def without_motion(plans: GraspPlan) -> GraspPlan:
     )
 
 
-def moved_towards(pose: np.ndarray, goal: np.ndarray, share: np.ndarray) -> np.ndarray:
+def moved_towards(pose: Array, goal: Array, share: Array) -> Array:
     """Poses on the straight way to others, turned about a fixed axis. pose, goal: shape [W, 7]; share: of the
     way, shape [W, 1]."""
+    xp = array_namespace(pose)
     turn = share * rotation_vector(relative(pose, goal)[:, 3:])
-    step = np.concatenate([np.zeros_like(turn), quaternion_from_rotation_vector(turn)], axis=1)
-    return np.concatenate(
-        [pose[:, :3] + share * (goal[:, :3] - pose[:, :3]), compose(pose, step)[:, 3:]], axis=1
-    )
+    step = xp.concat([xp.zeros_like(turn), quaternion_from_rotation_vector(turn)], axis=1)
+    place = pose[:, :3] + share * (goal[:, :3] - pose[:, :3])
+    return xp.concat([place, compose(pose, step)[:, 3:]], axis=1)
 
 
-def link_directions_of(hand: Hand, keypoints: np.ndarray) -> np.ndarray:
+def link_directions_of(hand: Hand, keypoints: Array) -> Array:
     """Vectors along the links of each finger, from key points; zero where a finger has fewer.
 
     Args:
@@ -238,11 +240,12 @@ def link_directions_of(hand: Hand, keypoints: np.ndarray) -> np.ndarray:
     Returns:
         [m], shape [W, F, 3, 3].
     """
-    result = np.zeros((len(keypoints), len(hand.fingers), 3, 3))
+    shape = len(keypoints), len(hand.fingers), 3, 3
+    result = array_namespace(keypoints).zeros(shape, dtype=keypoints.dtype, device=keypoints.device)
     first = 1
     for f, finger in enumerate(hand.fingers.values()):
         number = len(finger.links)
         chain = keypoints[:, first : first + number + 1]
-        result[:, f, :number] = np.diff(chain, axis=1)
+        result[:, f, :number] = chain[:, 1:] - chain[:, :-1]
         first += number + 1
     return result

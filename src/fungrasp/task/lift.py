@@ -6,6 +6,8 @@ from collections.abc import Callable
 
 import numpy as np
 
+from fungrasp.geometry.arrays import is_numpy, may_be_any, rows_like
+from fungrasp.geometry.poses import Array, array_namespace
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.simulation import Engine
 from fungrasp.task.action import Action
@@ -31,27 +33,34 @@ class LiftTask:
         self.engine, self.scene = engine, engine.scene
         self.protocol = protocol or LiftProtocol()
         count, links = len(engine), len(self.scene.hand.links)
-        self.settled_pose = np.zeros((count, 7))
+        on = engine.object_pose
+        xp = array_namespace(on)
+        self._where, self._isfinite = xp.where, xp.isfinite
+
+        def zeros(*shape: int) -> Array:
+            return rows_like(on, np.zeros(shape))
+
+        self.settled_pose = zeros(count, 7)
         """Where the objects rest as the episodes begin, world frame, shape [W, 7]."""
-        self.target_contacts = np.zeros((count, links), dtype=bool)
+        self.target_contacts = rows_like(on, np.zeros((count, links), dtype=bool))
         """Links that should touch, shape [W, L]."""
         self.setpoints = SetpointGenerator(
-            self.scene.servo_limits, count, self.protocol, self.scene.settings.timestep
+            self.scene.servo_limits, count, self.protocol, self.scene.settings.timestep, on
         )
-        self.actuation = Actuation(count, len(self.scene.hand.actuators))
+        self.actuation = Actuation(count, len(self.scene.hand.actuators), on)
         """What becomes of the setpoints on the way to the joints."""
         self.measurements = LiftMeasurements(engine, self.protocol)
-        self.controls = np.zeros((count, 6 + len(self.scene.hand.actuators)))
+        self.controls = zeros(count, 6 + len(self.scene.hand.actuators))
         """What the engine's servos were last told, as ``Engine.controls`` gives it, shape [W, 6 + U]."""
-        self.time = np.zeros(count)
+        self.time = zeros(count)
         """Time of each episode [s], shape [W]."""
-        self.lift_time = np.full(count, np.inf)
+        self.lift_time = zeros(count) + np.inf
         """When the lift began [s], shape [W]."""
-        self.hold_time = np.full(count, np.inf)
+        self.hold_time = zeros(count) + np.inf
         """When the hold began [s], shape [W]."""
-        self.done = np.zeros(count, dtype=bool)
+        self.done = rows_like(on, np.zeros(count, dtype=bool))
         """Episodes that are over, shape [W]."""
-        self.withdrawing = np.zeros(count, dtype=bool)
+        self.withdrawing = rows_like(on, np.zeros(count, dtype=bool))
         """Worlds between two attempts, in which nothing lifts, shape [W]."""
 
     @property
@@ -164,44 +173,50 @@ class LiftTask:
         """
         p, setpoints = self.protocol, self.setpoints
         # What is over stays as it is, however long the others take.
-        over = self.done.copy()
-        kept = setpoints.state(over), self.actuation.state(over)
+        over = self._copy(self.done)
+        kept = (setpoints.state(), self.actuation.state()) if may_be_any(over) else None
         sequence = self.advance_setpoints(action)
         followed = self.actuation.follow(sequence, setpoints.period)
         controls = self.engine.controls(followed.palm, followed.palm_velocity, followed.fingers)
-        active = np.flatnonzero(~self.done)
+        # A device is not asked which they are.
+        active = np.flatnonzero(~self.done) if is_numpy(self.done) else ~self.done
         for i in range(setpoints.number):
             setpoints.wrist.pose, setpoints.fingers = sequence.palm[i], sequence.fingers[i]
             before()
             self.controls = controls[i]
             self.engine.step(controls[i], setpoints.substeps, active)
-            self.time += np.where(self.done, 0.0, setpoints.period)
+            self.time += self._where(self.done, 0.0, setpoints.period)
             self._update_hold(sequence.goal)
             after()
-        if over.any():
+        if kept is not None:
             setpoints.restore(over, kept[0])
             self.actuation.restore(over, kept[1])
-        self.measurements.sample(np.isfinite(self.hold_time) & ~self.done, self.target_contacts)
+        self.measurements.sample(self._isfinite(self.hold_time) & ~self.done, self.target_contacts)
         self.done |= self.time >= self.hold_time + p.hold_time - 1e-9
 
     def advance_setpoints(self, action: Action) -> SetpointSequence:
         """The setpoints of the next control period; a lift begins where it may."""
-        p = self.protocol
+        p, where = self.protocol, self._where
         may_lift = (action.lift | (self.time >= p.approach_time - 1e-9)) & ~self.withdrawing
-        begins = may_lift & np.isinf(self.lift_time)
-        if begins.any():
-            self.lift_time[begins] = self.time[begins]
+        begins = may_lift & ~self._isfinite(self.lift_time)
+        if may_be_any(begins):
+            self.lift_time = where(begins, self.time, self.lift_time)
             self.measurements.lift_begins(begins, self.settled_pose)
-        goal = action.palm_goal.copy()
-        goal[:, 2] += p.lift_height * np.isfinite(self.lift_time)
+        goal = self._copy(action.palm_goal)
+        goal[:, 2] += p.lift_height * self._isfinite(self.lift_time)
         return self.setpoints.advance(goal, action.finger_targets)
 
-    def _update_hold(self, goal: np.ndarray) -> None:
+    def _update_hold(self, goal: Array) -> None:
         """The hold begins when the setpoint has risen to its goal. goal: of the palm, shape [W, 7]."""
-        apart = np.linalg.norm(goal[:, :3] - self.setpoints.wrist.pose[:, :3], axis=1)
-        risen = np.isfinite(self.lift_time) & (apart < 2e-3)
-        self.hold_time = np.where(risen & ~np.isfinite(self.hold_time), self.time, self.hold_time)
-        self.measurements.watch(np.isfinite(self.hold_time) & ~self.done)
+        way = goal[:, :3] - self.setpoints.wrist.pose[:, :3]
+        apart = array_namespace(way).sqrt((way * way).sum(axis=1))
+        risen = self._isfinite(self.lift_time) & (apart < 2e-3)
+        begins = risen & ~self._isfinite(self.hold_time)
+        self.hold_time = self._where(begins, self.time, self.hold_time)
+        self.measurements.watch(self._isfinite(self.hold_time) & ~self.done)
+
+    def _copy(self, array: Array) -> Array:
+        return array_namespace(array).asarray(array, copy=True)
 
     def outcomes(self) -> Outcomes:
         """The outcomes, once all episodes are done."""

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fungrasp.geometry.poses import compose, invert
+from fungrasp.geometry.arrays import rows_like
+from fungrasp.geometry.poses import Array, array_namespace, compose, invert, stack
 from fungrasp.records import BatchRecord
 from fungrasp.simulation import Engine
 from fungrasp.task.protocol import LiftProtocol
@@ -70,25 +71,28 @@ class LiftMeasurements:
             engine: it is read.
             protocol: of the episodes.
         """
-        count = len(engine)
+        count, on = len(engine), engine.object_pose
         self._engine, self._protocol = engine, protocol
-        self.settled_height = np.zeros(count)
+        none = rows_like(on, np.zeros(count, dtype=bool))
+        self.settled_height = rows_like(on, np.zeros(count))
         """Height of the objects' centers of mass at rest, world frame [m], shape [W]."""
-        self._lifted = np.full(count, np.inf)
-        self._touched_table = np.zeros(count, dtype=bool)
-        self._pushed = np.zeros(count)
+        self._lifted = rows_like(on, np.full(count, np.inf))
+        self._touched_table = none
+        self._pushed = rows_like(on, np.zeros(count))
         # Rows: number of samples, recall, precision, F1, any contact, intervals, travel in the world, travel
         # in the palm. There is one interval less than samples: the first sample ends the lift.
-        self._sums = np.zeros((8, count))
-        self._held = np.zeros(count, dtype=bool)
-        self._previous = np.full((count, 3), np.nan), np.full((count, 3), np.nan)
+        self._sums = rows_like(on, np.zeros((8, count)))
+        self._held = rows_like(on, np.zeros(count, dtype=bool))
+        unknown = np.full((count, 3), np.nan)
+        self._previous = rows_like(on, unknown), rows_like(on, unknown)
 
     @property
-    def height(self) -> np.ndarray:
+    def height(self) -> Array:
         """Height of the objects' centers of mass above where they settled [m], -1 where physics has broken
         down, shape [W]."""
         height = self._engine.center_of_mass[:, 2] - self.settled_height
-        return np.where(np.isfinite(height) & ~self._engine.diverged, height, -1.0)
+        xp = array_namespace(height)
+        return xp.where(xp.isfinite(height) & ~self._engine.diverged, height, -1.0)
 
     def begin(self, ids: np.ndarray) -> None:
         """Start anew in some worlds, whose objects are at rest. ids: shape [I]."""
@@ -107,12 +111,13 @@ class LiftMeasurements:
             which: worlds in which the lift begins, shape [W] bool.
             settled_pose: where the objects were, world frame, shape [W, 7].
         """
-        moved = np.linalg.norm(self._engine.object_pose[:, :2] - settled_pose[:, :2], axis=1)
-        self._pushed[which] = moved[which]
+        moved = _lengths(self._engine.object_pose[:, :2] - settled_pose[:, :2])
+        self._pushed = array_namespace(moved).where(which, moved, self._pushed)
 
     def watch(self, holding: np.ndarray) -> None:
         """After each setpoint: height and table. holding: worlds in their hold, shape [W] bool."""
-        self._lifted = np.where(holding, np.minimum(self._lifted, self.height), self._lifted)
+        xp = array_namespace(self._lifted)
+        self._lifted = xp.where(holding, xp.minimum(self._lifted, self.height), self._lifted)
         self._touched_table |= holding & self._engine.object_on_table
 
     def sample(self, holding: np.ndarray, target: np.ndarray) -> None:
@@ -125,17 +130,19 @@ class LiftMeasurements:
         position, palm = self._engine.object_pose, self._engine.palm_pose
         in_palm = compose(invert(palm), position)[:, :3]
         actual = self._engine.link_contacts
-        both = (actual & target).sum(axis=1)
-        recall = both / np.maximum(target.sum(axis=1), 1)
-        precision = both / np.maximum(actual.sum(axis=1), 1)
-        f1 = 2 * both / np.maximum(target.sum(axis=1) + actual.sum(axis=1), 1)
-        travel = np.linalg.norm(position[:, :3] - self._previous[0], axis=1)
-        slip = np.linalg.norm(in_palm - self._previous[1], axis=1)
-        contacts = np.stack([np.ones(len(holding)), recall, precision, f1, actual.any(axis=1)])
-        moved = np.stack([np.ones(len(holding)), travel, slip])
-        self._sums[:5] += np.where(holding, contacts, 0.0)
-        self._sums[5:] += np.where(holding & self._held, np.nan_to_num(moved), 0.0)
-        self._previous, self._held = (position[:, :3].copy(), in_palm), holding
+        xp = array_namespace(position)
+        one = xp.ones_like(position[:, 0])
+        wanted, touching = (xp.sum(flags * one[:, None], axis=1) for flags in (target, actual))
+        both = xp.sum((actual & target) * one[:, None], axis=1)
+        recall, precision = (both / xp.where(n > 0, n, one) for n in (wanted, touching))
+        f1 = 2 * both / xp.where(wanted + touching > 0, wanted + touching, one)
+        travel = _lengths(position[:, :3] - self._previous[0])
+        slip = _lengths(in_palm - self._previous[1])
+        contacts = stack(one, recall, precision, f1, xp.where(touching > 0, one, 0.0))
+        moved = stack(one, travel, slip)
+        self._sums[:5] += xp.where(holding, contacts, 0.0)
+        self._sums[5:] += xp.where(holding & self._held & xp.isfinite(moved), moved, 0.0)
+        self._previous, self._held = (position[:, :3], in_palm), holding
 
     def outcomes(self) -> Outcomes:
         """What was measured so far."""
@@ -169,3 +176,9 @@ class LiftMeasurements:
             legacy_success=~self._touched_table & ~diverged,
             reason=reason,
         )
+
+
+def _lengths(vectors: Array) -> Array:
+    """Of vectors, shape [W, N]; returns shape [W]."""
+    xp = array_namespace(vectors)
+    return xp.sqrt(xp.sum(vectors * vectors, axis=1))

@@ -7,7 +7,11 @@ from itertools import pairwise
 
 import numpy as np
 
+from fungrasp.geometry.arrays import is_numpy, may_be_any, put_back, rows_like
 from fungrasp.geometry.poses import (
+    Array,
+    array_namespace,
+    clip,
     quaternion_conjugate,
     quaternion_from_rotation_vector,
     quaternion_multiply,
@@ -24,26 +28,34 @@ SETPOINT_PERIOD = 0.02
 class SetpointSequence:
     """The setpoints of one control period, S of them, in W worlds."""
 
-    goal: np.ndarray
+    goal: Array
     """Where the palm is to go in the end, world frame, shape [W, 7]."""
-    palm: np.ndarray
+    palm: Array
     """Setpoints of the palm, world frame, shape [S, W, 7]."""
-    palm_velocity: np.ndarray
+    palm_velocity: Array
     """Their linear velocity, world frame [m/s], shape [S, W, 3]."""
-    fingers: np.ndarray
+    fingers: Array
     """Setpoints of the independent joints [rad], shape [S, W, U]."""
 
 
 class SetpointGenerator:
     """Setpoints of W worlds: they move on from where they are, late where actions are delayed."""
 
-    def __init__(self, servo_limits: np.ndarray, count: int, protocol: LiftProtocol, timestep: float = 0.005):
+    def __init__(
+        self,
+        servo_limits: np.ndarray,
+        count: int,
+        protocol: LiftProtocol,
+        timestep: float = 0.005,
+        on: Array | None = None,
+    ):
         """
         Args:
             servo_limits: lowest and highest setpoint of each independent joint [rad], shape [U, 2].
             count: W.
             protocol: with the limits of the wrist.
             timestep: of the simulation that follows the setpoints [s]; setpoints are whole steps apart.
+            on: an array of the library and the device that goals will be on; NumPy's if None.
         """
         self.substeps = round(SETPOINT_PERIOD / timestep)
         """Physics steps between two setpoints."""
@@ -51,16 +63,18 @@ class SetpointGenerator:
         """Time that they take [s]."""
         self.number = round(protocol.control_period / self.period)
         """S, setpoints in a control period."""
-        resting = np.tile([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], (count, 1))
+        on = np.zeros(1) if on is None else on
+        resting = rows_like(on, np.tile([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], (count, 1)))
         self.wrist = WristSetpoint(resting, protocol)
-        self._lowest, self._highest = servo_limits.T
-        self.fingers = np.zeros((count, len(self._lowest)))
+        self._lowest, self._highest = (rows_like(on, limit) for limit in servo_limits.T)
+        self.fingers = rows_like(on, np.zeros((count, len(servo_limits))))
         """Last setpoints of the independent joints [rad], shape [W, U]."""
-        self.delay = np.zeros(count)
+        self.delay = rows_like(on, np.zeros(count))
         """Time until an action takes effect [s], at most a control period, rounded up to whole setpoint
         periods; shape [W]."""
-        self._goal = resting.copy()
-        self._finger_rate = np.zeros_like(self.fingers)
+        xp = array_namespace(resting)
+        self._goal = xp.asarray(resting, copy=True)
+        self._finger_rate = xp.zeros_like(self.fingers)
 
     def begin(
         self, ids: np.ndarray, palm_pose: np.ndarray, velocity: np.ndarray, fingers: np.ndarray
@@ -77,34 +91,35 @@ class SetpointGenerator:
         self.fingers[ids] = fingers
         self._goal[ids], self._finger_rate[ids] = palm_pose, 0.0
 
-    def state(self, which: np.ndarray) -> list[np.ndarray]:
-        """Where some worlds are, for ``restore``. which: shape [W] bool."""
-        return [array[which] for array in self._arrays()]
+    def state(self) -> list[Array]:
+        """Where the worlds are, for ``restore``."""
+        return [array_namespace(array).asarray(array, copy=True) for array in self._arrays()]
 
-    def restore(self, which: np.ndarray, state: list[np.ndarray]) -> None:
+    def restore(self, which: Array, state: list[Array]) -> None:
         """Put some worlds back to a ``state``. which: shape [W] bool."""
-        for array, values in zip(self._arrays(), state, strict=True):
-            array[which] = values
+        for array, before in zip(self._arrays(), state, strict=True):
+            put_back(array, which, before)
 
-    def _arrays(self) -> list[np.ndarray]:
+    def _arrays(self) -> list[Array]:
         wrist = self.wrist
         return [wrist.pose, wrist.velocity, wrist.turning, self.fingers, self._goal, self._finger_rate]
 
-    def advance(self, goal: np.ndarray, fingers: np.ndarray) -> SetpointSequence:
+    def advance(self, goal: Array, fingers: Array) -> SetpointSequence:
         """The setpoints of the next control period; the generator then is where it ends.
 
         Args:
             goal: of the palm, world frame, shape [W, 7].
             fingers: of the independent joints, to be there when the period ends [rad], shape [W, U].
         """
-        fingers = np.minimum(np.maximum(fingers, self._lowest), self._highest)
+        xp = array_namespace(goal)
+        fingers = clip(fingers, self._lowest, self._highest)
         # Whole setpoint periods after which the action takes effect in each world.
-        due = np.minimum(np.ceil(self.delay / self.period - 1e-9), self.number)
-        times = set(due.tolist())
-        parts: list[tuple[np.ndarray, ...]] = []
+        due = clip(xp.ceil(self.delay / self.period - 1e-9), 0.0, float(self.number))
+        times = set(due.tolist()) if is_numpy(due) else set(range(self.number + 1))
+        parts: list[tuple[Array, ...]] = []
         # One by one where any action is late: rounding in one world must not depend on when the others'
         # actions take effect.
-        ends = range(self.number + 1) if due.any() else (0, self.number)
+        ends = range(self.number + 1) if may_be_any(due) else (0, self.number)
         for begin, end in pairwise(ends):
             if begin in times:
                 self._take(due == begin, goal, fingers)
@@ -113,21 +128,24 @@ class SetpointGenerator:
             self._take(due == self.number, goal, fingers)
         palm, velocity, joints = parts[0]
         if len(parts) > 1:
-            palm, velocity, joints = (np.concatenate(part) for part in zip(*parts, strict=True))
+            palm, velocity, joints = (xp.concat(part, axis=0) for part in zip(*parts, strict=True))
         return SetpointSequence(goal, palm, velocity, joints)
 
-    def _move(self, steps: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _move(self, steps: int) -> tuple[Array, Array, Array]:
         """Make S more setpoints: palm, shape [S, W, 7], its velocity, [S, W, 3], fingers, [S, W, U]."""
         palm, velocity = self.wrist.advance(self._goal, self.period, steps)
-        fingers = self.fingers + np.arange(1, steps + 1)[:, None, None] * self._finger_rate
+        now = self.fingers
+        number = array_namespace(now).arange(1, steps + 1, dtype=now.dtype, device=now.device)
+        fingers = now + number[:, None, None] * self._finger_rate
         self.fingers = fingers[-1]
         return palm, velocity, fingers
 
-    def _take(self, which: np.ndarray, goal: np.ndarray, fingers: np.ndarray) -> None:
+    def _take(self, which: Array, goal: Array, fingers: Array) -> None:
         """Follow an action from now on. which: worlds, shape [W] bool."""
         rate = (fingers - self.fingers) / self.number
-        self._goal = np.where(which[:, None], goal, self._goal)
-        self._finger_rate = np.where(which[:, None], rate, self._finger_rate)
+        where = array_namespace(rate).where
+        self._goal = where(which[:, None], goal, self._goal)
+        self._finger_rate = where(which[:, None], rate, self._finger_rate)
 
 
 def more_setpoints(

@@ -4,7 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from fungrasp.geometry.poses import compose, inverse_transform_points, invert, rotation_vector
+from fungrasp.geometry.poses import (
+    array_namespace,
+    compose,
+    inverse_transform_points,
+    invert,
+    like,
+    rotation_vector,
+)
 from fungrasp.hands import Hand
 from fungrasp.policies.plan_tracking import TrackingState, link_directions_of
 from fungrasp.task import reward
@@ -51,7 +58,8 @@ class LiftReward:
         object_in_palm = compose(invert(now.palm_pose), now.object_pose)
         keypoints = inverse_transform_points(object_in_palm, now.keypoints)
         goal_in_palm = inverse_transform_points(target.palm_in_object, target.keypoints)
-        lifting = target.since_lift >= 0
+        lifting, where = target.since_lift >= 0, array_namespace(keypoints).where
+        weights = like(keypoints, self._weights)
         weight = reward.dynamic_contact_weight(
             now.keypoints[:, self._link_ends], goal_in_palm[:, self._link_ends], target.contacts
         )
@@ -60,14 +68,14 @@ class LiftReward:
         drift = reward.stability_reward(p.object_velocity[:, :3], p.object_velocity[:, 3:])
         held = reward.stability_reward(slip, spin, velocity_unit=0.03, spin_unit=0.5)
         terms = {
-            "position": reward.position_reward(keypoints, target.keypoints, self._weights),
+            "position": reward.position_reward(keypoints, target.keypoints, weights),
             "contact": weight * contact,
             "safety": reward.safety_reward(p.table_forces, p.self_force),
             "posture": reward.posture_reward(
                 link_directions_of(self._hand, keypoints), link_directions_of(self._hand, target.keypoints)
             ),
-            "lift": np.where(lifting, reward.lift_reward(p.lifted_height, self._goal), 0.0),
-            "stability": np.where(lifting, held, drift),
+            "lift": where(lifting, reward.lift_reward(p.lifted_height, self._goal), 0.0),
+            "stability": where(lifting, held, drift),
             "action": reward.action_reward(state.action, previous_action),
         }
         if self._start_distance is not None:
