@@ -26,7 +26,7 @@ def _places(monkeypatch: pytest.MonkeyPatch, count: int, reached: int) -> list[f
             raise UnreachableError("no placement was found")
         yield from (np.full(7, float(i)) for i in range(count))
 
-    def run(task: Any, twin: int, placement: np.ndarray) -> Any:
+    def run(task: Any, twin: int, placement: np.ndarray, attempts: int) -> Any:
         tried.append(placement[0])
         if len(tried) <= reached:
             raise UnreachableError("the arm doesn't reach so far")
