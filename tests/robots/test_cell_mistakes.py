@@ -110,6 +110,11 @@ MISTAKES = {
         "home = [0.0, -1.9, 3.5,",
         ["'arm.home' is beyond the joint limits"],
     ),
+    "home outside the workspace": (
+        "upper = [0.35, 0.3, 0.8]",
+        "upper = [0.35, 0.3, 0.5]",
+        ["at 'arm.home' the palm would leave the workspace box", "the palm is at ("],
+    ),
     "too few joints": (", -1.5708, 0.0]", ", -1.5708]", ["'arm.home' must have 6 joints, not 5"]),
     "obstacle through the base": (
         "center = [-0.5, 0.0, 0.14]",

@@ -73,6 +73,7 @@ class Check:
         from fungrasp.robots.cell import check_calibrated, load_cell
         from fungrasp.robots.kinematics.arm_model import ArmKinematics, ClearanceModel
         from fungrasp.robots.kinematics.joint_path import FreePath
+        from fungrasp.robots.safety import check_posture
 
         cell = load_cell(self.cell)
         hand = load_hand(cell.hand)
@@ -84,11 +85,13 @@ class Check:
             raise FungraspError(f"'arm.home' is beyond the joint limits of the {cell.arm.model}")
         fingers = hand.open_joints
         clearance = ClearanceModel(cell, hand)
+        pose = kinematics.palm_pose(home)
+        palm = ", ".join(f"{x:.2f}" for x in pose[:3])
         if not FreePath(kinematics, clearance, cell.workspace).clear(home, fingers, None):
+            why = check_posture(pose, clearance.measure(home, fingers), cell.workspace)
             raise FungraspError(
-                "at 'arm.home' the robot touches the table or itself, or the palm is outside the workspace"
+                f"at 'arm.home' {why or 'the robot is too near to something'}; the palm is at ({palm}) m then"
             )
-        palm = ", ".join(f"{x:.2f}" for x in kinematics.palm_pose(home)[:3])
         print(f"{cell.name}: {hand.title} on a {cell.arm.model}; palm at home: {palm} m")
         if self.touched is not None:
             base = check_touched_base(self.touched, cell, hand)

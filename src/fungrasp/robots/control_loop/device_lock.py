@@ -30,7 +30,9 @@ class DeviceLock:
         mark = hashlib.sha256(self._name.encode()).hexdigest()[:12]
         path = Path(tempfile.gettempdir()) / f"fungrasp-{mark}.lock"
         try:
-            file = os.open(path, os.O_RDONLY | os.O_CREAT, 0o644)
+            # Without O_CREAT first: systems refuse it for another user's file in a common folder.
+            exists = path.exists()
+            file = os.open(path, os.O_RDONLY if exists else os.O_RDONLY | os.O_CREAT, 0o644)
         except OSError as error:
             raise RobotError(f"cannot lock {self._name}: {path}: {error.strerror}") from error
         try:

@@ -105,7 +105,9 @@ class AllegroLoop:
         )
         self.stale_after = settings.stale_after
         self.takes_feedforward = True
-        self.lets_go = "when this program ends, the bus fails or it is too hot: the computer makes its torques"
+        self.lets_go = (
+            "when this program ends, the bus fails or it is too hot: the computer makes its torques"
+        )
         self._units = codec.ALLEGRO_V4 if settings.generation == 4 else codec.ALLEGRO_V5
         lower, upper = hand_joint_limits(settings.hand, 16)
         if hand_side(settings.hand) != settings.side:
