@@ -15,6 +15,8 @@ from scipy.spatial import KDTree
 
 from fungrasp.files import atomic_path
 from fungrasp.formats.numpy_files import read_npz
+from fungrasp.geometry.arrays import is_numpy, rows_like
+from fungrasp.geometry.poses import Array
 
 MOST_SAMPLES = 2_000_000
 """Most surface samples of a mesh, and most pairs of a point and a triangle that are worked on together."""
@@ -132,8 +134,9 @@ class SignedDistanceBank:
             spacing=np.array([grid.spacing for grid in grids], dtype=float),
         )
         """What the bank holds."""
+        self._copies: dict[tuple[str, str], GridArrays] = {}
 
-    def query(self, grid: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def query(self, grid: Array, points: Array) -> tuple[Array, Array]:
         """Trilinear signed distance and its exact gradient.
 
         Outside a grid, the distance to the grid's border is added, so that the value keeps growing. NaN gives
@@ -146,6 +149,10 @@ class SignedDistanceBank:
         Returns:
             distance [m], shape [N, P]; gradient, shape [N, P, 3].
         """
+        if not is_numpy(points):
+            from fungrasp.geometry.array_distances import array_distances
+
+            return array_distances(self._on(points), grid, points)
         # Importing Numba takes half a second: not before something is asked.
         from fungrasp.geometry.distance_queries import signed_distances
 
@@ -153,6 +160,16 @@ class SignedDistanceBank:
         distance, gradient = np.empty(where.shape[:2]), np.empty(where.shape)
         signed_distances(self.arrays, rows, where, distance, gradient)
         return distance, gradient
+
+    def _on(self, points: Array) -> GridArrays:
+        """The arrays on the device of points, copied once."""
+        key = str(points.device), str(points.dtype)
+        if key not in self._copies:
+            # In single precision the last cell would end at its end, and the next corner lie beyond.
+            single = "float32" in key[1]
+            arrays = self.arrays._replace(last=self.arrays.last - 1e-4 * single)
+            self._copies[key] = GridArrays(*(rows_like(points, array) for array in arrays))
+        return self._copies[key]
 
 
 def mesh_signed_distance(mesh: trimesh.Trimesh, points: np.ndarray) -> np.ndarray:
