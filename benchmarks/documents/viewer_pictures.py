@@ -19,6 +19,7 @@ import numpy as np
 
 import fungrasp
 from fungrasp.errors import FungraspError
+from fungrasp.perception.builtin_image import builtin_truth
 from fungrasp.perception.io.scene_folders import BUILTIN_CAPTURE
 from fungrasp.viewer.choose_page import perceived_capture
 from fungrasp.viewer.server import Viewer
@@ -120,7 +121,9 @@ def _wait(words: str) -> Callable[[Any, Viewer], None]:
 
 
 def _capture(folder: Path) -> Viewer:
-    return fungrasp.view(perceived_capture(str(BUILTIN_CAPTURE), "drill"), port=0, wait=False)  # type: ignore
+    return fungrasp.view(
+        perceived_capture(str(BUILTIN_CAPTURE), builtin_truth().object_name), port=0, wait=False
+    )  # type: ignore
 
 
 PICTURES = (

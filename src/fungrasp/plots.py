@@ -167,7 +167,7 @@ def _figure(width: float, height: float) -> Iterator[Any]:
     import matplotlib as mpl
     from matplotlib.figure import Figure
 
-    settings = {
+    settings: Any = {
         "svg.hashsalt": "fungrasp",
         "svg.fonttype": "none",
         "font.family": ["sans-serif"],

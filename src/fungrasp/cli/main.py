@@ -34,6 +34,7 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
     "grasps": ("fungrasp.cli.grasps", "list, show, import and make human grasps"),
     "setup": ("fungrasp.cli.setup", "fetch the hand models that perceiving images needs"),
     "policies": ("fungrasp.cli.policies", "list and describe learned policies"),
+    "doctor": ("fungrasp.cli.doctor", "say what is installed and there: extras, devices, caches"),
     "identify": ("fungrasp.cli.identify", "record a real hand's motion and fit the dynamics of its joints"),
 }
 """Module and summary of every command, in the order of the help."""

@@ -12,7 +12,7 @@ from time import perf_counter
 import numpy as np
 
 from fungrasp.evaluation import LiftTestSpec, Trajectory, evaluate, replay, static_quality
-from fungrasp.grasps import HumanGraspSet
+from fungrasp.grasps import HumanGrasp, HumanGraspSet
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
 from fungrasp.planning import MotionSettings
@@ -21,6 +21,7 @@ from fungrasp.planning.selection.refinement import refine_grasps
 from fungrasp.policies import OpenLoopPolicy, make_planner
 from fungrasp.policies.registry import REFERENCE
 from fungrasp.provenance import page_provenance
+from fungrasp.rendering import human_grasp_scene, look_at_grasp, render
 from fungrasp.report.episode_film import episode_film, film_frames
 from fungrasp.report.grasp_demo import grasp_report, grasp_title
 from fungrasp.report.page import GraspReport, Page, write_page
@@ -29,6 +30,12 @@ from fungrasp.retargeting import retarget
 
 FPS, SPEED = 12.0, 2.0
 """Frames per second of the film, and how much faster than the simulation it runs."""
+
+WIDTH, HEIGHT = 640, 480
+"""Size of the film's picture [pixels]."""
+
+INSET = 0.28
+"""Width of the picture of the person's grasp in the film's corner, in widths of the film."""
 
 TITLE = "Human grasps, taken over by a robot hand"
 
@@ -176,8 +183,10 @@ def _film(
     def frames() -> Iterator[np.ndarray]:
         done = 0
         for each in episodes:
-            obj, clip, title = objects[each.object_name], [], grasp_title(human[each.index])
-            for frame in episode_film(each, hand, obj, fps=FPS, speed=SPEED, title=title, threads=threads):
+            obj, clip, grasp = objects[each.object_name], [], human[each.index]
+            options = {"fps": FPS, "speed": SPEED, "width": WIDTH, "height": HEIGHT, "threads": threads}
+            inset = _person(grasp, obj)
+            for frame in episode_film(each, hand, obj, title=grasp_title(grasp), inset=inset, **options):
                 clip.append(frame)
                 yield frame
                 done += 1
@@ -187,3 +196,12 @@ def _film(
 
     with stages("filming", sum(film_frames(each, FPS, SPEED) for each in episodes)) as show:
         return write_video(out, frames(), FPS), clips
+
+
+def _person(grasp: HumanGrasp, obj: ObjectModel) -> np.ndarray:
+    """The person's grasp, for the film's corner."""
+    model = human_grasp_scene(
+        grasp.hand_joints, obj.vertices, obj.faces, grasp.object_pose, grasp.link_contacts
+    )
+    width, height = round(INSET * WIDTH), round(INSET * HEIGHT)
+    return render(model, model.qpos0, look_at_grasp(model, width=width, height=height))[0]

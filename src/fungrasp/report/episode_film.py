@@ -31,6 +31,9 @@ FARTHEST = 0.4
 STILL = 1e-3
 """What moves less than this is not drawn again [m]."""
 
+FRAME = 3
+"""Width of the frame about an inset [pixels]."""
+
 STEADY = 0.1
 """Half of the time over which contacts are averaged, so that links don't flicker [s]."""
 
@@ -45,6 +48,7 @@ def episode_film(
     width: int = 432,
     height: int = 324,
     title: str = "",
+    inset: np.ndarray | None = None,
     threads: int = 0,
 ) -> Iterator[np.ndarray]:
     """A recorded episode, with the object's own mesh; links light up while they touch.
@@ -59,6 +63,7 @@ def episode_film(
         width: [pixels].
         height: [pixels].
         title: words before the phase.
+        inset: picture in the upper left corner, as of the person's grasp: sRGB, shape [h, w, 3] uint8.
         threads: 0 means all CPUs; the film does not depend on it.
 
     Yields:
@@ -87,11 +92,22 @@ def episode_film(
         picture = next(pictures) if fresh else picture
         phase = [name for start, name in episode_phases(trajectory) if start <= time][-1]
         clock = f"{time - at[0]:.1f} s"
-        yield captioned(picture, " · ".join(filter(None, (title, phase))), clock)
+        yield captioned(_with_inset(picture, inset), " · ".join(filter(None, (title, phase))), clock)
     done = "used" if trajectory.is_use_test else "lifted and held"
     verdict = done if trajectory.success else f"failed: {trajectory.reason}"
     for _ in range(round(VERDICT_TIME * fps)):
-        yield captioned(picture, " · ".join(filter(None, (title, verdict))), clock)
+        yield captioned(_with_inset(picture, inset), " · ".join(filter(None, (title, verdict))), clock)
+
+
+def _with_inset(picture: np.ndarray, inset: np.ndarray | None) -> np.ndarray:
+    """A picture with a smaller one in its upper left corner, framed."""
+    if inset is None:
+        return picture
+    height, width = (n + 2 * FRAME for n in inset.shape[:2])
+    whole = picture.copy()
+    whole[:height, :width] = 255
+    whole[FRAME : height - FRAME, FRAME : width - FRAME] = inset
+    return whole
 
 
 def film_frames(trajectory: Trajectory, fps: float = 15.0, speed: float = 1.5) -> int:

@@ -112,7 +112,7 @@ class CapturePage(BrowserPage):
         away = middle - camera[:3]
         aside = np.array([away[1], -away[0], 0.0])
         distance = float(np.linalg.norm(away))
-        look_at(self.client, tuple(middle), 0.8 * distance, aside / max(float(np.linalg.norm(aside)), 1e-9))
+        look_at(self.client, tuple(middle), 0.95 * distance, aside / max(float(np.linalg.norm(aside)), 1e-9))
 
     def _show_chosen(self) -> None:
         for name, box in self._boxes.items():

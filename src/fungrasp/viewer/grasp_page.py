@@ -163,7 +163,7 @@ class GraspPage(BrowserPage):
         places = [center + (i - (count - 1) / 2) * APART * aside for i in range(count)]
         scene = self.client.scene
         height = float(grasp.object_pose[2])
-        look_at(self.client, (0.0, 0.0, height), 0.36 + 0.17 * count, aside)
+        look_at(self.client, (0.0, 0.0, height), 0.30 + 0.24 * count, aside)
         with self.client.atomic():
             root = scene.add_frame("/human", show_axes=False, position=places[0])
             self._person = HumanFigure(scene, "/human/hand", grasp.hand_joints, grasp.link_contacts)
