@@ -5,6 +5,7 @@ from __future__ import annotations
 BENCHMARKS = {
     "speed": "retargeting, planning, training, clusters and drivers: how fast, at what quality",
     "engines": "physics steps per second: the environment beside bare physics",
+    "gpu": "worlds from one to thousands on each device: steps, rollouts, memory, shares",
     "peers": "retargeting beside other packages",
     "grasp_set": "makes human grasps of many objects, in parts to train, to choose and to confirm",
     "choose": "two variants on the same grasps of that set: the difference and its interval",

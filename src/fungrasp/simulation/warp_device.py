@@ -68,7 +68,7 @@ def open_warp(device: Device) -> Warp:
             "https://pytorch.org/get-started for your CUDA"
         )
     _prepare_cache(warp)
-    return Warp(warp, mujoco_warp, torch, "cuda:0" if _local_rank() is None else f"cuda:{_local_rank()}")
+    return Warp(warp, mujoco_warp, torch, "cuda:0")
 
 
 def check_memory(needed: int, worlds: int, warp: Warp) -> None:
@@ -181,9 +181,3 @@ def why_no_cuda() -> str:
     if driver.cuInit(0):
         return "the NVIDIA driver does not start (nvidia-smi says why)"
     return "the NVIDIA driver finds no GPU (CUDA_VISIBLE_DEVICES hides them if it is set)"
-
-
-def _local_rank() -> int | None:
-    """Number of this process among those that torchrun started here."""
-    rank = os.environ.get("LOCAL_RANK", "")
-    return int(rank) if rank.isdigit() else None

@@ -58,7 +58,9 @@ class MujocoWarpWorlds(MujocoArrays):
         self._device = torch.device(self._lib.device)
         host = host_model(scene.model)
         with warp.ScopedDevice(self._lib.device):
-            check_memory(count * memory_of_world(scene, self.sizes, self._lib), count, self._lib)
+            self.bytes_per_world = memory_of_world(scene, self.sizes, self._lib)
+            """What a further world takes of the device's memory."""
+            check_memory(count * self.bytes_per_world, count, self._lib)
             # A field with one row is taken for the same in all worlds.
             self.warp_model = mjw.put_model(host, dict.fromkeys(PER_WORLD, max(count, 2)))
             self.warp_data = mjw.make_data(
@@ -176,6 +178,12 @@ class MujocoWarpWorlds(MujocoArrays):
         torch.maximum(self._most_rows, self._rows, out=self._most_rows)
         torch.maximum(self._most_contacts, self._found, out=self._most_contacts)
         self._forward()
+
+    def wait(self) -> None:
+        """Until the device has done what it was given: for measurements."""
+        self._lib.warp.synchronize_device(self._lib.device)
+        if self._device.type == "cuda":
+            self._lib.torch.cuda.synchronize(self._device)
 
     @property
     def _moved(self) -> list[Array]:

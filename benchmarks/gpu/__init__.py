@@ -1,0 +1,1 @@
+"""Thousands of worlds on a GPU: how fast, in how much memory."""
