@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import contextlib
 import re
+import socket
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -19,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from fungrasp.geometry.poses import compose, invert, quaternion_from_rotation_vector
+from fungrasp.robots.codecs import rtde
 from fungrasp.robots.control_loop.device_loop import LoopGoal, LoopMode
 from fungrasp.robots.control_loop.loop_driver import LoopDriver
 from fungrasp.robots.device import DeviceStatus, JointLimits, JointState, RobotError
@@ -40,6 +42,12 @@ VARIABLES = [
 PAYLOAD_TOLERANCE, PAYLOAD_CENTER_TOLERANCE = 0.1, 0.01
 """Of the payload [kg] and of its center along each axis [m]."""
 PLAYING = 2
+RTDE_PORT = 30004
+IN_USE = (
+    "another program, or a fieldbus, controls this arm: its input registers are in use; end that one first"
+)
+STOP_TIMEOUT = 2.0
+"""A program that was told to stop has stopped within this time [s]."""
 EMERGENCY_BITS = 1 << 5 | 1 << 6 | 1 << 7
 PROTECTIVE_BIT = 1 << 2
 SAFEGUARD_BIT = 1 << 4
@@ -183,6 +191,7 @@ class URLoop:
             raise RobotError(f"{self.name}: {slowed}")
         if self._control is None:
             control = import_client("rtde_control", "ur", "a UR arm")
+            self._end_other_program()
             with self._errors_as_ours(), timer_slack(POLL_SLACK):
                 self._control = control.RTDEControlInterface(self.settings.address, STATE_RATE)
             self._set_watchdog()
@@ -192,6 +201,42 @@ class URLoop:
         self._taken = True
         self._advanced = self._due = time.monotonic()
 
+    def _end_other_program(self) -> None:
+        """End a program that runs on the controller, unless a client commands it. The client library would
+        wait for ever where another program runs after one of its own: it tells only that one to stop."""
+        if self._receive.getRuntimeState() != PLAYING:
+            return
+        if self._commanded():
+            raise RobotError(f"{self.name}: {IN_USE}")
+        dashboard = import_client("dashboard_client", "ur", "a UR arm").DashboardClient(self.settings.address)
+        with self._errors_as_ours():
+            dashboard.connect(2000)
+            try:
+                dashboard.stop()
+            finally:
+                dashboard.disconnect()
+        deadline = time.monotonic() + STOP_TIMEOUT
+        while self._receive.getRuntimeState() == PLAYING:
+            if time.monotonic() > deadline:
+                raise RobotError(f"{self.name}: the program that runs does not stop: end it on the pendant")
+            time.sleep(0.01)
+
+    def _commanded(self) -> bool:
+        """Whether a client holds the input registers by which a program is commanded."""
+        try:
+            with socket.create_connection((self.settings.address, RTDE_PORT), STOP_TIMEOUT) as connection:
+                connection.sendall(rtde.package(rtde.PROTOCOL_VERSION, b"\0\2"))
+                connection.sendall(rtde.package(rtde.SETUP_INPUTS, b"input_int_register_0"))
+                stream = b""
+                while data := connection.recv(4096):
+                    packages, stream = rtde.split_packages(stream + data)
+                    for kind, content in packages:
+                        if kind == rtde.SETUP_INPUTS:
+                            return b"IN_USE" in content
+        except OSError as error:
+            raise RobotError(f"{self.name}: {_one_line(error)}; check the cable to the controller") from error
+        raise RobotError(f"{self.name}: the controller says nothing of its registers; restart it")
+
     @contextlib.contextmanager
     def _errors_as_ours(self) -> Iterator[None]:
         """Errors of connecting, in one line."""
@@ -199,10 +244,7 @@ class URLoop:
             yield
         except RuntimeError as error:
             if "already in use" in str(error):
-                raise RobotError(
-                    f"{self.name}: another program, or a fieldbus, controls this arm: its input registers "
-                    "are in use; end that one first"
-                ) from error
+                raise RobotError(f"{self.name}: {IN_USE}") from error
             raise RobotError(
                 f"{self.name}: {_one_line(error)}; check address, power and remote control"
             ) from error

@@ -327,6 +327,7 @@ class URControllerEmulator(Emulator):
 
     def _stopped_by_dashboard(self) -> str:
         self._program.stop()
+        self._other_program = False
         return "Stopped"
 
     def _unlocked_by_dashboard(self) -> str:
