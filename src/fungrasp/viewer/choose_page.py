@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
+import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from fungrasp.errors import FungraspError
 from fungrasp.evaluation import LiftTestResult, Trajectory, read_result, replay
@@ -16,10 +20,12 @@ from fungrasp.hands import Hand, hand_origin, load_hand
 from fungrasp.hands.hand_registry import hand_files
 from fungrasp.objects import ObjectModel, check_objects
 from fungrasp.perception.perceived import Perceived
+from fungrasp.retargeting import retarget
 
 if TYPE_CHECKING:
     from viser import ClientHandle
 
+    from fungrasp.viewer.grasp_page import PickableGrasps
     from fungrasp.viewer.page import BrowserPage
 
 Maker = Callable[["ClientHandle"], "BrowserPage"]
@@ -57,7 +63,10 @@ def page_maker(what: Any, objects: Mapping[str, ObjectModel] | None, hand: str |
             raise FungraspError("there are no grasps to view: the set is empty")
         name = (hand_origin(hand) or hand.name) if isinstance(hand, Hand) else hand
         load_hand(name)
-        return "Grasps", partial(GraspPage, choice=PickableGrasps(what, _objects(what, objects), name))
+        choice = PickableGrasps(what, _objects(what, objects), name)
+        # What is loaded once is there when the first browser comes.
+        threading.Thread(target=_load_solver, args=(choice,), daemon=True).start()
+        return "Grasps", partial(GraspPage, choice=choice)
     if isinstance(what, RobotGraspSet):
         from fungrasp.viewer.robot_grasps_page import RobotGraspsPage
 
@@ -87,6 +96,12 @@ def page_maker(what: Any, objects: Mapping[str, ObjectModel] | None, hand: str |
         "grasps, a result, a recorded episode, what was perceived, a hand, or the path of one of their "
         f"files, of a deployment's log or of a capture can be viewed, not a {type(what).__name__}"
     )
+
+
+def _load_solver(choice: PickableGrasps) -> None:
+    with contextlib.suppress(FungraspError):
+        first = choice.grasps.select(np.array([choice.row]))
+        retarget(first, choice.objects, choice.hand, threads=1)
 
 
 def _objects(

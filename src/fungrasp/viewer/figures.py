@@ -31,6 +31,9 @@ UNWANTED: Color = (0.95, 0.80, 0.25)
 SUNK: Color = (0.85, 0.12, 0.10)
 """Color of points inside the object."""
 
+STILL = 2e-5
+"""What moves by less is not sent to the browser [m, or part of a quaternion]."""
+
 NEAR: Color = (0.15, 0.65, 0.35)
 """Color of points that touch."""
 
@@ -255,10 +258,12 @@ class ContactMarks:
             return
         colors = np.round(255 * colors).astype(np.uint8)
         places = places[near].astype(np.float32)
-        self._points = _removed(self._points)
-        self._points = self._scene.add_point_cloud(
-            f"{self._name}/points", places, colors, point_size=0.004, point_shape="circle"
-        )
+        if self._points is None:
+            self._points = self._scene.add_point_cloud(
+                f"{self._name}/points", places, colors, point_size=0.004, point_shape="circle"
+            )
+        else:
+            self._points.points, self._points.colors = places, colors
 
     def forces(self, places: np.ndarray, forces: np.ndarray, meters_per_newton: float = 0.015) -> None:
         """Draw forces as arrows that end where they act.
@@ -307,7 +312,10 @@ def creased(
 
 def move(handle: Any, pose: np.ndarray) -> None:
     """Put a node of the scene somewhere. pose: shape [7]."""
-    handle.position, handle.wxyz = pose[:3], pose[3:]
+    if np.abs(handle.position - pose[:3]).max() > STILL:
+        handle.position = pose[:3]
+    if np.abs(handle.wxyz - pose[3:]).max() > STILL:
+        handle.wxyz = pose[3:]
 
 
 def pose_of(handle: Any) -> np.ndarray:

@@ -31,6 +31,10 @@ if TYPE_CHECKING:
 APART = 0.3
 """Distance between the hands that stand side by side [m]."""
 
+SAY_PERIOD = 0.3
+"""Time between two updates of the numbers while something is dragged [s]: words cost a browser more than
+shapes."""
+
 NOTHING = "nothing"
 
 LEGEND = (
@@ -72,7 +76,7 @@ class GraspPage(BrowserPage):
         self._figures: list[Any] = []
         self._robots: list[RobotView] = []
         self._syncing = False
-        self._rate = 0.0
+        self._said = 0.0
         add_table(client)
         self._controls()
         self.worker.ask("pick", self._show_picked)
@@ -235,9 +239,10 @@ class GraspPage(BrowserPage):
         with self.client.atomic():
             for robot in self._robots:
                 robot.follow(self._human)
-        took = time.perf_counter() - start
-        self._rate = 0.8 * self._rate + 0.2 / max(took, 1e-6)
-        self._say(f"follows in {1e3 * took:.0f} ms", [])
+        now = time.perf_counter()
+        if now - self._said > SAY_PERIOD:
+            self._said = now
+            self._say(f"follows in {1e3 * (now - start):.0f} ms", [])
 
     def _say(self, words: str, quality: list[StaticQuality]) -> None:
         """Put the numbers beside the hands."""
