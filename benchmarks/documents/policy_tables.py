@@ -14,7 +14,6 @@ from benchmarks.documents.measured import (
     Table,
     percent,
     read,
-    slip,
     with_interval,
 )
 from fungrasp.evaluation.statistics import wilson_interval
@@ -133,42 +132,6 @@ def use_test() -> Table:
     return Table((*head, *(motion.replace("_", " ") for motion in motions)), rows, ["use-test"])
 
 
-def policies_in_full() -> Table:
-    """Success, contacts and slip of every policy, with and without rollouts."""
-    names = ("reference", "allegro-critic-free", "allegro-student-free", "allegro-critic")
-    names += ("allegro-teacher", "allegro-student")
-    without = {row["policy"]: row for row in read("policies-without-rollouts").rows}
-    rows, used = [], ["policies-without-rollouts"]
-    for name in names:
-        title, cells = f"`{name}`", [NONE] * 3
-        if (RESULTS / f"{name}.json").is_file():
-            used.append(name)
-            title, cells = _measured(name)
-        plain = without.get(name)
-        if plain is not None:
-            slipped = slip(plain["slip_mean_mm_s"], plain["slip_median_mm_s"])
-            cells = [*cells, percent(plain["success_rate"]), f"{plain['contact_ratio']:.2f}", slipped]
-        rows.append((title, *cells, *[NONE] * (6 - len(cells))))
-    head = ("policy", "with rollouts: success", "contact ratio", "slip [mm/s], mean / median")
-    head += ("without: success", "contact ratio", "slip, mean / median")
-    return Table(head, rows, used)
-
-
-def _measured(name: str) -> tuple[str, list[str]]:
-    """Title and cells of a policy's episodes."""
-    rows = read(name).rows
-    seeds = sorted({row["seed"] for row in rows})
-    success = np.array([row["success"] for row in rows])
-    slips = np.array([row["sim_distance_hand_mm_s"] for row in rows])
-    contacts = np.mean([row["contact_ratio"] for row in rows])
-    title, share = f"`{name}`", percent(success.mean())
-    if len(seeds) > 1:
-        title += f", seeds {', '.join(map(str, seeds))}"
-        of_seed = np.array([row["seed"] for row in rows])
-        share += f" ({', '.join(f'{100 * success[of_seed == seed].mean():.1f}' for seed in seeds)})"
-    return title, [share, f"{contacts:.2f}", slip(slips.mean(), float(np.median(slips)))]
-
-
 def methods() -> Table:
     """Retargeting methods side by side."""
     rows = []
@@ -237,30 +200,6 @@ def _condition_shares(rows: Sequence[dict[str, Any]]) -> dict[str, float]:
         part.removeprefix(prefix): float(np.mean([row["success"] for row in rows if row["part"] == part]))
         for part in parts
     }
-
-
-def ablations() -> Table:
-    """What is known of the contacts, in nominal worlds, with a larger budget."""
-    titles = {
-        "without": "without privileged information",
-        "scratch": "student from scratch",
-        "teacher": "teacher",
-        "student": "student, distilled from it",
-    }
-    rows = []
-    for name, title in titles.items():
-        header = read(f"ablation-{name}").header
-        rows.append(
-            (
-                title,
-                percent(header["success_rate"]),
-                f"{header['contact_ratio']:.2f}",
-                f"{header['sim_distance_hand_mm_s']:.1f}",
-                f"{100 * header['variant']['paper']['success']:.0f} %",
-            )
-        )
-    head = ("policy", "success", "contact ratio", "slip [mm/s]", "paper: success")
-    return Table(head, rows, [f"ablation-{name}" for name in titles])
 
 
 def privileged() -> Table:

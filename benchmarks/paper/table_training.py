@@ -16,7 +16,7 @@ from fungrasp.provenance import run_record
 from fungrasp.sim2real import preset
 from fungrasp.training.environment import EnvironmentSettings
 from fungrasp.training.plan_library import Variety
-from fungrasp.training.settings import DistillSettings, PpoSettings
+from fungrasp.training.settings import CurveSettings, DistillSettings, PpoSettings
 
 if TYPE_CHECKING:
     from benchmarks.paper.variants import Variant
@@ -71,6 +71,8 @@ class TableOptions:
     """How the grasps are varied that policies are trained on."""
     distill: DistillSettings = field(default_factory=DistillSettings)
     """Settings of the students' distillation."""
+    curve: CurveSettings = field(default_factory=CurveSettings)
+    """Of the learning curve of every policy but the students, curve.csv in its folder."""
 
     def reproduce(self, name: str) -> None:
         """Make the table of this name."""
@@ -175,10 +177,7 @@ class TableOptions:
         sets = load_training_sets(self.grasps, self.objects, hand, variant.method, threads=self.threads)
         plans = None if self.plans is None else predictor_file(self.plans, hand)
         count = sum(len(s.grasps) for s in sets) * self.variety.planned(plans is not None)
-        residual = self.environment.residual
-        if not variant.planned_motion:
-            residual = replace(residual, base="present")
-        environment = replace(self.environment, randomization=preset(self.worlds), residual=residual)
+        environment = replace(self.environment, randomization=preset(self.worlds))
         with progress_bar("planning", count) as show:
             train(
                 folder / name,
@@ -190,6 +189,7 @@ class TableOptions:
                 plans=plans,
                 shrink=self.shrink,
                 plan_file=folder / f"plans-{variant.method}.npz",
+                curve=self.curve,
                 planning=show,
                 progress=progress_lines(int(self.steps)),
             )

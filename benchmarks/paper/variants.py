@@ -42,8 +42,6 @@ class Variant:
     """What the actor knows of the contacts while it is trained by PPO."""
     student: Literal["", "with estimate", "without estimate"] = ""
     """Whether what is tested is a student of that policy, and whether it infers the contacts."""
-    planned_motion: bool = True
-    """Whether actions change a planned motion; if not, where the hand is, as in the paper."""
     hand: str | None = None
     """Name of its hand; that of the command if None."""
 
@@ -62,7 +60,6 @@ TABLES: Mapping[str, tuple[Variant, ...]] = {
         Variant("teacher", "Teacher", _OURS),
         Variant("student", "Student (Ours)", _OURS, student="with estimate"),
         Variant("student-without", "Student, no contact estimate", None, student="without estimate"),
-        Variant("unplanned", "Teacher, w/o planned motion", None, planned_motion=False),
     ),
     "hands": (
         Variant("student", "Shadow", PaperNumbers(0.75, 1.6, 0.75), student="with estimate", hand="shadow"),

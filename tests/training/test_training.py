@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +26,7 @@ from fungrasp.policies.residual_action import ResidualSettings
 from fungrasp.sim2real import NOMINAL, REALITY
 from fungrasp.training.checkpoint import check_environment, environment_state, read_checkpoint
 from fungrasp.training.distill import make_student
-from fungrasp.training.environment import NEAR, NEAR_SPREAD, NEAR_STEPS, TrainingEnvironment
+from fungrasp.training.environment import TrainingEnvironment
 from fungrasp.training.export import export_policy, make_card
 from fungrasp.training.history import HISTORY
 from fungrasp.training.networks import ColoredGaussian, tensors
@@ -72,8 +73,8 @@ def test_episodes_of_the_reality_protocol_can_be_trained_on():
     assert worlds.diverged == 0
 
 
-def test_without_a_planned_motion_episodes_begin_as_the_lift_test_does():
-    worlds = environment(residual=ResidualSettings("present"), early=(4, 4), whole=0.0)
+def test_without_a_planned_motion_the_reward_counts_the_distance_from_the_grasp():
+    worlds = environment(residual=ResidualSettings("present"), whole=1.0)
     assert not worlds.episodes.task.time.any()
     step = worlds.step(np.zeros((8, worlds.actions)))
     assert step.terms["approach"] < -0.3
@@ -90,19 +91,40 @@ def palm_distance(worlds: TrainingEnvironment) -> np.ndarray:
     return np.linalg.norm(now.palm_pose[:, :3] - goal[:, :3], axis=1)
 
 
-def test_near_starts_are_behind_the_grasp_and_give_way_to_those_of_the_lift_test():
+def test_near_starts_are_on_the_way_to_the_grasp_and_give_way_to_those_of_the_lift_test():
     guided = ResidualSettings("guided")
-    near = environment(residual=guided, near=1.0, randomization=NOMINAL)
-    assert (np.abs(palm_distance(near) - NEAR) < NEAR_SPREAD + 0.005).all()
+    near = environment(residual=guided, early=(4, 6), whole=0.0, randomization=NOMINAL)
+    assert palm_distance(near).max() < 0.1
     plans = library().plans.select(near.tracker.rows)
-    left = plans.lift_step - near.episodes.task.time / plans.control_period
-    assert (left > NEAR_STEPS[0] - 0.5).all() and (left < NEAR_STEPS[1] + 0.5).all()
-    np.testing.assert_allclose(near.episodes.observe().joint_positions, plans.finger_targets[:, 0], atol=0.05)
-    widened = environment(residual=guided, near=1.0, widen=(0, 8), randomization=NOMINAL)
+    left = plans.closing_step - near.episodes.task.time / plans.control_period
+    assert (left > 3.5).all() and (left < 6.5).all()
+    widened = environment(residual=guided, early=(4, 6), whole=0.0, widen=(0, 8), randomization=NOMINAL)
     widened.step(np.zeros((8, widened.actions)))
     widened.restart()
-    far = environment(residual=guided, randomization=NOMINAL)
-    assert palm_distance(widened).min() > NEAR + NEAR_SPREAD and palm_distance(far).min() > NEAR + NEAR_SPREAD
+    far = environment(residual=guided, whole=1.0, randomization=NOMINAL)
+    assert palm_distance(widened).min() > 0.1 and palm_distance(far).min() > 0.1
+
+
+def test_episodes_may_begin_while_the_hand_closes():
+    worlds = environment(residual=ResidualSettings("guided"), early=(-4, -3), whole=0.0)
+    plans = library().plans.select(worlds.tracker.rows)
+    assert (worlds.episodes.task.time / plans.control_period > plans.closing_step + 2.5).all()
+    open_hand = environment(residual=ResidualSettings("guided"), early=(4, 4), whole=0.0)
+    assert palm_distance(worlds).max() < palm_distance(open_hand).min()
+
+
+def test_planned_actions_do_what_the_plans_do():
+    worlds = environment(residual=ResidualSettings("guided"), early=(4, 4), whole=0.0, randomization=NOMINAL)
+    followed = environment(early=(4, 4), whole=0.0, randomization=NOMINAL)
+    followed.begin(np.arange(0))
+    for _ in range(14):
+        worlds.step(worlds.tracker.planned_action())
+    plans = library().plans.select(worlds.tracker.rows)
+    step = np.rint(worlds.episodes.task.time / plans.control_period).astype(int)
+    fingers = plans.at(step - 1)[1]
+    # Smoothing and the actions' reach leave them a little behind.
+    assert np.abs(worlds.episodes.task.setpoints.fingers - fingers).max() < 0.12
+    assert palm_distance(worlds).max() < 0.02
 
 
 def test_plans_are_chosen_by_how_uncertain_their_success_is():
@@ -209,6 +231,19 @@ def test_a_run_goes_on_and_refuses_other_settings(tmp_path):
     (tmp_path / "checkpoint.pt").write_bytes((tmp_path / "checkpoint.pt").read_bytes()[:-9])
     with pytest.raises(FungraspError, match="damaged"):
         train(tmp_path, sets, hand(), run_settings(), 4 * BATCH, threads=1)
+
+
+def test_imitation_comes_first_and_its_steps_count(tmp_path):
+    given = run_settings(imitate=2 * BATCH)
+    guided = replace(given.environment, residual=ResidualSettings("guided"))
+    settings = replace(given, environment=guided)
+    with pytest.raises(FungraspError, match="do not fit into a training of"):
+        train(tmp_path, [training_set()], hand(), settings, BATCH, threads=1)
+    train(tmp_path, [training_set()], hand(), settings, 3 * BATCH, threads=1)
+    lines = [json.loads(line) for line in (tmp_path / "progress.jsonl").read_text().splitlines()]
+    assert ["losses/imitation" in line for line in lines] == [True, True, False]
+    with pytest.raises(FungraspError, match="to imitate them, give"):
+        train(tmp_path, [training_set()], hand(), given, BATCH)
 
 
 def test_grasps_without_use_are_named(tmp_path):

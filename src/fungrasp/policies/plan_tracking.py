@@ -74,6 +74,7 @@ class PlanTracker:
         """
         self.settings = settings or ResidualSettings()
         self.plans = plans if self.settings.base == "plan" else without_motion(plans)
+        self._motions = plans
         self._hand, self._kinematics = hand, HandKinematics(hand, count)
         self._keypoints = self._kinematics.body_points(hand.keypoint_names)
         names = sorted(set(plans.object_name.tolist()))
@@ -147,6 +148,17 @@ class PlanTracker:
         self.action = smoothed(action, self.action, self.settings)
         goal, fingers = add_residual(*self._base(), self.action, self.settings)
         return Action(goal, fingers, self._step >= self._lift)
+
+    def planned_action(self) -> np.ndarray:
+        """The network's action after which the robots would follow the planned motions, as far as actions in
+        [-1, 1] can, shape [W, A]."""
+        s, (goal, fingers) = self.settings, self._motions.at(self._step, self.rows)
+        base_goal, base_fingers = self._base()
+        away = relative(base_goal, compose(self._anchor, goal))
+        wrist = [away[:, :3] / s.position, rotation_vector(away[:, 3:]) / s.rotation]
+        wanted = np.concatenate([*wrist, (fingers - base_fingers) / s.fingers], axis=1)
+        smooth = (np.clip(wanted, -1.0, 1.0) - s.smoothing * self.action) / (1.0 - s.smoothing)
+        return np.clip(smooth, -1.0, 1.0)
 
     def _base(self) -> tuple[np.ndarray, np.ndarray]:
         """What the action changes: palm goal, world frame, shape [W, 7], and servo targets [rad], shape

@@ -39,6 +39,9 @@ class MujocoCpuEngine(MujocoArrays):
             raise FungraspError(f"the number of threads must not be negative, not {threads}")
         # Persistent: the stages that make sensors current after a step are not computed twice.
         self.batch = Batch(scene.model, count, nthread=threads, persistent=True)
+        # The same results to rounding, a tenth less time: at a hand's number of joints MuJoCo still chooses
+        # dense Jacobians by itself.
+        self.batch.expand("opt.jacobian")[:] = int(mujoco.mjtJacobian.mjJAC_SPARSE)
         self._set_up(scene, count)
         self.actuators = np.concatenate([scene.wrist_actuators, scene.finger_actuators])
         self._told = np.zeros(count, dtype=bool)

@@ -8,30 +8,21 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from fungrasp.geometry.poses import compose, relative
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel, with_sizes
 from fungrasp.policies.plan_tracking import PlanTracker
 from fungrasp.policies.residual_action import ResidualSettings
 from fungrasp.sim2real import MODERATE, Randomization, draw
 from fungrasp.simulation import BufferSizes, Device, SceneSettings, build_scene
-from fungrasp.task import GraspPlan, LiftEnvironment, LiftProtocol
+from fungrasp.task import LiftEnvironment, LiftProtocol
 from fungrasp.task.features import contact_features, flatten, layout, value_features
 from fungrasp.task.observation_layouts import LayoutName, encoder_parts, network_parts
 from fungrasp.task.reward import RewardWeights, total
-from fungrasp.task.start_pose import StartPoses, start_on_line
 from fungrasp.training.history import History
 from fungrasp.training.plan_library import PlanLibrary
 from fungrasp.training.rewards import LiftReward
 
 _log = logging.getLogger(__name__)
-
-NEAR, NEAR_SPREAD = 0.10, 0.02
-"""Distance of near starts behind the wrist's place in the grasp, and how far it varies to both sides [m]:
-those of the authors' released code."""
-NEAR_STEPS = (20, 30)
-"""Fewest and most control steps from a near start to the lift: the way takes about ten, closing as many. An
-episode from there is half as long as one of the lift test, whose hand waits beside the object."""
 
 
 @dataclass(frozen=True)
@@ -45,15 +36,12 @@ class EnvironmentSettings:
     hold_time: float = 1.5
     """Time that the object has to be held [s]; the lift test has 3."""
     early: tuple[int, int] = (4, 14)
-    """Fewest and most control steps before the fingers close at which episodes begin, on the planned path."""
+    """Fewest and most control steps before the fingers close at which episodes begin, on the planned path:
+    with an open hand, a few centimeters from the grasp."""
     whole: float = 0.1
-    """Share of episodes that begin where the lift test does; all do where no planned motion is followed."""
-    near: float = 0.0
-    """Share of the episodes without a planned motion that begin near the grasp, as in the authors' released
-    code: ``NEAR`` behind the wrist's place in it, ``NEAR_STEPS`` before the lift, with an open hand."""
+    """Share of episodes that begin where the lift test does."""
     widen: tuple[int, int] | None = None
-    """Control steps of the training between which near starts give way to those of the lift test; they stay
-    if not given."""
+    """Control steps of the training between which this share grows to all; it stays if not given."""
     lift_goal: float = 0.14
     """Height of the object that is paid in full [m]; above the test's 0.1, as what swings hangs lower."""
     randomization: Randomization = MODERATE
@@ -138,8 +126,6 @@ class TrainingEnvironment:
         """Running success rate of each grasp, shape [G]."""
         self.steps = 0
         """Control steps of the training so far, of all worlds; they move the starts (``settings.widen``)."""
-        self._near_start = self._near_starts(objects) if s.near > 0 else library.plans.palm_setpoint[:, 0]
-        """Palm pose in the object's frame where an episode of each plan begins near, shape [N, 7]."""
         self.diverged = 0
         """Episodes whose physics broke down so far."""
         everyone = np.arange(s.worlds)
@@ -234,52 +220,19 @@ class TrainingEnvironment:
         rows = rng.choice(len(plans), size=len(ids), p=chance / chance.sum())
         early = rng.integers(s.early[0], s.early[1] + 1, size=len(ids))
         first = np.maximum(plans.closing_step[rows] - early, 0)
-        whole = s.whole if s.residual.base == "plan" else 1.0
+        whole = s.whole + (1.0 - s.whole) * self._widened
         first[rng.random(len(ids)) < whole] = 0
         sample = draw(s.randomization, len(ids), len(self.hand.joint_names), rng)
-        begun = plans.select(rows)
-        if s.near > 0:
-            near = rng.random(len(ids)) < s.near * (1.0 - self._widened)
-            late = begun.lift_step - rng.integers(NEAR_STEPS[0], NEAR_STEPS[1] + 1, size=len(ids))
-            first = np.where(near, np.maximum(late, 0), first)
-            begun = self._moved_near(begun, rows, near)
-        self.episodes.begin(ids, begun, first, sample, hand_followed=True)
+        self.episodes.begin(ids, plans.select(rows), first, sample, hand_followed=True)
         return rows
-
-    def _near_starts(self, objects: Mapping[str, ObjectModel]) -> np.ndarray:
-        """Near starts of all plans, clear of object and table: palm poses in the object's frame, shape
-        [N, 7]."""
-        plans = self.library.plans
-        names = sorted(set(plans.object_name.tolist()))
-        index = np.array([names.index(name) for name in plans.object_name.tolist()])
-        target = compose(plans.object_pose, plans.grasp_palm_pose)
-        away = np.linalg.norm(plans.grasp_palm_pose[:, :3], axis=1)
-        start = start_on_line(plans.object_pose, target, (away + NEAR)[:, None])
-        poses = StartPoses(self.hand, [objects[name] for name in names])
-        start = poses.clear(index, plans.object_pose, start, plans.finger_targets[:, 0], np.zeros(len(plans)))
-        return relative(plans.object_pose, start)
 
     @property
     def _widened(self) -> float:
-        """Share of near starts that have given way by now."""
+        """Share of the starts near the grasp that have given way by now."""
         if self.settings.widen is None:
             return 0.0
         first, last = self.settings.widen
         return float(np.clip((self.steps - first) / max(last - first, 1), 0.0, 1.0))
-
-    def _moved_near(self, plans: GraspPlan, rows: np.ndarray, chosen: np.ndarray) -> GraspPlan:
-        """The plans with hands near and open at every step where chosen. plans: those of ``rows``; chosen:
-        shape [I] bool."""
-        near = self._near_start[rows].copy()
-        away = near[:, :3] / np.maximum(np.linalg.norm(near[:, :3], axis=1, keepdims=True), 1e-9)
-        near[:, :3] += NEAR_SPREAD * self.rng.uniform(-1.0, 1.0, (len(rows), 1)) * away
-        which = chosen[:, None, None]
-        return replace(
-            plans,
-            palm_setpoint=np.where(which, near[:, None], plans.palm_setpoint),
-            palm_velocity=np.where(which, 0.0, plans.palm_velocity),
-            finger_targets=np.where(which, plans.finger_targets[:, :1], plans.finger_targets),
-        )
 
     def _parts(self) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray], dict[str, np.ndarray]]:
         state, p = self.tracker.state(), self._privileged

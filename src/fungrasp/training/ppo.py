@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -27,9 +28,14 @@ from fungrasp.training.checkpoint import (
     write_checkpoint,
 )
 from fungrasp.training.environment import TrainingEnvironment
+from fungrasp.training.imitation import MotionImitation
 from fungrasp.training.networks import ColoredGaussian, make_networks, tensors
 from fungrasp.training.settings import PpoSettings
 from fungrasp.training.student import StudentModel
+
+VALUE_UPDATES = 5
+"""Updates after an imitation in which the value network alone learns: the actor would unlearn what it has
+while nothing is known of its returns."""
 
 
 @dataclass(frozen=True)
@@ -137,8 +143,11 @@ class Trainer:
         self.algorithm.train_mode()
         if self.steps == 0 and not self._begun:
             self._warm_up()
+        rounds = math.ceil(self.settings.imitate / self._batch)
+        imitation = MotionImitation(self.actor, self.environment, self.settings.steps, rounds)
         while self.steps < steps:
-            report = self._update()
+            imitates = self.steps < self.settings.imitate
+            report = self._imitate(imitation) if imitates else self._update()
             self.seconds = before + perf_counter() - start
             progress(
                 Progress(
@@ -152,6 +161,9 @@ class Trainer:
                     report["terms"],
                 )
             )
+            if self.steps < self.settings.imitate:
+                # An imitation that was interrupted begins anew: it takes a few minutes.
+                continue
             if self.steps // self._batch % every == 0:
                 if checkpoint is not None:
                     self.save(checkpoint)
@@ -178,6 +190,12 @@ class Trainer:
             self.actor.update_normalization(observations)
             self.algorithm.critic.update_normalization(observations)
 
+    def _imitate(self, imitation: MotionImitation) -> dict[str, Any]:
+        reward, loss, ended = imitation.round()
+        self._recent.extend(ended)
+        self.steps += self._batch
+        return {"reward": reward, "losses": {"imitation": loss}, "terms": {}}
+
     def _update(self) -> dict[str, Any]:
         algorithm, environment = self.algorithm, self.environment
         rewards: list[float] = []
@@ -197,8 +215,13 @@ class Trainer:
             self.actor(observations, stochastic_output=True)
             before = tuple(p.clone() for p in self.actor.output_distribution_params)
         report_problems(environment.episodes.engine)
+        group = algorithm.optimizer.param_groups[0]
+        rate = group["lr"]
+        still = self.settings.imitate > 0 and self.steps < self.settings.imitate + VALUE_UPDATES * self._batch
+        group["lr"] = 0.0 if still else rate
         losses = algorithm.update()
-        losses["kl"] = self._adapt(observations, before)
+        group["lr"] = rate
+        losses["kl"] = 0.0 if still else self._adapt(observations, before)
         if isinstance(self.actor, StudentModel):
             losses["reconstruction"] = self._reconstruct(self.actor)
         self.steps += self._batch

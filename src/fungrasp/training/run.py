@@ -114,6 +114,10 @@ def train(
     """
     run = RunFolder(folder)
     settings = consistent(settings)
+    if steps < settings.ppo.imitate:
+        raise FungraspError(
+            f"{settings.ppo.imitate:g} control steps of imitation do not fit into a training of {steps:g}"
+        )
     residual = settings.environment.residual.shrunk(shrink)
     objects = joined_objects(sets)
     curve = curve or CurveSettings(every=0)
@@ -219,7 +223,16 @@ def checkpoint_digest(folder: Path) -> str:
 
 
 def consistent(settings: RunSettings) -> RunSettings:
-    """An actor that sees the history needs an environment that keeps it."""
+    """An actor that sees the history needs an environment that keeps it.
+
+    Raises:
+        FungraspError: actions change planned motions, which are to be imitated.
+    """
+    if settings.ppo.imitate and settings.environment.residual.base == "plan":
+        raise FungraspError(
+            "actions that change planned motions follow them from the first step: to imitate them, give "
+            "--environment.residual.base guided"
+        )
     history = settings.ppo.sees == "history"
     return replace(settings, environment=replace(settings.environment, history=history))
 

@@ -52,6 +52,9 @@ class PpoSettings:
     hand; noise that changes slowly tries out other grasps."""
     warm_up: int = 48
     """Control steps before learning, in which only the normalisation is learned."""
+    imitate: float = 0.0
+    """Control steps at the beginning in which the actor imitates the planned motions, where its actions
+    change something else."""
 
 
 @dataclass(frozen=True)

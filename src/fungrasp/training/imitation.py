@@ -1,0 +1,87 @@
+"""Imitation of planned motions: how a policy that follows none begins to learn (DAgger, Ross et al., AISTATS
+2011)."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+import torch
+from rsl_rl.models import MLPModel
+from tensordict import TensorDict
+
+from fungrasp.training.environment import TrainingEnvironment
+from fungrasp.training.networks import tensors
+from fungrasp.training.student import StudentModel
+
+PLANNED_ROUNDS = 2
+"""Rounds at the beginning in which the planned motions act."""
+KEPT_ROUNDS = 40
+"""Number of last rounds that are learned from."""
+UPDATES, MINIBATCH = 100, 1024
+"""Minibatches in each round, and control steps in one."""
+NOISE = 0.05
+"""Standard deviation of the noise on the actions that are played."""
+LEARNING_RATE = 1e-3
+"""Of Adam, at the beginning; it falls to a tenth."""
+
+
+class MotionImitation:
+    """An actor learns to do what the planned motions would, where its own actions lead."""
+
+    def __init__(self, actor: MLPModel, environment: TrainingEnvironment, steps: int, rounds: int):
+        """
+        Args:
+            actor: that learns.
+            environment: whose actions change something else than planned motions.
+            steps: control steps of each world in a round.
+            rounds: that there will be.
+        """
+        self._actor, self._environment, self._steps = actor, environment, steps
+        self._optimizer = torch.optim.Adam(actor.parameters(), lr=LEARNING_RATE)
+        self._schedule = torch.optim.lr_scheduler.CosineAnnealingLR(
+            self._optimizer, max(rounds, 1), 0.1 * LEARNING_RATE
+        )
+        self._kept: deque[TensorDict] = deque(maxlen=KEPT_ROUNDS)
+        self._rounds = 0
+
+    def round(self) -> tuple[float, float, list[bool]]:
+        """Play and learn once.
+
+        Returns:
+            mean reward, mean loss, and whether each episode that ended succeeded.
+        """
+        environment, actor = self._environment, self._actor
+        batches, rewards, ended = [], [], []
+        with torch.inference_mode():
+            for _ in range(self._steps):
+                observations = tensors(environment.observations)
+                actor.update_normalization(observations)
+                wanted = torch.from_numpy(environment.tracker.planned_action().astype(np.float32))
+                action = wanted if self._rounds < PLANNED_ROUNDS else actor(observations)
+                batches.append(observations.clone().update({"action": wanted}))
+                step = environment.step((action + NOISE * torch.randn_like(action)).numpy())
+                rewards.append(float(step.reward.mean()))
+                ended.extend(step.success[step.done].tolist())
+        self._kept.append(torch.cat(batches))
+        self._rounds += 1
+        loss = self._learn()
+        self._schedule.step()
+        with torch.inference_mode():
+            # What is reported of the noise is of the last actions.
+            actor(tensors(environment.observations), stochastic_output=True)
+        return float(np.mean(rewards)), loss, ended
+
+    def _learn(self) -> float:
+        losses = 0.0
+        for _ in range(UPDATES):
+            part = self._kept[int(torch.randint(len(self._kept), ()))]
+            batch = part[torch.randint(len(part), (MINIBATCH,))].clone()
+            loss = ((self._actor(batch) - batch["action"]) ** 2).mean()
+            if isinstance(self._actor, StudentModel):
+                loss = loss + self._actor.reconstruction_loss(batch)
+            self._optimizer.zero_grad()
+            loss.backward()
+            self._optimizer.step()
+            losses += float(loss.detach())
+        return losses / UPDATES
