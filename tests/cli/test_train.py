@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 from grasp_files import run, some_grasps
 
@@ -24,6 +26,11 @@ from fungrasp.sim2real import MODERATE, REALITY
         (("train", "--grasps", "builtin", "builtin"), "each once"),
         (("train", "--worlds", "realty"), "unknown preset of worlds 'realty'. Did you mean 'reality'?"),
         (("train", "--initial", "nowhere"), "nowhere has no checkpoint yet"),
+        (("train", "--environment.worlds", 0), "at least one world, not 0"),
+        (("train", "--environment.early", 9, 4), "not 9 to 4"),
+        (("train", "--environment.whole", 2), "from 0 to 1, not 2"),
+        (("train", "--environment.widen", 9, 4), "to a later one, not 9 to 4"),
+        (("train", "--ppo.imitate", 100), "to imitate them, give --environment.residual.base guided"),
         (("train", "--terms", "a", "b"), "one text for each of the 1 --grasps, not 2"),
         (("train", "--sweep", "ppo.noise"), "SETTING=VALUE,VALUE..."),
         (("train", "--sweep", "ppo.nose=1,2"), "Did you mean 'ppo.noise'?"),
@@ -125,3 +132,7 @@ def test_curves_of_several_trainings_are_in_one_drawing(tmp_path):
     draw_each_curve(each, tmp_path)
     drawing = (tmp_path / "curve.svg").read_text()
     assert "seed-3" in drawing and "seed-5" in drawing
+
+
+def test_a_training_has_a_folder_of_its_own_if_none_is_given():
+    assert Train(hand="claws/claw.toml").folder == Path("runs/claw")

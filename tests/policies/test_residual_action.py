@@ -70,8 +70,8 @@ def test_no_action_changes_nothing_and_no_action_goes_too_far(seed):
 
 def test_actions_without_a_planned_motion_are_not_shrunk():
     """A hand that takes half the steps arrives late."""
-    present = replace(SETTINGS, base="present")
-    assert present.shrunk(0.5) == present
+    guided = replace(SETTINGS, base="guided")
+    assert guided.shrunk(0.5) == guided
 
 
 def test_shrunk_actions_mean_less():

@@ -74,7 +74,7 @@ def test_episodes_of_the_reality_protocol_can_be_trained_on():
 
 
 def test_without_a_planned_motion_the_reward_counts_the_distance_from_the_grasp():
-    worlds = environment(residual=ResidualSettings("present"), whole=1.0)
+    worlds = environment(residual=ResidualSettings("guided"), whole=1.0)
     assert not worlds.episodes.task.time.any()
     step = worlds.step(np.zeros((8, worlds.actions)))
     assert step.terms["approach"] < -0.3

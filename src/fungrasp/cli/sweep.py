@@ -71,7 +71,7 @@ class Trainings(Job["Train"]):
 
     def key(self, part: Train) -> str:
         """Of its folder."""
-        return part_key("training", str(part.out))
+        return part_key("training", str(part.folder))
 
     def on_one_processor(self) -> Trainings:
         """With one thread each."""
@@ -100,7 +100,7 @@ def each_training(command: Train) -> list[Train]:
     found: dict[Path, Train] = {}
     for values in product(*(sweep.values for sweep in sweeps)):
         chosen = dict(zip((sweep.setting for sweep in sweeps), values, strict=True))
-        folder = command.out.absolute()
+        folder = command.folder.absolute()
         if chosen:
             folder /= ",".join(f"{name}={_in_a_path(value)}" for name, value in chosen.items())
         training = replace(_with_values(alone, chosen), out=folder)
@@ -108,9 +108,9 @@ def each_training(command: Train) -> list[Train]:
             one = training
             if seed is not None:
                 one = replace(training, out=folder / f"seed-{seed}", seed=seed)
-            if one.out in found:
-                raise FungraspError(f"--sweep: two trainings would be kept in {one.out}")
-            found[one.out] = one
+            if one.folder in found:
+                raise FungraspError(f"--sweep: two trainings would be kept in {one.folder}")
+            found[one.folder] = one
     return list(found.values())
 
 
@@ -126,7 +126,7 @@ def sweep_table(trainings: Sequence[Train], root: Path) -> str:
 
     rows = [("training", "steps", "minutes", "success, exploring")]
     for training in trainings:
-        card = load_policy(training.out / POLICY).card
+        card = load_policy(training.folder / POLICY).card
         success = f"{card.measured[EXPLORING]['success']:.1%}"
         rows.append(
             (_name(training, root), f"{card.budget.steps:,}", f"{card.budget.seconds / 60:.1f}", success)
@@ -146,13 +146,15 @@ def draw_each_curve(trainings: Sequence[Train], root: Path) -> None:
     """
     from fungrasp.training.learning_curve import CURVE, DRAWING, draw_curves
 
-    curves = {_name(training, root): training.out / CURVE for training in trainings if training.curve.every}
+    curves = {
+        _name(training, root): training.folder / CURVE for training in trainings if training.curve.every
+    }
     if curves:
         draw_curves(root / DRAWING, curves)
 
 
 def _name(training: Train, root: Path) -> str:
-    return str(training.out.relative_to(root.absolute()))
+    return str(training.folder.relative_to(root.absolute()))
 
 
 def _settings(command: Any, before: str = "") -> Iterator[str]:

@@ -31,8 +31,8 @@ class Train:
 
     option_prefixes: ClassVar[bool] = True
 
-    out: Path
-    """Folder of the training; policy.onnx will be in it."""
+    out: Path | None = None
+    """Folder of the training; policy.onnx will be in it. runs/<hand> if not given."""
     grasps: tuple[str, ...] = ("builtin",)
     """Files of human grasps (they are retargeted first) or of robot grasps of --hand, or "builtin"; several
     are trained on together."""
@@ -95,6 +95,11 @@ class Train:
     variety: Variety = field(default_factory=Variety)
     """How the grasps are varied that the policy is trained on."""
 
+    @property
+    def folder(self) -> Path:
+        """Folder of the training, or of several."""
+        return self.out or Path("runs") / Path(self.hand).stem
+
     def run(self) -> None:
         check_packages()
         if self.seeds or self.sweep:
@@ -107,7 +112,7 @@ class Train:
         from fungrasp.cli.console import progress_bar
         from fungrasp.cli.options import device_and_buffers
         from fungrasp.sim2real.joint_dynamics import identified_hand
-        from fungrasp.training.run import POLICY, RunSettings, train
+        from fungrasp.training.run import POLICY, RunSettings, consistent, train
         from fungrasp.training.training_sets import load_training_sets
 
         check_numbers(self.steps, self.seed, self.threads)
@@ -119,7 +124,8 @@ class Train:
             environment = replace(environment, layout=self.layout)
         if self.worlds is not None:
             environment = replace(environment, randomization=preset(self.worlds))
-        log = None if self.wandb is None else wandb_log(self.wandb, self.out)
+        settings = consistent(RunSettings(self.seed, self.variety, environment, ppo))
+        log = None if self.wandb is None else wandb_log(self.wandb, self.folder)
         sets = load_training_sets(self.grasps, self.objects, hand, self.method, self.terms, self.threads)
         # More threads make the small networks slower.
         torch.set_num_threads(1)
@@ -127,10 +133,10 @@ class Train:
         copies = sum(len(s.grasps) for s in sets) * self.variety.planned(plans is not None)
         with progress_bar("planning", copies) as show:
             card = train(
-                self.out,
+                self.folder,
                 sets,
                 hand,
-                RunSettings(self.seed, self.variety, environment, ppo),
+                settings,
                 int(self.steps),
                 licence=self.licence,
                 threads=self.threads,
@@ -146,7 +152,7 @@ class Train:
             )
         seconds = card.budget.seconds
         print(
-            f"{self.out / POLICY}: {card.kind} of {card.hand}, {card.budget.steps:,} steps in "
+            f"{self.folder / POLICY}: {card.kind} of {card.hand}, {card.budget.steps:,} steps in "
             f"{seconds / 60:.1f} min"
         )
 
@@ -166,8 +172,8 @@ class Train:
         with bar as show:
             run_job(Trainings(tuple(each)), ray=cluster, progress=show)
         print_use(cluster)
-        draw_each_curve(each, self.out)
-        print(sweep_table(each, self.out))
+        draw_each_curve(each, self.folder)
+        print(sweep_table(each, self.folder))
 
 
 COMMAND = Train

@@ -90,8 +90,6 @@ class PlanTracker:
         self.action = np.zeros((count, self.size))
         """The last action, smoothed, shape [W, A]."""
         self._anchor = np.tile([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], (count, 1))
-        self._wrist = self._anchor.copy()
-        """Setpoint of the palm; the one at which the lift began, where it has; world frame, shape [W, 7]."""
         self._goal: tuple[np.ndarray, np.ndarray] | None = None
         """Palm goal and servo targets of this control step, made when first asked for."""
         self._now: MeasuredState | None = None
@@ -110,7 +108,7 @@ class PlanTracker:
         self._choose()
         self._read(observation)
         fresh = self._measure(observation)
-        self._anchor[ids], self._wrist[ids] = fresh.object_pose[ids], fresh.palm_setpoint[ids]
+        self._anchor[ids] = fresh.object_pose[ids]
         if self._now is None or self._before is None:
             self._now = self._before = fresh
             return
@@ -124,7 +122,6 @@ class PlanTracker:
         self._before, self._now = self._now, self._measure(observation)
         share = np.where(self._step < self._closing, ANCHOR_SHARE, 0.0)
         self._anchor = moved_towards(self._anchor, self._now.object_pose, share[:, None])
-        self._wrist = np.where(self._since_lift[:, None] < 0, self._now.palm_setpoint, self._wrist)
 
     def state(self) -> TrackingState:
         """The worlds as they were last seen, by ``begin`` or ``update``."""
@@ -165,8 +162,7 @@ class PlanTracker:
         [W, U]."""
         if self.settings.base == "plan" or self._now is None:
             return self._planned()
-        wrist = self._planned()[0] if self.settings.base == "guided" else self._wrist
-        return wrist, self._now.joints
+        return self._planned()[0], self._now.joints
 
     def _planned(self) -> tuple[np.ndarray, np.ndarray]:
         """Planned palm goal, world frame, shape [W, 7], and servo targets [rad], shape [W, U], of this

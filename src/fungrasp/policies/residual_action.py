@@ -12,7 +12,7 @@ WRIST_ACTIONS = 6
 """Three along the palm's axes, three about them; then one for each finger servo."""
 
 
-Base = Literal["plan", "guided", "present"]
+Base = Literal["plan", "guided"]
 """What an action changes."""
 
 
@@ -21,10 +21,9 @@ class ResidualSettings:
     """What an action changes, and by how much."""
 
     base: Base = "plan"
-    """"plan": the planned motion. The others do not follow one: the plan gives the grasp and the time of the
-    lift alone. "guided", as in the authors' released code: the wrist of the grasp, carried by the tracked
-    object, and the measured joints. "present", as in the paper's text: the wrist's setpoint and the measured
-    joints; once the lift has begun, the wrist's actions change the setpoint at which it began."""
+    """"plan": the planned motion. "guided" follows none, as in the authors' released code: the wrist of the
+    grasp, carried by the tracked object, and the measured joints; the plan gives the grasp and the time of
+    the lift alone."""
 
     position: float = 0.03
     """Shift of the wrist at an action of 1, along each axis [m]."""

@@ -21,7 +21,6 @@ from fungrasp.task.observation_layouts import network_parts
 ACTION_PARTS: Mapping[Base, tuple[str, str, str]] = {
     "plan": ("position", "rotation", "fingers"),
     "guided": ("position_from_grasp", "rotation_from_grasp", "fingers_step"),
-    "present": ("position_step", "rotation_step", "fingers_step"),
 }
 """Parts of a residual action, with the scales of ``ResidualSettings``, by what it changes."""
 

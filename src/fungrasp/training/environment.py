@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from fungrasp.errors import FungraspError
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel, with_sizes
 from fungrasp.policies.plan_tracking import PlanTracker
@@ -56,6 +57,23 @@ class EnvironmentSettings:
     """How far actions may depart from the plan."""
     reward: RewardWeights = field(default_factory=RewardWeights)
     """Weights of the reward's terms."""
+
+    def check(self) -> None:
+        """Complain about impossible values.
+
+        Raises:
+            FungraspError: there is one.
+        """
+        if self.worlds < 1:
+            raise FungraspError(f"a training needs at least one world, not {self.worlds}")
+        if self.early[0] > self.early[1]:
+            raise FungraspError("episodes begin FEWEST to MOST steps early, not {} to {}".format(*self.early))
+        if not 0 <= self.whole <= 1:
+            raise FungraspError(f"the share of whole episodes is from 0 to 1, not {self.whole:g}")
+        if self.widen is not None and not 0 <= self.widen[0] <= self.widen[1]:
+            raise FungraspError(
+                "starts widen from one control step to a later one, not {} to {}".format(*self.widen)
+            )
 
 
 @dataclass(frozen=True, eq=False)

@@ -63,7 +63,7 @@ class MotionImitation:
                 step = environment.step((action + NOISE * torch.randn_like(action)).numpy())
                 rewards.append(float(step.reward.mean()))
                 ended.extend(step.success[step.done].tolist())
-        self._kept.append(torch.cat(batches))
+        self._kept.append(torch.cat(batches))  # type: ignore[arg-type]
         self._rounds += 1
         loss = self._learn()
         self._schedule.step()

@@ -226,8 +226,10 @@ def consistent(settings: RunSettings) -> RunSettings:
     """An actor that sees the history needs an environment that keeps it.
 
     Raises:
-        FungraspError: actions change planned motions, which are to be imitated.
+        FungraspError: impossible settings of the worlds, or actions that change planned motions, which are to
+            be imitated.
     """
+    settings.environment.check()
     if settings.ppo.imitate and settings.environment.residual.base == "plan":
         raise FungraspError(
             "actions that change planned motions follow them from the first step: to imitate them, give "
