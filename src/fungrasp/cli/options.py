@@ -39,11 +39,15 @@ def device_and_buffers(
         buffers: contacts and rows of a world, as given.
 
     Raises:
-        FungraspError: an impossible value.
+        FungraspError: an impossible value, or something that the device needs is missing.
     """
     from fungrasp.simulation import BufferSizes, found_device
+    from fungrasp.simulation.warp_device import open_warp
 
-    return found_device(device), None if buffers is None else BufferSizes(*buffers)
+    found = found_device(device)
+    if found != "cpu":
+        open_warp(found)
+    return found, None if buffers is None else BufferSizes(*buffers)
 
 
 def print_use(cluster: RayCluster | None) -> None:

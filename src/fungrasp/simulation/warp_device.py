@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 from fungrasp.errors import FungraspError
 from fungrasp.files import atomic_path, cache_folder, cache_path
-from fungrasp.simulation.devices import Device, cuda_driver
+from fungrasp.simulation.devices import Device, cuda_devices, cuda_driver
 
 _log = logging.getLogger(__name__)
 
@@ -52,6 +52,9 @@ def open_warp(device: Device) -> Warp:
             one line that says what to do.
     """
     check_warp_packages(device)
+    # Before Warp is imported, which would say so in more words.
+    if device == "cuda" and cuda_devices() == 0:
+        raise FungraspError(f"--device cuda: {why_no_cuda()}; --device cpu works without a GPU")
     import mujoco_warp  # pyright: ignore[reportMissingImports]
     import torch
     import warp  # pyright: ignore[reportMissingImports]
