@@ -11,6 +11,7 @@ imported when one of its names is first used, so that ``import fungrasp`` costs 
 
 from __future__ import annotations
 
+import sys
 from importlib import import_module
 from typing import Any
 
@@ -53,3 +54,28 @@ def __getattr__(name: str) -> Any:
 
 def __dir__() -> list[str]:
     return [*globals(), *_MODULES]
+
+
+_SHOWN = {
+    "grasps.human_grasp": "HumanGraspSet",
+    "grasps.robot_grasp": "RobotGraspSet",
+    "evaluation.lift_evaluation": "LiftTestResult",
+    "task.grasp_plan": "GraspPlan",
+}
+"""What notebooks show by a picture and a table, by the module that it comes from."""
+
+
+def _tell_notebooks() -> None:
+    """Tell Jupyter how to show them; nothing is imported before one is shown."""
+    shell = getattr(sys.modules.get("IPython"), "get_ipython", lambda: None)()
+    if shell is not None:
+        html = shell.display_formatter.formatters["text/html"]
+        for module, name in _SHOWN.items():
+            html.for_type_by_name(f"fungrasp.{module}", name, _notebook_html)
+
+
+def _notebook_html(value: Any) -> str | None:
+    return import_module("fungrasp.report.notebook").notebook_html(value)
+
+
+_tell_notebooks()

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -112,6 +114,18 @@ class LiftTestResult:
         from fungrasp.evaluation.result_files import save_result
 
         save_result(path, self.json(), compact)
+
+    def frame(self) -> Any:
+        """One row for each episode, as a data frame of pandas, or of Polars where pandas is not installed.
+
+        Raises:
+            FungraspError: neither is installed.
+        """
+        rows = self.json()["trials"]
+        for name in ("pandas", "polars"):
+            if find_spec(name) is not None:
+                return import_module(name).DataFrame(rows)
+        raise FungraspError("a frame needs pandas or Polars: pip install pandas")
 
     def __repr__(self) -> str:
         held = int(np.sum(self.success))

@@ -98,10 +98,10 @@ def _write_result(path: Path, result: LiftTestResult) -> None:
     introduction = f"Policy {result.policy}, protocol {result.spec.protocol}: {held_count}."
     seeds = result.spec.seeds
     page = Page("Lift test", reports, result.hand, introduction, page_provenance({}, seeds[0]))
-    write_page(path, page, [_by_object(result), text_card("By object", result.table())])
+    write_page(path, page, [rates_by_object(result), text_card("By object", result.table())])
 
 
-def _by_object(result: LiftTestResult) -> str:
+def rates_by_object(result: LiftTestResult) -> str:
     """Rates of success by object, drawn."""
     names = sorted(set(result.object_name.tolist()))
     flags = [result.success[result.object_name == name] for name in names]
@@ -115,6 +115,36 @@ def _by_object(result: LiftTestResult) -> str:
     return f"<figure>{rates_svg(bars)}</figure>"
 
 
+def grasp_picture(
+    grasps: HumanGraspSet | RobotGraspSet,
+    row: int,
+    objects: Mapping[str, ObjectModel],
+    width: int = WIDTH,
+    height: int = HEIGHT,
+) -> np.ndarray:
+    """A picture of one grasp.
+
+    Args:
+        grasps: human or robot ones.
+        row: which.
+        objects: theirs, by name.
+        width, height: [pixels].
+
+    Returns:
+        sRGB, shape [height, width, 3] uint8.
+    """
+    grasp = grasps[row]
+    obj = objects[grasp.object_name]
+    shape = (obj.vertices, obj.faces, grasp.object_pose, grasp.link_contacts)
+    if isinstance(grasp, HumanGrasp):
+        model = human_grasp_scene(grasp.hand_joints, *shape)
+        qpos = model.qpos0
+    else:
+        assert isinstance(grasps, RobotGraspSet)
+        model, qpos = robot_grasp_scene(grasps.load_hand(), grasp.wrist_pose, grasp.joint_positions, *shape)
+    return render(model, qpos, look_at_grasp(model, qpos, width=width, height=height))[0]
+
+
 def _report(
     grasps: HumanGraspSet | RobotGraspSet,
     row: int,
@@ -123,17 +153,9 @@ def _report(
     outcome: str = "",
 ) -> GraspReport:
     """What the page says of one grasp, with its picture."""
-    grasp = grasps[row]
-    obj = objects[grasp.object_name]
-    shape = (obj.vertices, obj.faces, grasp.object_pose, grasp.link_contacts)
-    title, human, robot = grasp_title(grasp), None, None
-    if isinstance(grasp, HumanGrasp):
-        model = human_grasp_scene(grasp.hand_joints, *shape)
-        human = render(model, model.qpos0, look_at_grasp(model, model.qpos0, width=WIDTH, height=HEIGHT))[0]
-    else:
-        assert isinstance(grasps, RobotGraspSet)
-        model, qpos = robot_grasp_scene(grasps.load_hand(), grasp.wrist_pose, grasp.joint_positions, *shape)
-        robot = render(model, qpos, look_at_grasp(model, qpos, width=WIDTH, height=HEIGHT))[0]
+    grasp, picture = grasps[row], grasp_picture(grasps, row, objects)
+    is_human = isinstance(grasp, HumanGrasp)
+    title, human, robot = grasp_title(grasp), picture if is_human else None, None if is_human else picture
     mass = float(grasp.object_mass)
     return GraspReport(
         title, object_mass=mass, success=success, outcome=outcome, human_picture=human, robot_picture=robot
