@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
-class Doctor:
+class DoctorCommand:
     """Say what is installed, which extras work, which devices and cameras are there, where caches are and how
     large. Nothing is asked of a network, and no device is opened."""
 
@@ -40,4 +40,4 @@ class Doctor:
             print(f"\nto add an extra: pip install 'fungrasp[{missing[0]}]'")
 
 
-COMMAND = Doctor
+COMMAND = DoctorCommand
