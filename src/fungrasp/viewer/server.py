@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import io
 import logging
 import socket
@@ -135,6 +136,9 @@ class Viewer:
             page = self._pages.pop(client.client_id, None)
         if page is not None:
             page.close()
+            # Handles and their callbacks know each other.
+            del page
+            gc.collect()
 
 
 def _first_free_port(host: str) -> int:
