@@ -18,30 +18,26 @@ PLANNED_ROUNDS = 2
 """Rounds at the beginning in which the planned motions act."""
 KEPT_ROUNDS = 40
 """Number of last rounds that are learned from."""
-UPDATES, MINIBATCH = 100, 1024
+UPDATES, MINIBATCH = 60, 1024
 """Minibatches in each round, and control steps in one."""
 NOISE = 0.05
 """Standard deviation of the noise on the actions that are played."""
 LEARNING_RATE = 1e-3
-"""Of Adam, at the beginning; it falls to a tenth."""
+"""Of Adam."""
 
 
 class MotionImitation:
     """An actor learns to do what the planned motions would, where its own actions lead."""
 
-    def __init__(self, actor: MLPModel, environment: TrainingEnvironment, steps: int, rounds: int):
+    def __init__(self, actor: MLPModel, environment: TrainingEnvironment, steps: int):
         """
         Args:
             actor: that learns.
             environment: whose actions change something else than planned motions.
             steps: control steps of each world in a round.
-            rounds: that there will be.
         """
         self._actor, self._environment, self._steps = actor, environment, steps
         self._optimizer = torch.optim.Adam(actor.parameters(), lr=LEARNING_RATE)
-        self._schedule = torch.optim.lr_scheduler.CosineAnnealingLR(
-            self._optimizer, max(rounds, 1), 0.1 * LEARNING_RATE
-        )
         self._kept: deque[TensorDict] = deque(maxlen=KEPT_ROUNDS)
         self._rounds = 0
 
@@ -66,7 +62,6 @@ class MotionImitation:
         self._kept.append(torch.cat(batches))  # type: ignore[arg-type]
         self._rounds += 1
         loss = self._learn()
-        self._schedule.step()
         with torch.inference_mode():
             # What is reported of the noise is of the last actions.
             actor(tensors(environment.observations), stochastic_output=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -143,8 +142,7 @@ class Trainer:
         self.algorithm.train_mode()
         if self.steps == 0 and not self._begun:
             self._warm_up()
-        rounds = math.ceil(self.settings.imitate / self._batch)
-        imitation = MotionImitation(self.actor, self.environment, self.settings.steps, rounds)
+        imitation = MotionImitation(self.actor, self.environment, self.settings.steps)
         while self.steps < steps:
             imitates = self.steps < self.settings.imitate
             report = self._imitate(imitation) if imitates else self._update()
