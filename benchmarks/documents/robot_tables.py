@@ -15,8 +15,8 @@ from benchmarks.documents.measured import (
     percent,
     read,
 )
+from benchmarks.twins.twin_series import FORMER_VARIANTS
 from fungrasp.evaluation.statistics import wilson_interval
-from fungrasp.evaluation.twin_series import FORMER_VARIANTS
 
 
 def driver_faults() -> Table:
@@ -237,7 +237,7 @@ def identification_ratios() -> Table:
 
 
 TWINS = ("twin-allegro-node", "twin-allegro-again", "twin-inspire", "twin-inspire-again")
-"""Results of ``fungrasp robots evaluate``."""
+"""Results of ``python -m benchmarks.twins``."""
 
 
 def twin_variants() -> Table:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fungrasp.deployment.twin_identification import ALL_ERRORS, identify_on_twin
+from benchmarks.twins.twin_identification import ALL_ERRORS, identify_on_twin
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
 from fungrasp.robots.cell import RobotCell

@@ -10,6 +10,9 @@ import numpy as np
 import trimesh
 from PIL import Image
 
+from benchmarks.synthetic_captures.capture_scene import Label
+from benchmarks.synthetic_captures.painted_mesh import PaintedMesh
+from benchmarks.synthetic_captures.render_capture import SyntheticCapture
 from fungrasp.errors import FungraspError
 from fungrasp.files import atomic_path
 from fungrasp.formats.file_bytes import one_line
@@ -21,9 +24,6 @@ from fungrasp.grasps import HumanGrasp
 from fungrasp.objects import ObjectModel
 from fungrasp.perception.io.image_files import read_capture
 from fungrasp.perception.io.scene_folders import COLOR_FILE, DEPTH_FILE, LENS_FILE
-from fungrasp.synthetic_captures.capture_scene import Label
-from fungrasp.synthetic_captures.painted_mesh import PaintedMesh
-from fungrasp.synthetic_captures.render_capture import SyntheticCapture
 
 TRUTH_FILE, LABELS_FILE, OBJECT_MASK_FILE = "truth.json", "labels.png", "object_mask.png"
 """What a photograph's folder would not have."""

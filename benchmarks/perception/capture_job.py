@@ -19,15 +19,15 @@ from benchmarks.perception.capture_files import (
 )
 from benchmarks.perception.measurements import CaptureResult, measure_absent, measure_perception
 from benchmarks.perception.true_landmarks import TrueLandmarks
+from benchmarks.synthetic_captures.capture_scene import Label
+from benchmarks.synthetic_captures.capture_settings import CaptureSettings
+from benchmarks.synthetic_captures.render_capture import SyntheticCapture, capture_at
 from fungrasp.formats.record_json import record_from_json
 from fungrasp.grasps import HumanGraspSet
 from fungrasp.jobs import Arrays, Job, part_key
 from fungrasp.objects import ObjectModel
 from fungrasp.perception import Capture
 from fungrasp.perception.hand.detected_hand import HandDetector
-from fungrasp.synthetic_captures.capture_scene import Label
-from fungrasp.synthetic_captures.capture_settings import CaptureSettings
-from fungrasp.synthetic_captures.render_capture import SyntheticCapture, capture_at
 
 
 @dataclass(frozen=True, eq=False)

@@ -63,9 +63,9 @@ class BenchDepth:
         """Depth from 0.6 to 0.9 m and from above, as people look at a table."""
         from dataclasses import replace
 
+        from benchmarks.synthetic_captures.capture_settings import CaptureSettings, camera_settings
+        from benchmarks.synthetic_captures.render_capture import render_captures
         from fungrasp.grasps import builtin_grasps, load_objects
-        from fungrasp.synthetic_captures.capture_settings import CaptureSettings, camera_settings
-        from fungrasp.synthetic_captures.render_capture import render_captures
 
         settings = CaptureSettings() if camera == "simple" else camera_settings(camera)
         settings = replace(settings, distance=(0.6, 0.9), elevation=(45.0, 65.0))

@@ -12,6 +12,10 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks.perception.other_people import painted_person
 from benchmarks.perception.scene_additions import varied_settings
+from benchmarks.synthetic_captures.capture_scene import SKIN_LIKE, Label, surroundings
+from benchmarks.synthetic_captures.capture_settings import CaptureSettings
+from benchmarks.synthetic_captures.painted_mesh import PaintedMesh
+from benchmarks.synthetic_captures.render_capture import drawn_intrinsics, photographed, posed_rays
 from fungrasp.hands import hand_files, load_hand
 from fungrasp.perception import Capture
 from fungrasp.rendering.camera import orbit_camera
@@ -19,10 +23,6 @@ from fungrasp.rendering.model_surfaces import drawn_geoms, geom_surface
 from fungrasp.rendering.ray_tracing import NOTHING, RayTracer
 from fungrasp.rendering.shading import linear, model_materials
 from fungrasp.rendering.surfaces import SurfaceMesh
-from fungrasp.synthetic_captures.capture_scene import SKIN_LIKE, Label, surroundings
-from fungrasp.synthetic_captures.capture_settings import CaptureSettings
-from fungrasp.synthetic_captures.painted_mesh import PaintedMesh
-from fungrasp.synthetic_captures.render_capture import drawn_intrinsics, photographed, posed_rays
 
 CLUTTER = (2, 7)
 """Fewest and most things on the table."""

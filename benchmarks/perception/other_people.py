@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 import trimesh
 
+from benchmarks.synthetic_captures.painted_mesh import PaintedMesh, mirrored_mesh, mixed
+from benchmarks.synthetic_captures.skin_and_sleeve import blotches, painted_hand, painted_sleeve
 from fungrasp.rendering.shading import Color
-from fungrasp.synthetic_captures.painted_mesh import PaintedMesh, mirrored_mesh, mixed
-from fungrasp.synthetic_captures.skin_and_sleeve import blotches, painted_hand, painted_sleeve
 
 HEAD = (0.098, 0.076, 0.118)
 """Half the depth, width and height of a head [m]."""

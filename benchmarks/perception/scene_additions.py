@@ -11,14 +11,14 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks.perception.other_people import other_hand, painted_person
 from benchmarks.perception.worn_things import painted_ring, painted_watch
+from benchmarks.synthetic_captures.capture_scene import SLEEVES, SLEEVES_WORN, CaptureScene, Label
+from benchmarks.synthetic_captures.capture_settings import CaptureSettings, camera_settings
+from benchmarks.synthetic_captures.painted_mesh import PaintedMesh
+from benchmarks.synthetic_captures.skin_and_sleeve import back_of_hand
 from fungrasp.errors import FungraspError
 from fungrasp.grasps import HumanGrasp, builtin_grasps
 from fungrasp.rendering.shading import Color
 from fungrasp.rendering.surfaces import SurfaceMesh
-from fungrasp.synthetic_captures.capture_scene import SLEEVES, SLEEVES_WORN, CaptureScene, Label
-from fungrasp.synthetic_captures.capture_settings import CaptureSettings, camera_settings
-from fungrasp.synthetic_captures.painted_mesh import PaintedMesh
-from fungrasp.synthetic_captures.skin_and_sleeve import back_of_hand
 
 HAND_AWAY = (0.16, 0.38)
 """Another person's hand is so far from the grasp, between their middles [m]."""

@@ -11,9 +11,9 @@ from benchmarks.command import check_positive
 from fungrasp.cli.console import progress_bar
 
 if TYPE_CHECKING:
+    from benchmarks.synthetic_captures.capture_settings import CaptureSettings
     from fungrasp.grasps import HumanGraspSet
     from fungrasp.objects import ObjectModel
-    from fungrasp.synthetic_captures.capture_settings import CaptureSettings
 
 
 @dataclass(frozen=True)
@@ -67,9 +67,9 @@ def render_varied(
     from benchmarks.perception.capture_files import TRUTH_FILE, write_capture
     from benchmarks.perception.no_hand_capture import no_hand_capture
     from benchmarks.perception.scene_additions import varied_settings
+    from benchmarks.synthetic_captures.render_capture import capture_at
     from fungrasp.objects import mirrored_name, mirrored_object
     from fungrasp.perception.io.scene_folders import LENS_FILE, write_folder
-    from fungrasp.synthetic_captures.render_capture import capture_at
 
     settings = settings or varied_settings()
     empty = (count + 1) // 2

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import trimesh
 
+from benchmarks.synthetic_captures.painted_mesh import PaintedMesh
+from benchmarks.synthetic_captures.skin_and_sleeve import WRIST_HALF, Forearm
 from fungrasp.rendering.hand_mesh import FINGER_RADII, REFERENCE_PALM
 from fungrasp.rendering.light_sampling import axes_along
 from fungrasp.rendering.shading import Color
-from fungrasp.synthetic_captures.painted_mesh import PaintedMesh
-from fungrasp.synthetic_captures.skin_and_sleeve import WRIST_HALF, Forearm
 
 METALS: tuple[Color, ...] = ((0.83, 0.69, 0.22), (0.77, 0.77, 0.78), (0.72, 0.45, 0.33), (0.15, 0.15, 0.16))
 """Gold, silver, copper, black steel, sRGB."""

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from benchmarks.synthetic_captures.render_capture import render_capture
 from fungrasp.deployment.grasp_choice import GraspChoice, why_not_tried
 from fungrasp.errors import FungraspError
 from fungrasp.grasps import RobotGraspSet
@@ -15,7 +16,6 @@ from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
 from fungrasp.perception.pipeline import perceive
 from fungrasp.retargeting import retarget
-from fungrasp.synthetic_captures.render_capture import render_capture
 
 MOST_IMAGES = 5
 """Images that are rendered before the grasp counts as one that can't be seen; a person would hardly take

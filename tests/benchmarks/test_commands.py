@@ -15,13 +15,13 @@ from benchmarks.perception.capture_files import write_capture
 from benchmarks.perception.capture_job import CaptureJob, CaptureTrial
 from benchmarks.perception.captures import Captures
 from benchmarks.perception.chain import run_chain
+from benchmarks.synthetic_captures.capture_settings import CaptureSettings
+from benchmarks.synthetic_captures.render_capture import capture_at
 from fungrasp.grasps import load_objects, save_human_grasps
 from fungrasp.hands import load_hand
 from fungrasp.perception import Intrinsics
 from fungrasp.planning.selection import SelectionSettings
 from fungrasp.planning.selection.settings import FurtherSearch
-from fungrasp.synthetic_captures.capture_settings import CaptureSettings
-from fungrasp.synthetic_captures.render_capture import capture_at
 
 
 @pytest.fixture(scope="module")

@@ -205,6 +205,7 @@ sys.exit(cli.main(["--help"]))
         (("bench",), "python -m benchmarks'"),
         (("bench", "robot", "--seconds", "1"), "python -m benchmarks.speed drivers'"),
         (("reproduce", "hands"), "python -m benchmarks.paper hands'"),
+        (("robots", "evaluate", "--twins", "0"), "python -m benchmarks.twins'"),
         (("reproduce", "--help"), "python -m benchmarks.paper'"),
     ],
 )
@@ -212,22 +213,3 @@ def test_commands_that_are_benchmarks_now_say_so_in_one_line(arguments, now, cap
     assert cli.main(arguments) == 2
     said = capsys.readouterr()
     assert said.out == "" and said.err.count("\n") == 1 and now in said.err
-
-
-@pytest.mark.parametrize("words", [["--title", "Ada"], ["--title=Ada"]])
-def test_former_options_work_and_say_their_names(install, monkeypatch, capsys, words):
-    install({"one": Greet})
-    monkeypatch.setattr(cli, "RENAMED", {"fungrasp greet one": {"--title": "--name"}})
-    assert cli.main(["greet", "one", *words]) == 0
-    said = capsys.readouterr()
-    assert said.out == "hello Ada\n"
-    assert said.err == "fungrasp: --title is now --name\n"
-
-
-def test_options_that_are_named_as_new_exist(capsys, monkeypatch):
-    monkeypatch.setenv("COLUMNS", "200")
-    for program, names in cli.RENAMED.items():
-        with pytest.raises(SystemExit):
-            cli.main([*program.split()[1:], "--help"])
-        words = capsys.readouterr().out.replace(",", " ").split()
-        assert set(names.values()) <= set(words) and not set(names) & set(words)

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from fungrasp.evaluation import twin_episode
+from benchmarks.twins import twin_episode
 
 
 def play_twins(monkeypatch: pytest.MonkeyPatch) -> list[str]:

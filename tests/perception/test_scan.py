@@ -7,12 +7,12 @@ import trimesh
 from object_views import object_views
 from scipy.spatial import KDTree
 
+from benchmarks.synthetic_captures.depth_cameras import DEPTH_CAMERAS
 from fungrasp.errors import FungraspError
 from fungrasp.objects import plain_shape
 from fungrasp.perception import Capture, Intrinsics
 from fungrasp.perception.io.scene_folders import read_folder, write_folder
 from fungrasp.perception.scan import ScanSettings, scan_object
-from fungrasp.synthetic_captures.depth_cameras import DEPTH_CAMERAS
 
 LENS = Intrinsics(320, 240, 305.0, 305.0, 160.0, 120.0)
 BOX = plain_shape("box:90x60x70", 0.3)

@@ -53,6 +53,7 @@ MOVED: Mapping[str, str] = {
     "bench faults": ".faults",
     "bench wire": ".wire",
     "bench identify": ".identification",
+    "robots evaluate": ".twins",
     "reproduce": ".paper",
     "reproduce retargeting": ".paper retargeting",
     "reproduce privileged": ".paper privileged",
@@ -60,16 +61,6 @@ MOVED: Mapping[str, str] = {
     "reproduce policies": ".paper policies",
 }
 """What ``python -m benchmarks<...>`` has replaced, for one version."""
-
-RENAMED: Mapping[str, Mapping[str, str]] = {
-    "fungrasp robots evaluate": {
-        "--each": "--grasps-per-object",
-        "--images": "--images-per-grasp",
-        "--places": "--placements",
-        "--told": "--given-dynamics",
-    },
-}
-"""Options that have another name now, by command, for one version."""
 
 USAGE_ERROR = 2
 INTERRUPTED = 130
@@ -172,7 +163,6 @@ def _parse(program: str, command: Any, arguments: list[str]) -> Any:
             return _parse(f"{program} {subcommand}", _loaded(command[subcommand]), arguments)
         every = {name: _loaded(one) for name, one in command.items()}
         return tyro.extras.subcommand_cli_from_dict(every, prog=program, args=arguments)
-    arguments = [_option_of_today(program, word) for word in arguments]
     config = [tyro.conf.FlagCreatePairsOff, tyro.conf.HelptextFromCommentsOff]
     if not getattr(command, "option_prefixes", False):
         config.append(tyro.conf.OmitArgPrefixes)
@@ -185,16 +175,6 @@ def _loaded(command: Any) -> Any:
         return command
     module, _, name = command.partition(":")
     return getattr(importlib.import_module(module), name)
-
-
-def _option_of_today(program: str, word: str) -> str:
-    """A word of the command line, with the name that its option has now."""
-    name, equals, value = word.partition("=")
-    now = RENAMED.get(program, {}).get(name)
-    if now is None:
-        return word
-    print(f"fungrasp: {name} is now {now}", file=sys.stderr)
-    return f"{now}{equals}{value}"
 
 
 def _help() -> str:

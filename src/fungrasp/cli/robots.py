@@ -253,7 +253,6 @@ COMMAND = {
     "jog": "fungrasp.cli.bring_up:Jog",
     "bring-up": "fungrasp.cli.bring_up:BringUp",
     "emulate": Emulate,
-    "evaluate": "fungrasp.cli.evaluate_on_twins:EvaluateOnTwins",
     "log": ShowLog,
     "replay": ReplayLog,
 }

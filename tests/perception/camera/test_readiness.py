@@ -5,6 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 
+from benchmarks.synthetic_captures.capture_scene import Label
+from benchmarks.synthetic_captures.capture_settings import CaptureSettings
+from benchmarks.synthetic_captures.render_capture import SyntheticCapture, render_capture
 from fungrasp.errors import UnknownNameError
 from fungrasp.grasps import builtin_grasps
 from fungrasp.objects import builtin_object
@@ -12,9 +15,6 @@ from fungrasp.perception import Intrinsics, ObjectEstimate
 from fungrasp.perception.camera.frames import CameraFrame
 from fungrasp.perception.camera.readiness import FrameProblem, judge_frame, judge_object
 from fungrasp.perception.hand.detected_hand import DetectedHand
-from fungrasp.synthetic_captures.capture_scene import Label
-from fungrasp.synthetic_captures.capture_settings import CaptureSettings
-from fungrasp.synthetic_captures.render_capture import SyntheticCapture, render_capture
 
 LENS = Intrinsics(320, 240, 300, 300, 160, 119)
 GRASP = builtin_grasps()[0]

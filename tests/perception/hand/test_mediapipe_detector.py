@@ -135,8 +135,8 @@ def test_order_of_joints():
 
 @pytest.fixture(scope="module")
 def picture():
-    from fungrasp.synthetic_captures.capture_settings import CaptureSettings
-    from fungrasp.synthetic_captures.render_capture import render_capture
+    from benchmarks.synthetic_captures.capture_settings import CaptureSettings
+    from benchmarks.synthetic_captures.render_capture import render_capture
 
     grasps = load_human_grasps("builtin")
     row = int(np.flatnonzero(grasps.object_name == "mug")[0])

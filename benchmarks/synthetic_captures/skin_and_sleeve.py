@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import trimesh
 
+from benchmarks.synthetic_captures.painted_mesh import PaintedMesh, mixed
 from fungrasp.grasps import HUMAN_JOINTS
 from fungrasp.rendering.hand_mesh import (
     FINGER_RADII,
@@ -17,7 +18,6 @@ from fungrasp.rendering.hand_mesh import (
     human_hand_mesh,
 )
 from fungrasp.rendering.shading import Color
-from fungrasp.synthetic_captures.painted_mesh import PaintedMesh, mixed
 
 SKIN_TONES: tuple[Color, ...] = (
     (0.92, 0.76, 0.67),

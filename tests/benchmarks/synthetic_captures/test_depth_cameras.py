@@ -4,16 +4,16 @@ import numpy as np
 import pytest
 
 from benchmarks.perception.depth_statistics import beside, depth_statistics, edge_widths, plane_noise
+from benchmarks.synthetic_captures.capture_settings import camera_settings
+from benchmarks.synthetic_captures.depth_cameras import DEPTH_CAMERAS, camera_depth
+from benchmarks.synthetic_captures.depth_noise import ColorNoise, noisy_color
+from benchmarks.synthetic_captures.render_capture import capture_at
+from benchmarks.synthetic_captures.varied_hand import vary_hand
 from fungrasp.errors import FungraspError
 from fungrasp.grasps import builtin_grasps
 from fungrasp.grasps.human_hand import bone_lengths
 from fungrasp.objects import builtin_object
 from fungrasp.perception import Intrinsics
-from fungrasp.synthetic_captures.capture_settings import camera_settings
-from fungrasp.synthetic_captures.depth_cameras import DEPTH_CAMERAS, camera_depth
-from fungrasp.synthetic_captures.depth_noise import ColorNoise, noisy_color
-from fungrasp.synthetic_captures.render_capture import capture_at
-from fungrasp.synthetic_captures.varied_hand import vary_hand
 
 LENS = Intrinsics(320, 240, 300.0, 300.0, 160.0, 120.0)
 EXACT = {"noise": 0.0, "waves": 0.0, "subpixel": 0.0, "axial": (0.0, 0.0), "scale": 0.0, "speckle": 1e-9}

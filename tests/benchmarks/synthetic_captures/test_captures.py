@@ -7,14 +7,14 @@ import trimesh
 from scipy.spatial import KDTree
 
 from benchmarks.perception.capture_files import read_synthetic_capture, write_capture
+from benchmarks.synthetic_captures.capture_scene import Label
+from benchmarks.synthetic_captures.capture_settings import CaptureSettings
+from benchmarks.synthetic_captures.render_capture import capture_at, render_capture, render_captures
 from fungrasp.errors import FungraspError
 from fungrasp.geometry.poses import inverse_transform_points, transform_points
 from fungrasp.grasps import builtin_grasps, load_human_grasps
 from fungrasp.objects import builtin_object, load_object
 from fungrasp.perception import Intrinsics
-from fungrasp.synthetic_captures.capture_scene import Label
-from fungrasp.synthetic_captures.capture_settings import CaptureSettings
-from fungrasp.synthetic_captures.render_capture import capture_at, render_capture, render_captures
 
 SHARED = Path(__file__).resolve().parents[2] / ".." / "shared"
 

@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 from played_twins import play_twins
 
-from fungrasp.errors import FungraspError, UnknownNameError
-from fungrasp.evaluation import twin_episode
-from fungrasp.evaluation.result_files import read_result
-from fungrasp.evaluation.twin_episode import TwinEpisode
-from fungrasp.evaluation.twin_series import (
+from benchmarks.twins import twin_episode
+from benchmarks.twins.twin_episode import TwinEpisode
+from benchmarks.twins.twin_series import (
     TwinSeriesResult,
     TwinSeriesSpec,
     VariantSummary,
     evaluate_on_twins,
 )
+from fungrasp.errors import FungraspError, UnknownNameError
+from fungrasp.evaluation.result_files import read_result
 from fungrasp.formats.record_json import record_from_json, record_to_json
 from fungrasp.grasps import builtin_grasps, load_objects
 from fungrasp.hands import load_hand

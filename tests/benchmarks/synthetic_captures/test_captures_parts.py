@@ -3,20 +3,20 @@ import pytest
 import trimesh
 from flat_hand import FLAT_HAND
 
-from fungrasp.objects import builtin_object
-from fungrasp.perception import Intrinsics
-from fungrasp.rendering.ray_tracing import NOTHING, RayTracer
-from fungrasp.rendering.shading import Look, linear
-from fungrasp.synthetic_captures.depth_noise import ColorNoise, DepthNoise, noisy_color, noisy_depth
-from fungrasp.synthetic_captures.painted_mesh import EDGE, PaintedMesh, painted_object
-from fungrasp.synthetic_captures.render_capture import posed_rays
-from fungrasp.synthetic_captures.skin_and_sleeve import (
+from benchmarks.synthetic_captures.depth_noise import ColorNoise, DepthNoise, noisy_color, noisy_depth
+from benchmarks.synthetic_captures.painted_mesh import EDGE, PaintedMesh, painted_object
+from benchmarks.synthetic_captures.render_capture import posed_rays
+from benchmarks.synthetic_captures.skin_and_sleeve import (
     CLEARANCE,
     FOREARM,
     SKIN_TONES,
     painted_hand,
     painted_sleeve,
 )
+from fungrasp.objects import builtin_object
+from fungrasp.perception import Intrinsics
+from fungrasp.rendering.ray_tracing import NOTHING, RayTracer
+from fungrasp.rendering.shading import Look, linear
 
 LENS = Intrinsics(80, 60, 70, 70, 39.5, 29.5)
 AT_ORIGIN = posed_rays(LENS, np.array([0, 0, 0, 1.0, 0, 0, 0]))

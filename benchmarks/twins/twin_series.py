@@ -11,14 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from fungrasp.deployment.deploy import deployable_policy, robot_planner
-from fungrasp.deployment.hand_knowledge import HandDynamics
-from fungrasp.deployment.twin_identification import identify_on_twin
-from fungrasp.errors import FungraspError, UnknownNameError
-from fungrasp.evaluation.result_files import write_result
-from fungrasp.evaluation.statistics import wilson_interval
-from fungrasp.evaluation.twin_episode import PlacedGrasp, TwinEpisode, TwinSetup, TwinVariant
-from fungrasp.evaluation.twin_schedule import (
+from benchmarks.twins.twin_episode import PlacedGrasp, TwinEpisode, TwinSetup, TwinVariant
+from benchmarks.twins.twin_identification import identify_on_twin
+from benchmarks.twins.twin_schedule import (
     GraspSource,
     Identify,
     KnownGrasps,
@@ -26,6 +21,11 @@ from fungrasp.evaluation.twin_schedule import (
     placed_grasps,
     try_on_twins,
 )
+from fungrasp.deployment.deploy import deployable_policy, robot_planner
+from fungrasp.deployment.hand_knowledge import HandDynamics
+from fungrasp.errors import FungraspError, UnknownNameError
+from fungrasp.evaluation.result_files import write_result
+from fungrasp.evaluation.statistics import wilson_interval
 from fungrasp.files import digest
 from fungrasp.formats.record_json import record_to_json
 from fungrasp.grasps import RobotGraspSet

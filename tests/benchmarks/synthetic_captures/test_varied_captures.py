@@ -11,14 +11,14 @@ from benchmarks.perception.no_hand_capture import no_hand_capture
 from benchmarks.perception.recorded_captures import read_recorded, recorded_folders
 from benchmarks.perception.scene_additions import MoreInTheImage, varied_settings
 from benchmarks.perception.varied import render_varied
+from benchmarks.synthetic_captures.capture_scene import Label
+from benchmarks.synthetic_captures.capture_settings import CaptureSettings
+from benchmarks.synthetic_captures.render_capture import render_capture
 from fungrasp.errors import FungraspError
 from fungrasp.geometry.poses import inverse_transform_points, transform_points
 from fungrasp.grasps import builtin_grasps
 from fungrasp.objects import builtin_object, mirrored_object
 from fungrasp.perception import Intrinsics
-from fungrasp.synthetic_captures.capture_scene import Label
-from fungrasp.synthetic_captures.capture_settings import CaptureSettings
-from fungrasp.synthetic_captures.render_capture import render_capture
 
 LENS = Intrinsics(320, 240, 300, 300, 160, 119)
 PLAIN = CaptureSettings(

@@ -1,4 +1,4 @@
-"""``fungrasp robots evaluate`` from grasps to its result; deployments are not played here."""
+"""``python -m benchmarks.twins`` from grasps to its result; deployments are not played here."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from played_twins import play_twins
 
-from fungrasp.cli.evaluate_on_twins import EvaluateOnTwins
-from fungrasp.cli.main import main
+from benchmarks.synthetic_captures.perceived_grasps import PerceivedGrasps
+from benchmarks.twins.commands import EvaluateOnTwins
+from fungrasp.cli.main import run_command
 from fungrasp.errors import UnknownNameError
 from fungrasp.evaluation.result_files import read_result
-from fungrasp.synthetic_captures.perceived_grasps import PerceivedGrasps
 
 
 @pytest.fixture
@@ -81,19 +81,22 @@ def test_a_second_attempt_of_a_blind_policy_is_refused_before_images_are_seen(
     policy: str, played, tmp_path, capsys
 ) -> None:
     given = ["--variants", "full, two attempts", "--policy", policy, "--images-per-grasp", "2"]
-    assert main(["robots", "evaluate", *given, "--out", str(tmp_path / "twins.json")]) == 2
+    assert (
+        run_command(
+            "python -m benchmarks.twins", EvaluateOnTwins, [*given, "--out", str(tmp_path / "twins.json")]
+        )
+        == 2
+    )
     said = capsys.readouterr().err.strip()
     assert "'full, two attempts' needs a policy that watches" in said and "\n" not in said
     assert not list(tmp_path.iterdir())
 
 
-def test_words_of_the_version_before(played, tmp_path, capsys, caplog) -> None:
+def test_variants_of_the_version_before(played, tmp_path, caplog) -> None:
     out = tmp_path / "twins.json"
-    former = ["--each", "1", "--places", "2", "--told", "--images", "0", "--variants", "ours"]
+    former = ["--grasps-per-object", "1", "--placements", "2", "--given-dynamics", "--variants", "ours"]
     now = ["--rows", "0", "3", "--policy", "reference", "--in-turn", "--threads", "1", "--out", str(out)]
-    assert main(["robots", "evaluate", *former, *now]) == 0
-    said = capsys.readouterr().err.splitlines()
-    assert "fungrasp: --each is now --grasps-per-object" in said and len(said) == 4
+    assert run_command("python -m benchmarks.twins", EvaluateOnTwins, [*former, *now]) == 0
     assert "'ours' is called 'full' now" in caplog.text
     result = read_result(out)
     assert {row["variant"] for row in result.rows} == {"full"}

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.synthetic_captures.render_capture import render_capture
 from fungrasp.errors import FungraspError
 from fungrasp.grasps import HumanGraspSet, RobotGraspSet
 from fungrasp.hands import Hand
@@ -17,7 +18,6 @@ from fungrasp.perception.hand.detected_hand import HandDetector
 from fungrasp.perception.hand.mediapipe_detector import MediaPipeHandDetector
 from fungrasp.perception.pipeline import perceive
 from fungrasp.retargeting import retarget
-from fungrasp.synthetic_captures.render_capture import render_capture
 
 
 class PerceivedGrasps:

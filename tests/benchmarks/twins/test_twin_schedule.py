@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-import fungrasp.evaluation.twin_episode as twin_episode
+import benchmarks.twins.twin_episode as twin_episode
+from benchmarks.twins.twin_episode import PlacedGrasp, TwinEpisode, TwinSetup
+from benchmarks.twins.twin_schedule import KnownGrasps, given_dynamics, placed_grasps, try_on_twins
+from benchmarks.twins.twin_series import VARIANTS
 from fungrasp.deployment.hand_knowledge import HandDynamics
 from fungrasp.deployment.preparation import UnreachableError
 from fungrasp.errors import FungraspError
-from fungrasp.evaluation.twin_episode import PlacedGrasp, TwinEpisode, TwinSetup
-from fungrasp.evaluation.twin_schedule import KnownGrasps, given_dynamics, placed_grasps, try_on_twins
-from fungrasp.evaluation.twin_series import VARIANTS
 from fungrasp.grasps import RobotGraspSet, builtin_grasps, load_objects
 from fungrasp.hands import load_hand
 from fungrasp.jobs import PartStore

@@ -12,6 +12,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from benchmarks.synthetic_captures.capture_scene import CaptureScene, Label, capture_scene
+from benchmarks.synthetic_captures.capture_settings import CaptureSettings
+from benchmarks.synthetic_captures.depth_cameras import camera_depth
+from benchmarks.synthetic_captures.depth_noise import ColorNoise, DepthNoise, noisy_color, noisy_depth
+from benchmarks.synthetic_captures.painted_mesh import PaintedMesh, mirrored_mesh, painted_object
+from benchmarks.synthetic_captures.varied_hand import vary_hand
 from fungrasp.errors import FungraspError, UnknownNameError
 from fungrasp.geometry.poses import compose, inverse_transform_points, invert, rotation_matrix
 from fungrasp.grasps import HumanGrasp, HumanGraspSet
@@ -21,12 +27,6 @@ from fungrasp.perception import Capture, Intrinsics
 from fungrasp.perception.estimates import Side
 from fungrasp.rendering.camera import orbit_camera
 from fungrasp.rendering.ray_tracing import NOTHING, PixelRays, RayTracer
-from fungrasp.synthetic_captures.capture_scene import CaptureScene, Label, capture_scene
-from fungrasp.synthetic_captures.capture_settings import CaptureSettings
-from fungrasp.synthetic_captures.depth_cameras import camera_depth
-from fungrasp.synthetic_captures.depth_noise import ColorNoise, DepthNoise, noisy_color, noisy_depth
-from fungrasp.synthetic_captures.painted_mesh import PaintedMesh, mirrored_mesh, painted_object
-from fungrasp.synthetic_captures.varied_hand import vary_hand
 
 TRIES = 24
 """Cameras that are tried before the best so far is taken."""

@@ -1,4 +1,4 @@
-"""``fungrasp robots evaluate``: grasps on twins, for Table VI of the paper."""
+"""``python -m benchmarks.twins``: grasps on twins, for Tables VI and II of the paper."""
 
 from __future__ import annotations
 
@@ -45,13 +45,13 @@ class EvaluateOnTwins:
     """Of planning; 0 means all processors."""
 
     def run(self) -> None:
-        from fungrasp.evaluation.twin_series import TwinSeriesSpec, evaluate_on_twins
+        from benchmarks.synthetic_captures.perceived_grasps import PerceivedGrasps
+        from benchmarks.twins.twin_series import TwinSeriesSpec, evaluate_on_twins
         from fungrasp.grasps import load_human_grasps, load_objects
         from fungrasp.hands import load_hand
         from fungrasp.jobs import PartStore
         from fungrasp.retargeting import retarget
         from fungrasp.robots.cell import load_cell
-        from fungrasp.synthetic_captures.perceived_grasps import PerceivedGrasps
 
         spec = TwinSeriesSpec(
             self.robot,

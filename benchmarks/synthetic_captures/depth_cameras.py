@@ -29,9 +29,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import ndimage
 
+from benchmarks.synthetic_captures.depth_noise import graze, smooth_field, unseen_by_second
 from fungrasp.errors import FungraspError
 from fungrasp.perception import Intrinsics
-from fungrasp.synthetic_captures.depth_noise import graze, smooth_field, unseen_by_second
 
 
 @dataclass(frozen=True)

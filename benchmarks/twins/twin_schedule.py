@@ -9,15 +9,15 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from fungrasp.deployment.hand_knowledge import HandDynamics
-from fungrasp.errors import FungraspError
-from fungrasp.evaluation.twin_episode import (
+from benchmarks.twins.twin_episode import (
     PlacedGrasp,
     RememberingPlanner,
     TwinEpisode,
     TwinSetup,
     TwinVariant,
 )
+from fungrasp.deployment.hand_knowledge import HandDynamics
+from fungrasp.errors import FungraspError
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.robots.twin.parameters import TwinParameters, TwinSpread, cell_twin

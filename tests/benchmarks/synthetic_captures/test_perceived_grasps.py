@@ -4,11 +4,11 @@ from types import SimpleNamespace
 
 import numpy as np
 
+from benchmarks.synthetic_captures import perceived_grasps as room
 from fungrasp.errors import FungraspError
 from fungrasp.grasps import HumanGraspSet, builtin_grasps, load_objects
 from fungrasp.hands import load_hand
 from fungrasp.jobs import PartStore
-from fungrasp.synthetic_captures import perceived_grasps as room
 
 
 def test_images_are_numbered_and_doubtful_ones_refused(monkeypatch, tmp_path) -> None:

@@ -10,13 +10,13 @@ from typing import Protocol
 import numpy as np
 import trimesh
 
+from benchmarks.synthetic_captures.painted_mesh import PaintedMesh, fine_mesh_normals, painted_object
+from benchmarks.synthetic_captures.skin_and_sleeve import Forearm, painted_hand, painted_sleeve
 from fungrasp.geometry.poses import transform_points
 from fungrasp.grasps import HumanGrasp
 from fungrasp.objects import ObjectModel, builtin_object
 from fungrasp.rendering.shading import Color, Look
 from fungrasp.rendering.surfaces import SurfaceMesh
-from fungrasp.synthetic_captures.painted_mesh import PaintedMesh, fine_mesh_normals, painted_object
-from fungrasp.synthetic_captures.skin_and_sleeve import Forearm, painted_hand, painted_sleeve
 
 
 class Label(IntEnum):

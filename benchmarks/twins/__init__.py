@@ -1,0 +1,1 @@
+"""Series of deployments on twins: Tables VI and II of the paper."""
