@@ -76,7 +76,7 @@ class GraspPage(BrowserPage):
         self._figures: list[Any] = []
         self._robots: list[RobotView] = []
         self._syncing = False
-        self._said = 0.0
+        self._said, self._shown = 0.0, 0
         add_table(client)
         self._controls()
         self.worker.ask("pick", self._show_picked)
@@ -168,16 +168,19 @@ class GraspPage(BrowserPage):
         scene = self.client.scene
         height = float(grasp.object_pose[2])
         look_at(self.client, (0.0, 0.0, height), 0.30 + 0.24 * count, aside)
+        # Names of their own: what is taken away and what is put there must not be taken for each other.
+        self._shown += 1
+        person = f"/human-{self._shown}"
         with self.client.atomic():
-            root = scene.add_frame("/human", show_axes=False, position=places[0])
-            self._person = HumanFigure(scene, "/human/hand", grasp.hand_joints, grasp.link_contacts)
-            self._thing = ObjectFigure(scene, "/human/object", model)
+            root = scene.add_frame(person, show_axes=False, position=places[0])
+            self._person = HumanFigure(scene, f"{person}/hand", grasp.hand_joints, grasp.link_contacts)
+            self._thing = ObjectFigure(scene, f"{person}/object", model)
             self._thing.place(grasp.object_pose)
             self._figures = [root]
-            self._label_at("/human/label", "person", grasp)
-            self._add_handles(grasp)
+            self._label_at(f"{person}/label", "person", grasp)
+            self._add_handles(person, grasp)
         for i, (hand, _) in enumerate(hands):
-            name = f"/robot{i}"
+            name = f"/robot{i}-{self._shown}"
             with self.client.atomic():
                 self._robots.append(RobotView(scene, name, places[1 + i], hand, model))
                 self._label_at(f"{name}/label", hand.name, grasp)
@@ -266,11 +269,11 @@ class GraspPage(BrowserPage):
 
     # Moving.
 
-    def _add_handles(self, grasp: HumanGrasp) -> None:
+    def _add_handles(self, person: str, grasp: HumanGrasp) -> None:
         scene = self.client.scene
         limits = {"scale": 0.11, "depth_test": False, "line_width": 3.0}
-        self._object_handle = scene.add_transform_controls("/human/move object", **limits)
-        self._wrist_handle = scene.add_transform_controls("/human/move wrist", **limits)
+        self._object_handle = scene.add_transform_controls(f"{person}/move object", **limits)
+        self._wrist_handle = scene.add_transform_controls(f"{person}/move wrist", **limits)
         move(self._object_handle, grasp.object_pose)
         self._wrist_start = np.concatenate([grasp.hand_joints[0], [1.0, 0.0, 0.0, 0.0]])
         move(self._wrist_handle, self._wrist_start)

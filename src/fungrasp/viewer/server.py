@@ -27,6 +27,9 @@ LOOPBACK = "127.0.0.1"
 PORTS = range(8080, 8100)
 """Where the page is by default: at the first that is free."""
 
+WIDE = 700
+"""Width of a browser's window from which on the controls stand beside the scene [pixels]."""
+
 MISSING = "the interactive page needs packages that are not installed: pip install 'fungrasp[viewer]'"
 
 
@@ -63,7 +66,6 @@ class Viewer:
         self._server.gui.configure_theme(
             control_width="large", show_logo=False, show_share_button=False, brand_color=(32, 96, 150)
         )
-        self._server.gui.main_panel.dock_right()
         self._host, self._make_page, self._pages = host, make_page, dict[int, BrowserPage]()
         self._lock, self._closed = threading.Lock(), threading.Event()
         self._server.on_client_connect(self._open)
@@ -118,6 +120,9 @@ class Viewer:
 
     def _open(self, client: ClientHandle) -> None:
         start = time.perf_counter()
+        # A phone has the controls in a sheet at the bottom.
+        if client.camera.image_width >= WIDE:
+            client.gui.main_panel.dock_right()
         try:
             page = self._make_page(client)
         except FungraspError as error:
