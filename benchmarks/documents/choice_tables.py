@@ -93,6 +93,18 @@ def chosen_decisions() -> Table:
     return Table(head, rows, files)
 
 
+def chosen_firm() -> Table:
+    """Grasps as firm as they can be near the person's beside those of before, by kind of object."""
+    rows = []
+    for rate in read("choose-firm-unadapted").header["rates"]:
+        both = f"{rate['only_second']}, {rate['only_first']}"
+        number = f"{rate['grasps']} of {rate['objects']}"
+        shares = (percent(rate["first"]), percent(rate["second"]))
+        rows.append((rate["stratum"], number, *shares, _difference(rate), both))
+    head = ("objects", "grasps", "before", "after", "gain [points]", "only after, before")
+    return Table(head, rows, ["choose-firm-unadapted"])
+
+
 def _all(name: str) -> dict[str, Any] | None:
     """Rates of all objects of a result; None where it was not measured."""
     return read(name).header["rates"][-1] if (RESULTS / f"{name}.json").is_file() else None

@@ -47,6 +47,7 @@ BUILDERS: dict[str, Callable[[], Table]] = {
     "chosen_peers": choice_tables.chosen_peers,
     "chosen_strata": choice_tables.chosen_strata,
     "chosen_decisions": choice_tables.chosen_decisions,
+    "chosen_firm": choice_tables.chosen_firm,
     "methods": policy_tables.methods,
     "peers": policy_tables.peers,
     "robustness": policy_tables.robustness,

@@ -442,7 +442,7 @@ def unresisted_share(
     weight, up = problem.weight, problem.up[:, -1]
     loads = np.zeros((len(weight), 6, 6))
     loads[..., :3] = weight[:, None, None] * (DISTURBANCE * load_directions(up) - up[:, None])
-    used = contacts.clearance < CONTACT_DISTANCE
+    used = (contacts.clearance < CONTACT_DISTANCE) & problem.contacts
     left = unresisted_wrenches(contacts, used, problem.center, problem.extent, loads, weight, limits)
     share = np.sqrt(np.max(np.sum(left**2, axis=-1), axis=1)) / weight
     share = np.where(state.clearance.min(axis=1) < -DEEPEST, NO_GRIP, share)

@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
+from odd_hands import odd_hand
 from retarget_scenes import held, plain_objects
 
 from fungrasp.geometry.poses import compose, invert
 from fungrasp.hands import load_hand
+from fungrasp.hands.adding.add_hand import Answers, add_hand
 from fungrasp.hands.correspondence import correspond
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.optimization.firmness import unresisted_share
 from fungrasp.optimization.hand_state import HandPoints
+from fungrasp.optimization.pose_terms import contact_error
 from fungrasp.optimization.retargeting_problem import RetargetingProblem
 from fungrasp.retargeting import RetargetSettings, retarget
-from fungrasp.retargeting.contact_optimization import turned_about_fingertips
+from fungrasp.retargeting.contact_optimization import STARTS, moved_starts, turned_about_fingertips
 
 
 def test_turns_leave_the_mean_fingertip_where_it_is():
@@ -38,7 +42,7 @@ def test_turns_leave_the_mean_fingertip_where_it_is():
 def test_heavy_objects_are_gripped_more_firmly_than_from_one_start():
     grasps, objects, hand = held(), plain_objects(), load_hand("allegro")
     grasps = replace(grasps, object_mass=np.full(len(grasps), 0.5))
-    single = RetargetSettings(start_turns=())
+    single = RetargetSettings(starts=())
     share = {}
     for name, settings in (("single", single), ("several", RetargetSettings())):
         robot = retarget(grasps, objects, hand, settings=settings, threads=1)
@@ -50,10 +54,44 @@ def test_heavy_objects_are_gripped_more_firmly_than_from_one_start():
     assert share["several"].mean() < share["single"].mean() - 0.02
 
 
-def test_light_objects_that_are_held_well_have_one_start():
+def contact_errors(settings: RetargetSettings) -> tuple[np.ndarray, np.ndarray]:
+    """Mean contact error [m] and unresisted share of heavy things."""
     grasps, objects, hand = held(), plain_objects(), load_hand("allegro")
-    single, several = (
-        retarget(grasps, objects, hand, settings=settings, threads=1)
-        for settings in (RetargetSettings(start_turns=(), good_enough=1e6), RetargetSettings(good_enough=1e6))
+    grasps = replace(grasps, object_mass=np.full(len(grasps), 0.5))
+    robot = retarget(grasps, objects, hand, settings=settings, threads=1)
+    problem = RetargetingProblem.from_grasps(grasps, objects, correspond(hand))
+    points = HandPoints(HandKinematics(hand, len(grasps)))
+    solution = compose(invert(grasps.object_pose), robot.wrist_pose), hand.independent(robot.joint_positions)
+    return (
+        contact_error(points, problem, *solution),
+        unresisted_share(points.dense, problem, *solution),
     )
-    np.testing.assert_array_equal(single.joint_positions, several.joint_positions)
+
+
+def test_what_is_as_firm_as_possible_is_firmer_and_less_like_the_person():
+    shown_error, shown_share = contact_errors(RetargetSettings(likeness=np.inf))
+    firm_error, firm_share = contact_errors(RetargetSettings(likeness=0.0))
+    assert firm_share.mean() < shown_share.mean() - 0.02
+    assert shown_error.mean() < firm_error.mean() - 0.002
+
+
+def test_a_grasp_as_shown_has_one_start():
+    shown, one = (
+        retarget(held(), plain_objects(), load_hand("allegro"), settings=settings, threads=1)
+        for settings in (RetargetSettings(likeness=np.inf), RetargetSettings(starts=()))
+    )
+    np.testing.assert_array_equal(shown.joint_positions, one.joint_positions)
+
+
+def test_starts_of_a_left_hand_are_those_of_a_right_one_in_a_mirror(tmp_path: Path):
+    found = []
+    for side in ("right", "left"):
+        path = tmp_path / f"{side}.xml"
+        path.write_text(odd_hand(left=side == "left"))
+        hand = load_hand(add_hand(path, tmp_path / f"{side}-hand", answers=Answers())[0])
+        points = HandPoints(HandKinematics(hand, len(STARTS)))
+        joints = np.repeat((0.5 * (points.kinematics.lower + points.kinematics.upper))[None], len(STARTS), 0)
+        pose = np.tile([0.0, 0, 0, 1, 0, 0, 0], (len(STARTS), 1))
+        found.append(moved_starts(points, pose, joints, STARTS)[0])
+    # The hands are each other's mirror images across y = 0.
+    np.testing.assert_allclose(found[0], found[1] * [1, -1, 1, 1, -1, 1, -1], atol=1e-6)

@@ -17,13 +17,15 @@ from fungrasp.geometry.poses import compose, invert
 from fungrasp.grasps import HumanGraspSet, RobotGraspSet, load_objects
 from fungrasp.grasps.grasp_files import load_human_grasps
 from fungrasp.hands import load_hand
-from fungrasp.retargeting import METHODS, retarget
+from fungrasp.retargeting import METHODS, RetargetSettings, retarget
 
 DEXYCB, YCB = SHARED / "data" / "dexycb_train.npz", SHARED / "data" / "ycb"
 needs_dexycb = pytest.mark.skipif(
     not (DEXYCB.is_file() and YCB.is_dir()), reason=f"the DexYCB grasps are not in {SHARED / 'data'}"
 )
 
+
+AS_SHOWN = RetargetSettings(likeness=np.inf)
 
 MODULE = import_module("fungrasp.retargeting.retarget")
 
@@ -73,11 +75,17 @@ def test_every_method_gives_every_hand_a_possible_grasp(name: str, method: str):
 
 
 @pytest.mark.parametrize("name", ROBOTS)
-def test_ours_touches_where_the_human_did(name: str):
-    found = quality(name, solved(name))
-    assert found.contact_error_mm.mean() < 6
+@pytest.mark.parametrize(
+    ("settings", "error_mm", "turned_deg"), [(AS_SHOWN, 6, 30), (RetargetSettings(), 25, 40)]
+)
+def test_ours_touches_where_the_human_did(
+    name: str, settings: RetargetSettings, error_mm: float, turned_deg: float
+):
+    """Or not far from there, where that is firmer."""
+    found = quality(name, solved(name, settings=settings))
+    assert found.contact_error_mm.mean() < error_mm
     assert found.contact_gap_mm.mean() < 1
-    assert found.link_direction_error_deg.mean() < 30
+    assert found.link_direction_error_deg.mean() < turned_deg
     assert found.object_penetration_mm.max() < 2
     assert found.table_penetration_mm.max() < 0.5
     assert found.self_penetration_mm.max() < 1
@@ -86,7 +94,10 @@ def test_ours_touches_where_the_human_did(name: str):
 
 @pytest.mark.parametrize("name", ["allegro", "inspire"])
 def test_ours_is_nearer_to_the_human_contacts_than_the_baselines(name: str):
-    errors = {method: quality(name, solved(name, method)).contact_error_mm.mean() for method in METHODS}
+    errors = {
+        method: quality(name, solved(name, method, settings=AS_SHOWN)).contact_error_mm.mean()
+        for method in METHODS
+    }
     assert errors["contact"] < 0.6 * min(errors["angle-copy"], errors["dexgraspnet"])
 
 
@@ -165,11 +176,14 @@ def test_unknown_method():
 
 @needs_dexycb
 @pytest.mark.slow
-def test_quality_on_real_grasps():
+@pytest.mark.parametrize(("settings", "largest_error_mm"), [(AS_SHOWN, 6.5), (None, 13)])
+def test_quality_on_real_grasps(settings: RetargetSettings | None, largest_error_mm: float):
     human = load_human_grasps(DEXYCB).select(slice(0, None, 10))
     objects, hand = load_objects(human, YCB), load_hand("allegro")
-    found = static_quality(retarget(human, objects, hand, threads=1), human, objects, hand).summary()
-    assert found["contact_error_mm"]["mean"] <= 6.5
+    found = static_quality(
+        retarget(human, objects, hand, settings=settings, threads=1), human, objects, hand
+    ).summary()
+    assert found["contact_error_mm"]["mean"] <= largest_error_mm
     assert found["contact_gap_mm"]["mean"] <= 2
     assert found["link_direction_error_deg"]["mean"] <= 25
     assert found["object_penetration_mm"]["mean"] <= 2

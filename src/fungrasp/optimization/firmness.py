@@ -18,16 +18,13 @@ LOAD_CONE_EDGES = 6
 LIMIT_WEIGHT = 5.0
 """Weight of a torque at twice its limit against an unresisted load of the object's weight; large, as a servo
 cannot exceed its limit."""
-FRICTION = 0.9
-"""Coefficient between hand and object: the nominal one."""
+FRICTION = 0.6
+"""Coefficient between hand and object that is counted on: less than the nominal 0.9, as contacts come to lie
+beside where they are planned."""
 DISTURBANCE = 0.5
 """What a grip must resist besides the weight, in weights."""
 LOAD_ITERATIONS = 100
 """Of the descent to the best contact forces."""
-
-FIRMNESS_WEIGHT = 40.0
-"""What a load of the object's weight that the contacts cannot take adds to the objective where solutions are
-compared: how much likeness to the given grasp a firm grip is worth."""
 
 DEEPEST = 0.001
 """A hand that goes farther into the object than this has no grip, however firm it would be [m]."""
@@ -244,9 +241,9 @@ def unresisted_share(
     independent: np.ndarray,
     which: np.ndarray | None = None,
 ) -> np.ndarray:
-    """``unresisted_load`` of the links in contact as a share of the objects' weight, shape [N]: force and
-    torque over the object's extent together; zero for a firm grasp, ``NO_GRIP`` without contacts and where
-    the hand goes into the object by more than ``DEEPEST``.
+    """``unresisted_load`` of the links in contact that should be, as a share of the objects' weight, shape
+    [N]: force and torque over the object's extent together; zero for a firm grasp, ``NO_GRIP`` without
+    contacts and where the hand goes into the object by more than ``DEEPEST``.
 
     Args:
         points: kinematics made for N hands; the denser, the less goes into the object unseen.
@@ -260,7 +257,7 @@ def unresisted_share(
     inside = contacts.clearance.min(axis=1) < -DEEPEST
     force, torque = unresisted_load(
         contacts,
-        np.isfinite(contacts.clearance) & ~inside[:, None],
+        np.isfinite(contacts.clearance) & problem.contacts & ~inside[:, None],
         problem.center,
         problem.extent,
         problem.weight,

@@ -45,10 +45,34 @@ def contact_position(
         inner_weight: factor for links that don't end in a fingertip.
     """
     match = points.match
-    human = match.human_far
-    target = problem.surface[:, human] + points.far_radius[:, None] * problem.normals[:, human]
     weight = problem.contacts[:, 1:] * np.where(match.is_last, 1.0, inner_weight) / unit
-    return keypoint_position(points, problem, match.far, target, weight)
+    return keypoint_position(points, problem, match.far, _contact_targets(points, problem), weight)
+
+
+def contact_error(
+    points: HandPoints, problem: RetargetingProblem, wrist_pose: np.ndarray, independent: np.ndarray
+) -> np.ndarray:
+    """Mean distance of what ``contact_position`` compares, links that should touch [m], shape [N]; zero where
+    none should.
+
+    Args:
+        points: kinematics made for N hands; they are moved.
+        problem: N grasps.
+        wrist_pose: object frame, shape [N, 7].
+        independent: joints [rad], shape [N, U].
+    """
+    points.kinematics.update(wrist_pose, independent)
+    found = points.kinematics.points(points.keypoints)[:, points.match.far]
+    error = np.linalg.norm(found - _contact_targets(points, problem), axis=2)
+    wanted = problem.contacts[:, 1:]
+    return (wanted * error).sum(axis=1) / np.maximum(wanted.sum(axis=1), 1)
+
+
+def _contact_targets(points: HandPoints, problem: RetargetingProblem) -> np.ndarray:
+    """Where the far key point of each link would be if it touched where the person's did [m], shape
+    [N, S, 3]."""
+    human = points.match.human_far
+    return problem.surface[:, human] + points.far_radius[:, None] * problem.normals[:, human]
 
 
 def keypoint_position(

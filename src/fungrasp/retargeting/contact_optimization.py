@@ -3,12 +3,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from fungrasp.errors import FungraspError
 from fungrasp.geometry.poses import (
     compose,
     inverse_transform_points,
@@ -16,17 +18,49 @@ from fungrasp.geometry.poses import (
     rotate,
 )
 from fungrasp.hands import Hand
+from fungrasp.hands.collision_spheres import self_collision_depth
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.hands.opening import partly_closed
 from fungrasp.optimization import terms
-from fungrasp.optimization.firmness import FIRMNESS_WEIGHT, unresisted_share
+from fungrasp.optimization.firmness import DEEPEST, NO_GRIP, unresisted_share
 from fungrasp.optimization.hand_state import HandPoints
 from fungrasp.optimization.levenberg_marquardt import minimize
+from fungrasp.optimization.pose_terms import contact_error
 from fungrasp.optimization.retargeting_problem import RetargetingProblem
 from fungrasp.optimization.terms import Term
 
-LEAST_GAIN = 1.0
-"""Decrease of the objective that a turned start must bring: equal solutions differ by less."""
+FIRM = 0.2
+"""Unresisted share of the load below which a grasp counts as firm: of those below, nine of ten hold, wherever
+they are."""
+
+ERROR_UNIT = 0.1
+"""Mean distance of the contacts from the person's that counts like a whole unresisted weight, at a likeness
+of one [m]."""
+
+
+@dataclass(frozen=True)
+class Start:
+    """How a start differs from the hand that is laid along the person's. Axes are those of a right hand's
+    palm: along the fingers, out of the palm, and across; those of a left hand are mirrored."""
+
+    turn: tuple[float, float, float]
+    """Rotation vector about the mean fingertip [rad]."""
+    shift: tuple[float, float, float]
+    """Of the wrist, afterwards [m]."""
+    straighter: float
+    """Share of the joints' angles that is taken away, negative to bend them."""
+
+
+STARTS = (
+    Start((-0.22, -0.31, 0.45), (-0.01, 0.01, 0.0), 0.13),
+    Start((-0.09, -0.10, 0.53), (-0.01, 0.0, -0.02), 0.21),
+    Start((-0.05, 0.27, 0.49), (-0.03, 0.01, -0.01), 0.18),
+    Start((0.05, -0.28, -0.10), (0.01, 0.01, -0.01), 0.24),
+    Start((-0.20, 0.64, -0.17), (0.01, 0.02, -0.01), -0.04),
+    Start((-0.32, -0.53, 0.05), (0.0, 0.02, 0.01), 0.05),
+)
+"""Of 93 that were drawn at random those that, one after another, made most of 400 grasps of 80 objects firmer
+(docs/lab/decisions/0073-firm-before-like.md)."""
 
 
 @dataclass(frozen=True)
@@ -41,13 +75,13 @@ class RetargetSettings:
     """Distance of a contact from its target on the surface [m]."""
     inner_contact_weight: float = 0.6
     """Factor for contacts of links that do not end in a fingertip [-]."""
-    gap_unit: float = 0.002
+    gap_unit: float = 0.001
     """Gap between a link that should touch and the object [m]."""
     object_unit: float = 0.0006
     """Penetration of the object [m]."""
     table_unit: float = 0.0007
     """Penetration of the table [m]."""
-    table_margin: float = 0.0015
+    table_margin: float = 0.001
     """Distance to keep from the table [m]."""
     self_unit: float = 0.001
     """Penetration of the hand by itself [m]."""
@@ -59,24 +93,41 @@ class RetargetSettings:
     """Difference of the unit vectors along a link, second stage [-]."""
     first_iterations: int = 15
     """Solver iterations of the first stage."""
-    second_iterations: int = 20
+    second_iterations: int = 12
     """Solver iterations of the second stage."""
-    firmness_weight: float = FIRMNESS_WEIGHT
-    """What a load of the object's weight that the contacts cannot take adds to the objective when solutions
-    are compared: how much likeness to the human grasp a firm grip is worth."""
-    good_enough: float = 8.0
-    """A solution whose objective, firmness included, is below this is kept; others are solved again."""
-    start_turns: tuple[tuple[float, float, float], ...] = (
-        (0.35, 0.0, 0.0),
-        (-0.35, 0.0, 0.0),
-        (0.0, 0.35, 0.0),
-        (0.0, -0.35, 0.0),
-    )
-    """Turns of the wrist about the mean fingertip, palm frame, from which they are solved again [rad]."""
-    trial_iterations: int = 4
-    """Solver iterations after which the starts are compared."""
-    kept_starts: int = 2
-    """How many of them go on."""
+    likeness: float = 1.0
+    """How much the person's contact places count against firmness, from 0, as firm as possible wherever the
+    hand touches, to infinity, as shown."""
+    loose_contact_unit: float = 0.01
+    """``contact_unit`` of a grasp that is solved again, at a likeness of one [m]."""
+    loose_closure_unit: float = 0.02
+    """``closure_unit`` of one."""
+    loose_closure_friction: float = 0.2
+    """``closure_friction`` of one."""
+    loose_posture_unit: float = 1.0
+    """``posture_unit`` of one."""
+    starts: tuple[Start, ...] = STARTS
+    """From where grasps are solved again that would not be firm."""
+
+    def __post_init__(self) -> None:
+        """
+        Raises:
+            FungraspError: likeness is negative, or no number.
+        """
+        if not self.likeness >= 0:
+            raise FungraspError(f"likeness must be 0 or more, up to inf, not {self.likeness}")
+
+    @property
+    def loose(self) -> RetargetSettings:
+        """With the terms of a grasp that is solved again."""
+        unit = self.loose_contact_unit / self.likeness if self.likeness else np.inf
+        return replace(
+            self,
+            contact_unit=max(unit, self.contact_unit),
+            closure_unit=self.loose_closure_unit,
+            closure_friction=self.loose_closure_friction,
+            posture_unit=self.loose_posture_unit,
+        )
 
 
 def retarget_by_contact_optimization(
@@ -93,39 +144,59 @@ def retarget_by_contact_optimization(
         points, problem, first, wrist_pose, independent, settings.first_iterations
     )
     near = (wrist_pose, independent)
-    wrist_pose, independent, cost = _touch(points, problem, settings, near, near, settings.second_iterations)
-    score = cost + settings.firmness_weight * unresisted_share(points.dense, problem, wrist_pose, independent)
-    poor = np.flatnonzero(score > settings.good_enough)
-    if not len(poor) or not settings.start_turns:
+    wrist_pose, independent = _touch(points, problem, settings, near, near)
+    if not settings.starts or np.isinf(settings.likeness):
         return wrist_pose, independent
-    # All starts of all poor grasps at once, start after start; after a few steps the most promising go on.
-    turns = np.repeat(np.array(settings.start_turns), len(poor), axis=0)
-    rows = np.tile(poor, len(settings.start_turns))
-    again = points.for_hands(len(rows))
-    turned = (turned_about_fingertips(again, near[0][rows], near[1][rows], turns), near[1][rows])
-    trial = _touch(again, problem.rows(rows), settings, turned, _rows(near, rows), settings.trial_iterations)
-    order = np.argsort(trial[2].reshape(-1, len(poor)), axis=0, kind="stable")[: settings.kept_starts]
-    kept = (order * len(poor) + np.arange(len(poor))).ravel()
-    rows, again = rows[kept], points.for_hands(len(kept))
-    part = problem.rows(rows)
-    new_pose, new_independent, cost = _touch(
-        again, part, settings, _rows(trial, kept), _rows(near, rows), settings.second_iterations
-    )
-    # Where the objective alone is too high, firmness need not be looked at.
-    might = cost < score[rows] - LEAST_GAIN
-    share = unresisted_share(again.dense, part, new_pose, new_independent, might)
-    new_score = cost + settings.firmness_weight * share
+    score, share = _score(points, problem, settings.likeness, (wrist_pose, independent))
+    poor = np.flatnonzero(share > FIRM)
+    if not len(poor):
+        return wrist_pose, independent
+    # All starts of all poor grasps at once, start after start.
+    rows = np.tile(poor, len(settings.starts))
+    again, part = points.for_hands(len(rows)), problem.rows(rows)
+    beside = (near[0][rows], near[1][rows])
+    start = moved_starts(again, *beside, settings.starts)
+    new_pose, new_independent = _touch(again, part, settings.loose, start, beside)
+    new_score, _ = _score(again, part, settings.likeness, (new_pose, new_independent), score[rows])
     # Index of each poor grasp's best new solution among those of all starts.
     best = new_score.reshape(-1, len(poor)).argmin(axis=0) * len(poor) + np.arange(len(poor))
-    better = new_score[best] < score[poor] - LEAST_GAIN
+    better = new_score[best] < score[poor]
+    # The terms know nothing of fingers that go into the palm.
+    hand = points.kinematics.hand
+    depth = self_collision_depth(hand.model, hand.all_joints(new_independent[best[better]]))
+    better[better] = depth < 2 * DEEPEST
     wrist_pose[poor[better]] = new_pose[best[better]]
     independent[poor[better]] = new_independent[best[better]]
     return wrist_pose, independent
 
 
-def _rows(solution: tuple[np.ndarray, ...], rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Wrist poses and joints of some rows."""
-    return solution[0][rows], solution[1][rows]
+def _score(
+    points: HandPoints,
+    problem: RetargetingProblem,
+    likeness: float,
+    solution: tuple[np.ndarray, np.ndarray],
+    least: np.ndarray | None = None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """What solutions are compared by, lower is better: the unresisted share of the load, ``FIRM`` at least,
+    and how far the contacts are from the person's; and that share, shape [N] each.
+
+    Args:
+        points, problem: N grasps.
+        likeness: of the settings.
+        solution: wrist poses [N, 7] and independent joints [N, U].
+        least: scores that count, shape [N]; of what is too far off by its places alone the share is infinite.
+    """
+    apart = likeness / ERROR_UNIT * contact_error(points, problem, *solution)
+    might = None if least is None else FIRM + apart < least
+    share = unresisted_share(points.dense, problem, *solution, might)
+    collisions: list[Term] = [
+        partial(terms.table_penetration, unit=DEEPEST, margin=0.0),
+        partial(terms.self_penetration, unit=DEEPEST, margin=0.0),
+    ]
+    # A hand in itself or in the table by twice ``DEEPEST`` has no grip either.
+    inside = minimize(points, problem, collisions, *solution, 0)[2] > 2.0
+    share = np.where(inside, np.maximum(share, NO_GRIP), share)
+    return np.maximum(share, FIRM) + apart, share
 
 
 def _touch(
@@ -134,16 +205,14 @@ def _touch(
     settings: RetargetSettings,
     start: tuple[np.ndarray, np.ndarray],
     near: tuple[np.ndarray, np.ndarray],
-    iterations: int,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The second stage: wrist poses [N, 7], independent joints [N, U], and the objective, shape [N].
+) -> tuple[np.ndarray, np.ndarray]:
+    """The second stage: wrist poses [N, 7] and independent joints [N, U].
 
     Args:
         points, problem: N grasps.
         settings: of the terms.
         start: wrist poses [N, 7] and independent joints [N, U] to start from.
         near: the same, to stay near.
-        iterations: of the solver.
     """
     s = settings
     second: list[Term] = [
@@ -156,7 +225,32 @@ def _touch(
         partial(terms.table_penetration, unit=s.table_unit, margin=s.table_margin),
         partial(terms.self_penetration, unit=s.self_unit),
     ]
-    return minimize(points, problem, second, *start, iterations)
+    return minimize(points, problem, second, *start, s.second_iterations)[:2]
+
+
+def moved_starts(
+    points: HandPoints, wrist_pose: np.ndarray, independent: np.ndarray, starts: Sequence[Start]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Wrist poses [N, 7] and independent joints [N, U] of starts.
+
+    Args:
+        points: kinematics made for N hands.
+        wrist_pose, independent: to start from but for the differences, shape [N, 7] and [N, U].
+        starts: K of them, each for N / K hands in turn.
+    """
+    kinematics, each = points.kinematics, len(wrist_pose) // len(starts)
+    hand = kinematics.hand
+    axes = np.stack([hand.palm_fingers, hand.palm_normal, np.cross(hand.palm_fingers, hand.palm_normal)])
+    turns = np.repeat([start.turn for start in starts], each, axis=0)
+    shifts = np.repeat([start.shift for start in starts], each, axis=0)
+    straighter = np.repeat([start.straighter for start in starts], each)
+    if hand.side == "left":
+        # In a mirror the axis across changes its sign, and all turns theirs.
+        axes[2], turns = -axes[2], -turns
+    wrist = turned_about_fingertips(points, wrist_pose, independent, turns @ axes)
+    wrist[:, :3] += rotate(wrist[:, 3:], shifts @ axes)
+    joints = np.clip(independent * (1 - straighter[:, None]), kinematics.lower, kinematics.upper)
+    return wrist, joints
 
 
 def turned_about_fingertips(
