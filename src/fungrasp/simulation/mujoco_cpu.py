@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import logging
+
 import mujoco
 import numpy as np
 from mujoco.batch import Batch
@@ -18,6 +20,8 @@ DIVERGENCE_WARNINGS = [
     int(mujoco.mjtWarning.mjWARN_BADCTRL),
 ]
 """Warnings after which a world's motion means nothing."""
+
+_log = logging.getLogger(__name__)
 
 _FULL = [int(mujoco.mjtWarning.mjWARN_CONTACTFULL), int(mujoco.mjtWarning.mjWARN_CNSTRFULL)]
 
@@ -37,6 +41,8 @@ class MujocoCpuEngine(MujocoArrays):
         """
         if threads < 0:
             raise FungraspError(f"the number of threads must not be negative, not {threads}")
+        if mujoco.get_mju_user_warning() is None:
+            mujoco.set_mju_user_warning(_warned)
         # Persistent: the stages that make sensors current after a step are not computed twice.
         self.batch = Batch(scene.model, count, nthread=threads, persistent=True)
         # The same results to rounding, a tenth less time: at a hand's number of joints MuJoCo still chooses
@@ -92,3 +98,9 @@ def worlds_named(which: np.ndarray) -> str:
     ids = np.flatnonzero(which)
     first = ", ".join(map(str, ids[:8].tolist())) + (", ..." if len(ids) > 8 else "")
     return f"world {first}" if len(ids) == 1 else f"{len(ids)} of {len(which)} worlds ({first})"
+
+
+def _warned(text: str) -> None:
+    """Take a warning of MuJoCo's, which would print it and write a log file where the program runs. What is
+    unstable is told by ``MujocoCpuEngine.diverged`` and counted by who asks for that."""
+    _log.log(logging.DEBUG if "unstable" in text else logging.WARNING, "MuJoCo: %s", text)

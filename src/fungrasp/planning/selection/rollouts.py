@@ -3,6 +3,7 @@ that hold in most of them are good plans, and not only lucky ones."""
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 
@@ -16,6 +17,8 @@ from fungrasp.sim2real import MODERATE, EpisodeSample, MeasurementError, Randomi
 from fungrasp.simulation import BufferSizes, Device, Scene, SceneSettings, build_scene
 from fungrasp.task import Belief, GraspPlan, LiftEnvironment, LiftProtocol, Policy, play
 from fungrasp.task.use import LARGEST_SHIFT, LARGEST_TURN, load_use_motions, motion_of, play_use
+
+_log = logging.getLogger(__name__)
 
 Rounds = tuple[tuple[int, int], ...]
 """For each round, the number of the best candidates of a grasp that are tried, and of rollouts of each."""
@@ -146,7 +149,7 @@ def roll_out(
     s = settings
     protocol = replace(LiftProtocol(), hold_time=s.hold_time)
     randomization = _without_jitter(s.randomization)
-    results = []
+    results, unstable = [], 0
     for first in range(0, len(plans), s.chunk):
         rows = slice(first, first + s.chunk)
         some = plans.select(rows)
@@ -161,7 +164,12 @@ def roll_out(
         if tasks is not None:
             some_parts = [frozenset[str]()] * len(ids) if parts is None else parts[rows]
             success *= _withstood(environment, tasks[rows], outcomes.success, some_parts)
+        unstable += int(environment.engine.diverged.sum())
         results.append(RolloutResults(success, *(np.where(lost, 0.0, np.nan_to_num(m)) for m in measured)))
+    if unstable:
+        _log.warning(
+            "%d of %d rollouts became unstable in simulation and count as failed", unstable, len(plans)
+        )
     return RolloutResults.join(results)
 
 
