@@ -86,7 +86,7 @@ def test_nothing_is_struck_before_the_fingers_close():
     for step in range(int(p.closing_step.max())):
         state = HandState(points, around, p.palm_setpoint[:, step], p.finger_targets[:, step])
         going = step < p.closing_step
-        assert state.clearance[going].min() > -0.001
+        assert state.clearance[going].min() > -0.002
 
 
 def test_the_task_goes_where_it_was_planned_to_go():
