@@ -30,8 +30,8 @@ from fungrasp.optimization.retargeting_problem import RetargetingProblem
 from fungrasp.optimization.terms import Term
 
 FIRM = 0.2
-"""Unresisted share of the load below which a grasp counts as firm: of those below, nine of ten hold, wherever
-they are."""
+"""Unresisted share of the load below which a grasp counts as firm: of those below six of seven hold, however
+far below they are."""
 
 ERROR_UNIT = 0.1
 """Mean distance of the contacts from the person's that counts like a whole unresisted weight, at a likeness
