@@ -19,7 +19,8 @@ from fungrasp.perception.object_pose.confidence import (
     rivals,
     score_warnings,
 )
-from fungrasp.perception.object_pose.known_object import known_object
+from fungrasp.perception.object_pose.evidence import PoseEvidence, pose_evidence
+from fungrasp.perception.object_pose.known_object import KnownObject, known_object
 from fungrasp.perception.object_pose.object_view import (
     LEAST_PIXELS,
     ObjectView,
@@ -79,6 +80,8 @@ class PoseAnswers:
     """How many pixels outlines are wide in the depth image."""
     foreign: float = 0.0
     """Part of the given mask's pixels that look like hand or background."""
+    record: PoseEvidence | None = None
+    """What speaks for and against the first pose."""
     problem: PerceptionWarning | None = None
     """Why nothing was searched for; the pose is then a guess of the place only."""
 
@@ -123,7 +126,7 @@ def estimate_object_pose(
 
 def search_object_pose(
     capture: Capture,
-    mesh: ObjectModel | trimesh.Trimesh,
+    mesh: ObjectModel | trimesh.Trimesh | KnownObject,
     hand: HandEstimate | None = None,
     table: np.ndarray | None = None,
     *,
@@ -132,7 +135,10 @@ def search_object_pose(
 ) -> PoseAnswers:
     """All that ``estimate_object_pose`` finds, with the scores of each pose."""
     capture = thinned(capture)
-    size = float(np.linalg.norm(np.ptp(np.asarray(mesh.vertices), axis=0))) if len(mesh.vertices) else 0.0
+    if isinstance(mesh, KnownObject):
+        size = mesh.size
+    else:
+        size = float(np.linalg.norm(np.ptp(np.asarray(mesh.vertices), axis=0))) if len(mesh.vertices) else 0.0
     joints = None if hand is None else hand.joints_camera
     if not SIZES[0] < size < SIZES[1]:
         unit = "; is it in millimetres?" if size >= SIZES[1] else ""
@@ -150,15 +156,19 @@ def search_object_pose(
     found, scores, color = _answers(view, rng, settings or PoseSearchSettings())
     order = np.argsort(-(scores.quality + COLOR_WEIGHT * scores.quality.max() * color))
     poses, scores = found.poses[order], scores.chosen(order)
-    points = view.evidence[found.owner[order[0]]].points
+    owner = int(found.owner[order[0]])
+    points = view.evidence[owner].points
+    rival = rivals(known, poses, scores.quality)
+    record = pose_evidence(view, view.scorer(1000), poses[0], owner, float(rival[0]), rng)
     return PoseAnswers(
         poses,
         scores,
-        rivals(known, poses, scores.quality),
+        rival,
         capture.mask is not None,
         known.surface.median_distance(points, poses[0]),
         view.seen.edge_width,
         view.foreign,
+        record=record,
     )
 
 

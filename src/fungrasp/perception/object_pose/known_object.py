@@ -38,29 +38,36 @@ class MeshRays:
         """
         self._caster = RayCaster([(vertices, faces)])
 
-    def cast(self, poses: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    def cast(
+        self, poses: np.ndarray, directions: np.ndarray, stretch: np.ndarray | None = None
+    ) -> np.ndarray:
         """Depth images of the mesh in several poses.
 
         Args:
             poses: mesh in the camera frame, shape [H, 7].
             directions: of the rays from the camera's center, with z = 1, shape [R, 3].
+            stretch: factors along the mesh's axes by which it is larger, about its origin, shape [H, 3].
 
         Returns:
             depth along the optical axis [m], infinite where the mesh is missed, shape [H, R].
         """
-        lengths = np.linalg.norm(directions, axis=-1)
-        units = directions / lengths[:, None]
         depth = np.empty((len(poses), len(directions)))
+        factors = np.ones((len(poses), 3)) if stretch is None else stretch
         for i, rotation in enumerate(rotation_matrix(poses[:, 3:])):
-            depth[i] = self._caster.cast(-rotation.T @ poses[i, :3], units @ rotation).distance / lengths
+            # The rays as the mesh of usual size sees them: lengths along them change, depths do not.
+            local = directions @ rotation / factors[i]
+            lengths = np.linalg.norm(local, axis=-1)
+            origin = -rotation.T @ poses[i, :3] / factors[i]
+            depth[i] = self._caster.cast(origin, local / lengths[:, None]).distance / lengths
         return depth
 
 
 SAMPLES = 1000
 """Surface samples of a known object."""
 
-LEAST_COLOR = 0.03
-"""Colors that differ by less (standard deviation of a channel, 0 to 1) say nothing."""
+GRAY = 0.03
+"""Channels that differ by less (0 to 1) are gray. A mesh of one gray is likelier without color, as programs
+write it, than a gray thing."""
 
 
 AXIS_STEPS = 8
@@ -84,18 +91,20 @@ class KnownObject:
     symmetries: np.ndarray
     """Poses, not the identity, that map the surface nearly onto itself, shape [S, 7]."""
     colors: np.ndarray | None
-    """RGB of the surface's samples, 0 to 1, shape [M, 3], if the mesh has colors that differ."""
+    """RGB of the surface's samples, 0 to 1, shape [M, 3], if the mesh has colors other than one gray."""
 
 
-def known_object(mesh: ObjectModel | trimesh.Trimesh) -> KnownObject:
+def known_object(mesh: ObjectModel | trimesh.Trimesh | KnownObject) -> KnownObject:
     """Prepare a mesh; the result is kept for the next image.
 
     Args:
-        mesh: the object [m].
+        mesh: the object [m]; one that is prepared stays as it is.
 
     Raises:
         FungraspError: the mesh has no faces.
     """
+    if isinstance(mesh, KnownObject):
+        return mesh
     if isinstance(mesh, trimesh.Trimesh):
         if len(mesh.faces) == 0:
             raise FungraspError("the object's mesh has no faces")
@@ -154,7 +163,7 @@ def _near_symmetries(points: np.ndarray) -> np.ndarray:
 
 
 def _colors(mesh: trimesh.Trimesh, points: np.ndarray) -> np.ndarray | None:
-    """RGB at surface points, 0 to 1, shape [P, 3]; None where the mesh has no colors, or only one."""
+    """RGB at surface points, 0 to 1, shape [P, 3]; None where the mesh has no colors, or one gray."""
     visual: Any = mesh.visual
     if visual is None:
         return None
@@ -169,7 +178,8 @@ def _colors(mesh: trimesh.Trimesh, points: np.ndarray) -> np.ndarray | None:
         parts = trimesh.triangles.points_to_barycentric(mesh.triangles[faces], nearest)
         corners = np.asarray(visual.vertex_colors)[mesh.faces[faces], :3] / 255.0
         colors = np.einsum("pc,pci->pi", parts, corners)
-    return colors if float(colors.std(axis=0).max()) > LEAST_COLOR else None
+    plain = float(colors.std(axis=0).max()) < GRAY and float(np.ptp(colors.mean(axis=0))) < GRAY
+    return None if plain else colors
 
 
 def _even_samples(mesh: trimesh.Trimesh, count: int) -> tuple[np.ndarray, np.ndarray]:

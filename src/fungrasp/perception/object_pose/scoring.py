@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -12,6 +12,7 @@ from fungrasp.grasps.hand_thickness import FINGER_RADII
 from fungrasp.perception.io.capture import Capture, depth_noise
 from fungrasp.perception.object_pose.known_object import KnownObject
 from fungrasp.perception.scene.depth_edges import SHARP
+from fungrasp.perception.scene.pixel_classes import TONE, tone
 from fungrasp.perception.scene.segmentation import TIPS, Segmentation
 
 UNSEEN = 0.1
@@ -31,6 +32,15 @@ images."""
 
 SHIFT_COST = 0.2
 """What such a shift costs, in the same distance of the fingertips."""
+
+LEAST_SAMPLES = 30
+"""Fewer samples of the surface don't tell its colors."""
+
+FAR_TONE = 9.0
+"""Squared distance of tones, in ``TONE``, from which on they are simply different: a highlight, a print."""
+
+ANY_TONE = 0.16
+"""Tones of things vary by about 0.4 in each direction: the square of that."""
 
 CONTACT = 0.05
 """Fingertips as far from the surface as this [m] halve the quality."""
@@ -72,6 +82,8 @@ class PoseScorer:
     """The object whose poses are scored."""
     directions: np.ndarray
     """Directions of the rays, scaled to z = 1, camera frame, shape [R, 3]."""
+    pixels: np.ndarray
+    """Row and column of each ray, shape [R, 2]."""
     depth: np.ndarray
     """Depth measured at each ray [m], shape [R]."""
     spread: np.ndarray
@@ -92,10 +104,12 @@ class PoseScorer:
     step: int
     """Distance between the rays' rows and columns [pixels]."""
 
-    def __call__(self, poses: np.ndarray, owner: np.ndarray) -> PoseScores:
+    def __call__(
+        self, poses: np.ndarray, owner: np.ndarray, stretch: np.ndarray | None = None
+    ) -> PoseScores:
         """Score poses of the object in the camera frame, shape [H, 7], each by the mask it was fitted to,
-        shape [H] int."""
-        seen = self.known.rays.cast(poses, self.directions)
+        shape [H] int; the mesh may be stretched along its axes, see ``MeshRays.cast``."""
+        seen = self.known.rays.cast(poses, self.directions, stretch)
         noise = self.spread
         error = seen - self.depth
         hits = np.isfinite(seen)
@@ -118,13 +132,13 @@ class PoseScorer:
         quality = everywhere / (everywhere + against + LEFT_OUT * left_out)
         contact = np.zeros(len(poses))
         if self.joints is not None:
-            contact = self._contact(poses)
+            contact = self._contact(poses, stretch)
             quality = quality / (1.0 + np.square(contact / CONTACT))
         return PoseScores(
             quality, explained, contradicted, visible, contact, everywhere * self.step**2, hidden / hit
         )
 
-    def _contact(self, poses: np.ndarray) -> np.ndarray:
+    def _contact(self, poses: np.ndarray, stretch: np.ndarray | None) -> np.ndarray:
         """Mean distance of the three nearest fingertips' skin from the surface [m], shape [H], with the hand
         at
         the distance from the camera at which it is smallest: landmarks say least about that."""
@@ -133,7 +147,11 @@ class PoseScorer:
         nearest = np.full(len(poses), np.inf)
         for shift in HAND_SHIFTS:
             moved = inverse_transform_points(poses, tips * (1.0 + shift / tips[:, 2].mean()))
+            if stretch is not None:
+                moved = moved / stretch[:, None]
             distance, _ = self.known.surface.distance.query(np.zeros(len(poses), dtype=int), moved)
+            if stretch is not None:
+                distance = distance * stretch.mean(axis=1)[:, None]
             apart = np.sort(np.abs(distance - FINGER_RADII[:, 3]), axis=1)[:, :3].mean(axis=1)
             nearest = np.minimum(nearest, apart + abs(shift) * SHIFT_COST)
         return nearest
@@ -181,7 +199,8 @@ def pose_scorer(
         height = (directions * depth[:, None]) @ table[:3] + table[3]
         opaque = np.where(np.abs(height) < 3 * depth_noise(depth), 1.0, opaque)
     mine = np.stack([np.where(mask[v, u], shown, 0.0) for mask in masks])
-    return PoseScorer(known, directions, depth, spread, shown, skin, background, mine, opaque, joints, step)
+    pixels = np.stack([v, u], axis=-1)
+    return PoseScorer(known, directions, pixels, depth, spread, shown, skin, background, mine, opaque, joints, step)
 
 
 def color_agreement(
@@ -200,8 +219,44 @@ def color_agreement(
         -1 to 1, shape [H]; 0 where the mesh has no colors or too little of it is seen.
     """
     result = np.zeros(len(poses))
+    for i, (model, image) in enumerate(_seen_colors(known, capture, poses, allowed)):
+        if not len(model):
+            continue
+        model, image = model - model.mean(axis=0), image - image.mean(axis=0)
+        spread = float(np.sqrt(np.square(model).sum() * np.square(image).sum()))
+        if np.square(model).sum() > 1e-3 * len(model) and spread > 0:
+            result[i] = float((model * image).sum()) / spread
+    return result
+
+
+def color_evidence(known: KnownObject, capture: Capture, pose: np.ndarray, allowed: np.ndarray) -> float:
+    """How much likelier the tones seen are with the mesh's colors than with any (logarithm, mean of the
+    samples); 0 where the mesh has no colors or too little of it is seen.
+
+    Args:
+        known: the object.
+        capture: the image.
+        pose: object in the camera frame, shape [7].
+        allowed: pixels that may show the object, shape [H, W] bool.
+    """
+    for model, image in _seen_colors(known, capture, pose[None], allowed):
+        if not len(model):
+            return 0.0
+        off = tone(255.0 * image) - tone(255.0 * model)
+        # Light and white balance shift all alike.
+        shift = np.clip(np.median(off, axis=0), -TONE, TONE)
+        apart = np.minimum(np.square((off - shift) / TONE).sum(axis=1), FAR_TONE)
+        return float(np.log(ANY_TONE / TONE**2) - 0.5 * apart.mean())
+    return 0.0
+
+
+def _seen_colors(
+    known: KnownObject, capture: Capture, poses: np.ndarray, allowed: np.ndarray
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Of each pose the mesh's colors and the image's at the samples that are seen, RGB 0 to 1, shape [S, 3]
+    each; empty ones where fewer than ``LEAST_SAMPLES`` are seen; nothing for meshes without colors."""
     if known.colors is None:
-        return result
+        return
     points = transform_points(poses, known.surface.samples)
     normals = known.normals @ rotation_matrix(poses[:, 3:]).swapaxes(-1, -2)
     # Samples seen at less than 73 degrees from their normal: the camera is at the origin.
@@ -215,12 +270,5 @@ def color_agreement(
     depth = capture.depth[v, u]
     seen = inside & facing & allowed[v, u] & (np.abs(points[..., 2] - depth) < 3 * depth_noise(depth))
     for i, shown in enumerate(seen):
-        if shown.sum() < 30:
-            continue
-        model = known.colors[shown]
-        image = capture.color[v[i, shown], u[i, shown]] / 255.0
-        model, image = model - model.mean(axis=0), image - image.mean(axis=0)
-        spread = float(np.sqrt(np.square(model).sum() * np.square(image).sum()))
-        if spread > 1e-3 * len(model):
-            result[i] = float((model * image).sum()) / spread
-    return result
+        chosen = shown if shown.sum() >= LEAST_SAMPLES else np.zeros_like(shown)
+        yield known.colors[chosen], capture.color[v[i, chosen], u[i, chosen]] / 255.0

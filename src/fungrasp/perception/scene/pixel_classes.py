@@ -187,34 +187,34 @@ def table_of_colors(samples: np.ndarray, brightness: float = 0.0) -> np.ndarray:
     return (1.0 - UNKNOWN - brightness) * smooth + brightness * shaded + UNKNOWN / cells
 
 
-def _tone(color: np.ndarray) -> np.ndarray:
+def tone(color: np.ndarray) -> np.ndarray:
     """Logarithms of red and blue over green, shape [..., 2]; color: RGB, 0 to 255, shape [..., 3]."""
     return np.log(color[..., [0, 2]] + DARKEST) - np.log(color[..., 1:2] + DARKEST)
 
 
 def _alike(samples: np.ndarray) -> np.ndarray:
     """Those cells of pixels whose tone is that of most: the others show something in front of the hand."""
-    tone = _tone(_CELL_COLORS)[samples]
-    some = tone[:: max(1, len(tone) // 300)]
+    tones = tone(_CELL_COLORS)[samples]
+    some = tones[:: max(1, len(tones) // 300)]
     apart = np.linalg.norm(some[:, None] - some, axis=-1)
     usual = some[np.exp(-0.5 * (apart / TONE) ** 2).sum(axis=1).argmax()]
-    return samples[np.linalg.norm(tone - usual, axis=1) < SKIN_TONES * TONE]
+    return samples[np.linalg.norm(tones - usual, axis=1) < SKIN_TONES * TONE]
 
 
 def _mesh_likelihood(color: np.ndarray, mesh_colors: np.ndarray) -> np.ndarray:
     """How much likelier a pixel's tone is with the mesh's colors than with any, shape [H, W]."""
     some = mesh_colors[:: max(1, len(mesh_colors) // 40)] * 255.0
-    tone, known = _tone(color), _tone(some)
+    tones, known = tone(color), tone(some)
     near = np.zeros(color.shape[:2])
     for value in known:
-        near += np.exp(-0.5 * np.square((tone - value) / TONE).sum(axis=-1))
+        near += np.exp(-0.5 * np.square((tones - value) / TONE).sum(axis=-1))
     # Tones lie within about +- 1 in both: a Gaussian's density in that of an even spread.
     return near / len(known) * 4.0 / (2 * np.pi * TONE**2)
 
 
 def _tone_bins() -> tuple[np.ndarray, np.ndarray]:
     """Bin of tone of each cell of colors, shape [LEVELS^3] int; number of cells in each bin."""
-    bins = np.clip(((_tone(_CELL_COLORS) / 3.0 + 0.5) * TONE_BINS).astype(int), 0, TONE_BINS - 1)
+    bins = np.clip(((tone(_CELL_COLORS) / 3.0 + 0.5) * TONE_BINS).astype(int), 0, TONE_BINS - 1)
     flat = bins[:, 0] * TONE_BINS + bins[:, 1]
     return flat, np.bincount(flat, minlength=TONE_BINS**2).astype(float)
 

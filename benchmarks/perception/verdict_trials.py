@@ -1,0 +1,141 @@
+"""Trials of the verdict on poses of objects: captures with the right mesh and with wrong ones, and the evidence
+that each answer rests on. Calibration reads the file and needs no image again."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.perception.recorded_captures import RecordedCapture
+from benchmarks.perception.recorded_figures import hinted_captures
+from benchmarks.perception.wrong_meshes import with_colors, wrong_meshes
+from fungrasp.errors import FungraspError
+from fungrasp.formats.record_json import record_from_json
+from fungrasp.objects import HeldObject, ObjectModel
+from fungrasp.perception.hand.detected_hand import HandDetector
+from fungrasp.perception.object_pose.estimate import search_object_pose
+from fungrasp.perception.object_pose.known_object import KnownObject, known_object
+from fungrasp.perception.object_pose.pose_error import add_s, rotation_error
+from fungrasp.perception.pipeline import perceive
+from fungrasp.perception.scene.table import NO_TABLE
+
+RIGHT = "right"
+"""Kind of the mesh that is not wrong."""
+
+
+@dataclass(frozen=True)
+class VerdictTrial:
+    """One answer, what it rests on, and whether it is right."""
+
+    capture: str
+    """Name of the capture."""
+    told: str
+    """What was said of the object's place: "none", "click" or "mask"."""
+    mesh: str
+    """Kind of the mesh: "right", or one of ``wrong_meshes``."""
+    colored: bool
+    """Whether the mesh had colors."""
+    add_s_mm: float
+    """ADD-S of the right mesh [mm]; infinite for a wrong one, or without an answer."""
+    turned_deg: float
+    """Angle between the rotations [degrees], not reduced by symmetries; NaN for a wrong mesh."""
+    evidence: dict[str, float]
+    """``PoseEvidence``; empty where nothing was searched for."""
+    seconds: float
+    """Wall time of the search [s]."""
+
+    @property
+    def right(self) -> bool:
+        """Whether mesh and pose are right: ADD-S below 10 mm."""
+        return self.add_s_mm < 10.0
+
+
+def measure_trials(
+    recorded: RecordedCapture,
+    detector: HandDetector,
+    others: Mapping[str, ObjectModel],
+    wrong: int | None,
+    painted: tuple[np.ndarray, np.ndarray] | None = None,
+) -> list[VerdictTrial]:
+    """The right mesh and wrong ones, without and with what a person may say about the object's place.
+
+    Args:
+        recorded: the capture; its hand and table are found once.
+        detector: finds hands.
+        others: objects of which some are wrong meshes.
+        wrong: number of kinds of wrong meshes that are drawn for each hint; None tries all.
+        painted: vertices and their colors, RGB 0 to 1, of the mesh with colors; without colors if None.
+
+    Returns:
+        the trials; none where no hand is found.
+    """
+    model, truth = recorded.model, recorded.pose_camera_object
+    if model is None or truth is None:
+        return []
+    try:
+        seen = perceive(recorded.capture.with_object(), HeldObject(model), detector=detector)
+    except FungraspError:
+        return []
+    hand = seen.trace.candidate.hand
+    table = NO_TABLE if seen.trace.candidate.table is None else seen.trace.candidate.table
+    meshes = {RIGHT: model} | wrong_meshes(model, others)
+    points = np.asarray(model.mesh.sample(2000, seed=0))
+    rng = np.random.default_rng([ord(letter) for letter in recorded.name])
+    trials = []
+    hints = hinted_captures(recorded)
+    for told in ("none", "mask", "click"):
+        if told not in hints or (told == "click" and rng.uniform() > 0.3):
+            continue
+        kinds = [kind for kind in meshes if kind != RIGHT]
+        if wrong is not None:
+            few = wrong if told == "none" else max(1, wrong - 1) if told == "mask" else 1
+            kinds = [kinds[i] for i in rng.choice(len(kinds), min(few, len(kinds)), replace=False)]
+        for kind in (RIGHT, *kinds):
+            mesh: ObjectModel | KnownObject = meshes[kind]
+            if painted is not None:
+                mesh = _painted(meshes[kind], painted)
+            clock = np.datetime64("now", "ms")
+            answers = search_object_pose(hints[told], mesh, hand, table)
+            seconds = float((np.datetime64("now", "ms") - clock) / np.timedelta64(1, "s"))
+            pose, record = answers.poses[0], answers.record
+            right = kind == RIGHT and record is not None
+            trials.append(
+                VerdictTrial(
+                    recorded.name,
+                    told,
+                    kind,
+                    painted is not None,
+                    1000 * float(add_s(points, pose, truth)) if right else float("inf"),
+                    float(np.degrees(rotation_error(pose, truth))) if right else float("nan"),
+                    {} if record is None else record.as_dict() | {"hand": hand.score},
+                    seconds,
+                )
+            )
+    return trials
+
+
+def read_trials(path: str | Path) -> list[VerdictTrial]:
+    """Trials out of a file that ``append_trials`` wrote.
+
+    Raises:
+        FungraspError: it is none.
+    """
+    lines = Path(path).read_text().splitlines()
+    return [record_from_json(VerdictTrial, json.loads(line), "a trial") for line in lines]
+
+
+def append_trials(path: str | Path, trials: Sequence[VerdictTrial]) -> None:
+    """Add trials to a file, one in a line."""
+    with Path(path).open("a") as file:
+        file.write("".join(json.dumps(asdict(trial)) + "\n" for trial in trials))
+
+
+def _painted(model: ObjectModel, painted: tuple[np.ndarray, np.ndarray]) -> KnownObject:
+    vertices, colors = painted
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    box = np.stack([model.vertices.min(axis=0), model.vertices.max(axis=0)])
+    return with_colors(known_object(model), (vertices - low) / (high - low), colors, box)
