@@ -20,6 +20,7 @@ from fungrasp.perception.hand.detected_hand import HandDetector
 from fungrasp.perception.object_pose.estimate import search_object_pose
 from fungrasp.perception.object_pose.known_object import KnownObject, known_object
 from fungrasp.perception.object_pose.pose_error import add_s, rotation_error
+from fungrasp.perception.perceived import Perceived
 from fungrasp.perception.pipeline import perceive
 from fungrasp.perception.scene.table import NO_TABLE
 
@@ -54,13 +55,59 @@ class VerdictTrial:
         return self.add_s_mm < 10.0
 
 
+@dataclass(frozen=True)
+class HandTrial:
+    """The hand of one answer without hints, what it rests on, and how far it is off."""
+
+    capture: str
+    """Name of the capture."""
+    found: bool
+    """Whether the landmarks are nearer to the true hand than half its extent."""
+    mean_mm: float
+    """Mean error of the joints [mm]."""
+    far: float
+    """Part of the joints more than 20 mm off."""
+    evidence: dict[str, float]
+    """Score before the fit to the object and after, quality figures, the object's score."""
+
+
+def _hand_trial(recorded: RecordedCapture, seen: Perceived) -> HandTrial | None:
+    truth = recorded.joints_camera
+    if truth is None:
+        return None
+    known = np.isfinite(truth).all(axis=1)
+    off = 1000 * np.linalg.norm((seen.hand.joints_camera - truth)[known], axis=1)
+    pixels = recorded.capture.intrinsics.project(truth[known])
+    apart = np.median(np.linalg.norm(seen.hand.pixels[known] - pixels, axis=1))
+    candidate = seen.trace.candidate
+    detected = 1.0 if candidate.detected is None else candidate.detected.score
+    quality = {k: float(v) for k, v in asdict(seen.quality).items()}
+    moved = float(np.linalg.norm(seen.hand.joints_camera - candidate.hand.joints_camera, axis=1).mean())
+    spread = float(np.sqrt(np.trace(seen.hand.covariance, axis1=1, axis2=2)).mean())
+    return HandTrial(
+        recorded.name,
+        bool(apart < 0.5 * np.linalg.norm(np.ptp(pixels, axis=0))),
+        float(off.mean()),
+        float((off > 20.0).mean()),
+        quality
+        | {
+            "detected": detected,
+            "before": candidate.hand.score,
+            "moved_m": moved,
+            "spread_m": spread,
+            "accepted": float(seen.object.accepted),
+            "side_score": 1.0 if candidate.detected is None else candidate.detected.side_score,
+        },
+    )
+
+
 def measure_trials(
     recorded: RecordedCapture,
     detector: HandDetector,
     others: Mapping[str, ObjectModel],
     wrong: int | None,
     painted: tuple[np.ndarray, np.ndarray] | None = None,
-) -> list[VerdictTrial]:
+) -> tuple[list[VerdictTrial], HandTrial | None]:
     """The right mesh and wrong ones, without and with what a person may say about the object's place.
 
     Args:
@@ -71,15 +118,15 @@ def measure_trials(
         painted: vertices and their colors, RGB 0 to 1, of the mesh with colors; without colors if None.
 
     Returns:
-        the trials; none where no hand is found.
+        the trials; none where no hand is found; the hand of the right mesh without hints.
     """
     model, truth = recorded.model, recorded.pose_camera_object
     if model is None or truth is None:
-        return []
+        return [], None
     try:
         seen = perceive(recorded.capture.with_object(), HeldObject(model), detector=detector)
     except FungraspError:
-        return []
+        return [], None
     hand = seen.trace.candidate.hand
     table = NO_TABLE if seen.trace.candidate.table is None else seen.trace.candidate.table
     meshes = {RIGHT: model} | wrong_meshes(model, others)
@@ -115,7 +162,7 @@ def measure_trials(
                     seconds,
                 )
             )
-    return trials
+    return trials, _hand_trial(recorded, seen)
 
 
 def read_trials(path: str | Path) -> list[VerdictTrial]:
@@ -128,7 +175,7 @@ def read_trials(path: str | Path) -> list[VerdictTrial]:
     return [record_from_json(VerdictTrial, json.loads(line), "a trial") for line in lines]
 
 
-def append_trials(path: str | Path, trials: Sequence[VerdictTrial]) -> None:
+def append_trials(path: str | Path, trials: Sequence[VerdictTrial | HandTrial]) -> None:
     """Add trials to a file, one in a line."""
     with Path(path).open("a") as file:
         file.write("".join(json.dumps(asdict(trial)) + "\n" for trial in trials))

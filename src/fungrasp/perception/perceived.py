@@ -22,8 +22,11 @@ from fungrasp.perception.hand.hand_capsules import SURFACE_SAMPLES, in_front
 from fungrasp.perception.io.capture import Capture
 from fungrasp.perception.object_pose.estimate import PoseAnswers
 
-NEAR = 0.03
-"""What is seen farther than this from where the skin should be [m] is something else."""
+FARTHEST_OFF = 0.1
+"""Skin is taken to be off by this at most [m]: what is seen there is another thing, but not the hand."""
+
+LEAST_SEEN = 5
+"""A finger of fewer samples that should be seen is hidden."""
 
 STEP = 2
 """Every so many rows and columns are looked at for the object."""
@@ -48,6 +51,8 @@ class PerceptionQuality:
     """Median distance of the object's measured points from its mesh [m]; NaN if not known."""
     hand_residual_m: float
     """Median distance between the depth measured at the hand and its skin [m]; NaN where none is seen."""
+    worst_finger_m: float
+    """The same of the finger, or the palm, for which it is largest [m]."""
     penetration_m: float
     """How deep the hand is in the object at the deepest [m]; soft pads that press give a few mm."""
     hand_score: float
@@ -70,13 +75,15 @@ def measure_quality(
     pose = thing.pose_camera_object
     off = np.linalg.norm(capture.intrinsics.project(hand.joints_camera) - hand.pixels, axis=1)
     surroundings = HandSurroundings(surface, pose)
+    whole, worst = _hand_residuals(capture, hand.joints_camera, surroundings)
     residual = thing.residual_m
     if not np.isfinite(residual):
         residual = _object_residual(capture, pose, surroundings)
     return PerceptionQuality(
         reprojection_px=float(np.nanmedian(off)),
         depth_residual_m=residual,
-        hand_residual_m=_hand_residual(capture, hand.joints_camera, surroundings),
+        hand_residual_m=whole,
+        worst_finger_m=worst,
         penetration_m=max(0.0, -float(link_gaps(hand.joints_camera, surface, pose).min())),
         hand_score=hand.score,
         object_score=thing.score,
@@ -95,8 +102,14 @@ def _object_residual(capture: Capture, pose: np.ndarray, surroundings: HandSurro
     return float(np.median(distance[near])) if near.any() else float("nan")
 
 
-def _hand_residual(capture: Capture, joints: np.ndarray, surroundings: HandSurroundings) -> float:
-    """Median distance of the skin from what is seen at its pixels [m]; NaN if there is nothing."""
+def _hand_residuals(
+    capture: Capture, joints: np.ndarray, surroundings: HandSurroundings
+) -> tuple[float, float]:
+    """How far the skin is from what is seen at its pixels, median [m]: of the hand, and of the finger where
+    it is most. NaN where nothing is seen.
+
+    What the object shows or hides does not count; all else is the hand, as little else is in front of it.
+    """
     points, _ = SURFACE_SAMPLES.place(joints, np.zeros((21, 3, 1)))
     pixels = np.rint(np.nan_to_num(capture.intrinsics.project(points), nan=-1.0)).astype(int)
     k = capture.intrinsics
@@ -104,10 +117,15 @@ def _hand_residual(capture: Capture, joints: np.ndarray, surroundings: HandSurro
     measured = np.zeros(len(points))
     measured[inside] = capture.depth[pixels[inside, 1], pixels[inside, 0]]
     seen = (measured > 0) & in_front(points, SURFACE_SAMPLES.radius)
-    off = np.abs(points[:, 2] - SURFACE_SAMPLES.radius - measured)
+    off = np.minimum(np.abs(points[:, 2] - SURFACE_SAMPLES.radius - measured), FARTHEST_OFF)
     distance = surroundings.object_distance(k.deproject(pixels, measured))[0]
-    seen &= (off < NEAR) & (distance > OBJECT)
-    return float(np.median(off[seen])) if seen.any() else float("nan")
+    seen &= distance > OBJECT
+    if not seen.any():
+        return float("nan"), float("nan")
+    finger = np.where(SURFACE_SAMPLES.near > 0, (SURFACE_SAMPLES.near - 1) // 4, -1)
+    parts = [off[seen & (finger == one)] for one in range(-1, 5)]
+    medians = [float(np.median(part)) for part in parts if len(part) >= LEAST_SEEN]
+    return float(np.median(off[seen])), max(medians, default=float(np.median(off[seen])))
 
 
 @dataclass(frozen=True, eq=False)

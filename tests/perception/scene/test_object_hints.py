@@ -7,6 +7,8 @@ from scipy import ndimage
 
 from fungrasp.errors import FungraspError
 from fungrasp.objects import load_object
+from fungrasp.perception.object_pose.known_object import known_object
+from fungrasp.perception.object_pose.object_view import cleaned_mask, view_of_object
 from fungrasp.perception.scene.pixel_classes import NEVER
 from fungrasp.perception.scene.segmentation import MASK_SURE, pointed_pieces, segment, told_odds
 
@@ -56,6 +58,22 @@ def test_masks_too_large_or_small_become_the_object(pixels: int) -> None:
         return float((a & SCENE.mask).sum() / (a | SCENE.mask).sum())
 
     assert overlap(found) > max(0.8, overlap(wrong) + 0.05)
+
+
+def test_background_in_a_mask_is_left_out() -> None:
+    capture, rng = SCENE.capture, np.random.default_rng(0)
+    depth, wrong = capture.depth.copy(), SCENE.mask.copy()
+    # A tenth of the mask shows a wall behind, as masks of labeling tools do.
+    rows, columns = np.nonzero(SCENE.mask)
+    some = rng.permutation(len(rows))[: len(rows) // 10]
+    depth[rows[some], columns[some]] = 5.0
+    cleaned, extent = cleaned_mask(replace(capture, depth=depth, mask=wrong), 0.16, rng)
+    assert not cleaned[rows[some], columns[some]].any() and extent < 12.0
+    assert cleaned.sum() == SCENE.mask.sum() - len(some)
+    view, problem = view_of_object(
+        known_object(MUG), replace(capture, depth=depth, mask=wrong), SCENE.hand.joints_camera, SCENE.table, rng
+    )
+    assert view is not None and not problem
 
 
 def test_a_point_outside_is_an_error() -> None:

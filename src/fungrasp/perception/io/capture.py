@@ -207,6 +207,14 @@ EDGES_WITHIN = 1.5
 LEAST_EDGE = 100
 """Least number of pixels of edges [at 640 x 480] for the alignment to be checked."""
 
+TILES, LEAST_TILE = 8, 20
+"""Columns and rows of parts of the image that are asked one by one, and pixels of edges that each must have
+[at 640 x 480]: depth that is shifted is so everywhere, while stripes beside the edge of one thing, such as
+the next finger, are in one place only."""
+
+AGREEING = 0.75
+"""Part of them in which the depth must fit better where it is said to belong."""
+
 SKIN_PART = (0.003, 0.02)
 """Parts of the image: less skin than the first, and more than the second once red and blue are swapped, look
 like BGR."""
@@ -266,12 +274,19 @@ def check_alignment(capture: Capture) -> tuple[int, int] | None:
         return None
     gray = ndimage.gaussian_filter(capture.color.mean(axis=-1), 1.5 * scale)
     edges = np.hypot(ndimage.sobel(gray, 0), ndimage.sobel(gray, 1))
-    fit = np.array([[edges[rows + dy, columns + dx].mean() for dx in shifts] for dy in shifts])
+    strength = np.array([[edges[rows + dy, columns + dx] for dx in shifts] for dy in shifts])
+    fit = strength.mean(axis=-1)
     here = np.argmin(np.abs(shifts))
     near = fit[here - 1 : here + 2, here - 1 : here + 2].max()
     down, across = np.unravel_index(np.argmax(fit), fit.shape)
     last = len(shifts) - 1
     if fit[down, across] < SHIFT_GAIN * near or down in (0, last) or across in (0, last):
+        return None
+    height, width = depth.shape
+    tile = (rows * TILES // height) * TILES + columns * TILES // width
+    counts = np.bincount(tile, minlength=TILES**2)
+    gain = np.bincount(tile, strength[down, across] - strength[here, here], TILES**2)
+    if (gain[counts >= LEAST_TILE * scale] > 0).mean() < AGREEING:
         return None
     return -int(shifts[across]), -int(shifts[down])
 

@@ -37,6 +37,8 @@ class MeshRays:
             faces: vertex indices, shape [F, 3].
         """
         self._caster = RayCaster([(vertices, faces)])
+        low, high = np.min(vertices, axis=0), np.max(vertices, axis=0)
+        self._middle, self._radius = 0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low))
 
     def cast(
         self, poses: np.ndarray, directions: np.ndarray, stretch: np.ndarray | None = None
@@ -49,16 +51,24 @@ class MeshRays:
             stretch: factors along the mesh's axes by which it is larger, about its origin, shape [H, 3].
 
         Returns:
-            depth along the optical axis [m], infinite where the mesh is missed, shape [H, R].
+            depth along the optical axis [m], infinite where the mesh is missed, shape [H, R], float32 as rays
+            are.
         """
-        depth = np.empty((len(poses), len(directions)))
+        depth = np.full((len(poses), len(directions)), np.inf, np.float32)
         factors = np.ones((len(poses), 3)) if stretch is None else stretch
+        slopes = directions / np.linalg.norm(directions, axis=-1, keepdims=True)
+        middles = poses[:, :3] + rotate(poses[:, 3:], factors * self._middle)
+        radius = self._radius * factors.max(axis=1)
+        # Along a ray that passes the sphere round the mesh, its middle is at least so far away.
+        least = np.sqrt(np.maximum(np.square(middles).sum(axis=1) - np.square(radius), 0.0))
+        near = slopes @ middles.T >= least
         for i, rotation in enumerate(rotation_matrix(poses[:, 3:])):
+            rays = np.flatnonzero(near[:, i])
             # The rays as the mesh of usual size sees them: lengths along them change, depths do not.
-            local = directions @ rotation / factors[i]
+            local = directions[rays] @ rotation / factors[i]
             lengths = np.linalg.norm(local, axis=-1)
             origin = -rotation.T @ poses[i, :3] / factors[i]
-            depth[i] = self._caster.cast(origin, local / lengths[:, None]).distance / lengths
+            depth[i, rays] = self._caster.cast(origin, local / lengths[:, None]).distance / lengths
         return depth
 
 

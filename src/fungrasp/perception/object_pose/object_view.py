@@ -21,9 +21,12 @@ TOO_LARGE = 0.6
 """What a mask shows is not the mesh if its points are farther from their middle than this part of the mesh's
 size: those of a stick are 0.5 away at most, if its middle is seen."""
 
-OUTLIERS = 0.3
-"""Part of a mask's points that may be farther: 6 pixels too many around an object of 50 make a third, which
-their colors leave a few of."""
+BACKGROUND = 0.5
+"""Part of a mask's pixels that may show something else far from the rest: masks drawn in labeling tools have
+holes and rims."""
+
+COMPARED = 400
+"""So many of a mask's points are compared with each other to find where most of them are."""
 
 SMOOTHED = 2.0
 """Where depth is smoothed, a surface may be in front of it by so many standard deviations more."""
@@ -95,25 +98,50 @@ def view_of_object(
     rng: np.random.Generator,
 ) -> tuple[ObjectView | None, str]:
     """The image made ready; or why that can't be."""
-    if capture.mask is not None and (capture.mask & capture.measured).sum() < LEAST_PIXELS:
+    if capture.mask is not None:
         pixels = int((capture.mask & capture.measured).sum())
-        return None, f"the mask has only {pixels} pixels with depth"
+        if pixels < LEAST_PIXELS:
+            return None, f"the mask has only {pixels} pixels with depth"
+        mask, extent = cleaned_mask(capture, known.size, rng)
+        if (mask & capture.measured).sum() < (1.0 - BACKGROUND) * pixels:
+            return None, (
+                f"the mask shows something {extent:.3f} m large, but the mesh is {known.size:.3f} m: "
+                "wrong mesh, mask or unit?"
+            )
+        capture = capture.with_object(mask=mask)
     seen = segment(capture, joints, table, known.size, known.colors)
     counts = [int((mask & capture.measured).sum()) for mask in seen.masks]
     masks = tuple(mask for mask, count in zip(seen.masks, counts, strict=True) if count >= LEAST_PIXELS)
     if not masks:
         return None, f"what may be the object has only {max(counts, default=0)} pixels with depth"
     evidence = tuple(object_evidence(capture, mask, seen, table, rng) for mask in masks)
-    if capture.mask is not None:
-        points = evidence[0].points
-        away = np.linalg.norm(points - np.median(points, axis=0), axis=1)
-        if np.percentile(away, 100 * (1 - OUTLIERS)) > TOO_LARGE * known.size:
-            extent = 2 * float(np.percentile(away, 90))
-            return None, (
-                f"the mask shows something {extent:.3f} m large, but the mesh is {known.size:.3f} m: "
-                "wrong mesh, mask or unit?"
-            )
     return ObjectView(known, capture, table, joints, seen.support, masks, evidence, seen), ""
+
+
+def cleaned_mask(capture: Capture, size: float, rng: np.random.Generator) -> tuple[np.ndarray, float]:
+    """The mask without what is too far from most of it to be the same object, such as background.
+
+    Args:
+        capture: with a mask.
+        size: longest distance within the object [m].
+        rng: chooses points that are compared.
+
+    Returns:
+        the mask, shape [H, W] bool; how large a thing all of it would be [m].
+    """
+    mask = capture.mask
+    assert mask is not None
+    rows, columns = np.nonzero(mask & capture.measured)
+    points = capture.intrinsics.deproject(np.stack([columns, rows], axis=-1), capture.depth[rows, columns])
+    some = points[rng.permutation(len(points))[:COMPARED]]
+    apart = np.linalg.norm(some[:, None] - some, axis=-1)
+    crowded = apart[(apart < 0.5 * size).sum(axis=1).argmax()]
+    middle = np.median(some[crowded < 0.5 * size], axis=0)
+    away = np.linalg.norm(points - middle, axis=1)
+    cleaned = mask.copy()
+    far = away > TOO_LARGE * size
+    cleaned[rows[far], columns[far]] = False
+    return cleaned, 2 * float(np.percentile(away, 90))
 
 
 def object_evidence(

@@ -199,8 +199,14 @@ def pose_scorer(
         height = (directions * depth[:, None]) @ table[:3] + table[3]
         opaque = np.where(np.abs(height) < 3 * depth_noise(depth), 1.0, opaque)
     mine = np.stack([np.where(mask[v, u], shown, 0.0) for mask in masks])
+    # In single precision, as rays are: the arrays are large.
+    depth, spread, shown, skin, background, mine, opaque = (
+        array.astype(np.float32) for array in (depth, spread, shown, skin, background, mine, opaque)
+    )
     pixels = np.stack([v, u], axis=-1)
-    return PoseScorer(known, directions, pixels, depth, spread, shown, skin, background, mine, opaque, joints, step)
+    return PoseScorer(
+        known, directions, pixels, depth, spread, shown, skin, background, mine, opaque, joints, step
+    )
 
 
 def color_agreement(
