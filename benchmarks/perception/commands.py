@@ -7,11 +7,13 @@ from benchmarks.perception.depth import BenchDepth
 from benchmarks.perception.recorded import Recorded
 from benchmarks.perception.tracking import Tracking
 from benchmarks.perception.varied import Varied
+from benchmarks.perception.verdict import Verdict
 
 COMMAND = {
     "captures": Captures,
     "recorded": Recorded,
     "varied": Varied,
+    "verdict": Verdict,
     "tracking": Tracking,
     "depth": BenchDepth,
 }

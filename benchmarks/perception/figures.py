@@ -12,7 +12,7 @@ from benchmarks.perception.measurements import CaptureResult, PoseResult
 from fungrasp.evaluation.results import finite
 from fungrasp.evaluation.statistics import wilson_interval
 from fungrasp.perception.perceived import StageSeconds
-from fungrasp.perception.pipeline import ACCEPTED_HAND
+from fungrasp.perception.verdict import ACCEPTED_HAND
 
 
 @dataclass(frozen=True)

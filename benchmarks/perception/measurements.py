@@ -122,7 +122,7 @@ class AbsentResult:
     """What was made of images that lack the hand, or the object."""
 
     hand_score: float
-    """Highest score of a hand found where there is none; 0 where none was found."""
+    """Probability of the hand found where there is none; 0 where none was found."""
     pose: PoseResult
     """The object's pose in a hand that holds nothing: never right."""
 
@@ -218,9 +218,8 @@ def measure_absent(
 ) -> AbsentResult:
     """What perception makes of images of the same scene without the hand, and without the object."""
     seen = perceived(no_hand, HeldObject(model), detector)
-    scores = [0.0] if seen is None else [one.hand.score for one in seen.trace.candidates]
     empty = perceived(no_object, HeldObject(model), detector)
-    return AbsentResult(max(scores), _pose_result(empty, np.asarray(model.vertices), None))
+    return AbsentResult(0.0 if seen is None else seen.verdict.hand, _pose_result(empty, np.asarray(model.vertices), None))
 
 
 def together(seconds: Mapping[str, StageSeconds], *stages: str) -> StageSeconds:

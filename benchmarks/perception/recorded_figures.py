@@ -19,7 +19,7 @@ from fungrasp.perception import Capture, HandEstimate
 from fungrasp.perception.hand.detected_hand import HandDetector
 from fungrasp.perception.object_pose.pose_error import add_s, rotation_error
 from fungrasp.perception.perceived import Perceived
-from fungrasp.perception.pipeline import ACCEPTED_HAND
+from fungrasp.perception.verdict import ACCEPTED_HAND
 
 LOOSE = 6
 """Masks are made larger and smaller by so many pixels."""
@@ -149,7 +149,7 @@ def measure_recorded(recorded: RecordedCapture, detector: HandDetector) -> Recor
     return RecordedResult(
         recorded.name,
         found,
-        hand is not None and hand.score >= ACCEPTED_HAND,
+        alone is not None and alone.verdict.hand >= ACCEPTED_HAND,
         pixels,
         joints,
         angle,
@@ -178,7 +178,7 @@ def _answer(recorded: RecordedCapture, hint: str, seen: Perceived | None) -> Hin
         seconds=together(seen.trace.seconds, "object").wall,
         pose=tuple(pose.tolist()),
         evidence=best.evidence,
-        note=best.object.note,
+        note="; ".join(seen.verdict.help),
     )
 
 

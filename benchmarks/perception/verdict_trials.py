@@ -7,6 +7,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from benchmarks.perception.recorded_captures import RecordedCapture
 from benchmarks.perception.recorded_figures import hinted_captures
 from benchmarks.perception.wrong_meshes import with_colors, wrong_meshes
 from fungrasp.errors import FungraspError
+from fungrasp.formats.mesh_file import read_colored_mesh
 from fungrasp.formats.record_json import record_from_json
 from fungrasp.objects import HeldObject, ObjectModel
 from fungrasp.perception.hand.detected_hand import HandDetector
@@ -23,6 +25,7 @@ from fungrasp.perception.object_pose.pose_error import add_s, rotation_error
 from fungrasp.perception.perceived import Perceived
 from fungrasp.perception.pipeline import perceive
 from fungrasp.perception.scene.table import NO_TABLE
+from fungrasp.perception.verdict import hand_features
 
 RIGHT = "right"
 """Kind of the mesh that is not wrong."""
@@ -67,8 +70,8 @@ class HandTrial:
     """Mean error of the joints [mm]."""
     far: float
     """Part of the joints more than 20 mm off."""
-    evidence: dict[str, float]
-    """Score before the fit to the object and after, quality figures, the object's score."""
+    features: dict[str, float]
+    """What its probability is made of, see ``hand_features``."""
 
 
 def _hand_trial(recorded: RecordedCapture, seen: Perceived) -> HandTrial | None:
@@ -79,25 +82,12 @@ def _hand_trial(recorded: RecordedCapture, seen: Perceived) -> HandTrial | None:
     off = 1000 * np.linalg.norm((seen.hand.joints_camera - truth)[known], axis=1)
     pixels = recorded.capture.intrinsics.project(truth[known])
     apart = np.median(np.linalg.norm(seen.hand.pixels[known] - pixels, axis=1))
-    candidate = seen.trace.candidate
-    detected = 1.0 if candidate.detected is None else candidate.detected.score
-    quality = {k: float(v) for k, v in asdict(seen.quality).items()}
-    moved = float(np.linalg.norm(seen.hand.joints_camera - candidate.hand.joints_camera, axis=1).mean())
-    spread = float(np.sqrt(np.trace(seen.hand.covariance, axis1=1, axis2=2)).mean())
     return HandTrial(
         recorded.name,
         bool(apart < 0.5 * np.linalg.norm(np.ptp(pixels, axis=0))),
         float(off.mean()),
         float((off > 20.0).mean()),
-        quality
-        | {
-            "detected": detected,
-            "before": candidate.hand.score,
-            "moved_m": moved,
-            "spread_m": spread,
-            "accepted": float(seen.object.accepted),
-            "side_score": 1.0 if candidate.detected is None else candidate.detected.side_score,
-        },
+        hand_features(seen.hand, seen.quality, recorded.capture.intrinsics.width),
     )
 
 
@@ -148,7 +138,7 @@ def measure_trials(
             clock = np.datetime64("now", "ms")
             answers = search_object_pose(hints[told], mesh, hand, table)
             seconds = float((np.datetime64("now", "ms") - clock) / np.timedelta64(1, "s"))
-            pose, record = answers.poses[0], answers.record
+            pose, record = answers.poses[0], answers.evidence
             right = kind == RIGHT and record is not None
             trials.append(
                 VerdictTrial(
@@ -165,20 +155,38 @@ def measure_trials(
     return trials, _hand_trial(recorded, seen)
 
 
-def read_trials(path: str | Path) -> list[VerdictTrial]:
-    """Trials out of a file that ``append_trials`` wrote.
+def read_trials(path: str | Path) -> tuple[list[VerdictTrial], list[HandTrial]]:
+    """Answers and hands out of a file that ``append_trials`` wrote.
 
     Raises:
         FungraspError: it is none.
     """
-    lines = Path(path).read_text().splitlines()
-    return [record_from_json(VerdictTrial, json.loads(line), "a trial") for line in lines]
+    answers, hands = [], []
+    for line in Path(path).read_text().splitlines():
+        entry = json.loads(line)
+        if "told" in entry:
+            answers.append(record_from_json(VerdictTrial, entry, "a trial"))
+        else:
+            hands.append(record_from_json(HandTrial, entry, "a trial"))
+    return answers, hands
 
 
-def append_trials(path: str | Path, trials: Sequence[VerdictTrial | HandTrial]) -> None:
-    """Add trials to a file, one in a line."""
+def append_trials(path: str | Path, answers: Sequence[VerdictTrial], hand: HandTrial | None) -> None:
+    """Add the trials of a capture to a file, one in a line."""
+    trials = [*answers, *([] if hand is None else [hand])]
     with Path(path).open("a") as file:
         file.write("".join(json.dumps(asdict(trial)) + "\n" for trial in trials))
+
+
+def painted_vertices(folder: Path) -> tuple[np.ndarray, np.ndarray] | None:
+    """Vertices and colors of a rendered capture's object; None for other captures."""
+    meshes = sorted(folder.glob("*.ply"))
+    if not meshes:
+        return None
+    mesh: Any = read_colored_mesh(meshes[0])
+    return None if mesh is None else (
+        np.array(mesh.vertices), np.array(mesh.visual.vertex_colors)[:, :3] / 255
+    )
 
 
 def _painted(model: ObjectModel, painted: tuple[np.ndarray, np.ndarray]) -> KnownObject:

@@ -145,7 +145,7 @@ class Demo:
         write_perception_page(page, seen, page_provenance(opening.source or {}, self.seed))
         for warning in seen.warnings:
             print(f"fungrasp: warning: {warning}", file=sys.stderr)
-        print("fungrasp: low confidence in the perceived grasp: the robot does not try it", file=sys.stderr)
+        print(f"fungrasp: {seen.verdict.words}: the robot does not try it", file=sys.stderr)
         print(f"page: {page}")
         raise SystemExit(LOW_CONFIDENCE)
 

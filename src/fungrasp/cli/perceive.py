@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
 from functools import partial
-from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -111,14 +110,17 @@ class Perceive:
         kept = [] if self.source.keep is None else [f"the image: {self.source.keep}"]
         written = self._write(perceived, perf_counter() - start)
         touching = int(perceived.grasp.link_contacts.sum())
-        print(_quality_table(perceived))
+        print(table(perceived.verdict.rows()))
         print(f"{self.out}: a {perceived.hand.side} hand on '{held.model.name}', {touching} links in contact")
         for note in (*perceived.notes, *kept, *written):
             print(note)
         for warning in perceived.warnings:
             print(f"fungrasp: warning: {warning}", file=sys.stderr)
+        print(perceived.verdict.words)
         if not perceived.confident:
-            print("fungrasp: low confidence: look at the grasp before you use it", file=sys.stderr)
+            for words in perceived.verdict.help:
+                print(f"what would help: {words}")
+            print("fungrasp: not sure: look at the grasp before you use it", file=sys.stderr)
             raise SystemExit(LOW_CONFIDENCE)
 
     def _check(self) -> None:
@@ -234,22 +236,3 @@ def parse_plane(text: str | None) -> np.ndarray | None:
     if plane.shape != (4,) or not np.isfinite(plane).all() or not 0.99 < length < 1.01:
         raise FungraspError(f"a table is nx,ny,nz,d with a normal of length 1, not '{text}'")
     return plane / length
-
-
-def _quality_table(perceived: Perceived) -> str:
-    """The quality figures, for people."""
-    quality = perceived.quality
-
-    def millimeters(meters: float) -> str:
-        return f"{1000 * meters:.1f} mm" if isfinite(meters) else "not known"
-
-    return table(
-        [
-            ("hand's score", f"{quality.hand_score:.2f}"),
-            ("object's score", f"{quality.object_score:.2f}"),
-            ("landmarks from the joints", f"{quality.reprojection_px:.1f} px"),
-            ("depth from the hand's skin", millimeters(quality.hand_residual_m)),
-            ("depth from the object's surface", millimeters(quality.depth_residual_m)),
-            ("hand in the object", millimeters(quality.penetration_m)),
-        ]
-    )

@@ -107,6 +107,5 @@ def why_not_tried(perceived: Perceived) -> str:
         # A left hand's grasp is one of a right hand on the object's mirror image, which is not on the table.
         return "it shows a left hand, and robots have right ones"
     if not perceived.confident:
-        warnings = "; ".join(map(str, perceived.warnings))
-        return f"low confidence in the perceived grasp{f' ({warnings})' * bool(warnings)}"
+        return "; ".join((perceived.verdict.words, *map(str, perceived.warnings)))
     return ""

@@ -9,12 +9,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from fungrasp.errors import FungraspError, UnknownNameError
 from fungrasp.grasps import HUMAN_JOINTS
+
+if TYPE_CHECKING:
+    from fungrasp.perception.object_pose.evidence import PoseEvidence
 
 MESSAGES: Mapping[str, str] = {
     # The hand.
@@ -30,9 +33,7 @@ MESSAGES: Mapping[str, str] = {
     ),
     "side_from_depth": "which hand it is: a {side} one fits the depth better; --hand says which it is",
     "fingers_bent_backwards": ("the fingers seem to be bent backwards: their landmarks are probably wrong"),
-    "low_hand_score": "the hand: its score is only {score:.2f}",
     # The object.
-    "object_not_accepted": "the object's pose: {reason}",
     "object_elsewhere": ("where the object is: {how}, {distance_mm:.0f} mm away, it fits almost as well"),
     "object_orientation": (
         "which way round the object is: turned by {turn_deg:.0f} degrees it fits almost as well, with its "
@@ -40,20 +41,6 @@ MESSAGES: Mapping[str, str] = {
     ),
     "not_comparable": "it can't be compared with the depth: {problem}",
     "not_searched": "{problem}",
-    "poorly_explained": "the mesh explains {percent:.0f} % of {what}; wrong mesh?",
-    "mask_loose": (
-        "the mask is loose: {percent:.0f} % of it look like hand or background; draw it tighter, or give a "
-        "box or a point instead"
-    ),
-    "depth_smoothed": (
-        "the depth was smoothed: its outlines are {pixels:.0f} pixels wide; turn off the camera's spatial "
-        "and hole-filling filters"
-    ),
-    "contradicted": "the mesh would hide things that were seen behind it",
-    "far_from_fingertips": "the fingertips are {distance_mm:.0f} mm from the object's surface",
-    "rival_pose": "another pose fits as well",
-    "few_pixels": "only {pixels:.0f} pixels show the object",
-    "little_seen": "too little of the object is seen for a clear answer",
     "no_score": "{said}",
     "low_own_score": "the estimator's own score is {score:.2g}",
     "other_given_pose_fits": "another of the program's poses fits, with a score of {score:.2f}",
@@ -138,6 +125,8 @@ class ObjectEstimate:
     """What was uncertain; empty when nothing was."""
     judged: bool = True
     """Whether the score comes from the image's depth; ``perceive`` judges those that are not."""
+    evidence: PoseEvidence | None = None
+    """What the score is made of, where the image's depth gave it."""
 
     @property
     def note(self) -> str:

@@ -21,6 +21,7 @@ from fungrasp.perception.hand.detected_hand import DetectedHand
 from fungrasp.perception.hand.hand_capsules import SURFACE_SAMPLES, in_front
 from fungrasp.perception.io.capture import Capture
 from fungrasp.perception.object_pose.estimate import PoseAnswers
+from fungrasp.perception.verdict import Verdict
 
 FARTHEST_OFF = 0.1
 """Skin is taken to be off by this at most [m]: what is seen there is another thing, but not the hand."""
@@ -55,10 +56,6 @@ class PerceptionQuality:
     """The same of the finger, or the palm, for which it is largest [m]."""
     penetration_m: float
     """How deep the hand is in the object at the deepest [m]; soft pads that press give a few mm."""
-    hand_score: float
-    """Confidence that the hand is right, 0 to 1."""
-    object_score: float
-    """Confidence that the object's pose is right, 0 to 1."""
 
 
 def measure_quality(
@@ -85,8 +82,6 @@ def measure_quality(
         hand_residual_m=whole,
         worst_finger_m=worst,
         penetration_m=max(0.0, -float(link_gaps(hand.joints_camera, surface, pose).min())),
-        hand_score=hand.score,
-        object_score=thing.score,
     )
 
 
@@ -179,7 +174,7 @@ class HandCandidate:
     @property
     def evidence(self) -> dict[str, float]:
         """What the score of the object's pose is made of; empty where nothing was searched for."""
-        return {} if self.answers is None else self.answers.evidence
+        return {} if self.object.evidence is None else self.object.evidence.as_dict()
 
 
 @dataclass(frozen=True, eq=False)
@@ -245,13 +240,13 @@ class Perceived:
     table_found: bool
     """Whether the table was given or seen; else it is a guess."""
     quality: PerceptionQuality
-    """Residuals, penetration and scores."""
+    """Residuals and penetration."""
     warnings: tuple[PerceptionWarning, ...]
     """What was uncertain; empty if nothing was."""
-    confident: bool
-    """Whether the scores of hand and object both pass their thresholds: the object's surface is then right to
-    10 mm on average. A table that is only guessed gives a warning, but the hand on the object does not depend
-    on it; so does the question which way round a nearly symmetric object is."""
+    verdict: Verdict
+    """Whether it can be used, the numbers that say so, and what would help. A table that is only guessed
+    gives a warning, but the hand on the object does not depend on it; so does the question which way round a
+    nearly symmetric object is."""
     hands: tuple[PossibleHand, ...] = ()
     """Hands that the image allows, the best first, which is ``hand``: their fingers differ most where the
     object hides them."""
@@ -259,6 +254,11 @@ class Perceived:
     """Assumptions about the object, as sentences to print: a mass that was guessed."""
     trace: PerceptionTrace = field(default_factory=PerceptionTrace)
     """What happened by stage."""
+
+    @property
+    def confident(self) -> bool:
+        """Whether the verdict is sure."""
+        return self.verdict.sure
 
     @property
     def grasps(self) -> HumanGraspSet:
@@ -277,8 +277,9 @@ class Perceived:
         grasp, hand, thing = self.grasp, self.hand, self.object
         links = zip(HUMAN_LINKS, grasp.link_contacts, strict=True)
         return {
-            "version": 1,
+            "version": 2,
             "sure": self.confident,
+            "verdict": self.verdict.as_json(),
             "doubts": [str(warning) for warning in self.warnings],
             "warnings": [{"code": warning.code, "values": dict(warning.values)} for warning in self.warnings],
             "quality": {name: v if isfinite(v) else None for name, v in asdict(self.quality).items()},

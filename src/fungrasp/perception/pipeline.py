@@ -45,6 +45,7 @@ from fungrasp.perception.perceived import (
     Stopwatch,
     measure_quality,
 )
+from fungrasp.perception.verdict import judged
 from fungrasp.perception.scene.table import (
     NO_TABLE,
     guessed_table,
@@ -53,11 +54,6 @@ from fungrasp.perception.scene.table import (
     table_under,
     world_from_table,
 )
-
-ACCEPTED_HAND = 0.6
-"""Hands of a lower score are of low confidence. Of 85 found in rendered captures 72 have more, whose joints
-are off by 9.7 mm in the mean; those of the others by 32 mm."""
-
 
 MOST_HANDS = 8
 """So many stand for the samples that are drawn: more would stand for one or two each."""
@@ -179,7 +175,7 @@ def perceive(
         table_found=scene.table is not None,
         quality=quality,
         warnings=warnings,
-        confident=scene.object.accepted and refined.score >= ACCEPTED_HAND,
+        verdict=judged(scene.object, refined, quality, capture.intrinsics.width),
         notes=held.notes,
         trace=PerceptionTrace(tuple(detected), tuple(scenes), chosen, watch.seconds),
     )
@@ -245,15 +241,11 @@ def _warnings(scene: HandCandidate, refined: HandEstimate, model: ObjectModel) -
     """What is uncertain about object, refined hand and table."""
     found = []
     if not scene.object.accepted:
-        found.append(
-            PerceptionWarning.of("object_not_accepted", reason=scene.object.note or "low confidence")
-        )
+        found += scene.object.warnings
     elif (ambiguous := ambiguity(model, scene.object)) is not None:
         found.append(ambiguous)
     if refined.side != scene.hand.side:
         found.append(PerceptionWarning.of("side_from_depth", side=refined.side))
-    if refined.score < ACCEPTED_HAND:
-        found.append(PerceptionWarning.of("low_hand_score", score=refined.score))
     if scene.table is None:
         found.append(PerceptionWarning.of("no_table"))
     return found

@@ -16,10 +16,9 @@ from fungrasp.grasps.human_hand import HUMAN_FINGERS
 from fungrasp.objects import MIRRORED, ObjectModel
 from fungrasp.perception import Capture
 from fungrasp.perception.builtin_image import BuiltinTruth
-from fungrasp.perception.object_pose.confidence import ACCEPT
 from fungrasp.perception.object_pose.pose_error import add, rotation_error
 from fungrasp.perception.perceived import Perceived
-from fungrasp.perception.pipeline import ACCEPTED_HAND
+from fungrasp.perception.verdict import Verdict
 from fungrasp.report.demonstration import Opening
 from fungrasp.report.page import Page, write_page
 from fungrasp.report.page_parts import Quantity, figure, quality_card
@@ -43,12 +42,8 @@ RENDERED = " The image is no photograph: it was rendered, which is why the truth
 SIDES = ("From the camera's side", "From the right of that", "From behind", "From the left")
 """Captions of the four pictures of the grasp."""
 
-REPROJECTION = 8.0
-"""Landmarks farther than this from the fitted hand are poor, in an image of 640 columns [pixels]."""
-
-HAND_RESIDUAL, OBJECT_RESIDUAL, PENETRATION = 0.010, 0.003, 0.015
-"""Residuals and penetration beyond these are poor [m]. Fingers are soft: of DexYCB's own grasps half have a
-joint whose surroundings reach 9 mm into the object."""
+WIDEST_SHARE = 4.0
+"""A share of the logarithm of the odds that fills its bar."""
 
 
 def write_perception_page(path: str | Path, perceived: Perceived, provenance: Mapping[str, str]) -> Path:
@@ -107,56 +102,8 @@ def perception_parts(perceived: Perceived, truth: Sequence[Quantity] = ()) -> li
         _verdict(perceived),
         _seen(capture, model, perceived),
         _in_space(model, perceived),
-        _figures(perception_quantities(perceived), truth),
+        _figures(perceived.verdict, truth),
         _uncertain(capture, model, perceived),
-    ]
-
-
-def perception_quantities(perceived: Perceived) -> list[Quantity]:
-    """The quality figures, what each means and what would be good."""
-    quality, lens = perceived.quality, perceived.capture.intrinsics
-    widest = round(REPROJECTION * max(1.0, max(lens.width, lens.height) / 640), 1)
-    return [
-        Quantity(
-            "Score of the hand",
-            round(quality.hand_score, 2),
-            meaning="Confidence that this is a hand in this posture; 1 is certain.",
-            least=ACCEPTED_HAND,
-        ),
-        Quantity(
-            "Score of the object's pose",
-            round(quality.object_score, 2),
-            meaning="Confidence that the mesh is in this pose; 1 is certain.",
-            least=ACCEPT,
-        ),
-        Quantity(
-            "Hand in the image",
-            quality.reprojection_px,
-            "pixels",
-            "Between where joints were seen and where the fitted hand has them, median.",
-            limit=widest,
-        ),
-        Quantity(
-            "Hand in depth",
-            1e3 * quality.hand_residual_m,
-            "mm",
-            "Between the depth measured at the hand and its skin, median.",
-            limit=1e3 * HAND_RESIDUAL,
-        ),
-        Quantity(
-            "Object in depth",
-            1e3 * quality.depth_residual_m,
-            "mm",
-            "Between the object's measured points and its mesh, median.",
-            limit=1e3 * OBJECT_RESIDUAL,
-        ),
-        Quantity(
-            "Hand in the object",
-            1e3 * quality.penetration_m,
-            "mm",
-            "Deepest point of the hand inside the object; soft fingertips that press give a few millimetres.",
-            limit=1e3 * PENETRATION,
-        ),
     ]
 
 
@@ -186,16 +133,15 @@ def contact_words(link_contacts: np.ndarray) -> str:
 
 
 def _verdict(perceived: Perceived) -> str:
-    if perceived.confident:
-        kind, word = "good", "✓ Confident"
-        reason = "The scores of hand and object are both high enough."
-    else:
-        kind, word = "bad", "? Low confidence"
-        reason = "Look at the pictures before you use this grasp."
+    verdict = perceived.verdict
+    kind, mark = ("good", "✓") if verdict.sure else ("bad", "?")
     warnings = "".join(f"<li>{escape(_sentence(str(one)))}</li>" for one in perceived.warnings)
+    helps = "".join(f"<li>{escape(_sentence(one))}</li>" for one in verdict.help)
     return (
-        f'<section class="verdict {kind}" aria-label="Verdict"><p><strong>{word}.</strong> {reason}</p>'
+        f'<section class="verdict {kind}" aria-label="Verdict">'
+        f"<p><strong>{mark} {escape(_sentence(verdict.words))}</strong></p>"
         + (f"<ul>{warnings}</ul>" if warnings else "")
+        + (f"<p>What would help:</p><ul>{helps}</ul>" if helps else "")
         + "</section>"
     )
 
@@ -232,7 +178,7 @@ def _in_space(model: ObjectModel, perceived: Perceived) -> str:
     pictures = "".join(figure(view, side) for view, side in zip(views, SIDES, strict=False))
     lines = [f"Touching the object, orange: {contact_words(perceived.grasp.link_contacts)}."]
     if not perceived.object.accepted:
-        lines.append("The object's pose has a low score, so what touches it is uncertain.")
+        lines.append("The object's pose is not sure, so what touches it is uncertain.")
     if mirrored:
         lines.append("The image shows a left hand: what is drawn, and kept, is its reflection.")
     if not perceived.table_found:
@@ -246,8 +192,29 @@ def _in_space(model: ObjectModel, perceived: Perceived) -> str:
     )
 
 
-def _figures(fit: Sequence[Quantity], truth: Sequence[Quantity]) -> str:
-    cards = quality_card(fit, "How well it fits") + quality_card(truth, "How far it is from the truth")
+def _figures(verdict: Verdict, truth: Sequence[Quantity]) -> str:
+    head, *rows = verdict.rows()
+    columns = "".join(f'<th scope="col">{escape(one)}</th>' for one in head)
+    lines = []
+    for row, meter in zip(rows, verdict.evidence, strict=True):
+        first, *others = row
+        # The bar's length is the logarithm of the odds, to the right what speaks for the answer.
+        part = 50.0 * min(abs(meter.share) / WIDEST_SHARE, 1.0)
+        side = "left:50%" if meter.share >= 0 else "right:50%"
+        kind = "for" if meter.share >= 0 else "against"
+        bar = f'<span class="share {kind}" aria-hidden="true"><i style="{side};width:{part:.1f}%"></i></span>'
+        cells = "".join(f'<td class="number">{escape(cell)}</td>' for cell in others)
+        lines.append(f'<tr><th scope="row">{escape(first)}</th>{cells}<td>{bar}</td></tr>')
+    words = (
+        "For or against: by how much each number makes the answer more probable than a usual right one, "
+        "logarithm of the odds."
+    )
+    table = (
+        f'<section class="card"><h3>What the verdict rests on</h3><p>{words}</p><table class="quality '
+        f'evidence"><thead><tr>{columns}<td></td></tr></thead><tbody>{"".join(lines)}</tbody></table>'
+        "</section>"
+    )
+    cards = table + quality_card(truth, "How far it is from the truth")
     return (
         '<article id="figures" aria-labelledby="figures-title"><h2 id="figures-title">In figures</h2>'
         f'<div class="tables">{cards}</div></article>'
@@ -260,7 +227,7 @@ def _uncertain(capture: Capture, model: ObjectModel, perceived: Perceived) -> st
     joints = (
         f"{unsure} of the hand's 21 joints may well be more than 15 mm off."
         if unsure
-        else "All of the hand's 21 joints are probably within 15 mm."
+        else "If the hand is right, all of its 21 joints are probably within 15 mm."
     )
     return (
         '<article id="uncertain" aria-labelledby="uncertain-title">'

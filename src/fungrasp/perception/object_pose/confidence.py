@@ -1,4 +1,4 @@
-"""How probable it is that a pose is right, and what makes it uncertain."""
+"""How probable it is that a pose and its mesh are right, and what it might be confused with."""
 
 from __future__ import annotations
 
@@ -9,33 +9,13 @@ from fungrasp.geometry.poses import transform_points
 from fungrasp.objects import ObjectModel
 from fungrasp.perception.estimates import ObjectEstimate, PerceptionWarning
 from fungrasp.perception.hand.contact_evidence import HandSurroundings
+from fungrasp.perception.object_pose.evidence import PoseEvidence
 from fungrasp.perception.object_pose.known_object import KnownObject
 from fungrasp.perception.object_pose.pose_error import add_s, rotation_error
-from fungrasp.perception.object_pose.scoring import PoseScores
-from fungrasp.perception.scene.depth_edges import SMOOTHED
+from fungrasp.perception.object_pose.verdict_weights import OBJECT_WEIGHTS
 
-ACCEPT = 0.65
-"""Poses of a lower score are not accepted. Cross-validated by scene, a third of them with a wrong mesh,
-95 % of those above 0.6 and 97 % of those above 0.7 are right; of 36 right answers on measured images of one
-block, 31 are above 0.6, 24 above 0.65 and 17 above 0.7."""
-
-FEATURES = ("explained", "contradicted", "visible", "pixels")
-"""Names of what the score is made of: explained, contradicted and visible part, logarithm of the pixels."""
-
-WEIGHTS = np.array([-5.60, 6.33, -3.18, 1.85, 0.80])
-"""Logistic regression on ``FEATURES`` (the first is the constant), ridge 0.03, fitted to the best answers on
-42 rendered scenes (shapes of 5 to 14 cm, YCB and built-in objects) with the depth of stereo, structured-light
-and time-of-flight cameras: with and without hints, masks 6 pixels too large or small, and a third of them
-searched with the mesh of another object, counted twice. Right is ADD-S below 10 mm and a tenth of the
-object's size, and no point of the surface, symmetries allowed for, farther than half that size from where it
-is."""
-
-PIXELS = (-1.0, 0.5)
-"""Limits of the logarithm of the pixels, less 3: more than 3000 say nothing more, and less than 100 nothing
-less."""
-
-RIVALRY = 0.95
-"""If a different pose has this part of the best one's quality or more, it may as well be the right one."""
+ACCEPT = 0.8
+"""Answers of a lower probability are not accepted."""
 
 RIVAL_DISTANCE = 0.01
 """A pose so far from another (ADD-S [m]) is a different answer."""
@@ -46,10 +26,6 @@ TURNED = 30.0
 CLOSE = 0.1
 """Poses whose score is lower by less than this fit almost as well."""
 
-LOOSE_MASK = 0.25
-"""A mask with a larger part of other things is loose: 6 pixels too many around an object of 50 make 40 %,
-true masks of the images looked at had up to 20 %."""
-
 SAME = 0.001
 """Poses whose surfaces are nearer than this on average [m] look the same: a symmetry."""
 
@@ -57,22 +33,32 @@ COMPARED_POINTS = 300
 """Points of the object's surface by which poses are compared."""
 
 
-def features(scores: PoseScores) -> np.ndarray:
-    """What the score is made of, see ``FEATURES``; shape [H, 4]."""
-    return np.stack(
-        [
-            scores.explained,
-            np.minimum(scores.contradicted, 0.5),
-            scores.visible,
-            np.clip(np.log10(np.maximum(scores.pixels, 1.0)) - 3.0, *PIXELS),
-        ],
-        axis=-1,
-    )
+def features(evidence: PoseEvidence) -> dict[str, float]:
+    """What the probability is made of: numbers of which more is always better, or always worse, within
+    limits beyond which they say nothing more. By the names of ``OBJECT_WEIGHTS``."""
+    e = evidence
+    return {
+        "told": e.told,
+        "explained": e.explained,
+        "outline": e.outline,
+        "visible": e.visible,
+        "contradicted": min(e.contradicted, 0.5),
+        "hidden": e.hidden,
+        "pixels": float(np.clip(np.log10(max(e.pixels, 1.0)) - 3.0, -1.0, 0.5)),
+        "residual": min(e.residual, 2.0),
+        "stretch_gain": float(np.clip(e.stretch_gain, 0.0, 0.4)),
+        "stretch": min(e.stretch, 0.5),
+        "color": float(np.clip(e.color, -2.0, 2.0)),
+        "rival": max(e.rival, 0.7),
+        "contact_m": min(e.contact_m, 0.03),
+        "penetration_m": min(e.penetration_m, 0.02),
+        "edge_width": float(np.log2(np.clip(e.edge_width, 2.0, 12.0))),
+    }
 
 
-def confidence(scores: PoseScores) -> np.ndarray:
-    """Probability that ADD-S is below 10 mm and the mesh is the right one, shape [H]."""
-    return 1.0 / (1.0 + np.exp(-(features(scores) @ WEIGHTS[1:] + WEIGHTS[0])))
+def confidence(evidence: PoseEvidence) -> float:
+    """Probability that ADD-S is below 10 mm and the mesh is the right one."""
+    return OBJECT_WEIGHTS.probability(features(evidence))
 
 
 def rivals(known: KnownObject, poses: np.ndarray, quality: np.ndarray) -> np.ndarray:
@@ -89,39 +75,6 @@ def rivals(known: KnownObject, poses: np.ndarray, quality: np.ndarray) -> np.nda
         different = add_s(points, poses, pose) > RIVAL_DISTANCE
         result[i] = quality[different].max(initial=0.0)
     return result
-
-
-def score_warnings(
-    scores: PoseScores, rival: float, masked: bool, *, edge_width: float = 0.0, foreign: float = 0.0
-) -> tuple[PerceptionWarning, ...]:
-    """Why the first pose has a low score, the likeliest cause first.
-
-    Args:
-        scores: of one pose or more.
-        rival: quality of the best different answer, see ``rivals``.
-        masked: whether the object's mask was given.
-        edge_width: how many pixels outlines are wide in the depth image.
-        foreign: part of that mask's pixels that look like hand or background.
-    """
-    found = []
-    if masked and foreign > LOOSE_MASK:
-        found.append(PerceptionWarning.of("mask_loose", percent=100 * foreign))
-    if edge_width > SMOOTHED:
-        found.append(PerceptionWarning.of("depth_smoothed", pixels=edge_width))
-    if scores.explained[0] < 0.7:
-        what = "the mask" if masked else "what may be the object"
-        found.append(
-            PerceptionWarning.of("poorly_explained", percent=100 * float(scores.explained[0]), what=what)
-        )
-    if scores.contradicted[0] > 0.1:
-        found.append(PerceptionWarning.of("contradicted"))
-    if scores.contact[0] > 0.02:
-        found.append(PerceptionWarning.of("far_from_fingertips", distance_mm=1000 * float(scores.contact[0])))
-    if rival > RIVALRY * scores.quality[0]:
-        found.append(PerceptionWarning.of("rival_pose"))
-    if scores.pixels[0] < 500:
-        found.append(PerceptionWarning.of("few_pixels", pixels=float(scores.pixels[0])))
-    return tuple(found) or (PerceptionWarning.of("little_seen"),)
 
 
 def ambiguity(model: ObjectModel, thing: ObjectEstimate) -> PerceptionWarning | None:

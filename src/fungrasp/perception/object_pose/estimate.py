@@ -12,12 +12,8 @@ from fungrasp.perception.estimates import HandEstimate, ObjectEstimate, Percepti
 from fungrasp.perception.io.capture import Capture
 from fungrasp.perception.object_pose.confidence import (
     ACCEPT,
-    FEATURES,
-    RIVALRY,
     confidence,
-    features,
     rivals,
-    score_warnings,
 )
 from fungrasp.perception.object_pose.evidence import PoseEvidence, pose_evidence
 from fungrasp.perception.object_pose.known_object import KnownObject, known_object
@@ -58,6 +54,9 @@ COLOR_WEIGHT = 0.15
 POLISHED = 6
 """Poses that are polished where depth is smoothed."""
 
+RAYS = 1000
+"""About how many rays that meet a mask an answer is judged by."""
+
 ANSWERS = 5
 """Most alternatives that are kept."""
 
@@ -72,26 +71,12 @@ class PoseAnswers:
     """How well each of the H poses explains the image."""
     rival: np.ndarray
     """Quality of the best different answer to each, shape [H]."""
-    masked: bool
-    """Whether the object's mask was given."""
     residual_m: float
     """Median distance of the object's measured points from the mesh in the first pose [m]."""
-    edge_width: float = 0.0
-    """How many pixels outlines are wide in the depth image."""
-    foreign: float = 0.0
-    """Part of the given mask's pixels that look like hand or background."""
-    record: PoseEvidence | None = None
-    """What speaks for and against the first pose."""
+    evidence: PoseEvidence | None = None
+    """What speaks for and against the first pose and the mesh; None where nothing was searched for."""
     problem: PerceptionWarning | None = None
     """Why nothing was searched for; the pose is then a guess of the place only."""
-
-    @property
-    def evidence(self) -> dict[str, float]:
-        """What the score of the first pose is made of, see ``FEATURES``; empty where nothing was searched
-        for."""
-        if self.problem is not None:
-            return {}
-        return dict(zip(FEATURES, features(self.scores)[0].tolist(), strict=True))
 
 
 def estimate_object_pose(
@@ -159,48 +144,37 @@ def search_object_pose(
     owner = int(found.owner[order[0]])
     points = view.evidence[owner].points
     rival = rivals(known, poses, scores.quality)
-    record = pose_evidence(view, view.scorer(1000), poses[0], owner, float(rival[0]), rng)
-    return PoseAnswers(
-        poses,
-        scores,
-        rival,
-        capture.mask is not None,
-        known.surface.median_distance(points, poses[0]),
-        view.seen.edge_width,
-        view.foreign,
-        record=record,
-    )
+    evidence = pose_evidence(view, view.scorer(RAYS), poses[0], owner, float(rival[0]), rng)
+    return PoseAnswers(poses, scores, rival, known.surface.median_distance(points, poses[0]), evidence)
 
 
 def best_estimate(answers: PoseAnswers) -> ObjectEstimate:
-    """The best answer with its score, and the others."""
-    poses = answers.poses
-    if answers.problem is not None:
-        return ObjectEstimate(poses[0], 0.0, False, warnings=(answers.problem,))
-    scores = confidence(answers.scores)
-    score = float(scores[0])
-    if answers.rival[0] > RIVALRY * answers.scores.quality[0]:
-        score = min(score, 0.5)
-    warnings: tuple[PerceptionWarning, ...] = ()
-    if score < ACCEPT:
-        warnings = score_warnings(
-            answers.scores,
-            float(answers.rival[0]),
-            answers.masked,
-            edge_width=answers.edge_width,
-            foreign=answers.foreign,
+    """The best answer with its probability, and the others."""
+    poses, first = answers.poses, answers.evidence
+    if first is None:
+        problem = () if answers.problem is None else (answers.problem,)
+        return ObjectEstimate(poses[0], 0.0, False, warnings=problem)
+    score = confidence(first)
+    others = []
+    for i in range(1, min(len(poses), ANSWERS + 1)):
+        # What is not known of another pose is taken to be as with the first.
+        other = replace(
+            first,
+            **{name: float(getattr(answers.scores, name)[i]) for name in ("explained", "visible", "hidden")},
+            contradicted=float(answers.scores.contradicted[i]),
+            contact_m=float(answers.scores.contact[i]),
         )
-    others = tuple(
-        (pose, float(min(value, score))) for pose, value in zip(poses[1:], scores[1:], strict=True)
+        others.append((poses[i], min(confidence(other), score)))
+    return ObjectEstimate(
+        poses[0], score, score >= ACCEPT, tuple(others), answers.residual_m, evidence=first
     )
-    return ObjectEstimate(poses[0], score, score >= ACCEPT, others[:ANSWERS], answers.residual_m, warnings)
 
 
 def _answers(
     view: ObjectView, rng: np.random.Generator, settings: PoseSearchSettings
 ) -> tuple[PoseHypotheses, PoseScores, np.ndarray]:
     """Different poses, their scores, and the agreement of their colors."""
-    few, many = view.scorer(250), view.scorer(1000)
+    few, many = view.scorer(250), view.scorer(RAYS)
     known, evidence = view.known, view.evidence
     found = search_poses(known, evidence, (few, many), rng, settings)
     masked = view.capture.mask is not None
@@ -255,4 +229,4 @@ def _nothing(capture: Capture, joints: np.ndarray | None, why: PerceptionWarning
         middle = np.median(points, axis=0)
     pose = np.concatenate([middle, [1.0, 0.0, 0.0, 0.0]])
     none = PoseScores(*np.zeros((7, 1)))
-    return PoseAnswers(pose[None], none, np.zeros(1), capture.mask is not None, float("nan"), problem=why)
+    return PoseAnswers(pose[None], none, np.zeros(1), float("nan"), problem=why)

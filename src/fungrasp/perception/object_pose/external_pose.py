@@ -10,7 +10,9 @@ import trimesh
 from fungrasp.objects import ObjectModel
 from fungrasp.perception.estimates import HandEstimate, ObjectEstimate, PerceptionWarning
 from fungrasp.perception.io.capture import Capture
-from fungrasp.perception.object_pose.confidence import ACCEPT, RIVAL_DISTANCE, confidence, score_warnings
+from fungrasp.perception.object_pose.confidence import ACCEPT, RIVAL_DISTANCE, confidence
+from fungrasp.perception.object_pose.evidence import PoseEvidence, pose_evidence
+from fungrasp.perception.object_pose.estimate import RAYS
 from fungrasp.perception.object_pose.known_object import known_object
 from fungrasp.perception.object_pose.object_view import (
     LEAST_PIXELS,
@@ -21,11 +23,8 @@ from fungrasp.perception.object_pose.object_view import (
     view_of_object,
 )
 from fungrasp.perception.object_pose.pose_error import add_s
-from fungrasp.perception.object_pose.scoring import PoseScorer, PoseScores
+from fungrasp.perception.object_pose.scoring import PoseScorer
 from fungrasp.perception.object_pose.search import PoseHypotheses, PoseSearchSettings, refine_poses
-
-RAYS = 1000
-"""About how many rays a pose is scored by; as many as our own answers."""
 
 ALLOWED = 0.25
 """A pixel whose confidence to show a thing is below this is not the object's."""
@@ -73,20 +72,18 @@ def score_given_pose(
         _scored(pose, view, scorer, rng, improve)
         for pose in (thing.pose_camera_object, *(pose for pose, _ in thing.alternatives))
     ]
-    (pose, score, scores, residual), *rest = answers
+    (pose, score, evidence, residual), *rest = answers
     others = tuple(sorted(((p, s) for p, s, _, _ in rest), key=lambda answer: -answer[1]))
     warnings: tuple[PerceptionWarning, ...] = ()
-    if score < ACCEPT:
-        warnings = score_warnings(scores, 0.0, view.capture.mask is not None)
-        if others and others[0][1] >= ACCEPT:
-            warnings += (PerceptionWarning.of("other_given_pose_fits", score=others[0][1]),)
-    return ObjectEstimate(pose, score, score >= ACCEPT, others, residual, warnings)
+    if score < ACCEPT and others and others[0][1] >= ACCEPT:
+        warnings = (PerceptionWarning.of("other_given_pose_fits", score=others[0][1]),)
+    return ObjectEstimate(pose, score, score >= ACCEPT, others, residual, warnings, evidence=evidence)
 
 
 def _scored(
     pose: np.ndarray, view: ObjectView, scorer: PoseScorer, rng: np.random.Generator, improve: bool
-) -> tuple[np.ndarray, float, PoseScores, float]:
-    """A pose, or the best fit nearby; its score; what that is made of; how far from it the object is [m]."""
+) -> tuple[np.ndarray, float, PoseEvidence, float]:
+    """A pose, or the best fit nearby; its probability; what that is made of; how far from it the object is [m]."""
     known, rounds = view.known, PoseSearchSettings().rounds
     evidence = list(view.evidence)
     mask = explained_mask(known, view.capture, pose, view.support > ALLOWED)
@@ -102,9 +99,9 @@ def _scored(
     poses = np.array([*(fit for fit, _ in fits), *(pose for _ in proposals)])
     owners = np.array([*(owner for _, owner in fits), *proposals])
     scores = scorer(poses, owners)
-    probability = confidence(scores)
     near = add_s(known.surface.samples, poses, pose) < RIVAL_DISTANCE
     best = int(np.argmax(np.where(near, scores.quality, -1.0)))
     chosen = poses[best] if improve else pose
     residual = known.surface.median_distance(view.evidence[owners[best]].points, chosen)
-    return chosen, float(probability[best]), scores.chosen(np.array([best])), residual
+    evidence = pose_evidence(view, scorer, poses[best], int(owners[best]), 0.0, rng)
+    return chosen, confidence(evidence), evidence, residual

@@ -1,0 +1,130 @@
+"""Fits the weights of the verdict to trials: logistic regression in which each number counts one way only."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from scipy.optimize import minimize
+
+from benchmarks.perception.verdict_trials import RIGHT, HandTrial, VerdictTrial
+from fungrasp.perception.object_pose.confidence import features
+from fungrasp.perception.object_pose.evidence import PoseEvidence
+from fungrasp.perception.object_pose.verdict_weights import Logistic
+
+OBJECT_SIGNS: Mapping[str, int] = {
+    "told": 1,
+    "explained": 1,
+    "outline": 1,
+    "visible": 1,
+    "contradicted": -1,
+    "hidden": -1,
+    "pixels": 1,
+    "residual": -1,
+    "stretch_gain": -1,
+    "stretch": -1,
+    "color": 1,
+    "rival": -1,
+    "contact_m": -1,
+    "penetration_m": -1,
+    "edge_width": 1,
+}
+"""Whether more of a number speaks for the answer, or against it. Where depth is smoothed, right answers explain
+less: there, as much is worth more."""
+
+HAND_SIGNS: Mapping[str, int] = {
+    "hand_score": 1,
+    "reprojection_px": -1,
+    "worst_finger_m": -1,
+    "hand_in_object_m": -1,
+}
+
+RIDGE = 0.3
+"""Weight of the squares of the weights, in that of one trial, numbers scaled to spread 1."""
+
+WRONG_MESHES = 1.0 / 3.0
+"""Part of the trials, by weight, in which the mesh is wrong: people seldom give a wrong one."""
+
+RIGHT_HAND_MM = 20.0
+"""A hand is right if its joints are off by less on average."""
+
+
+def object_data(answers: Sequence[VerdictTrial]) -> tuple[list[dict[str, float]], np.ndarray]:
+    """Features of the answers that rest on evidence, and whether they are right."""
+    judged = [answer for answer in answers if answer.evidence]
+    return [features(evidence_of(answer)) for answer in judged], np.array([one.right for one in judged])
+
+
+def evidence_of(answer: VerdictTrial) -> PoseEvidence:
+    """The record of an answer."""
+    return PoseEvidence(**{name: answer.evidence[name] for name in PoseEvidence.__dataclass_fields__})
+
+
+def hand_data(hands: Sequence[HandTrial]) -> tuple[list[dict[str, float]], np.ndarray]:
+    """Features of the hands, and whether they are right."""
+    return [one.features for one in hands], np.array([one.mean_mm < RIGHT_HAND_MM for one in hands])
+
+
+def trial_weights(answers: Sequence[VerdictTrial]) -> np.ndarray:
+    """Weight of each answer, 1 on average, shape [N]: wrong meshes are ``WRONG_MESHES`` of all."""
+    wrong = np.array([answer.mesh != RIGHT for answer in answers])
+    share = wrong.mean()
+    return np.where(wrong, WRONG_MESHES / max(share, 1e-9), (1.0 - WRONG_MESHES) / max(1.0 - share, 1e-9))
+
+
+def fitted_weights(answers: Sequence[VerdictTrial], hands: Sequence[HandTrial]) -> dict[str, Logistic]:
+    """Weights for answers and for hands."""
+    return {
+        "OBJECT_WEIGHTS": fit_logistic(
+            *object_data(answers), OBJECT_SIGNS, trial_weights([one for one in answers if one.evidence])
+        ),
+        "HAND_WEIGHTS": fit_logistic(*hand_data(hands), HAND_SIGNS, np.ones(len(hands))),
+    }
+
+
+def fit_logistic(
+    rows: Sequence[Mapping[str, float]],
+    right: np.ndarray,
+    signs: Mapping[str, int],
+    weights: np.ndarray,
+    ridge: float = RIDGE,
+) -> Logistic:
+    """Logistic regression with a sign for each weight.
+
+    Args:
+        rows: numbers of each trial, by name.
+        right: whether it is right, shape [N] bool.
+        signs: 1 or -1 for each number.
+        weights: of the trials, shape [N].
+        ridge: see ``RIDGE``.
+    """
+    names = list(signs)
+    x = np.array([[row[name] for name in names] for row in rows])
+    usual = np.median(x[right], axis=0)
+    spread = np.maximum(x.std(axis=0), 1e-6)
+    z, y = (x - usual) / spread, np.where(right, 1.0, -1.0)
+
+    def loss(w: np.ndarray) -> tuple[float, np.ndarray]:
+        margin = y * (w[0] + z @ w[1:])
+        slope = -weights * y / (1.0 + np.exp(np.minimum(margin, 500.0)))
+        gradient = np.concatenate([[slope.sum()], z.T @ slope + 2 * ridge * w[1:]])
+        return float(weights @ np.logaddexp(0.0, -margin) + ridge * np.square(w[1:]).sum()), gradient
+
+    limits = [(None, None), *(((0.0, None) if signs[name] > 0 else (None, 0.0)) for name in names)]
+    found = minimize(loss, np.zeros(1 + len(names)), jac=True, bounds=limits, method="L-BFGS-B").x
+    return Logistic(
+        float(found[0]),
+        {name: float(w) for name, w in zip(names, found[1:] / spread, strict=True)},
+        {name: float(u) for name, u in zip(names, usual, strict=True)},
+    )
+
+
+def written_weights(weights: Mapping[str, Logistic]) -> str:
+    """Lines for ``fungrasp.perception.object_pose.verdict_weights``."""
+    lines = []
+    for name, one in weights.items():
+        lines += [f"{name} = Logistic(", f"    {one.constant:.3g},"]
+        for values in (one.weights, one.usual):
+            lines += ["    {", *(f'        "{key}": {value:.3g},' for key, value in values.items()), "    },"]
+        lines.append(")")
+    return "\n".join(lines)

@@ -1,0 +1,197 @@
+"""The verdict on an image: one probability, the numbers that it rests on, and what would help.
+
+Terminal, page and JSON all show this record.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from math import isfinite
+from typing import TYPE_CHECKING, Any
+
+from fungrasp.perception.object_pose.confidence import ACCEPT, features
+from fungrasp.perception.object_pose.verdict_weights import HAND_WEIGHTS, OBJECT_WEIGHTS
+from fungrasp.perception.scene.depth_edges import SMOOTHED
+
+if TYPE_CHECKING:
+    from fungrasp.perception.estimates import HandEstimate, ObjectEstimate
+    from fungrasp.perception.perceived import PerceptionQuality
+
+ACCEPTED_HAND = 0.7
+"""Hands of a lower probability are not called right."""
+
+LOOSE_MASK = 0.25
+"""A mask with a larger part of other things is loose: 6 pixels too many around an object of 50 make 40 %,
+true masks of the images looked at had up to 20 %."""
+
+MUCH_HIDDEN = 0.5
+"""Part of the silhouette that is hidden, from which on another view is worth more than anything else."""
+
+AGAINST = -0.5
+"""What lowers the logarithm of the odds by more than this is worth a remedy."""
+
+ROWS: Mapping[str, tuple[str, float, str]] = {
+    "told": ("told where the object is (0 no, 0.5 box or click, 1 mask)", 1.0, ""),
+    "explained": ("pixels of the object that the mesh explains", 100.0, "%"),
+    "outline": ("overlap of the mesh's outline with them", 100.0, "%"),
+    "visible": ("of the mesh's visible part seen", 100.0, "%"),
+    "contradicted": ("of the mesh contradicted by what is behind it", 100.0, "%"),
+    "hidden": ("of the mesh hidden by the hand", 100.0, "%"),
+    "pixels": ("pixels of the object with depth", 1.0, "px"),
+    "residual": ("depth from the mesh, in the noise there", 1.0, ""),
+    "stretch_gain": ("gain if the mesh had another size", 100.0, "%"),
+    "stretch": ("by how much it would be another size", 100.0, "%"),
+    "color": ("agreement of colors (0 without colors)", 1.0, ""),
+    "rival": ("fit of the best other pose", 100.0, "%"),
+    "contact_m": ("fingertips from the object", 1000.0, "mm"),
+    "penetration_m": ("fingers in the object before they are fitted to it", 1000.0, "mm"),
+    "edge_width": ("width of outlines in the depth", 1.0, "px"),
+    "hand_score": ("hand: detector's score and agreement", 1.0, ""),
+    "reprojection_px": ("hand: landmarks from the joints", 1.0, "px"),
+    "worst_finger_m": ("hand: depth from the skin, worst finger", 1000.0, "mm"),
+    "hand_in_object_m": ("hand in the object after the fit", 1000.0, "mm"),
+}
+"""Words, factor and unit of each number."""
+
+
+@dataclass(frozen=True)
+class Meter:
+    """One number that speaks for or against."""
+
+    name: str
+    """As in ``ROWS``."""
+    value: float
+    """In the unit; NaN where it is not known."""
+    usual: float
+    """The median of right answers, in the unit."""
+    unit: str
+    """Of both."""
+    share: float
+    """How much more probable it makes the answer than a usual right one (logarithm of the odds)."""
+
+    @property
+    def words(self) -> str:
+        """What it measures."""
+        return ROWS[self.name][0]
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Whether an answer can be used."""
+
+    sure: bool
+    """Whether both probabilities are high enough."""
+    object: float
+    """Probability that pose and mesh are right: ADD-S below 10 mm."""
+    hand: float
+    """Probability that the hand is right: its joints within 20 mm of where they are, on average."""
+    evidence: tuple[Meter, ...]
+    """What the probabilities rest on."""
+    help: tuple[str, ...]
+    """What would make a surer answer, most useful first; empty where it is sure."""
+
+    @property
+    def probability(self) -> float:
+        """That all is right."""
+        return self.object * self.hand
+
+    @property
+    def words(self) -> str:
+        """The verdict in a line."""
+        parts = f"object {100 * self.object:.0f} %, hand {100 * self.hand:.0f} %"
+        if self.sure:
+            return f"sure: {100 * self.probability:.0f} % that all is right ({parts})"
+        needed = f"it takes {100 * ACCEPT:.0f} and {100 * ACCEPTED_HAND:.0f} %"
+        return f"not sure: {100 * self.probability:.0f} % that all is right ({parts}; {needed})"
+
+    def rows(self) -> list[tuple[str, str, str, str]]:
+        """The evidence as a table: what, value, usual value of right answers, share."""
+        table = [("evidence", "value", "usual", "for or against")]
+        for one in self.evidence:
+            unit = f" {one.unit}" if one.unit not in ("", "%") else one.unit and " %"
+            value = f"{one.value:.3g}{unit}" if isfinite(one.value) else "not known"
+            table.append((one.words, value, f"{one.usual:.3g}{unit}", f"{one.share:+.1f}"))
+        return table
+
+    def as_json(self) -> dict[str, Any]:
+        """To be written as JSON; null where a number is not known."""
+        rows = [asdict(one) | {"value": one.value if isfinite(one.value) else None} for one in self.evidence]
+        return {
+            "sure": self.sure,
+            "probability": self.probability,
+            "object": self.object,
+            "hand": self.hand,
+            "evidence": rows,
+            "help": list(self.help),
+        }
+
+
+def hand_features(hand: HandEstimate, quality: PerceptionQuality, width: int) -> dict[str, float]:
+    """What the probability of the hand is made of, by the names of ``HAND_WEIGHTS``. width: of the image
+    [pixels]."""
+    worst = quality.worst_finger_m if isfinite(quality.worst_finger_m) else 0.05
+    return {
+        "hand_score": hand.score,
+        "reprojection_px": min(quality.reprojection_px * 640 / max(width, 640), 30.0),
+        "worst_finger_m": min(worst, 0.06),
+        "hand_in_object_m": min(quality.penetration_m, 0.03),
+    }
+
+
+def judged(thing: ObjectEstimate, hand: HandEstimate, quality: PerceptionQuality, width: int) -> Verdict:
+    """The verdict.
+
+    Args:
+        thing: the object's pose.
+        hand: as it was refined.
+        quality: how well both agree with the image.
+        width: of the image [pixels].
+    """
+    of_hand = hand_features(hand, quality, width)
+    probability = HAND_WEIGHTS.probability(of_hand)
+    evidence = []
+    if thing.evidence is not None:
+        known, raw = features(thing.evidence), thing.evidence.as_dict()
+        shares = OBJECT_WEIGHTS.shares(known)
+        usual = dict(OBJECT_WEIGHTS.usual)
+        for name in ("pixels", "edge_width"):
+            if name in usual:
+                usual[name] = 10 ** (usual[name] + 3.0) if name == "pixels" else 2.0 ** usual[name]
+        evidence += [_meter(name, raw[name], usual[name], shares[name]) for name in shares]
+    shares = HAND_WEIGHTS.shares(of_hand)
+    evidence += [_meter(name, of_hand[name], HAND_WEIGHTS.usual[name], shares[name]) for name in shares]
+    sure = thing.accepted and probability >= ACCEPTED_HAND
+    against = {one.name: one.share for one in evidence}
+    advice = () if sure else _advice(thing, probability, against)
+    return Verdict(sure, thing.score, probability, tuple(evidence), advice)
+
+
+def _meter(name: str, value: float, usual: float, share: float) -> Meter:
+    _, factor, unit = ROWS[name]
+    return Meter(name, factor * value, factor * usual, unit, share)
+
+
+def _advice(thing: ObjectEstimate, hand: float, shares: Mapping[str, float]) -> tuple[str, ...]:
+    """What would help, most useful first."""
+    found: list[tuple[float, str]] = []
+    e = thing.evidence
+    if e is not None and not thing.accepted:
+        size = shares.get("stretch_gain", 0.0) + shares.get("stretch", 0.0)
+        if size < AGAINST:
+            found.append((size, "another size of the mesh fits better: measure the object, and the mesh's unit"))
+        if e.foreign > LOOSE_MASK:
+            found.append((-2.0, f"a tighter mask: {100 * e.foreign:.0f} % of it look like hand or background"))
+        if e.told == 0.0:
+            found.append((-1.5, "a click at the object (--point u,v), or a mask"))
+        if e.hidden > MUCH_HIDDEN or e.pixels < 500:
+            found.append((-1.2, "another view, in which the hand hides less of it (--frames)"))
+        if e.edge_width > SMOOTHED:
+            found.append((-1.0, "the camera's spatial and hole-filling filters turned off"))
+        if e.color == 0.0 and e.rival > 0.8:
+            found.append((-0.8, "a mesh with colors"))
+        if shares.get("explained", 0.0) + shares.get("outline", 0.0) < AGAINST:
+            found.append((-0.6, "the right mesh: this one does not cover what is seen"))
+    if hand < ACCEPTED_HAND:
+        found.append((-1.1, "a view in which more of the hand is seen, bare and well lit"))
+    return tuple(words for _, words in sorted(found, key=lambda one: one[0]))
