@@ -67,15 +67,16 @@ class Verdict:
         from fungrasp.perception.hand.mediapipe_detector import MediaPipeHandDetector
 
         done = {trial.capture for trial in read_trials(self.trials)[0]} if self.trials.is_file() else set()
-        folders = [path for path in recorded_folders(folder) if path.name not in done]
+        every = list(enumerate(recorded_folders(folder)))
+        folders = [(i, path) for i, path in every if path.name not in done]
         detector = MediaPipeHandDetector(threads=1)
         others = {name: builtin_object(name) for name in object_names()}
         with progress_bar("measuring", max(len(folders), 1)) as show:
-            for i, path in enumerate(folders):
+            for count, (i, path) in enumerate(folders):
                 recorded = read_recorded(path)
                 # Every second rendered object is known with its colors.
                 painted = painted_vertices(path) if i % 2 == 0 else None
                 append_trials(
                     self.trials, *measure_trials(recorded, detector, others, self.wrong or None, painted)
                 )
-                show(i + 1)
+                show(count + 1)

@@ -44,6 +44,7 @@ def verdict_figures(answers: Sequence[VerdictTrial], hands: Sequence[HandTrial])
         for kind in dict.fromkeys(one.mesh for one in answers)
         if kind != RIGHT
     }
+    hands = [one for one in hands if one.found]
     of_hands = np.array([HAND_WEIGHTS.probability(one.features) for one in hands])
     sure = of_hands >= ACCEPTED_HAND
     far = np.array([one.far for one in hands])

@@ -20,7 +20,7 @@ from fungrasp.perception.hand.detected_hand import DetectedHand, settle_side
 from fungrasp.perception.hand.mediapipe_detector import MediaPipeHandDetector
 from fungrasp.perception.hand.mediapipe_models import have_weights
 from fungrasp.perception.io.scene_folders import write_folder
-from fungrasp.perception.object_pose.confidence import FEATURES
+from fungrasp.perception.object_pose.evidence import PoseEvidence
 from fungrasp.perception.object_pose.known_object import MeshRays
 from fungrasp.perception.object_pose.pose_error import add_s
 from fungrasp.perception.perceived import Perceived
@@ -97,7 +97,8 @@ def test_an_image_becomes_a_grasp():
     quality = perceived.quality
     assert quality.reprojection_px < 10 and quality.hand_residual_m < 0.008
     assert quality.depth_residual_m < 0.003 and quality.penetration_m < 0.012
-    assert quality.hand_score == perceived.hand.score and quality.object_score == perceived.object.score
+    verdict = perceived.verdict
+    assert verdict.sure and verdict.object == perceived.object.score > 0.8 and not verdict.help
 
 
 def test_the_world_is_that_of_the_architecture():
@@ -338,9 +339,10 @@ def test_the_wrong_mesh_is_not_believed():
     perceived = perceive(
         scene.capture.with_object(object_pixels()), builtin_object("hammer"), detector=StandIn(detected)
     )
-    assert not perceived.confident and any(
-        "the object's pose: low confidence" in str(warning) for warning in perceived.warnings
-    )
+    assert not perceived.confident and perceived.verdict.help
+    record = perceived.as_json()["verdict"]
+    assert record["sure"] is False and record["object"] == perceived.object.score
+    assert [row["name"] for row in record["evidence"]] == [one.name for one in perceived.verdict.evidence]
     assert perceived.grasp.object_name == "hammer"
 
 
@@ -393,9 +395,7 @@ def test_a_hand_of_low_score_is_not_believed():
     scene, detected = mug()
     unlikely = dataclasses.replace(detected, score=0.3)
     perceived = perceive(scene.capture, scene.model, detector=StandIn(unlikely), object_estimate=known(scene))
-    assert not perceived.confident and any(
-        "the hand: its score" in str(warning) for warning in perceived.warnings
-    )
+    assert not perceived.confident and "more of the hand" in perceived.verdict.help[-1]
 
 
 def test_a_wall_is_no_table():
@@ -459,7 +459,7 @@ def test_the_record_goes_on_and_says_what_happened():
     trace = found.trace
     assert trace.detected == (detected,) and len(trace.candidates) == 1 and trace.candidate.holds
     np.testing.assert_array_equal(trace.candidate.answers.poses[0], found.object.pose_camera_object)
-    assert set(trace.candidate.evidence) == set(FEATURES)
+    assert set(trace.candidate.evidence) == {one.name for one in dataclasses.fields(PoseEvidence)}
     stages = ["mesh", "detection", "hand", "table", "object", "refinement", "grasp"]
     assert list(trace.seconds) == stages
     assert all(seconds.wall > 0 for seconds in trace.seconds.values())

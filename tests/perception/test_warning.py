@@ -11,9 +11,9 @@ from fungrasp.perception.estimates import MESSAGES, PerceptionWarning
 
 
 def test_a_warning_reads_as_a_sentence():
-    given = PerceptionWarning.of("low_hand_score", score=0.314)
-    assert str(given) == "the hand: its score is only 0.31"
-    assert given.code == "low_hand_score" and given.values == {"score": 0.314}
+    given = PerceptionWarning.of("low_own_score", score=0.314)
+    assert str(given) == "the estimator's own score is 0.31"
+    assert given.code == "low_own_score" and given.values == {"score": 0.314}
 
 
 def test_every_sentence_takes_its_values():
@@ -23,5 +23,5 @@ def test_every_sentence_takes_its_values():
 
 
 def test_an_unknown_code_is_refused():
-    with pytest.raises(UnknownNameError, match="low_hand_score"):
-        PerceptionWarning.of("low_hand_scor")
+    with pytest.raises(UnknownNameError, match="low_own_score"):
+        PerceptionWarning.of("low_own_scor")

@@ -20,12 +20,12 @@ from fungrasp.perception.estimates import PerceptionWarning
 from fungrasp.perception.io.scene_folders import BUILTIN_CAPTURE as FOLDER
 from fungrasp.perception.io.scene_folders import read_folder
 from fungrasp.perception.perceived import Perceived, PerceptionQuality
+from fungrasp.perception.verdict import Meter, Verdict
 from fungrasp.report import perception_page
 from fungrasp.report.page_parts import Quantity
 from fungrasp.report.perception_alternatives import alternatives
 from fungrasp.report.perception_page import (
     contact_words,
-    perception_quantities,
     true_errors,
     write_perception_page,
 )
@@ -46,6 +46,12 @@ MODEL = builtin_object(TRUTH.object_name)
 TURN = Rotation.from_euler("x", -120, degrees=True).as_quat(scalar_first=True)
 LEVEL = np.concatenate([[0.0, -0.5, 0.4], TURN])
 """A camera that looks along y and down by 30 degrees."""
+
+
+METERS = (
+    Meter("explained", 93.0, 95.0, "%", -0.3),
+    Meter("worst_finger_m", float("nan"), 6.0, "mm", 0.4),
+)
 
 
 def perceived(**changes) -> Perceived:
@@ -78,9 +84,9 @@ def perceived(**changes) -> Perceived:
             "object": ObjectEstimate(pose, 0.95, True),
             "table": np.array([0.0, -1.0, 0.0, 0.4]),
             "table_found": True,
-            "quality": PerceptionQuality(2.0, 0.0004, 0.002, 0.003, 0.9, 0.95),
+            "quality": PerceptionQuality(2.0, 0.0004, 0.002, 0.004, 0.003),
             "warnings": (),
-            "confident": True,
+            "verdict": Verdict(True, 0.95, 0.9, METERS, ()),
             **changes,
         }
     )
@@ -114,19 +120,17 @@ def turned(degrees: float, axis: str = "z") -> np.ndarray:
 
 def test_the_verdict_comes_first(tmp_path, no_pictures):
     said = words(page(tmp_path, perceived()))
-    assert said.index("✓ Confident") < said.index("In the image")
-    assert "Low confidence" not in said
-    warnings = (
-        PerceptionWarning.of("low_hand_score", score=0.31),
-        PerceptionWarning.of("object_not_accepted", reason="<wrong> mesh?"),
-    )
+    assert said.index("✓ Sure: 86 % that all is right") < said.index("In the image")
+    assert "Not sure" not in said and "What would help" not in said
+    warnings = (PerceptionWarning.of("not_searched", problem="<wrong> mesh?"),)
     thing = replace(perceived().object, score=0.3, accepted=False)
-    html = page(tmp_path, perceived(object=thing, confident=False, warnings=warnings))
+    verdict = Verdict(False, 0.3, 0.5, METERS, ("a click at the object",))
+    html = page(tmp_path, perceived(object=thing, verdict=verdict, warnings=warnings))
     said = words(html)
-    assert "✓ Confident" not in said
+    assert "✓" not in said
     assert (
-        said.index("? Low confidence")
-        < said.index("The hand: its score is only 0.31.")
+        said.index("? Not sure: 15 % that all is right (object 30 %, hand 50 %")
+        < said.index("A click at the object.")
         < said.index("In the image")
     )
     assert "so what touches it is uncertain" in said
@@ -149,14 +153,13 @@ def test_a_page_holds_its_pictures_and_needs_nothing_from_outside(tmp_path):
         assert ((blue > red + 40) & (blue > green)).sum() > 1000, "the object is missing"
 
 
-def test_figures_say_whether_they_are_good():
-    good = {item.name: item.good for item in perception_quantities(perceived())}
-    assert set(good.values()) == {True}
-    bad = perceived(quality=PerceptionQuality(30.0, 0.01, float("nan"), 0.03, 0.2, 0.3))
-    marks = {item.name: item.good for item in perception_quantities(bad)}
-    assert marks.pop("Hand in depth") is None
-    assert set(marks.values()) == {False}
-    assert all(item.meaning for item in perception_quantities(bad))
+def test_page_and_terminal_show_the_same_evidence(tmp_path, no_pictures):
+    seen = perceived()
+    said = words(page(tmp_path, seen))
+    for row in seen.verdict.rows():
+        assert all(cell in said for cell in row), row
+    assert "not known" in said
+    assert "poor" not in said
 
 
 @pytest.mark.parametrize(

@@ -28,6 +28,12 @@ true masks of the images looked at had up to 20 %."""
 MUCH_HIDDEN = 0.5
 """Part of the silhouette that is hidden, from which on another view is worth more than anything else."""
 
+FEW_PIXELS = 500
+"""Fewer pixels of the object don't tell its pose well."""
+
+ALIKE = 0.9
+"""Quality of another pose, as a part of the answer's, from which on only more to see tells them apart."""
+
 AGAINST = -0.5
 """What lowers the logarithm of the odds by more than this is worth a remedy."""
 
@@ -162,8 +168,9 @@ def judged(thing: ObjectEstimate, hand: HandEstimate, quality: PerceptionQuality
     shares = HAND_WEIGHTS.shares(of_hand)
     evidence += [_meter(name, of_hand[name], HAND_WEIGHTS.usual[name], shares[name]) for name in shares]
     sure = thing.accepted and probability >= ACCEPTED_HAND
-    against = {one.name: one.share for one in evidence}
-    advice = () if sure else _advice(thing, probability, against)
+    advice = object_help(thing)
+    if probability < ACCEPTED_HAND:
+        advice += ("a view in which more of the hand is seen, bare and well lit",)
     return Verdict(sure, thing.score, probability, tuple(evidence), advice)
 
 
@@ -172,26 +179,27 @@ def _meter(name: str, value: float, usual: float, share: float) -> Meter:
     return Meter(name, factor * value, factor * usual, unit, share)
 
 
-def _advice(thing: ObjectEstimate, hand: float, shares: Mapping[str, float]) -> tuple[str, ...]:
-    """What would help, most useful first."""
-    found: list[tuple[float, str]] = []
+def object_help(thing: ObjectEstimate) -> tuple[str, ...]:
+    """What would make an object's pose surer, most useful first; nothing where it is accepted."""
     e = thing.evidence
-    if e is not None and not thing.accepted:
-        size = shares.get("stretch_gain", 0.0) + shares.get("stretch", 0.0)
-        if size < AGAINST:
-            found.append((size, "another size of the mesh fits better: measure the object, and the mesh's unit"))
-        if e.foreign > LOOSE_MASK:
-            found.append((-2.0, f"a tighter mask: {100 * e.foreign:.0f} % of it look like hand or background"))
-        if e.told == 0.0:
-            found.append((-1.5, "a click at the object (--point u,v), or a mask"))
-        if e.hidden > MUCH_HIDDEN or e.pixels < 500:
-            found.append((-1.2, "another view, in which the hand hides less of it (--frames)"))
-        if e.edge_width > SMOOTHED:
-            found.append((-1.0, "the camera's spatial and hole-filling filters turned off"))
-        if e.color == 0.0 and e.rival > 0.8:
-            found.append((-0.8, "a mesh with colors"))
-        if shares.get("explained", 0.0) + shares.get("outline", 0.0) < AGAINST:
-            found.append((-0.6, "the right mesh: this one does not cover what is seen"))
-    if hand < ACCEPTED_HAND:
-        found.append((-1.1, "a view in which more of the hand is seen, bare and well lit"))
-    return tuple(words for _, words in sorted(found, key=lambda one: one[0]))
+    if e is None or thing.accepted:
+        return ()
+    shares = OBJECT_WEIGHTS.shares(features(e))
+    size = sum(shares.get(name, 0.0) for name in ("stretch_gain", "stretch"))
+    covered = sum(shares.get(name, 0.0) for name in ("explained", "outline", "visible"))
+    found = []
+    if size < AGAINST and size < covered:
+        found.append("a mesh of the right size: another one fits better; is its unit right?")
+    if e.foreign > LOOSE_MASK:
+        found.append(f"a tighter mask: {100 * e.foreign:.0f} % of it look like hand or background")
+    if e.told == 0.0:
+        found.append("a click at the object (--point u,v), or a mask")
+    if e.hidden > MUCH_HIDDEN or e.pixels < FEW_PIXELS:
+        found.append("another view, in which more of the object is seen (--frames)")
+    if e.edge_width > SMOOTHED:
+        found.append("the camera's spatial and hole-filling filters turned off")
+    if e.color == 0.0 and e.rival > ALIKE:
+        found.append("a mesh with colors: another pose fits nearly as well")
+    if covered < AGAINST:
+        found.append("the mesh of this very object: this one does not cover what is seen")
+    return tuple(found)

@@ -20,7 +20,7 @@ from fungrasp.perception.object_pose.object_view import LEAST_PIXELS, cleaned_ma
 from fungrasp.perception.object_pose.scoring import PoseScorer, pose_scorer
 from fungrasp.perception.scene.segmentation import segment
 
-REACH = 0.22
+REACH = 0.13
 """Parts of an object of unknown size are looked for so far from the fingertips [m]."""
 
 UNIT = 0.1
@@ -40,6 +40,10 @@ RAYS = 400
 
 ROUNDS = ((0.010, 12.0, 0.35), (0.006, 8.0, 0.20), (0.004, 5.0, 0.12), (0.002, 3.0, 0.06), (0.001, 1.5, 0.03))
 """Standard deviations of the random moves: shift [m], turn [degrees], logarithm of a side."""
+
+TOUCHING = 0.015
+"""Fingertips so far from the surface [m] halve what a shape is worth: without a mesh nothing else tells what is
+held from what lies beside the hand."""
 
 KEPT, TRIES = 4, 24
 """So many of the best go on, and so many moves of each are tried in each round."""
@@ -85,7 +89,7 @@ def fit_shape(
     if capture.mask is not None and (capture.mask & capture.measured).any():
         capture = capture.with_object(mask=cleaned_mask(capture, 2 * REACH, rng)[0])
     view = segment(capture, joints, table, REACH)
-    masks = [mask for mask in view.masks if (mask & capture.measured).sum() >= LEAST_PIXELS][:3]
+    masks = [mask for mask in view.masks if (mask & capture.measured).sum() >= LEAST_PIXELS][:4]
     if not masks:
         raise FungraspError("too little of an object is seen in the hand: click at it (--point), or give a mesh")
     found: list[tuple[float, FittedShape]] = []
@@ -157,7 +161,7 @@ def _climbed(
 
     def scored(poses: np.ndarray, sides: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         scores = scorer(poses, np.full(len(poses), owner), sides / UNIT)
-        return scores.quality, scores.hidden
+        return scores.quality / (1.0 + np.square(scores.contact / TOUCHING)), scores.hidden
 
     quality, hidden = scored(poses, sides)
     for shift, turn, grow in ROUNDS:
