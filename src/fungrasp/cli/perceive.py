@@ -46,7 +46,7 @@ class Perceive:
 
     mesh: str
     """The object: a mesh file [m], the name of a built-in object, or a shape in millimeters, box:60x28x30,
-    cylinder:66x115 (diameter, height) or sphere:67."""
+    cylinder:66x115 (diameter, height) or sphere:67. Or "unknown": a shape is fitted to what is seen."""
     out: Path
     """Grasp file to write (.npz)."""
     source: CommandSource = field(default_factory=CommandSource)
@@ -87,17 +87,19 @@ class Perceive:
         from time import perf_counter
 
         from fungrasp.objects import held_object
-        from fungrasp.perception.pipeline import perceive
+        from fungrasp.perception.pipeline import UNKNOWN, perceive
 
         start = perf_counter()
         self._check()
         plane = parse_plane(self.table)
-        held = held_object(self.mesh, self.mass)
-        with self._watched(held.model) as show:
-            capture = self.source.read(held.model, show)
+        held = None if self.mesh == UNKNOWN else held_object(self.mesh, self.mass)
+        model = None if held is None else held.model
+        with self._watched(model) as show:
+            capture = self.source.read(model, show)
         perceived = perceive(
             capture,
-            held,
+            self.mesh if held is None else held,
+            mass=self.mass if held is None else None,
             side=self.hand,
             task=self.task,
             table=plane,
@@ -111,7 +113,7 @@ class Perceive:
         written = self._write(perceived, perf_counter() - start)
         touching = int(perceived.grasp.link_contacts.sum())
         print(table(perceived.verdict.rows()))
-        print(f"{self.out}: a {perceived.hand.side} hand on '{held.model.name}', {touching} links in contact")
+        print(f"{self.out}: a {perceived.hand.side} hand on '{perceived.object_model.name}', {touching} links in contact")
         for note in (*perceived.notes, *kept, *written):
             print(note)
         for warning in perceived.warnings:
@@ -157,9 +159,9 @@ class Perceive:
         return read_object_pose(self.object_pose_file, image=self.source.image, object_id=self.object_id)
 
     @contextmanager
-    def _watched(self, model: ObjectModel) -> Iterator[Callable[[LiveView], None]]:
+    def _watched(self, model: ObjectModel | None) -> Iterator[Callable[[LiveView], None]]:
         """Shows what a camera sees, on a page and in words; says when the picture is taken."""
-        if self.source.camera is None:
+        if self.source.camera is None or model is None:
             yield lambda view: None
             return
         from fungrasp.report.live_page import LivePage

@@ -22,6 +22,10 @@ DENSITY = 500.0
 built-in ones is 540; eight of ten lie between 190 and 940."""
 
 
+DENSITIES = (190.0, 940.0)
+"""Between these lie eight of ten [kg/m^3]."""
+
+
 @dataclass(frozen=True, eq=False)
 class HeldObject:
     """An object, and what perception can make use of beyond its shape."""
@@ -33,6 +37,8 @@ class HeldObject:
     symmetric object."""
     notes: tuple[str, ...] = ()
     """Assumptions that were made, as sentences to print."""
+    mass_range: tuple[float, float] | None = None
+    """Between which the mass lies in eight of ten cases, where it was guessed [kg]."""
 
 
 def held_object(obj: ObjectModel | str | Path, mass: float | None = None) -> HeldObject:
@@ -57,12 +63,17 @@ def held_object(obj: ObjectModel | str | Path, mass: float | None = None) -> Hel
     if not is_file and not shape and (mesh in object_names() or Path(mesh).name == mesh == Path(mesh).stem):
         return HeldObject(builtin_object(mesh, mass))
     notes: tuple[str, ...] = ()
+    between = None
     if mass is None:
         unit = plain_shape(mesh, 1.0) if shape else object_from_file(mesh, 1.0)
-        mass = DENSITY * float(unit.mesh.convex_hull.volume)
-        notes = (f"the mass was guessed, {mass:.2f} kg: give --mass if you know it",)
+        volume = float(unit.mesh.convex_hull.volume)
+        mass, between = DENSITY * volume, (DENSITIES[0] * volume, DENSITIES[1] * volume)
+        notes = (
+            f"the mass was guessed, {mass:.2g} kg, and may be {between[0]:.2g} to {between[1]:.2g}: give --mass "
+            "if you know it",
+        )
     model = plain_shape(mesh, mass) if shape else object_from_file(mesh, mass)
-    return HeldObject(model, colored_mesh(mesh, model) if is_file else None, notes)
+    return HeldObject(model, colored_mesh(mesh, model) if is_file else None, notes, between)
 
 
 def colored_mesh(path: str | Path, model: ObjectModel) -> trimesh.Trimesh | None:

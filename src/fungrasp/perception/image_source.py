@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 BUILTIN = "builtin"
 """Stands for the image that comes with the package, where no folder has this name."""
 
+NO_LIVE = "a camera waits until the object is seen, which needs its mesh: take an image into a folder first"
+
 REALSENSE = "realsense"
 """Stands for the RealSense camera that is connected."""
 
@@ -72,11 +74,11 @@ class ImageSource:
             return f"of the camera {self.camera}"
         return str(self.folder or self.recording or self.rgb)
 
-    def read(self, obj: ObjectModel, show: Callable[[LiveView], None] | None = None) -> Capture:
+    def read(self, obj: ObjectModel | None, show: Callable[[LiveView], None] | None = None) -> Capture:
         """The capture, with mask, box or point if one is given.
 
         Args:
-            obj: the object; a camera waits until it is seen.
+            obj: the object; a camera waits until it is seen. None: it is not known.
             show: shows what a camera sees.
 
         Raises:
@@ -131,7 +133,7 @@ class ImageSource:
 
     def _of_camera(
         self,
-        obj: ObjectModel,
+        obj: ObjectModel | None,
         hints: Hints,
         show: Callable[[LiveView], None] | None,
     ) -> Capture:
@@ -140,6 +142,8 @@ class ImageSource:
         from fungrasp.perception.io.scene_folders import read_folder, write_folder
 
         if self.camera is not None:
+            if obj is None:
+                raise FungraspError(NO_LIVE)
             settings = LiveSettings(countdown=self.countdown)
             camera = opened_camera(self.camera)
             capture = live_capture(camera, obj, settings, show, lambda seen: self._marked(seen, hints))
@@ -161,17 +165,17 @@ class ImageSource:
 
 
 def as_capture(
-    image: ImageSource | RgbdCamera | str | Path | Sequence[str | Path], obj: ObjectModel
+    image: ImageSource | RgbdCamera | str | Path | Sequence[str | Path], obj: ObjectModel | None
 ) -> Capture:
     """The capture of an image, wherever it is.
 
     Args:
         image: a folder (see ``read_folder``), a recording or "builtin"; paths of color image, depth and
             intrinsics; a source; or a camera, which waits until hand, table and object are seen.
-        obj: the object.
+        obj: the object; None: it is not known.
 
     Raises:
-        FungraspError: it can't be read.
+        FungraspError: it can't be read, or a camera can't wait for an object that is not known.
     """
     from fungrasp.perception.camera.live import live_capture
     from fungrasp.perception.io.image_files import read_capture
@@ -184,6 +188,8 @@ def as_capture(
         recorded = Path(image).suffix in RECORDINGS
         return capture_from_camera(image) if recorded else read_folder(image)
     if not isinstance(image, Sequence):
+        if obj is None:
+            raise FungraspError(NO_LIVE)
         return live_capture(image, obj)
     if len(image) != 3:
         raise FungraspError(f"an image in files is color image, depth and intrinsics, not {len(image)} files")

@@ -21,6 +21,7 @@ from fungrasp.perception.hand.detected_hand import DetectedHand
 from fungrasp.perception.hand.hand_capsules import SURFACE_SAMPLES, in_front
 from fungrasp.perception.io.capture import Capture
 from fungrasp.perception.object_pose.estimate import PoseAnswers
+from fungrasp.perception.object_pose.shape_fit import FittedShape
 from fungrasp.perception.verdict import Verdict
 
 FARTHEST_OFF = 0.1
@@ -254,6 +255,10 @@ class Perceived:
     """Assumptions about the object, as sentences to print: a mass that was guessed."""
     trace: PerceptionTrace = field(default_factory=PerceptionTrace)
     """What happened by stage."""
+    mass_range: tuple[float, float] | None = None
+    """Between which the object's mass lies in eight of ten cases, where it was guessed [kg]."""
+    fitted: FittedShape | None = None
+    """The shape that stands for an object without a mesh; None where a mesh was given."""
 
     @property
     def confident(self) -> bool:
@@ -306,6 +311,10 @@ class Perceived:
                 {"joints_camera": one.hand.joints_camera.tolist(), "probability": one.probability}
                 for one in self.hands
             ],
+            "fitted_shape": None
+            if self.fitted is None
+            else {"name": self.fitted.name, "explained": self.fitted.quality},
+            "object_mass_range": self.mass_range,
             "object": {
                 "pose_camera": thing.pose_camera_object.tolist(),
                 "score": thing.score,

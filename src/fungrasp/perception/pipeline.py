@@ -37,6 +37,7 @@ from fungrasp.perception.object_pose.confidence import ambiguity
 from fungrasp.perception.object_pose.estimate import SIZES, best_estimate, search_object_pose
 from fungrasp.perception.object_pose.external_pose import score_given_pose
 from fungrasp.perception.object_pose.known_object import known_object
+from fungrasp.perception.object_pose.shape_fit import FittedShape, fit_shape
 from fungrasp.perception.perceived import (
     HandCandidate,
     Perceived,
@@ -54,6 +55,9 @@ from fungrasp.perception.scene.table import (
     table_under,
     world_from_table,
 )
+
+UNKNOWN = "unknown"
+"""Stands for an object without a mesh."""
 
 MOST_HANDS = 8
 """So many stand for the samples that are drawn: more would stand for one or two each."""
@@ -83,7 +87,8 @@ def perceive(
         capture: color and depth; its mask, box or point says where the object is. Or where they are: a
             folder (see ``read_folder``), a recording or "builtin"; paths of color image, depth and
             intrinsics; or a camera, whose image is taken when hand, table and object are seen.
-        obj: the object, its mesh file [m], the name of a built-in object, or a shape, "box:60x28x30" [mm].
+        obj: the object, its mesh file [m], the name of a built-in object, or a shape, "box:60x28x30" [mm]; or
+            "unknown": a box, cylinder or sphere is fitted to what is seen.
             Colors of the mesh file tell apart the sides of a nearly symmetric object.
         mass: of a mesh [kg]; None takes a built-in object's own, or guesses it from the mesh, with a note.
         side: which hand it is, if known.
@@ -103,6 +108,14 @@ def perceive(
     """
     if not 1 <= hands <= MOST_HANDS:
         raise FungraspError(f"hands must be 1 to {MOST_HANDS}, not {hands}")
+    fitted = None
+    if isinstance(obj, str) and obj == UNKNOWN:
+        if object_estimate is not None:
+            raise FungraspError("the pose of an object without a mesh can't be given: it has no frame")
+        capture = capture if isinstance(capture, Capture) else as_capture(capture, None)
+        fitted = _fitted_shape(capture, hand, side, table, detector, seed)
+        obj = fitted.name
+        object_estimate = ObjectEstimate(fitted.pose, fitted.quality, fitted.fits)
     held = obj if isinstance(obj, HeldObject) else held_object(obj, mass)
     model = held.model
     mesh = model if held.colored is None else held.colored
@@ -175,10 +188,42 @@ def perceive(
         table_found=scene.table is not None,
         quality=quality,
         warnings=warnings,
-        verdict=judged(scene.object, refined, quality, capture.intrinsics.width),
+        verdict=judged(
+            scene.object, refined, quality, capture.intrinsics.width, "" if fitted is None else fitted.name
+        ),
         notes=held.notes,
+        mass_range=held.mass_range,
+        fitted=fitted,
         trace=PerceptionTrace(tuple(detected), tuple(scenes), chosen, watch.seconds),
     )
+
+
+def _fitted_shape(
+    capture: Capture,
+    hand: HandEstimate | Callable[[Capture], HandEstimate] | None,
+    side: Side | None,
+    table: np.ndarray | None,
+    detector: HandDetector | None,
+    seed: int,
+) -> FittedShape:
+    """The shape of an object without a mesh, in the hand for which it explains most of what is seen."""
+    if hand is not None:
+        held_by = [hand(capture) if callable(hand) else hand]
+    else:
+        detected = find_hands(detector or MediaPipeHandDetector(), capture, object_box(capture, None, None))
+        meant = meant_hands(capture, detected, object_box(capture, None, None), side)
+        held_by = [fit_hand(one.detected, capture) for one in meant]
+    shapes, problem = [], None
+    for one in held_by:
+        under = table if table is not None else table_under(capture, one.joints_camera, np.random.default_rng(seed))
+        try:
+            shapes.append(fit_shape(capture, one.joints_camera, under, seed=seed))
+        except FungraspError as error:
+            problem = error
+    if not shapes:
+        assert problem is not None
+        raise problem
+    return max(shapes, key=lambda shape: shape.quality)
 
 
 def _check_size(model: ObjectModel) -> None:

@@ -96,6 +96,9 @@ class Verdict:
     """What the probabilities rest on."""
     help: tuple[str, ...]
     """What would make a surer answer, most useful first; empty where it is sure."""
+    fitted: str = ""
+    """Shape that was fitted to an object without a mesh, "box:60x28x30"; ``object`` is then the part of what is
+    seen that it explains, no probability."""
 
     @property
     def probability(self) -> float:
@@ -105,6 +108,12 @@ class Verdict:
     @property
     def words(self) -> str:
         """The verdict in a line."""
+        if self.fitted:
+            kind, sizes = self.fitted.split(":")
+            return (
+                f"unknown object: a {kind} of {sizes.replace('x', ' x ')} mm explains {100 * self.object:.0f} % of "
+                f"what is seen; what is hidden is a guess (hand {100 * self.hand:.0f} %)"
+            )
         parts = f"object {100 * self.object:.0f} %, hand {100 * self.hand:.0f} %"
         if self.sure:
             return f"sure: {100 * self.probability:.0f} % that all is right ({parts})"
@@ -130,6 +139,7 @@ class Verdict:
             "hand": self.hand,
             "evidence": rows,
             "help": list(self.help),
+            "fitted": self.fitted or None,
         }
 
 
@@ -145,7 +155,9 @@ def hand_features(hand: HandEstimate, quality: PerceptionQuality, width: int) ->
     }
 
 
-def judged(thing: ObjectEstimate, hand: HandEstimate, quality: PerceptionQuality, width: int) -> Verdict:
+def judged(
+    thing: ObjectEstimate, hand: HandEstimate, quality: PerceptionQuality, width: int, fitted: str = ""
+) -> Verdict:
     """The verdict.
 
     Args:
@@ -153,6 +165,7 @@ def judged(thing: ObjectEstimate, hand: HandEstimate, quality: PerceptionQuality
         hand: as it was refined.
         quality: how well both agree with the image.
         width: of the image [pixels].
+        fitted: shape that stands for an object without a mesh.
     """
     of_hand = hand_features(hand, quality, width)
     probability = HAND_WEIGHTS.probability(of_hand)
@@ -169,9 +182,11 @@ def judged(thing: ObjectEstimate, hand: HandEstimate, quality: PerceptionQuality
     evidence += [_meter(name, of_hand[name], HAND_WEIGHTS.usual[name], shares[name]) for name in shares]
     sure = thing.accepted and probability >= ACCEPTED_HAND
     advice = object_help(thing)
+    if fitted and not thing.accepted:
+        advice = ("a click at the object (--point u,v), or a mask", "a mesh of the object (fungrasp scan)")
     if probability < ACCEPTED_HAND:
         advice += ("a view in which more of the hand is seen, bare and well lit",)
-    return Verdict(sure, thing.score, probability, tuple(evidence), advice)
+    return Verdict(sure, thing.score, probability, tuple(evidence), advice, fitted)
 
 
 def _meter(name: str, value: float, usual: float, share: float) -> Meter:

@@ -83,6 +83,7 @@ def perceived_opening(
 def perception_title(perceived: Perceived) -> str:
     """ "Spray bottle, to spray: seen in one image"."""
     name = perceived.grasp.object_name.removesuffix(MIRRORED).replace("_", " ")
+    name = "unknown object" if perceived.fitted is not None else name
     task = f", to {perceived.grasp.task}" if perceived.grasp.task else ""
     return f"{name[:1].upper()}{name[1:]}{task}: seen in one image"
 

@@ -90,7 +90,7 @@ def hands_elsewhere(
     return [_settled(hand, [_several(hand, count)], side) for hand in largest_first(others)[:MOST]]
 
 
-def object_box(capture: Capture, model: ObjectModel, given: ObjectEstimate | None) -> Box | None:
+def object_box(capture: Capture, model: ObjectModel | None, given: ObjectEstimate | None) -> Box | None:
     """The box around the object [pixels]: the one that was given, that of its mask or point, or that of the
     object in the pose that it is said to have; None if nothing was said."""
     if capture.box is not None:
@@ -101,7 +101,7 @@ def object_box(capture: Capture, model: ObjectModel, given: ObjectEstimate | Non
     if capture.mask is not None:
         rows, columns = np.nonzero(capture.mask)
         return float(columns.min()), float(rows.min()), float(columns.max()), float(rows.max())
-    if given is None:
+    if given is None or model is None:
         return None
     pixels = capture.intrinsics.project(transform_points(given.pose_camera_object, model.vertices))
     if not np.isfinite(pixels).all():

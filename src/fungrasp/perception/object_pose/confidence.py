@@ -49,7 +49,7 @@ def features(evidence: PoseEvidence) -> dict[str, float]:
         "stretch_gain": float(np.clip(e.stretch_gain, 0.0, 0.4)),
         "stretch": min(e.stretch, 0.5),
         "color": float(np.clip(e.color, -2.0, 2.0)),
-        "rival": max(e.rival, 0.7),
+        "rival": min(e.rival, 1.0),
         "contact_m": min(e.contact_m, 0.03),
         "penetration_m": min(e.penetration_m, 0.02),
         "edge_width": float(np.log2(np.clip(e.edge_width, 2.0, 12.0))),
