@@ -6,6 +6,7 @@ from benchmarks.perception.captures import Captures
 from benchmarks.perception.depth import BenchDepth
 from benchmarks.perception.recorded import Recorded
 from benchmarks.perception.tracking import Tracking
+from benchmarks.perception.unknown import Unknown
 from benchmarks.perception.varied import Varied
 from benchmarks.perception.verdict import Verdict
 
@@ -13,6 +14,7 @@ COMMAND = {
     "captures": Captures,
     "recorded": Recorded,
     "varied": Varied,
+    "unknown": Unknown,
     "verdict": Verdict,
     "tracking": Tracking,
     "depth": BenchDepth,

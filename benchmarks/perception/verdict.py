@@ -25,7 +25,7 @@ class Verdict:
     wrong: int = 3
     """Kinds of wrong meshes that are drawn for each capture; 0 takes all."""
     fit: bool = False
-    """Fit the weights to these trials, and print them."""
+    """Fit the weights to these trials, print them, and judge by them."""
     json: Path | None = None
     """Write the figures here."""
     figure: Path | None = None
@@ -45,9 +45,10 @@ class Verdict:
         if not self.trials.is_file():
             raise FungraspError(f"{self.trials} does not exist: --captures says what to measure")
         answers, hands = read_trials(self.trials)
-        if self.fit:
-            print(written_weights(fitted_weights(answers, hands)))
-        figures = verdict_figures(answers, hands)
+        fitted = fitted_weights(answers, hands) if self.fit else None
+        if fitted is not None:
+            print(written_weights(fitted))
+        figures = verdict_figures(answers, hands, fitted)
         print(table(verdict_rows(figures)))
         if self.json is not None:
             write_result(self.json, run_record(0) | figures)

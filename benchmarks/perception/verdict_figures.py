@@ -12,8 +12,8 @@ from benchmarks.perception.figures import rate_of
 from benchmarks.perception.verdict_fit import RIGHT_HAND_MM, evidence_of, trial_weights
 from benchmarks.perception.verdict_trials import RIGHT, HandTrial, VerdictTrial
 from fungrasp.evaluation.statistics import wilson_interval
-from fungrasp.perception.object_pose.confidence import ACCEPT, confidence
-from fungrasp.perception.object_pose.verdict_weights import HAND_WEIGHTS
+from fungrasp.perception.object_pose.confidence import ACCEPT, features
+from fungrasp.perception.object_pose.verdict_weights import HAND_WEIGHTS, OBJECT_WEIGHTS, Logistic
 from fungrasp.perception.verdict import ACCEPTED_HAND
 
 EDGES = np.array([0.0, 0.05, 0.2, 0.4, 0.6, ACCEPT, 0.93, 0.98, 1.0])
@@ -23,9 +23,20 @@ SIZE, LEFT, TOP = 300, 60, 20
 """Of the plot [pixels]: edge of the square, space to its left and above."""
 
 
-def verdict_figures(answers: Sequence[VerdictTrial], hands: Sequence[HandTrial]) -> dict[str, Any]:
-    """What was accepted, by what was told of the object's place and by the kind of the mesh; reliability."""
-    said = np.array([confidence(evidence_of(one)) if one.evidence else 0.0 for one in answers])
+def verdict_figures(
+    answers: Sequence[VerdictTrial],
+    hands: Sequence[HandTrial],
+    weights: Mapping[str, Logistic] | None = None,
+) -> dict[str, Any]:
+    """What was accepted, by what was told of the object's place and by the kind of the mesh; reliability.
+
+    weights: as ``fitted_weights`` gives them; the package's if None.
+    """
+    weights = weights or {"OBJECT_WEIGHTS": OBJECT_WEIGHTS, "HAND_WEIGHTS": HAND_WEIGHTS}
+    of_object = weights["OBJECT_WEIGHTS"]
+    said = np.array(
+        [of_object.probability(features(evidence_of(one))) if one.evidence else 0.0 for one in answers]
+    )
     right = np.array([one.right for one in answers])
     accepted = said >= ACCEPT
     told: dict[str, Any] = {}
@@ -45,7 +56,7 @@ def verdict_figures(answers: Sequence[VerdictTrial], hands: Sequence[HandTrial])
         if kind != RIGHT
     }
     hands = [one for one in hands if one.found]
-    of_hands = np.array([HAND_WEIGHTS.probability(one.features) for one in hands])
+    of_hands = np.array([weights["HAND_WEIGHTS"].probability(one.features) for one in hands])
     sure = of_hands >= ACCEPTED_HAND
     far = np.array([one.far for one in hands])
     return {

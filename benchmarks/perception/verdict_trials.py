@@ -87,7 +87,7 @@ def _hand_trial(recorded: RecordedCapture, seen: Perceived) -> HandTrial | None:
         bool(apart < 0.5 * np.linalg.norm(np.ptp(pixels, axis=0))),
         float(off.mean()),
         float((off > 20.0).mean()),
-        hand_features(seen.hand, seen.quality, recorded.capture.intrinsics.width),
+        hand_features(seen.hand, seen.quality),
     )
 
 
@@ -148,7 +148,7 @@ def measure_trials(
                     painted is not None,
                     1000 * float(add_s(points, pose, truth)) if right else float("inf"),
                     float(np.degrees(rotation_error(pose, truth))) if right else float("nan"),
-                    {} if record is None else record.as_dict() | {"hand": hand.score},
+                    {} if record is None else record.as_dict(),
                     seconds,
                 )
             )

@@ -188,9 +188,7 @@ def perceive(
         table_found=scene.table is not None,
         quality=quality,
         warnings=warnings,
-        verdict=judged(
-            scene.object, refined, quality, capture.intrinsics.width, "" if fitted is None else fitted.name
-        ),
+        verdict=judged(scene.object, refined, quality, "" if fitted is None else fitted.name),
         notes=held.notes,
         mass_range=held.mass_range,
         fitted=fitted,

@@ -41,22 +41,13 @@ ROWS: Mapping[str, tuple[str, float, str]] = {
     "told": ("told where the object is (0 no, 0.5 box or click, 1 mask)", 1.0, ""),
     "explained": ("pixels of the object that the mesh explains", 100.0, "%"),
     "outline": ("overlap of the mesh's outline with them", 100.0, "%"),
-    "visible": ("of the mesh's visible part seen", 100.0, "%"),
-    "contradicted": ("of the mesh contradicted by what is behind it", 100.0, "%"),
-    "hidden": ("of the mesh hidden by the hand", 100.0, "%"),
-    "pixels": ("pixels of the object with depth", 1.0, "px"),
-    "residual": ("depth from the mesh, in the noise there", 1.0, ""),
     "stretch_gain": ("gain if the mesh had another size", 100.0, "%"),
     "stretch": ("by how much it would be another size", 100.0, "%"),
     "color": ("agreement of colors (0 without colors)", 1.0, ""),
     "rival": ("fit of the best other pose", 100.0, "%"),
-    "contact_m": ("fingertips from the object", 1000.0, "mm"),
-    "penetration_m": ("fingers in the object before they are fitted to it", 1000.0, "mm"),
     "edge_width": ("width of outlines in the depth", 1.0, "px"),
     "hand_score": ("hand: detector's score and agreement", 1.0, ""),
-    "reprojection_px": ("hand: landmarks from the joints", 1.0, "px"),
     "worst_finger_m": ("hand: depth from the skin, worst finger", 1000.0, "mm"),
-    "hand_in_object_m": ("hand in the object after the fit", 1000.0, "mm"),
 }
 """Words, factor and unit of each number."""
 
@@ -143,20 +134,17 @@ class Verdict:
         }
 
 
-def hand_features(hand: HandEstimate, quality: PerceptionQuality, width: int) -> dict[str, float]:
-    """What the probability of the hand is made of, by the names of ``HAND_WEIGHTS``. width: of the image
-    [pixels]."""
+def hand_features(hand: HandEstimate, quality: PerceptionQuality) -> dict[str, float]:
+    """What the probability of the hand is made of, by the names of ``HAND_WEIGHTS``."""
     worst = quality.worst_finger_m if isfinite(quality.worst_finger_m) else 0.05
     return {
         "hand_score": hand.score,
-        "reprojection_px": min(quality.reprojection_px * 640 / max(width, 640), 30.0),
         "worst_finger_m": min(worst, 0.06),
-        "hand_in_object_m": min(quality.penetration_m, 0.03),
     }
 
 
 def judged(
-    thing: ObjectEstimate, hand: HandEstimate, quality: PerceptionQuality, width: int, fitted: str = ""
+    thing: ObjectEstimate, hand: HandEstimate, quality: PerceptionQuality, fitted: str = ""
 ) -> Verdict:
     """The verdict.
 
@@ -164,19 +152,16 @@ def judged(
         thing: the object's pose.
         hand: as it was refined.
         quality: how well both agree with the image.
-        width: of the image [pixels].
         fitted: shape that stands for an object without a mesh.
     """
-    of_hand = hand_features(hand, quality, width)
+    of_hand = hand_features(hand, quality)
     probability = HAND_WEIGHTS.probability(of_hand)
     evidence = []
     if thing.evidence is not None:
         known, raw = features(thing.evidence), thing.evidence.as_dict()
         shares = OBJECT_WEIGHTS.shares(known)
         usual = dict(OBJECT_WEIGHTS.usual)
-        for name in ("pixels", "edge_width"):
-            if name in usual:
-                usual[name] = 10 ** (usual[name] + 3.0) if name == "pixels" else 2.0 ** usual[name]
+        usual["edge_width"] = 2.0 ** usual["edge_width"]
         evidence += [_meter(name, raw[name], usual[name], shares[name]) for name in shares]
     shares = HAND_WEIGHTS.shares(of_hand)
     evidence += [_meter(name, of_hand[name], HAND_WEIGHTS.usual[name], shares[name]) for name in shares]
@@ -201,7 +186,7 @@ def object_help(thing: ObjectEstimate) -> tuple[str, ...]:
         return ()
     shares = OBJECT_WEIGHTS.shares(features(e))
     size = sum(shares.get(name, 0.0) for name in ("stretch_gain", "stretch"))
-    covered = sum(shares.get(name, 0.0) for name in ("explained", "outline", "visible"))
+    covered = sum(shares.get(name, 0.0) for name in ("explained", "outline"))
     found = []
     if size < AGAINST and size < covered:
         found.append("a mesh of the right size: another one fits better; is its unit right?")

@@ -58,6 +58,9 @@ def write_perception_page(path: str | Path, perceived: Perceived, provenance: Ma
         FungraspError: the page can't be written.
     """
     facts = f"{side_words(perceived)} · {1000 * perceived.object_model.mass:.0f} g"
+    if perceived.mass_range is not None:
+        low, high = perceived.mass_range
+        facts += f", guessed: {1000 * low:.0f} to {1000 * high:.0f} g"
     page = Page(perception_title(perceived), (), facts, provenance=provenance)
     return write_page(path, page, perception_parts(perceived))
 

@@ -14,7 +14,7 @@ from fungrasp.perception.object_pose.known_object import KnownObject
 from fungrasp.perception.object_pose.pose_error import add_s, rotation_error
 from fungrasp.perception.object_pose.verdict_weights import OBJECT_WEIGHTS
 
-ACCEPT = 0.8
+ACCEPT = 0.85
 """Answers of a lower probability are not accepted."""
 
 RIVAL_DISTANCE = 0.01
@@ -41,17 +41,10 @@ def features(evidence: PoseEvidence) -> dict[str, float]:
         "told": e.told,
         "explained": e.explained,
         "outline": e.outline,
-        "visible": e.visible,
-        "contradicted": min(e.contradicted, 0.5),
-        "hidden": e.hidden,
-        "pixels": float(np.clip(np.log10(max(e.pixels, 1.0)) - 3.0, -1.0, 0.5)),
-        "residual": min(e.residual, 2.0),
         "stretch_gain": float(np.clip(e.stretch_gain, 0.0, 0.4)),
         "stretch": min(e.stretch, 0.5),
         "color": float(np.clip(e.color, -2.0, 2.0)),
         "rival": min(e.rival, 1.0),
-        "contact_m": min(e.contact_m, 0.03),
-        "penetration_m": min(e.penetration_m, 0.02),
         "edge_width": float(np.log2(np.clip(e.edge_width, 2.0, 12.0))),
     }
 

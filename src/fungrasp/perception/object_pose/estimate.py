@@ -158,12 +158,8 @@ def best_estimate(answers: PoseAnswers) -> ObjectEstimate:
     others = []
     for i in range(1, min(len(poses), ANSWERS + 1)):
         # What is not known of another pose is taken to be as with the first.
-        other = replace(
-            first,
-            **{name: float(getattr(answers.scores, name)[i]) for name in ("explained", "visible", "hidden")},
-            contradicted=float(answers.scores.contradicted[i]),
-            contact_m=float(answers.scores.contact[i]),
-        )
+        explained = float(answers.scores.explained[i] * answers.scores.quality[i] / answers.scores.quality[0])
+        other = replace(first, explained=min(explained, first.explained), rival=1.0)
         others.append((poses[i], min(confidence(other), score)))
     return ObjectEstimate(
         poses[0], score, score >= ACCEPT, tuple(others), answers.residual_m, evidence=first
