@@ -219,7 +219,9 @@ def measure_absent(
     """What perception makes of images of the same scene without the hand, and without the object."""
     seen = perceived(no_hand, HeldObject(model), detector)
     empty = perceived(no_object, HeldObject(model), detector)
-    return AbsentResult(0.0 if seen is None else seen.verdict.hand, _pose_result(empty, np.asarray(model.vertices), None))
+    return AbsentResult(
+        0.0 if seen is None else seen.verdict.hand, _pose_result(empty, np.asarray(model.vertices), None)
+    )
 
 
 def together(seconds: Mapping[str, StageSeconds], *stages: str) -> StageSeconds:

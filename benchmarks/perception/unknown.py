@@ -14,8 +14,8 @@ from fungrasp.cli.console import progress_bar, table
 
 @dataclass(frozen=True)
 class Unknown:
-    """Fit a box, cylinder or sphere to the object of each capture whose truth is known, retarget the grasp on it,
-    and try that grasp on the true object."""
+    """Fit a box, cylinder or sphere to the object of each capture whose truth is known, retarget the grasp on
+    it, and try that grasp on the true object."""
 
     folder: Annotated[Path, tyro.conf.Positional]
     """One folder each, such as `varied` makes and `recorded` reads."""
@@ -62,7 +62,13 @@ class Unknown:
                 show(i + 1)
                 if recorded.model is None or recorded.pose_camera_object is None:
                     continue
-                row: dict[str, Any] = {"capture": path.name, "lifted": False, "sure": False, "shape": "", "why": ""}
+                row: dict[str, Any] = {
+                    "capture": path.name,
+                    "lifted": False,
+                    "sure": False,
+                    "shape": "",
+                    "why": "",
+                }
                 rows.append(row)
                 try:
                     seen = perceive(hinted_captures(recorded)[self.told], UNKNOWN, detector=detector)

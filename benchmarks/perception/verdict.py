@@ -14,9 +14,9 @@ from fungrasp.cli.console import progress_bar, table
 
 @dataclass(frozen=True)
 class Verdict:
-    """Try the right mesh and wrong ones (other sizes, proportions and objects, mirror images) on captures whose
-    truth is known; say how often what is accepted is right, and draw it. Each capture is measured once: the
-    evidence lies in a file, out of which the weights of the verdict are fitted in a second."""
+    """Try the right mesh and wrong ones (other sizes, proportions and objects, mirror images) on captures
+    whose truth is known; say how often what is accepted is right, and draw it. Each capture is measured once:
+    the evidence lies in a file, out of which the weights of the verdict are fitted in a second."""
 
     trials: Annotated[Path, tyro.conf.Positional]
     """File of the trials (.jsonl): captures that are in it are not measured again."""
@@ -32,8 +32,8 @@ class Verdict:
     """Draw the reliability diagram here (.svg)."""
 
     def run(self) -> None:
-        from benchmarks.perception.verdict_fit import fitted_weights, written_weights
         from benchmarks.perception.verdict_figures import reliability_svg, verdict_figures, verdict_rows
+        from benchmarks.perception.verdict_fit import fitted_weights, written_weights
         from benchmarks.perception.verdict_trials import read_trials
         from fungrasp.errors import FungraspError
         from fungrasp.evaluation import write_result

@@ -1,4 +1,4 @@
-"""Figures of trials of the verdict: what is accepted, how often it is right, and how probable it was said to be."""
+"""Figures of trials of the verdict: what is accepted, how often it is right, how probable it was said."""
 
 from __future__ import annotations
 
@@ -70,8 +70,12 @@ def verdict_figures(
         "hands": {
             "count": len(hands),
             "right": rate_of([one.mean_mm < RIGHT_HAND_MM for one in hands]),
-            "right_sure": rate_of([bool(s) for s, one in zip(sure, hands, strict=True) if one.mean_mm < RIGHT_HAND_MM]),
-            "sure_right": rate_of([one.mean_mm < RIGHT_HAND_MM for one, s in zip(hands, sure, strict=True) if s]),
+            "right_sure": rate_of(
+                [bool(s) for s, one in zip(sure, hands, strict=True) if one.mean_mm < RIGHT_HAND_MM]
+            ),
+            "sure_right": rate_of(
+                [one.mean_mm < RIGHT_HAND_MM for one, s in zip(hands, sure, strict=True) if s]
+            ),
             "joints_far_of_sure": float(far[sure].mean()) if sure.any() else None,
         },
     }

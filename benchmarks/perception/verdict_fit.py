@@ -22,8 +22,8 @@ OBJECT_SIGNS: Mapping[str, int] = {
     "rival": -1,
     "edge_width": 1,
 }
-"""Whether more of a number speaks for the answer, or against it. Where depth is smoothed, right answers explain
-less: there, as much is worth more."""
+"""Whether more of a number speaks for the answer, or against it. Where depth is smoothed, right answers
+explain less: there, as much is worth more."""
 
 HAND_SIGNS: Mapping[str, int] = {
     "hand_score": 1,
@@ -31,16 +31,19 @@ HAND_SIGNS: Mapping[str, int] = {
 }
 
 OBJECT_PRIOR: Mapping[str, float] = {"rival": -3.0}
-"""Weights that few trials are to change little: a different pose that fits as well makes either as likely, but
-hardly any of the trials has one."""
+"""Weights that few trials are to change little: a different pose that fits as well makes either as likely,
+but hardly any of the trials has one."""
 
 HAND_PRIOR: Mapping[str, float] = {"hand_score": 6.0}
-"""Weights that few trials are to change little: of 85 rendered hands of earlier measurements those with a score
-of 0.6 or more had joints 9.7 mm off, the others 32 mm."""
+"""Weights that few trials are to change little: of 85 rendered hands of earlier measurements those with a
+score of 0.6 or more had joints 9.7 mm off, the others 32 mm."""
+
+FIRM = 20.0
+"""How many times as firmly the prior weights are held."""
 
 RIDGE = 1.0
-"""Weight of the squares of the weights' differences from the prior ones (0 where there is none), in that of one
-trial, numbers scaled to spread 1."""
+"""Weight of the squares of the weights' differences from the prior ones (0 where there is none), in that of
+one trial, numbers scaled to spread 1."""
 
 WRONG_MESHES = 1.0 / 3.0
 """Part of the trials, by weight, in which the mesh is wrong: people seldom give a wrong one."""
@@ -78,7 +81,10 @@ def fitted_weights(answers: Sequence[VerdictTrial], hands: Sequence[HandTrial]) 
     """Weights for answers and for hands."""
     return {
         "OBJECT_WEIGHTS": fit_logistic(
-            *object_data(answers), OBJECT_SIGNS, trial_weights([one for one in answers if one.evidence]), OBJECT_PRIOR
+            *object_data(answers),
+            OBJECT_SIGNS,
+            trial_weights([one for one in answers if one.evidence]),
+            OBJECT_PRIOR,
         ),
         "HAND_WEIGHTS": fit_logistic(
             *hand_data(hands), HAND_SIGNS, np.ones(sum(one.found for one in hands)), HAND_PRIOR
@@ -108,14 +114,15 @@ def fit_logistic(
     x = np.array([[row[name] for name in names] for row in rows])
     usual = np.median(x[right], axis=0)
     spread = np.maximum(x.std(axis=0), 1e-6)
+    firm = ridge * np.array([FIRM if name in (prior or {}) else 1.0 for name in names])
     likely = np.array([(prior or {}).get(name, 0.0) for name in names]) * spread
     z, y = (x - usual) / spread, np.where(right, 1.0, -1.0)
 
     def loss(w: np.ndarray) -> tuple[float, np.ndarray]:
         margin = y * (w[0] + z @ w[1:])
         slope = -weights * y / (1.0 + np.exp(np.minimum(margin, 500.0)))
-        gradient = np.concatenate([[slope.sum()], z.T @ slope + 2 * ridge * (w[1:] - likely)])
-        return float(weights @ np.logaddexp(0.0, -margin) + ridge * np.square(w[1:] - likely).sum()), gradient
+        gradient = np.concatenate([[slope.sum()], z.T @ slope + 2 * firm * (w[1:] - likely)])
+        return float(weights @ np.logaddexp(0.0, -margin) + firm @ np.square(w[1:] - likely)), gradient
 
     limits = [(None, None), *(((0.0, None) if signs[name] > 0 else (None, 0.0)) for name in names)]
     found = minimize(loss, np.zeros(1 + len(names)), jac=True, bounds=limits, method="L-BFGS-B").x

@@ -1,5 +1,5 @@
-"""Trials of the verdict on poses of objects: captures with the right mesh and with wrong ones, and the evidence
-that each answer rests on. Calibration reads the file and needs no image again."""
+"""Trials of the verdict on poses of objects: captures with the right mesh and with wrong ones, and the
+evidence that each answer rests on. Calibration reads the file and needs no image again."""
 
 from __future__ import annotations
 
@@ -184,8 +184,8 @@ def painted_vertices(folder: Path) -> tuple[np.ndarray, np.ndarray] | None:
     if not meshes:
         return None
     mesh: Any = read_colored_mesh(meshes[0])
-    return None if mesh is None else (
-        np.array(mesh.vertices), np.array(mesh.visual.vertex_colors)[:, :3] / 255
+    return (
+        None if mesh is None else (np.array(mesh.vertices), np.array(mesh.visual.vertex_colors)[:, :3] / 255)
     )
 
 

@@ -73,7 +73,9 @@ def with_colors(known: KnownObject, points: np.ndarray, colors: np.ndarray, mesh
 
 def _stretched(model: ObjectModel, factor: float) -> ObjectModel:
     factors = np.where(np.arange(3) == int(model.size.argmax()), factor, 1.0)
-    return ObjectModel(f"{model.name} stretched {factor:g}", model.mass, model.vertices * factors, model.faces)
+    return ObjectModel(
+        f"{model.name} stretched {factor:g}", model.mass, model.vertices * factors, model.faces
+    )
 
 
 def _points(model: ObjectModel) -> np.ndarray:

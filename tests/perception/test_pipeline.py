@@ -23,7 +23,7 @@ from fungrasp.perception.io.scene_folders import write_folder
 from fungrasp.perception.object_pose.evidence import PoseEvidence
 from fungrasp.perception.object_pose.known_object import MeshRays
 from fungrasp.perception.object_pose.pose_error import add_s
-from fungrasp.perception.perceived import Perceived
+from fungrasp.perception.perceived import Perceived, measure_quality
 from fungrasp.perception.pipeline import perceive
 from fungrasp.perception.scene.table import table_under
 
@@ -88,7 +88,7 @@ def test_an_image_becomes_a_grasp():
     error = np.linalg.norm(perceived.hand.joints_camera - scene.joints, axis=1)
     assert error.mean() < 0.012
     thing = perceived.object
-    poses = [thing.pose_camera_object, *(p for p, score in thing.alternatives if score > thing.score - 0.01)]
+    poses = [thing.pose_camera_object, *(p for p, score in thing.alternatives if score > thing.score - 0.1)]
     assert min(add_s(scene.model.vertices, pose, scene.pose_camera_object) for pose in poses) < 0.004
     np.testing.assert_allclose(perceived.table, scene.table, atol=0.01)
     grasp = perceived.grasp
@@ -344,6 +344,21 @@ def test_the_wrong_mesh_is_not_believed():
     assert record["sure"] is False and record["object"] == perceived.object.score
     assert [row["name"] for row in record["evidence"]] == [one.name for one in perceived.verdict.evidence]
     assert perceived.grasp.object_name == "hammer"
+
+
+def test_a_finger_far_behind_what_is_seen_is_counted():
+    scene, _ = mug()
+    found = seen()
+    surface = scene.model.signed_distance
+    right = measure_quality(scene.capture, found.hand, found.object, surface)
+    behind = found.hand.joints_camera.copy()
+    behind[17:] += 0.055 * behind[17:] / np.linalg.norm(behind[17:], axis=1, keepdims=True)
+    moved = dataclasses.replace(found.hand, joints_camera=behind)
+    wrong = measure_quality(scene.capture, moved, found.object, surface)
+    assert right.worst_finger_m < 0.015
+    assert wrong.worst_finger_m > 0.035
+    # The median of the whole hand hardly knows.
+    assert wrong.hand_residual_m < 0.015
 
 
 def test_a_mesh_in_millimetres_is_refused():

@@ -113,7 +113,8 @@ class Perceive:
         written = self._write(perceived, perf_counter() - start)
         touching = int(perceived.grasp.link_contacts.sum())
         print(table(perceived.verdict.rows()))
-        print(f"{self.out}: a {perceived.hand.side} hand on '{perceived.object_model.name}', {touching} links in contact")
+        name = perceived.object_model.name
+        print(f"{self.out}: a {perceived.hand.side} hand on '{name}', {touching} links in contact")
         for note in (*perceived.notes, *kept, *written):
             print(note)
         for warning in perceived.warnings:

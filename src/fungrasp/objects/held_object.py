@@ -69,8 +69,8 @@ def held_object(obj: ObjectModel | str | Path, mass: float | None = None) -> Hel
         volume = float(unit.mesh.convex_hull.volume)
         mass, between = DENSITY * volume, (DENSITIES[0] * volume, DENSITIES[1] * volume)
         notes = (
-            f"the mass was guessed, {mass:.2g} kg, and may be {between[0]:.2g} to {between[1]:.2g}: give --mass "
-            "if you know it",
+            f"the mass was guessed, {mass:.2g} kg, and may be {between[0]:.2g} to {between[1]:.2g}: give "
+            "--mass if you know it",
         )
     model = plain_shape(mesh, mass) if shape else object_from_file(mesh, mass)
     return HeldObject(model, colored_mesh(mesh, model) if is_file else None, notes, between)

@@ -46,7 +46,6 @@ from fungrasp.perception.perceived import (
     Stopwatch,
     measure_quality,
 )
-from fungrasp.perception.verdict import judged
 from fungrasp.perception.scene.table import (
     NO_TABLE,
     guessed_table,
@@ -55,6 +54,7 @@ from fungrasp.perception.scene.table import (
     table_under,
     world_from_table,
 )
+from fungrasp.perception.verdict import judged
 
 UNKNOWN = "unknown"
 """Stands for an object without a mesh."""
@@ -213,7 +213,11 @@ def _fitted_shape(
         held_by = [fit_hand(one.detected, capture) for one in meant]
     shapes, problem = [], None
     for one in held_by:
-        under = table if table is not None else table_under(capture, one.joints_camera, np.random.default_rng(seed))
+        under = (
+            table
+            if table is not None
+            else table_under(capture, one.joints_camera, np.random.default_rng(seed))
+        )
         try:
             shapes.append(fit_shape(capture, one.joints_camera, under, seed=seed))
         except FungraspError as error:

@@ -88,8 +88,8 @@ class Verdict:
     help: tuple[str, ...]
     """What would make a surer answer, most useful first; empty where it is sure."""
     fitted: str = ""
-    """Shape that was fitted to an object without a mesh, "box:60x28x30"; ``object`` is then the part of what is
-    seen that it explains, no probability."""
+    """Shape that was fitted to an object without a mesh, "box:60x28x30"; ``object`` is then the part of what
+    is seen that it explains, no probability."""
 
     @property
     def probability(self) -> float:
@@ -102,8 +102,9 @@ class Verdict:
         if self.fitted:
             kind, sizes = self.fitted.split(":")
             return (
-                f"unknown object: a {kind} of {sizes.replace('x', ' x ')} mm explains {100 * self.object:.0f} % of "
-                f"what is seen; what is hidden is a guess (hand {100 * self.hand:.0f} %)"
+                f"unknown object: a {kind} of {sizes.replace('x', ' x ')} mm explains "
+                f"{100 * self.object:.0f} % of what is seen; the rest is a guess "
+                f"(hand {100 * self.hand:.0f} %)"
             )
         parts = f"object {100 * self.object:.0f} %, hand {100 * self.hand:.0f} %"
         if self.sure:

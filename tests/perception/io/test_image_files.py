@@ -169,6 +169,23 @@ def test_a_busy_background_is_not_taken_for_a_shift():
     assert check_alignment(Capture(color, np.roll(depth, (0, 16), (0, 1)), lens)) == (16, 0)
 
 
+def test_stripes_beside_one_thing_are_not_taken_for_a_shift():
+    """Something striped, like the fingers of a hand, has edges of color beside its edges of depth."""
+    rng = np.random.default_rng(1)
+    color = np.full((HEIGHT, WIDTH, 3), 90, np.uint8)
+    depth = np.full((HEIGHT, WIDTH), 1.2, np.float32)
+    for u in range(30, 290, 60):
+        for v in (170, 215):
+            # Small things whose faint edges are where their depth says.
+            color[v : v + 24, u : u + 30] = 90 + rng.integers(12, 20)
+            depth[v : v + 24, u : u + 30] = 0.8
+    color[30:130, 120:180] = 90
+    depth[30:130, 120:180] = 0.6
+    color[30:130, [v for c in (136, 196) for v in range(c, c + 3)]] = 255
+    lens = Intrinsics(WIDTH, HEIGHT, 300, 301, 160, 119)
+    assert check_alignment(Capture(color, depth, lens)) is None
+
+
 def test_swapped_colors_are_guessed_from_skin(tmp_path, caplog):
     color, _ = scene()
     assert not looks_bgr(color)

@@ -71,7 +71,11 @@ def test_background_in_a_mask_is_left_out() -> None:
     assert not cleaned[rows[some], columns[some]].any() and extent < 12.0
     assert cleaned.sum() == SCENE.mask.sum() - len(some)
     view, problem = view_of_object(
-        known_object(MUG), replace(capture, depth=depth, mask=wrong), SCENE.hand.joints_camera, SCENE.table, rng
+        known_object(MUG),
+        replace(capture, depth=depth, mask=wrong),
+        SCENE.hand.joints_camera,
+        SCENE.table,
+        rng,
     )
     assert view is not None and not problem
 

@@ -212,6 +212,9 @@ TILES, LEAST_TILE = 8, 20
 [at 640 x 480]: depth that is shifted is so everywhere, while stripes beside the edge of one thing, such as
 the next finger, are in one place only."""
 
+TELLING = 0.2
+"""Parts in which the edges are stronger or weaker by less than this part are not asked."""
+
 AGREEING = 0.75
 """Part of them in which the depth must fit better where it is said to belong."""
 
@@ -286,7 +289,9 @@ def check_alignment(capture: Capture) -> tuple[int, int] | None:
     tile = (rows * TILES // height) * TILES + columns * TILES // width
     counts = np.bincount(tile, minlength=TILES**2)
     gain = np.bincount(tile, strength[down, across] - strength[here, here], TILES**2)
-    if (gain[counts >= LEAST_TILE * scale] > 0).mean() < AGREEING:
+    # Edges along the shift are as strong elsewhere: they say nothing.
+    telling = (counts >= LEAST_TILE * scale) & (np.abs(gain) > TELLING * near * counts)
+    if (gain[telling] > 0).sum() < AGREEING * max(int(telling.sum()), 1):
         return None
     return -int(shifts[across]), -int(shifts[down])
 

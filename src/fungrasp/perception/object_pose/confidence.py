@@ -44,7 +44,7 @@ def features(evidence: PoseEvidence) -> dict[str, float]:
         "stretch_gain": float(np.clip(e.stretch_gain, 0.0, 0.4)),
         "stretch": min(e.stretch, 0.5),
         "color": float(np.clip(e.color, -2.0, 2.0)),
-        "rival": min(e.rival, 1.0),
+        "rival": float(np.clip(5.0 * (e.rival - 0.8), 0.0, 1.0)),
         "edge_width": float(np.log2(np.clip(e.edge_width, 2.0, 12.0))),
     }
 

@@ -159,11 +159,9 @@ def best_estimate(answers: PoseAnswers) -> ObjectEstimate:
     for i in range(1, min(len(poses), ANSWERS + 1)):
         # What is not known of another pose is taken to be as with the first.
         explained = float(answers.scores.explained[i] * answers.scores.quality[i] / answers.scores.quality[0])
-        other = replace(first, explained=min(explained, first.explained), rival=1.0)
+        other = replace(first, explained=min(explained, first.explained))
         others.append((poses[i], min(confidence(other), score)))
-    return ObjectEstimate(
-        poses[0], score, score >= ACCEPT, tuple(others), answers.residual_m, evidence=first
-    )
+    return ObjectEstimate(poses[0], score, score >= ACCEPT, tuple(others), answers.residual_m, evidence=first)
 
 
 def _answers(

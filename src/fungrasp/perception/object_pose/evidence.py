@@ -63,9 +63,7 @@ def pose_evidence(
     seen = view.known.rays.cast(pose[None], scorer.directions)[0]
     mine, shown = scorer.masks[owner], np.isfinite(seen) * (1.0 - scorer.skin)
     points = view.evidence[owner].points
-    gain, factors = stretch_gain(
-        view.scorer(STRETCH_RAYS), pose, owner, np.median(points, axis=0), rng
-    )
+    gain, factors = stretch_gain(view.scorer(STRETCH_RAYS), pose, owner, np.median(points, axis=0), rng)
     capture = view.capture
     told = 1.0 if capture.mask is not None else 0.5 if capture.box or capture.point else 0.0
     return PoseEvidence(

@@ -11,8 +11,8 @@ from fungrasp.objects import ObjectModel
 from fungrasp.perception.estimates import HandEstimate, ObjectEstimate, PerceptionWarning
 from fungrasp.perception.io.capture import Capture
 from fungrasp.perception.object_pose.confidence import ACCEPT, RIVAL_DISTANCE, confidence
-from fungrasp.perception.object_pose.evidence import PoseEvidence, pose_evidence
 from fungrasp.perception.object_pose.estimate import RAYS
+from fungrasp.perception.object_pose.evidence import PoseEvidence, pose_evidence
 from fungrasp.perception.object_pose.known_object import known_object
 from fungrasp.perception.object_pose.object_view import (
     LEAST_PIXELS,
@@ -83,7 +83,7 @@ def score_given_pose(
 def _scored(
     pose: np.ndarray, view: ObjectView, scorer: PoseScorer, rng: np.random.Generator, improve: bool
 ) -> tuple[np.ndarray, float, PoseEvidence, float]:
-    """A pose, or the best fit nearby; its probability; what that is made of; how far from it the object is [m]."""
+    """A pose, or the best fit nearby; its probability; what that is made of; how far it is off [m]."""
     known, rounds = view.known, PoseSearchSettings().rounds
     evidence = list(view.evidence)
     mask = explained_mask(known, view.capture, pose, view.support > ALLOWED)

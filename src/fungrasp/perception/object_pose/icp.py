@@ -14,7 +14,6 @@ import numpy as np
 from scipy import ndimage
 
 from fungrasp.geometry.poses import (
-    cross,
     inverse_transform_points,
     quaternion_from_rotation_vector,
     quaternion_multiply,
@@ -54,30 +53,24 @@ class FreeSpace:
         Returns:
             distance [m], shape [...], 0 for allowed points; its gradient, shape [..., 3].
         """
+        from fungrasp.perception.object_pose.icp_loops import intrusions
+
+        flat = np.ascontiguousarray(points, dtype=float).reshape(-1, 3)
+        distance, gradient = np.empty(len(flat)), np.empty(flat.shape)
+        intrusions(flat, self.depth, self.refuge, self.lens, self.lowest, distance, gradient)
+        return distance.reshape(points.shape[:-1]), gradient.reshape(points.shape)
+
+    @property
+    def lens(self) -> np.ndarray:
+        """Focal lengths, and the center in ``depth`` [pixels], shape [4]."""
         k = self.intrinsics
-        z = np.maximum(points[..., 2], 1e-3)
-        x, y = points[..., 0] / z, points[..., 1] / z
-        u, v = k.fx * x + k.cx - self.corner[0], k.fy * y + k.cy - self.corner[1]
-        height, width = self.depth.shape
-        column, row = np.rint(u).astype(np.int64), np.rint(v).astype(np.int64)
-        seen = (column >= 0) & (column < width) & (row >= 0) & (row < height)
-        column, row = np.where(seen, column, 0), np.where(seen, row, 0)
-        short = np.where(seen, self.depth[row, column] - z, 0.0)
-        away_v = row - self.refuge[0, row, column]
-        away_u = column - self.refuge[1, row, column]
-        pixels = np.hypot(away_u, away_v)
-        sideways = pixels * z / k.fx
-        aside = (pixels > 0) & (sideways < short)
-        distance = np.where(aside, sideways, np.maximum(short, 0.0))
-        unit = np.where(aside, 1.0 / np.maximum(pixels, 1.0), 0.0)
-        du, dv = away_u * unit, away_v * unit
-        gradient = np.stack([du, dv, np.where(aside, -(du * x + dv * y), -1.0)], axis=-1)
-        if self.table is not None:
-            below = -(points @ self.table[:3] + self.table[3])
-            lower = below > distance
-            distance = np.where(lower, below, distance)
-            gradient = np.where(lower[..., None], -self.table[:3], gradient)
-        return distance, gradient
+        return np.array([k.fx, k.fy, k.cx - self.corner[0], k.cy - self.corner[1]])
+
+    @property
+    def lowest(self) -> np.ndarray:
+        """The table's plane, or one that nothing is below, shape [4]."""
+        nowhere = np.array([0.0, 0.0, 0.0, np.inf])
+        return nowhere if self.table is None else np.asarray(self.table, dtype=float)
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,52 +141,35 @@ def fit_poses(
     weight = wide**-1.0 / np.mean(wide**-1.0)
     samples = surface.samples[: settings.samples]
     cost = np.zeros(len(poses))
+    # Importing Numba takes half a second: not before something is fitted.
+    from fungrasp.perception.object_pose.icp_loops import fit_terms
+
+    free, count = evidence.free, len(poses)
+    lens, table = free.lens, free.lowest
+    matrix, vector = np.empty((count, 6, 6)), np.empty((count, 6))
     for _ in range(settings.iterations):
-        rotation, position = rotation_matrix(poses[:, 3:]), poses[:, None, :3]
-        grid = np.zeros(len(poses), dtype=int)
-        # Rows are points: camera to object frame by (p - t) R, gradients back by g R^T, shape [H, P, 3].
-        distance, slope = surface.distance.query(grid, (points - position) @ rotation)
-        normal = slope @ rotation.swapaxes(-1, -2)
-        arm = points - position
-        pulls = _terms(-normal, arm, distance, settings.scale * np.sqrt(wide), weight)
-        turned = samples @ rotation.swapaxes(-1, -2)
-        depth, away = evidence.free.intrusion(turned + position)
-        pushes = _terms(away, turned, depth, settings.free_scale, 1.0)
-        portion = settings.free_weight / len(samples)
-        matrix = pulls[0] / len(points) + portion * pushes[0]
-        vector = pulls[1] / len(points) + portion * pushes[1]
-        cost = pulls[2] / len(points) + portion * pushes[2]
+        fit_terms(
+            surface.distance.arrays,
+            points,
+            weight,
+            settings.scale * np.sqrt(wide),
+            samples,
+            settings.free_weight,
+            settings.free_scale,
+            free.depth,
+            free.refuge,
+            lens,
+            table,
+            rotation_matrix(poses[:, 3:]),
+            np.ascontiguousarray(poses[:, :3]),
+            matrix,
+            vector,
+            cost,
+        )
         damping = np.diag([3e-7] * 3 + [1e-3] * 3) + 1e-3 * matrix * np.eye(6)
         step = np.linalg.solve(matrix + damping, -vector[..., None])[..., 0]
         poses = _moved(poses, step)
     return poses, cost
-
-
-def _terms(
-    gradient: np.ndarray,
-    arm: np.ndarray,
-    residual: np.ndarray,
-    scale: float | np.ndarray,
-    weight: float | np.ndarray,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Normal equations for a turn about the object's origin and a shift.
-
-    Args:
-        gradient: of the residual by the point's position on the object, shape [H, P, 3].
-        arm: the point less the object's origin, shape [H, P, 3].
-        residual: [m], shape [H, P].
-        scale: of the robust weight [m], one or shape [P].
-        weight: of the residuals, one or shape [P].
-
-    Returns:
-        matrix, shape [H, 6, 6]; vector, shape [H, 6]; sum of robust costs [m^2], shape [H].
-    """
-    jacobian = np.concatenate([cross(arm, gradient), gradient], axis=-1)
-    squared = (residual / scale) ** 2
-    weighted = jacobian * (weight / (1.0 + squared) ** 2)[..., None]
-    matrix = weighted.swapaxes(-1, -2) @ jacobian
-    vector = (weighted.swapaxes(-1, -2) @ residual[..., None])[..., 0]
-    return matrix, vector, (weight * scale**2 * squared / (1.0 + squared)).sum(axis=-1)
 
 
 def _moved(poses: np.ndarray, step: np.ndarray) -> np.ndarray:

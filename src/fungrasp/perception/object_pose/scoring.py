@@ -104,9 +104,7 @@ class PoseScorer:
     step: int
     """Distance between the rays' rows and columns [pixels]."""
 
-    def __call__(
-        self, poses: np.ndarray, owner: np.ndarray, stretch: np.ndarray | None = None
-    ) -> PoseScores:
+    def __call__(self, poses: np.ndarray, owner: np.ndarray, stretch: np.ndarray | None = None) -> PoseScores:
         """Score poses of the object in the camera frame, shape [H, 7], each by the mask it was fitted to,
         shape [H] int; the mesh may be stretched along its axes, see ``MeshRays.cast``."""
         seen = self.known.rays.cast(poses, self.directions, stretch)

@@ -1,6 +1,7 @@
 """A box, a cylinder or a sphere fitted to what is seen in a hand: for objects of which there is no mesh.
 
-What no image shows is a guess: the far side is where the fingertips are that hold it, or as deep as it is wide.
+What no image shows is a guess: the far side is where the fingertips are that hold it, or as deep as it is
+wide.
 Camera frame: OpenCV [m].
 """
 
@@ -42,8 +43,10 @@ ROUNDS = ((0.010, 12.0, 0.35), (0.006, 8.0, 0.20), (0.004, 5.0, 0.12), (0.002, 3
 """Standard deviations of the random moves: shift [m], turn [degrees], logarithm of a side."""
 
 TOUCHING = 0.015
-"""Fingertips so far from the surface [m] halve what a shape is worth: without a mesh nothing else tells what is
-held from what lies beside the hand."""
+"""Fingertips so far from the surface [m] halve what a shape is worth: without a mesh nothing else tells what
+is held from what lies beside the hand."""
+
+TOO_LITTLE = "too little of an object is seen in the hand: click at it (--point), or give a mesh"
 
 KEPT, TRIES = 4, 24
 """So many of the best go on, and so many moves of each are tried in each round."""
@@ -62,8 +65,6 @@ class FittedShape:
     """In the camera frame, shape [7]."""
     quality: float
     """How well it explains the image, 0 to 1: see ``PoseScores``."""
-    hidden: float
-    """Part of its silhouette that skin hides."""
 
     @property
     def fits(self) -> bool:
@@ -91,7 +92,7 @@ def fit_shape(
     view = segment(capture, joints, table, REACH)
     masks = [mask for mask in view.masks if (mask & capture.measured).sum() >= LEAST_PIXELS][:4]
     if not masks:
-        raise FungraspError("too little of an object is seen in the hand: click at it (--point), or give a mesh")
+        raise FungraspError(TOO_LITTLE)
     found: list[tuple[float, FittedShape]] = []
     for kind, numbers in SHAPES.items():
         size = "x".join(["100"] * (max(numbers) + 1))
@@ -104,11 +105,14 @@ def fit_shape(
             depth = capture.depth[rows, columns]
             points = capture.intrinsics.deproject(np.stack([columns, rows], axis=-1), depth)
             poses, sides = _starts(points, numbers, table)
-            quality, pose, side, hidden = _climbed(scorer, poses, sides, numbers, owner, rng)
-            name = f"{kind}:" + "x".join(f"{1000 * one:.0f}" for one in side[np.unique(numbers, return_index=True)[1]])
-            found.append((quality + SIMPLER[kind], FittedShape(name, pose, quality, hidden)))
+            worth, pose, side = _climbed(scorer, poses, sides, numbers, owner, rng)
+            quality = float(scorer(pose[None], np.array([owner]), side[None] / UNIT).quality[0])
+            name = f"{kind}:" + "x".join(
+                f"{1000 * one:.0f}" for one in side[np.unique(numbers, return_index=True)[1]]
+            )
+            found.append((worth + SIMPLER[kind], FittedShape(name, pose, quality)))
     if not found:
-        raise FungraspError("too little of an object is seen in the hand: click at it (--point), or give a mesh")
+        raise FungraspError(TOO_LITTLE)
     return max(found, key=lambda one: one[0])[1]
 
 
@@ -156,17 +160,17 @@ def _climbed(
     numbers: tuple[int, ...],
     owner: int,
     rng: np.random.Generator,
-) -> tuple[float, np.ndarray, np.ndarray, float]:
-    """The best quality that random moves reach, its pose [7], sides [3] and hidden part."""
+) -> tuple[float, np.ndarray, np.ndarray]:
+    """The highest worth that random moves reach, its pose [7] and sides [3]."""
 
-    def scored(poses: np.ndarray, sides: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def scored(poses: np.ndarray, sides: np.ndarray) -> np.ndarray:
         scores = scorer(poses, np.full(len(poses), owner), sides / UNIT)
-        return scores.quality / (1.0 + np.square(scores.contact / TOUCHING)), scores.hidden
+        return scores.quality / (1.0 + np.square(scores.contact / TOUCHING))
 
-    quality, hidden = scored(poses, sides)
+    quality = scored(poses, sides)
     for shift, turn, grow in ROUNDS:
         rows = np.argsort(-quality)[:KEPT]
-        poses, sides, quality, hidden = poses[rows], sides[rows], quality[rows], hidden[rows]
+        poses, sides, quality = poses[rows], sides[rows], quality[rows]
         moves = rng.normal(size=(len(rows) * TRIES, 9))
         near = np.repeat(poses, TRIES, axis=0)
         steps = quaternion_from_rotation_vector(np.radians(turn) * moves[:, 3:6])
@@ -184,6 +188,6 @@ def _climbed(
         tried = np.concatenate([near[:, :3] + shift * moves[:, :3] + back, turned], axis=1)
         better = scored(tried, wider)
         poses, sides = np.concatenate([poses, tried]), np.concatenate([sides, wider])
-        quality, hidden = np.concatenate([quality, better[0]]), np.concatenate([hidden, better[1]])
+        quality = np.concatenate([quality, better])
     best = int(quality.argmax())
-    return float(quality[best]), poses[best], sides[best], float(hidden[best])
+    return float(quality[best]), poses[best], sides[best]

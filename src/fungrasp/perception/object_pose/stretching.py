@@ -50,7 +50,12 @@ def stretch_gain(
 
 
 def _best(
-    scorer: PoseScorer, pose: np.ndarray, owner: int, anchor: np.ndarray, wide: float, rng: np.random.Generator
+    scorer: PoseScorer,
+    pose: np.ndarray,
+    owner: int,
+    anchor: np.ndarray,
+    wide: float,
+    rng: np.random.Generator,
 ) -> tuple[float, np.ndarray]:
     """The best quality that is found and its factors; ``wide``: 1 to stretch, 0 to move only."""
     first = rng.uniform(-WIDEST, WIDEST, (STARTS, 1))

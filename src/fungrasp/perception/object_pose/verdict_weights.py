@@ -30,15 +30,15 @@ class Logistic:
 
 
 OBJECT_WEIGHTS = Logistic(
-    2.38,
+    2.37,
     {
-        "told": 0.598,
-        "explained": 6.63,
-        "outline": 1.77,
-        "stretch_gain": -5.05,
-        "stretch": -6.47,
-        "color": 0.718,
-        "rival": -0.0778,
+        "told": 0.589,
+        "explained": 6.55,
+        "outline": 1.81,
+        "stretch_gain": -5.16,
+        "stretch": -6.14,
+        "color": 0.737,
+        "rival": -2.98,
         "edge_width": 0.223,
     },
     {
@@ -55,10 +55,10 @@ OBJECT_WEIGHTS = Logistic(
 """Of ``fungrasp.perception.object_pose.confidence.features``."""
 
 HAND_WEIGHTS = Logistic(
-    2.91,
+    3.32,
     {
-        "hand_score": 2.57,
-        "worst_finger_m": -63,
+        "hand_score": 5.62,
+        "worst_finger_m": -58.8,
     },
     {
         "hand_score": 0.875,

@@ -1,0 +1,127 @@
+"""The normal equations of ``icp.fit_poses``, in compiled loops."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fungrasp.geometry.compiling import compiled, compiled_part
+from fungrasp.geometry.distance_queries import signed_distance
+from fungrasp.geometry.signed_distance import GridArrays
+
+
+@compiled_part
+def _intrusion(x, y, z, depth, refuge, lens, table):
+    """How far a point would have to move to be allowed, and its gradient: see ``FreeSpace``."""
+    near = z if z > 1e-3 else 1e-3
+    ux, uy = x / near, y / near
+    column = int(np.rint(lens[0] * ux + lens[2]))
+    row = int(np.rint(lens[1] * uy + lens[3]))
+    distance, gx, gy, gz = 0.0, 0.0, 0.0, -1.0
+    if 0 <= column < depth.shape[1] and 0 <= row < depth.shape[0]:
+        short = depth[row, column] - near
+        away_v, away_u = row - refuge[0, row, column], column - refuge[1, row, column]
+        pixels = np.sqrt(float(away_u * away_u + away_v * away_v))
+        sideways = pixels * near / lens[0]
+        if pixels > 0 and sideways < short:
+            du, dv = away_u / pixels, away_v / pixels
+            distance, gx, gy, gz = sideways, du, dv, -(du * ux + dv * uy)
+        elif short > 0:
+            distance = short
+    below = -(x * table[0] + y * table[1] + z * table[2] + table[3])
+    if below > distance:
+        return below, -table[0], -table[1], -table[2]
+    return distance, gx, gy, gz
+
+
+@compiled
+def intrusions(
+    points: np.ndarray,
+    depth: np.ndarray,
+    refuge: np.ndarray,
+    lens: np.ndarray,
+    table: np.ndarray,
+    distance: np.ndarray,
+    gradient: np.ndarray,
+) -> None:
+    """Write what ``FreeSpace.intrusion`` returns of points of shape [P, 3]; arguments as of ``fit_terms``."""
+    for p in range(len(points)):
+        distance[p], gradient[p, 0], gradient[p, 1], gradient[p, 2] = _intrusion(
+            points[p, 0], points[p, 1], points[p, 2], depth, refuge, lens, table
+        )
+
+
+@compiled_part
+def _add(matrix, vector, arm, gradient, residual, weight):
+    """Add a residual whose gradient by the point's position is given, for a turn and a shift."""
+    ax, ay, az = arm
+    gx, gy, gz = gradient
+    j = (ay * gz - az * gy, az * gx - ax * gz, ax * gy - ay * gx, gx, gy, gz)
+    for a in range(6):
+        part = weight * j[a]
+        vector[a] += part * residual
+        for b in range(a, 6):
+            matrix[a, b] += part * j[b]
+
+
+@compiled
+def fit_terms(
+    grids: GridArrays,
+    points: np.ndarray,
+    weight: np.ndarray,
+    scale: np.ndarray,
+    samples: np.ndarray,
+    free_weight: float,
+    free_scale: float,
+    depth: np.ndarray,
+    refuge: np.ndarray,
+    lens: np.ndarray,
+    table: np.ndarray,
+    rotation: np.ndarray,
+    position: np.ndarray,
+    matrix: np.ndarray,
+    vector: np.ndarray,
+    cost: np.ndarray,
+) -> None:
+    """Write matrix [H, 6, 6], vector [H, 6] and cost [H] of each pose.
+
+    Args: as in ``fit_poses``; weight, scale: of the points, shape [P]; depth, refuge, lens (focal lengths and
+    center [pixels], shape [4]), table (far below where there is none): of the free space; rotation [H, 3, 3]
+    and position [H, 3] of the poses.
+    """
+    for h in range(len(position)):
+        r, t = rotation[h], position[h]
+        matrix[h], vector[h], cost[h] = 0.0, 0.0, 0.0
+        for p in range(len(points)):
+            x, y, z = points[p, 0] - t[0], points[p, 1] - t[1], points[p, 2] - t[2]
+            local = (
+                x * r[0, 0] + y * r[1, 0] + z * r[2, 0],
+                x * r[0, 1] + y * r[1, 1] + z * r[2, 1],
+                x * r[0, 2] + y * r[1, 2] + z * r[2, 2],
+            )
+            distance, gx, gy, gz = signed_distance(grids, 0, local)
+            squared = (distance / scale[p]) ** 2
+            gradient = (
+                -(r[0, 0] * gx + r[0, 1] * gy + r[0, 2] * gz),
+                -(r[1, 0] * gx + r[1, 1] * gy + r[1, 2] * gz),
+                -(r[2, 0] * gx + r[2, 1] * gy + r[2, 2] * gz),
+            )
+            share = weight[p] / len(points)
+            _add(matrix[h], vector[h], (x, y, z), gradient, distance, share / (1.0 + squared) ** 2)
+            cost[h] += share * scale[p] ** 2 * squared / (1.0 + squared)
+        share = free_weight / len(samples)
+        for s in range(len(samples)):
+            a, b, c = samples[s, 0], samples[s, 1], samples[s, 2]
+            arm = (
+                r[0, 0] * a + r[0, 1] * b + r[0, 2] * c,
+                r[1, 0] * a + r[1, 1] * b + r[1, 2] * c,
+                r[2, 0] * a + r[2, 1] * b + r[2, 2] * c,
+            )
+            distance, gx, gy, gz = _intrusion(
+                arm[0] + t[0], arm[1] + t[1], arm[2] + t[2], depth, refuge, lens, table
+            )
+            squared = (distance / free_scale) ** 2
+            _add(matrix[h], vector[h], arm, (gx, gy, gz), distance, share / (1.0 + squared) ** 2)
+            cost[h] += share * free_scale**2 * squared / (1.0 + squared)
+        for a in range(6):
+            for b in range(a):
+                matrix[h, a, b] = matrix[h, b, a]

@@ -1,0 +1,105 @@
+"""One verdict: the probabilities, the numbers that they rest on, and what would help."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from fungrasp.perception import HandEstimate, ObjectEstimate
+from fungrasp.perception.object_pose.confidence import ACCEPT, confidence
+from fungrasp.perception.object_pose.evidence import PoseEvidence
+from fungrasp.perception.object_pose.verdict_weights import OBJECT_WEIGHTS, Logistic
+from fungrasp.perception.perceived import PerceptionQuality
+from fungrasp.perception.verdict import ACCEPTED_HAND, Verdict, judged
+
+GOOD = PoseEvidence(
+    told=1.0,
+    explained=0.96,
+    hidden=0.2,
+    outline=0.95,
+    pixels=2000.0,
+    rival=0.0,
+    stretch_gain=0.0,
+    stretch=0.0,
+    color=0.0,
+    edge_width=2.0,
+    foreign=0.0,
+)
+
+
+def hand(score: float = 0.9) -> HandEstimate:
+    joints = np.arange(63.0).reshape(21, 3) * 0.001 + [0.0, 0.0, 0.5]
+    covariance = np.tile(np.eye(3) * 1e-5, (21, 1, 1))
+    return HandEstimate(joints, np.zeros((21, 2)), np.ones(21), covariance, "right", score)
+
+
+def verdict(evidence: PoseEvidence, score: float = 0.9, worst_finger: float = 0.004) -> Verdict:
+    probability = confidence(evidence)
+    thing = ObjectEstimate(
+        np.array([0, 0, 0.5, 1.0, 0, 0, 0]), probability, probability >= ACCEPT, evidence=evidence
+    )
+    return judged(thing, hand(score), PerceptionQuality(3.0, 0.001, 0.003, worst_finger, 0.004))
+
+
+def test_good_evidence_is_sure_and_needs_no_help():
+    said = verdict(GOOD)
+    assert said.sure and not said.help
+    assert said.object >= ACCEPT and said.hand >= ACCEPTED_HAND
+    assert said.probability == said.object * said.hand
+    assert said.words.startswith("sure: ")
+
+
+@pytest.mark.parametrize(
+    ("changes", "help"),
+    [
+        ({"stretch_gain": 0.4, "stretch": 0.4}, "a mesh of the right size"),
+        ({"explained": 0.4, "outline": 0.3}, "the mesh of this very object"),
+        ({"told": 0.0, "explained": 0.6}, "a click at the object"),
+        ({"explained": 0.5, "hidden": 0.8}, "another view"),
+        ({"explained": 0.5, "edge_width": 9.0}, "filters turned off"),
+        ({"explained": 0.5, "foreign": 0.4}, "a tighter mask: 40 %"),
+        ({"explained": 0.5, "rival": 0.98}, "a mesh with colors"),
+    ],
+)
+def test_evidence_against_says_what_would_help(changes, help):
+    said = verdict(dataclasses.replace(GOOD, **changes))
+    assert not said.sure and said.object < verdict(GOOD).object
+    assert help in "; ".join(said.help)
+
+
+def test_a_finger_far_from_what_is_seen_makes_the_hand_unsure():
+    said = verdict(GOOD, worst_finger=0.055)
+    assert not said.sure and said.hand < ACCEPTED_HAND < said.object
+    assert said.help == ("a view in which more of the hand is seen, bare and well lit",)
+
+
+def test_terminal_and_json_have_the_same_numbers():
+    said = verdict(dataclasses.replace(GOOD, edge_width=8.0, explained=0.7))
+    head, *rows = said.rows()
+    record = said.as_json()
+    assert head == ("evidence", "value", "usual", "for or against") and len(rows) == len(record["evidence"])
+    for row, entry in zip(rows, record["evidence"], strict=True):
+        assert row[1].startswith(f"{entry['value']:.3g}") and row[3] == f"{entry['share']:+.1f}"
+    assert record["sure"] == said.sure and record["probability"] == said.probability
+    width = next(entry for entry in record["evidence"] if entry["name"] == "edge_width")
+    assert width["value"] == 8.0 and width["usual"] == pytest.approx(2.0)
+
+
+def test_shares_add_up_to_the_odds():
+    weights = Logistic(0.5, {"a": 2.0, "b": -1.0}, {"a": 0.1, "b": 0.2})
+    shares = weights.shares({"a": 0.3, "b": 0.5})
+    assert shares == pytest.approx({"a": 0.4, "b": -0.3})
+    assert weights.probability({"a": 0.3, "b": 0.5}) == pytest.approx(1 / (1 + np.exp(-0.6)))
+
+
+def test_each_number_counts_one_way_only():
+    against = ("stretch_gain", "stretch", "rival")
+    assert all(weight <= 0 for name, weight in OBJECT_WEIGHTS.weights.items() if name in against)
+    assert all(weight >= 0 for name, weight in OBJECT_WEIGHTS.weights.items() if name not in against)
+
+
+def test_a_fitted_shape_is_said_to_be_one():
+    thing = ObjectEstimate(np.array([0, 0, 0.5, 1.0, 0, 0, 0]), 0.7, True)
+    said = judged(thing, hand(), PerceptionQuality(3.0, 0.001, 0.003, 0.004, 0.004), "box:60x28x30")
+    assert said.sure and said.words.startswith("unknown object: a box of 60 x 28 x 30 mm explains 70 %")
+    assert said.as_json()["fitted"] == "box:60x28x30"
