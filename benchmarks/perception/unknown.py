@@ -136,4 +136,4 @@ class Unknown:
             f"{sum(row['lifted'] for row in sure)} of {len(sure)}"
         )
         if self.json is not None:
-            write_result(self.json, run_record(0) | figures | {"each": rows})
+            write_result(self.json, run_record(0) | figures, rows)

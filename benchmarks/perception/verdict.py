@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -51,7 +51,8 @@ class Verdict:
         figures = verdict_figures(answers, hands, fitted)
         print(table(verdict_rows(figures)))
         if self.json is not None:
-            write_result(self.json, run_record(0) | figures)
+            rows = [asdict(one) | {"evidence": None} | one.evidence for one in answers]
+            write_result(self.json, run_record(0) | figures, rows)
         if self.figure is not None:
             self.figure.write_text(reliability_svg(figures), encoding="utf-8")
 

@@ -83,7 +83,9 @@ def verdict_figures(
 
 def verdict_rows(figures: Mapping[str, Any]) -> list[tuple[str, ...]]:
     """The figures as a table."""
-    rows = [("told", "right poses", "right ones accepted", "wrong poses accepted", "wrong meshes accepted")]
+    rows: list[tuple[str, ...]] = [
+        ("told", "right poses", "right ones accepted", "wrong poses accepted", "wrong meshes accepted")
+    ]
     for hint, row in figures["told"].items():
         names = ("right_pose", "right_accepted", "wrong_pose_accepted", "wrong_mesh_accepted")
         rows.append((hint, *(_part(row[name]) for name in names)))
