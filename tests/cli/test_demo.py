@@ -193,7 +193,7 @@ def test_what_is_not_sure_is_not_tried(
     assert end.value.code == 3
     assert [path.name for path in tmp_path.iterdir()] == ["index.html"]
     said = capsys.readouterr()
-    assert "warning: the hand: its score is only 0.20" in said.err
+    assert "not sure: " in said.err
     assert "the robot does not try it" in said.err
     page = (tmp_path / "index.html").read_text()
     assert "? Low confidence" in page

@@ -125,7 +125,7 @@ def test_three_files_become_a_grasp_that_can_be_retargeted(folder, found, tmp_pa
     np.testing.assert_allclose(told["grasp"]["hand_joints"], grasps[0].hand_joints)
     assert len(told["grasp"]["links_in_contact"]) == grasps[0].link_contacts.sum()
     np.testing.assert_allclose(told["object"]["pose_camera"][:3], TRUTH.pose_camera_object[:3], atol=0.005)
-    assert told["quality"]["object_score"] == told["object"]["score"]
+    assert told["verdict"]["object"] == told["object"]["score"]
     text = page.read_text()
     assert "<html" in text and "Made by" in text
     robot = tmp_path / "robot.npz"
@@ -201,7 +201,7 @@ def test_a_pose_from_elsewhere_is_judged_by_the_depth(folder, found, tmp_path, c
     np.testing.assert_allclose(position, TRUTH.pose_camera_object[:3], atol=0.002)
     with pytest.raises(SystemExit) as end:
         run(capsys, "perceive", *common, "--object-pose-file", tmp_path / "far.json")
-    assert end.value.code == LOW_CONFIDENCE and "the object's pose: low confidence" in capsys.readouterr().err
+    assert end.value.code == LOW_CONFIDENCE and "not sure: look at the grasp" in capsys.readouterr().err
 
 
 def test_estimators_of_other_packages_are_asked(folder, tmp_path, capsys, monkeypatch):
@@ -306,7 +306,7 @@ def test_an_unsure_result_is_written_and_says_so(folder, found, tmp_path, capsys
         run(capsys, "perceive", *arguments, "--out", out, "--json", result)
     assert end.value.code == LOW_CONFIDENCE == 3
     err = capsys.readouterr().err
-    assert "warning: the hand: its score is only" in err and "low confidence" in err
+    assert "not sure: look at the grasp" in err
     told = json.loads(result.read_text())
     assert not told["sure"] and told["doubts"] and len(load_human_grasps(out)) == 1
 

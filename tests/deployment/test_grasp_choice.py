@@ -15,17 +15,21 @@ from fungrasp.grasps import HumanGraspSet, builtin_grasps
 from fungrasp.hands import load_hand
 from fungrasp.objects import builtin_object
 
+VERDICT = SimpleNamespace(words="not sure: 40 %")
+
 
 def seen(name: str, confident: bool, *warnings: str) -> Any:
     """What is seen of the mug."""
     grasp = SimpleNamespace(object_name=name)
     model = SimpleNamespace(name="mug")
-    return SimpleNamespace(grasp=grasp, object_model=model, confident=confident, warnings=warnings)
+    return SimpleNamespace(
+        grasp=grasp, object_model=model, confident=confident, warnings=warnings, verdict=VERDICT
+    )
 
 
 def test_what_is_not_confident_is_not_tried() -> None:
     assert why_not_tried(seen("mug", True)) == ""
-    assert why_not_tried(seen("mug", False, "dark")) == "low confidence in the perceived grasp (dark)"
+    assert why_not_tried(seen("mug", False, "dark")) == "not sure: 40 %; dark"
     assert "left hand" in why_not_tried(seen("mug_mirrored", True))
 
 
@@ -46,6 +50,7 @@ def test_the_grasp_in_an_image(monkeypatch: pytest.MonkeyPatch) -> None:
         object_model=model,
         objects={model.name: model},
         confident=True,
+        verdict=VERDICT,
         warnings=(),
     )
 
@@ -60,7 +65,7 @@ def test_the_grasp_in_an_image(monkeypatch: pytest.MonkeyPatch) -> None:
     assert objects == {model.name: model} and human.object_name[0] == model.name
     assert choice.words == "image photo"
     found.confident = False
-    with pytest.raises(FungraspError, match=r"low confidence.*fungrasp perceive"):
+    with pytest.raises(FungraspError, match=r"not sure.*fungrasp perceive"):
         choice.robot(load_hand("allegro"))
 
 

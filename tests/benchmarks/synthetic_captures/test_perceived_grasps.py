@@ -22,7 +22,10 @@ def test_images_are_numbered_and_doubtful_ones_refused(monkeypatch, tmp_path) ->
         grasp = human[number // 2]
         grasps = HumanGraspSet.of([grasp])
         warnings = ("the depth is noisy",)
-        return SimpleNamespace(grasp=grasp, grasps=grasps, confident=number != 2, warnings=warnings)
+        verdict = SimpleNamespace(words="not sure: 40 %")
+        return SimpleNamespace(
+            grasp=grasp, grasps=grasps, confident=number != 2, warnings=warnings, verdict=verdict
+        )
 
     monkeypatch.setattr(room, "render_capture", lambda *args: SimpleNamespace(capture=None))
     monkeypatch.setattr(room, "MediaPipeHandDetector", lambda: None)
@@ -40,10 +43,10 @@ def test_images_are_numbered_and_doubtful_ones_refused(monkeypatch, tmp_path) ->
     answers = iter(range(4))
     seen = [source.take(row) for row in range(4)]
     assert [one is None for one in seen] == [False, True, True, False]
-    assert source.refused == {1: "no hand was found in the image", 2: "low confidence: the depth is noisy"}
+    assert source.refused == {1: "no hand was found in the image", 2: "not sure: 40 %; the depth is noisy"}
     # What is kept is not looked at again: there are no more answers.
     again = images([4, 9])
     assert again.numbers == [8, 9, 18, 19]
     np.testing.assert_array_equal(again.take(0).hand_joints, seen[0].hand_joints)
     assert again.take(2) is None
-    assert again.about == {"images": 2, "not_seen": {"18": "low confidence: the depth is noisy"}}
+    assert again.about == {"images": 2, "not_seen": {"18": "not sure: 40 %; the depth is noisy"}}
