@@ -308,7 +308,7 @@ def test_an_unsure_result_is_written_and_says_so(folder, found, tmp_path, capsys
     err = capsys.readouterr().err
     assert "not sure: look at the grasp" in err
     told = json.loads(result.read_text())
-    assert not told["sure"] and told["doubts"] and len(load_human_grasps(out)) == 1
+    assert not told["sure"] and told["verdict"]["help"] and len(load_human_grasps(out)) == 1
 
 
 def test_a_box_instead_of_a_mask_chooses_between_two_hands(folder, found, tmp_path, capsys):

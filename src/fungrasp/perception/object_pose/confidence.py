@@ -14,7 +14,7 @@ from fungrasp.perception.object_pose.known_object import KnownObject
 from fungrasp.perception.object_pose.pose_error import add_s, rotation_error
 from fungrasp.perception.object_pose.verdict_weights import OBJECT_WEIGHTS
 
-ACCEPT = 0.85
+ACCEPT = 0.7
 """Answers of a lower probability are not accepted."""
 
 RIVAL_DISTANCE = 0.01
