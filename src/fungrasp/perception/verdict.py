@@ -196,7 +196,7 @@ def object_help(thing: ObjectEstimate) -> tuple[str, ...]:
     if e.told == 0.0:
         found.append("a click at the object (--point u,v), or a mask")
     if e.hidden > MUCH_HIDDEN or e.pixels < FEW_PIXELS:
-        found.append("another view, in which more of the object is seen (--frames)")
+        found.append("another view, in which more of the object is seen")
     if e.edge_width > SMOOTHED:
         found.append("the camera's spatial and hole-filling filters turned off")
     if e.color == 0.0 and e.rival > ALIKE:
