@@ -10,7 +10,7 @@ from fungrasp.perception.object_pose.confidence import ACCEPT, confidence
 from fungrasp.perception.object_pose.evidence import PoseEvidence
 from fungrasp.perception.object_pose.verdict_weights import OBJECT_WEIGHTS, Logistic
 from fungrasp.perception.perceived import PerceptionQuality
-from fungrasp.perception.verdict import ACCEPTED_HAND, Verdict, judged
+from fungrasp.perception.verdict import ACCEPTED_HAND, PerceptionVerdict, perception_verdict
 
 GOOD = PoseEvidence(
     told=1.0,
@@ -33,12 +33,12 @@ def hand(score: float = 0.9) -> HandEstimate:
     return HandEstimate(joints, np.zeros((21, 2)), np.ones(21), covariance, "right", score)
 
 
-def verdict(evidence: PoseEvidence, score: float = 0.9, worst_finger: float = 0.004) -> Verdict:
+def verdict(evidence: PoseEvidence, score: float = 0.9, worst_finger: float = 0.004) -> PerceptionVerdict:
     probability = confidence(evidence)
     thing = ObjectEstimate(
         np.array([0, 0, 0.5, 1.0, 0, 0, 0]), probability, probability >= ACCEPT, evidence=evidence
     )
-    return judged(thing, hand(score), PerceptionQuality(3.0, 0.001, 0.003, worst_finger, 0.004))
+    return perception_verdict(thing, hand(score), PerceptionQuality(3.0, 0.001, 0.003, worst_finger, 0.004))
 
 
 def test_good_evidence_is_sure_and_needs_no_help():
@@ -100,6 +100,8 @@ def test_each_number_counts_one_way_only():
 
 def test_a_fitted_shape_is_said_to_be_one():
     thing = ObjectEstimate(np.array([0, 0, 0.5, 1.0, 0, 0, 0]), 0.7, True)
-    said = judged(thing, hand(), PerceptionQuality(3.0, 0.001, 0.003, 0.004, 0.004), "box:60x28x30")
+    said = perception_verdict(
+        thing, hand(), PerceptionQuality(3.0, 0.001, 0.003, 0.004, 0.004), "box:60x28x30"
+    )
     assert said.sure and said.words.startswith("unknown object: a box of 60 x 28 x 30 mm explains 70 %")
     assert said.as_json()["fitted"] == "box:60x28x30"

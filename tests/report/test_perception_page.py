@@ -20,7 +20,7 @@ from fungrasp.perception.estimates import PerceptionWarning
 from fungrasp.perception.io.scene_folders import BUILTIN_CAPTURE as FOLDER
 from fungrasp.perception.io.scene_folders import read_folder
 from fungrasp.perception.perceived import Perceived, PerceptionQuality
-from fungrasp.perception.verdict import Meter, Verdict
+from fungrasp.perception.verdict import Meter, PerceptionVerdict
 from fungrasp.report import perception_page
 from fungrasp.report.page_parts import Quantity
 from fungrasp.report.perception_alternatives import alternatives
@@ -86,7 +86,7 @@ def perceived(**changes) -> Perceived:
             "table_found": True,
             "quality": PerceptionQuality(2.0, 0.0004, 0.002, 0.004, 0.003),
             "warnings": (),
-            "verdict": Verdict(True, 0.95, 0.9, METERS, ()),
+            "verdict": PerceptionVerdict(True, 0.95, 0.9, METERS, ()),
             **changes,
         }
     )
@@ -124,7 +124,7 @@ def test_the_verdict_comes_first(tmp_path, no_pictures):
     assert "Not sure" not in said and "What would help" not in said
     warnings = (PerceptionWarning.of("not_searched", problem="<wrong> mesh?"),)
     thing = replace(perceived().object, score=0.3, accepted=False)
-    verdict = Verdict(False, 0.3, 0.5, METERS, ("a click at the object",))
+    verdict = PerceptionVerdict(False, 0.3, 0.5, METERS, ("a click at the object",))
     html = page(tmp_path, perceived(object=thing, verdict=verdict, warnings=warnings))
     said = words(html)
     assert "✓" not in said

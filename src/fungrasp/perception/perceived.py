@@ -22,7 +22,7 @@ from fungrasp.perception.hand.hand_capsules import SURFACE_SAMPLES, in_front
 from fungrasp.perception.io.capture import Capture
 from fungrasp.perception.object_pose.estimate import PoseAnswers
 from fungrasp.perception.object_pose.shape_fit import FittedShape
-from fungrasp.perception.verdict import Verdict
+from fungrasp.perception.verdict import PerceptionVerdict
 
 FARTHEST_OFF = 0.1
 """Skin is taken to be off by this at most [m]: what is seen there is another thing, but not the hand."""
@@ -244,7 +244,7 @@ class Perceived:
     """Residuals and penetration."""
     warnings: tuple[PerceptionWarning, ...]
     """What was uncertain; empty if nothing was."""
-    verdict: Verdict
+    verdict: PerceptionVerdict
     """Whether it can be used, the numbers that say so, and what would help. A table that is only guessed
     gives a warning, but the hand on the object does not depend on it; so does the question which way round a
     nearly symmetric object is."""

@@ -54,7 +54,7 @@ from fungrasp.perception.scene.table import (
     table_under,
     world_from_table,
 )
-from fungrasp.perception.verdict import judged
+from fungrasp.perception.verdict import perception_verdict
 
 UNKNOWN = "unknown"
 """Stands for an object without a mesh."""
@@ -188,7 +188,7 @@ def perceive(
         table_found=scene.table is not None,
         quality=quality,
         warnings=warnings,
-        verdict=judged(scene.object, refined, quality, "" if fitted is None else fitted.name),
+        verdict=perception_verdict(scene.object, refined, quality, "" if fitted is None else fitted.name),
         notes=held.notes,
         mass_range=held.mass_range,
         fitted=fitted,

@@ -74,7 +74,7 @@ class Meter:
 
 
 @dataclass(frozen=True)
-class Verdict:
+class PerceptionVerdict:
     """Whether an answer can be used."""
 
     sure: bool
@@ -144,9 +144,9 @@ def hand_features(hand: HandEstimate, quality: PerceptionQuality) -> dict[str, f
     }
 
 
-def judged(
+def perception_verdict(
     thing: ObjectEstimate, hand: HandEstimate, quality: PerceptionQuality, fitted: str = ""
-) -> Verdict:
+) -> PerceptionVerdict:
     """The verdict.
 
     Args:
@@ -172,7 +172,7 @@ def judged(
         advice = ("a click at the object (--point u,v), or a mask", "a mesh of the object (fungrasp scan)")
     if probability < ACCEPTED_HAND:
         advice += ("a view in which more of the hand is seen, bare and well lit",)
-    return Verdict(sure, thing.score, probability, tuple(evidence), advice, fitted)
+    return PerceptionVerdict(sure, thing.score, probability, tuple(evidence), advice, fitted)
 
 
 def _meter(name: str, value: float, usual: float, share: float) -> Meter:

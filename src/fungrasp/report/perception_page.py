@@ -18,7 +18,7 @@ from fungrasp.perception import Capture
 from fungrasp.perception.builtin_image import BuiltinTruth
 from fungrasp.perception.object_pose.pose_error import add, rotation_error
 from fungrasp.perception.perceived import Perceived
-from fungrasp.perception.verdict import Verdict
+from fungrasp.perception.verdict import PerceptionVerdict
 from fungrasp.report.demonstration import Opening
 from fungrasp.report.page import Page, write_page
 from fungrasp.report.page_parts import Quantity, figure, quality_card
@@ -196,7 +196,7 @@ def _in_space(model: ObjectModel, perceived: Perceived) -> str:
     )
 
 
-def _figures(verdict: Verdict, truth: Sequence[Quantity]) -> str:
+def _figures(verdict: PerceptionVerdict, truth: Sequence[Quantity]) -> str:
     head, *rows = verdict.rows()
     columns = "".join(f'<th scope="col">{escape(one)}</th>' for one in head)
     lines = []
