@@ -105,6 +105,28 @@ def chosen_firm() -> Table:
     return Table(head, rows, ["choose-firm-unadapted"])
 
 
+FIRM_ON = {
+    "choose-firm-adapted": "Allegro, adapted",
+    "choose-firm-faive": "Faive P0, not adapted",
+    "choose-firm-inspire": "Inspire, not adapted",
+    "choose-firm-shadow": "Shadow, not adapted",
+    "confirm-firm": "Allegro, not adapted, on *confirm*",
+}
+"""Results of the same comparison on other tests, and what they are of."""
+
+
+def chosen_firm_elsewhere() -> Table:
+    """The same on other hands, with adaptation, and on grasps that had decided nothing."""
+    rows = []
+    for name, of in FIRM_ON.items():
+        if (rate := _all(name)) is not None:
+            both = f"{rate['only_second']}, {rate['only_first']}"
+            shares = (percent(rate["first"]), percent(rate["second"]))
+            rows.append((of, f"{rate['grasps']} of {rate['objects']}", *shares, _difference(rate), both))
+    head = ("test", "grasps", "before", "after", "gain [points]", "only after, before")
+    return Table(head, rows, [name for name in FIRM_ON if _all(name) is not None])
+
+
 def _all(name: str) -> dict[str, Any] | None:
     """Rates of all objects of a result; None where it was not measured."""
     return read(name).header["rates"][-1] if (RESULTS / f"{name}.json").is_file() else None

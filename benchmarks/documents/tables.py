@@ -48,6 +48,7 @@ BUILDERS: dict[str, Callable[[], Table]] = {
     "chosen_strata": choice_tables.chosen_strata,
     "chosen_decisions": choice_tables.chosen_decisions,
     "chosen_firm": choice_tables.chosen_firm,
+    "chosen_firm_elsewhere": choice_tables.chosen_firm_elsewhere,
     "methods": policy_tables.methods,
     "peers": policy_tables.peers,
     "robustness": policy_tables.robustness,
