@@ -36,17 +36,27 @@ DECISION_TESTS = {**TESTS, "faive": "not adapted, Faive P0"}
 
 
 def chosen_peers() -> Table:
-    """Other methods beside ours, on the same grasps."""
+    """Other methods beside ours before 0073, on the same grasps."""
+    return _peers("choose")
+
+
+def chosen_firm_peers() -> Table:
+    """Other methods beside ours of today, on the same grasps."""
+    return _peers("choose-firm")
+
+
+def _peers(prefix: str) -> Table:
+    """Of results whose names begin so."""
     rows, files = [], []
     ours: dict[str, Any] = {}
     for name, file in PEERS.items():
         cells = []
         for test in TESTS:
-            rate = _all(f"choose-{file}-{test}")
+            rate = _all(f"{prefix}-{file}-{test}")
             if rate is None:
                 cells += [NONE, NONE]
                 continue
-            files.append(f"choose-{file}-{test}")
+            files.append(f"{prefix}-{file}-{test}")
             ours[test] = rate["second"]
             cells += [percent(rate["first"]), _difference(rate)]
         if cells != [NONE] * 4:

@@ -47,6 +47,7 @@ BUILDERS: dict[str, Callable[[], Table]] = {
     "chosen_peers": choice_tables.chosen_peers,
     "chosen_strata": choice_tables.chosen_strata,
     "chosen_decisions": choice_tables.chosen_decisions,
+    "chosen_firm_peers": choice_tables.chosen_firm_peers,
     "chosen_firm": choice_tables.chosen_firm,
     "chosen_firm_elsewhere": choice_tables.chosen_firm_elsewhere,
     "methods": policy_tables.methods,

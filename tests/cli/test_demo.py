@@ -196,7 +196,7 @@ def test_what_is_not_sure_is_not_tried(
     assert "not sure: " in said.err
     assert "the robot does not try it" in said.err
     page = (tmp_path / "index.html").read_text()
-    assert "? Low confidence" in page
+    assert "? Not sure: " in page
     assert "from the truth" not in page
 
 

@@ -38,6 +38,7 @@ def _looks(monkeypatch: pytest.MonkeyPatch, confident: list[bool], mirrored: boo
             object_model=model,
             objects={name: model},
             confident=confident[len(seen) - 1],
+            verdict=SimpleNamespace(words="not sure: 20 % that all is right"),
             warnings=("dark",),
         )
 
@@ -59,7 +60,7 @@ def test_images_are_taken_until_one_is_good(monkeypatch: pytest.MonkeyPatch) -> 
     np.testing.assert_allclose(found.robot.joint_positions, plain.robot.joint_positions, atol=1e-9)
 
 
-@pytest.mark.parametrize(("mirrored", "said"), [(False, r"low confidence .*dark"), (True, "left hand")])
+@pytest.mark.parametrize(("mirrored", "said"), [(False, r"not sure: 20 % .*dark"), (True, "left hand")])
 def test_what_is_not_confident_is_not_tried(
     monkeypatch: pytest.MonkeyPatch, mirrored: bool, said: str
 ) -> None:
