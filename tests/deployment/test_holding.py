@@ -67,7 +67,7 @@ class Full(DeploymentLog):
 
     def step(self, *given: Any) -> None:
         self.steps += 1
-        if self.steps > 40:
+        if self.steps > 45:
             raise OSError(28, "No space left on device")
 
 

@@ -32,27 +32,27 @@ def cell_and_hand() -> tuple[RobotCell, Hand]:
 
 
 @cache
-def grasp_and_object() -> tuple[RobotGraspSet, ObjectModel]:
-    human = builtin_grasps().select(np.array([ROW]))
+def grasp_and_object(row: int = ROW) -> tuple[RobotGraspSet, ObjectModel]:
+    human = builtin_grasps().select(np.array([row]))
     objects = load_objects(human)
     robot = retarget(human, objects, cell_and_hand()[1])
     return robot, objects[human.object_name[0]]
 
 
 @cache
-def placed() -> np.ndarray:
+def placed(row: int = ROW) -> np.ndarray:
     cell, hand = cell_and_hand()
-    grasp, thing = grasp_and_object()
+    grasp, thing = grasp_and_object(row)
     return reachable_placement(cell, hand, thing, grasp)
 
 
 @cache
-def near_cell() -> RobotCell:
+def near_cell(row: int = ROW) -> RobotCell:
     """The cell with the arm where the plan begins: less to simulate."""
     cell, hand = cell_and_hand()
-    grasp, thing = grasp_and_object()
+    grasp, thing = grasp_and_object(row)
     preparer = GraspPreparer(cell, hand, thing, MotionPlanner(hand, {thing.name: thing}))
-    start = preparer.prepare(grasp, placed(), np.array(cell.arm.home)).reach.start
+    start = preparer.prepare(grasp, placed(row), np.array(cell.arm.home)).reach.start
     return replace(cell, arm=replace(cell.arm, home=tuple(start.tolist())))
 
 
@@ -63,18 +63,19 @@ def deploy(
     policy: Any = None,
     cell: RobotCell | None = None,
     attempts: int = 1,
+    row: int = ROW,
     **options: Any,
 ) -> TwinOutcome:
     """The built-in grasp on an ideal twin, without a clock."""
     _, hand = cell_and_hand()
-    grasp, thing = grasp_and_object()
+    grasp, thing = grasp_and_object(row)
     truth = draw_twin(0, len(hand.joint_names), len(hand.actuators), IDEAL)
     return deploy_on_twin(
-        cell or near_cell(),
+        cell or near_cell(row),
         hand,
         thing,
         grasp,
-        placed(),
+        placed(row),
         policy or OpenLoopPolicy(),
         MotionPlanner(hand, {thing.name: thing}),
         truth,

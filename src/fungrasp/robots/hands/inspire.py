@@ -91,7 +91,9 @@ class InspireLoop:
             settings: how the hand is connected.
         """
         self.settings = settings
-        self.name = f"Inspire RH56 at {settings.address}"
+        # Several hands may be reached through one computer, each at a port of its own.
+        port = "" if settings.port == InspireSettings.port else f":{settings.port}"
+        self.name = f"Inspire RH56 at {settings.address}{port}"
         self.stale_after = settings.stale_after
         self.takes_feedforward = False
         self.lets_go = ""
