@@ -9,7 +9,13 @@ from PIL import Image
 
 from fungrasp.cli.main import main
 from fungrasp.errors import FungraspError
-from fungrasp.geometry.poses import compose, invert, quaternion_from_rotation_vector, transform_points
+from fungrasp.geometry.poses import (
+    compose,
+    invert,
+    quaternion_from_rotation_vector,
+    rotation_vector,
+    transform_points,
+)
 from fungrasp.hands import load_hand
 from fungrasp.perception import Intrinsics
 from fungrasp.robots.calibration.board_images import Board, find_corners
@@ -18,7 +24,6 @@ from fungrasp.robots.calibration.hand_eye import (
     BoardView,
     board_pose,
     calibrate_from_board,
-    pose_error,
 )
 from fungrasp.robots.calibration.touched_points import calibrate_from_points
 from fungrasp.robots.cell import check_calibrated, load_cell
@@ -26,6 +31,12 @@ from fungrasp.robots.kinematics.arm_model import ArmKinematics
 from fungrasp.robots.kinematics.solutions import arm_postures, random_starts
 
 LENS = Intrinsics(640, 480, 615.0, 615.0, 319.5, 239.5)
+
+
+def pose_error(one: np.ndarray, other: np.ndarray) -> tuple[float, float]:
+    """Distance [m] and angle [rad] between two poses of shape [7]."""
+    between = compose(invert(one), other)
+    return float(np.linalg.norm(between[:3])), float(np.linalg.norm(rotation_vector(between[3:])))
 
 
 def looking_at(place: np.ndarray, target: np.ndarray) -> np.ndarray:

@@ -22,7 +22,6 @@ from fungrasp.geometry.poses import (
     compose,
     invert,
     quaternion_from_rotation_vector,
-    rotation_vector,
     transform_points,
 )
 from fungrasp.perception import Intrinsics
@@ -182,9 +181,3 @@ def _moved(pose: np.ndarray, change: np.ndarray) -> np.ndarray:
     turn = np.concatenate([np.zeros(3), quaternion_from_rotation_vector(change[3:])])
     turned = compose(turn, np.concatenate([np.zeros(3), pose[3:]]))
     return np.concatenate([pose[:3] + change[:3], turned[3:]])
-
-
-def pose_error(one: np.ndarray, other: np.ndarray) -> tuple[float, float]:
-    """Distance [m] and angle [rad] between two poses of shape [7]."""
-    between = compose(invert(one), other)
-    return float(np.linalg.norm(between[:3])), float(np.linalg.norm(rotation_vector(between[3:])))
