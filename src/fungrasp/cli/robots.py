@@ -52,6 +52,29 @@ class New:
 
 
 @dataclass(frozen=True)
+class ArmModel:
+    """Write the model of a UR arm with the kinematics that its maker has calibrated.
+
+    Its controller tells them, which is only listened to. Name the file as `model` under [arm] of the cell."""
+
+    cell: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME|FILE")]
+    """The cell, with the arm's address and the model of its type."""
+    file: Annotated[Path, tyro.conf.Positional]
+    """Model to write (.xml)."""
+
+    def run(self) -> None:
+        from fungrasp.errors import FungraspError
+        from fungrasp.robots.calibration.arm_model_file import read_kinematics, write_arm_model
+        from fungrasp.robots.cell import load_cell
+
+        cell = load_cell(self.cell)
+        if cell.arm.driver != "ur-rtde":
+            raise FungraspError(f"cell '{cell.name}': the driver '{cell.arm.driver}' tells no kinematics")
+        change = write_arm_model(self.file, cell.arm.model, read_kinematics(cell.arm.address))
+        print(f"{self.file}: the flange is up to {1e3 * change:.1f} mm from that of the model before")
+
+
+@dataclass(frozen=True)
 class Check:
     """Check a robot cell's file. Nothing is connected."""
 
@@ -82,7 +105,7 @@ class Check:
         if home.shape != kinematics.lower.shape:
             raise FungraspError(f"'arm.home' must have {len(kinematics.lower)} joints, not {len(home)}")
         if (home < kinematics.lower).any() or (home > kinematics.upper).any():
-            raise FungraspError(f"'arm.home' is beyond the joint limits of the {cell.arm.model}")
+            raise FungraspError(f"'arm.home' is beyond the joint limits of the {Path(cell.arm.model).stem}")
         fingers = hand.open_joints
         clearance = ClearanceModel(cell, hand)
         pose = kinematics.palm_pose(home)
@@ -92,7 +115,7 @@ class Check:
             raise FungraspError(
                 f"at 'arm.home' {why or 'the robot is too near to something'}; the palm is at ({palm}) m then"
             )
-        print(f"{cell.name}: {hand.title} on a {cell.arm.model}; palm at home: {palm} m")
+        print(f"{cell.name}: {hand.title} on a {Path(cell.arm.model).stem}; palm at home: {palm} m")
         if self.touched is not None:
             base = check_touched_base(self.touched, cell, hand)
             if base.fault:
@@ -245,6 +268,7 @@ COMMAND = {
     "calibrate": "fungrasp.cli.calibrate:Calibrate",
     "list": ListCells,
     "new": New,
+    "arm-model": ArmModel,
     "check": Check,
     "doctor": "fungrasp.cli.bring_up:Doctor",
     "read": "fungrasp.cli.bring_up:Read",

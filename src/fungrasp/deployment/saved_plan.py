@@ -23,6 +23,7 @@ from fungrasp.geometry.poses import relative, rotation_vector
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.grasps.grasp_files import robot_grasp_fields, robot_grasps_from_fields
 from fungrasp.hands import Hand
+from fungrasp.hands.arm import arm_spec
 from fungrasp.objects import ObjectModel, held_object, load_object
 from fungrasp.policies.registry import policy_files
 from fungrasp.robots.cell import RobotCell
@@ -170,7 +171,10 @@ def digests(cell: RobotCell, hand: Hand, thing: ObjectModel, policy: str, dynami
         dynamics: file of the hand's identified dynamics, "" for the model's.
     """
     return {
-        "robot cell": digest(replace(cell, hand_dynamics="", stop_file="")),
+        "robot cell": digest(
+            replace(cell, hand_dynamics="", stop_file="", arm=replace(cell.arm, model="")),
+            arm_spec(cell.arm.model).to_xml(),
+        ),
         "hand": hand.digest,
         "object": digest(thing.vertices, thing.faces, thing.mass),
         "policy": digest(policy_files(policy, hand.name).digests()),

@@ -9,7 +9,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from fungrasp.errors import UnknownNameError
+from fungrasp.errors import FungraspError, UnknownNameError
 from fungrasp.geometry.poses import compose
 from fungrasp.hands.hand import Hand
 from fungrasp.hands.self_contained_mjcf import self_contained_xml
@@ -55,12 +55,31 @@ def arm_files() -> dict[str, Path]:
 def arm_spec(arm: str) -> mujoco.MjSpec:
     """A fresh model of a bare arm: base at the world's origin, one position actuator per joint, named as it.
 
+    Args:
+        arm: name of one that we ship, or an MJCF file (.xml) of another one with the same conventions.
+
     Raises:
-        UnknownNameError: no such arm.
+        FungraspError: no such arm, or the file is no model of one.
     """
-    if arm not in arm_files():
-        raise UnknownNameError("arm", arm, arm_files())
-    return mujoco.MjSpec.from_file(str(arm_files()[arm]))
+    if not arm.endswith(".xml"):
+        if arm not in arm_files():
+            raise UnknownNameError("arm", arm, arm_files())
+        return mujoco.MjSpec.from_file(str(arm_files()[arm]))
+    if not Path(arm).is_file():
+        raise FungraspError(f"there is no model of an arm '{arm}'")
+    try:
+        spec = mujoco.MjSpec.from_file(arm)
+        spec.copy().compile()
+    except ValueError as error:
+        raise FungraspError(f"{arm} is no model of an arm: {' '.join(str(error).split())}") from error
+    if spec.site(FLANGE_SITE) is None:
+        raise FungraspError(f"{arm}: the site '{FLANGE_SITE}' is missing, where a hand is mounted")
+    joints = [joint.name for joint in spec.joints]
+    if [actuator.name for actuator in spec.actuators] != joints:
+        raise FungraspError(
+            f"{arm}: an arm has one actuator for each joint, in their order and with their names"
+        )
+    return spec
 
 
 def mounting_pose(hand: Hand, mount: Mount = DIRECT) -> np.ndarray:

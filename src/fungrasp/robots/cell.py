@@ -12,7 +12,7 @@ import numpy as np
 from fungrasp.errors import FungraspError, UnknownNameError
 from fungrasp.formats.guarded import guarded
 from fungrasp.formats.toml_file import read_toml
-from fungrasp.hands.arm import Mount, arm_files
+from fungrasp.hands.arm import Mount, arm_spec
 from fungrasp.robots.cell_units import obstacle_faults, unit_faults
 
 Vector = tuple[float, ...]
@@ -47,7 +47,7 @@ class ArmSettings(DeviceSettings):
     """The arm."""
 
     model: str = "ur5e"
-    """Name of the arm's model."""
+    """Name of the arm's model, or an MJCF file, relative to the cell's (``fungrasp robots arm-model``)."""
     pose_world_base: Vector = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
     """Pose of the arm's base in the world: metres and a quaternion wxyz; the table top is z = 0. The base is
     ROS's ``base_link``: z up, x and y opposite to those of the frame "Base" on a UR's pendant, which is
@@ -210,6 +210,8 @@ def load_cell(name: str | Path) -> RobotCell:
     cell = _build(RobotCell, tree, str(path), "")
     if cell.tracker.calibration:
         cell = replace(cell, tracker=_calibrated(cell.tracker, path.parent))
+    if cell.arm.model.endswith(".xml"):
+        cell = replace(cell, arm=replace(cell.arm, model=str((path.parent / cell.arm.model).absolute())))
     for fault in cell_faults(cell):
         raise FungraspError(f"{path}: {fault}")
     if cell.stop_file:
@@ -327,8 +329,10 @@ def cell_faults(cell: RobotCell) -> list[str]:
                 f"obstacle {number} needs a center of 3 numbers, a size of 3 positive ones, and a unit "
                 "quaternion wxyz"
             )
-    if cell.arm.model not in arm_files():
-        faults.append(str(UnknownNameError("arm", cell.arm.model, arm_files())))
+    try:
+        arm_spec(cell.arm.model)
+    except FungraspError as error:
+        faults.append(str(error))
     if cell.guard not in ("on", "off"):
         faults.append(f"'guard' must be \"on\" or \"off\", not '{cell.guard}'")
     if cell.watchdog.late_tick >= cell.watchdog.overrun:

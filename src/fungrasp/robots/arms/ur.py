@@ -84,8 +84,8 @@ class URSettings:
     model: str = "UR5"
     """As the controller says it ("UR5" for UR5 and UR5e); another one is refused."""
     arm: str = "ur5e"
-    """Model of the arm, "ur5" (CB3) or "ur5e"; one whose flange is not where the controller says is refused.
-    In a cell it is the arm's ``model``."""
+    """Model of the arm, "ur5" (CB3), "ur5e" or a file; one whose flange is not where the controller says is
+    refused. In a cell it is the arm's ``model``."""
     serial: str = ""
     """Serial number of the arm; another one is refused. Empty: any."""
     velocity: float = 1.0
@@ -328,7 +328,7 @@ class URLoop:
             raise RobotError(
                 f"{self.name}: by the model '{self.settings.arm}' the flange is {1e3 * apart:.0f} mm from "
                 'where the controller says: is the arm of another generation ("ur5" for CB3, "ur5e"), or is '
-                "its calibration far from nominal?"
+                "its calibration far from nominal ('fungrasp robots arm-model')?"
             )
         return f"the model's flange is {1e3 * apart:.1f} mm from the controller's"
 

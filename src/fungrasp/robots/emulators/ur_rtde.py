@@ -1,4 +1,4 @@
-"""The controller of a UR arm: RTDE, dashboard and script server on one address of the loopback.
+"""The controller of a UR arm: RTDE, dashboard, scripts and its kinematics on one address of the loopback.
 
 Enough of it for the client library ur_rtde: its program is "uploaded" (taken, not interpreted), and the
 commands that this program would read from the input registers are carried out. Ports are fixed, so several
@@ -16,14 +16,16 @@ from enum import IntEnum
 import numpy as np
 
 from fungrasp.robots.codecs import rtde as codec
+from fungrasp.robots.codecs.ur_primary import encode_kinematics
 from fungrasp.robots.device import RobotError
 from fungrasp.robots.emulators.emulator import Emulator, Fault
 from fungrasp.robots.emulators.plant import Plant
 from fungrasp.robots.emulators.ur_connections import URClient, URConnections
 from fungrasp.robots.emulators.ur_kinematics import UR5, UR5E, tool_pose
 from fungrasp.robots.emulators.ur_program import ServoProgram
+from fungrasp.robots.kinematics.dh_parameters import DHParameters
 
-RTDE_PORT, DASHBOARD_PORT, SCRIPT_PORT = 30004, 29999, 30003
+RTDE_PORT, DASHBOARD_PORT, SCRIPT_PORT, PRIMARY_PORT = 30004, 29999, 30003, 30001
 STATE = "output_int_register_0"
 STOPPED, PLAYING = 1, 2
 CLOCK_JUMP = 3600.0
@@ -74,6 +76,7 @@ class URControllerEmulator(Emulator):
         seed: int = 0,
         release_time: float = RELEASE_TIME,
         tool: tuple[float, ...] = (0.0,) * 6,
+        kinematics: DHParameters | None = None,
     ):
         """
         Args:
@@ -86,6 +89,7 @@ class URControllerEmulator(Emulator):
             seed: of the packages that faults take.
             release_time: a protective stop can't be unlocked before [s].
             tool: the tool center point on the flange, position [m] and rotation vector [rad].
+            kinematics: as the maker has calibrated this arm; those of its type if None.
         """
         super().__init__()
         self.plant = plant
@@ -94,10 +98,13 @@ class URControllerEmulator(Emulator):
         """What the pendant says that the arm carries: mass [kg] and its center from the flange [m]."""
         self._version, self._model, self._serial = version, model, serial
         self._period = 0.008 if version[0] < 5 else 0.002
-        self._lengths, self._tool = UR5 if version[0] < 5 else UR5E, np.array(tool)
+        self._tool = np.array(tool)
+        self._kinematics = kinematics or (UR5 if version[0] < 5 else UR5E)
         self._release_time = release_time
         self._rng = np.random.default_rng(seed)
-        self._net = URConnections(address, (RTDE_PORT, DASHBOARD_PORT, SCRIPT_PORT), self._greet)
+        self._net = URConnections(
+            address, (RTDE_PORT, DASHBOARD_PORT, SCRIPT_PORT, PRIMARY_PORT), self._greet
+        )
         self._other_program = False
         self._program = ServoProgram(plant, self._tool)
         self._stop_began = 0.0
@@ -188,6 +195,8 @@ class URControllerEmulator(Emulator):
     def _greet(self, client: URClient) -> None:
         if client.kind == DASHBOARD_PORT:
             self._net.send(client, b"Connected: Universal Robots Dashboard Server\n")
+        elif client.kind == PRIMARY_PORT:
+            self._net.send(client, encode_kinematics(self._kinematics))
 
     def _take(self, client: URClient) -> None:
         if client.kind == RTDE_PORT:
@@ -269,7 +278,7 @@ class URControllerEmulator(Emulator):
             if client.started and client.outputs is not None and client.outputs.valid and now >= client.due:
                 if "actual_TCP_pose" in client.outputs.names and "actual_TCP_pose" not in values:
                     # Not for every tick: it takes longer than all the rest.
-                    values["actual_TCP_pose"] = tool_pose(self._lengths, state.positions, self._tool)
+                    values["actual_TCP_pose"] = tool_pose(self._kinematics, state.positions, self._tool)
                 client.due = max(client.due + client.interval, now)
                 self._net.send(
                     client, self._disturbed(client, codec.encode_values(client.outputs, 1, values))

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from fungrasp.geometry.poses import compose
+
+if TYPE_CHECKING:
+    import mujoco
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,18 +31,25 @@ class FlangeChain:
 
 
 def flange_chain(arm: str) -> FlangeChain:
-    """The chain of an arm that we ship.
+    """The chain of an arm.
 
     Args:
-        arm: name of its model.
+        arm: name or file of its model.
 
     Raises:
-        UnknownNameError: no such arm.
+        FungraspError: no such arm, or no model of one.
     """
     # Here: the processes of drivers get a chain that is made already.
-    from fungrasp.hands.arm import FLANGE_SITE, arm_spec
+    from fungrasp.hands.arm import arm_spec
 
-    model = arm_spec(arm).compile()
+    return chain_of(arm_spec(arm))
+
+
+def chain_of(spec: mujoco.MjSpec) -> FlangeChain:
+    """The chain of an arm's model, whose joints turn about z."""
+    from fungrasp.hands.arm import FLANGE_SITE
+
+    model = spec.compile()
     site = model.site(FLANGE_SITE)
     body, link = int(site.bodyid[0]), np.concatenate([site.pos, site.quat])
     links: list[np.ndarray] = []
