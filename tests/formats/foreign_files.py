@@ -221,11 +221,6 @@ def _pose(folder: Path) -> tuple[str, bytes, Reader]:
     return "pose.json", _json({"pose": pose.tolist(), "score": 0.9}), read_object_pose
 
 
-def _bop(folder: Path) -> tuple[str, bytes, Reader]:
-    text = "scene_id,im_id,obj_id,score,R,t,time\n1,7,5,0.4,1 0 0 0 1 0 0 0 1,20 0 655,0.3\n"
-    return "bop.csv", text.encode(), partial(read_object_pose, image=7)
-
-
 def _hand_estimate(folder: Path) -> tuple[str, bytes, Reader]:
     joints = builtin_grasps()[0].hand_joints
     lens = Intrinsics(64, 48, 60.0, 60.0, 32.0, 24.0)
@@ -302,7 +297,6 @@ KINDS: dict[str, Kind] = {
     "policy": _policy,
     "label-pickle": _labels,
     "object-pose": _pose,
-    "bop": _bop,
     "hand-estimate": _hand_estimate,
     "recording": _recording,
     "result": _result,

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -60,22 +61,20 @@ class Perceive:
     table: str | None = None
     """The table top's plane nx,ny,nz,d, camera frame, normal upwards [m]; by default it is looked for."""
     hand_file: Path | None = None
-    """A hand that another program found in the image (HaMeR, WiLoR, METRO ...), .json or .npz."""
-    mano: Path | None = None
-    """Your MANO model, for hand files without joints."""
+    """A hand that another program found in the image (HaMeR, WiLoR ...), .json or .npz."""
     object_pose_file: Path | None = None
-    """A pose that another program found: a matrix, FoundationPose's folder or BOP results."""
+    """A pose that another program found: a matrix, or FoundationPose's folder."""
     improve_pose: bool = False
     """Fit that pose to the depth; by default it stays as it is."""
     hand_from: str | None = None
     """Let an estimator of another package find the hand: the name of its entry point."""
     object_pose_from: str | None = None
     """Let an estimator of another package find the object's pose: the name of its entry point."""
-    object_id: int | None = None
-    """The object's number in BOP results of several objects."""
     hands: int = 1
     """Hands that the image allows, at most: fingers behind the object may be in several places. The file has
     a grasp of each, with its probability; retargeting keeps them together, and planning tries them all."""
+    frames: int = 1
+    """Look at so many images of the source, at most, until the verdict on all of them is sure."""
     seed: int = 0
     """The same seed gives the same result."""
     report: Path | None = None
@@ -88,17 +87,16 @@ class Perceive:
 
         from fungrasp.objects import held_object
         from fungrasp.perception.pipeline import UNKNOWN, perceive
+        from fungrasp.perception.several_looks import best_of_looks
 
         start = perf_counter()
         self._check()
         plane = parse_plane(self.table)
         held = None if self.mesh == UNKNOWN else held_object(self.mesh, self.mass)
         model = None if held is None else held.model
-        with self._watched(model) as show:
-            capture = self.source.read(model, show)
-        perceived = perceive(
-            capture,
-            self.mesh if held is None else held,
+        look = partial(
+            perceive,
+            obj=self.mesh if held is None else held,
             mass=self.mass if held is None else None,
             side=self.hand,
             task=self.task,
@@ -109,6 +107,10 @@ class Perceive:
             improve_pose=self.improve_pose,
             hands=self.hands,
         )
+        with self._watched(model) as show:
+            captures = self.source.looks(model, self.frames, show)
+            first = next(captures)
+        perceived = best_of_looks(chain([first], captures), look, self.frames)
         kept = [] if self.source.keep is None else [f"the image: {self.source.keep}"]
         written = self._write(perceived, perf_counter() - start)
         touching = int(perceived.grasp.link_contacts.sum())
@@ -146,7 +148,7 @@ class Perceive:
         if self.hand_from is not None:
             return load_hand_estimator(self.hand_from)
         assert self.hand_file is not None
-        return partial(read_hand_estimate, self.hand_file, side=self.hand, mano=self.mano)
+        return partial(read_hand_estimate, self.hand_file, side=self.hand)
 
     def _object_pose(self) -> Any:
         """The same of the object's pose."""
@@ -157,7 +159,7 @@ class Perceive:
         if self.object_pose_from is not None:
             return load_object_pose_estimator(self.object_pose_from)
         assert self.object_pose_file is not None
-        return read_object_pose(self.object_pose_file, image=self.source.image, object_id=self.object_id)
+        return read_object_pose(self.object_pose_file, image=self.source.image)
 
     @contextmanager
     def _watched(self, model: ObjectModel | None) -> Iterator[Callable[[LiveView], None]]:

@@ -8,7 +8,7 @@ from fungrasp.errors import UnknownNameError
 
 OPENPOSE = np.array([0, *range(5, 21), *range(1, 5)])
 """Wrist, then thumb, index, middle, ring, little finger, each from its base to its tip: OpenPose, HaMeR,
-WiLoR, METRO, FreiHAND, MediaPipe."""
+WiLoR, FreiHAND, MediaPipe."""
 
 MANO = np.array([0, 1, 2, 3, 17, 4, 5, 6, 18, 10, 11, 12, 19, 7, 8, 9, 20, 13, 14, 15, 16])
 """MANO's 16 joints (wrist, index, middle, little finger, ring, thumb, three each), then the tips of thumb,
@@ -16,10 +16,6 @@ index, middle, ring and little finger."""
 
 ORDERS = {"openpose": OPENPOSE, "mano": MANO, "fungrasp": np.arange(21)}
 """Index, by order, of each of ``HUMAN_JOINTS``."""
-
-TIP_VERTICES = np.array([744, 320, 443, 554, 671])
-"""Vertices of MANO's mesh at the tips of thumb, index, middle, ring and little finger, as smplx, HaMeR and
-WiLoR take them."""
 
 
 def joint_order(name: str) -> np.ndarray:

@@ -43,7 +43,6 @@ MESSAGES: Mapping[str, str] = {
     "not_searched": "{problem}",
     "no_score": "{said}",
     "low_own_score": "the estimator's own score is {score:.2g}",
-    "other_given_pose_fits": "another of the program's poses fits, with a score of {score:.2f}",
     # The scene.
     "no_table": (
         "no table was seen: the camera was taken to be level and the table to be right below the grasp"

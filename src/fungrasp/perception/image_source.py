@@ -5,8 +5,9 @@ What reads them is imported on use: ``ImageSource`` is the options of a command,
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -24,6 +25,9 @@ BUILTIN = "builtin"
 """Stands for the image that comes with the package, where no folder has this name."""
 
 NO_LIVE = "a camera waits until the object is seen, which needs its mesh: take an image into a folder first"
+
+RECORDED, APART = 30, 15
+"""Image of a recording that is looked at if none is named; others are so many images apart."""
 
 REALSENSE = "realsense"
 """Stands for the RealSense camera that is connected."""
@@ -111,6 +115,44 @@ class ImageSource:
             point=hints[1],
             image=self.image,
         )
+
+    def looks(
+        self, obj: ObjectModel | None, most: int, show: Callable[[LiveView], None] | None = None
+    ) -> Iterator[Capture]:
+        """The capture, then others of the same grasp, ``most`` in all: what the camera sees next, other
+        frames of a camera's folder, later images of a recording or a scene. Mask, box and point are of the
+        first.
+
+        Args:
+            obj: see ``read``.
+            most: how many are wanted; there may be fewer.
+            show: see ``read``.
+
+        Raises:
+            FungraspError: see ``read``; or there is no other image to look at.
+        """
+        yield self.read(obj, show)
+        if most == 1:
+            return
+        # Where the object was in the first image need not be where it is in another.
+        plain = replace(self, mask=None, box=None, point=None, keep=None)
+        if self.camera is not None and Path(self.camera).is_dir():
+            from fungrasp.perception.io.scene_folders import own_files, read_folder
+
+            inside = (path for path in Path(self.camera).iterdir() if path.is_dir())
+            folders = sorted(path for path in inside if own_files(path) is not None)
+            count = min(most - 1, len(folders))
+            yield from (read_folder(folders[-1 - i * len(folders) // count]) for i in range(count))
+        elif self.camera is not None:
+            yield from (plain.read(obj) for _ in range(most - 1))
+        elif self.recording is None and self.image is None:
+            raise FungraspError("--frames needs --camera, --recording, or a scene and its first --image")
+        else:
+            first = RECORDED if self.image is None else self.image
+            # It may end before.
+            with suppress(FungraspError):
+                for number in range(1, most):
+                    yield replace(plain, image=first + number * APART).read(obj)
 
     def _check(self) -> None:
         files = {"--rgb": self.rgb, "--depth": self.depth, "--intrinsics": self.intrinsics}

@@ -90,6 +90,8 @@ class PerceptionVerdict:
     fitted: str = ""
     """Shape that was fitted to an object without a mesh, "box:60x28x30"; ``object`` is then the part of what
     is seen that it explains, no probability."""
+    looks: int = 1
+    """Images that the probability of the object rests on; the evidence is of the surest."""
 
     @property
     def probability(self) -> float:
@@ -107,6 +109,8 @@ class PerceptionVerdict:
                 f"(hand {100 * self.hand:.0f} %)"
             )
         parts = f"object {100 * self.object:.0f} %, hand {100 * self.hand:.0f} %"
+        if self.looks > 1:
+            parts += f"; {self.looks} looks"
         if self.sure:
             return f"sure: {100 * self.probability:.0f} % that all is right ({parts})"
         needed = f"it takes {100 * ACCEPT:.0f} and {100 * ACCEPTED_HAND:.0f} %"
@@ -132,6 +136,7 @@ class PerceptionVerdict:
             "evidence": rows,
             "help": list(self.help),
             "fitted": self.fitted or None,
+            "looks": self.looks,
         }
 
 

@@ -8,7 +8,6 @@ from recorded import (
     TO_OPENPOSE,
     hamer_fields,
     made_capture,
-    made_up_camera,
     true_hand,
     write_json,
     write_npz,
@@ -134,30 +133,6 @@ def test_a_left_hand_as_seen_and_as_the_network_mirrors_it(tmp_path):
     assert worst(hand, joints) < 0.008
 
 
-def test_metro_by_its_crop(tmp_path, capture):
-    shape, *_ = made_up_camera(JOINTS)
-    pixels = CAMERA.project(JOINTS)
-    # The square that METRO sees, and its camera: scale and translation from -1 to 1 across it.
-    x0, y0, side = pixels[:, 0].min() - 40, pixels[:, 1].min() - 40, float(np.ptp(pixels, axis=0).max() + 80)
-    unit = (pixels - [x0, y0]) / side * 2 - 1
-    rows = np.concatenate(
-        [np.stack([shape[:, k], *(np.full(21, float(k == j)) for j in (0, 1))], axis=1) for k in (0, 1)]
-    )
-    scale, a, b = np.linalg.lstsq(rows, np.concatenate([unit[:, 0], unit[:, 1]]), rcond=None)[0]
-    fields = {
-        "source": "metro",
-        "side": "right",
-        "joints": shape[TO_OPENPOSE],
-        "camera": [scale, a / scale, b / scale],
-        "box": [x0, y0, x0 + side, y0 + side],
-    }
-    hand = read_hand_estimate(write_json(tmp_path / "h.json", fields), capture)
-    assert worst(hand) < 0.015
-    del fields["camera"]
-    with pytest.raises(FungraspError, match="'camera' or 'pred_camera' is missing"):
-        read_hand_estimate(write_json(tmp_path / "h.json", fields), capture)
-
-
 def test_joints_of_a_tracker_keep_their_size_if_they_are_metric(tmp_path, capture):
     fields = {"source": "joints", "side": "right", "joints": JOINTS[TO_MANO] * 1.1, "order": "mano"}
     scaled = read_hand_estimate(write_json(tmp_path / "h.json", fields), capture)
@@ -188,7 +163,7 @@ def test_an_image_that_was_made_smaller(tmp_path, capture):
         ({"scaled_focal_length": None}, "'focal_length' or 'scaled_focal_length' is missing"),
         ({"pred_cam_t_full": None}, "'translation' or 'pred_cam_t_full' or 'transl' is missing"),
         ({"pred_cam_t_full": [0.0, 0.0, -9.0]}, "a joint is behind the camera"),
-        ({"pred_keypoints_3d": None}, "has no joints"),
+        ({"pred_keypoints_3d": None}, "'joints' or 'pred_keypoints_3d' or 'pred_3d_joints' is missing"),
         ({"pred_keypoints_3d": JOINTS[:20]}, r"shape \[21, 3\] per hand, not \[20, 3\]"),
         ({"pred_keypoints_3d": JOINTS * np.nan}, "non-finite"),
         ({"pred_keypoints_3d": (JOINTS - JOINTS[0])[TO_OPENPOSE] * 1000}, "in millimetres"),

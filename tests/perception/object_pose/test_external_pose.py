@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from object_pose_scenes import scene
 
-from fungrasp.geometry.poses import compose, quaternion_from_rotation_vector
+from fungrasp.geometry.poses import quaternion_from_rotation_vector
 from fungrasp.objects import load_object
 from fungrasp.perception import Capture
 from fungrasp.perception.estimates import ObjectEstimate
@@ -18,10 +18,10 @@ LIFTED = np.concatenate([[0.0, 0.0, 0.08], quaternion_from_rotation_vector(np.ar
 SCENE = scene(MUG, LIFTED, np.array([0.05, 0.0, 0.06]))
 
 
-def said(shift: tuple[float, float, float] = (0, 0, 0), *others: np.ndarray) -> ObjectEstimate:
+def said(shift: tuple[float, float, float] = (0, 0, 0)) -> ObjectEstimate:
     """The true pose, moved in the camera frame [m], as a file without a score gives it."""
     pose = SCENE.pose + np.concatenate([shift, np.zeros(4)])
-    return ObjectEstimate(pose, ACCEPT, True, tuple((other, 0.0) for other in others), judged=False)
+    return ObjectEstimate(pose, ACCEPT, True, judged=False)
 
 
 @pytest.mark.parametrize("masked", [True, False])
@@ -46,19 +46,6 @@ def test_a_pose_that_is_nearly_right_can_be_improved() -> None:
     assert kept.accepted and better.accepted and kept.score == better.score
     assert better.residual_m < kept.residual_m
     assert np.linalg.norm(better.pose_camera_object[:3] - SCENE.pose[:3]) < 0.002
-
-
-def test_alternatives_get_scores_and_a_better_one_is_told() -> None:
-    capture = SCENE.capture.with_object(mask=SCENE.mask)
-    turn = np.concatenate([np.zeros(3), quaternion_from_rotation_vector(np.array([2.0, 0.0, 0.0]))])
-    file = said((0.05, 0.0, 0.0), compose(SCENE.pose, turn), SCENE.pose)
-    judged = score_given_pose(file, capture, MUG, SCENE.hand, SCENE.table)
-    assert not judged.accepted and "another of the program's poses fits" in judged.note
-    assert judged.pose_camera_object.tobytes() == file.pose_camera_object.tobytes(), (
-        "its program's choice stays"
-    )
-    assert judged.alternatives[0][0].tobytes() == SCENE.pose.tobytes()
-    assert judged.alternatives[0][1] >= ACCEPT > judged.alternatives[1][1]
 
 
 def test_without_depth_at_the_object_it_is_not_sure() -> None:

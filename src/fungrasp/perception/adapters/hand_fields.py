@@ -16,21 +16,15 @@ from fungrasp.formats.numpy_files import read_npz
 VERSION = 1
 """Version of the file format."""
 
-SOURCES = ("hamer", "wilor", "metro", "mano", "joints")
+SOURCES = ("hamer", "wilor", "joints")
 
 ALIASES = {
     "joints": ("pred_keypoints_3d", "pred_3d_joints"),
-    "vertices": ("pred_vertices",),
     "translation": ("pred_cam_t_full", "transl"),
     "focal_length": ("scaled_focal_length",),
     "pixels": ("pred_keypoints_2d",),
-    "camera": ("pred_camera",),
     "right": ("is_right",),
-    "orientation": ("global_orient",),
-    "fingers": ("hand_pose",),
     "image_size": ("img_size",),
-    "box": (),
-    "betas": (),
     "score": (),
 }
 """Our name of each field, and what the programs call it."""

@@ -1,4 +1,4 @@
-"""Hands that another program found in the image: HaMeR, WiLoR, METRO, MANO's parameters, or just 21 joints.
+"""Hands that another program found in the image: HaMeR, WiLoR, or just 21 joints.
 
 These programs guess the hand's size and distance, mostly for a camera of another focal length. What they know
 is the hand's shape and where it is in the image: this is what is kept here. ``place_hand`` then finds size
@@ -18,7 +18,6 @@ from fungrasp.grasps.anatomy import ADULT_BONES, joint_bends
 from fungrasp.grasps.human_hand import bone_lengths
 from fungrasp.grasps.joint_orders import joint_order
 from fungrasp.perception.adapters.hand_fields import HandFields, read_fields
-from fungrasp.perception.adapters.mano_model import ManoJoints
 from fungrasp.perception.estimates import Side
 from fungrasp.perception.hand.detected_hand import MIRROR_X, DetectedHand
 from fungrasp.perception.io.capture import Intrinsics
@@ -34,15 +33,12 @@ ASPECT = 0.02
 
 
 @guarded("hand file")
-def read_hands(
-    path: str | Path, intrinsics: Intrinsics, mano: str | Path | None = None
-) -> list[DetectedHand]:
+def read_hands(path: str | Path, intrinsics: Intrinsics) -> list[DetectedHand]:
     """All hands of a file. Its fields are in docs/adapters.md.
 
     Args:
         path: ``.json`` or ``.npz``.
         intrinsics: of the image.
-        mano: the user's MANO model (folder or file), needed where the file has no joints.
 
     Returns:
         Landmarks in the image; shapes as if the hand were in the middle of it, as of our own detector; scores
@@ -51,14 +47,12 @@ def read_hands(
     Raises:
         FungraspError: the file can't be read, lacks a field, or it can't be of this image.
     """
-    return hands_of(read_fields(path), intrinsics, mano)
+    return hands_of(read_fields(path), intrinsics)
 
 
-def hands_of(
-    fields: HandFields, intrinsics: Intrinsics, mano: str | Path | None = None
-) -> list[DetectedHand]:
+def hands_of(fields: HandFields, intrinsics: Intrinsics) -> list[DetectedHand]:
     """``read_hands`` on fields that have been read."""
-    joints = _joints(fields, mano)
+    joints = _joints(fields)
     count = len(joints)
     sides = _sides(fields, count)
     if fields.flag("mirrored", False):
@@ -78,46 +72,9 @@ def hands_of(
     return hands
 
 
-def _joints(fields: HandFields, mano: str | Path | None) -> np.ndarray:
+def _joints(fields: HandFields) -> np.ndarray:
     """Joints of each hand [m], axes of the camera, the file's translation not added, shape [hands, 21, 3]."""
-    if fields.has("joints"):
-        order = joint_order(fields.text("order", "openpose"))
-        return fields.numbers("joints", (21, 3))[:, order]
-    if mano is None:
-        raise FungraspError(
-            f"{fields.where} has no joints (field 'joints' or 'pred_keypoints_3d'); to make them from MANO's "
-            "parameters or surface, say where your MANO model is"
-        )
-    if fields.has("vertices"):
-        surfaces = fields.numbers("vertices", (778, 3))
-        # The regressor is linear: a left hand's may be that of the right hand's model.
-        model = ManoJoints(mano)
-        return np.stack([model.of_surface(surface) for surface in surfaces])
-    betas = fields.numbers("betas", (10,))
-    count = len(betas)
-    orientation, fingers = (_raw(fields, name, count) for name in ("orientation", "fingers"))
-    sides = _sides(fields, count)
-    flat = fields.flag("flat_hand_mean", True)
-    models = {side: ManoJoints(mano, side) for side in set(sides)}
-    return np.stack(
-        [
-            models[sides[row]].of_pose(betas[row], orientation[row], fingers[row], np.zeros(3), flat=flat)
-            for row in range(count)
-        ]
-    )
-
-
-def _raw(fields: HandFields, name: str, count: int) -> np.ndarray:
-    """Numbers of a rotation, in whichever form, one row per hand."""
-    for shape in ((3,), (3, 3), (45,), (15, 3), (15, 3, 3)):
-        try:
-            found = fields.numbers(name, shape)
-        except FungraspError:
-            continue
-        if len(found) == count:
-            return found
-    # Says what is wrong.
-    return fields.numbers(name, (3,) if name == "orientation" else (15, 3))
+    return fields.numbers("joints", (21, 3))[:, joint_order(fields.text("order", "openpose"))]
 
 
 def _sides(fields: HandFields, count: int) -> np.ndarray:
@@ -148,18 +105,9 @@ def _seen(fields: HandFields, joints: np.ndarray, intrinsics: Intrinsics) -> tup
     count = len(joints)
     ahead = np.tile([0.0, 0.0, 1.0], (count, 1))
     scale, size = _image(fields, intrinsics)
-    if fields.source == "metro" and not fields.has("pixels"):
-        camera, box = _each(fields, "camera", (3,), count), _each(fields, "box", (4,), count)
-        if (camera[:, 0] <= 0).any() or (box[:, 2:] <= box[:, :2]).any():
-            raise FungraspError(
-                f"{fields.where}: METRO's camera needs a positive scale, and its box x0 < x1, y0 < y1"
-            )
-        # From -1 to 1 across the square that the network saw.
-        unit = camera[:, :1, None] * (joints[..., :2] + camera[:, None, 1:])
-        return (box[:, None, :2] + (unit + 1) / 2 * (box[:, 2:] - box[:, :2])[:, None]) * scale, ahead
     order = joint_order(fields.text("order", "openpose"))
     pixels = fields.numbers("pixels", (21, 2))[:, order] * scale if fields.has("pixels") else None
-    if fields.has("translation") or fields.source in ("hamer", "wilor", "metro"):
+    if fields.has("translation") or fields.source in ("hamer", "wilor"):
         if not fields.has("translation") and pixels is not None:
             return pixels, ahead
         placed = joints + _each(fields, "translation", (3,), count)[:, None]

@@ -61,9 +61,8 @@ def read_hand_estimate(
     *,
     side: Side | None = None,
     hand: int | None = None,
-    mano: str | Path | None = None,
 ) -> HandEstimate:
-    """Read a hand that HaMeR, WiLoR, METRO or another program found in the capture's color image.
+    """Read a hand that HaMeR, WiLoR or another program found in the capture's color image.
 
     The file is JSON or ``.npz`` with named arrays; docs/adapters.md says which. Size and distance of the hand
     are not taken from it but measured in the depth image (see ``place_hand``), unless it says ``metric``.
@@ -73,7 +72,6 @@ def read_hand_estimate(
         capture: the image that the program saw, with its depth.
         side: which hand is meant, if the file has several.
         hand: which one, counted from 0; by default the one nearest to the capture's box, or the largest.
-        mano: the user's MANO model (folder or file), for files without joints.
 
     Returns:
         Joints in the camera frame, with covariances; a left hand is not mirrored.
@@ -83,7 +81,7 @@ def read_hand_estimate(
             the hand.
     """
     fields = read_fields(path)
-    hands = hands_of(fields, capture.intrinsics, mano)
+    hands = hands_of(fields, capture.intrinsics)
     if hand is not None:
         if not 0 <= hand < len(hands):
             raise FungraspError(f"{path} has {len(hands)} hands, counted from 0; there is no hand {hand}")

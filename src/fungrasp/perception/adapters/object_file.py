@@ -1,42 +1,40 @@
-"""The pose of an object that another program has estimated: FoundationPose, any matrix, BOP results."""
+"""The pose of an object that another program has estimated: FoundationPose, or any matrix."""
 
 from __future__ import annotations
 
-import csv
-from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from fungrasp.errors import FungraspError
 from fungrasp.formats.file_bytes import read_text
 from fungrasp.formats.guarded import guarded
 from fungrasp.formats.json_file import read_json
 from fungrasp.formats.numpy_files import read_npy
-from fungrasp.perception.adapters.rigid import pose_from_numbers, pose_from_rotation
 from fungrasp.perception.estimates import ObjectEstimate, PerceptionWarning
 from fungrasp.perception.io.capture import DEPTH_LIMIT
 from fungrasp.perception.object_pose.confidence import ACCEPT
 
-SUFFIXES = (".txt", ".npy", ".json", ".csv")
-
-ANSWERS = 5
-"""Most alternatives that are kept."""
+SUFFIXES = (".txt", ".npy", ".json")
 
 NO_SCORE = PerceptionWarning.of("no_score", said="the file gives no score; the pose was taken as it is")
-FOREIGN_SCORE = PerceptionWarning.of("no_score", said="the estimator's scores are no probabilities")
+FOREIGN_SCORE = PerceptionWarning.of("no_score", said="the estimator's score is no probability")
+
+
+TOLERANCE = 0.02
+"""How far a rotation may be from one, in any element of ``R^T R - 1``; then the nearest rotation is taken."""
+
+UNIT_TOLERANCE = 0.001
+"""How far a quaternion's length may be from 1."""
+
+NEAREST = 0.02
+"""No camera sees an object nearer than this [m]."""
 
 
 @guarded("object's pose")
-def read_object_pose(
-    path: str | Path,
-    *,
-    image: int | str | None = None,
-    object_id: int | None = None,
-    scene: int | None = None,
-) -> ObjectEstimate:
+def read_object_pose(path: str | Path, *, image: int | str | None = None) -> ObjectEstimate:
     """Read where an object is.
 
     A pose maps the mesh's coordinates [m] to the camera frame (x right, y down, z forward) [m]. The kind
@@ -45,9 +43,7 @@ def read_object_pose(
     - a folder: FoundationPose's ``ob_in_cam``, one ``<image>.txt`` with a 4 x 4 matrix per image;
     - ``.txt``: a 4 x 4 matrix, or our 7 numbers ``x y z qw qx qy qz``, separated by spaces or commas;
     - ``.npy``: the same as an array, or one row of them per image;
-    - ``.json``: the same as lists, alone or as ``pose`` with, if wanted, ``score`` (0 to 1);
-    - ``.csv``: BOP results, ``scene_id,im_id,obj_id,score,R,t,time``, ``t`` in millimetres; the best score
-      counts, the others are alternatives.
+    - ``.json``: the same as lists, alone or as ``pose`` with, if wanted, ``score`` (0 to 1).
 
     What is returned is not ``judged``: ``perceive`` compares it with the depth and gives it another score.
     Until then the file is taken at its word: without a score the pose is accepted, with the lowest score that
@@ -55,13 +51,11 @@ def read_object_pose(
 
     Args:
         path: the file or folder.
-        image: which image: name or number of FoundationPose's file, row of an array, BOP's ``im_id``; may be
-            None if there is only one.
-        object_id: BOP's ``obj_id``; may be None if there is only one.
-        scene: BOP's ``scene_id``; may be None if there is only one.
+        image: which image: name or number of FoundationPose's file, or row of an array; may be None if there
+            is only one.
 
     Raises:
-        FungraspError: the file can't be read, has no such image or object, or its numbers are no pose of an
+        FungraspError: the file can't be read, has no such image, or its numbers are no pose of an
             object before the camera; the message says why.
     """
     path = Path(path)
@@ -72,8 +66,6 @@ def read_object_pose(
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
         raise FungraspError(f"{path}: an object's pose is a file {', '.join(SUFFIXES)}, not '{suffix}'")
-    if suffix == ".csv":
-        return _from_bop(path, _number(image), object_id, scene)
     content = _numbers(path)
     score = None
     if isinstance(content, dict):
@@ -89,26 +81,12 @@ def read_object_pose(
         return ObjectEstimate(pose, ACCEPT, True, warnings=(NO_SCORE,), judged=False)
     if isinstance(score, bool) or not isinstance(score, int | float):
         raise FungraspError(f"{path}: the score must be a number, not {score!r}")
-    return _estimate([pose], [float(score)])
-
-
-def _from_bop(path: Path, image: int | None, object_id: int | None, scene: int | None) -> ObjectEstimate:
-    rows = read_bop_results(path)
-    if not rows:
-        raise FungraspError(f"{path} has no rows")
-    rows = select_rows(rows, str(path), image, object_id, scene)[: 1 + ANSWERS]
-    return _estimate([row.pose() for row in rows], [row.score for row in rows])
-
-
-def _estimate(poses: list[np.ndarray], scores: list[float]) -> ObjectEstimate:
-    """An estimate from poses, best first."""
-    if not all(0 <= score <= 1 for score in scores):
-        others = tuple((pose, 0.0) for pose in poses[1:])
-        return ObjectEstimate(poses[0], ACCEPT, True, others, warnings=(FOREIGN_SCORE,), judged=False)
-    accepted = scores[0] >= ACCEPT
-    warnings = () if accepted else (PerceptionWarning.of("low_own_score", score=scores[0]),)
-    others = tuple(zip(poses[1:], scores[1:], strict=True))
-    return ObjectEstimate(poses[0], scores[0], accepted, others, warnings=warnings, judged=False)
+    score = float(score)
+    if not 0 <= score <= 1:
+        return ObjectEstimate(pose, ACCEPT, True, warnings=(FOREIGN_SCORE,), judged=False)
+    accepted = score >= ACCEPT
+    warnings = () if accepted else (PerceptionWarning.of("low_own_score", score=score),)
+    return ObjectEstimate(pose, score, accepted, warnings=warnings, judged=False)
 
 
 def _of_folder(folder: Path, image: int | str | None) -> Path:
@@ -168,120 +146,95 @@ def _numbers(path: Path) -> Any:
         raise FungraspError(f"the object's pose {path} can't be read: {reason}") from error
 
 
-COLUMNS = ("scene_id", "im_id", "obj_id", "score", "R", "t", "time")
+def pose_from_numbers(numbers: np.ndarray, where: str) -> np.ndarray:
+    """The pose of an object in the camera frame, shape [7], from whatever numbers a file holds.
 
-MILLIMETRE = 0.001
-
-LARGEST = 100_000_000
-"""Bytes of the largest file that is read."""
-
-LEAST_MILLIMETRES = 20.0
-"""Translations shorter than this [mm] were meant in metres."""
-
-
-@dataclass(frozen=True, eq=False)
-class BopRow:
-    """One estimate."""
-
-    scene: int
-    """Number of the scene."""
-    image: int
-    """Number of the image in the scene."""
-    object_id: int
-    """Number of the object in the data set."""
-    score: float
-    """The estimator's score, in any range."""
-    rotation: np.ndarray
-    """Rotation matrix of the object in the camera frame, shape [3, 3]."""
-    translation: np.ndarray
-    """Origin of the object in the camera frame [m], shape [3]."""
-    where: str
-    """File and line, for messages."""
-
-    def pose(self) -> np.ndarray:
-        """Pose of the object in the camera frame, shape [7].
-
-        Raises:
-            FungraspError: no rotation, or not where a camera could see it.
-        """
-        return pose_from_rotation(self.rotation, self.translation, self.where)
-
-
-def read_bop_results(path: str | Path) -> list[BopRow]:
-    """All rows of a file with the columns ``scene_id,im_id,obj_id,score,R,t,time``.
-
-    ``R`` is 9 numbers, row by row, ``t`` 3 [mm], both separated by spaces. The first line may be the header.
+    Args:
+        numbers: 4 x 4, 3 x 4, 16 or 12 in a row (a matrix, row by row), or 7: ``[x y z qw qx qy qz]``; [m].
+        where: name of the file and the row, for messages.
 
     Raises:
-        FungraspError: the file can't be read, or a line is not of this form.
+        FungraspError: another number of them, not finite, no rotation, or not where a camera could see it.
     """
-    path = Path(path)
-    try:
-        lines = list(csv.reader(read_text(path, "file of results", LARGEST).splitlines()))
-    except csv.Error as error:
-        raise FungraspError(f"cannot read the results {path}: {error}") from error
-    rows = [
-        _row(line, f"{path}, line {number}")
-        for number, line in enumerate(lines, start=1)
-        if line and not (number == 1 and line[0].strip() == COLUMNS[0])
-    ]
-    lengths = [float(np.linalg.norm(row.translation)) for row in rows]
-    if rows and np.median(lengths) < LEAST_MILLIMETRES * MILLIMETRE:
+    numbers = np.asarray(numbers, dtype=float)
+    if not np.isfinite(numbers).all():
+        raise FungraspError(f"{where}: the pose has non-finite numbers")
+    if numbers.size == 7:
+        return _from_quaternion(numbers.ravel(), where)
+    if numbers.size not in (12, 16):
         raise FungraspError(
-            f"{path}: the translations are about {np.median(lengths) / MILLIMETRE:.3g} mm long; the format "
-            "has millimetres: were they written in metres?"
+            f"{where}: a pose is a 4 x 4 matrix or 7 numbers (x y z qw qx qy qz), not an array of shape "
+            f"{list(numbers.shape)}"
         )
-    if rows and np.median(lengths) > DEPTH_LIMIT:
+    matrix = numbers.reshape(-1, 4)
+    if len(matrix) == 4 and not np.allclose(matrix[3], [0, 0, 0, 1], atol=1e-6):
+        transposed = np.allclose(matrix[:, 3], [0, 0, 0, 1], atol=1e-6)
+        hint = "; it is transposed" if transposed else ""
+        raise FungraspError(f"{where}: the last row of the 4 x 4 matrix must be 0 0 0 1{hint}")
+    return pose_from_rotation(matrix[:3, :3], matrix[:3, 3], where)
+
+
+def pose_from_rotation(rotation: np.ndarray, translation: np.ndarray, where: str) -> np.ndarray:
+    """The pose, shape [7], of a rotation matrix and a translation [m]. Raises as ``pose_from_numbers``."""
+    if not (np.isfinite(rotation).all() and np.isfinite(translation).all()):
+        raise FungraspError(f"{where}: the pose has non-finite numbers")
+    determinant = float(np.linalg.det(rotation))
+    error = float(np.abs(rotation.T @ rotation - np.eye(3)).max())
+    if determinant < 0 and abs(determinant + 1) < 3 * TOLERANCE:
         raise FungraspError(
-            f"{path}: the translations are about {np.median(lengths):.3g} m long: wrong unit?"
+            f"{where}: the matrix mirrors (its determinant is {determinant:.3g}), it is no rotation: is one "
+            "axis of the camera or of the object turned round?"
         )
-    return rows
+    if error > TOLERANCE:
+        raise FungraspError(f"{where}: {_why_no_rotation(rotation, determinant, error)}")
+    _check_position(translation, where)
+    quaternion = Rotation.from_matrix(rotation).as_quat(canonical=True, scalar_first=True)
+    return np.concatenate([translation, quaternion])
 
 
-def select_rows(
-    rows: list[BopRow], where: str, image: int | None, object_id: int | None, scene: int | None
-) -> list[BopRow]:
-    """The rows of one object in one image, best score first. None takes what all rows have in common.
-
-    Raises:
-        FungraspError: there are none, or it is not said which; the message names those there are.
-    """
-    wanted: list[tuple[str, int | None, Callable[[BopRow], int]]] = [
-        ("scene", scene, lambda row: row.scene),
-        ("image", image, lambda row: row.image),
-        ("object", object_id, lambda row: row.object_id),
-    ]
-    for kind, number, of in wanted:
-        there = sorted({of(row) for row in rows})
-        if number is None and len(there) > 1:
-            raise FungraspError(
-                f"{where} has {len(there)} {kind}s ({_few(there)}): say which {kind} is meant"
+def _why_no_rotation(rotation: np.ndarray, determinant: float, error: float) -> str:
+    if determinant > 0:
+        scale = determinant ** (1 / 3)
+        if np.abs(rotation.T @ rotation / scale**2 - np.eye(3)).max() < TOLERANCE:
+            return (
+                f"the matrix scales by {scale:.4g}, it is no rotation: scale the mesh instead, and take "
+                "the scale out of the matrix"
             )
-        if number is not None and number not in there:
-            raise FungraspError(f"{where} has no row for {kind} {number}; it has {kind} {_few(there)}")
-        rows = [row for row in rows if number in (None, of(row))]
-    return sorted(rows, key=lambda row: -row.score)
+    return (
+        "the matrix is no rotation: its columns are not perpendicular or not of length 1 (off by "
+        f"{error:.2g}, determinant {determinant:.3g})"
+    )
 
 
-def _few(numbers: list[int]) -> str:
-    if len(numbers) <= 8:
-        return ", ".join(map(str, numbers)) or "none"
-    return f"{', '.join(map(str, numbers[:4]))} ... {numbers[-1]}"
-
-
-def _row(line: list[str], where: str) -> BopRow:
-    if len(line) < len(COLUMNS):
-        raise FungraspError(f"{where}: a row is {','.join(COLUMNS)}, not {len(line)} values")
-    try:
-        scene, image, object_id = (int(value) for value in line[:3])
-        score = float(line[3])
-        rotation, translation = (np.array(value.split(), dtype=float) for value in line[4:6])
-    except ValueError as error:
-        raise FungraspError(f"{where}: a value is not a number ({error})") from error
-    if rotation.size != 9 or translation.size != 3:
+def _from_quaternion(numbers: np.ndarray, where: str) -> np.ndarray:
+    length = float(np.linalg.norm(numbers[3:]))
+    if abs(length - 1) > UNIT_TOLERANCE:
         raise FungraspError(
-            f"{where}: R must be 9 numbers and t 3, not {rotation.size} and {translation.size}"
+            f"{where}: the quaternion of the pose x y z qw qx qy qz has length {length:.4g}, not 1"
         )
-    if not np.isfinite(score):
-        raise FungraspError(f"{where}: the score is not finite")
-    return BopRow(scene, image, object_id, score, rotation.reshape(3, 3), translation * MILLIMETRE, where)
+    _check_position(numbers[:3], where)
+    return np.concatenate([numbers[:3], numbers[3:] / length])
+
+
+def _check_position(position: np.ndarray, where: str) -> None:
+    x, y, z = position
+    if z < 0:
+        raise FungraspError(
+            f"{where}: the object is behind the camera (z = {z:.4g} m): its pose must be in the camera frame "
+            "with x right, y down, z forward; is it the pose of the camera in the object's frame, or are y "
+            "and z those of OpenGL?"
+        )
+    if z > DEPTH_LIMIT:
+        raise FungraspError(
+            f"{where}: the object is {z:.4g} m from the camera: were millimetres taken for metres?"
+        )
+    if z < NEAREST:
+        raise FungraspError(
+            f"{where}: the object is {1000 * z:.3g} mm from the camera; no camera sees that near: is the "
+            "pose in another unit?"
+        )
+    if np.hypot(x, y) > 5 * z:
+        raise FungraspError(
+            f"{where}: the object is at x = {x:.3g}, y = {y:.3g}, z = {z:.3g} m, far outside any camera's "
+            "view"
+        )

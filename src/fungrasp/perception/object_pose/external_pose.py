@@ -46,17 +46,17 @@ def score_given_pose(
     the pose. The best fit to the depth nearby is looked for; if it is within 10 mm, its score is the pose's.
 
     Args:
-        thing: poses as another program gave them.
+        thing: a pose as another program gave it.
         capture: color and depth.
         mesh: the object [m].
         hand: what holds it, if known.
         table: plane ``[nx ny nz d]``, camera frame, shape [4], if known.
         seed: the same seed gives the same answer.
-        improve: whether to give the best fits nearby instead of the poses themselves.
+        improve: whether to give the best fit nearby instead of the pose itself.
 
     Returns:
-        The program's best answer with its score; the others follow in the order of theirs. Not accepted where
-        the depth says nothing about the object; the warnings say why.
+        The answer with its score. Not accepted where the depth says nothing about the object; the warning
+        says why.
 
     Raises:
         FungraspError: the mesh has no faces.
@@ -67,17 +67,8 @@ def score_given_pose(
     if view is None:
         warnings = (PerceptionWarning.of("not_comparable", problem=problem),)
         return replace(thing, score=0.0, accepted=False, alternatives=(), warnings=warnings, judged=True)
-    scorer = view.scorer(RAYS)
-    answers = [
-        _scored(pose, view, scorer, rng, improve)
-        for pose in (thing.pose_camera_object, *(pose for pose, _ in thing.alternatives))
-    ]
-    (pose, score, evidence, residual), *rest = answers
-    others = tuple(sorted(((p, s) for p, s, _, _ in rest), key=lambda answer: -answer[1]))
-    warnings: tuple[PerceptionWarning, ...] = ()
-    if score < ACCEPT and others and others[0][1] >= ACCEPT:
-        warnings = (PerceptionWarning.of("other_given_pose_fits", score=others[0][1]),)
-    return ObjectEstimate(pose, score, score >= ACCEPT, others, residual, warnings, evidence=evidence)
+    pose, score, evidence, residual = _scored(thing.pose_camera_object, view, view.scorer(RAYS), rng, improve)
+    return ObjectEstimate(pose, score, score >= ACCEPT, (), residual, evidence=evidence)
 
 
 def _scored(
