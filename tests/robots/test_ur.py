@@ -282,6 +282,7 @@ def test_kinematics_come_in_any_pieces_and_among_other_messages():
     for i in range(len(stream)):
         found, rest = decode_kinematics(rest + stream[i : i + 1])
         assert (found is not None) == (i == len(stream) - 1)
+    assert found is not None
     np.testing.assert_array_equal(found.d, UR5E.d)
     with pytest.raises(ValueError, match="no messages"):
         decode_kinematics(b"HTTP/1.1 404")

@@ -15,7 +15,7 @@ from fungrasp.robots.arms.ur import BASE
 from fungrasp.robots.codecs.ur_primary import decode_kinematics
 from fungrasp.robots.device import RobotError
 from fungrasp.robots.kinematics.dh_parameters import DHParameters, moved_to_parameters
-from fungrasp.robots.kinematics.flange_chain import chain_of
+from fungrasp.robots.kinematics.flange_chain import chain_of_model
 
 PRIMARY_PORT = 30001
 PATIENCE = 5.0
@@ -71,9 +71,9 @@ def write_arm_model(path: str | Path, arm: str, parameters: DHParameters) -> flo
     ):
         raise FungraspError("the controller's kinematics are not numbers: restart it")
     spec = arm_spec(arm)
-    nominal = chain_of(spec)
+    nominal = chain_of_model(spec)
     moved_to_parameters(spec, parameters, BASE)
-    moved = chain_of(spec)
+    moved = chain_of_model(spec)
     postures = np.random.default_rng(0).uniform(-np.pi, np.pi, (POSTURES, len(parameters.a)))
     change = max(float(np.linalg.norm((moved.flange_pose(q) - nominal.flange_pose(q))[:3])) for q in postures)
     if change > LARGEST_CHANGE:

@@ -42,10 +42,10 @@ def flange_chain(arm: str) -> FlangeChain:
     # Here: the processes of drivers get a chain that is made already.
     from fungrasp.hands.arm import arm_spec
 
-    return chain_of(arm_spec(arm))
+    return chain_of_model(arm_spec(arm))
 
 
-def chain_of(spec: mujoco.MjSpec) -> FlangeChain:
+def chain_of_model(spec: mujoco.MjSpec) -> FlangeChain:
     """The chain of an arm's model, whose joints turn about z."""
     from fungrasp.hands.arm import FLANGE_SITE
 
