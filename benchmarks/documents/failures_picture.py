@@ -92,16 +92,13 @@ def pictures(episode: Trajectory, hand: Hand, thing: ObjectModel) -> list[np.nda
     """Frames of an episode, all from one side."""
     states = moments(episode)
     wrist, joints, things = episode.palm_pose, episode.joint_positions, episode.object_pose
-    shape = (thing.vertices, thing.faces)
-    model, _ = robot_grasp_scene(hand, wrist[0], joints[0], *shape, things[0])
+    model, _ = robot_grasp_scene(hand, wrist[0], joints[0], thing, things[0])
     # The view is chosen for the lift, and frames whatever stays near.
     near = [i for i in (*states, states[1]) if np.linalg.norm(things[i, :3] - things[0, :3]) < FARTHEST]
     camera = look_at_grasp(model, robot_scene_states(model, hand, wrist, joints, things)[near], **SIZE)
     frames: list[np.ndarray] = []
     for i in states:
-        model, qpos = robot_grasp_scene(
-            hand, wrist[i], joints[i], *shape, things[i], episode.link_contacts[i]
-        )
+        model, qpos = robot_grasp_scene(hand, wrist[i], joints[i], thing, things[i], episode.link_contacts[i])
         frames.append(render(model, qpos, camera)[0])
     return frames
 

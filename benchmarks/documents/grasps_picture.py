@@ -12,7 +12,7 @@ from PIL import Image
 
 from fungrasp.grasps import HumanGraspSet, builtin_grasps, load_objects
 from fungrasp.hands import load_hand
-from fungrasp.rendering import Camera, human_grasp_scene, look_at_grasp, render, robot_grasp_scene
+from fungrasp.rendering import Camera, grasp_scene, look_at_grasp, render
 from fungrasp.report import grid
 from fungrasp.retargeting import retarget
 
@@ -41,19 +41,12 @@ def main() -> None:
     pictures, labels = [], []
     for row, grasp in enumerate(human):
         thing = objects[grasp.object_name]
-        shape = (thing.vertices, thing.faces, grasp.object_pose)
-        model = human_grasp_scene(grasp.hand_joints, *shape, grasp.link_contacts)
+        model, _ = grasp_scene(grasp, thing)
         camera: Camera = look_at_grasp(model, **SIZE)
         pictures.append(render(model, model.qpos0, camera)[0])
         labels.append(f"{grasp.object_name.replace('_', ' ')}: {grasp.task}")
         for name, robot in robots.items():
-            model, qpos = robot_grasp_scene(
-                load_hand(name),
-                robot[row].wrist_pose,
-                robot[row].joint_positions,
-                *shape,
-                robot[row].link_contacts,
-            )
+            model, qpos = grasp_scene(robot[row], thing, load_hand(name))
             pictures.append(render(model, qpos, camera)[0])
             labels.append(name)
     sheet = grid(pictures, labels, columns=1 + len(HANDS), size=17)

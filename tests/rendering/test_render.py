@@ -22,7 +22,6 @@ SCENE = """
     <body name="post" pos="0.12 0.08 0.06">
       <geom name="post" type="capsule" size="0.02 0.04" rgba="0.9 0.6 0.2 1"/>
     </body>
-    <body name="guide" mocap="true" pos="0 0 -1"><geom name="guide" type="box" size="0.03 0.03 0.03"/></body>
   </worldbody>
 </mujoco>
 """
@@ -161,22 +160,19 @@ def test_antialiasing_comes_closer_to_a_large_picture(model, camera):
     assert fine < 0.4 * rough
 
 
-def test_each_frame_has_its_own_camera_colors_and_mocap_pose(model, camera):
+def test_each_frame_has_its_own_camera_and_colors(model, camera):
     other = replace(camera, position=(0.5, 0.4, 0.3))
     colors = np.stack([model.geom_rgba, model.geom_rgba])
     colors[1, _geom(model, "ball")] = (0.1, 0.9, 0.1, 1)
     colors[0, _geom(model, "post"), 3] = 0
-    mocap = np.array([[[0, 0, -1, 1, 0, 0, 0]], [[-0.1, 0, 0.1, 1, 0, 0, 0]]], float)
-    views = Renderer(model).views(np.zeros((2, 2)), [camera, other], mocap=mocap, geom_rgba=colors)
-    ball, post, guide = (views.segmentation == _geom(model, n) for n in ("ball", "post", "guide"))
+    views = Renderer(model).views(np.zeros((2, 2)), [camera, other], geom_rgba=colors)
+    ball, post = (views.segmentation == _geom(model, n) for n in ("ball", "post"))
     assert not post[0].any()
     assert post[1].any()
-    assert not guide[0].any()
-    assert guide[1].any()
     assert np.argmax(views.color[0][ball[0]].mean(0)) == 2
     assert np.argmax(views.color[1][ball[1]].mean(0)) == 1
     look = Look(light=tuple(sun_direction(Look(), camera.rotation)))
-    alone = render(model, np.zeros(2), other, mocap=mocap[1], geom_rgba=colors[1], look=look)[0]
+    alone = render(model, np.zeros(2), other, geom_rgba=colors[1], look=look)[0]
     assert np.abs(views.color[1].astype(int) - alone).max() <= 1
 
 
@@ -190,7 +186,6 @@ def test_frames_come_one_by_one(model, camera):
     [
         ({"qpos": np.zeros((2, 3))}, "qpos"),
         ({"qpos": np.full(2, np.nan)}, "finite"),
-        ({"mocap": np.zeros((1, 3, 7))}, "mocap"),
         ({"geom_rgba": np.ones((2, 4))}, "geom_rgba"),
         ({"camera": []}, "cameras"),
         ({"antialias": 0}, "antialias"),

@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 
 from fungrasp.errors import FungraspError
-from fungrasp.rendering import orbit_camera
+from fungrasp.rendering import Renderer, orbit_camera
 from fungrasp.report import film
 from fungrasp.report.film import frame_times, interpolate
 
@@ -58,51 +58,17 @@ def test_frame_times_cover_the_motion():
     assert len(frame_times(times[:1], 25)) == 1
 
 
-def test_a_following_camera_keeps_the_body_in_the_middle(model, camera):
-    qpos, times = _motion()
-    qpos[:, 0] = np.where(times < 1.5, 0.0, 0.3)
-    still = list(film(model, qpos, times, 10, camera))
-    moving = list(film(model, qpos, times, 10, camera, follow="block"))
-    assert len(still) == len(moving) == 11
-
-    def redness(frame):
-        color = frame.astype(int)
-        return (color[..., 0] - color[..., 2] > 60)[:, 18:30].sum()
-
-    assert redness(still[-1]) == 0
-    assert redness(moving[-1]) > 40
-
-
-def test_an_orbiting_camera_turns_about_its_target(model, camera):
-    qpos, times = _motion(3)
-    qpos[:] = qpos[0]
-    frames = list(film(model, qpos, times, 4, camera, orbit=90))
-    assert len(frames) == 5
-    assert np.abs(frames[0].astype(int) - frames[-1]).max() > 30
-
-
 def test_the_bar_shows_the_phase(model, camera):
     qpos, times = _motion(3)
     qpos[:] = qpos[0]
-    plain = list(film(model, qpos, times, 4, camera))
+    plain = list(Renderer(model).stream(qpos[[0] * 5], camera))
     worded = list(film(model, qpos, times, 4, camera, phases=[(0, "approach"), (1.5, "lift")]))
     rows = [np.abs(a.astype(int) - b).max(axis=(1, 2)) for a, b in zip(plain, worded, strict=True)]
     assert all(row[0] == 0 and row[-1] > 30 for row in rows)
     assert not np.array_equal(worded[0][-20:], worded[-1][-20:])
 
 
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        ({"times": np.array([1.0, 1.0, 2.0])}, "times"),
-        ({"qpos": np.zeros((2, 7))}, "qpos"),
-        ({"fps": 0}, "frames per second"),
-        ({"follow": "blok"}, "block"),
-        ({"camera": []}, "cameras"),
-    ],
-)
-def test_wrong_arguments_are_named(model, camera, change, words):
+def test_a_film_without_time_is_refused(model, camera):
     qpos, times = _motion(3)
-    arguments = {"qpos": qpos, "times": times, "fps": 10, "camera": camera, **change}
-    with pytest.raises(FungraspError, match=words):
-        list(film(model, **arguments))
+    with pytest.raises(FungraspError, match="frames per second"):
+        list(film(model, qpos, times, 0, camera))

@@ -6,6 +6,7 @@ from flat_hand import FLAT_HAND
 
 from fungrasp.errors import FungraspError
 from fungrasp.hands import load_hand
+from fungrasp.objects import ObjectModel
 from fungrasp.rendering import (
     Renderer,
     human_grasp_scene,
@@ -17,7 +18,8 @@ from fungrasp.rendering import (
 from fungrasp.rendering.grasp_scenes import CONTACT, OBJECT_BODY
 from fungrasp.report import captioned, four_views, grid
 
-BOX = trimesh.creation.box((0.06, 0.06, 0.04))
+_BOX = trimesh.creation.box((0.06, 0.06, 0.04))
+BOX = ObjectModel("block", 0.1, np.array(_BOX.vertices), np.array(_BOX.faces))
 POSE = np.array([0.0, 0.15, 0.02, 1, 0, 0, 0])
 
 
@@ -29,11 +31,11 @@ def allegro():
 def _robot(hand, contacts=None):
     wrist = np.array([0.02, -0.03, 0.2, 0.5, -0.5, 0.5, -0.5])
     joints = np.linspace(0.1, 0.4, len(hand.joint_names))
-    return wrist, joints, robot_grasp_scene(hand, wrist, joints, BOX.vertices, BOX.faces, POSE, contacts)
+    return wrist, joints, robot_grasp_scene(hand, wrist, joints, BOX, POSE, contacts)
 
 
 def _human(contacts):
-    return human_grasp_scene(FLAT_HAND + np.array([0, 0, 0.05]), BOX.vertices, BOX.faces, POSE, contacts)
+    return human_grasp_scene(FLAT_HAND + np.array([0, 0, 0.05]), BOX, POSE, contacts)
 
 
 def _orange(picture):
@@ -160,12 +162,8 @@ def test_wrong_arguments_are_named(allegro):
     wrong = {"wrist_pose": wrist[:6], "joint_positions": joints[:-1], "object_pose": POSE * np.nan}
     for name, value in wrong.items():
         with pytest.raises(FungraspError, match=name):
-            robot_grasp_scene(allegro, vertices=BOX.vertices, faces=BOX.faces, **{**good, name: value})
+            robot_grasp_scene(allegro, thing=BOX, **{**good, name: value})
     with pytest.raises(FungraspError, match="link_contacts"):
         _robot(allegro, np.zeros(3, bool))
     with pytest.raises(FungraspError, match="link_contacts"):
         _human(np.zeros(13, bool))
-    with pytest.raises(FungraspError, match="vertices"):
-        human_grasp_scene(FLAT_HAND, BOX.vertices[:, :2], BOX.faces, POSE, np.zeros(16, bool))
-    with pytest.raises(FungraspError, match="indices"):
-        human_grasp_scene(FLAT_HAND, BOX.vertices, BOX.faces + 1, POSE, np.zeros(16, bool))

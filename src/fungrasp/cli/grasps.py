@@ -365,19 +365,12 @@ def _draw(grasp: HumanGrasp | RobotGrasp, path: Path, objects: Path | None) -> N
     from fungrasp.grasps import HumanGrasp
     from fungrasp.hands import load_hand
     from fungrasp.objects import load_object
-    from fungrasp.rendering import human_grasp_scene, robot_grasp_scene
+    from fungrasp.rendering import grasp_scene
     from fungrasp.rendering.render import render
     from fungrasp.rendering.viewpoints import look_at_grasp
 
     thing = load_object(grasp.object_name, float(grasp.object_mass), objects)
-    shape = (thing.vertices, thing.faces, grasp.object_pose, grasp.link_contacts)
-    if isinstance(grasp, HumanGrasp):
-        model = human_grasp_scene(grasp.hand_joints, *shape)
-        qpos = model.qpos0
-    else:
-        model, qpos = robot_grasp_scene(
-            load_hand(grasp.hand), grasp.wrist_pose, grasp.joint_positions, *shape
-        )
+    model, qpos = grasp_scene(grasp, thing, None if isinstance(grasp, HumanGrasp) else load_hand(grasp.hand))
     picture = render(model, qpos, look_at_grasp(model, qpos, width=WIDTH, height=HEIGHT))[0]
     with atomic_path(path) as temporary:
         Image.fromarray(picture).save(temporary, format="PNG")

@@ -104,11 +104,28 @@ def six_direction_test(
     return StaticResult(np.all(held, axis=1), displacement, angle)
 
 
-def _own_squeeze(hand: Hand, grasps: RobotGraspSet) -> np.ndarray:
-    """Servo targets of the grasps' own squeeze within the joints' limits [rad], shape [W, U]; NaN where they
-    have none."""
-    low, high = hand.joint_limits.T
-    return hand.independent(np.clip(grasps.squeeze_positions, low, high))
+def squeezed_fingers(
+    grasps: RobotGraspSet, objects: Mapping[str, ObjectModel], hand: Hand, mass: float | None = None
+) -> np.ndarray:
+    """Servo targets with which grasps hold: their own ``squeeze_positions`` within the joints' limits, where
+    they have some, else those of planned motions [rad], shape [N, U].
+
+    Args:
+        grasps: N grasps.
+        objects: by name.
+        hand: the robot hand.
+        mass: of every object [kg]; their own if None.
+    """
+    closed = hand.independent(grasps.joint_positions)
+    squeezed = hand.independent(np.clip(grasps.squeeze_positions, *hand.joint_limits.T))
+    missing = np.isnan(squeezed).any(axis=1)
+    if missing.any():
+        weighed = grasps if mass is None else replace(grasps, object_mass=np.full(len(grasps), mass))
+        belief = Belief.nominal(grasps.object_pose, weighed.object_mass, grasps.wrist_pose, closed)
+        palm = compose(invert(grasps.object_pose), grasps.wrist_pose)
+        planned = closed + squeeze_offsets(hand, weighed, objects, belief, palm, closed)
+        squeezed = np.where(missing[:, None], planned, squeezed)
+    return squeezed
 
 
 def _push(
@@ -122,14 +139,7 @@ def _push(
         object_index=index, object_mass=np.full(count, p.mass), table_height=np.full(count, -100.0)
     )
     closed = hand.independent(grasps.joint_positions)
-    floating = replace(grasps, object_mass=np.full(count, p.mass))
-    belief = Belief.nominal(grasps.object_pose, floating.object_mass, grasps.wrist_pose, closed)
-    palm = compose(invert(grasps.object_pose), grasps.wrist_pose)
-    squeezed = _own_squeeze(hand, grasps)
-    missing = np.isnan(squeezed).any(axis=1)
-    if missing.any():
-        planned = closed + squeeze_offsets(hand, floating, objects, belief, palm, closed)
-        squeezed = np.where(np.expand_dims(missing, 1), planned, squeezed)
+    squeezed = squeezed_fingers(grasps, objects, hand, p.mass)
     engine.reset()
     engine.set_state(
         object_pose=grasps.object_pose,

@@ -29,6 +29,7 @@ SOURCES = (
     "geometry/signed_distance.py",
     "optimization/*.py",
     "perception/object_pose/icp_loops.py",
+    "rendering/pixel_loops.py",
 )
 """Files that the loops are made from."""
 

@@ -2,6 +2,7 @@
 
 from fungrasp.rendering.camera import Camera, fit_camera, orbit_camera
 from fungrasp.rendering.grasp_scenes import (
+    grasp_scene,
     human_grasp_scene,
     robot_grasp_scene,
     robot_scene_colors,
@@ -18,6 +19,7 @@ __all__ = [
     "Views",
     "fit_camera",
     "frame_geoms",
+    "grasp_scene",
     "human_grasp_scene",
     "look_at_grasp",
     "orbit_camera",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -81,7 +82,7 @@ class Camera:
 
     def rays(self) -> PixelRays:
         """What the ray tracer needs to know."""
-        return PixelRays(self.width, self.height, np.array(self.position), self.focal, self.directions)
+        return _rays(self)
 
     def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Where points appear.
@@ -102,6 +103,13 @@ class Camera:
     def sized(self, width: int, height: int) -> Camera:
         """The same view with another number of pixels."""
         return replace(self, width=width, height=height)
+
+
+@lru_cache(maxsize=4)
+def _rays(camera: Camera) -> PixelRays:
+    """A film's camera stands still most of the time."""
+    position = np.array(camera.position, dtype=float)
+    return PixelRays(camera.width, camera.height, position, camera.focal, camera.directions)
 
 
 def orbit_camera(

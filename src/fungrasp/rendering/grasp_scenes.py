@@ -11,9 +11,12 @@ from scipy.spatial import KDTree
 
 from fungrasp.errors import FungraspError
 from fungrasp.geometry.poses import compose, inverse_transform_points, invert
+from fungrasp.grasps import HumanGrasp, RobotGrasp
 from fungrasp.hands import Hand
+from fungrasp.objects import ObjectModel
 from fungrasp.rendering.hand_mesh import human_hand_mesh
 from fungrasp.rendering.hand_shells import dressed_spec
+from fungrasp.rendering.object_looks import painted_parts
 from fungrasp.rendering.shading import model_materials
 
 SKIN = (0.86, 0.68, 0.57)
@@ -21,9 +24,6 @@ SKIN = (0.86, 0.68, 0.57)
 
 CONTACT = (0.95, 0.49, 0.16)
 """Color of links in contact, sRGB."""
-
-OBJECT = (0.36, 0.55, 0.72)
-"""Color of an object, sRGB."""
 
 OBJECT_BODY = "object"
 """Name of the object's body in the scenes made here."""
@@ -40,29 +40,20 @@ _SPACING = 0.01
 
 
 def human_grasp_scene(
-    joints: np.ndarray,
-    vertices: np.ndarray,
-    faces: np.ndarray,
-    object_pose: np.ndarray,
-    link_contacts: np.ndarray,
-    *,
-    object_color: Sequence[float] = OBJECT,
+    joints: np.ndarray, thing: ObjectModel, object_pose: np.ndarray, link_contacts: np.ndarray
 ) -> mujoco.MjModel:
     """A human hand, its links in contact colored, holding an object. The model has no joints.
 
     Args:
         joints: [m], world frame, shape [21, 3].
-        vertices: of the object [m], object frame, shape [V, 3].
-        faces: of the object, shape [T, 3].
+        thing: the object.
         object_pose: world frame, shape [7].
         link_contacts: shape [16] bool.
-        object_color: sRGB.
 
     Raises:
         FungraspError: an argument has the wrong shape or is not finite.
     """
     contacts = _flags(link_contacts, 16)
-    vertices, faces = _checked_mesh(vertices, faces)
     pose = _finite("object_pose", object_pose, (7,))
     hand = human_hand_mesh(joints)
     spec = mujoco.MjSpec()
@@ -74,7 +65,7 @@ def human_grasp_scene(
     texture.data = np.round(255 * palette).astype(np.uint8).tobytes()
     material = spec.add_material(name="skin", rgba=[1, 1, 1, 1], specular=0.25, shininess=0.15)
     material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "skin"
-    surface = _dense(vertices, faces)
+    surface = _dense(thing.vertices, thing.faces)
     apart, _ = KDTree(surface).query(inverse_transform_points(pose, hand.vertices))
     near = np.clip((0.030 - apart) / 0.020, 0.0, 1.0)
     touching = hand.links @ contacts.astype(float)
@@ -84,8 +75,8 @@ def human_grasp_scene(
     mesh.usertexcoord = np.stack([place, np.full_like(place, 0.5)], axis=-1).ravel()
     body = spec.worldbody.add_body(name=HAND_BODY)
     _add_mesh_geom(body, HAND_BODY, [1, 1, 1, 1]).material = "skin"
-    thing = _add_object(spec, vertices, faces, object_color)
-    thing.pos, thing.quat = pose[:3], pose[3:]
+    held = _add_object(spec, thing)
+    held.pos, held.quat = pose[:3], pose[3:]
     return _compiled(spec)
 
 
@@ -93,23 +84,18 @@ def robot_grasp_scene(
     hand: Hand,
     wrist_pose: np.ndarray,
     joint_positions: np.ndarray,
-    vertices: np.ndarray,
-    faces: np.ndarray,
+    thing: ObjectModel,
     object_pose: np.ndarray,
     link_contacts: np.ndarray | None = None,
-    *,
-    object_color: Sequence[float] = OBJECT,
 ) -> tuple[mujoco.MjModel, np.ndarray]:
     """A robot hand, its links in contact colored, holding an object. Hand and object can move freely.
 
     Args:
         wrist_pose: of the palm body, world frame, shape [7].
         joint_positions: in the order of ``hand.joint_names`` [rad], shape [M].
-        vertices: of the object [m], object frame, shape [V, 3].
-        faces: of the object, shape [T, 3].
+        thing: the object.
         object_pose: world frame, shape [7].
         link_contacts: in the order of ``hand.links``, shape [L] bool; None for none.
-        object_color: sRGB.
 
     Returns:
         the model, and its qpos, shape [nq].
@@ -117,13 +103,12 @@ def robot_grasp_scene(
     Raises:
         FungraspError: an argument has the wrong shape or is not finite.
     """
-    vertices, faces = _checked_mesh(vertices, faces)
     spec = mujoco.MjSpec()
     body = spec.worldbody.add_body(name=HAND_BODY, mass=0.1, inertia=[1e-4, 1e-4, 1e-4])
     body.explicitinertial = True
     body.add_freejoint(name=HAND_BODY)
     spec.attach(dressed_spec(hand), prefix=_PREFIX, frame=body.add_frame())
-    _add_object(spec, vertices, faces, object_color).add_freejoint(name=OBJECT_BODY)
+    _add_object(spec, thing).add_freejoint(name=OBJECT_BODY)
     model = _compiled(spec)
     if link_contacts is not None:
         colors = robot_scene_colors(model, hand, np.asarray(link_contacts)[None])[0]
@@ -134,6 +119,25 @@ def robot_grasp_scene(
         model, hand, pose[None], positions[None], np.asarray(object_pose, float)[None]
     )
     return model, states[0]
+
+
+def grasp_scene(
+    grasp: HumanGrasp | RobotGrasp, thing: ObjectModel, hand: Hand | None = None
+) -> tuple[mujoco.MjModel, np.ndarray]:
+    """The scene of a grasp as it is, and its qpos, shape [nq].
+
+    Args:
+        grasp: of a person or a robot.
+        thing: its object.
+        hand: that of a robot's grasp.
+    """
+    if isinstance(grasp, HumanGrasp):
+        model = human_grasp_scene(grasp.hand_joints, thing, grasp.object_pose, grasp.link_contacts)
+        return model, model.qpos0
+    assert hand is not None
+    return robot_grasp_scene(
+        hand, grasp.wrist_pose, grasp.joint_positions, thing, grasp.object_pose, grasp.link_contacts
+    )
 
 
 def robot_scene_states(
@@ -203,24 +207,16 @@ def robot_scene_colors(model: mujoco.MjModel, hand: Hand, link_contacts: np.ndar
     return colors
 
 
-def _add_object(
-    spec: mujoco.MjSpec, vertices: np.ndarray, faces: np.ndarray, color: Sequence[float]
-) -> mujoco.MjsBody:
-    _add_mesh(spec, OBJECT_BODY, vertices, faces)
+def _add_object(spec: mujoco.MjSpec, thing: ObjectModel) -> mujoco.MjsBody:
     body = spec.worldbody.add_body(name=OBJECT_BODY)
-    _add_mesh_geom(body, OBJECT_BODY, [*color, 1.0])
+    for number, (look, mask) in enumerate(painted_parts(thing)):
+        name = f"{OBJECT_BODY}{number or ''}"
+        material = spec.add_material(name=name, rgba=[*look.color, 1.0])
+        material.specular, material.shininess = look.specular, look.shininess
+        used, faces = np.unique(thing.faces[mask], return_inverse=True)
+        _add_mesh(spec, name, thing.vertices[used], faces.reshape(-1, 3))
+        _add_mesh_geom(body, name, [0.5, 0.5, 0.5, 1.0]).material = name
     return body
-
-
-def _checked_mesh(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    vertices, faces = np.asarray(vertices, dtype=float), np.asarray(faces)
-    if vertices.ndim != 2 or vertices.shape[1:] != (3,) or faces.ndim != 2 or faces.shape[1:] != (3,):
-        raise FungraspError(
-            f"an object needs vertices [V, 3] and faces [T, 3], not {vertices.shape} and {faces.shape}"
-        )
-    if not np.isfinite(vertices).all() or faces.size == 0 or faces.min() < 0 or faces.max() >= len(vertices):
-        raise FungraspError("an object's vertices must be finite, and its faces must be indices of vertices")
-    return vertices, faces
 
 
 def _compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:

@@ -44,7 +44,6 @@ def render(
     qpos: np.ndarray,
     camera: Camera | Sequence[Camera],
     *,
-    mocap: np.ndarray | None = None,
     geom_rgba: np.ndarray | None = None,
     look: Look | None = None,
     shadows: bool = True,
@@ -61,7 +60,7 @@ def render(
     renderer = Renderer(
         model, look=look, shadows=shadows, ground=ground, antialias=antialias, threads=threads
     )
-    return np.stack(list(renderer.stream(qpos, camera, mocap=mocap, geom_rgba=geom_rgba)))
+    return np.stack(list(renderer.stream(qpos, camera, geom_rgba=geom_rgba)))
 
 
 class Renderer:
@@ -108,7 +107,6 @@ class Renderer:
         qpos: np.ndarray,
         camera: Camera | Sequence[Camera],
         *,
-        mocap: np.ndarray | None = None,
         geom_rgba: np.ndarray | None = None,
     ) -> Iterator[np.ndarray]:
         """Color pictures, one by one, shape [H, W, 3] uint8; no more than a few are held at once.
@@ -117,15 +115,13 @@ class Renderer:
             qpos: joint positions, shape [F, nq] or [nq].
             camera: one for all frames, or one each; all of one size. The first decides where the key light
                 is.
-            mocap: poses of the mocap bodies, world frame, shape [F, nmocap, 7] or [nmocap, 7]; None for the
-                model's.
             geom_rgba: sRGB and opacity (only whether it is 0 matters), shape [ngeom, 4] or [F, ngeom, 4];
                 None for the model's colors and materials.
 
         Raises:
             FungraspError: an argument has the wrong shape, or is not finite.
         """
-        frames = self._frames(qpos, camera, mocap, geom_rgba)
+        frames = self._frames(qpos, camera, geom_rgba)
         return (to_bytes(light) for light in self._each(self._light, frames))
 
     def views(
@@ -133,7 +129,6 @@ class Renderer:
         qpos: np.ndarray,
         camera: Camera | Sequence[Camera],
         *,
-        mocap: np.ndarray | None = None,
         geom_rgba: np.ndarray | None = None,
         color: bool = True,
     ) -> Views:
@@ -142,7 +137,7 @@ class Renderer:
         Args:
             color: False leaves out the colors, which take most of the time.
         """
-        frames = self._frames(qpos, camera, mocap, geom_rgba)
+        frames = self._frames(qpos, camera, geom_rgba)
         seen = list(self._each(lambda frame: self._view(frame, color), frames))
         pictures, depths, segmentations = zip(*seen, strict=True)
         return Views(np.stack(pictures) if color else None, np.stack(depths), np.stack(segmentations))
@@ -168,7 +163,6 @@ class Renderer:
         self,
         qpos: np.ndarray,
         camera: Camera | Sequence[Camera],
-        mocap: np.ndarray | None,
         geom_rgba: np.ndarray | None,
     ) -> Iterator[_Frame]:
         """Check the arguments, then make the frames one by one; those of one state share their tracer."""
@@ -183,10 +177,6 @@ class Renderer:
             )
         if len({(c.width, c.height) for c in cameras}) > 1:
             raise FungraspError("all cameras of a film must have the same number of pixels")
-        if mocap is not None:
-            mocap = np.asarray(mocap, dtype=float)
-            mocap = np.broadcast_to(mocap, (count, *mocap.shape)) if mocap.ndim == 2 else mocap
-            _check("mocap", mocap, (count, model.nmocap, 7))
         colors = self._materials.colors if geom_rgba is None else np.asarray(geom_rgba, dtype=np.float32)
         colors = np.broadcast_to(colors, (count, *colors.shape)) if colors.ndim == 2 else colors
         _check("geom_rgba", colors, (count, model.ngeom, 4))
@@ -196,7 +186,7 @@ class Renderer:
         def frames() -> Iterator[_Frame]:
             data, before = mujoco.MjData(model), None
             for i, view in enumerate(cameras):
-                state = (qpos[i], colors[i], *(() if mocap is None else (mocap[i],)))
+                state = (qpos[i], colors[i])
                 if before is None or not all(map(np.array_equal, state, before)):
                     geoms, surfaces = self._posed(data, *state)
                     tracer, before = RayTracer(surfaces, look, center), state
@@ -205,12 +195,10 @@ class Renderer:
         return frames()
 
     def _posed(
-        self, data: mujoco.MjData, qpos: np.ndarray, colors: np.ndarray, mocap: np.ndarray | None = None
+        self, data: mujoco.MjData, qpos: np.ndarray, colors: np.ndarray
     ) -> tuple[list[int], list[SurfaceMesh]]:
         """Ids and surfaces of the geoms that are seen in a state."""
         data.qpos[:] = qpos
-        if mocap is not None:
-            data.mocap_pos[:], data.mocap_quat[:] = mocap[:, :3], mocap[:, 3:]
         mujoco.mj_kinematics(self.model, data)
         geoms = [geom for geom in self._surfaces if colors[geom, 3] > 0]
         surfaces = [

@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 
 from fungrasp.errors import FungraspError
+from fungrasp.rendering.pixel_loops import STEPS, to_levels
 
 Color = tuple[float, float, float]
 """sRGB, each from 0 to 1."""
@@ -57,6 +58,21 @@ class Look:
         """Tangent of the key light's angular radius."""
         return float(np.tan(np.radians(self.light_radius)))
 
+    @property
+    def numbers(self) -> np.ndarray:
+        """What ``pixel_loops.shade`` needs, shape [8, 3]: linear colors of the table's light and dark
+        squares, horizon, zenith, key light, sky, bounce from below; then the squares' side and where the
+        table fades [m]."""
+        table, dark, horizon, top = (
+            linear(np.asarray(color))
+            for color in (self.table, self.table_dark, self.backdrop_horizon, self.backdrop_top)
+        )
+        key = np.array([1.0, 0.965, 0.91]) * self.key / np.pi
+        sky = np.array([0.93, 0.97, 1.03]) * self.fill * 0.62
+        return np.array(
+            [table, dark, horizon, top, key, sky, table * self.fill * 0.42, (self.square, *self.fade)]
+        )
+
 
 @dataclass(frozen=True)
 class Materials:
@@ -94,111 +110,15 @@ def linear(color: np.ndarray) -> np.ndarray:
 
 def to_bytes(light: np.ndarray) -> np.ndarray:
     """Linear light, 1 being white, to 8-bit sRGB; any shape."""
-    return _GAMMA[np.clip(light * _STEPS + 0.5, 0, _STEPS).astype(np.int32)]
+    levels = np.ascontiguousarray(light, np.float32)
+    result = np.empty(levels.shape, np.uint8)
+    to_levels(result.reshape(-1), levels.reshape(-1), _GAMMA)
+    return result
 
 
 def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Scalar products over the last axis; the shapes are equal."""
     return np.einsum("...i,...i->...", a, b)
-
-
-def soft_clip(light: np.ndarray) -> np.ndarray:
-    """Compress what is brighter than the display so that it keeps its hue; the dark two thirds stay as they
-    are.
-    """
-    knee = np.float32(0.65)
-    over = np.maximum(light - knee, 0.0)
-    return np.minimum(light, knee) + (1 - knee) * over / (over + (1 - knee))
-
-
-def backdrop(look: Look, directions: np.ndarray) -> np.ndarray:
-    """Linear color of the sky. directions: unit, world frame, shape [R, 3]. Returns shape [R, 3]."""
-    height = np.clip(directions[:, 2:] * 1.6, 0.0, 1.0).astype(np.float32)
-    return (
-        linear(np.asarray(look.backdrop_horizon)) * (1 - height)
-        + linear(np.asarray(look.backdrop_top)) * height
-    )
-
-
-def table_top(look: Look, points: np.ndarray, directions: np.ndarray, width: np.ndarray) -> np.ndarray:
-    """Linear color of the table, its squares filtered over the width of a pixel.
-
-    Args:
-        points: (x, y) [m], world frame, shape [P, 2].
-        directions: unit view directions, shape [P, 3].
-        width: of a pixel across the view [m], shape [P].
-
-    Returns:
-        shape [P, 3].
-    """
-    side = np.float32(look.square)
-    slant = width / np.maximum(-directions[:, 2], 1e-4)
-    along = np.sqrt(directions[:, 0] ** 2 + directions[:, 1] ** 2 + 1e-12)
-    wave = np.ones(len(points), np.float32)
-    for axis in (0, 1):
-        towards = np.abs(directions[:, axis]) / along
-        aside = np.abs(directions[:, 1 - axis]) / along
-        w = np.maximum((towards * slant + aside * width) / side, 1e-4)
-        x = points[:, axis] / side
-        wave *= (_triangle(x + 0.5 * w) - _triangle(x - 0.5 * w)) / w
-    light, dark = linear(np.asarray(look.table)), linear(np.asarray(look.table_dark))
-    return light + (0.5 - 0.5 * wave)[:, None] * (dark - light)
-
-
-def lit(
-    look: Look,
-    albedo: np.ndarray,
-    normals: np.ndarray,
-    views: np.ndarray,
-    sun: np.ndarray,
-    shadow: np.ndarray,
-    openness: np.ndarray,
-    specular: np.ndarray,
-    shininess: np.ndarray,
-) -> np.ndarray:
-    """Linear light that leaves surfaces towards the eye: key light, sky and bounce from below, highlight,
-    faint rim.
-
-    Args:
-        albedo: linear colors, shape [P, 3].
-        normals: unit, world frame, shape [P, 3].
-        views: unit directions from the eye to the surface, shape [P, 3].
-        sun: unit direction towards the key light, shape [3].
-        shadow: part of the key light that arrives, shape [P].
-        openness: part of the surroundings that is not hidden by near things, shape [P].
-        specular: strength of the highlight, shape [P].
-        shininess: its exponent, shape [P].
-
-    Returns:
-        shape [P, 3].
-    """
-    facing = normals @ sun
-    diffuse = np.maximum(facing, 0.0) * shadow
-    up = 0.5 + 0.5 * normals[:, 2]
-    bounce_color = linear(np.asarray(look.table)) * np.float32(look.fill * 0.42)
-    ambient = (up[:, None] * _sky_color(look) + (1 - up[:, None]) * bounce_color) * openness[:, None]
-    half = sun - views
-    half /= np.sqrt(dot(half, half))[:, None]
-    shine = np.maximum(dot(normals, half), 0.0) ** shininess * specular * diffuse * (shininess + 8) / 60.0
-    grazing = (1.0 - np.clip(-dot(normals, views), 0.0, 1.0)) ** 4
-    sheen = grazing * openness * (0.12 * up) * np.minimum(specular * 3, 1.0)
-    return albedo * (diffuse[:, None] * _key_color(look) + ambient) + (0.5 * shine + sheen)[:, None]
-
-
-def lit_table(
-    look: Look, albedo: np.ndarray, sun: np.ndarray, shadow: np.ndarray, openness: np.ndarray
-) -> np.ndarray:
-    """``lit`` for a matt, level table top. Returns shape [P, 3]."""
-    diffuse = np.float32(max(float(sun[2]), 0.0)) * shadow
-    return albedo * (diffuse[:, None] * _key_color(look) + openness[:, None] * _sky_color(look))
-
-
-def table_fade(look: Look, points: np.ndarray, middle: np.ndarray) -> np.ndarray:
-    """How much of the table is still there, 1 to 0. points: (x, y) [m], shape [P, 2]. Returns shape [P]."""
-    near, far = look.fade
-    distance = np.hypot(points[:, 0] - middle[0], points[:, 1] - middle[1])
-    s = np.clip((far - distance) / (far - near), 0.0, 1.0).astype(np.float32)
-    return s * s * (3 - 2 * s)
 
 
 def sun_direction(look: Look, rotation: np.ndarray) -> tuple[float, float, float]:
@@ -213,21 +133,7 @@ def sun_direction(look: Look, rotation: np.ndarray) -> tuple[float, float, float
     return x, y, z
 
 
-def _key_color(look: Look) -> np.ndarray:
-    return np.array([1.0, 0.965, 0.91], np.float32) * np.float32(look.key / np.pi)
-
-
-def _sky_color(look: Look) -> np.ndarray:
-    return np.array([0.93, 0.97, 1.03], np.float32) * np.float32(look.fill * 0.62)
-
-
-def _triangle(x: np.ndarray) -> np.ndarray:
-    phase = np.mod(x, 2.0)
-    return np.minimum(phase, 2.0 - phase)
-
-
-_STEPS = 4095
-_levels = np.linspace(0.0, 1.0, _STEPS + 1)
+_levels = np.linspace(0.0, 1.0, STEPS + 1)
 _GAMMA = np.round(
     255
     * np.where(_levels <= 0.0031308, 12.92 * _levels, 1.055 * np.maximum(_levels, 1e-9) ** (1 / 2.4) - 0.055)

@@ -23,7 +23,6 @@ def look_at_grasp(
     model: mujoco.MjModel,
     qpos: np.ndarray | None = None,
     *,
-    mocap: np.ndarray | None = None,
     width: int = 640,
     height: int = 480,
     margin: float = 1.12,
@@ -40,20 +39,16 @@ def look_at_grasp(
             ``OBJECT_BODY``.
         qpos: shape [nq], or [T, nq] for a motion: it is all framed, and judged by its last state; None for
             the model's reference.
-        mocap: poses of the mocap bodies, shape [nmocap, 7] or [T, nmocap, 7]; None for the model's.
         margin: how much larger than its contents the picture is; a bar of words needs about 1.3.
         elevations: of the views that are tried [degrees].
         azimuths: number of directions that are tried.
     """
     states = np.atleast_2d(model.qpos0 if qpos is None else np.asarray(qpos, dtype=float))
-    last_mocap = mocap if mocap is None or np.ndim(mocap) == 2 else mocap[-1]
     small = (48 * width // max(width, height) + 1, 48 * height // max(width, height) + 1)
     views = [(e, a) for e in elevations for a in np.arange(azimuths) * 360.0 / azimuths]
-    cameras = [
-        frame_geoms(model, states, a, e, mocap=mocap, width=small[0], height=small[1]) for e, a in views
-    ]
+    cameras = [frame_geoms(model, states, a, e, width=small[0], height=small[1]) for e, a in views]
     renderer = Renderer(model, antialias=1, shadows=False)
-    seen = renderer.views(states[-1:].repeat(len(views), 0), cameras, mocap=last_mocap)
+    seen = renderer.views(states[-1:].repeat(len(views), 0), cameras)
     of_object = [g for g in range(model.ngeom) if model.body(int(model.geom_bodyid[g])).name == OBJECT_BODY]
     of_hand = np.setdiff1d(np.unique(seen.segmentation[seen.segmentation >= 0]), of_object)
     score = 0.4 * _shares(np.isin(seen.segmentation, of_object))
@@ -61,9 +56,7 @@ def look_at_grasp(
     score += 0.8 * _shares(_touching(model, seen) & ~np.isin(seen.segmentation, of_object))
     score -= 0.004 * np.abs(np.array([e for e, _ in views]) - _BEST_ELEVATION)
     elevation, azimuth = views[int(np.argmax(score))]
-    return frame_geoms(
-        model, states, azimuth, elevation, mocap=mocap, width=width, height=height, margin=margin
-    )
+    return frame_geoms(model, states, azimuth, elevation, width=width, height=height, margin=margin)
 
 
 def frame_geoms(
@@ -72,7 +65,6 @@ def frame_geoms(
     azimuth: float,
     elevation: float,
     *,
-    mocap: np.ndarray | None = None,
     width: int = 640,
     height: int = 480,
     fov_y: float = 30.0,
@@ -84,7 +76,6 @@ def frame_geoms(
         qpos: shape [nq], or [T, nq] for a motion of which all is framed.
         azimuth: of the camera, from the world's x towards y [degrees].
         elevation: above the horizontal [degrees].
-        mocap: poses of the mocap bodies, shape [nmocap, 7] or [T, nmocap, 7]; None for the model's.
         fov_y: vertical field of view [degrees].
         margin: how much larger than its contents the picture is.
 
@@ -106,9 +97,6 @@ def frame_geoms(
     data = mujoco.MjData(model)
     for i in [*range(0, len(states), step), len(states) - 1]:
         data.qpos[:] = states[i]
-        if mocap is not None:
-            poses = mocap if np.ndim(mocap) == 2 else mocap[i]
-            data.mocap_pos[:], data.mocap_quat[:] = poses[:, :3], poses[:, 3:]
         mujoco.mj_kinematics(model, data)
         rotation = data.geom_xmat[chosen].reshape(-1, 3, 3)
         points.append(data.geom_xpos[chosen][:, None] + np.einsum("gij,gpj->gpi", rotation, local))

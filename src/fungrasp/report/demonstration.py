@@ -21,7 +21,7 @@ from fungrasp.planning.selection.refinement import refine_grasps
 from fungrasp.policies import OpenLoopPolicy, make_planner
 from fungrasp.policies.registry import REFERENCE
 from fungrasp.provenance import page_provenance
-from fungrasp.rendering import human_grasp_scene, look_at_grasp, render
+from fungrasp.rendering import grasp_scene, look_at_grasp, render
 from fungrasp.report.episode_film import episode_film, film_frames
 from fungrasp.report.grasp_demo import grasp_report, grasp_title
 from fungrasp.report.page import GraspReport, Page, write_page
@@ -31,10 +31,10 @@ from fungrasp.retargeting import retarget
 FPS, SPEED = 12.0, 2.0
 """Frames per second of the film, and how much faster than the simulation it runs."""
 
-WIDTH, HEIGHT = 640, 480
+WIDTH, HEIGHT = 1280, 720
 """Size of the film's picture [pixels]."""
 
-INSET = 0.28
+INSET = 0.24
 """Width of the picture of the person's grasp in the film's corner, in widths of the film."""
 
 TITLE = "Human grasps, taken over by a robot hand"
@@ -200,8 +200,7 @@ def _film(
 
 def _person(grasp: HumanGrasp, obj: ObjectModel) -> np.ndarray:
     """The person's grasp, for the film's corner."""
-    model = human_grasp_scene(
-        grasp.hand_joints, obj.vertices, obj.faces, grasp.object_pose, grasp.link_contacts
-    )
-    width, height = round(INSET * WIDTH), round(INSET * HEIGHT)
-    return render(model, model.qpos0, look_at_grasp(model, width=width, height=height))[0]
+    model, qpos = grasp_scene(grasp, obj)
+    width = round(INSET * WIDTH)
+    height = round(0.75 * width)
+    return render(model, qpos, look_at_grasp(model, width=width, height=height))[0]

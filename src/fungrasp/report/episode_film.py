@@ -71,13 +71,13 @@ def episode_film(
     """
     trajectory = _finite_part(trajectory)
     wrist, joints, things = trajectory.palm_pose, trajectory.joint_positions, trajectory.object_pose
-    model, _ = robot_grasp_scene(hand, wrist[0], joints[0], thing.vertices, thing.faces, things[0])
+    model, _ = robot_grasp_scene(hand, wrist[0], joints[0], thing, things[0])
     recorded = robot_scene_states(model, hand, wrist, joints, things)
     times = trajectory.times.astype(float)
     at = frame_times(times, fps, speed)
     states = interpolate(model, recorded, times, at)
     holding = trajectory.link_contacts[trajectory.phase == trajectory.phase.max()].mean(axis=0) > 0.5
-    judged, _ = robot_grasp_scene(hand, wrist[0], joints[0], thing.vertices, thing.faces, things[0], holding)
+    judged, _ = robot_grasp_scene(hand, wrist[0], joints[0], thing, things[0], holding)
     cameras = _cameras(judged, recorded, trajectory, at, width, height)
     colors = robot_scene_colors(model, hand, _steady(trajectory.link_contacts, times, at))
     drawn = _moving(model, states)

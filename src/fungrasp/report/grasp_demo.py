@@ -10,7 +10,7 @@ from fungrasp.evaluation import LiftTestResult, StaticQuality, Trajectory
 from fungrasp.grasps import HumanGrasp, RobotGrasp
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
-from fungrasp.rendering.grasp_scenes import human_grasp_scene, robot_grasp_scene
+from fungrasp.rendering.grasp_scenes import grasp_scene
 from fungrasp.rendering.render import render
 from fungrasp.rendering.viewpoints import frame_geoms, look_at_grasp
 from fungrasp.report.episode_film import view_angles
@@ -135,11 +135,8 @@ def grasp_pictures(
     Returns:
         two pictures, sRGB, shape [height, width, 3] uint8.
     """
-    mesh = (thing.vertices, thing.faces)
-    person = human_grasp_scene(human.hand_joints, *mesh, human.object_pose, human.link_contacts)
-    model, qpos = robot_grasp_scene(
-        hand, robot.wrist_pose, robot.joint_positions, *mesh, robot.object_pose, robot.link_contacts
-    )
+    person, _ = grasp_scene(human, thing)
+    model, qpos = grasp_scene(robot, thing, hand)
     camera = look_at_grasp(model, qpos, width=width, height=height)
     azimuth, elevation = view_angles(camera)
     theirs = frame_geoms(person, person.qpos0, azimuth, elevation, width=width, height=height)

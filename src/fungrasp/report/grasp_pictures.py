@@ -12,7 +12,7 @@ from fungrasp.files import atomic_path
 from fungrasp.grasps import HumanGraspSet, RobotGraspSet
 from fungrasp.grasps.alternatives import alternative_rows
 from fungrasp.objects import ObjectModel
-from fungrasp.rendering import human_grasp_scene, robot_grasp_scene
+from fungrasp.rendering.grasp_scenes import grasp_scene
 from fungrasp.rendering.render import render
 from fungrasp.rendering.viewpoints import look_at_grasp
 from fungrasp.report.pictures import grid
@@ -49,13 +49,11 @@ def draw_grasps(
     images, labels = [], []
     for done, row in enumerate(rows):
         obj = objects[str(robot.object_name[row])]
-        shape = (obj.vertices, obj.faces, robot.object_pose[row], robot.link_contacts[row])
-        model, qpos = robot_grasp_scene(hand, robot.wrist_pose[row], robot.joint_positions[row], *shape)
+        model, qpos = grasp_scene(robot[row], obj, hand)
         camera = look_at_grasp(model, qpos, width=WIDTH, height=HEIGHT)
         if human is not None:
-            shape = (obj.vertices, obj.faces, human.object_pose[row], human.link_contacts[row])
-            person = human_grasp_scene(human.hand_joints[row], *shape)
-            images += [render(person, person.qpos0, camera)[0]]
+            person, still = grasp_scene(human[row], obj)
+            images += [render(person, still, camera)[0]]
             labels += [f"{obj.name}: human"]
         images += [render(model, qpos, camera)[0]]
         labels += [f"{obj.name}: {hand.name if captions is None else captions[row]}"]

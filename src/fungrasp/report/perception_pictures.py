@@ -13,9 +13,10 @@ from fungrasp.geometry.poses import rotate, transform_points
 from fungrasp.grasps import HumanGrasp
 from fungrasp.grasps.human_hand import BONES, HUMAN_FINGERS, mirror_points
 from fungrasp.objects import ObjectModel
+from fungrasp.objects.mirroring import mirrored_object
 from fungrasp.perception import Capture, HandEstimate, Intrinsics
 from fungrasp.perception.object_pose.known_object import MeshRays
-from fungrasp.rendering.grasp_scenes import human_grasp_scene
+from fungrasp.rendering.grasp_scenes import grasp_scene
 from fungrasp.report.pictures import four_views
 
 FINGER_COLORS = {
@@ -187,15 +188,11 @@ def grasp_from_four_sides(
     Returns:
         Four pictures, sRGB, shape [360, 480, 3] uint8; none if the joints are no hand that can be drawn.
     """
-    vertices, faces, towards = (
-        model.vertices,
-        model.faces,
-        -rotate(pose_world_camera[3:], np.array([0.0, 0.0, 1.0])),
-    )
+    towards = -rotate(pose_world_camera[3:], np.array([0.0, 0.0, 1.0]))
     if mirrored:
-        vertices, faces, towards = mirror_points(vertices), faces[:, ::-1], mirror_points(towards)
+        model, towards = mirrored_object(model), mirror_points(towards)
     try:
-        scene = human_grasp_scene(grasp.hand_joints, vertices, faces, grasp.object_pose, grasp.link_contacts)
+        scene, _ = grasp_scene(grasp, model)
         return four_views(scene, azimuth=float(np.degrees(np.arctan2(towards[1], towards[0]))))
     except FungraspError:
         return []

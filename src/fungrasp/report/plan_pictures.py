@@ -17,7 +17,7 @@ from fungrasp.hands import Hand
 from fungrasp.hands.arm import arm_spec, mount
 from fungrasp.objects import ObjectModel
 from fungrasp.rendering.camera import Camera, fit_camera, orbit_camera
-from fungrasp.rendering.grasp_scenes import OBJECT
+from fungrasp.rendering.object_looks import PLAIN
 from fungrasp.rendering.render import render
 from fungrasp.report.film import film
 from fungrasp.report.pictures import grid
@@ -168,7 +168,7 @@ def _model(cell: RobotCell, hand: Hand, thing: ObjectModel, motion: Motion | Non
     body = spec.worldbody.add_body(name="object to grasp", mass=0.1, inertia=[1e-4, 1e-4, 1e-4])
     body.explicitinertial = True
     body.add_freejoint(name="object to grasp")
-    body.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=mesh.name, rgba=[*OBJECT, 1.0])
+    body.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=mesh.name, rgba=[*PLAIN.color, 1.0])
     if motion is not None:
         for place, color in _beads(motion):
             spec.worldbody.add_geom(type=ball, size=[BEAD, 0, 0], pos=place.tolist(), rgba=color)

@@ -16,7 +16,7 @@ from fungrasp.objects import ObjectModel, check_objects
 from fungrasp.perception.perceived import Perceived
 from fungrasp.plots import RateBars, rates_svg
 from fungrasp.provenance import page_provenance
-from fungrasp.rendering.grasp_scenes import human_grasp_scene, robot_grasp_scene
+from fungrasp.rendering.grasp_scenes import grasp_scene
 from fungrasp.rendering.render import render
 from fungrasp.rendering.viewpoints import look_at_grasp
 from fungrasp.report.deployment_page import write_deployment_page
@@ -134,14 +134,8 @@ def grasp_picture(
         sRGB, shape [height, width, 3] uint8.
     """
     grasp = grasps[row]
-    obj = objects[grasp.object_name]
-    shape = (obj.vertices, obj.faces, grasp.object_pose, grasp.link_contacts)
-    if isinstance(grasp, HumanGrasp):
-        model = human_grasp_scene(grasp.hand_joints, *shape)
-        qpos = model.qpos0
-    else:
-        assert isinstance(grasps, RobotGraspSet)
-        model, qpos = robot_grasp_scene(grasps.load_hand(), grasp.wrist_pose, grasp.joint_positions, *shape)
+    hand = grasps.load_hand() if isinstance(grasps, RobotGraspSet) else None
+    model, qpos = grasp_scene(grasp, objects[grasp.object_name], hand)
     return render(model, qpos, look_at_grasp(model, qpos, width=width, height=height))[0]
 
 

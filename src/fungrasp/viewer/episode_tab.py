@@ -153,7 +153,8 @@ class EpisodeTab:
             force = min(STIFFNESS * size, STRONGEST) * away / size
             episode.push = np.zeros(3) if event.phase == "end" else force
 
-        scene.object.handle.on_drag(pull)
+        for surface in scene.object.surfaces:
+            surface.on_drag(pull)
 
     def _save_film(self) -> None:
         from fungrasp.report.episode_film import episode_film

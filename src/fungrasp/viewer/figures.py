@@ -10,10 +10,11 @@ import numpy as np
 from fungrasp.geometry.poses import compose, invert
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
-from fungrasp.rendering.grasp_scenes import CONTACT, OBJECT, SKIN
+from fungrasp.rendering.grasp_scenes import CONTACT, SKIN
 from fungrasp.rendering.hand_mesh import human_hand_mesh
 from fungrasp.rendering.hand_shells import dressed_model
 from fungrasp.rendering.model_surfaces import drawn_geoms, geom_surface
+from fungrasp.rendering.object_looks import painted_parts
 from fungrasp.rendering.shading import model_materials
 
 if TYPE_CHECKING:
@@ -204,7 +205,7 @@ class ObjectFigure:
         model: ObjectModel,
         *,
         opacity: float | None = None,
-        color: Color = OBJECT,
+        color: Color | None = None,
     ):
         """
         Args:
@@ -212,13 +213,21 @@ class ObjectFigure:
             name: of the node.
             model: the object.
             opacity: None for a solid one.
-            color: of the surface.
+            color: of the whole surface; that of its materials if None.
         """
         from fungrasp.rendering.surfaces import corner_normals
 
+        self.handle = scene.add_frame(name, show_axes=False)
         vertices, faces = model.vertices, model.faces
-        vertices, faces = creased(vertices, faces, corner_normals(vertices, faces))
-        self.handle = scene.add_mesh_simple(name, vertices, faces, color=_bytes(color), opacity=opacity)
+        normals = corner_normals(vertices, faces)
+        self.surfaces: list[Any] = []
+        """What can be clicked and dragged."""
+        for number, (look, mask) in enumerate(painted_parts(model)):
+            points, triangles = creased(vertices, faces[mask], normals[mask])
+            paint = _bytes(look.color if color is None else color)
+            self.surfaces.append(
+                scene.add_mesh_simple(f"{name}/{number}", points, triangles, color=paint, opacity=opacity)
+            )
 
     def place(self, pose: np.ndarray) -> None:
         """Move it. pose: shape [7]."""

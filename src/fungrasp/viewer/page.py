@@ -22,6 +22,12 @@ FIELD_OF_VIEW = float(np.radians(42.0))
 WIDE = 1.15
 """Width over height of a picture below which the camera steps back."""
 
+UPRIGHT = 0.8
+"""Width over height of a phone's picture."""
+
+SHEET = 0.46
+"""Share of a phone's screen that its controls cover."""
+
 
 class Worker:
     """One thread that does what a page asks for. Of jobs of one kind that wait, the last one counts."""
@@ -122,10 +128,15 @@ def look_at(
     distance /= float(np.clip(client.camera.aspect / WIDE, 0.35, 1.0))
     right = np.array([1.0, 0.0, 0.0]) if aside is None else aside
     back = np.array([right[1], -right[0], 0.0])
-    eye = np.array(target) + distance * (0.92 * back + np.array([0.0, 0.0, 0.38]))
+    away = 0.92 * back + np.array([0.0, 0.0, 0.38])
+    middle = np.array(target, dtype=float)
+    if client.camera.aspect < UPRIGHT:
+        # Its controls cover the lower part of the screen: what is looked at is above them.
+        up = np.array([0.0, 0.0, 1.0]) - 0.38 * away
+        middle -= SHEET * np.tan(FIELD_OF_VIEW / 2) * distance * up / np.linalg.norm(up)
     client.camera.up_direction = (0.0, 0.0, 1.0)
-    client.camera.position = eye
-    client.camera.look_at = target
+    client.camera.position = middle + distance * away
+    client.camera.look_at = middle
     client.camera.near = 0.005
     client.camera.fov = FIELD_OF_VIEW
 

@@ -30,6 +30,14 @@ PORTS = range(8080, 8100)
 WIDE = 700
 """Width of a browser's window from which on the controls stand beside the scene [pixels]."""
 
+_SHEET = 'div[style*="position: fixed"][style*="max-height: 60%"]'
+NARROW = f"""<style>@media (max-width: 36em) {{
+  {_SHEET} {{ width: 100% !important; max-height: 46% !important; }}
+  {_SHEET} div[style*="width: 20em"] {{ width: 100% !important; }}
+}}</style>"""
+"""On a phone viser's controls are a sheet at the right lower corner, over most of the picture: here it is as
+wide as the screen, the scene above it, and a tap on its title folds it."""
+
 MISSING = "the interactive page needs packages that are not installed: pip install 'fungrasp[viewer]'"
 
 
@@ -120,7 +128,7 @@ class Viewer:
 
     def _open(self, client: ClientHandle) -> None:
         start = time.perf_counter()
-        # A phone has the controls in a sheet at the bottom.
+        client.gui.add_html(NARROW)
         if client.camera.image_width >= WIDE:
             client.gui.main_panel.dock_right()
         try:
