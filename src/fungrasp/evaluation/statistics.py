@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.stats import binomtest
+
+NORMAL_QUANTILE = 1.959963984540054
+"""97.5 % of a normal distribution lie below it."""
 
 BOOTSTRAP_DRAWS = 10_000
 """Draws of ``paired_interval``: its ends are then good to about a hundredth of its width."""
@@ -22,8 +24,12 @@ def wilson_interval(successes: int, episodes: int) -> tuple[float, float]:
     Returns:
         lower and upper end, within [0, 1].
     """
-    interval = binomtest(successes, episodes).proportion_ci(0.95, "wilson")
-    return float(interval.low), float(interval.high)
+    # SciPy has it in scipy.stats, whose import takes longer than that of all the rest of a command.
+    rate, z = successes / episodes, NORMAL_QUANTILE
+    middle = rate + z * z / (2 * episodes)
+    half = z * float(np.sqrt(rate * (1 - rate) / episodes + z * z / (4 * episodes**2)))
+    low, high = ((middle + side * half) / (1 + z * z / episodes) for side in (-1, 1))
+    return max(low, 0.0) if successes else 0.0, min(high, 1.0) if successes < episodes else 1.0
 
 
 def mean_over_groups(values: np.ndarray, groups: Sequence[str] | np.ndarray) -> float:

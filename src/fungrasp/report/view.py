@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -29,11 +30,8 @@ from fungrasp.report.perception_page import write_perception_page
 WIDTH, HEIGHT = 560, 420
 """Size of each picture [pixels]."""
 
-Viewable = HumanGraspSet | RobotGraspSet | LiftTestResult | Perceived | str | Path
-"""What can be looked at; a path is that of a deployment's log."""
 
-
-def write_view(what: Viewable, objects: Mapping[str, ObjectModel] | None, out: str | Path) -> Path:
+def write_view(what: Any, objects: Mapping[str, ObjectModel] | None, out: str | Path) -> Path:
     """Write a page about grasps, the result of a lift test, what was perceived, or a deployment.
 
     Args:
@@ -65,8 +63,8 @@ def write_view(what: Viewable, objects: Mapping[str, ObjectModel] | None, out: s
         write_page(path, Page("Grasps", reports, hand, count, page_provenance({}, 0)))
     else:
         raise FungraspError(
-            f"grasps, a result, what was perceived or the path of a deployment's log can be viewed, not a "
-            f"{type(what).__name__}"
+            "a page on disk can be made of grasps, a result, what was perceived or the path of a deployment's "
+            f"log, not of {'nothing' if what is None else 'a ' + type(what).__name__}"
         )
     return path
 

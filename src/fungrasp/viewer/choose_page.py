@@ -19,8 +19,6 @@ from fungrasp.grasps import HumanGraspSet, RobotGraspSet, load_grasps, load_obje
 from fungrasp.hands import Hand, hand_origin, load_hand
 from fungrasp.hands.hand_registry import hand_files
 from fungrasp.objects import ObjectModel, check_objects
-from fungrasp.perception.perceived import Perceived
-from fungrasp.retargeting import retarget
 
 if TYPE_CHECKING:
     from viser import ClientHandle
@@ -82,6 +80,8 @@ def page_maker(what: Any, objects: Mapping[str, ObjectModel] | None, hand: str |
         from fungrasp.viewer.recording_page import RecordingPage
 
         return "Episode", partial(RecordingPage, trajectory=what, objects=objects)
+    from fungrasp.perception.perceived import Perceived
+
     if isinstance(what, Perceived):
         from fungrasp.viewer.capture_page import CapturePage
 
@@ -99,6 +99,8 @@ def page_maker(what: Any, objects: Mapping[str, ObjectModel] | None, hand: str |
 
 
 def _load_solver(choice: PickableGrasps) -> None:
+    from fungrasp.retargeting import retarget
+
     with contextlib.suppress(FungraspError):
         first = choice.grasps.select(np.array([choice.row]))
         retarget(first, choice.objects, choice.hand, threads=1)

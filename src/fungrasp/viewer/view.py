@@ -6,17 +6,21 @@ import sys
 import webbrowser
 from collections.abc import Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING, TypeAlias
 
 from fungrasp.errors import FungraspError
-from fungrasp.evaluation import LiftTestResult, Trajectory
-from fungrasp.grasps import HumanGraspSet, RobotGraspSet
-from fungrasp.hands import Hand
-from fungrasp.objects import ObjectModel
-from fungrasp.perception.perceived import Perceived
-from fungrasp.report.view import write_view
 from fungrasp.viewer.server import LOOPBACK, Viewer
 
-Viewable = HumanGraspSet | RobotGraspSet | LiftTestResult | Trajectory | Perceived | Hand | str | Path
+if TYPE_CHECKING:
+    from fungrasp.evaluation import LiftTestResult, Trajectory
+    from fungrasp.grasps import HumanGraspSet, RobotGraspSet
+    from fungrasp.hands import Hand
+    from fungrasp.objects import ObjectModel
+    from fungrasp.perception.perceived import Perceived
+
+Viewable: TypeAlias = (
+    "HumanGraspSet | RobotGraspSet | LiftTestResult | Trajectory | Perceived | Hand | str | Path"
+)
 """What can be looked at; a path is that of a file of grasps, a result, a recorded episode, a deployment's
 log, a capture or a hand."""
 
@@ -54,8 +58,8 @@ def view(
             can't be read or written, or the extra ``viewer`` is not installed.
     """
     if out is not None:
-        if what is None or isinstance(what, Trajectory | Hand):
-            raise FungraspError(f"a page on disk can't be made of {'nothing' if what is None else 'this'}")
+        from fungrasp.report.view import write_view
+
         path = write_view(what, objects, out)
         if browser:
             webbrowser.open(path.absolute().as_uri())
