@@ -11,6 +11,7 @@ from typing import Any, Self
 import numpy as np
 
 from benchmarks.faults.emulated_devices import torque_controlled_fingers
+from benchmarks.faults.plants import ServoPlant, TorquePlant
 from benchmarks.faults.tracker_emulator import TrackerEmulator, TrackerErrors
 from fungrasp.deployment.preparation import GraspPreparer, PreparedGrasp
 from fungrasp.deployment.twin_deployment import reachable_placement
@@ -25,7 +26,7 @@ from fungrasp.robots.device import JointDriver
 from fungrasp.robots.emulators.allegro_can import AllegroEmulator
 from fungrasp.robots.emulators.emulator import Emulator
 from fungrasp.robots.emulators.inspire_modbus import InspireEmulator
-from fungrasp.robots.emulators.plant import Plant, PlantCommand, ServoPlant, TorquePlant
+from fungrasp.robots.emulators.plant import Plant, PlantCommand
 from fungrasp.robots.emulators.ur_rtde import URControllerEmulator
 
 CONTROL = {

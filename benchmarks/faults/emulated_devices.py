@@ -10,10 +10,11 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.faults.plants import ServoPlant, TorquePlant
 from fungrasp.errors import UnknownNameError
 from fungrasp.robots.control_loop.loop_driver import LoopDriver
 from fungrasp.robots.emulators.emulator import Emulator
-from fungrasp.robots.emulators.plant import Plant, ServoPlant, TorquePlant
+from fungrasp.robots.emulators.plant import Plant
 from fungrasp.robots.hands.joint_order import hand_joint_limits
 
 STOPS = 0.1
@@ -91,8 +92,8 @@ def emulated_inspire(protocol: str = "tcp", patience: float = 1.0) -> EmulatedDe
 
 def emulated_leap(patience: float = 1.0) -> EmulatedDevice:
     """A LEAP hand; patience: times the driver's usual limit of silence."""
+    from benchmarks.faults.dynamixel_emulator import DynamixelEmulator
     from fungrasp.hands import load_hand
-    from fungrasp.robots.emulators.dynamixel import DynamixelEmulator
     from fungrasp.robots.hands.leap import LeapSettings, leap_driver
 
     home = np.full(16, 0.1)

@@ -10,15 +10,14 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.twins.placements import MOST_PLACEMENTS, deploy_where_reached
 from fungrasp.deployment.deployment_result import DeploymentSettings
 from fungrasp.deployment.hand_knowledge import HandDynamics
 from fungrasp.deployment.phases import Phase
 from fungrasp.deployment.preparation import UnreachableError
 from fungrasp.deployment.twin_deployment import (
-    MOST_PLACEMENTS,
     TwinOutcome,
     deploy_on_twin,
-    deploy_where_reached,
     reachable_placements,
 )
 from fungrasp.grasps import RobotGraspSet

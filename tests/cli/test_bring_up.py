@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from benchmarks.faults.plants import ServoPlant
 from fungrasp.cli.main import main
 from fungrasp.hands import load_hand
 from fungrasp.robots.emulators.inspire_modbus import InspireEmulator
-from fungrasp.robots.emulators.plant import ServoPlant
 from fungrasp.robots.stop_switch import StopSwitch
 
 pytest.importorskip("pymodbus")

@@ -198,8 +198,8 @@ def emulated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
         pytest.importorskip(module)
     from emulated_robots import ADDRESSES
 
+    from benchmarks.faults.plants import ServoPlant
     from fungrasp.robots.emulators.inspire_modbus import InspireEmulator
-    from fungrasp.robots.emulators.plant import ServoPlant
     from fungrasp.robots.emulators.ur_rtde import URControllerEmulator
     from fungrasp.robots.pose.stream import PosePublisher
 

@@ -13,6 +13,7 @@ from typing import Any, Self
 
 import numpy as np
 
+from benchmarks.faults.plants import ServoPlant
 from fungrasp.hands import load_hand
 from fungrasp.objects import ObjectModel
 from fungrasp.robots.assembly import arm_driver, hand_driver
@@ -20,7 +21,6 @@ from fungrasp.robots.cell import RobotCell, load_cell
 from fungrasp.robots.clock import WallClock
 from fungrasp.robots.device import TrackedPose, TrackingStatus
 from fungrasp.robots.emulators.inspire_modbus import InspireEmulator
-from fungrasp.robots.emulators.plant import ServoPlant
 from fungrasp.robots.emulators.ur_rtde import URControllerEmulator
 from fungrasp.robots.robot import Robot
 

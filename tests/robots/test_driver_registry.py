@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.faults.plants import ServoPlant
 from fungrasp.cli.main import main
 from fungrasp.errors import FungraspError
 from fungrasp.hands import load_hand
@@ -28,7 +29,7 @@ from fungrasp.robots.assembly import (
 )
 from fungrasp.robots.cell import RobotCell, load_cell
 from fungrasp.robots.device import DeviceStatus
-from fungrasp.robots.emulators.plant import PlantCommand, ServoPlant
+from fungrasp.robots.emulators.plant import PlantCommand
 from fungrasp.robots.robot_state import SafetyStop
 from fungrasp.robots.stop_switch import StopSwitch
 

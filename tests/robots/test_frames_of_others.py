@@ -17,11 +17,11 @@ import numpy as np
 import pytest
 from driver_contract import wait_for
 
+from benchmarks.faults.dynamixel_emulator import DynamixelEmulator
+from benchmarks.faults.plants import ServoPlant
 from fungrasp.hands import load_hand
 from fungrasp.robots.arms.ur import URSettings, ur_driver
 from fungrasp.robots.codecs import dynamixel, inspire, modbus, rtde
-from fungrasp.robots.emulators.dynamixel import DynamixelEmulator
-from fungrasp.robots.emulators.plant import ServoPlant
 from fungrasp.robots.emulators.ur_rtde import URControllerEmulator
 from fungrasp.robots.hands.leap import LeapSettings, leap_driver
 

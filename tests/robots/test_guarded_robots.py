@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from robot_cells import cell_and_hand, grasp_and_object, placed
 
+from benchmarks.faults.plants import ServoPlant
 from fungrasp.cli.main import main
 from fungrasp.hands import load_hand
 from fungrasp.robots import assembly
@@ -17,7 +18,6 @@ from fungrasp.robots.assembly import guarded_hand, wired_robot
 from fungrasp.robots.cell import Obstacle, RobotCell, load_cell
 from fungrasp.robots.device import DeviceStatus, RobotError
 from fungrasp.robots.emulators.inspire_modbus import InspireEmulator
-from fungrasp.robots.emulators.plant import ServoPlant
 from fungrasp.robots.guarded_driver import GuardedDriver
 from fungrasp.robots.kinematics.arm_model import MARGIN, ArmKinematics, ClearanceModel
 from fungrasp.robots.lerobot_adapter import LeRobotRobot

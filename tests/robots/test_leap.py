@@ -12,12 +12,12 @@ from driver_contract import DeviceUnderTest, DriverContract, reach, wait_for
 from hypothesis import given
 from hypothesis import strategies as st
 
+from benchmarks.faults.dynamixel_emulator import DynamixelEmulator
+from benchmarks.faults.plants import ServoPlant
 from fungrasp.hands import load_hand
 from fungrasp.robots.codecs import dynamixel as codec
 from fungrasp.robots.device import DeviceStatus, RobotError, StopKind
-from fungrasp.robots.emulators.dynamixel import DynamixelEmulator
 from fungrasp.robots.emulators.emulator import Fault
-from fungrasp.robots.emulators.plant import ServoPlant
 from fungrasp.robots.hands.leap import LeapSettings, leap_driver
 
 pytest.importorskip("dynamixel_sdk")

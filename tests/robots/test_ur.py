@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 from driver_contract import DeviceUnderTest, DriverContract, reach, wait_for
 
+from benchmarks.faults.plants import ServoPlant
 from fungrasp.errors import FungraspError
 from fungrasp.robots.arms.ur import URSettings, ur_driver
 from fungrasp.robots.calibration.arm_model_file import read_kinematics, write_arm_model
@@ -24,7 +25,6 @@ from fungrasp.robots.codecs import rtde as codec
 from fungrasp.robots.codecs.ur_primary import decode_kinematics, encode_kinematics
 from fungrasp.robots.device import DeviceStatus, RobotError
 from fungrasp.robots.emulators.emulator import Fault
-from fungrasp.robots.emulators.plant import ServoPlant
 from fungrasp.robots.emulators.ur_kinematics import UR5, UR5E, tool_pose
 from fungrasp.robots.emulators.ur_rtde import DASHBOARD_PORT, URControllerEmulator
 from fungrasp.robots.kinematics.dh_parameters import DHParameters

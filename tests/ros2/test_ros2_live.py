@@ -20,6 +20,7 @@ import numpy as np
 import pytest
 from driver_contract import DeviceUnderTest, DriverContract, reach, wait_for
 
+from benchmarks.faults.plants import ServoPlant
 from fungrasp.deployment.deploy import deployment_task
 from fungrasp.deployment.deployment_result import DeploymentSpec
 from fungrasp.deployment.grasp_choice import GraspChoice
@@ -31,7 +32,6 @@ from fungrasp.robots import assembly
 from fungrasp.robots.cell import load_cell
 from fungrasp.robots.control_loop.loop_driver import LoopDriver
 from fungrasp.robots.device import DeviceStatus, JointLimits, JointState, RobotError
-from fungrasp.robots.emulators.plant import ServoPlant
 from fungrasp.robots.worker_environment import worker_environment
 
 rclpy = pytest.importorskip("rclpy")

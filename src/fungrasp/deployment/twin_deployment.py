@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from itertools import islice
-from typing import TypeVar
 
 import numpy as np
 
@@ -40,14 +39,9 @@ from fungrasp.robots.twin.twin_model import TwinPhysics
 from fungrasp.robots.twin.world import TwinWorld
 from fungrasp.task import Policy
 
-OutcomeT = TypeVar("OutcomeT")
-
 ROOM = 0.02
 """An object is put so that the palm stays so far within the sides of the workspace [m]: what is seen of it is
 up to a centimetre off, and plans differ."""
-
-MOST_PLACEMENTS = 3
-"""Places where the object is put before a grasp counts as one that the robot can't reach."""
 
 PLACEMENTS_PLANNED = 12
 """Placements for which a motion is planned: a second or two each."""
@@ -141,33 +135,6 @@ def reachable_placements(
             f"no placement of '{thing.name}' was found from which the arm can grasp it: "
             + (why or "take another grasp")
         )
-
-
-def deploy_where_reached(
-    placements: Iterable[np.ndarray], deploy: Callable[[np.ndarray], OutcomeT]
-) -> tuple[OutcomeT | None, int, str]:
-    """Deploy with the object at a placement, and elsewhere where the robot says that it can't reach it, as a
-    person would do: at ``MOST_PLACEMENTS`` at most.
-
-    Args:
-        placements: of the object, world frame, each of shape [7]; looking for them may fail as well.
-        deploy: with the object there; raises ``UnreachableError`` before anything moves.
-
-    Returns:
-        what came of it, None if all were refused; number of placements; and why the last was refused, "" if
-        none was.
-    """
-    count, said, left = 0, "", iter(placements)
-    while count < MOST_PLACEMENTS:
-        try:
-            where = next(left, None)
-            if where is None:
-                break
-            count += 1
-            return deploy(where), count, said
-        except UnreachableError as error:
-            said = str(error)
-    return None, count, said
 
 
 def _at_rest(thing: ObjectModel, pose: np.ndarray) -> np.ndarray:

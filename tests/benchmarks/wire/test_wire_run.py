@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from benchmarks.twins.placements import MOST_PLACEMENTS
 from benchmarks.wire import wire_run
 from benchmarks.wire.wire_run import run_over_the_wire
 from fungrasp.deployment.preparation import UnreachableError
-from fungrasp.deployment.twin_deployment import MOST_PLACEMENTS
 
 TASK: Any = SimpleNamespace(
     cell=None, hand=None, thing=SimpleNamespace(name="mug"), grasp=None, seed=0, policy=None
