@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import MISSING, fields
 from pathlib import Path
 from typing import Any, ClassVar, Self
@@ -50,6 +50,10 @@ class BatchRecord:
         for name, value in other._rows().items():
             arrays[name][rows] = value
         return self._with(arrays)
+
+    def mapped(self, function: Callable[[Any], Any]) -> Self:
+        """The same with a function of each array in its place: those on a device, for example."""
+        return self._with({name: function(value) for name, value in self._rows().items()})
 
     @classmethod
     def join(cls, parts: Sequence[Self]) -> Self:

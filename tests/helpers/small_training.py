@@ -11,6 +11,7 @@ import numpy as np
 from fungrasp.grasps import RobotGraspSet, builtin_grasps, load_objects
 from fungrasp.hands import Hand, load_hand
 from fungrasp.retargeting import retarget
+from fungrasp.simulation import Device
 from fungrasp.training.environment import EnvironmentSettings, TrainingEnvironment
 from fungrasp.training.plan_library import PlanLibrary, Variety, build_plan_library
 from fungrasp.training.run import RunSettings
@@ -42,9 +43,9 @@ def library() -> PlanLibrary:
     return build_plan_library(one.grasps, one.objects, hand(), Variety(copies=2), threads=1)
 
 
-def environment(seed: int = 0, **settings: Any) -> TrainingEnvironment:
+def environment(seed: int = 0, device: Device = "cpu", **settings: Any) -> TrainingEnvironment:
     chosen = EnvironmentSettings(**({"worlds": WORLDS} | settings))
-    return TrainingEnvironment(library(), training_set().objects, hand(), chosen, seed, threads=1)
+    return TrainingEnvironment(library(), training_set().objects, hand(), chosen, seed, 1, device)
 
 
 def run_settings(**ppo: Any) -> RunSettings:

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tensor_engine import TensorEngine, meta
 
 from fungrasp.geometry import SignedDistanceBank
 from fungrasp.hands import load_hand
@@ -19,7 +20,7 @@ from fungrasp.policies.plan_tracking import TrackingState, link_directions_of, m
 from fungrasp.policies.residual_action import ResidualSettings, add_residual, smoothed
 from fungrasp.sim2real import offset_pose
 from fungrasp.simulation import MujocoCpuEngine, build_scene
-from fungrasp.simulation.mujoco_engine import MujocoArrays, controls_of
+from fungrasp.simulation.mujoco_engine import controls_of
 from fungrasp.task import Action, LiftProtocol, LiftTask
 from fungrasp.task.actuation import Actuation
 from fungrasp.task.features import MeasuredState, PlanTarget, contact_features, value_features
@@ -101,7 +102,12 @@ FINGERS, DELAY = joints(), np.array([0.0, 0.02, 0.05, 0.1, 0.0])
 POINTS = 0.2 * RNG.normal(size=(WORLDS, KEYPOINTS, 3))
 BANK = SignedDistanceBank([builtin_object(name).signed_distance for name in ("can", "mug")])
 HELD = np.array([0, 1, 0, 1, 1])
+POINTS_ON_BODIES = HandKinematics(HAND, 1).body_points(HAND.keypoint_names)
 Convert = Callable[[np.ndarray], Any]
+
+
+def tensor(values: np.ndarray) -> Any:
+    return torch.as_tensor(np.array(values))
 
 
 def state_of(c: Convert) -> TrackingState:
@@ -158,19 +164,9 @@ STEP: dict[str, Callable[[Convert], Any]] = {
     "plan's origin": lambda c: moved_towards(c(PALM), c(GOAL), c(np.full((WORLDS, 1), 0.2))),
     "directions of links": lambda c: link_directions_of(HAND, c(NOW["keypoints"])),
     "joints": lambda c: [HAND.all_joints(c(FINGERS)), HAND.independent(HAND.all_joints(c(FINGERS)))],
-    "key points": lambda c: ArrayKinematics(HAND).keypoints(c(FINGERS)),
+    "key points": lambda c: ArrayKinematics(HAND, POINTS_ON_BODIES).points(c(FINGERS)),
     "distances": lambda c: list(BANK.query(c(HELD), c(POINTS))),
 }
-
-
-def tensor(values: np.ndarray) -> Any:
-    return torch.as_tensor(np.array(values))
-
-
-def meta(values: np.ndarray) -> Any:
-    """Without numbers, and in single precision, as on a GPU."""
-    made = torch.as_tensor(np.array(values))
-    return (made.float() if made.is_floating_point() else made).to("meta")
 
 
 def flat(result: Any) -> list[Any]:
@@ -191,8 +187,9 @@ def test_key_points_are_those_of_mujoco():
         independent = np.random.default_rng(1).uniform(0.0, 0.5, (4, len(hand.actuators)))
         kinematics = HandKinematics(hand, 4)
         kinematics.update(None, independent)
-        expected = kinematics.points(kinematics.body_points(hand.keypoint_names))
-        np.testing.assert_allclose(ArrayKinematics(hand).keypoints(independent), expected, atol=1e-9)
+        points = kinematics.body_points(hand.keypoint_names)
+        found = ArrayKinematics(hand, points).points(independent)
+        np.testing.assert_allclose(found, kinematics.points(points), atol=1e-9)
 
 
 def test_points_far_away_and_none_have_distances_too():
@@ -201,33 +198,6 @@ def test_points_far_away_and_none_have_distances_too():
         np.testing.assert_allclose(b.numpy(), a, atol=1e-5)
     single = BANK.query(tensor(HELD), tensor(POINTS).float())[0]
     np.testing.assert_allclose(single.numpy(), BANK.query(HELD, POINTS)[0], atol=1e-5)
-
-
-class TensorEngine(MujocoArrays):
-    """Worlds of the CPU engine as tensors of a device; physics does nothing but the clock."""
-
-    def __init__(self, cpu: MujocoCpuEngine, convert: Convert):
-        self._cpu, self._convert = cpu, convert
-        self._set_up(cpu.scene, len(cpu))
-
-    def _array(self, name: str) -> Any:
-        return self._convert(self._cpu.batch.bind(name))
-
-    def _native(self, indices: np.ndarray) -> Any:
-        return self._convert(indices)
-
-    def _write(self, change: Any) -> None:
-        pass
-
-    def _forward(self, worlds: Any = None) -> None:
-        pass
-
-    @property
-    def diverged(self) -> Any:
-        return self._convert(np.zeros(len(self), dtype=bool))
-
-    def step(self, controls: Any, steps: int, worlds: Any = None) -> None:
-        self._ctrl[:, self._servos] = controls
 
 
 def test_a_control_step_of_the_lift_test_asks_no_device():

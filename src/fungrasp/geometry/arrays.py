@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from fungrasp.geometry.poses import Array, array_namespace, like
+from fungrasp.geometry.poses import Array, array_namespace, constant_on
 
 
 def is_numpy(array: Array) -> bool:
@@ -29,8 +29,12 @@ def at_least(array: Array, low: float) -> Array:
 
 
 def constant(array: Array, values: np.ndarray) -> Array:
-    """Constant numbers to compute with an array: as they are for NumPy's, else as ``like`` makes them."""
-    return values if isinstance(array, np.ndarray) else like(array, values)
+    """Constant numbers to compute with an array: as they are for NumPy's, else on its device, copied there
+    once; floating ones in its number type."""
+    if isinstance(array, np.ndarray):
+        return values
+    dtype = array.dtype if values.dtype.kind == "f" else None
+    return constant_on(array_namespace(array), array.device, dtype, values)
 
 
 def rows_like(array: Array, values: Any) -> Array:
@@ -45,6 +49,23 @@ def rows_like(array: Array, values: Any) -> Array:
         return given.copy()
     dtype = array.dtype if given.dtype.kind == "f" else None
     return array_namespace(array).asarray(given, dtype=dtype, device=array.device)
+
+
+def moved_to(array: Array, values: Any) -> Array:
+    """Values as an array of the library and device of another, not copied where they are; text stays
+    NumPy's.
+
+    Args:
+        array: the other.
+        values: an array of that library, or NumPy's.
+    """
+    stays = is_numpy(array) or not is_numpy(values) or values.dtype.kind in "US"
+    return values if stays else rows_like(array, values)
+
+
+def copied(array: Array) -> Array:
+    """A copy."""
+    return array_namespace(array).asarray(array, copy=True)
 
 
 def put_back(array: Array, which: Array, before: Array) -> None:

@@ -9,6 +9,7 @@ For a single pose it is the number of calls that takes time, so quaternions work
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from typing import Any
 
 import array_api_compat
@@ -62,6 +63,9 @@ def _carry_factors() -> np.ndarray:
 
 _CARRY_FACTORS = _carry_factors()
 _STAY = np.diag(_PLACE)
+_CONSTANTS: dict[tuple[Any, ...], Array] = {}
+"""What ``constant_on`` has made."""
+_MOST_CONSTANTS = 1000
 _FULL_TURN = 2.0 * np.pi
 _EULER_HALVES = np.array([[1.0, 0, 1.0, 0], [0, 1.0, 0, 1.0], [1.0, 0, -1.0, 0], [0, 1.0, 0, -1.0]])
 """Makes of a quaternion ``w + y, x + z, w - y, x - z``."""
@@ -76,10 +80,30 @@ def array_namespace(array: Array, *others: Array) -> Any:
 
 
 def like(array: Array, values: np.ndarray) -> Array:
-    """Constant values as an array of the library, number type and device of another."""
-    if type(array) is np.ndarray and array.dtype == values.dtype:
-        return values
-    return array_namespace(array).asarray(values, dtype=array.dtype, device=array.device)
+    """Constant values as an array of the library, number type and device of another; not to be written to."""
+    if type(array) is np.ndarray:
+        return values if array.dtype == values.dtype else values.astype(array.dtype)
+    return constant_on(array_namespace(array), array.device, array.dtype, values)
+
+
+def constant_on(library: Any, device: Any, dtype: Any, values: np.ndarray) -> Array:
+    """Constant values on a device, copied there once: the device would be waited for each time.
+
+    Args:
+        library: namespace of the array API.
+        device: of the library's.
+        dtype: number type of the library's; that of the values if None.
+        values: not many.
+    """
+    key = library.__name__, str(device), str(dtype), values.dtype.str, values.shape, values.tobytes()
+    if key not in _CONSTANTS:
+        if len(_CONSTANTS) >= _MOST_CONSTANTS:
+            _CONSTANTS.clear()
+        # Torch's derivatives need tensors that were not made in its inference mode.
+        mode = getattr(library, "inference_mode", None)
+        with mode(False) if mode else nullcontext():
+            _CONSTANTS[key] = library.asarray(values, dtype=dtype, device=device, copy=True)
+    return _CONSTANTS[key]
 
 
 def stack(*arrays: Array) -> Array:

@@ -17,7 +17,7 @@ from fungrasp.geometry.poses import (
     rotate,
 )
 from fungrasp.hands.hand import Hand
-from fungrasp.hands.kinematics import BodyPoints, HandKinematics
+from fungrasp.hands.kinematics import BodyPoints
 
 _IDENTITY = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
 
@@ -36,16 +36,20 @@ class _Joint:
 
 
 class ArrayKinematics:
-    """Key points of N hands in their palms' frames."""
+    """Points on the bodies of N hands, in their palms' frames."""
 
-    def __init__(self, hand: Hand):
-        """hand: any hand with hinges and slides."""
-        self._hand = hand
+    def __init__(self, hand: Hand, points: BodyPoints):
+        """
+        Args:
+            hand: any hand with hinges and slides.
+            points: P of them.
+        """
+        self._hand, self._offsets = hand, points.offsets
+        self._carriers, self._carrier = np.unique(points.bodies, return_inverse=True)
         model = hand.model
-        self._points: BodyPoints = HandKinematics(hand, 1).body_points(hand.keypoint_names)
         palm = model.body(hand.palm).id
         needed = {palm}
-        for body in self._points.bodies.tolist():
+        for body in self._carriers.tolist():
             while body not in needed and body > 0:
                 needed.add(body)
                 body = int(model.body_parentid[body])
@@ -57,8 +61,8 @@ class ArrayKinematics:
         ]
         self._palm = palm
 
-    def keypoints(self, independent: Array) -> Array:
-        """Palm frame [m], shape [N, K, 3]. independent: joints [rad], shape [N, U]."""
+    def points(self, independent: Array) -> Array:
+        """Palm frame [m], shape [N, P, 3]. independent: joints [rad], shape [N, U]."""
         xp = array_namespace(independent)
         joints = self._hand.all_joints(independent)
         identity = xp.broadcast_to(constant(independent, _IDENTITY), (len(independent), 7))
@@ -68,12 +72,9 @@ class ArrayKinematics:
             for joint in moving:
                 pose = compose(pose, _moved(joint, joints[:, joint.column : joint.column + 1]))
             poses[body] = pose
-        offsets = constant(independent, self._points.offsets)
-        found = []
-        for number, body in enumerate(self._points.bodies.tolist()):
-            pose = poses[body]
-            found.append(pose[:, :3] + rotate(pose[:, 3:], offsets[number]))
-        return xp.stack(found, axis=1)
+        carriers = xp.stack([poses.get(body, identity) for body in self._carriers.tolist()], axis=1)
+        pose = carriers[:, constant(independent, self._carrier)]
+        return pose[..., :3] + rotate(pose[..., 3:], constant(independent, self._offsets))
 
 
 def _joints(model: mujoco.MjModel, body: int) -> list[_Joint]:

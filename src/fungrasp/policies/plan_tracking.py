@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
 from fungrasp.geometry import SignedDistanceBank
+from fungrasp.geometry.arrays import copied, is_numpy, moved_to, rows_like
 from fungrasp.geometry.poses import (
     Array,
     array_namespace,
+    clip,
     compose,
     quaternion_from_rotation_vector,
     relative,
@@ -19,6 +21,7 @@ from fungrasp.geometry.poses import (
     stack,
 )
 from fungrasp.hands import Hand
+from fungrasp.hands.array_kinematics import ArrayKinematics
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.objects import ObjectModel
 from fungrasp.policies.residual_action import WRIST_ACTIONS, ResidualSettings, add_residual, smoothed
@@ -41,10 +44,10 @@ class TrackingState:
     """Measured state at the step before."""
     target: PlanTarget
     """What the plan asks for."""
-    action: np.ndarray
+    action: Array
     """The last action, smoothed, shape [W, A]."""
 
-    def robot_features(self) -> dict[str, np.ndarray]:
+    def robot_features(self) -> dict[str, Array]:
         """What a network gets of what a robot knows, by name (``task.features``)."""
         return robot_features(self.now, self.before, self.target, self.action)
 
@@ -63,6 +66,7 @@ class PlanTracker:
         plans: GraspPlan,
         count: int,
         settings: ResidualSettings | None = None,
+        on: Array | None = None,
     ):
         """
         Args:
@@ -71,26 +75,26 @@ class PlanTracker:
             plans: to choose from, N of them.
             count: W, number of robots.
             settings: of the actions; the defaults if None.
+            on: an array of the library and the device of observations and actions; NumPy's if None.
         """
-        self.settings = settings or ResidualSettings()
-        self.plans = plans if self.settings.base == "plan" else without_motion(plans)
-        self._motions = plans
-        self._hand, self._kinematics = hand, HandKinematics(hand, count)
-        self._keypoints = self._kinematics.body_points(hand.keypoint_names)
+        self.settings, on = settings or ResidualSettings(), np.zeros(1) if on is None else on
+        self._keypoints = _keypoints(hand, count, on)
         names = sorted(set(plans.object_name.tolist()))
         self._bank = SignedDistanceBank([objects[name].signed_distance for name in names])
-        self._center = np.array([objects[name].center_of_mass for name in names])
-        self._size = np.array([objects[name].size for name in names])
-        self._object = np.array([names.index(name) for name in plans.object_name.tolist()])
+        self._center = rows_like(on, [objects[name].center_of_mass for name in names])
+        self._size = rows_like(on, [objects[name].size for name in names])
+        self._object = rows_like(on, [names.index(name) for name in plans.object_name.tolist()])
+        self._motions = plans = plans.mapped(lambda values: moved_to(on, values))
+        self.plans = plans if self.settings.base == "plan" else without_motion(plans)
         self._target_surface = self._bank.query(self._object, plans.keypoints)
         self.size = WRIST_ACTIONS + len(hand.actuators)
         """Numbers in an action."""
-        self.rows = np.zeros(count, dtype=int)
+        self.rows = rows_like(on, np.zeros(count, dtype=int))
         """The plan that each robot follows, shape [W]."""
-        self.action = np.zeros((count, self.size))
+        self.action = rows_like(on, np.zeros((count, self.size)))
         """The last action, smoothed, shape [W, A]."""
-        self._anchor = np.tile([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], (count, 1))
-        self._goal: tuple[np.ndarray, np.ndarray] | None = None
+        self._anchor = rows_like(on, np.tile([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], (count, 1)))
+        self._goal: tuple[Array, Array] | None = None
         """Palm goal and servo targets of this control step, made when first asked for."""
         self._now: MeasuredState | None = None
         self._before: MeasuredState | None = None
@@ -103,6 +107,7 @@ class PlanTracker:
             rows: of the plans, shape [I].
             observation: of all W worlds.
         """
+        ids, rows = (moved_to(self.rows, given) for given in (ids, rows))
         self.rows[ids] = rows
         self.action[ids] = 0.0
         self._choose()
@@ -120,7 +125,8 @@ class PlanTracker:
         """See what has become of the worlds, once in each control step. observation: of all W worlds."""
         self._read(observation)
         self._before, self._now = self._now, self._measure(observation)
-        share = np.where(self._step < self._closing, ANCHOR_SHARE, 0.0)
+        opened = array_namespace(self._step).astype(self._step < self._closing, self._anchor.dtype)
+        share = ANCHOR_SHARE * opened
         self._anchor = moved_towards(self._anchor, self._now.object_pose, share[:, None])
 
     def state(self) -> TrackingState:
@@ -129,7 +135,7 @@ class PlanTracker:
             raise RuntimeError("begin comes before state")
         goal, fingers = self._planned()
         lifting, period = self._since_lift >= 0, self.plans.control_period
-        goal = goal.copy()
+        goal = copied(goal)
         goal[:, 2] += LiftProtocol.lift_height * lifting
         target = PlanTarget(
             palm_goal=goal,
@@ -140,31 +146,31 @@ class PlanTracker:
         )
         return TrackingState(self._now, self._before, target, self.action)
 
-    def act(self, action: np.ndarray) -> Action:
+    def act(self, action: Array) -> Action:
         """What the robots are asked for. action: of the network, shape [W, A]."""
         self.action = smoothed(action, self.action, self.settings)
         goal, fingers = add_residual(*self._base(), self.action, self.settings)
         return Action(goal, fingers, self._step >= self._lift)
 
-    def planned_action(self) -> np.ndarray:
+    def planned_action(self) -> Array:
         """The network's action after which the robots would follow the planned motions, as far as actions in
         [-1, 1] can, shape [W, A]."""
         s, (goal, fingers) = self.settings, self._motions.at(self._step, self.rows)
         base_goal, base_fingers = self._base()
         away = relative(base_goal, compose(self._anchor, goal))
         wrist = [away[:, :3] / s.position, rotation_vector(away[:, 3:]) / s.rotation]
-        wanted = np.concatenate([*wrist, (fingers - base_fingers) / s.fingers], axis=1)
-        smooth = (np.clip(wanted, -1.0, 1.0) - s.smoothing * self.action) / (1.0 - s.smoothing)
-        return np.clip(smooth, -1.0, 1.0)
+        wanted = array_namespace(goal).concat([*wrist, (fingers - base_fingers) / s.fingers], axis=1)
+        smooth = (clip(wanted, -1.0, 1.0) - s.smoothing * self.action) / (1.0 - s.smoothing)
+        return clip(smooth, -1.0, 1.0)
 
-    def _base(self) -> tuple[np.ndarray, np.ndarray]:
+    def _base(self) -> tuple[Array, Array]:
         """What the action changes: palm goal, world frame, shape [W, 7], and servo targets [rad], shape
         [W, U]."""
         if self.settings.base == "plan" or self._now is None:
             return self._planned()
         return self._planned()[0], self._now.joints
 
-    def _planned(self) -> tuple[np.ndarray, np.ndarray]:
+    def _planned(self) -> tuple[Array, Array]:
         """Planned palm goal, world frame, shape [W, 7], and servo targets [rad], shape [W, U], of this
         step."""
         if self._goal is None:
@@ -192,28 +198,43 @@ class PlanTracker:
 
     def _read(self, observation: Observation) -> None:
         self._goal = None
-        self._step = np.rint(observation.time / self.plans.control_period).astype(int)
+        xp = array_namespace(observation.time)
+        self._step = xp.astype(xp.round(observation.time / self.plans.control_period), xp.int64)
         self._since_lift = observation.time_since_lift
 
     def _measure(self, observation: Observation) -> MeasuredState:
         palm, thing = observation.palm_pose, observation.object_pose
-        self._kinematics.update(None, observation.joint_positions)
-        keypoints = self._kinematics.points(self._keypoints)
+        keypoints = self._keypoints(observation.joint_positions)
         palm_turn, object_turn = rotation_matrix(stack(palm[:, 3:], thing[:, 3:]))
         # Rows are points: p_world = R p, so P_world = P R^T, and back by P R.
         in_world = keypoints @ palm_turn.mT + palm[:, None, :3]
         in_object = (in_world - thing[:, None, :3]) @ object_turn
         distance, normal = self._bank.query(self._object[self.rows], in_object)
         return MeasuredState(
-            joints=observation.joint_positions.copy(),
-            joint_setpoints=observation.joint_setpoints.copy(),
-            palm_pose=palm.copy(),
-            palm_setpoint=observation.palm_setpoint.copy(),
-            object_pose=thing.copy(),
+            joints=copied(observation.joint_positions),
+            joint_setpoints=copied(observation.joint_setpoints),
+            palm_pose=copied(palm),
+            palm_setpoint=copied(observation.palm_setpoint),
+            object_pose=copied(thing),
             keypoints=keypoints,
             surface_distance=distance,
             surface_normal=normal,
         )
+
+
+def _keypoints(hand: Hand, count: int, on: Array) -> Callable[[Array], Array]:
+    """What makes key points [m], palm frame, shape [W, K, 3], of joints [rad], shape [W, U]: of few hands by
+    MuJoCo, which has one after the other, on a device of all at once."""
+    kinematics = HandKinematics(hand, count)
+    points = kinematics.body_points(hand.keypoint_names)
+    if not is_numpy(on):
+        return ArrayKinematics(hand, points).points
+
+    def made(joints: np.ndarray) -> np.ndarray:
+        kinematics.update(None, joints)
+        return kinematics.points(points)
+
+    return made
 
 
 def without_motion(plans: GraspPlan) -> GraspPlan:

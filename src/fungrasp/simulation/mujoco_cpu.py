@@ -83,7 +83,7 @@ class MujocoCpuEngine(MujocoArrays):
         return self.batch.bind(name)
 
     def _native(self, indices: np.ndarray) -> np.ndarray:
-        return indices
+        return np.asarray(indices)
 
     def _write(self, change: FieldChange) -> None:
         self.batch.expand(change.field)[change.index] = change.values

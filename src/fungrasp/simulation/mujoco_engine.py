@@ -10,6 +10,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from fungrasp.geometry.arrays import copied, moved_to
 from fungrasp.geometry.poses import Array, array_namespace, euler_angles, invert, norm, relative, rotate
 from fungrasp.simulation.scene import HAND_PREFIX, WRIST_JOINTS, Scene
 from fungrasp.simulation.world_parameters import FieldChange, WorldParameters
@@ -69,7 +70,7 @@ class MujocoArrays:
         """A field of MuJoCo's data, one row for each world, that shares memory with the physics."""
         raise NotImplementedError
 
-    def _native(self, indices: np.ndarray) -> Array:
+    def _native(self, indices: np.ndarray | Array) -> Array:
         """Indices as an array of the engine's library."""
         raise NotImplementedError
 
@@ -87,7 +88,7 @@ class MujocoArrays:
     @property
     def object_pose(self) -> Array:
         """World frame, shape [W, 7]."""
-        pose = self._copy(self._qpos[:, self._object_qpos])
+        pose = copied(self._qpos[:, self._object_qpos])
         pose[:, 3:] /= norm(pose[:, 3:])
         return pose
 
@@ -102,7 +103,7 @@ class MujocoArrays:
     @property
     def center_of_mass(self) -> Array:
         """Center of mass of the object [m], world frame, shape [W, 3]."""
-        return self._copy(self._xipos[:, self._object])
+        return copied(self._xipos[:, self._object])
 
     @property
     def palm_pose(self) -> Array:
@@ -113,7 +114,7 @@ class MujocoArrays:
     @property
     def joint_positions(self) -> Array:
         """Joints of the hand [rad], shape [W, M]."""
-        return self._copy(self._qpos[:, self._finger_qpos])
+        return copied(self._qpos[:, self._finger_qpos])
 
     @property
     def link_contacts(self) -> Array:
@@ -148,12 +149,12 @@ class MujocoArrays:
     @property
     def positions(self) -> Array:
         """Generalised positions of ``scene.model``, shape [W, nq]."""
-        return self._copy(self._qpos)
+        return copied(self._qpos)
 
     @property
     def wrist_frame(self) -> Array:
         """Frame in which the wrist's joints count, world frame, shape [W, 7]."""
-        return self._copy(self._frame)
+        return copied(self._frame)
 
     def set_state(
         self,
@@ -166,7 +167,11 @@ class MujocoArrays:
         joint_positions: Array | None = None,
     ) -> None:
         """See ``Engine.set_state``."""
-        ids = slice(None) if worlds is None else self._native(np.asarray(worlds))
+        ids = slice(None) if worlds is None else self._native(worlds)
+        object_pose, wrist_frame, palm_pose, palm_velocity, joint_positions = (
+            moved_to(self._qpos, given)
+            for given in (object_pose, wrist_frame, palm_pose, palm_velocity, joint_positions)
+        )
         self._qvel[ids] = 0.0
         if object_pose is not None:
             _put(self._qpos, ids, self._object_qpos, object_pose)
@@ -227,8 +232,8 @@ class MujocoArrays:
 
     def push_object(self, force: Array, torque: Array | None = None) -> None:
         """See ``Engine.push_object``."""
-        self._force[:, self._object, :3] = force
-        self._force[:, self._object, 3:] = 0.0 if torque is None else torque
+        self._force[:, self._object, :3] = moved_to(self._qpos, force)
+        self._force[:, self._object, 3:] = 0.0 if torque is None else moved_to(self._qpos, torque)
 
     def controls(self, palm_pose: Array, palm_velocity: Array, finger_targets: Array) -> Array:
         """See ``Engine.controls``."""
@@ -236,12 +241,12 @@ class MujocoArrays:
 
     def get_state(self) -> list[Array]:
         """See ``Engine.get_state``."""
-        return [self._copy(array) for array in self._state_arrays()]
+        return [copied(array) for array in self._state_arrays()]
 
     def restore(self, state: list[Array]) -> None:
         """See ``Engine.restore``."""
         for array, value in zip(self._state_arrays(), state, strict=True):
-            array[:] = value
+            array[:] = moved_to(array, value)
         self._forward()
 
     def _state_arrays(self) -> list[Array]:
@@ -275,9 +280,6 @@ class MujocoArrays:
         if np.array_equal(found, found[0] + np.arange(len(found))):
             return slice(int(found[0]), int(found[0]) + len(found))
         return self._native(found)
-
-    def _copy(self, array: Array) -> Array:
-        return array_namespace(array).asarray(array, copy=True)
 
 
 def _put(array: Array, ids: Any, columns: Columns, values: Array) -> None:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from fungrasp.errors import FungraspError
+from fungrasp.geometry.arrays import moved_to
 from fungrasp.geometry.poses import Array, rotation_matrix
 from fungrasp.simulation.buffer_sizes import probe_buffer_sizes
 from fungrasp.simulation.devices import BufferSizes, Device
@@ -140,7 +141,7 @@ class MujocoWarpWorlds(MujocoArrays):
 
     def reset(self, worlds: np.ndarray | None = None) -> None:
         """Worlds to the scene's default state."""
-        ids = slice(None) if worlds is None else self._native(np.asarray(worlds))
+        ids = slice(None) if worlds is None else self._native(worlds)
         self._to_default(ids)
         self._force[ids] = 0.0
         self._mocap_pos[ids], self._mocap_quat[ids] = self._default["mocap_pos"], self._default["mocap_quat"]
@@ -152,7 +153,7 @@ class MujocoWarpWorlds(MujocoArrays):
         """See ``Engine.step``. worlds: ids, or a tensor on the device that says of each whether it moves,
         shape [W] bool."""
         torch = self._lib.torch
-        self._ctrl[:, self._servos] = controls
+        self._ctrl[:, self._servos] = moved_to(self._ctrl, controls)
         no_number = ~torch.isfinite(self._ctrl).all(dim=1)
         moving = None if worlds is None else self._moving(worlds)
         if moving is not None:
@@ -195,7 +196,7 @@ class MujocoWarpWorlds(MujocoArrays):
         if isinstance(worlds, torch.Tensor):
             return worlds
         moving = torch.zeros(len(self), dtype=torch.bool, device=self._device)
-        moving[self._native(np.asarray(worlds))] = True
+        moving[self._native(worlds)] = True
         return moving
 
     def _advance(self, steps: int) -> None:
@@ -236,11 +237,7 @@ class MujocoWarpWorlds(MujocoArrays):
     def _array(self, name: str) -> Array:
         return self._lib.warp.to_torch(getattr(self.warp_data, name))
 
-    def tensor(self, values: np.ndarray) -> Array:
-        """Numbers on the device, in single precision."""
-        return self._lib.torch.as_tensor(values, dtype=self._qpos.dtype).to(self._device)
-
-    def _native(self, indices: np.ndarray) -> Array:
+    def _native(self, indices: np.ndarray | Array) -> Array:
         return self._lib.torch.as_tensor(indices, device=self._device)
 
     def _write(self, change: FieldChange) -> None:

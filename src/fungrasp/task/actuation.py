@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from fungrasp.geometry.arrays import may_be_any, put_back, rows_like
+from fungrasp.geometry.arrays import copied, may_be_any, put_back, rows_like
 from fungrasp.geometry.poses import (
     Array,
     array_namespace,
@@ -68,8 +68,7 @@ class Actuation:
 
     def state(self) -> list[Array]:
         """Where the worlds are, for ``restore``."""
-        arrays = self._pose, self._velocity, self._fingers
-        return [array_namespace(array).asarray(array, copy=True) for array in arrays]
+        return [copied(array) for array in (self._pose, self._velocity, self._fingers)]
 
     def restore(self, which: Array, state: list[Array]) -> None:
         """Put some worlds back to a ``state``. which: shape [W] bool."""

@@ -9,7 +9,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from fungrasp.geometry.poses import compose, relative
+from fungrasp.geometry.arrays import copied, moved_to, rows_like
+from fungrasp.geometry.poses import array_namespace, compose, relative
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.objects import scaled_name, shifted_mass
 from fungrasp.sim2real import NOMINAL, EpisodeSample, Randomization, draw, shift_on_table
@@ -23,7 +24,7 @@ from fungrasp.task.observation import Observation, Privileged
 from fungrasp.task.outcome import Outcomes
 from fungrasp.task.policy import Policy, PrivilegedPolicy
 from fungrasp.task.protocol import LiftProtocol
-from fungrasp.task.sensors import SimulatedSensors
+from fungrasp.task.sensors import Jitter, SimulatedSensors
 
 _log = logging.getLogger(__name__)
 
@@ -38,7 +39,7 @@ class LiftEnvironment:
         count: int,
         randomization: Randomization = NOMINAL,
         protocol: LiftProtocol | None = None,
-        rng: np.random.Generator | Sequence[np.random.Generator] | None = None,
+        rng: Jitter | Sequence[np.random.Generator] | None = None,
         threads: int = 0,
         engine: Engine | None = None,
     ):
@@ -51,17 +52,16 @@ class LiftEnvironment:
             protocol: the published one if None.
             rng: of the sensors' jitter, one for all worlds or one for each; seeded with zero if None.
             threads: 0 means all processors. Results do not depend on it.
-            engine: with W worlds of the scene; that of the scene's device if None.
+            engine: with W worlds of the scene; that of the scene's device if None. What an episode is made of
+                is on the device of its arrays.
         """
         self.scene, self.randomization = scene, randomization
         self.engine: Engine = engine or make_engine(scene, count, threads)
         self.task = LiftTask(self.engine, protocol)
         self.sensors = SimulatedSensors(self.task, randomization, rng or np.random.default_rng(0))
         joints = len(scene.hand.joint_names)
-        self.sample: EpisodeSample = draw(randomization, count, joints, np.random.default_rng(0))
-        """What was drawn for the episode in each world."""
-        self._mass = np.zeros(count)
-        self._friction = np.zeros(count)
+        self.sample = draw(randomization, count, joints, np.random.default_rng(0))
+        self._mass, self._friction = (rows_like(self.task.time, np.zeros(count)) for _ in range(2))
         # Motors and joints are numbered by joint; those that have no servo are left out.
         actuators = scene.hand.actuators
         self._driven = np.array([scene.hand.joint_names.index(name) for name in actuators])
@@ -70,6 +70,16 @@ class LiftEnvironment:
 
     def __len__(self) -> int:
         return len(self.engine)
+
+    @property
+    def sample(self) -> EpisodeSample:
+        """What was drawn for the episode in each world; NumPy arrays."""
+        return self._sample
+
+    @sample.setter
+    def sample(self, sample: EpisodeSample) -> None:
+        self._sample = sample
+        self._felt = sample.mapped(lambda values: moved_to(self.task.time, values))
 
     @property
     def protocol(self) -> LiftProtocol:
@@ -209,7 +219,7 @@ class LiftEnvironment:
 
     def observe(self) -> Observation:
         """What the sensors say now."""
-        return self.sensors.observe(self.sample)
+        return self.sensors.observe(self._felt)
 
     def privileged(self) -> Privileged:
         """What only a simulation knows."""
@@ -221,8 +231,8 @@ class LiftEnvironment:
             table_forces=engine.table_forces,
             self_force=engine.self_force,
             object_on_table=engine.object_on_table,
-            object_mass=self._mass.copy(),
-            friction=self._friction.copy(),
+            object_mass=copied(self._mass),
+            friction=copied(self._friction),
             lifted_height=self.task.measurements.height,
         )
 
@@ -256,13 +266,13 @@ class LiftEnvironment:
             damping = damping if belief.joint_damping is None else damping * belief.joint_damping
             stiffness = stiffness if belief.servo_stiffness is None else stiffness * belief.servo_stiffness
             servo = servo if belief.servo_damping is None else servo * belief.servo_damping
-        self._mass[ids], self._friction[ids] = mass * s.mass, friction
-        center, inertia = self._mass_distribution(index, self._mass[ids], s.center_of_mass_shift)
+        true_mass = mass * s.mass
+        center, inertia = self._mass_distribution(index, true_mass, s.center_of_mass_shift)
         shifted = bool(s.center_of_mass_shift.any())
         self.engine.set_parameters(
             ids,
             object_index=index,
-            object_mass=self._mass[ids],
+            object_mass=true_mass,
             object_center=center if shifted else None,
             object_inertia=inertia if shifted else None,
             friction=friction,
@@ -274,11 +284,17 @@ class LiftEnvironment:
             servo_damping=servo[:, self._driven],
             wrist_stiffness=s.wrist_stiffness,
         )
-        self.task.setpoints.delay[ids] = s.action_delay
         actuation = self.task.actuation
-        actuation.wrist_lag[ids], actuation.wrist_offset[ids] = s.wrist_lag, s.wrist_offset
-        actuation.encoder_bias[ids] = s.encoder_bias[:, self._driven]
-        actuation.backlash[ids] = s.backlash[:, self._driven]
+        for array, values in (
+            (self._mass, true_mass),
+            (self._friction, friction),
+            (self.task.setpoints.delay, s.action_delay),
+            (actuation.wrist_lag, s.wrist_lag),
+            (actuation.wrist_offset, s.wrist_offset),
+            (actuation.encoder_bias, s.encoder_bias[:, self._driven]),
+            (actuation.backlash, s.backlash[:, self._driven]),
+        ):
+            array[moved_to(array, ids)] = moved_to(array, values)
 
     def _mass_distribution(
         self, index: np.ndarray, mass: np.ndarray, shift: np.ndarray
@@ -297,14 +313,14 @@ class LiftEnvironment:
 
     def _push(self) -> None:
         """Push the objects as drawn."""
-        r, s, task = self.randomization, self.sample, self.task
+        r, s, task = self.randomization, self._felt, self.task
         if not r.push_times:
             return
-        began = task.lift_time if r.push_phase == "lift" else task.hold_time
+        began, xp = task.lift_time if r.push_phase == "lift" else task.hold_time, array_namespace(task.time)
         since = (task.time - began)[:, None] - s.push_start
-        active = np.isfinite(since) & (since >= -1e-9) & (since < r.push_duration - 1e-9)
+        active = xp.isfinite(since) & (since >= -1e-9) & (since < r.push_duration - 1e-9)
         weight = self.scene.settings.gravity * self._mass[:, None]
-        size = np.where(active, s.push_force + s.push_weights * weight, 0.0)
+        size = xp.where(active, s.push_force + s.push_weights * weight, 0.0)
         self.engine.push_object((size[..., None] * s.push_direction).sum(axis=1))
 
 

@@ -8,6 +8,7 @@ from typing import ClassVar, Self
 
 import numpy as np
 
+from fungrasp.geometry.arrays import is_numpy
 from fungrasp.geometry.poses import clip
 from fungrasp.records import BatchRecord
 
@@ -68,7 +69,7 @@ class GraspPlan(BatchRecord):
             rows: I rows; all if left out.
         """
         step = clip(step, 0, self.palm_goal.shape[1] - 1)
-        index = np.arange(len(self))[rows]
+        index = np.arange(len(self))[rows] if is_numpy(step) else rows
         return self.palm_goal[index, step], self.finger_targets[index, step]
 
     def raised(self, height: np.ndarray) -> GraspPlan:

@@ -7,8 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from fungrasp.geometry import SignedDistanceBank
-from fungrasp.geometry.poses import inverse_transform_points
+from fungrasp.geometry.arrays import constant, is_numpy
+from fungrasp.geometry.poses import Array, array_namespace, inverse_transform_points, transform_points
 from fungrasp.hands import Hand
+from fungrasp.hands.array_kinematics import ArrayKinematics
 from fungrasp.hands.collision_spheres import collision_spheres
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.objects import ObjectModel
@@ -24,28 +26,40 @@ class HandClearance:
             models: objects.
             object_index: object of each of the W hands, as ``models`` has them, shape [W].
         """
-        self._hand, self._spheres = hand, collision_spheres(hand)
-        present, self._index = np.unique(object_index, return_inverse=True)
-        self._bank = SignedDistanceBank([models[i].signed_distance for i in present])
+        self._hand, self._models, self._spheres = hand, models, collision_spheres(hand)
+        self._on_tensors = ArrayKinematics(hand, self._spheres.points)
+        self._held, self._present = np.zeros(0, dtype=int), np.zeros(0, dtype=int)
+        self.hold(object_index)
+
+    def hold(self, object_index: np.ndarray) -> None:
+        """Other objects in the hands. object_index: as above; it is copied."""
+        if np.array_equal(object_index, self._held):
+            return
+        present = np.union1d(self._present, object_index)
+        if len(present) > len(self._present):
+            self._bank = SignedDistanceBank([self._models[i].signed_distance for i in present])
+        self._held, self._present = object_index.copy(), present
+        self._index = np.searchsorted(present, object_index)
 
     def measure(
-        self,
-        rows: np.ndarray,
-        object_pose: np.ndarray,
-        palm_pose: np.ndarray,
-        joints: np.ndarray,
-    ) -> tuple[np.ndarray, np.ndarray]:
+        self, rows: np.ndarray | slice, object_pose: Array, palm_pose: Array, joints: Array
+    ) -> tuple[Array, Array]:
         """Smallest distance of hands from their objects, and height of their lowest points [m], shape [I]
         each.
 
         Args:
-            rows: which of the W hands, shape [I].
+            rows: which of the W hands, shape [I]; for tensors a slice.
             object_pose: world frame, shape [I, 7].
             palm_pose: world frame, shape [I, 7].
             joints: independent joints [rad], shape [I, U].
         """
-        kinematics = HandKinematics(self._hand, len(rows))
-        kinematics.update(palm_pose, joints)
-        centers, radius = kinematics.points(self._spheres.points), self._spheres.radius
-        distance, _ = self._bank.query(self._index[rows], inverse_transform_points(object_pose, centers))
-        return (distance - radius).min(axis=1), (centers[..., 2] - radius).min(axis=1)
+        if is_numpy(joints):
+            kinematics = HandKinematics(self._hand, len(joints))
+            kinematics.update(palm_pose, joints)
+            centers = kinematics.points(self._spheres.points)
+        else:
+            centers = transform_points(palm_pose, self._on_tensors.points(joints))
+        radius, index = (constant(joints, given) for given in (self._spheres.radius, self._index[rows]))
+        distance, _ = self._bank.query(index, inverse_transform_points(object_pose, centers))
+        lowest = array_namespace(joints).min
+        return lowest(distance - radius, axis=1), lowest(centers[..., 2] - radius, axis=1)

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from fungrasp.geometry.arrays import is_numpy, may_be_any, rows_like
+from fungrasp.geometry.arrays import copied, is_numpy, may_be_any, moved_to, rows_like
 from fungrasp.geometry.poses import Array, array_namespace
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.simulation import Engine
@@ -105,7 +105,8 @@ class LiftTask:
         start_velocity: np.ndarray | None = None,
         start_time: np.ndarray | None = None,
     ) -> None:
-        """Start episodes in some worlds, I of them: objects at rest, hands at their start.
+        """Start episodes in some worlds, I of them: objects at rest, hands at their start. NumPy arrays do on
+        any device.
 
         Args:
             ids: worlds, shape [I].
@@ -117,7 +118,16 @@ class LiftTask:
             start_velocity: of the palm [m/s], shape [I, 3]; zero if None.
             start_time: where on the episode's clock to start [s], shape [I]; zero if None.
         """
+        on = self.controls
         velocity = np.zeros((len(ids), 3)) if start_velocity is None else start_velocity
+        time = np.zeros(len(ids)) if start_time is None else start_time
+        ids, settled_pose, target_pose, start_pose, start_fingers, target_contacts, velocity, time = (
+            moved_to(on, given)
+            for given in (
+                *(ids, settled_pose, target_pose, start_pose, start_fingers),
+                *(target_contacts, velocity, time),
+            )
+        )
         self.settled_pose[ids], self.target_contacts[ids] = settled_pose, target_contacts
         self.setpoints.begin(ids, start_pose, velocity, start_fingers)
         palm, fingers = self.actuation.begin(ids, start_pose, velocity, start_fingers)
@@ -133,7 +143,7 @@ class LiftTask:
             self.setpoints.wrist.pose, self.setpoints.wrist.velocity, self.setpoints.fingers
         )
         self.measurements.begin(ids)
-        self.time[ids] = 0.0 if start_time is None else start_time
+        self.time[ids] = time
         self.lift_time[ids] = self.hold_time[ids] = np.inf
         self.done[ids] = self.withdrawing[ids] = False
 
@@ -173,7 +183,7 @@ class LiftTask:
         """
         p, setpoints = self.protocol, self.setpoints
         # What is over stays as it is, however long the others take.
-        over = self._copy(self.done)
+        over = copied(self.done)
         kept = (setpoints.state(), self.actuation.state()) if may_be_any(over) else None
         sequence = self.advance_setpoints(action)
         followed = self.actuation.follow(sequence, setpoints.period)
@@ -202,7 +212,7 @@ class LiftTask:
         if may_be_any(begins):
             self.lift_time = where(begins, self.time, self.lift_time)
             self.measurements.lift_begins(begins, self.settled_pose)
-        goal = self._copy(action.palm_goal)
+        goal = copied(action.palm_goal)
         goal[:, 2] += p.lift_height * self._isfinite(self.lift_time)
         return self.setpoints.advance(goal, action.finger_targets)
 
@@ -214,9 +224,6 @@ class LiftTask:
         begins = risen & ~self._isfinite(self.hold_time)
         self.hold_time = self._where(begins, self.time, self.hold_time)
         self.measurements.watch(self._isfinite(self.hold_time) & ~self.done)
-
-    def _copy(self, array: Array) -> Array:
-        return array_namespace(array).asarray(array, copy=True)
 
     def outcomes(self) -> Outcomes:
         """The outcomes, once all episodes are done."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fungrasp.geometry.arrays import rows_like
+from fungrasp.geometry.arrays import at_least, rows_like
 from fungrasp.geometry.poses import Array, array_namespace, compose, invert, stack
 from fungrasp.records import BatchRecord
 from fungrasp.simulation import Engine
@@ -144,6 +144,12 @@ class LiftMeasurements:
         self._sums[5:] += xp.where(holding & self._held & xp.isfinite(moved), moved, 0.0)
         self._previous, self._held = (position[:, :3], in_palm), holding
 
+    @property
+    def success(self) -> Array:
+        """Whether the episodes would succeed if their hold ended now, shape [W] bool."""
+        held = self._sums[4] / at_least(self._sums[0], 1)
+        return lifted_and_held(self._lifted, held, self._touched_table, self._protocol)
+
     def outcomes(self) -> Outcomes:
         """What was measured so far."""
         number, recall, precision, f1, touching, intervals, travel, slip = self._sums
@@ -151,7 +157,7 @@ class LiftMeasurements:
         high = self._lifted >= self._protocol.success_height
         diverged = self._lifted < -0.5
         in_hand = touching / number > 0.5
-        success = lifted_and_held(self._lifted, touching / number, self._touched_table, self._protocol)
+        success = self.success
         reason = np.select(
             [success, diverged, high & in_hand, touching / number > 0.9, touching > 0],
             [

@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Protocol
 
 import numpy as np
 
+from fungrasp.geometry.arrays import at_least, copied, is_numpy, may_be_any, moved_to, rows_like
 from fungrasp.geometry.poses import (
+    Array,
+    array_namespace,
+    clip,
     inverse_transform_points,
+    like,
     quaternion_from_rotation_vector,
     quaternion_multiply,
     relative,
@@ -26,6 +32,18 @@ NO_LIFT = -1.0
 """``Observation.time_since_lift`` before the lift [s]."""
 
 
+class Jitter(Protocol):
+    """Random numbers, as ``numpy.random.Generator`` draws them; on a device, its own."""
+
+    def normal(self, *, size: tuple[int, int]) -> Array:
+        """Standard normal numbers."""
+        ...
+
+    def random(self, count: int, /) -> Array:
+        """Numbers from 0 to 1."""
+        ...
+
+
 class SimulatedSensors:
     """Measures what ``Observation`` holds. Biases are those of a sample; jitter is drawn at every call."""
 
@@ -33,7 +51,7 @@ class SimulatedSensors:
         self,
         task: LiftTask,
         randomization: Randomization,
-        rng: np.random.Generator | Sequence[np.random.Generator],
+        rng: Jitter | Sequence[np.random.Generator],
     ):
         """
         Args:
@@ -41,22 +59,21 @@ class SimulatedSensors:
             randomization: with the jitter and the dropouts.
             rng: of those; one for all worlds, or one for each.
         """
-        self._task, self._r, self._rng = task, randomization, rng
-        self._filtered = np.full((len(task.engine), 7), np.nan)
+        self._task, self._r, self.rng = task, randomization, rng
+        on, count = task.time, len(task.engine)
+        self._filtered = rows_like(on, np.full((count, 7), np.nan))
         """Output of the tracker's filter, NaN before an episode's first measurement; shape [W, 7]."""
-        self._ring: list[np.ndarray] = []
+        self._ring: list[Array] = []
         """Object poses at the last setpoints, the newest last; each of shape [W, 7]."""
-        self._covered = np.zeros(len(task.engine), dtype=bool)
+        self._covered = rows_like(on, np.zeros(count, dtype=bool))
         """Worlds in which the hand has touched the object and is still near it, shape [W]."""
         self._clearance: HandClearance | None = None
-        self._measured = np.zeros(0, dtype=int)
-        """Objects that ``_clearance`` is for, shape [W]."""
-        self._last: tuple[np.ndarray, np.ndarray] | None = None
+        self._last: tuple[Array, Array] | None = None
         """Object poses that were last seen [W, 7], and when [s], shape [W]; NaN where nothing was yet."""
 
     def begin(self, ids: np.ndarray) -> None:
         """Forget the past of some worlds, whose episodes begin. ids: shape [I]."""
-        now = self._task.engine.object_pose
+        now, ids = self._task.engine.object_pose, moved_to(self._filtered, ids)
         for pose in self._ring:
             pose[ids] = now[ids]
         if self._last is not None:
@@ -74,11 +91,11 @@ class SimulatedSensors:
         now = self._task.engine.object_pose
         for pose in self._ring:
             pose[ids] = now[ids]
-        if rng is not None and not isinstance(self._rng, np.random.Generator):
-            streams = list(self._rng)
+        if rng is not None and isinstance(self.rng, Sequence):
+            streams = list(self.rng)
             for world, stream in zip(ids.tolist(), rng, strict=True):
                 streams[world] = stream
-            self._rng = streams
+            self.rng = streams
 
     def record(self) -> None:
         """Keep the objects' poses and what has touched, after each setpoint: for trackers that are late or
@@ -94,7 +111,7 @@ class SimulatedSensors:
     def observe(self, sample: EpisodeSample) -> Observation:
         """What is seen now. sample: of the episodes in the W worlds."""
         task, r = self._task, self._r
-        since_lift = np.maximum(task.time - task.lift_time, NO_LIFT)
+        since_lift = at_least(task.time - task.lift_time, NO_LIFT)
         hand, joints = task.scene.hand, task.engine.joint_positions
         if r.joint_error == MeasurementError():
             joints = hand.independent(joints) + task.actuation.encoder_bias
@@ -107,12 +124,12 @@ class SimulatedSensors:
             palm = offset_pose(palm, sample.palm_bias + self._jitter(errors))
         thing, age = self._track(sample)
         return Observation(
-            time=task.time.copy(),
+            time=copied(task.time),
             time_since_lift=since_lift,
             joint_positions=joints,
-            joint_setpoints=task.setpoints.fingers.copy(),
+            joint_setpoints=copied(task.setpoints.fingers),
             palm_pose=palm,
-            palm_setpoint=task.setpoints.wrist.pose.copy(),
+            palm_setpoint=copied(task.setpoints.wrist.pose),
             object_pose=thing,
             object_pose_age=age,
         )
@@ -129,82 +146,87 @@ class SimulatedSensors:
             return pose
         return offset_pose(pose, sample.object_bias, self._center())
 
-    def _track(self, sample: EpisodeSample) -> tuple[np.ndarray, np.ndarray]:
+    def _track(self, sample: EpisodeSample) -> tuple[Array, Array]:
         """Tracked object poses, world frame [W, 7], and their age [s], shape [W]."""
         task, r = self._task, self._r
-        pose, age = task.engine.object_pose, np.zeros(len(task.engine))
+        pose, xp = task.engine.object_pose, array_namespace(task.time)
+        age = xp.zeros_like(task.time)
         if r.tracker_delay[1] > 0 and self._ring:
-            late = np.rint(sample.tracker_delay / task.setpoints.period).astype(int)
-            late = np.minimum(late, len(self._ring) - 1)
-            pose = np.stack(self._ring)[len(self._ring) - 1 - late, np.arange(len(late))]
+            late = xp.round(sample.tracker_delay / task.setpoints.period)
+            late = clip(late, 0.0, len(self._ring) - 1.0)
+            index = len(self._ring) - 1 - xp.astype(late, xp.int64)
+            pose = xp.stack(self._ring)[index, xp.arange(len(late), device=late.device)]
             age = late * task.setpoints.period
         errors = (r.object_position_error, r.object_rotation_error)
         # The bias of a sample may be larger than the errors that are drawn: that of a belief, in rollouts.
-        if any(e != MeasurementError() for e in errors) or sample.object_bias.any():
+        if any(e != MeasurementError() for e in errors) or may_be_any(sample.object_bias):
             pose = offset_pose(pose, sample.object_bias + self._jitter(errors), self._center())
         if r.tracker_dropout > 0 or r.tracker_freeze > 0:
             missing = self._lost(sample)
             if r.tracker_dropout > 0 and self._last is not None:
-                missing |= self._uniform() < r.tracker_dropout
+                missing = missing | (self._uniform() < r.tracker_dropout)
             if self._last is not None:
                 seen, when = self._last
                 # Nothing is measured any more of what is over.
-                missing = (missing | task.done) & np.isfinite(when)
-                pose = np.where(missing[:, None], seen, pose)
-                age = np.where(missing, task.time - when, age)
-            self._last = pose.copy(), task.time - age
+                missing = (missing | task.done) & xp.isfinite(when)
+                pose = xp.where(missing[:, None], seen, pose)
+                age = xp.where(missing, task.time - when, age)
+            self._last = copied(pose), task.time - age
         if r.tracker_time_constant > 0:
             pose = self._low_pass(pose)
         return pose, age
 
-    def _lost(self, sample: EpisodeSample) -> np.ndarray:
+    def _lost(self, sample: EpisodeSample) -> Array:
         """Worlds whose trackers have lost the object, shape [W] bool."""
-        engine = self._task.engine
-        rows = np.flatnonzero(sample.tracker_freezes & self._covered)
-        if len(rows):
-            scene = self._task.scene
-            if self._clearance is None or not np.array_equal(self._measured, engine.object_index):
-                self._measured = engine.object_index.copy()
-                self._clearance = HandClearance(scene.hand, scene.models, self._measured)
+        engine, scene = self._task.engine, self._task.scene
+        lost = sample.tracker_freezes & self._covered
+        if self._r.tracker_freeze > 0 and may_be_any(lost):
+            if self._clearance is None:
+                self._clearance = HandClearance(scene.hand, scene.models, engine.object_index)
+            self._clearance.hold(engine.object_index)
+            # A device is not asked which they are.
+            rows = np.flatnonzero(lost) if is_numpy(lost) else slice(None)
             joints = scene.hand.independent(engine.joint_positions[rows])
             near, _ = self._clearance.measure(rows, engine.object_pose[rows], engine.palm_pose[rows], joints)
-            self._covered[rows[near > UNCOVERED]] = False
+            self._covered[rows] &= ~(lost[rows] & (near > UNCOVERED))
         return sample.tracker_freezes & self._covered
 
-    def _low_pass(self, pose: np.ndarray) -> np.ndarray:
+    def _low_pass(self, pose: Array) -> Array:
         """Filtered poses: ``x += (1 - exp(-T / tau)) (measured - x)`` once in each control period T, on the
         rotation along the shortest arc."""
+        xp = array_namespace(pose)
         share = 1.0 - np.exp(-self._task.protocol.control_period / self._r.tracker_time_constant)
-        before = np.where(np.isfinite(self._filtered), self._filtered, pose)
+        before = xp.where(xp.isfinite(self._filtered), self._filtered, pose)
         turn = rotation_vector(relative(before, pose)[:, 3:])
         after = quaternion_multiply(before[:, 3:], quaternion_from_rotation_vector(share * turn))
         position = before[:, :3] + share * (pose[:, :3] - before[:, :3])
-        self._filtered = np.concatenate([position, after], axis=1)
-        return self._filtered.copy()
+        self._filtered = xp.concat([position, after], axis=1)
+        return copied(self._filtered)
 
-    def _center(self) -> np.ndarray:
+    def _center(self) -> Array:
         """Centers of mass in the frames of objects [m], shape [W, 3]: a tracked object turns about its
         own."""
         now = self._task.engine.object_pose
         return inverse_transform_points(now, self._task.engine.center_of_mass[:, None])[:, 0]
 
-    def _jitter(self, errors: tuple[MeasurementError, MeasurementError]) -> np.ndarray:
+    def _jitter(self, errors: tuple[MeasurementError, MeasurementError]) -> Array:
         """Jitter of position [m] and rotation vector [rad], shape [W, 6]."""
-        return self._normal(6) * np.repeat([e.jitter for e in errors], 3)
+        drawn = self._normal(6)
+        return drawn * like(drawn, np.repeat([e.jitter for e in errors], 3))
 
-    def _normal(self, size: int) -> np.ndarray:
+    def _normal(self, size: int) -> Array:
         count = len(self._task.engine)
-        if isinstance(self._rng, np.random.Generator):
-            return self._rng.normal(size=(count, size))
+        if not isinstance(self.rng, Sequence):
+            return self.rng.normal(size=(count, size))
         # Not where episodes are over: those of the others must not decide what is drawn next.
         going = ~self._task.done
         return np.stack(
-            [rng.normal(size=size) if g else np.zeros(size) for rng, g in zip(self._rng, going, strict=True)]
+            [rng.normal(size=size) if g else np.zeros(size) for rng, g in zip(self.rng, going, strict=True)]
         )
 
-    def _uniform(self) -> np.ndarray:
+    def _uniform(self) -> Array:
         count = len(self._task.engine)
-        if isinstance(self._rng, np.random.Generator):
-            return self._rng.random(count)
+        if not isinstance(self.rng, Sequence):
+            return self.rng.random(count)
         going = ~self._task.done
-        return np.array([rng.random() if g else 1.0 for rng, g in zip(self._rng, going, strict=True)])
+        return np.array([rng.random() if g else 1.0 for rng, g in zip(self.rng, going, strict=True)])

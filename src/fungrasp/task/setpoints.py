@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from fungrasp.geometry.arrays import is_numpy, may_be_any, put_back, rows_like
+from fungrasp.geometry.arrays import copied, is_numpy, may_be_any, put_back, rows_like
 from fungrasp.geometry.poses import (
     Array,
     array_namespace,
@@ -72,9 +72,8 @@ class SetpointGenerator:
         self.delay = rows_like(on, np.zeros(count))
         """Time until an action takes effect [s], at most a control period, rounded up to whole setpoint
         periods; shape [W]."""
-        xp = array_namespace(resting)
-        self._goal = xp.asarray(resting, copy=True)
-        self._finger_rate = xp.zeros_like(self.fingers)
+        self._goal = copied(resting)
+        self._finger_rate = array_namespace(resting).zeros_like(self.fingers)
 
     def begin(
         self, ids: np.ndarray, palm_pose: np.ndarray, velocity: np.ndarray, fingers: np.ndarray
@@ -93,7 +92,7 @@ class SetpointGenerator:
 
     def state(self) -> list[Array]:
         """Where the worlds are, for ``restore``."""
-        return [array_namespace(array).asarray(array, copy=True) for array in self._arrays()]
+        return [copied(array) for array in self._arrays()]
 
     def restore(self, which: Array, state: list[Array]) -> None:
         """Put some worlds back to a ``state``. which: shape [W] bool."""

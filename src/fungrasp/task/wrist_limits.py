@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from fungrasp.geometry.arrays import at_least
+from fungrasp.geometry.arrays import at_least, copied
 from fungrasp.geometry.poses import (
     Array,
     array_namespace,
@@ -22,7 +22,7 @@ class WristSetpoint:
     def __init__(self, pose: Array, protocol: LiftProtocol):
         """pose: shape [W, 7]."""
         xp = array_namespace(pose)
-        self.pose = xp.asarray(pose, copy=True)
+        self.pose = copied(pose)
         self.velocity = xp.zeros_like(self.pose[:, :3])
         self.turning = xp.zeros_like(self.pose[:, :3])
         """Angular velocity, world frame [rad/s], shape [W, 3]; kept where it may not jump."""

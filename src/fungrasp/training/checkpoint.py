@@ -62,7 +62,7 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
             f"{found[:12]}..., it says {said.decode('ascii', errors='replace')[:12]}..."
         )
     try:
-        state = torch.load(io.BytesIO(payload), weights_only=True)
+        state = torch.load(io.BytesIO(payload), map_location="cpu", weights_only=True)
     except Exception as error:
         raise FungraspError(f"cannot read the checkpoint {path}: {' '.join(str(error).split())}") from error
     if not isinstance(state, dict):
@@ -72,6 +72,7 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
 
 def environment_state(environment: TrainingEnvironment) -> dict[str, Any]:
     """What tells an environment from others, and what it has learned and drawn so far."""
+    device = torch.as_tensor(environment.observations.robot).device
     return {
         "hand": environment.hand.name,
         "layout_name": environment.settings.layout,
@@ -81,6 +82,7 @@ def environment_state(environment: TrainingEnvironment) -> dict[str, Any]:
         "environment_steps": environment.steps,
         "random": json.dumps(environment.rng.bit_generator.state),
         "torch_random": torch.get_rng_state(),
+        "device_random": None if device.type == "cpu" else torch.cuda.get_rng_state(device),
     }
 
 
@@ -112,6 +114,8 @@ def restore_environment(state: Mapping[str, Any], environment: TrainingEnvironme
     environment.diverged = int(state.get("diverged", 0))
     environment.rng.bit_generator.state = json.loads(state["random"])
     torch.set_rng_state(state["torch_random"])
+    if state.get("device_random") is not None and torch.cuda.is_available():
+        torch.cuda.set_rng_state(state["device_random"])
     environment.restart()
 
 

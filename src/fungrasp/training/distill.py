@@ -23,7 +23,7 @@ from fungrasp.training.checkpoint import (
 )
 from fungrasp.training.environment import TrainingEnvironment
 from fungrasp.training.kept_rounds import KeptRounds, Round
-from fungrasp.training.networks import tensors
+from fungrasp.training.networks import played, tensors
 from fungrasp.training.settings import HIDDEN, DistillSettings
 from fungrasp.training.student import StudentModel
 
@@ -206,15 +206,16 @@ def _collect(
 ) -> Round:
     """Let one act, and ask the teacher what it would have done."""
     batches, begun = [], [torch.zeros(environment.settings.worlds, dtype=torch.bool)]
-    with torch.inference_mode():
+    with torch.no_grad():
         for _ in range(s.steps):
             observations = tensors(environment.observations)
             wanted = teacher(observations)
             action = wanted if actor is teacher else actor(observations)
             batches.append(observations.exclude("value").clone().update({"action": wanted}))
-            step = environment.step((action + s.noise * torch.randn_like(action)).numpy())
-            recent.extend(step.success[step.done].tolist())
-            begun.append(torch.from_numpy(step.done))
+            noisy = action + s.noise * torch.randn_like(action)
+            step = environment.step(played(environment, noisy))
+            recent.extend(environment.ended.success.tolist())
+            begun.append(torch.as_tensor(step.done))
     return Round(torch.cat(batches), torch.stack(begun[:-1]))  # type: ignore[arg-type]
 
 

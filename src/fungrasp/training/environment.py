@@ -9,16 +9,19 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from fungrasp.errors import FungraspError
+from fungrasp.geometry.arrays import is_numpy
+from fungrasp.geometry.poses import Array, array_namespace
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel, with_sizes
 from fungrasp.policies.plan_tracking import PlanTracker
 from fungrasp.policies.residual_action import ResidualSettings
 from fungrasp.sim2real import MODERATE, Randomization, draw
-from fungrasp.simulation import BufferSizes, Device, SceneSettings, build_scene
+from fungrasp.simulation import BufferSizes, Device, SceneSettings, build_scene, make_engine
 from fungrasp.task import LiftEnvironment, LiftProtocol
 from fungrasp.task.features import contact_features, flatten, layout, value_features
 from fungrasp.task.observation_layouts import LayoutName, encoder_parts, network_parts
 from fungrasp.task.reward import RewardWeights, total
+from fungrasp.task.sensors import Jitter
 from fungrasp.training.history import History
 from fungrasp.training.plan_library import PlanLibrary
 from fungrasp.training.rewards import LiftReward
@@ -78,34 +81,51 @@ class EnvironmentSettings:
 
 @dataclass(frozen=True, eq=False)
 class NetworkInputs:
-    """What the networks get, W worlds."""
+    """What the networks get, W worlds, in single precision."""
 
-    robot: np.ndarray
+    robot: Array
     """What a robot has, shape [W, O]."""
-    privileged: np.ndarray
+    privileged: Array
     """Contacts that only a simulation knows, shape [W, P]."""
-    value: np.ndarray
+    value: Array
     """What only the value network gets besides, shape [W, C]."""
-    history: np.ndarray | None = None
+    history: Array | None = None
     """What a student's encoder sees, if kept, shape [W, HISTORY, H]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """Outcome of a step in W worlds."""
+    """Outcome of a step in W worlds, on the device of the worlds."""
 
-    reward: np.ndarray
+    reward: Array
     """Weighted sum of the reward terms, shape [W]."""
-    done: np.ndarray
+    done: Array
     """Episodes that ended, shape [W] bool."""
-    success: np.ndarray
+    success: Array
     """Whether an episode that ended succeeded, shape [W] bool."""
-    terms: dict[str, float]
+    diverged: Array
+    """Episodes whose physics broke down, shape [W] bool."""
+    terms: dict[str, Array]
     """Mean of each reward term over the worlds, by name."""
 
 
+@dataclass(frozen=True, eq=False)
+class EndedEpisodes:
+    """The I episodes that ended in a step; NumPy arrays."""
+
+    worlds: np.ndarray
+    """Where, shape [I] int."""
+    success: np.ndarray
+    """Whether they succeeded, shape [I] bool."""
+
+
 class TrainingEnvironment:
-    """W worlds in which one episode follows another."""
+    """W worlds in which one episode follows another.
+
+    All that a control step is made of is on the device of the worlds: NumPy arrays, or torch tensors that
+    share memory with the physics. Episodes begin on the processor, which has to be told where one ended: that
+    is what comes from the device once in each ``step``.
+    """
 
     def __init__(
         self,
@@ -136,8 +156,16 @@ class TrainingEnvironment:
         sizes = with_sizes({name: objects[name] for name in names}, s.randomization.object_scales)
         scene = build_scene(hand, sizes, SceneSettings(timestep=s.timestep, device=device, buffers=buffers))
         self.protocol = replace(LiftProtocol(), hold_time=s.hold_time)
-        self.episodes = LiftEnvironment(scene, s.worlds, s.randomization, self.protocol, self.rng, threads)
-        self.tracker = PlanTracker(hand, objects, library.plans, s.worlds, s.residual)
+        engine = make_engine(scene, s.worlds, threads, tensors=True)
+        self.on: Array = engine.object_pose
+        """An array of the library and the device that actions, observations and rewards are on."""
+        jitter = self.rng if is_numpy(self.on) else _device_jitter(self.on, seed)
+        self.episodes = LiftEnvironment(
+            scene, s.worlds, s.randomization, self.protocol, jitter, engine=engine
+        )
+        self.tracker = PlanTracker(hand, objects, library.plans, s.worlds, s.residual, self.on)
+        self._rows = np.zeros(s.worlds, dtype=int)
+        """The plan that each world follows, shape [W]."""
         distance = None if s.residual.base == "plan" else self.protocol.start_distance
         self.reward = LiftReward(hand, self.protocol.control_period, s.lift_goal, distance)
         self.success_of_group = np.full(int(library.group.max()) + 1, 0.5)
@@ -147,6 +175,8 @@ class TrainingEnvironment:
         self.diverged = 0
         """Episodes whose physics broke down so far."""
         everyone = np.arange(s.worlds)
+        self.ended = EndedEpisodes(everyone[:0], everyone[:0] > 0)
+        """What ended in the last step."""
         self.begin(everyone)
         features, contacts, more = self._parts()
         self.layout = layout(network_parts(features, s.layout, encoder=False))
@@ -155,7 +185,8 @@ class TrainingEnvironment:
         """Of what a student's encoder gets of a control step."""
         self.student_layout = layout(network_parts(features, s.layout, encoder=True))
         """Of what a student with an encoder gets."""
-        self._history = History(s.worlds, sum(n for _, n in self.encoder_layout)) if s.history else None
+        encoded = sum(n for _, n in self.encoder_layout)
+        self._history = History(s.worlds, encoded, self.on) if s.history else None
         self.observations = self._observe(everyone)
 
     @property
@@ -163,18 +194,18 @@ class TrainingEnvironment:
         """Numbers in an action."""
         return self.tracker.size
 
-    def step(self, action: np.ndarray) -> Step:
+    def step(self, action: Array) -> Step:
         """One control period in all worlds; where an episode ends, the next one begins, and ``observations``
         are of its beginning. action: shape [W, A]."""
         step = self.advance(action)
-        ended = np.flatnonzero(step.done)
+        ended = self.end(step).worlds
         self.begin(ended)
         self.observations = self._observe(ended)
         return step
 
-    def advance(self, action: np.ndarray) -> Step:
-        """One control period in all worlds, no more: what ended has to ``begin`` anew, and ``observations``
-        stay as they are. action: shape [W, A]."""
+    def advance(self, action: Array) -> Step:
+        """One control period in all worlds, no more: what has to ``end`` does so next, and ``begin``
+        anew; ``observations`` stay as they are. Nothing waits for the device. action: shape [W, A]."""
         episodes, tracker, s = self.episodes, self.tracker, self.settings
         self.steps += s.worlds
         task, before = episodes.task, tracker.action
@@ -182,17 +213,25 @@ class TrainingEnvironment:
         tracker.update(episodes.observe())
         self._privileged = episodes.privileged()
         terms = self.reward.terms(tracker.state(), self._privileged, before)
-        diverged, lost = task.engine.diverged, task.lost
+        diverged, lost, xp = task.engine.diverged, task.lost, array_namespace(task.time)
         done = task.done | lost
-        success = task.done & ~lost & task.outcomes().success
-        reward = total(
-            terms | {"success": success.astype(float), "drop": (done & ~success).astype(float)}, s.reward
-        )
-        reward = np.where(diverged, s.reward.drop, np.nan_to_num(reward))
+        success = task.done & ~lost & task.measurements.success
+        once = {"success": success, "drop": done & ~success}
+        once = {name: xp.astype(flags, task.time.dtype) for name, flags in once.items()}
+        reward = total(terms | once, s.reward)
+        reward = xp.where(xp.isfinite(reward), reward, 0.0)
+        reward = xp.where(diverged, s.reward.drop, reward)
+        return Step(reward, done, success, diverged, {name: _mean(v) for name, v in terms.items()})
+
+    def end(self, step: Step) -> EndedEpisodes:
+        """Episodes that ended in a step, kept as ``ended``; what is begun depends on their success."""
+        flags = array_namespace(step.done).stack([step.done, step.success, step.diverged])
+        done, success, diverged = np.asarray(flags if is_numpy(flags) else flags.cpu())
         self._report(np.flatnonzero(diverged))
-        for g, won in zip(self.library.group[tracker.rows[done]], success[done], strict=True):
+        self.ended = EndedEpisodes(np.flatnonzero(done), success[done])
+        for g, won in zip(self.library.group[self._rows[done]], self.ended.success, strict=True):
             self.success_of_group[g] += 0.1 * (float(won) - self.success_of_group[g])
-        return Step(reward, done, success, {name: float(np.nanmean(v)) for name, v in terms.items()})
+        return self.ended
 
     def begin(self, ids: np.ndarray) -> None:
         """New episodes in some worlds. ids: shape [I]; nothing happens if there is none."""
@@ -200,13 +239,13 @@ class TrainingEnvironment:
             self.tracker.begin(ids, self._begin(ids), self.episodes.observe())
             self._privileged = self.episodes.privileged()
 
-    def named_observations(self, privileged: bool) -> dict[str, np.ndarray]:
+    def named_observations(self, privileged: bool) -> dict[str, Array]:
         """What the networks get of the worlds as they are now, without a history: by name of each part, of
         shape [W, number] float32. privileged: the contacts, too."""
         features, contacts, _ = self._parts()
         parts = network_parts(features, self.settings.layout, encoder=False)
         parts |= contacts if privileged else {}
-        return {name: part.astype(np.float32) for name, part in parts.items()}
+        return {name: _single(part) for name, part in parts.items()}
 
     def reseed(self, seed: int) -> None:
         """Draw everything that is random here from another seed, as after construction; ``begin`` comes
@@ -224,7 +263,7 @@ class TrainingEnvironment:
     def _report(self, diverged: np.ndarray) -> None:
         """Count and name worlds whose physics broke down."""
         self.diverged += len(diverged)
-        rows = self.tracker.rows[diverged]
+        rows = self._rows[diverged]
         for row, name in zip(rows.tolist(), self.library.plans.object_name[rows].tolist(), strict=True):
             grasp = self.library.group[row]
             _log.warning("physics broke down: object '%s', grasp %d, plan %d", name, grasp, row)
@@ -242,6 +281,7 @@ class TrainingEnvironment:
         first[rng.random(len(ids)) < whole] = 0
         sample = draw(s.randomization, len(ids), len(self.hand.joint_names), rng)
         self.episodes.begin(ids, plans.select(rows), first, sample, hand_followed=True)
+        self._rows[ids] = rows
         return rows
 
     @property
@@ -252,7 +292,7 @@ class TrainingEnvironment:
         first, last = self.settings.widen
         return float(np.clip((self.steps - first) / max(last - first, 1), 0.0, 1.0))
 
-    def _parts(self) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray], dict[str, np.ndarray]]:
+    def _parts(self) -> tuple[dict[str, Array], dict[str, Array], dict[str, Array]]:
         state, p = self.tracker.state(), self._privileged
         return (
             state.robot_features(),
@@ -263,8 +303,28 @@ class TrainingEnvironment:
     def _observe(self, begun: np.ndarray) -> NetworkInputs:
         features, *others = self._parts()
         robot = network_parts(features, self.settings.layout, encoder=False)
-        seen = NetworkInputs(*(flatten(part).astype(np.float32) for part in (robot, *others)))
+        seen = NetworkInputs(*(_single(flatten(part)) for part in (robot, *others)))
         if self._history is None:
             return seen
-        encoded = flatten(encoder_parts(features, self.settings.layout)).astype(np.float32)
+        encoded = _single(flatten(encoder_parts(features, self.settings.layout)))
         return replace(seen, history=self._history.push(encoded, begun))
+
+
+def _device_jitter(on: Array, seed: int) -> Jitter:
+    """Random numbers of torch's own on a device."""
+    from fungrasp.training.device_jitter import DeviceJitter
+
+    return DeviceJitter(on, seed)
+
+
+def _single(array: Array) -> Array:
+    """In single precision."""
+    xp = array_namespace(array)
+    return xp.astype(array, xp.float32)
+
+
+def _mean(values: Array) -> Array:
+    """Of the numbers that are finite."""
+    xp = array_namespace(values)
+    known = xp.isfinite(values)
+    return xp.sum(xp.where(known, values, 0.0)) / xp.sum(xp.astype(known, values.dtype))

@@ -54,7 +54,7 @@ def graph(module: torch.nn.Module, inputs: dict[str, torch.Tensor], outputs: tup
         inputs: examples by name, in the order of the module's arguments.
         outputs: names of what it gives.
     """
-    module.eval()
+    module.eval().cpu()
     buffer = io.BytesIO()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")

@@ -126,15 +126,15 @@ class LiftVectorEnv(VectorEnv[Named, np.ndarray, np.ndarray]):
     def step(self, actions: np.ndarray) -> tuple[Named, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """One control period of 0.1 s. actions: shape [W, A]."""
         step = self.worlds.advance(np.asarray(actions, dtype=np.float64))
-        infos: dict[str, Any] = {}
-        if step.done.any():
+        ended, infos = self.worlds.end(step).worlds, {}
+        if len(ended):
             final = _observe(self.worlds, self._privileged)
             kept = np.full(self.num_envs, None, dtype=object)
-            for w in np.flatnonzero(step.done):
+            for w in ended:
                 kept[w] = {name: value[w] for name, value in final.items()}
             infos = {"final_obs": kept, "success": step.success}
             infos |= {f"_{name}": step.done.copy() for name in tuple(infos)}
-            self.worlds.begin(np.flatnonzero(step.done))
+            self.worlds.begin(ended)
         seen = _observe(self.worlds, self._privileged)
         return seen, step.reward, step.done, np.zeros(self.num_envs, dtype=bool), infos
 
@@ -170,6 +170,7 @@ class LiftEnv(gymnasium.Env[Named, np.ndarray]):
     def step(self, action: np.ndarray) -> tuple[Named, float, bool, bool, dict[str, Any]]:
         """One control period of 0.1 s. action: shape [A]."""
         step = self.worlds.advance(np.asarray(action, dtype=np.float64)[None])
+        self.worlds.end(step)
         done = bool(step.done[0])
         info = {"success": bool(step.success[0])} if done else {}
         return self._seen(), float(step.reward[0]), done, False, info

@@ -11,7 +11,7 @@ from rsl_rl.models import MLPModel
 from tensordict import TensorDict
 
 from fungrasp.training.environment import TrainingEnvironment
-from fungrasp.training.networks import tensors
+from fungrasp.training.networks import played, tensors
 from fungrasp.training.student import StudentModel
 
 PLANNED_ROUNDS = 2
@@ -49,23 +49,24 @@ class MotionImitation:
         """
         environment, actor = self._environment, self._actor
         batches, rewards, ended = [], [], []
-        with torch.inference_mode():
+        with torch.no_grad():
             for _ in range(self._steps):
                 observations = tensors(environment.observations)
                 actor.update_normalization(observations)
-                wanted = torch.from_numpy(environment.tracker.planned_action().astype(np.float32))
+                wanted = torch.as_tensor(environment.tracker.planned_action()).float()
                 action = wanted if self._rounds < PLANNED_ROUNDS else actor(observations)
                 batches.append(observations.clone().update({"action": wanted}))
-                step = environment.step((action + NOISE * torch.randn_like(action)).numpy())
-                rewards.append(float(step.reward.mean()))
-                ended.extend(step.success[step.done].tolist())
+                noisy = action + NOISE * torch.randn_like(action)
+                step = environment.step(played(environment, noisy))
+                rewards.append(step.reward.mean())
+                ended.extend(environment.ended.success.tolist())
         self._kept.append(torch.cat(batches))  # type: ignore[arg-type]
         self._rounds += 1
         loss = self._learn()
         with torch.inference_mode():
             # What is reported of the noise is of the last actions.
             actor(tensors(environment.observations), stochastic_output=True)
-        return float(np.mean(rewards)), loss, ended
+        return float(np.mean([float(reward) for reward in rewards])), loss, ended
 
     def _learn(self) -> float:
         losses = 0.0

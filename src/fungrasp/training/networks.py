@@ -9,6 +9,8 @@ from rsl_rl.models import MLPModel
 from rsl_rl.modules.distribution import GaussianDistribution
 from tensordict import TensorDict
 
+from fungrasp.geometry.arrays import is_numpy
+from fungrasp.geometry.poses import Array
 from fungrasp.training.environment import NetworkInputs, TrainingEnvironment
 from fungrasp.training.settings import Sees
 from fungrasp.training.student import StudentModel
@@ -18,10 +20,17 @@ class ColoredGaussian(GaussianDistribution):
     """Normal actions whose noise is correlated in time while the worlds are played, as in Eberhard et al.,
     "Colored Noise in PPO" (AAAI 2024); its probabilities are those of independent noise."""
 
-    def __init__(self, output_dim: int, worlds: int, correlation: float, **settings: Any):
+    def __init__(
+        self,
+        output_dim: int,
+        worlds: int,
+        correlation: float,
+        device: torch.device | None = None,
+        **settings: Any,
+    ):
         super().__init__(output_dim, **settings)
         self._correlation, self._fresh = correlation, (1.0 - correlation**2) ** 0.5
-        self._noise = torch.randn(worlds, output_dim)
+        self._noise = torch.randn(worlds, output_dim, device=device)
 
     def restart(self) -> None:
         """Forget the noise so far."""
@@ -69,6 +78,7 @@ def make_networks(
             "class_name": ColoredGaussian,
             "worlds": environment.settings.worlds,
             "correlation": correlation,
+            "device": observations.device,
             "init_std": noise,
             "std_type": "log",
             "std_range": (0.03, 0.5),
@@ -79,14 +89,17 @@ def make_networks(
         last = [m for m in actor.mlp.modules() if isinstance(m, torch.nn.Linear)][-1]
         for parameter in last.parameters():
             parameter.mul_(0.01)
-    return actor, critic
+    return actor.to(observations.device), critic.to(observations.device)
 
 
 def tensors(observations: NetworkInputs) -> TensorDict:
-    """NetworkInputs as rsl-rl wants them: a group each."""
-    groups = {
-        name: torch.from_numpy(getattr(observations, name)) for name in ("robot", "privileged", "value")
-    }
+    """NetworkInputs as rsl-rl wants them: a group each. Nothing is copied."""
+    groups = {name: torch.as_tensor(getattr(observations, name)) for name in ("robot", "privileged", "value")}
     if observations.history is not None:
-        groups["history"] = torch.from_numpy(observations.history).flatten(1)
-    return TensorDict(groups, batch_size=[len(observations.robot)])
+        groups["history"] = torch.as_tensor(observations.history).flatten(1)
+    return TensorDict(groups, batch_size=[len(observations.robot)], device=groups["robot"].device)
+
+
+def played(environment: TrainingEnvironment, action: torch.Tensor) -> Array:
+    """A network's actions as its worlds take them."""
+    return action.numpy() if is_numpy(environment.on) else action

@@ -18,6 +18,7 @@ from rsl_rl.storage import RolloutStorage
 from tensordict import TensorDict
 
 from fungrasp.errors import FungraspError
+from fungrasp.geometry.poses import Array, array_namespace
 from fungrasp.task.environment import report_problems
 from fungrasp.training.checkpoint import (
     check_environment,
@@ -28,7 +29,7 @@ from fungrasp.training.checkpoint import (
 )
 from fungrasp.training.environment import TrainingEnvironment
 from fungrasp.training.imitation import MotionImitation
-from fungrasp.training.networks import ColoredGaussian, make_networks, tensors
+from fungrasp.training.networks import ColoredGaussian, make_networks, played, tensors
 from fungrasp.training.settings import PpoSettings
 from fungrasp.training.student import StudentModel
 
@@ -75,7 +76,8 @@ class Trainer:
         actor, critic = make_networks(environment, s.sees, s.hidden, s.noise, s.noise_correlation)
         observations = tensors(environment.observations)
         worlds = environment.settings.worlds
-        storage = RolloutStorage("rl", worlds, s.steps, observations, [environment.actions], "cpu")
+        device = str(observations.device)
+        storage = RolloutStorage("rl", worlds, s.steps, observations, [environment.actions], device)
         self.algorithm = PPO(
             actor,
             critic,
@@ -90,6 +92,7 @@ class Trainer:
             learning_rate=s.learning_rate,
             schedule="fixed",
             max_grad_norm=0.5,
+            device=device,
         )
         # The actor's steps are small against those the value network needs.
         self.algorithm.optimizer = torch.optim.Adam(
@@ -181,7 +184,7 @@ class Trainer:
 
     def _warm_up(self) -> None:
         """Play the plans without a residual, to learn the normalization of observations."""
-        still = np.zeros((self.environment.settings.worlds, self.environment.actions))
+        still = array_namespace(self.environment.tracker.action).zeros_like(self.environment.tracker.action)
         for _ in range(self.settings.warm_up):
             self.environment.step(still)
             observations = tensors(self.environment.observations)
@@ -196,18 +199,18 @@ class Trainer:
 
     def _update(self) -> dict[str, Any]:
         algorithm, environment = self.algorithm, self.environment
-        rewards: list[float] = []
-        terms: list[dict[str, float]] = []
+        rewards: list[Array] = []
+        terms: list[dict[str, Array]] = []
         observations = tensors(environment.observations)
-        with torch.inference_mode():
+        with torch.no_grad():
             for _ in range(self.settings.steps):
                 action = algorithm.act(observations)
-                step = environment.step(action.numpy())
+                step = environment.step(played(environment, action))
                 observations = tensors(environment.observations)
-                reward = torch.from_numpy(self.settings.reward_scale * step.reward.astype(np.float32))
-                algorithm.process_env_step(observations, reward, torch.from_numpy(step.done), {})
-                self._recent.extend(step.success[step.done].tolist())
-                rewards.append(float(step.reward.mean()))
+                reward = self.settings.reward_scale * torch.as_tensor(step.reward).float()
+                algorithm.process_env_step(observations, reward, torch.as_tensor(step.done), {})
+                self._recent.extend(environment.ended.success.tolist())
+                rewards.append(step.reward.mean())
                 terms.append(step.terms)
             algorithm.compute_returns(observations)
             self.actor(observations, stochastic_output=True)
@@ -224,16 +227,16 @@ class Trainer:
             losses["reconstruction"] = self._reconstruct(self.actor)
         self.steps += self._batch
         return {
-            "reward": float(np.mean(rewards)),
+            "reward": float(np.mean([float(reward) for reward in rewards])),
             "losses": losses,
-            "terms": {name: float(np.mean([t[name] for t in terms])) for name in terms[0]},
+            "terms": {name: float(np.mean([float(t[name]) for t in terms])) for name in terms[0]},
         }
 
     def _reconstruct(self, student: StudentModel) -> float:
         """Teach a student's encoder the contacts of the last batch; gives its last loss."""
         kept = self.algorithm.storage.observations.flatten(0, 1)
         loss = torch.zeros(())
-        for rows in torch.randperm(len(kept)).split(1024):
+        for rows in torch.randperm(len(kept), device=kept.device).split(1024):
             loss = student.reconstruction_loss(kept[rows])
             self._encoder_optimizer.zero_grad()
             loss.backward()

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from fungrasp.geometry.arrays import constant
 from fungrasp.geometry.poses import (
+    Array,
     array_namespace,
     compose,
     inverse_transform_points,
     invert,
-    like,
     rotation_vector,
 )
 from fungrasp.hands import Hand
@@ -44,9 +45,7 @@ class LiftReward:
             ends += [tip - len(finger.links) + 1 + i for i in range(len(finger.links))]
         self._link_ends = np.array(ends)
 
-    def terms(
-        self, state: TrackingState, privileged: Privileged, previous_action: np.ndarray
-    ) -> dict[str, np.ndarray]:
+    def terms(self, state: TrackingState, privileged: Privileged, previous_action: Array) -> dict[str, Array]:
         """Terms of the reward by name, each of shape [W].
 
         Args:
@@ -59,10 +58,8 @@ class LiftReward:
         keypoints = inverse_transform_points(object_in_palm, now.keypoints)
         goal_in_palm = inverse_transform_points(target.palm_in_object, target.keypoints)
         lifting, where = target.since_lift >= 0, array_namespace(keypoints).where
-        weights = like(keypoints, self._weights)
-        weight = reward.dynamic_contact_weight(
-            now.keypoints[:, self._link_ends], goal_in_palm[:, self._link_ends], target.contacts
-        )
+        weights, ends = (constant(keypoints, values) for values in (self._weights, self._link_ends))
+        weight = reward.dynamic_contact_weight(now.keypoints[:, ends], goal_in_palm[:, ends], target.contacts)
         contact = reward.contact_reward(p.contacts, target.contacts, p.forces, target.mass)
         slip, spin = self._relative_motion(state)
         drift = reward.stability_reward(p.object_velocity[:, :3], p.object_velocity[:, 3:])
@@ -82,7 +79,7 @@ class LiftReward:
             terms["approach"] = reward.approach_reward(keypoints, target.keypoints, self._start_distance)
         return terms
 
-    def _relative_motion(self, state: TrackingState) -> tuple[np.ndarray, np.ndarray]:
+    def _relative_motion(self, state: TrackingState) -> tuple[Array, Array]:
         """Velocity of the object in the palm's frame [m/s], [rad/s], shape [W, 3] each."""
         now = compose(invert(state.now.palm_pose), state.now.object_pose)
         before = compose(invert(state.before.palm_pose), state.before.object_pose)
