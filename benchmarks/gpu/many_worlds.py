@@ -21,8 +21,8 @@ MILLION = 1_000_000
 
 @dataclass(frozen=True)
 class ManyWorlds:
-    """Measure worlds from one to thousands: physics, the lift test on the device's tensors, training,
-    rollouts, memory, and what did not fit."""
+    """Measure worlds from one to thousands: physics, the task, training, rollouts, memory, and what did not
+    fit."""
 
     devices: tuple[Literal["cuda", "cpu-warp", "cpu"], ...] = ("cuda", "cpu")
     """Where."""
@@ -98,14 +98,14 @@ class ManyWorlds:
             with atomic_path(self.plot) as temporary:
                 temporary.write_text(_drawn(found))
         rows = [
-            ("device", "worlds", "physics/s", "tensors/s", "training/s", "physics", "task", "learning", "KiB")
+            ("device", "worlds", "physics/s", "task/s", "training/s", "physics", "task", "learning", "KiB")
         ]
         rows += [
             (
                 one.device,
                 f"{one.worlds:,}",
                 f"{one.physics_steps:,.0f}",
-                "" if one.tensor_steps is None else f"{one.tensor_steps:,.0f}",
+                f"{one.environment_steps:,.0f}",
                 f"{one.training_steps:,.0f}",
                 f"{one.physics_share:.0%}",
                 f"{one.task_share:.0%}",

@@ -10,14 +10,15 @@ from typing import Any
 
 import numpy as np
 
+from fungrasp.geometry.poses import Array
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
 from fungrasp.planning.selection.rollouts import RolloutSettings, roll_out
 from fungrasp.policies import OpenLoopPolicy
 from fungrasp.sim2real import draw
 from fungrasp.simulation import BufferSizes, Device, Engine, SceneSettings, build_scene
-from fungrasp.simulation.mujoco_warp import MujocoWarpEngine
-from fungrasp.task import Action, Belief, LiftTask
+from fungrasp.simulation.warp_worlds import MujocoWarpWorlds
+from fungrasp.task import Belief
 from fungrasp.training.environment import EnvironmentSettings, TrainingEnvironment
 from fungrasp.training.plan_library import PlanLibrary
 from fungrasp.training.ppo import Trainer
@@ -34,15 +35,13 @@ class WorldSpeed:
     """W."""
     physics_steps: float
     """Physics steps per second of the engine alone."""
-    tensor_steps: float | None
-    """Control steps per second of the lift test on the device's own tensors; None on the processor."""
     environment_steps: float
     """Control steps per second of training without learning: actions, setpoints, observation, reward, new
     episodes."""
     training_steps: float
     """Control steps per second of training, learning included."""
     physics_share: float
-    """Share of training's time that is physics, copies from and to the device included."""
+    """Share of training's time that is physics."""
     task_share: float
     """Share of all else but learning."""
     learning_share: float
@@ -81,11 +80,13 @@ def world_speed(
     environment = TrainingEnvironment(library, objects, hand, settings, 0, threads, device, buffers)
     engine = environment.episodes.engine
     physics = _physics(engine, environment.episodes.task.controls, steps)
-    tensors = _on_tensors(engine, steps) if isinstance(engine, MujocoWarpEngine) else None
-    still = np.zeros((worlds, environment.actions))
+    still = 0.0 * environment.tracker.action
     environment.step(still)
     alone = _rate(lambda: environment.step(still), steps, worlds, engine)
-    with timed(engine, "step", _wait(engine)) as inside, timed(environment, "step") as stepping:
+    with (
+        timed(engine, "step", _wait(engine)) as inside,
+        timed(environment, "step", _wait(engine)) as stepping,
+    ):
         trainer = Trainer(environment, PpoSettings(steps=steps, warm_up=0))
         trainer.learn(1)
         inside[0] = stepping[0] = 0.0
@@ -96,7 +97,6 @@ def world_speed(
         device=device,
         worlds=worlds,
         physics_steps=physics,
-        tensor_steps=tensors,
         environment_steps=alone,
         training_steps=steps * worlds / whole,
         physics_share=inside[0] / whole,
@@ -129,9 +129,7 @@ def timed(thing: Any, name: str, wait: Callable[[], None] = lambda: None) -> Ite
 
 def _wait(engine: Engine) -> Callable[[], None]:
     """Waits for the device to finish."""
-    if isinstance(engine, MujocoWarpEngine):
-        return engine.worlds.wait
-    return lambda: None
+    return engine.wait if isinstance(engine, MujocoWarpWorlds) else lambda: None
 
 
 def _rate(work: Callable[[], object], times: int, worlds: int, engine: Engine) -> float:
@@ -143,35 +141,11 @@ def _rate(work: Callable[[], object], times: int, worlds: int, engine: Engine) -
     return times * worlds / (perf_counter() - start)
 
 
-def _physics(engine: Engine, controls: np.ndarray, times: int) -> float:
+def _physics(engine: Engine, controls: Array, times: int) -> float:
     """Physics steps per second, ten to a call."""
     state = engine.get_state()
-    if isinstance(engine, MujocoWarpEngine):
-        given = engine.worlds.tensor(controls)
-
-        def work() -> None:
-            engine.worlds.step(given, 10)
-    else:
-
-        def work() -> None:
-            engine.step(controls, 10)
-
-    work()
-    found = 10 * _rate(work, times, len(engine), engine)
-    engine.restore(state)
-    return found
-
-
-def _on_tensors(engine: MujocoWarpEngine, times: int) -> float:
-    """Control steps per second of the lift test on the engine's tensors, from where its worlds are."""
-    worlds, state = engine.worlds, engine.get_state()
-    task = LiftTask(worlds)
-    task.setpoints.wrist.pose = worlds.palm_pose
-    fingers = worlds.scene.hand.independent(worlds.joint_positions)
-    task.setpoints.fingers = fingers
-    action = Action(worlds.palm_pose, fingers, ~task.done)
-    task.step(action)
-    found = _rate(lambda: task.step(action), times, len(engine), engine)
+    engine.step(controls, 10)
+    found = 10 * _rate(lambda: engine.step(controls, 10), times, len(engine), engine)
     engine.restore(state)
     return found
 
@@ -202,4 +176,4 @@ def _rollouts(
 
 
 def _memory(engine: Engine) -> int | None:
-    return engine.worlds.bytes_per_world if isinstance(engine, MujocoWarpEngine) else None
+    return engine.bytes_per_world if isinstance(engine, MujocoWarpWorlds) else None

@@ -8,17 +8,18 @@ from __future__ import annotations
 
 import logging
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 import pytest
 from engine_contract import BOX, CAN, MUG, EngineContract, contract_objects, pose, still
 
 import fungrasp
+from fungrasp.geometry.arrays import moved_to
 from fungrasp.geometry.poses import compose
 from fungrasp.policies import OpenLoopPolicy
 from fungrasp.simulation import BufferSizes, Engine, MujocoCpuEngine, Scene, SceneSettings, build_scene
-from fungrasp.task import Action, GraspPlan, LiftEnvironment, LiftTask, play
+from fungrasp.task import Action, GraspPlan, LiftEnvironment, play
 
 pytest.importorskip("mujoco_warp", reason='the extra "gpu" is not installed')
 from fungrasp.simulation.mujoco_warp import MujocoWarpEngine
@@ -85,7 +86,7 @@ def test_twenty_steps_from_the_same_states_are_those_of_the_cpu_engine(hand_name
     for step in range(last):
         if step in (0, last // 2, last - 1):
             state = cpu.get_state()
-            gpu.restore([gpu.worlds.tensor(array) for array in state])
+            gpu.restore(state)
             controls = environment.task.controls
             for engine in (cpu, gpu):
                 engine.step(controls, 20)
@@ -187,27 +188,18 @@ def test_tables_of_worlds_lie_and_lean_as_on_the_cpu():
 def test_the_lift_test_on_the_engines_own_tensors_ends_as_on_copies():
     """Thirty control steps, the lift among them; nothing leaves the device inside a step."""
     scene, plans = planned("inspire", 4)
-    count, lift = len(plans), 12
-    host, device = (MujocoWarpEngine(scene, count, "cpu-warp") for _ in range(2))
-    environments = [begun(scene, plans, engine, plans.closing_step - 4) for engine in (host, device)]
-    on_copies = environments[0].task
-    tensors = LiftTask(device.worlds)
-    for name in ("settled_pose", "target_contacts", "time", "lift_time", "hold_time"):
-        values = getattr(environments[1].task, name)
-        setattr(tensors, name, device.worlds.tensor(values) if values.dtype != bool else values)
-    before = environments[1].task.setpoints
-    for kept, values in zip(tensors.setpoints._arrays(), before._arrays(), strict=True):
-        kept[:] = device.worlds.tensor(values)
-    tensors.target_contacts = tensors.done.new_tensor(plans.link_contacts)
-    tensors.measurements.begin(np.arange(count))
-    rows = np.arange(count)
-    for step in range(30):
-        at = np.minimum(plans.closing_step - 4 + step, plans.palm_goal.shape[1] - 1)
-        goal, fingers = plans.at(at, rows)
-        goal, lifts = compose(plans.object_pose, goal), np.full(count, step >= lift)
-        on_copies.step(Action(goal, fingers, lifts))
-        given = device.worlds.tensor(goal), device.worlds.tensor(fingers), tensors.done.new_tensor(lifts)
-        tensors.step(Action(*given))
+    host, device = (MujocoWarpEngine(scene, len(plans), "cpu-warp") for _ in range(2))
+    tasks = []
+    for engine in (host, device.worlds):
+        environment = begun(scene, plans, engine, plans.closing_step - 4)
+        task, given = environment.task, partial(moved_to, environment.task.time)
+        for step in range(30):
+            at = np.minimum(plans.closing_step - 4 + step, plans.palm_goal.shape[1] - 1)
+            goal, fingers = plans.at(at, np.arange(len(plans)))
+            goal, lifts = compose(plans.object_pose, goal), np.full(len(plans), step >= 12)
+            task.step(Action(given(goal), given(fingers), given(lifts)))
+        tasks.append(task)
+    on_copies, tensors = tasks
     np.testing.assert_allclose(device.positions, host.positions, atol=2e-3)
     np.testing.assert_allclose(tensors.time.numpy(), on_copies.time, atol=1e-4)
     np.testing.assert_allclose(tensors.lift_time.numpy(), on_copies.lift_time, atol=1e-4)

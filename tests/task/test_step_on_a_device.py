@@ -194,7 +194,9 @@ def test_key_points_are_those_of_mujoco():
 
 def test_points_far_away_and_none_have_distances_too():
     points = np.array([[[0.0, 0.0, 0.0], [3.0, -2.0, 1.0], [np.nan, 0.0, 0.0], [0.0, 0.0, -0.4]]])
-    for a, b in zip(BANK.query(np.array([1]), points), BANK.query(tensor([1]), tensor(points)), strict=True):
+    for a, b in zip(
+        BANK.query(np.array([1]), points), BANK.query(tensor(np.array([1])), tensor(points)), strict=True
+    ):
         np.testing.assert_allclose(b.numpy(), a, atol=1e-5)
     single = BANK.query(tensor(HELD), tensor(POINTS).float())[0]
     np.testing.assert_allclose(single.numpy(), BANK.query(HELD, POINTS)[0], atol=1e-5)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from small_training import BATCH, PPO, WORLDS, environment, run_settings, training_set
+from small_training import BATCH, PPO, WORLDS, environment, hand, run_settings, training_set
 from tensor_engine import meta, tensor, tensor_worlds
 from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves
@@ -141,12 +141,13 @@ class TestOnWarp:
         pytest.importorskip("mujoco_warp", reason='the extra "gpu" is not installed')
 
     def test_a_few_steps_are_those_on_arrays(self, monkeypatch):
-        """The same seed, worlds and actions: on copies of the same physics while hands close, and on MuJoCo's
-        own before they touch. Random numbers of a step are a device's own, and left out."""
+        """The same seed, worlds and actions: on copies of the same physics while hands close, and before that
+        in MuJoCo on the processor, where objects rest micrometers away. Random numbers of a step are a
+        device's own, and left out."""
         still = Randomization(
             **{name: getattr(WIDE, name) for name in ("mass", "friction", "joint_damping", "action_delay")}
         )
-        for early, steps, copies, apart in (((6, 8), 5, False, 2e-3), ((-1, 2), 6, True, 2e-2)):
+        for early, steps, copies, apart in (((6, 8), 3, False, 2e-2), ((-1, 2), 5, True, 5e-4)):
             settings = {"randomization": still, "early": early, "whole": 0.0}
             tensors = environment(device="cpu-warp", **settings)
             with monkeypatch.context() as patch:
@@ -167,15 +168,12 @@ class TestOnWarp:
                 for name in ("robot", "privileged", "value"):
                     expected, found = (getattr(one.observations, name) for one in (arrays, tensors))
                     off = np.abs(found.numpy() - expected)
-                    print(early, copies, name, np.median(off), np.quantile(off, 0.99), off.max())
                     assert np.median(off) < 1e-4 and (off < 20 * apart).mean() > 0.99, name
 
     def test_train_goes_on_from_where_it_was(self, tmp_path):
         folder, one = tmp_path / "teacher", training_set()
         settings = run_settings()
         for updates in (1, 2):
-            card = train(
-                folder, [one], one.grasps.hand, settings, updates * BATCH, threads=1, device="cpu-warp"
-            )
+            card = train(folder, [one], hand(), settings, updates * BATCH, threads=1, device="cpu-warp")
             assert card.budget.steps == updates * BATCH
         assert (folder / "policy.onnx").is_file()

@@ -112,6 +112,7 @@ class Train:
         from fungrasp.cli.console import progress_bar
         from fungrasp.cli.options import device_and_buffers
         from fungrasp.sim2real.joint_dynamics import identified_hand
+        from fungrasp.training.processes import joined
         from fungrasp.training.run import POLICY, RunSettings, consistent, train
         from fungrasp.training.training_sets import load_training_sets
 
@@ -131,7 +132,7 @@ class Train:
         torch.set_num_threads(1)
         plans = None if self.plans is None else predictor_file(self.plans, hand)
         copies = sum(len(s.grasps) for s in sets) * self.variety.planned(plans is not None)
-        with progress_bar("planning", copies) as show:
+        with joined(device) as processes, progress_bar("planning", copies) as show:
             card = train(
                 self.folder,
                 sets,
@@ -146,10 +147,13 @@ class Train:
                 initial=self.initial,
                 shrink=self.shrink,
                 curve=self.curve,
+                processes=processes,
                 planning=show,
                 progress=progress_lines(int(self.steps)),
                 log=log,
             )
+        if not processes.first:
+            return
         seconds = card.budget.seconds
         print(
             f"{self.folder / POLICY}: {card.kind} of {card.hand}, {card.budget.steps:,} steps in "

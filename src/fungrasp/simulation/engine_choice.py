@@ -25,7 +25,8 @@ def make_engine(scene: Scene, count: int, threads: int = 0, tensors: bool = Fals
     settings = scene.settings
     if settings.device == "cpu":
         return MujocoCpuEngine(scene, count, threads)
-    from fungrasp.simulation.mujoco_warp import MujocoWarpEngine, MujocoWarpWorlds
+    from fungrasp.simulation.mujoco_warp import MujocoWarpEngine
+    from fungrasp.simulation.warp_worlds import MujocoWarpWorlds
 
     kind: Any = MujocoWarpWorlds if tensors else MujocoWarpEngine
     return kind(scene, count, settings.device, settings.buffers)

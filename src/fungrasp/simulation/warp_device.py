@@ -71,7 +71,8 @@ def open_warp(device: Device) -> Warp:
             "https://pytorch.org/get-started for your CUDA"
         )
     _prepare_cache(warp)
-    return Warp(warp, mujoco_warp, torch, "cuda:0")
+    # Of processes that torchrun starts, each has a GPU of its own.
+    return Warp(warp, mujoco_warp, torch, f"cuda:{os.environ.get('LOCAL_RANK', 0)}")
 
 
 def check_memory(needed: int, worlds: int, warp: Warp) -> None:

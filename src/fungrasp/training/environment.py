@@ -172,6 +172,8 @@ class TrainingEnvironment:
         """Running success rate of each grasp, shape [G]."""
         self.steps = 0
         """Control steps of the training so far, of all worlds; they move the starts (``settings.widen``)."""
+        self.processes = 1
+        """How many learn together, each in as many worlds of its own."""
         self.diverged = 0
         """Episodes whose physics broke down so far."""
         everyone = np.arange(s.worlds)
@@ -207,7 +209,7 @@ class TrainingEnvironment:
         """One control period in all worlds, no more: what has to ``end`` does so next, and ``begin``
         anew; ``observations`` stay as they are. Nothing waits for the device. action: shape [W, A]."""
         episodes, tracker, s = self.episodes, self.tracker, self.settings
-        self.steps += s.worlds
+        self.steps += s.worlds * self.processes
         task, before = episodes.task, tracker.action
         episodes.step(tracker.act(action))
         tracker.update(episodes.observe())

@@ -30,9 +30,11 @@ from fungrasp.training.checkpoint import (
 from fungrasp.training.environment import TrainingEnvironment
 from fungrasp.training.imitation import MotionImitation
 from fungrasp.training.networks import ColoredGaussian, make_networks, played, tensors
+from fungrasp.training.processes import Processes
 from fungrasp.training.settings import PpoSettings
 from fungrasp.training.student import StudentModel
 
+ALONE = Processes()
 VALUE_UPDATES = 5
 """Updates after an imitation in which the value network alone learns: the actor would unlearn what it has
 while nothing is known of its returns."""
@@ -63,15 +65,23 @@ class Progress:
 class Trainer:
     """PPO on a ``TrainingEnvironment``: collects, learns, keeps checkpoints."""
 
-    def __init__(self, environment: TrainingEnvironment, settings: PpoSettings | None = None, seed: int = 0):
+    def __init__(
+        self,
+        environment: TrainingEnvironment,
+        settings: PpoSettings | None = None,
+        seed: int = 0,
+        processes: Processes = ALONE,
+    ):
         """
         Args:
             environment: to learn in.
             settings: the defaults if None.
             seed: of the networks and of exploration.
+            processes: that learn together, each in an environment of its own.
         """
-        torch.manual_seed(seed)
-        self.environment = environment
+        torch.manual_seed(seed + processes.number)
+        self.environment, self._seed, self._processes = environment, seed, processes
+        environment.processes = processes.count
         s = self.settings = settings or PpoSettings()
         actor, critic = make_networks(environment, s.sees, s.hidden, s.noise, s.noise_correlation)
         observations = tensors(environment.observations)
@@ -93,7 +103,14 @@ class Trainer:
             schedule="fixed",
             max_grad_norm=0.5,
             device=device,
+            multi_gpu_cfg=(
+                {"global_rank": processes.number, "world_size": processes.count}
+                if processes.count > 1
+                else None
+            ),
         )
+        if processes.count > 1:
+            self.algorithm.broadcast_parameters()
         # The actor's steps are small against those the value network needs.
         self.algorithm.optimizer = torch.optim.Adam(
             [
@@ -117,8 +134,8 @@ class Trainer:
 
     @property
     def _batch(self) -> int:
-        """Control steps of an update."""
-        return self.settings.steps * self.environment.settings.worlds
+        """Control steps of an update, of all processes."""
+        return self.settings.steps * self.environment.settings.worlds * self._processes.count
 
     @property
     def success(self) -> float:
@@ -174,8 +191,21 @@ class Trainer:
 
     def _restart(self) -> None:
         """Begin new episodes with new noise."""
+        if self._processes.count > 1:
+            self._begin_random_numbers()
         self.environment.restart()
         self._restart_noise()
+
+    def _begin_random_numbers(self) -> None:
+        """Random numbers of this process's own, the same whether or not it was interrupted; the success of
+        the grasps is the first one's, whose checkpoints all go on from."""
+        rng, rates = self.environment.rng, self.environment.success_of_group
+        own = np.random.default_rng([self._seed, self._processes.number, self.steps])
+        rng.bit_generator.state = own.bit_generator.state
+        torch.manual_seed(int(own.integers(2**62)))
+        shared = torch.as_tensor(rates.copy(), device=self.algorithm.device)
+        torch.distributed.broadcast(shared, src=0)
+        rates[:] = shared.cpu().numpy()
 
     def _restart_noise(self) -> None:
         noise = self.actor.distribution
@@ -240,6 +270,8 @@ class Trainer:
             loss = student.reconstruction_loss(kept[rows])
             self._encoder_optimizer.zero_grad()
             loss.backward()
+            if self._processes.count > 1:
+                self.algorithm.reduce_parameters()
             self._encoder_optimizer.step()
         return float(loss.detach())
 
@@ -252,6 +284,7 @@ class Trainer:
         with torch.inference_mode():
             self.actor(observations, stochastic_output=True)
             change = float(self.actor.get_kl_divergence(before, self.actor.output_distribution_params).mean())
+        change = self._processes.mean(change, self.algorithm.device)
         group, wanted = self.algorithm.optimizer.param_groups[0], self.settings.kl
         if change > 1.5 * wanted:
             group["lr"] = max(1e-6, group["lr"] / 1.3)
@@ -301,6 +334,8 @@ class Trainer:
             self._restart_noise()
             self.steps, self.seconds = int(state["steps"]), float(state["seconds"])
             self._recent.extend(state["recent"].bool().tolist())
+        if self._processes.count > 1:
+            self._restart()
 
 
 @contextmanager

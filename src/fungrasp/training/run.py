@@ -28,7 +28,8 @@ from fungrasp.training.export import export_policy, make_card, policy_graph
 from fungrasp.training.folder import RunFolder, kept_library
 from fungrasp.training.learning_curve import LearningCurve
 from fungrasp.training.plan_library import PlanLibrary, Variety, build_plan_library
-from fungrasp.training.ppo import Progress, Trainer
+from fungrasp.training.ppo import ALONE, Progress, Trainer
+from fungrasp.training.processes import Processes
 from fungrasp.training.settings import CurveSettings, PpoSettings
 from fungrasp.training.training_sets import TrainingSet, joined_objects, split_sets
 from fungrasp.version import __version__
@@ -77,6 +78,7 @@ def train(
     shrink: float = 1.0,
     plan_file: Path | None = None,
     curve: CurveSettings | None = None,
+    processes: Processes = ALONE,
     planning: Callable[[int], None] = lambda done: None,
     progress: Callable[[Progress], None] = lambda p: None,
     log: Log | None = None,
@@ -101,6 +103,7 @@ def train(
             seen little is right about their direction more often than about their size.
         plan_file: file of the plans to train on; one in the folder if None.
         curve: of the learning curve, ``curve.csv`` and ``curve.svg``; none if None.
+        processes: that learn together, each in as many worlds; the first one writes the files.
         planning: called with the number of plans that are made.
         progress: called after each update.
         log: gets the numbers of each update, besides TensorBoard.
@@ -118,6 +121,8 @@ def train(
         raise FungraspError(
             f"{settings.ppo.imitate:g} control steps of imitation do not fit into a training of {steps:g}"
         )
+    if settings.ppo.imitate and processes.count > 1:
+        raise FungraspError("motions are imitated by one process: leave torchrun or --ppo.imitate out")
     residual = settings.environment.residual.shrunk(shrink)
     objects = joined_objects(sets)
     curve = curve or CurveSettings(every=0)
@@ -134,6 +139,9 @@ def train(
     }
     if hand.dynamics_path is not None:
         planned_from["hand_dynamics_sha256"] = digest(hand.dynamics_path.read_bytes())
+    if not processes.first:
+        # The first one plans, the others read.
+        processes.wait()
     run.claim(
         planned_from
         | {"initial_sha256": "" if initial is None else checkpoint_digest(initial)}
@@ -166,14 +174,20 @@ def train(
         )
     if plans is not None:
         keep_beside(folder, plans)
+    if processes.first:
+        processes.wait()
+    seed = settings.seed + processes.number
     environment = TrainingEnvironment(
-        library, objects, hand, settings.environment, settings.seed, threads, device, buffers
+        library, objects, hand, settings.environment, seed, threads, device, buffers
     )
-    trainer = Trainer(environment, settings.ppo, settings.seed)
+    trainer = Trainer(environment, settings.ppo, settings.seed, processes)
     if run.checkpoint.exists():
         trainer.load(run.checkpoint)
     elif initial is not None:
         trainer.begin_from(RunFolder(initial).checkpoint)
+    if not processes.first:
+        trainer.learn(steps)
+        return training_card(folder, trainer, sets, residual, settings.seed, licence)
     run.forget_progress_after(trainer.steps)
 
     def card() -> PolicyCard:
