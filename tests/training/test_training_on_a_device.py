@@ -3,7 +3,11 @@ device. MuJoCo's arrays as tensors stand for the GPU; Warp's own CPU device is t
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -177,3 +181,15 @@ class TestOnWarp:
             card = train(folder, [one], hand(), settings, updates * BATCH, threads=1, device="cpu-warp")
             assert card.budget.steps == updates * BATCH
         assert (folder / "policy.onnx").is_file()
+
+
+@pytest.mark.slow
+def test_processes_of_torchrun_learn_together_and_go_on_from_a_checkpoint(tmp_path):
+    """As on several GPUs: the same networks in both, other worlds, and the same end after an interruption."""
+    script = Path(__file__).parent.parent / "helpers" / "two_processes.py"
+    words = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"]
+    given = os.environ | {"OMP_NUM_THREADS": "1"}
+    done = subprocess.run(
+        [*words, str(script), str(tmp_path)], env=given, capture_output=True, text=True, timeout=600
+    )
+    assert done.returncode == 0 and "the same networks" in done.stdout, done.stderr[-3000:]
