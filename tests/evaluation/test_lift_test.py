@@ -57,7 +57,7 @@ def test_the_json_has_every_number_and_they_agree(recorded):
         trials[0]
     )
     rate = np.mean([trial["success"] for trial in trials])
-    assert numbers["success_rate"] == rate
+    assert numbers["success_rate"] == rate and numbers["unstable"] == 0
     low, high = numbers["success_interval"]
     assert 0 <= low <= rate <= high <= 1
     assert numbers["contact_ratio"] == pytest.approx(np.mean([trial["contact_ratio"] for trial in trials]))

@@ -12,6 +12,7 @@ from fungrasp.evaluation.use_evaluation import UseTest, use_json
 from fungrasp.geometry.poses import inverse_transform_points
 from fungrasp.grasps import builtin_grasps, load_objects
 from fungrasp.planning import MotionPlanner, MotionSettings
+from fungrasp.task import DIVERGED
 from fungrasp.task.use import UseOutcomes
 
 
@@ -85,9 +86,10 @@ def test_rates_are_over_the_grasps_that_were_tested():
         turn_rad=np.array([0.0, 0.1, nan, 0.0]),
         trigger_force_n=np.full(4, nan),
         functional_contact=np.array([1.0, 0.5, nan, 0.75]),
-        reason=np.array(["", "the object slipped in the palm", "", ""]),
+        reason=np.array(["", DIVERGED, "", ""]),
     )
     numbers = use_json(use, np.array(["drink", "drink", "drink", "drive"]))
     assert (numbers["count"], numbers["success_rate"]) == (3, 2 / 3)
     assert numbers["by_task"]["drink"]["success_rate"] == 0.5
     assert numbers["functional_contact"] == 0.75
+    assert (numbers["unstable"], numbers["by_task"]["drive"]["unstable"]) == (1, 0)

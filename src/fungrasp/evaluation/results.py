@@ -16,6 +16,7 @@ from fungrasp.evaluation.use_evaluation import use_json
 from fungrasp.formats.record_json import record_to_json
 from fungrasp.provenance import run_record
 from fungrasp.sim2real import protocol_name
+from fungrasp.task import DIVERGED
 from fungrasp.version import __version__
 
 LEGACY_PERIOD = 0.0289
@@ -40,6 +41,7 @@ def summary(result: LiftTestResult, which: np.ndarray | None = None) -> dict[str
         "count": count,
         "success_rate": successes / count,
         "success_interval": list(wilson_interval(successes, count)),
+        "unstable": int((result.outcomes.reason[which] == DIVERGED).sum()),
     }
     values |= {name: float(np.mean(getattr(result.outcomes, name)[which])) for name in MEANS}
     held = which & result.outcomes.success

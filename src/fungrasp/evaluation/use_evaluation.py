@@ -14,7 +14,7 @@ from fungrasp.files import digest
 from fungrasp.grasps import HumanGraspSet, RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
-from fungrasp.task import LiftEnvironment
+from fungrasp.task import DIVERGED, LiftEnvironment
 from fungrasp.task.use import UseMotion, UseOutcomes, load_use_motions, motion_of, play_use
 
 
@@ -106,6 +106,7 @@ def _rates(use: UseOutcomes, which: np.ndarray) -> dict[str, Any]:
         "count": count,
         "success_rate": passed / count,
         "success_interval": list(wilson_interval(passed, count)),
+        "unstable": int((use.reason[which] == DIVERGED).sum()),
         "functional_contact": float(np.mean(use.functional_contact[which])),
         "shift_mm_median": 1e3 * float(np.median(use.shift_m[which])),
         "turn_deg_median": float(np.rad2deg(np.median(use.turn_rad[which]))),

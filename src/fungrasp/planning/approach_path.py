@@ -9,7 +9,7 @@ tried; the clearest wins.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -29,16 +29,14 @@ RETREATS = (0.015, 0.03, 0.05, 0.08, 0.12)
 waypoints 4 cm apart, fingers went through the object."""
 
 BLOCKED = 0.003
-"""A path that intrudes this far into the margins [m], or whose closing goes this far into the object, is
-tried again, with the fingers wide open and with less margin."""
+"""A path that intrudes this far into the margins [m] is tried again, with the fingers wide open and with less
+margin."""
 ORDER_PENALTY = 1e-4
 """Each direction is preferred to the next unless it intrudes deeper by this [m]."""
 WIDE = 0.3
 """Wide open fingers, as a fraction of their angles in the grasp."""
 NARROW = 0.25
 """Share of the object's margin that is kept where it leaves no way in, as within a handle."""
-CLOSING_SHARES = (0.25, 0.5, 0.75)
-"""Where the closing, from the first waypoint to the grasp, is looked at."""
 
 
 @dataclass(frozen=True)
@@ -68,8 +66,7 @@ class Approach:
     fingers: np.ndarray
     """Independent joints at the waypoints [rad], shape [N, K, U]."""
     collision: np.ndarray
-    """Deepest intrusion into the margins over the waypoints, or into the object while the fingers close [m],
-    shape [N]."""
+    """Deepest intrusion into the margins over the waypoints [m], shape [N]."""
 
 
 def plan_approach(
@@ -139,13 +136,12 @@ def _best_path(
     """The clearest of the paths in several directions, taken off the object with the fingers near
     ``opening`` times their angles in the grasp.
 
-    No path is clearer than its first point, which all have in common, and the closing from there: once one is
-    as clear, the others are not looked at.
+    No path is clearer than its first point, which all have in common: once one is as clear, the others are
+    not looked at.
     """
     wrist, fingers = grasp
     iterations = resolve.settings.iterations
     first = resolve(wrist, opening * fingers, 2 * iterations)
-    first = replace(first, collision=np.maximum(first.collision, resolve.closing_depth(first, grasp)))
     directions = _directions(resolve.hand, wrist, around.up[:, 0], center)
     best = _withdraw(resolve, first, directions[0], iterations)
     cost = best.collision.copy()
@@ -200,25 +196,6 @@ class _CollisionResolution:
     def rows(self, which: np.ndarray) -> _CollisionResolution:
         """For some of the hands."""
         return _CollisionResolution(self._points, self._around.rows(which), self.settings, self._share)
-
-    def closing_depth(self, first: Approach, grasp: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
-        """How far fingers go into the object between a waypoint and the grasp, deeper than in the grasp [m],
-        shape [N]: through the wall of a handle, for instance.
-
-        Args:
-            first: the waypoint.
-            grasp: palm poses, object frame, shape [N, 7], and independent joints [rad], shape [N, U].
-        """
-        wrist, fingers = grasp
-
-        def clearance(pose: np.ndarray, joints: np.ndarray) -> np.ndarray:
-            return HandState(self._points, self._around, pose, joints).clearance.min(axis=1)
-
-        between = []
-        for share in CLOSING_SHARES:
-            pose = _between(wrist, first.wrist_pose[:, 0], share)
-            between.append(clearance(pose, fingers + share * (first.fingers[:, 0] - fingers)))
-        return np.maximum(np.minimum(clearance(wrist, fingers), 0.0) - np.min(between, axis=0), 0.0)
 
     def __call__(self, wrist: np.ndarray, fingers: np.ndarray, iterations: int) -> Approach:
         """One waypoint near the given state."""

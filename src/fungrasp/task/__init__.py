@@ -6,11 +6,12 @@ from fungrasp.task.environment import LiftEnvironment, play
 from fungrasp.task.grasp_plan import GraspPlan
 from fungrasp.task.lift import LiftTask
 from fungrasp.task.observation import Observation, Privileged
-from fungrasp.task.outcome import Outcomes
+from fungrasp.task.outcome import DIVERGED, Outcomes
 from fungrasp.task.policy import Policy, PrivilegedPolicy
 from fungrasp.task.protocol import LiftProtocol
 
 __all__ = [
+    "DIVERGED",
     "Action",
     "Belief",
     "GraspPlan",

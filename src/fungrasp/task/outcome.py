@@ -12,6 +12,9 @@ from fungrasp.records import BatchRecord
 from fungrasp.simulation import Engine
 from fungrasp.task.protocol import LiftProtocol
 
+DIVERGED = "the simulation diverged"
+"""Reason of an episode, or of a use test, whose physics has broken down."""
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Outcomes(BatchRecord):
@@ -162,7 +165,7 @@ class LiftMeasurements:
             [success, diverged, high & in_hand, touching / number > 0.9, touching > 0],
             [
                 "",
-                "the simulation diverged",
+                DIVERGED,
                 "the object touched the table during the hold",
                 "held too low",
                 "dropped during the hold",

@@ -68,6 +68,15 @@ def test_what_does_not_withstand_its_use_counts_half(monkeypatch):
     assert roll_out(*arguments, tasks).success.tolist() == pytest.approx([0.5, 1.0], abs=0.05)
 
 
+def test_a_use_whose_simulation_breaks_down_counts_nothing(monkeypatch):
+    wild = UseMotion("explode", ("pull",), 0.4, pull=1e14)
+    monkeypatch.setattr(rollouts, "load_use_motions", lambda: {"explode": wild})
+    drawn = draw(NOMINAL, 2, len(hand().joint_names), np.random.default_rng(0))
+    settings = replace(SHORT, timestep=scene().settings.timestep, randomization=NOMINAL)
+    found = roll_out(plan(), belief(), drawn, scene(), OpenLoopPolicy(), settings, 1, np.array(["pull", ""]))
+    assert found.success.tolist() == [0.0, 1.0]
+
+
 def test_without_enough_places_the_promise_decides():
     best, value = tried(candidates(proposals()), rounds=((1, 1),))
     assert best.tolist() == [0, 0], "the others were not tried"

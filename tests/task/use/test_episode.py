@@ -13,10 +13,10 @@ from fungrasp.geometry.poses import compose, euler_angles, invert, quaternion_fr
 from fungrasp.policies import OpenLoopPolicy
 from fungrasp.task import LiftEnvironment, play
 from fungrasp.task.use import UseMotion, load_use_motions, play_use
-from fungrasp.task.use.episode import _Use
 from fungrasp.task.use.functional_contact import functional_contact
 from fungrasp.task.use.geometry import far_end, turning_frame
 from fungrasp.task.use.motion import TriggerPress
+from fungrasp.task.use.worlds import UseWorlds
 
 ANY = [(frozenset(),) * 13] * 2
 
@@ -96,15 +96,15 @@ def test_a_finger_presses_with_the_force_it_is_asked_for():
 
 def test_a_finger_that_closes_a_gap_presses_as_hard_and_one_that_is_pushed_back_does_not_yield():
     motion = still(1.0, trigger=TriggerPress("index", "", 5.0))
-    start, press = np.array([0.5, -0.5, 0.2]), np.array([0.1, -0.1, 0.0])
-    nothing, pose = np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
-    use = _Use(0, motion, pose, nothing, nothing, 0.0, press, squeeze=np.zeros(3))
-    kept = np.full(3, 7.0)
+    start, press = np.array([[0.5, -0.5, 0.2]]), np.array([[0.1, -0.1, 0.0]])
+    none, pose = np.zeros((1, 3)), np.array([[0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]])
+    worlds = UseWorlds([motion], pose, none, none, np.zeros(1), press, squeeze=none)
     for moved in (0.0, 0.3, -0.3):
         joints = start + moved * np.sign(press)
-        targets = use.fingers_at(1.0, joints, start, kept, nothing)
-        np.testing.assert_allclose(targets[:2], (start + press + max(moved, 0.0) * np.sign(press))[:2])
-        assert targets[2] == 7.0, "a finger that does not press holds on"
+        targets = worlds.fingers_at(1.0, joints, start, np.full((1, 3), 7.0), np.zeros(3))
+        expected = start + press + max(moved, 0.0) * np.sign(press)
+        np.testing.assert_allclose(targets[:, :2], expected[:, :2])
+        assert targets[0, 2] == 7.0, "a finger that does not press holds on"
 
 
 def test_what_is_lost_is_not_followed():

@@ -15,7 +15,7 @@ from fungrasp.planning.selection.candidates import Candidates
 from fungrasp.records import BatchRecord
 from fungrasp.sim2real import MODERATE, EpisodeSample, MeasurementError, Randomization, draw, random_stream
 from fungrasp.simulation import BufferSizes, Device, Scene, SceneSettings, build_scene
-from fungrasp.task import Belief, GraspPlan, LiftEnvironment, LiftProtocol, Policy, play
+from fungrasp.task import DIVERGED, Belief, GraspPlan, LiftEnvironment, LiftProtocol, Policy, play
 from fungrasp.task.use import LARGEST_SHIFT, LARGEST_TURN, load_use_motions, motion_of, play_use
 
 _log = logging.getLogger(__name__)
@@ -189,6 +189,7 @@ def _withstood(
     near = np.clip(np.nan_to_num(np.minimum(1.0 / (moved + 1e-9), pressed)), 0.0, 1.0)
     failed = 0.5 + (NEARLY_WITHSTOOD - 0.5) * near
     passed = 1.0 - (1.0 - WITHSTOOD) * np.nan_to_num(moved)
+    failed = np.where(use.reason == DIVERGED, 0.0, failed)
     return np.where(use.motion == "", 1.0, np.where(use.success, passed, failed))
 
 

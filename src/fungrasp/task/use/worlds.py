@@ -1,0 +1,164 @@
+"""What use motions ask of several worlds: where wrists and fingers go, and what pulls at the objects."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from fungrasp.geometry.poses import (
+    cross,
+    quaternion_from_rotation_vector,
+    quaternion_multiply,
+    rotate,
+    transform_points,
+)
+from fungrasp.task.environment import LiftEnvironment
+from fungrasp.task.use.finger_press import press_offsets
+from fungrasp.task.use.geometry import far_end, horizontal, turn_axis
+from fungrasp.task.use.motion import OPENING_TIME, UseMotion
+
+RAMP_TIME = 0.3
+"""Time in which forces on the object and the press of a finger rise [s]."""
+
+SLOW = 0.02
+"""Friction of a surface grows with speed below this, so that it does not jump where a stroke turns [m/s]."""
+
+_UP = np.array([0.0, 0.0, 1.0])
+
+
+@dataclass(frozen=True, eq=False)
+class UseWorlds:
+    """The tests of I worlds."""
+
+    motions: Sequence[UseMotion]
+    """Of each world, length I."""
+    palm: np.ndarray
+    """Setpoints of the palms where the motions begin, world frame, shape [I, 7]."""
+    axis: np.ndarray
+    """Axes of turns or lines of shifts, world frame, shape [I, 3]; zero for neither."""
+    end: np.ndarray
+    """The objects' far ends, object frame [m], shape [I, 3]."""
+    end_height: np.ndarray
+    """Their heights when the motions begin, world frame [m], shape [I]."""
+    press: np.ndarray
+    """Offsets of the setpoints that press a trigger [rad], shape [I, U]; zero for fingers that do not."""
+    squeeze: np.ndarray
+    """Offsets of the setpoints from the joints in the hold [rad], shape [I, U]."""
+
+    @classmethod
+    def begin(
+        cls, environment: LiftEnvironment, worlds: np.ndarray, motions: Sequence[UseMotion]
+    ) -> UseWorlds:
+        """Of worlds that hold their objects.
+
+        Args:
+            environment: it is read.
+            worlds: shape [I].
+            motions: of these, length I.
+        """
+        engine, scene, setpoints = environment.engine, environment.scene, environment.task.setpoints
+        object_pose, palm = engine.object_pose[worlds], engine.palm_pose[worlds]
+        models = [scene.models[i] for i in engine.object_index[worlds]]
+        end = np.array([far_end(m, object_pose[i], palm[i]) for i, m in enumerate(models)])
+        place = transform_points(object_pose, end[:, None])[:, 0]
+        axis = np.zeros((len(worlds), 3))
+        press = np.zeros((len(worlds), setpoints.fingers.shape[1]))
+        for i, motion in enumerate(motions):
+            if motion.turn:
+                axis[i] = turn_axis(motion.turn, scene.hand, palm[i], place[i])
+            elif motion.shift:
+                facing = rotate(palm[i, 3:], scene.hand.palm_normal)
+                axis[i] = np.cross(_UP, horizontal(_away(place[i], palm[i]), facing))
+            if motion.trigger is not None and motion.trigger.finger in scene.hand.fingers:
+                press[i] = press_offsets(environment, int(worlds[i]), motion.trigger)
+        return cls(
+            motions,
+            setpoints.wrist.pose[worlds].copy(),
+            axis,
+            end,
+            place[:, 2],
+            press,
+            setpoints.fingers[worlds] - scene.hand.independent(engine.joint_positions[worlds]),
+        )
+
+    def palms_at(self, time: float) -> tuple[np.ndarray, np.ndarray]:
+        """Setpoints of the palms, shape [I, 7], and their linear velocities [m/s], shape [I, 3], world
+        frame. time: since the motions began [s]."""
+        value, rate = self._displacement(time)
+        shifts = np.array([bool(motion.shift) for motion in self.motions])[:, None]
+        pose = self.palm.copy()
+        pose[:, :3] += shifts * value * self.axis
+        turn = quaternion_from_rotation_vector(~shifts * value * self.axis)
+        pose[:, 3:] = quaternion_multiply(turn, pose[:, 3:])
+        return pose, shifts * rate * self.axis
+
+    def fingers_at(
+        self, time: float, joints: np.ndarray, holding: np.ndarray, kept: np.ndarray, opened: np.ndarray
+    ) -> np.ndarray:
+        """Setpoints of the fingers [rad], shape [I, U].
+
+        Args:
+            time: since the motions began [s].
+            joints: where the joints are, shape [I, U].
+            holding: setpoints of the hold, shape [I, U].
+            kept: those that keep the joints where they are, shape [I, U].
+            opened: those of the open hand, shape [U].
+        """
+        # A finger that closes a gap first presses as hard: its setpoints stay as far ahead of its joints.
+        # One that is pushed back keeps its setpoints, as what it holds would otherwise go through it.
+        press = min(time / RAMP_TIME, 1.0) * self.press
+        still, moving = holding + press, joints + self.squeeze + press
+        ahead = np.where(press > 0.0, np.maximum(still, moving), np.minimum(still, moving))
+        found = np.where(self.press != 0.0, ahead, kept)
+        since = time - np.array([m.duration if m.pull else np.inf for m in self.motions])[:, None]
+        share = np.clip(since / (0.5 * OPENING_TIME), 0.0, 1.0)
+        return np.where(since > 0, holding + share * (opened - holding), found)
+
+    def loads_at(
+        self, time: float, object_pose: np.ndarray, center: np.ndarray, palm: np.ndarray, weight: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Forces at the centers of mass [N] and torques [N m] of the world on the objects, world frame, shape
+        [I, 3] each.
+
+        Args:
+            time: since the motions began [s].
+            object_pose: world frame, shape [I, 7].
+            center: of the objects' mass, world frame [m], shape [I, 3].
+            palm: poses of the palms, world frame, shape [I, 7].
+            weight: of the objects [N], shape [I].
+        """
+        end = transform_points(object_pose, self.end[:, None])[:, 0]
+        away = _away(end, palm)
+        rise = min(time / RAMP_TIME, 1.0)
+        force, torque = np.zeros_like(end), np.zeros_like(end)
+        rate = self._displacement(time)[1]
+        for i, m in enumerate(self.motions):
+            if m.press is not None:
+                yielded = end[i, 2] - self.end_height[i]
+                normal = rise * np.clip(m.press.force - m.press.stiffness * yielded, 0.0, 2 * m.press.force)
+                slowed = np.clip(rate[i] / SLOW, -1.0, 1.0)
+                force[i] = normal * (_UP - m.press.friction * slowed * self.axis[i])
+            if m.torque:
+                first = time < 0.5 * m.duration
+                since = time if first else time - 0.5 * m.duration
+                torque[i] = (1 if first else -1) * min(since / RAMP_TIME, 1.0) * m.torque * away[i]
+            if m.pull:
+                force[i] = rise * m.pull * away[i]
+                if time > m.duration:
+                    # Whoever takes the object carries it.
+                    force[i] += weight[i] * _UP
+        return force, torque + cross(end - center, force)
+
+    def _displacement(self, time: float) -> tuple[np.ndarray, np.ndarray]:
+        """``UseMotion.displacement`` of each world, shape [I, 1] each."""
+        known = {motion: motion.displacement(min(time, motion.duration)) for motion in set(self.motions)}
+        value, rate = np.array([known[motion] for motion in self.motions]).T
+        return value[:, None], rate[:, None]
+
+
+def _away(end: np.ndarray, palm: np.ndarray) -> np.ndarray:
+    """Unit vectors from palms to far ends, shape [..., 3]. end: [m], [..., 3]; palm: poses, [..., 7]."""
+    way = end - palm[..., :3]
+    return way / np.linalg.norm(way, axis=-1, keepdims=True)
