@@ -8,8 +8,14 @@ import numpy as np
 import pytest
 from planned_grasps import grasps_and_objects, hand, plan, start, tracker
 
-from fungrasp.geometry.poses import compose, transform_points
+from fungrasp.geometry.poses import (
+    compose,
+    quaternion_from_rotation_vector,
+    quaternion_multiply,
+    transform_points,
+)
 from fungrasp.policies import OpenLoopPolicy
+from fungrasp.policies.lift_reaction import HARDEST, HIGHEST
 from fungrasp.policies.plan_tracking import ANCHOR_SHARE, PlanTracker, link_directions_of, moved_towards
 from fungrasp.policies.residual_action import ResidualSettings, add_residual
 from fungrasp.task import LiftProtocol, Observation, play
@@ -49,6 +55,49 @@ def test_the_plan_goes_where_the_object_goes_until_the_fingers_close():
         action = at_work.act(nothing(at_work))
         np.testing.assert_allclose(action.palm_goal, compose(pose, p.at(step)[0]), atol=1e-9)
         np.testing.assert_array_equal(action.lift, step >= p.lift_step)
+
+
+def test_the_plan_turns_with_the_object_about_the_vertical_alone():
+    """What has rolled is grasped from where the plan came, about its center of mass as it is seen."""
+    seen, p, objects = start().observe(), plan(), grasps_and_objects()[1]
+    center = np.array([[objects[name].center_of_mass] for name in p.object_name.tolist()])
+    about = {"vertical": np.array([0.0, 0.0, 0.5]), "horizontal": np.array([0.6, 0.0, 0.0])}
+    for axis, turn in about.items():
+        pose = seen.object_pose.copy()
+        pose[:, 3:] = quaternion_multiply(quaternion_from_rotation_vector(np.array([turn])), pose[:, 3:])
+        at_work = tracker()
+        for _ in range(60):
+            at_work.update(replace(seen, object_pose=pose))
+        goal, wanted = p.at(np.zeros(2, int))[0], pose
+        if axis == "horizontal":
+            moved = transform_points(pose, center) - transform_points(p.object_pose, center)
+            wanted = np.concatenate([p.object_pose[:, :3] + moved[:, 0], p.object_pose[:, 3:]], axis=1)
+        action = at_work.act(nothing(at_work))
+        np.testing.assert_allclose(action.palm_goal, compose(wanted, goal), atol=1e-4)
+
+
+def test_an_object_that_sinks_is_pressed_harder_and_lifted_higher():
+    seen, p = start().observe(), plan()
+    at_work = tracker()
+    for step in range(20):
+        up = 0.01 * step * np.array([0.0, 0.0, 1.0])
+        palm, thing = seen.palm_pose.copy(), seen.object_pose.copy()
+        palm[:, :3] += up
+        thing[0, :3] += up
+        thing[1, :3] += 0.5 * up
+        time = PERIOD * (p.lift_step + step)
+        lifting = replace(
+            seen, time=time, time_since_lift=np.full(2, PERIOD * step), palm_pose=palm, object_pose=thing
+        )
+        at_work.update(lifting)
+    goal, fingers = p.at(p.lift_step + 19)
+    action = at_work.act(nothing(at_work))
+    raised = (action.palm_goal - compose(at_work.state().target.settled_pose, goal))[:, 2]
+    assert abs(raised[0]) < 2e-3 and 0.05 < raised[1] <= HIGHEST + 1e-3
+    np.testing.assert_allclose(action.finger_targets[0], fingers[0])
+    np.testing.assert_allclose(
+        (action.finger_targets - p.grasp_joints)[1], HARDEST * (fingers - p.grasp_joints)[1], atol=1e-9
+    )
 
 
 def test_jitter_of_the_tracker_moves_the_plan_by_a_third_of_it():

@@ -25,6 +25,7 @@ from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
 from fungrasp.planning import ConstrainedPlanner, Planner
 from fungrasp.planning.next_attempt import ATTEMPT_SEEDS, NOT_WORTH_TRYING, worth_trying
+from fungrasp.policies.lift_reaction import HIGHEST
 from fungrasp.robots.cell import RobotCell
 from fungrasp.robots.kinematics.arm_model import ArmKinematics, ClearanceModel
 from fungrasp.robots.kinematics.joint_path import FreePath
@@ -226,10 +227,10 @@ class GraspPreparer:
         )
 
     def _path(self, plan: GraspPlan, start: np.ndarray, fingers: np.ndarray) -> PalmPath:
-        """The plan's motion with the lift."""
+        """The plan's motion with the lift, as high as a policy may take it."""
         palm = compose(plan.object_pose[:1, None], plan.palm_setpoint[:1])[0]
         up = palm[-1:].copy()
-        rise = np.linspace(0.0, self._protocol.lift_height, 8)[1:]
+        rise = np.linspace(0.0, self._protocol.lift_height + HIGHEST, 8)[1:]
         up = np.repeat(up, len(rise), axis=0)
         up[:, 2] += rise
         # From closing on the object stops the fingers, about where the grasp has them.
@@ -250,7 +251,7 @@ class GraspPreparer:
         turned = _between(start[3:], target[3:], share[:, 0])
         there = np.concatenate([start[:3] + share * (target[:3] - start[:3]), turned], axis=1)
         up = np.repeat(there[-1:], 4, axis=0)
-        up[:, 2] += np.linspace(0.0, self._protocol.lift_height, 5)[1:]
+        up[:, 2] += np.linspace(0.0, self._protocol.lift_height + HIGHEST, 5)[1:]
         palm = np.concatenate([there, up])
         return PalmPath(palm, np.tile(fingers, (len(palm), 1)), 0.3)
 

@@ -14,8 +14,11 @@ from fungrasp.geometry.poses import (
     array_namespace,
     clip,
     compose,
+    quaternion_conjugate,
     quaternion_from_rotation_vector,
+    quaternion_multiply,
     relative,
+    rotate,
     rotation_matrix,
     rotation_vector,
     stack,
@@ -24,6 +27,7 @@ from fungrasp.hands import Hand
 from fungrasp.hands.array_kinematics import ArrayKinematics
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.objects import ObjectModel
+from fungrasp.policies.lift_reaction import LiftReaction
 from fungrasp.policies.residual_action import WRIST_ACTIONS, ResidualSettings, add_residual, smoothed
 from fungrasp.task import Action, GraspPlan, LiftProtocol, Observation
 from fungrasp.task.features import MeasuredState, PlanTarget, robot_features
@@ -56,7 +60,9 @@ class PlanTracker:
     """Follows plans for W robots, each from its own beginning.
 
     Until the fingers close, the plan goes where the object goes, smoothly, as trackers jitter; from then on
-    it stays where it was.
+    it stays where it was. It turns with it about the vertical alone: what has rolled or tipped is grasped
+    from where the plan came, not from where that has turned to, which may be below the table. An object that
+    sinks in the hand as it is lifted is pressed harder and lifted higher (``LiftReaction``).
     """
 
     def __init__(
@@ -94,6 +100,7 @@ class PlanTracker:
         self.action = rows_like(on, np.zeros((count, self.size)))
         """The last action, smoothed, shape [W, A]."""
         self._anchor = rows_like(on, np.tile([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], (count, 1)))
+        self._reaction = LiftReaction(count, on)
         self._goal: tuple[Array, Array] | None = None
         """Palm goal and servo targets of this control step, made when first asked for."""
         self._now: MeasuredState | None = None
@@ -113,7 +120,8 @@ class PlanTracker:
         self._choose()
         self._read(observation)
         fresh = self._measure(observation)
-        self._anchor[ids] = fresh.object_pose[ids]
+        self._anchor[ids] = self._origin(fresh)[ids]
+        self._reaction.begin(ids)
         if self._now is None or self._before is None:
             self._now = self._before = fresh
             return
@@ -127,7 +135,10 @@ class PlanTracker:
         self._before, self._now = self._now, self._measure(observation)
         opened = array_namespace(self._step).astype(self._step < self._closing, self._anchor.dtype)
         share = ANCHOR_SHARE * opened
-        self._anchor = moved_towards(self._anchor, self._now.object_pose, share[:, None])
+        self._anchor = moved_towards(self._anchor, self._origin(self._now), share[:, None])
+        risen = self._center_height(self._now.object_pose) - self._center_height(self._anchor)
+        palm, lifting = self._now.palm_pose[:, 2], self._since_lift >= 0
+        self._reaction.update(lifting, palm, risen, observation.object_pose_age)
 
     def state(self) -> TrackingState:
         """The worlds as they were last seen, by ``begin`` or ``update``."""
@@ -150,6 +161,10 @@ class PlanTracker:
         """What the robots are asked for. action: of the network, shape [W, A]."""
         self.action = smoothed(action, self.action, self.settings)
         goal, fingers = add_residual(*self._base(), self.action, self.settings)
+        if self.settings.base == "plan":
+            goal[:, 2] += self._reaction.raised
+            squeeze = self._planned()[1] - self.plans.grasp_joints[self.rows]
+            fingers = fingers + (self._reaction.squeeze - 1.0)[:, None] * squeeze
         return Action(goal, fingers, self._step >= self._lift)
 
     def planned_action(self) -> Array:
@@ -177,6 +192,21 @@ class PlanTracker:
             goal, fingers = self.plans.at(self._step, self.rows)
             self._goal = compose(self._anchor, goal), fingers
         return self._goal
+
+    def _origin(self, seen: MeasuredState) -> Array:
+        """Where the objects' frames are for the plans, world frame, shape [W, 7]: their centers of mass where
+        they are seen, turned about the vertical as they are seen, and otherwise as they were planned for."""
+        pose = seen.object_pose
+        if self.settings.base != "plan":
+            return pose
+        turned = turned_upright(self.plans.object_pose[self.rows, 3:], pose[:, 3:])
+        center = self._aims["center"]
+        place = pose[:, :3] + rotate(pose[:, 3:], center) - rotate(turned, center)
+        return array_namespace(place).concat([place, turned], axis=1)
+
+    def _center_height(self, pose: Array) -> Array:
+        """Heights of the objects' centers of mass [m], shape [W]. pose: world frame, shape [W, 7]."""
+        return pose[:, 2] + rotate(pose[:, 3:], self._aims["center"])[:, 2]
 
     def _choose(self) -> None:
         """What stays the same during an episode: fields of ``PlanTarget``, first steps of closing and
@@ -247,6 +277,20 @@ def without_motion(plans: GraspPlan) -> GraspPlan:
         palm_velocity=plans.palm_velocity[:, :1],
         closing_step=plans.lift_step,
     )
+
+
+def turned_upright(before: Array, now: Array) -> Array:
+    """Rotations turned about the vertical alone, as far as others are: of the turn between the two the part
+    about the vertical ("swing and twist"). before, now: quaternions, shape [W, 4]."""
+    xp = array_namespace(before)
+    turn = quaternion_multiply(now, quaternion_conjugate(before))
+    about = xp.concat([turn[:, :1], xp.zeros_like(turn[:, 1:3]), turn[:, 3:]], axis=1)
+    length = xp.sqrt(xp.sum(about * about, axis=1))[:, None]
+    # Half a turn about a horizontal axis has no such part.
+    none = xp.zeros_like(about)
+    none[:, 0] = 1.0
+    about = xp.where(length > 1e-6, about / xp.where(length > 1e-6, length, 1.0), none)
+    return quaternion_multiply(about, before)
 
 
 def moved_towards(pose: Array, goal: Array, share: Array) -> Array:
