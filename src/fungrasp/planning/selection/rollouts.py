@@ -11,6 +11,7 @@ import numpy as np
 
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel, with_sizes
+from fungrasp.planning.approach_path import BLOCKED
 from fungrasp.planning.selection.candidates import Candidates
 from fungrasp.records import BatchRecord
 from fungrasp.sim2real import MODERATE, EpisodeSample, MeasurementError, Randomization, draw, random_stream
@@ -45,7 +46,8 @@ class RolloutSettings:
     hold_time: float = 2.0
     """Time that the object has to be held [s]."""
     early: int = 4
-    """Control steps before the fingers close at which rollouts begin."""
+    """Control steps before the fingers close at which rollouts begin; where the approach is not free
+    (``BLOCKED``), they begin where it begins."""
     contact: float = 0.1
     """Weight of the contact ratio against success."""
     slip: float = 0.01
@@ -155,7 +157,8 @@ def roll_out(
         some = plans.select(rows)
         ids = np.arange(len(some))
         environment = LiftEnvironment(scene, len(ids), randomization, protocol, threads=threads)
-        step = np.maximum(some.closing_step - s.early, 0)
+        # What hands push on the way decides where the way is not free.
+        step = np.where(some.path_collision > BLOCKED, 0, np.maximum(some.closing_step - s.early, 0))
         environment.begin(ids, some, step, sample.select(rows), beliefs.select(rows))
         outcomes = play(environment, policy, some, end_lost=True)
         lost = outcomes.reason == "lost before the hold"
