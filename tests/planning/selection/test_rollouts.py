@@ -88,3 +88,190 @@ def test_a_way_that_is_not_free_is_tried_from_its_beginning():
     plans, policy = replace(plan(), path_collision=np.array([0.01, 0.0])), Watch()
     roll_out(plans, belief(), drawn, scene(), policy, settings, 1)
     np.testing.assert_allclose(policy.began, [0.0, 0.1 * (plan().closing_step[1] - settings.early)])
+
+
+def test_without_enough_places_the_promise_decides():
+    best, value = tried(candidates(proposals()), rounds=((1, 1),))
+    assert best.tolist() == [0, 0], "the others were not tried"
+    np.testing.assert_allclose(value, PRIOR * 0.9 / (1 + PRIOR))
+
+
+def test_a_choice_depends_on_its_own_grasp_alone():
+    plans = proposals()
+    best, value = tried(candidates(plans), seed=(3, 0))
+    one = np.array([1])
+    alone = candidates(plans.select(np.array([1, 3, 5])), PROMISED[:, 1:], belief().select(one))
+    alone = replace(alone, grasps=grasps_and_objects()[0].select(np.array([1, 1, 1])))
+    its, expected = tried(alone, seed=(3, 0))
+    assert its[0] == best[1] and expected[0] == value[1]
+    parted = tried(candidates(plans), settings=replace(SHORT, chunk=2), seed=(3, 0), threads=3)
+    np.testing.assert_array_equal(parted[0], best)
+    np.testing.assert_array_equal(parted[1], value)
+
+
+def test_rollouts_meet_other_worlds_than_are_believed():
+    heavy = replace(SHORT, randomization=replace(MODERATE, mass=(40.0, 50.0)))
+    _, value = tried(candidates(proposals()), settings=heavy)
+    nothing_held = PRIOR * PROMISED[0] / (3 + PRIOR)
+    np.testing.assert_allclose(value, nothing_held, err_msg="no hand holds an object that is so heavy")
+
+
+def test_who_follows_the_plans_follows_them_in_rollouts():
+    """A policy that never closes its fingers loses every episode."""
+
+    class Idle(OpenLoopPolicy):
+        def act(self, observation: Observation) -> Action:
+            asked = super().act(observation)
+            return replace(asked, finger_targets=0.0 * asked.finger_targets)
+
+    best, value = tried(candidates(proposals()), policy=Idle())
+    assert best.tolist() == [0, 0]
+    np.testing.assert_allclose(value, PRIOR * 0.9 / (3 + PRIOR))
+
+
+def test_slip_counts_against_a_plan():
+    pool = candidates(GraspPlan.join([plan(), plan()]), np.full((2, 2), 0.5))
+    tried(pool, ((2, 1),), replace(SHORT, contact=0.0, slip=0.01))
+    statistics = pool.statistics
+    assert (statistics.held == 1).all()
+    assert (statistics.bonus < 0).all() and (statistics.bonus >= -0.1).all()
+
+
+def test_statistics_choose_by_episodes_and_grow():
+    statistics = CandidateStatistics.untried(np.array([[0.9], [0.2]]), PRIOR)
+    assert statistics.order[:, 0].tolist() == [0, 1]
+    success = np.array([False, False, True, True])
+    statistics.add(np.array([[0], [1]]), success, np.zeros(4))
+    assert statistics.order[:, 0].tolist() == [0, 1], "3.6 of 6 against 2.8 of 6"
+    statistics.add(np.array([[0], [1]]), success, np.zeros(4))
+    assert statistics.order[:, 0].tolist() == [1, 0], "3.6 of 8 against 4.8 of 8"
+    more = statistics.select(np.array([[1]]), np.array([0]))
+    more = more.join(CandidateStatistics.untried(np.array([[0.7]]), PRIOR))
+    assert more.tried[:, 0].tolist() == [4, 0]
+    np.testing.assert_allclose(more.success[:, 0], [0.6, 0.7])
+
+
+# What is believed
+
+
+def drawn_in_rollouts(monkeypatch, beliefs, settings: RolloutSettings = SHORT) -> list[EpisodeSample]:
+    """What the rollouts of candidates were told to differ in, round by round."""
+    seen, roll = [], rollouts.roll_out
+
+    def spy(plans, rows, sample, *others):
+        seen.append(sample)
+        return roll(plans, rows, sample, *others)
+
+    monkeypatch.setattr(rollouts, "roll_out", spy)
+    tried(candidates(proposals(), beliefs=beliefs), settings=settings)
+    return seen
+
+
+def test_pose_errors_are_as_large_as_the_belief_says(monkeypatch):
+    rng = np.random.default_rng(0)
+    scale = np.array([0.003, 0.001, 0.0, 0.0, 0.0, 0.1])
+    mixed = scale[:, None] * rng.normal(size=(2, 6, 6))
+    covariance = mixed @ mixed.mT
+    beliefs = replace(belief(), object_pose_covariance=covariance)
+    pool = candidates(GraspPlan.join([plan()]), np.full((1, 2), 0.5), beliefs)
+    seen = []
+    monkeypatch.setattr(
+        rollouts,
+        "roll_out",
+        lambda plans, rows, sample, *others: (
+            seen.append(sample) or rollouts.RolloutResults(*np.zeros((3, len(plans))))
+        ),
+    )
+    tried(pool, ((1, 4000),))
+    errors = seen[0].object_bias.reshape(2, 4000, 6)
+    for grasp in range(2):
+        found = np.cov(errors[grasp].T)
+        np.testing.assert_allclose(found, covariance[grasp], atol=0.1 * covariance[grasp].max())
+        assert np.abs(errors[grasp, :, 2:5]).max() < 1e-4, "what is sure is not varied"
+
+
+def test_without_a_covariance_errors_are_those_of_the_rollouts(monkeypatch):
+    believed = drawn_in_rollouts(monkeypatch, belief())
+    spread = np.concatenate([sample.object_bias for sample in believed]).std(axis=0)
+    assert (spread[:3] > 0.0005).all() and (spread[:3] < 0.006).all()
+
+
+def test_in_rollouts_objects_are_off_from_where_they_are_believed_and_seen(monkeypatch):
+    """The covariance counts even where the randomization knows no error of the object."""
+    seen: list[Observation] = []
+    true: list[np.ndarray] = []
+
+    class Watching(OpenLoopPolicy):
+        def act(self, observation: Observation) -> Action:
+            seen.append(observation)
+            return super().act(observation)
+
+    class Watched(LiftEnvironment):
+        def begin(self, *arguments, **options) -> None:
+            super().begin(*arguments, **options)
+            true.append(self.engine.object_pose)
+
+    monkeypatch.setattr(rollouts, "LiftEnvironment", Watched)
+    covariance = np.tile(np.diag([1e-4, 1e-4, 1e-12, 1e-12, 1e-12, 1e-12]), (2, 1, 1))
+    pool = candidates(
+        GraspPlan.join([plan()]), np.full((1, 2), 0.5), replace(belief(), object_pose_covariance=covariance)
+    )
+    settings = replace(SHORT, randomization=NOMINAL)
+    tried(pool, ((1, 4),), settings, Watching())
+    believed = np.repeat(belief().object_pose, 4, axis=0)
+    np.testing.assert_allclose(seen[0].object_pose[:, :2], believed[:, :2], atol=1e-5)
+    off = (true[0] - believed)[:, :2]
+    assert (np.linalg.norm(off, axis=1) > 1e-4).all() and off.std() == pytest.approx(0.01, rel=0.7)
+
+
+def test_rollouts_happen_in_the_hand_that_is_believed():
+    """A hand whose servos are known to be limp holds nothing, and the world is slippery if it is believed to
+    be."""
+    some, nominal = plan(), draw(NOMINAL, 2, 16, np.random.default_rng(0))
+    settings = replace(SHORT, randomization=NOMINAL)
+
+    def held(**beliefs) -> list[bool]:
+        believed = replace(belief(), **beliefs)
+        found = roll_out(some, believed, nominal, scene(), OpenLoopPolicy(), settings, 1)
+        return found.success.tolist()
+
+    assert held() == [True, True]
+    assert held(servo_stiffness=np.full((2, 16), 0.05)) == [False, False]
+    assert held(friction=np.full(2, 0.05)) == [False, False]
+    assert held(servo_stiffness=np.stack([np.ones(16), np.full(16, 0.05)])) == [True, False]
+
+
+def test_rollouts_have_no_jitter_and_no_gaps():
+    """So that they are the same whatever is tried beside them."""
+    noisy = Randomization(
+        joint_error=MeasurementError(0.0, 0.1),
+        object_position_error=MeasurementError(0.0, 0.1),
+        tracker_dropout=0.5,
+    )
+    seen: list[Observation] = []
+
+    class Watching(OpenLoopPolicy):
+        def act(self, observation: Observation) -> Action:
+            seen.append(observation)
+            return super().act(observation)
+
+    sample = draw(noisy, 2, 16, np.random.default_rng(0))
+    settings = replace(SHORT, randomization=noisy)
+    roll_out(plan(), belief(), sample, scene(), Watching(), settings, 1)
+    np.testing.assert_allclose(seen[0].object_pose, plan().object_pose, atol=1e-9)
+    assert all((observation.object_pose_age == 0).all() for observation in seen)
+
+
+def test_a_rollout_is_an_episode_of_the_lift_test():
+    """The same plan, from the same step, held as long."""
+    drawn = draw(NOMINAL, 2, 16, np.random.default_rng(0))
+    settings = replace(SHORT, randomization=NOMINAL, timestep=0.005)
+    found = roll_out(plan(), belief(), drawn, scene(), OpenLoopPolicy(), settings, 1)
+    environment = LiftEnvironment(
+        scene(), 2, protocol=replace(LiftEnvironment(scene(), 1).protocol, hold_time=0.3), threads=1
+    )
+    environment.begin(np.arange(2), plan(), plan().closing_step - settings.early, drawn)
+    outcomes = play(environment, OpenLoopPolicy(), plan())
+    np.testing.assert_array_equal(found.success, outcomes.success)
+    np.testing.assert_array_equal(found.contact_ratio, outcomes.contact_ratio)
+    np.testing.assert_array_equal(found.slip, outcomes.sim_distance_hand_mm_s)
