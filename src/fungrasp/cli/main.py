@@ -37,6 +37,10 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
     "policies": ("fungrasp.cli.policies", "list and describe learned policies"),
     "doctor": ("fungrasp.cli.doctor", "say what is installed and there: extras, devices, caches"),
     "identify": ("fungrasp.cli.identify", "record a real hand's motion and fit the dynamics of its joints"),
+    "completion": (
+        "fungrasp.cli.completion",
+        "print a script that completes commands and options in a shell",
+    ),
 }
 """Module and summary of every command, in the order of the help."""
 
@@ -122,6 +126,17 @@ def _status(work: Callable[[], int]) -> int:
 def available_commands() -> dict[str, tuple[str, str]]:
     """The commands whose module is installed, in the order of ``COMMANDS``; nothing is imported."""
     return {name: entry for name, entry in COMMANDS.items() if importlib.util.find_spec(entry[0]) is not None}
+
+
+def every_command() -> dict[str, Any]:
+    """Each command, or a table of its subcommands, with all modules imported."""
+    commands: dict[str, Any] = {}
+    for name, (module, _) in available_commands().items():
+        command = importlib.import_module(module).COMMAND
+        if isinstance(command, Mapping):
+            command = {sub: _loaded(one) for sub, one in command.items()}
+        commands[name] = command
+    return commands
 
 
 def _dispatch(arguments: list[str]) -> int:

@@ -79,7 +79,7 @@ def _write_object(model: ObjectModel, folder: Path) -> None:
         meshes[f"urdf/meshes/convex_piece_{number:03d}.obj"] = solid
     for name, mesh in meshes.items():
         with atomic_path(folder / name) as temporary:
-            temporary.write_text(trimesh.exchange.obj.export_obj(mesh, include_normals=False, digits=9))
+            mesh.export(str(temporary), "obj", include_normals=False, digits=9)
     with atomic_path(folder / "info/simplified.json") as temporary:
         info = {"mass": model.mass, "density": model.mass / volume, "scale": 1.0}
         temporary.write_text(json.dumps(info) + "\n")
@@ -115,7 +115,7 @@ def write_joint_trajectories(episodes: Sequence[Trajectory], folder: str | Path)
         except FungraspError:
             continue
         with atomic_path(folder / f"{name}.obj") as temporary:
-            temporary.write_bytes(model.mesh.export(file_type="obj").encode())
+            model.mesh.export(str(temporary), "obj", include_normals=False, digits=9)
     written = []
     for episode in episodes:
         palm = episode.palm_pose.astype(float)

@@ -146,7 +146,7 @@ class _Tree:
         name = f"meshes/{geom}.obj"
         with atomic_path(self._folder / name) as temporary:
             solid = trimesh.Trimesh(vertices, faces, process=False)
-            temporary.write_text(trimesh.exchange.obj.export_obj(solid, include_normals=False, digits=9))
+            solid.export(str(temporary), "obj", include_normals=False, digits=9)
         return name
 
 

@@ -63,8 +63,8 @@ def write_view(what: Any, objects: Mapping[str, ObjectModel] | None, out: str | 
         write_page(path, Page("Grasps", reports, hand, count, page_provenance({}, 0)))
     else:
         raise FungraspError(
-            "a page on disk can be made of grasps, a result, what was perceived or the path of a deployment's "
-            f"log, not of {'nothing' if what is None else 'a ' + type(what).__name__}"
+            "a page on disk can be made of grasps, a result, what was perceived or the path of a "
+            f"deployment's log, not of {'nothing' if what is None else 'a ' + type(what).__name__}"
         )
     return path
 

@@ -8,7 +8,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
-from fungrasp.errors import FungraspError
 from fungrasp.viewer.server import LOOPBACK, Viewer
 
 if TYPE_CHECKING:
