@@ -18,7 +18,14 @@ from fungrasp.retargeting import retarget
 
 IMAGES = Path(__file__).parents[2] / "docs" / "images"
 
-CHOICE = (("mug", "drink"), ("hammer", "hammer"), ("spray_bottle", "spray"), ("scissors", "cut"))
+CHOICE = (
+    ("mug", "drink"),
+    ("hammer", "hammer"),
+    ("spray_bottle", "spray"),
+    ("scissors", "cut"),
+    ("drill", "drill"),
+    ("wine_glass", "drink"),
+)
 """Object and task of each row."""
 
 HANDS = ("allegro", "shadow", "faive", "inspire", "leap")

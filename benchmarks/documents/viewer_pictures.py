@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 import fungrasp
+from fungrasp.cli.main import main as main_program
 from fungrasp.errors import FungraspError
 from fungrasp.perception.builtin_image import builtin_truth
 from fungrasp.perception.io.scene_folders import BUILTIN_CAPTURE
@@ -126,12 +127,29 @@ def _capture(folder: Path) -> Viewer:
     )  # type: ignore
 
 
+def _log(folder: Path) -> Viewer:
+    main_program(
+        [
+            "deploy",
+            "--robot",
+            "ur5e-allegro",
+            "--policy",
+            "plan",
+            "--fast",
+            "--log",
+            str(folder / "lift.mcap"),
+        ]
+    )
+    return fungrasp.view(folder / "lift.mcap", port=0, wait=False)  # type: ignore[return-value]
+
+
 PICTURES = (
     Picture("view-grasp", lambda folder: _grasps(), _wait("retargeted in")),
     Picture("view-compare", lambda folder: _grasps(), _compare),
     Picture("view-episode", lambda folder: _grasps(), _play),
     Picture("view-result", _result, _replay),
     Picture("view-capture", _capture, _wait("/confident|low confidence|nothing was found/")),
+    Picture("view-log", _log, _wait("/no fault|fault: /")),
     Picture("view-hand", lambda folder: fungrasp.view("leap", port=0, wait=False), _wait("driven joints")),  # type: ignore
     Picture("view-phone", lambda folder: _grasps(), _wait("retargeted in"), 390, 780),
 )

@@ -47,7 +47,8 @@ class Curves:
     height: np.ndarray
     """Of the object above where it was first [mm]."""
     slip: np.ndarray
-    """How far the object has moved in the hand since the lift began [mm]; zero before."""
+    """How far the object has moved in the hand since the lift began [mm]; zero before it and after
+    the hold."""
     force: np.ndarray
     """Sum of the forces on the object [N]; NaN where not known."""
     palm_error: np.ndarray
@@ -85,10 +86,11 @@ class EpisodeStates:
         things = np.array([frame.object_pose for frame in frames])
         palms = np.array([frame.palm_pose for frame in frames])
         held = relative(palms, things)[:, :3]
-        lifted = [i for i, frame in enumerate(frames) if frame.phase not in ("approach", "close")]
+        # A deployment puts the object down again, which is no slip.
+        lifted = np.flatnonzero([frame.phase not in ("approach", "close") for frame in frames])
         slip = np.zeros(len(frames))
-        if lifted:
-            slip[lifted[0] :] = np.linalg.norm(held[lifted[0] :] - held[lifted[0]], axis=1)
+        if len(lifted):
+            slip[lifted] = np.linalg.norm(held[lifted] - held[lifted[0]], axis=1)
         force = np.array([np.nan if f.forces is None else f.forces.sum() for f in frames])
         off = [
             np.nan if f.commanded_palm is None else np.linalg.norm(f.commanded_palm[:3] - f.palm_pose[:3])

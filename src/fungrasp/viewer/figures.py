@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import mujoco
 import numpy as np
 
-from fungrasp.geometry.poses import compose, invert
+from fungrasp.geometry.poses import compose, invert, transform_points
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
 from fungrasp.rendering.grasp_scenes import CONTACT, SKIN
@@ -102,6 +102,14 @@ class RobotFigure:
             faces.append(triangles + count)
             count += len(points)
         return np.concatenate(vertices), np.concatenate(faces)
+
+    @property
+    def corners(self) -> np.ndarray:
+        """Lowest and highest corners of boxes that hold what is drawn, where the joints are now, palm frame
+        [m], shape [N, 3]."""
+        geoms = np.isin(self._model.geom_bodyid, list(self._frames))
+        centers, sizes = self._data.geom_xpos[geoms], self._model.geom_rbound[geoms, None]
+        return transform_points(self._back, np.concatenate([centers - sizes, centers + sizes]))
 
     def place(self, wrist_pose: np.ndarray, joint_positions: np.ndarray) -> None:
         """Move it.

@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 
 from fungrasp.errors import FungraspError
+from fungrasp.geometry.poses import transform_points
 from fungrasp.hands import Hand, load_hand
 from fungrasp.hands.checking.hand_checks import check_hand_files
 from fungrasp.hands.kinematics import HandKinematics
@@ -47,6 +48,7 @@ class HandPage(BrowserPage):
         self._joints = client.gui.add_folder("Joints [rad]")
         self._findings = client.gui.add_markdown("")
         self._hand: Hand | None = None
+        self._height = 0.0
         for box in (self._collision, self._links, self._points):
             box.on_update(lambda _: self.worker.ask("draw", self._draw))
         self.worker.ask("load", self._load)
@@ -65,12 +67,16 @@ class HandPage(BrowserPage):
         self._title.content = f"**{hand.title}**\n\n{counts}"
         scene = self.client.scene
         self._figure = RobotFigure(scene, "/hand", hand)
+        # The palm's origin may be far from what is drawn.
+        ends = transform_points(self._wrist(hand), self._figure.corners)
+        self._height = STANDING - float(ends[:, 2].min())
+        low, high = ends.min(axis=0), ends.max(axis=0)
+        x, y, z = (0.5 * (low + high) + np.array([0.0, 0.0, self._height])).tolist()
+        look_at(self.client, (x, y, z), 2.2 * float(high[2] - low[2]), np.array([0.0, 1.0, 0.0]))
         if not self._figure.handles:
             self.note("this hand has no visual meshes that can be drawn: its collision shapes are shown")
             self._collision.value = True
         self._shapes = RobotFigure(scene, "/shapes", hand, collision=True, opacity=0.6)
-        height = self._wrist(hand)[2]
-        look_at(self.client, (0.0, 0.0, height), 0.5, np.array([0.0, 1.0, 0.0]))
         with self._joints:
             limits = hand.joint_limits
             for j, name in enumerate(hand.joint_names):
@@ -86,7 +92,7 @@ class HandPage(BrowserPage):
         axes = np.stack([hand.palm_normal, np.cross(hand.palm_fingers, hand.palm_normal), hand.palm_fingers])
         quaternion = np.empty(4)
         mujoco.mju_mat2Quat(quaternion, np.ascontiguousarray(axes).ravel())
-        return np.concatenate([[0.0, 0.0, STANDING + 0.06], quaternion])
+        return np.concatenate([[0.0, 0.0, self._height], quaternion])
 
     def _draw(self) -> None:
         hand, figure, shapes = self._hand, self._figure, self._shapes

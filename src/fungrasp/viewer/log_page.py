@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -9,8 +10,10 @@ import numpy as np
 
 from fungrasp.deployment.log import RecordedDeployment
 from fungrasp.errors import FungraspError
-from fungrasp.hands import load_hand
+from fungrasp.hands import Hand, load_hand
 from fungrasp.objects import load_object
+from fungrasp.robots.cell import load_cell
+from fungrasp.robots.kinematics.arm_model import ArmKinematics
 from fungrasp.viewer.episode_stage import EpisodePlayer, EpisodeScene, place_in_front
 from fungrasp.viewer.episode_states import EpisodeState, EpisodeStates
 from fungrasp.viewer.page import BrowserPage, add_table, look_at
@@ -59,7 +62,7 @@ class LogPage(BrowserPage):
         plan = log.plan
         assert plan is not None
         hand, name = load_hand(plan.hand), str(plan.object_name[0])
-        frames, start = logged_states(log, hand.all_joints, plan.object_pose[0])
+        frames, start = logged_states(log, hand, plan.object_pose[0], _measured_palm(log, hand))
         look_at(self.client, (0.0, 0.0, 0.15), 0.9)
         try:
             model = load_object(name)
@@ -70,6 +73,9 @@ class LogPage(BrowserPage):
             scene = EpisodeScene(self.client.scene, "/deployment", place, hand, model)
         self._player.begin(scene, frames)
         self._player.finish()
+        held = [frames[i].time for i in range(len(frames)) if frames[i].phase == "hold"]
+        if held:
+            self._player.go_to(held[-1])
         faults = [event["text"] for event in log.messages["/event"] if event["what"] == "fault"]
         self._player.status.content = f"**fault: {faults[0]}**" if faults else "no fault"
         for event in log.messages["/event"]:
@@ -84,40 +90,47 @@ class LogPage(BrowserPage):
 
 
 def logged_states(
-    log: RecordedDeployment, all_joints, object_pose: np.ndarray
+    log: RecordedDeployment,
+    hand: Hand,
+    object_pose: np.ndarray,
+    measured_palm: Callable[..., np.ndarray] | None,
 ) -> tuple[EpisodeStates, float]:
     """Frames of a log, and the time at which it begins.
 
     Args:
         log: with setpoints.
-        all_joints: gives all joints of the hand from the driven ones.
+        hand: that was deployed.
         object_pose: where the object is as long as it is not tracked, shape [7].
+        measured_palm: the palm's pose of the arm's joints; None where the arm is not known: then the palm is
+            shown where it was told to be.
     """
-    setpoints, steps = log.messages["/setpoint"], log.messages["/step"]
+    setpoints = log.messages["/setpoint"]
     start = float(setpoints[0]["time"])
-    step_times = np.array([float(step["time"]) for step in steps])
     frames, thing = EpisodeStates(), np.asarray(object_pose, dtype=float)
-    links = log.plan.link_contacts.shape[1] if log.plan is not None else 0
     for message in setpoints:
-        time = float(message["time"])
-        commanded = np.asarray(message["sent"]["palm"], dtype=float)
-        palm = commanded
-        before = int(np.searchsorted(step_times, time, side="right")) - 1
-        if before >= 0:
-            # The measured palm is known at control steps; in between the command leads on from it.
-            seen = np.asarray(steps[before]["observation"]["palm_pose"], dtype=float)
-            palm = seen
+        told = np.asarray(message["sent"]["palm"], dtype=float)
+        palm = (
+            told if measured_palm is None else measured_palm(np.asarray(message["arm"]["positions"], float))
+        )
         thing = thing if message["object"] is None else np.asarray(message["object"], dtype=float)
         frames.add(
             EpisodeState(
-                time - start,
+                float(message["time"]) - start,
                 PHASES.get(str(message["phase"]), "approach"),
                 thing,
                 palm,
-                all_joints(np.asarray(message["hand"]["positions"], dtype=float)),
-                np.zeros(links, dtype=bool),
-                commanded_palm=commanded,
-                commanded_joints=all_joints(np.asarray(message["sent"]["hand"], dtype=float)),
+                hand.all_joints(np.asarray(message["hand"]["positions"], dtype=float)),
+                np.zeros(len(hand.links), dtype=bool),
+                commanded_palm=None if measured_palm is None else told,
+                commanded_joints=hand.all_joints(np.asarray(message["sent"]["hand"], dtype=float)),
             )
         )
     return frames, start
+
+
+def _measured_palm(log: RecordedDeployment, hand: Hand) -> Callable[..., np.ndarray] | None:
+    """Forward kinematics of the arm that the log names, if its cell is there."""
+    try:
+        return ArmKinematics(load_cell(str(log.about.get("cell", ""))), hand).palm_pose
+    except FungraspError:
+        return None
