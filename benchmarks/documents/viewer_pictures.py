@@ -146,9 +146,9 @@ def _log(folder: Path) -> Viewer:
 PICTURES = (
     Picture("view-grasp", lambda folder: _grasps(), _wait("retargeted in")),
     Picture("view-compare", lambda folder: _grasps(), _compare),
-    Picture("view-episode", lambda folder: _grasps(), _play),
+    Picture("view-episode", lambda folder: _grasps(row=5), _play),
     Picture("view-result", _result, _replay),
-    Picture("view-capture", _capture, _wait("/confident|low confidence|nothing was found/")),
+    Picture("view-capture", _capture, _wait("/✓|nothing was found/")),
     Picture("view-log", _log, _wait("/no fault|fault: /")),
     Picture("view-hand", lambda folder: fungrasp.view("leap", port=0, wait=False), _wait("driven joints")),  # type: ignore
     Picture("view-phone", lambda folder: _grasps(), _wait("retargeted in"), 390, 780),

@@ -85,17 +85,10 @@ class CapturePage(BrowserPage):
         self._say(seen)
 
     def _say(self, seen: Perceived) -> None:
-        quality = seen.quality
-        rows = [
-            ("Hand", f"{seen.hand.side}, score {seen.hand.score:.2f}"),
-            ("Object", f"{seen.object_model.name}, score {seen.object.score:.2f}"),
-            ("Object off its points", f"{1e3 * quality.depth_residual_m:.1f} mm"),
-            ("Skin off its points", f"{1e3 * quality.hand_residual_m:.1f} mm"),
-            ("Hand in the object", f"{1e3 * quality.penetration_m:.1f} mm"),
-        ]
-        verdict = "**confident**" if seen.confident else "**low confidence**"
-        warnings = "\n".join(f"- {warning}" for warning in (*seen.warnings, *seen.notes))
-        self._words.content = f"{verdict}\n\n{values_table(rows)}\n\n{warnings}"
+        head, *rows = seen.verdict.rows()
+        warnings = "\n".join(f"- {warning}" for warning in (*seen.warnings, *seen.notes, *seen.verdict.help))
+        mark = "✓" if seen.verdict.sure else "?"
+        self._words.content = f"**{mark} {seen.verdict.words}**\n\n{values_table(rows, head)}\n\n{warnings}"
 
     def _add_points(self, camera: np.ndarray) -> None:
         points, colors = self._capture.points(), self._capture.color

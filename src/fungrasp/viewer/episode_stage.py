@@ -11,8 +11,9 @@ from fungrasp.evaluation import Trajectory
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
 from fungrasp.viewer.episode_states import Curves, EpisodeState, EpisodeStates
-from fungrasp.viewer.figures import ContactMarks, ObjectFigure, RobotFigure
+from fungrasp.viewer.figures import ContactMarks, ObjectFigure
 from fungrasp.viewer.page import BrowserPage
+from fungrasp.viewer.robot_figure import RobotFigure
 from fungrasp.viewer.robot_view import LinkDistances
 
 if TYPE_CHECKING:

@@ -19,9 +19,12 @@ from fungrasp.hands.hand_registry import hand_files
 from fungrasp.objects import ObjectModel
 from fungrasp.retargeting.retarget import METHODS
 from fungrasp.viewer.episode_tab import EpisodeTab, Trial
-from fungrasp.viewer.figures import HumanFigure, ObjectFigure, move, pose_of
+from fungrasp.viewer.figures import HumanFigure, ObjectFigure
+from fungrasp.viewer.grasp_numbers import LEGEND, quality_rows, view_across
+from fungrasp.viewer.joint_sliders import JointSliders
 from fungrasp.viewer.page import BrowserPage, add_table, look_at, values_table
 from fungrasp.viewer.robot_view import RobotView
+from fungrasp.viewer.scene_nodes import move, pose_of
 
 if TYPE_CHECKING:
     from viser import ClientHandle
@@ -36,11 +39,6 @@ SAY_PERIOD = 0.3
 shapes."""
 
 NOTHING = "nothing"
-
-LEGEND = (
-    "Orange: asked to touch, and touches. Pink: asked to, and does not. Yellow: touches without being asked. "
-    "Points: green on the surface, red inside the object."
-)
 
 IDENTITY = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
 
@@ -113,7 +111,7 @@ class GraspPage(BrowserPage):
                 picture = gui.add_button("Save picture (.png)")
         with tabs.add_tab("Lift"):
             self._lift = EpisodeTab(self, self._trial, self._show_episode)
-        self._sliders: list[Any] = []
+        self._sliders: JointSliders | None = None
         self._object.on_update(lambda _: self._on_object())
         self._row.on_update(lambda _: self._on_row())
         for control in (self._hand, self._method, self._other, self._other_method):
@@ -220,9 +218,9 @@ class GraspPage(BrowserPage):
                 robot.remove()
             for figure in self._figures:
                 figure.remove()
-            for slider in self._sliders:
-                slider.remove()
-        self._robots, self._figures, self._sliders = [], [], []
+            if self._sliders is not None:
+                self._sliders.remove()
+        self._robots, self._figures, self._sliders = [], [], None
 
     def _imitate(self) -> None:
         self._stand(True)
@@ -250,21 +248,8 @@ class GraspPage(BrowserPage):
     def _say(self, words: str, quality: list[StaticQuality]) -> None:
         """Put the numbers beside the hands."""
         heads = ("", *(robot.hand.name for robot in self._robots))
-        rows: list[tuple[str, ...]] = []
-        if quality:
-            for name, (title, unit) in QUANTITIES.items():
-                values = [float(getattr(each, name)[0]) for each in quality]
-                rows.append((title, *(_worded(name, value, unit) for value in values)))
-        else:
-            deepest = [max(0.0, -float(r.touch.clearance.min())) if r.touch else 0.0 for r in self._robots]
-            rows.append(("Penetration of the object", *(f"{1e3 * d:.1f} mm" for d in deepest)))
-        touches = []
-        for robot in self._robots:
-            if robot.touch is not None and robot.grasp is not None:
-                asked = np.asarray(robot.grasp.link_contacts, dtype=bool)
-                touches.append(f"{int((robot.touch.reached & asked).sum())} of {int(asked.sum())}")
-        rows.append(("Contacts reached", *touches))
-        table = values_table(rows, heads)  # type: ignore[arg-type]
+        rows = quality_rows(self._robots, quality)
+        table = values_table(rows, heads)
         self._numbers.content = f"{table}\n\n*{words}.* {LEGEND}"
 
     # Moving.
@@ -320,36 +305,20 @@ class GraspPage(BrowserPage):
     # Joints.
 
     def _make_sliders(self) -> None:
-        robot = self._robots[0]
-        with self._joint_folder:
-            for j, name in enumerate(robot.hand.joint_names):
-                low, high = robot.hand.joint_limits[j]
-                low, high = max(float(low), -np.pi), min(float(high), np.pi)
-                slider = self.client.gui.add_slider(name, low, high, 0.01, float(np.clip(0.0, low, high)))
-                slider.on_update(lambda _: self._on_slider())
-                self._sliders.append(slider)
+        ask = lambda: self.worker.ask("bend", self._bend)  # noqa: E731
+        self._sliders = JointSliders(self.client.gui, self._joint_folder, self._robots[0].hand, ask)
         self._set_sliders()
 
     def _set_sliders(self) -> None:
         grasp = self._robots[0].grasp if self._robots else None
-        if grasp is None or len(self._sliders) != len(grasp.joint_positions):
-            return
-        self._syncing = True
-        for slider, value in zip(self._sliders, grasp.joint_positions, strict=True):
-            slider.value = float(np.clip(value, slider.min, slider.max))
-        self._syncing = False
-
-    def _on_slider(self) -> None:
-        if not self._syncing:
-            self.worker.ask("bend", self._bend)
+        if grasp is not None and self._sliders is not None:
+            self._sliders.show(grasp.joint_positions)
 
     def _bend(self) -> None:
-        if not self._robots:
+        if not self._robots or self._sliders is None:
             return
-        robot, values = self._robots[0], np.array([slider.value for slider in self._sliders])
         with self.client.atomic():
-            # What is coupled follows.
-            robot.set_joints(robot.hand.all_joints(robot.hand.independent(values)))
+            self._robots[0].set_joints(self._sliders.joints)
         self._say("bent by hand", [])
 
     # Keeping.
@@ -380,39 +349,3 @@ class GraspPage(BrowserPage):
         buffer = io.BytesIO()
         whole.convert("RGB").save(buffer, "PNG")
         self.client.send_file_download(f"{self._human.object_name}.png", buffer.getvalue())
-
-
-def view_across(grasp: HumanGrasp) -> np.ndarray:
-    """The unit vector to the right of somebody who looks at the grasp from where thumb and fingertips are
-    seen, across the forearm; horizontal, shape [3]."""
-    forearm = (grasp.hand_joints[0] - grasp.hand_joints[9])[:2]
-    size = float(np.linalg.norm(forearm))
-    aside = forearm / size if size > 0.02 else np.array([1.0, 0.0])
-    towards = np.array([aside[1], -aside[0]])
-    # The eye is at that side of the knuckles where the tips are.
-    tips = grasp.hand_joints[[4, 8, 12, 20]][:, :2].mean(axis=0) - grasp.hand_joints[[5, 17]][:, :2].mean(
-        axis=0
-    )
-    if float(tips @ towards) < 0:
-        aside = -aside
-    return np.array([aside[0], aside[1], 0.0])
-
-
-QUANTITIES = {
-    "object_penetration_mm": ("Penetration of the object", "mm"),
-    "contact_gap_mm": ("Gap at wanted contacts", "mm"),
-    "contact_error_mm": ("Contacts off the person's", "mm"),
-    "link_direction_error_deg": ("Directions off the person's", "°"),
-    "force_closure_residual": ("Forces that stay unbalanced", ""),
-    "force_closure_epsilon": ("Weakest wrench resisted", ""),
-}
-"""Numbers of ``StaticQuality`` that are shown: title and unit."""
-
-
-def _worded(name: str, value: float, unit: str) -> str:
-    """A number, marked where it is good or bad."""
-    if not np.isfinite(value):
-        return "–"
-    good = {"object_penetration_mm": value < 2.0, "force_closure_residual": value < 0.1}.get(name)
-    mark = "" if good is None else " ✓" if good else " ✗"
-    return f"{value:.2f} {unit}".strip() + mark

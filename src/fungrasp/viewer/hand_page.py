@@ -13,8 +13,9 @@ from fungrasp.geometry.poses import transform_points
 from fungrasp.hands import Hand, load_hand
 from fungrasp.hands.checking.hand_checks import check_hand_files
 from fungrasp.hands.kinematics import HandKinematics
-from fungrasp.viewer.figures import RobotFigure
+from fungrasp.viewer.joint_sliders import JointSliders
 from fungrasp.viewer.page import BrowserPage, add_table, look_at
+from fungrasp.viewer.robot_figure import RobotFigure
 
 if TYPE_CHECKING:
     from viser import ClientHandle
@@ -35,7 +36,7 @@ class HandPage(BrowserPage):
         super().__init__(client)
         self._path, self._figure, self._shapes = path, None, None
         self._marks: list[Any] = []
-        self._sliders: list[Any] = []
+        self._sliders: JointSliders | None = None
         add_table(client, 0.8)
         self._title = client.gui.add_markdown(f"reading {path} …")
         self._what = client.gui.add_folder("Show")
@@ -77,13 +78,8 @@ class HandPage(BrowserPage):
             self.note("this hand has no visual meshes that can be drawn: its collision shapes are shown")
             self._collision.value = True
         self._shapes = RobotFigure(scene, "/shapes", hand, collision=True, opacity=0.6)
-        with self._joints:
-            limits = hand.joint_limits
-            for j, name in enumerate(hand.joint_names):
-                low, high = max(float(limits[j, 0]), -np.pi), min(float(limits[j, 1]), np.pi)
-                slider = self.client.gui.add_slider(name, low, high, 0.01, float(np.clip(0.0, low, high)))
-                slider.on_update(lambda _: self.worker.ask("draw", self._draw))
-                self._sliders.append(slider)
+        ask = lambda: self.worker.ask("draw", self._draw)  # noqa: E731
+        self._sliders = JointSliders(self.client.gui, self._joints, hand, ask)
         self._draw()
 
     def _wrist(self, hand: Hand) -> np.ndarray:
@@ -96,10 +92,9 @@ class HandPage(BrowserPage):
 
     def _draw(self) -> None:
         hand, figure, shapes = self._hand, self._figure, self._shapes
-        if hand is None or figure is None or shapes is None:
+        if hand is None or figure is None or shapes is None or self._sliders is None:
             return
-        joints = np.array([slider.value for slider in self._sliders])
-        joints = hand.all_joints(hand.independent(joints))
+        joints = self._sliders.joints
         wrist = self._wrist(hand)
         with self.client.atomic():
             for each in (figure, shapes):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -156,7 +156,7 @@ def add_table(client: ClientHandle, size: float = 1.6) -> None:
     )
 
 
-def values_table(rows: list[tuple[str, str]], heads: tuple[str, ...] = ("", "")) -> str:
+def values_table(rows: Sequence[tuple[str, ...]], heads: tuple[str, ...] = ("", "")) -> str:
     """A table in Markdown."""
     lines = ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]
     return "\n".join(lines + ["| " + " | ".join(row) + " |" for row in rows])

@@ -20,7 +20,8 @@ from fungrasp.optimization.hand_state import HandPoints
 from fungrasp.optimization.link_contacts import CONTACT_DISTANCE, contacts_of_links
 from fungrasp.retargeting import retarget
 from fungrasp.retargeting.retargeter import Retargeter
-from fungrasp.viewer.figures import ContactMarks, ObjectFigure, RobotFigure
+from fungrasp.viewer.figures import ContactMarks, ObjectFigure
+from fungrasp.viewer.robot_figure import RobotFigure
 
 if TYPE_CHECKING:
     from viser import SceneApi
