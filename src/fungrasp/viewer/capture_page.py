@@ -42,11 +42,11 @@ class CapturePage(BrowserPage):
         self._nodes: dict[str, Any] = {}
         gui = client.gui
         gui.add_image(np.ascontiguousarray(capture.color[::2, ::2]), label="Image")
-        self._words = gui.add_markdown("")
         self._boxes = {
             name: gui.add_checkbox(name, True, visible=False) for name in ("points", "hand", "object")
         }
         self._alternative = gui.add_dropdown("Alternative", ["none"], visible=False)
+        self._words = gui.add_markdown("")
         for box in self._boxes.values():
             box.on_update(lambda _: self.worker.ask("visible", self._show_chosen))
         self._alternative.on_update(lambda _: self.worker.ask("alternative", self._show_alternative))
@@ -69,12 +69,13 @@ class CapturePage(BrowserPage):
         self._seen = seen
         camera = seen.pose_world_camera
         with self.client.atomic():
-            self._add_points(camera)
-            scene = self.client.scene
             joints = transform_points(camera, seen.hand.joints_camera)
+            held = compose(camera, seen.object.pose_camera_object)
+            self._add_points(camera, 0.5 * (joints.mean(axis=0) + held[:3]))
+            scene = self.client.scene
             self._nodes["hand"] = HumanFigure(scene, "/hand", joints, seen.grasp.link_contacts).handle
             figure = ObjectFigure(scene, "/object", seen.object_model)
-            figure.place(compose(camera, seen.object.pose_camera_object))
+            figure.place(held)
             self._nodes["object"] = figure.handle
         for name, box in self._boxes.items():
             box.visible = name in self._nodes
@@ -90,7 +91,8 @@ class CapturePage(BrowserPage):
         mark = "✓" if seen.verdict.sure else "?"
         self._words.content = f"**{mark} {seen.verdict.words}**\n\n{values_table(rows, head)}\n\n{warnings}"
 
-    def _add_points(self, camera: np.ndarray) -> None:
+    def _add_points(self, camera: np.ndarray, target: np.ndarray | None = None) -> None:
+        """The points, from the camera's side. target: what is in the middle [m]; their median if None."""
         points, colors = self._capture.points(), self._capture.color
         seen = np.isfinite(points[..., 2]) & (points[..., 2] > 0)
         places, colors = transform_points(camera, points[seen]), colors[seen]
@@ -102,6 +104,7 @@ class CapturePage(BrowserPage):
         self._nodes["points"] = self.client.scene.add_point_cloud(
             "/points", (places - middle).astype(np.float32), colors, point_size=0.0022, position=middle
         )
+        middle = middle if target is None else target
         away = middle - camera[:3]
         aside = np.array([away[1], -away[0], 0.0])
         distance = float(np.linalg.norm(away))
