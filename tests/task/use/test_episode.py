@@ -115,6 +115,16 @@ def test_what_is_lost_is_not_followed():
     assert (np.linalg.norm(environment.engine.object_pose[:, :2], axis=1) < 3.0).all()
 
 
+def test_what_was_let_go_and_taken_away_is_not_followed():
+    """Its far end is pulled at no longer, which would spin it ever faster."""
+    environment, held = lifted()
+    use = play_use(environment, [still(0.2, pull=20.0)] * 2, held, ANY)
+    engine = environment.engine
+    away = np.linalg.norm(engine.object_pose[:, :3] - engine.palm_pose[:, :3], axis=1)
+    assert (use.shift_m < 0.05).all() and not engine.link_contacts.any(), "gone while the hand opened"
+    assert (away < 0.4).all() and not engine.diverged.any()
+
+
 def test_functional_contact_counts_the_fingers_on_the_part_that_the_person_held():
     environment, held = lifted()
     share, parts = functional_contact(environment, ANY)

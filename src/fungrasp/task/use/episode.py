@@ -28,7 +28,7 @@ TABLE_AWAY = -0.2
 """Height of the table top during the motion [m]: a robot would move away from it."""
 
 LOST = 0.1
-"""An object that has moved by more in the palm is lost, and its test is over [m]."""
+"""An object that has moved by more in the palm is lost, or was let go, and its test is over [m]."""
 
 
 def play_use(
@@ -81,14 +81,16 @@ def play_use(
     period, substeps = task.setpoints.period, task.setpoints.substeps
     durations = np.array([motion.duration for motion in played])
     ends = np.array([motion.whole_duration for motion in played])
-    shift, turn = np.zeros(len(worlds)), np.zeros(len(worlds))
+    shift, turn, moved = (np.zeros(len(worlds)) for _ in range(3))
     force, torque = np.zeros((len(engine), 3)), np.zeros((len(engine), 3))
     weight = environment.scene.settings.gravity * environment.privileged().object_mass[worlds]
     start = _in_palm(environment, worlds)
     first = fingers[worlds]
     for step in range(round(ends.max() / period)):
         time = step * period
-        active = (time < ends - 1e-9) & (shift < LOST)
+        # What is lost, or was let go and taken away, is over: a light object that is pulled on by its far end
+        # spins until the simulation breaks down.
+        active = (time < ends - 1e-9) & (moved < LOST)
         poses, centers, palm = (
             values[worlds] for values in (engine.object_pose, engine.center_of_mass, engine.palm_pose)
         )
@@ -102,8 +104,9 @@ def play_use(
         watch()
         # What has let go may move; until then the object is to stay.
         holding = active & (time < durations - 1e-9)
-        moved, turned = _difference(start, _in_palm(environment, worlds))
-        shift = np.where(holding, np.maximum(shift, moved), shift)
+        apart, turned = _difference(start, _in_palm(environment, worlds))
+        moved = np.maximum(moved, apart)
+        shift = np.where(holding, np.maximum(shift, apart), shift)
         turn = np.where(holding, np.maximum(turn, turned), turn)
     engine.push_object(np.zeros_like(force), np.zeros_like(torque))
     outcomes.shift_m[worlds], outcomes.turn_rad[worlds] = shift, turn
