@@ -98,10 +98,7 @@ def test_twenty_steps_from_the_same_states_are_those_of_the_cpu_engine(hand_name
     print(hand_name, np.sort(found)[::-1][:5], (found <= 1e-4).mean())
     assert gpu.problems() == []
     assert (found <= 1e-4).mean() >= 0.85, np.sort(found)
-    # A box against a mesh, the palm on the drill, has two contacts in MuJoCo and one in MuJoCo Warp.
-    drill = np.tile(plans.object_name == "drill", len(apart))
-    assert not np.concatenate(flags)[~drill].any()
-    assert found[~drill].max() <= 3e-3 and found[drill].max() <= 5e-3, np.sort(found)
+    assert not np.concatenate(flags).any() and found.max() <= 3e-3, np.sort(found)
 
 
 @pytest.mark.parametrize("hand_name", ["allegro", "inspire"])
