@@ -13,17 +13,16 @@ from fungrasp.perception.object_pose.evidence import PoseEvidence
 from fungrasp.perception.object_pose.verdict_weights import Logistic
 
 OBJECT_SIGNS: Mapping[str, int] = {
-    "told": 1,
     "explained": 1,
-    "outline": 1,
-    "stretch_gain": -1,
+    "other_size": -1,
+    "other_length": -1,
+    "other_side": -1,
     "stretch": -1,
     "color": 1,
     "rival": -1,
-    "edge_width": 1,
+    "unexplained": -1,
 }
-"""Whether more of a number speaks for the answer, or against it. Where depth is smoothed, right answers
-explain less: there, as much is worth more."""
+"""Whether more of a number speaks for the answer, or against it."""
 
 HAND_SIGNS: Mapping[str, int] = {
     "hand_score": 1,

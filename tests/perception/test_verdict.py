@@ -16,10 +16,11 @@ GOOD = PoseEvidence(
     told=1.0,
     explained=0.96,
     hidden=0.2,
-    outline=0.95,
     pixels=2000.0,
     rival=0.0,
-    stretch_gain=0.0,
+    other_size=-0.35,
+    other_length=-0.3,
+    other_side=-0.06,
     stretch=0.0,
     color=0.0,
     edge_width=2.0,
@@ -52,8 +53,9 @@ def test_good_evidence_is_sure_and_needs_no_help():
 @pytest.mark.parametrize(
     ("changes", "help"),
     [
-        ({"stretch_gain": 0.4, "stretch": 0.4}, "a mesh of the right size"),
-        ({"explained": 0.4, "outline": 0.3}, "the mesh of this very object"),
+        ({"other_size": 0.3, "stretch": 0.3}, "a mesh of the right size"),
+        ({"other_size": -0.02, "other_length": 0.0, "other_side": 0.0}, "another view"),
+        ({"explained": 0.3}, "the mesh of this very object"),
         ({"told": 0.0, "explained": 0.6}, "a click at the object"),
         ({"explained": 0.5, "hidden": 0.8}, "another view"),
         ({"explained": 0.5, "edge_width": 9.0}, "filters turned off"),
@@ -81,8 +83,8 @@ def test_terminal_and_json_have_the_same_numbers():
     for row, entry in zip(rows, record["evidence"], strict=True):
         assert row[1].startswith(f"{entry['value']:.3g}") and row[3] == f"{entry['share']:+.1f}"
     assert record["sure"] == said.sure and record["probability"] == said.probability
-    width = next(entry for entry in record["evidence"] if entry["name"] == "edge_width")
-    assert width["value"] == 8.0 and width["usual"] == pytest.approx(2.0)
+    explained = next(entry for entry in record["evidence"] if entry["name"] == "explained")
+    assert explained["value"] == pytest.approx(70.0)
 
 
 def test_shares_add_up_to_the_odds():
@@ -93,7 +95,7 @@ def test_shares_add_up_to_the_odds():
 
 
 def test_each_number_counts_one_way_only():
-    against = ("stretch_gain", "stretch", "rival")
+    against = ("other_size", "other_length", "other_side", "stretch", "rival", "unexplained")
     assert all(weight <= 0 for name, weight in OBJECT_WEIGHTS.weights.items() if name in against)
     assert all(weight >= 0 for name, weight in OBJECT_WEIGHTS.weights.items() if name not in against)
 

@@ -5,9 +5,9 @@ Terminal, page and JSON all show this record.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
-from math import isfinite
+from math import exp, expm1, isfinite
 from typing import TYPE_CHECKING, Any
 
 from fungrasp.perception.object_pose.confidence import ACCEPT, features
@@ -34,22 +34,34 @@ FEW_PIXELS = 500
 ALIKE = 0.9
 """Quality of another pose, as a part of the answer's, from which on only more to see tells them apart."""
 
+BETTER = 0.05
+"""Logarithm of the quality of another size, over the mesh's own, from which on the mesh's is likely wrong."""
+
 AGAINST = -0.5
 """What lowers the logarithm of the odds by more than this is worth a remedy."""
 
 ROWS: Mapping[str, tuple[str, float, str]] = {
-    "told": ("told where the object is (0 no, 0.5 box or click, 1 mask)", 1.0, ""),
     "explained": ("pixels of the object that the mesh explains", 100.0, "%"),
-    "outline": ("overlap of the mesh's outline with them", 100.0, "%"),
-    "stretch_gain": ("gain if the mesh had another size", 100.0, "%"),
-    "stretch": ("by how much it would be another size", 100.0, "%"),
+    "unexplained": ("pixels that it does not, as many as say something of their own", 1.0, ""),
+    "other_size": ("fit of the mesh in another size", 100.0, "%"),
+    "other_length": ("fit of it longer or shorter", 100.0, "%"),
+    "other_side": ("fit of it with another side changed", 100.0, "%"),
+    "stretch": ("by how much the best size differs", 100.0, "%"),
     "color": ("agreement of colors (0 without colors)", 1.0, ""),
-    "rival": ("fit of the best other pose", 100.0, "%"),
-    "edge_width": ("width of outlines in the depth", 1.0, "px"),
+    "rival": ("fit of the best other pose, 80 or less", 100.0, "%"),
     "hand_score": ("hand: detector's score and agreement", 1.0, ""),
     "worst_finger_m": ("hand: depth from the skin, worst finger", 1000.0, "mm"),
 }
 """Words, factor and unit of each number."""
+
+SHOWN: Mapping[str, Callable[[float], float]] = {
+    "explained": lambda value: 1.0 - exp(-value),
+    "unexplained": expm1,
+    "stretch": expm1,
+    "rival": lambda value: 0.8 + 0.2 * value,
+    **dict.fromkeys(("other_size", "other_length", "other_side"), exp),
+}
+"""From what the odds are made of to what people read."""
 
 
 @dataclass(frozen=True)
@@ -164,11 +176,9 @@ def perception_verdict(
     probability = HAND_WEIGHTS.probability(of_hand)
     evidence = []
     if thing.evidence is not None:
-        known, raw = features(thing.evidence), thing.evidence.as_dict()
+        known = features(thing.evidence)
         shares = OBJECT_WEIGHTS.shares(known)
-        usual = dict(OBJECT_WEIGHTS.usual)
-        usual["edge_width"] = 2.0 ** usual["edge_width"]
-        evidence += [_meter(name, raw[name], usual[name], shares[name]) for name in shares]
+        evidence += [_meter(name, known[name], OBJECT_WEIGHTS.usual[name], shares[name]) for name in shares]
     shares = HAND_WEIGHTS.shares(of_hand)
     evidence += [_meter(name, of_hand[name], HAND_WEIGHTS.usual[name], shares[name]) for name in shares]
     sure = thing.accepted and probability >= ACCEPTED_HAND
@@ -182,6 +192,8 @@ def perception_verdict(
 
 def _meter(name: str, value: float, usual: float, share: float) -> Meter:
     _, factor, unit = ROWS[name]
+    shown = SHOWN.get(name, float)
+    value, usual = shown(value), shown(usual)
     return Meter(name, factor * value, factor * usual, unit, share)
 
 
@@ -191,16 +203,16 @@ def object_help(thing: ObjectEstimate) -> tuple[str, ...]:
     if e is None or thing.accepted:
         return ()
     shares = OBJECT_WEIGHTS.shares(features(e))
-    size = sum(shares.get(name, 0.0) for name in ("stretch_gain", "stretch"))
-    covered = sum(shares.get(name, 0.0) for name in ("explained", "outline"))
+    size = sum(shares[name] for name in ("other_size", "other_length", "other_side", "stretch"))
+    covered = shares["explained"] + shares["unexplained"]
     found = []
-    if size < AGAINST and size < covered:
+    if max(e.other_size, e.other_side) > BETTER and size < covered:
         found.append("a mesh of the right size: another one fits better; is its unit right?")
     if e.foreign > LOOSE_MASK:
         found.append(f"a tighter mask: {100 * e.foreign:.0f} % of it look like hand or background")
     if e.told == 0.0:
         found.append("a click at the object (--point u,v), or a mask")
-    if e.hidden > MUCH_HIDDEN or e.pixels < FEW_PIXELS:
+    if e.hidden > MUCH_HIDDEN or e.pixels < FEW_PIXELS or size < AGAINST:
         found.append("another view, in which more of the object is seen")
     if e.edge_width > SMOOTHED:
         found.append("the camera's spatial and hole-filling filters turned off")

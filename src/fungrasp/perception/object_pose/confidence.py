@@ -14,7 +14,7 @@ from fungrasp.perception.object_pose.known_object import KnownObject
 from fungrasp.perception.object_pose.pose_error import add_s, rotation_error
 from fungrasp.perception.object_pose.verdict_weights import OBJECT_WEIGHTS
 
-ACCEPT = 0.7
+ACCEPT = 0.9
 """Answers of a lower probability are not accepted."""
 
 RIVAL_DISTANCE = 0.01
@@ -37,15 +37,17 @@ def features(evidence: PoseEvidence) -> dict[str, float]:
     """What the probability is made of: numbers of which more is always better, or always worse, within
     limits beyond which they say nothing more. By the names of ``OBJECT_WEIGHTS``."""
     e = evidence
+    # Where outlines are wide, pixels say the same as their neighbors.
+    worth = max(e.pixels, 30.0) / max(e.edge_width, 2.0) ** 2
     return {
-        "told": e.told,
-        "explained": e.explained,
-        "outline": e.outline,
-        "stretch_gain": float(np.clip(e.stretch_gain, 0.0, 0.4)),
+        "explained": float(-np.log(np.clip(1.0 - e.explained, 0.02, 1.0))),
+        "other_size": float(np.clip(e.other_size, -0.6, 0.4)),
+        "other_length": float(np.clip(e.other_length, -0.5, 0.3)),
+        "other_side": float(np.clip(e.other_side, -0.3, 0.3)),
         "stretch": min(e.stretch, 0.5),
         "color": float(np.clip(e.color, -2.0, 2.0)),
         "rival": float(np.clip(5.0 * (e.rival - 0.8), 0.0, 1.0)),
-        "edge_width": float(np.log2(np.clip(e.edge_width, 2.0, 12.0))),
+        "unexplained": float(np.log1p((1.0 - e.explained) * worth)),
     }
 
 

@@ -8,10 +8,10 @@ import numpy as np
 
 from fungrasp.perception.object_pose.object_view import ObjectView
 from fungrasp.perception.object_pose.scoring import PoseScorer, color_evidence
-from fungrasp.perception.object_pose.stretching import stretch_gain
+from fungrasp.perception.object_pose.stretching import other_sizes
 
-STRETCH_RAYS = 250
-"""About how many rays decide whether a stretched mesh fits better."""
+SIZE_RAYS = 170
+"""About how many rays decide whether another size of the mesh fits as well."""
 
 
 @dataclass(frozen=True)
@@ -24,16 +24,18 @@ class PoseEvidence:
     """Part of the pixels that show the object whose depth the mesh explains."""
     hidden: float
     """Part of the silhouette that skin hides."""
-    outline: float
-    """Overlap of the silhouette beside skin with the pixels that show the object, intersection over union."""
     pixels: float
     """Measured pixels that the pose explains."""
     rival: float
     """Quality of the best different pose, as a part of this one's."""
-    stretch_gain: float
-    """Logarithm by how much better a stretched mesh explains the image."""
+    other_size: float
+    """How well another size of the mesh explains the image, see ``OtherSizes.whole``."""
+    other_length: float
+    """The same of another length of its longest side."""
+    other_side: float
+    """The same of another length of any side."""
     stretch: float
-    """By how much it is stretched: largest logarithm of a factor, whatever its sign."""
+    """By how much the best stretched mesh is stretched, see ``OtherSizes.stretch``."""
     color: float
     """Logarithm by how much likelier the colors seen are with the mesh's than with any; 0 without colors."""
     edge_width: float
@@ -60,21 +62,20 @@ def pose_evidence(
         rng: of the tries of other sizes.
     """
     scores = scorer(pose[None], np.array([owner]))
-    seen = view.known.rays.cast(pose[None], scorer.directions)[0]
-    mine, shown = scorer.masks[owner], np.isfinite(seen) * (1.0 - scorer.skin)
     points = view.evidence[owner].points
-    gain, factors = stretch_gain(view.scorer(STRETCH_RAYS), pose, owner, np.median(points, axis=0), rng)
+    sizes = other_sizes(view.scorer(SIZE_RAYS), pose, owner, np.median(points, axis=0), rng)
     capture = view.capture
     told = 1.0 if capture.mask is not None else 0.5 if capture.box or capture.point else 0.0
     return PoseEvidence(
         told=told,
         explained=float(scores.explained[0]),
         hidden=float(scores.hidden[0]),
-        outline=float(np.minimum(shown, mine).sum() / max(np.maximum(shown, mine).sum(), 1e-6)),
         pixels=float(scores.pixels[0]),
         rival=rival / max(float(scores.quality[0]), 1e-6),
-        stretch_gain=gain,
-        stretch=float(np.abs(np.log(factors)).max()),
+        other_size=sizes.whole,
+        other_length=sizes.longest,
+        other_side=sizes.side,
+        stretch=sizes.stretch,
         color=color_evidence(view.known, capture, pose, view.support > 0.25),
         edge_width=view.seen.edge_width,
         foreign=view.foreign,

@@ -30,26 +30,26 @@ class Logistic:
 
 
 OBJECT_WEIGHTS = Logistic(
-    2.37,
+    2.95,
     {
-        "told": 0.589,
-        "explained": 6.55,
-        "outline": 1.81,
-        "stretch_gain": -5.16,
-        "stretch": -6.14,
-        "color": 0.737,
-        "rival": -2.98,
-        "edge_width": 0.223,
+        "explained": 0.857,
+        "other_size": -3.69,
+        "other_length": -1.4,
+        "other_side": -5.63,
+        "stretch": -5.33,
+        "color": 0.151,
+        "rival": -3.11,
+        "unexplained": -0.26,
     },
     {
-        "told": 0.5,
-        "explained": 0.931,
-        "outline": 0.898,
-        "stretch_gain": 0,
+        "explained": 2.5,
+        "other_size": -0.322,
+        "other_length": -0.245,
+        "other_side": -0.0456,
         "stretch": 0,
         "color": 0,
         "rival": 0,
-        "edge_width": 1,
+        "unexplained": 3.18,
     },
 )
 """Of ``fungrasp.perception.object_pose.confidence.features``."""
