@@ -309,7 +309,8 @@ def squeeze_offsets(
             [models[i] for i in rows],
             palm[rows],
             joints[rows],
-            grasps.link_contacts[rows],
+            # In use whatever lies at the object carries, as in ``selection.use_strength``.
+            grasps.link_contacts[rows] | (motion is not None),
             stiffness[rows],
             loads,
             least[rows],

@@ -125,7 +125,7 @@ def propose(
     search: int,
     prior: float,
     chunk: int,
-    strength: Callable[[GraspPlan, np.ndarray], np.ndarray] | None = None,
+    chance: Callable[[GraspPlan, np.ndarray], np.ndarray] | None = None,
 ) -> Candidates:
     """Plan variations of grasps.
 
@@ -141,8 +141,8 @@ def propose(
         search: another number of the variations.
         prior: number of rollouts that the expectation stands for.
         chunk: plans made together.
-        strength: how much of what their tasks need plans withstand, from 0 to 1; what holds, but withstands
-            nothing, counts half. All of it if None, and where grasps have no task.
+        chance: factor of what is expected of plans for tasks (``use_strength.chance_of_use``); one if None,
+            and where grasps have no task.
     """
     count = len(beliefs)
     where = np.resize(np.arange(count), len(grasps))
@@ -152,7 +152,7 @@ def propose(
         rows = slice(first, first + chunk)
         plans.append(planner.plan(varied.select(rows), beliefs.select(where[rows])))
         expected.append(predictor(plans[-1]))
-        if strength is not None and varied.task is not None:
-            expected[-1] = expected[-1] * (0.5 + 0.5 * strength(plans[-1], varied.task[rows]))
+        if chance is not None and varied.task is not None:
+            expected[-1] = expected[-1] * chance(plans[-1], varied.task[rows])
     statistics = CandidateStatistics.untried(np.concatenate(expected).reshape(-1, count), prior)
     return Candidates(varied, GraspPlan.join(plans), beliefs, statistics)

@@ -16,10 +16,11 @@ from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
 from fungrasp.planning.grasp_motion import MotionPlanner, MotionSettings, lowered, table_below
 from fungrasp.planning.selection.candidates import Candidates, propose
+from fungrasp.planning.selection.grips import grips_for_use
 from fungrasp.planning.selection.rollouts import try_candidates
 from fungrasp.planning.selection.settings import SelectionSettings
 from fungrasp.planning.selection.success_predictor import SuccessPredictor
-from fungrasp.planning.selection.use_strength import parts_to_hold, resisted_share
+from fungrasp.planning.selection.use_strength import chance_of_use, parts_to_hold
 from fungrasp.planning.selection.variations import VariationSpread, with_settings
 from fungrasp.task import Belief, GraspPlan, LiftProtocol, Policy
 
@@ -124,7 +125,7 @@ class SearchPlanner:
     ) -> GraspPlan:
         """One plan for each grasp, table at zero. progress: called with the share that is done."""
         s, everyone = self.settings, np.arange(len(grasps))
-        strength = partial(resisted_share, hand=self._hand, objects=self._objects) if s.for_use else None
+        chance = partial(chance_of_use, hand=self._hand, objects=self._objects) if s.for_use else None
         make = partial(
             propose,
             self._single,
@@ -133,12 +134,18 @@ class SearchPlanner:
             seed=seed,
             prior=s.prior,
             chunk=s.chunk,
-            strength=strength,
+            chance=chance,
         )
         which, numbers = share_out(grasps, s.candidates)
         first = with_settings(grasps).select(np.tile(everyone, s.candidates))
-        first = take_alternatives(first, which.ravel())
-        pool = _only(make(beliefs, first, numbers.ravel(), VariationSpread(), search=0), feasible)
+        first, numbers = take_alternatives(first, which.ravel()), numbers.ravel()
+        if s.for_use and s.grips_kept and grasps.task is not None:
+            grips = grips_for_use(
+                with_settings(grasps), beliefs, self._hand, self._objects, *s.grips, s.grips_kept, seed
+            )
+            first = RobotGraspSet.concatenate([first, grips])
+            numbers = np.concatenate([numbers, np.zeros(len(grips), dtype=int)])
+        pool = _only(make(beliefs, first, numbers, VariationSpread(), search=0), feasible)
         spent = np.zeros(len(grasps), dtype=int)
         hopeless = feasible is not None and not pool.statistics.expected.any()
         if s.rollouts is None or hopeless:

@@ -55,6 +55,10 @@ class SelectionSettings:
     for_use: bool = False
     """Whether the use motions of the grasps' tasks count: the share of their loads that contacts can take in
     what is expected, and whether they are withstood in rollouts."""
+    grips: tuple[int, int] = (64, 3)
+    """For use, other grips of each grasp that are solved in a round, and rounds (``grips.grips_for_use``)."""
+    grips_kept: int = 12
+    """How many of these, the strongest, are candidates too."""
     chunk: int = 512
     """Plans made together."""
 
@@ -87,10 +91,13 @@ class SelectionSettings:
             return cls(rollouts=RolloutSettings(drawn))
         # What holds, but withstands nothing, counts half; the search is to go on after it, although the
         # predictor, which knows lifts alone, expects much of it.
+        # Grips are looked for before any rollout, so that fewer are needed; the use goes on with the hold.
         return cls(
-            rollouts=RolloutSettings(drawn, for_use=True),
+            rollouts=RolloutSettings(drawn, for_use=True, hold_time=0.8),
             prior=2.0,
-            search=FurtherSearch(enough=0.8),
+            first_rounds=((8, 1), (3, 2)),
+            rounds=((10, 1), (3, 3)),
+            search=FurtherSearch(most=1, enough=0.8, rounds=((16, 1), (5, 2), (2, 2))),
             for_use=True,
         )
 
