@@ -52,6 +52,20 @@ except FungraspError as error:
 """
 """The one thing that is asked of Python: every command that needs MANO needs its licensed files first."""
 
+RECORDED = """
+import fungrasp
+human = fungrasp.builtin_grasps()[:1]
+objects = fungrasp.load_objects(human)
+fungrasp.evaluate(fungrasp.retarget(human, objects, "allegro"), objects, "reference", record="episodes")
+"""
+PAGE = """
+import fungrasp
+from fungrasp.errors import FungraspError
+try:
+    fungrasp.view("few.npz", port=0, wait=False).close()
+except FungraspError as error:
+    raise SystemExit(f"fungrasp: error: {error}")
+"""
 WORLDS = """
 from fungrasp.errors import FungraspError
 try:
@@ -90,6 +104,7 @@ TRIALS = {
         "fungrasp robots calibrate ur5e-allegro --images images --out c.toml", IMAGE, ends_with="board"
     ),
     "deploy": Trial("fungrasp deploy --robot ur5e-allegro --policy plan --fast --log lift.mcap"),
+    "drake": Trial("fungrasp audit episodes --engine drake", RECORDED),
     "dexycb": Trial(
         "fungrasp grasps import dexycb dexycb --out d.npz",
         SEQUENCE,
@@ -101,13 +116,16 @@ TRIALS = {
     "inspire": Trial(f"{DRIVER} inspire inspire-serial"),
     "leap": Trial(f"{DRIVER} leap"),
     "learning": Trial(TRAIN, GRASPS),
+    "lerobot": Trial("fungrasp export episodes --out dataset", RECORDED),
     "mano": Trial("python mano.py", f"open('mano.py', 'w').write({MANO!r})", ends_with="does not exist"),
     "perception": Trial("fungrasp demo --from-image", setup="fungrasp setup perception"),
     "pose": Trial("python -m benchmarks.faults --devices tracker --trials 1"),
     "ray": Trial("fungrasp retarget --grasps few.npz --ray --out r.npz", GRASPS),
     "realsense": Trial("fungrasp perceive --camera --mesh mug --out g.npz", ends_with="camera|libusb"),
+    "sapien": Trial("fungrasp audit episodes --engine sapien", RECORDED),
     "sysid": Trial(f"{FIT} cma-es --evaluations 30", STEP),
     "ur": Trial(f"{DRIVER} ur"),
+    "viewer": Trial("python page.py", f"{GRASPS}\nopen('page.py', 'w').write({PAGE!r})"),
     "wandb": Trial(f"{TRAIN} --wandb project", GRASPS, missing="learning"),
 }
 """By extra; those of development, ``dev`` and ``docs``, are what ``make test`` installs."""

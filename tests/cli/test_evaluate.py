@@ -63,7 +63,7 @@ def test_human_and_robot_grasps_give_the_same_table_and_json(human, robot, tmp_p
     lines = out.splitlines()
     assert lines[0].split()[:3] == ["object", "episodes", "success"]
     assert [line.split()[0] for line in lines[1:5]] == ["can", "tennis_ball", "all", "mean"]
-    assert "95 % interval" in lines[0] and "2 episodes in" in lines[-1]
+    assert "95 % interval" in lines[0] and "2 episodes in" in lines[-2] and f"view {one}" in lines[-1]
     assert (
         run(capsys, "evaluate", "--grasps", robot, "--json", two, "--policy", "reference", "--threads", 1)[0]
         == 0
@@ -97,7 +97,7 @@ def test_methods_side_by_side(human, tmp_path, capsys):
         capsys, "evaluate", "--grasps", human, "--method", "contact", "angle-copy", "--json", path, "--static"
     )
     assert status == 0
-    assert [line.split()[0] for line in out.splitlines()[-4:-1]] == ["method", "contact", "angle-copy"]
+    assert [line.split()[0] for line in out.splitlines()[-5:-2]] == ["method", "contact", "angle-copy"]
     assert out.count("six directions:") == 2 and out.count("contact gap") == 2
     methods = json.loads(path.read_text())["methods"]
     assert list(methods) == ["contact", "angle-copy"]

@@ -15,10 +15,20 @@ from fungrasp.text_table import table
 if TYPE_CHECKING:
     from fungrasp.grasps import HumanGraspSet
 
-__all__ = ["progress_bar", "table", "write_human_grasps", "write_json"]
+__all__ = ["option", "progress_bar", "suggest", "table", "write_human_grasps", "write_json"]
 
 LINE_PERIOD = 30.0
 """Time between two lines of progress where there is no terminal [s]."""
+
+
+def suggest(*words: object) -> None:
+    """Say which command is useful next. words: of its command line; None and "" are left out."""
+    print("next: fungrasp", *(word for word in words if word not in (None, "")))
+
+
+def option(name: str, value: object) -> str:
+    """An option of a command line with its value; "" where there is none. name: with its dashes."""
+    return "" if value is None else f"{name} {value}"
 
 
 @contextmanager

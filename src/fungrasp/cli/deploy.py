@@ -198,6 +198,9 @@ class Deploy:
         print(f"10 Hz: {result.ticks.summary()}")
         print(f"50 Hz: {result.setpoints.summary()}")
         print(f"log: {log}")
+        from fungrasp.cli.console import suggest
+
+        suggest("view", log)
         if result.fault:
             raise FungraspError(result.words())
         print(result.words())

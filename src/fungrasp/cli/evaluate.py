@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from fungrasp.cli.console import progress_bar
+from fungrasp.cli.console import option, progress_bar, suggest
 from fungrasp.cli.options import device_and_buffers, on_cluster, print_use
 
 if TYPE_CHECKING:
@@ -149,6 +149,8 @@ class Evaluate:
                 draw_grasps(self.picture, drawn[0], objects, captions=captions, progress=show)
         print(result.table())
         print(f"{result.episodes} episodes in {result.seconds:.1f} s")
+        if self.json is not None:
+            suggest("view", self.json, option("--grasps", None if human is not None else self.grasps))
 
     def _spec(self) -> LiftTestSpec:
         from fungrasp.evaluation import LiftTestSpec

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,6 +31,8 @@ class ListGrasps:
 
     grasps: str = "builtin"
     """A file of human or robot grasps; by default the built-in human grasps."""
+    json: bool = False
+    """Print JSON instead of a table."""
 
     def run(self) -> None:
         from fungrasp.grasps import RobotGraspSet, load_grasps
@@ -45,6 +48,12 @@ class ListGrasps:
             rows.append(
                 (name, task or "-", str(len(part)), f"{part.object_mass.mean():.3f}", f"{contacts:.1f}")
             )
+        if self.json:
+            names = ("object", "task", "grasps", "mass", "links_in_contact")
+            kinds = (str, str, int, float, float)
+            cells = ([kind(cell) for kind, cell in zip(kinds, row, strict=True)] for row in rows[1:])
+            print(json.dumps([dict(zip(names, row, strict=True)) for row in cells], indent=2))
+            return
         print(table(rows, left=None))
         objects = len(set(grasps.object_name.tolist()))
         print(f"{len(grasps)} grasps{of_hand}, {objects} objects")

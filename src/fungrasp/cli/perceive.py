@@ -11,7 +11,7 @@ from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from fungrasp.cli.console import table, write_json
+from fungrasp.cli.console import suggest, table, write_json
 from fungrasp.cli.options import optional_value
 from fungrasp.perception.image_source import REALSENSE, ImageSource
 
@@ -127,6 +127,7 @@ class Perceive:
                 print(f"what would help: {words}")
             print("fungrasp: not sure: look at the grasp before you use it", file=sys.stderr)
             raise SystemExit(LOW_CONFIDENCE)
+        suggest("retarget --grasps", self.out, "--out robot.npz")
 
     def _check(self) -> None:
         """Complain about options that do not go together."""

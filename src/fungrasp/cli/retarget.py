@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from fungrasp.cli.console import progress_bar, write_json
+from fungrasp.cli.console import option, progress_bar, suggest, write_json
 from fungrasp.cli.options import on_cluster, print_use
 
 
@@ -86,6 +86,7 @@ class Retarget:
         for words in touching:
             print(f"warning: {words}")
         print(f"{self.out}: {len(robot)} grasps of {len(objects)} objects, {rate:.0f} grasps/s")
+        suggest("evaluate --grasps", self.out, option("--objects", self.objects))
 
 
 COMMAND = Retarget

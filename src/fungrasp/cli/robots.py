@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -18,6 +19,9 @@ if TYPE_CHECKING:
 class ListCells:
     """List the robot cells that come with fungrasp, and the drivers that are installed."""
 
+    json: bool = False
+    """Print JSON instead of tables."""
+
     def run(self) -> None:
         from fungrasp.cli.console import table
         from fungrasp.robots.assembly import ARM_DRIVERS, HAND_DRIVERS, TRACKERS
@@ -28,10 +32,18 @@ class ListCells:
             cell = load_cell(name)
             devices = cell.arm.driver, cell.hand_device.driver, cell.tracker.driver
             rows.append((name, cell.hand, cell.arm.model, *devices))
-        print(table(rows, left=None))
         drivers = [("driver", "of", "package")]
         for registry in (ARM_DRIVERS, HAND_DRIVERS, TRACKERS):
             drivers += [(name, registry.what, package) for name, package in registry.known().items()]
+        if self.json:
+            tables = {"cells": rows, "drivers": drivers}
+            named = {
+                what: [dict(zip(heads, row, strict=True)) for row in others]
+                for what, (heads, *others) in tables.items()
+            }
+            print(json.dumps(named, indent=2))
+            return
+        print(table(rows, left=None))
         print(f"\n{table(drivers, left=None)}")
 
 
@@ -204,11 +216,18 @@ class ShowLog:
     """An MCAP file."""
     page: Path | None = None
     """HTML file to write."""
+    json: bool = False
+    """Print JSON instead of text."""
 
     def run(self) -> None:
         from fungrasp.deployment.log import read_log
 
         log = read_log(self.log)
+        if self.json:
+            counts = {name[1:]: len(found) for name, found in log.messages.items()}
+            said = {"complete": log.complete, **log.about, "counts": counts}
+            print(json.dumps({**said, "events": log.messages["/event"]}, indent=2))
+            return
         print("complete" if log.complete else "breaks off: its writer was killed, or the disk was full")
         for name, value in log.about.items():
             print(f"{name}: {value}")
