@@ -17,7 +17,9 @@ class Processes(NamedTuple):
     """How many there are, and which of them this is."""
 
     count: int = 1
+    """All of them."""
     number: int = 0
+    """This one's, from 0."""
 
     @property
     def first(self) -> bool:
