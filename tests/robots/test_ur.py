@@ -167,7 +167,8 @@ def test_a_lost_controller_is_seen_by_its_clock(fault: Fault):
 
 @pytest.mark.parametrize("fault", [Fault.LOST, Fault.DOUBLED, Fault.LATE, Fault.CLOCK_JUMP])
 def test_a_disturbed_connection_still_carries(fault: Fault):
-    with emulated() as device:
+    # A watchdog of a second: a busy machine keeps packages for longer than 0.2 s.
+    with emulated(watchdog=1.0) as device:
         device.driver.connect()
         device.emulator.inject(fault)
         reach(device, device.near)
