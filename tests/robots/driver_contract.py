@@ -160,9 +160,13 @@ class DriverContract:
         reach(device, device.near)
 
     def test_a_silent_driver_is_a_stop(self, device: DeviceUnderTest) -> None:
+        def silence_is_noticed() -> bool:
+            # Reading ends the silence.
+            time.sleep(0.8)
+            return "no command" in device.driver.read().message
+
         device.driver.command(device.near)
-        time.sleep(0.8)
-        assert "no command" in device.driver.read().message
+        assert wait_for(silence_is_noticed)
         reach(device, device.near)
 
     def test_leaving_the_context_closes(self, unconnected: DeviceUnderTest) -> None:

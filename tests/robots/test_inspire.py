@@ -61,16 +61,23 @@ def test_a_stop_keeps_the_squeeze_of_fingers_that_something_holds_up(closing):
         reach(device, device.near)
         # The object: fingers go no farther.
         device.plant.apply = lambda command, now: None
-        device.driver.command(device.near + 0.3)
-        time.sleep(0.4)
         lower, upper = device.driver.limits.lower, device.driver.limits.upper
         asked = codec.encode_angles(device.near + 0.3, lower, upper)
+        registers = device.emulator._registers
+
+        def keeps() -> bool:
+            return [registers[codec.ANGLE_SET + motor] for motor in range(6)] == asked
+
+        def arrived() -> bool:
+            device.driver.command(device.near + 0.3)
+            return keeps()
+
+        assert wait_for(arrived)
         device.driver.stop()
         time.sleep(0.2)
         if closing:
             device.driver.close()
-        registers = device.emulator._registers
-        assert [registers[codec.ANGLE_SET + motor] for motor in range(6)] == asked
+        assert keeps()
 
 
 def test_angles():

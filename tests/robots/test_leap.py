@@ -177,7 +177,7 @@ def test_servos_with_torque_are_left_alone_while_they_are_looked_at():
             device.emulator._write(servo, codec.TORQUE_ENABLE, b"\x01")
         device.driver.connect()
         device.driver.stop(StopKind.POWER_OFF)
-        time.sleep(0.1)
+        assert wait_for(lambda: device.driver.read().status is DeviceStatus.STOPPED)
         device.driver.close()
         assert device.emulator.torque_on
         assert all(device.emulator.register(servo, codec.P_GAIN) == 0 for servo in SERVOS)
