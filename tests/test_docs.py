@@ -17,7 +17,7 @@ import shlex
 import sys
 import textwrap
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields, replace
 from functools import partial
 from pathlib import Path
@@ -26,7 +26,7 @@ import numpy as np
 import pytest
 
 import fungrasp
-from fungrasp.cli.main import COMMANDS, main
+from fungrasp.cli.main import COMMANDS, every_command, main
 from fungrasp.deployment import deploy
 from fungrasp.evaluation import StaticQuality, Trajectory
 from fungrasp.grasps import HumanGraspSet, RobotGraspSet, grasp_files, save_human_grasps
@@ -195,6 +195,16 @@ def test_every_command_is_documented() -> None:
     text = (ROOT / "docs" / "command-line.md").read_text()
     for name in COMMANDS:
         assert re.search(rf"`{name}\b", text), f"docs/command-line.md does not mention '{name}'"
+    rows = re.findall(r"^\| (`[^|]*`) \|", text, re.MULTILINE)
+    for name, table in every_command().items():
+        if isinstance(table, Mapping):
+            named = {
+                word
+                for row in rows
+                if row.startswith(f"`{name} ")
+                for word in re.findall(r"`([\w-]+)`", row.replace(f"`{name} ", "`"))
+            }
+            assert named == set(table), f"docs/command-line.md, '{name}'"
 
 
 def test_the_table_of_hands_tells_the_truth(capsys: pytest.CaptureFixture[str]) -> None:
