@@ -6,13 +6,15 @@ from __future__ import annotations
 import tempfile
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from benchmarks.peers.problem import HUMAN_ORDER, CpuClock, PeerProblem
-from benchmarks.peers.urdf import kinematic_urdf
 from fungrasp.grasps import RobotGraspSet
+from fungrasp.hands import Hand
+from fungrasp.hands.urdf_export import model_urdf
 
 CALLS = 5
 """Calls for each grasp, each from the last one's result, as in a video that stands still; more change
@@ -110,11 +112,18 @@ def _grasps(problem: PeerProblem, found: np.ndarray, names: list[str]) -> RobotG
     return problem.solved(np.concatenate([free[:, :3], turn], axis=1), joints)
 
 
+def hand_urdf(hand: Hand) -> str:
+    """A hand's kinematics and key points as URDF."""
+    sites = [hand.model.site(number).name for number in range(hand.model.nsite)]
+    frames = {name: name for name in sites if name in hand.keypoint_names}
+    return ElementTree.tostring(model_urdf(hand.name, hand.model, None, frames=frames), encoding="unicode")
+
+
 class _UrdfFile:
     """The hand's URDF as a file, for as long as it is read."""
 
     def __init__(self, problem: PeerProblem):
-        self._text = kinematic_urdf(problem.hand)
+        self._text = hand_urdf(problem.hand)
         self._folder = tempfile.TemporaryDirectory()
 
     def __enter__(self) -> str:

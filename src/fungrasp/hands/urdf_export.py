@@ -1,7 +1,8 @@
-"""A hand as a URDF, which programs without MuJoCo read."""
+"""Models as URDF, which programs without MuJoCo read."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from xml.etree import ElementTree as xml
 
@@ -10,6 +11,7 @@ import numpy as np
 
 from fungrasp.errors import FungraspError
 from fungrasp.files import atomic_path
+from fungrasp.geometry.poses import compose, invert
 from fungrasp.hands.hand import Hand
 
 WRIST_JOINTS = ("wrist_x", "wrist_y", "wrist_z", "wrist_rx", "wrist_ry", "wrist_rz")
@@ -18,16 +20,20 @@ WRIST_JOINTS = ("wrist_x", "wrist_y", "wrist_z", "wrist_rx", "wrist_ry", "wrist_
 FAR = 1e3
 """Limit of joints that have none [m, rad]: URDF asks for one."""
 
+LEAST_MASS, LEAST_INERTIA = 1e-6, 1e-9
+"""Of links [kg, kg m^2]: physics engines refuse links without any."""
+
+SPEED = 10.0
+"""Speed limit of joints [rad/s, m/s], which models don't have and URDF asks for."""
+
 _WORLD = "world"
+_IDENTITY = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
 _SHAPES = mujoco.mjtGeom
 _KINDS = {int(mujoco.mjtJoint.mjJNT_SLIDE): "prismatic", int(mujoco.mjtJoint.mjJNT_HINGE): "revolute"}
 
 
 def write_hand_urdf(hand: Hand, folder: str | Path, *, free: bool = False) -> Path:
     """Write ``<hand>.urdf``, and its meshes in ``meshes``.
-
-    Links are the bodies of the hand's model, joints its joints; coupled ones mimic. A body with several
-    joints gets links of almost no mass between them.
 
     Args:
         hand: any hand.
@@ -41,98 +47,136 @@ def write_hand_urdf(hand: Hand, folder: str | Path, *, free: bool = False) -> Pa
         FungraspError: a file can't be written.
     """
     folder = Path(folder)
-    robot = xml.Element("robot", name=hand.name)
-    xml.SubElement(robot, "link", name=_WORLD)
-    tree = _Tree(robot, hand.model, folder)
-    # The palm is at the world's origin, and the first body after it.
-    tree.add(1, _free_wrist(robot) if free else _WORLD)
-    for body in range(2, hand.model.nbody):
-        tree.add(body, tree.links[int(hand.model.body_parentid[body])])
-    _mimic(robot, hand.model)
-    xml.indent(robot)
+    robot = model_urdf(hand.name, hand.model, folder / "meshes", relative=True, free=free)
     path = folder / f"{hand.name}.urdf"
     with atomic_path(path) as temporary:
         xml.ElementTree(robot).write(temporary, encoding="unicode", xml_declaration=True)
     return path
 
 
+def model_urdf(
+    name: str,
+    model: mujoco.MjModel,
+    meshes: Path | None,
+    *,
+    relative: bool = False,
+    free: bool = False,
+    frames: Mapping[str, str] | None = None,
+) -> xml.Element:
+    """URDF of a model. Links are its bodies, with their frames, and joints its joints; coupled ones mimic.
+
+    A link that several joints move, or one away from its origin, has links of almost no mass before it. The
+    root is ``world``.
+
+    Args:
+        name: of the robot.
+        model: its joints are hinges and slides.
+        meshes: folder that meshes are written to; without shapes if None.
+        relative: whether the URDF will lie beside that folder and names it so; else meshes are named by URIs.
+        free: whether the first body moves in the world by six joints, ``WRIST_JOINTS``.
+        frames: links of no mass to add, by the site that each is at.
+
+    Raises:
+        FungraspError: a joint or a shape that URDF has not, or a mesh can't be written.
+    """
+    robot = xml.Element("robot", name=name)
+    xml.SubElement(robot, "link", name=_WORLD)
+    tree = _Tree(robot, model, meshes, relative)
+    for body in range(1, model.nbody):
+        above = int(model.body_parentid[body])
+        root = _free_wrist(robot) if free and body == 1 else _WORLD
+        tree.add(body, tree.links[above] if above else root)
+    for site, link in (frames or {}).items():
+        number = model.site(site).id
+        pose = np.concatenate([model.site_pos[number], model.site_quat[number]])
+        _joint(robot, f"{link}_frame", "fixed", tree.links[int(model.site_bodyid[number])], link, pose)
+        _light_link(robot, link)
+    _mimic(robot, model)
+    xml.indent(robot)
+    return robot
+
+
 class _Tree:
     """Links and joints as they are added, parents first."""
 
-    def __init__(self, robot: xml.Element, model: mujoco.MjModel, folder: Path):
-        self._robot, self._model, self._folder = robot, model, folder
-        self.links: dict[int, str] = {0: _WORLD}
-        # A link's frame is at its joint, which MuJoCo may put elsewhere in the body.
-        self._shift: dict[int, np.ndarray] = {0: np.zeros(3)}
+    def __init__(self, robot: xml.Element, model: mujoco.MjModel, meshes: Path | None, relative: bool):
+        self._robot, self._model, self._meshes, self._relative = robot, model, meshes, relative
+        self.links: dict[int, str] = {}
 
     def add(self, body: int, parent: str) -> None:
-        """A body with its joints."""
+        """A body: a link after each of its joints, with the joint's frame; the last one carries the body."""
         m = self._model
-        name = m.body(body).name or f"body {body}"
-        joints = range(int(m.body_jntadr[body]), int(m.body_jntadr[body]) + int(m.body_jntnum[body]))
-        places = [m.jnt_pos[j] for j in joints]
-        if any(np.abs(place - places[0]).max() > 1e-9 for place in places):
-            raise FungraspError(f"a URDF can't hold body '{name}': its joints are at several places")
-        shift = places[0].copy() if places else np.zeros(3)
-        turn, place = _rotation(m.body_quat[body]), m.body_pos[body]
-        origin = place + turn @ shift - self._shift[int(m.body_parentid[body])]
-        self.links[body], self._shift[body] = name, shift
-        angles = _angles(m.body_quat[body])
-        if not joints:
-            _joint(self._robot, f"{name}_fixed", "fixed", parent, name, origin, angles)
-        for count, j in enumerate(joints):
-            last = count == len(joints) - 1
-            child = name if last else f"{name}_{m.joint(j).name}"
-            kind = _KINDS.get(int(m.jnt_type[j]))
-            if kind is None:
-                raise FungraspError(f"a URDF can't hold the joint '{m.joint(j).name}' of several axes")
-            limits = m.jnt_range[j] if m.jnt_limited[j] else np.array([-FAR, FAR])
-            _joint(self._robot, m.joint(j).name, kind, parent, child, origin, angles, m.jnt_axis[j], limits)
+        name = self.links[body] = m.body(body).name or f"body {body}"
+        place = np.concatenate([m.body_pos[body], m.body_quat[body]])
+        first, count = int(m.body_jntadr[body]), int(m.body_jntnum[body])
+        for number in range(first, first + count):
+            # A URDF's joint turns about the origin of its child's frame.
+            anchor = np.concatenate([m.jnt_pos[number], _IDENTITY[3:]])
+            centered = np.allclose(m.jnt_pos[number], 0)
+            last = centered and number == first + count - 1
+            child = name if last else f"{name}_{m.joint(number).name}"
+            self._move(number, parent, child, compose(place, anchor))
             if not last:
                 _light_link(self._robot, child)
-            parent, origin, angles = child, np.zeros(3), np.zeros(3)
-        self._link(body, name, shift)
+            parent, place = child, _IDENTITY if centered else invert(anchor)
+        if parent != name:
+            _joint(self._robot, f"{name}_fixed", "fixed", parent, name, place)
+        self._link(body, name)
 
-    def _link(self, body: int, name: str, shift: np.ndarray) -> None:
+    def _move(self, number: int, parent: str, child: str, pose: np.ndarray) -> None:
+        m = self._model
+        name, kind = m.joint(number).name, _KINDS.get(int(m.jnt_type[number]))
+        if kind is None:
+            raise FungraspError(f"a URDF can't hold the joint '{name}' of several axes")
+        limits = m.jnt_range[number] if m.jnt_limited[number] else np.array([-FAR, FAR])
+        moving = (m.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT) & (m.actuator_trnid[:, 0] == number)
+        torques = [m.jnt_actfrcrange[number], *m.actuator_forcerange[moving]]
+        effort = float(np.abs(torques).max()) or FAR
+        _moving(self._robot, name, kind, parent, child, pose, m.jnt_axis[number], limits, effort)
+
+    def _link(self, body: int, name: str) -> None:
         m = self._model
         link = xml.SubElement(self._robot, "link", name=name)
-        inertial = xml.SubElement(link, "inertial")
-        _origin(inertial, m.body_ipos[body] - shift, _angles(m.body_iquat[body]))
-        xml.SubElement(inertial, "mass", value=f"{float(m.body_mass[body]):.9g}")
-        ixx, iyy, izz = (f"{float(v):.9g}" for v in m.body_inertia[body])
-        xml.SubElement(inertial, "inertia", ixx=ixx, ixy="0", ixz="0", iyy=iyy, iyz="0", izz=izz)
+        _inertial(
+            link,
+            np.concatenate([m.body_ipos[body], m.body_iquat[body]]),
+            float(m.body_mass[body]),
+            m.body_inertia[body],
+        )
+        if self._meshes is None:
+            return
         geoms = np.flatnonzero(m.geom_bodyid == body).tolist()
         collides = [bool(m.geom_contype[g] | m.geom_conaffinity[g]) for g in geoms]
         for geom, hit in zip(geoms, collides, strict=True):
             # Where nothing is for the eye alone, what collides is seen.
             kinds = ["collision"] * hit + ["visual"] * (not hit or all(collides))
             for kind in kinds:
-                for offset, shape in self._shapes(geom):
+                for place, shape in self._shapes(geom):
                     part = xml.SubElement(link, kind)
-                    turn = _rotation(m.geom_quat[geom])
-                    _origin(part, m.geom_pos[geom] + turn @ offset - shift, _angles(m.geom_quat[geom]))
+                    _origin(part, place)
                     xml.SubElement(part, "geometry").append(shape)
 
     def _shapes(self, geom: int) -> list[tuple[np.ndarray, xml.Element]]:
-        """A geom's shapes and where they are in it."""
+        """A geom's shapes and where they are in its body."""
         m = self._model
         size, kind = [float(v) for v in m.geom_size[geom]], int(m.geom_type[geom])
-        here = np.zeros(3)
+        here = np.concatenate([m.geom_pos[geom], m.geom_quat[geom]])
         if kind == _SHAPES.mjGEOM_BOX:
             return [(here, xml.Element("box", size=_text(2 * np.array(size))))]
         if kind == _SHAPES.mjGEOM_SPHERE:
-            return [(here, xml.Element("sphere", radius=f"{size[0]:.9g}"))]
+            return [(here, xml.Element("sphere", radius=_text(size[:1])))]
         if kind in (_SHAPES.mjGEOM_CYLINDER, _SHAPES.mjGEOM_CAPSULE):
-            tube = xml.Element("cylinder", radius=f"{size[0]:.9g}", length=f"{2 * size[1]:.9g}")
-            ends = [np.array([0.0, 0.0, side * size[1]]) for side in (-1, 1)]
-            balls = [(end, xml.Element("sphere", radius=f"{size[0]:.9g}")) for end in ends]
+            tube = xml.Element("cylinder", radius=_text(size[:1]), length=_text([2 * size[1]]))
+            ends = [compose(here, np.array([0, 0, side * size[1], 1, 0, 0, 0])) for side in (-1, 1)]
+            balls = [(end, xml.Element("sphere", radius=_text(size[:1]))) for end in ends]
             return [(here, tube), *(balls if kind == _SHAPES.mjGEOM_CAPSULE else [])]
         return [(here, xml.Element("mesh", filename=self._mesh(geom)))]
 
     def _mesh(self, geom: int) -> str:
-        """The file of a mesh or an ellipsoid, relative to the URDF."""
+        """The name of the file of a mesh or an ellipsoid."""
         import trimesh
 
+        assert self._meshes is not None
         m, mesh = self._model, int(self._model.geom_dataid[geom])
         if mesh >= 0:
             start, first = int(m.mesh_vertadr[mesh]), int(m.mesh_faceadr[mesh])
@@ -143,52 +187,63 @@ class _Tree:
             vertices, faces = ball.vertices * m.geom_size[geom], ball.faces
         else:
             raise FungraspError(f"a URDF can't hold a geom of MuJoCo's type {int(m.geom_type[geom])}")
-        name = f"meshes/{geom}.obj"
-        with atomic_path(self._folder / name) as temporary:
+        path = self._meshes / f"{geom}.obj"
+        with atomic_path(path) as temporary:
             solid = trimesh.Trimesh(vertices, faces, process=False)
             solid.export(str(temporary), "obj", include_normals=False, digits=9)
-        return name
+        return f"{path.parent.name}/{path.name}" if self._relative else path.resolve().as_uri()
 
 
 def _free_wrist(robot: xml.Element) -> str:
     """Six joints in the world; the link at their end."""
-    parent = _WORLD
+    parent, limits = _WORLD, np.array([-FAR, FAR])
     for number, name in enumerate(WRIST_JOINTS):
-        child = f"{name}_link"
-        axis, limits = np.eye(3)[number % 3], np.array([-FAR, FAR])
+        child, axis = f"{name}_link", np.eye(3)[number % 3]
         kind = "prismatic" if number < 3 else "revolute"
-        _joint(robot, name, kind, parent, child, np.zeros(3), np.zeros(3), axis, limits)
+        _moving(robot, name, kind, parent, child, _IDENTITY, axis, limits, FAR)
         _light_link(robot, child)
         parent = child
     return parent
 
 
 def _light_link(robot: xml.Element, name: str) -> None:
-    """A link between two joints: simulators refuse one without mass."""
-    inertial = xml.SubElement(xml.SubElement(robot, "link", name=name), "inertial")
-    xml.SubElement(inertial, "mass", value="1e-6")
-    xml.SubElement(inertial, "inertia", ixx="1e-9", ixy="0", ixz="0", iyy="1e-9", iyz="0", izz="1e-9")
+    """A link between joints."""
+    _inertial(xml.SubElement(robot, "link", name=name), _IDENTITY, 0.0, np.zeros(3))
+
+
+def _inertial(link: xml.Element, pose: np.ndarray, mass: float, inertia: np.ndarray) -> None:
+    inertial = xml.SubElement(link, "inertial")
+    _origin(inertial, pose)
+    xml.SubElement(inertial, "mass", value=_text([max(mass, LEAST_MASS)]))
+    xx, yy, zz = (_text([max(float(v), LEAST_INERTIA)]) for v in inertia)
+    xml.SubElement(inertial, "inertia", ixx=xx, ixy="0", ixz="0", iyy=yy, iyz="0", izz=zz)
 
 
 def _joint(
+    robot: xml.Element, name: str, kind: str, parent: str, child: str, pose: np.ndarray
+) -> xml.Element:
+    joint = xml.SubElement(robot, "joint", name=name, type=kind)
+    _origin(joint, pose)
+    xml.SubElement(joint, "parent", link=parent)
+    xml.SubElement(joint, "child", link=child)
+    return joint
+
+
+def _moving(
     robot: xml.Element,
     name: str,
     kind: str,
     parent: str,
     child: str,
-    place: np.ndarray,
-    angles: np.ndarray,
-    axis: np.ndarray | None = None,
-    limits: np.ndarray | None = None,
+    pose: np.ndarray,
+    axis: np.ndarray,
+    limits: np.ndarray,
+    effort: float,
 ) -> None:
-    joint = xml.SubElement(robot, "joint", name=name, type=kind)
-    _origin(joint, place, angles)
-    xml.SubElement(joint, "parent", link=parent)
-    xml.SubElement(joint, "child", link=child)
-    if axis is not None and limits is not None:
-        xml.SubElement(joint, "axis", xyz=_text(axis))
-        low, high = (f"{float(v):.9g}" for v in limits)
-        xml.SubElement(joint, "limit", lower=low, upper=high, effort="10", velocity="10")
+    joint = _joint(robot, name, kind, parent, child, pose)
+    xml.SubElement(joint, "axis", xyz=_text(axis))
+    low, high = (_text([v]) for v in limits)
+    xml.SubElement(joint, "limit", lower=low, upper=high, effort=_text([effort]), velocity=_text([SPEED]))
 
 
 def _mimic(robot: xml.Element, m: mujoco.MjModel) -> None:
@@ -197,23 +252,19 @@ def _mimic(robot: xml.Element, m: mujoco.MjModel) -> None:
     for e in range(m.neq):
         if m.eq_type[e] == mujoco.mjtEq.mjEQ_JOINT and m.eq_obj2id[e] >= 0:
             driven, driver = m.joint(int(m.eq_obj1id[e])).name, m.joint(int(m.eq_obj2id[e])).name
-            offset, slope = (f"{float(v):.9g}" for v in m.eq_data[e, :2])
+            offset, slope = (_text([v]) for v in m.eq_data[e, :2])
             xml.SubElement(named[driven], "mimic", joint=driver, multiplier=slope, offset=offset)
 
 
-def _origin(element: xml.Element, place: np.ndarray, angles: np.ndarray) -> None:
-    xml.SubElement(element, "origin", xyz=_text(place), rpy=_text(angles))
-
-
-def _rotation(quaternion: np.ndarray) -> np.ndarray:
-    matrix = np.empty(9)
-    mujoco.mju_quat2Mat(matrix, quaternion)
-    return matrix.reshape(3, 3)
+def _origin(element: xml.Element, pose: np.ndarray) -> None:
+    xml.SubElement(element, "origin", xyz=_text(pose[:3]), rpy=_text(_angles(pose[3:])))
 
 
 def _angles(quaternion: np.ndarray) -> np.ndarray:
     """Roll, pitch and yaw of URDF: about the fixed x, y and z [rad], shape [3]."""
-    r = _rotation(quaternion)
+    matrix = np.empty(9)
+    mujoco.mju_quat2Mat(matrix, quaternion)
+    r = matrix.reshape(3, 3)
     pitch = np.arctan2(-r[2, 0], np.hypot(r[0, 0], r[1, 0]))
     if np.hypot(r[0, 0], r[1, 0]) < 1e-9:
         # Straight up or down: roll alone turns.
@@ -221,5 +272,5 @@ def _angles(quaternion: np.ndarray) -> np.ndarray:
     return np.array([np.arctan2(r[2, 1], r[2, 2]), pitch, np.arctan2(r[1, 0], r[0, 0])])
 
 
-def _text(values: np.ndarray) -> str:
+def _text(values: np.ndarray | list[float]) -> str:
     return " ".join(f"{float(v):.9g}" for v in values)

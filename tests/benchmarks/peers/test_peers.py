@@ -10,21 +10,18 @@ import pytest
 from retarget_scenes import held, plain_objects
 
 from benchmarks.peers.comparison import PEERS, compare_method, installed_peers
+from benchmarks.peers.position_solvers import hand_urdf
 from benchmarks.peers.problem import PeerProblem
-from benchmarks.peers.urdf import kinematic_urdf
 from fungrasp.hands import load_hand
 from fungrasp.hands.kinematics import HandKinematics
-
-KEEP_FIXED = '<mujoco><compiler fusestatic="false" discardvisual="false"/></mujoco>'
-"""Makes MuJoCo keep the links of a URDF that do not move."""
 
 
 @pytest.mark.parametrize("name", ["allegro", "shadow", "inspire", "leap", "faive"])
 def test_the_urdf_is_the_hand(name: str):
     hand = load_hand(name)
-    text = kinematic_urdf(hand)
-    start = text.index(">") + 1
-    model = mujoco.MjSpec.from_string(text[:start] + KEEP_FIXED + text[start:]).compile()
+    spec = mujoco.MjSpec.from_string(hand_urdf(hand))
+    spec.compiler.fusestatic = False
+    model = spec.compile()
     kinematics = HandKinematics(hand, 1)
     independent = kinematics.lower + np.random.default_rng(0).random(len(kinematics.lower)) * (
         kinematics.upper - kinematics.lower
@@ -36,8 +33,7 @@ def test_the_urdf_is_the_hand(name: str):
         data.qpos[model.jnt_qposadr[model.joint(joint).id]] = angle
     mujoco.mj_kinematics(model, data)
     names = [model.body(b).name for b in range(model.nbody)]
-    # The palm is the root, and the root is the world.
-    found = [data.xpos[names.index(n)] if n in names else np.zeros(3) for n in hand.keypoint_names]
+    found = [data.xpos[names.index(n)] for n in hand.keypoint_names]
     np.testing.assert_allclose(found, expected, atol=1e-6)
 
 
