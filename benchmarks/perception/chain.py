@@ -11,7 +11,7 @@ import numpy as np
 from benchmarks.perception.capture_job import MeasuredCapture
 from benchmarks.perception.figures import rate_of
 from fungrasp.cli.console import progress_bar
-from fungrasp.evaluation.results import finite
+from fungrasp.formats.json_file import finite
 from fungrasp.grasps import HumanGraspSet
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel

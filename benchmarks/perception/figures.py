@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.perception.measurements import CaptureResult, PoseResult
-from fungrasp.evaluation.results import finite
 from fungrasp.evaluation.statistics import wilson_interval
+from fungrasp.formats.json_file import finite
 from fungrasp.perception.perceived import StageSeconds
 from fungrasp.perception.verdict import ACCEPTED_HAND
 

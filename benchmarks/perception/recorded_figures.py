@@ -13,7 +13,7 @@ from scipy import ndimage
 from benchmarks.perception.figures import rate_of
 from benchmarks.perception.measurements import RIGHT_MM, perceived, together
 from benchmarks.perception.recorded_captures import RecordedCapture
-from fungrasp.evaluation.results import finite
+from fungrasp.formats.json_file import finite
 from fungrasp.objects import HeldObject, builtin_object
 from fungrasp.perception import Capture, HandEstimate
 from fungrasp.perception.hand.detected_hand import HandDetector

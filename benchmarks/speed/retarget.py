@@ -38,7 +38,7 @@ class Retargeting:
 
     def run(self) -> None:
         from fungrasp.errors import UnknownNameError
-        from fungrasp.evaluation.results import finite
+        from fungrasp.formats.json_file import finite
         from fungrasp.grasps import load_human_grasps, load_objects
         from fungrasp.hands import load_hand
         from fungrasp.provenance import machine

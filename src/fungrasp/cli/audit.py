@@ -8,7 +8,8 @@ from typing import Annotated, Literal
 
 import tyro
 
-from fungrasp.cli.console import progress_bar
+from fungrasp.cli.console import Answer, progress_bar
+from fungrasp.cli.options import JsonOut, json_path
 
 
 @dataclass(frozen=True)
@@ -23,14 +24,14 @@ class Audit:
     recorded: the control."""
     objects: Path | None = None
     """Folder of meshes <name>.obj; built-in objects need none."""
-    json: Path | None = None
-    """Write what is found of each episode here (.json). Given again after an interruption, the command goes
-    on."""
+    json: JsonOut = None
+    """Write what is found of each episode here (.json); without a file, print it. Given again with its file
+    after an interruption, the command goes on."""
     bundles: Path | None = None
     """Write what the engines are given of each episode to this folder: a file that holds everything, which
     this command reads as well."""
 
-    def run(self) -> None:
+    def run(self) -> Answer:
         from fungrasp.evaluation.audit import audit, load_bundles
         from fungrasp.evaluation.audit.other_engines import world_maker
         from fungrasp.evaluation.audit.result_file import KeptEpisodes
@@ -44,10 +45,10 @@ class Audit:
             self.bundles.mkdir(parents=True, exist_ok=True)
             for bundle in made:
                 bundle.save(self.bundles)
-        kept = KeptEpisodes(self.json, self.engine)
+        kept = KeptEpisodes(json_path(self.json), self.engine)
         with progress_bar(f"in {self.engine}", len(made)) as show:
             result = audit(made, self.engine, kept.known, kept.add, show)
-        print(result.table())
+        return Answer(result.json(), result.table())
 
 
 COMMAND = Audit

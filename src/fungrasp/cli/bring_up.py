@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
+from fungrasp.cli.console import Answer, Answering
 from fungrasp.deployment.grasp_choice import GraspChoice
 
 if TYPE_CHECKING:
@@ -20,26 +21,28 @@ Part = Annotated[Literal["arm", "hand"], tyro.conf.Positional]
 
 
 @dataclass(frozen=True)
-class Doctor:
+class Doctor(Answering):
     """Connect to each device of a cell in turn and say whether it answers. Nothing moves."""
 
     cell: CellName
     """A robot cell: a TOML file, or one that comes with the package."""
 
-    def run(self) -> None:
-        from fungrasp.errors import FungraspError
+    def run(self) -> Answer:
         from fungrasp.robots.single_devices import examine_devices
 
-        ill = 0
+        reports = []
         for report in examine_devices(*_wired(self.cell)):
-            print(report.words)
-            ill += not report.well
-        if ill:
-            raise FungraspError(f"{ill} of 3 devices can't be used")
+            print(report.words, flush=True)
+            reports.append(report)
+        ill = sum(not report.well for report in reports)
+        return Answer(
+            [{"device": report.words, "well": report.well} for report in reports],
+            fault=f"{ill} of 3 devices can't be used" if ill else "",
+        )
 
 
 @dataclass(frozen=True)
-class Read:
+class Read(Answering):
     """Show the joints of an arm or a hand, as they are measured. Nothing moves."""
 
     cell: CellName
@@ -49,19 +52,22 @@ class Read:
     seconds: float = 10.0
     """For so long [s]."""
 
-    def run(self) -> None:
+    def run(self) -> Answer:
         from fungrasp.robots.single_devices import bare_driver, joint_names, read_joints
 
         cell, hand = _wired(self.cell)
         names = joint_names(self.part, cell, hand)
+        states = []
         with bare_driver(self.part, cell, hand) as driver:
             for state in read_joints(driver, self.seconds):
+                states.append({"status": str(state.status), "positions": state.positions})
                 joints = "  ".join(f"{n} {q:.3f}" for n, q in zip(names, state.positions, strict=True))
                 print(f"{state.status}  {joints} rad", flush=True)
+        return Answer({"joints": names, "states": states})
 
 
 @dataclass(frozen=True)
-class Touch:
+class Touch(Answering):
     """Add a marked point that the robot touches now to a file, which `robots check --touched` and `robots
     bring-up --touched` take. Guide the arm there by hand (freedrive on the pendant). Nothing moves by
     itself."""
@@ -76,7 +82,7 @@ class Touch:
     """The point of the hand that touches it, in the frame that `pose_flange_hand` is the pose of [m]; by
     default the middle of the flange touches."""
 
-    def run(self) -> None:
+    def run(self) -> Answer:
         import numpy as np
 
         from fungrasp.errors import FungraspError
@@ -93,14 +99,15 @@ class Touch:
         count = add_touched(self.file, joints, at, point)
         x, y, z = np.round(1e3 * apart) + 0.0
         what = "flange" if point is None else "hand"
-        print(
+        text = (
             f"{self.file}: {count} touched by the {what}; this one is ({x:.0f}, {y:.0f}, {z:.0f}) mm from "
             "where the cell has it"
         )
+        return Answer({"touched": self.file, "count": count, "apart": apart}, text)
 
 
 @dataclass(frozen=True)
-class Hold:
+class Hold(Answering):
     """Switch an arm or a hand on where it is, and hold; a device that moves now is not ready."""
 
     cell: CellName
@@ -110,7 +117,7 @@ class Hold:
     seconds: float = 5.0
     """For so long [s]."""
 
-    def run(self) -> None:
+    def run(self) -> Answer:
         from fungrasp.deployment.confirmation import ask_before_motion
         from fungrasp.robots.single_devices import guarded_driver, hold_in_place
 
@@ -119,11 +126,11 @@ class Hold:
             ask_before_motion(switch, f"hold the {self.part} where it is for {self.seconds:g} s")
             with guarded_driver(self.part, cell, hand, switch) as driver:
                 moved = hold_in_place(driver, self.seconds)
-        print(f"held within {moved:.3f} rad")
+        return Answer({"moved": moved}, f"held within {moved:.3f} rad")
 
 
 @dataclass(frozen=True)
-class Jog:
+class Jog(Answering):
     """Move one joint of an arm or a hand slowly by a small angle, and back; the others hold."""
 
     cell: CellName
@@ -135,7 +142,7 @@ class Jog:
     by: float = 0.1
     """Angle [rad], 0.2 at most."""
 
-    def run(self) -> None:
+    def run(self) -> Answer:
         from fungrasp.deployment.confirmation import ask_before_motion
         from fungrasp.errors import UnknownNameError
         from fungrasp.robots.single_devices import guarded_driver, jog, joint_names
@@ -151,7 +158,8 @@ class Jog:
                 rest = driver.read().positions[number]
                 far, back = jog(driver, number, self.by)
         there, here = (float(state.positions[number] - rest) for state in (far, back))
-        print(f"{self.joint}: moved by {there:.3f} rad, and back to {here:.3f} rad from where it was")
+        text = f"{self.joint}: moved by {there:.3f} rad, and back to {here:.3f} rad from where it was"
+        return Answer({"joint": self.joint, "moved": there, "back": here}, text)
 
 
 @dataclass(frozen=True)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from fungrasp.cli.console import Answer, Answering
 from fungrasp.robots.calibration.board_images import Board
 
 if TYPE_CHECKING:
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Calibrate:
+class Calibrate(Answering):
     """Find the pose of a cell's fixed camera in its world, and write it to a file that the cell names.
 
     Either from images of a board that the hand holds (`--images`), or from points that a fingertip touched
@@ -34,7 +35,7 @@ class Calibrate:
     board: Board = field(default_factory=Board)
     """The board in the images."""
 
-    def run(self) -> None:
+    def run(self) -> Answer:
         from fungrasp.errors import FungraspError
         from fungrasp.robots.calibration.calibration_file import save_calibration
         from fungrasp.robots.cell import load_cell
@@ -49,12 +50,13 @@ class Calibrate:
             found, source = self._from_points(self.points)
         save_calibration(self.out, found, source)
         place = ", ".join(f"{x:.4f}" for x in found.pose_world_camera[:3])
-        print(f"camera at ({place}) m from {source}; residual {1000 * found.residual:.2f} mm")
-        print(
+        text = (
+            f"camera at ({place}) m from {source}; residual {1000 * found.residual:.2f} mm\n"
             f"standard deviation {1000 * found.position_deviation:.1f} mm, "
-            f"{1000 * found.rotation_deviation:.2f} mrad"
+            f"{1000 * found.rotation_deviation:.2f} mrad\n"
+            f"written to {self.out}: name it as 'calibration' under [tracker] of the cell"
         )
-        print(f"written to {self.out}: name it as 'calibration' under [tracker] of the cell")
+        return Answer({"calibration": self.out, "source": source, **asdict(found)}, text)
 
     def _from_images(self, cell: RobotCell, folder: Path) -> tuple[CameraCalibration, str]:
         import numpy as np

@@ -1,4 +1,4 @@
-"""What several commands print: tables, progress bars; and the files they write."""
+"""What commands answer and print: answers, tables, progress bars; and the files they write."""
 
 from __future__ import annotations
 
@@ -6,24 +6,84 @@ import json
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from time import monotonic
 from typing import TYPE_CHECKING, Any
 
+from fungrasp.errors import FungraspError
 from fungrasp.text_table import table
 
 if TYPE_CHECKING:
     from fungrasp.grasps import HumanGraspSet
 
-__all__ = ["option", "progress_bar", "suggest", "table", "write_human_grasps", "write_json"]
+__all__ = [
+    "Answer",
+    "Answering",
+    "option",
+    "progress_bar",
+    "suggestion",
+    "table",
+    "write_human_grasps",
+    "write_json",
+]
 
 LINE_PERIOD = 30.0
 """Time between two lines of progress where there is no terminal [s]."""
 
 
-def suggest(*words: object) -> None:
-    """Say which command is useful next. words: of its command line; None and "" are left out."""
-    print("next: fungrasp", *(word for word in words if word not in (None, "")))
+STDOUT = "-"
+"""What ``--json`` means without a file, where it takes one."""
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a command has found or made: for a program as JSON, for a person as text."""
+
+    value: Any
+    """Of JSON's kinds, NumPy's and paths; NaN and infinities become null."""
+    text: str = ""
+    """What a person reads in its place; "" where everything has been printed."""
+    fault: str = ""
+    """What is wrong though there is an answer; it becomes the error of the command."""
+    status: int = 0
+    """Exit status, where there is no fault."""
+
+    def show(self, as_json: bool) -> None:
+        """Print it.
+
+        Raises:
+            FungraspError: there is a fault.
+            SystemExit: the status is not 0.
+        """
+        from fungrasp.formats.json_file import finite
+
+        if as_json:
+            print(json.dumps(finite(self.value), indent=2, allow_nan=False))
+        elif self.text:
+            print(self.text)
+        if self.fault:
+            raise FungraspError(self.fault)
+        if self.status:
+            raise SystemExit(self.status)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Answering:
+    """A command that answers: its method ``run`` returns an ``Answer``. While it runs with ``--json``,
+    everything that is printed goes to stderr."""
+
+    json: bool = False
+    """Print the answer as JSON, and nothing else on stdout."""
+
+    def run(self) -> Answer:
+        """Do it."""
+        raise NotImplementedError
+
+
+def suggestion(*words: object) -> str:
+    """A line that says which command is useful next. words: of its command line; None and "" are left out."""
+    return " ".join(("next: fungrasp", *(str(word) for word in words if word not in (None, ""))))
 
 
 def option(name: str, value: object) -> str:
@@ -91,8 +151,8 @@ def write_json(path: Path, value: Any) -> None:
         temporary.write_text(json.dumps(value, indent=1, allow_nan=False) + "\n")
 
 
-def write_human_grasps(path: Path, grasps: HumanGraspSet) -> None:
-    """Write a file, and print how many grasps it holds and what is unusual in them.
+def write_human_grasps(path: Path, grasps: HumanGraspSet) -> Answer:
+    """Write a file, and say how many grasps it holds and what is unusual in them.
 
     Raises:
         FungraspError: it can't be written.
@@ -102,9 +162,17 @@ def write_human_grasps(path: Path, grasps: HumanGraspSet) -> None:
     from fungrasp.grasps.diagnosis import table_remarks
 
     save_human_grasps(path, grasps)
-    findings = check_anatomy(grasps)
-    print(f"{path}: {len(grasps)} grasps of {len(set(grasps.object_name.tolist()))} objects")
-    for remark in table_remarks(grasps.hand_joints):
-        print(f"{remark}; 'fungrasp grasps convert --below-table lift' or 'drop' mends it")
-    for finding in grouped(findings):
-        print(f"unusual anatomy: {finding}")
+    objects, unusual = sorted(set(grasps.object_name.tolist())), grouped(check_anatomy(grasps))
+    below = [str(remark) for remark in table_remarks(grasps.hand_joints)]
+    lines = [f"{path}: {len(grasps)} grasps of {len(objects)} objects"]
+    for remark in below:
+        lines.append(f"{remark}; 'fungrasp grasps convert --below-table lift' or 'drop' mends it")
+    lines += [f"unusual anatomy: {finding}" for finding in unusual]
+    value = {
+        "grasps": path,
+        "count": len(grasps),
+        "objects": objects,
+        "below_table": below,
+        "unusual_anatomy": unusual,
+    }
+    return Answer(value, "\n".join(lines))

@@ -5,9 +5,9 @@ from __future__ import annotations
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NoReturn
+from typing import TYPE_CHECKING, Annotated
 
-from fungrasp.cli.console import progress_bar
+from fungrasp.cli.console import Answer, Answering, progress_bar
 from fungrasp.cli.options import optional_value
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ Folder = Annotated[str | None, optional_value("[FOLDER]", "builtin", "folder")]
 
 
 @dataclass(frozen=True)
-class Demo:
+class Demo(Answering):
     """Grasp a few objects as people do, and show it: a film and a page."""
 
     hand: str = "allegro"
@@ -61,17 +61,23 @@ class Demo:
     threads: int = 0
     """0 means all processors; the grasps do not depend on it."""
 
-    def run(self) -> None:
+    def run(self) -> Answer:
         from fungrasp.hands import load_hand
 
         self._check()
         hand = load_hand(self.hand)
         policy = self._policy(hand)
         shown = self._from_grasps(hand, policy) if self.from_image is None else self._from_image(hand, policy)
-        for report in shown.grasps:
-            print(f"{report.title}: {' '.join(filter(None, (report.outcome, report.use_outcome)))}")
-        print(f"film: {shown.film}")
-        print(f"page: {shown.page}")
+        if isinstance(shown, Answer):
+            return shown
+        lines = [
+            f"{report.title}: {' '.join(filter(None, (report.outcome, report.use_outcome)))}"
+            for report in shown.grasps
+        ]
+        told = ("title", "object_name", "task", "success", "outcome", "use_success", "use_outcome")
+        grasps = [{name: getattr(report, name) for name in told} for report in shown.grasps]
+        value = {"film": shown.film, "page": shown.page, "grasps": grasps}
+        return Answer(value, "\n".join([*lines, f"film: {shown.film}", f"page: {shown.page}"]))
 
     def _from_grasps(self, hand: Hand, policy: str) -> Demonstration:
         from fungrasp.grasps import load_human_grasps, load_objects
@@ -95,7 +101,7 @@ class Demo:
             stages=progress_bar,
         )
 
-    def _from_image(self, hand: Hand, policy: str) -> Demonstration:
+    def _from_image(self, hand: Hand, policy: str) -> Demonstration | Answer:
         from fungrasp.report.demonstration import demonstrate
 
         with progress_bar("looking at the image", 1) as show:
@@ -104,7 +110,7 @@ class Demo:
         for note in seen.notes:
             print(note)
         if not seen.confident:
-            self._end_with_low_confidence(seen, opening)
+            return self._page_of_low_confidence(seen, opening)
         return demonstrate(
             seen.grasps,
             seen.objects,
@@ -132,12 +138,8 @@ class Demo:
         image = "the built-in one" if known else folder
         return seen, perceived_opening(seen, {"Policy": policy, "Image": image}, errors)
 
-    def _end_with_low_confidence(self, seen: Perceived, opening: Opening) -> NoReturn:
-        """Write the page on what was seen: the robot does not try a grasp of low confidence.
-
-        Raises:
-            SystemExit: always.
-        """
+    def _page_of_low_confidence(self, seen: Perceived, opening: Opening) -> Answer:
+        """Write the page on what was seen: the robot does not try a grasp of low confidence."""
         from fungrasp.provenance import page_provenance
         from fungrasp.report.perception_page import write_perception_page
 
@@ -146,8 +148,7 @@ class Demo:
         for warning in seen.warnings:
             print(f"fungrasp: warning: {warning}", file=sys.stderr)
         print(f"fungrasp: {seen.verdict.words}: the robot does not try it", file=sys.stderr)
-        print(f"page: {page}")
-        raise SystemExit(LOW_CONFIDENCE)
+        return Answer({"page": page, "grasps": []}, f"page: {page}", status=LOW_CONFIDENCE)
 
     def _check(self) -> None:
         from fungrasp.errors import FungraspError

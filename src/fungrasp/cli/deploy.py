@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+from fungrasp.cli.console import Answer, Answering, suggestion
 from fungrasp.deployment.grasp_choice import GraspChoice
 
 if TYPE_CHECKING:
@@ -16,12 +17,12 @@ if TYPE_CHECKING:
     from fungrasp.hands import Hand
     from fungrasp.robots.stop_switch import StopSwitch
 
-OF_EXECUTION = ("execute", "until", "speed", "yes", "log", "fast")
+OF_EXECUTION = ("execute", "until", "speed", "yes", "log", "fast", "json")
 """Options that go with ``--execute``; all else is in the plan."""
 
 
 @dataclass(frozen=True)
-class Deploy:
+class Deploy(Answering):
     """Grasp an object with a robot: look, plan, move to the start, grasp, lift, hold, put down, go home."""
 
     robot: str = "ur5e-allegro"
@@ -63,15 +64,14 @@ class Deploy:
     fast: bool = False
     """For a twin: run as fast as the machine goes, not on the clock of the wall."""
 
-    def run(self) -> None:
+    def run(self) -> Answer:
         if self.execute is not None:
-            self._execute(self.execute)
-        elif self.save_plan is not None:
-            self._plan(self.save_plan)
-        else:
-            self._deploy()
+            return self._execute(self.execute)
+        if self.save_plan is not None:
+            return self._plan(self.save_plan)
+        return self._deploy()
 
-    def _deploy(self) -> None:
+    def _deploy(self) -> Answer:
         from fungrasp.deployment.deploy import deploy
         from fungrasp.robots.cell import is_wired, load_cell
 
@@ -92,9 +92,9 @@ class Deploy:
                 on_connect=_say_how_to_stop(switch),
                 confirm=confirm,
             )
-        self._report(result, log)
+        return self._report(result, log)
 
-    def _plan(self, path: Path) -> None:
+    def _plan(self, path: Path) -> Answer:
         from fungrasp.deployment.plan_ahead import plan_ahead
         from fungrasp.errors import FungraspError
         from fungrasp.report.plan_pictures import write_plan_pictures
@@ -119,11 +119,12 @@ class Deploy:
         saved.save(path)
         print(f"plan: {path}: {saved.words()}", flush=True)
         picture, film = write_plan_pictures(path, saved, cell, hand, thing, self.choice.threads)
-        print(f"picture: {picture}")
-        print(f"film: {film}")
-        print(f"to carry it out: fungrasp deploy --execute {path} --speed 0.1")
+        text = (
+            f"picture: {picture}\nfilm: {film}\nto carry it out: fungrasp deploy --execute {path} --speed 0.1"
+        )
+        return Answer({"plan": path, "picture": picture, "film": film}, text)
 
-    def _execute(self, path: Path) -> None:
+    def _execute(self, path: Path) -> Answer:
         from fungrasp.deployment.plan_ahead import execute_plan
         from fungrasp.deployment.saved_plan import load_plan
         from fungrasp.errors import FungraspError
@@ -148,7 +149,7 @@ class Deploy:
                 on_connect=_say_how_to_stop(switch),
                 confirm=confirm,
             )
-        self._report(result, log)
+        return self._report(result, log)
 
     def _confirm(self, switch: StopSwitch) -> Confirm | None:
         """Asks before each phase; None if nobody wants to be asked."""
@@ -192,18 +193,25 @@ class Deploy:
 
         return self.log or Path(strftime("deploy-%Y%m%d-%H%M%S.mcap"))
 
-    def _report(self, result: DeploymentResult, log: Path) -> None:
-        from fungrasp.errors import FungraspError
-
-        print(f"10 Hz: {result.ticks.summary()}")
-        print(f"50 Hz: {result.setpoints.summary()}")
-        print(f"log: {log}")
-        from fungrasp.cli.console import suggest
-
-        suggest("view", log)
+    def _report(self, result: DeploymentResult, log: Path) -> Answer:
+        lines = [
+            f"10 Hz: {result.ticks.summary()}",
+            f"50 Hz: {result.setpoints.summary()}",
+            f"log: {log}",
+            suggestion("view", log),
+        ]
+        value = {
+            "log": log,
+            "phase": result.phase.name,
+            "fault": result.fault,
+            "attempts": result.attempts,
+            "success": result.success,
+            "height": result.height,
+            "times": result.times,
+        }
         if result.fault:
-            raise FungraspError(result.words())
-        print(result.words())
+            return Answer(value, "\n".join(lines), fault=result.words())
+        return Answer(value, "\n".join([*lines, result.words()]))
 
 
 def _listening(stop_file: str) -> StopSwitch:

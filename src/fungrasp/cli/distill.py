@@ -6,12 +6,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import ClassVar
 
+from fungrasp.cli.console import Answer, Answering
 from fungrasp.cli.training_options import check_numbers, check_packages, progress_lines, wandb_log
 from fungrasp.training.settings import DistillSettings
 
 
 @dataclass(frozen=True)
-class Distill:
+class Distill(Answering):
     """Train a student from a teacher: it sees what a robot has, and infers the contacts from how the joints
     move.
 
@@ -37,7 +38,7 @@ class Distill:
     settings: DistillSettings = field(default_factory=DistillSettings)
     """Settings of the learning."""
 
-    def run(self) -> None:
+    def run(self) -> Answer:
         check_packages()
         import torch
 
@@ -58,9 +59,10 @@ class Distill:
             progress=progress_lines(int(self.steps)),
             log=log,
         )
-        print(
+        return Answer(
+            {"policy": self.out / STUDENT, "card": card.to_json()},
             f"{self.out / STUDENT}: {card.kind} of {card.hand}, {card.budget.steps:,} steps in "
-            f"{card.budget.seconds / 60:.1f} min, its teacher's included"
+            f"{card.budget.seconds / 60:.1f} min, its teacher's included",
         )
 
 

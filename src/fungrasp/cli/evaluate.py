@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from fungrasp.cli.console import option, progress_bar, suggest
-from fungrasp.cli.options import device_and_buffers, on_cluster, print_use
+from fungrasp.cli.console import Answer, option, progress_bar, suggestion
+from fungrasp.cli.options import JsonOut, device_and_buffers, json_path, on_cluster, print_use
 
 if TYPE_CHECKING:
     from fungrasp.evaluation import LiftTestSpec
@@ -43,8 +43,9 @@ class Evaluate:
     repairs grasps that were retargeted badly."""
     seed: tuple[int, ...] = (0,)
     """Seed of all random numbers; with several, each grasp is tried with each."""
-    json: Path | None = None
-    """Write every number here (.json). Given again after an interruption, the command goes on."""
+    json: JsonOut = None
+    """Write every number here (.json); without a file, print them. Given again with its file after an
+    interruption, the command goes on."""
     out: Path | None = None
     """Write a compact result: this JSON file with settings and summary, and beside it a CSV file with one row
     per episode."""
@@ -97,7 +98,7 @@ class Evaluate:
     or on all processors of this machine where none is given. Same results. Every machine must see the files
     under the same names."""
 
-    def run(self) -> None:
+    def run(self) -> Answer:
         from contextlib import nullcontext
 
         from fungrasp.errors import FungraspError
@@ -108,7 +109,8 @@ class Evaluate:
         from fungrasp.retargeting import RetargetSpec, method_name, retarget
         from fungrasp.sim2real.joint_dynamics import identified_hand
 
-        spec, cluster, file = self._spec(), on_cluster(self.ray), self.json or self.out
+        spec, cluster, path = self._spec(), on_cluster(self.ray), json_path(self.json)
+        file = path or self.out
         if cluster is not None and file is None:
             raise FungraspError("--ray keeps finished parts beside the result: give --json or --out too")
         grasps = load_grasps(self.grasps)
@@ -138,8 +140,8 @@ class Evaluate:
                     assert human is not None
                     result = compare_methods(human, objects, hand, methods, progress=show, **options)
                     drawn = result.grasps[methods[0]], result.results[methods[0]]
-            if self.json is not None:
-                result.save(self.json)
+            if path is not None:
+                result.save(path)
             if self.out is not None:
                 result.save(self.out, compact=True)
         print_use(cluster)
@@ -147,10 +149,11 @@ class Evaluate:
             captions = [reason or "success" for reason in drawn[1].outcomes.reason.tolist()]
             with progress_bar("drawing", 1.0) as show:
                 draw_grasps(self.picture, drawn[0], objects, captions=captions, progress=show)
-        print(result.table())
-        print(f"{result.episodes} episodes in {result.seconds:.1f} s")
-        if self.json is not None:
-            suggest("view", self.json, option("--grasps", None if human is not None else self.grasps))
+        lines = [result.table(), f"{result.episodes} episodes in {result.seconds:.1f} s"]
+        if path is not None:
+            given_as = None if human is not None else self.grasps
+            lines.append(suggestion("view", path, option("--grasps", given_as)))
+        return Answer(result.json(), "\n".join(lines))
 
     def _spec(self) -> LiftTestSpec:
         from fungrasp.evaluation import LiftTestSpec

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import json
+import dataclasses
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from fungrasp.cli.console import table, write_human_grasps
+from fungrasp.cli.console import Answer, Answering, table, write_human_grasps
 
 if TYPE_CHECKING:
     import numpy as np
@@ -26,15 +26,13 @@ WIDTH, HEIGHT = 960, 720
 
 
 @dataclass(frozen=True)
-class ListGrasps:
+class ListGrasps(Answering):
     """Count the grasps of a set by object and task."""
 
     grasps: str = "builtin"
     """A file of human or robot grasps; by default the built-in human grasps."""
-    json: bool = False
-    """Print JSON instead of a table."""
 
-    def run(self) -> None:
+    def run(self) -> Answer:
         from fungrasp.grasps import RobotGraspSet, load_grasps
 
         grasps = load_grasps(self.grasps)
@@ -48,19 +46,18 @@ class ListGrasps:
             rows.append(
                 (name, task or "-", str(len(part)), f"{part.object_mass.mean():.3f}", f"{contacts:.1f}")
             )
-        if self.json:
-            names = ("object", "task", "grasps", "mass", "links_in_contact")
-            kinds = (str, str, int, float, float)
-            cells = ([kind(cell) for kind, cell in zip(kinds, row, strict=True)] for row in rows[1:])
-            print(json.dumps([dict(zip(names, row, strict=True)) for row in cells], indent=2))
-            return
-        print(table(rows, left=None))
+        names = ("object", "task", "grasps", "mass", "links_in_contact")
+        kinds = (str, str, int, float, float)
+        cells = ([kind(cell) for kind, cell in zip(kinds, row, strict=True)] for row in rows[1:])
         objects = len(set(grasps.object_name.tolist()))
-        print(f"{len(grasps)} grasps{of_hand}, {objects} objects")
+        return Answer(
+            [dict(zip(names, row, strict=True)) for row in cells],
+            f"{table(rows, left=None)}\n{len(grasps)} grasps{of_hand}, {objects} objects",
+        )
 
 
 @dataclass(frozen=True)
-class ShowGrasp:
+class ShowGrasp(Answering):
     """Show one grasp: numbers, and on request a picture."""
 
     file: GraspFile
@@ -72,7 +69,7 @@ class ShowGrasp:
     objects: Path | None = None
     """Folder of meshes <name>.obj for the picture; built-in objects need none."""
 
-    def run(self) -> None:
+    def run(self) -> Answer:
         from fungrasp.errors import FungraspError
         from fungrasp.grasps import load_grasps
 
@@ -80,14 +77,15 @@ class ShowGrasp:
         if not 0 <= self.index < len(grasps):
             raise FungraspError(f"{self.file} holds grasps 0 to {len(grasps) - 1}, not {self.index}")
         grasp = grasps[self.index]
-        print(_description(grasp))
+        text = _description(grasp)
         if self.picture is not None:
             _draw(grasp, self.picture, self.objects)
-            print(f"picture: {self.picture}")
+            text += f"\npicture: {self.picture}"
+        return Answer({**_fields(grasp), "picture": self.picture}, text)
 
 
 @dataclass(frozen=True)
-class ImportDexYCB:
+class ImportDexYCB(Answering):
     """Import DexYCB from its own folders: one grasp per sequence, where the object starts to move."""
 
     source: SourcePath
@@ -105,7 +103,7 @@ class ImportDexYCB:
     objects: Path | None = None
     """Folder of meshes <name>.obj; by default DexYCB's own models."""
 
-    def run(self) -> None:
+    def run(self) -> Answer:
         from fungrasp.errors import FungraspError
         from fungrasp.grasps.importers.dexycb import DexYCBOptions, import_dexycb, write_mirrored_meshes
 
@@ -113,14 +111,16 @@ class ImportDexYCB:
             raise FungraspError(f"--displacement must be greater than 0, not {self.displacement}")
         options = DexYCBOptions(self.displacement, self.left_hands, self.mano, self.objects)
         grasps = import_dexycb(self.source, options)
-        write_human_grasps(self.out, grasps)
-        if self.mirrored_objects is not None:
-            for path in write_mirrored_meshes(self.source, options, grasps, self.mirrored_objects):
-                print(f"mirrored mesh: {path}")
+        answer = write_human_grasps(self.out, grasps)
+        if self.mirrored_objects is None:
+            return answer
+        meshes = list(write_mirrored_meshes(self.source, options, grasps, self.mirrored_objects))
+        lines = [answer.text, *(f"mirrored mesh: {path}" for path in meshes)]
+        return Answer({**answer.value, "mirrored_meshes": meshes}, "\n".join(lines))
 
 
 @dataclass(frozen=True)
-class ImportDGrasp:
+class ImportDGrasp(Answering):
     """Import a label pickle of D-Grasp; nothing in the pickle is run."""
 
     source: SourcePath
@@ -130,14 +130,14 @@ class ImportDGrasp:
     table_height: float = 0.5
     """Height of the labels' table top [m]; it becomes z = 0."""
 
-    def run(self) -> None:
+    def run(self) -> Answer:
         from fungrasp.grasps.importers.dgrasp import import_dgrasp
 
-        write_human_grasps(self.out, import_dgrasp(self.source, self.table_height))
+        return write_human_grasps(self.out, import_dgrasp(self.source, self.table_height))
 
 
 @dataclass(frozen=True)
-class ImportOther:
+class ImportOther(Answering):
     """Import by another package's importer (entry point fungrasp.grasps)."""
 
     importer: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")]
@@ -147,10 +147,10 @@ class ImportOther:
     out: Path
     """Grasp file to write (.npz)."""
 
-    def run(self) -> None:
+    def run(self) -> Answer:
         from fungrasp.grasps.importers.registry import load_importer
 
-        write_human_grasps(self.out, load_importer(self.importer)(self.source))
+        return write_human_grasps(self.out, load_importer(self.importer)(self.source))
 
 
 @dataclass(frozen=True)
@@ -164,12 +164,18 @@ class ImportGrasps:
     )
     """The kind of data set."""
 
-    def run(self) -> None:
-        self.data.run()
+    @property
+    def json(self) -> bool:
+        """Whether JSON is asked for."""
+        return self.data.json
+
+    def run(self) -> Answer:
+        """Do it."""
+        return self.data.run()
 
 
 @dataclass(frozen=True)
-class CheckGrasps:
+class CheckGrasps(Answering):
     """Say what is probably wrong with human grasps: units, order of joints, side, quaternions, table."""
 
     file: GraspFile
@@ -177,7 +183,7 @@ class CheckGrasps:
     objects: Path | None = None
     """Folder of meshes <name>.obj; built-in objects need none."""
 
-    def run(self) -> None:
+    def run(self) -> Answer:
         from fungrasp.errors import FungraspError
         from fungrasp.grasps.anatomy import check_anatomy, grouped
         from fungrasp.grasps.diagnosis import hand_remarks, pose_remarks, table_remarks
@@ -194,19 +200,25 @@ class CheckGrasps:
             remarks += table_remarks(joints.astype(float))
             remarks += pose_remarks(fields, _known_objects(fields, self.objects))
             options = " ".join(dict.fromkeys(remark.remedy for remark in remarks if remark.remedy))
-        for remark in remarks:
-            print(remark)
+        value = {
+            "findings": [{"grasps": r.rows, "what": r.words, "convert_with": r.remedy} for r in remarks],
+            "usable": not options,
+        }
+        lines = [str(remark) for remark in remarks]
         if options:
-            print(f"to convert: fungrasp grasps convert {self.file} {options} --out NEW.npz; then check that")
-            return
+            lines.append(
+                f"to convert: fungrasp grasps convert {self.file} {options} --out NEW.npz; then check that"
+            )
+            return Answer(value, "\n".join(lines))
         grasps = human_grasps_from_fields(fields, self.file)
-        for finding in grouped(check_anatomy(grasps)):
-            print(f"unusual anatomy: {finding}")
-        print(f"{self.file}: {len(grasps)} grasps that can be used")
+        unusual = grouped(check_anatomy(grasps))
+        lines += [f"unusual anatomy: {finding}" for finding in unusual]
+        lines.append(f"{self.file}: {len(grasps)} grasps that can be used")
+        return Answer({**value, "unusual_anatomy": unusual}, "\n".join(lines))
 
 
 @dataclass(frozen=True)
-class ConvertGrasps:
+class ConvertGrasps(Answering):
     """Bring a file of human grasps from other conventions into ours."""
 
     file: GraspFile
@@ -224,7 +236,7 @@ class ConvertGrasps:
     below_table: Literal["keep", "lift", "drop"] = "keep"
     """Hands that reach below the table: keep them, lift them with their objects, or leave them out."""
 
-    def run(self) -> None:
+    def run(self) -> Answer:
         from fungrasp.grasps.conversion import converted, mend_below_table
         from fungrasp.grasps.grasp_files import human_grasps_from_fields, read_grasp_fields
 
@@ -232,13 +244,13 @@ class ConvertGrasps:
         if "hand_joints" not in fields:
             human_grasps_from_fields(fields, self.file)
         fields = converted(fields, self.joint_order, self.quaternion, self.unit, self.side)
-        write_human_grasps(
+        return write_human_grasps(
             self.out, mend_below_table(human_grasps_from_fields(fields, self.file), self.below_table)
         )
 
 
 @dataclass(frozen=True)
-class SelectGrasps:
+class SelectGrasps(Answering):
     """Write some of the grasps of a file to another: of some objects or tasks, some rows, or the best."""
 
     file: GraspFile
@@ -259,7 +271,7 @@ class SelectGrasps:
     at_most: float | None = None
     """Keep those whose number is no larger."""
 
-    def run(self) -> None:
+    def run(self) -> Answer:
         import numpy as np
 
         from fungrasp.errors import FungraspError, UnknownNameError
@@ -295,7 +307,10 @@ class SelectGrasps:
             save_robot_grasps(self.out, chosen)
         else:
             save_human_grasps(self.out, chosen)
-        print(f"{self.out}: {len(chosen)} of {len(grasps)} grasps")
+        return Answer(
+            {"grasps": self.out, "count": len(chosen), "of": len(grasps)},
+            f"{self.out}: {len(chosen)} of {len(grasps)} grasps",
+        )
 
 
 COMMAND = {
@@ -365,6 +380,12 @@ def _description(grasp: HumanGrasp | RobotGrasp) -> str:
             *((name, str(value)) for name, value in grasp.extra.items()),
         ]
     return table(rows, left=None)
+
+
+def _fields(grasp: HumanGrasp | RobotGrasp) -> dict[str, Any]:
+    """All that a grasp holds, by the names that its file has for it; ``extra`` as further fields."""
+    values = {field.name: getattr(grasp, field.name) for field in dataclasses.fields(grasp)}
+    return {**values, **values.pop("extra", {})}
 
 
 def _draw(grasp: HumanGrasp | RobotGrasp, path: Path, objects: Path | None) -> None:

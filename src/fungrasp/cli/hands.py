@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,25 +10,23 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from fungrasp.cli.console import table
+from fungrasp.cli.console import Answer, Answering, table
 from fungrasp.errors import FungraspError
 
 if TYPE_CHECKING:
     import mujoco
 
     from fungrasp.hands import Hand
+    from fungrasp.hands.checking.hand_checks import Finding
 
 HandName = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")]
 
 
 @dataclass(frozen=True)
-class ListHands:
+class ListHands(Answering):
     """List the known hands."""
 
-    json: bool = False
-    """Print JSON instead of a table."""
-
-    def run(self) -> None:
+    def run(self) -> Answer:
         from fungrasp.hands import hand_files, load_hand
         from fungrasp.hands.hand_description import hand_mass
 
@@ -46,42 +43,23 @@ class ListHands:
                     "mass": round(hand_mass(hand), 4),
                 }
             )
-        if self.json:
-            print(json.dumps(rows, indent=2))
-            return
-        header = ("name", "fingers", "driven/all joints", "mass [kg]", "title")
-        print(
-            table(
-                [
-                    header,
-                    *(
-                        (
-                            row["name"],
-                            str(len(row["fingers"])),
-                            f"{row['independent_joints']}/{row['joints']}",
-                            f"{row['mass']:.2f}",
-                            row["title"],
-                        )
-                        for row in rows
-                    ),
-                ],
-                left=None,
-            )
-        )
+        lines = [("name", "fingers", "driven/all joints", "mass [kg]", "title")]
+        for row in rows:
+            joints = f"{row['independent_joints']}/{row['joints']}"
+            lines.append((row["name"], str(len(row["fingers"])), joints, f"{row['mass']:.2f}", row["title"]))
+        return Answer(rows, table(lines, left=None))
 
 
 @dataclass(frozen=True)
-class ShowHand:
+class ShowHand(Answering):
     """Show a hand: fingers, joints with limits, couplings, actuators."""
 
     name: HandName
     """A known hand, or the path of a hand's TOML file or folder."""
-    json: bool = False
-    """Print JSON and nothing else."""
     picture: Path | None = None
     """Also draw the hand from four sides into this file (.png, .jpg)."""
 
-    def run(self) -> None:
+    def run(self) -> Answer:
         from fungrasp.hands import load_hand
         from fungrasp.hands.hand_description import describe_hand
 
@@ -89,37 +67,27 @@ class ShowHand:
         description = describe_hand(hand)
         if self.picture is not None:
             _draw(hand, self.picture)
-        print(json.dumps(description, indent=2) if self.json else _text(description))
+        return Answer(description, _text(description))
 
 
 @dataclass(frozen=True)
-class CheckHand:
+class CheckHand(Answering):
     """Report what is wrong with a hand's files; exits with status 1 if the hand cannot be used as it is."""
 
     path: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="PATH")]
     """A hand's TOML file or folder, a URDF, an MJCF, or the name of a known hand."""
-    json: bool = False
-    """Print JSON and nothing else."""
 
-    def run(self) -> None:
+    def run(self) -> Answer:
         from fungrasp.hands import hand_files
         from fungrasp.hands.checking.hand_checks import check_hand_files
 
         findings = check_hand_files(hand_files().get(self.path, Path(self.path)))
-        errors = sum(finding.severity == "error" for finding in findings)
-        if self.json:
-            print(json.dumps([{"severity": f.severity, "message": f.message} for f in findings], indent=2))
-        else:
-            for finding in findings:
-                print(f"{finding.severity}: {finding.message}")
-            others = sum(finding.severity == "warning" for finding in findings)
-            print(f"{self.path}: {_count(errors, 'error')}, {_count(others, 'warning')}")
-        if errors:
-            raise SystemExit(1)
+        rows, text, status = _findings(self.path, findings)
+        return Answer(rows, text, status=status)
 
 
 @dataclass(frozen=True)
-class AddHand:
+class AddHand(Answering):
     """Make a hand folder from any URDF or MJCF: one model and one TOML, ready for --hand.
 
     Palm, fingers, thumb, tips and side are found from the tree of bodies and the geometry. What can't be
@@ -149,7 +117,7 @@ class AddHand:
     force: bool = False
     """Overwrite the hand in the folder."""
 
-    def run(self) -> None:
+    def run(self) -> Answer:
         from fungrasp.hands import load_hand
         from fungrasp.hands.adding.add_hand import Answers, add_hand, parse_couplings, parse_fingers
         from fungrasp.hands.checking.hand_checks import check_hand_files
@@ -158,21 +126,19 @@ class AddHand:
         answers = Answers(self.palm, self.thumb, self.side, self.normal, fingers, couplings, self.radius)
         path, findings = add_hand(self.path, self.out, self.name, answers, self.force)
         findings = [*findings, *check_hand_files(path)]
-        errors = sum(finding.severity == "error" for finding in findings)
-        warnings = sum(finding.severity == "warning" for finding in findings)
-        for finding in findings:
-            print(f"{finding.severity}: {finding.message}")
-        print(f"{path}: {_count(errors, 'error')}, {_count(warnings, 'warning')}")
-        if errors:
-            raise SystemExit(1)
-        mirror = "--mirror " if load_hand(path).side == "left" else ""
-        grasps = f"{path.parent.name}.npz"
-        print(f"next: fungrasp retarget {mirror}--hand {path} --out {grasps}")
-        print(f"then: fungrasp evaluate --grasps {grasps} --hand {path}")
+        rows, text, status = _findings(path, findings)
+        if not status:
+            mirror = "--mirror " if load_hand(path).side == "left" else ""
+            grasps = f"{path.parent.name}.npz"
+            text += (
+                f"\nnext: fungrasp retarget {mirror}--hand {path} --out {grasps}"
+                f"\nthen: fungrasp evaluate --grasps {grasps} --hand {path}"
+            )
+        return Answer({"hand": path, "findings": rows}, text, status=status)
 
 
 @dataclass(frozen=True)
-class ExportHand:
+class ExportHand(Answering):
     """Write a hand as one MJCF file that needs no other file, with position actuators."""
 
     name: HandName
@@ -182,7 +148,7 @@ class ExportHand:
     arm: str | None = None
     """Mount the hand on this arm: ur5e."""
 
-    def run(self) -> None:
+    def run(self) -> Answer:
         from fungrasp.files import atomic_path
         from fungrasp.hands import load_hand
         from fungrasp.hands.hand_export import export_hand
@@ -190,7 +156,7 @@ class ExportHand:
         text = export_hand(load_hand(self.name), self.arm)
         with atomic_path(self.out) as temporary:
             temporary.write_text(text)
-        print(f"wrote {self.out}")
+        return Answer({"hand": self.out}, f"wrote {self.out}")
 
 
 COMMAND = {"list": ListHands, "show": ShowHand, "add": AddHand, "check": CheckHand, "export": ExportHand}
@@ -263,6 +229,15 @@ def _text(hand: dict[str, Any]) -> str:
 
 def _vector(values: Sequence[float]) -> str:
     return "(" + ", ".join(f"{value:.3g}" for value in values) + ")"
+
+
+def _findings(path: str | Path, findings: Sequence[Finding]) -> tuple[list[dict[str, str]], str, int]:
+    """What was found in a hand's files: for a program, for a person, and the exit status: 1 for errors."""
+    rows = [{"severity": finding.severity, "message": finding.message} for finding in findings]
+    errors, warnings = (sum(row["severity"] == severity for row in rows) for severity in ("error", "warning"))
+    lines = [f"{row['severity']}: {row['message']}" for row in rows]
+    lines.append(f"{path}: {_count(errors, 'error')}, {_count(warnings, 'warning')}")
+    return rows, "\n".join(lines), int(errors > 0)
 
 
 def _count(number: int, noun: str) -> str:

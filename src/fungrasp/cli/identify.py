@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from fungrasp.cli.console import table
+from fungrasp.cli.console import Answer, Answering, table
 from fungrasp.errors import FungraspError
 from fungrasp.sim2real.identification.excitation import Excitation
 
@@ -22,7 +22,7 @@ HELD_OUT = 0.5
 
 
 @dataclass(frozen=True)
-class Collect:
+class Collect(Answering):
     """Move the joints of a cell's hand about their present place, one finger after the other, within limits,
     and record it. The arm may be off.
 
@@ -47,7 +47,7 @@ class Collect:
     """Do not ask before a real hand moves."""
     option_prefixes = True
 
-    def run(self) -> None:
+    def run(self) -> Answer:
         import sys
 
         import numpy as np
@@ -96,11 +96,12 @@ class Collect:
                     said = driver.lets_go and f"; the hand lets go {driver.lets_go}"
                     print(f"broken off: {writer.rows} rows are in {self.log}{said}", file=sys.stderr)
                 raise
-        print(f"{len(log.times)} rows, {log.times[-1]:.1f} s, {len(joints)} joints -> {self.log}")
+        text = f"{len(log.times)} rows, {log.times[-1]:.1f} s, {len(joints)} joints -> {self.log}"
+        return Answer({"log": self.log, "rows": len(log.times), "joints": joints}, text)
 
 
 @dataclass(frozen=True)
-class Fit:
+class Fit(Answering):
     """Fit stiffness, damping, friction, armature and delay to the first half of a log, predict the second."""
 
     log: Annotated[Path, tyro.conf.Positional]
@@ -129,7 +130,7 @@ class Fit:
     evaluations: int = 3000
     """Simulations of cma-es."""
 
-    def run(self) -> None:
+    def run(self) -> Answer:
         import numpy as np
 
         from fungrasp.hands import load_hand
@@ -173,27 +174,42 @@ class Fit:
         rows: list[tuple[str, ...]] = [("joint", *QUANTITIES)]
         for j, joint in enumerate(found.dynamics.joints):
             rows.append((joint, *(self._value(found, quantity, j) for quantity in QUANTITIES)))
-        print(table(rows))
-        print(f"delay {1e3 * found.dynamics.delay:.1f} ms")
-        head = ("method", "fitted RMS [rad]", "held-out RMS [rad]", "simulations", "seconds")
-        rows = [
-            (
-                m,
-                f"{r.rms:.4f}",
-                f"{self._held_out(hand, logs, r, step):.4f}",
-                str(r.simulations),
-                f"{r.seconds:.1f}",
-            )
-            for m, r in results
+        lines = [table(rows), f"delay {1e3 * found.dynamics.delay:.1f} ms"]
+        methods = [
+            {
+                "method": method,
+                "rms": r.rms,
+                "held_out_rms": self._held_out(hand, logs, r, step),
+                "simulations": r.simulations,
+                "seconds": r.seconds,
+            }
+            for method, r in results
         ]
-        print(table([head, *rows]))
+        rows = [("method", "fitted RMS [rad]", "held-out RMS [rad]", "simulations", "seconds")]
+        for one in methods:
+            numbers = (f"{one['rms']:.4f}", f"{one['held_out_rms']:.4f}", str(one["simulations"]))
+            rows.append((one["method"], *numbers, f"{one['seconds']:.1f}"))
+        lines.append(table(rows))
         vague = sum(int((~known).sum()) for known in found.identified.values())
         if vague:
-            print(
+            lines.append(
                 f"{vague} quantities are not identifiable from this log (standard deviation above "
                 f"{self.bound:.0%} by it alone): they keep the model's values. Logs with the palm turned to "
                 "other sides, or with weights on the fingertips, may tell them"
             )
+        joints = {
+            joint: {
+                name: {
+                    "value": getattr(found.dynamics, name)[j],
+                    "identified": found.identified[name][j] and name not in self.fixed,
+                    "relative_error": found.relative_error[name][j],
+                }
+                for name in QUANTITIES
+            }
+            for j, joint in enumerate(found.dynamics.joints)
+        }
+        value = {"dynamics": self.out, "delay": found.dynamics.delay, "joints": joints, "methods": methods}
+        return Answer(value, "\n".join(lines))
 
     def _held_out(self, hand: Hand, logs: list[MotionLog], found: IdentifiedDynamics, step: bool) -> float:
         import numpy as np

@@ -11,8 +11,10 @@ import importlib.util
 import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import nullcontext, redirect_stdout
 from typing import Any
 
+from fungrasp.cli.console import STDOUT, Answer
 from fungrasp.errors import FungraspError, UnknownNameError
 from fungrasp.version import __version__
 
@@ -163,7 +165,12 @@ def _dispatch(arguments: list[str]) -> int:
 
 
 def _run(program: str, command: Any, arguments: list[str]) -> int:
-    _parse(program, command, arguments).run()
+    parsed = _parse(program, command, arguments)
+    as_json = getattr(parsed, "json", None) in (True, STDOUT)
+    with redirect_stdout(sys.stderr) if as_json else nullcontext():
+        answer = parsed.run()
+    if isinstance(answer, Answer):
+        answer.show(as_json)
     return 0
 
 

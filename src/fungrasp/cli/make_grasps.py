@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fungrasp.cli.console import progress_bar, write_human_grasps
+from fungrasp.cli.console import Answer, Answering, progress_bar, write_human_grasps
 from fungrasp.cli.options import on_cluster, print_use
 from fungrasp.errors import FungraspError, UnknownNameError
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class MakeGrasps:
+class MakeGrasps(Answering):
     """Synthesize human grasps: those of the built-in objects again, or of any mesh."""
 
     out: Path
@@ -40,7 +40,7 @@ class MakeGrasps:
     """Work on a Ray cluster: on that of this address ("auto": the one that this machine is part of), or on
     all processors of this machine where none is given. Same grasps."""
 
-    def run(self) -> None:
+    def run(self) -> Answer:
         from fungrasp.jobs import PartStore
         from fungrasp.objects import is_plain_shape
         from fungrasp.synthesis import synthesize_grasps
@@ -54,15 +54,17 @@ class MakeGrasps:
                 grasps = synthesize_grasps(
                     specs, self.seed, settings, models, store=store, ray=cluster, progress=show
                 )
-            write_human_grasps(self.out, grasps)
+            answer = write_human_grasps(self.out, grasps)
         print_use(cluster)
+        lines = [answer.text]
         if len(grasps) < sought:
             words = "could not be met" if len(self.seed) == 1 else "could not be met, or are like another"
-            print(f"left out: {sought - len(grasps)} of {sought} grasp specifications, which {words}")
+            lines.append(f"left out: {sought - len(grasps)} of {sought} grasp specifications, which {words}")
         if self.mesh is not None:
             (name,) = models or {}
             folder = "" if is_plain_shape(name) else f" --objects {self.mesh.parent}"
-            print(f"use them with: --grasps {self.out}{folder}")
+            lines.append(f"use them with: --grasps {self.out}{folder}")
+        return Answer({**answer.value, "left_out": sought - len(grasps)}, "\n".join(lines))
 
     def _specifications(
         self,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -11,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from fungrasp.cli.console import table
+from fungrasp.cli.console import Answer, Answering, table
 
 if TYPE_CHECKING:
     import mujoco
@@ -29,46 +28,32 @@ COLORS = {
 
 
 @dataclass(frozen=True)
-class ListObjects:
+class ListObjects(Answering):
     """List the objects known by name."""
 
     objects: Path | None = None
     """A folder of meshes, listed too."""
-    json: bool = False
-    """Print JSON instead of a table."""
 
-    def run(self) -> None:
+    def run(self) -> Answer:
         from fungrasp.objects import builtin_object, mesh_files, object_names
 
         models = [builtin_object(name) for name in object_names()]
         meshes = mesh_files(self.objects)
-        if self.json:
-            rows = [
-                {
-                    "name": m.name,
-                    "parts": list(m.parts),
-                    "size": m.size.tolist(),
-                    "mass": m.mass,
-                    "source": m.source,
-                }
-                for m in models
-            ]
-            print(
-                json.dumps(
-                    [*rows, *({"name": name, "path": str(path)} for name, path in meshes.items())], indent=2
-                )
-            )
-            return
+        known = [
+            {"name": m.name, "parts": list(m.parts), "size": m.size, "mass": m.mass, "source": m.source}
+            for m in models
+        ]
+        files = [{"name": name, "path": path} for name, path in meshes.items()]
         rows = [("name", "parts", "size [cm]", "mass [g]", "source")]
         rows += [
             (m.name, ", ".join(m.parts), _size(m.size), f"{m.mass * 1000:.0f}", m.source) for m in models
         ]
         rows += [(name, "", "", "", str(path)) for name, path in meshes.items()]
-        print(table(rows, left=None))
+        return Answer([*known, *files], table(rows, left=None))
 
 
 @dataclass(frozen=True)
-class ShowObject:
+class ShowObject(Answering):
     """Show an object: size, mass, inertia, parts, what was repaired, and its convex pieces for physics."""
 
     name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME|PATH")]
@@ -81,10 +66,8 @@ class ShowObject:
     """Write a picture from four sides here (.png or .jpg), its parts in colors."""
     pieces: bool = False
     """Color the picture by convex piece instead of by part."""
-    json: bool = False
-    """Print JSON and nothing else."""
 
-    def run(self) -> None:
+    def run(self) -> Answer:
         from fungrasp.errors import FungraspError
         from fungrasp.objects.object_description import describe_object
 
@@ -94,9 +77,9 @@ class ShowObject:
         description = describe_object(model)
         if not weighed:
             description |= {"mass": None, "inertia": None}
-        print(json.dumps(description, indent=2) if self.json else _text(description))
         if self.picture is not None:
             _draw(model, self.picture, self.pieces)
+        return Answer(description, _text(description))
 
     def _load(self) -> tuple[ObjectModel, bool]:
         """The object, and whether its mass is known; without one, a mesh is described as if it had 1 kg."""

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
 
+from fungrasp.cli.console import STDOUT
 from fungrasp.errors import FungraspError
 
 if TYPE_CHECKING:
@@ -80,3 +82,12 @@ def optional_value(metavar: str, default: str, what: str) -> Any:
         is_instance=lambda value: value is None or isinstance(value, str),
         str_from_instance=lambda value: [str(value)],
     )
+
+
+JsonOut = Annotated[str | None, optional_value("[FILE]", STDOUT, "file")]
+"""``--json FILE`` of a command whose answer is large; without a file it is printed, as elsewhere."""
+
+
+def json_path(json: str | None) -> Path | None:
+    """The file that is meant by a ``JsonOut``; None where there is none."""
+    return None if json is None or json == STDOUT else Path(json)

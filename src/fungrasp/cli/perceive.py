@@ -11,8 +11,8 @@ from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from fungrasp.cli.console import suggest, table, write_json
-from fungrasp.cli.options import optional_value
+from fungrasp.cli.console import Answer, suggestion, table, write_json
+from fungrasp.cli.options import JsonOut, json_path, optional_value
 from fungrasp.perception.image_source import REALSENSE, ImageSource
 
 if TYPE_CHECKING:
@@ -79,10 +79,10 @@ class Perceive:
     """The same seed gives the same result."""
     report: Path | None = None
     """Write a page with pictures to this HTML file."""
-    json: Path | None = None
-    """Write everything that was found to this JSON file."""
+    json: JsonOut = None
+    """Write everything that was found to this JSON file; without a file, print it."""
 
-    def run(self) -> None:
+    def run(self) -> Answer:
         from time import perf_counter
 
         from fungrasp.objects import held_object
@@ -114,20 +114,22 @@ class Perceive:
         kept = [] if self.source.keep is None else [f"the image: {self.source.keep}"]
         written = self._write(perceived, perf_counter() - start)
         touching = int(perceived.grasp.link_contacts.sum())
-        print(table(perceived.verdict.rows()))
         name = perceived.object_model.name
-        print(f"{self.out}: a {perceived.hand.side} hand on '{name}', {touching} links in contact")
-        for note in (*perceived.notes, *kept, *written):
-            print(note)
         for warning in perceived.warnings:
             print(f"fungrasp: warning: {warning}", file=sys.stderr)
-        print(perceived.verdict.words)
-        if not perceived.confident:
-            for words in perceived.verdict.help:
-                print(f"what would help: {words}")
+        lines = [
+            table(perceived.verdict.rows()),
+            f"{self.out}: a {perceived.hand.side} hand on '{name}', {touching} links in contact",
+            *(*perceived.notes, *kept, *written),
+            perceived.verdict.words,
+        ]
+        if perceived.confident:
+            lines.append(suggestion("retarget --grasps", self.out, "--out robot.npz"))
+        else:
+            lines += [f"what would help: {words}" for words in perceived.verdict.help]
             print("fungrasp: not sure: look at the grasp before you use it", file=sys.stderr)
-            raise SystemExit(LOW_CONFIDENCE)
-        suggest("retarget --grasps", self.out, "--out robot.npz")
+        status = 0 if perceived.confident else LOW_CONFIDENCE
+        return Answer({"grasps": self.out, **perceived.as_json()}, "\n".join(lines), status=status)
 
     def _check(self) -> None:
         """Complain about options that do not go together."""
@@ -203,8 +205,9 @@ class Perceive:
             made = page_provenance({"Image": self.source.name}, self.seed, seconds)
             write_perception_page(self.report, perceived, made)
             notes.append(f"page: {self.report}")
-        if self.json is not None:
-            write_json(self.json, perceived.as_json())
+        path = json_path(self.json)
+        if path is not None:
+            write_json(path, perceived.as_json())
         if perceived.hand.side == "left":
             for name, mirrored in perceived.objects.items():
                 path = self.out.parent / f"{name}.obj"

@@ -2,38 +2,31 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
+from fungrasp.cli.console import Answer, Answering, table
+
 if TYPE_CHECKING:
     from fungrasp.policies.checkpoint.card import PolicyCard
 
 
 @dataclass(frozen=True)
-class List:
+class List(Answering):
     """List the learned policies that come with fungrasp."""
 
-    json: bool = False
-    """Print JSON instead of a table."""
-
-    def run(self) -> None:
-        from fungrasp.cli.console import table
+    def run(self) -> Answer:
         from fungrasp.policies.checkpoint.checkpoint_file import list_policies, read_card
 
         files = list_policies()
         cards = {name: read_card(path) for name, path in files.items()}
         sizes = {name: path.stat().st_size for name, path in files.items()}
-        if self.json:
-            rows = [{**card.to_json(), "name": name, "bytes": sizes[name]} for name, card in cards.items()]
-            print(json.dumps(rows, indent=2))
-            return
+        known = [{**card.to_json(), "name": name, "bytes": sizes[name]} for name, card in cards.items()]
         if not cards:
-            print("no policies come with this version of fungrasp")
-            return
+            return Answer(known, "no policies come with this version of fungrasp")
         header = ("name", "kind", "hand", "size", "success", "licence", "data")
         rows = [
             (
@@ -47,23 +40,21 @@ class List:
             )
             for name, card in cards.items()
         ]
-        print(table([header, *rows], left=None, widest=30))
+        return Answer(known, table([header, *rows], left=None, widest=30))
 
 
 @dataclass(frozen=True)
-class Info:
+class Info(Answering):
     """Describe a policy: what it sees and does, how it was trained, what was measured, where it fails."""
 
     name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME|FILE")]
     """A policy that comes with fungrasp, or the path of a policy file (.onnx)."""
-    json: bool = False
-    """Print JSON and nothing else."""
 
-    def run(self) -> None:
+    def run(self) -> Answer:
         from fungrasp.policies.checkpoint.checkpoint_file import read_card
 
         card = read_card(self.name)
-        print(json.dumps(card.to_json(), indent=2) if self.json else _text(card))
+        return Answer(card.to_json(), _text(card))
 
 
 COMMAND = {"list": List, "info": Info}

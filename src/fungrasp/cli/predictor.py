@@ -5,12 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from fungrasp.cli.console import Answer, Answering
 from fungrasp.cli.training_options import check_numbers, check_packages
 from fungrasp.training.settings import PredictorSettings
 
 
 @dataclass(frozen=True)
-class TrainPredictor:
+class TrainPredictor(Answering):
     """Try many variations of grasps in physics, and train a success predictor that chooses among such
     variations.
 
@@ -44,7 +45,7 @@ class TrainPredictor:
     settings: PredictorSettings = field(default_factory=PredictorSettings)
     """Settings of the episodes and of the learning."""
 
-    def run(self) -> None:
+    def run(self) -> Answer:
         check_packages()
         import torch
 
@@ -70,10 +71,11 @@ class TrainPredictor:
                 progress=show,
             )
         measured, budget = card.measured[MEASURED], card.budget
-        print(
+        return Answer(
+            {"policy": self.out, "card": card.to_json()},
             f"{self.out}: of grasps it has not seen, {measured['first']:.1%} hold as they are, "
             f"{measured['chosen']:.1%} of those it chooses, {measured['any']:.1%} in some variation "
-            f"({budget.steps} episodes in {budget.seconds / 60:.1f} min)"
+            f"({budget.steps} episodes in {budget.seconds / 60:.1f} min)",
         )
 
 

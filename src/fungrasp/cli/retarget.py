@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from fungrasp.cli.console import option, progress_bar, suggest, write_json
+from fungrasp.cli.console import Answer, Answering, option, progress_bar, suggestion, write_json
 from fungrasp.cli.options import on_cluster, print_use
 
 
 @dataclass(frozen=True)
-class Retarget:
+class Retarget(Answering):
     """Turn human grasps into grasps of a robot hand, and measure how good they are."""
 
     out: Path
@@ -40,11 +40,11 @@ class Retarget:
     """Work on a Ray cluster: on that of this address ("auto": the one that this machine is part of), or on
     all processors of this machine where none is given. Same grasps."""
 
-    def run(self) -> None:
+    def run(self) -> Answer:
         from time import perf_counter
 
         from fungrasp.evaluation.grasp_quality import static_quality, with_quality
-        from fungrasp.evaluation.results import finite
+        from fungrasp.formats.json_file import finite
         from fungrasp.grasps import load_human_grasps, load_objects, mirrored_grasps, save_robot_grasps
         from fungrasp.hands import load_hand
         from fungrasp.hands.self_contacts import self_contact_words
@@ -76,17 +76,21 @@ class Retarget:
             save_robot_grasps(self.out, with_quality(robot, quality))
         print_use(cluster)
         touching = self_contact_words(hand.model, robot.joint_positions)
+        numbers = {"grasps_per_second": rate, "self_penetration_reasons": touching}
+        summary = finite(quality.summary()) | numbers
         if self.quality is not None:
-            numbers = {"grasps_per_second": rate, "self_penetration_reasons": touching}
-            write_json(self.quality, finite(quality.summary()) | numbers)
+            write_json(self.quality, summary)
         if self.picture is not None:
             with progress_bar("drawing", 1.0) as show:
                 draw_grasps(self.picture, robot, objects, human, progress=show)
-        print(quality.table())
-        for words in touching:
-            print(f"warning: {words}")
-        print(f"{self.out}: {len(robot)} grasps of {len(objects)} objects, {rate:.0f} grasps/s")
-        suggest("evaluate --grasps", self.out, option("--objects", self.objects))
+        lines = [
+            quality.table(),
+            *(f"warning: {words}" for words in touching),
+            f"{self.out}: {len(robot)} grasps of {len(objects)} objects, {rate:.0f} grasps/s",
+            suggestion("evaluate --grasps", self.out, option("--objects", self.objects)),
+        ]
+        value = {"grasps": self.out, "count": len(robot), "objects": len(objects), "quality": summary}
+        return Answer(value, "\n".join(lines))
 
 
 COMMAND = Retarget

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from fungrasp.cli.console import Answer, Answering, table
 from fungrasp.deployment.grasp_choice import GraspChoice
 
 if TYPE_CHECKING:
@@ -16,14 +16,10 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class ListCells:
+class ListCells(Answering):
     """List the robot cells that come with fungrasp, and the drivers that are installed."""
 
-    json: bool = False
-    """Print JSON instead of tables."""
-
-    def run(self) -> None:
-        from fungrasp.cli.console import table
+    def run(self) -> Answer:
         from fungrasp.robots.assembly import ARM_DRIVERS, HAND_DRIVERS, TRACKERS
         from fungrasp.robots.cell import cell_files, load_cell
 
@@ -35,20 +31,15 @@ class ListCells:
         drivers = [("driver", "of", "package")]
         for registry in (ARM_DRIVERS, HAND_DRIVERS, TRACKERS):
             drivers += [(name, registry.what, package) for name, package in registry.known().items()]
-        if self.json:
-            tables = {"cells": rows, "drivers": drivers}
-            named = {
-                what: [dict(zip(heads, row, strict=True)) for row in others]
-                for what, (heads, *others) in tables.items()
-            }
-            print(json.dumps(named, indent=2))
-            return
-        print(table(rows, left=None))
-        print(f"\n{table(drivers, left=None)}")
+        named = {
+            what: [dict(zip(heads, row, strict=True)) for row in others]
+            for what, (heads, *others) in {"cells": rows, "drivers": drivers}.items()
+        }
+        return Answer(named, f"{table(rows, left=None)}\n\n{table(drivers, left=None)}")
 
 
 @dataclass(frozen=True)
-class New:
+class New(Answering):
     """Write a slow cell for a real robot, to be filled in. It is refused until what is measured is there."""
 
     file: Annotated[Path, tyro.conf.Positional]
@@ -56,15 +47,16 @@ class New:
     hand: str = "allegro"
     """The hand on the arm."""
 
-    def run(self) -> None:
+    def run(self) -> Answer:
         from fungrasp.robots.cell_template import write_cell_template
 
         write_cell_template(self.file, self.hand)
-        print(f"{self.file}: fill in what is empty, then 'fungrasp robots check {self.file}'")
+        text = f"{self.file}: fill in what is empty, then 'fungrasp robots check {self.file}'"
+        return Answer({"cell": self.file}, text)
 
 
 @dataclass(frozen=True)
-class ArmModel:
+class ArmModel(Answering):
     """Write the model of a UR arm with the kinematics that its maker has calibrated.
 
     Its controller tells them, which is only listened to. Name the file as `model` under [arm] of the cell."""
@@ -74,7 +66,7 @@ class ArmModel:
     file: Annotated[Path, tyro.conf.Positional]
     """Model to write (.xml)."""
 
-    def run(self) -> None:
+    def run(self) -> Answer:
         from fungrasp.errors import FungraspError
         from fungrasp.robots.calibration.arm_model_file import read_kinematics, write_arm_model
         from fungrasp.robots.cell import load_cell
@@ -83,11 +75,12 @@ class ArmModel:
         if cell.arm.driver != "ur-rtde":
             raise FungraspError(f"cell '{cell.name}': the driver '{cell.arm.driver}' tells no kinematics")
         change = write_arm_model(self.file, cell.arm.model, read_kinematics(cell.arm.address))
-        print(f"{self.file}: the flange is up to {1e3 * change:.1f} mm from that of the model before")
+        text = f"{self.file}: the flange is up to {1e3 * change:.1f} mm from that of the model before"
+        return Answer({"model": self.file, "change": change}, text)
 
 
 @dataclass(frozen=True)
-class Check:
+class Check(Answering):
     """Check a robot cell's file. Nothing is connected."""
 
     cell: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME|FILE")]
@@ -97,7 +90,7 @@ class Check:
     (flange): whether the base is where the cell says. With points that the hand touched (hand_joints, hand,
     hand_point): whether the hand is on the flange as it says."""
 
-    def run(self) -> None:
+    def run(self) -> Answer:
         import numpy as np
 
         from fungrasp.deployment.hand_knowledge import hand_knowledge
@@ -127,30 +120,45 @@ class Check:
             raise FungraspError(
                 f"at 'arm.home' {why or 'the robot is too near to something'}; the palm is at ({palm}) m then"
             )
-        print(f"{cell.name}: {hand.title} on a {Path(cell.arm.model).stem}; palm at home: {palm} m")
+        limits = cell.limits
+        value = {
+            "name": cell.name,
+            "hand": hand.name,
+            "arm": Path(cell.arm.model).stem,
+            "palm_at_home": pose,
+            "devices": [],
+            "palm_speed": limits.palm_speed,
+            "palm_acceleration": limits.palm_acceleration,
+        }
+        lines = [f"{cell.name}: {hand.title} on a {value['arm']}; palm at home: {palm} m"]
         if self.touched is not None:
             base = check_touched_base(self.touched, cell, hand)
             if base.fault:
                 raise FungraspError(base.fault)
-            print(f"base: {base.count} touched points within {1e3 * base.miss:.1f} mm")
+            value["base_miss"] = base.miss
+            lines.append(f"base: {base.count} touched points within {1e3 * base.miss:.1f} mm")
             mount = check_touched_mount(self.touched, cell, hand)
             if mount is not None and mount.fault:
                 raise FungraspError(mount.fault)
             if mount is not None:
-                print(f"mount: {mount.count} points that the hand touched within {1e3 * mount.miss:.1f} mm")
+                value["mount_miss"] = mount.miss
+                touched = f"{mount.count} points that the hand touched within {1e3 * mount.miss:.1f} mm"
+                lines.append(f"mount: {touched}")
         if is_twin(cell):
-            print("a twin in the same process")
+            lines.append("a twin in the same process")
         else:
-            for device in (arm_driver(cell), hand_driver(cell, hand), pose_source(cell)):
-                print(f"device: {device.name}")
+            devices = (arm_driver(cell), hand_driver(cell, hand), pose_source(cell))
+            value["devices"] = [device.name for device in devices]
+            lines += [f"device: {device.name}" for device in devices]
             check_calibrated(cell)
         known = hand_knowledge(cell, hand)
         own = np.array([servo.force_limit for servo in hand.actuators.values()])
         planned = np.array([servo.force_limit for servo in known.planned.actuators.values()])
         less = "" if (planned == own).all() else f", less than the model's {_range(own)}: plans keep to it"
-        print(f"hand: torques up to {_range(planned)} N m{less}")
-        limits = cell.limits
-        print(f"palm: up to {limits.palm_speed:g} m/s, {limits.palm_acceleration:g} m/s^2")
+        lines.append(f"hand: torques up to {_range(planned)} N m{less}")
+        lines.append(f"palm: up to {limits.palm_speed:g} m/s, {limits.palm_acceleration:g} m/s^2")
+        torques = dict(zip(hand.actuators, planned, strict=True))
+        return Answer({**value, "planned_torques": torques}, "\n".join(lines))
 
 
 @dataclass(frozen=True)
@@ -209,40 +217,35 @@ class Emulate:
 
 
 @dataclass(frozen=True)
-class ShowLog:
+class ShowLog(Answering):
     """Say what a log of `fungrasp deploy` holds, one that breaks off included; write a page of it."""
 
     log: Annotated[Path, tyro.conf.Positional]
     """An MCAP file."""
     page: Path | None = None
     """HTML file to write."""
-    json: bool = False
-    """Print JSON instead of text."""
 
-    def run(self) -> None:
+    def run(self) -> Answer:
         from fungrasp.deployment.log import read_log
 
         log = read_log(self.log)
-        if self.json:
-            counts = {name[1:]: len(found) for name, found in log.messages.items()}
-            said = {"complete": log.complete, **log.about, "counts": counts}
-            print(json.dumps({**said, "events": log.messages["/event"]}, indent=2))
-            return
-        print("complete" if log.complete else "breaks off: its writer was killed, or the disk was full")
-        for name, value in log.about.items():
-            print(f"{name}: {value}")
-        for event in log.messages["/event"]:
-            print(f"{event['time']:.2f} s  {event['what']}: {event['text']}")
-        steps, setpoints = len(log.messages["/step"]), len(log.messages["/setpoint"])
-        print(f"{steps} control steps, {setpoints} setpoints")
+        counts = {name[1:]: len(found) for name, found in log.messages.items()}
+        said = {"complete": log.complete, **log.about, "counts": counts}
+        lines = [
+            "complete" if log.complete else "breaks off: its writer was killed, or the disk was full",
+            *(f"{name}: {value}" for name, value in log.about.items()),
+            *(f"{e['time']:.2f} s  {e['what']}: {e['text']}" for e in log.messages["/event"]),
+            f"{counts['step']} control steps, {counts['setpoint']} setpoints",
+        ]
         if self.page is not None:
             from fungrasp.report.deployment_page import write_deployment_page
 
-            print(f"page: {write_deployment_page(self.page, log)}")
+            lines.append(f"page: {write_deployment_page(self.page, log)}")
+        return Answer({**said, "events": log.messages["/event"], "page": self.page}, "\n".join(lines))
 
 
 @dataclass(frozen=True)
-class ReplayLog:
+class ReplayLog(Answering):
     """Show the observations of a log to a policy again: it must act as it did."""
 
     log: Annotated[Path, tyro.conf.Positional]
@@ -252,7 +255,7 @@ class ReplayLog:
     policy: str = ""
     """Another policy than the one that is named in the log."""
 
-    def run(self) -> None:
+    def run(self) -> Answer:
         from fungrasp.deployment.log import read_log
         from fungrasp.deployment.replay import replay_log
         from fungrasp.errors import FungraspError
@@ -270,11 +273,10 @@ class ReplayLog:
         if not isinstance(policy, Policy):
             raise FungraspError("this policy needs what only a simulation knows")
         result = replay_log(log, policy)
+        fault = f"{result.different} of {result.steps} actions differ, by {result.largest:.3g} at most"
         if result.different:
-            raise FungraspError(
-                f"{result.different} of {result.steps} actions differ, by {result.largest:.3g} at most"
-            )
-        print(f"{result.steps} actions, all the same")
+            return Answer(asdict(result), fault=fault)
+        return Answer(asdict(result), f"{result.steps} actions, all the same")
 
 
 def _range(values: np.ndarray) -> str:

@@ -5,12 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from fungrasp.cli.console import Answer, Answering, table
+
 MESHES = (".ply", ".obj", ".stl", ".glb")
 """Kinds of files that can be written; ``.ply`` and ``.glb`` keep the colors."""
 
 
 @dataclass(frozen=True)
-class Scan:
+class Scan(Answering):
     """Make a mesh of an object from images with depth of it, taken from all round: 8 to 16, at most 45
     degrees apart.
 
@@ -30,10 +32,9 @@ class Scan:
     seed: int = 0
     """The same seed gives the same mesh."""
 
-    def run(self) -> None:
+    def run(self) -> Answer:
         import numpy as np
 
-        from fungrasp.cli.console import table
         from fungrasp.errors import FungraspError
         from fungrasp.files import atomic_path
         from fungrasp.perception.io.scene_folders import read_folder
@@ -48,11 +49,21 @@ class Scan:
         rows = [("view", "turned [deg]", "off the others [mm]")]
         for i, (yaw, off) in enumerate(zip(scan.yaws, scan.residuals, strict=True), start=1):
             rows.append((str(i), f"{np.degrees(yaw) % 360:.0f}", f"{1000 * off:.1f}" if i > 1 else ""))
-        print(table(rows))
         size = " x ".join(f"{1000 * edge:.0f}" for edge in scan.mesh.extents)
-        print(
-            f"{self.out}: {size} mm, {len(scan.mesh.faces)} triangles, {1e6 * scan.mesh.volume:.0f} cm3, "
-            f"{'closed' if scan.mesh.is_watertight else 'not closed'}"
+        value = {
+            "mesh": self.out,
+            "size": scan.mesh.extents,
+            "triangles": len(scan.mesh.faces),
+            "volume": scan.mesh.volume,
+            "watertight": scan.mesh.is_watertight,
+            "yaws": scan.yaws,
+            "residuals": scan.residuals,
+        }
+        return Answer(
+            value,
+            f"{table(rows)}\n{self.out}: {size} mm, "
+            f"{len(scan.mesh.faces)} triangles, {1e6 * scan.mesh.volume:.0f} cm3, "
+            f"{'closed' if scan.mesh.is_watertight else 'not closed'}",
         )
 
     def _views(self) -> list[Path]:

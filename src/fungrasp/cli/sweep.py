@@ -11,14 +11,14 @@ from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fungrasp.cli.console import table
+from fungrasp.cli.console import Answer, table
 from fungrasp.errors import FungraspError
 from fungrasp.jobs import Arrays, Job, part_key
 
 if TYPE_CHECKING:
     from fungrasp.cli.train import Train
 
-NOT_SWEPT = ("out", "seed", "seeds", "sweep", "ray", "threads", "device", "buffers", "wandb")
+NOT_SWEPT = ("out", "seed", "seeds", "sweep", "json", "ray", "threads", "device", "buffers", "wandb")
 """Options that do not tell trainings apart, or for which there is another way to do it."""
 
 
@@ -114,8 +114,8 @@ def each_training(command: Train) -> list[Train]:
     return list(found.values())
 
 
-def sweep_table(trainings: Sequence[Train], root: Path) -> str:
-    """What the finished trainings reached, as a table of text.
+def trained(trainings: Sequence[Train], root: Path) -> Answer:
+    """What the finished trainings reached.
 
     Args:
         trainings: that are done.
@@ -124,14 +124,15 @@ def sweep_table(trainings: Sequence[Train], root: Path) -> str:
     from fungrasp.policies.checkpoint.checkpoint_file import load_policy
     from fungrasp.training.run import EXPLORING, POLICY
 
-    rows = [("training", "steps", "minutes", "success, exploring")]
+    value, rows = [], [("training", "steps", "minutes", "success, exploring")]
     for training in trainings:
         card = load_policy(training.folder / POLICY).card
+        value.append({"policy": training.folder / POLICY, "card": card.to_json()})
         success = f"{card.measured[EXPLORING]['success']:.1%}"
         rows.append(
             (_name(training, root), f"{card.budget.steps:,}", f"{card.budget.seconds / 60:.1f}", success)
         )
-    return table(rows)
+    return Answer(value, table(rows))
 
 
 def draw_each_curve(trainings: Sequence[Train], root: Path) -> None:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import ClassVar, Literal
 
+from fungrasp.cli.console import Answer, Answering, progress_bar
 from fungrasp.cli.training_options import (
     check_numbers,
     check_packages,
@@ -22,7 +23,7 @@ from fungrasp.training.settings import CurveSettings, PpoSettings
 
 
 @dataclass(frozen=True)
-class Train:
+class Train(Answering):
     """Train a policy: PPO on many perturbed copies of grasps, in many simulated worlds at once.
 
     Given again with the same settings, the command goes on where it was interrupted, or trains for more
@@ -100,16 +101,14 @@ class Train:
         """Folder of the training, or of several."""
         return self.out or Path("runs") / Path(self.hand).stem
 
-    def run(self) -> None:
+    def run(self) -> Answer:
         check_packages()
         if self.seeds or self.sweep:
-            self._run_each()
-            return
+            return self._run_each()
         if self.ray is not None:
             raise FungraspError("--ray spreads several trainings over a cluster: give --seeds or --sweep")
         import torch
 
-        from fungrasp.cli.console import progress_bar
         from fungrasp.cli.options import device_and_buffers
         from fungrasp.sim2real.joint_dynamics import identified_hand
         from fungrasp.training.processes import joined
@@ -153,19 +152,20 @@ class Train:
                 log=log,
             )
         if not processes.first:
-            return
+            # Only the first of several processes answers.
+            raise SystemExit(0)
         seconds = card.budget.seconds
-        print(
+        return Answer(
+            {"policy": self.folder / POLICY, "card": card.to_json()},
             f"{self.folder / POLICY}: {card.kind} of {card.hand}, {card.budget.steps:,} steps in "
-            f"{seconds / 60:.1f} min"
+            f"{seconds / 60:.1f} min",
         )
 
-    def _run_each(self) -> None:
+    def _run_each(self) -> Answer:
         from contextlib import nullcontext
 
-        from fungrasp.cli.console import progress_bar
         from fungrasp.cli.options import on_cluster, print_use
-        from fungrasp.cli.sweep import Trainings, draw_each_curve, each_training, sweep_table
+        from fungrasp.cli.sweep import Trainings, draw_each_curve, each_training, trained
         from fungrasp.jobs import run_job
 
         each, cluster = each_training(self), on_cluster(self.ray)
@@ -177,7 +177,7 @@ class Train:
             run_job(Trainings(tuple(each)), ray=cluster, progress=show)
         print_use(cluster)
         draw_each_curve(each, self.folder)
-        print(sweep_table(each, self.folder))
+        return trained(each, self.folder)
 
 
 COMMAND = Train

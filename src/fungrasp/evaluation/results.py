@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import asdict, fields
 from typing import Any
@@ -13,6 +12,7 @@ from fungrasp.evaluation.lift_evaluation import LiftTestResult
 from fungrasp.evaluation.six_directions import StaticResult
 from fungrasp.evaluation.statistics import mean_over_groups, wilson_interval
 from fungrasp.evaluation.use_evaluation import use_json
+from fungrasp.formats.json_file import finite
 from fungrasp.formats.record_json import record_to_json
 from fungrasp.provenance import run_record
 from fungrasp.sim2real import protocol_name
@@ -160,16 +160,3 @@ def static_json(result: StaticResult) -> dict[str, Any]:
             "angle_rad": result.angle_rad,
         }
     )
-
-
-def finite(value: Any) -> Any:
-    """The same with NumPy's numbers as Python's, and None for NaN and infinities."""
-    if isinstance(value, dict):
-        return {str(key): finite(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [finite(item) for item in value]
-    if isinstance(value, np.ndarray | np.generic):
-        return finite(value.tolist())
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from fungrasp.errors import FungraspError
 from fungrasp.formats.file_bytes import check_tree, one_line, read_bytes
@@ -41,3 +44,18 @@ def parse_json(text: str | bytes, where: str) -> Any:
         raise FungraspError(f"{where} is not valid JSON: {one_line(error)}") from error
     check_tree(tree, where)
     return tree
+
+
+def finite(value: Any) -> Any:
+    """The same for JSON: NumPy's numbers as Python's, paths as text, None for NaN and infinities."""
+    if isinstance(value, dict):
+        return {str(key): finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [finite(item) for item in value]
+    if isinstance(value, np.ndarray | np.generic):
+        return finite(value.tolist())
+    if isinstance(value, Path):
+        return str(value)
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
