@@ -8,7 +8,7 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 import pytest
-from test_episode_export import HAND, episode
+from recorded_episodes import HAND, episode
 
 from fungrasp.cli.main import main
 from fungrasp.errors import FungraspError

@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
+from fungrasp.cli.console import Answer, Answering, progress_bar
+from fungrasp.report.episode_cameras import CameraName
+
 if TYPE_CHECKING:
+    import numpy as np
+
     from fungrasp.evaluation import Trajectory
 
 
 @dataclass(frozen=True)
-class Export:
+class Export(Answering):
     """Write recorded episodes (evaluate --record) as a data set of LeRobot's, MCAP files or joint
     trajectories with a URDF, or robot grasps as DexGraspBench reads them."""
 
@@ -24,24 +32,30 @@ class Export:
     format: Literal["lerobot", "mcap", "urdf", "dexgraspbench"] = "lerobot"
     """What is written."""
     objects: Path | None = None
-    """Folder of meshes <name>.obj, for the grasps of dexgraspbench; built-in objects need none."""
+    """Folder of meshes <name>.obj, for pictures and for the grasps of dexgraspbench; built-in objects need
+    none."""
+    cameras: tuple[CameraName, ...] = ()
+    """Films that a data set of LeRobot's has of each episode: front, over the table; wrist, on the hand."""
+    size: tuple[int, int] = (320, 240)
+    """Width and height of their pictures [pixels]."""
+    threads: int = 0
+    """Of drawing them; 0 means all processors."""
 
-    def run(self) -> None:
-        from fungrasp.evaluation.episode_export import write_lerobot_dataset, write_mcap_episodes
+    def run(self) -> Answer:
+        from fungrasp.evaluation.episode_export import write_mcap_episodes
         from fungrasp.evaluation.grasp_export import write_joint_trajectories
 
         if self.format == "dexgraspbench":
-            self._grasps()
+            words, written = self._grasps()
         elif self.format == "mcap":
             written = write_mcap_episodes(self._episodes(), self.out)
-            print(f"{self.out}: {len(written)} files; Foxglove and Rerun open them")
+            words = f"{len(written)} files; Foxglove and Rerun open them"
         elif self.format == "urdf":
             written = write_joint_trajectories(self._episodes(), self.out)
-            print(f"{self.out}: a URDF and {len(written)} joint trajectories")
+            words = f"a URDF and {len(written)} joint trajectories"
         else:
-            # A use test begins in the midst of what a lift test ends with, and its controls are not recorded.
-            lifts = [episode for episode in self._episodes() if not episode.is_use_test]
-            print(f"{write_lerobot_dataset(lifts, self.out)}: {len(lifts)} episodes, format of LeRobot")
+            words, written = self._lerobot()
+        return Answer({"out": self.out, "format": self.format, "written": written}, f"{self.out}: {words}")
 
     def _episodes(self) -> list[Trajectory]:
         from fungrasp.errors import FungraspError
@@ -54,7 +68,35 @@ class Export:
             raise FungraspError("there are no recorded episodes: give files or folders of evaluate --record")
         return [replay(file) for file in files]
 
-    def _grasps(self) -> None:
+    def _lerobot(self) -> tuple[str, list[Path]]:
+        from fungrasp.hands import load_hand
+        from fungrasp.objects import load_object
+        from fungrasp.report.episode_cameras import episode_pictures
+        from fungrasp.report.lerobot_dataset import write_lerobot_dataset
+
+        # A use test begins in the midst of what a lift test ends with, and its controls are not recorded.
+        lifts = [episode for episode in self._episodes() if not episode.is_use_test]
+        whole = len(self.cameras) * sum(len(episode.times) for episode in lifts)
+
+        def see(camera: CameraName, episode: Trajectory) -> Iterator[np.ndarray]:
+            thing = load_object(episode.object_name, episode.object_mass, self.objects)
+            hand = load_hand(episode.hand)
+            for picture in episode_pictures(episode, hand, thing, camera, self.size, self.threads):
+                advance()
+                yield picture
+
+        with progress_bar("drawing", max(whole, 1)) as show:
+            done = count(1)
+
+            def advance() -> None:
+                show(next(done))
+
+            cameras = {camera: partial(see, camera) for camera in self.cameras}
+            written = write_lerobot_dataset(lifts, self.out, cameras)
+        seen = f", seen from {' and '.join(self.cameras)}" if self.cameras else ""
+        return f"{len(lifts)} episodes, format of LeRobot{seen}", [written]
+
+    def _grasps(self) -> tuple[str, list[Path]]:
         from fungrasp.errors import FungraspError
         from fungrasp.evaluation.grasp_export import write_dexgraspbench
         from fungrasp.grasps import load_objects, load_robot_grasps
@@ -63,7 +105,7 @@ class Export:
             raise FungraspError("dexgraspbench needs one file of robot grasps (fungrasp retarget)")
         grasps = load_robot_grasps(self.recordings[0])
         written = write_dexgraspbench(grasps, load_objects(grasps, self.objects), self.out)
-        print(f"{self.out}: {len(written)} grasps, their objects and hand.xml, for DexGraspBench")
+        return f"{len(written)} grasps, their objects and hand.xml, for DexGraspBench", written
 
 
 COMMAND = Export

@@ -144,7 +144,7 @@ def evaluate(
     hand: Hand | None = None,
     human: HumanGraspSet | None = None,
     planner: Planner | None = None,
-    record: Path | None = None,
+    record: str | Path | None = None,
     threads: int = 0,
     store: PartStore | None = None,
     ray: RayCluster | None = None,
@@ -185,6 +185,7 @@ def evaluate(
     if protocol is not None:
         spec = replace(spec, protocol=protocol)
     check_objects(robot.object_name.tolist(), objects)
+    record = None if record is None else Path(record)
     job = LiftTest(robot, objects, hand or robot.load_hand(), spec, human, own, planner, record, threads)
     if (store is not None or ray is not None) and not job.is_named():
         raise FungraspError(

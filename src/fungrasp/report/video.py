@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,14 @@ SUFFIXES = (".mp4", ".webp", ".gif")
 """Kinds of film that can be written."""
 
 
-def write_video(path: str | Path, frames: Iterable[np.ndarray], fps: float, *, quality: float = 21.0) -> Path:
+def write_video(
+    path: str | Path,
+    frames: Iterable[np.ndarray],
+    fps: float,
+    *,
+    quality: float = 21.0,
+    keyframes: int | None = None,
+) -> Path:
     """Write a film, encoding each frame as it comes.
 
     An odd number of rows or columns is made even by repeating the last one (H.264 needs that).
@@ -28,6 +35,8 @@ def write_video(path: str | Path, frames: Iterable[np.ndarray], fps: float, *, q
         frames: sRGB, each of shape [H, W, 3] uint8, all of one size.
         fps: frames per second.
         quality: constant rate factor of H.264, from 0 (lossless) to 51 (worst).
+        keyframes: one frame in so many stands alone in an mp4 file, so that it is found fast; by default the
+            encoder decides.
 
     Returns:
         the file written: ``path``, or the same name with the suffix ``.webp`` if PyAV was built without
@@ -51,11 +60,13 @@ def write_video(path: str | Path, frames: Iterable[np.ndarray], fps: float, *, q
         return _write_animation(path, everything, fps)
     if not _has_h264():
         return _write_animation(path.with_suffix(".webp"), everything, fps)
-    return _write_mp4(path, everything, first.shape, fps, quality)
+    options = {"crf": f"{quality:g}", "preset": "veryfast"}
+    options |= {} if keyframes is None else {"g": str(keyframes), "bf": "0"}
+    return _write_mp4(path, everything, first.shape, fps, options)
 
 
 def _write_mp4(
-    path: Path, frames: Iterator[np.ndarray], shape: tuple[int, ...], fps: float, quality: float
+    path: Path, frames: Iterator[np.ndarray], shape: tuple[int, ...], fps: float, options: Mapping[str, str]
 ) -> Path:
     import av
     from av.error import FFmpegError
@@ -68,7 +79,7 @@ def _write_mp4(
                 stream = container.add_stream("libx264", rate=Fraction(fps).limit_denominator(1001))
                 stream.height, stream.width = shape[0] + odd[0][1], shape[1] + odd[1][1]
                 stream.pix_fmt = "yuv420p"
-                stream.options = {"crf": f"{quality:g}", "preset": "veryfast"}
+                stream.options = {**options}
                 # One converter for all frames: making it takes ten times as long as using it.
                 converter = VideoReformatter()
                 for array in frames:
