@@ -11,6 +11,7 @@ import pytest
 
 import fungrasp
 from fungrasp.report.notebook import notebook_html
+from fungrasp.text_table import table
 
 NOTEBOOKS = sorted((Path(__file__).parents[1] / "examples" / "notebooks").glob("*.ipynb"))
 
@@ -31,6 +32,24 @@ def test_a_notebook_runs(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyP
         if cell["cell_type"] == "code":
             exec(compile("".join(cell["source"]), f"{path.name}, cell {number}", "exec"), names)
             assert not cell["outputs"], "outputs are not kept in the repository"
+
+
+def test_pages_of_the_manual_are_of_these_notebooks() -> None:
+    """``python -m benchmarks.documents.notebooks`` makes them anew."""
+    pages = Path(__file__).parents[1] / "docs" / "notebooks"
+    assert sorted(page.name for page in pages.iterdir()) == [path.stem for path in NOTEBOOKS]
+    for path in NOTEBOOKS:
+        page = (pages / path.stem / "index.md").read_text()
+        for cell in json.loads(path.read_text())["cells"]:
+            assert "".join(cell["source"]).strip() in page, path.name
+
+
+def test_a_table_does_not_show_itself_in_a_notebook(monkeypatch: pytest.MonkeyPatch) -> None:
+    shown: list = []
+    display = SimpleNamespace(display=lambda *what, **how: shown.append(what))
+    monkeypatch.setitem(sys.modules, "IPython.display", display)
+    monkeypatch.setattr("rich.console._is_jupyter", lambda: True)
+    assert table([("a", "b"), ("1", "2")]) and not shown
 
 
 def test_grasps_plans_and_results_show_themselves() -> None:

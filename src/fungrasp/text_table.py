@@ -34,5 +34,6 @@ def table(
         grid.add_row(*map(Text, row))
     stream = StringIO()
     width = shutil.get_terminal_size().columns if sys.stdout.isatty() else PIPE_WIDTH
-    Console(file=stream, width=width, color_system=None).print(grid)
+    # In a notebook, rich would show the table in place of writing it.
+    Console(file=stream, width=width, color_system=None, force_jupyter=False).print(grid)
     return "\n".join(line.rstrip() for line in stream.getvalue().splitlines())

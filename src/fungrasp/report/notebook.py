@@ -75,7 +75,7 @@ def _plans(plans: GraspPlan) -> str:
         for row in range(min(len(plans), ROWS))
     ]
     heads = ("row", "object", "closes at", "lifts at", "expected success")
-    return f"{escape(repr(plans))}{_table(heads, rows, len(plans))}"
+    return f"{escape(f'<GraspPlan: {len(plans)} plans>')}{_table(heads, rows, len(plans))}"
 
 
 def _table(heads: tuple[str, ...], rows: list[tuple[str, ...]], count: int) -> str:
