@@ -17,7 +17,7 @@ from fungrasp.errors import FungraspError
 from fungrasp.viewer.page import BrowserPage
 
 if TYPE_CHECKING:
-    from viser import ClientHandle
+    from viser import ClientHandle, SceneApi
 
 _log = logging.getLogger(__name__)
 
@@ -74,6 +74,7 @@ class Viewer:
         self._server.gui.configure_theme(
             control_width="large", show_logo=False, show_share_button=False, brand_color=(32, 96, 150)
         )
+        _light(self._server.scene)
         self._host, self._make_page, self._pages = host, make_page, dict[int, BrowserPage]()
         self._lock, self._closed = threading.Lock(), threading.Event()
         self._server.on_client_connect(self._open)
@@ -152,6 +153,17 @@ class Viewer:
             # Handles and their callbacks know each other.
             del page
             gc.collect()
+
+
+def _light(scene: SceneApi) -> None:
+    """A sky above a light table, and lamps at both sides. An environment map and shadows, which viser has by
+    itself, take seconds of a processor where the browser has no GPU."""
+    scene.configure_environment_map(None)
+    scene.configure_default_lights(enabled=False)
+    scene.add_light_hemisphere("/sky", sky_color=(255, 255, 255), ground_color=(150, 150, 160), intensity=2.2)
+    for side, color, intensity in ((1.0, (255, 246, 235), 1.6), (-1.0, (225, 235, 255), 0.8)):
+        lamp = "warm" if side > 0 else "cold"
+        scene.add_light_directional(f"/{lamp}", color=color, intensity=intensity, position=(side, -0.8, 1.5))
 
 
 def _first_free_port(host: str) -> int:
