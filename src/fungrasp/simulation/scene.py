@@ -233,10 +233,13 @@ def _add_hand(spec: mujoco.MjSpec, hand: Hand, settings: SceneSettings, friction
     wrist.explicitinertial, wrist.gravcomp = True, 1.0
     axes = np.eye(3)
     for i, name in enumerate(WRIST_JOINTS):
-        slide = i < 3
-        joint_type = mujoco.mjtJoint.mjJNT_SLIDE if slide else mujoco.mjtJoint.mjJNT_HINGE
-        wrist.add_joint(name=name, type=joint_type, axis=axes[i % 3], armature=0.0 if slide else 0.001)
-        part = 0 if slide else 1
+        joint_type = mujoco.mjtJoint.mjJNT_SLIDE if i < 3 else mujoco.mjtJoint.mjJNT_HINGE
+        part = 0 if i < 3 else 1
+        # MuJoCo finds contact forces as if nothing were damped, and damps afterwards, implicitly: as if there were
+        # more inertia, by the damping times the step. Where that is more than there is, contacts push what is
+        # held ahead of the hand as this speeds up. An arm has that much.
+        inertia = settings.timestep * settings.wrist_damping[part]
+        wrist.add_joint(name=name, type=joint_type, axis=axes[i % 3], armature=inertia)
         actuator = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
         actuator.set_to_position(kp=settings.wrist_stiffness[part], kv=settings.wrist_damping[part])
         actuator.forcelimited = True

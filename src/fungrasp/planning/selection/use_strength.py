@@ -25,6 +25,9 @@ STRENGTH_POWER = 4.0
 """How fast the chance to withstand a use falls with the share of its load that contacts take: of 37 grasps
 that held, 10 of 21 passed above a share of 0.9, 3 of 16 below, whose mean was 0.6."""
 
+PASSED = 0.5
+"""How many of those pass whose contacts can take all of it: these 10 of 21."""
+
 DEEPEST_ON_THE_WAY = 0.001
 """A hand whose way goes farther into the object than this strikes it [m]: rollouts begin at its end, and do
 not see that. Of 30 chosen plans five went 2 to 22 mm into it, and four of their objects were not lifted."""
@@ -33,12 +36,13 @@ not see that. Of 30 chosen plans five went 2 to 22 mm into it, and four of their
 def chance_of_use(
     plans: GraspPlan, tasks: np.ndarray, hand: Hand, objects: Mapping[str, ObjectModel]
 ) -> np.ndarray:
-    """What remains of the expected success of plans in view of their tasks, shape [N]: from a half, where
-    what holds withstands nothing, to one, the more of the task's load the contacts can take; nothing where
-    the hand strikes the object on its way. Arguments as for ``resisted_share``."""
+    """What remains of the expected success of plans in view of their tasks, shape [N]: a half, which is what
+    an object counts that is held and withstands nothing, and the chance of use, the greater the more of the
+    task's load the contacts can take, counts another; nothing where the hand strikes the object on its way.
+    Arguments as for ``resisted_share``."""
     withstood = resisted_share(plans, tasks, hand, objects) ** STRENGTH_POWER
     struck = depth_on_the_way(plans, hand, objects) > DEEPEST_ON_THE_WAY
-    return np.where(struck, 0.0, 0.5 + 0.5 * withstood)
+    return np.where(struck, 0.0, 0.5 + 0.5 * PASSED * withstood)
 
 
 def depth_on_the_way(plans: GraspPlan, hand: Hand, objects: Mapping[str, ObjectModel]) -> np.ndarray:
