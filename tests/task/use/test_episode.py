@@ -76,6 +76,14 @@ def test_the_palm_turns_as_the_motion_says():
     np.testing.assert_allclose(poses[-1][:, :3], before[:, :3], atol=6e-3)
 
 
+def test_what_is_held_is_not_pushed_ahead_of_a_palm_that_begins_to_turn():
+    """With a wrist far lighter than its servo's damping stands for, by 1 mm and 1.5 degrees (decision 0093)."""
+    environment, held = lifted()
+    begun = UseMotion("tip", ("tip",), 0.2, turn="tilt", segments=((np.deg2rad(6), 0.2, 0.02),))
+    use = play_use(environment, [begun] * 2, held, ANY)
+    assert (use.shift_m < 5e-4).all() and (use.turn_rad < np.deg2rad(0.6)).all()
+
+
 def test_worlds_that_were_not_held_and_tasks_without_motion_are_not_tested():
     environment, _ = lifted()
     use = play_use(environment, [still(), None], np.array([False, True]), ANY)
