@@ -87,12 +87,9 @@ class Candidates:
     """Expected and observed success of the candidates, arrays of shape [K, G]."""
 
     def best(self) -> tuple[GraspPlan, np.ndarray]:
-        """The best plan of each grasp, and the success expected of it, shape [G]. Where candidates were tried
-        in rollouts it is one of these: what rollouts have shown of them would be as true of the others."""
+        """The best plan of each grasp, and the success expected of it, shape [G]."""
         count = self.statistics.expected.shape[1]
-        order, grasps = self.statistics.order, np.arange(count)
-        tried = self.statistics.tried[order, grasps] > 0
-        best = order[tried.argmax(axis=0), grasps]
+        best, grasps = self.statistics.order[0], np.arange(count)
         return self.plans.select(best * count + grasps), self.statistics.success[best, grasps]
 
     def among_best(self, number: int, grasps: np.ndarray) -> Candidates:
