@@ -235,9 +235,9 @@ def _add_hand(spec: mujoco.MjSpec, hand: Hand, settings: SceneSettings, friction
     for i, name in enumerate(WRIST_JOINTS):
         joint_type = mujoco.mjtJoint.mjJNT_SLIDE if i < 3 else mujoco.mjtJoint.mjJNT_HINGE
         part = 0 if i < 3 else 1
-        # MuJoCo finds contact forces as if nothing were damped, and damps afterwards, implicitly: as if there were
-        # more inertia, by the damping times the step. Where that is more than there is, contacts push what is
-        # held ahead of the hand as this speeds up. An arm has that much.
+        # MuJoCo finds contact forces as if nothing were damped, and damps afterwards, implicitly: as if there
+        # were more inertia, by the damping times the step. Where that is more than there is, contacts push
+        # what is held ahead of the hand as this speeds up. An arm has that much.
         inertia = settings.timestep * settings.wrist_damping[part]
         wrist.add_joint(name=name, type=joint_type, axis=axes[i % 3], armature=inertia)
         actuator = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)

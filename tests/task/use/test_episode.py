@@ -77,7 +77,7 @@ def test_the_palm_turns_as_the_motion_says():
 
 
 def test_what_is_held_is_not_pushed_ahead_of_a_palm_that_begins_to_turn():
-    """With a wrist far lighter than its servo's damping stands for, by 1 mm and 1.5 degrees (decision 0093)."""
+    """With a wrist far lighter than its damping stands for it is, by 1 mm and 1.5 degrees (decision 0093)."""
     environment, held = lifted()
     begun = UseMotion("tip", ("tip",), 0.2, turn="tilt", segments=((np.deg2rad(6), 0.2, 0.02),))
     use = play_use(environment, [begun] * 2, held, ANY)
