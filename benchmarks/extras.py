@@ -9,6 +9,7 @@ nothing of the project, and nothing that it depends on, is imported here.
 from __future__ import annotations
 
 import argparse
+import csv
 import os
 import re
 import subprocess
@@ -148,6 +149,10 @@ TRIALS = {
 """By extra; those of development, ``dev`` and ``docs``, are what ``make test`` installs."""
 
 
+COLUMNS = ("extra", "with it alone", "command", "without it the command says")
+"""Of the table."""
+
+
 class ExtraError(Exception):
     """An extra is not enough, or a command does not say what it lacks."""
 
@@ -159,6 +164,7 @@ def main(arguments: list[str] | None = None) -> int:
     )
     parser.add_argument("extras", nargs="*", help="all by default")
     parser.add_argument("--wheel", type=Path, help="of the package; built by default")
+    parser.add_argument("--table", type=Path, help="CSV file in which rows of these extras are put anew")
     options = parser.parse_args(arguments)
     if unknown := set(options.extras) - set(TRIALS):
         parser.error(f"unknown extra: {', '.join(sorted(unknown))}; there are {', '.join(TRIALS)}")
@@ -172,11 +178,23 @@ def main(arguments: list[str] | None = None) -> int:
             start = perf_counter()
             try:
                 said = _try(extra, bare, Environment(folder / extra), wheel.absolute())
+                found = "works"
                 print(f"{extra}: works; without it: {said} ({perf_counter() - start:.0f} s)", flush=True)
             except ExtraError as error:
                 failed += 1
+                found, said = "fails", " ".join(str(error).split())[:200]
                 print(f"{extra}: FAILED: {error}", flush=True)
+            if options.table:
+                _note(options.table, (extra, found, TRIALS[extra].command, said))
     return failed
+
+
+def _note(path: Path, row: tuple[str, ...]) -> None:
+    """Put the row of an extra into a table, which may be there."""
+    rows = list(csv.reader(path.read_text().splitlines()))[1:] if path.exists() else []
+    rows = sorted([*(one for one in rows if one[0] != row[0]), list(row)])
+    with path.open("w", newline="") as stream:
+        csv.writer(stream, lineterminator="\n").writerows([COLUMNS, *rows])
 
 
 class Environment:

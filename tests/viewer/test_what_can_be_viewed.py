@@ -12,7 +12,7 @@ import pytest
 import fungrasp
 from fungrasp.cli.main import main
 from fungrasp.errors import FungraspError
-from fungrasp.viewer.choose_page import page_maker
+from fungrasp.viewer.choose_page import choose_page
 from fungrasp.viewer.episode_states import EpisodeState, EpisodeStates
 from fungrasp.viewer.page import Worker
 from fungrasp.viewer.result_page import ShownResult
@@ -67,7 +67,7 @@ def test_options_that_do_not_fit_are_said(capsys):
     assert main(["view", "allegro", "--objects", "meshes"]) == 2
     assert capsys.readouterr().err.count("error: ") == 3
     with pytest.raises(FungraspError, match="can be viewed, not a list"):
-        page_maker([1], None, "allegro")
+        choose_page([1], None, "allegro")
 
 
 def test_a_result_without_recordings_or_grasps_says_why(tmp_path):

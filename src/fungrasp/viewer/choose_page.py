@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
@@ -31,15 +30,19 @@ Maker = Callable[["ClientHandle"], "BrowserPage"]
 
 
 @dataclass(frozen=True)
-class _Made:
-    """A page that is known already."""
+class ChosenPage:
+    """The page of something."""
 
     title: str
+    """Of the browser's tab."""
     make: Maker
+    """Makes what a browser sees."""
+    prepare: Callable[[], None] = lambda: None
+    """What is loaded once is then there when the first browser comes."""
 
 
-def page_maker(what: Any, objects: Mapping[str, ObjectModel] | None, hand: str | Hand) -> tuple[str, Maker]:
-    """Title of the page, and what makes it. Everything is read here, so that mistakes are met before the
+def choose_page(what: Any, objects: Mapping[str, ObjectModel] | None, hand: str | Hand) -> ChosenPage:
+    """The page of something. Everything is read here, so that mistakes are met before the
     server runs.
 
     Args:
@@ -62,36 +65,35 @@ def page_maker(what: Any, objects: Mapping[str, ObjectModel] | None, hand: str |
         name = (hand_origin(hand) or hand.name) if isinstance(hand, Hand) else hand
         load_hand(name)
         choice = PickableGrasps(what, _objects(what, objects), name)
-        # What is loaded once is there when the first browser comes.
-        threading.Thread(target=_load_solver, args=(choice,), daemon=True).start()
-        return "Grasps", partial(GraspPage, choice=choice)
+        return ChosenPage("Grasps", partial(GraspPage, choice=choice), partial(_load_solver, choice))
     if isinstance(what, RobotGraspSet):
         from fungrasp.viewer.robot_grasps_page import RobotGraspsPage
 
         if not len(what):
             raise FungraspError("there are no grasps to view: the set is empty")
         what.load_hand()
-        return "Robot grasps", partial(RobotGraspsPage, grasps=what, objects=_objects(what, objects))
+        make = partial(RobotGraspsPage, grasps=what, objects=_objects(what, objects))
+        return ChosenPage("Robot grasps", make)
     if isinstance(what, LiftTestResult):
         from fungrasp.viewer.result_page import ResultPage, ShownResult
 
-        return "Result", partial(ResultPage, shown=ShownResult.of(what))
+        return ChosenPage("Result", partial(ResultPage, shown=ShownResult.of(what)))
     if isinstance(what, Trajectory):
         from fungrasp.viewer.recording_page import RecordingPage
 
-        return "Episode", partial(RecordingPage, trajectory=what, objects=objects)
+        return ChosenPage("Episode", partial(RecordingPage, trajectory=what, objects=objects))
     from fungrasp.perception.perceived import Perceived
 
     if isinstance(what, Perceived):
         from fungrasp.viewer.capture_page import CapturePage
 
-        return "Capture", partial(CapturePage, capture=what.capture, perceive=lambda: what)
+        return ChosenPage("Capture", partial(CapturePage, capture=what.capture, perceive=lambda: what))
     if isinstance(what, Hand):
         from fungrasp.viewer.hand_page import HandPage
 
-        return what.title, partial(HandPage, path=what.path)
-    if isinstance(what, _Made):
-        return what.title, what.make
+        return ChosenPage(what.title, partial(HandPage, path=what.path))
+    if isinstance(what, ChosenPage):
+        return what
     raise FungraspError(
         "grasps, a result, a recorded episode, what was perceived, a hand, or the path of one of their "
         f"files, of a deployment's log or of a capture can be viewed, not a {type(what).__name__}"
@@ -132,14 +134,14 @@ def _read(what: str | Path) -> Any:
     if path.suffix == ".json":
         from fungrasp.viewer.result_page import ResultPage, ShownResult
 
-        return _Made("Result", partial(ResultPage, shown=ShownResult.read(path, read_result(path))))
+        return ChosenPage("Result", partial(ResultPage, shown=ShownResult.read(path, read_result(path))))
     if path.suffix == ".mcap":
         from fungrasp.deployment.log import read_log
         from fungrasp.viewer.log_page import LogPage, check_log
 
         log = read_log(path)
         check_log(log, path)
-        return _Made("Deployment", partial(LogPage, log=log))
+        return ChosenPage("Deployment", partial(LogPage, log=log))
     if path.suffix == ".npz":
         if "qpos" in read_npz(path, "file", lambda name: name == "qpos"):
             return replay(path)
@@ -153,14 +155,14 @@ def _read(what: str | Path) -> Any:
 def _hand(path: Path) -> Any:
     from fungrasp.viewer.hand_page import HandPage
 
-    return _Made(path.parent.name, partial(HandPage, path=path))
+    return ChosenPage(path.parent.name, partial(HandPage, path=path))
 
 
 def _capture(folder: Path) -> Any:
     from fungrasp.perception.io.scene_folders import read_folder
     from fungrasp.viewer.capture_page import CapturePage
 
-    return _Made("Capture", partial(CapturePage, capture=read_folder(folder), perceive=None))
+    return ChosenPage("Capture", partial(CapturePage, capture=read_folder(folder), perceive=None))
 
 
 def perceived_capture(folder: str, mesh: str) -> Any:
@@ -180,7 +182,9 @@ def perceived_capture(folder: str, mesh: str) -> Any:
 
     held = held_object(mesh, None)
     capture = read_folder(folder)
-    return _Made("Capture", partial(CapturePage, capture=capture, perceive=lambda: perceive(capture, held)))
+    return ChosenPage(
+        "Capture", partial(CapturePage, capture=capture, perceive=lambda: perceive(capture, held))
+    )
 
 
 def shown_result(path: str, grasps: Path | None, objects: Path | None, recordings: Path | None) -> Any:
@@ -206,4 +210,4 @@ def shown_result(path: str, grasps: Path | None, objects: Path | None, recording
         if not recordings.is_dir():
             raise FungraspError(f"there is no folder {recordings} of recorded episodes")
         shown = replace(shown, recordings=recordings)
-    return _Made("Result", partial(ResultPage, shown=shown))
+    return ChosenPage("Result", partial(ResultPage, shown=shown))

@@ -12,6 +12,7 @@ from fungrasp.deployment.log import RecordedDeployment
 from fungrasp.errors import FungraspError
 from fungrasp.hands import Hand, load_hand
 from fungrasp.objects import load_object
+from fungrasp.report.deployment_page import deployment_curves, deployment_fault
 from fungrasp.robots.cell import load_cell
 from fungrasp.robots.kinematics.arm_model import ArmKinematics
 from fungrasp.viewer.episode_stage import EpisodePlayer, EpisodeScene, place_in_front
@@ -20,6 +21,9 @@ from fungrasp.viewer.page import BrowserPage, add_table, look_at
 
 if TYPE_CHECKING:
     from viser import ClientHandle
+
+WIDE_MODAL = "<style>.mantine-Modal-content { flex-basis: min(62em, 96vw) !important; }</style>"
+"""viser's modals are as wide as a message; curves need more."""
 
 PHASES = {"approach": "approach", "lift": "lift", "hold": "hold"}
 """Phases of a deployment that episodes have too; all else counts as approach."""
@@ -52,6 +56,8 @@ class LogPage(BrowserPage):
         whole = "" if log.complete else "\n\n**It breaks off: its writer was killed, or the disk was full.**"
         client.gui.add_markdown(f"**Deployment**{whole}\n\n{about}")
         self._events = client.gui.add_dropdown("Event", ["none"], hint="Jump to where it happened")
+        curves = client.gui.add_button("Curves", hint="Setpoints, what was measured, lateness")
+        curves.on_click(lambda _: self.worker.ask("curves", self._show_curves))
         self._player = EpisodePlayer(self)
         self._events.on_update(lambda _: self._jump())
         self._times: dict[str, float] = {}
@@ -76,12 +82,19 @@ class LogPage(BrowserPage):
         held = [frames[i].time for i in range(len(frames)) if frames[i].phase == "hold"]
         if held:
             self._player.go_to(held[-1])
-        faults = [event["text"] for event in log.messages["/event"] if event["what"] == "fault"]
-        self._player.status.content = f"**fault: {faults[0]}**" if faults else "no fault"
+        fault = deployment_fault(log)
+        self._player.status.content = f"**fault: {fault}**" if fault else "no fault"
         for event in log.messages["/event"]:
             time = max(float(event["time"]) - start, 0.0)
             self._times[f"{time:.1f} s {event['what']}: {event['text']}"] = time
         self._events.options = ["none", *self._times]
+
+    def _show_curves(self) -> None:
+        gui = self.client.gui
+        with gui.add_modal("Curves") as modal:
+            close = gui.add_button("Close")
+            gui.add_html(WIDE_MODAL + deployment_curves(self._log))
+        close.on_click(lambda _: modal.close())
 
     def _jump(self) -> None:
         time = self._times.get(str(self._events.value))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import threading
 import webbrowser
 from collections.abc import Mapping
 from pathlib import Path
@@ -63,15 +64,17 @@ def view(
         if browser:
             webbrowser.open(path.absolute().as_uri())
         return path
-    from fungrasp.viewer.choose_page import page_maker
+    from fungrasp.viewer.choose_page import choose_page
 
-    title, make_page = page_maker(what, objects, hand)
-    viewer = Viewer(make_page, title, host, port)
+    page = choose_page(what, objects, hand)
+    viewer = Viewer(page.make, page.title, host, port)
+    # Python can't end in the middle of a compilation: it waits for this thread.
+    threading.Thread(target=page.prepare, name="fungrasp prepares").start()
     if browser:
         webbrowser.open(viewer.url)
     if wait is None:
         wait = not hasattr(sys, "ps1") and "ipykernel" not in sys.modules and sys.stdin.isatty()
     if wait:
-        sys.stderr.write(f"{title}: {viewer.words}; Ctrl-C ends it\n")
+        sys.stderr.write(f"{page.title}: {viewer.words}; Ctrl-C ends it\n")
         viewer.wait()
     return viewer
