@@ -104,20 +104,22 @@ def mounting_pose(hand: Hand, mount: Mount = DIRECT) -> np.ndarray:
     return compose(np.array(given), np.concatenate([position, quaternion]))
 
 
-def mount(hand: Hand, arm: str = "ur5e", how: Mount = DIRECT) -> mujoco.MjSpec:
+def mount(
+    hand: Hand, arm: str = "ur5e", how: Mount = DIRECT, child: mujoco.MjSpec | None = None
+) -> mujoco.MjSpec:
     """The hand on the flange of an arm, the arm's base at the world's origin.
 
     Names of both stay as they are; meshes are held in the spec itself. The weight of the palm is compensated
     by the arm (as a payload known to its controller), that of the fingers is not. A site ``PALM_SITE`` marks
-    the frame of the palm body.
+    the frame of the palm body. child: what is mounted in place of ``hand.spec()``, one that looks better.
 
     Raises:
         UnknownNameError: no such arm.
         FungraspError: the hand and the arm don't make one model, for example because they share a name.
     """
     spec = arm_spec(arm)
-    child = hand.spec()
-    palm = child.body(hand.palm)
+    mounted: mujoco.MjSpec = child or hand.spec()
+    palm = mounted.body(hand.palm)
     palm.gravcomp = 1.0
     palm.add_site(name=PALM_SITE, size=[0.001, 0, 0])
     pose = mounting_pose(hand, how)
@@ -133,7 +135,7 @@ def mount(hand: Hand, arm: str = "ur5e", how: Mount = DIRECT) -> mujoco.MjSpec:
             mass=0,
         )
     frame = flange.parent.add_frame(pos=pose[:3], quat=pose[3:])
-    spec.attach(child, prefix=_PREFIX, frame=frame)
+    spec.attach(mounted, prefix=_PREFIX, frame=frame)
     # Default classes keep the prefix, since both models have a class "main"; all else gets its name back.
     return mujoco.MjSpec.from_string(re.sub(f'(?<!class)="{_PREFIX}', '="', self_contained_xml(spec)))
 

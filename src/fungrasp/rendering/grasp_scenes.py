@@ -75,7 +75,7 @@ def human_grasp_scene(
     mesh.usertexcoord = np.stack([place, np.full_like(place, 0.5)], axis=-1).ravel()
     body = spec.worldbody.add_body(name=HAND_BODY)
     _add_mesh_geom(body, HAND_BODY, [1, 1, 1, 1]).material = "skin"
-    held = _add_object(spec, thing)
+    held = add_object(spec, thing)
     held.pos, held.quat = pose[:3], pose[3:]
     return _compiled(spec)
 
@@ -108,7 +108,7 @@ def robot_grasp_scene(
     body.explicitinertial = True
     body.add_freejoint(name=HAND_BODY)
     spec.attach(dressed_spec(hand), prefix=_PREFIX, frame=body.add_frame())
-    _add_object(spec, thing).add_freejoint(name=OBJECT_BODY)
+    add_object(spec, thing).add_freejoint(name=OBJECT_BODY)
     model = _compiled(spec)
     if link_contacts is not None:
         colors = robot_scene_colors(model, hand, np.asarray(link_contacts)[None])[0]
@@ -207,7 +207,8 @@ def robot_scene_colors(model: mujoco.MjModel, hand: Hand, link_contacts: np.ndar
     return colors
 
 
-def _add_object(spec: mujoco.MjSpec, thing: ObjectModel) -> mujoco.MjsBody:
+def add_object(spec: mujoco.MjSpec, thing: ObjectModel) -> mujoco.MjsBody:
+    """Add a body ``OBJECT_BODY`` that looks like an object; for the eye alone."""
     body = spec.worldbody.add_body(name=OBJECT_BODY)
     for number, (look, mask) in enumerate(painted_parts(thing)):
         name = f"{OBJECT_BODY}{number or ''}"

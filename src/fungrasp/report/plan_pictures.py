@@ -17,7 +17,8 @@ from fungrasp.hands import Hand
 from fungrasp.hands.arm import arm_spec, mount
 from fungrasp.objects import ObjectModel
 from fungrasp.rendering.camera import Camera, fit_camera, orbit_camera
-from fungrasp.rendering.object_looks import PLAIN
+from fungrasp.rendering.grasp_scenes import OBJECT_BODY, add_object
+from fungrasp.rendering.hand_shells import dressed_spec
 from fungrasp.rendering.render import render
 from fungrasp.report.film import film
 from fungrasp.report.pictures import grid
@@ -153,7 +154,7 @@ class PlanScene:
 
 def _model(cell: RobotCell, hand: Hand, thing: ObjectModel, motion: Motion | None) -> mujoco.MjModel:
     """To be drawn only: nothing collides. motion: whose palm's way is drawn; none if None."""
-    spec = mount(hand, cell.arm.model, cell.mount)
+    spec = mount(hand, cell.arm.model, cell.mount, dressed_spec(hand))
     base = spec.worldbody.first_body()
     base.pos, base.quat = cell.arm.pose_world_base[:3], cell.arm.pose_world_base[3:]
     plane, box, ball = mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_SPHERE
@@ -162,13 +163,7 @@ def _model(cell: RobotCell, hand: Hand, thing: ObjectModel, motion: Motion | Non
         half = (0.5 * np.array(one.size)).tolist()
         turn, place = list(one.rotation), list(one.center)
         spec.worldbody.add_geom(type=box, size=half, pos=place, quat=turn, rgba=OBSTACLE)
-    mesh = spec.add_mesh(name="object to grasp")
-    mesh.uservert, mesh.userface = thing.vertices.ravel().tolist(), thing.faces.ravel().tolist()
-    mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
-    body = spec.worldbody.add_body(name="object to grasp", mass=0.1, inertia=[1e-4, 1e-4, 1e-4])
-    body.explicitinertial = True
-    body.add_freejoint(name="object to grasp")
-    body.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=mesh.name, rgba=[*PLAIN.color, 1.0])
+    add_object(spec, thing).add_freejoint(name=OBJECT_BODY)
     if motion is not None:
         for place, color in _beads(motion):
             spec.worldbody.add_geom(type=ball, size=[BEAD, 0, 0], pos=place.tolist(), rgba=color)
@@ -190,7 +185,7 @@ def _states(model: mujoco.MjModel, cell: RobotCell, hand: Hand, motion: Motion) 
     states[:, [int(model.joint(name).qposadr[0]) for name in names]] = motion.arm
     fingers = np.array([hand.all_joints(row) for row in motion.fingers])
     states[:, [int(model.joint(name).qposadr[0]) for name in hand.joint_names]] = fingers
-    start = int(model.joint("object to grasp").qposadr[0])
+    start = int(model.joint(OBJECT_BODY).qposadr[0])
     states[:, start : start + 7] = motion.object_pose
     return states
 

@@ -103,7 +103,8 @@ def choose_page(what: Any, objects: Mapping[str, ObjectModel] | None, hand: str 
 def _load_solver(choice: PickableGrasps) -> None:
     from fungrasp.retargeting import retarget
 
-    with contextlib.suppress(FungraspError):
+    # RuntimeError: Python ends already, and begins no more threads.
+    with contextlib.suppress(FungraspError, RuntimeError):
         first = choice.grasps.select(np.array([choice.row]))
         retarget(first, choice.objects, choice.hand, threads=1)
 

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import io
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,6 +16,7 @@ from fungrasp.hands import load_hand
 from fungrasp.hands.hand_registry import hand_files
 from fungrasp.objects import ObjectModel
 from fungrasp.retargeting.retarget import METHODS
+from fungrasp.viewer.downloads import add_downloads
 from fungrasp.viewer.episode_tab import EpisodeTab, Trial
 from fungrasp.viewer.figures import HumanFigure, ObjectFigure
 from fungrasp.viewer.grasp_numbers import LEGEND, quality_rows, view_across
@@ -106,9 +105,7 @@ class GraspPage(BrowserPage):
                 self._back = gui.add_button("Put back", hint="As the person held it")
             with gui.add_folder("Joints", expand_by_default=False) as self._joint_folder:
                 pass
-            with gui.add_folder("Keep", expand_by_default=False):
-                save = gui.add_button("Save grasp (.npz)")
-                picture = gui.add_button("Save picture (.png)")
+            add_downloads(self, lambda: self._robots[0] if self._robots else None)
         with tabs.add_tab("Lift"):
             self._lift = EpisodeTab(self, self._trial, self._show_episode)
         self._sliders: JointSliders | None = None
@@ -120,8 +117,6 @@ class GraspPage(BrowserPage):
         self._shift.on_update(lambda _: self._on_numbers())
         self._turn.on_update(lambda _: self._on_numbers())
         self._back.on_click(lambda _: self.worker.ask("pick", self._show_picked))
-        save.on_click(lambda _: self.worker.ask("save", self._save))
-        picture.on_click(lambda _: self.worker.ask("picture", self._save_picture))
 
     def _rows(self, name: str) -> dict[str, int]:
         found = np.flatnonzero(self._choice.grasps.object_name == name)
@@ -320,32 +315,3 @@ class GraspPage(BrowserPage):
         with self.client.atomic():
             self._robots[0].set_joints(self._sliders.joints)
         self._say("bent by hand", [])
-
-    # Keeping.
-
-    def _save(self) -> None:
-        from tempfile import TemporaryDirectory
-
-        from fungrasp.grasps import save_robot_grasps
-
-        if not self._robots or self._robots[0].grasp is None:
-            raise FungraspError("there is no robot grasp yet")
-        robot = self._robots[0]
-        with TemporaryDirectory() as folder:
-            file = Path(folder) / "grasp.npz"
-            save_robot_grasps(file, robot.grasp_set())
-            content = file.read_bytes()
-        self.client.send_file_download(f"{robot.model.name}-{robot.hand.name}.npz", content)
-
-    def _save_picture(self) -> None:
-        from PIL import Image
-
-        try:
-            picture = self.client.get_render(720, 1280, transport_format="png", timeout=20.0)
-        except (RuntimeError, TimeoutError) as error:
-            raise FungraspError(f"the browser gave no picture: {error}") from error
-        background = np.full((*picture.shape[:2], 4), 255, np.uint8)
-        whole = Image.alpha_composite(Image.fromarray(background), Image.fromarray(picture))
-        buffer = io.BytesIO()
-        whole.convert("RGB").save(buffer, "PNG")
-        self.client.send_file_download(f"{self._human.object_name}.png", buffer.getvalue())

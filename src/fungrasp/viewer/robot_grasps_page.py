@@ -9,6 +9,7 @@ import numpy as np
 
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.objects import ObjectModel
+from fungrasp.viewer.downloads import add_downloads
 from fungrasp.viewer.episode_tab import EpisodeTab, Trial
 from fungrasp.viewer.page import BrowserPage, add_table, look_at, values_table
 from fungrasp.viewer.robot_view import RobotView
@@ -37,6 +38,7 @@ class RobotGraspsPage(BrowserPage):
             labels = [self._label(row) for row in range(len(grasps))]
             self._row = client.gui.add_dropdown("Grasp", labels)
             self._numbers = client.gui.add_markdown("")
+            add_downloads(self, lambda: self._view)
         with tabs.add_tab("Lift"):
             self._lift = EpisodeTab(self, self._trial, lambda: self._stand(False))
             self._lift.choose_policy(self._hand)
