@@ -8,10 +8,12 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial import KDTree
 
+from fungrasp.geometry.signed_distance import SignedDistanceBank
 from fungrasp.objects import ObjectModel, mirrored_object
 from fungrasp.objects.object_variants import scaled_object
 from fungrasp.objects.plain_shapes import plain_shape
-from fungrasp.perception.object_pose.known_object import KnownObject
+from fungrasp.perception.object_pose.icp import KnownSurface
+from fungrasp.perception.object_pose.known_object import KnownObject, MeshRays, known_object
 
 SCALES = (0.5, 0.67, 0.77, 1.3, 1.5, 2.0)
 """Sizes in which the right mesh is wrong."""
@@ -69,6 +71,23 @@ def with_colors(known: KnownObject, points: np.ndarray, colors: np.ndarray, mesh
     """
     samples = (known.surface.samples - mesh[0]) / (mesh[1] - mesh[0])
     return replace(known, colors=colors[KDTree(points).query(samples)[1]])
+
+
+def searched_mesh(mesh: ObjectModel, right: ObjectModel) -> KnownObject:
+    """A mesh made ready for the search; in a moment where it is the right one in another size."""
+    if mesh.scaled_from is None or mesh.scaled_from[0] is not right:
+        return known_object(mesh)
+    known, factor = known_object(right), mesh.scaled_from[1]
+    symmetries = known.symmetries.copy()
+    symmetries[:, :3] *= factor
+    return replace(
+        known,
+        surface=KnownSurface(SignedDistanceBank([mesh.signed_distance]), factor * known.surface.samples),
+        rays=MeshRays(mesh.vertices, mesh.faces),
+        size=factor * known.size,
+        middle=factor * known.middle,
+        symmetries=symmetries,
+    )
 
 
 def _stretched(model: ObjectModel, factor: float) -> ObjectModel:
