@@ -27,6 +27,10 @@ from fungrasp.objects import ObjectModel
 from fungrasp.perception.object_pose.icp import KnownSurface
 
 
+NOWHERE, BEYOND = 1e6, 1e3
+"""Rays that meet nothing end so far away [m]; what is farther than the second was not met."""
+
+
 class MeshRays:
     """A triangle mesh that can be looked at in many poses."""
 
@@ -40,10 +44,10 @@ class MeshRays:
         low, high = np.min(vertices, axis=0), np.max(vertices, axis=0)
         self._middle, self._radius = 0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low))
 
-    def cast(
+    def hits(
         self, poses: np.ndarray, directions: np.ndarray, stretch: np.ndarray | None = None
-    ) -> np.ndarray:
-        """Depth images of the mesh in several poses.
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Which rays meet the mesh in several poses, and where.
 
         Args:
             poses: mesh in the camera frame, shape [H, 7].
@@ -51,24 +55,31 @@ class MeshRays:
             stretch: factors along the mesh's axes by which it is larger, about its origin, shape [H, 3].
 
         Returns:
-            depth along the optical axis [m], infinite where the mesh is missed, shape [H, R], float32 as rays
-            are.
+            pose, ray and depth along the optical axis [m] of each hit, poses ascending, shape [N] each; depth
+            in single precision, as rays are.
         """
-        depth = np.full((len(poses), len(directions)), np.inf, np.float32)
         factors = np.ones((len(poses), 3)) if stretch is None else stretch
         slopes = directions / np.linalg.norm(directions, axis=-1, keepdims=True)
         middles = poses[:, :3] + rotate(poses[:, 3:], factors * self._middle)
         radius = self._radius * factors.max(axis=1)
         # Along a ray that passes the sphere round the mesh, its middle is at least so far away.
         least = np.sqrt(np.maximum(np.square(middles).sum(axis=1) - np.square(radius), 0.0))
-        near = slopes @ middles.T >= least
-        for i, rotation in enumerate(rotation_matrix(poses[:, 3:])):
-            rays = np.flatnonzero(near[:, i])
-            # The rays as the mesh of usual size sees them: lengths along them change, depths do not.
-            local = directions[rays] @ rotation / factors[i]
-            lengths = np.linalg.norm(local, axis=-1)
-            origin = -rotation.T @ poses[i, :3] / factors[i]
-            depth[i, rays] = self._caster.cast(origin, local / lengths[:, None]).distance / lengths
+        pose, ray = np.nonzero(middles @ slopes.T >= least[:, None])
+        # The rays as the mesh of usual size sees them: lengths along them change, depths do not.
+        axes = rotation_matrix(poses[:, 3:]) / factors[:, None, :]
+        local = np.matmul(directions, axes).astype(np.float32)[pose, ray]
+        lengths = np.sqrt(np.square(local).sum(axis=1))
+        origins = -np.einsum("hi,hij->hj", poses[:, :3], axes).astype(np.float32)
+        depth = self._caster.free_distance(origins[pose], local / lengths[:, None], NOWHERE) / lengths
+        met = depth < BEYOND
+        return pose[met], ray[met], depth[met]
+
+    def cast(self, poses: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        """Depth images of the mesh in several poses: ``hits`` as depth [m], infinite where the mesh is
+        missed, shape [H, R], float32."""
+        depth = np.full((len(poses), len(directions)), np.inf, np.float32)
+        pose, ray, seen = self.hits(poses, directions)
+        depth[pose, ray] = seen
         return depth
 
 

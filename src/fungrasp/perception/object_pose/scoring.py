@@ -107,26 +107,31 @@ class PoseScorer:
     def __call__(self, poses: np.ndarray, owner: np.ndarray, stretch: np.ndarray | None = None) -> PoseScores:
         """Score poses of the object in the camera frame, shape [H, 7], each by the mask it was fitted to,
         shape [H] int; the mesh may be stretched along its axes, see ``MeshRays.cast``."""
-        seen = self.known.rays.cast(poses, self.directions, stretch)
-        noise = self.spread
-        error = seen - self.depth
-        hits = np.isfinite(seen)
+        # Only rays that meet the mesh say anything: all sums are over these.
+        pose, ray, seen = self.known.rays.hits(poses, self.directions, stretch)
+
+        def summed(values: np.ndarray) -> np.ndarray:
+            return np.bincount(pose, values, len(poses))
+
+        noise, support, skin = self.spread[ray], self.support[ray], self.skin[ray]
+        error = seen - self.depth[ray]
         likeness = np.exp(-0.5 * np.square(error / (1.5 * noise)))
-        mine = self.masks[owner]
-        total = np.maximum(mine.sum(axis=1), 1.0)
-        explained = np.einsum("hr,hr->h", likeness, mine) / total
-        everywhere = likeness @ self.support
+        mine = self.masks[owner[pose], ray]
+        total = np.maximum(self.masks.sum(axis=1), 1.0)[owner]
+        explained = summed(likeness * mine) / total
+        everywhere = summed(likeness * support)
         in_front = error < -(3.0 * noise + 0.003)
-        behind = np.where((error > 3.0 * noise + 0.006) & hits, self.opaque, 0.0)
-        open_space = np.where(hits, self.background, 0.0)
-        contradicted = (np.maximum(in_front + behind, open_space) * (1.0 - mine)).sum(axis=1) / total
-        hit = np.maximum(hits.sum(axis=1), 1)
-        hidden = np.where(hits, self.skin, 0.0).sum(axis=1)
+        behind = np.where(error > 3.0 * noise + 0.006, self.opaque[ray], 0.0)
+        against_open = np.maximum(in_front + behind, self.background[ray])
+        contradicted = summed(against_open * (1.0 - mine)) / total
+        hit = np.maximum(np.bincount(pose, minlength=len(poses)), 1)
+        hidden = summed(skin)
         # Of the silhouette that no skin hides.
-        visible = (likeness * (1.0 - self.skin)).sum(axis=1) / np.maximum(hit - hidden, 1.0)
-        against = (1.0 - explained + contradicted) * total + UNSEEN * (1.0 - likeness.sum(axis=1) / hit) * hit
+        visible = summed(likeness * (1.0 - skin)) / np.maximum(hit - hidden, 1.0)
+        against = (1.0 - explained + contradicted) * total + UNSEEN * (hit - summed(likeness))
         # Things near the hand that neither the mask nor the pose has: the object is one of them.
-        left_out = ((1.0 - likeness) * (1.0 - mine)) @ self.support
+        others = ((1.0 - self.masks) @ self.support)[owner]
+        left_out = others - summed(likeness * (1.0 - mine) * support)
         quality = everywhere / (everywhere + against + LEFT_OUT * left_out)
         contact = np.zeros(len(poses))
         if self.joints is not None:
