@@ -39,8 +39,8 @@ class MeasuredCapture:
     true: HumanGraspSet
     """The one true grasp."""
     perceived: HumanGraspSet | None
-    """The hands that ``perceive`` gave, the best first, in a world of their own; None where there is no grasp
-    that could be tried."""
+    """The grasp that ``perceive`` gave, in a world of its own; None where there is none that could be
+    tried."""
 
     def arrays(self) -> Arrays:
         """To be kept in a file."""
@@ -82,8 +82,6 @@ class CaptureTrial:
     landmarks_noise: float | None = None
     """Standard deviation of the true landmarks that are given in place of a detector's [pixels of an image
     640 wide]."""
-    hands: int = 1
-    """Hands that perception is asked for."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,7 +129,7 @@ class CaptureJob(Job[int]):
         if trial.absent:
             no_hand, no_object = (self._lacking(index, part) for part in (Label.HAND, Label.OBJECT))
             absent = measure_absent(no_hand, no_object, model, detector)
-        result, perceived = measure_perception(known, model, detector, other, mesh, trial.hands, absent)
+        result, perceived = measure_perception(known, model, detector, other, mesh, absent)
         return MeasuredCapture(result, HumanGraspSet.of([known.grasp]), perceived)
 
     def _lacking(self, index: int, part: Label) -> Capture:

@@ -71,8 +71,7 @@ class Captures:
 
             hand = load_hand(self.hand)
             policies = self.policy or (default_policy(hand.name),)
-            several = self.trial.hands > 1
-            figures["chain"] = run_chain(measured, objects, hand, policies, several, self.threads)
+            figures["chain"] = run_chain(measured, objects, hand, policies, self.threads)
         if self.json is not None:
             about = {"grasps": Path(self.grasps).name, "objects": sorted(objects), **asdict(self.trial)}
             about |= {"machine": machine()}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -22,7 +21,6 @@ def run_chain(
     objects: Mapping[str, ObjectModel],
     hand: Hand,
     policies: Sequence[str],
-    several: bool = False,
     threads: int = 0,
 ) -> dict[str, Any]:
     """Figures of the first policy, and of all of them by name where there are several.
@@ -32,7 +30,6 @@ def run_chain(
         objects: by name.
         hand: the robot's.
         policies: what moves it.
-        several: whether all hands that perception gave are tried too.
         threads: 0 means all processors.
     """
     from fungrasp.evaluation import evaluate
@@ -40,8 +37,6 @@ def run_chain(
 
     true, perceived, rows = chain_sets(measured, objects)
     humans = {"true grasps": true, "perceived grasps": perceived}
-    if several:
-        humans["all hands"] = chain_sets(measured, objects, several=True)[1]
     robots = {
         words: None if human is None else retarget(human, objects, hand, threads=threads)
         for words, human in humans.items()
@@ -57,23 +52,19 @@ def run_chain(
             with progress_bar(f"{policy}, {words}", 1.0) as show:
                 tried = evaluate(robot, objects, policy, threads=threads, progress=show)
             success[words] = tried.outcomes.success
-        first, *others = success.values()
-        each[policy] = chain_figures(first, others[0], rows, sure)
-        if several:
-            each[policy]["all_hands"] = chain_figures(first, others[1], rows, sure)
+        each[policy] = chain_figures(*success.values(), rows, sure)
     figures = {"hand": hand.name, "policy": policies[0]} | each[policies[0]]
     return figures if len(policies) == 1 else figures | {"policies": each}
 
 
 def chain_sets(
-    measured: Sequence[MeasuredCapture], objects: Mapping[str, Any], several: bool = False
+    measured: Sequence[MeasuredCapture], objects: Mapping[str, Any]
 ) -> tuple[HumanGraspSet, HumanGraspSet | None, np.ndarray]:
     """True and perceived grasps, for retargeting both.
 
     Args:
         measured: captures.
         objects: by name: a grasp taken for a left hand's is of a mirrored object and is left out.
-        several: whether all hands that an image allows are taken, as rows that follow each other.
 
     Returns:
         the true grasps, all; the perceived ones that are grasps at all (None if there are none); the capture
@@ -81,14 +72,9 @@ def chain_sets(
     """
     sets, rows = [], []
     for row, one in enumerate(measured):
-        hands = one.perceived
-        if hands is None or hands.object_name[0] not in objects:
+        if one.perceived is None or one.perceived.object_name[0] not in objects:
             continue
-        if several:
-            known = np.ones(len(hands)) if hands.probability is None else hands.probability
-            sets.append(replace(hands, probability=known))
-        else:
-            sets.append(replace(hands.select([0]), probability=None))
+        sets.append(one.perceived)
         rows.append(row)
     perceived = HumanGraspSet.concatenate(sets) if sets else None
     return HumanGraspSet.concatenate([one.true for one in measured]), perceived, np.array(rows, dtype=int)

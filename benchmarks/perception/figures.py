@@ -84,9 +84,6 @@ def perception_figures(results: Sequence[CaptureResult]) -> dict[str, Any]:
         "hidden_joint_error_mm",
         "hidden_tip_error_mm",
         "hidden_contacts_right",
-        "expected_hidden_error_mm",
-        "best_hidden_error_mm",
-        "hidden_energy_score_mm",
     )
     return finite(
         {

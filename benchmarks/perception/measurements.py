@@ -86,13 +86,6 @@ class HandResult:
     """The same of fingertips."""
     hidden_contacts_right: float = float("nan")
     """Part of those fingertips of which it is right whether their links touch the object."""
-    expected_hidden_error_mm: float = float("nan")
-    """Mean error of the hidden joints [mm], over all hands that ``perceive`` gave, by their probabilities."""
-    best_hidden_error_mm: float = float("nan")
-    """The same of the best of those hands."""
-    hidden_energy_score_mm: float = float("nan")
-    """Expected error of the hidden joints less half of how far apart two of those hands are [mm]: a proper
-    score, least for hands that are as probable as they say; of a single hand it is its error."""
 
 
 @dataclass(frozen=True)
@@ -157,7 +150,6 @@ def measure_perception(
     detector: HandDetector,
     other: ObjectModel | None = None,
     colored: trimesh.Trimesh | None = None,
-    count: int = 1,
     absent: AbsentResult | None = None,
 ) -> tuple[CaptureResult, HumanGraspSet | None]:
     """Run perception on one capture, stage by stage.
@@ -168,17 +160,16 @@ def measure_perception(
         detector: finds hands.
         other: another object, whose mesh must not be accepted; not tried if None.
         colored: the object's mesh with colors, if perception is to know them.
-        count: hands that are asked for, at most.
         absent: goes into the result.
 
     Returns:
-        the numbers; the hands that ``perceive`` gave, the best first, in a world of their own, None where
-        they are no grasp that could be tried.
+        the numbers; the grasp that ``perceive`` gave, in a world of its own, None where
+        it is no grasp that could be tried.
     """
     capture, obj = known.capture, HeldObject(model, colored)
     masked = capture.with_object(mask=known.object_mask) if known.object_mask.any() else capture
     points = np.asarray(trimesh.sample.sample_surface(model.mesh, 3000, seed=0)[0])
-    seen = perceived(capture, obj, detector, count)
+    seen = perceived(capture, obj, detector)
     with_mask = perceived(masked, obj, detector)
     wrong = None if other is None else perceived(masked, HeldObject(other), detector)
     truth = known.pose_camera_object
@@ -198,17 +189,16 @@ def measure_perception(
         return result, None
 
 
-def perceived(capture: Capture, obj: HeldObject, detector: HandDetector, count: int = 1) -> Perceived | None:
+def perceived(capture: Capture, obj: HeldObject, detector: HandDetector) -> Perceived | None:
     """What ``perceive`` makes of an image; None where it finds no hand.
 
     Args:
         capture: the image, with what is said of the object's place.
         obj: the object.
         detector: finds hands.
-        count: hands that are asked for, at most.
     """
     try:
-        return perceive(capture, obj, detector=detector, hands=count)
+        return perceive(capture, obj, detector=detector)
     except FungraspError:
         return None
 
@@ -259,35 +249,26 @@ def _hand_result(known: KnownCapture, model: ObjectModel, seen: Perceived) -> Ha
     pixels = k.project(truth)
     off = np.linalg.norm(hand.pixels - pixels, axis=1)
     errors = 1000 * np.linalg.norm(hand.joints_camera - truth, axis=1)
-    joints = np.array([one.hand.joints_camera for one in seen.hands])
-    probability = np.array([one.probability for one in seen.hands])
+    joints = seen.hand.joints_camera
     refined_errors = 1000 * np.linalg.norm(joints - truth, axis=-1)
     touching = known.grasp.link_contacts[list(TIP_LINKS)]
-    tips = refined_errors[0, list(TIPS)]
+    tips = refined_errors[list(TIPS)]
     hidden = hidden_joints(known)
     hidden_tips = hidden[list(TIPS)]
-    nan, hidden_errors = float("nan"), np.full(len(joints), np.nan)
-    apart = np.zeros((len(joints), len(joints)))
-    if hidden.any():
-        hidden_errors = refined_errors[:, hidden].mean(axis=1)
-        apart = 1000 * np.linalg.norm((joints[:, None] - joints)[:, :, hidden], axis=-1).mean(axis=-1)
+    nan = float("nan")
     surface, pose = model.signed_distance, known.pose_camera_object
-    right = [touching_links(one, surface, pose)[list(TIP_LINKS)][hidden_tips] for one in (joints[0], truth)]
-    expected = float(probability @ hidden_errors)
+    right = [touching_links(one, surface, pose)[list(TIP_LINKS)][hidden_tips] for one in (joints, truth)]
     return HandResult(
         found=bool(np.median(off) < 0.5 * np.linalg.norm(np.ptp(pixels, axis=0))),
         score=hand.score,
         right_side=hand.side == "right",
         pixel_error=float(np.median(off)) * 640 / k.width,
         joint_error_mm=float(errors.mean()),
-        refined_joint_error_mm=float(refined_errors[0].mean()),
+        refined_joint_error_mm=float(refined_errors.mean()),
         tip_error_mm=float(tips[touching].mean()) if touching.any() else nan,
-        hidden_joint_error_mm=float(hidden_errors[0]),
+        hidden_joint_error_mm=float(refined_errors[hidden].mean()) if hidden.any() else nan,
         hidden_tip_error_mm=float(tips[hidden_tips].mean()) if hidden_tips.any() else nan,
         hidden_contacts_right=float((right[0] == right[1]).mean()) if hidden_tips.any() else nan,
-        expected_hidden_error_mm=expected,
-        best_hidden_error_mm=float(hidden_errors.min()),
-        hidden_energy_score_mm=expected - 0.5 * float(probability @ apart @ probability),
     )
 
 

@@ -90,19 +90,6 @@ def files(folder: Path, **others: Path) -> list[object]:
     return [word for name, path in given.items() for word in (f"--{name}", path)]
 
 
-def test_several_hands_become_rows_with_probabilities(folder, found, tmp_path, capsys):
-    out = tmp_path / "g.npz"
-    seen = (*files(folder), "--mesh", folder / "thing.obj", "--mask", folder / "mask.png", "--out", out)
-    status, words, _ = run(capsys, "perceive", *seen, "--hands", "3")
-    assert status == 0
-    grasps = load_human_grasps(out)
-    assert grasps.probability is not None and 2 <= len(grasps) <= 3
-    assert grasps.probability.sum() == pytest.approx(1.0)
-    assert f"{len(grasps)} hands that the image allows" in words
-    status, _, err = run(capsys, "perceive", *seen, "--hands", "9")
-    assert status == 2 and "hands must be 1 to 8, not 9" in err
-
-
 def test_three_files_become_a_grasp_that_can_be_retargeted(folder, found, tmp_path, capsys):
     out, result, page = tmp_path / "g.npz", tmp_path / "r.json", tmp_path / "p.html"
     status, words, err = run(

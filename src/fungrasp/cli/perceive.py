@@ -70,9 +70,6 @@ class Perceive:
     """Let an estimator of another package find the hand: the name of its entry point."""
     object_pose_from: str | None = None
     """Let an estimator of another package find the object's pose: the name of its entry point."""
-    hands: int = 1
-    """Hands that the image allows, at most: fingers behind the object may be in several places. The file has
-    a grasp of each, with its probability; retargeting keeps them together, and planning tries them all."""
     frames: int = 1
     """Look at so many images of the source, at most, until the verdict on all of them is sure."""
     seed: int = 0
@@ -105,7 +102,6 @@ class Perceive:
             object_estimate=self._object_pose(),
             seed=self.seed,
             improve_pose=self.improve_pose,
-            hands=self.hands,
         )
         with self._watched(model) as show:
             captures = self.source.looks(model, self.frames, show)
@@ -215,9 +211,6 @@ class Perceive:
                 notes.append(
                     f"the scene was mirrored, as hands are right ones here; the object's mesh: {path}"
                 )
-        if len(perceived.hands) > 1:
-            parts = ", ".join(f"{100 * one.probability:.0f} %" for one in perceived.hands)
-            notes.append(f"{len(perceived.hands)} hands that the image allows: {parts}")
         save_human_grasps(self.out, perceived.grasps)
         return notes
 

@@ -14,7 +14,6 @@ from fungrasp.evaluation.penetration import exact_clearance, nearest_surface_poi
 from fungrasp.geometry import SignedDistanceBank
 from fungrasp.geometry.poses import compose, inverse_transform_points, invert, transform_points
 from fungrasp.grasps import HumanGraspSet, RobotGraspSet
-from fungrasp.grasps.alternatives import alternative_rows
 from fungrasp.hands import Hand, as_hand
 from fungrasp.hands.collision_spheres import CollisionSpheres, collision_spheres, self_collision_depth
 from fungrasp.hands.correspondence import Correspondence, correspond
@@ -108,7 +107,7 @@ def static_quality(
 
     Args:
         robot: N grasps.
-        human: what they were retargeted from; of alternatives the first is meant.
+        human: what they were retargeted from.
         objects: by name.
         hand: the robot hand, or its name; that of the grasps if None.
         spacing: of the points that cover the hand's collision geometry [m].
@@ -118,8 +117,6 @@ def static_quality(
     """
     hand = robot.load_hand() if hand is None else as_hand(hand)
     check_objects(robot.object_name.tolist(), objects)
-    if human.probability is not None and len(human) != len(robot):
-        human = human.select([int(rows[0]) for rows in alternative_rows(human.probability)])
     if len(robot) != len(human) or np.any(robot.object_name != human.object_name):
         raise FungraspError(
             "the robot grasps and the human grasps are not of the same objects in the same order"

@@ -43,8 +43,6 @@ class HumanGrasp:
     """What the grasp is for: "drink", "cut", ...; empty if not known."""
     hand_qpos: np.ndarray | None = None
     """Wrist position [m], wrist and 15 joint rotations as intrinsic XYZ Euler angles [rad], shape [51]."""
-    probability: float | None = None
-    """Of this hand, if it is one of several that an image allows; None if it is the only one."""
 
     def __repr__(self) -> str:
         return f"<HumanGrasp: object {self.object_name!r}, task {self.task!r}>"
@@ -75,9 +73,6 @@ class HumanGraspSet(GraspSet[HumanGrasp]):
     """Given as None it becomes N empty strings."""
     hand_qpos: np.ndarray | None = None
     """Wrist position [m], wrist and 15 joint rotations as intrinsic XYZ Euler angles [rad], shape [N, 51]."""
-    probability: np.ndarray | None = None
-    """Probability of each, shape [N]: grasps that follow each other and whose probabilities sum to one are
-    alternatives, hands that one image allows, the best first. None: all are grasps of their own."""
 
     FIELDS: ClassVar = {
         "object_name": ArrayField("name", ("N",)),
@@ -88,7 +83,6 @@ class HumanGraspSet(GraspSet[HumanGrasp]):
         "link_contacts": ArrayField("flag", ("N", 16)),
         "task": ArrayField("text", ("N",), optional=True),
         "hand_qpos": ArrayField("number", ("N", 51), optional=True),
-        "probability": ArrayField("positive", ("N",), optional=True),
     }
     GRASP: ClassVar = HumanGrasp
 

@@ -124,18 +124,6 @@ def _hand_residuals(
     return float(np.median(off[seen])), max(medians, default=float(np.median(off[seen])))
 
 
-@dataclass(frozen=True, eq=False)
-class PossibleHand:
-    """One of the hands that an image allows."""
-
-    hand: HandEstimate
-    """Camera frame, not mirrored."""
-    grasp: HumanGrasp
-    """World frame, a right hand."""
-    probability: float
-    """Of this hand, or one like it."""
-
-
 @dataclass(frozen=True)
 class StageSeconds:
     """How long a stage took."""
@@ -248,9 +236,6 @@ class Perceived:
     """Whether it can be used, the numbers that say so, and what would help. A table that is only guessed
     gives a warning, but the hand on the object does not depend on it; so does the question which way round a
     nearly symmetric object is."""
-    hands: tuple[PossibleHand, ...] = ()
-    """Hands that the image allows, the best first, which is ``hand``: their fingers differ most where the
-    object hides them."""
     notes: tuple[str, ...] = ()
     """Assumptions about the object, as sentences to print: a mass that was guessed."""
     trace: PerceptionTrace = field(default_factory=PerceptionTrace)
@@ -267,8 +252,8 @@ class Perceived:
 
     @property
     def grasps(self) -> HumanGraspSet:
-        """The grasps that ``retarget`` takes, one of each hand that the image allows, the best first."""
-        return HumanGraspSet.of([one.grasp for one in self.hands] or [self.grasp])
+        """The grasp as the set that ``retarget`` takes."""
+        return HumanGraspSet.of([self.grasp])
 
     @property
     def objects(self) -> dict[str, ObjectModel]:
@@ -307,10 +292,6 @@ class Perceived:
                 "pixels": hand.pixels.tolist(),
                 "confidence": hand.confidence.tolist(),
             },
-            "hands": [
-                {"joints_camera": one.hand.joints_camera.tolist(), "probability": one.probability}
-                for one in self.hands
-            ],
             "fitted_shape": None
             if self.fitted is None
             else {"name": self.fitted.name, "explained": self.fitted.quality},

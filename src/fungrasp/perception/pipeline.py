@@ -28,7 +28,7 @@ from fungrasp.perception.camera.frames import RgbdCamera
 from fungrasp.perception.estimates import HandEstimate, ObjectEstimate, PerceptionWarning, Side
 from fungrasp.perception.hand.contact_evidence import HandSurroundings, touching_links
 from fungrasp.perception.hand.detected_hand import DetectedHand, HandDetector, find_hands
-from fungrasp.perception.hand.fit import fit_hand, fit_held_hands, refine_hand
+from fungrasp.perception.hand.fit import fit_hand, fit_held_hand, refine_hand
 from fungrasp.perception.hand.meant_hands import MeantHand, hands_elsewhere, may_hold, meant_hands, object_box
 from fungrasp.perception.hand.mediapipe_detector import MediaPipeHandDetector
 from fungrasp.perception.image_source import ImageSource, as_capture
@@ -42,7 +42,6 @@ from fungrasp.perception.perceived import (
     HandCandidate,
     Perceived,
     PerceptionTrace,
-    PossibleHand,
     Stopwatch,
     measure_quality,
 )
@@ -58,9 +57,6 @@ from fungrasp.perception.verdict import perception_verdict
 
 UNKNOWN = "unknown"
 """Stands for an object without a mesh."""
-
-MOST_HANDS = 8
-"""So many stand for the samples that are drawn: more would stand for one or two each."""
 
 Mesh = ObjectModel | trimesh.Trimesh
 """An object's surface, with colors if they are known."""
@@ -79,7 +75,6 @@ def perceive(
     detector: HandDetector | None = None,
     seed: int = 0,
     improve_pose: bool = False,
-    hands: int = 1,
 ) -> Perceived:
     """The grasp in an image; ``retarget`` takes the ``grasps`` and the ``objects`` of the result.
 
@@ -100,14 +95,11 @@ def perceive(
         detector: finds hands; by default MediaPipe's models, which ``fungrasp setup perception`` fetches.
         seed: the same seed gives the same answer.
         improve_pose: whether an ``object_estimate`` that is not ``judged`` is fitted to the depth nearby.
-        hands: at most so many that the image allows are given, see ``Perceived.hands``.
 
     Raises:
         FungraspError: the image or the object can't be read, there is no hand in the image, no depth at it,
             the mesh is not of a size that a hand holds, or the hand models are not set up.
     """
-    if not 1 <= hands <= MOST_HANDS:
-        raise FungraspError(f"hands must be 1 to {MOST_HANDS}, not {hands}")
     fitted = None
     if isinstance(obj, str) and obj == UNKNOWN:
         if object_estimate is not None:
@@ -159,8 +151,7 @@ def perceive(
     scene = scenes[chosen]
     # 5: the hand again, touching the object.
     with watch.stage("refinement"):
-        possible = _refined_hands(scene, capture, model, side, seed, hands)
-    refined = possible[0][0]
+        refined = _refined_hand(scene, capture, model, side, seed)
     # 6: the grasp in the world.
     with watch.stage("grasp"):
         plane = scene.table
@@ -169,18 +160,13 @@ def perceive(
             plane = guessed_table(np.concatenate([surface, refined.joints_camera]))
         center = transform_points(scene.object.pose_camera_object, model.center_of_mass[None])[0]
         pose_world_camera = world_from_table(plane, center)
-        grasps = [_grasp(model, one, scene.object, pose_world_camera, task) for one, _ in possible]
+        grasp = _grasp(model, refined, scene.object, pose_world_camera, task)
         quality = measure_quality(capture, refined, scene.object, model.signed_distance)
         warnings = (*scene.warnings, *_warnings(scene, refined, model))
-    several = len(possible) > 1
     return Perceived(
         capture=capture,
         object_model=model,
-        grasp=grasps[0],
-        hands=tuple(
-            PossibleHand(one, replace(grasp, probability=part) if several else grasp, part)
-            for (one, part), grasp in zip(possible, grasps, strict=True)
-        ),
+        grasp=grasp,
         pose_world_camera=pose_world_camera,
         hand=refined,
         object=scene.object,
@@ -269,19 +255,17 @@ def _scene(
     return HandCandidate(meant.detected, hand, table, thing, answers, holds, meant.warnings)
 
 
-def _refined_hands(
-    scene: HandCandidate, capture: Capture, model: ObjectModel, side: Side | None, seed: int, count: int
-) -> list[tuple[HandEstimate, float]]:
-    """Hands that touch the object, and their probabilities; the one hand unchanged where the object's pose is
-    not accepted."""
+def _refined_hand(
+    scene: HandCandidate, capture: Capture, model: ObjectModel, side: Side | None, seed: int
+) -> HandEstimate:
+    """The hand, touching the object; unchanged where the object's pose is not accepted."""
     hand, thing = scene.hand, scene.object
     if not thing.accepted:
-        return [(hand, 1.0)]
+        return hand
     surroundings = HandSurroundings(model.signed_distance, thing.pose_camera_object, scene.table)
     if scene.detected is None:
-        return [(refine_hand(hand, surroundings), 1.0)]
-    joints = hand.joints_camera
-    return fit_held_hands(scene.detected, capture, surroundings, joints, count, side=side, seed=seed)
+        return refine_hand(hand, surroundings)
+    return fit_held_hand(scene.detected, capture, surroundings, hand.joints_camera, side=side, seed=seed)
 
 
 def _warnings(scene: HandCandidate, refined: HandEstimate, model: ObjectModel) -> list[PerceptionWarning]:

@@ -10,7 +10,6 @@ from PIL import Image
 
 from fungrasp.files import atomic_path
 from fungrasp.grasps import HumanGraspSet, RobotGraspSet
-from fungrasp.grasps.alternatives import alternative_rows
 from fungrasp.objects import ObjectModel
 from fungrasp.rendering.grasp_scenes import grasp_scene
 from fungrasp.rendering.render import render
@@ -38,13 +37,11 @@ def draw_grasps(
         path: of the PNG file.
         robot: N grasps.
         objects: by name.
-        human: what they were retargeted from, drawn to their left; of alternatives the first.
+        human: what they were retargeted from, drawn to their left.
         captions: text for each grasp after the name of its object; the name of the hand if None.
         progress: called with the share that is drawn, up to 1.
     """
     hand = robot.load_hand()
-    if human is not None and human.probability is not None:
-        human = human.select([int(rows[0]) for rows in alternative_rows(human.probability)])
     rows = spread_rows(robot.object_name)
     images, labels = [], []
     for done, row in enumerate(rows):

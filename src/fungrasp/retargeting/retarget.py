@@ -14,7 +14,6 @@ import numpy as np
 from fungrasp.errors import FungraspError, UnknownNameError
 from fungrasp.geometry.poses import compose, transform_points
 from fungrasp.grasps import HumanGraspSet, RobotGraspSet, hand_sides
-from fungrasp.grasps.alternatives import join_alternatives
 from fungrasp.hands import Hand, as_hand, hand_origin
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.jobs import Arrays, Job, PartStore, RayCluster, part_key, run_job
@@ -96,8 +95,7 @@ def retarget(
     """Retarget human grasps to a robot hand.
 
     Args:
-        human: N human grasps. Alternatives of one grasp (``HumanGraspSet.probability``) become one robot
-            grasp that knows them (``fungrasp.grasps.alternatives``).
+        human: N human grasps.
         objects: each object of the grasps, by name.
         hand: the robot hand, its name, or the path of its TOML file.
         method: one of ``METHODS``.
@@ -126,7 +124,7 @@ def retarget(
         np.concatenate([part[name] for part in found])
         for name in ("wrist_pose", "joint_positions", "keypoints", "link_contacts")
     )
-    robot = RobotGraspSet(
+    return RobotGraspSet(
         hand=hand.name,
         hand_file=origin,
         object_name=human.object_name,
@@ -140,7 +138,6 @@ def retarget(
         link_contacts=contacts,
         task=human.task,
     )
-    return robot if human.probability is None else join_alternatives(robot, human.probability)
 
 
 @dataclass(frozen=True, eq=False)

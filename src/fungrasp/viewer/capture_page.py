@@ -80,7 +80,6 @@ class CapturePage(BrowserPage):
         for name, box in self._boxes.items():
             box.visible = name in self._nodes
         choices = [f"object {i}: score {score:.2f}" for i, (_, score) in enumerate(seen.object.alternatives)]
-        choices += [f"hand {i}: probability {one.probability:.2f}" for i, one in enumerate(seen.hands)]
         self._alternative.options = ["none", *choices]
         self._alternative.visible = bool(choices)
         self._say(seen)
@@ -121,13 +120,7 @@ class CapturePage(BrowserPage):
         seen, choice = self._seen, str(self._alternative.value)
         if seen is None or choice == "none":
             return
-        kind, _, rest = choice.partition(" ")
-        number, camera, scene = int(rest.split(":")[0]), seen.pose_world_camera, self.client.scene
-        if kind == "object":
-            figure = ObjectFigure(scene, "/alternative", seen.object_model, opacity=0.5, color=CONTACT)
-            figure.place(compose(camera, seen.object.alternatives[number][0]))
-            self._nodes["alternative"] = figure.handle
-        else:
-            joints = transform_points(camera, seen.hands[number].hand.joints_camera)
-            none = np.zeros_like(seen.grasp.link_contacts)
-            self._nodes["alternative"] = HumanFigure(scene, "/alternative", joints, none).handle
+        number, camera, scene = int(choice.split()[1][:-1]), seen.pose_world_camera, self.client.scene
+        figure = ObjectFigure(scene, "/alternative", seen.object_model, opacity=0.5, color=CONTACT)
+        figure.place(compose(camera, seen.object.alternatives[number][0]))
+        self._nodes["alternative"] = figure.handle

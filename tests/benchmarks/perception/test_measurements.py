@@ -224,18 +224,3 @@ def test_a_measured_capture_is_the_same_when_read_again(tmp_path):
     assert read.result.absent is not None and read.result.absent.pose.add_s_mm == np.inf
     assert read.perceived is not None and MeasuredCapture.from_arrays(other).perceived is None
     assert read.true.digest == whole.true.digest and read.perceived.digest == whole.true.digest
-
-
-def test_all_hands_of_an_image_follow_each_other_in_the_chain():
-    hands = [dataclasses.replace(GRASP, probability=part) for part in (0.7, 0.2, 0.1)]
-    results = [
-        measured(*hands),
-        measured(),
-        measured(GRASP),
-    ]
-    objects = {GRASP.object_name: MODEL}
-    _, several, rows = chain_sets(results, objects, several=True)
-    assert several is not None and several.probability is not None
-    assert several.probability.tolist() == [0.7, 0.2, 0.1, 1.0] and rows.tolist() == [0, 2]
-    _, alone, _ = chain_sets(results, objects)
-    assert alone is not None and len(alone) == 2 and alone.probability is None

@@ -14,7 +14,8 @@ from fungrasp.perception import Capture
 from fungrasp.perception.hand import fit
 from fungrasp.perception.hand.contact_evidence import HandSurroundings
 from fungrasp.perception.hand.finger_search import finger_joints, postures, search_fingers
-from fungrasp.perception.hand.fit import fit_held_hands, skeleton_through
+from fungrasp.perception.hand.fit import fit_held_hand as fit_held
+from fungrasp.perception.hand.fit import skeleton_through
 from fungrasp.perception.hand.hand_capsules import HAND_CAPSULES, capsule_distances, explained_part
 from fungrasp.perception.hand.hand_measurements import hand_view
 from fungrasp.perception.hand.image_evidence import point_evidence
@@ -23,8 +24,7 @@ from fungrasp.perception.hand.skeleton import SIZE
 
 def fit_held_hand(detected, capture, surroundings, joints, **options):
     """The hand of least cost."""
-    ((hand, _),) = fit_held_hands(detected, capture, surroundings, joints, 1, **options)
-    return hand
+    return fit_held(detected, capture, surroundings, joints, **options)
 
 
 @pytest.fixture(scope="module")

@@ -46,8 +46,8 @@ def anatomy_evidence(hand: Skeleton) -> list[HandEvidence]:
         _prior("bases", hand.bases.ravel() / BASE_SPREAD, 1 / BASE_SPREAD),
         _prior("bones", hand.bones.ravel() / BONE_SPREAD, 1 / BONE_SPREAD),
         _prior("angles", unusual.ravel(), (1 / ANGLE_SPREAD).ravel()),
-        HandEvidence(_ALIKE @ (hand.angles - ANGLE_MEAN).ravel(), _ALIKE_COLUMNS, random=True),
-        _prior("angles", beyond.ravel() / LIMIT_SOFTNESS, (beyond != 0).ravel() / LIMIT_SOFTNESS, False),
+        HandEvidence(_ALIKE @ (hand.angles - ANGLE_MEAN).ravel(), _ALIKE_COLUMNS),
+        _prior("angles", beyond.ravel() / LIMIT_SOFTNESS, (beyond != 0).ravel() / LIMIT_SOFTNESS),
     ]
 
 
@@ -67,10 +67,10 @@ _ALIKE_COLUMNS = np.zeros((9, SIZE))
 _ALIKE_COLUMNS[:, PARAMETERS["angles"]] = _ALIKE
 
 
-def _prior(kind: str, residual: np.ndarray, slope: np.ndarray | float, random: bool = True) -> HandEvidence:
+def _prior(kind: str, residual: np.ndarray, slope: np.ndarray | float) -> HandEvidence:
     jacobian = np.zeros((len(residual), SIZE))
     jacobian[:, PARAMETERS[kind]] = np.diag(np.broadcast_to(slope, residual.shape))
-    return HandEvidence(residual, jacobian, random=random)
+    return HandEvidence(residual, jacobian)
 
 
 def _pairs() -> tuple[np.ndarray, np.ndarray]:

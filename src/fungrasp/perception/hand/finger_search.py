@@ -1,7 +1,6 @@
 """Where each finger may be on a palm that is about right: many postures are tried.
 
 Least squares goes downhill only; a thumb that was guessed on the wrong side of an object never gets round it.
-Where an object hides fingers, one answer is not all: several are drawn, with probabilities.
 """
 
 from __future__ import annotations
@@ -13,7 +12,6 @@ import numpy as np
 
 from fungrasp.grasps.hand_thickness import FINGER_RADII
 from fungrasp.perception.hand.anatomy_evidence import finger_overlap
-from fungrasp.perception.hand.fit_problem import HandFitProblem, HandFitStage, HandParameters
 from fungrasp.perception.hand.hand_capsules import HAND_CAPSULES, capsule_distances
 from fungrasp.perception.hand.hand_measurements import HandView
 from fungrasp.perception.hand.skeleton import (
@@ -41,9 +39,6 @@ MOST_POINTS = 80
 
 WIDE = 1.3
 """Factor on the usual spread of postures for those that are tried."""
-
-BEHIND = 0.018
-"""A joint so far behind what is seen there [m] is hidden: more than skin and the errors of joints."""
 
 SAMPLED_PARTS = np.array([0.15, 0.5, 0.85])
 """Parts of each link that are looked at."""
@@ -77,8 +72,6 @@ class FingerSearchSettings:
     """Gap beyond which the cost does not grow [m]."""
     opposed: float = 4.0
     """Cost of thumb and fingers that touch the object from the same side."""
-    temperature: float = 2.0
-    """Of the random choice: the costs count the same evidence more than once."""
     unusual: float = 1.0
     """Weight of the cost of an unusual posture."""
 
@@ -129,7 +122,6 @@ def search_fingers(
     rng: np.random.Generator,
     settings: FingerSearchSettings | None = None,
     spread: float | None = None,
-    draw: bool = False,
 ) -> Skeleton:
     """The hand with every finger in the best posture of those tried; its own is among them.
 
@@ -140,31 +132,17 @@ def search_fingers(
         rng: chooses the postures.
         settings: what speaks for one.
         spread: standard deviation of a landmark [pixels], if it is known.
-        draw: choose postures at random, better ones more often, of hidden fingers only.
     """
-    visible = ~hidden_fingers(hand, view)
     settings = settings or FingerSearchSettings()
     if spread is None:
         spread = settings.landmark * float(np.linalg.norm(np.ptp(landmarks, axis=0)))
     for finger in ORDER:
-        if draw and visible[finger]:
-            continue
         tried = np.concatenate([hand.angles[None, finger], postures(finger, TRIES, rng)])
         cost = finger_cost(hand, finger, tried, view, landmarks, spread, settings)
         angles = hand.angles.copy()
-        chosen = cost.argmin()
-        if draw:
-            chosen = (-0.5 * cost / settings.temperature + rng.gumbel(size=len(cost))).argmax()
-        angles[finger] = tried[chosen]
+        angles[finger] = tried[cost.argmin()]
         hand = dataclasses.replace(hand, angles=angles)
     return hand
-
-
-def hidden_fingers(hand: Skeleton, view: HandView) -> np.ndarray:
-    """Fingers whose last two joints are both behind what is seen there, bool, shape [5]."""
-    joints = hand.joints()
-    behind = joints[:, 2] - view.depth_at(view.intrinsics.project(joints)) > BEHIND
-    return np.asarray(behind[1:].reshape(5, 4)[:, 2:].all(axis=1))
 
 
 def finger_cost(
@@ -257,60 +235,3 @@ def _points_cost(
 def _limited(residual: np.ndarray, worst: float) -> np.ndarray:
     """Geman and McClure's loss, which tends to the square of ``worst``."""
     return worst**2 * residual**2 / (worst**2 + residual**2)
-
-
-DRAWS = 16
-"""Hands that are drawn; those that are returned stand for these."""
-
-
-def sampled_hands(
-    problem: HandFitProblem, best: HandParameters, stage: HandFitStage, iterations: int, seed: int
-) -> list[HandParameters]:
-    """Hands that the evidence allows, equally probable, ``DRAWS`` of them.
-
-    Each has hidden fingers in postures chosen at random, better ones more often, and is fitted to evidence
-    with other random errors.
-
-    Args:
-        problem: of a held hand.
-        best: its best fit.
-        stage: of the fit.
-        iterations: Gauss-Newton steps.
-        seed: of everything random.
-    """
-    assert problem.seen is not None and problem.view is not None
-    found = []
-    for number in range(DRAWS):
-        skeleton = search_fingers(
-            best.skeleton,
-            problem.view,
-            problem.seen.pixels,
-            np.random.default_rng([seed, number]),
-            spread=problem.seen.spread,
-            draw=True,
-        )
-        problem.find_background(skeleton)
-        found.append(problem.solve(HandParameters(skeleton, best.turn), stage, iterations, number))
-    return found
-
-
-def representatives(joints: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """The hands that stand for all with least mean distance, the first among them.
-
-    Args:
-        joints: S hands [m], shape [S, 21, 3].
-        count: how many are wanted.
-
-    Returns:
-        Rows of at most ``count``, the first one and then by probability; the part of all hands that each
-        stands for.
-    """
-    apart = np.linalg.norm(joints[:, None] - joints, axis=-1).mean(axis=-1)
-    rows = [0]
-    while len(rows) < min(count, len(joints)):
-        gain = np.minimum(apart[rows].min(axis=0), apart).sum(axis=1)
-        gain[rows] = np.inf
-        rows.append(int(gain.argmin()))
-    part = np.bincount(apart[rows].argmin(axis=0), minlength=len(rows)) / len(joints)
-    order = sorted(range(len(rows)), key=lambda i: (i > 0, -part[i]))
-    return np.array(rows)[order], part[order]

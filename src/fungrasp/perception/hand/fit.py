@@ -21,7 +21,7 @@ from fungrasp.perception.estimates import HandEstimate, Side
 from fungrasp.perception.hand.anatomy_evidence import anatomy_evidence
 from fungrasp.perception.hand.contact_evidence import HandSurroundings
 from fungrasp.perception.hand.detected_hand import MIRROR_X, DetectedHand
-from fungrasp.perception.hand.finger_search import representatives, sampled_hands, search_fingers
+from fungrasp.perception.hand.finger_search import search_fingers
 from fungrasp.perception.hand.fit_problem import (
     HandFitProblem,
     HandFitSettings,
@@ -112,37 +112,31 @@ def fit_hand(
     return _estimate(problem, parameters, FREE_STAGES[-1], detected)
 
 
-def fit_held_hands(
+def fit_held_hand(
     detected: DetectedHand,
     capture: Capture,
     surroundings: HandSurroundings,
     joints: np.ndarray,
-    count: int,
     *,
     side: Side | None = None,
     seed: int = 0,
     settings: HandFitSettings | None = None,
-) -> list[tuple[HandEstimate, float]]:
-    """Hands that may hold a known object, and their probabilities.
+) -> HandEstimate:
+    """The hand that holds a known object.
 
     Each different detection of the hand in some window of the image, taken for one side, makes a candidate.
     It is fitted to the landmarks, to depth, to the points that show the hand, to the object that it touches
     and to the free space that it can't be in. Of the best candidates the fingers are searched, too, as they
-    may be behind the object. The candidate of least cost wins; others that the evidence allows as well are
-    drawn from it.
+    may be behind the object. The candidate of least cost wins.
 
     Args:
         detected: landmarks in the color image, and those in other windows.
         capture: the same image with depth.
         surroundings: object and table.
         joints: of the hand as it was fitted without them [m], camera frame, shape [21, 3].
-        count: of hands, at most; 1 gives the one of least cost.
         side: which hand it is, if that is known.
-        seed: of the search of fingers and of the samples.
+        seed: of the search of fingers.
         settings: standard deviations and weights of the measurements.
-
-    Returns:
-        The best hand first, the others by probability; they have one side, score and covariances.
 
     Raises:
         FungraspError: there is no depth where the hand is.
@@ -168,17 +162,7 @@ def fit_held_hands(
     candidates.sort(key=lambda candidate: candidate.cost)
     searched = (_with_fingers_searched(candidate, seed) for candidate in candidates[:SEARCHED])
     best = min(searched, key=lambda candidate: candidate.cost)
-    first = _estimate(best.problem, best.parameters, COMPARED, best.detected)
-    if count == 1:
-        return [(first, 1.0)]
-    drawn = sampled_hands(best.problem, best.parameters, HELD_STAGES[-1], STAGE_ITERATIONS, seed)
-    drawn = np.array([parameters.skeleton.joints() for parameters in drawn]) * _flip(best.detected)
-    every = np.concatenate([first.joints_camera[None], drawn])
-    rows, part = representatives(every, count)
-    return [
-        (dataclasses.replace(first, joints_camera=every[row]), float(p))
-        for row, p in zip(rows, part, strict=True)
-    ]
+    return _estimate(best.problem, best.parameters, COMPARED, best.detected)
 
 
 def refine_hand(

@@ -37,7 +37,6 @@ from fungrasp.perception.hand.skeleton import (
     Skeleton,
     damped_step,
     normal_equations,
-    redrawn,
     robust_cost,
     robust_weights,
 )
@@ -97,10 +96,6 @@ class HandFitSettings:
     """Skin so little in front [m] is not."""
     overlap_spread: float = 0.002
     """Standard deviation of how deep fingers are in each other [m]."""
-    sample_spread: float = 1.3
-    """Standard deviation of the errors with which samples of the hand are fitted: 1 if all those above were
-    right. Hidden joints of 13 rendered hands were at the edge of such samples too often with 1 and too
-    seldom with 1.5."""
     contact: HandContactSettings = field(default_factory=HandContactSettings)
     """Weights of what the object and the table say, where they are known."""
 
@@ -175,15 +170,11 @@ class HandFitProblem:
             joints = skeleton.joints()
             self._hidden = joints[:, 2] - self.view.depth_at(lens.project(joints)) > settings.hidden
 
-    def solve(
-        self, start: HandParameters, stage: HandFitStage, iterations: int, sample: int | None = None
-    ) -> HandParameters:
-        """Gauss-Newton steps from a start. sample: number of a sample of the hand; the best hand if None."""
+    def solve(self, start: HandParameters, stage: HandFitStage, iterations: int) -> HandParameters:
+        """Gauss-Newton steps from a start."""
         now = start
         for _ in range(iterations):
             evidence = self.evidence(now, stage)
-            if sample is not None:
-                evidence = redrawn(evidence, sample, self.settings.sample_spread)
             step = damped_step(*normal_equations(evidence, self.size))
             turn = now.turn + step[SIZE:] if self.size > SIZE else now.turn
             now = HandParameters(now.skeleton.moved(step[:SIZE]), turn)
@@ -260,7 +251,7 @@ class HandFitProblem:
                 settings.silhouette_outlier,
             ),
             direction_evidence(joints, jacobian, directions, settings.direction_spread / weight),
-            HandEvidence(parameters.turn / settings.turn_spread, turn_columns, random=True),
+            HandEvidence(parameters.turn / settings.turn_spread, turn_columns),
         ]
 
     def joints(

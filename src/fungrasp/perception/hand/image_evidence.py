@@ -52,9 +52,7 @@ def landmark_evidence(
     projected, slopes = project(joints, jacobian, intrinsics)
     width = np.broadcast_to(spread, 21)[:, None]
     residual = ((projected - pixels) / width).ravel()
-    return HandEvidence(
-        residual, (slopes / width[..., None]).reshape(42, -1), outlier=4.0, group=2, random=True
-    )
+    return HandEvidence(residual, (slopes / width[..., None]).reshape(42, -1), outlier=4.0, group=2)
 
 
 def project(
@@ -163,9 +161,7 @@ def direction_evidence(
     slopes = (slopes - units[..., None] * along[:, None]) / lengths[..., None]
     by_turn = -np.cross(np.eye(3), directions[:, None]).transpose(0, 2, 1)
     columns = np.concatenate([slopes, by_turn], axis=-1).reshape(60, -1)
-    return HandEvidence(
-        ((units - directions) / spread).ravel(), columns / spread, outlier=4.0, group=3, random=True
-    )
+    return HandEvidence(((units - directions) / spread).ravel(), columns / spread, outlier=4.0, group=3)
 
 
 def point_evidence(

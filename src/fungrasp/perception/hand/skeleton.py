@@ -10,7 +10,7 @@ Its parameters are found by robust Gauss-Newton steps from blocks of residuals.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -227,28 +227,6 @@ class HandEvidence:
     """Residuals beyond this hardly count: one limit for all, or one per group, shape [R / group]."""
     group: int = 1
     """Number of consecutive residuals that are one measurement, judged by their norm."""
-    random: bool = False
-    """Whether its errors are random: a sample of the hand is fitted to others that might have been."""
-
-
-def redrawn(evidence: Iterable[HandEvidence], seed: int, spread: float) -> list[HandEvidence]:
-    """The blocks with other random errors, the same ones for the same seed.
-
-    Least squares of them gives a sample of what the parameters may be ("randomize then optimize", Bardsley et
-    al., SIAM J. Sci. Comput. 36, 2014): the fit's own distribution, where the problem is linear.
-
-    Args:
-        evidence: blocks.
-        seed: of the errors.
-        spread: standard deviation of the errors, 1 where residuals are in standard deviations.
-    """
-    found = []
-    for number, block in enumerate(evidence):
-        if block.random:
-            errors = np.random.default_rng([seed, number]).normal(size=len(block.residual))
-            block = replace(block, residual=block.residual + spread * errors)
-        found.append(block)
-    return found
 
 
 def normal_equations(evidence: Iterable[HandEvidence], size: int) -> tuple[np.ndarray, np.ndarray]:

@@ -26,7 +26,6 @@ from fungrasp.geometry.signed_distance import SignedDistanceBank, nearest_on_mes
 from fungrasp.objects import ObjectModel
 from fungrasp.perception.object_pose.icp import KnownSurface
 
-
 NOWHERE, BEYOND = 1e6, 1e3
 """Rays that meet nothing end so far away [m]; what is farther than the second was not met."""
 

@@ -15,7 +15,6 @@ import numpy as np
 
 from fungrasp.geometry.poses import compose, invert, rotate
 from fungrasp.grasps import RobotGraspSet
-from fungrasp.grasps.alternatives import share_out, take_alternatives
 from fungrasp.hands import Hand
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.objects import ObjectModel
@@ -74,9 +73,8 @@ def grips_for_use(
         seed: of the starts.
     """
     count = len(grasps)
-    which, _ = share_out(grasps, number)
     rows = np.tile(np.arange(count), number)
-    given = take_alternatives(grasps.select(rows), which.ravel())
+    given = grasps.select(rows)
     scorer = _Grips(given, belief.select(rows), hand, objects, count)
     best = scorer.solve(*scorer.given, _starts(number, seed))
     for again in range(1, rounds):

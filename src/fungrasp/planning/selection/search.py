@@ -11,7 +11,6 @@ import numpy as np
 
 from fungrasp.files import digest
 from fungrasp.grasps import RobotGraspSet
-from fungrasp.grasps.alternatives import share_out, take_alternatives
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
 from fungrasp.planning.grasp_motion import MotionPlanner, MotionSettings, lowered, table_below
@@ -77,9 +76,8 @@ class SearchPlanner:
         seed: int = 0,
         progress: Callable[[float], None] = lambda done: None,
     ) -> GraspPlan:
-        """See ``Planner.plan``. Candidates are made from all alternatives of a grasp
-        (``grasps.alternatives``), more of the more probable ones. All grasps are varied in the same ways, so
-        that the choice for one does not depend on the others."""
+        """See ``Planner.plan``. All grasps are varied in the same ways, so that the choice for one does not
+        depend on the others."""
         names = grasps.object_name.tolist()
         table = table_below(names, belief.object_pose, belief.table_height, self._objects)
         rounded = _rounded(lowered(belief, table))
@@ -136,9 +134,8 @@ class SearchPlanner:
             chunk=s.chunk,
             chance=chance,
         )
-        which, numbers = share_out(grasps, s.candidates)
         first = with_settings(grasps).select(np.tile(everyone, s.candidates))
-        first, numbers = take_alternatives(first, which.ravel()), numbers.ravel()
+        numbers = np.repeat(np.arange(s.candidates), len(grasps))
         if s.for_use and s.grips_kept and grasps.task is not None:
             grips = grips_for_use(
                 with_settings(grasps), beliefs, self._hand, self._objects, *s.grips, s.grips_kept, seed
